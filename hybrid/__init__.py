@@ -1,0 +1,4 @@
+"""hybrid."""
+from .automaton import *
+from .errors import *
+from .simulate import simulate

@@ -1,0 +1,34 @@
+"""The declaration: markers in a class body become one frozen, checked spec."""
+
+from .base import Automaton
+from .markers import (
+    EITHER,
+    FALLING,
+    RISING,
+    Crossing,
+    contact,
+    edge,
+    mode,
+    parameter,
+    state,
+)
+from .record import Record
+from .spec import ContactSpec, EdgeSpec, ModeSpec, Spec
+
+__all__ = [
+    "EITHER",
+    "FALLING",
+    "RISING",
+    "Automaton",
+    "ContactSpec",
+    "Crossing",
+    "EdgeSpec",
+    "ModeSpec",
+    "Record",
+    "Spec",
+    "contact",
+    "edge",
+    "mode",
+    "parameter",
+    "state",
+]

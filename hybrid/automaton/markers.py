@@ -1,0 +1,218 @@
+"""What an author writes in a class body: states, parameters, modes, edges, contacts.
+
+Each call leaves a marker; :class:`hybrid.Automaton` collects the markers when the class
+is defined and turns them into one frozen :class:`~hybrid.automaton.spec.Spec`.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Callable
+from typing import Any
+
+import attrs
+
+
+class Crossing(enum.Enum):
+    """The direction in which a guard must reach zero for its edge to fire."""
+
+    FALLING = "falling"
+    RISING = "rising"
+    EITHER = "either"
+
+
+FALLING, RISING, EITHER = Crossing.FALLING, Crossing.RISING, Crossing.EITHER
+
+
+class _Named:
+    """A marker that learns its name from the class body."""
+
+    name: str = ""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+
+@attrs.define(slots=False, eq=False)
+class State(_Named):
+    """Marker of a coordinate; made by :func:`state`."""
+
+    unit: str = ""
+    doc: str = ""
+    shape: tuple[int, ...] = ()
+
+
+@attrs.define(slots=False, eq=False)
+class Mode(_Named):
+    """Marker of a mode and its flow; made by :func:`mode`."""
+
+    flow: Callable[..., Any]
+    initial: bool = False
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        return self if instance is None else self.flow.__get__(instance, owner)
+
+    def __call__(self, model: Any, *args: Any) -> Any:
+        return self.flow(model, *args)
+
+
+@attrs.define(slots=False, eq=False)
+class Edge(_Named):
+    """Marker of an edge and its reset; made by :func:`edge`."""
+
+    reset: Callable[..., Any]
+    source: Mode | str
+    to: Mode | str
+    guard: Callable[..., Any]
+    crossing: Crossing
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        return self if instance is None else self.reset.__get__(instance, owner)
+
+
+@attrs.define(slots=False, eq=False)
+class Contact(_Named):
+    """Marker of a unilateral contact; made by :func:`contact`."""
+
+    mode: Mode | str
+    gap: Callable[..., Any]
+    restitution: str | float | Callable[..., Any]
+    rests: bool
+    inverse_mass: Any
+
+
+def state(unit: str = "", doc: str = "", shape: tuple[int, ...] = ()) -> Any:
+    """Declare a coordinate of the state.
+
+    Parameters
+    ----------
+    unit, doc : str
+        Physical unit and a few words; used in tables, pictures and saved files.
+    shape : tuple of int
+        ``()`` for a number; the order of declaration is the order in the state vector.
+    """
+    return State(unit, doc, tuple(shape))
+
+
+def parameter(
+    default: Any,
+    unit: str = "",
+    doc: str = "",
+    positive: bool = False,
+    between: tuple[float, float] | None = None,
+) -> Any:
+    """Declare a number (or array) on which the model depends.
+
+    Parameters
+    ----------
+    default : float or array
+        Value where the caller gives none.
+    positive : bool
+        Refuse values that are not greater than zero.
+    between : (low, high), optional
+        Refuse values outside the closed interval.
+
+    Raises
+    ------
+    ParameterError
+        When a model is made with a value outside these bounds: the message has the
+        name, the value and the bound.
+    """
+    metadata = {"hybrid": "parameter", "unit": unit, "doc": doc}
+    return attrs.field(
+        default=default, validator=_bounds(positive, between), metadata=metadata, kw_only=True
+    )
+
+
+def _bounds(positive: bool, between: tuple[float, float] | None) -> Callable[..., None]:
+    import numpy as np
+
+    from ..errors import ParameterError
+
+    def check(model: Any, field: Any, value: Any) -> None:
+        name = f"{type(model).__name__}.{field.name}"
+        try:
+            array = np.asarray(value, dtype=float)
+        except (TypeError, ValueError):
+            raise ParameterError(f"{name} = {value!r}: a number or an array of numbers") from None
+        if not np.all(np.isfinite(array)):
+            raise ParameterError(f"{name} = {value!r}: must be finite")
+        if positive and not np.all(array > 0):
+            raise ParameterError(f"{name} = {value!r}: must be positive")
+        if between is not None and not np.all((array >= between[0]) & (array <= between[1])):
+            raise ParameterError(f"{name} = {value!r}: must lie in [{between[0]}, {between[1]}]")
+
+    return check
+
+
+def mode(flow: Callable[..., Any] | None = None, *, initial: bool = False) -> Any:
+    """Declare a mode: ``@hy.mode`` or ``@hy.mode(initial=True)`` over its flow.
+
+    The flow is ``def name(self, t, s)``; it returns the time derivatives in the order of
+    the states (a tuple, a record ``s.replace(...)``, or a dict by state).
+    """
+    if flow is None:
+        return lambda function: Mode(function, initial)
+    return Mode(flow, initial)
+
+
+def edge(
+    source: Any, *, to: Any, guard: Callable[..., Any], crossing: Crossing = Crossing.FALLING
+) -> Any:
+    """Declare an edge: ``@hy.edge(source, to=mode, guard=...)`` over its reset.
+
+    Parameters
+    ----------
+    source, to : mode or str
+        A mode defined above, or its name.
+    guard : callable ``(self, t, s)``
+        A scalar; positive inside the source's domain when ``crossing`` is ``FALLING``.
+    crossing : FALLING, RISING or EITHER
+        The direction in which the guard must reach zero.
+    """
+    return lambda reset: Edge(reset, source, to, guard, crossing)
+
+
+def contact(
+    mode: Any,
+    *,
+    gap: Callable[..., Any],
+    restitution: Any,
+    rests: bool = True,
+    inverse_mass: Any = None,
+) -> Any:
+    """Declare a unilateral contact with Newton's law of impact.
+
+    Parameters
+    ----------
+    mode : mode or str
+        The mode in which the gap is watched.
+    gap : callable ``(self, t, s)``
+        Distance to the obstacle; it may depend on ``t`` (a moving obstacle).
+    restitution : str, float or callable ``(self, t, s, u)``
+        Name of a parameter, a number, or a function of the gap's speed ``u < 0`` before
+        the impact that returns the speed after it, over ``abs(u)``.
+    rests : bool
+        Whether the model goes on in the resting mode after impacts have accumulated.
+    inverse_mass : float, sequence or callable ``(self, t, s)``, optional
+        Inverse mass matrix of the positions that the gap depends on, in the order of the
+        state vector: a number, the diagonal, or the matrix. Unit masses if omitted.
+
+    Notes
+    -----
+    The impulse acts along ``W grad_q(gap)`` on the velocities, where ``q`` are the
+    positions in the gap and ``W`` the inverse mass; a moving gap's own speed is
+    ``u = d(gap)/dt`` along the flow, and the impact maps ``u`` to ``-r u``.
+    """
+    return Contact(mode, gap, restitution, rests, inverse_mass)
+
+
+def is_number(value: Any) -> bool:
+    """Whether ``value`` is a finite real number (and not a flag)."""
+    if isinstance(value, bool):
+        return False
+    try:
+        return math.isfinite(float(value))
+    except (TypeError, ValueError):
+        return False

@@ -1,0 +1,158 @@
+"""One frozen description of a model, made once when its class is defined."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import attrs
+import numpy as np
+
+from .markers import Crossing
+from .record import Record
+
+
+@attrs.frozen
+class StateSpec:
+    """A coordinate: its place in the state vector is ``offset : offset + size``."""
+
+    name: str
+    unit: str
+    doc: str
+    shape: tuple[int, ...]
+    offset: int
+
+    @property
+    def size(self) -> int:
+        return math.prod(self.shape)
+
+
+@attrs.frozen
+class ParameterSpec:
+    """A parameter: its default, unit and description."""
+
+    name: str
+    default: Any
+    unit: str
+    doc: str
+
+
+@attrs.frozen(eq=False)
+class ModeSpec:
+    """A mode: its name and flow."""
+
+    name: str
+    flow: Callable[..., Any]
+
+
+@attrs.frozen(eq=False)
+class EdgeSpec:
+    """An edge: where it leads from and to, its guard and reset."""
+
+    name: str
+    source: str
+    to: str
+    guard: Callable[..., Any]
+    crossing: Crossing
+    reset: Callable[..., Any]
+
+
+@attrs.frozen(eq=False)
+class ContactSpec:
+    """A unilateral contact; an edge from its mode to itself with a derived reset."""
+
+    name: str
+    source: str
+    guard: Callable[..., Any]
+    restitution: Callable[..., Any]
+    rests: bool
+    inverse_mass: Any
+
+    crossing = Crossing.FALLING
+
+    @property
+    def to(self) -> str:
+        return self.source
+
+
+@attrs.frozen(eq=False)
+class Spec:
+    """The whole model. ``transitions`` holds edges and contacts in declared order."""
+
+    model: str
+    states: tuple[StateSpec, ...]
+    parameters: tuple[ParameterSpec, ...]
+    modes: tuple[ModeSpec, ...]
+    transitions: tuple[EdgeSpec | ContactSpec, ...]
+    initial: str
+
+    @property
+    def dimension(self) -> int:
+        """Length of the state vector."""
+        return sum(state.size for state in self.states)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the states."""
+        return tuple(state.name for state in self.states)
+
+    @property
+    def element_names(self) -> tuple[str, ...]:
+        """A name for each element of the state vector: ``x``, ``q[0]``, ``q[1]``."""
+        return tuple(
+            state.name + (str(list(index)) if index else "")
+            for state in self.states
+            for index in np.ndindex(state.shape)
+        )
+
+    def mode(self, name: str) -> ModeSpec:
+        """The mode of that name."""
+        return next(mode for mode in self.modes if mode.name == name)
+
+    def leaving(self, mode: str) -> tuple[EdgeSpec | ContactSpec, ...]:
+        """Edges and contacts watched in a mode, in declared order."""
+        return tuple(edge for edge in self.transitions if edge.source == mode)
+
+    def record(self, vector: Any) -> Record:
+        """The state vector (last axis the coordinates) as a record."""
+        parts = []
+        for state in self.states:
+            part = vector[..., state.offset : state.offset + state.size]
+            parts.append(part.reshape(part.shape[:-1] + state.shape))
+        return Record(self.names, tuple(parts))
+
+    def values(self, record: Any) -> list[Any]:
+        """The fields of a record, mapping or sequence in declared order.
+
+        Raises
+        ------
+        ValueError
+            If a field is missing, unknown, or there are too many or too few.
+        """
+        if isinstance(record, Mapping | Record):
+            given = {name: record[name] for name in record.keys()}
+            missing = [name for name in self.names if name not in given]
+            unknown = [name for name in given if name not in self.names]
+            if missing or unknown:
+                raise ValueError(_difference(missing, unknown, self.names))
+            return [given[name] for name in self.names]
+        if len(self.states) == 1 and not isinstance(record, Sequence):
+            return [record]
+        try:
+            values = list(record)
+        except TypeError:
+            raise ValueError(f"{record!r} is not one value for each of {self.names}") from None
+        if len(values) != len(self.states):
+            count = len(self.states)
+            raise ValueError(f"{len(values)} values for {count} states ({', '.join(self.names)})")
+        return values
+
+
+def _difference(missing: list[str], unknown: list[str], names: tuple[str, ...]) -> str:
+    parts = []
+    if missing:
+        parts.append("no value for " + ", ".join(missing))
+    if unknown:
+        parts.append("unknown state " + ", ".join(map(repr, unknown)))
+    return "; ".join(parts) + f"; the states are {', '.join(names)}"

@@ -1,0 +1,179 @@
+"""One trace, many readers: a model's functions as jaxprs.
+
+Every flow, guard and reset is traced once, when its class is defined, in 64 bits and with
+the parameters as inputs, so that changing a parameter traces nothing again. The signature
+is the same everywhere: ``(parameters, t, x, *extra)`` with ``parameters`` a tuple of arrays
+in declared order and ``x`` the state vector.
+"""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import TraceError
+from .spec import Spec
+
+Traced = Callable[..., Any]
+
+
+def wide() -> Any:
+    """A context in which JAX works in 64 bits; the user's own setting is left alone."""
+    import jax
+
+    return jax.enable_x64(True)
+
+
+def instance(cls: type, names: Sequence[str], values: Sequence[Any]) -> Any:
+    """A model built without validators, so that tracers pass through it."""
+    model = object.__new__(cls)
+    for name, value in zip(names, values, strict=True):
+        object.__setattr__(model, name, value)
+    return model
+
+
+def caller(cls: type, spec: Spec, function: Callable[..., Any]) -> Traced:
+    """The author's ``function(self, t, s, ...)`` with the signature of this module."""
+    names = [parameter.name for parameter in spec.parameters]
+
+    def call(parameters: Any, t: Any, x: Any, *extra: Any) -> Any:
+        return function(instance(cls, names, parameters), t, spec.record(x), *extra)
+
+    return call
+
+
+def vector(spec: Spec, call: Traced) -> Traced:
+    """``call`` with its result (tuple, record, dict) flattened to a state vector."""
+
+    def flat(parameters: Any, t: Any, x: Any, *extra: Any) -> Any:
+        import jax.numpy as jnp
+
+        values = spec.values(call(parameters, t, x, *extra))
+        parts = []
+        for state, value in zip(spec.states, values, strict=True):
+            array = jnp.asarray(value)
+            if array.shape != state.shape:
+                raise ValueError(f"{state.name}: shape {array.shape} where {state.shape} is due")
+            parts.append(array.astype(float).reshape(-1))
+        return jnp.concatenate(parts)
+
+    return flat
+
+
+def scalar(call: Traced) -> Traced:
+    """``call`` with its result checked to be one number."""
+
+    def one(parameters: Any, t: Any, x: Any, *extra: Any) -> Any:
+        import jax.numpy as jnp
+
+        value = jnp.asarray(call(parameters, t, x, *extra))
+        if value.shape != ():
+            raise ValueError(f"a value of shape {value.shape} where one number is due")
+        return value.astype(float)
+
+    return one
+
+
+def trace(spec: Spec, call: Traced, extra: int = 0, shapes: Sequence[Any] | None = None) -> Any:
+    """The closed jaxpr of ``call``; inputs: parameters, ``t``, ``x``, then ``extra`` numbers.
+
+    Parameters
+    ----------
+    shapes : sequence of tuple, optional
+        Shapes of the parameters; those of the defaults if omitted.
+    """
+    import jax
+
+    if shapes is None:
+        shapes = [np.shape(parameter.default) for parameter in spec.parameters]
+    with wide():
+        real = np.dtype(np.float64)
+        inputs = tuple(jax.ShapeDtypeStruct(shape, real) for shape in shapes)
+        number = jax.ShapeDtypeStruct((), real)
+        state = jax.ShapeDtypeStruct((spec.dimension,), real)
+        return jax.make_jaxpr(call)(inputs, number, state, *[number] * extra)
+
+
+def again(closed: Any) -> Traced:
+    """A traced function as a function that JAX can trace again (to differentiate it)."""
+    from jax.extend.core import jaxpr_as_fun
+
+    function = jaxpr_as_fun(closed)
+
+    def call(parameters: Any, t: Any, x: Any, *extra: Any) -> Any:
+        return function(*parameters, t, x, *extra)[0]
+
+    return call
+
+
+def require_wide(closed: Any, function: Callable[..., Any]) -> None:
+    """Refuse a trace in which a 32-bit number takes part.
+
+    Raises
+    ------
+    TraceError
+        Names the captured constant. It was made in 32 bits before this package could
+        widen it, so its digits are already lost.
+    """
+    narrow = next(_narrow(closed), None)
+    if narrow is None:
+        return
+    name = _captured_name(function, narrow)
+    what = f"the constant {name!r}" if name else f"a constant or cast of type {narrow.dtype}"
+    raise TraceError(
+        f"{what} has only 32 bits; make it a Python float, a numpy array or a hy.parameter"
+    )
+
+
+def _narrow(closed: Any) -> Iterator[Any]:
+    """Constants and values of fewer than 64 bits in a closed jaxpr, inner ones included."""
+    for constant in closed.consts:
+        if _is_narrow(constant):
+            yield constant
+    for equation in closed.jaxpr.eqns:
+        for value in (*equation.invars, *equation.outvars):
+            if _is_narrow(value.aval):
+                yield getattr(value, "val", value.aval)
+        for inner in equation.params.values():
+            if hasattr(inner, "jaxpr") and hasattr(inner, "consts"):
+                yield from _narrow(inner)
+
+
+def _is_narrow(value: Any) -> bool:
+    kind = str(getattr(value, "dtype", ""))
+    return kind in ("float32", "float16", "bfloat16", "complex64")
+
+
+def _captured_name(function: Callable[..., Any], constant: Any) -> str | None:
+    value = getattr(constant, "shape", None) is not None and hasattr(constant, "__array__")
+    for name, held in _captured(function, set()):
+        if not _is_narrow(held):
+            continue
+        if held is constant or not value or np.array_equal(np.asarray(held), np.asarray(constant)):
+            return name
+    return None
+
+
+def _captured(function: Any, seen: set[int]) -> Iterator[tuple[str, Any]]:
+    """Names and values that a function (and functions of its module it calls) can see."""
+    function = getattr(function, "__func__", function)
+    if not isinstance(function, types.FunctionType) or id(function) in seen:
+        return
+    seen.add(id(function))
+    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    pairs = [(name, cell.cell_contents) for name, cell in cells]
+    pairs += [(n, function.__globals__[n]) for n in _names(function.__code__) if n in function.__globals__]
+    for name, value in pairs:
+        yield name, value
+        yield from _captured(value, seen)
+
+
+def _names(code: types.CodeType) -> set[str]:
+    names = set(code.co_names)
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            names |= _names(constant)
+    return names

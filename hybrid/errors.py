@@ -1,0 +1,65 @@
+"""What can go wrong, one class for each kind of fault.
+
+Every message names the model, the mode or edge, the value, and what would mend it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+class HybridError(Exception):
+    """Base class of every error that this package raises on purpose."""
+
+
+class DeclarationError(HybridError):
+    """A model's class body has faults; all of them are listed together.
+
+    Attributes
+    ----------
+    faults : tuple of str
+        One sentence for each fault.
+    """
+
+    def __init__(self, model: str, faults: Sequence[str]) -> None:
+        self.model = model
+        self.faults = tuple(faults)
+        lines = "\n".join(f"  - {fault}" for fault in self.faults)
+        count = "a fault" if len(self.faults) == 1 else f"{len(self.faults)} faults"
+        super().__init__(f"{model} has {count} in its declaration:\n{lines}")
+
+
+class ParameterError(HybridError, ValueError):
+    """A parameter is unknown, or its value is outside its bounds."""
+
+
+class StartError(HybridError, ValueError):
+    """The start is incomplete, outside the mode's domain, or undecidable."""
+
+
+class OptionError(HybridError, ValueError):
+    """An option of a run (solver, method, tolerance, times) cannot be used."""
+
+
+class TraceError(HybridError):
+    """A flow, guard or reset uses something that cannot be lowered."""
+
+
+class FlowError(HybridError):
+    """A flow, guard or reset gave a value that is not finite, or a solver gave up."""
+
+
+class DomainError(HybridError):
+    """A reset put the state outside the domain of the mode it enters."""
+
+
+class JumpLoopError(HybridError):
+    """Jumps follow each other without end at one time."""
+
+
+class ZenoError(HybridError):
+    """Jumps accumulate and the caller asked for an error (``zeno="raise"``)."""
+
+
+class StoreError(HybridError):
+    """A saved trajectory cannot be written or read."""

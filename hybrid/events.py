@@ -1,0 +1,296 @@
+"""When a guard is reached: crossings and tangencies of a guard along one step.
+
+A guard along a step is a function of one variable. It is sampled on the step's polynomial
+and turned into Bernstein coefficients, whose sign changes bound the number of zeros from
+above (Descartes): none means no zero, one means exactly one, more means look at both
+halves. So two crossings inside one step are both found, and a guard that is zero at the
+start of the step by construction (after a jump, at a release) is divided by the power of
+the local time by which it vanishes; its next zero is found however close it is.
+
+The semantics are in ``docs/semantics.md``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cache
+from math import comb
+from typing import TYPE_CHECKING
+
+import attrs
+import numpy as np
+
+from .automaton.markers import Crossing
+from .segment import Segment, from_values, nodes
+
+if TYPE_CHECKING:
+    from .scene import Field, Guard
+
+#: Degree at which a guard that is no polynomial is sampled, piece by piece.
+SAMPLED = 12
+
+#: Pieces are halved until the last coefficients are this small against the largest.
+RESOLVED = 1e-6
+
+EPS = float(np.finfo(float).eps)
+
+
+@attrs.frozen
+class Zero:
+    """A zero of a guard along a step.
+
+    Attributes
+    ----------
+    tau : float
+        Local time in the arc.
+    direction : int
+        ``-1`` falling, ``+1`` rising, ``0`` touching without crossing.
+    """
+
+    tau: float
+    direction: int
+
+
+def zeros(
+    guard: Guard, segment: Segment, t0: float, order: int, scale: float, tolerance: float
+) -> Iterator[Zero]:
+    """Zeros of a guard in ``(start, end]`` of a step, in order of time.
+
+    Parameters
+    ----------
+    order : int
+        Power of the local time by which the guard is known to vanish at the start.
+    scale : float
+        A time over which a guard that is no polynomial is smooth.
+    tolerance : float
+        A minimum no deeper (higher) than this is a tangency.
+    """
+    if guard.affine and segment.degree <= SAMPLED:
+        degree, pieces = max(segment.degree, order, 1), 1
+    else:
+        degree, pieces = SAMPLED, max(1, int(np.ceil(min(segment.length / scale, 4096.0))))
+    edges = [k / pieces for k in range(pieces + 1)]
+    for left, right in zip(edges[:-1], edges[1:], strict=True):
+        first = order if left == 0.0 else 0
+        whole = not (guard.affine and segment.degree <= SAMPLED)
+        for fraction, direction in _piece(
+            guard, segment, t0, (left, right), degree, first, tolerance, 12 if whole else 0
+        ):
+            yield Zero(segment.start + fraction * segment.length, direction)
+
+
+def _piece(
+    guard: Guard,
+    segment: Segment,
+    t0: float,
+    span: tuple[float, float],
+    degree: int,
+    order: int,
+    tolerance: float,
+    depth: int,
+) -> Iterator[tuple[float, int]]:
+    left, right = span
+    width = right - left
+    fractions = left + width * nodes(degree)
+    values = _sample(guard, segment, t0, fractions)
+    if depth:
+        series = np.abs(from_values(degree) @ values)
+        if series[-3:].max() > RESOLVED * series.max() and series.max() > tolerance:
+            middle = 0.5 * (left + right)
+            args = (degree, order, tolerance, depth - 1)
+            yield from _piece(guard, segment, t0, (left, middle), *args)
+            yield from _piece(guard, segment, t0, (middle, right), *_later(args))
+            return
+    bernstein = _to_bernstein(degree) @ values
+    for root, direction in roots(bernstein, order, tolerance):
+        yield left + width * root, direction
+
+
+def _later(args: tuple[int, int, float, int]) -> tuple[int, int, float, int]:
+    return (args[0], 0, *args[2:])
+
+
+def _sample(guard: Guard, segment: Segment, t0: float, fractions: np.ndarray) -> np.ndarray:
+    start, length, value = segment.start, segment.length, guard.value
+    states = segment.at(fractions).tolist()
+    times = (t0 + start + length * fractions).tolist()
+    return np.array([value(t, x) for t, x in zip(times, states, strict=True)])
+
+
+# ---------------------------------------------------------------------------------------
+# polynomials in Bernstein form on [0, 1]
+
+
+@cache
+def _to_bernstein(degree: int) -> np.ndarray:
+    """Matrix from values at the nodes to Bernstein coefficients."""
+    points = nodes(degree)
+    basis = [
+        [comb(degree, k) * p**k * (1 - p) ** (degree - k) for k in range(degree + 1)]
+        for p in points
+    ]
+    return np.linalg.inv(np.array(basis))
+
+
+@cache
+def _noise(degree: int) -> float:
+    """Rounding in Bernstein coefficients, relative to the largest value."""
+    return 4 * EPS * float(np.abs(_to_bernstein(degree)).sum(axis=1).max())
+
+
+def roots(bernstein: np.ndarray, order: int, tolerance: float) -> Iterator[tuple[float, int]]:
+    """Zeros in ``(0, 1]`` of a polynomial that vanishes at 0 to the given order.
+
+    Yields ``(point, direction)`` in order; direction 0 is a touch within ``tolerance``.
+    """
+    if not np.all(np.isfinite(bernstein)):
+        return
+    noise = _noise(len(bernstein) - 1) * float(np.abs(bernstein).max())
+    b = deflate(bernstein, order)
+    low, high = float(b.min()), float(b.max())
+    if low > 0 or high < 0:
+        if order or low > tolerance or high < -tolerance:
+            return
+        yield from _touches(b, tolerance)
+        return
+    yield from _crossings(b.tolist(), 0.0, 1.0, noise if not order else 0.0, 48)
+    if not order and (low >= 0 or high <= 0):
+        yield from _touches(b, tolerance)
+
+
+def deflate(bernstein: np.ndarray, order: int) -> np.ndarray:
+    """Coefficients of ``p(s) / s^order``; what should vanish is dropped, not tested."""
+    for _ in range(order):
+        degree = len(bernstein) - 1
+        bernstein = bernstein[1:] * degree / np.arange(1, degree + 1)
+    return bernstein
+
+
+def _signs(b: Sequence[float], noise: float) -> list[int]:
+    return [0 if abs(v) <= noise else (1 if v > 0 else -1) for v in b]
+
+
+def _crossings(
+    b: list[float], left: float, right: float, noise: float, depth: int
+) -> Iterator[tuple[float, int]]:
+    """Sign changes in ``(left, right]`` by Descartes' rule and halving."""
+    signs = [s for s in _signs(b, noise) if s]
+    changes = sum(p != q for p, q in zip(signs, signs[1:], strict=False))
+    if changes == 0:
+        if b[-1] == 0.0 and signs and right == 1.0 and abs(b[0]) > noise:
+            yield right, -signs[-1]
+        return
+    if changes == 1 and b[0] * b[-1] < 0:
+        yield left + (right - left) * _one_root(b), signs[-1]
+        return
+    if depth == 0:
+        if signs[0] != signs[-1]:
+            yield 0.5 * (left + right), signs[-1]
+        return
+    first, second = _halve(b)
+    middle = 0.5 * (left + right)
+    yield from _crossings(first, left, middle, noise, depth - 1)
+    if abs(first[-1]) <= noise and _side(first, noise) * _side(second[::-1], noise) < 0:
+        yield middle, _side(second[::-1], noise)
+    yield from _crossings(second, middle, right, noise, depth - 1)
+
+
+def _side(b: Sequence[float], noise: float) -> int:
+    """Sign of the coefficients, told from the start of the list."""
+    return next((s for s in _signs(b, noise) if s), 0)
+
+
+def _halve(b: list[float]) -> tuple[list[float], list[float]]:
+    """De Casteljau: coefficients on the left and the right half."""
+    left, right, row = [b[0]], [b[-1]], b
+    while len(row) > 1:
+        row = [0.5 * (p + q) for p, q in zip(row, row[1:], strict=False)]
+        left.append(row[0])
+        right.append(row[-1])
+    return left, right[::-1]
+
+
+def _value(b: Sequence[float], s: float) -> tuple[float, float]:
+    """Value and derivative (de Casteljau)."""
+    row, degree = list(b), len(b) - 1
+    while len(row) > 2:
+        row = [p + s * (q - p) for p, q in zip(row, row[1:], strict=False)]
+    if degree == 0:
+        return row[0], 0.0
+    return row[0] + s * (row[1] - row[0]), degree * (row[1] - row[0])
+
+
+def _one_root(b: list[float]) -> float:
+    """The zero of a polynomial with exactly one sign change: Newton within a bracket."""
+    left, right, rising = 0.0, 1.0, b[-1] > 0
+    s = b[0] / (b[0] - b[-1])
+    for _ in range(60):
+        value, rate = _value(b, s)
+        if value == 0.0:
+            return s
+        if (value > 0) == rising:
+            right = s
+        else:
+            left = s
+        new = s - value / rate if rate else left
+        if not left < new < right:
+            new = 0.5 * (left + right)
+        if abs(new - s) <= 2 * EPS * s or right - left <= EPS:
+            return new
+        s = new
+    return s
+
+
+def _touches(b: np.ndarray, tolerance: float) -> Iterator[tuple[float, int]]:
+    """Interior extrema next to zero of a polynomial that does not change sign."""
+    degree = len(b) - 1
+    slopes = (degree * np.diff(b)).tolist()
+    positive = b.max() > -b.min()
+    for point, direction in _crossings(slopes, 0.0, 1.0, 0.0, 48):
+        towards = direction == (1 if positive else -1)
+        if towards and abs(_value(b.tolist(), point)[0]) <= tolerance and 0 < point < 1:
+            yield point, 0
+
+
+# ---------------------------------------------------------------------------------------
+# guards at the start of an arc
+
+
+def vanishing_order(
+    guard: Guard, t: float, x: Sequence[float], series: Sequence[float], noise: Sequence[float]
+) -> tuple[int, int]:
+    """By which order a guard vanishes at a state, and the sign it takes next.
+
+    Parameters
+    ----------
+    series : sequence
+        Taylor coefficients of the guard along the flow.
+    noise : sequence
+        Rounding to be expected in each.
+
+    Returns
+    -------
+    order, sign : int
+        ``(0, sign)`` where the guard is not zero; sign 0 where no derivative decides.
+    """
+    for order, (value, small) in enumerate(zip(series, noise, strict=True)):
+        if abs(value) > small:
+            return order, 1 if value > 0 else -1
+    return len(series), 0
+
+
+def fires(crossing: Crossing, direction: int) -> bool:
+    """Whether an edge fires on a crossing in this direction."""
+    if crossing is Crossing.EITHER:
+        return direction != 0
+    return direction == (-1 if crossing is Crossing.FALLING else 1)
+
+
+def time_scale(series: Sequence[float], size: float) -> float:
+    """A time over which a guard is close to a cubic, from its Taylor series.
+
+    ``size`` is that of the numbers the guard is made of: the guard itself may be small.
+    """
+    size = max(size, *map(abs, series[:4])) or 1.0
+    bounds = [(size / abs(c)) ** (1.0 / k) for k, c in enumerate(series) if k >= 4 and c]
+    return min(bounds, default=float("inf"))

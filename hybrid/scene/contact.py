@@ -1,0 +1,189 @@
+"""What follows from a gap and a flow: the impact, the resting field, its force.
+
+For a gap ``g(t, x)`` and a flow ``f``, with ``q`` the positions that the gap depends on,
+``N = dg/dq``, ``W`` the inverse mass and ``D = W N`` placed at the velocities of ``q``:
+
+* gap speed ``u = L_f g``, gap acceleration ``a = L_f u``;
+* impact (Newton): ``v -> v + D (u_after - u) / (N.D)`` with ``u_after = r |u|``;
+* resting field: ``f - D a / (N.D)``, along which the gap's acceleration is zero;
+* load: ``-a``, the contact force over ``1 / (N.D)``; contact ends when it reaches zero;
+* projection: back onto ``g = 0`` along ``N`` and ``u = 0`` along ``D`` (drift removal).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import attrs
+import numpy as np
+
+from ..automaton.spec import ContactSpec, Spec
+from ..automaton.trace import Traced, again, caller
+from ..errors import DeclarationError
+
+
+@attrs.frozen
+class Pairing:
+    """Places in the state vector of the gap's positions and of their velocities."""
+
+    positions: tuple[int, ...]
+    velocities: tuple[int, ...]
+
+    def at_positions(self, size: int) -> np.ndarray:
+        """Matrix that puts one number for each position at its place in the state."""
+        return np.eye(size)[:, list(self.positions)]
+
+    def at_velocities(self, size: int) -> np.ndarray:
+        """Matrix that puts one number for each velocity at its place in the state."""
+        return np.eye(size)[:, list(self.velocities)]
+
+
+def lie(h: Traced, flow: Traced) -> Traced:
+    """The derivative of ``h(parameters, t, x)`` along the flow."""
+
+    def derivative(parameters: Any, t: Any, x: Any) -> Any:
+        import jax
+        import jax.numpy as jnp
+
+        tangent = (jnp.ones_like(t), flow(parameters, t, x))
+        return jax.jvp(lambda t, x: h(parameters, t, x), (t, x), tangent)[1]
+
+    return derivative
+
+
+@attrs.frozen
+class ContactLaws:
+    """The derived functions of one contact, ready to be traced."""
+
+    gap: Traced
+    speed: Traced
+    acceleration: Traced
+    flow: Traced
+    law: Traced
+    mass: Traced
+    pairing: Pairing
+
+    def normal(self, parameters: Any, t: Any, x: Any) -> tuple[Any, Any, Any]:
+        """``N``, the impulse direction in the state space, and ``N . D``."""
+        import jax
+
+        gradient = jax.grad(lambda x: self.gap(parameters, t, x))(x)
+        normal = self.pairing.at_positions(x.size).T @ gradient
+        push = self.mass(parameters, t, x) @ normal
+        return normal, self.pairing.at_velocities(x.size) @ push, normal @ push
+
+    def impact(self, parameters: Any, t: Any, x: Any) -> Any:
+        """The state after an impact, then the gap's speed after it."""
+        import jax.numpy as jnp
+
+        _, direction, weight = self.normal(parameters, t, x)
+        before = self.speed(parameters, t, x)
+        after = self.law(parameters, t, x, before) * jnp.abs(before)
+        return jnp.append(x + direction * ((after - before) / weight), after)
+
+    def push(self, parameters: Any, t: Any, x: Any) -> Any:
+        """Change of the state that changes the gap's speed by one."""
+        _, direction, weight = self.normal(parameters, t, x)
+        return direction / weight
+
+    def rest(self, parameters: Any, t: Any, x: Any) -> Any:
+        """The flow while the contact is held."""
+        _, direction, weight = self.normal(parameters, t, x)
+        load = self.acceleration(parameters, t, x) / weight
+        return self.flow(parameters, t, x) - direction * load
+
+    def load(self, parameters: Any, t: Any, x: Any) -> Any:
+        """Minus the gap's acceleration: positive while the obstacle pushes."""
+        return -self.acceleration(parameters, t, x)
+
+    def land(self, parameters: Any, t: Any, x: Any) -> Any:
+        """The state moved onto ``gap = 0`` along the gap's gradient."""
+        normal, _, _ = self.normal(parameters, t, x)
+        step = normal * (self.gap(parameters, t, x) / (normal @ normal))
+        return x - self.pairing.at_positions(x.size) @ step
+
+    def project(self, parameters: Any, t: Any, x: Any) -> Any:
+        """The state moved onto ``gap = 0`` and gap speed ``0``."""
+        x = self.land(parameters, t, self.land(parameters, t, x))
+        _, direction, weight = self.normal(parameters, t, x)
+        return x - direction * (self.speed(parameters, t, x) / weight)
+
+
+def laws(cls: Any, spec: Spec, contact: ContactSpec, pairing: Pairing) -> ContactLaws:
+    """The derived functions of a contact, from the traces of its gap and flow."""
+    gap = again(cls.traces["gap", contact.name])
+    flow = again(cls.traces["flow", contact.source])
+    speed = lie(gap, flow)
+    law = again(cls.traces["restitution", contact.name])
+    mass = _mass(cls, spec, contact, len(pairing.positions))
+    return ContactLaws(gap, speed, lie(speed, flow), flow, law, mass, pairing)
+
+
+def _mass(cls: Any, spec: Spec, contact: ContactSpec, size: int) -> Traced:
+    """The inverse mass matrix of the positions as a function."""
+    given = contact.inverse_mass
+    if isinstance(given, str):
+        name = given
+        given = lambda self, t, s: getattr(self, name)  # noqa: E731
+    call = caller(cls, spec, given) if callable(given) else lambda *_: 1.0 if given is None else given
+
+    def matrix(parameters: Any, t: Any, x: Any) -> Any:
+        import jax.numpy as jnp
+
+        value = jnp.asarray(call(parameters, t, x), dtype=float)
+        if value.ndim < 2:
+            value = jnp.broadcast_to(value, (size,))
+            return jnp.diag(value)
+        return value
+
+    return matrix
+
+
+def pair(
+    spec: Spec, contact: ContactSpec, gap: set[int], flows: list[set[int]], unit: Any
+) -> Pairing:
+    """Find the velocity of each position in a gap.
+
+    Parameters
+    ----------
+    gap : set of int
+        Elements of the state that the gap depends on.
+    flows : list of set of int
+        Elements that each component of the flow depends on.
+    unit : callable ``(i, j)``
+        Whether component ``i`` of the flow grows as fast as element ``j``.
+
+    Raises
+    ------
+    DeclarationError
+        If a position's derivative is not its velocity (plus what depends on time and
+        positions only).
+    """
+    names = spec.element_names
+    positions, velocities = [], []
+    for i in sorted(gap):
+        others = flows[i] - gap
+        if not others:
+            continue
+        if len(others) > 1 or not unit(i, next(iter(others))):
+            found = ", ".join(names[j] for j in sorted(others))
+            raise DeclarationError(
+                spec.model,
+                [
+                    f"contact {contact.name}: the derivative of {names[i]} is not a velocity of "
+                    f"the state (it depends on {found}); make that velocity a state, or write "
+                    "the impact as an edge with a reset"
+                ],
+            )
+        positions.append(i)
+        velocities.append(next(iter(others)))
+    if not positions or len(set(velocities)) < len(velocities):
+        raise DeclarationError(
+            spec.model,
+            [
+                f"contact {contact.name}: the gap must depend on positions whose derivatives are "
+                f"velocities in the state (mode {contact.source}); for a first-order flow write "
+                "an edge"
+            ],
+        )
+    return Pairing(tuple(positions), tuple(velocities))

@@ -1,0 +1,382 @@
+"""The trace as scalar arithmetic: one node an element, shared subexpressions once.
+
+A jaxpr works on arrays. Scalar code needs each element's own expression. Here an array is
+a numpy array of node numbers; moving data (slicing, reshaping, stacking, gathering) moves
+numbers and costs nothing at run time, arithmetic makes nodes, and nodes of constants are
+folded. The readers (:mod:`.python`, :mod:`.taylor`) see a list of nodes only.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import TraceError
+
+Ids = np.ndarray
+
+#: Elementwise primitives that become a node of the same name.
+ELEMENTWISE = {
+    *("add", "sub", "mul", "div", "neg", "pow", "sqrt", "exp", "log", "sin", "cos", "tan"),
+    *("asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
+    *("exp2", "expm1", "log1p", "logistic", "cbrt", "erf", "erfc", "lgamma", "rem"),
+    *("abs", "sign", "floor", "ceil", "max", "min", "gt", "ge", "lt", "le", "eq", "ne"),
+    *("and", "or", "xor", "not", "is_finite"),
+}
+
+#: Operations whose results are flags or whole numbers.
+WHOLE = {"gt", "ge", "lt", "le", "eq", "ne", "and", "or", "xor", "not", "is_finite", "trunc"}
+
+#: Primitives that only move data; JAX itself moves the node numbers where numpy is not
+#: told how below.
+MOVES = {"gather", "pad", "dynamic_slice", "dynamic_update_slice", "scatter"}
+
+
+class Graph:
+    """Nodes ``(op, *arguments)`` in an order in which arguments come first.
+
+    ``("const", value)`` and ``("input", name)`` are leaves; other arguments are node
+    numbers. Equal nodes are one node.
+    """
+
+    def __init__(self) -> None:
+        self.nodes: list[tuple[Any, ...]] = []
+        self._known: dict[tuple[Any, ...], int] = {}
+
+    def node(self, *key: Any) -> int:
+        """The number of this node, made if it is new; constants are folded."""
+        key = self._simplify(key)
+        if len(key) == 1:
+            return int(key[0])
+        if key not in self._known:
+            self._known[key] = len(self.nodes)
+            self.nodes.append(key)
+        return self._known[key]
+
+    def const(self, value: Any) -> int:
+        """A constant's node; kept apart by type and by the sign of zero."""
+        value = value.item() if hasattr(value, "item") else value
+        tag = repr(value)
+        return self.node("const", value, tag)
+
+    def value(self, number: int) -> Any:
+        """The value of a constant node, or None."""
+        node = self.nodes[number]
+        return node[1] if node[0] == "const" else None
+
+    def input(self, name: str) -> int:
+        """The node of a named input."""
+        return self.node("input", name)
+
+    def _simplify(self, key: tuple[Any, ...]) -> tuple[Any, ...]:
+        op, arguments = key[0], key[1:]
+        if op in ("const", "input"):
+            return key
+        values = [self.value(a) for a in arguments]
+        if all(v is not None for v in values):
+            folded = fold(op, values)
+            if folded is not None:
+                return ("const", folded, repr(folded))
+        return _identity(op, arguments, values) or key
+
+    def outputs(self, closed: Any, inputs: Sequence[Ids]) -> list[Ids]:
+        """Node numbers of a closed jaxpr's results, given those of its inputs."""
+        return _evaluate(self, closed.jaxpr, closed.consts, inputs)
+
+
+def _identity(op: str, args: tuple[Any, ...], values: list[Any]) -> tuple[Any, ...] | None:
+    """``x + 0``, ``x * 1``, ``x - 0``, ``x / 1``, and a choice already made."""
+    if op == "select":
+        return (args[1] if values[0] else args[2],) if values[0] is not None else None
+    if op == "add" and values[0] == 0:
+        return (args[1],)
+    if op in ("add", "sub") and values[1] == 0:
+        return (args[0],)
+    if op == "sub" and values[0] == 0:
+        return ("neg", args[1])
+    if op == "mul" and values[0] == 1:
+        return (args[1],)
+    if op in ("mul", "div") and values[1] == 1:
+        return (args[0],)
+    if op == "mul" and 0 in [v for v in values if v is not None]:
+        return ("const", 0.0, "0.0")
+    return None
+
+
+def fold(op: str, values: Sequence[Any]) -> Any:
+    """The value of an operation on constants; None where it is not a finite number."""
+    from .python import OPERATIONS
+
+    try:
+        result = OPERATIONS[op](*values)
+    except (ValueError, OverflowError, ZeroDivisionError):
+        return None
+    if isinstance(result, bool | int):
+        return result
+    return float(result) if math.isfinite(result) else None
+
+
+# ---------------------------------------------------------------------------------------
+# from a jaxpr
+
+
+def _evaluate(graph: Graph, jaxpr: Any, consts: Sequence[Any], inputs: Sequence[Ids]) -> list[Ids]:
+    held: dict[Any, Ids] = {}
+
+    def read(atom: Any) -> Ids:
+        return _constant(graph, atom.val) if hasattr(atom, "val") else held[atom]
+
+    for var, value in zip(jaxpr.constvars, consts, strict=True):
+        held[var] = _constant(graph, value)
+    for var, ids in zip(jaxpr.invars, inputs, strict=True):
+        held[var] = np.asarray(ids).reshape(var.aval.shape)
+    for equation in jaxpr.eqns:
+        results = _apply(graph, equation, [read(atom) for atom in equation.invars])
+        for var, ids in zip(equation.outvars, results, strict=True):
+            held[var] = np.asarray(ids).reshape(var.aval.shape)
+    return [read(atom) for atom in jaxpr.outvars]
+
+
+def _constant(graph: Graph, value: Any) -> Ids:
+    array = np.asarray(value)
+    flat = [graph.const(element) for element in array.reshape(-1)]
+    return np.array(flat, dtype=np.int64).reshape(array.shape)
+
+
+def _apply(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
+    name, params = equation.primitive.name, equation.params
+    inner = params.get("jaxpr") or params.get("call_jaxpr")
+    name = {"add_any": "add"}.get(name, name)
+    if name in ELEMENTWISE:
+        return [_map(graph, name, inputs)]
+    if name in RULES:
+        return [RULES[name](graph, params, *inputs)]
+    if name == "scan":
+        return _scan(graph, params, inputs)
+    if name == "cond":
+        return _cond(graph, params, inputs)
+    if name == "split":
+        bounds = np.cumsum(params["sizes"])[:-1]
+        return list(np.split(inputs[0], bounds, axis=params["axis"]))
+    if inner is not None and name not in ("while", "scan"):
+        closed_consts = getattr(inner, "consts", [])
+        return _evaluate(graph, getattr(inner, "jaxpr", inner), closed_consts, inputs)
+    if name in MOVES:
+        return [_move(graph, equation, inputs)]
+    if name == "scatter-add":
+        return [_scatter_add(graph, equation, inputs)]
+    raise TraceError(
+        f"the primitive {name!r} cannot be written as scalar code; "
+        "write this part with arithmetic, jnp.where or a loop of fixed length"
+    )
+
+
+def _map(graph: Graph, op: str, inputs: list[Ids]) -> Ids:
+    arrays = np.broadcast_arrays(*inputs)
+    flat = [graph.node(op, *map(int, row)) for row in zip(*(a.reshape(-1) for a in arrays), strict=True)]
+    return np.array(flat, dtype=np.int64).reshape(arrays[0].shape)
+
+
+def _integer_pow(graph: Graph, params: Any, x: Ids) -> Ids:
+    power = abs(params["y"])
+    if power == 0:
+        return np.full(x.shape, graph.const(1.0))
+    result: Ids | None = None
+    square = x
+    while power:
+        if power & 1:
+            result = square if result is None else _map(graph, "mul", [result, square])
+        power >>= 1
+        if power:
+            square = _map(graph, "mul", [square, square])
+    assert result is not None
+    return result if params["y"] > 0 else _map(graph, "div", [_constant(graph, 1.0), result])
+
+
+def _select(graph: Graph, params: Any, which: Ids, *cases: Ids) -> Ids:
+    chosen = cases[0]
+    for index, case in enumerate(cases[1:], start=1):
+        test = which if len(cases) == 2 else _map(graph, "ge", [which, _constant(graph, index)])
+        chosen = _map(graph, "select", [test, case, chosen])
+    return chosen
+
+
+def _clamp(graph: Graph, params: Any, low: Ids, x: Ids, high: Ids) -> Ids:
+    return _map(graph, "min", [_map(graph, "max", [x, low]), high])
+
+
+def _reduce(op: str, start: float | bool) -> Callable[..., Ids]:
+    def rule(graph: Graph, params: Any, x: Ids) -> Ids:
+        axes = params["axes"]
+        kept = [a for a in range(x.ndim) if a not in axes]
+        rows = x.transpose([*kept, *axes]).reshape([x.shape[a] for a in kept] + [-1])
+        total = np.full(rows.shape[:-1], graph.const(start)) if rows.shape[-1] == 0 else rows[..., 0]
+        for column in range(1, rows.shape[-1]):
+            total = _map(graph, op, [total, rows[..., column]])
+        return total
+
+    return rule
+
+
+def _cumulate(op: str) -> Callable[..., Ids]:
+    def rule(graph: Graph, params: Any, x: Ids) -> Ids:
+        parts = list(np.moveaxis(x, params["axis"], 0))
+        if params.get("reverse"):
+            parts.reverse()
+        for index in range(1, len(parts)):
+            parts[index] = _map(graph, op, [parts[index - 1], parts[index]])
+        if params.get("reverse"):
+            parts.reverse()
+        return np.moveaxis(np.stack(parts), 0, params["axis"])
+
+    return rule
+
+
+def _dot(graph: Graph, params: Any, a: Ids, b: Ids) -> Ids:
+    (ca, cb), (ba, bb) = params["dimension_numbers"]
+    fa = [i for i in range(a.ndim) if i not in (*ca, *ba)]
+    fb = [i for i in range(b.ndim) if i not in (*cb, *bb)]
+    batch = [a.shape[i] for i in ba]
+    left = a.transpose([*ba, *fa, *ca]).reshape([*batch, math.prod(a.shape[i] for i in fa), 1, -1])
+    right = b.transpose([*bb, *fb, *cb]).reshape([*batch, 1, math.prod(b.shape[i] for i in fb), -1])
+    products = _map(graph, "mul", [left, right])
+    total = _reduce("add", 0.0)(graph, {"axes": (products.ndim - 1,)}, products)
+    return total.reshape(batch + [a.shape[i] for i in fa] + [b.shape[i] for i in fb])
+
+
+def _scan(graph: Graph, params: Any, inputs: list[Ids]) -> list[Ids]:
+    """A loop of fixed length, written out."""
+    nc, nk = params["num_consts"], params["num_carry"]
+    consts, carry, xs = inputs[:nc], inputs[nc : nc + nk], inputs[nc + nk :]
+    order = range(params["length"])
+    rows: list[list[Ids]] = []
+    for index in reversed(order) if params["reverse"] else order:
+        results = graph.outputs(params["jaxpr"], [*consts, *carry, *(x[index] for x in xs)])
+        carry = results[:nk]
+        rows.append(results[nk:])
+    if params["reverse"]:
+        rows.reverse()
+    stacked = [np.stack(column) for column in zip(*rows, strict=True)]
+    return [*carry, *stacked]
+
+
+def _cond(graph: Graph, params: Any, inputs: list[Ids]) -> list[Ids]:
+    """All branches, then a choice for each element."""
+    which, operands = inputs[0], inputs[1:]
+    cases = [graph.outputs(branch, operands) for branch in params["branches"]]
+    if len(cases) == 2:
+        which = _map(graph, "ne", [which, _constant(graph, 0)])
+    return [_select(graph, {}, which, *results) for results in zip(*cases, strict=True)]
+
+
+def _move(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
+    """Let JAX move the node numbers; positions must be known when tracing."""
+    import jax
+
+    name = equation.primitive.name
+    moved = {"pad": (0, 1), "dynamic_update_slice": (0, 1), "scatter": (0, 2), "scatter-add": (0, 2)}
+    operands: list[Any] = []
+    for place, ids in enumerate(inputs):
+        if place in moved.get(name, (0,)):
+            operands.append(ids)
+            continue
+        values = [graph.value(int(i)) for i in ids.reshape(-1)]
+        if any(v is None for v in values):
+            raise TraceError(
+                f"the primitive {name!r} with a position that depends on "
+                "the state or time cannot be written as scalar code; use jnp.where"
+            )
+        operands.append(np.array(values, dtype=np.int64).reshape(ids.shape))
+    with jax.enable_x64(True):
+        return np.asarray(equation.primitive.bind(*operands, **equation.params))
+
+
+def _scatter_add(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
+    """``x.at[i].add(y)``, one summand a place: put ``y`` over zeros, then add."""
+    from jax import lax
+
+    zeros = np.full(inputs[0].shape, graph.const(0.0))
+    where = equation.replace(primitive=lax.scatter_p)
+    counts = np.asarray(_move(graph, equation, [np.zeros_like(zeros), inputs[1], np.ones_like(inputs[2])]))
+    if counts.max(initial=0) > 1:
+        raise TraceError("x.at[...].add(...) with a repeated position; add the summands first")
+    return _map(graph, "add", [inputs[0], _move(graph, where, [zeros, *inputs[1:]])])
+
+
+def _broadcast(graph: Graph, params: Any, x: Ids) -> Ids:
+    shape = [1] * len(params["shape"])
+    for axis, place in enumerate(params["broadcast_dimensions"]):
+        shape[place] = x.shape[axis]
+    return np.broadcast_to(x.reshape(shape), params["shape"])
+
+
+def _slice(graph: Graph, params: Any, x: Ids) -> Ids:
+    strides = params["strides"] or (1,) * x.ndim
+    bounds = zip(params["start_indices"], params["limit_indices"], strides, strict=True)
+    return x[tuple(itertools.starmap(slice, bounds))]
+
+
+def _iota(graph: Graph, params: Any) -> Ids:
+    shape, axis = params["shape"], params["dimension"]
+    line = np.arange(shape[axis]).reshape([-1 if a == axis else 1 for a in range(len(shape))])
+    return _constant(graph, np.broadcast_to(line, shape))
+
+
+def _convert(graph: Graph, params: Any, x: Ids) -> Ids:
+    kind = np.dtype(params["new_dtype"])
+    if kind.kind in "iu":
+        return _map(graph, "trunc", [x])
+    if kind.kind == "b":
+        return _map(graph, "ne", [x, _constant(graph, 0)])
+    flat = [
+        graph.node("real", int(i)) if graph.nodes[i][0] in WHOLE or _is_whole(graph.value(i)) else i
+        for i in x.reshape(-1)
+    ]
+    return np.array(flat, dtype=np.int64).reshape(x.shape)
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, bool | int)
+
+
+def _same(graph: Graph, params: Any, x: Ids) -> Ids:
+    return x
+
+
+#: Primitive name to the rule that gives its single result.
+RULES: dict[str, Callable[..., Ids]] = {
+    "integer_pow": _integer_pow,
+    "square": lambda g, p, x: _map(g, "mul", [x, x]),
+    "rsqrt": lambda g, p, x: _map(g, "div", [_constant(g, 1.0), _map(g, "sqrt", [x])]),
+    "select_n": _select,
+    "clamp": _clamp,
+    "reduce_sum": _reduce("add", 0.0),
+    "reduce_prod": _reduce("mul", 1.0),
+    "reduce_max": _reduce("max", -math.inf),
+    "reduce_min": _reduce("min", math.inf),
+    "reduce_and": _reduce("and", True),
+    "reduce_or": _reduce("or", False),
+    "cumsum": _cumulate("add"),
+    "cumprod": _cumulate("mul"),
+    "dot_general": _dot,
+    "convert_element_type": _convert,
+    "broadcast_in_dim": _broadcast,
+    "reshape": lambda g, p, x: x.reshape(p["new_sizes"]),
+    "squeeze": lambda g, p, x: np.squeeze(x, axis=tuple(p["dimensions"])),
+    "expand_dims": lambda g, p, x: np.expand_dims(x, tuple(p["dimensions"])),
+    "transpose": lambda g, p, x: x.transpose(p["permutation"]),
+    "rev": lambda g, p, x: np.flip(x, tuple(p["dimensions"])),
+    "slice": _slice,
+    "concatenate": lambda g, p, *xs: np.concatenate(xs, axis=p["dimension"]),
+    "stack": lambda g, p, *xs: np.stack(xs, axis=p["axis"]),
+    "iota": _iota,
+    "copy": _same,
+    "copy_p": _same,
+    "stop_gradient": _same,
+    "reduce_precision": _same,
+    "optimization_barrier": _same,
+}

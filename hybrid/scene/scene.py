@@ -1,0 +1,425 @@
+"""A model made ready to run: scalar functions of its modes, guards and contacts.
+
+What depends on the class alone (graphs, generated code) is made once for a class and kept;
+what depends on the values of the parameters is bound once for a run, in microseconds.
+Nothing is made for a mode that a run does not enter.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any
+
+import attrs
+import numpy as np
+
+from ..automaton import trace
+from ..automaton.markers import Crossing
+from ..automaton.spec import ContactSpec, EdgeSpec, Spec
+from . import contact as contacts
+from .graph import Graph
+from .python import Program, needed
+from .taylor import TaylorProgram, flat
+
+#: Order of the Taylor series of flows and gaps.
+ORDER = 16
+
+Scalar = Callable[..., Any]
+
+
+@attrs.frozen(eq=False)
+class Guard:
+    """A guard watched in a field.
+
+    Attributes
+    ----------
+    edge : str
+        Name of the edge or contact; ``"release"`` for the end of a rest.
+    kind : "edge", "contact" or "release"
+    to : str
+        The mode it leads to.
+    value : callable ``(t, x)``
+        The guard.
+    lie : callable ``(t, x)``
+        The guard and its first two derivatives along the flow.
+    affine : bool
+        Affine in ``t`` and ``x``: a polynomial wherever the state is one.
+    uses : tuple of int
+        Elements of the state that the guard depends on.
+    """
+
+    edge: str
+    kind: str
+    to: str
+    crossing: Crossing
+    value: Scalar
+    lie: Scalar
+    affine: bool
+    uses: tuple[int, ...]
+
+
+@attrs.frozen(eq=False)
+class Field:
+    """What a solver flows in one mode (or resting mode), and what is watched there.
+
+    Attributes
+    ----------
+    rhs : callable ``(t, x) -> tuple``
+        Time derivatives.
+    jets : callable ``(t, x, sides)`` or None
+        Taylor coefficients of the states, of the guards in order, and of the kinks; None
+        where the model uses something that has no Taylor series.
+    kinks : int
+        Number of kinks (see :mod:`.taylor`).
+    """
+
+    name: str
+    mode: str
+    contact: str | None
+    rhs: Scalar
+    jets: Scalar | None
+    kinks: int
+    guards: tuple[Guard, ...]
+
+
+@attrs.frozen(eq=False)
+class Contact:
+    """The derived laws of a contact (see :mod:`.contact`), as scalar functions."""
+
+    name: str
+    mode: str
+    rests: bool
+    impact: Scalar
+    land: Scalar
+    project: Scalar
+    push: Scalar
+    law: Scalar
+    load: Scalar
+
+
+class Lowered:
+    """Generated code of one class, for one set of parameter shapes."""
+
+    def __init__(self, cls: Any, shapes: tuple[tuple[int, ...], ...]) -> None:
+        self.cls, self.spec, self.shapes = cls, cls.spec, shapes
+        self._programs: dict[Any, Any] = {}
+
+    def _trace(self, call: Any, extra: int = 0) -> Any:
+        return trace.trace(self.spec, call, extra, self.shapes)
+
+    def closed(self, kind: str, name: str) -> Any:
+        """The class's own trace, or one for these shapes where they are not the defaults'."""
+        closed = self.cls.traces[kind, name]
+        given = tuple(tuple(v.aval.shape) for v in closed.jaxpr.invars[: len(self.shapes)])
+        if given == self.shapes:
+            return closed
+        raise trace.TraceError(
+            f"{self.spec.model}: parameters of shapes {self.shapes} where the defaults "
+            f"have {given}; give arrays of the defaults' shapes"
+        )
+
+    def once(self, key: Any, make: Callable[[], Any]) -> Any:
+        """What ``make`` returns, made only the first time."""
+        if key not in self._programs:
+            self._programs[key] = make()
+        return self._programs[key]
+
+    # -- graphs -------------------------------------------------------------------------
+
+    def inputs(self, graph: Graph, extra: Sequence[str] = ()) -> list[np.ndarray]:
+        """Node numbers of parameters, ``t``, ``x`` and the extra inputs."""
+        count, arrays = 0, []
+        for shape in self.shapes:
+            size = int(np.prod(shape, dtype=int))
+            ids = [graph.input(f"p{count + i}") for i in range(size)]
+            arrays.append(np.array(ids, dtype=np.int64).reshape(shape))
+            count += size
+        arrays.append(np.array(graph.input("t")))
+        states = [graph.input(f"x{i}") for i in range(self.spec.dimension)]
+        return [*arrays, np.array(states, dtype=np.int64), *(np.array(graph.input(e)) for e in extra)]
+
+    def program(self, key: Any, closed: Callable[[], Any], extra: Sequence[str] = ()) -> Program:
+        """Scalar code of a closed jaxpr."""
+
+        def make() -> Program:
+            graph = Graph()
+            (outputs,) = graph.outputs(closed(), self.inputs(graph, extra))
+            return Program(graph, ["t", "x", *extra], self.spec.dimension, outputs)
+
+        return self.once(key, make)
+
+    def dependencies(self, closed: Any) -> list[set[int]]:
+        """For each element of a result, the elements of ``x`` it depends on."""
+        graph = Graph()
+        (outputs,) = graph.outputs(closed, self.inputs(graph))
+        return [_states_in(graph, int(i)) for i in outputs.reshape(-1)]
+
+    # -- modes --------------------------------------------------------------------------
+
+    def flow(self, mode: str) -> Program:
+        return self.program(("flow", mode), lambda: self.closed("flow", mode))
+
+    def rest_flow(self, contact: str) -> Program:
+        return self.program(("rest", contact), lambda: self.rest_closed(contact))
+
+    def rest_closed(self, contact: str) -> Any:
+        return self.once(("rest closed", contact), lambda: self._trace(self.laws(contact).rest))
+
+    def load_closed(self, contact: str) -> Any:
+        return self.once(("load closed", contact), lambda: self._trace(self.laws(contact).load))
+
+    def taylor(self, key: Any, flow: Any, functions: Sequence[Any]) -> TaylorProgram | None:
+        """Taylor code of a flow and of functions along it; None where there is none."""
+
+        def make() -> TaylorProgram | None:
+            graph = Graph()
+            inputs = self.inputs(graph)
+            (states,) = graph.outputs(flow, inputs)
+            values = [int(graph.outputs(f, inputs)[0].reshape(())) for f in functions]
+            try:
+                return TaylorProgram(graph, self.spec.dimension, states, values, ORDER)
+            except trace.TraceError:
+                return None
+
+        return self.once(("taylor", key), make)
+
+    # -- guards and contacts ------------------------------------------------------------
+
+    def guard_closed(self, edge: EdgeSpec | ContactSpec) -> Any:
+        return self.closed("gap" if isinstance(edge, ContactSpec) else "guard", edge.name)
+
+    def lie_program(self, key: Any, guard: Any, flow: Any) -> Program:
+        """The guard and its first two derivatives along the flow."""
+
+        def triple(parameters: Any, t: Any, x: Any) -> Any:
+            import jax.numpy as jnp
+
+            g, f = trace.again(guard), trace.again(flow)
+            first = contacts.lie(g, f)
+            parts = [h(parameters, t, x) for h in (g, first, contacts.lie(first, f))]
+            return jnp.stack(parts)
+
+        return self.program(("lie", key), lambda: self._trace(triple))
+
+    def rounding_program(self, key: Any, guard: Any, flow: Any) -> Program:
+        """Sums of the absolute terms of which the guard and its derivatives are made."""
+
+        def sizes(parameters: Any, t: Any, x: Any) -> Any:
+            import jax
+            import jax.numpy as jnp
+
+            g, f = trace.again(guard), trace.again(flow)
+            first = contacts.lie(g, f)
+
+            def terms(h: Any, rates: Any) -> Any:
+                by_t, by_x = jax.grad(h, argnums=(1, 2))(parameters, t, x)
+                return jnp.abs(by_t) * rates[0] + jnp.abs(by_x) @ rates[1]
+
+            moving = (1.0, jnp.abs(f(parameters, t, x)))
+            here = (0.0, jnp.abs(x))
+            offset = jnp.abs(g(parameters, t, jnp.zeros_like(x)))
+            size = terms(g, here) + jnp.where(jnp.isfinite(offset), offset, 0.0)
+            return jnp.stack([size, terms(g, moving), terms(first, moving)])
+
+        return self.program(("rounding", key), lambda: self._trace(sizes))
+
+    def pairing(self, name: str) -> contacts.Pairing:
+        """Positions of a contact's gap and their velocities."""
+
+        def make() -> contacts.Pairing:
+            contact = self.contact_spec(name)
+            flow = self.closed("flow", contact.source)
+            (gap,) = self.dependencies(self.closed("gap", name))
+            flows = self.dependencies(flow)
+            return contacts.pair(self.spec, contact, gap, flows, self._unit(contact.source))
+
+        return self.once(("pairing", name), make)
+
+    def _unit(self, mode: str) -> Callable[[int, int], bool]:
+        """Whether a component of the flow has slope one in an element, at random points."""
+        rhs = self.flow(mode).bind(flat([p.default for p in self.spec.parameters]))
+        draw = random.Random(0)
+
+        def unit(i: int, j: int) -> bool:
+            for _ in range(3):
+                x = [draw.uniform(0.5, 1.5) for _ in range(self.spec.dimension)]
+                moved = [v + (k == j) for k, v in enumerate(x)]
+                if not abs(rhs(0.3, moved)[i] - rhs(0.3, x)[i] - 1.0) < 1e-9:
+                    return False
+            return True
+
+        return unit
+
+    def contact_spec(self, name: str) -> ContactSpec:
+        return next(e for e in self.spec.transitions if e.name == name)  # type: ignore[return-value]
+
+    def laws(self, name: str) -> contacts.ContactLaws:
+        def make() -> contacts.ContactLaws:
+            return contacts.laws(self.cls, self.spec, self.contact_spec(name), self.pairing(name))
+
+        return self.once(("laws", name), make)
+
+    def law_program(self, name: str, what: str) -> Program:
+        def closed() -> Any:
+            return self._trace(getattr(self.laws(name), what))
+
+        return self.program((what, name), closed)
+
+
+def _states_in(graph: Graph, root: int) -> set[int]:
+    leaves = (graph.nodes[n] for n in needed(graph, [root]))
+    return {int(n[1][1:]) for n in leaves if n[0] == "input" and n[1].startswith("x")}
+
+
+def _degree(graph: Graph, root: int) -> float:
+    """Degree of a polynomial in ``t`` and ``x``; infinite where it is none."""
+    degree: dict[int, float] = {}
+    for number in needed(graph, [root]):
+        node = graph.nodes[number]
+        below = [degree[a] for a in node[1:]] if node[0] not in ("const", "input") else []
+        if node[0] == "const" or (node[0] == "input" and node[1][0] == "p"):
+            degree[number] = 0
+        elif node[0] == "input":
+            degree[number] = 1
+        elif node[0] in ("add", "sub", "neg", "real"):
+            degree[number] = max(below)
+        elif node[0] == "mul":
+            degree[number] = sum(below)
+        elif node[0] == "div" and below[1] == 0:
+            degree[number] = below[0]
+        else:
+            degree[number] = 0 if max(below) == 0 else float("inf")
+    return degree[root]
+
+
+def lowered(cls: Any, shapes: tuple[tuple[int, ...], ...]) -> Lowered:
+    """The generated code of a class, kept on the class."""
+    store = cls.__dict__.get("_hybrid_lowered")
+    if store is None:
+        store = {}
+        cls._hybrid_lowered = store
+    if shapes not in store:
+        store[shapes] = Lowered(cls, shapes)
+    return store[shapes]
+
+
+class Scene:
+    """A model with its parameters' values, ready for a driver.
+
+    Fields and contacts are made when first asked for.
+    """
+
+    def __init__(self, model: Any) -> None:
+        self.model, self.spec = model, model.spec
+        values = model.parameters
+        self.code = lowered(type(model), tuple(tuple(v.shape) for v in values))
+        self._values = flat(values)
+        self._fields: dict[str, Field] = {}
+        self._contacts: dict[str, Contact] = {}
+
+    @cached_property
+    def spec_modes(self) -> tuple[str, ...]:
+        """Names of the modes an arc may have, resting modes included."""
+        rests = [rest_name(c) for c in self._resting()]
+        return (*(mode.name for mode in self.spec.modes), *rests)
+
+    def _resting(self) -> list[ContactSpec]:
+        return [e for e in self.spec.transitions if isinstance(e, ContactSpec) and e.rests]
+
+    def field(self, name: str) -> Field:
+        """The field of a mode, or of a resting mode ``"mode.rest(contact)"``."""
+        if name not in self._fields:
+            resting = {rest_name(c): c for c in self._resting()}
+            made = self._rest_field(resting[name]) if name in resting else self._mode_field(name)
+            self._fields[name] = made
+        return self._fields[name]
+
+    def _mode_field(self, mode: str) -> Field:
+        code, edges = self.code, self.spec.leaving(mode)
+        flow = code.closed("flow", mode)
+        closed = [code.guard_closed(edge) for edge in edges]
+        guards = [self._guard(e, g, flow, mode) for e, g in zip(edges, closed, strict=True)]
+        rhs = code.flow(mode).bind(self._values)
+        return self._field(mode, mode, None, rhs, code.taylor(mode, flow, closed), guards)
+
+    def _rest_field(self, contact: ContactSpec) -> Field:
+        code, name, mode = self.code, rest_name(contact), contact.source
+        flow, load = code.rest_closed(contact.name), code.load_closed(contact.name)
+        edges = [edge for edge in self.spec.leaving(mode) if edge.name != contact.name]
+        closed = [*(code.guard_closed(edge) for edge in edges), load]
+        guards = [self._guard(e, g, flow, name) for e, g in zip(edges, closed, strict=False)]
+        release = EdgeSpec("release", name, mode, contact.guard, Crossing.FALLING, contact.guard)
+        guards.append(self._guard(release, load, flow, name))
+        rhs = code.rest_flow(contact.name).bind(self._values)
+        jets = code.taylor(name, flow, closed)
+        return self._field(name, mode, contact.name, rhs, jets, guards)
+
+    def _field(
+        self,
+        name: str,
+        mode: str,
+        contact: str | None,
+        rhs: Scalar,
+        taylor: TaylorProgram | None,
+        guards: list[Guard],
+    ) -> Field:
+        jets = taylor.bind(self._values) if taylor else None
+        kinks = taylor.kinks if taylor else 0
+        return Field(name, mode, contact, rhs, jets, kinks, tuple(guards))
+
+    def _guard(self, edge: Any, closed: Any, flow: Any, where: str) -> Guard:
+        code, key = self.code, (edge.name, where)
+        kind = "contact" if isinstance(edge, ContactSpec) else "edge"
+        kind = "release" if edge.name == "release" else kind
+        lie = code.lie_program(key, closed, flow)
+        value = code.program(("guard", key), lambda: closed)
+        affine, uses = code.once(("shape", key), lambda: _shape(code, closed))
+        bound = value.bind(self._values), lie.bind(self._values)
+        return Guard(edge.name, kind, edge.to, edge.crossing, *bound, affine, uses)
+
+    def rounding(self, guard: Guard, field: Field) -> Scalar:
+        """Sizes whose rounding the guard and its first two derivatives carry."""
+        code, contact = self.code, field.contact
+        flow = code.rest_closed(contact) if contact else code.closed("flow", field.mode)
+        if guard.kind == "release":
+            closed = code.load_closed(contact)
+        else:
+            edge = next(e for e in self.spec.transitions if e.name == guard.edge)
+            closed = code.guard_closed(edge)
+        return code.rounding_program((guard.edge, field.name), closed, flow).bind(self._values)
+
+    def reset(self, edge: str) -> Scalar:
+        """The reset of an edge (not of a contact)."""
+        program = self.code.program(("reset", edge), lambda: self.code.closed("reset", edge))
+        return program.bind(self._values)
+
+    def contact(self, name: str) -> Contact:
+        """The derived laws of a contact."""
+        if name not in self._contacts:
+            code, spec = self.code, self.code.contact_spec(name)
+            parts = [
+                code.law_program(name, what).bind(self._values)
+                for what in ("impact", "land", "project", "push")
+            ]
+            law = code.program(("law", name), lambda: code.closed("restitution", name), ["u"])
+            load = code.program(("load", name), lambda: code.load_closed(name))
+            bound = law.bind(self._values), load.bind(self._values)
+            self._contacts[name] = Contact(name, spec.source, spec.rests, *parts, *bound)
+        return self._contacts[name]
+
+
+def rest_name(contact: ContactSpec) -> str:
+    """The arc mode of a contact at rest: ``"<mode>.rest(<contact>)"``."""
+    return f"{contact.source}.rest({contact.name})"
+
+
+def _shape(code: Lowered, closed: Any) -> tuple[bool, tuple[int, ...]]:
+    graph = Graph()
+    (output,) = graph.outputs(closed, code.inputs(graph))
+    root = int(output.reshape(()))
+    return _degree(graph, root) <= 1, tuple(sorted(_states_in(graph, root)))
+
+
+__all__ = ["Contact", "ContactSpec", "Field", "Guard", "Scene", "Spec", "rest_name"]

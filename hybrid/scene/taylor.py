@@ -1,0 +1,377 @@
+"""A reader of the trace: Taylor coefficients of a flow, and of gaps along it.
+
+The solution of ``x' = f(t, x)`` through a state is ``x(t + s) = sum_k x_k s^k``; with
+``f_k`` the coefficients of ``f`` along it, ``x_{k+1} = f_k / (k + 1)``. Every arithmetic
+operation has a recurrence for its k-th coefficient (Griewank & Walther, *Evaluating
+Derivatives*, 2008, chapter 13). The generated code is those recurrences written out, order
+by order, as scalar Python.
+
+Where a model switches formula (``abs``, ``where``, ``max``), the coefficients belong to
+the branch at the start. The function that decides is returned too, as a *kink*: the series
+holds up to the kink's first zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import TraceError
+from .graph import Graph, Ids
+from .python import OPERATIONS, _fixed, _index, literal, needed
+
+#: y = phi(a) with y' = slope(a, y) a': the expression of the slope as a graph.
+SLOPES: dict[str, Callable[[Graph, int, int], int]] = {
+    "exp": lambda g, a, y: y,
+    "exp2": lambda g, a, y: g.node("mul", g.const(math.log(2.0)), y),
+    "expm1": lambda g, a, y: g.node("add", y, g.const(1.0)),
+    "log": lambda g, a, y: g.node("div", g.const(1.0), a),
+    "log1p": lambda g, a, y: g.node("div", g.const(1.0), g.node("add", g.const(1.0), a)),
+    "tan": lambda g, a, y: g.node("add", g.const(1.0), g.node("mul", y, y)),
+    "tanh": lambda g, a, y: g.node("sub", g.const(1.0), g.node("mul", y, y)),
+    "logistic": lambda g, a, y: g.node("mul", y, g.node("sub", g.const(1.0), y)),
+    "asin": lambda g, a, y: g.node("div", g.const(1.0), _root(g, a, "sub")),
+    "acos": lambda g, a, y: g.node("div", g.const(-1.0), _root(g, a, "sub")),
+    "asinh": lambda g, a, y: g.node("div", g.const(1.0), _root(g, a, "add")),
+    "acosh": lambda g, a, y: g.node(
+        "div", g.const(1.0), g.node("sqrt", g.node("sub", g.node("mul", a, a), g.const(1.0)))
+    ),
+    "atan": lambda g, a, y: g.node("div", g.const(1.0), _one(g, a, "add")),
+    "atanh": lambda g, a, y: g.node("div", g.const(1.0), _one(g, a, "sub")),
+    "erf": lambda g, a, y: _bell(g, a, 2.0),
+    "erfc": lambda g, a, y: _bell(g, a, -2.0),
+}
+
+#: Operations whose two or three cases meet at a kink.
+KINKED = {"gt", "ge", "lt", "le"}
+LOGIC = {"and", "or", "xor", "not", "eq", "ne", "is_finite"}
+
+
+def _one(g: Graph, a: int, sign: str) -> int:
+    return g.node(sign, g.const(1.0), g.node("mul", a, a))
+
+
+def _root(g: Graph, a: int, sign: str) -> int:
+    return g.node("sqrt", _one(g, a, sign))
+
+
+def _bell(g: Graph, a: int, factor: float) -> int:
+    power = g.node("exp", g.node("neg", g.node("mul", a, a)))
+    return g.node("mul", g.const(factor / math.sqrt(math.pi)), power)
+
+
+class TaylorProgram:
+    """Generated code for the Taylor coefficients of a flow and of functions along it.
+
+    The bound function is ``jets(t, x, sides)`` and returns ``(states, values, kinks)``: for
+    each state, each function and each kink the list of its coefficients 0 .. ``order``.
+    ``sides[i]`` is 0 (the branch is taken by value) or +1 / -1 (the sign of kink ``i`` is
+    known: a step has just ended on it).
+    """
+
+    def __init__(self, graph: Graph, size: int, flow: Ids, functions: Sequence[int], order: int):
+        self.order = order
+        writer = _Writer(graph, size, [int(i) for i in flow], list(functions), order)
+        self.source, self.kinks = writer.source(), len(writer.kinks)
+        self._code = compile(self.source, "<hybrid: generated Taylor series>", "exec")
+
+    def bind(self, parameters: Sequence[float]) -> Callable[..., Any]:
+        """The function for these values of the (flattened) parameters.
+
+        It raises ``ValueError``, ``OverflowError`` or ``ZeroDivisionError`` where the
+        series does not exist (``sqrt`` at 0, for instance).
+        """
+        scope = {f"_{name}": function for name, function in OPERATIONS.items()}
+        scope.update(_inf=math.inf, _nan=math.nan)
+        exec(self._code, scope)
+        return scope["_make"](*parameters)
+
+
+class _Writer:
+    """Writes the recurrences. ``c[node]`` lists the names of a node's coefficients."""
+
+    def __init__(
+        self, graph: Graph, size: int, flow: list[int], functions: list[int], order: int
+    ) -> None:
+        self.graph, self.size, self.flow, self.functions = graph, size, flow, functions
+        self.order = order
+        roots = [*flow, *functions]
+        self.slope = self._add_slopes(roots)
+        everything = [*roots, *self.slope.values()]
+        self.nodes = needed(graph, everything)
+        self.fixed = _fixed(graph, self.nodes)
+        self.steady = self._steady()
+        self.kinks: list[tuple[int, int]] = []
+        self.c: dict[int, list[str]] = {number: [] for number in self.nodes}
+        self.partners: dict[str, list[str]] = {}
+        self.lines: list[str] = []
+
+    def _add_slopes(self, roots: list[int]) -> dict[int, int]:
+        slope: dict[int, int] = {}
+        frontier = list(roots)
+        while True:
+            new = [n for n in needed(self.graph, frontier) if n not in slope]
+            new = [n for n in new if self.graph.nodes[n][0] in SLOPES]
+            if not new:
+                return slope
+            for number in new:
+                op, argument = self.graph.nodes[number]
+                slope[number] = SLOPES[op](self.graph, argument, number)
+                frontier.append(slope[number])
+
+    def _steady(self) -> set[int]:
+        """Nodes that are constant along the flow: all coefficients but the first vanish."""
+        steady = set(self.fixed)
+        moving = {"x", "t"}
+        for number in self.nodes:
+            node = self.graph.nodes[number]
+            if node[0] == "const":
+                steady.add(number)
+            elif node[0] == "input":
+                if node[1][0] not in moving:
+                    steady.add(number)
+            elif all(a in steady for a in node[1:]):
+                steady.add(number)
+        return steady
+
+    # -- the generated function ---------------------------------------------------------
+
+    def source(self) -> str:
+        for number in self.nodes:
+            node = self.graph.nodes[number]
+            if node[0] == "input":
+                self.c[number] = [node[1]]
+        states = [[f"x{i}"] for i in range(self.size)]
+        named = {n[1]: i for i, n in enumerate(self.graph.nodes) if n[0] == "input"}
+        for k in range(self.order + 1):
+            for number in self.nodes:
+                self._coefficient(number, k)
+            if k == self.order:
+                break
+            for i, number in enumerate(self.flow):
+                name = self._assign(f"{self._at(number, k)} * {1.0 / (k + 1)!r}", f"x{i}_{k + 1}")
+                states[i].append(name)
+                if f"x{i}" in named and named[f"x{i}"] in self.c:
+                    self.c[named[f"x{i}"]].append(name)
+        kinks = [self._kink_series(a, b) for a, b in self.kinks]
+        result = [states, [self._series(n) for n in self.functions], kinks]
+        parts = ["[" + ", ".join(f"[{', '.join(row)}]" for row in block) + "]" for block in result]
+        inputs = [n[1] for n in self.graph.nodes if n[0] == "input" and n[1][0] == "p"]
+        count = 1 + max(map(_index, inputs), default=-1)
+        head = "".join(f"p{i}, " for i in range(count))
+        unpack = "".join(f"x{i}, " for i in range(self.size)) + "= x"
+        body = [unpack, *self.lines, f"return {', '.join(parts)}"]
+        lines = [f"def _make({head}*_rest):", "    def jets(t, x, sides):"]
+        lines += [f"        {line}" for line in body]
+        return "\n".join([*lines, "    return jets", ""])
+
+    def _series(self, number: int) -> list[str]:
+        return [self._at(number, k) for k in range(self.order + 1)]
+
+    def _kink_series(self, a: int, b: int) -> list[str]:
+        return [f"{self._at(a, k)} - {self._at(b, k)}" for k in range(self.order + 1)]
+
+    def _at(self, number: int, k: int) -> str:
+        if k and number in self.steady:
+            return "0.0"
+        if self.graph.nodes[number][0] == "const":
+            value = self.graph.value(number)
+            return literal(float(value) if not isinstance(value, bool) else value)
+        return self.c[number][k] if k < len(self.c[number]) else "0.0"
+
+    def _assign(self, expression: str, name: str) -> str:
+        if expression in ("0.0", "0.0 * 1.0") or expression.startswith("0.0 * "):
+            return "0.0"
+        self.lines.append(f"{name} = {expression}")
+        return name
+
+    def _coefficient(self, number: int, k: int) -> None:
+        node = self.graph.nodes[number]
+        if node[0] == "const" or (k and number in self.steady):
+            return
+        if node[0] == "input":
+            if node[1] == "t" and k == 1:
+                self.c[number].append("1.0")
+            elif node[1] == "t" and k > 1:
+                self.c[number].append("0.0")
+            return
+        expression = self._first(number, node) if k == 0 else self._next(number, node, k)
+        self.c[number].append(self._assign(expression, f"n{number}_{k}"))
+
+    # -- order 0 ------------------------------------------------------------------------
+
+    def _first(self, number: int, node: tuple[Any, ...]) -> str:
+        op, arguments = node[0], [self._at(a, 0) for a in node[1:]]
+        if op in KINKED and not all(a in self.steady for a in node[1:]):
+            return self._side(node[1], node[2], op)
+        if op in ("abs", "max", "min", "sign") and number not in self.steady:
+            return self._choice(op, node)
+        if op in ("floor", "ceil", "trunc", "rem") and number not in self.steady:
+            raise TraceError(
+                f"{op!r} of something that moves has no Taylor series; "
+                "declare an edge where it jumps"
+            )
+        return f"_{op}({', '.join(arguments)})"
+
+    def _side(self, a: int, b: int, op: str) -> str:
+        """A comparison; its sign can be prescribed by ``sides``."""
+        if (a, b) not in self.kinks:
+            self.kinks.append((a, b))
+        index = self.kinks.index((a, b))
+        known = f"sides[{index}]"
+        test = f"_{op}({self._at(a, 0)}, {self._at(b, 0)})"
+        return f"({known} {'>' if op in ('gt', 'ge') else '<'} 0 if {known} else {test})"
+
+    def _choice(self, op: str, node: tuple[Any, ...]) -> str:
+        """abs, sign, max and min by the sign of a difference, kept under its own name."""
+        a = node[1]
+        b = node[2] if op in ("max", "min") else self.graph.const(0.0)
+        self.lines.append(f"{self._flag(node)} = {self._side(a, b, 'ge')}")
+        return self._chosen(op, node, 0)
+
+    def _flag(self, node: tuple[Any, ...]) -> str:
+        return f"side_{node[0]}_" + "_".join(map(str, node[1:]))
+
+    def _chosen(self, op: str, node: tuple[Any, ...], k: int) -> str:
+        flag, a = self._flag(node), self._at(node[1], k)
+        if op == "sign":
+            return f"(1.0 if {flag} else -1.0)" if k == 0 else "0.0"
+        if op == "abs":
+            return f"({a} if {flag} else -{a})"
+        b = self._at(node[2], k)
+        return f"({a} if {flag} else {b})" if op == "max" else f"({b} if {flag} else {a})"
+
+    # -- order k ------------------------------------------------------------------------
+
+    def _next(self, number: int, node: tuple[Any, ...], k: int) -> str:
+        op, args = node[0], node[1:]
+        if op in ("add", "sub"):
+            return self._sum(op, self._at(args[0], k), self._at(args[1], k))
+        if op == "neg":
+            return self._negative(self._at(args[0], k))
+        if op == "real":
+            return self._at(args[0], k)
+        if op == "mul":
+            return self._product(args[0], args[1], k)
+        if op == "div":
+            return self._quotient(number, args[0], args[1], k)
+        if op == "select":
+            a, b = self._at(args[1], k), self._at(args[2], k)
+            return a if a == b else f"({a} if {self._at(args[0], 0)} else {b})"
+        if op in ("abs", "max", "min", "sign"):
+            return self._chosen(op, node, k)
+        if op in ("sin", "cos", "sinh", "cosh"):
+            return self._circular(op, args[0], k)
+        if op in ("sqrt", "cbrt", "pow"):
+            return self._power(number, op, args, k)
+        if op in SLOPES:
+            return self._chain(args[0], self.slope[number], k)
+        if op in KINKED | LOGIC:
+            return "0.0"
+        raise TraceError(f"no Taylor series for the operation {op!r}")
+
+    @staticmethod
+    def _sum(op: str, a: str, b: str) -> str:
+        if b == "0.0":
+            return a
+        if a == "0.0":
+            return b if op == "add" else f"-{b}"
+        return f"{a} {'+' if op == 'add' else '-'} {b}"
+
+    @staticmethod
+    def _negative(a: str) -> str:
+        return a if a == "0.0" else f"-{a}"
+
+    @staticmethod
+    def _terms(terms: list[tuple[str, str]]) -> str:
+        kept = [f"{a} * {b}" for a, b in terms if "0.0" not in (a, b)]
+        return " + ".join(kept) or "0.0"
+
+    def _product(self, a: int, b: int, k: int) -> str:
+        if a == b:
+            half = [(self._at(a, i), self._at(a, k - i)) for i in range((k + 1) // 2)]
+            square = self._terms(half)
+            double = f"2.0 * ({square})" if square != "0.0" else "0.0"
+            middle = self._terms([(self._at(a, k // 2),) * 2]) if k % 2 == 0 else "0.0"
+            return self._sum("add", double, middle)
+        return self._terms([(self._at(a, i), self._at(b, k - i)) for i in range(k + 1)])
+
+    def _quotient(self, y: int, a: int, b: int, k: int) -> str:
+        rest = self._terms([(self._at(b, i), self._at(y, k - i)) for i in range(1, k + 1)])
+        top = self._at(a, k)
+        if rest == "0.0":
+            return "0.0" if top == "0.0" else f"{top} / {self._at(b, 0)}"
+        return f"({top} - ({rest})) / {self._at(b, 0)}"
+
+    def _chain(self, a: int, slope: int, k: int) -> str:
+        terms = [(self._at(a, i), self._at(slope, k - i), i / k) for i in range(1, k + 1)]
+        kept = [f"{w!r} * {x} * {h}" for x, h, w in terms if "0.0" not in (x, h)]
+        return " + ".join(kept) or "0.0"
+
+    def _circular(self, op: str, a: int, k: int) -> str:
+        """sin and cos (and the hyperbolic pair) need each other's coefficients."""
+        pair = {"sin": "cos", "cos": "sin", "sinh": "cosh", "cosh": "sinh"}[op]
+        name = f"{pair}_{a}"
+        cached = self.partners.setdefault(name, [])
+        if not cached:
+            cached.append(self._assign(f"_{pair}({self._at(a, 0)})", f"{name}_0"))
+        own = self.graph._known[(op, a)]
+        partner = self.graph._known.get((pair, a))
+        if partner in self.c:
+            cached = self.c[partner]
+        while len(cached) < k:
+            m = len(cached)
+            sign = -1.0 if pair == "cos" else 1.0
+            cached.append(self._assign(self._weighted(a, self.c[own], m, sign), f"{name}_{m}"))
+        return self._weighted(a, cached, k, -1.0 if op == "cos" else 1.0)
+
+    def _weighted(self, a: int, other: list[str], k: int, sign: float) -> str:
+        terms = [(self._at(a, i), other[k - i], sign * i / k) for i in range(1, k + 1)]
+        kept = [f"{w!r} * {x} * {h}" for x, h, w in terms if "0.0" not in (x, h)]
+        return " + ".join(kept) or "0.0"
+
+    def _power(self, y: int, op: str, args: tuple[int, ...], k: int) -> str:
+        """y = a^p by ``a y' = p a' y``: y_k = sum_i (p i - (k - i)) a_i y_{k-i} / (k a_0)."""
+        a = args[0]
+        if op == "pow" and args[1] not in self.steady:
+            raise TraceError("a power whose exponent moves: write jnp.exp(b * jnp.log(a))")
+        p = {"sqrt": "0.5", "cbrt": literal(1 / 3)}.get(op) or self._at(args[1], 0)
+        terms = [
+            f"({p} * {i} - {k - i}) * {self._at(a, i)} * {self._at(y, k - i)}"
+            for i in range(1, k + 1)
+            if "0.0" not in (self._at(a, i), self._at(y, k - i))
+        ]
+        return f"({' + '.join(terms)}) / ({k} * {self._at(a, 0)})" if terms else "0.0"
+
+
+def polynomial(coefficients: Sequence[float], s: float) -> float:
+    """Value of ``sum_k c_k s^k`` by Horner's rule."""
+    value = 0.0
+    for c in reversed(coefficients):
+        value = value * s + c
+    return value
+
+
+def slope(coefficients: Sequence[float], s: float) -> float:
+    """Derivative of ``sum_k c_k s^k`` with respect to ``s``."""
+    value = 0.0
+    for k in range(len(coefficients) - 1, 0, -1):
+        value = value * s + k * coefficients[k]
+    return value
+
+
+def polynomial_and_slope(coefficients: Sequence[float], s: float) -> tuple[float, float]:
+    """Value and derivative together."""
+    value = rate = 0.0
+    for c in reversed(coefficients):
+        rate = rate * s + value
+        value = value * s + c
+    return value, rate
+
+
+def flat(parameters: Sequence[Any]) -> list[float]:
+    """All elements of the parameters as one list of floats."""
+    return [float(v) for p in parameters for v in np.asarray(p, dtype=float).reshape(-1)]

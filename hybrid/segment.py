@@ -1,0 +1,85 @@
+"""One step of a solver as a polynomial; an arc's dense output is a list of these.
+
+Every method's interpolant is a polynomial on its step. All are kept in one form,
+Chebyshev coefficients, so that evaluation, root finding and saving know one form only.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import attrs
+import numpy as np
+from numpy.polynomial import chebyshev
+
+
+@attrs.frozen(eq=False)
+class Segment:
+    """The state on ``start <= tau <= start + length`` (local time of the arc).
+
+    Attributes
+    ----------
+    coefficients : array, shape (degree + 1, n)
+        Chebyshev coefficients in ``2 (tau - start) / length - 1``.
+    """
+
+    start: float
+    length: float
+    coefficients: np.ndarray
+
+    @property
+    def end(self) -> float:
+        return self.start + self.length
+
+    @property
+    def degree(self) -> int:
+        return len(self.coefficients) - 1
+
+    def __call__(self, tau: Any) -> np.ndarray:
+        """State at local times ``tau``; shape ``tau.shape + (n,)``."""
+        xi = 2.0 * (np.asarray(tau, dtype=float) - self.start) / self.length - 1.0
+        return np.moveaxis(np.asarray(chebyshev.chebval(xi, self.coefficients)), 0, -1)
+
+    def at(self, fractions: np.ndarray) -> np.ndarray:
+        """State at some fractions of the step (an array made by :func:`nodes`)."""
+        return _values_matrix(fractions.tobytes(), self.degree) @ self.coefficients
+
+    def cut(self, length: float) -> Segment:
+        """The first part of the segment (or a slightly longer one)."""
+        if length == self.length:
+            return self
+        points = length / self.length * nodes(self.degree)
+        values = chebyshev.chebvander(2.0 * points - 1.0, self.degree) @ self.coefficients
+        return Segment(self.start, length, from_values(self.degree) @ values)
+
+
+@cache
+def nodes(degree: int) -> np.ndarray:
+    """Chebyshev points of the second kind on [0, 1], ends included, increasing."""
+    points = 0.5 - 0.5 * np.cos(np.pi * np.arange(degree + 1) / max(degree, 1))
+    points.setflags(write=False)
+    return points
+
+
+@cache
+def from_values(degree: int) -> np.ndarray:
+    """Matrix from values at :func:`nodes` to Chebyshev coefficients."""
+    return np.linalg.inv(chebyshev.chebvander(2.0 * nodes(degree) - 1.0, degree))
+
+
+@cache
+def from_powers(degree: int) -> np.ndarray:
+    """Matrix from coefficients of powers of the fraction to Chebyshev coefficients."""
+    columns = []
+    for power in range(degree + 1):
+        shifted = np.array([1.0])
+        for _ in range(power):
+            shifted = chebyshev.chebmul(shifted, [0.5, 0.5])
+        columns.append(np.pad(shifted, (0, degree + 1 - len(shifted))))
+    return np.array(columns).T
+
+
+@cache
+def _values_matrix(fractions: bytes, degree: int) -> np.ndarray:
+    return chebyshev.chebvander(2.0 * np.frombuffer(fractions) - 1.0, degree)

@@ -1,0 +1,302 @@
+"""``hy.simulate``: check what is asked, run, hand over the trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from .automaton.record import Record
+from .automaton.spec import Spec
+from .driver import Driver, Plan
+from .errors import FlowError, HybridError, OptionError, StartError
+from .scene import Scene
+from .solvers import choose
+from .trajectory import Trajectory
+from .zeno.accumulate import FLOOR
+
+#: Jumps after which a run stops if it is given no ``max_jumps``.
+MAX_JUMPS = 1_000_000
+
+ZENO = ("rest", "stop", "truncate", "raise")
+
+
+def simulate(
+    model: Any,
+    start: Any,
+    t: tuple[float, float],
+    *,
+    solver: str = "scipy",
+    method: str | None = None,
+    rtol: float = 1e-8,
+    atol: float = 1e-10,
+    zeno: str = "rest",
+    max_jumps: int | None = None,
+    save: Any = "dense",
+    history: Any = None,
+    memory: str = "keep",
+    mode: str | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Trajectory:
+    """Simulate a hybrid automaton.
+
+    Parameters
+    ----------
+    model : Automaton
+    start : dict, record or sequence
+        The states at ``t[0]``, by name or in declared order.
+    t : (t0, t1)
+        First and last time.
+    solver : "scipy" or "taylor"
+    method : str, optional
+        A method of the solver; SciPy's are DOP853 (default), RK45, RK23, Radau, BDF, LSODA.
+    rtol, atol : float
+        Tolerances of the solver for each step; ``atol`` may be an array, one for each
+        element of the state.
+    zeno : "rest", "stop", "truncate" or "raise"
+        What happens where jumps accumulate: go on in the resting mode; end the run; permit
+        at most ``max_jumps`` (or ``[1/r]``) impacts, then hold the contact; raise.
+    max_jumps : int, optional
+        The run stops (with that status) after this many computed jumps; a million if
+        omitted. With ``zeno="truncate"`` the number of impacts of a series.
+    save : "dense", "jumps" or array of times
+        Keep dense output; only jumps and the ends of arcs; or the states at these times.
+    history, memory
+        For flows that look into the past; there are none yet.
+    mode : str, optional
+        Mode at the start; the model's initial mode if omitted.
+    progress : callable ``(t)``, optional
+        Called after each arc with the time reached.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    OptionError
+        If an option cannot be used; the message lists what can.
+    StartError
+        If the start is incomplete, not finite, outside the mode's domain, or undecidable.
+    FlowError
+        If a flow, guard or reset is not finite, or the solver gives up.
+    DomainError, JumpLoopError
+        If a reset leaves the domain, or jumps follow each other at one time for ever.
+    ZenoError
+        With ``zeno="raise"``, at an accumulation.
+
+    Examples
+    --------
+    >>> run = hy.simulate(BouncingBall(), {"x": 1.0, "v": 0.0}, (0.0, 3.0))
+    >>> run.zeno[0].t
+    2.5586339655858...
+    """
+    if not hasattr(model, "spec"):
+        what = "an instance: write Model()" if isinstance(model, type) else repr(type(model))
+        raise OptionError(f"model must be an instance of a subclass of hy.Automaton, not {what}")
+    if isinstance(model, type):
+        raise OptionError(f"give an instance of the model: {model.__name__}()")
+    scene = Scene(model)
+    spec = scene.spec
+    _refuse_history(spec, history, memory)
+    plan = _plan(spec, t, rtol, atol, zeno, max_jumps, save, progress)
+    x = _start(spec, start)
+    first = spec.initial if mode is None else mode
+    if first not in scene.spec_modes:
+        raise OptionError(f"{spec.model}: mode={mode!r}; there are {', '.join(scene.spec_modes)}")
+    driver = Driver(scene, choose(solver, method, rtol, plan.atol), plan)
+    driver.run(first, x)
+    _give_errors(driver, solver, method, first, x)
+    options = {
+        "solver": driver.solver.name,
+        "method": driver.solver.method,
+        "rtol": rtol,
+        "atol": plan.atol,
+        "zeno": zeno,
+        "save": save if isinstance(save, str) else "times",
+    }
+    return _trajectory(scene, driver, plan, options)
+
+
+def _trajectory(scene: Scene, driver: Driver, plan: Plan, options: dict[str, Any]) -> Trajectory:
+    spec = scene.spec
+    samples = None
+    if plan.samples is not None:
+        if plan.samples.size and plan.samples[-1] == driver.now.t:
+            driver.sampled.append(driver.x)
+        samples = np.array(driver.sampled).reshape(-1, spec.dimension)
+        options["times"] = plan.samples[: len(samples)]
+    assert driver.status is not None
+    parameters = {p.name: getattr(scene.model, p.name) for p in spec.parameters}
+    guards = {g.edge: g for m in spec.modes for g in scene.field(m.name).guards}
+    return Trajectory(
+        spec,
+        parameters,
+        driver.parts,
+        driver.own_jumps,
+        driver.zeno,
+        driver.grazings,
+        driver.status,
+        options,
+        samples,
+        {name: guard.value for name, guard in guards.items()},
+    )
+
+
+def _give_errors(driver: Driver, solver: str, method: str | None, mode: str, x: np.ndarray) -> None:
+    """Let each accumulation measure its error when asked: by one second run for all.
+
+    The second run uses Taylor series, accurate to rounding (a run that used them is compared
+    with DOP853 at its smallest tolerance; a model without Taylor series with its own method
+    at a hundredth of its tolerance).
+    """
+    held: list[Driver | None] = []
+
+    def second() -> Driver | None:
+        if not held:
+            held.append(_second_run(driver, solver, method, mode, x))
+        return held[0]
+
+    def errors(index: int) -> tuple[float, Record]:
+        return _errors(driver, second(), index)
+
+    for index, point in enumerate(driver.zeno):
+        point._errors = lambda index=index: errors(index)
+
+
+def _second_run(
+    driver: Driver, solver: str, method: str | None, mode: str, x: np.ndarray
+) -> Driver | None:
+    import attrs
+
+    count = len(driver.zeno)
+    plan = attrs.evolve(
+        driver.plan, dense=False, samples=None, progress=None, accumulations=count
+    )
+    if plan.zeno == "raise":
+        plan = attrs.evolve(plan, zeno="rest")
+    has_series = all(
+        driver.scene.field(part.mode).jets is not None for part in driver.parts
+    )
+    if not has_series:
+        other = choose(solver, method, max(1e-2 * plan.rtol, 3e-14), 1e-2 * plan.atol)
+    elif solver == "taylor":
+        other = choose("scipy", "DOP853", 2.3e-14, 1e-4 * plan.atol)
+    else:
+        other = choose("taylor", None, plan.rtol, plan.atol)
+    again = Driver(driver.scene, other, plan)
+    try:
+        again.run(mode, x)
+    except HybridError:
+        return None
+    return again
+
+
+def _errors(driver: Driver, again: Driver | None, index: int) -> tuple[float, Record]:
+    point, tail, record = driver.zeno[index], driver.tails[index], driver.scene.spec.record
+    dimension = driver.scene.spec.dimension
+    same = again is not None and len(again.zeno) > index
+    if not same or again is None or again.zeno[index].edges != point.edges:
+        return float("inf"), record(np.full(dimension, np.inf))
+    state = np.concatenate([np.ravel(v) for v in point.state])
+    other = np.concatenate([np.ravel(v) for v in again.zeno[index].state])
+    floor = FLOOR * np.sqrt(1.0 + len(driver.own_jumps))
+    closing = (tail.t_error, tail.x_error) if tail else (0.0, np.zeros(dimension))
+    t_error = 2 * abs(point.t - again.zeno[index].t) + closing[0] + floor * abs(point.t)
+    x_error = 2 * np.abs(state - other) + closing[1] + floor * np.abs(state)
+    return float(t_error), record(x_error)
+
+
+# ---------------------------------------------------------------------------------------
+# what the caller gives
+
+
+def _plan(
+    spec: Spec,
+    t: Any,
+    rtol: float,
+    atol: Any,
+    zeno: str,
+    max_jumps: int | None,
+    save: Any,
+    progress: Any,
+) -> Plan:
+    t0, t1 = _times(t)
+    if not (isinstance(rtol, float | int) and 0 < rtol < 1):
+        raise OptionError(f"rtol={rtol!r}: a number between 0 and 1")
+    try:
+        atol = np.asarray(atol, dtype=float)
+    except (TypeError, ValueError):
+        raise OptionError(f"atol={atol!r}: a number, or one for each element") from None
+    if atol.shape not in ((), (spec.dimension,)) or not np.all(atol >= 0):
+        raise OptionError(
+            f"atol={atol!r}: a number, or one for each of the {spec.dimension} elements of the state"
+        )
+    if zeno not in ZENO:
+        raise OptionError(f"zeno={zeno!r}: one of {', '.join(map(repr, ZENO))}")
+    if max_jumps is not None and not (isinstance(max_jumps, int | np.integer) and max_jumps > 0):
+        raise OptionError(f"max_jumps={max_jumps!r}: a whole number greater than 0, or None")
+    dense, samples = _saving(save, t0, t1)
+    cap = max_jumps if zeno == "truncate" else None
+    limit = MAX_JUMPS if max_jumps is None or zeno == "truncate" else max_jumps
+    plain = float(atol) if atol.shape == () else atol
+    return Plan(t0, t1, float(rtol), plain, zeno, limit, cap, dense, samples, progress)
+
+
+def _times(t: Any) -> tuple[float, float]:
+    try:
+        t0, t1 = (float(v) for v in t)
+    except (TypeError, ValueError):
+        raise OptionError(f"t={t!r}: give (first, last) time") from None
+    if not (np.isfinite(t0) and np.isfinite(t1) and t1 > t0):
+        raise OptionError(f"t={t!r}: two finite times, the first before the last")
+    return t0, t1
+
+
+def _saving(save: Any, t0: float, t1: float) -> tuple[bool, np.ndarray | None]:
+    if isinstance(save, str):
+        if save not in ("dense", "jumps"):
+            raise OptionError(f"save={save!r}: 'dense', 'jumps' or an array of times")
+        return save == "dense", None
+    try:
+        times = np.atleast_1d(np.asarray(save, dtype=float))
+    except (TypeError, ValueError):
+        raise OptionError(f"save={save!r}: 'dense', 'jumps' or an array of times") from None
+    ordered = times.ndim == 1 and np.all(np.diff(times) > 0)
+    if not ordered or not times.size or not (times[0] >= t0 and times[-1] <= t1):
+        raise OptionError(f"save: increasing times within t = ({t0}, {t1})")
+    return False, times
+
+
+def _start(spec: Spec, start: Any) -> np.ndarray:
+    if isinstance(start, Mapping | Record):
+        start = {name: start[name] for name in start.keys()}
+    try:
+        values = spec.values(start)
+    except ValueError as fault:
+        raise StartError(f"{spec.model}: start={start!r}: {fault}") from None
+    parts = []
+    for state, value in zip(spec.states, values, strict=True):
+        try:
+            array = np.asarray(value, dtype=float)
+        except (TypeError, ValueError):
+            raise StartError(f"{spec.model}: start {state.name} = {value!r} is no number") from None
+        if array.shape != state.shape:
+            raise StartError(
+                f"{spec.model}: start {state.name} has shape {array.shape}; {state.shape} is due"
+            )
+        if not np.all(np.isfinite(array)):
+            raise StartError(f"{spec.model}: start {state.name} = {value!r} is not finite")
+        parts.append(array.reshape(-1))
+    return np.concatenate(parts)
+
+
+def _refuse_history(spec: Spec, history: Any, memory: str) -> None:
+    if memory not in ("keep", "restart"):
+        raise OptionError(f"memory={memory!r}: 'keep' or 'restart'")
+    if history is not None:
+        raise OptionError(f"{spec.model}: history was given, but no flow looks into the past")
+
+
+__all__ = ["FlowError", "simulate"]

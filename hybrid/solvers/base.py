@@ -1,0 +1,64 @@
+"""What a solver must do: flow. Events, jumps and accumulations are not its business.
+
+A :class:`Solver` holds a method and its tolerances. ``begin`` gives a :class:`Stepper` for
+one arc, in the arc's local time ``tau`` (zero at its start): so a step near an accumulation
+may be far shorter than the spacing of floats around ``t``.
+
+Contract (held by ``tests/contract``)
+-------------------------------------
+* ``step(limit)`` makes one accepted step from ``tau`` and returns it as a
+  :class:`~hybrid.segment.Segment`, whose end is ``tau`` afterwards, exactly. It never
+  passes the arc's ``length``; a method that can repeat a step stops at ``limit`` too.
+* ``land(tau)`` replaces the last step by one that ends at ``tau``, inside it, as
+  accurately as the method can. The arc ends there: ``step`` is not called again.
+* A flow that is not finite, or a step that cannot be made, raises
+  :class:`~hybrid.errors.FlowError` with the time and state; the driver adds the mode.
+"""
+
+from __future__ import annotations
+
+import abc
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..segment import Segment
+
+if TYPE_CHECKING:
+    from ..scene import Field
+
+
+class Stepper(abc.ABC):
+    """Steps along one arc."""
+
+    tau: float
+    x: np.ndarray
+
+    @abc.abstractmethod
+    def step(self, limit: float) -> Segment:
+        """One accepted step, not beyond local time ``limit``."""
+
+    @abc.abstractmethod
+    def land(self, tau: float) -> Segment:
+        """The last step again, ending at ``tau``; sets ``self.x``."""
+
+
+class Solver(abc.ABC):
+    """A method with its tolerances.
+
+    Attributes
+    ----------
+    name, method : str
+    order : int
+        Order of the method; the driver chooses an arc's first step by it.
+    """
+
+    name: str
+    method: str
+    order: int
+
+    @abc.abstractmethod
+    def begin(
+        self, field: Field, t0: float, x0: np.ndarray, length: float, first_step: float | None
+    ) -> Stepper:
+        """A stepper for an arc of at most ``length`` from ``(t0, x0)``."""

@@ -1,0 +1,178 @@
+"""SciPy's own ``OdeSolver`` classes, driven step by step.
+
+The Runge-Kutta classes are started afresh by setting their state, which costs a
+microsecond instead of a constructor; the implicit and multistep ones carry memory of their
+past and are constructed anew for each arc. BDF and LSODA restart at order one after each
+jump: prefer a Runge-Kutta method where jumps are many.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, Radau
+
+from ..errors import FlowError, OptionError
+from ..scene import Field
+from ..segment import Segment, from_powers, from_values, nodes
+from .base import Solver, Stepper
+
+METHODS: dict[str, Any] = {
+    "DOP853": DOP853,
+    "RK45": RK45,
+    "RK23": RK23,
+    "Radau": Radau,
+    "BDF": BDF,
+    "LSODA": LSODA,
+}
+ORDERS = {"DOP853": 8, "RK45": 5, "RK23": 3, "Radau": 5, "BDF": 2, "LSODA": 2}
+
+#: Degree of the dense output of the methods whose polynomial is sampled.
+DEGREES = {"Radau": 3, "BDF": 5, "LSODA": 12}
+
+
+class SciPySolver(Solver):
+    """One of SciPy's methods: DOP853 (default), RK45, RK23, Radau, BDF, LSODA."""
+
+    name = "scipy"
+
+    def __init__(self, method: str | None, rtol: float, atol: Any) -> None:
+        method = method or "DOP853"
+        if method not in METHODS:
+            raise OptionError(f"method={method!r}: solver 'scipy' has {', '.join(METHODS)}")
+        self.method, self.order = method, ORDERS[method]
+        self.rtol, self.atol = max(rtol, 2.3e-14), atol
+        self._kept: dict[int, Any] = {}
+
+    def begin(
+        self, field: Field, t0: float, x0: np.ndarray, length: float, first_step: float | None
+    ) -> Stepper:
+        rhs = field.rhs
+
+        def flow(tau: float, x: np.ndarray) -> Any:
+            return rhs(t0 + tau, x.tolist())
+
+        if self.method not in ("DOP853", "RK45", "RK23"):
+            return SampledStepper(self._construct(flow, x0, length, first_step), self.method)
+        solver = self._kept.pop(len(x0), None)
+        if solver is None:
+            solver = self._construct(flow, x0, length, first_step)
+        else:
+            _restart(solver, flow, x0, length, first_step)
+        self._kept[len(x0)] = solver
+        return RungeKuttaStepper(solver)
+
+    def _construct(self, flow: Any, x0: np.ndarray, length: float, first: float | None) -> Any:
+        if first is not None and self.method == "LSODA":
+            first = max(first, 1e-300)
+        cls = METHODS[self.method]
+        return cls(flow, 0.0, x0, length, rtol=self.rtol, atol=self.atol, first_step=first)
+
+
+def _restart(solver: Any, flow: Any, x0: np.ndarray, length: float, first: float | None) -> None:
+    """Put a Runge-Kutta solver at the start of a new arc."""
+
+    def fun(tau: float, x: np.ndarray) -> np.ndarray:
+        return np.array(flow(tau, x), dtype=float)
+
+    solver.fun = fun
+    solver.t, solver.t_old, solver.y = 0.0, None, x0
+    solver.f = fun(0.0, x0)
+    solver.t_bound, solver.status = length, "running"
+    if first is None:
+        first = min(length, 1e-3)
+    solver.h_abs = min(first, length)
+
+
+class _OdeStepper(Stepper):
+    """What every SciPy stepper does: step, and say what went wrong."""
+
+    def __init__(self, solver: Any) -> None:
+        self.solver = solver
+        self.tau, self.x = 0.0, solver.y
+
+    def _advance(self) -> None:
+        solver = self.solver
+        with np.errstate(all="ignore"):
+            message = solver.step()
+        self.tau, self.x = float(solver.t), solver.y
+        if solver.status == "failed" or not np.all(np.isfinite(solver.y)):
+            raise FlowError(self._reason(message or ""))
+
+    def _reason(self, message: str) -> str:
+        solver = self.solver
+        rate = np.asarray(solver.fun(solver.t, solver.y))
+        if not np.all(np.isfinite(rate)) or not np.all(np.isfinite(solver.y)):
+            return "the flow is not finite"
+        probe = np.asarray(solver.fun(solver.t + 1e-9, solver.y + 1e-9 * rate))
+        if not np.all(np.isfinite(probe)):
+            return "the flow is not finite"
+        return f"the solver gave up: {message}"
+
+
+class RungeKuttaStepper(_OdeStepper):
+    """DOP853, RK45, RK23: the interpolant's coefficients are read off."""
+
+    def step(self, limit: float) -> Segment:
+        self._before = (self.solver.t, self.solver.y, self.solver.f)
+        self._towards(limit)
+        return self._segment()
+
+    def land(self, tau: float) -> Segment:
+        """Step again from where the last step began, onto ``tau``."""
+        solver = self.solver
+        solver.t, solver.y, solver.f = self._before
+        solver.h_abs = tau - solver.t
+        self._towards(tau)
+        if self.tau < tau:  # rejected, though a longer step was accepted before
+            raise FlowError("the solver gave up: a step onto an event was refused")
+        return self._segment()
+
+    def _towards(self, limit: float) -> None:
+        self.solver.t_bound, self.solver.status = limit, "running"
+        self._advance()
+
+    def _segment(self) -> Segment:
+        dense = self.solver.dense_output()
+        if isinstance(self.solver, DOP853):
+            powers = dense.F.T @ _DOP853_BASIS
+        else:
+            powers = np.pad(dense.h * dense.Q, ((0, 0), (1, 0)))
+        powers[:, 0] = dense.y_old
+        coefficients = from_powers(powers.shape[1] - 1) @ powers.T
+        return Segment(float(dense.t_old), float(dense.h), coefficients)
+
+
+class SampledStepper(_OdeStepper):
+    """Radau, BDF, LSODA: the interpolant, a polynomial, is sampled."""
+
+    def __init__(self, solver: Any, method: str) -> None:
+        super().__init__(solver)
+        self.degree = DEGREES[method]
+
+    def step(self, limit: float) -> Segment:
+        self._advance()
+        dense = self.solver.dense_output()
+        start, length = float(dense.t_old), float(dense.t - dense.t_old)
+        values = dense(start + length * nodes(self.degree)).T
+        self._last = Segment(start, length, from_values(self.degree) @ values)
+        return self._last
+
+    def land(self, tau: float) -> Segment:
+        """The interpolant at ``tau``: these methods cannot repeat a step."""
+        self.tau, self.x = tau, self._last(tau)
+        return self._last.cut(tau - self._last.start)
+
+
+def _dop853_basis() -> np.ndarray:
+    """Powers of the fraction in DOP853's nested interpolant, one row for each term."""
+    x, one_minus = np.polynomial.Polynomial([0, 1]), np.polynomial.Polynomial([1, -1])
+    rows, factor = [], x
+    for index in range(7):
+        rows.append(np.pad(factor.coef, (0, 8 - len(factor.coef))))
+        factor = factor * (one_minus if index % 2 == 0 else x)
+    return np.array(rows)
+
+
+_DOP853_BASIS = _dop853_basis()

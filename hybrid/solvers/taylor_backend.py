@@ -1,0 +1,149 @@
+"""Taylor series of the flow, one a step, from the generated recurrences.
+
+The step is as long as the last two terms stay below rounding (Jorba & Zou, *A software
+package for the numerical integration of ODEs by means of high-order Taylor methods*,
+Experimental Mathematics 14, 2005). A step ends at a kink (``abs``, ``where``), on whose
+far side the other branch is expanded.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..errors import FlowError, OptionError
+from ..scene import Field
+from ..scene.scene import ORDER
+from ..scene.taylor import polynomial, slope
+from ..segment import Segment, from_powers
+from .base import Solver, Stepper
+
+#: Size, relative to the state, to which the last terms of a step are held.
+ROUNDING = 1e-16
+
+
+class TaylorSolver(Solver):
+    """Taylor series of order 16; tolerances above rounding are not needed and not used."""
+
+    name = method = "taylor"
+    order = ORDER
+
+    def __init__(self, method: str | None, rtol: float, atol: Any) -> None:
+        if method not in (None, "taylor"):
+            raise OptionError(f"method={method!r}: solver 'taylor' has one method; leave it out")
+
+    def begin(
+        self, field: Field, t0: float, x0: np.ndarray, length: float, first_step: float | None
+    ) -> Stepper:
+        if field.jets is None:
+            raise OptionError(
+                f"solver='taylor': mode {field.name} uses a function that has no Taylor "
+                "series; use solver='scipy'"
+            )
+        return TaylorStepper(field, t0, x0)
+
+
+class TaylorStepper(Stepper):
+    """Steps along one arc by Taylor series."""
+
+    def __init__(self, field: Field, t0: float, x0: np.ndarray) -> None:
+        self.field, self.t0 = field, t0
+        self.tau, self.x = 0.0, x0
+        self.sides = [0] * field.kinks
+
+    def step(self, limit: float) -> Segment:
+        series, kinks = self._series()
+        h = min(step_length(series), limit - self.tau)
+        h, crossed = first_kink(kinks, h, self.sides)
+        if not h > 1e-300 or self.tau + h == self.tau and self.tau + h < limit:
+            raise FlowError("the Taylor series does not converge: the step became zero")
+        self._last = (self.tau, series)
+        sides = [0] * len(kinks)
+        if crossed is not None:
+            sides[crossed] = -1 if slope(kinks[crossed], h) < 0 else 1
+        self.sides = sides
+        return self._finish(h, limit if self.tau + h >= limit else self.tau + h)
+
+    def land(self, tau: float) -> Segment:
+        """The same series, cut at ``tau``."""
+        self.tau = self._last[0]
+        return self._finish(tau - self.tau, tau)
+
+    def _series(self) -> tuple[list[list[float]], list[list[float]]]:
+        assert self.field.jets is not None
+        try:
+            series, _, kinks = self.field.jets(self.t0 + self.tau, self.x.tolist(), self.sides)
+        except (ValueError, OverflowError, ZeroDivisionError):
+            raise FlowError("the flow is not finite, or has no Taylor series") from None
+        if not np.all(np.isfinite(np.array(series))):
+            raise FlowError("the flow is not finite")
+        return series, kinks
+
+    def _finish(self, h: float, end: float) -> Segment:
+        start, series = self._last
+        powers = np.array(series) * (h ** np.arange(ORDER + 1))
+        self.tau = end
+        self.x = np.array([polynomial(c, h) for c in series])
+        return Segment(start, end - start, from_powers(ORDER) @ powers.T)
+
+
+def step_length(series: list[list[float]]) -> float:
+    """Length at which the last two terms of every state fall to rounding."""
+    smallest = 1e-3 * max([abs(c[0]) for c in series])
+    length = float("inf")
+    for c in series:
+        own = ROUNDING * max(abs(c[0]), abs(c[1]), smallest)
+        last, other = abs(c[ORDER]), abs(c[ORDER - 1])
+        if last and last * length**ORDER > own:
+            length = (own / last) ** (1.0 / ORDER)
+        if other and other * length ** (ORDER - 1) > own:
+            length = (own / other) ** (1.0 / (ORDER - 1))
+    return length
+
+
+def first_kink(
+    kinks: list[list[float]], h: float, sides: list[int]
+) -> tuple[float, int | None]:
+    """The first zero of a kink within a step, and which; ``(h, None)`` if there is none."""
+    chosen = None
+    for index, c in enumerate(kinks):
+        root = _first_zero(c, h, bool(sides[index]))
+        if root is not None and root < h:
+            h, chosen = root, index
+    return h, chosen
+
+
+def _first_zero(c: list[float], h: float, on_zero: bool) -> float | None:
+    """First sign change of a series in ``(0, h)``; the zero at 0 is left out if known."""
+    c = c[1:] if on_zero else c
+    pieces = 16
+    left, at_left = 0.0, polynomial(c, 0.0)
+    for piece in range(1, pieces + 1):
+        right = h * piece / pieces
+        at_right = polynomial(c, right)
+        if at_left * at_right < 0:
+            return _bisect_newton(c, left, right)
+        left, at_left = right, at_right
+    return None
+
+
+def _bisect_newton(c: list[float], left: float, right: float) -> float:
+    """The zero of a series between two points of opposite sign."""
+    rising = polynomial(c, right) > 0
+    s = 0.5 * (left + right)
+    for _ in range(100):
+        value = polynomial(c, s)
+        if value == 0 or right - left <= 4e-16 * right:
+            break
+        if (value > 0) == rising:
+            right = s
+        else:
+            left = s
+        rate = slope(c, s)
+        new = s - value / rate if rate else left
+        new = new if left < new < right else 0.5 * (left + right)
+        if abs(new - s) <= 2e-16 * abs(s):
+            return new
+        s = new
+    return s

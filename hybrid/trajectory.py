@@ -1,0 +1,560 @@
+"""What a run returns: hybrid time first. Arcs joined by jumps, and limit points of jumps.
+
+A trajectory is a list of arcs; between two of them lies a jump or an accumulation of
+jumps. The arcs of a chattering tail, of which there are infinitely many, are made from its
+curve when asked for, as many as a double can tell from the limit.
+"""
+
+from __future__ import annotations
+
+import enum
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import attrs
+import numpy as np
+
+from .automaton.record import Record
+from .automaton.spec import Spec
+from .errors import OptionError
+from .segment import Segment, from_powers
+from .zeno.accumulate import Tail
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+
+class Status(enum.Enum):
+    """How a run ended; the value is a sentence with the remedy."""
+
+    REACHED_END = "The run reached its last time."
+    ZENO_STOPPED = (
+        "The run stopped at an accumulation of jumps, as zeno='stop' asks; "
+        "zeno='rest' goes on in the resting mode."
+    )
+    NO_REST = (
+        "The run stopped at an accumulation of jumps: the contact declares rests=False; "
+        "declare rests=True to go on."
+    )
+    MAX_JUMPS = "The run stopped at max_jumps; give a larger max_jumps to go on."
+    INTERRUPTED = "The run was interrupted; what was computed until then is kept."
+
+    def __str__(self) -> str:
+        return self.value
+
+
+@attrs.frozen(eq=False)
+class Arc:
+    """A piece of the trajectory between two jumps.
+
+    Attributes
+    ----------
+    mode : str
+        The mode, ``"<mode>.rest(<contact>)"`` at rest.
+    j : int
+        Number of jumps before it.
+    t0, t1 : float
+        Where it starts and ends.
+    low : float
+        What ``t0`` lacks to the time of the jump (compensated sum): ``t0 + low``.
+    length : float
+        Duration; exact where ``t1 - t0`` would round to zero.
+    first, last : array
+        States at its ends.
+    segments : sequence of Segment
+        Dense output in local time; empty if none was kept.
+    """
+
+    mode: str
+    j: int
+    t0: float
+    low: float
+    length: float
+    first: np.ndarray
+    last: np.ndarray
+    _segments: Any = attrs.field(alias="segments")
+    project: Callable[..., Any] | None = None
+
+    @property
+    def t1(self) -> float:
+        return self.t0 + (self.low + self.length)
+
+    @property
+    def segments(self) -> Sequence[Segment]:
+        return self._segments() if callable(self._segments) else self._segments
+
+    def local(self, tau: Any) -> np.ndarray:
+        """State at local times in the arc; shape ``tau.shape + (n,)``."""
+        tau = np.asarray(tau, dtype=float)
+        flat = np.clip(np.atleast_1d(tau).reshape(-1), 0.0, self.length)
+        states = np.empty((len(flat), len(self.first)))
+        segments = self.segments
+        starts = [segment.start for segment in segments]
+        which = np.clip(np.searchsorted(starts, flat, side="right") - 1, 0, None)
+        for index in np.unique(which):
+            chosen = which == index
+            states[chosen] = segments[index](flat[chosen])
+        if self.project is not None:
+            rows = zip((self.t0 + flat).tolist(), states.tolist(), strict=True)
+            states = np.array([self.project(t, x) for t, x in rows])
+        states[flat == 0.0], states[flat == self.length] = self.first, self.last
+        return states.reshape(tau.shape + (-1,))
+
+
+@attrs.frozen(eq=False)
+class Jump:
+    """A jump: at time ``t``, from arc ``j`` to arc ``j + 1``."""
+
+    t: float
+    j: int
+    edge: str
+    before: Record
+    after: Record
+
+
+@attrs.frozen(eq=False)
+class JumpRow:
+    """A jump as it is kept: states as vectors, the time in two floats."""
+
+    t: float
+    low: float
+    edge: str
+    before: np.ndarray
+    after: np.ndarray
+
+
+@attrs.frozen(eq=False)
+class TailPart:
+    """A chattering tail in a trajectory: from arc ``j`` on, ``tail.count + 1`` arcs."""
+
+    tail: Tail
+    j: int
+
+    @property
+    def mode(self) -> str:
+        return self.tail.field.name
+
+    @property
+    def t0(self) -> float:
+        return self.tail.t
+
+    @property
+    def t1(self) -> float:
+        return self.tail.t + (self.tail.low + self.tail.remaining)
+
+    @property
+    def last(self) -> np.ndarray:
+        return self.tail.x_inf
+
+    def arc(self, n: int) -> Arc:
+        """The arc after the tail's impact ``n``."""
+        tail = self.tail
+        flight = tail.flight(n)
+        since, x, _ = tail.point(tail.r**n)
+        if n == 0:
+            since, x = 0.0, tail.x
+        if flight is None:
+            length = float(tail.remaining - since)
+            straight = np.array([x, tail.x_inf])
+            segments = [Segment(0.0, length, np.array([[0.5, 0.5], [-0.5, 0.5]]) @ straight)]
+            end = tail.x_inf
+        else:
+            length, end = flight.time, np.array(flight.x)
+            segments = [_taylor_segment(*piece) for piece in flight.pieces]
+        t = tail.t + since
+        low = (tail.t - t) + since + tail.low
+        return Arc(self.mode, self.j + n, t, low, length, x, end, segments)
+
+    def jump(self, n: int) -> JumpRow:
+        """The tail's impact ``n`` (1, 2, ...)."""
+        before, after = self.arc(n - 1), self.tail.point(self.tail.r**n)
+        t = self.tail.t + after[0]
+        low = (self.tail.t - t) + after[0] + self.tail.low
+        return JumpRow(t, low, self.tail.contact.name, before.last, after[1])
+
+
+def _taylor_segment(start: float, length: float, series: list[list[float]]) -> Segment:
+    powers = np.array(series)
+    degree = powers.shape[1] - 1
+    return Segment(start, length, from_powers(degree) @ (powers * length ** np.arange(degree + 1)).T)
+
+
+@attrs.define(eq=False)
+class Truncation:
+    """What a truncated series leaves out (section 2 of the paper).
+
+    Attributes
+    ----------
+    impacts : int
+        Impacts permitted.
+    t_inf : float
+        Where the full series would have ended (NaN if it does not accumulate from here).
+    gap : float
+        ``t_inf`` minus the time of the last impact permitted.
+    height : float
+        Largest gap in what is left out.
+    """
+
+    impacts: int
+    t_inf: float
+    gap: float
+    height: float
+
+
+@attrs.define(eq=False)
+class Accumulation:
+    """A limit point of jumps.
+
+    Attributes
+    ----------
+    t : float
+        When the jumps accumulate.
+    state : Record
+        The limit of the state.
+    ratio : float
+        Limit of the ratio of successive gaps in time.
+    edges : tuple of str
+        The cycle of edges.
+    verdict : str
+        ``"certified"`` where it is proved, ``"estimated"`` where the series was summed and
+        seen to converge, ``"truncated"`` where it was cut off by ``zeno="truncate"``.
+    enclosure : (low, high) or None
+        Proved bounds on ``t``.
+    mode : str or None
+        The mode entered after it.
+    t_release : float or None
+        When that mode was left; None if it was not in this run.
+    truncation : Truncation or None
+        With ``zeno="truncate"``: the distance to the full solution.
+    """
+
+    t: float
+    state: Record
+    ratio: float
+    edges: tuple[str, ...]
+    verdict: str
+    mode: str | None
+    j: int
+    enclosure: tuple[float, float] | None = None
+    t_release: float | None = None
+    truncation: Truncation | None = None
+    _errors: Any = attrs.field(default=None, alias="errors", repr=False)
+
+    @cached_property
+    def _error(self) -> tuple[float, Record]:
+        return self._errors() if callable(self._errors) else self._errors
+
+    @property
+    def t_error(self) -> float:
+        """Bound on the error of ``t``: of the integration before, and of the closing.
+
+        The first is measured when this is first read, by a second run in Taylor series
+        accurate to rounding; infinite if that run does not show the same accumulations.
+        """
+        return self._error[0]
+
+    @property
+    def state_error(self) -> Record:
+        """Bound on the error of ``state``, found as ``t_error`` is."""
+        return self._error[1]
+
+    def __str__(self) -> str:
+        went = f", then {self.mode}" if self.mode else ""
+        return (
+            f"t_inf = {self.t!r} ± {self.t_error:.1g} ({self.verdict}), state {self.state}, "
+            f"ratio {self.ratio:.6g}{went}"
+        )
+
+
+class Jumps(Sequence[Jump]):
+    """The table of jumps: a sequence of :class:`Jump`, and columns ``t, j, edge``.
+
+    ``before`` and ``after`` are records of columns: ``run.jumps.before.v``.
+    """
+
+    def __init__(self, spec: Spec, rows: Sequence[JumpRow]) -> None:
+        self._spec, self._rows = spec, rows
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        row, j = self._rows[index], range(len(self))[index]
+        record = self._spec.record
+        return Jump(row.t, j, row.edge, record(row.before), record(row.after))
+
+    @cached_property
+    def t(self) -> np.ndarray:
+        """Times, shape (number of jumps,)."""
+        return np.array([row.t for row in self._rows], dtype=float)
+
+    @cached_property
+    def j(self) -> np.ndarray:
+        """Number of jumps before each."""
+        return np.arange(len(self))
+
+    @cached_property
+    def edge(self) -> np.ndarray:
+        """Names of the edges."""
+        return np.array([row.edge for row in self._rows], dtype=object)
+
+    @cached_property
+    def before(self) -> Record:
+        """States before, as a record of columns."""
+        return self._spec.record(self._columns("before"))
+
+    @cached_property
+    def after(self) -> Record:
+        """States after, as a record of columns."""
+        return self._spec.record(self._columns("after"))
+
+    def _columns(self, side: str) -> np.ndarray:
+        rows = [getattr(row, side) for row in self._rows]
+        return np.array(rows, dtype=float).reshape(len(rows), self._spec.dimension)
+
+    @cached_property
+    def gaps(self) -> np.ndarray:
+        """Time between each jump and the one before it, from compensated times."""
+        t, low = self.t, np.array([row.low for row in self._rows])
+        return np.diff(t) + np.diff(low)
+
+    def __repr__(self) -> str:
+        head = [f"{len(self)} jumps"] + [
+            f"  {row.t:.12g}  {row.edge}  {self._spec.record(row.before)} -> "
+            f"{self._spec.record(row.after)}"
+            for row in self._rows[:10]
+        ]
+        return "\n".join(head + ["  ..."] * (len(self) > 10))
+
+
+Part = Arc | TailPart
+
+
+@attrs.define(eq=False)
+class Trajectory:
+    """The result of a run.
+
+    Attributes
+    ----------
+    zeno : list of Accumulation
+    grazings : list of Jump
+        Tangencies of a guard, which fire no edge (``before`` and ``after`` are the same).
+    status : Status
+        An enumeration whose text is a sentence.
+    options : dict
+        What the run was asked for.
+    """
+
+    spec: Spec
+    parameters: dict[str, Any]
+    parts: list[Part]
+    own_jumps: dict[int, JumpRow]
+    zeno: list[Accumulation]
+    grazings: list[Jump]
+    status: Status
+    options: dict[str, Any]
+    samples: np.ndarray | None = None
+    surfaces: dict[str, Callable[..., Any]] = attrs.Factory(dict)
+
+    # -- the record at a time -----------------------------------------------------------
+
+    @property
+    def t0(self) -> float:
+        """First time of the run."""
+        return self.parts[0].t0
+
+    @property
+    def t1(self) -> float:
+        """Last time of the run."""
+        return self.parts[-1].t1
+
+    def __call__(self, t: Any, j: int | None = None, *, side: str = "right") -> Record:
+        """The state at times ``t``.
+
+        Parameters
+        ----------
+        t : float or array
+        j : int, optional
+            Number of jumps so far: picks one of several states at a jump time.
+        side : "right" or "left"
+            At a jump time: the state after all jumps there, or before them.
+
+        Returns
+        -------
+        Record
+            Fields of shape ``t.shape`` (plus the state's own shape).
+
+        Raises
+        ------
+        OptionError
+            Outside the run, or where no dense output was kept.
+        """
+        times = np.asarray(t, dtype=float)
+        if side not in ("right", "left"):
+            raise OptionError(f"side={side!r}: 'right' or 'left'")
+        bad = times[(times < self.t0) | (times > self.t1) | np.isnan(times)]
+        if bad.size:
+            raise OptionError(f"t = {bad.flat[0]!r} is outside the run [{self.t0}, {self.t1}]")
+        if j is not None:
+            return self.spec.record(self._in_arc(self._arc_of(j), times))
+        flat = [self._at(float(v), side) for v in times.reshape(-1)] if times.size < 4 else None
+        states = np.array(flat) if flat is not None else self._many(times.reshape(-1), side)
+        return self.spec.record(states.reshape(times.shape + (self.spec.dimension,)))
+
+    def _arc_of(self, j: int) -> Arc:
+        if not 0 <= j < len(self.arcs):
+            raise OptionError(f"j = {j}: this run has arcs 0 to {len(self.arcs) - 1}")
+        return self.arcs[j]
+
+    def _in_arc(self, arc: Arc, times: np.ndarray) -> np.ndarray:
+        slack = 4 * np.spacing(max(abs(arc.t0), abs(arc.t1)))
+        if np.any((times < arc.t0 - slack) | (times > arc.t1 + slack)):
+            raise OptionError(f"arc j = {arc.j} covers [{arc.t0}, {arc.t1}] only")
+        return self._dense(arc, times)
+
+    def _dense(self, arc: Arc, times: np.ndarray) -> np.ndarray:
+        tau = (times - arc.t0) - arc.low
+        if not arc.segments and np.any((tau > 0) & (tau < arc.length)):
+            raise OptionError(
+                f"save={self.options.get('save')!r} kept no dense output; use save='dense'"
+            )
+        tau = np.where(times >= arc.t1, arc.length, np.where(times <= arc.t0, 0.0, tau))
+        return arc.local(tau)
+
+    @cached_property
+    def _starts(self) -> list[float]:
+        return [part.t0 for part in self.parts]
+
+    def _part_at(self, t: float, side: str) -> Part:
+        if side == "right":
+            return self.parts[max(bisect_right(self._starts, t) - 1, 0)]
+        return self.parts[max(bisect_left(self._starts, t) - 1, 0)]
+
+    def _at(self, t: float, side: str) -> np.ndarray:
+        part = self._part_at(t, side)
+        if isinstance(part, TailPart):
+            if t >= part.t1:
+                return part.last
+            find = np.searchsorted(part.tail.times, t - part.t0, side=side)  # type: ignore[call-overload]
+            part = part.arc(max(int(find) - 1, 0))
+        return self._dense(part, np.asarray(t))
+
+    def _many(self, times: np.ndarray, side: str) -> np.ndarray:
+        states = np.empty((len(times), self.spec.dimension))
+        index = np.searchsorted(self._starts, times, side=side) - 1  # type: ignore[call-overload]
+        index = np.maximum(index, 0)
+        for i in np.unique(index):
+            chosen, part = index == i, self.parts[i]
+            if isinstance(part, TailPart):
+                states[chosen] = [self._at(float(t), side) for t in times[chosen]]
+            else:
+                states[chosen] = self._dense(part, times[chosen])
+        return states
+
+    # -- tables -------------------------------------------------------------------------
+
+    @cached_property
+    def arcs(self) -> list[Arc]:
+        """All arcs; those of a chattering tail as far as a double can tell them apart."""
+        arcs: list[Arc] = []
+        for part in self.parts:
+            if isinstance(part, TailPart):
+                arcs.extend(part.arc(n) for n in range(part.tail.count + 1))
+            else:
+                arcs.append(part)
+        return arcs
+
+    @cached_property
+    def jumps(self) -> Jumps:
+        """All jumps, those of chattering tails included."""
+        return Jumps(self.spec, list(self._jump_rows()))
+
+    def _jump_rows(self) -> Iterator[JumpRow]:
+        """Jumps in order: own ones by the place of the part they lead from, tails' between."""
+        for index, part in enumerate(self.parts):
+            if isinstance(part, TailPart):
+                yield from (part.jump(n) for n in range(1, part.tail.count + 1))
+            if index in self.own_jumps:
+                yield self.own_jumps[index]
+
+    @property
+    def final(self) -> Record:
+        """The state at the end."""
+        return self.spec.record(self.parts[-1].last)
+
+    @property
+    def mode(self) -> str:
+        """The mode at the end."""
+        return self.parts[-1].mode
+
+    # -- words, pictures, files ---------------------------------------------------------
+
+    def explain(self) -> str:
+        """What happened, in a few sentences."""
+        lines = [f"{self.spec.model}, t = {self.t0:g} to {self.t1:g}: {len(self.jumps)} jumps listed."]
+        for point in self.zeno:
+            lines.append(explain(point))
+        return "\n".join([*lines, str(self.status)])
+
+    def plot(self, path: Any = None) -> Figure:
+        """Draw the run: states, phase portrait, gaps between impacts.
+
+        Parameters
+        ----------
+        path : str or path, optional
+            Also write the figure there.
+        """
+        from .plotting import plot
+
+        return plot(self, path)
+
+    def to_xarray(self, t: Any = None) -> xarray.Dataset:
+        """The states as a dataset.
+
+        Parameters
+        ----------
+        t : array, optional
+            Times; where omitted, those the run was asked to save, or 16 points an arc.
+        """
+        from .store import to_xarray
+
+        return to_xarray(self, t)
+
+    def save(self, path: Any) -> None:
+        """Write the whole trajectory, dense output included, to a NetCDF file."""
+        from .store import save
+
+        save(self, path)
+
+    def __repr__(self) -> str:
+        zeno = "".join(f"\n  accumulation at t = {point.t!r}" for point in self.zeno)
+        return (
+            f"{self.spec.model}: {self.t0:g} <= t <= {self.t1:g}, {len(self.parts)} parts, "
+            f"{len(self.own_jumps)} jumps computed{zeno}\n  {self.status}"
+        )
+
+
+def explain(point: Accumulation) -> str:
+    """One accumulation in a sentence or two; also the message of ``zeno="raise"``."""
+    cycle = ", ".join(point.edges)
+    if point.truncation is not None:
+        cut = point.truncation
+        return (
+            f"At t = {point.t!r} the series of {cycle} was cut off after {cut.impacts} impacts "
+            f"(zeno='truncate') and the contact is held; in full it would have ended at "
+            f"t_inf = {cut.t_inf!r}, {cut.gap:.3g} later, after rising {cut.height:.3g} at most."
+        )
+    how = "is proved" if point.verdict == "certified" else "was summed by the chatter map"
+    then = f"The run went on in {point.mode}" if point.mode else "The run ended there"
+    if point.t_release is not None:
+        then += f" until it was released at t = {point.t_release!r}"
+    return (
+        f"Jumps of {cycle} accumulate at t_inf = {point.t!r} with ratio {point.ratio:.6g}; the "
+        f"limit {how} ({point.verdict}). {then} (zeno='rest' goes on at rest, 'stop' ends the "
+        "run, 'truncate' cuts the series, 'raise' makes it an error)."
+    )

@@ -1,0 +1,240 @@
+"""The sum of infinitely many impacts: the chatter map, closed.
+
+Let ``F`` take the state after an impact (with gap speed ``v``) to the state after the next.
+Near a point of rest the impacts that tend to it lie on a curve ``y(w)``, on which the map
+is multiplication: ``F(y(w)) = y(r w)`` with ``r`` the restitution at rest, ``y(0)`` the
+point of rest, and the impacts at hand ``y(1), y(r), y(r^2), ...``. The curve is analytic
+where flow, gap and restitution are. With ``D(w) = F(y(w)) - y(w)`` for time and state, and
+``E(w) = log(v'/(r v))`` for the gap speed, the curve solves two linear equations::
+
+    y(r w) - y(w) = D(w),    log v = log w + l(w),    l(r w) - l(w) = E(w).
+
+The curve is held by its values at a few points of ``[0, 1]``. ``D`` and ``E`` there are
+computed by one Taylor flight each; the equations are solved, which moves the curve; and so
+on by turns, each of which gains an order and takes one point more. What the last turn
+changed bounds what is left. This is the map of Nordmark & Piiroinen (Nonlinear Dynamics 58,
+2009) to any order; see ``docs/notes/chatter.md``.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from math import exp, log
+from typing import TYPE_CHECKING
+
+import attrs
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from ..segment import from_values, nodes
+from .flight import Flight, fly
+
+if TYPE_CHECKING:
+    from ..scene import Contact, Field
+
+#: Most points on the curve: its degree, and the number of turns.
+TURNS = 16
+
+#: Rounding floor of an accumulation, relative.
+FLOOR = 4e-15
+
+#: Rounding of one flight, relative, as seen in the change from turn to turn.
+ROUNDING = 3e-15
+
+
+@attrs.frozen(eq=False)
+class Tail:
+    """Infinitely many impacts from one on, ``y(1)``, to their limit.
+
+    Attributes
+    ----------
+    t, low : float
+        Time of the impact ``y(1)``, in two floats.
+    x : array
+        State after it.
+    v : float
+        Gap speed after it.
+    r : float
+        Restitution at rest: the ratio of the series.
+    curve : array, shape (degree + 1, 2 + n)
+        Chebyshev coefficients in ``2 w - 1`` of time and state, relative to ``y(1)``, and
+        of ``l``.
+    remaining : float
+        Time from ``y(1)`` to the accumulation point.
+    x_inf : array
+        State there.
+    t_error : float
+    x_error : array
+        Bounds on the error of the closing (not of what came before it).
+    """
+
+    field: Field
+    contact: Contact
+    column: int
+    t: float
+    low: float
+    x: np.ndarray
+    v: float
+    r: float
+    curve: np.ndarray
+    remaining: float
+    x_inf: np.ndarray
+    t_error: float
+    x_error: np.ndarray
+
+    def point(self, w: float) -> tuple[float, np.ndarray, float]:
+        """Time since ``y(1)``, state and gap speed after the impact ``y(w)``."""
+        offset = chebyshev.chebval(2.0 * w - 1.0, self.curve)
+        return float(offset[0]), self.x + offset[1:-1], self.v * w * exp(float(offset[-1]))
+
+    @cached_property
+    def count(self) -> int:
+        """Impacts after ``y(1)`` that a double can still tell from the limit."""
+        resolution = max(np.spacing(abs(self.t + self.remaining)), 1e-300)
+        share = min(max(resolution / self.remaining, 1e-300), 1.0)
+        return max(0, int(np.ceil(log(share) / log(self.r))))
+
+    @cached_property
+    def times(self) -> np.ndarray:
+        """Times from ``y(1)`` to each impact listed, the first being 0."""
+        w = self.r ** np.arange(self.count + 1)
+        times = chebyshev.chebval(2.0 * w - 1.0, self.curve[:, 0])
+        times[0] = 0.0
+        return np.maximum.accumulate(times)
+
+    def flight(self, n: int) -> Flight | None:
+        """The flight after impact ``n`` of the tail, from the curve."""
+        since, x, v = self.point(self.r**n)
+        return fly(self.field, self.column, self.t + since, x.tolist(), v)
+
+
+def close(
+    field: Field,
+    contact: Contact,
+    column: int,
+    t: float,
+    low: float,
+    x: np.ndarray,
+    v: float,
+    rtol: float,
+    atol: float,
+) -> Tail | None:
+    """Sum the impacts that follow an impact with speed ``v``; None where it cannot yet be done.
+
+    None means that the series does not converge well enough from here: the impacts are too
+    strong, or do not accumulate at all. The tolerances are of the result.
+    """
+    guess = _Curve(field, contact, column, t, x, v)
+    share = max(1e-3 * rtol, FLOOR)
+    before, history = None, []
+    for turn in range(1, TURNS + 1):
+        if not guess.improve(turn):
+            return None
+        change = None if before is None else np.abs(guess.limit - before)
+        before = guess.limit
+        if change is None:
+            continue
+        scale, rounding = guess.scale(), guess.rounding()
+        allowed = share * scale + rounding + np.array([0.0, *[1e-3 * atol] * len(x)])
+        worst = float(np.max(change / np.maximum(allowed, 1e-300)))
+        if worst <= 1.0:
+            return guess.tail(low, change + FLOOR * scale + rounding)
+        history.append(worst)
+        if len(history) >= 3 and not _hopeful(history, TURNS - turn):
+            return None
+    return None
+
+
+def _hopeful(history: list[float], left: int) -> bool:
+    """Whether the changes shrink fast enough (over two turns: odd orders may vanish)."""
+    rate = (history[-1] / history[-3]) ** 0.5 if history[-3] > 0 else 1.0
+    return history[-1] * rate**left < 1.0
+
+
+class _Curve:
+    """The curve ``y(w)`` while it is improved."""
+
+    def __init__(
+        self, field: Field, contact: Contact, column: int, t: float, x: np.ndarray, v: float
+    ) -> None:
+        self.field, self.contact, self.column = field, contact, column
+        self.t, self.x, self.v = t, x, v
+        self.curve = np.zeros((1, 2 + len(x)))
+        self.limit = np.zeros(1 + len(x))
+        self.r = contact.law(t, x.tolist(), -0.0)
+
+    def improve(self, degree: int) -> bool:
+        """One turn with that many points; False where a flight is not to be had."""
+        if not 0.0 < self.r < 1.0 - 1e-12:
+            return False
+        steps = []
+        for w in nodes(degree)[:0:-1].tolist():
+            step = self._step(w)
+            if step is None:
+                return False
+            steps.append(step)
+        equations = (_shift(self.r, degree) @ from_values(degree))[1:, :-1]
+        values = np.linalg.solve(equations, np.array(steps[::-1]))
+        values = np.concatenate([values, np.zeros((1, values.shape[1]))])
+        if not np.all(np.isfinite(values)) or not values[0, 0] > 0:
+            return False
+        self.curve, self.limit = from_values(degree) @ values, values[0, :-1]
+        t_inf, x_inf = self.t + self.limit[0], (self.x + self.limit[1:]).tolist()
+        self.r = self.contact.law(t_inf, x_inf, -0.0)
+        return bool(self.contact.load(t_inf, x_inf) > 0)
+
+    def _step(self, w: float) -> list[float] | None:
+        """``D`` and ``E`` at one point of the curve, by one flight and impact."""
+        offset = chebyshev.chebval(2.0 * w - 1.0, self.curve)
+        v = self.v * w * exp(float(offset[-1]))
+        t = self.t + float(offset[0])
+        x = self.contact.land(t, (self.x + offset[1:-1]).tolist())
+        flight = fly(self.field, self.column, t, x, v)
+        if flight is None:
+            return None
+        end = t + flight.time
+        after = self.contact.law(end, flight.x, flight.u) * -flight.u
+        if not after > 0:
+            return None
+        landed = self.contact.land(end, flight.x)
+        push = np.array(self.contact.push(end, landed))
+        moved = np.array(landed) + push * (after - flight.u)
+        return [flight.time, *(moved - np.array(x)), log(after / (self.r * v))]
+
+    def scale(self) -> np.ndarray:
+        """Size of time and of each element of the state, over the tail."""
+        return np.abs(self.limit) + np.abs(np.array([self.t, *self.x]))
+
+    def rounding(self) -> np.ndarray:
+        """Rounding of one flight, added up over the ``1 / (1 - r)`` flights that count."""
+        size = self.scale()
+        size[0] = self.limit[0]
+        return ROUNDING / (1.0 - self.r) * size
+
+    def tail(self, low: float, error: np.ndarray) -> Tail:
+        return Tail(
+            self.field,
+            self.contact,
+            self.column,
+            self.t,
+            low,
+            self.x,
+            self.v,
+            self.r,
+            self.curve,
+            float(self.limit[0]),
+            np.array(self.contact.project(self.t + self.limit[0], (self.x + self.limit[1:]).tolist())),
+            float(error[0]),
+            error[1:],
+        )
+
+
+def _shift(r: float, degree: int) -> np.ndarray:
+    """``T_k(2 r w - 1) - T_k(2 w - 1)`` at the nodes, accurate for ``r`` close to 1."""
+    w = nodes(degree)
+    a, b, step = 2.0 * r * w - 1.0, 2.0 * w - 1.0, 2.0 * (r - 1.0) * w
+    columns, values = [np.zeros_like(w), step], [np.ones_like(w), b]
+    for k in range(1, degree):
+        columns.append(2.0 * (a * columns[k] + step * values[k]) - columns[k - 1])
+        values.append(2.0 * b * values[k] - values[k - 1])
+    return np.array(columns[: degree + 1]).T
