@@ -11,7 +11,7 @@ from .automaton.record import Record
 from .automaton.spec import Spec
 from .driver import Driver, Plan
 from .errors import FlowError, HybridError, OptionError, StartError
-from .scene import Scene
+from .scene import Scene, scene_of
 from .solvers import choose
 from .trajectory import Trajectory
 from .zeno.accumulate import FLOOR
@@ -97,7 +97,7 @@ def simulate(
         raise OptionError(f"model must be an instance of a subclass of hy.Automaton, not {what}")
     if isinstance(model, type):
         raise OptionError(f"give an instance of the model: {model.__name__}()")
-    scene = Scene(model)
+    scene = scene_of(model)
     spec = scene.spec
     _refuse_history(spec, history, memory)
     plan = _plan(spec, t, rtol, atol, zeno, max_jumps, save, progress)
@@ -116,10 +116,12 @@ def simulate(
         "zeno": zeno,
         "save": save if isinstance(save, str) else "times",
     }
-    return _trajectory(scene, driver, plan, options)
+    return _trajectory(model, scene, driver, plan, options)
 
 
-def _trajectory(scene: Scene, driver: Driver, plan: Plan, options: dict[str, Any]) -> Trajectory:
+def _trajectory(
+    model: Any, scene: Scene, driver: Driver, plan: Plan, options: dict[str, Any]
+) -> Trajectory:
     spec = scene.spec
     samples = None
     if plan.samples is not None:
@@ -128,7 +130,7 @@ def _trajectory(scene: Scene, driver: Driver, plan: Plan, options: dict[str, Any
         samples = np.array(driver.sampled).reshape(-1, spec.dimension)
         options["times"] = plan.samples[: len(samples)]
     assert driver.status is not None
-    parameters = {p.name: getattr(scene.model, p.name) for p in spec.parameters}
+    parameters = {p.name: getattr(model, p.name) for p in spec.parameters}
     guards = {g.edge: g for m in spec.modes for g in scene.field(m.name).guards}
     return Trajectory(
         spec,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import attrs
@@ -308,14 +308,16 @@ def lowered(cls: Any, shapes: tuple[tuple[int, ...], ...]) -> Lowered:
 class Scene:
     """A model with its parameters' values, ready for a driver.
 
-    Fields and contacts are made when first asked for.
+    Fields and contacts are made when first asked for, and kept.
     """
 
-    def __init__(self, model: Any) -> None:
-        self.model, self.spec = model, model.spec
-        values = model.parameters
-        self.code = lowered(type(model), tuple(tuple(v.shape) for v in values))
-        self._values = flat(values)
+    def __init__(
+        self, cls: Any, shapes: tuple[tuple[int, ...], ...], values: tuple[float, ...]
+    ) -> None:
+        self.spec: Spec = cls.spec
+        self.code = lowered(cls, shapes)
+        self._values = values
+        self._bound: dict[Any, Scalar] = {}
         self._fields: dict[str, Field] = {}
         self._contacts: dict[str, Contact] = {}
 
@@ -388,12 +390,17 @@ class Scene:
         else:
             edge = next(e for e in self.spec.transitions if e.name == guard.edge)
             closed = code.guard_closed(edge)
-        return code.rounding_program((guard.edge, field.name), closed, flow).bind(self._values)
+        return self._bind(code.rounding_program((guard.edge, field.name), closed, flow))
+
+    def _bind(self, program: Program) -> Scalar:
+        if program not in self._bound:
+            self._bound[program] = program.bind(self._values)
+        return self._bound[program]
 
     def reset(self, edge: str) -> Scalar:
         """The reset of an edge (not of a contact)."""
         program = self.code.program(("reset", edge), lambda: self.code.closed("reset", edge))
-        return program.bind(self._values)
+        return self._bind(program)
 
     def contact(self, name: str) -> Contact:
         """The derived laws of a contact."""
@@ -408,6 +415,17 @@ class Scene:
             bound = law.bind(self._values), load.bind(self._values)
             self._contacts[name] = Contact(name, spec.source, spec.rests, *parts, *bound)
         return self._contacts[name]
+
+
+@lru_cache(maxsize=64)
+def _scene(cls: Any, shapes: tuple[tuple[int, ...], ...], values: tuple[float, ...]) -> Scene:
+    return Scene(cls, shapes, values)
+
+
+def scene_of(model: Any) -> Scene:
+    """The scene of a model; models of equal parameters share one."""
+    values = model.parameters
+    return _scene(type(model), tuple(tuple(v.shape) for v in values), tuple(flat(values)))
 
 
 def rest_name(contact: ContactSpec) -> str:

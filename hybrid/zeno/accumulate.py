@@ -11,8 +11,10 @@ where flow, gap and restitution are. With ``D(w) = F(y(w)) - y(w)`` for time and
 
 The curve is held by its values at a few points of ``[0, 1]``. ``D`` and ``E`` there are
 computed by one Taylor flight each; the equations are solved, which moves the curve; and so
-on by turns, each of which gains an order and takes one point more. What the last turn
-changed bounds what is left. This is the map of Nordmark & Piiroinen (Nonlinear Dynamics 58,
+on by turns, each of which gains an order and takes one point more. Where moving the curve
+changes nothing (a fixed wall, forces that depend on nothing but the gap and the speed
+squared), the points are doubled instead and the old ones kept. What the last turn changed
+bounds what is left. This is the map of Nordmark & Piiroinen (Nonlinear Dynamics 58,
 2009) to any order; see ``docs/notes/chatter.md``.
 """
 
@@ -32,8 +34,8 @@ from .flight import Flight, fly
 if TYPE_CHECKING:
     from ..scene import Contact, Field
 
-#: Most points on the curve: its degree, and the number of turns.
-TURNS = 16
+#: Most points on the curve.
+DEGREE = 16
 
 #: Rounding floor of an accumulation, relative.
 FLOOR = 4e-15
@@ -126,28 +128,32 @@ def close(
     """
     guess = _Curve(field, contact, column, t, x, v)
     share = max(1e-3 * rtol, FLOOR)
-    before, history = None, []
-    for turn in range(1, TURNS + 1):
-        if not guess.improve(turn):
+    degree, before, history = 1, None, []
+    while degree <= DEGREE:
+        if not guess.improve(degree):
             return None
-        change = None if before is None else np.abs(guess.limit - before)
+        if before is not None:
+            change, rounding = np.abs(guess.limit - before), guess.rounding()
+            allowed = share * guess.scale() + rounding + 1e-3 * atol * (np.arange(1 + len(x)) > 0)
+            worst = float(np.max(change / np.maximum(allowed, 1e-300)))
+            if guess.steady and history:
+                left = min(1.0, worst / history[-1])  # doubling squares what is left, or better
+                change, worst = left * change, left * worst
+            if worst <= 1.0:
+                return guess.tail(low, change + FLOOR * guess.scale() + rounding)
+            history.append(worst)
+            if not guess.steady and not _hopeful(history, DEGREE - degree):
+                return None
         before = guess.limit
-        if change is None:
-            continue
-        scale, rounding = guess.scale(), guess.rounding()
-        allowed = share * scale + rounding + np.array([0.0, *[1e-3 * atol] * len(x)])
-        worst = float(np.max(change / np.maximum(allowed, 1e-300)))
-        if worst <= 1.0:
-            return guess.tail(low, change + FLOOR * scale + rounding)
-        history.append(worst)
-        if len(history) >= 3 and not _hopeful(history, TURNS - turn):
-            return None
+        degree = 2 * degree if degree < 4 or guess.steady else degree + 1
     return None
 
 
 def _hopeful(history: list[float], left: int) -> bool:
     """Whether the changes shrink fast enough (over two turns: odd orders may vanish)."""
-    rate = (history[-1] / history[-3]) ** 0.5 if history[-3] > 0 else 1.0
+    if len(history) < 3 or not history[-3] > 0:
+        return True
+    rate = (history[-1] / history[-3]) ** 0.5
     return history[-1] * rate**left < 1.0
 
 
@@ -161,6 +167,8 @@ class _Curve:
         self.t, self.x, self.v = t, x, v
         self.curve = np.zeros((1, 2 + len(x)))
         self.limit = np.zeros(1 + len(x))
+        self.steady = False
+        self._known: dict[float, list[float]] = {}
         self.r = contact.law(t, x.tolist(), -0.0)
 
     def improve(self, degree: int) -> bool:
@@ -169,7 +177,7 @@ class _Curve:
             return False
         steps = []
         for w in nodes(degree)[:0:-1].tolist():
-            step = self._step(w)
+            step = self._look_up(w, degree)
             if step is None:
                 return False
             steps.append(step)
@@ -183,12 +191,26 @@ class _Curve:
         self.r = self.contact.law(t_inf, x_inf, -0.0)
         return bool(self.contact.load(t_inf, x_inf) > 0)
 
+    def _look_up(self, w: float, degree: int) -> list[float] | None:
+        """``D`` and ``E`` at a point; known ones are kept while the curve's place is idle."""
+        key, known = round(w, 12), self._known.get(round(w, 12))
+        if known is not None and (self.steady or w == 1.0):
+            return known
+        step = self._step(w)
+        if step is None:
+            return None
+        if known is not None and degree == 4:
+            change = np.abs(np.array(step) - np.array(known))
+            self.steady = bool(np.all(change <= 4 * ROUNDING * np.maximum(np.abs(known), w)))
+        self._known[key] = step
+        return step
+
     def _step(self, w: float) -> list[float] | None:
         """``D`` and ``E`` at one point of the curve, by one flight and impact."""
         offset = chebyshev.chebval(2.0 * w - 1.0, self.curve)
         v = self.v * w * exp(float(offset[-1]))
         t = self.t + float(offset[0])
-        x = self.contact.land(t, (self.x + offset[1:-1]).tolist())
+        x = self._on_contact(t, (self.x + offset[1:-1]).tolist(), v)
         flight = fly(self.field, self.column, t, x, v)
         if flight is None:
             return None
@@ -200,6 +222,12 @@ class _Curve:
         push = np.array(self.contact.push(end, landed))
         moved = np.array(landed) + push * (after - flight.u)
         return [flight.time, *(moved - np.array(x)), log(after / (self.r * v))]
+
+    def _on_contact(self, t: float, x: list[float], v: float) -> list[float]:
+        """A state moved to gap 0 and gap speed ``v``."""
+        x = self.contact.land(t, x)
+        missing = v - self.field.guards[self.column].lie(t, x)[1]
+        return [p + missing * q for p, q in zip(x, self.contact.push(t, x), strict=True)]
 
     def scale(self) -> np.ndarray:
         """Size of time and of each element of the state, over the tail."""
