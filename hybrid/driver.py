@@ -228,7 +228,7 @@ class Driver:
         """Flow until a guard fires or the run ends; adds the arc."""
         length = self.now.until(self.plan.t1)
         target = self._predict(length)
-        stepper = self._begin(length)
+        stepper = self._begin(length, target)
         segments: list[Segment] = []
         fired = None
         while fired is None and stepper.tau < length:
@@ -247,11 +247,14 @@ class Driver:
         self.add_arc(end, stepper.x, segments)
         return fired
 
-    def _begin(self, length: float) -> Stepper:
+    def _begin(self, length: float, target: float | None) -> Stepper:
+        first, sizes = self._first_step(length), None
+        if target is not None:
+            powers = target ** np.arange(1, ORDER + 1)
+            sizes = np.abs(np.array(self.series[0])[:, 1:] * powers).max(axis=1)
+            first = min(first or target, target)
         try:
-            return self.solver.begin(
-                self.field, self.now.t, self.x, length, self._first_step(length)
-            )
+            return self.solver.begin(self.field, self.now.t, self.x, length, first, sizes)
         except FlowError as fault:
             raise FlowError(f"{self._where()}: {fault}") from None
         except ValueError as fault:

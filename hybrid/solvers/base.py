@@ -59,6 +59,16 @@ class Solver(abc.ABC):
 
     @abc.abstractmethod
     def begin(
-        self, field: Field, t0: float, x0: np.ndarray, length: float, first_step: float | None
+        self,
+        field: Field,
+        t0: float,
+        x0: np.ndarray,
+        length: float,
+        first_step: float | None,
+        sizes: np.ndarray | None = None,
     ) -> Stepper:
-        """A stepper for an arc of at most ``length`` from ``(t0, x0)``."""
+        """A stepper for an arc of at most ``length`` from ``(t0, x0)``.
+
+        ``sizes`` is given for a short flight between impacts: how far each element will go
+        from ``x0``. A method that starts at low order measures its error against them.
+        """

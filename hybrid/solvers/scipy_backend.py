@@ -46,7 +46,13 @@ class SciPySolver(Solver):
         self._kept: dict[int, Any] = {}
 
     def begin(
-        self, field: Field, t0: float, x0: np.ndarray, length: float, first_step: float | None
+        self,
+        field: Field,
+        t0: float,
+        x0: np.ndarray,
+        length: float,
+        first_step: float | None,
+        sizes: np.ndarray | None = None,
     ) -> Stepper:
         rhs = field.rhs
 
@@ -54,7 +60,7 @@ class SciPySolver(Solver):
             return rhs(t0 + tau, x.tolist())
 
         if self.method not in ("DOP853", "RK45", "RK23"):
-            return SampledStepper(self._construct(flow, x0, length, first_step), self.method)
+            return self._sampled(flow, x0, length, first_step, sizes)
         solver = self._kept.pop(len(x0), None)
         if solver is None:
             solver = self._construct(flow, x0, length, first_step)
@@ -63,11 +69,37 @@ class SciPySolver(Solver):
         self._kept[len(x0)] = solver
         return RungeKuttaStepper(solver)
 
-    def _construct(self, flow: Any, x0: np.ndarray, length: float, first: float | None) -> Any:
-        if first is not None and self.method == "LSODA":
-            first = max(first, 1e-300)
+    def _sampled(
+        self,
+        flow: Any,
+        x0: np.ndarray,
+        length: float,
+        first: float | None,
+        sizes: np.ndarray | None,
+    ) -> Stepper:
+        """A stepper of an implicit or multistep method.
+
+        A short flight is integrated as the way gone from ``x0``, with tolerances relative
+        to its extent: at order one, the absolute ones would lose it altogether.
+        """
+        if sizes is None:
+            solver = self._construct(flow, x0, length, first)
+            return SampledStepper(solver, self.method, np.zeros_like(x0))
+
+        def moved(tau: float, way: np.ndarray) -> Any:
+            return flow(tau, x0 + way)
+
+        atol = np.minimum(self.atol, self.rtol * np.maximum(sizes, 1e-300))
+        first = min(first or length, 1e-2 * length)
+        solver = self._construct(moved, np.zeros_like(x0), length, first, atol)
+        return SampledStepper(solver, self.method, x0)
+
+    def _construct(
+        self, flow: Any, x0: np.ndarray, length: float, first: float | None, atol: Any = None
+    ) -> Any:
+        atol = self.atol if atol is None else atol
         cls = METHODS[self.method]
-        return cls(flow, 0.0, x0, length, rtol=self.rtol, atol=self.atol, first_step=first)
+        return cls(flow, 0.0, x0, length, rtol=self.rtol, atol=atol, first_step=first)
 
 
 def _restart(solver: Any, flow: Any, x0: np.ndarray, length: float, first: float | None) -> None:
@@ -147,15 +179,17 @@ class RungeKuttaStepper(_OdeStepper):
 class SampledStepper(_OdeStepper):
     """Radau, BDF, LSODA: the interpolant, a polynomial, is sampled."""
 
-    def __init__(self, solver: Any, method: str) -> None:
+    def __init__(self, solver: Any, method: str, origin: np.ndarray) -> None:
         super().__init__(solver)
-        self.degree = DEGREES[method]
+        self.degree, self.origin = DEGREES[method], origin
+        self.x = solver.y + origin
 
     def step(self, limit: float) -> Segment:
         self._advance()
+        self.x = self.solver.y + self.origin
         dense = self.solver.dense_output()
         start, length = float(dense.t_old), float(dense.t - dense.t_old)
-        values = dense(start + length * nodes(self.degree)).T
+        values = dense(start + length * nodes(self.degree)).T + self.origin
         self._last = Segment(start, length, from_values(self.degree) @ values)
         return self._last
 

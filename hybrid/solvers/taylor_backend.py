@@ -34,7 +34,13 @@ class TaylorSolver(Solver):
             raise OptionError(f"method={method!r}: solver 'taylor' has one method; leave it out")
 
     def begin(
-        self, field: Field, t0: float, x0: np.ndarray, length: float, first_step: float | None
+        self,
+        field: Field,
+        t0: float,
+        x0: np.ndarray,
+        length: float,
+        first_step: float | None,
+        sizes: np.ndarray | None = None,
     ) -> Stepper:
         if field.jets is None:
             raise OptionError(
