@@ -1,4 +1,89 @@
-"""hybrid."""
-from .automaton import *
-from .errors import *
-from .simulate import simulate
+"""hybrid: declare a hybrid automaton once, simulate it with any solver, through Zeno points.
+
+>>> import hybrid as hy
+>>> run = hy.simulate(model, start={"x": 1.0, "v": 0.0}, t=(0.0, 3.0))
+
+See :func:`simulate` for the options and :class:`Automaton` for how a model is written.
+Importing this package loads neither JAX nor matplotlib: the first model defined loads JAX.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from .automaton import (
+    EITHER,
+    FALLING,
+    RISING,
+    Automaton,
+    contact,
+    edge,
+    mode,
+    parameter,
+    state,
+)
+from .errors import (
+    DeclarationError,
+    DomainError,
+    FlowError,
+    HybridError,
+    JumpLoopError,
+    OptionError,
+    ParameterError,
+    StartError,
+    StoreError,
+    TraceError,
+    ZenoError,
+)
+
+if TYPE_CHECKING:
+    from .simulate import simulate
+    from .store import load
+    from .trajectory import Status, Trajectory
+
+__version__ = "0.1.0"
+
+#: Names that load SciPy or xarray when first used.
+_LAZY = {
+    "simulate": "simulate",
+    "load": "store",
+    "Status": "trajectory",
+    "Trajectory": "trajectory",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module 'hybrid' has no attribute {name!r}")
+    value = getattr(import_module(f".{_LAZY[name]}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+__all__ = [
+    "EITHER",
+    "FALLING",
+    "RISING",
+    "Automaton",
+    "DeclarationError",
+    "DomainError",
+    "FlowError",
+    "HybridError",
+    "JumpLoopError",
+    "OptionError",
+    "ParameterError",
+    "StartError",
+    "Status",
+    "StoreError",
+    "TraceError",
+    "Trajectory",
+    "ZenoError",
+    "contact",
+    "edge",
+    "load",
+    "mode",
+    "parameter",
+    "simulate",
+    "state",
+]

@@ -20,6 +20,7 @@ from .scene import Contact, Field, Guard, Scene
 from .scene.scene import ORDER
 from .segment import Segment, from_values, nodes
 from .solvers import Solver, Stepper
+from .solvers.taylor_backend import step_length
 from .trajectory import (
     Accumulation,
     Arc,
@@ -32,7 +33,6 @@ from .trajectory import (
     explain,
 )
 from .zeno.accumulate import Tail, close
-from .solvers.taylor_backend import step_length
 from .zeno.flight import zero_of
 
 #: Jumps at one time after which a run is taken to be caught in a loop.
@@ -200,7 +200,10 @@ class Driver:
             series = list(self.series[1][index])
         noise = [64 * EPS * size for size in sizes] + [0.0] * (len(series) - 3)
         rest = 64 * EPS * max(map(abs, series[3:]), default=0.0)
-        noise = [float("inf") if k < least else max(n, rest if k > 2 else 0.0) for k, n in enumerate(noise)]
+        noise = [
+            float("inf") if k < least else max(n, rest if k > 2 else 0.0)
+            for k, n in enumerate(noise)
+        ]
         return vanishing_order(guard, t, x, series, noise)
 
     def _require_inside(self, guard: Guard, sign: int, starting: bool) -> None:
@@ -212,7 +215,9 @@ class Driver:
         what = "starts" if starting else "jumped"
         kind = StartError if starting else DomainError
         if guard.kind == "release":
-            raise kind(f"{self._where()}: cannot rest here, the contact would have to pull ({value:.6g})")
+            raise kind(
+                f"{self._where()}: cannot rest here, the contact would have to pull ({value:.6g})"
+            )
         raise kind(
             f"{self._where()}: the run {what} outside the mode's domain: the guard of "
             f"{guard.edge} is {value:.6g} and must be {side}"
@@ -366,9 +371,7 @@ class Driver:
         _, first, second = guard.lie(self.now.t + tau, segment(tau).tolist())
         return first * second < 0 and first * first <= 2 * abs(second) * tolerance
 
-    def _near_end(
-        self, guard: Guard, segment: Segment, stepper: Stepper
-    ) -> float | None:
+    def _near_end(self, guard: Guard, segment: Segment, stepper: Stepper) -> float | None:
         """A step made onto a predicted impact ends within rounding of it, on either side."""
         t, x = self.now.t + segment.end, stepper.x.tolist()
         value, rate, _ = guard.lie(t, x)
@@ -447,8 +450,8 @@ class Driver:
             tail = self.loop[-LOOP // 2 :]
             cycle = " -> ".join(dict.fromkeys(tail))
             raise JumpLoopError(
-                f"{self._where()}: {LOOP} jumps at one time, with no flow between: {cycle}; a reset "
-                "must leave its guard, or a contact needs rests=True"
+                f"{self._where()}: {LOOP} jumps at one time, with no flow between: {cycle}; a "
+                "reset must leave its guard, or a contact needs rests=True"
             )
         if len(self.own_jumps) >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
@@ -551,11 +554,13 @@ class Driver:
         self._keep(part)
         self.j += tail.count
         self.now, self.x = self.now.after(tail.remaining), tail.x_inf
-        rest = f"{part.mode}.rest({contact.name})" if contact.rests and self.plan.zeno == "rest" else None
-        record = self.scene.spec.record(tail.x_inf)
-        point = Accumulation(
-            self.now.t, record, tail.r, (contact.name,), "estimated", rest, self.j
+        rest = (
+            f"{part.mode}.rest({contact.name})"
+            if contact.rests and self.plan.zeno == "rest"
+            else None
         )
+        record = self.scene.spec.record(tail.x_inf)
+        point = Accumulation(self.now.t, record, tail.r, (contact.name,), "estimated", rest, self.j)
         self.zeno.append(point)
         self.tails.append(tail)
         self.watch.reset()
@@ -610,7 +615,10 @@ class Driver:
         first = full.parts[0]
         arc = first.arc(0) if isinstance(first, TailPart) else first
         taus = arc.length * nodes(64)
-        gaps = [field.guards[column].value(arc.t0 + s, y.tolist()) for s, y in zip(taus, arc.local(taus), strict=True)]
+        gaps = [
+            field.guards[column].value(arc.t0 + s, y.tolist())
+            for s, y in zip(taus, arc.local(taus), strict=True)
+        ]
         if not full.zeno:
             return float("nan"), float("nan"), max(gaps)
         t_inf = full.zeno[0].t
@@ -633,4 +641,4 @@ def _projected(segment: Segment, t0: float, project: Callable[..., Any]) -> Segm
     return Segment(segment.start, segment.length, from_values(degree) @ values)
 
 
-__all__ = ["Driver", "Plan", "permitted", "HybridError", "Record", "Sequence"]
+__all__ = ["Driver", "HybridError", "Plan", "Record", "Sequence", "permitted"]

@@ -12,6 +12,7 @@ The semantics are in ``docs/semantics.md``.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from functools import cache
 from math import comb
@@ -24,7 +25,7 @@ from .automaton.markers import Crossing
 from .segment import Segment, from_values, nodes
 
 if TYPE_CHECKING:
-    from .scene import Field, Guard
+    from .scene import Guard
 
 #: Degree at which a guard that is no polynomial is sampled, piece by piece.
 SAMPLED = 12
@@ -70,7 +71,7 @@ def zeros(
     else:
         degree, pieces = SAMPLED, max(1, int(np.ceil(min(segment.length / scale, 4096.0))))
     edges = [k / pieces for k in range(pieces + 1)]
-    for left, right in zip(edges[:-1], edges[1:], strict=True):
+    for left, right in itertools.pairwise(edges):
         first = order if left == 0.0 else 0
         whole = not (guard.affine and segment.degree <= SAMPLED)
         for fraction, direction in _piece(
@@ -175,7 +176,7 @@ def _crossings(
 ) -> Iterator[tuple[float, int]]:
     """Sign changes in ``(left, right]`` by Descartes' rule and halving."""
     signs = [s for s in _signs(b, noise) if s]
-    changes = sum(p != q for p, q in zip(signs, signs[1:], strict=False))
+    changes = sum(p != q for p, q in itertools.pairwise(signs))
     if changes == 0:
         if b[-1] == 0.0 and signs and right == 1.0 and abs(b[0]) > noise:
             yield right, -signs[-1]
@@ -204,7 +205,7 @@ def _halve(b: list[float]) -> tuple[list[float], list[float]]:
     """De Casteljau: coefficients on the left and the right half."""
     left, right, row = [b[0]], [b[-1]], b
     while len(row) > 1:
-        row = [0.5 * (p + q) for p, q in zip(row, row[1:], strict=False)]
+        row = [0.5 * (p + q) for p, q in itertools.pairwise(row)]
         left.append(row[0])
         right.append(row[-1])
     return left, right[::-1]
@@ -214,7 +215,7 @@ def _value(b: Sequence[float], s: float) -> tuple[float, float]:
     """Value and derivative (de Casteljau)."""
     row, degree = list(b), len(b) - 1
     while len(row) > 2:
-        row = [p + s * (q - p) for p, q in zip(row, row[1:], strict=False)]
+        row = [p + s * (q - p) for p, q in itertools.pairwise(row)]
     if degree == 0:
         return row[0], 0.0
     return row[0] + s * (row[1] - row[0]), degree * (row[1] - row[0])

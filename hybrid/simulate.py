@@ -132,6 +132,7 @@ def _trajectory(
     assert driver.status is not None
     parameters = {p.name: getattr(model, p.name) for p in spec.parameters}
     guards = {g.edge: g for m in spec.modes for g in scene.field(m.name).guards}
+    contacts = [name for name, guard in guards.items() if guard.kind == "contact"]
     return Trajectory(
         spec,
         parameters,
@@ -142,7 +143,8 @@ def _trajectory(
         driver.status,
         options,
         samples,
-        {name: guard.value for name, guard in guards.items()},
+        guards,
+        [pair for name in contacts for pair in scene.pairs(name)],
     )
 
 
@@ -173,14 +175,10 @@ def _second_run(
     import attrs
 
     count = len(driver.zeno)
-    plan = attrs.evolve(
-        driver.plan, dense=False, samples=None, progress=None, accumulations=count
-    )
+    plan = attrs.evolve(driver.plan, dense=False, samples=None, progress=None, accumulations=count)
     if plan.zeno == "raise":
         plan = attrs.evolve(plan, zeno="rest")
-    has_series = all(
-        driver.scene.field(part.mode).jets is not None for part in driver.parts
-    )
+    has_series = all(driver.scene.field(part.mode).jets is not None for part in driver.parts)
     if not has_series:
         other = choose(solver, method, max(1e-2 * plan.rtol, 3e-14), 1e-2 * plan.atol)
     elif solver == "taylor":
@@ -233,7 +231,8 @@ def _plan(
         raise OptionError(f"atol={atol!r}: a number, or one for each element") from None
     if atol.shape not in ((), (spec.dimension,)) or not np.all(atol >= 0):
         raise OptionError(
-            f"atol={atol!r}: a number, or one for each of the {spec.dimension} elements of the state"
+            f"atol={atol!r}: a number, or one for each of the {spec.dimension} elements of the "
+            "state"
         )
     if zeno not in ZENO:
         raise OptionError(f"zeno={zeno!r}: one of {', '.join(map(repr, ZENO))}")

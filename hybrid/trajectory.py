@@ -101,7 +101,7 @@ class Arc:
             rows = zip((self.t0 + flat).tolist(), states.tolist(), strict=True)
             states = np.array([self.project(t, x) for t, x in rows])
         states[flat == 0.0], states[flat == self.length] = self.first, self.last
-        return states.reshape(tau.shape + (-1,))
+        return states.reshape((*tau.shape, -1))
 
 
 @attrs.frozen(eq=False)
@@ -179,7 +179,9 @@ class TailPart:
 def _taylor_segment(start: float, length: float, series: list[list[float]]) -> Segment:
     powers = np.array(series)
     degree = powers.shape[1] - 1
-    return Segment(start, length, from_powers(degree) @ (powers * length ** np.arange(degree + 1)).T)
+    return Segment(
+        start, length, from_powers(degree) @ (powers * length ** np.arange(degree + 1)).T
+    )
 
 
 @attrs.define(eq=False)
@@ -348,6 +350,10 @@ class Trajectory:
         An enumeration whose text is a sentence.
     options : dict
         What the run was asked for.
+    surfaces : dict
+        The guards by edge, for pictures; empty in a run that was loaded.
+    pairs : list of (int, int)
+        Places of a contact's positions and velocities in the state vector.
     """
 
     spec: Spec
@@ -359,7 +365,8 @@ class Trajectory:
     status: Status
     options: dict[str, Any]
     samples: np.ndarray | None = None
-    surfaces: dict[str, Callable[..., Any]] = attrs.Factory(dict)
+    surfaces: dict[str, Any] = attrs.Factory(dict)
+    pairs: list[tuple[int, int]] = attrs.Factory(list)
 
     # -- the record at a time -----------------------------------------------------------
 
@@ -404,7 +411,7 @@ class Trajectory:
             return self.spec.record(self._in_arc(self._arc_of(j), times))
         flat = [self._at(float(v), side) for v in times.reshape(-1)] if times.size < 4 else None
         states = np.array(flat) if flat is not None else self._many(times.reshape(-1), side)
-        return self.spec.record(states.reshape(times.shape + (self.spec.dimension,)))
+        return self.spec.record(states.reshape((*times.shape, self.spec.dimension)))
 
     def _arc_of(self, j: int) -> Arc:
         if not 0 <= j < len(self.arcs):
@@ -496,7 +503,9 @@ class Trajectory:
 
     def explain(self) -> str:
         """What happened, in a few sentences."""
-        lines = [f"{self.spec.model}, t = {self.t0:g} to {self.t1:g}: {len(self.jumps)} jumps listed."]
+        lines = [
+            f"{self.spec.model}, t = {self.t0:g} to {self.t1:g}: {len(self.jumps)} jumps listed."
+        ]
         for point in self.zeno:
             lines.append(explain(point))
         return "\n".join([*lines, str(self.status)])

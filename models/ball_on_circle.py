@@ -19,9 +19,7 @@ class BallOnCircle(hy.Automaton):
     def flight(self, t, s):
         return s.p, jnp.array([0.0, -1.0]) * self.g
 
-    impact = hy.contact(
-        flight, gap=lambda self, t, s: jnp.linalg.norm(s.q) - 1.0, restitution="e"
-    )
+    impact = hy.contact(flight, gap=lambda self, t, s: jnp.linalg.norm(s.q) - 1.0, restitution="e")
 
 
 START = {"q": [0.15, 1.2], "p": [0.0, 0.0]}

@@ -40,6 +40,12 @@ def oracle(run):
     kept = 0.5 * (end.state.vx**2 + end.state.vy**2) + g * end.state.y
     yield "energy while sliding", float(np.max(np.abs(energy - kept))), 0.0, 1e-8
     yield "on the hills", float(np.max(np.abs(late.y - height * np.cos(k * late.x)))), 0.0, 1e-14
-    u = run.jumps.before.vy[0] + height * k * np.sin(k * run.jumps.before.x[0]) * run.jumps.before.vx[0]
-    w = run.jumps.after.vy[0] + height * k * np.sin(k * run.jumps.after.x[0]) * run.jumps.after.vx[0]
+    u = (
+        run.jumps.before.vy[0]
+        + height * k * np.sin(k * run.jumps.before.x[0]) * run.jumps.before.vx[0]
+    )
+    w = (
+        run.jumps.after.vy[0]
+        + height * k * np.sin(k * run.jumps.after.x[0]) * run.jumps.after.vx[0]
+    )
     yield "Newton's law on the gap's speed", -w / u, float(run.parameters["r"]), 1e-12

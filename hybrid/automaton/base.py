@@ -83,7 +83,7 @@ def _make_attrs(cls: type, markers: dict[str, Any]) -> None:
         if isinstance(vars(cls)[name], State) or name in fields:
             delattr(cls, name)
     attrs.frozen(cls, these=fields, slots=False, kw_only=True)
-    generated = cls.__init__
+    generated = vars(cls)["__init__"]
 
     def __init__(self: Any, **parameters: Any) -> None:
         unknown = [name for name in parameters if name not in fields]
@@ -153,7 +153,10 @@ class _Builder:
 
     def edge(self, marker: Edge) -> EdgeSpec:
         where = f"edge {marker.name}"
-        source, to = self.target(where, "source", marker.source), self.target(where, "to", marker.to)
+        source, to = (
+            self.target(where, "source", marker.source),
+            self.target(where, "to", marker.to),
+        )
         self.signature(f"{where}, reset", marker.reset, ("t", "s"))
         self.signature(f"{where}, guard", marker.guard, ("t", "s"))
         if not isinstance(marker.crossing, Crossing):
@@ -167,15 +170,15 @@ class _Builder:
         source = self.target(where, "mode", marker.mode)
         self.signature(f"{where}, gap", marker.gap, ("t", "s"))
         law = self.restitution(where, marker.restitution, [p.name for p in parameters])
-        return ContactSpec(
-            marker.name, source, marker.gap, law, marker.rests, marker.inverse_mass
-        )
+        return ContactSpec(marker.name, source, marker.gap, law, marker.rests, marker.inverse_mass)
 
     def restitution(self, where: str, given: Any, names: list[str]) -> Callable[..., Any]:
         if isinstance(given, str):
             if given not in names:
                 known = ", ".join(names) or "none"
-                self.faults.append(f"{where}: restitution={given!r} is no parameter; there are: {known}")
+                self.faults.append(
+                    f"{where}: restitution={given!r} is no parameter; there are: {known}"
+                )
             return lambda self, t, s, u: getattr(self, given)
         if callable(given):
             self.signature(f"{where}, restitution", given, ("t", "s", "u"))
@@ -192,7 +195,9 @@ class _Builder:
         modes = [marker.name for marker in self.of(Mode)]
         if name not in modes:
             known = ", ".join(modes) or "none"
-            self.faults.append(f"{where}: {what}={name!r} is no mode of this class; there are: {known}")
+            self.faults.append(
+                f"{where}: {what}={name!r} is no mode of this class; there are: {known}"
+            )
         return str(name)
 
     def signature(self, where: str, function: Any, arguments: tuple[str, ...]) -> None:
@@ -214,7 +219,9 @@ def _trace_all(cls: type, spec: Spec) -> tuple[dict[tuple[str, str], Any], list[
     traces: dict[tuple[str, str], Any] = {}
     faults: list[str] = []
 
-    def add(kind: str, owner: str, function: Callable[..., Any], whole: bool, extra: int = 0) -> None:
+    def add(
+        kind: str, owner: str, function: Callable[..., Any], whole: bool, extra: int = 0
+    ) -> None:
         call = trace.caller(cls, spec, function)
         call = trace.vector(spec, call) if whole else trace.scalar(call)
         where = {"flow": "mode", "gap": "contact", "restitution": "contact"}.get(kind, "edge")
@@ -226,7 +233,9 @@ def _trace_all(cls: type, spec: Spec) -> tuple[dict[tuple[str, str], Any], list[
         except Exception as fault:  # whatever the author's code raises is a fault to report
             reason = str(fault).split("\n")[0]
             named = isinstance(fault, ValueError | TraceError)
-            faults.append(f"{label}: {reason}" if named else f"{label}: {type(fault).__name__}: {reason}")
+            faults.append(
+                f"{label}: {reason}" if named else f"{label}: {type(fault).__name__}: {reason}"
+            )
 
     for mode in spec.modes:
         add("flow", mode.name, mode.flow, True)

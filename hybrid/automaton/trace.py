@@ -29,7 +29,7 @@ def wide() -> Any:
 
 def instance(cls: type, names: Sequence[str], values: Sequence[Any]) -> Any:
     """A model built without validators, so that tracers pass through it."""
-    model = object.__new__(cls)
+    model: Any = object.__new__(cls)
     for name, value in zip(names, values, strict=True):
         object.__setattr__(model, name, value)
     return model
@@ -165,7 +165,9 @@ def _captured(function: Any, seen: set[int]) -> Iterator[tuple[str, Any]]:
     seen.add(id(function))
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     pairs = [(name, cell.cell_contents) for name, cell in cells]
-    pairs += [(n, function.__globals__[n]) for n in _names(function.__code__) if n in function.__globals__]
+    pairs += [
+        (n, function.__globals__[n]) for n in _names(function.__code__) if n in function.__globals__
+    ]
     for name, value in pairs:
         yield name, value
         yield from _captured(value, seen)

@@ -125,7 +125,9 @@ def _mass(cls: Any, spec: Spec, contact: ContactSpec, size: int) -> Traced:
     if isinstance(given, str):
         name = given
         given = lambda self, t, s: getattr(self, name)  # noqa: E731
-    call = caller(cls, spec, given) if callable(given) else lambda *_: 1.0 if given is None else given
+    call = (
+        caller(cls, spec, given) if callable(given) else lambda *_: 1.0 if given is None else given
+    )
 
     def matrix(parameters: Any, t: Any, x: Any) -> Any:
         import jax.numpy as jnp

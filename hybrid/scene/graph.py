@@ -177,7 +177,9 @@ def _apply(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
 
 def _map(graph: Graph, op: str, inputs: list[Ids]) -> Ids:
     arrays = np.broadcast_arrays(*inputs)
-    flat = [graph.node(op, *map(int, row)) for row in zip(*(a.reshape(-1) for a in arrays), strict=True)]
+    flat = [
+        graph.node(op, *map(int, row)) for row in zip(*(a.reshape(-1) for a in arrays), strict=True)
+    ]
     return np.array(flat, dtype=np.int64).reshape(arrays[0].shape)
 
 
@@ -214,7 +216,9 @@ def _reduce(op: str, start: float | bool) -> Callable[..., Ids]:
         axes = params["axes"]
         kept = [a for a in range(x.ndim) if a not in axes]
         rows = x.transpose([*kept, *axes]).reshape([x.shape[a] for a in kept] + [-1])
-        total = np.full(rows.shape[:-1], graph.const(start)) if rows.shape[-1] == 0 else rows[..., 0]
+        total = (
+            np.full(rows.shape[:-1], graph.const(start)) if rows.shape[-1] == 0 else rows[..., 0]
+        )
         for column in range(1, rows.shape[-1]):
             total = _map(graph, op, [total, rows[..., column]])
         return total
@@ -278,7 +282,12 @@ def _move(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
     import jax
 
     name = equation.primitive.name
-    moved = {"pad": (0, 1), "dynamic_update_slice": (0, 1), "scatter": (0, 2), "scatter-add": (0, 2)}
+    moved = {
+        "pad": (0, 1),
+        "dynamic_update_slice": (0, 1),
+        "scatter": (0, 2),
+        "scatter-add": (0, 2),
+    }
     operands: list[Any] = []
     for place, ids in enumerate(inputs):
         if place in moved.get(name, (0,)):
@@ -301,7 +310,9 @@ def _scatter_add(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
 
     zeros = np.full(inputs[0].shape, graph.const(0.0))
     where = equation.replace(primitive=lax.scatter_p)
-    counts = np.asarray(_move(graph, equation, [np.zeros_like(zeros), inputs[1], np.ones_like(inputs[2])]))
+    counts = np.asarray(
+        _move(graph, equation, [np.zeros_like(zeros), inputs[1], np.ones_like(inputs[2])])
+    )
     if counts.max(initial=0) > 1:
         raise TraceError("x.at[...].add(...) with a repeated position; add the summands first")
     return _map(graph, "add", [inputs[0], _move(graph, where, [zeros, *inputs[1:]])])

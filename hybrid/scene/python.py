@@ -187,7 +187,9 @@ def _never(*arguments: Any) -> Any:
 
 
 def _numpy(argument: Any) -> Any:
-    return [np.float64(v) for v in argument] if hasattr(argument, "__len__") else np.float64(argument)
+    return (
+        [np.float64(v) for v in argument] if hasattr(argument, "__len__") else np.float64(argument)
+    )
 
 
 def _plain(result: Any) -> Any:
@@ -216,7 +218,9 @@ def _source(graph: Graph, inputs: Sequence[str], size: int, outputs: Ids) -> str
             else:
                 body.append(f"n{number} = {expression}")
                 text[number] = f"n{number}"
-    names = sorted((n[1] for n in graph.nodes if n[0] == "input" and n[1].startswith("p")), key=_index)
+    names = sorted(
+        (n[1] for n in graph.nodes if n[0] == "input" and n[1].startswith("p")), key=_index
+    )
     count = 1 + max((_index(n) for n in names), default=-1)
     unpack = [", ".join(f"x{i}" for i in range(size)) + ", = x"] if "x" in inputs and size else []
     result = ", ".join(text[i] for i in flat)
@@ -246,10 +250,12 @@ def _fixed(graph: Graph, order: Sequence[int]) -> set[int]:
     """Nodes that depend on parameters and constants only."""
     fixed: set[int] = set()
     for number in order:
-        node = graph.nodes[number]
-        if node[0] == "const" or (node[0] == "input" and node[1].startswith("p")):
-            fixed.add(number)
-        elif node[0] != "input" and all(a in fixed for a in node[1:]):
+        op, *arguments = graph.nodes[number]
+        if op == "input":
+            steady = arguments[0].startswith("p")
+        else:
+            steady = op == "const" or all(a in fixed for a in arguments)
+        if steady:
             fixed.add(number)
     return fixed
 

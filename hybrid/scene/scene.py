@@ -18,6 +18,7 @@ import numpy as np
 from ..automaton import trace
 from ..automaton.markers import Crossing
 from ..automaton.spec import ContactSpec, EdgeSpec, Spec
+from ..errors import TraceError
 from . import contact as contacts
 from .graph import Graph
 from .python import Program, needed
@@ -115,7 +116,7 @@ class Lowered:
         given = tuple(tuple(v.aval.shape) for v in closed.jaxpr.invars[: len(self.shapes)])
         if given == self.shapes:
             return closed
-        raise trace.TraceError(
+        raise TraceError(
             f"{self.spec.model}: parameters of shapes {self.shapes} where the defaults "
             f"have {given}; give arrays of the defaults' shapes"
         )
@@ -138,7 +139,11 @@ class Lowered:
             count += size
         arrays.append(np.array(graph.input("t")))
         states = [graph.input(f"x{i}") for i in range(self.spec.dimension)]
-        return [*arrays, np.array(states, dtype=np.int64), *(np.array(graph.input(e)) for e in extra)]
+        return [
+            *arrays,
+            np.array(states, dtype=np.int64),
+            *(np.array(graph.input(e)) for e in extra),
+        ]
 
     def program(self, key: Any, closed: Callable[[], Any], extra: Sequence[str] = ()) -> Program:
         """Scalar code of a closed jaxpr."""
@@ -180,7 +185,7 @@ class Lowered:
             values = [int(graph.outputs(f, inputs)[0].reshape(())) for f in functions]
             try:
                 return TaylorProgram(graph, self.spec.dimension, states, values, ORDER)
-            except trace.TraceError:
+            except TraceError:
                 return None
 
         return self.once(("taylor", key), make)
@@ -253,7 +258,7 @@ class Lowered:
         return unit
 
     def contact_spec(self, name: str) -> ContactSpec:
-        return next(e for e in self.spec.transitions if e.name == name)  # type: ignore[return-value]
+        return next(e for e in self.spec.transitions if e.name == name)
 
     def laws(self, name: str) -> contacts.ContactLaws:
         def make() -> contacts.ContactLaws:
@@ -385,7 +390,7 @@ class Scene:
         """Sizes whose rounding the guard and its first two derivatives carry."""
         code, contact = self.code, field.contact
         flow = code.rest_closed(contact) if contact else code.closed("flow", field.mode)
-        if guard.kind == "release":
+        if contact and guard.kind == "release":
             closed = code.load_closed(contact)
         else:
             edge = next(e for e in self.spec.transitions if e.name == guard.edge)
@@ -402,6 +407,11 @@ class Scene:
         program = self.code.program(("reset", edge), lambda: self.code.closed("reset", edge))
         return self._bind(program)
 
+    def pairs(self, contact: str) -> list[tuple[int, int]]:
+        """Places of a contact's positions and of their velocities."""
+        pairing = self.code.pairing(contact)
+        return list(zip(pairing.positions, pairing.velocities, strict=True))
+
     def contact(self, name: str) -> Contact:
         """The derived laws of a contact."""
         if name not in self._contacts:
@@ -413,7 +423,7 @@ class Scene:
             law = code.program(("law", name), lambda: code.closed("restitution", name), ["u"])
             load = code.program(("load", name), lambda: code.load_closed(name))
             bound = law.bind(self._values), load.bind(self._values)
-            self._contacts[name] = Contact(name, spec.source, spec.rests, *parts, *bound)
+            self._contacts[name] = Contact(name, spec.source, spec.rests, *parts, *bound)  # type: ignore[call-arg]
         return self._contacts[name]
 
 
@@ -425,7 +435,8 @@ def _scene(cls: Any, shapes: tuple[tuple[int, ...], ...], values: tuple[float, .
 def scene_of(model: Any) -> Scene:
     """The scene of a model; models of equal parameters share one."""
     values = model.parameters
-    return _scene(type(model), tuple(tuple(v.shape) for v in values), tuple(flat(values)))
+    cls: Any = type(model)
+    return _scene(cls, tuple(tuple(v.shape) for v in values), tuple(flat(values)))
 
 
 def rest_name(contact: ContactSpec) -> str:

@@ -84,7 +84,7 @@ class TaylorProgram:
         It raises ``ValueError``, ``OverflowError`` or ``ZeroDivisionError`` where the
         series does not exist (``sqrt`` at 0, for instance).
         """
-        scope = {f"_{name}": function for name, function in OPERATIONS.items()}
+        scope: dict[str, Any] = {f"_{name}": function for name, function in OPERATIONS.items()}
         scope.update(_inf=math.inf, _nan=math.nan)
         exec(self._code, scope)
         return scope["_make"](*parameters)

@@ -62,7 +62,7 @@ class TaylorStepper(Stepper):
         series, kinks = self._series()
         h = min(step_length(series), limit - self.tau)
         h, crossed = first_kink(kinks, h, self.sides)
-        if not h > 1e-300 or self.tau + h == self.tau and self.tau + h < limit:
+        if not h > 1e-300 or (self.tau + h == self.tau and self.tau + h < limit):
             raise FlowError("the Taylor series does not converge: the step became zero")
         self._last = (self.tau, series)
         sides = [0] * len(kinks)
@@ -108,9 +108,7 @@ def step_length(series: list[list[float]]) -> float:
     return length
 
 
-def first_kink(
-    kinks: list[list[float]], h: float, sides: list[int]
-) -> tuple[float, int | None]:
+def first_kink(kinks: list[list[float]], h: float, sides: list[int]) -> tuple[float, int | None]:
     """The first zero of a kink within a step, and which; ``(h, None)`` if there is none."""
     chosen = None
     for index, c in enumerate(kinks):

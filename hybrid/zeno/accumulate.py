@@ -128,7 +128,8 @@ def close(
     """
     guess = _Curve(field, contact, column, t, x, v)
     share = max(1e-3 * rtol, FLOOR)
-    degree, before, history = 1, None, []
+    degree, before = 1, None
+    history: list[float] = []
     while degree <= DEGREE:
         if not guess.improve(degree):
             return None
@@ -207,7 +208,7 @@ class _Curve:
 
     def _step(self, w: float) -> list[float] | None:
         """``D`` and ``E`` at one point of the curve, by one flight and impact."""
-        offset = chebyshev.chebval(2.0 * w - 1.0, self.curve)
+        offset = np.asarray(chebyshev.chebval(2.0 * w - 1.0, self.curve))
         v = self.v * w * exp(float(offset[-1]))
         t = self.t + float(offset[0])
         x = self._on_contact(t, (self.x + offset[1:-1]).tolist(), v)
@@ -251,7 +252,9 @@ class _Curve:
             self.r,
             self.curve,
             float(self.limit[0]),
-            np.array(self.contact.project(self.t + self.limit[0], (self.x + self.limit[1:]).tolist())),
+            np.array(
+                self.contact.project(self.t + self.limit[0], (self.x + self.limit[1:]).tolist())
+            ),
             float(error[0]),
             error[1:],
         )

@@ -1,0 +1,32 @@
+# Two commands do everything on a machine with Python 3.11 (or later) and make:
+#   make        environment, then the main job: runs with numbers beside exact values, pictures
+#   make test   environment, then lint, types and tests
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: run test bench clean
+
+run: .venv/installed
+	mkdir -p out
+	$(BIN)/hybrid run bouncing_ball --rtol 1e-12 --oracle --plot out/ball.png
+	$(BIN)/hybrid run bead_on_table --set r=0.6 --set omega=3.5 --start x=1.5 --from 0 --until 7 \
+	    --rtol 1e-10 --plot out/bead.png --save out/bead.nc
+	@echo "Look at out/ball.png and out/bead.png."
+
+test: .venv/installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest -n 2
+
+bench: .venv/installed
+	$(BIN)/python benchmarks/example_1.py
+
+.venv/installed: pyproject.toml
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --editable '.[test]'
+	touch $@
+
+clean:
+	rm -rf .venv out

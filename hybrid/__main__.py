@@ -1,0 +1,5 @@
+"""``python -m hybrid``."""
+
+from .cli import main
+
+main()

@@ -1,0 +1,236 @@
+"""The command line: ``hybrid run``, ``hybrid list``, ``hybrid check``.
+
+Exit codes: 0 done; 2 something asked for cannot be done (one line says what); 130
+interrupted, with what was computed until then reported.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Annotated, Any
+
+import typer
+
+from . import gallery
+from .errors import DeclarationError, HybridError, OptionError, StartError
+from .trajectory import Status, Trajectory
+
+app = typer.Typer(
+    add_completion=False, no_args_is_help=True, help="Simulate hybrid automata through Zeno points."
+)
+
+#: Seconds after which a run shows its progress.
+PATIENCE = 1.0
+
+
+@contextmanager
+def _one_line() -> Iterator[None]:
+    """Faults as one line on standard error and exit code 2."""
+    try:
+        yield
+    except HybridError as fault:
+        typer.echo(f"hybrid: {fault}", err=True)
+        raise typer.Exit(2) from None
+
+
+@app.command()
+def run(
+    model: Annotated[str, typer.Argument(help="A name in the gallery, FILE.py, or FILE.py:Class.")],
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="A parameter: r=0.8. May be repeated.")
+    ] = None,
+    start: Annotated[
+        list[str] | None, typer.Option("--start", help="A state at the start: x=1.9.")
+    ] = None,
+    since: Annotated[float | None, typer.Option("--from", help="First time.")] = None,
+    until: Annotated[float | None, typer.Option("--until", help="Last time.")] = None,
+    solver: Annotated[str, typer.Option(help="scipy or taylor.")] = "scipy",
+    method: Annotated[
+        str | None, typer.Option(help="A method of the solver: DOP853, RK45 ...")
+    ] = None,
+    rtol: Annotated[float, typer.Option(help="Relative tolerance.")] = 1e-8,
+    atol: Annotated[float, typer.Option(help="Absolute tolerance.")] = 1e-10,
+    zeno: Annotated[str, typer.Option(help="rest, stop, truncate or raise.")] = "rest",
+    mode: Annotated[str | None, typer.Option(help="Mode at the start.")] = None,
+    max_jumps: Annotated[int | None, typer.Option(help="Stop after this many jumps.")] = None,
+    plot: Annotated[
+        str | None, typer.Option(help="Write a picture: out.png, out.pdf, out.svg.")
+    ] = None,
+    save: Annotated[str | None, typer.Option(help="Write the trajectory: out.nc.")] = None,
+    oracle: Annotated[
+        bool, typer.Option("--oracle", help="Compare with the exact values in the model's file.")
+    ] = False,
+) -> None:
+    """Run a model, say what happened, and draw or save it."""
+    with _one_line():
+        entry = gallery.find(model)
+        values = _pairs(set_ or [], "--set")
+        made = entry.cls(**values)
+        first = _start(entry, _pairs(start or [], "--start"))
+        span = _span(entry, since, until)
+        result = _simulate(
+            made,
+            first,
+            span,
+            solver=solver,
+            method=method,
+            rtol=rtol,
+            atol=atol,
+            zeno=zeno,
+            mode=mode,
+            max_jumps=max_jumps,
+        )
+        _report(result)
+        if oracle:
+            _compare(entry, result)
+        if plot is not None:
+            _extra("plot", lambda: result.plot(plot))
+            typer.echo(f"picture: {plot}")
+        if save is not None:
+            _extra("io", lambda: result.save(save))
+            typer.echo(f"trajectory: {save}")
+    if result.status is Status.INTERRUPTED:
+        raise typer.Exit(130)
+
+
+@app.command("list")
+def list_() -> None:
+    """The models of the gallery."""
+    for name in gallery.names():
+        entry = gallery.find(name)
+        words = (entry.module.__doc__ or "").strip().splitlines()[0]
+        typer.echo(f"{name:16} {words}")
+
+
+@app.command()
+def check(file: Annotated[str, typer.Argument(help="FILE.py, or a name in the gallery.")]) -> None:
+    """Check a model's declaration: all its faults, or what it declares."""
+    from .scene import Scene
+    from .scene.taylor import flat
+
+    with _one_line():
+        try:
+            entry = gallery.find(file)
+            spec = entry.cls.spec
+            values = [parameter.default for parameter in spec.parameters]
+            shapes = tuple(getattr(value, "shape", ()) for value in values)
+            scene = Scene(entry.cls, shapes, tuple(flat(values)))
+            for name in scene.spec_modes:
+                scene.field(name)
+        except DeclarationError as fault:
+            typer.echo(str(fault), err=True)
+            raise typer.Exit(2) from None
+    edges = ", ".join(edge.name for edge in spec.transitions) or "none"
+    modes = ", ".join(scene.spec_modes)
+    states = ", ".join(spec.names)
+    typer.echo(f"{spec.model}: no faults. States {states}; modes {modes}; edges {edges}.")
+
+
+def _pairs(given: list[str], option: str) -> dict[str, Any]:
+    pairs = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        try:
+            pairs[name.strip()] = json.loads(value)
+        except json.JSONDecodeError:
+            equals = ""
+        if not equals:
+            raise OptionError(f"{option} {text}: write NAME=NUMBER, or NAME=[NUMBER,NUMBER]")
+    return pairs
+
+
+def _start(entry: gallery.Entry, given: dict[str, Any]) -> dict[str, Any]:
+    start = {**(entry.start or {}), **given}
+    missing = [name for name in entry.cls.spec.names if name not in start]
+    if missing:
+        raise StartError(
+            f"{entry.cls.__name__}: no start for {', '.join(missing)}; "
+            f"add --start {missing[0]}=NUMBER, or START = {{...}} to the file"
+        )
+    return start
+
+
+def _span(entry: gallery.Entry, since: float | None, until: float | None) -> tuple[float, float]:
+    t0 = since if since is not None else (entry.until[0] if entry.until else 0.0)
+    if until is None and not entry.until:
+        raise OptionError(f"{entry.cls.__name__}: no last time; add --until NUMBER")
+    return t0, until if until is not None else entry.until[1]
+
+
+def _simulate(model: Any, start: Any, span: tuple[float, float], **options: Any) -> Trajectory:
+    from .simulate import simulate
+
+    if not sys.stderr.isatty():
+        return simulate(model, start, span, **options)
+    with _bar(span) as progress:
+        return simulate(model, start, span, progress=progress, **options)
+
+
+@contextmanager
+def _bar(span: tuple[float, float]) -> Iterator[Callable[[float], None]]:
+    """A progress bar that appears once the run has taken a second."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    begun = time.monotonic()
+    bar = Progress(console=Console(stderr=True), transient=True)
+    task = bar.add_task("simulating", total=span[1] - span[0])
+
+    def progress(t: float) -> None:
+        if time.monotonic() - begun > PATIENCE:
+            bar.start()
+            bar.update(task, completed=t - span[0])
+
+    try:
+        yield progress
+    finally:
+        bar.stop()
+
+
+def _report(result: Trajectory) -> None:
+    parameters = ", ".join(f"{k}={v}" for k, v in result.parameters.items())
+    typer.echo(
+        f"{result.spec.model}({parameters}), {result.options['solver']} {result.options['method']}"
+    )
+    typer.echo(f"{len(result.jumps)} jumps listed; t = {result.t0:.12g} to {result.t1:.12g}")
+    for point in result.zeno:
+        typer.echo(f"  {point}")
+        if point.t_release is not None:
+            typer.echo(f"    released at t = {point.t_release!r}")
+    for graze in result.grazings:
+        typer.echo(f"  grazing of {graze.edge} at t = {graze.t!r}")
+    typer.echo(f"final: {result.final} in {result.mode}")
+    typer.echo(str(result.status))
+
+
+def _compare(entry: gallery.Entry, result: Trajectory) -> None:
+    """Values of a run beside the exact ones."""
+    if not hasattr(entry.module, "oracle"):
+        raise OptionError(f"{entry.cls.__name__}: its file has no oracle(run)")
+    typer.echo(f"{'':28} {'computed':>22} {'exact':>22} {'difference':>11}")
+    for what, value, exact, _ in entry.module.oracle(result):
+        difference = float(value) - exact
+        typer.echo(f"{what:28} {float(value):22.15g} {exact:22.15g} {difference:11.1e}")
+
+
+def _extra(name: str, action: Callable[[], Any]) -> None:
+    """Do what needs an extra package, or say which."""
+    try:
+        action()
+    except ImportError as fault:
+        raise OptionError(f"{fault}; install it with: pip install 'hybrid[{name}]'") from None
+    except (OSError, ValueError) as fault:
+        raise OptionError(f"{name}: {fault}") from None
+
+
+def main() -> None:
+    """Entry point."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

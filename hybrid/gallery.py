@@ -1,0 +1,130 @@
+"""Models by name or file: the gallery that comes with the package, and the user's own."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import attrs
+
+from .automaton import Automaton
+from .errors import DeclarationError, HybridError
+
+
+class GalleryError(HybridError):
+    """A model's file is not found, cannot be run, or holds no model."""
+
+
+@attrs.frozen
+class Entry:
+    """A model and the run that its file suggests.
+
+    Attributes
+    ----------
+    cls : type
+        The automaton.
+    start : dict or None
+        ``START`` of the file.
+    until : (t0, t1) or None
+        ``UNTIL`` of the file.
+    module : module
+        The file itself; the gallery's files hold an ``oracle(run)``.
+    """
+
+    cls: Any
+    start: Any
+    until: Any
+    module: ModuleType
+
+
+def folder() -> Path:
+    """Where the gallery is: inside an installed package, or beside it in a checkout."""
+    here = Path(__file__).parent
+    inside = here / "models"
+    return inside if inside.is_dir() else here.parent / "models"
+
+
+def names() -> list[str]:
+    """Names of the models in the gallery."""
+    return sorted(path.stem for path in folder().glob("*.py") if not path.stem.startswith("_"))
+
+
+def find(given: str) -> Entry:
+    """The model of a file ``path.py`` (``path.py:Class`` where it has several), or by name.
+
+    Raises
+    ------
+    GalleryError, DeclarationError
+    """
+    name, _, wanted = given.partition(":")
+    path = Path(name)
+    if path.suffix != ".py":
+        path = folder() / f"{name}.py"
+        if not path.is_file():
+            raise GalleryError(
+                f"no model {name!r} in the gallery: {', '.join(names())}; or give a file"
+            )
+    elif not path.is_file():
+        raise GalleryError(f"{name}: no such file")
+    module = _run(path)
+    models = [
+        value
+        for value in vars(module).values()
+        if isinstance(value, type)
+        and issubclass(value, Automaton)
+        and value.__module__ == module.__name__
+    ]
+    return Entry(
+        _choose(path, models, wanted),
+        getattr(module, "START", None),
+        getattr(module, "UNTIL", None),
+        module,
+    )
+
+
+def _choose(path: Path, models: list[type], wanted: str) -> type:
+    listed = ", ".join(model.__name__ for model in models)
+    if not models:
+        raise GalleryError(f"{path}: no subclass of hybrid.Automaton is defined in this file")
+    if wanted:
+        for model in models:
+            if model.__name__ == wanted:
+                return model
+        raise GalleryError(f"{path}: no model {wanted!r}; there are {listed}")
+    if len(models) > 1:
+        raise GalleryError(
+            f"{path} holds several models ({listed}); name one: {path}:{models[0].__name__}"
+        )
+    return models[0]
+
+
+def _run(path: Path) -> ModuleType:
+    """Import a file by its path, under a name of its own."""
+    name = f"hybrid_model_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except DeclarationError:
+        raise
+    except Exception as fault:  # whatever the user's file raises, in one line
+        line = _line_in(fault, path)
+        raise GalleryError(f"{path}{line}: {type(fault).__name__}: {fault}") from fault
+    return module
+
+
+def _line_in(fault: BaseException, path: Path) -> str:
+    if isinstance(fault, SyntaxError):
+        return f":{fault.lineno}"
+    trace, line = fault.__traceback__, ""
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == str(path):
+            line = f":{trace.tb_lineno}"
+        trace = trace.tb_next
+    return line
