@@ -138,7 +138,12 @@ class Driver:
     # -- entering a mode ----------------------------------------------------------------
 
     def enter(
-        self, mode: str, x: np.ndarray, known: dict[str, int], starting: bool = False
+        self,
+        mode: str,
+        x: np.ndarray,
+        known: dict[str, int],
+        used: str | None = None,
+        starting: bool = False,
     ) -> None:
         """Set the mode and state; find which guards are zero here and what follows (3).
 
@@ -147,6 +152,8 @@ class Driver:
         known : dict
             By edge: the power of the local time by which its guard vanishes at least,
             because of the jump just made (2).
+        used : str, optional
+            The edge just taken: zero by construction, it waits until it has left zero (2).
         """
         self.field, self.x = self.scene.field(mode), x
         self.orders = [0] * len(self.field.guards)
@@ -164,9 +171,14 @@ class Driver:
                 )
             if order == 0:
                 self._require_inside(guard, sign, starting)
-            elif fires(guard.crossing, sign):
+            elif self._fires_at_once(guard, sign, used):
                 self.at_once.append(index)
             self.orders[index] = order
+
+    def _fires_at_once(self, guard: Guard, sign: int, used: str | None) -> bool:
+        if guard.crossing is Crossing.EITHER or (guard.kind == "edge" and guard.edge == used):
+            return False
+        return fires(guard.crossing, sign)
 
     def _rest_here(self, guard: Guard, x: np.ndarray) -> bool:
         """Enter the resting mode where gap and gap speed are zero and the load pushes."""
@@ -277,7 +289,7 @@ class Driver:
         if self.field.jets is None:
             return None
         try:
-            return self.field.jets(self.now.t + tau, x.tolist(), [0] * self.field.kinks)
+            return self.field.expand(self.now.t + tau, x.tolist(), [0] * self.field.kinks)
         except (ValueError, OverflowError, ZeroDivisionError):
             return None
 
@@ -473,7 +485,7 @@ class Driver:
         self._require_finite(guard.edge, after)
         self.watch.reset()
         self.add_jump(guard.edge, after, before)
-        self.enter(guard.to, after, {})
+        self.enter(guard.to, after, {}, used=guard.edge)
 
     def _require_finite(self, edge: str, after: np.ndarray) -> None:
         if not np.all(np.isfinite(after)):

@@ -154,8 +154,9 @@ def roots(bernstein: np.ndarray, order: int, tolerance: float) -> Iterator[tuple
             return
         yield from _touches(b, tolerance)
         return
-    yield from _crossings(b.tolist(), 0.0, 1.0, noise if not order else 0.0, 48)
-    if not order and (low >= 0 or high <= 0):
+    found = list(_crossings(b.tolist(), 0.0, 1.0, noise if not order else 0.0, 48))
+    yield from found
+    if not order and not found:
         yield from _touches(b, tolerance)
 
 

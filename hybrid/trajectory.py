@@ -100,7 +100,8 @@ class Arc:
         if self.project is not None:
             rows = zip((self.t0 + flat).tolist(), states.tolist(), strict=True)
             states = np.array([self.project(t, x) for t, x in rows])
-        states[flat == 0.0], states[flat == self.length] = self.first, self.last
+        states[flat == 0.0] = self.first
+        states[flat == self.length] = self.last
         return states.reshape((*tau.shape, -1))
 
 
@@ -206,7 +207,7 @@ class Truncation:
     height: float
 
 
-@attrs.define(eq=False)
+@attrs.define(eq=False, repr=False)
 class Accumulation:
     """A limit point of jumps.
 
@@ -263,7 +264,7 @@ class Accumulation:
         """Bound on the error of ``state``, found as ``t_error`` is."""
         return self._error[1]
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         went = f", then {self.mode}" if self.mode else ""
         return (
             f"t_inf = {self.t!r} ± {self.t_error:.1g} ({self.verdict}), state {self.state}, "

@@ -84,6 +84,24 @@ class Field:
     kinks: int
     guards: tuple[Guard, ...]
 
+    def expand(self, t: float, x: list[float], sides: list[int]) -> Any:
+        """``jets``, on the branch that the flow takes where a kink is zero here.
+
+        ``sides`` is completed in place: the sign each such kink is about to have.
+        """
+        assert self.jets is not None
+        result = self.jets(t, x, sides)
+        for _ in range(self.kinks):
+            undecided = False
+            for index, c in enumerate(result[2]):
+                if c[0] == 0.0 and not sides[index]:
+                    sides[index] = next((1 if v > 0 else -1 for v in c[1:] if v), 1)
+                    undecided = True
+            if not undecided:
+                break
+            result = self.jets(t, x, sides)
+        return result
+
 
 @attrs.frozen(eq=False)
 class Contact:

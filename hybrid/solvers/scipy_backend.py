@@ -126,8 +126,11 @@ class _OdeStepper(Stepper):
 
     def _advance(self) -> None:
         solver = self.solver
-        with np.errstate(all="ignore"):
-            message = solver.step()
+        try:
+            with np.errstate(all="ignore"):
+                message = solver.step()
+        except ValueError as fault:  # the implicit methods' linear algebra meets inf or nan
+            raise FlowError(f"the flow or its Jacobian is not finite ({fault})") from None
         self.tau, self.x = float(solver.t), solver.y
         if solver.status == "failed" or not np.all(np.isfinite(solver.y)):
             raise FlowError(self._reason(message or ""))

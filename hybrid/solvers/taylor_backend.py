@@ -79,7 +79,7 @@ class TaylorStepper(Stepper):
     def _series(self) -> tuple[list[list[float]], list[list[float]]]:
         assert self.field.jets is not None
         try:
-            series, _, kinks = self.field.jets(self.t0 + self.tau, self.x.tolist(), self.sides)
+            series, _, kinks = self.field.expand(self.t0 + self.tau, self.x.tolist(), self.sides)
         except (ValueError, OverflowError, ZeroDivisionError):
             raise FlowError("the flow is not finite, or has no Taylor series") from None
         if not np.all(np.isfinite(np.array(series))):
@@ -121,11 +121,15 @@ def first_kink(kinks: list[list[float]], h: float, sides: list[int]) -> tuple[fl
 def _first_zero(c: list[float], h: float, on_zero: bool) -> float | None:
     """First sign change of a series in ``(0, h)``; the zero at 0 is left out if known."""
     c = c[1:] if on_zero else c
+    if not any(c):
+        return None
     pieces = 16
     left, at_left = 0.0, polynomial(c, 0.0)
     for piece in range(1, pieces + 1):
         right = h * piece / pieces
         at_right = polynomial(c, right)
+        if at_right == 0.0:
+            return right
         if at_left * at_right < 0:
             return _bisect_newton(c, left, right)
         left, at_left = right, at_right

@@ -48,7 +48,7 @@ def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight
     pieces: list[tuple[float, float, list[list[float]]]] = []
     while len(pieces) <= PIECES + 2 * field.kinks:
         try:
-            series, values, kinks = field.jets(t + start, x, sides)
+            series, values, kinks = field.expand(t + start, x, sides)
         except (ValueError, OverflowError, ZeroDivisionError):
             return None
         g = values[column]
