@@ -619,7 +619,11 @@ class Driver:
         """``t_inf`` of the full series, its distance, and its greatest height."""
         field = self.scene.field(mode)
         column = next(i for i, g in enumerate(field.guards) if g.edge == contact.name)
-        full = Driver(self.scene, self.solver, attrs.evolve(self.plan, zeno="stop", progress=None))
+        full = Driver(
+            self.scene,
+            self.solver,
+            attrs.evolve(self.plan, zeno="stop", progress=None, dense=True, samples=None),
+        )
         full.now, full.watch.contact, full.watch.count = self.now, contact.name, 1
         full.enter(mode, x, {contact.name: 1})
         while full.status is None:

@@ -91,6 +91,8 @@ class Arc:
         tau = np.asarray(tau, dtype=float)
         flat = np.clip(np.atleast_1d(tau).reshape(-1), 0.0, self.length)
         states = np.empty((len(flat), len(self.first)))
+        if not len(flat):
+            return states.reshape((*tau.shape, len(self.first)))
         segments = self.segments
         starts = [segment.start for segment in segments]
         which = np.clip(np.searchsorted(starts, flat, side="right") - 1, 0, None)
@@ -102,7 +104,7 @@ class Arc:
             states = np.array([self.project(t, x) for t, x in rows])
         states[flat == 0.0] = self.first
         states[flat == self.length] = self.last
-        return states.reshape((*tau.shape, -1))
+        return states.reshape((*tau.shape, len(self.first)))
 
 
 @attrs.frozen(eq=False)
