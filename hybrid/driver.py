@@ -5,6 +5,7 @@ The rules are those of ``docs/semantics.md``; the numbers in comments are its ru
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -108,7 +109,7 @@ class Driver:
         self.status: Status | None = None
         self.j = 0
         self.watch = Watch()
-        self.loop: list[str] = []
+        self.recent: deque[tuple[float, str]] = deque(maxlen=LOOP)
         self.limit = float(np.max(plan.atol))
 
     def run(self, mode: str, x: np.ndarray) -> None:
@@ -132,7 +133,6 @@ class Driver:
         if fired is None:
             self.status = Status.REACHED_END
         else:
-            self.loop.clear()
             self.jump(self.field.guards[fired.index], fired.index)
 
     # -- entering a mode ----------------------------------------------------------------
@@ -247,14 +247,18 @@ class Driver:
         target = self._predict(length)
         stepper = self._begin(length, target)
         segments: list[Segment] = []
+        self.ends: dict[str, float] = {}
         fired = None
         while fired is None and stepper.tau < length:
-            start = stepper.tau
-            scales = self._scales(start, stepper.x)
+            start, x = stepper.tau, stepper.x
+            scales = self._scales(start, x)
             limit = target if target is not None and target > start else length
             limit = min(limit, length, start + REACH * min(scales, default=float("inf")))
             segment = self._step(stepper, limit)
             fired = self._first_event(segment, stepper, scales, target)
+            if fired is not None and fired.tau <= segment.start:
+                stepper.tau, stepper.x = start, x
+                break
             if fired is not None:
                 segment = self._land(stepper, segment, fired)
                 fired = Fired(fired.index, segment.end)
@@ -366,7 +370,8 @@ class Driver:
             (abs(float(stepper.x[i])) for i in guard.uses), default=0.0
         )
         scale = scales[index] if scales else float("inf")
-        for zero in zeros(guard, segment, self.now.t, self.orders[index], scale, tolerance):
+        order, t0 = self.orders[index], self.now.t
+        for zero in zeros(guard, segment, t0, order, scale, tolerance, self.ends):
             if zero.direction == 0:
                 grazes.append((zero.tau, index))
             elif fires(guard.crossing, zero.direction):
@@ -381,7 +386,7 @@ class Driver:
     def _touches(self, guard: Guard, tau: float, segment: Segment, tolerance: float) -> bool:
         """Whether a crossing goes no deeper than the tolerance: a tangency (1)."""
         _, first, second = guard.lie(self.now.t + tau, segment(tau).tolist())
-        return first * second < 0 and first * first <= 2 * abs(second) * tolerance
+        return first * second <= 0 and first * first <= 2 * abs(second) * tolerance
 
     def _near_end(self, guard: Guard, segment: Segment, stepper: Stepper) -> float | None:
         """A step made onto a predicted impact ends within rounding of it, on either side."""
@@ -457,13 +462,14 @@ class Driver:
         row = JumpRow(self.now.t, self.now.low, edge, before, after)
         self.own_jumps[len(self.parts) - 1] = row
         self.j += 1
-        self.loop.append(edge)
-        if len(self.loop) > LOOP:
-            tail = self.loop[-LOOP // 2 :]
-            cycle = " -> ".join(dict.fromkeys(tail))
+        self.recent.append((self.now.t, edge))
+        spent = self.now.t - self.recent[0][0]
+        if len(self.recent) == LOOP and spent <= 4 * LOOP * np.spacing(abs(self.now.t)):
+            cycle = " -> ".join(dict.fromkeys(name for _, name in self.recent))
             raise JumpLoopError(
-                f"{self._where()}: {LOOP} jumps at one time, with no flow between: {cycle}; a "
-                "reset must leave its guard, or a contact needs rests=True"
+                f"{self._where()}: {LOOP} jumps with no time to speak of between them: {cycle}; "
+                "a reset must leave its guard, a contact needs rests=True; accumulations of "
+                "edges other than one contact are not summed"
             )
         if len(self.own_jumps) >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS

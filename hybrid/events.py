@@ -12,9 +12,9 @@ The semantics are in ``docs/semantics.md``.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
 from functools import cache
+from itertools import pairwise
 from math import comb
 from typing import TYPE_CHECKING
 
@@ -22,6 +22,7 @@ import attrs
 import numpy as np
 
 from .automaton.markers import Crossing
+from .errors import FlowError
 from .segment import Segment, from_values, nodes
 
 if TYPE_CHECKING:
@@ -32,6 +33,9 @@ SAMPLED = 12
 
 #: Pieces are halved until the last coefficients are this small against the largest.
 RESOLVED = 1e-6
+
+#: Most pieces at first, and most halvings of one.
+PIECES, DEPTH = 4096, 12
 
 EPS = float(np.finfo(float).eps)
 
@@ -53,7 +57,13 @@ class Zero:
 
 
 def zeros(
-    guard: Guard, segment: Segment, t0: float, order: int, scale: float, tolerance: float
+    guard: Guard,
+    segment: Segment,
+    t0: float,
+    order: int,
+    scale: float,
+    tolerance: float,
+    ends: dict[str, float],
 ) -> Iterator[Zero]:
     """Zeros of a guard in ``(start, end]`` of a step, in order of time.
 
@@ -65,57 +75,64 @@ def zeros(
         A time over which a guard that is no polynomial is smooth.
     tolerance : float
         A minimum no deeper (higher) than this is a tangency.
+    ends : dict
+        By edge: the guard at the end of the last step, on which this one must build, so
+        that no sign is lost where two steps meet; updated here.
     """
-    if guard.affine and segment.degree <= SAMPLED:
+    polynomial = guard.affine and segment.degree <= SAMPLED
+    if polynomial:
         degree, pieces = max(segment.degree, order, 1), 1
     else:
-        degree, pieces = SAMPLED, max(1, int(np.ceil(min(segment.length / scale, 4096.0))))
-    edges = [k / pieces for k in range(pieces + 1)]
-    for left, right in itertools.pairwise(edges):
-        first = order if left == 0.0 else 0
-        whole = not (guard.affine and segment.degree <= SAMPLED)
-        for fraction, direction in _piece(
-            guard, segment, t0, (left, right), degree, first, tolerance, 12 if whole else 0
-        ):
+        degree, pieces = SAMPLED, max(1, int(np.ceil(min(segment.length / scale, PIECES))))
+    for left, right in pairwise([k / pieces for k in range(pieces + 1)]):
+        piece = _Piece(guard, segment, t0, degree, tolerance, ends)
+        depth = 0 if polynomial else DEPTH
+        for fraction, direction in piece.zeros(left, right, order if left == 0.0 else 0, depth):
             yield Zero(segment.start + fraction * segment.length, direction)
 
 
-def _piece(
-    guard: Guard,
-    segment: Segment,
-    t0: float,
-    span: tuple[float, float],
-    degree: int,
-    order: int,
-    tolerance: float,
-    depth: int,
-) -> Iterator[tuple[float, int]]:
-    left, right = span
-    width = right - left
-    fractions = left + width * nodes(degree)
-    values = _sample(guard, segment, t0, fractions)
-    if depth:
-        series = np.abs(from_values(degree) @ values)
-        if series[-3:].max() > RESOLVED * series.max() and series.max() > tolerance:
+@attrs.frozen
+class _Piece:
+    """A part of a step over which a guard is sampled."""
+
+    guard: Guard
+    segment: Segment
+    t0: float
+    degree: int
+    tolerance: float
+    ends: dict[str, float]
+
+    def zeros(
+        self, left: float, right: float, order: int, depth: int
+    ) -> Iterator[tuple[float, int]]:
+        """Zeros between two fractions of the step; halved until the guard is resolved."""
+        width = right - left
+        values = self.sample(left + width * nodes(self.degree))
+        if depth and not self.resolved(values):
             middle = 0.5 * (left + right)
-            args = (degree, order, tolerance, depth - 1)
-            yield from _piece(guard, segment, t0, (left, middle), *args)
-            yield from _piece(guard, segment, t0, (middle, right), *_later(args))
+            yield from self.zeros(left, middle, order, depth - 1)
+            yield from self.zeros(middle, right, 0, depth - 1)
             return
-    bernstein = _to_bernstein(degree) @ values
-    for root, direction in roots(bernstein, order, tolerance):
-        yield left + width * root, direction
+        values[0] = self.ends.get(self.guard.edge, values[0])
+        self.ends[self.guard.edge] = values[-1]
+        bernstein = _to_bernstein(self.degree) @ values
+        bernstein[0], bernstein[-1] = values[0], values[-1]
+        for root, direction in roots(bernstein, order, self.tolerance):
+            yield left + width * root, direction
 
+    def sample(self, fractions: np.ndarray) -> np.ndarray:
+        start, length, value = self.segment.start, self.segment.length, self.guard.value
+        states = self.segment.at(fractions).tolist()
+        times = (self.t0 + start + length * fractions).tolist()
+        values = np.array([value(t, x) for t, x in zip(times, states, strict=True)])
+        if not np.all(np.isfinite(values)):
+            raise FlowError(f"the guard of {self.guard.edge} is not finite")
+        return values
 
-def _later(args: tuple[int, int, float, int]) -> tuple[int, int, float, int]:
-    return (args[0], 0, *args[2:])
-
-
-def _sample(guard: Guard, segment: Segment, t0: float, fractions: np.ndarray) -> np.ndarray:
-    start, length, value = segment.start, segment.length, guard.value
-    states = segment.at(fractions).tolist()
-    times = (t0 + start + length * fractions).tolist()
-    return np.array([value(t, x) for t, x in zip(times, states, strict=True)])
+    def resolved(self, values: np.ndarray) -> bool:
+        series = np.abs(from_values(self.degree) @ values)
+        size = max(series.max(), self.tolerance)
+        return bool(series[-3:].max() <= RESOLVED * size)
 
 
 # ---------------------------------------------------------------------------------------
@@ -133,28 +150,16 @@ def _to_bernstein(degree: int) -> np.ndarray:
     return np.linalg.inv(np.array(basis))
 
 
-@cache
-def _noise(degree: int) -> float:
-    """Rounding in Bernstein coefficients, relative to the largest value."""
-    return 4 * EPS * float(np.abs(_to_bernstein(degree)).sum(axis=1).max())
-
-
 def roots(bernstein: np.ndarray, order: int, tolerance: float) -> Iterator[tuple[float, int]]:
     """Zeros in ``(0, 1]`` of a polynomial that vanishes at 0 to the given order.
 
     Yields ``(point, direction)`` in order; direction 0 is a touch within ``tolerance``.
     """
-    if not np.all(np.isfinite(bernstein)):
-        return
-    noise = _noise(len(bernstein) - 1) * float(np.abs(bernstein).max())
     b = deflate(bernstein, order)
     low, high = float(b.min()), float(b.max())
-    if low > 0 or high < 0:
-        if order or low > tolerance or high < -tolerance:
-            return
-        yield from _touches(b, tolerance)
+    if (low > 0 or high < 0) and (order or low > tolerance or high < -tolerance):
         return
-    found = list(_crossings(b.tolist(), 0.0, 1.0, noise if not order else 0.0, 48))
+    found = list(_crossings(b.tolist(), 0.0, 1.0, 48))
     yield from found
     if not order and not found:
         yield from _touches(b, tolerance)
@@ -168,45 +173,39 @@ def deflate(bernstein: np.ndarray, order: int) -> np.ndarray:
     return bernstein
 
 
-def _signs(b: Sequence[float], noise: float) -> list[int]:
-    return [0 if abs(v) <= noise else (1 if v > 0 else -1) for v in b]
-
-
 def _crossings(
-    b: list[float], left: float, right: float, noise: float, depth: int
+    b: list[float], left: float, right: float, depth: int
 ) -> Iterator[tuple[float, int]]:
-    """Sign changes in ``(left, right]`` by Descartes' rule and halving."""
-    signs = [s for s in _signs(b, noise) if s]
-    changes = sum(p != q for p, q in itertools.pairwise(signs))
+    """Sign changes in ``(left, right]`` by Descartes' rule and halving.
+
+    A zero at the right end of all counts as reached, from the sign before it.
+    """
+    signs = [1 if v > 0 else -1 for v in b if v]
+    changes = sum(p != q for p, q in pairwise(signs))
     if changes == 0:
-        if b[-1] == 0.0 and signs and right == 1.0 and abs(b[0]) > noise:
+        if signs and b[-1] == 0.0 and right == 1.0:
             yield right, -signs[-1]
-        return
-    if changes == 1 and b[0] * b[-1] < 0:
+    elif changes == 1 and b[0] * b[-1] < 0:
         yield left + (right - left) * _one_root(b), signs[-1]
-        return
-    if depth == 0:
+    elif depth == 0:
         if signs[0] != signs[-1]:
             yield 0.5 * (left + right), signs[-1]
-        return
-    first, second = _halve(b)
-    middle = 0.5 * (left + right)
-    yield from _crossings(first, left, middle, noise, depth - 1)
-    if abs(first[-1]) <= noise and _side(first, noise) * _side(second[::-1], noise) < 0:
-        yield middle, _side(second[::-1], noise)
-    yield from _crossings(second, middle, right, noise, depth - 1)
-
-
-def _side(b: Sequence[float], noise: float) -> int:
-    """Sign of the coefficients, told from the start of the list."""
-    return next((s for s in _signs(b, noise) if s), 0)
+    else:
+        first, second = _halve(b)
+        middle = 0.5 * (left + right)
+        yield from _crossings(first, left, middle, depth - 1)
+        before = [1 if v > 0 else -1 for v in first if v]
+        after = [1 if v > 0 else -1 for v in second if v]
+        if first[-1] == 0.0 and before and after and before[-1] != after[0]:
+            yield middle, after[0]
+        yield from _crossings(second, middle, right, depth - 1)
 
 
 def _halve(b: list[float]) -> tuple[list[float], list[float]]:
     """De Casteljau: coefficients on the left and the right half."""
     left, right, row = [b[0]], [b[-1]], b
     while len(row) > 1:
-        row = [0.5 * (p + q) for p, q in itertools.pairwise(row)]
+        row = [0.5 * (p + q) for p, q in pairwise(row)]
         left.append(row[0])
         right.append(row[-1])
     return left, right[::-1]
@@ -216,7 +215,7 @@ def _value(b: Sequence[float], s: float) -> tuple[float, float]:
     """Value and derivative (de Casteljau)."""
     row, degree = list(b), len(b) - 1
     while len(row) > 2:
-        row = [p + s * (q - p) for p, q in itertools.pairwise(row)]
+        row = [p + s * (q - p) for p, q in pairwise(row)]
     if degree == 0:
         return row[0], 0.0
     return row[0] + s * (row[1] - row[0]), degree * (row[1] - row[0])
@@ -248,7 +247,7 @@ def _touches(b: np.ndarray, tolerance: float) -> Iterator[tuple[float, int]]:
     degree = len(b) - 1
     slopes = (degree * np.diff(b)).tolist()
     positive = b.max() > -b.min()
-    for point, direction in _crossings(slopes, 0.0, 1.0, 0.0, 48):
+    for point, direction in _crossings(slopes, 0.0, 1.0, 48):
         towards = direction == (1 if positive else -1)
         if towards and abs(_value(b.tolist(), point)[0]) <= tolerance and 0 < point < 1:
             yield point, 0

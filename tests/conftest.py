@@ -1,0 +1,40 @@
+"""Fixtures: every rule is held on every solver."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+SOLVERS = {
+    "DOP853": {"solver": "scipy", "method": "DOP853"},
+    "RK45": {"solver": "scipy", "method": "RK45"},
+    "RK23": {"solver": "scipy", "method": "RK23"},
+    "Radau": {"solver": "scipy", "method": "Radau"},
+    "BDF": {"solver": "scipy", "method": "BDF"},
+    "LSODA": {"solver": "scipy", "method": "LSODA"},
+    "taylor": {"solver": "taylor"},
+}
+
+
+@pytest.fixture(params=SOLVERS)
+def solver(request):
+    """Options that choose a solver; a new backend is one line above."""
+    return SOLVERS[request.param]
+
+
+@pytest.fixture(params=["DOP853", "taylor"])
+def accurate(request):
+    """Options of the solvers that reach rounding, with tolerances to match."""
+    return {**SOLVERS[request.param], "rtol": 1e-12, "atol": 1e-12}
+
+
+@pytest.fixture(scope="session")
+def reference():
+    """Reference values, computed with 40 digits or more by two methods."""
+    return json.loads((Path(__file__).parent / "reference.json").read_text())
+
+
+@pytest.fixture(scope="session")
+def folder():
+    """The folder of the models."""
+    return Path(__file__).parent.parent / "models"

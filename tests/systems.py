@@ -1,0 +1,203 @@
+"""Small systems with known solutions, shared by the tests."""
+
+import jax.numpy as jnp
+
+import hybrid as hy
+
+
+class Thermostat(hy.Automaton):
+    """Heats towards 30 until 22, cools towards 10 until 18: exponentials."""
+
+    T = hy.state()
+
+    @hy.mode(initial=True)
+    def on(self, t, s):
+        return 30.0 - s.T
+
+    @hy.mode
+    def off(self, t, s):
+        return 10.0 - s.T
+
+    @hy.edge(on, to="off", guard=lambda self, t, s: 22.0 - s.T)
+    def hot(self, t, s):
+        return s
+
+    @hy.edge(off, to=on, guard=lambda self, t, s: s.T - 18.0)
+    def cold(self, t, s):
+        return s
+
+
+class Counter(hy.Automaton):
+    """A line ``x = t`` that counts zeros of ``(x - a)(x - a - width)`` in a direction."""
+
+    x = hy.state()
+    n = hy.state()
+    a = hy.parameter(0.5)
+    width = hy.parameter(1e-5)
+
+    @hy.mode
+    def line(self, t, s):
+        return 1.0, 0.0
+
+    @hy.edge(
+        line,
+        to=line,
+        guard=lambda self, t, s: (s.x - self.a) * (s.x - self.a - self.width),
+        crossing=hy.EITHER,
+    )
+    def zero(self, t, s):
+        return s.replace(n=s.n + 1)
+
+
+class FallingCounter(Counter):
+    @hy.edge(
+        "line", to="line", guard=lambda self, t, s: (s.x - self.a) * (s.x - self.a - self.width)
+    )
+    def zero(self, t, s):
+        return s.replace(n=s.n + 1)
+
+
+class RisingCounter(Counter):
+    @hy.edge(
+        "line",
+        to="line",
+        guard=lambda self, t, s: -(s.x - self.a) * (s.x - self.a - self.width),
+        crossing=hy.RISING,
+    )
+    def zero(self, t, s):
+        return s.replace(n=s.n + 1)
+
+
+class Oscillator(hy.Automaton):
+    """``x = cos t`` above a wall."""
+
+    x = hy.state()
+    v = hy.state()
+    wall = hy.parameter(-1.0)
+    r = hy.parameter(0.5, between=(0, 1))
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -s.x
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x - self.wall, restitution="r")
+
+
+class Corner(hy.Automaton):
+    """A free body in the corner of two walls."""
+
+    x = hy.state()
+    y = hy.state()
+    u = hy.state()
+    w = hy.state()
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.u, s.w, 0.0, 0.0
+
+    left = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+    floor = hy.contact(flight, gap=lambda self, t, s: s.y, restitution=0.5)
+
+
+class Room(hy.Automaton):
+    """A ball on a floor between two walls, under gravity."""
+
+    x = hy.state()
+    y = hy.state()
+    u = hy.state()
+    w = hy.state()
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.u, s.w, 0.0, -9.81
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.y, restitution=0.5)
+    wall = hy.contact(flight, gap=lambda self, t, s: 3.0 - s.x, restitution=0.5)
+
+
+class Loop(hy.Automaton):
+    """Two modes that push back onto their common border: no flow between the jumps."""
+
+    x = hy.state()
+
+    @hy.mode(initial=True)
+    def up(self, t, s):
+        return 1.0
+
+    @hy.mode
+    def down(self, t, s):
+        return -1.0
+
+    @hy.edge(up, to=down, guard=lambda self, t, s: 1.0 - s.x)
+    def over(self, t, s):
+        return s
+
+    @hy.edge(down, to=up, guard=lambda self, t, s: s.x - 1.0)
+    def under(self, t, s):
+        return s
+
+
+class Drag(hy.Automaton):
+    """A ball with quadratic drag: the flow has a kink at the top of each flight."""
+
+    x = hy.state()
+    v = hy.state()
+    r = hy.parameter(0.8)
+    c = hy.parameter(0.3)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -9.81 - self.c * s.v * jnp.abs(s.v)
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution="r")
+
+
+class WeakeningGravity(hy.Automaton):
+    """Gravity ``1 - t``: impacts accumulate, or escape, on the two sides of a threshold."""
+
+    y = hy.state()
+    v = hy.state()
+    r = hy.parameter(0.5)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, t - 1.0
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.y, restitution="r")
+
+
+class LawBall(hy.Automaton):
+    """A ball, g = 2, whose restitution depends on the speed as a subclass says."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -2.0
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=1.0)
+
+
+class HarmonicBall(LawBall):
+    """``v+ = |v| / (1 + |v|)``: the gaps shrink like 1/n; no accumulation."""
+
+    impact = hy.contact(
+        "flight", gap=lambda self, t, s: s.x, restitution=lambda self, t, s, u: 1 / (1 - u)
+    )
+
+
+class ForcedOscillator(hy.Automaton):
+    """Budd and Dux: ``x'' + x = cos(w t)`` below a wall at ``sigma``."""
+
+    x = hy.state()
+    v = hy.state()
+    r = hy.parameter(0.8)
+    w = hy.parameter(2.8)
+    sigma = hy.parameter(0.0)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -s.x + jnp.cos(self.w * t)
+
+    impact = hy.contact(flight, gap=lambda self, t, s: self.sigma - s.x, restitution="r")
