@@ -37,11 +37,11 @@ class Automaton:
         super().__init_subclass__(**kwargs)
         markers = _collect(cls)
         _make_attrs(cls, markers)
-        cls.spec, faults = _Builder(cls, markers).build()
-        if not faults:
-            cls.traces, faults = _trace_all(cls, cls.spec)
-        if faults:
-            raise DeclarationError(cls.__name__, faults)
+        builder = _Builder(cls, markers)
+        cls.spec = builder.build()
+        cls.traces, faults = _trace_all(cls, cls.spec, builder.untraceable)
+        if builder.faults or faults:
+            raise DeclarationError(cls.__name__, builder.faults + faults)
         _register_pytree(cls)
 
     def __init__(self, **parameters: Any) -> None:
@@ -104,11 +104,12 @@ class _Builder:
     def __init__(self, cls: type, markers: dict[str, Any]) -> None:
         self.cls, self.markers = cls, markers
         self.faults: list[str] = []
+        self.untraceable: list[Any] = []
 
     def of(self, kind: type) -> list[Any]:
         return [marker for marker in self.markers.values() if isinstance(marker, kind)]
 
-    def build(self) -> tuple[Spec, list[str]]:
+    def build(self) -> Spec:
         states, offset = [], 0
         for marker in self.of(State):
             states.append(StateSpec(marker.name, marker.unit, marker.doc, marker.shape, offset))
@@ -133,7 +134,7 @@ class _Builder:
             modes,
             tuple(transitions),
             self.initial(),
-        ), self.faults
+        )
 
     def initial(self) -> str:
         modes = self.of(Mode)
@@ -179,6 +180,7 @@ class _Builder:
                 self.faults.append(
                     f"{where}: restitution={given!r} is no parameter; there are: {known}"
                 )
+                return lambda self, t, s, u: 1.0
             return lambda self, t, s, u: getattr(self, given)
         if callable(given):
             self.signature(f"{where}, restitution", given, ("t", "s", "u"))
@@ -188,6 +190,7 @@ class _Builder:
                 f"{where}: restitution={given!r}; give a parameter's name, "
                 "a number from 0 to 1 or a function (self, t, s, u)"
             )
+            return lambda self, t, s, u: 1.0
         return lambda self, t, s, u: given
 
     def target(self, where: str, what: str, given: Any) -> str:
@@ -204,6 +207,7 @@ class _Builder:
         wanted = f"(self, {', '.join(arguments)})"
         if not callable(function):
             self.faults.append(f"{where}: {function!r} is not a function {wanted}")
+            self.untraceable.append(function)
             return
         try:
             inspect.signature(function).bind(None, *arguments)
@@ -212,9 +216,12 @@ class _Builder:
             late = "past" in given.parameters
             why = "; flows that look into the past cannot be simulated yet" if late else ""
             self.faults.append(f"{where}: takes {given} where {wanted} is due{why}")
+            self.untraceable.append(function)
 
 
-def _trace_all(cls: type, spec: Spec) -> tuple[dict[tuple[str, str], Any], list[str]]:
+def _trace_all(
+    cls: type, spec: Spec, skipped: list[Any]
+) -> tuple[dict[tuple[str, str], Any], list[str]]:
     """Trace every function of the model; faults are sentences."""
     traces: dict[tuple[str, str], Any] = {}
     faults: list[str] = []
@@ -222,6 +229,8 @@ def _trace_all(cls: type, spec: Spec) -> tuple[dict[tuple[str, str], Any], list[
     def add(
         kind: str, owner: str, function: Callable[..., Any], whole: bool, extra: int = 0
     ) -> None:
+        if not spec.states or any(function is other for other in skipped):
+            return
         call = trace.caller(cls, spec, function)
         call = trace.vector(spec, call) if whole else trace.scalar(call)
         where = {"flow": "mode", "gap": "contact", "restitution": "contact"}.get(kind, "edge")

@@ -21,7 +21,7 @@ Ids = np.ndarray
 
 #: Elementwise primitives that become a node of the same name.
 ELEMENTWISE = {
-    *("add", "sub", "mul", "div", "neg", "pow", "sqrt", "exp", "log", "sin", "cos", "tan"),
+    *("add", "sub", "mul", "div", "neg", "sqrt", "exp", "log", "sin", "cos", "tan"),
     *("asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
     *("exp2", "expm1", "log1p", "logistic", "cbrt", "erf", "erfc", "lgamma", "rem"),
     *("abs", "sign", "floor", "ceil", "max", "min", "gt", "ge", "lt", "le", "eq", "ne"),
@@ -71,6 +71,13 @@ class Graph:
     def input(self, name: str) -> int:
         """The node of a named input."""
         return self.node("input", name)
+
+    def moves(self, number: int) -> bool:
+        """Whether a node depends on the time or the state."""
+        op, *arguments = self.nodes[number]
+        if op == "input":
+            return not arguments[0].startswith("p")
+        return op != "const" and any(self.moves(a) for a in arguments)
 
     def _simplify(self, key: tuple[Any, ...]) -> tuple[Any, ...]:
         op, arguments = key[0], key[1:]
@@ -199,6 +206,13 @@ def _integer_pow(graph: Graph, params: Any, x: Ids) -> Ids:
     return result if params["y"] > 0 else _map(graph, "div", [_constant(graph, 1.0), result])
 
 
+def _power(graph: Graph, params: Any, x: Ids, y: Ids) -> Ids:
+    """``x^y``; by ``exp(y log x)`` where the exponent moves, so that it has a series."""
+    if not any(graph.moves(int(i)) for i in y.reshape(-1)):
+        return _map(graph, "pow", [x, y])
+    return _map(graph, "exp", [_map(graph, "mul", [y, _map(graph, "log", [x])])])
+
+
 def _select(graph: Graph, params: Any, which: Ids, *cases: Ids) -> Ids:
     chosen = cases[0]
     for index, case in enumerate(cases[1:], start=1):
@@ -291,7 +305,7 @@ def _move(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
     operands: list[Any] = []
     for place, ids in enumerate(inputs):
         if place in moved.get(name, (0,)):
-            operands.append(ids)
+            operands.append(ids.astype(float) if name.startswith("scatter") else ids)
             continue
         values = [graph.value(int(i)) for i in ids.reshape(-1)]
         if any(v is None for v in values):
@@ -301,21 +315,20 @@ def _move(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
             )
         operands.append(np.array(values, dtype=np.int64).reshape(ids.shape))
     with jax.enable_x64(True):
-        return np.asarray(equation.primitive.bind(*operands, **equation.params))
+        moved_ids = equation.primitive.bind(*operands, **equation.params)
+    return np.asarray(moved_ids).astype(np.int64)
 
 
 def _scatter_add(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
-    """``x.at[i].add(y)``, one summand a place: put ``y`` over zeros, then add."""
-    from jax import lax
-
-    zeros = np.full(inputs[0].shape, graph.const(0.0))
-    where = equation.replace(primitive=lax.scatter_p)
-    counts = np.asarray(
-        _move(graph, equation, [np.zeros_like(zeros), inputs[1], np.ones_like(inputs[2])])
-    )
+    """``x.at[i].add(y)``, one summand a place: let JAX put the summands' places over zeros."""
+    operand, indices, updates = inputs
+    zeros, places = np.zeros(operand.shape), np.arange(1, updates.size + 1).reshape(updates.shape)
+    counts = _move(graph, equation, [zeros, indices, np.ones(updates.shape)])
     if counts.max(initial=0) > 1:
         raise TraceError("x.at[...].add(...) with a repeated position; add the summands first")
-    return _map(graph, "add", [inputs[0], _move(graph, where, [zeros, *inputs[1:]])])
+    landed = _move(graph, equation, [zeros, indices, places])
+    summands = np.concatenate([[graph.const(0.0)], updates.reshape(-1)])
+    return _map(graph, "add", [operand, summands[landed]])
 
 
 def _broadcast(graph: Graph, params: Any, x: Ids) -> Ids:
@@ -361,8 +374,10 @@ def _same(graph: Graph, params: Any, x: Ids) -> Ids:
 #: Primitive name to the rule that gives its single result.
 RULES: dict[str, Callable[..., Ids]] = {
     "integer_pow": _integer_pow,
+    "pow": _power,
     "square": lambda g, p, x: _map(g, "mul", [x, x]),
     "rsqrt": lambda g, p, x: _map(g, "div", [_constant(g, 1.0), _map(g, "sqrt", [x])]),
+    "round": lambda g, p, x: _map(g, "round" if int(p["rounding_method"]) else "away", [x]),
     "select_n": _select,
     "clamp": _clamp,
     "reduce_sum": _reduce("add", 0.0),

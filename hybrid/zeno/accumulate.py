@@ -40,6 +40,9 @@ DEGREE = 16
 #: Rounding floor of an accumulation, relative.
 FLOOR = 4e-15
 
+#: What is left after a turn, against what the turn changed: it shrinks, but not evenly.
+CAUTION = 8.0
+
 #: Rounding of one flight, relative, as seen in the change from turn to turn.
 ROUNDING = 3e-15
 
@@ -141,7 +144,7 @@ def close(
                 left = min(1.0, worst / history[-1])  # doubling squares what is left, or better
                 change, worst = left * change, left * worst
             if worst <= 1.0:
-                return guess.tail(low, change + FLOOR * guess.scale() + rounding)
+                return guess.tail(low, CAUTION * change + FLOOR * guess.scale() + rounding)
             history.append(worst)
             if not guess.steady and not _hopeful(history, DEGREE - degree):
                 return None

@@ -1,0 +1,161 @@
+"""A class body becomes one spec; its faults are reported together."""
+
+import attrs
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+from models.bead_on_table import BeadOnTable
+
+NARROW = jnp.float32(9.81)
+
+
+def test_parameters_are_checked_with_name_value_and_bound():
+    """The message says all three."""
+    with pytest.raises(hy.ParameterError, match=r"BeadOnTable.r = 1.5: must lie in \[0, 1\]"):
+        BeadOnTable(r=1.5)
+    with pytest.raises(hy.ParameterError, match=r"BeadOnTable.g = -1: must be positive"):
+        BeadOnTable(g=-1)
+    with pytest.raises(hy.ParameterError, match="no parameter 'rr'; there are: g, r"):
+        BeadOnTable(rr=0.5)
+    with pytest.raises(hy.ParameterError, match="must be finite"):
+        BeadOnTable(omega=float("nan"))
+
+
+def test_evolve_checks_too_and_models_are_frozen():
+    """attrs.evolve runs the validators; nothing can be assigned."""
+    model = attrs.evolve(BeadOnTable(), r=0.5)
+    assert model == BeadOnTable(r=0.5)
+    with pytest.raises(hy.ParameterError):
+        attrs.evolve(model, r=2.0)
+    with pytest.raises(attrs.exceptions.FrozenInstanceError):
+        model.r = 0.1
+
+
+def test_a_model_is_a_pytree_rebuilt_without_validators():
+    """Leaves are the parameters; values out of bounds (or tracers) pass through."""
+    moved = jax.tree.map(lambda value: value + 10.0, BeadOnTable())
+    assert moved.r == 10.9
+    slope = jax.grad(lambda model: model.table(1.0))(BeadOnTable())
+    assert float(slope.amplitude) == pytest.approx(np.sin(0.29), rel=1e-6)
+
+
+def test_all_faults_are_reported_together():
+    """Names the class, the mode or edge, and what would do instead."""
+    with pytest.raises(hy.DeclarationError) as caught:
+
+        class Bad(hy.Automaton):
+            x = hy.state()
+            v = hy.state()
+
+            @hy.mode
+            def one(self, t, s):
+                return s.v
+
+            @hy.mode
+            def two(self, t, s):
+                return s.v, s.speed
+
+            @hy.edge(one, to="three", guard=lambda self, t: 1.0)
+            def over(self, t, s):
+                return s
+
+            impact = hy.contact(two, gap=lambda self, t, s: s.x, restitution="e")
+
+    text = str(caught.value)
+    assert len(caught.value.faults) == 6
+    assert "Bad has 6 faults" in text
+    for part in (
+        "edge over: to='three' is no mode of this class; there are: one, two",
+        "edge over, guard: takes (self, t) where (self, t, s) is due",
+        "contact impact: restitution='e' is no parameter",
+        "one mode must be initial=True",
+        "mode one: ",
+        "mode two: AttributeError: no state named 'speed'; there are: x, v",
+    ):
+        assert part in text
+
+
+def test_a_wrong_shape_is_a_fault():
+    """A state of shape (2,) needs a derivative of that shape."""
+    with pytest.raises(hy.DeclarationError, match=r"q: shape \(\) where \(2,\) is due"):
+
+        class Bad(hy.Automaton):
+            q = hy.state(shape=(2,))
+
+            @hy.mode
+            def flow(self, t, s):
+                return (1.0,)
+
+
+def test_a_captured_constant_of_32_bits_is_named():
+    """It was made before it could be widened: its digits are lost."""
+    with pytest.raises(hy.DeclarationError, match="the constant 'NARROW' has only 32 bits"):
+
+        class Bad(hy.Automaton):
+            x = hy.state()
+
+            @hy.mode
+            def fall(self, t, s):
+                return -NARROW * s.x
+
+
+def test_the_users_precision_setting_is_left_alone():
+    """64 bits inside, the global flag as it was."""
+    assert not jax.config.jax_enable_x64
+    hy.simulate(BeadOnTable(), {"x": 1.9, "v": 0.0}, (0, 1))
+    assert not jax.config.jax_enable_x64
+    assert jnp.ones(1).dtype == jnp.float32
+
+
+def test_a_subclass_overrides_in_place():
+    """A subclass changes a parameter's default and keeps the rest."""
+
+    class Slow(BeadOnTable):
+        omega: float = hy.parameter(0.1)
+
+    assert [p.name for p in Slow.spec.parameters] == ["g", "r", "amplitude", "omega"]
+    assert Slow().omega == 0.1
+    assert Slow.spec.names == ("x", "v")
+
+
+def test_a_contact_without_velocities_is_refused():
+    """A first-order flow has no impacts; the message says what to write instead."""
+
+    class First(hy.Automaton):
+        x = hy.state()
+
+        @hy.mode
+        def drift(self, t, s):
+            return -1.0
+
+        wall = hy.contact(drift, gap=lambda self, t, s: s.x, restitution=0.5)
+
+    with pytest.raises(hy.DeclarationError, match="for a first-order flow write an edge"):
+        hy.simulate(First(), {"x": 1.0}, (0, 2))
+
+
+def test_looking_into_the_past_is_refused_for_now():
+    """A flow with ``past`` is a fault that says so."""
+    with pytest.raises(hy.DeclarationError, match="look into the past cannot be simulated yet"):
+
+        class Late(hy.Automaton):
+            x = hy.state()
+
+            @hy.mode
+            def flow(self, t, s, past):
+                return -past(1.0).x
+
+
+def test_a_record_unpacks_and_replaces():
+    """``s.x``, ``x, v = s``, ``s.replace(v=...)``."""
+    record = BeadOnTable.spec.record(np.array([1.0, 2.0]))
+    x, v = record
+    assert (x, v, record.x, record["v"], len(record)) == (1.0, 2.0, 1.0, 2.0, 2)
+    assert record.replace(v=5.0).v == 5.0
+    with pytest.raises(AttributeError, match="no state named 'z'; there are: x, v"):
+        _ = record.z
+    with pytest.raises(AttributeError, match="does not change"):
+        record.x = 1.0
