@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from math import isfinite
 from typing import Any
 
 import attrs
@@ -269,6 +270,8 @@ class Driver:
         return fired
 
     def _begin(self, length: float, target: float | None) -> Stepper:
+        if not all(map(isfinite, self.field.rhs(self.now.t, self.x.tolist()))):
+            raise FlowError(f"{self._where()}: the flow is not finite")
         first, sizes = self._first_step(length), None
         if target is not None:
             powers = target ** np.arange(1, ORDER + 1)

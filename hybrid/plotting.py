@@ -75,13 +75,23 @@ def _series(axes: Axes, run: Trajectory, curves: Any, index: int) -> None:
         axes.plot(times, values, color=LINE, lw=1)
     for resting, t, x in curves:
         if resting:
-            axes.plot(t, x[:, index], color=LINE, lw=2.4, solid_capstyle="butt")
-    impacts = run.jumps
-    if len(impacts):
-        after = _elements(run, impacts.after)[:, index]
-        axes.plot(impacts.t, after, ".", color=IMPACT, ms=4)
-    for point in run.zeno:
-        axes.axvline(point.t, color=LIMIT, lw=1, ls="--")
+            label = None if axes.get_legend_handles_labels()[0] else "at rest"
+            style = {"color": LINE, "lw": 2.4, "solid_capstyle": "butt", "label": label}
+            axes.plot(t, x[:, index], **style)
+    shown = _impacts(run)
+    if np.any(shown):
+        after = _elements(run, run.jumps.after)[shown, index]
+        axes.plot(run.jumps.t[shown], after, ".", color=IMPACT, ms=4, label="jump")
+    for number, point in enumerate(run.zeno):
+        label = None if number else "accumulation"
+        axes.axvline(point.t, color=LIMIT, lw=1, ls="--", label=label)
+    if index == 0 and axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="upper right", fontsize=8)
+
+
+def _impacts(run: Trajectory) -> np.ndarray:
+    """Which jumps are drawn: not releases, where nothing jumps."""
+    return np.array([not str(edge).endswith(".release") for edge in run.jumps.edge], dtype=bool)
 
 
 def _elements(run: Trajectory, record: Any) -> np.ndarray:

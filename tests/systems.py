@@ -201,3 +201,16 @@ class ForcedOscillator(hy.Automaton):
         return s.v, -s.x + jnp.cos(self.w * t)
 
     impact = hy.contact(flight, gap=lambda self, t, s: self.sigma - s.x, restitution="r")
+
+
+class Ceiling(hy.Automaton):
+    """A body thrown up under a ceiling at 0, gravity 2."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -2.0
+
+    impact = hy.contact(flight, gap=lambda self, t, s: -s.x, restitution=0.5)

@@ -1,0 +1,68 @@
+"""The layout: imports point one way, importing is light, files stay readable."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "hybrid"
+
+#: Lowest first: a module imports from its own layer or from those before it.
+LAYERS = [
+    ["errors", "clock", "segment"],
+    ["automaton"],
+    ["scene"],
+    ["events", "solvers"],
+    ["zeno"],
+    ["trajectory"],
+    ["driver", "store", "plotting"],
+    ["simulate"],
+    ["gallery"],
+    ["cli", "__main__", "__init__"],
+]
+
+
+def layer(module):
+    return next(i for i, names in enumerate(LAYERS) if module in names)
+
+
+def runtime_imports(path):
+    """Relative imports of a file at import time: not under TYPE_CHECKING or in functions."""
+    package = [*path.relative_to(PACKAGE).parts[:-1]]
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.ImportFrom) and node.level:
+            base = package[: len(package) - (node.level - 1)]
+            full = [*base, *(node.module or "").split(".")]
+            names = [full[0]] if full[0] else [alias.name for alias in node.names]
+            yield from (name for name in names if name)
+
+
+def test_imports_point_down():
+    """Declaration, scene, solver, trajectory, analysis: never back."""
+    for path in PACKAGE.rglob("*.py"):
+        own = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+        for name in runtime_imports(path):
+            assert layer(name) <= layer(own), f"{path.name} imports {name}"
+
+
+def test_importing_is_light():
+    """Neither JAX, SciPy nor matplotlib is loaded by ``import hybrid``."""
+    code = (
+        "import sys, hybrid\n"
+        "print([m for m in ('jax', 'scipy', 'matplotlib', 'xarray', 'rich') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True
+    )
+    assert done.stdout.strip() == "[]"
+
+
+def test_public_names_have_docstrings():
+    """Everything in ``hybrid.__all__`` says what it is."""
+    import hybrid
+
+    for name in hybrid.__all__:
+        value = getattr(hybrid, name)
+        if callable(value):
+            assert value.__doc__, name

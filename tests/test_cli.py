@@ -1,0 +1,109 @@
+"""The command line: output, files, one clear line and exit code 2 on a fault."""
+
+import pytest
+from typer.testing import CliRunner
+
+import hybrid as hy
+from hybrid.cli import app
+
+RUNNER = CliRunner()
+
+
+def call(*arguments):
+    return RUNNER.invoke(app, [str(a) for a in arguments])
+
+
+def test_run_prints_draws_and_saves(tmp_path, folder):
+    """The example of the README, by file."""
+    result = call(
+        *("run", folder / "bead_on_table.py", "--set", "r=0.8", "--until", 60),
+        *("--solver", "scipy", "--method", "DOP853", "--rtol", 1e-9),
+        *("--plot", tmp_path / "out.png", "--save", tmp_path / "out.nc"),
+    )
+    assert result.exit_code == 0, result.output
+    assert "t_inf = 27.2679146866" in result.output
+    assert (tmp_path / "out.png").exists()
+    assert hy.load(tmp_path / "out.nc").zeno[0].t == pytest.approx(27.2679146866, abs=1e-9)
+
+
+def test_a_model_by_name_with_its_oracle():
+    """Exact values beside computed ones."""
+    result = call("run", "bouncing_ball", "--oracle")
+    assert result.exit_code == 0
+    assert "2.55863396558581" in result.output
+
+
+def test_list_names_every_model():
+    """One line each."""
+    result = call("list")
+    assert result.exit_code == 0
+    for name in ("bead_on_table", "ball_on_circle", "moon_holmes"):
+        assert name in result.output
+
+
+def test_check_reports_all_faults(tmp_path):
+    """A class with faults: the list, exit code 2; one without: what it declares."""
+    bad = tmp_path / "bad.py"
+    bad.write_text(
+        "import hybrid as hy\n"
+        "class Bad(hy.Automaton):\n"
+        "    x = hy.state()\n"
+        "    @hy.mode\n"
+        "    def one(self, t, s):\n"
+        "        return s.y\n"
+        "    hit = hy.contact(one, gap=lambda self, t, s: s.x, restitution='e')\n"
+    )
+    result = call("check", bad)
+    assert result.exit_code == 2
+    assert "Bad has 2 faults" in result.output
+    assert "no state named 'y'" in result.output
+    good = call("check", "two_walls")
+    assert good.exit_code == 0
+    assert "no faults" in good.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "no_such_model"], "no model 'no_such_model' in the gallery: ball_on_circle"),
+        (["run", "none.py"], "none.py: no such file"),
+        (["run", "bouncing_ball", "--set", "e=0.5"], "has no parameter 'e'; there are: g, r"),
+        (["run", "bouncing_ball", "--set", "r=2"], "must lie in [0, 1]"),
+        (["run", "bouncing_ball", "--set", "r"], "--set r: write NAME=NUMBER"),
+        (["run", "bouncing_ball", "--mode", "swim"], "mode='swim'; there are flight"),
+        (["run", "bouncing_ball", "--method", "RK99"], "method='RK99'"),
+        (["run", "bouncing_ball", "--solver", "mine"], "solver='mine'"),
+        (["run", "bouncing_ball", "--start", "x=-1"], "outside the mode's domain"),
+        (["run", "bouncing_ball", "--until", "-1"], "the first before the last"),
+        (["run", "bouncing_ball", "--plot", "out.xyz"], "plot: "),
+        (["check", "none.py"], "none.py: no such file"),
+    ],
+)
+def test_faults_are_one_line_and_exit_code_2(arguments, message):
+    """No traceback."""
+    result = call(*arguments)
+    assert result.exit_code == 2
+    assert message in result.output
+    assert "Traceback" not in result.output
+    assert result.stderr.count("\n") == 1
+
+
+def test_a_fault_in_the_users_file_names_its_line(tmp_path):
+    """Syntax errors, import errors and flows that give NaN."""
+    broken = tmp_path / "broken.py"
+    broken.write_text("import hybrid as hy\nx = (\n")
+    assert "broken.py:2: SyntaxError" in call("run", broken).output
+    missing = tmp_path / "missing.py"
+    missing.write_text("import hybrid as hy\nimport nowhere_at_all\n")
+    assert "missing.py:2: ModuleNotFoundError" in call("run", missing).output
+    nan = tmp_path / "nan.py"
+    nan.write_text(
+        "import jax.numpy as jnp\nimport hybrid as hy\n"
+        "class Nan(hy.Automaton):\n    x = hy.state()\n    @hy.mode\n"
+        "    def f(self, t, s):\n        return jnp.log(s.x) * 1.0\n"
+    )
+    result = call("run", nan, "--start", "x=-1", "--until", "1")
+    assert result.exit_code == 2
+    assert "the flow is not finite" in result.output
+    no_start = call("run", nan, "--until", "1")
+    assert "no start for x; add --start x=NUMBER" in no_start.output

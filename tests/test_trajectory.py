@@ -1,0 +1,214 @@
+"""The record of a run: times, sides, arcs, tables, options."""
+
+import numpy as np
+import pytest
+
+import hybrid as hy
+from models.bead_on_table import BeadOnTable
+from models.bouncing_ball import BouncingBall
+
+from . import systems
+
+
+@pytest.fixture(scope="module")
+def run():
+    return hy.simulate(BouncingBall(), {"x": 1.0, "v": 0.0}, (0, 3), rtol=1e-10)
+
+
+def test_both_sides_of_a_jump(run):
+    """At an impact ``side`` picks the state; ``j`` picks the arc."""
+    t = run.jumps.t[0]
+    before, after = run(t, side="left"), run(t, side="right")
+    assert before.v == run.jumps[0].before.v == run(t, 0).v
+    assert after.v == run.jumps[0].after.v == run(t, 1).v
+    assert after.v == pytest.approx(-0.7 * before.v, rel=1e-14)
+
+
+def test_arrays_of_times_have_their_shape(run):
+    """Fields of the record have the shape of the times; values equal those one by one."""
+    times = np.linspace(0, 3, 12).reshape(3, 4)
+    record = run(times)
+    assert record.x.shape == (3, 4)
+    for t, x in zip(times.ravel(), record.x.ravel(), strict=True):
+        assert run(t).x == pytest.approx(float(x), abs=1e-15)
+
+
+def test_columns_and_rows_of_the_jump_table(run):
+    """``run.jumps.t`` is an array; ``run.jumps[3]`` a jump; slices work."""
+    jumps = run.jumps
+    assert jumps.t.shape == (len(jumps),) == jumps.before.v.shape
+    assert jumps[3].t == jumps.t[3]
+    assert [jump.j for jump in jumps[1:4]] == [1, 2, 3]
+    assert jumps[-1].j == len(jumps) - 1
+    assert set(jumps.edge) == {"impact"}
+    assert "103 jumps" in repr(jumps)
+
+
+def test_arcs_are_joined_by_jumps(run):
+    """Each arc starts where its jump leads and j counts them."""
+    arcs = run.arcs
+    assert [arc.j for arc in arcs[:-1]] == list(range(len(arcs) - 1))
+    for jump, arc in zip(run.jumps, arcs[1:-1], strict=False):
+        assert arc.t0 == pytest.approx(jump.t, abs=1e-15)
+    assert arcs[-1].mode == "flight.rest(impact)"
+
+
+def test_the_trajectory_obeys_its_flow_guard_and_reset(run):
+    """Residuals of the dense output: x' = v, v' = -g, gap >= 0."""
+    times = np.linspace(0.01, 2.4, 200)
+    h = 1e-5
+    inside = [t for t in times if not np.any(np.abs(run.jumps.t - t) < 2 * h)]
+    for t in inside:
+        slope = (run(t + h).x - run(t - h).x) / (2 * h)
+        assert slope == pytest.approx(float(run(t).v), abs=1e-8)
+    assert np.all(run(np.linspace(0, 3, 999)).x >= -1e-12)
+
+
+def test_times_outside_the_run_are_refused(run):
+    """With the run's own times in the message."""
+    with pytest.raises(hy.OptionError, match=r"outside the run \[0.0, 3.0\]"):
+        run(3.5)
+    with pytest.raises(hy.OptionError, match="side='middle'"):
+        run(1.0, side="middle")
+    with pytest.raises(hy.OptionError, match="has arcs 0 to"):
+        run(1.0, 4000)
+
+
+def test_saving_only_what_is_asked_for():
+    """``save="jumps"`` keeps no dense output; an array keeps the states at its times."""
+    lean = hy.simulate(BouncingBall(), [1.0, 0.0], (0, 3), save="jumps")
+    assert all(not arc.segments for arc in lean.arcs if "rest" in arc.mode)
+    with pytest.raises(hy.OptionError, match="use save='dense'"):
+        lean(0.2)
+    times = np.linspace(0, 3, 31)
+    sampled = hy.simulate(BouncingBall(), [1.0, 0.0], (0, 3), save=times).to_xarray()
+    dense = hy.simulate(BouncingBall(), [1.0, 0.0], (0, 3))(times)
+    np.testing.assert_allclose(sampled.x.values, dense.x, atol=1e-14)
+    np.testing.assert_array_equal(sampled.time.values, times)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"solver": "euler"}, "solver='euler': there are scipy, taylor"),
+        ({"method": "RK99"}, "method='RK99': solver 'scipy' has DOP853, RK45"),
+        ({"rtol": -1.0}, "rtol=-1.0: a number between 0 and 1"),
+        ({"atol": [1e-9] * 3}, "one for each of the 2 elements"),
+        ({"zeno": "maybe"}, "zeno='maybe': one of 'rest', 'stop'"),
+        ({"max_jumps": 0}, "max_jumps=0: a whole number greater than 0"),
+        ({"save": [3.0, 2.0]}, "increasing times within t"),
+        ({"mode": "fly"}, r"mode='fly'; there are flight, flight.rest\(impact\)"),
+        ({"history": {"x": 1.0}}, "no flow looks into the past"),
+        ({"memory": "lose"}, "memory='lose': 'keep' or 'restart'"),
+    ],
+)
+def test_options_that_cannot_be_used(options, message):
+    """One line with what can."""
+    with pytest.raises(hy.OptionError, match=message):
+        hy.simulate(BouncingBall(), [1.0, 0.0], (0, 3), **options)
+
+
+@pytest.mark.parametrize(
+    ("start", "message"),
+    [
+        ({"x": 1.0}, "no value for v; the states are x, v"),
+        ({"x": 1.0, "v": 0.0, "w": 0.0}, "unknown state 'w'"),
+        ([1.0], "1 values for 2 states"),
+        ({"x": "high", "v": 0.0}, "start x = 'high' is no number"),
+        ({"x": float("nan"), "v": 0.0}, "is not finite"),
+        ({"x": [1.0, 2.0], "v": 0.0}, r"has shape \(2,\); \(\) is due"),
+    ],
+)
+def test_starts_that_cannot_be_used(start, message):
+    """Names the model, the state and the value."""
+    with pytest.raises(hy.StartError, match=message):
+        hy.simulate(BouncingBall(), start, (0, 3))
+
+
+def test_a_class_in_place_of_a_model():
+    """A common slip, with its remedy."""
+    with pytest.raises(hy.OptionError, match=r"give an instance of the model: BouncingBall\(\)"):
+        hy.simulate(BouncingBall, [1.0, 0.0], (0, 3))
+
+
+def test_zeno_stop_raise_and_max_jumps():
+    """The caller's choice at an accumulation, and the sentences that go with it."""
+    stopped = hy.simulate(BouncingBall(), [1.0, 0.0], (0, 3), zeno="stop")
+    assert stopped.status is hy.Status.ZENO_STOPPED
+    assert stopped.t1 == stopped.zeno[0].t
+    with pytest.raises(hy.ZenoError, match=r"accumulate at t_inf = 2\.5586.* ratio 0\.7"):
+        hy.simulate(BouncingBall(), [1.0, 0.0], (0, 3), zeno="raise")
+    short = hy.simulate(BouncingBall(r=1.0), [1.0, 0.0], (0, 99), max_jumps=5)
+    assert short.status is hy.Status.MAX_JUMPS
+    assert len(short.jumps) == 5
+
+
+def test_a_contact_that_does_not_rest_ends_the_run():
+    """rests=False: the run ends at the accumulation and says why."""
+
+    class NoRest(systems.LawBall):
+        impact = hy.contact("flight", gap=lambda self, t, s: s.x, restitution=0.5, rests=False)
+
+    run = hy.simulate(NoRest(), {"x": 1.0, "v": 0.0}, (0, 9))
+    assert run.status is hy.Status.NO_REST
+    assert run.t1 == pytest.approx(3.0, rel=1e-12)
+
+
+def test_truncation_reports_its_distance(reference):
+    """Section 2 of the paper: [1/r] impacts, then held; the gap to the full series."""
+    from models.hard_spring import HardSpring
+
+    for row in reference["section_2"]["rows"]:
+        r = 1 / 3 if row["r"] == "1/3" else float(row["r"])
+        run = hy.simulate(
+            HardSpring(r=r), [2.1, 0.0], (0, 3), zeno="truncate", rtol=1e-12, atol=1e-12
+        )
+        cut = run.zeno[0].truncation
+        assert cut.impacts == row["[1/r]"]
+        assert run.zeno[0].t == pytest.approx(float(row["theta_[1/r]"]), abs=1e-11)
+        assert cut.gap == pytest.approx(float(row["gap=theta_inf-theta_[1/r]"]), rel=1e-8)
+        height = float(row["max_height_missed(after impact N)"])
+        assert cut.height == pytest.approx(height, rel=1e-2)  # the largest of 65 samples
+        assert run.final.x == 2.0
+
+
+def test_the_floor_of_one_over_r_is_exact():
+    """1/r for r = 1/n rounds below n for some n; the cap is n all the same."""
+    from hybrid.driver import permitted
+
+    assert all(permitted(1.0 / n) == n for n in range(1, 200))
+
+
+def test_a_flow_that_is_not_finite_is_named(solver):
+    """Model, mode, time and state, on every solver."""
+    import jax.numpy as jnp
+
+    class Root(hy.Automaton):
+        x = hy.state()
+
+        @hy.mode
+        def grow(self, t, s):
+            return jnp.sqrt(1.0 - s.x) + 1.0
+
+    with pytest.raises(hy.FlowError, match=r"Root, mode grow, t = 0\.61.*not finite"):
+        hy.simulate(Root(), {"x": 0.0}, (0, 3), **solver)
+
+
+def test_an_interrupted_run_keeps_what_it_has():
+    """Ctrl-C in the progress callback: status and arcs so far."""
+
+    def stop(t):
+        if t > 5.0:
+            raise KeyboardInterrupt
+
+    run = hy.simulate(BouncingBall(r=1.0), [1.0, 0.0], (0, 99), progress=stop)
+    assert run.status is hy.Status.INTERRUPTED
+    assert 5.0 < run.t1 < 7.0
+
+
+def test_explain_says_what_happened():
+    """Contact, ratio, times, what came next."""
+    run = hy.simulate(BeadOnTable(r=0.3, omega=4.0), {"x": 1.5, "v": 0.0}, (0, 3))
+    text = run.explain()
+    for part in ("impact", "ratio 0.3", "flight.rest(impact)", "released at t = 1.7356"):
+        assert part in text
