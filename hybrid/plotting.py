@@ -76,7 +76,7 @@ def _series(axes: Axes, run: Trajectory, curves: Any, index: int) -> None:
     for resting, t, x in curves:
         if resting:
             label = None if axes.get_legend_handles_labels()[0] else "at rest"
-            style = {"color": LINE, "lw": 2.4, "solid_capstyle": "butt", "label": label}
+            style: dict[str, Any] = {"color": LINE, "lw": 2.4, "label": label}
             axes.plot(t, x[:, index], **style)
     shown = _impacts(run)
     if np.any(shown):
