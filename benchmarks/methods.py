@@ -18,22 +18,24 @@ CASES = {
 METHODS = ["DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "taylor"]
 
 
+def row(method, rtol, model, start, until, exact):
+    options = {"solver": "taylor"} if method == "taylor" else {"method": method}
+
+    def run():
+        return hy.simulate(model, start, (0, until), rtol=rtol, atol=1e-12, zeno="stop", **options)
+
+    point = run().zeno[0]
+    seconds = min(timeit.repeat(run, number=3, repeat=3)) / 3
+    error, bound = abs(point.t - exact), point.t_error
+    print(f"{method:8} {rtol:7.0e} {error:9.1e} {bound:9.1e} {1e3 * seconds:8.2f}")
+
+
 def main():
-    for name, (model, start, until, exact) in CASES.items():
+    for name, case in CASES.items():
         print(f"\n{name}\n{'method':8} {'rtol':>7} {'error':>9} {'bound':>9} {'ms':>8}")
         for method in METHODS:
             for rtol in (1e-6, 1e-9, 1e-12):
-                options = {"solver": "taylor"} if method == "taylor" else {"method": method}
-
-                def run(options=options, rtol=rtol):
-                    return hy.simulate(
-                        model, start, (0, until), rtol=rtol, atol=1e-12, zeno="stop", **options
-                    )
-
-                point = run().zeno[0]
-                seconds = min(timeit.repeat(run, number=3, repeat=3)) / 3
-                error, bound = abs(point.t - exact), point.t_error
-                print(f"{method:8} {rtol:7.0e} {error:9.1e} {bound:9.1e} {1e3 * seconds:8.2f}")
+                row(method, rtol, *case)
 
 
 if __name__ == "__main__":
