@@ -43,6 +43,12 @@ LOOP = 100
 #: A guard nearer to zero than this share of the state is looked at for rounding.
 CLOSE = 1e-6
 
+#: Gap and gap speed, relative to the state, below which a held contact stays closed.
+CLOSED = 1e-12
+
+#: Guards that are no polynomials are sampled in at least so many pieces over a run.
+SHARES = 100
+
 #: A step never spans more than this many time scales of a guard that is no polynomial.
 REACH = 8.0
 
@@ -170,7 +176,9 @@ class Driver:
                     f"{self._where()}: the guard of {guard.edge} is zero and no derivative along "
                     "the flow decides which way it goes; start off the guard"
                 )
-            if order == 0:
+            if order == 0 and guard.kind == "release" and sign < 0 and not starting:
+                self.at_once.append(index)
+            elif order == 0:
                 self._require_inside(guard, sign, starting)
             elif self._fires_at_once(guard, sign, used):
                 self.at_once.append(index)
@@ -199,7 +207,8 @@ class Driver:
             if abs(value) > CLOSE * (1.0 + max(map(abs, x))):
                 return 0, 1 if value > 0 else -1
             size = self.scene.rounding(guard, self.field)(t, x)[0]
-            if abs(value) > 64 * EPS * size:
+            tick = 8 * np.spacing(abs(t)) * abs(guard.lie(t, x)[1])
+            if abs(value) > 64 * EPS * size + tick:
                 return 0, 1 if value > 0 else -1
         return self._decide(guard, index, max(least, 1))
 
@@ -329,17 +338,17 @@ class Driver:
 
     def _scales(self, tau: float, x: np.ndarray) -> list[float]:
         """Times over which guards that are no polynomials are smooth."""
-        if all(guard.affine for guard in self.field.guards):
+        guards = self.field.guards
+        if all(guard.affine for guard in guards):
             return []
+        share = (self.plan.t1 - self.plan.t0) / SHARES
         series = self.series if tau == 0.0 else self._jets(tau, x)
-        if series is None:
-            return [0.1] * len(self.field.guards)
-        return [
-            float("inf")
-            if guard.affine
-            else time_scale(values, max((abs(float(x[i])) for i in guard.uses), default=0.0))
-            for guard, values in zip(self.field.guards, series[1], strict=True)
-        ]
+        scales = []
+        for index, guard in enumerate(guards):
+            size = max((abs(float(x[i])) for i in guard.uses), default=0.0)
+            own = share if series is None else min(share, time_scale(series[1][index], size))
+            scales.append(float("inf") if guard.affine else own)
+        return scales
 
     def _first_event(
         self, segment: Segment, stepper: Stepper, scales: list[float], target: float | None
@@ -492,9 +501,21 @@ class Driver:
         before = self.x
         after = np.array(self.scene.reset(guard.edge)(self.now.t, before.tolist()))
         self._require_finite(guard.edge, after)
+        closed = self._closed(guard.to, after)
         self.watch.reset()
         self.add_jump(guard.edge, after, before)
-        self.enter(guard.to, after, {}, used=guard.edge)
+        if self.status is None:
+            self.enter(guard.to, after, closed, used=guard.edge)
+
+    def _closed(self, mode: str, x: np.ndarray) -> dict[str, int]:
+        """The contact held at present, if a reset has left it closed: gap and speed zero."""
+        if self.field.contact is None or mode != self.field.mode:
+            return {}
+        held = self.field.contact
+        index = next(i for i, e in enumerate(self.scene.field(mode).guards) if e.edge == held)
+        gap, speed, _ = self.scene.field(mode).guards[index].lie(self.now.t, x.tolist())
+        size = 1.0 + float(np.max(np.abs(x)))
+        return {held: 2} if max(abs(gap), abs(speed)) <= CLOSED * size else {}
 
     def _require_finite(self, edge: str, after: np.ndarray) -> None:
         if not np.all(np.isfinite(after)):
@@ -502,14 +523,14 @@ class Driver:
             raise FlowError(f"{self._where()}: the reset of {edge} gives {state}")
 
     def _release(self, guard: Guard) -> None:
-        contact, mode = self.field.contact, self.field.name
+        contact, mode, overdue = self.field.contact, self.field.name, bool(self.at_once)
         assert contact is not None
         for point in self.zeno[-1:]:
             if point.mode == mode and point.t_release is None:
                 point.t_release = self.now.t
         self.watch.reset()
         self.add_jump(f"{contact}.release", self.x, self.x)
-        self.enter(guard.to, self.x, {contact: 3})
+        self.enter(guard.to, self.x, {contact: 2 if overdue else 3})
 
     def _impact(self, guard: Guard, index: int) -> None:
         contact, t = self.scene.contact(guard.edge), self.now.t
@@ -523,10 +544,11 @@ class Driver:
                 f"{self._where()}: the restitution of {guard.edge} gives the speed {speed:.6g} "
                 "after the impact; it must not be negative"
             )
+        closed = self._closed(guard.to, state)
         self.watch.saw(guard.edge)
         self.add_jump(guard.edge, state, before)
         if self.status is None and not self._accumulate(contact, state, speed, guard.to):
-            self.enter(guard.to, state, {guard.edge: 1 if speed > 0 else 2})
+            self.enter(guard.to, state, {**closed, guard.edge: 1 if speed > 0 else 2})
 
     def _move_end(self, x: np.ndarray) -> None:
         """The last arc ends on the guard itself."""
@@ -560,11 +582,15 @@ class Driver:
         return tail if tail is not None and self._clear(tail, field, column) else None
 
     def _clear(self, tail: Tail, field: Field, column: int) -> bool:
-        """Whether no other guard changes sign along the tail's impacts."""
-        others = [g for i, g in enumerate(field.guards) if i != column]
-        points = [tail.point(w) for w in nodes(4).tolist()] if others else []
+        """Whether no other guard changes sign along the tail, impacts and flights."""
+        others = [guard for i, guard in enumerate(field.guards) if i != column]
+        if not others:
+            return True
+        shares = 4 if all(guard.affine for guard in others) else SHARES
+        since = np.unique([*np.linspace(0, tail.remaining, 2 * shares), *tail.times[:shares]])
+        points = [(tail.t + s, tail.state(s)) for s in since[since < tail.remaining].tolist()]
         for guard in others:
-            values = [guard.value(tail.t + since, x.tolist()) for since, x, _ in points]
+            values = [guard.value(t, x) for t, x in points]
             if not (min(values) > 0 or max(values) < 0):
                 return False
         return True

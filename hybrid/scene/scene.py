@@ -241,7 +241,7 @@ class Lowered:
                 return jnp.abs(by_t) * rates[0] + jnp.abs(by_x) @ rates[1]
 
             moving = (1.0, jnp.abs(f(parameters, t, x)))
-            here = (0.0, jnp.abs(x))
+            here = (jnp.abs(t), jnp.abs(x))
             offset = jnp.abs(g(parameters, t, jnp.zeros_like(x)))
             size = terms(g, here) + jnp.where(jnp.isfinite(offset), offset, 0.0)
             return jnp.stack([size, terms(g, moving), terms(first, moving)])

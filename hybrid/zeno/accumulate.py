@@ -28,6 +28,7 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from ..scene.taylor import polynomial
 from ..segment import from_values, nodes
 from .flight import Flight, fly
 
@@ -106,6 +107,16 @@ class Tail:
         times = chebyshev.chebval(2.0 * w - 1.0, self.curve[:, 0])
         times[0] = 0.0
         return np.maximum.accumulate(times)
+
+    def state(self, since: float) -> list[float]:
+        """State at a time after ``y(1)``."""
+        n = max(int(np.searchsorted(self.times, since, side="right")) - 1, 0)
+        flight = self.flight(n)
+        if flight is None:
+            return self.x_inf.tolist()
+        s = min(max(since - float(self.times[n]), 0.0), flight.time)
+        start, _, series = next(p for p in reversed(flight.pieces) if p[0] <= s)
+        return [polynomial(c, s - start) for c in series]
 
     def flight(self, n: int) -> Flight | None:
         """The flight after impact ``n`` of the tail, from the curve."""
