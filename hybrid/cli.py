@@ -119,13 +119,13 @@ def check(file: Annotated[str, typer.Argument(help="FILE.py, or a name in the ga
             values = [parameter.default for parameter in spec.parameters]
             shapes = tuple(getattr(value, "shape", ()) for value in values)
             scene = Scene(entry.cls, shapes, tuple(flat(values)))
-            for name in scene.spec_modes:
+            for name in scene.modes:
                 scene.field(name)
         except DeclarationError as fault:
             typer.echo(str(fault), err=True)
             raise typer.Exit(2) from None
     edges = ", ".join(edge.name for edge in spec.transitions) or "none"
-    modes = ", ".join(scene.spec_modes)
+    modes = ", ".join(scene.modes)
     states = ", ".join(spec.names)
     typer.echo(f"{spec.model}: no faults. States {states}; modes {modes}; edges {edges}.")
 

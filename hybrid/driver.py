@@ -17,8 +17,8 @@ from .automaton.markers import Crossing
 from .automaton.record import Record
 from .clock import Instant
 from .errors import DomainError, FlowError, HybridError, JumpLoopError, StartError, ZenoError
-from .events import EPS, fires, time_scale, vanishing_order, zeros
-from .scene import Contact, Field, Guard, Scene
+from .events import EPS, fires, higher_noise, time_scale, vanishing_order, zeros
+from .scene import Contact, Field, Guard, Scene, released
 from .scene.scene import ORDER
 from .segment import Segment, from_values, nodes
 from .solvers import Solver, Stepper
@@ -74,6 +74,8 @@ class Plan:
     samples: np.ndarray | None
     progress: Callable[[float], None] | None
     accumulations: int | None = None
+    closing: float = 1.0
+    patience: int = 2
 
 
 @attrs.frozen
@@ -121,7 +123,8 @@ class Driver:
 
     def run(self, mode: str, x: np.ndarray) -> None:
         """From the start to the end of the run."""
-        self.enter(mode, x, {}, starting=True)
+        base, _, rest = mode.partition(".rest(")
+        self.enter(base, x, {}, (rest.removesuffix(")"),) if rest else (), starting=True)
         try:
             while self.status is None:
                 self.advance()
@@ -149,6 +152,7 @@ class Driver:
         mode: str,
         x: np.ndarray,
         known: dict[str, int],
+        held: tuple[str, ...] = (),
         used: str | None = None,
         starting: bool = False,
     ) -> None:
@@ -156,20 +160,26 @@ class Driver:
 
         Parameters
         ----------
+        mode : str
+            A mode as declared.
         known : dict
             By edge: the power of the local time by which its guard vanishes at least,
             because of the jump just made (2).
+        held : tuple of str
+            Contacts held closed; those found closed here are added.
         used : str, optional
             The edge just taken: zero by construction, it waits until it has left zero (2).
         """
-        self.field, self.x = self.scene.field(mode), x
+        self.field, self.x = self.scene.field(self.scene.name(mode, held)), x
+        if self.field.project is not None:
+            self.x = x = np.array(self.field.project(self.now.t, x.tolist()))
         self.orders = [0] * len(self.field.guards)
         self.at_once: list[int] = []
         self.series = self._jets(0.0, x)
         for index, guard in enumerate(self.field.guards):
-            least = known.get(guard.edge, 0)
-            order, sign = self._start_of(guard, index, least)
-            if guard.kind == "contact" and order >= 2 and sign < 0 and self._rest_here(guard, x):
+            order, sign = self._start_of(guard, index, known.get(guard.edge, 0))
+            if self._rests_here(guard, order, sign):
+                self.enter(mode, x, known, (*held, guard.edge), used, starting)
                 return
             if sign == 0:
                 raise StartError(
@@ -184,19 +194,15 @@ class Driver:
                 self.at_once.append(index)
             self.orders[index] = order
 
+    def _rests_here(self, guard: Guard, order: int, sign: int) -> bool:
+        """Whether a contact is closed: gap and gap speed zero, and the load pushes."""
+        closed = guard.kind == "contact" and order >= 2 and sign < 0
+        return closed and self.scene.contact(guard.edge).rests
+
     def _fires_at_once(self, guard: Guard, sign: int, used: str | None) -> bool:
         if guard.crossing is Crossing.EITHER or (guard.kind == "edge" and guard.edge == used):
             return False
         return fires(guard.crossing, sign)
-
-    def _rest_here(self, guard: Guard, x: np.ndarray) -> bool:
-        """Enter the resting mode where gap and gap speed are zero and the load pushes."""
-        contact = self.scene.contact(guard.edge)
-        if not contact.rests:
-            return False
-        projected = contact.project(self.now.t, x.tolist())
-        self.enter(f"{self.field.name}.rest({guard.edge})", np.array(projected), {})
-        return True
 
     def _start_of(self, guard: Guard, index: int, least: int) -> tuple[int, int]:
         t, x = self.now.t, self.x.tolist()
@@ -220,13 +226,16 @@ class Driver:
             series = [0.0, first, second / 2]
         else:
             series = list(self.series[1][index])
-        noise = [64 * EPS * size for size in sizes] + [0.0] * (len(series) - 3)
-        rest = 64 * EPS * max(map(abs, series[3:]), default=0.0)
-        noise = [
-            float("inf") if k < least else max(n, rest if k > 2 else 0.0)
-            for k, n in enumerate(noise)
-        ]
+        noise = [64 * EPS * size for size in sizes] + higher_noise(series, self._own_time(series))
+        noise = [float("inf") if k < least else size for k, size in enumerate(noise)]
         return vanishing_order(guard, t, x, series, noise)
+
+    def _own_time(self, series: Sequence[float]) -> float:
+        """A time in which the terms of a guard's series are comparable."""
+        own = time_scale(series, 0.0)
+        if self.series is not None:
+            own = min(own, step_length(self.series[0]))
+        return own if isfinite(own) else 1.0
 
     def _require_inside(self, guard: Guard, sign: int, starting: bool) -> None:
         wanted = {Crossing.FALLING: 1, Crossing.RISING: -1}.get(guard.crossing)
@@ -257,7 +266,7 @@ class Driver:
         target = self._predict(length)
         stepper = self._begin(length, target)
         segments: list[Segment] = []
-        self.ends: dict[str, float] = {}
+        self.ends: dict[Any, float] = {}
         fired = None
         while fired is None and stepper.tau < length:
             start, x = stepper.tau, stepper.x
@@ -266,12 +275,12 @@ class Driver:
             limit = min(limit, length, start + REACH * min(scales, default=float("inf")))
             segment = self._step(stepper, limit)
             fired = self._first_event(segment, stepper, scales, target)
-            if fired is not None and fired.tau <= segment.start:
-                stepper.tau, stepper.x = start, x
-                break
             if fired is not None:
-                segment = self._land(stepper, segment, fired)
-                fired = Fired(fired.index, segment.end)
+                landed = self._land(stepper, segment, fired) if fired.tau > start else None
+                if landed is None:
+                    stepper.tau, stepper.x, fired = start, x, Fired(fired.index, start)
+                    break
+                segment, fired = landed, Fired(fired.index, landed.end)
             segments.append(segment)
             self.orders = [0] * len(self.orders)
         end = stepper.tau if fired is None else fired.tau
@@ -392,8 +401,10 @@ class Driver:
                 else:
                     return zero.tau
         if target is not None and segment.end == target and guard.kind == "contact":
-            return self._near_end(guard, segment, stepper)
-        return None
+            near = self._near_end(guard, segment, stepper)
+            if near is not None:
+                return near
+        return segment.start if self._sunk(guard, segment, stepper, tolerance) else None
 
     def _touches(self, guard: Guard, tau: float, segment: Segment, tolerance: float) -> bool:
         """Whether a crossing goes no deeper than the tolerance: a tangency (1)."""
@@ -404,30 +415,43 @@ class Driver:
         """A step made onto a predicted impact ends within rounding of it, on either side."""
         t, x = self.now.t + segment.end, stepper.x.tolist()
         value, rate, _ = guard.lie(t, x)
-        if not rate < 0:
-            return None
         near = abs(value) <= -1e-6 * rate * segment.length
-        if near or abs(value) <= 64 * EPS * self.scene.rounding(guard, self.field)(t, x)[0]:
-            return segment.end
-        return None
+        return segment.end if near or abs(value) <= self._rounding(guard, t, x) else None
 
-    def _land(self, stepper: Stepper, segment: Segment, fired: Fired) -> Segment:
-        """End the step on the guard, to rounding (5)."""
+    def _rounding(self, guard: Guard, t: float, x: list[float]) -> float:
+        """What rounding can make of a guard that is zero."""
+        return 64 * EPS * float(self.scene.rounding(guard, self.field)(t, x)[0])
+
+    def _sunk(self, guard: Guard, segment: Segment, stepper: Stepper, tolerance: float) -> bool:
+        """Whether a contact's gap is negative with no zero seen: it began below rounding."""
+        value = self.ends.get(guard.edge, 0.0)
+        if guard.kind != "contact" or value >= -tolerance:
+            return False
+        return -value > self._rounding(guard, self.now.t + segment.end, stepper.x.tolist())
+
+    def _land(self, stepper: Stepper, segment: Segment, fired: Fired) -> Segment | None:
+        """End the step on the guard, to rounding (5); None if that is the step's start."""
         guard, tau = self.field.guards[fired.index], fired.tau
-        small = 1e-6 * segment.length
+        small, least = 1e-6 * segment.length, segment.start + 1e-13 * segment.length
+        last, shift = self.now.until(self.plan.t1), 0.0
         try:
             if segment.end - tau > small:
+                if tau <= least:
+                    return None
                 segment = stepper.land(tau)
             for _ in range(4):
-                value, rate, _ = guard.lie(self.now.t + stepper.tau, stepper.x.tolist())
+                t, x = self.now.t + stepper.tau, stepper.x.tolist()
+                value, rate, _ = guard.lie(t, x)
                 shift = -value / rate if rate else 0.0
-                if abs(shift) <= small:
+                if abs(shift) <= small or abs(value) <= self._rounding(guard, t, x):
                     break
-                tau = min(max(stepper.tau + shift, segment.start), self.now.until(self.plan.t1))
+                tau = min(stepper.tau + shift, last)
+                if tau <= least:
+                    return None
                 segment = stepper.land(tau)
         except FlowError as fault:
             raise FlowError(f"{self._where(tau)}: {fault}") from None
-        if abs(shift) > small or not np.isfinite(shift):
+        if not abs(shift) <= small or stepper.tau + shift > last:
             return segment
         flow = np.array(self.field.rhs(self.now.t + stepper.tau, stepper.x.tolist()))
         stepper.x = stepper.x + shift * flow
@@ -443,9 +467,8 @@ class Driver:
 
     def add_arc(self, length: float, x: np.ndarray, segments: list[Segment]) -> None:
         """Add the arc from the current instant, and move to its end."""
-        project = None
-        if self.field.contact is not None:
-            project = self.scene.contact(self.field.contact).project
+        project = self.field.project
+        if project is not None:
             x = np.array(project(self.now.t + length, x.tolist()))
             segments = [_projected(s, self.now.t, project) for s in segments]
         arc = Arc(
@@ -463,8 +486,8 @@ class Driver:
             self.sampled.extend(part.local(inside - part.t0))
         elif plan.samples is not None and isinstance(part, TailPart):
             for t in plan.samples[(plan.samples >= part.t0) & (plan.samples < part.t1)]:
-                n = int(np.searchsorted(part.tail.times, t - part.t0, side="right")) - 1
-                self.sampled.append(part.arc(n).local(t - part.t0 - part.tail.times[n]))
+                arc = part.arc(part.place(float(t), "right"))
+                self.sampled.append(arc.local((t - arc.t0) - arc.low))
         if isinstance(part, Arc) and not plan.dense:
             part = attrs.evolve(part, segments=())
         self.parts.append(part)
@@ -501,21 +524,24 @@ class Driver:
         before = self.x
         after = np.array(self.scene.reset(guard.edge)(self.now.t, before.tolist()))
         self._require_finite(guard.edge, after)
-        closed = self._closed(guard.to, after)
+        held = self._still_held(guard.to, after)
         self.watch.reset()
         self.add_jump(guard.edge, after, before)
         if self.status is None:
-            self.enter(guard.to, after, closed, used=guard.edge)
+            self.enter(guard.to, after, {}, held, used=guard.edge)
 
-    def _closed(self, mode: str, x: np.ndarray) -> dict[str, int]:
-        """The contact held at present, if a reset has left it closed: gap and speed zero."""
-        if self.field.contact is None or mode != self.field.mode:
-            return {}
-        held = self.field.contact
-        index = next(i for i, e in enumerate(self.scene.field(mode).guards) if e.edge == held)
-        gap, speed, _ = self.scene.field(mode).guards[index].lie(self.now.t, x.tolist())
-        size = 1.0 + float(np.max(np.abs(x)))
-        return {held: 2} if max(abs(gap), abs(speed)) <= CLOSED * size else {}
+    def _still_held(self, mode: str, x: np.ndarray) -> tuple[str, ...]:
+        """The contacts held at present that a jump has left closed: gap and speed zero."""
+        if mode != self.field.mode:
+            return ()
+        size = CLOSED * (1.0 + float(np.max(np.abs(x))))
+        held = []
+        for guard in self.scene.field(mode).guards:
+            if guard.edge in self.field.held:
+                gap, speed, _ = guard.lie(self.now.t, x.tolist())
+                if max(abs(gap), abs(speed)) <= size:
+                    held.append(guard.edge)
+        return tuple(held)
 
     def _require_finite(self, edge: str, after: np.ndarray) -> None:
         if not np.all(np.isfinite(after)):
@@ -523,14 +549,18 @@ class Driver:
             raise FlowError(f"{self._where()}: the reset of {edge} gives {state}")
 
     def _release(self, guard: Guard) -> None:
-        contact, mode, overdue = self.field.contact, self.field.name, bool(self.at_once)
-        assert contact is not None
-        for point in self.zeno[-1:]:
-            if point.mode == mode and point.t_release is None:
-                point.t_release = self.now.t
+        contact = released(guard.edge)
+        overdue = bool(self.at_once)
+        for point in reversed(self.zeno):
+            if point.edges == (contact,):
+                if point.mode is not None and point.t_release is None:
+                    point.t_release = self.now.t
+                break
         self.watch.reset()
-        self.add_jump(f"{contact}.release", self.x, self.x)
-        self.enter(guard.to, self.x, {contact: 2 if overdue else 3})
+        self.add_jump(guard.edge, self.x, self.x)
+        rest = tuple(name for name in self.field.held if name != contact)
+        if self.status is None:
+            self.enter(self.field.mode, self.x, {contact: 2 if overdue else 3}, rest)
 
     def _impact(self, guard: Guard, index: int) -> None:
         contact, t = self.scene.contact(guard.edge), self.now.t
@@ -544,11 +574,11 @@ class Driver:
                 f"{self._where()}: the restitution of {guard.edge} gives the speed {speed:.6g} "
                 "after the impact; it must not be negative"
             )
-        closed = self._closed(guard.to, state)
+        held = self._still_held(guard.to, state)
         self.watch.saw(guard.edge)
         self.add_jump(guard.edge, state, before)
-        if self.status is None and not self._accumulate(contact, state, speed, guard.to):
-            self.enter(guard.to, state, {**closed, guard.edge: 1 if speed > 0 else 2})
+        if self.status is None and not self._accumulate(contact, state, speed, guard.to, held):
+            self.enter(guard.to, state, {guard.edge: 1 if speed > 0 else 2}, held)
 
     def _move_end(self, x: np.ndarray) -> None:
         """The last arc ends on the guard itself."""
@@ -559,26 +589,28 @@ class Driver:
 
     # -- accumulating -------------------------------------------------------------------
 
-    def _accumulate(self, contact: Contact, x: np.ndarray, v: float, mode: str) -> bool:
+    def _accumulate(
+        self, contact: Contact, x: np.ndarray, v: float, mode: str, held: tuple[str, ...]
+    ) -> bool:
         """Sum the impacts from here on, where that can be done; True if it was."""
         if self.plan.zeno == "truncate":
-            return self._truncate(contact, x, v, mode)
+            return self._truncate(contact, x, v, mode, held)
         watch = self.watch
-        if watch.count < 2 or not 0 < v <= PATIENCE * watch.tried:
+        if watch.count < self.plan.patience or not 0 < v <= PATIENCE * watch.tried:
             return False
         watch.tried = v
-        tail = self.tail(contact, x, v, mode)
+        tail = self.tail(contact, x, v, self.scene.field(self.scene.name(mode, held)))
         if tail is None or self.now.after(tail.remaining).until(self.plan.t1) < 0:
             return False
         self._pass_limit(tail)
         return True
 
-    def tail(self, contact: Contact, x: np.ndarray, v: float, mode: str) -> Tail | None:
+    def tail(self, contact: Contact, x: np.ndarray, v: float, field: Field) -> Tail | None:
         """The sum of all impacts from here on; None where there is none (yet)."""
-        field = self.scene.field(mode)
-        column = next(i for i, g in enumerate(field.guards) if g.edge == contact.name)
+        column = _column(field, contact.name)
         now, plan = self.now, self.plan
-        tail = close(field, contact, column, now.t, now.low, x, v, plan.rtol, self.limit)
+        rtol, atol = plan.closing * plan.rtol, plan.closing * self.limit
+        tail = close(field, contact, column, now.t, now.low, x, v, rtol, atol)
         return tail if tail is not None and self._clear(tail, field, column) else None
 
     def _clear(self, tail: Tail, field: Field, column: int) -> bool:
@@ -601,11 +633,9 @@ class Driver:
         self._keep(part)
         self.j += tail.count
         self.now, self.x = self.now.after(tail.remaining), tail.x_inf
-        rest = (
-            f"{part.mode}.rest({contact.name})"
-            if contact.rests and self.plan.zeno == "rest"
-            else None
-        )
+        held = (*tail.field.held, contact.name)
+        goes_on = contact.rests and self.plan.zeno == "rest"
+        rest = self.scene.name(tail.field.mode, held) if goes_on else None
         record = self.scene.spec.record(tail.x_inf)
         point = Accumulation(self.now.t, record, tail.r, (contact.name,), "estimated", rest, self.j)
         self.zeno.append(point)
@@ -618,62 +648,61 @@ class Driver:
         elif len(self.zeno) == self.plan.accumulations:
             self.status = Status.ZENO_STOPPED
         else:
-            self.enter(rest, tail.x_inf, {})
+            self.enter(tail.field.mode, tail.x_inf, {}, held)
 
-    def _truncate(self, contact: Contact, x: np.ndarray, v: float, mode: str) -> bool:
+    def _truncate(
+        self, contact: Contact, x: np.ndarray, v: float, mode: str, held: tuple[str, ...]
+    ) -> bool:
         """Hold the contact after the permitted number of impacts (section 2 of the paper)."""
-        cap = self.plan.cap
-        if cap is None:
-            cap = permitted(contact.law(self.now.t, x.tolist(), -0.0))
-        load = contact.load(self.now.t, x.tolist())
-        if self.watch.count < cap or not load > 0 or not contact.rests:
+        t, ratio = self.now.t, contact.law(self.now.t, x.tolist(), -0.0)
+        cap = self.plan.cap or permitted(ratio)
+        field = self.scene.field(self.scene.name(mode, held))
+        column = _column(field, contact.name)
+        pushed = field.guards[column].lie(t, x.tolist())[2] < 0
+        if self.watch.count < cap or not pushed or not contact.rests:
             return False
-        cut = Truncation(cap, *self._left_out(contact, x, v, mode, load))
-        held = np.array(contact.project(self.now.t, x.tolist()))
-        rest = f"{mode}.rest({contact.name})"
-        record = self.scene.spec.record(held)
-        ratio = contact.law(self.now.t, x.tolist(), -0.0)
-        self.zeno.append(
-            Accumulation(
-                *(self.now.t, record, ratio, (contact.name,), "truncated", rest, self.j),
-                truncation=cut,
-            )
-        )
+        cut = Truncation(cap, *self._left_out(contact, x, field, held))
+        held = (*held, contact.name)
+        self.field, self.x = field, x
+        self.add_arc(0.0, x, [])
+        after = self.scene.field(self.scene.name(mode, held))
+        assert after.project is not None
+        still = np.array(after.project(t, x.tolist()))
+        record, edges = self.scene.spec.record(still), (contact.name,)
+        point = Accumulation(t, record, ratio, edges, "truncated", after.name, self.j)
+        point.truncation = cut
+        self.zeno.append(point)
         self.tails.append(None)
         self.watch.reset()
-        self.field, self.x = self.scene.field(mode), x
-        self.add_arc(0.0, x, [])
-        self.add_jump(f"{contact.name}.hold", held, x)
+        self.add_jump(f"{contact.name}.hold", still, x)
         if self.status is None:
-            self.enter(rest, held, {})
+            self.enter(mode, still, {}, held)
         return True
 
     def _left_out(
-        self, contact: Contact, x: np.ndarray, v: float, mode: str, load: float
+        self, contact: Contact, x: np.ndarray, field: Field, held: tuple[str, ...]
     ) -> tuple[float, float, float]:
         """``t_inf`` of the full series, its distance, and its greatest height."""
-        field = self.scene.field(mode)
-        column = next(i for i, g in enumerate(field.guards) if g.edge == contact.name)
-        full = Driver(
-            self.scene,
-            self.solver,
-            attrs.evolve(self.plan, zeno="stop", progress=None, dense=True, samples=None),
-        )
+        plan = attrs.evolve(self.plan, zeno="stop", progress=None, dense=True, samples=None)
+        full = Driver(self.scene, self.solver, plan)
         full.now, full.watch.contact, full.watch.count = self.now, contact.name, 1
-        full.enter(mode, x, {contact.name: 1})
+        full.enter(field.mode, x, {contact.name: 1}, held)
         while full.status is None:
             full.advance()
         first = full.parts[0]
         arc = first.arc(0) if isinstance(first, TailPart) else first
-        taus = arc.length * nodes(64)
-        gaps = [
-            field.guards[column].value(arc.t0 + s, y.tolist())
-            for s, y in zip(taus, arc.local(taus), strict=True)
-        ]
+        gap, taus = field.guards[_column(field, contact.name)].value, arc.length * nodes(64)
+        states = zip(taus.tolist(), arc.local(taus).tolist(), strict=True)
+        height = max(gap(arc.t0 + s, y) for s, y in states)
         if not full.zeno:
-            return float("nan"), float("nan"), max(gaps)
+            return float("nan"), float("nan"), height
         t_inf = full.zeno[0].t
-        return t_inf, full.zeno[0].t - self.now.t - self.now.low, max(gaps)
+        return t_inf, t_inf - self.now.t - self.now.low, height
+
+
+def _column(field: Field, edge: str) -> int:
+    """Place of an edge's guard in a field."""
+    return next(i for i, guard in enumerate(field.guards) if guard.edge == edge)
 
 
 def permitted(r: float) -> int:

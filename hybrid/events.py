@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import pairwise
 from math import comb
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -63,7 +63,7 @@ def zeros(
     order: int,
     scale: float,
     tolerance: float,
-    ends: dict[str, float],
+    ends: dict[Any, float],
 ) -> Iterator[Zero]:
     """Zeros of a guard in ``(start, end]`` of a step, in order of time.
 
@@ -77,7 +77,8 @@ def zeros(
         A minimum no deeper (higher) than this is a tangency.
     ends : dict
         By edge: the guard at the end of the last step, on which this one must build, so
-        that no sign is lost where two steps meet; updated here.
+        that no sign is lost where two steps meet; and its largest size so far in the arc,
+        for it cannot touch zero before it has left it. Updated here.
     """
     polynomial = guard.affine and segment.degree <= SAMPLED
     if polynomial:
@@ -100,7 +101,7 @@ class _Piece:
     t0: float
     degree: int
     tolerance: float
-    ends: dict[str, float]
+    ends: dict[Any, float]
 
     def zeros(
         self, left: float, right: float, order: int, depth: int
@@ -113,12 +114,16 @@ class _Piece:
             yield from self.zeros(left, middle, order, depth - 1)
             yield from self.zeros(middle, right, 0, depth - 1)
             return
-        values[0] = self.ends.get(self.guard.edge, values[0])
-        self.ends[self.guard.edge] = values[-1]
+        edge, seen = self.guard.edge, ("largest", self.guard.edge)
+        values[0] = self.ends.get(edge, values[0])
         bernstein = _to_bernstein(self.degree) @ values
         bernstein[0], bernstein[-1] = values[0], values[-1]
+        away = max(self.ends.get(seen, 0.0), abs(float(values[0]))) > self.tolerance
+        self.ends[edge] = float(values[-1])
+        self.ends[seen] = max(self.ends.get(seen, 0.0), float(np.abs(values).max()))
         for root, direction in roots(bernstein, order, self.tolerance):
-            yield left + width * root, direction
+            if direction or away:
+                yield left + width * root, direction
 
     def sample(self, fractions: np.ndarray) -> np.ndarray:
         start, length, value = self.segment.start, self.segment.length, self.guard.value
@@ -131,8 +136,7 @@ class _Piece:
 
     def resolved(self, values: np.ndarray) -> bool:
         series = np.abs(from_values(self.degree) @ values)
-        size = max(series.max(), self.tolerance)
-        return bool(series[-3:].max() <= RESOLVED * size)
+        return bool(series[-3:].max() <= RESOLVED * series.max() + 1e-3 * self.tolerance)
 
 
 # ---------------------------------------------------------------------------------------
@@ -278,6 +282,13 @@ def vanishing_order(
         if abs(value) > small:
             return order, 1 if value > 0 else -1
     return len(series), 0
+
+
+def higher_noise(series: Sequence[float], own: float) -> list[float]:
+    """Rounding in the coefficients from the third on, compared in the series' own time."""
+    sizes = [abs(c) * own**k for k, c in enumerate(series)]
+    largest = max(sizes[3:], default=0.0)
+    return [64 * EPS * largest / own**k for k in range(3, len(series))]
 
 
 def fires(crossing: Crossing, direction: int) -> bool:

@@ -103,8 +103,8 @@ def simulate(
     plan = _plan(spec, t, rtol, atol, zeno, max_jumps, save, progress)
     x = _start(spec, start)
     first = spec.initial if mode is None else mode
-    if first not in scene.spec_modes:
-        raise OptionError(f"{spec.model}: mode={mode!r}; there are {', '.join(scene.spec_modes)}")
+    if first not in scene.modes:
+        raise OptionError(f"{spec.model}: mode={mode!r}; there are {', '.join(scene.modes)}")
     driver = Driver(scene, choose(solver, method, rtol, plan.atol), plan)
     driver.run(first, x)
     _give_errors(driver, solver, method, first, x)
@@ -175,7 +175,15 @@ def _second_run(
     import attrs
 
     count = len(driver.zeno)
-    plan = attrs.evolve(driver.plan, dense=False, samples=None, progress=None, accumulations=count)
+    plan = attrs.evolve(
+        driver.plan,
+        dense=False,
+        samples=None,
+        progress=None,
+        accumulations=count,
+        closing=1e-2,
+        patience=4,
+    )
     if plan.zeno == "raise":
         plan = attrs.evolve(plan, zeno="rest")
     has_series = all(driver.scene.field(part.mode).jets is not None for part in driver.parts)

@@ -156,9 +156,7 @@ class TailPart:
         """The arc after the tail's impact ``n``."""
         tail = self.tail
         flight = tail.flight(n)
-        since, x, _ = tail.point(tail.r**n)
-        if n == 0:
-            since, x = 0.0, tail.x
+        since, x = float(tail.times[n]), tail.point(tail.r**n)[1] if n else tail.x
         if flight is None:
             length = float(tail.remaining - since)
             straight = np.array([x, tail.x_inf])
@@ -173,10 +171,15 @@ class TailPart:
 
     def jump(self, n: int) -> JumpRow:
         """The tail's impact ``n`` (1, 2, ...)."""
-        before, after = self.arc(n - 1), self.tail.point(self.tail.r**n)
-        t = self.tail.t + after[0]
-        low = (self.tail.t - t) + after[0] + self.tail.low
-        return JumpRow(t, low, self.tail.contact.name, before.last, after[1])
+        tail, since = self.tail, float(self.tail.times[n])
+        t = tail.t + since
+        low = (tail.t - t) + since + tail.low
+        return JumpRow(t, low, tail.contact.name, self.arc(n - 1).last, tail.point(tail.r**n)[1])
+
+    def place(self, t: float, side: str) -> int:
+        """The arc of the tail that covers a time, by the listed times of its impacts."""
+        listed = self.tail.t + self.tail.times
+        return max(int(np.searchsorted(listed, t, side=side)) - 1, 0)  # type: ignore[call-overload]
 
 
 def _taylor_segment(start: float, length: float, series: list[list[float]]) -> Segment:
@@ -411,15 +414,17 @@ class Trajectory:
         if bad.size:
             raise OptionError(f"t = {bad.flat[0]!r} is outside the run [{self.t0}, {self.t1}]")
         if j is not None:
-            return self.spec.record(self._in_arc(self._arc_of(j), times))
+            return self.spec.record(self._in_arc(self._arc_of(j, times), times))
         flat = [self._at(float(v), side) for v in times.reshape(-1)] if times.size < 4 else None
         states = np.array(flat) if flat is not None else self._many(times.reshape(-1), side)
         return self.spec.record(states.reshape((*times.shape, self.spec.dimension)))
 
-    def _arc_of(self, j: int) -> Arc:
-        if not 0 <= j < len(self.arcs):
-            raise OptionError(f"j = {j}: this run has arcs 0 to {len(self.arcs) - 1}")
-        return self.arcs[j]
+    def _arc_of(self, j: int, times: np.ndarray) -> Arc:
+        """The arc after ``j`` jumps; a limit of jumps lies between two arcs of the same ``j``."""
+        found = [arc for arc in self.arcs if arc.j == j]
+        if not found:
+            raise OptionError(f"j = {j}: this run has arcs 0 to {self.arcs[-1].j}")
+        return next((arc for arc in found if np.all(times <= arc.t1)), found[-1])
 
     def _in_arc(self, arc: Arc, times: np.ndarray) -> np.ndarray:
         slack = 4 * np.spacing(max(abs(arc.t0), abs(arc.t1)))
@@ -450,8 +455,7 @@ class Trajectory:
         if isinstance(part, TailPart):
             if t >= part.t1:
                 return part.last
-            find = np.searchsorted(part.tail.times, t - part.t0, side=side)  # type: ignore[call-overload]
-            part = part.arc(max(int(find) - 1, 0))
+            part = part.arc(part.place(t, side))
         return self._dense(part, np.asarray(t))
 
     def _many(self, times: np.ndarray, side: str) -> np.ndarray:

@@ -8,6 +8,8 @@ For a gap ``g(t, x)`` and a flow ``f``, with ``q`` the positions that the gap de
 * resting field: ``f - D a / (N.D)``, along which the gap's acceleration is zero;
 * load: ``-a``, the contact force over ``1 / (N.D)``; contact ends when it reaches zero;
 * projection: back onto ``g = 0`` along ``N`` and ``u = 0`` along ``D`` (drift removal).
+
+Several contacts held at once share one system of equations for their forces.
 """
 
 from __future__ import annotations
@@ -86,27 +88,79 @@ class ContactLaws:
         _, direction, weight = self.normal(parameters, t, x)
         return direction / weight
 
-    def rest(self, parameters: Any, t: Any, x: Any) -> Any:
-        """The flow while the contact is held."""
-        _, direction, weight = self.normal(parameters, t, x)
-        load = self.acceleration(parameters, t, x) / weight
-        return self.flow(parameters, t, x) - direction * load
-
-    def load(self, parameters: Any, t: Any, x: Any) -> Any:
-        """Minus the gap's acceleration: positive while the obstacle pushes."""
-        return -self.acceleration(parameters, t, x)
-
     def land(self, parameters: Any, t: Any, x: Any) -> Any:
         """The state moved onto ``gap = 0`` along the gap's gradient."""
         normal, _, _ = self.normal(parameters, t, x)
         step = normal * (self.gap(parameters, t, x) / (normal @ normal))
         return x - self.pairing.at_positions(x.size) @ step
 
+
+@attrs.frozen
+class Held:
+    """Contacts closed at once: the field while they are held, and each one's load."""
+
+    contacts: tuple[ContactLaws, ...]
+    flow: Traced
+
+    def geometry(self, parameters: Any, t: Any, x: Any) -> tuple[list[Any], list[Any], list[Any]]:
+        """Gradients at the positions, the same at the velocities, impulse directions."""
+        gradients, speeds, directions = [], [], []
+        for contact in self.contacts:
+            normal, direction, _ = contact.normal(parameters, t, x)
+            gradients.append(contact.pairing.at_positions(x.size) @ normal)
+            speeds.append(contact.pairing.at_velocities(x.size) @ normal)
+            directions.append(direction)
+        return gradients, speeds, directions
+
+    def forces(self, parameters: Any, t: Any, x: Any) -> tuple[list[Any], list[Any], list[Any]]:
+        """Multipliers that hold every gap's acceleration at zero, weights, directions."""
+        _, speeds, directions = self.geometry(parameters, t, x)
+        matrix = [[n @ d for d in directions] for n in speeds]
+        wanted = [-contact.acceleration(parameters, t, x) for contact in self.contacts]
+        weights = [row[i] for i, row in enumerate(matrix)]
+        return solve(matrix, wanted), weights, directions
+
+    def rest(self, parameters: Any, t: Any, x: Any) -> Any:
+        """The flow while the contacts are held."""
+        multipliers, _, directions = self.forces(parameters, t, x)
+        pairs = zip(multipliers, directions, strict=True)
+        return self.flow(parameters, t, x) + sum(m * d for m, d in pairs)
+
+    def load(self, index: int) -> Traced:
+        """Contact force over ``1 / (N.D)``: positive while that obstacle pushes."""
+
+        def load(parameters: Any, t: Any, x: Any) -> Any:
+            multipliers, weights, _ = self.forces(parameters, t, x)
+            return multipliers[index] * weights[index]
+
+        return load
+
     def project(self, parameters: Any, t: Any, x: Any) -> Any:
-        """The state moved onto ``gap = 0`` and gap speed ``0``."""
-        x = self.land(parameters, t, self.land(parameters, t, x))
-        _, direction, weight = self.normal(parameters, t, x)
-        return x - direction * (self.speed(parameters, t, x) / weight)
+        """The state moved onto all gaps 0 (two Newton steps) and all gap speeds 0."""
+        for _ in range(2):
+            gradients, _, _ = self.geometry(parameters, t, x)
+            matrix = [[n @ m for m in gradients] for n in gradients]
+            steps = solve(matrix, [c.gap(parameters, t, x) for c in self.contacts])
+            x = x - sum(s * n for s, n in zip(steps, gradients, strict=True))
+        _, speeds, directions = self.geometry(parameters, t, x)
+        matrix = [[n @ d for d in directions] for n in speeds]
+        steps = solve(matrix, [c.speed(parameters, t, x) for c in self.contacts])
+        return x - sum(s * d for s, d in zip(steps, directions, strict=True))
+
+
+def solve(matrix: list[list[Any]], right: list[Any]) -> list[Any]:
+    """A few linear equations by elimination, written out (the matrix is definite)."""
+    rows = [[*row, value] for row, value in zip(matrix, right, strict=True)]
+    size = len(rows)
+    for k in range(size):
+        for i in range(k + 1, size):
+            factor = rows[i][k] / rows[k][k]
+            rows[i] = [p - factor * q for p, q in zip(rows[i], rows[k], strict=True)]
+    solution: list[Any] = [0.0] * size
+    for i in reversed(range(size)):
+        known = sum(rows[i][k] * solution[k] for k in range(i + 1, size))
+        solution[i] = (rows[i][-1] - known) / rows[i][i]
+    return solution
 
 
 def laws(cls: Any, spec: Spec, contact: ContactSpec, pairing: Pairing) -> ContactLaws:

@@ -8,7 +8,7 @@ Nothing is made for a mode that a run does not enter.
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -37,7 +37,7 @@ class Guard:
     Attributes
     ----------
     edge : str
-        Name of the edge or contact; ``"release"`` for the end of a rest.
+        Name of the edge or contact; ``"<contact>.release"`` for the end of a rest.
     kind : "edge", "contact" or "release"
     to : str
         The mode it leads to.
@@ -74,15 +74,20 @@ class Field:
         where the model uses something that has no Taylor series.
     kinks : int
         Number of kinks (see :mod:`.taylor`).
+    held : tuple of str
+        Contacts held closed here.
+    project : callable ``(t, x)`` or None
+        Back onto the held contacts' gaps.
     """
 
     name: str
     mode: str
-    contact: str | None
+    held: tuple[str, ...]
     rhs: Scalar
     jets: Scalar | None
     kinks: int
     guards: tuple[Guard, ...]
+    project: Scalar | None = None
 
     def expand(self, t: float, x: list[float], sides: list[int]) -> Any:
         """``jets``, on the branch that the flow takes where a kink is zero here.
@@ -112,10 +117,8 @@ class Contact:
     rests: bool
     impact: Scalar
     land: Scalar
-    project: Scalar
     push: Scalar
     law: Scalar
-    load: Scalar
 
 
 class Lowered:
@@ -184,14 +187,28 @@ class Lowered:
     def flow(self, mode: str) -> Program:
         return self.program(("flow", mode), lambda: self.closed("flow", mode))
 
-    def rest_flow(self, contact: str) -> Program:
-        return self.program(("rest", contact), lambda: self.rest_closed(contact))
+    def held(self, names: tuple[str, ...]) -> contacts.Held:
+        """The laws of contacts held at once."""
+        flow = trace.again(self.closed("flow", self.contact_spec(names[0]).source))
+        return contacts.Held(tuple(self.laws(name) for name in names), flow)
 
-    def rest_closed(self, contact: str) -> Any:
-        return self.once(("rest closed", contact), lambda: self._trace(self.laws(contact).rest))
+    def rest_closed(self, names: tuple[str, ...]) -> Any:
+        """The jaxpr of the flow while contacts are held."""
+        return self.once(("rest closed", names), lambda: self._trace(self.held(names).rest))
 
-    def load_closed(self, contact: str) -> Any:
-        return self.once(("load closed", contact), lambda: self._trace(self.laws(contact).load))
+    def load_closed(self, names: tuple[str, ...], index: int) -> Any:
+        """The jaxpr of the load of one of the contacts held."""
+        key = ("load closed", names, index)
+        return self.once(key, lambda: self._trace(self.held(names).load(index)))
+
+    def project(self, names: tuple[str, ...]) -> Program:
+        """Projection onto the gaps of the contacts held."""
+        closed = lambda: self._trace(self.held(names).project)  # noqa: E731
+        return self.program(("project", names), closed)
+
+    def field_closed(self, mode: str, held: tuple[str, ...]) -> Any:
+        """The jaxpr of the flow of a mode, or of it with contacts held."""
+        return self.rest_closed(held) if held else self.closed("flow", mode)
 
     def taylor(self, key: Any, flow: Any, functions: Sequence[Any]) -> TaylorProgram | None:
         """Taylor code of a flow and of functions along it; None where there is none."""
@@ -345,59 +362,48 @@ class Scene:
         self._contacts: dict[str, Contact] = {}
 
     @cached_property
-    def spec_modes(self) -> tuple[str, ...]:
-        """Names of the modes an arc may have, resting modes included."""
-        rests = [rest_name(c) for c in self._resting()]
+    def modes(self) -> tuple[str, ...]:
+        """Modes in which a run may start: those declared, and each contact's rest."""
+        rests = [
+            rest_name(e.source, (e.name,))
+            for e in self.spec.transitions
+            if isinstance(e, ContactSpec) and e.rests
+        ]
         return (*(mode.name for mode in self.spec.modes), *rests)
 
-    def _resting(self) -> list[ContactSpec]:
-        return [e for e in self.spec.transitions if isinstance(e, ContactSpec) and e.rests]
+    def name(self, mode: str, held: Iterable[str]) -> str:
+        """The arc mode of a mode with contacts held, these in declared order."""
+        order = [edge.name for edge in self.spec.leaving(mode) if edge.name in set(held)]
+        return rest_name(mode, tuple(order))
 
     def field(self, name: str) -> Field:
-        """The field of a mode, or of a resting mode ``"mode.rest(contact)"``."""
+        """The field of a mode, or of a resting mode ``"mode.rest(contact, ...)"``."""
         if name not in self._fields:
-            resting = {rest_name(c): c for c in self._resting()}
-            made = self._rest_field(resting[name]) if name in resting else self._mode_field(name)
-            self._fields[name] = made
+            mode, _, rest = name.partition(".rest(")
+            held = tuple(rest.removesuffix(")").split(", ")) if rest else ()
+            self._fields[name] = self._make_field(name, mode, held)
         return self._fields[name]
 
-    def _mode_field(self, mode: str) -> Field:
-        code, edges = self.code, self.spec.leaving(mode)
-        flow = code.closed("flow", mode)
+    def _make_field(self, name: str, mode: str, held: tuple[str, ...]) -> Field:
+        code = self.code
+        flow = code.field_closed(mode, held)
+        edges: list[Any] = [edge for edge in self.spec.leaving(mode) if edge.name not in held]
         closed = [code.guard_closed(edge) for edge in edges]
-        guards = [self._guard(e, g, flow, mode) for e, g in zip(edges, closed, strict=True)]
-        rhs = code.flow(mode).bind(self._values)
-        return self._field(mode, mode, None, rhs, code.taylor(mode, flow, closed), guards)
-
-    def _rest_field(self, contact: ContactSpec) -> Field:
-        code, name, mode = self.code, rest_name(contact), contact.source
-        flow, load = code.rest_closed(contact.name), code.load_closed(contact.name)
-        edges = [edge for edge in self.spec.leaving(mode) if edge.name != contact.name]
-        closed = [*(code.guard_closed(edge) for edge in edges), load]
-        guards = [self._guard(e, g, flow, name) for e, g in zip(edges, closed, strict=False)]
-        release = EdgeSpec("release", name, mode, contact.guard, Crossing.FALLING, contact.guard)
-        guards.append(self._guard(release, load, flow, name))
-        rhs = code.rest_flow(contact.name).bind(self._values)
-        jets = code.taylor(name, flow, closed)
-        return self._field(name, mode, contact.name, rhs, jets, guards)
-
-    def _field(
-        self,
-        name: str,
-        mode: str,
-        contact: str | None,
-        rhs: Scalar,
-        taylor: TaylorProgram | None,
-        guards: list[Guard],
-    ) -> Field:
+        for index, contact in enumerate(held):
+            closed.append(code.load_closed(held, index))
+            edges.append(_release(contact, name, mode))
+        guards = [self._guard(e, g, flow, name) for e, g in zip(edges, closed, strict=True)]
+        rhs = code.program(("field", name), lambda: flow).bind(self._values)
+        taylor = code.taylor(name, flow, closed)
         jets = taylor.bind(self._values) if taylor else None
         kinks = taylor.kinks if taylor else 0
-        return Field(name, mode, contact, rhs, jets, kinks, tuple(guards))
+        project = code.project(held).bind(self._values) if held else None
+        return Field(name, mode, held, rhs, jets, kinks, tuple(guards), project)
 
     def _guard(self, edge: Any, closed: Any, flow: Any, where: str) -> Guard:
         code, key = self.code, (edge.name, where)
         kind = "contact" if isinstance(edge, ContactSpec) else "edge"
-        kind = "release" if edge.name == "release" else kind
+        kind = "release" if edge.name.endswith(".release") else kind
         lie = code.lie_program(key, closed, flow)
         value = code.program(("guard", key), lambda: closed)
         affine, uses = code.once(("shape", key), lambda: _shape(code, closed))
@@ -406,10 +412,10 @@ class Scene:
 
     def rounding(self, guard: Guard, field: Field) -> Scalar:
         """Sizes whose rounding the guard and its first two derivatives carry."""
-        code, contact = self.code, field.contact
-        flow = code.rest_closed(contact) if contact else code.closed("flow", field.mode)
-        if contact and guard.kind == "release":
-            closed = code.load_closed(contact)
+        code = self.code
+        flow = code.field_closed(field.mode, field.held)
+        if guard.kind == "release":
+            closed = code.load_closed(field.held, field.held.index(released(guard.edge)))
         else:
             edge = next(e for e in self.spec.transitions if e.name == guard.edge)
             closed = code.guard_closed(edge)
@@ -436,11 +442,10 @@ class Scene:
             code, spec = self.code, self.code.contact_spec(name)
             parts = [
                 code.law_program(name, what).bind(self._values)
-                for what in ("impact", "land", "project", "push")
+                for what in ("impact", "land", "push")
             ]
             law = code.program(("law", name), lambda: code.closed("restitution", name), ["u"])
-            load = code.program(("load", name), lambda: code.load_closed(name))
-            bound = law.bind(self._values), load.bind(self._values)
+            bound = [law.bind(self._values)]
             self._contacts[name] = Contact(name, spec.source, spec.rests, *parts, *bound)  # type: ignore[call-arg]
         return self._contacts[name]
 
@@ -457,9 +462,23 @@ def scene_of(model: Any) -> Scene:
     return _scene(cls, tuple(tuple(v.shape) for v in values), tuple(flat(values)))
 
 
-def rest_name(contact: ContactSpec) -> str:
-    """The arc mode of a contact at rest: ``"<mode>.rest(<contact>)"``."""
-    return f"{contact.source}.rest({contact.name})"
+def rest_name(mode: str, held: tuple[str, ...]) -> str:
+    """The arc mode of contacts at rest: ``"<mode>.rest(<contact>, ...)"``."""
+    return f"{mode}.rest({', '.join(held)})" if held else mode
+
+
+def _release(contact: str, source: str, mode: str) -> EdgeSpec:
+    """The edge that ends the rest of a contact (its guard is the load)."""
+
+    def unused(*_: Any) -> None:
+        raise TraceError("a release has its load as guard")
+
+    return EdgeSpec(f"{contact}.release", source, mode, unused, Crossing.FALLING, unused)
+
+
+def released(edge: str) -> str:
+    """The contact that a release ends."""
+    return edge.removesuffix(".release")
 
 
 def _shape(code: Lowered, closed: Any) -> tuple[bool, tuple[int, ...]]:

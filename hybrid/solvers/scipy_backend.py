@@ -152,7 +152,8 @@ class RungeKuttaStepper(_OdeStepper):
     def step(self, limit: float) -> Segment:
         self._before = (self.solver.t, self.solver.y, self.solver.f)
         self._towards(limit)
-        return self._segment()
+        self._last = self._segment()
+        return self._last
 
     def land(self, tau: float) -> Segment:
         """Step again from where the last step began, onto ``tau``."""
@@ -160,8 +161,9 @@ class RungeKuttaStepper(_OdeStepper):
         solver.t, solver.y, solver.f = self._before
         solver.h_abs = tau - solver.t
         self._towards(tau)
-        if self.tau < tau:  # rejected, though a longer step was accepted before
-            raise FlowError("the solver gave up: a step onto an event was refused")
+        if self.tau < tau:  # refused, though a longer step was accepted: take its interpolant
+            self.tau, self.x = tau, self._last(tau)
+            return self._last.cut(tau - self._last.start)
         return self._segment()
 
     def _towards(self, limit: float) -> None:

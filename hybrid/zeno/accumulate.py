@@ -204,7 +204,7 @@ class _Curve:
         self.curve, self.limit = from_values(degree) @ values, values[0, :-1]
         t_inf, x_inf = self.t + self.limit[0], (self.x + self.limit[1:]).tolist()
         self.r = self.contact.law(t_inf, x_inf, -0.0)
-        return bool(self.contact.load(t_inf, x_inf) > 0)
+        return self.field.guards[self.column].lie(t_inf, x_inf)[2] < 0
 
     def _look_up(self, w: float, degree: int) -> list[float] | None:
         """``D`` and ``E`` at a point; known ones are kept while the curve's place is idle."""
@@ -267,7 +267,7 @@ class _Curve:
             self.curve,
             float(self.limit[0]),
             np.array(
-                self.contact.project(self.t + self.limit[0], (self.x + self.limit[1:]).tolist())
+                self._on_contact(self.t + self.limit[0], (self.x + self.limit[1:]).tolist(), 0.0)
             ),
             float(error[0]),
             error[1:],
