@@ -213,7 +213,7 @@ class Driver:
             if abs(value) > CLOSE * (1.0 + max(map(abs, x))):
                 return 0, 1 if value > 0 else -1
             size = self.scene.rounding(guard, self.field)(t, x)[0]
-            tick = 8 * np.spacing(abs(t)) * abs(guard.lie(t, x)[1])
+            tick = 64 * EPS * abs(t) * abs(guard.lie(t, x)[1])
             if abs(value) > 64 * EPS * size + tick:
                 return 0, 1 if value > 0 else -1
         return self._decide(guard, index, max(least, 1))

@@ -27,6 +27,9 @@ from .taylor import TaylorProgram, flat
 #: Order of the Taylor series of flows and gaps.
 ORDER = 16
 
+#: Stands for the time among places in the state vector.
+TIME = -1
+
 Scalar = Callable[..., Any]
 
 
@@ -110,7 +113,11 @@ class Field:
 
 @attrs.frozen(eq=False)
 class Contact:
-    """The derived laws of a contact (see :mod:`.contact`), as scalar functions."""
+    """The derived laws of a contact (see :mod:`.contact`), as scalar functions.
+
+    ``local``: a fixed obstacle before one position, whose forces depend on that position
+    and its velocity only; all flights see the same forces, whenever they are.
+    """
 
     name: str
     mode: str
@@ -119,6 +126,7 @@ class Contact:
     land: Scalar
     push: Scalar
     law: Scalar
+    local: bool
 
 
 class Lowered:
@@ -176,11 +184,21 @@ class Lowered:
 
         return self.once(key, make)
 
-    def dependencies(self, closed: Any) -> list[set[int]]:
-        """For each element of a result, the elements of ``x`` it depends on."""
+    def dependencies(self, closed: Any, extra: Sequence[str] = ()) -> list[set[int]]:
+        """For each element of a result, the elements of ``x`` it depends on; -1 is time."""
         graph = Graph()
-        (outputs,) = graph.outputs(closed, self.inputs(graph))
+        (outputs,) = graph.outputs(closed, self.inputs(graph, extra))
         return [_states_in(graph, int(i)) for i in outputs.reshape(-1)]
+
+    def local(self, name: str) -> bool:
+        """See :class:`Contact`."""
+        contact, pairing = self.contact_spec(name), self.pairing(name)
+        own = {*pairing.positions, *pairing.velocities}
+        flows = self.dependencies(self.closed("flow", contact.source))
+        (gap,) = self.dependencies(self.closed("gap", name))
+        (law,) = self.dependencies(self.closed("restitution", name), ["u"])
+        used = set().union(gap, law, *(flows[i] for i in own))
+        return len(own) == 2 and used <= own and not callable(contact.inverse_mass)
 
     # -- modes --------------------------------------------------------------------------
 
@@ -272,7 +290,7 @@ class Lowered:
             contact = self.contact_spec(name)
             flow = self.closed("flow", contact.source)
             (gap,) = self.dependencies(self.closed("gap", name))
-            flows = self.dependencies(flow)
+            gap, flows = gap - {TIME}, [d - {TIME} for d in self.dependencies(flow)]
             return contacts.pair(self.spec, contact, gap, flows, self._unit(contact.source))
 
         return self.once(("pairing", name), make)
@@ -309,8 +327,9 @@ class Lowered:
 
 
 def _states_in(graph: Graph, root: int) -> set[int]:
-    leaves = (graph.nodes[n] for n in needed(graph, [root]))
-    return {int(n[1][1:]) for n in leaves if n[0] == "input" and n[1].startswith("x")}
+    names = [n[1] for n in (graph.nodes[i] for i in needed(graph, [root])) if n[0] == "input"]
+    places = {int(name[1:]) for name in names if name.startswith("x")}
+    return places | ({TIME} if "t" in names else set())
 
 
 def _degree(graph: Graph, root: int) -> float:
@@ -440,13 +459,19 @@ class Scene:
         """The derived laws of a contact."""
         if name not in self._contacts:
             code, spec = self.code, self.code.contact_spec(name)
-            parts = [
-                code.law_program(name, what).bind(self._values)
+            laws = {
+                what: code.law_program(name, what).bind(self._values)
                 for what in ("impact", "land", "push")
-            ]
+            }
             law = code.program(("law", name), lambda: code.closed("restitution", name), ["u"])
-            bound = [law.bind(self._values)]
-            self._contacts[name] = Contact(name, spec.source, spec.rests, *parts, *bound)  # type: ignore[call-arg]
+            self._contacts[name] = Contact(
+                name,
+                spec.source,
+                spec.rests,
+                law=law.bind(self._values),
+                local=code.local(name),
+                **laws,
+            )
         return self._contacts[name]
 
 
@@ -485,7 +510,7 @@ def _shape(code: Lowered, closed: Any) -> tuple[bool, tuple[int, ...]]:
     graph = Graph()
     (output,) = graph.outputs(closed, code.inputs(graph))
     root = int(output.reshape(()))
-    return _degree(graph, root) <= 1, tuple(sorted(_states_in(graph, root)))
+    return _degree(graph, root) <= 1, tuple(sorted(_states_in(graph, root) - {TIME}))
 
 
 __all__ = ["Contact", "ContactSpec", "Field", "Guard", "Scene", "Spec", "rest_name"]

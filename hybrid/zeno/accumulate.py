@@ -41,6 +41,15 @@ DEGREE = 16
 #: Rounding floor of an accumulation, relative.
 FLOOR = 4e-15
 
+#: Logarithms of the speed's ratio below which the forces are taken to be even in the speed.
+IDLE = 1e-13
+
+#: Points off the nodes at which a curve is put to the test.
+PROBES = (0.3, 0.1, 0.03, 0.01, 1e-3)
+
+#: Times along a tail at which the forces are looked at, and how smooth they must be.
+SAMPLES, SMOOTH = 64, 1e-5
+
 #: What is left after a turn, against what the turn changed: it shrinks, but not evenly.
 CAUTION = 8.0
 
@@ -155,12 +164,13 @@ def close(
                 left = min(1.0, worst / history[-1])  # doubling squares what is left, or better
                 change, worst = left * change, left * worst
             if worst <= 1.0:
-                return guess.tail(low, CAUTION * change + FLOOR * guess.scale() + rounding)
+                error = CAUTION * change + FLOOR * guess.scale() + rounding
+                return guess.tail(low, error) if guess.holds(allowed[0]) else None
             history.append(worst)
             if not guess.steady and not _hopeful(history, DEGREE - degree):
                 return None
         before = guess.limit
-        degree = 2 * degree if degree < 4 or guess.steady else degree + 1
+        degree = 2 * degree if guess.steady else degree + 1
     return None
 
 
@@ -182,8 +192,9 @@ class _Curve:
         self.t, self.x, self.v = t, x, v
         self.curve = np.zeros((1, 2 + len(x)))
         self.limit = np.zeros(1 + len(x))
-        self.steady = False
+        self.steady = contact.local and not field.held
         self._known: dict[float, list[float]] = {}
+        self._branch: tuple[int, ...] | None = None
         self.r = contact.law(t, x.tolist(), -0.0)
 
     def improve(self, degree: int) -> bool:
@@ -208,17 +219,44 @@ class _Curve:
 
     def _look_up(self, w: float, degree: int) -> list[float] | None:
         """``D`` and ``E`` at a point; known ones are kept while the curve's place is idle."""
-        key, known = round(w, 12), self._known.get(round(w, 12))
-        if known is not None and (self.steady or w == 1.0):
-            return known
+        key = round(w, 12)
+        if key in self._known and (self.steady or w == 1.0):
+            return self._known[key]
         step = self._step(w)
-        if step is None:
-            return None
-        if known is not None and degree == 4:
-            change = np.abs(np.array(step) - np.array(known))
-            self.steady = bool(np.all(change <= 4 * ROUNDING * np.maximum(np.abs(known), w)))
-        self._known[key] = step
+        if step is not None:
+            self._known[key] = step
+            self.steady = self.steady and abs(step[-1]) <= IDLE
         return step
+
+    def holds(self, allowed: float) -> bool:
+        """Whether the curve is one between its points too, and far down towards its limit.
+
+        Flights at other points must be on the same branch and fulfil the equation; and the
+        gap's acceleration at rest must be smooth along the curve, in steps of time.
+        """
+        for w in PROBES:
+            step = self._step(w)
+            if step is None:
+                return False
+            here, there = chebyshev.chebval(2.0 * np.array([w, self.r * w]) - 1.0, self.curve[:, 0])
+            if abs(step[0] - (there - here)) > allowed + CAUTION * ROUNDING * step[0]:
+                return False
+        return self.steady or self._smooth()
+
+    def _smooth(self) -> bool:
+        """Whether forces vary along the tail as a polynomial of its degree does."""
+        grid = np.linspace(0.0, 1.0, 4 * SAMPLES)
+        offsets = chebyshev.chebval(2.0 * grid - 1.0, self.curve[:, 0])
+        since = np.linspace(0.0, self.limit[0], SAMPLES)
+        w = np.interp(since, offsets[::-1], grid[::-1])
+        states = self.x + chebyshev.chebval(2.0 * w - 1.0, self.curve[:, 1:-1]).T
+        times = self.t + chebyshev.chebval(2.0 * w - 1.0, self.curve[:, 0])
+        guard = self.field.guards[self.column]
+        pairs = zip(times.tolist(), states.tolist(), strict=True)
+        push = np.array([guard.lie(t, self._on_contact(t, x, 0.0))[2] for t, x in pairs])
+        basis = chebyshev.chebvander(2.0 * w - 1.0, min(len(self.curve) + 2, DEGREE))
+        fitted = basis @ np.linalg.lstsq(basis, push, rcond=None)[0]
+        return bool(np.max(np.abs(push - fitted)) <= SMOOTH * np.max(np.abs(push)))
 
     def _step(self, w: float) -> list[float] | None:
         """``D`` and ``E`` at one point of the curve, by one flight and impact."""
@@ -227,8 +265,9 @@ class _Curve:
         t = self.t + float(offset[0])
         x = self._on_contact(t, (self.x + offset[1:-1]).tolist(), v)
         flight = fly(self.field, self.column, t, x, v)
-        if flight is None:
+        if flight is None or flight.branch != (self._branch or flight.branch):
             return None
+        self._branch = flight.branch
         end = t + flight.time
         after = self.contact.law(end, flight.x, flight.u) * -flight.u
         if not after > 0:

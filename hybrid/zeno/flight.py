@@ -27,12 +27,14 @@ class Flight:
     """A flight: how long, where it ends, and with which gap speed (``u < 0``).
 
     ``pieces`` are ``(start, length, series of the states)``; one where the flight is short.
+    ``branch`` says on which sides of its kinks it began and which it crossed, in order.
     """
 
     time: float
     x: list[float]
     u: float
     pieces: tuple[tuple[float, float, list[list[float]]], ...]
+    branch: tuple[int, ...]
 
 
 def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight | None:
@@ -51,6 +53,8 @@ def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight
             series, values, kinks = field.expand(t + start, x, sides)
         except (ValueError, OverflowError, ZeroDivisionError):
             return None
+        if not pieces:
+            branch = [1 if (side or c[0]) > 0 else -1 for side, c in zip(sides, kinks, strict=True)]
         g = values[column]
         g[0], g[1] = gap, speed
         reach = step_length(series)
@@ -63,9 +67,11 @@ def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight
         x = [polynomial(c, length) for c in series]
         start, gap, speed = start + length, polynomial(g, length), slope(g, length)
         if length == zero:
-            return Flight(start, x, speed, tuple(pieces)) if speed < 0 else None
+            flight = Flight(start, x, speed, tuple(pieces), tuple(branch))
+            return flight if speed < 0 else None
         sides = [0] * field.kinks
         if crossed is not None:
+            branch.append(crossed)
             sides[crossed] = -1 if slope(kinks[crossed], length) < 0 else 1
     return None
 
