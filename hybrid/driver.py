@@ -120,6 +120,7 @@ class Driver:
         self.watch = Watch()
         self.recent: deque[tuple[float, str]] = deque(maxlen=LOOP)
         self.limit = float(np.max(plan.atol))
+        self.extent = np.zeros(scene.spec.dimension)
 
     def run(self, mode: str, x: np.ndarray) -> None:
         """From the start to the end of the run."""
@@ -173,6 +174,7 @@ class Driver:
         self.field, self.x = self.scene.field(self.scene.name(mode, held)), x
         if self.field.project is not None:
             self.x = x = np.array(self.field.project(self.now.t, x.tolist()))
+        self.extent = np.maximum(self.extent, np.abs(x))
         self.orders = [0] * len(self.field.guards)
         self.at_once: list[int] = []
         self.series = self._jets(0.0, x)
@@ -214,7 +216,8 @@ class Driver:
                 return 0, 1 if value > 0 else -1
             size = self.scene.rounding(guard, self.field)(t, x)[0]
             tick = 64 * EPS * abs(t) * abs(guard.lie(t, x)[1])
-            if abs(value) > 64 * EPS * size + tick:
+            reach = max((float(self.extent[i]) for i in guard.uses), default=0.0)
+            if abs(value) > 64 * EPS * (size + reach) + tick:
                 return 0, 1 if value > 0 else -1
         return self._decide(guard, index, max(least, 1))
 
@@ -525,10 +528,13 @@ class Driver:
         after = np.array(self.scene.reset(guard.edge)(self.now.t, before.tolist()))
         self._require_finite(guard.edge, after)
         held = self._still_held(guard.to, after)
+        t = self.now.t
+        stays = guard.value(t, after.tolist()) == guard.value(t, before.tolist())
+        known = {guard.edge: 1} if stays else {}
         self.watch.reset()
         self.add_jump(guard.edge, after, before)
         if self.status is None:
-            self.enter(guard.to, after, {}, held, used=guard.edge)
+            self.enter(guard.to, after, known, held, used=guard.edge)
 
     def _still_held(self, mode: str, x: np.ndarray) -> tuple[str, ...]:
         """The contacts held at present that a jump has left closed: gap and speed zero."""

@@ -209,10 +209,10 @@ def _errors(driver: Driver, again: Driver | None, index: int) -> tuple[float, Re
         return float("inf"), record(np.full(dimension, np.inf))
     state = np.concatenate([np.ravel(v) for v in point.state])
     other = np.concatenate([np.ravel(v) for v in again.zeno[index].state])
-    floor = FLOOR * np.sqrt(1.0 + len(driver.own_jumps))
+    floor = 4 * FLOOR * np.sqrt(1.0 + len(driver.own_jumps))
     closing = (tail.t_error, tail.x_error) if tail else (0.0, np.zeros(dimension))
-    t_error = 2 * abs(point.t - again.zeno[index].t) + closing[0] + floor * abs(point.t)
-    x_error = 2 * np.abs(state - other) + closing[1] + floor * np.abs(state)
+    t_error = 3 * abs(point.t - again.zeno[index].t) + closing[0] + floor * abs(point.t)
+    x_error = 3 * np.abs(state - other) + closing[1] + floor * np.abs(state)
     return float(t_error), record(x_error)
 
 
