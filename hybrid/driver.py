@@ -216,7 +216,7 @@ class Driver:
                 return 0, 1 if value > 0 else -1
             size = self.scene.rounding(guard, self.field)(t, x)[0]
             tick = 64 * EPS * abs(t) * abs(guard.lie(t, x)[1])
-            reach = max((float(self.extent[i]) for i in guard.uses), default=0.0)
+            reach = float(self.extent.max()) if self.parts else 0.0
             if abs(value) > 64 * EPS * (size + reach) + tick:
                 return 0, 1 if value > 0 else -1
         return self._decide(guard, index, max(least, 1))

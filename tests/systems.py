@@ -214,3 +214,50 @@ class Ceiling(hy.Automaton):
         return s.v, -2.0
 
     impact = hy.contact(flight, gap=lambda self, t, s: -s.x, restitution=0.5)
+
+
+class Pair(hy.Automaton):
+    """Two balls over two floors, gravity 10."""
+
+    x = hy.state()
+    y = hy.state()
+    u = hy.state()
+    w = hy.state()
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.u, s.w, -10.0, -10.0
+
+    first = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+    second = hy.contact(flight, gap=lambda self, t, s: s.y, restitution=0.5)
+
+
+class Switching(hy.Automaton):
+    """A ball whose gravity falls from 10 to 2 at t = 6."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -jnp.where(t < 6.0, 10.0, 2.0)
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.9)
+
+
+class DippingCeiling(hy.Automaton):
+    """A ball under a ceiling that comes down for a moment at t = 3."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -10.0
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.9)
+    ceiling = hy.contact(
+        flight,
+        gap=lambda self, t, s: 2 - 1.99 * jnp.exp(-(((t - 3.0) / 0.2) ** 2)) - s.x,
+        restitution=0.9,
+    )

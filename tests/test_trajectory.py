@@ -212,3 +212,14 @@ def test_explain_says_what_happened():
     text = run.explain()
     for part in ("impact", "ratio 0.3", "flight.rest(impact)", "released at t = 1.7356"):
         assert part in text
+
+
+def test_reading_at_the_listed_times_of_a_tail():
+    """At every well separated impact both sides are the ones listed; j picks the arc."""
+    run = hy.simulate(BouncingBall(r=0.5), {"x": 1.0, "v": 0.0}, (0, 3))
+    for jump in run.jumps[:30]:
+        assert run(jump.t).v >= 0
+        assert run(jump.t, side="left").v <= 0
+    assert run(2.9, run.arcs[-1].j).x == 0.0
+    sampled = hy.simulate(BouncingBall(r=0.5), [1.0, 0.0], (0, 3), save=run.jumps.t[:20])
+    assert np.all(sampled.to_xarray().v.values > 0)

@@ -61,3 +61,49 @@ def test_resting_on_one_contact_and_striking_another(solver):
     assert run.mode == "flight.rest(floor)"
     assert run.final.x == pytest.approx(2.0, abs=1e-6)
     assert run.final.y == 0.0
+
+
+def test_two_bodies_rest_at_the_end_of_their_own_series(solver):
+    """Two balls on two floors: both accumulate; then both contacts are held at once."""
+    run = hy.simulate(systems.Pair(), [1.0, 0.9, 0.0, 0.0], (0, 3), rtol=1e-9, **solver)
+    truth = [np.sqrt(2 * h / 10.0) * 3.0 for h in (0.9, 1.0)]
+    assert [point.t for point in run.zeno] == pytest.approx(truth, abs=1e-5)
+    assert run.mode == "flight.rest(first, second)"
+    assert (run.final.x, run.final.y) == (0.0, 0.0)
+
+
+def test_a_force_that_changes_inside_the_tail(accurate):
+    """Gravity falls from 10 to 2 at t = 6, inside a tail that would have ended at 8.497."""
+    run = hy.simulate(systems.Switching(), {"x": 1.0, "v": 0.0}, (0, 30), **accurate)
+    assert run.zeno[0].t == pytest.approx(16.338222626746, abs=1e-6)
+    assert abs(run.zeno[0].t - 16.338222626746) <= run.zeno[0].t_error + 1e-11
+
+
+def test_a_ceiling_that_dips_into_the_tail(solver):
+    """Another contact's gap is watched along the whole tail."""
+    run = hy.simulate(systems.DippingCeiling(), {"x": 1.0, "v": 0.0}, (0, 12), **solver)
+    assert "ceiling" in run.jumps.edge
+    times = np.linspace(0, 12, 2000)
+    gap = 2 - 1.99 * np.exp(-(((times - 3.0) / 0.2) ** 2)) - run(times).x
+    assert gap.min() > -1e-6
+
+
+@pytest.mark.parametrize("omega", [5.0, 150.0, 1e3, 1e4])
+def test_release_at_any_frequency(omega):
+    """A table of acceleration 1.5 g: rest ends where it falls faster than g, at each period."""
+    model = BeadOnTable(r=0.3, omega=omega, amplitude=1.5 * 9.8 / omega**2)
+    end = 20.0 / omega
+    run = hy.simulate(model, {"x": 0.0, "v": model.amplitude * omega}, (0, end))
+    releases = [jump.t * omega for jump in run.jumps if jump.edge == "impact.release"]
+    phase = np.arcsin(1 / 1.5)
+    np.testing.assert_allclose(releases, phase + 2 * np.pi * np.arange(len(releases)), rtol=1e-9)
+    assert len(releases) >= 3
+
+
+def test_a_body_set_at_rest_on_a_moving_table_does_not_sink():
+    """Its gap speed is rounding: -1e-16. It rests until the table falls away."""
+    model = BeadOnTable(r=0.5, omega=5.0, amplitude=1.0)
+    start = {"x": -np.sin(np.pi / 2), "v": 5.0 * np.cos(-np.pi / 2)}
+    run = hy.simulate(model, start, (-np.pi / 10, 0.5))
+    times = np.linspace(-np.pi / 10, 0.5, 300)
+    assert np.min(run(times).x - np.sin(5.0 * times)) >= -1e-12
