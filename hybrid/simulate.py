@@ -9,8 +9,8 @@ import numpy as np
 
 from .automaton.record import Record
 from .automaton.spec import Spec
-from .driver import Driver, Plan
 from .errors import FlowError, HybridError, OptionError, StartError
+from .run import Driver, Plan
 from .scene import Scene, scene_of
 from .solvers import choose
 from .trajectory import Trajectory
@@ -125,9 +125,9 @@ def _trajectory(
     spec = scene.spec
     samples = None
     if plan.samples is not None:
-        if plan.samples.size and plan.samples[-1] == driver.now.t:
-            driver.sampled.append(driver.x)
-        samples = np.array(driver.sampled).reshape(-1, spec.dimension)
+        if plan.samples.size and plan.samples[-1] == driver.record.now.t:
+            driver.record.sampled.append(driver.entry.x)
+        samples = np.array(driver.record.sampled).reshape(-1, spec.dimension)
         options["times"] = plan.samples[: len(samples)]
     assert driver.status is not None
     parameters = {p.name: getattr(model, p.name) for p in spec.parameters}
@@ -136,10 +136,10 @@ def _trajectory(
     return Trajectory(
         spec,
         parameters,
-        driver.parts,
-        driver.own_jumps,
-        driver.zeno,
-        driver.grazings,
+        driver.record.parts,
+        driver.record.own_jumps,
+        driver.record.zeno,
+        driver.record.grazings,
         driver.status,
         options,
         samples,
@@ -165,7 +165,7 @@ def _give_errors(driver: Driver, solver: str, method: str | None, mode: str, x: 
     def errors(index: int) -> tuple[float, Record]:
         return _errors(driver, second(), index)
 
-    for index, point in enumerate(driver.zeno):
+    for index, point in enumerate(driver.record.zeno):
         point._errors = lambda index=index: errors(index)
 
 
@@ -174,7 +174,7 @@ def _second_run(
 ) -> Driver | None:
     import attrs
 
-    count = len(driver.zeno)
+    count = len(driver.record.zeno)
     plan = attrs.evolve(
         driver.plan,
         dense=False,
@@ -186,7 +186,7 @@ def _second_run(
     )
     if plan.zeno == "raise":
         plan = attrs.evolve(plan, zeno="rest")
-    has_series = all(driver.scene.field(part.mode).jets is not None for part in driver.parts)
+    has_series = all(driver.scene.field(part.mode).jets is not None for part in driver.record.parts)
     if not has_series:
         other = choose(solver, method, max(1e-2 * plan.rtol, 3e-14), 1e-2 * plan.atol)
     elif solver == "taylor":
@@ -202,16 +202,20 @@ def _second_run(
 
 
 def _errors(driver: Driver, again: Driver | None, index: int) -> tuple[float, Record]:
-    point, tail, record = driver.zeno[index], driver.tails[index], driver.scene.spec.record
+    point, tail, record = (
+        driver.record.zeno[index],
+        driver.record.tails[index],
+        driver.scene.spec.record,
+    )
     dimension = driver.scene.spec.dimension
-    same = again is not None and len(again.zeno) > index
-    if not same or again is None or again.zeno[index].edges != point.edges:
+    same = again is not None and len(again.record.zeno) > index
+    if not same or again is None or again.record.zeno[index].edges != point.edges:
         return float("inf"), record(np.full(dimension, np.inf))
     state = np.concatenate([np.ravel(v) for v in point.state])
-    other = np.concatenate([np.ravel(v) for v in again.zeno[index].state])
-    floor = 4 * FLOOR * np.sqrt(1.0 + len(driver.own_jumps))
+    other = np.concatenate([np.ravel(v) for v in again.record.zeno[index].state])
+    floor = 4 * FLOOR * np.sqrt(1.0 + len(driver.record.own_jumps))
     closing = (tail.t_error, tail.x_error) if tail else (0.0, np.zeros(dimension))
-    t_error = 3 * abs(point.t - again.zeno[index].t) + closing[0] + floor * abs(point.t)
+    t_error = 3 * abs(point.t - again.record.zeno[index].t) + closing[0] + floor * abs(point.t)
     x_error = 3 * np.abs(state - other) + closing[1] + floor * np.abs(state)
     return float(t_error), record(x_error)
 

@@ -16,7 +16,7 @@ LAYERS = [
     ["events", "solvers"],
     ["zeno"],
     ["trajectory"],
-    ["driver", "store", "plotting"],
+    ["run", "store", "plotting"],
     ["simulate"],
     ["gallery"],
     ["cli", "__main__", "__init__"],

@@ -92,6 +92,10 @@ class Field:
     guards: tuple[Guard, ...]
     project: Scalar | None = None
 
+    def column(self, edge: str) -> int:
+        """Place of an edge's guard among the guards."""
+        return next(i for i, guard in enumerate(self.guards) if guard.edge == edge)
+
     def expand(self, t: float, x: list[float], sides: list[int]) -> Any:
         """``jets``, on the branch that the flow takes where a kink is zero here.
 

@@ -1,0 +1,261 @@
+"""One arc: step until a guard fires or the run ends, and land on the guard (rules 1, 2, 4, 5)."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Any
+
+import attrs
+import numpy as np
+
+from ..clock import Instant
+from ..errors import FlowError
+from ..events import EPS, fires, time_scale, zeros
+from ..scene import Guard, Scene
+from ..scene.scene import ORDER
+from ..segment import Segment
+from ..solvers import Solver, Stepper
+from ..solvers.taylor_backend import step_length
+from ..zeno.flight import zero_of
+from .entry import Entry, describe, expand
+from .plan import Plan
+
+#: Guards that are no polynomials are sampled in at least so many pieces over a run.
+SHARES = 100
+
+#: A step never spans more than this many time scales of a guard that is no polynomial.
+REACH = 8.0
+
+#: An arc's first step, against that at which the method's error reaches the tolerance.
+SAFETY = 0.5
+
+
+@attrs.frozen
+class Fired:
+    """A guard that fires, and the local time."""
+
+    index: int
+    tau: float
+
+
+@attrs.frozen(eq=False)
+class Flown:
+    """An arc as flown.
+
+    Attributes
+    ----------
+    fired : int or None
+        The guard that ended it; None at the end of the run.
+    grazes : list of (local time, guard, state)
+        Tangencies on the way.
+    """
+
+    fired: int | None
+    length: float
+    x: np.ndarray
+    segments: list[Segment]
+    grazes: list[tuple[float, int, np.ndarray]]
+
+
+class ArcFlow:
+    """Flows one arc from an entry."""
+
+    def __init__(
+        self, scene: Scene, solver: Solver, plan: Plan, entry: Entry, now: Instant
+    ) -> None:
+        self.scene, self.solver, self.plan, self.now = scene, solver, plan, now
+        self.field, self.x, self.series = entry.field, entry.x, entry.series
+        self.orders = entry.orders
+        self.ends: dict[Any, float] = {}
+        self.grazes: list[tuple[float, int, np.ndarray]] = []
+
+    def run(self) -> Flown:
+        """Flow until a guard fires or the run ends."""
+        length = self.now.until(self.plan.t1)
+        target = self._predict(length)
+        stepper = self._begin(length, target)
+        segments: list[Segment] = []
+        fired = None
+        while fired is None and stepper.tau < length:
+            start, x = stepper.tau, stepper.x
+            scales = self._scales(start, x)
+            limit = target if target is not None and target > start else length
+            limit = min(limit, length, start + REACH * min(scales, default=float("inf")))
+            segment = self._step(stepper, limit)
+            fired = self._first_event(segment, stepper, scales, target)
+            if fired is not None:
+                landed = self._land(stepper, segment, fired) if fired.tau > start else None
+                if landed is None:
+                    stepper.tau, stepper.x = start, x
+                    break
+                segment = landed
+                stepper.tau = landed.end
+            segments.append(segment)
+            self.orders = [0] * len(self.orders)
+        index = None if fired is None else fired.index
+        return Flown(index, stepper.tau, stepper.x, segments, self.grazes)
+
+    def _where(self, tau: float = 0.0, x: np.ndarray | None = None) -> str:
+        return describe(self.scene, self.field, self.now.t + tau, self.x if x is None else x)
+
+    def _begin(self, length: float, target: float | None) -> Stepper:
+        if not all(map(isfinite, self.field.rhs(self.now.t, self.x.tolist()))):
+            raise FlowError(f"{self._where()}: the flow is not finite")
+        first, sizes = self._first_step(length), None
+        if target is not None:
+            powers = target ** np.arange(1, ORDER + 1)
+            sizes = np.abs(np.array(self.series[0])[:, 1:] * powers).max(axis=1)
+            first = min(first or target, target)
+        try:
+            return self.solver.begin(self.field, self.now.t, self.x, length, first, sizes)
+        except FlowError as fault:
+            raise FlowError(f"{self._where()}: {fault}") from None
+        except ValueError as fault:
+            raise FlowError(f"{self._where()}: the flow is not finite ({fault})") from None
+
+    def _step(self, stepper: Stepper, limit: float) -> Segment:
+        tau, x = stepper.tau, stepper.x
+        try:
+            return stepper.step(limit)
+        except FlowError as fault:
+            raise FlowError(f"{self._where(tau, x)}: {fault}") from None
+
+    def _first_step(self, length: float) -> float | None:
+        """Where the first term that the method neglects reaches the tolerance."""
+        if self.series is None:
+            return None
+        k = min(self.solver.order + 1, ORDER)
+        first = length
+        atol = np.broadcast_to(self.plan.atol, self.x.shape)
+        for c, absolute in zip(self.series[0], atol.tolist(), strict=True):
+            allowed = absolute + self.plan.rtol * abs(c[0])
+            for power in (k - 1, k):
+                if c[power]:
+                    first = min(first, (allowed / abs(c[power])) ** (1.0 / power))
+        return SAFETY * first if first > 0 and np.isfinite(first) else None
+
+    def _predict(self, length: float) -> float | None:
+        """The end of a short flight after an impact, from its Taylor series (2)."""
+        if self.series is None:
+            return None
+        best = None
+        for index, guard in enumerate(self.field.guards):
+            if guard.kind == "contact" and self.orders[index] == 1:
+                gap = [0.0, *self.series[1][index][1:]]
+                zero = zero_of(gap, 4 * step_length(self.series[0]))
+                if zero is not None and zero < length:
+                    best = zero if best is None else min(best, zero)
+        return best
+
+    def _scales(self, tau: float, x: np.ndarray) -> list[float]:
+        """Times over which guards that are no polynomials are smooth."""
+        guards = self.field.guards
+        if all(guard.affine for guard in guards):
+            return []
+        share = (self.plan.t1 - self.plan.t0) / SHARES
+        series = self.series if tau == 0.0 else expand(self.field, self.now.t + tau, x)
+        scales = []
+        for index, guard in enumerate(guards):
+            size = max((abs(float(x[i])) for i in guard.uses), default=0.0)
+            own = share if series is None else min(share, time_scale(series[1][index], size))
+            scales.append(float("inf") if guard.affine else own)
+        return scales
+
+    def _first_event(
+        self, segment: Segment, stepper: Stepper, scales: list[float], target: float | None
+    ) -> Fired | None:
+        """The first guard that fires in a step: earliest, then in declared order (1, 4)."""
+        best: Fired | None = None
+        grazes: list[tuple[float, int]] = []
+        for index in range(len(self.field.guards)):
+            tau = self._guard_event(index, segment, stepper, scales, target, grazes)
+            if tau is None:
+                continue
+            tie = 4 * np.spacing(self.now.t + tau)
+            if best is None or tau < best.tau - tie:
+                best = Fired(index, tau)
+        for tau, index in sorted(grazes):
+            if best is None or tau < best.tau:
+                self.grazes.append((tau, index, segment(tau)))
+        return best
+
+    def _guard_event(
+        self,
+        index: int,
+        segment: Segment,
+        stepper: Stepper,
+        scales: list[float],
+        target: float | None,
+        grazes: list[tuple[float, int]],
+    ) -> float | None:
+        guard = self.field.guards[index]
+        tolerance = self.plan.limit + self.plan.rtol * max(
+            (abs(float(stepper.x[i])) for i in guard.uses), default=0.0
+        )
+        scale = scales[index] if scales else float("inf")
+        order, t0 = self.orders[index], self.now.t
+        for zero in zeros(guard, segment, t0, order, scale, tolerance, self.ends):
+            if zero.direction == 0:
+                grazes.append((zero.tau, index))
+            elif fires(guard.crossing, zero.direction):
+                if self._touches(guard, zero.tau, segment, tolerance):
+                    grazes.append((zero.tau, index))
+                else:
+                    return zero.tau
+        if target is not None and segment.end == target and guard.kind == "contact":
+            near = self._near_end(guard, segment, stepper)
+            if near is not None:
+                return near
+        return segment.start if self._sunk(guard, segment, stepper, tolerance) else None
+
+    def _touches(self, guard: Guard, tau: float, segment: Segment, tolerance: float) -> bool:
+        """Whether a crossing goes no deeper than the tolerance: a tangency (1)."""
+        _, first, second = guard.lie(self.now.t + tau, segment(tau).tolist())
+        return first * second <= 0 and first * first <= 2 * abs(second) * tolerance
+
+    def _near_end(self, guard: Guard, segment: Segment, stepper: Stepper) -> float | None:
+        """A step made onto a predicted impact ends within rounding of it, on either side."""
+        t, x = self.now.t + segment.end, stepper.x.tolist()
+        value, rate, _ = guard.lie(t, x)
+        near = abs(value) <= -1e-6 * rate * segment.length
+        return segment.end if near or abs(value) <= self._rounding(guard, t, x) else None
+
+    def _rounding(self, guard: Guard, t: float, x: list[float]) -> float:
+        """What rounding can make of a guard that is zero."""
+        return 64 * EPS * float(self.scene.rounding(guard, self.field)(t, x)[0])
+
+    def _sunk(self, guard: Guard, segment: Segment, stepper: Stepper, tolerance: float) -> bool:
+        """Whether a contact's gap is negative with no zero seen: it began below rounding."""
+        value = self.ends.get(guard.edge, 0.0)
+        if guard.kind != "contact" or value >= -tolerance:
+            return False
+        return -value > self._rounding(guard, self.now.t + segment.end, stepper.x.tolist())
+
+    def _land(self, stepper: Stepper, segment: Segment, fired: Fired) -> Segment | None:
+        """End the step on the guard, to rounding (5); None if that is the step's start."""
+        guard, tau = self.field.guards[fired.index], fired.tau
+        small, least = 1e-6 * segment.length, segment.start + 1e-13 * segment.length
+        last, shift = self.now.until(self.plan.t1), 0.0
+        try:
+            if segment.end - tau > small:
+                if tau <= least:
+                    return None
+                segment = stepper.land(tau)
+            for _ in range(4):
+                t, x = self.now.t + stepper.tau, stepper.x.tolist()
+                value, rate, _ = guard.lie(t, x)
+                shift = -value / rate if rate else 0.0
+                if abs(shift) <= small or abs(value) <= self._rounding(guard, t, x):
+                    break
+                tau = min(stepper.tau + shift, last)
+                if tau <= least:
+                    return None
+                segment = stepper.land(tau)
+        except FlowError as fault:
+            raise FlowError(f"{self._where(tau)}: {fault}") from None
+        if not abs(shift) <= small or stepper.tau + shift > last:
+            return segment
+        flow = np.array(self.field.rhs(self.now.t + stepper.tau, stepper.x.tolist()))
+        stepper.x = stepper.x + shift * flow
+        stepper.tau += shift
+        return segment.cut(stepper.tau - segment.start)

@@ -1,0 +1,242 @@
+"""The loop of a run: flow an arc, find what ends it, jump, go on.
+
+The rules are those of ``docs/semantics.md``; numbers in brackets are its rules.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import FlowError, ZenoError
+from ..scene import Contact, Field, Guard, Scene, released
+from ..solvers import Solver
+from ..trajectory import Accumulation, Jump, Status, TailPart, explain
+from ..zeno.accumulate import Tail, close
+from . import truncate
+from .arc import SHARES, ArcFlow
+from .entry import Entry, Jumped, describe, enter
+from .plan import Plan
+from .recorder import Recorder
+
+#: Gap and gap speed, relative to the state, below which a held contact stays closed.
+CLOSED = 1e-12
+
+#: Impacts are summed anew only after their speed has fallen to this share.
+PATIENCE = 0.6
+
+
+class Watch:
+    """A series of impacts of one contact, with no other jump between."""
+
+    def __init__(self) -> None:
+        self.contact: str | None = None
+        self.count = 0
+        self.tried = float("inf")
+
+    def saw(self, edge: str) -> None:
+        """Count an impact; start anew where it is another contact's."""
+        if edge != self.contact:
+            self.contact, self.count, self.tried = edge, 0, float("inf")
+        self.count += 1
+
+    def reset(self) -> None:
+        """Another jump came between."""
+        self.contact = None
+
+
+class Driver:
+    """One run."""
+
+    entry: Entry
+
+    def __init__(self, scene: Scene, solver: Solver, plan: Plan) -> None:
+        self.scene, self.solver, self.plan = scene, solver, plan
+        self.record = Recorder(plan)
+        self.status: Status | None = None
+        self.watch = Watch()
+        self.reach = 0.0
+
+    @property
+    def t(self) -> float:
+        """The present time."""
+        return self.record.now.t
+
+    def run(self, mode: str, x: np.ndarray) -> None:
+        """From the start to the end of the run."""
+        base, _, rest = mode.partition(".rest(")
+        held = (rest.removesuffix(")"),) if rest else ()
+        self.enter(base, x, Jumped(held=held, starting=True))
+        try:
+            self.go_on()
+        except KeyboardInterrupt:
+            self.status = Status.INTERRUPTED
+
+    def go_on(self) -> None:
+        """Arc after arc until something ends the run."""
+        while self.status is None:
+            if self.entry.at_once:
+                self.record.arc(self.entry.field, self.entry.x, self.entry.x, 0.0, [])
+                self.jump(self.entry.field.guards[self.entry.at_once[0]], self.entry.x)
+            else:
+                self.flow()
+
+    def enter(self, mode: str, x: np.ndarray, jumped: Jumped) -> None:
+        """Begin an arc, unless the run has ended."""
+        if self.status is None:
+            reach = 0.0 if jumped.starting else self.reach
+            self.entry = enter(self.scene, self.t, mode, x, jumped, reach)
+            self.reach = max(self.reach, float(np.max(np.abs(x))))
+
+    def flow(self) -> None:
+        """Flow an arc and carry out the jump that ends it."""
+        entry, now = self.entry, self.record.now
+        flown = ArcFlow(self.scene, self.solver, self.plan, entry, now).run()
+        for tau, index, state in flown.grazes:
+            record = self.scene.spec.record(state)
+            edge = entry.field.guards[index].edge
+            self.record.grazings.append(Jump(now.t + tau, self.record.j, edge, record, record))
+        x = self.record.arc(entry.field, entry.x, flown.x, flown.length, flown.segments)
+        if self.plan.progress is not None:
+            self.plan.progress(self.t)
+        if flown.fired is None:
+            self.status = Status.REACHED_END
+        else:
+            self.jump(entry.field.guards[flown.fired], x)
+
+    # -- jumps --------------------------------------------------------------------------
+
+    def jump(self, guard: Guard, x: np.ndarray) -> None:
+        """Carry out the jump of a guard that fired."""
+        if guard.kind == "contact":
+            self._impact(guard, x)
+        elif guard.kind == "release":
+            self._release(guard, x)
+        else:
+            self._reset(guard, x)
+
+    def _reset(self, guard: Guard, before: np.ndarray) -> None:
+        t = self.t
+        after = np.array(self.scene.reset(guard.edge)(t, before.tolist()))
+        self._require_finite(guard.edge, before, after)
+        stays = guard.value(t, after.tolist()) == guard.value(t, before.tolist())
+        held = self._still_held(guard.to, after)
+        self.watch.reset()
+        self.add_jump(guard.edge, before, after)
+        known = {guard.edge: 1} if stays else {}
+        self.enter(guard.to, after, Jumped(known, held, used=guard.edge))
+
+    def _release(self, guard: Guard, x: np.ndarray) -> None:
+        contact, field = released(guard.edge), self.entry.field
+        overdue = bool(self.entry.at_once)  # the load was negative, not zero, on entering
+        self.record.released(contact)
+        self.watch.reset()
+        self.add_jump(guard.edge, x, x)
+        held = tuple(name for name in field.held if name != contact)
+        self.enter(field.mode, x, Jumped({contact: 2 if overdue else 3}, held))
+
+    def _impact(self, guard: Guard, x: np.ndarray) -> None:
+        contact = self.scene.contact(guard.edge)
+        before = np.array(contact.land(self.t, x.tolist()))
+        self.record.end_on(before)
+        *state, speed = contact.impact(self.t, before.tolist())
+        after = np.array(state)
+        self._require_finite(guard.edge, before, after)
+        if speed < 0:
+            raise FlowError(
+                f"{self.where(before)}: the restitution of {guard.edge} gives the speed "
+                f"{speed:.6g} after the impact; it must not be negative"
+            )
+        held = self._still_held(guard.to, after)
+        self.watch.saw(guard.edge)
+        self.add_jump(guard.edge, before, after)
+        if self.status is None and not self._accumulate(contact, after, speed, guard.to, held):
+            self.enter(guard.to, after, Jumped({guard.edge: 1 if speed > 0 else 2}, held))
+
+    def add_jump(self, edge: str, before: np.ndarray, after: np.ndarray) -> None:
+        """Record a jump; the run ends at ``max_jumps``."""
+        self.record.jump(edge, before, after, self.where(before))
+        if len(self.record.own_jumps) >= self.plan.max_jumps:
+            self.status = Status.MAX_JUMPS
+
+    def where(self, x: np.ndarray) -> str:
+        """Model, mode, time and state, for messages."""
+        return describe(self.scene, self.entry.field, self.t, x)
+
+    def _still_held(self, mode: str, x: np.ndarray) -> tuple[str, ...]:
+        """The contacts held at present that a jump has left closed: gap and speed zero."""
+        if mode != self.entry.field.mode or not self.entry.field.held:
+            return ()
+        size = CLOSED * (1.0 + float(np.max(np.abs(x))))
+        held = []
+        for guard in self.scene.field(mode).guards:
+            if guard.edge in self.entry.field.held:
+                gap, speed, _ = guard.lie(self.t, x.tolist())
+                if max(abs(gap), abs(speed)) <= size:
+                    held.append(guard.edge)
+        return tuple(held)
+
+    def _require_finite(self, edge: str, before: np.ndarray, after: np.ndarray) -> None:
+        if not np.all(np.isfinite(after)):
+            state = self.scene.spec.record(after)
+            raise FlowError(f"{self.where(before)}: the reset of {edge} gives {state}")
+
+    # -- accumulations ------------------------------------------------------------------
+
+    def _accumulate(
+        self, contact: Contact, x: np.ndarray, v: float, mode: str, held: tuple[str, ...]
+    ) -> bool:
+        """Sum the impacts from here on, or cut them off; False if the run goes on as it was."""
+        field, watch = self.scene.field(self.scene.name(mode, held)), self.watch
+        if self.plan.zeno == "truncate":
+            return truncate.hold(self, contact, x, field)
+        if watch.count < self.plan.patience or not 0 < v <= PATIENCE * watch.tried:
+            return False
+        watch.tried = v
+        tail = self.tail(contact, x, v, field)
+        if tail is None or self.record.now.after(tail.remaining).until(self.plan.t1) < 0:
+            return False
+        self._pass_limit(tail)
+        return True
+
+    def tail(self, contact: Contact, x: np.ndarray, v: float, field: Field) -> Tail | None:
+        """The sum of all impacts from here on; None where there is none (yet)."""
+        column, now, plan = field.column(contact.name), self.record.now, self.plan
+        rtol, atol = plan.closing * plan.rtol, plan.closing * plan.limit
+        tail = close(field, contact, column, now.t, now.low, x, v, rtol, atol)
+        return tail if tail is not None and _clear(tail, field, column) else None
+
+    def _pass_limit(self, tail: Tail) -> None:
+        """Go over an accumulation point, into what follows it."""
+        contact, record, part = tail.contact, self.record, TailPart(tail, self.record.j)
+        record.keep(part)
+        record.j += tail.count
+        record.now = record.now.after(tail.remaining)
+        held = (*tail.field.held, contact.name)
+        goes_on = contact.rests and self.plan.zeno == "rest"
+        rest = self.scene.name(tail.field.mode, held) if goes_on else None
+        state, edges = self.scene.spec.record(tail.x_inf), (contact.name,)
+        point = Accumulation(self.t, state, tail.r, edges, "estimated", rest, record.j)
+        record.limit_point(point, tail)
+        self.watch.reset()
+        if self.plan.zeno == "raise":
+            raise ZenoError(f"{self.scene.spec.model}: {explain(point)}")
+        if rest is None:
+            self.status = Status.ZENO_STOPPED if self.plan.zeno == "stop" else Status.NO_REST
+        elif len(record.zeno) == self.plan.accumulations:
+            self.status = Status.ZENO_STOPPED
+        self.enter(tail.field.mode, tail.x_inf, Jumped(held=held))
+
+
+def _clear(tail: Tail, field: Field, column: int) -> bool:
+    """Whether no other guard changes sign along the tail, impacts and flights."""
+    others = [guard for i, guard in enumerate(field.guards) if i != column]
+    if not others:
+        return True
+    shares = 4 if all(guard.affine for guard in others) else SHARES
+    since = np.unique([*np.linspace(0, tail.remaining, 2 * shares), *tail.times[:shares]])
+    points = [(tail.t + s, tail.state(s)) for s in since[since < tail.remaining].tolist()]
+    for guard in others:
+        values = [guard.value(t, x) for t, x in points]
+        if not (min(values) > 0 or max(values) < 0):
+            return False
+    return True

@@ -1,0 +1,192 @@
+"""Entering a mode: which guards are zero here, and what follows (rules 2, 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import Any
+
+import attrs
+import numpy as np
+
+from ..automaton.markers import Crossing
+from ..errors import DomainError, FlowError, StartError
+from ..events import EPS, fires, higher_noise, time_scale, vanishing_order
+from ..scene import Field, Guard, Scene
+from ..solvers.taylor_backend import step_length
+
+#: A guard nearer to zero than this share of the state is looked at for rounding.
+CLOSE = 1e-6
+
+
+@attrs.frozen(eq=False)
+class Entry:
+    """A state at the start of an arc.
+
+    Attributes
+    ----------
+    series : tuple or None
+        Taylor series of states and guards here.
+    orders : list of int
+        For each guard the power of the local time by which it vanishes here.
+    at_once : list of int
+        Guards that fire before any flow.
+    """
+
+    field: Field
+    x: np.ndarray
+    series: Any
+    orders: list[int]
+    at_once: list[int]
+
+
+@attrs.frozen
+class Jumped:
+    """What is known of a state from the jump that led to it.
+
+    Attributes
+    ----------
+    vanishing : dict
+        By edge: the power of the local time by which its guard vanishes at least (2).
+    held : tuple of str
+        Contacts held closed; those found closed on entering are added.
+    used : str or None
+        The edge just taken: zero by construction, it waits until it has left zero (2).
+    starting : bool
+        The run starts here: there was no jump.
+    """
+
+    vanishing: dict[str, int] = attrs.Factory(dict)
+    held: tuple[str, ...] = ()
+    used: str | None = None
+    starting: bool = False
+
+
+def enter(scene: Scene, t: float, mode: str, x: np.ndarray, jumped: Jumped, reach: float) -> Entry:
+    """The start of an arc in a mode as declared.
+
+    ``reach`` is the size of the states that the run has seen: rounding is measured by it.
+
+    Raises
+    ------
+    StartError, DomainError
+        Outside the mode's domain, or undecidable.
+    FlowError
+        If a guard is not finite.
+    """
+    field = scene.field(scene.name(mode, jumped.held))
+    if field.project is not None:
+        x = np.array(field.project(t, x.tolist()))
+    here = _Here(scene, field, t, x, reach, expand(field, t, x))
+    orders, at_once = [], []
+    for index, guard in enumerate(field.guards):
+        order, sign = here.start_of(guard, index, jumped.vanishing.get(guard.edge, 0))
+        if here.closed(guard, order, sign):
+            more = attrs.evolve(jumped, held=(*jumped.held, guard.edge))
+            return enter(scene, t, mode, x, more, reach)
+        if here.fires(guard, order, sign, jumped):
+            at_once.append(index)
+        orders.append(order)
+    return Entry(field, x, here.series, orders, at_once)
+
+
+def expand(field: Field, t: float, x: np.ndarray) -> Any:
+    """Taylor series of states and guards; None where there is none."""
+    if field.jets is None:
+        return None
+    try:
+        return field.expand(t, x.tolist(), [0] * field.kinks)
+    except (ValueError, OverflowError, ZeroDivisionError):
+        return None
+
+
+def describe(scene: Scene, field: Field, t: float, x: np.ndarray) -> str:
+    """Model, mode, time and state, for messages."""
+    return f"{scene.spec.model}, mode {field.name}, t = {t!r}, {scene.spec.record(x)}"
+
+
+@attrs.frozen
+class _Here:
+    """A state in a field, and the guards there."""
+
+    scene: Scene
+    field: Field
+    t: float
+    x: np.ndarray
+    reach: float
+    series: Any
+
+    def where(self) -> str:
+        return describe(self.scene, self.field, self.t, self.x)
+
+    def closed(self, guard: Guard, order: int, sign: int) -> bool:
+        """Whether a contact is at rest: gap and gap speed zero, and the load pushes."""
+        still = guard.kind == "contact" and order >= 2 and sign < 0
+        return still and self.scene.contact(guard.edge).rests
+
+    def fires(self, guard: Guard, order: int, sign: int, jumped: Jumped) -> bool:
+        """Whether a guard fires at once; refuses a state outside the domain."""
+        if sign == 0:
+            raise StartError(
+                f"{self.where()}: the guard of {guard.edge} is zero and no derivative along "
+                "the flow decides which way it goes; start off the guard"
+            )
+        if order == 0:
+            if guard.kind == "release" and sign < 0 and not jumped.starting:
+                return True
+            self.require_inside(guard, sign, jumped.starting)
+            return False
+        if guard.crossing is Crossing.EITHER:
+            return False
+        used = guard.kind == "edge" and guard.edge == jumped.used
+        return not used and fires(guard.crossing, sign)
+
+    def start_of(self, guard: Guard, index: int, least: int) -> tuple[int, int]:
+        t, x = self.t, self.x.tolist()
+        value = guard.value(t, x)
+        if not np.isfinite(value):
+            raise FlowError(f"{self.where()}: the guard of {guard.edge} is {value}")
+        if not least:
+            if abs(value) > CLOSE * (1.0 + max(map(abs, x))):
+                return 0, 1 if value > 0 else -1
+            size = self.scene.rounding(guard, self.field)(t, x)[0]
+            tick = 64 * EPS * abs(t) * abs(guard.lie(t, x)[1])
+            if abs(value) > 64 * EPS * (size + self.reach) + tick:
+                return 0, 1 if value > 0 else -1
+        return self.decide(guard, index, max(least, 1))
+
+    def decide(self, guard: Guard, index: int, least: int) -> tuple[int, int]:
+        t, x = self.t, self.x.tolist()
+        sizes = self.scene.rounding(guard, self.field)(t, x)
+        if self.series is None:
+            _, first, second = guard.lie(t, x)
+            series = [0.0, first, second / 2]
+        else:
+            series = list(self.series[1][index])
+        noise = [64 * EPS * size for size in sizes] + higher_noise(series, self.own_time(series))
+        noise = [float("inf") if k < least else size for k, size in enumerate(noise)]
+        return vanishing_order(guard, t, x, series, noise)
+
+    def own_time(self, series: Sequence[float]) -> float:
+        """A time in which the terms of a guard's series are comparable."""
+        own = time_scale(series, 0.0)
+        if self.series is not None:
+            own = min(own, step_length(self.series[0]))
+        return own if isfinite(own) else 1.0
+
+    def require_inside(self, guard: Guard, sign: int, starting: bool) -> None:
+        wanted = {Crossing.FALLING: 1, Crossing.RISING: -1}.get(guard.crossing)
+        if wanted is None or sign == wanted:
+            return
+        value = guard.value(self.t, self.x.tolist())
+        side = "positive" if wanted > 0 else "negative"
+        what = "starts" if starting else "jumped"
+        kind = StartError if starting else DomainError
+        if guard.kind == "release":
+            raise kind(
+                f"{self.where()}: cannot rest here, the contact would have to pull ({value:.6g})"
+            )
+        raise kind(
+            f"{self.where()}: the run {what} outside the mode's domain: the guard of "
+            f"{guard.edge} is {value:.6g} and must be {side}"
+        )

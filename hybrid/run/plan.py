@@ -1,0 +1,47 @@
+"""What a run was asked for, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import attrs
+import numpy as np
+
+
+@attrs.frozen
+class Plan:
+    """The options of a run.
+
+    Attributes
+    ----------
+    cap : int or None
+        Impacts permitted in a series, with ``zeno="truncate"``.
+    dense : bool
+        Keep dense output.
+    samples : array or None
+        Times at which to keep the state.
+    accumulations : int or None
+        Stop at this accumulation (a second run, to measure errors).
+    closing, patience : float, int
+        Tolerance of a tail against the run's, and impacts before the first try at one.
+    """
+
+    t0: float
+    t1: float
+    rtol: float
+    atol: Any
+    zeno: str
+    max_jumps: int
+    cap: int | None
+    dense: bool
+    samples: np.ndarray | None
+    progress: Callable[[float], None] | None
+    accumulations: int | None = None
+    closing: float = 1.0
+    patience: int = 2
+
+    @property
+    def limit(self) -> float:
+        """The largest absolute tolerance."""
+        return float(np.max(self.atol))

@@ -1,0 +1,109 @@
+"""What a run leaves behind: parts, jumps, grazings, samples, and the clock."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import attrs
+import numpy as np
+
+from ..clock import Instant
+from ..errors import JumpLoopError
+from ..scene import Field
+from ..segment import Segment, from_values, nodes
+from ..trajectory import Accumulation, Arc, Jump, JumpRow, Part, TailPart
+from ..zeno.accumulate import Tail
+from .plan import Plan
+
+#: Jumps at one time after which a run is taken to be caught in a loop.
+LOOP = 100
+
+
+class Recorder:
+    """Grows as the run goes on; ``now`` and ``j`` are its hybrid time."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self.now = Instant(plan.t0)
+        self.j = 0
+        self.parts: list[Part] = []
+        self.own_jumps: dict[int, JumpRow] = {}
+        self.zeno: list[Accumulation] = []
+        self.tails: list[Tail | None] = []
+        self.grazings: list[Jump] = []
+        self.sampled: list[np.ndarray] = []
+        self._recent: deque[tuple[float, str]] = deque(maxlen=LOOP)
+
+    def arc(
+        self, field: Field, first: np.ndarray, last: np.ndarray, length: float, segments: Any
+    ) -> np.ndarray:
+        """Add an arc and move to its end; returns the state there, on the contacts held."""
+        project = field.project
+        if project is not None:
+            last = np.array(project(self.now.t + length, last.tolist()))
+            segments = [_projected(s, self.now.t, project) for s in segments]
+        now = self.now
+        self.keep(Arc(field.name, self.j, now.t, now.low, length, first, last, segments, project))
+        self.now = now.after(length)
+        return last
+
+    def keep(self, part: Part) -> None:
+        """Keep a part: whole, or only its ends and the states asked for."""
+        plan = self.plan
+        if plan.samples is not None:
+            inside = plan.samples[(plan.samples >= part.t0) & (plan.samples < part.t1)]
+            for t in inside.tolist():
+                arc = part.arc(part.place(t, "right")) if isinstance(part, TailPart) else part
+                self.sampled.append(arc.local((t - arc.t0) - arc.low))
+        if isinstance(part, Arc) and not plan.dense:
+            part = attrs.evolve(part, segments=())
+        self.parts.append(part)
+
+    def end_on(self, x: np.ndarray) -> None:
+        """Let the last arc end on the guard itself."""
+        arc = self.parts[-1]
+        assert isinstance(arc, Arc)
+        self.parts[-1] = attrs.evolve(arc, last=x, segments=arc._segments)
+
+    def jump(self, edge: str, before: np.ndarray, after: np.ndarray, where: str) -> None:
+        """Add a jump from the last arc.
+
+        Raises
+        ------
+        JumpLoopError
+            If jumps follow each other with no time to speak of between them (4).
+        """
+        now = self.now
+        self.own_jumps[len(self.parts) - 1] = JumpRow(now.t, now.low, edge, before, after)
+        self.j += 1
+        self._recent.append((now.t, edge))
+        spent = now.t - self._recent[0][0]
+        if len(self._recent) == LOOP and spent <= 4 * LOOP * np.spacing(abs(now.t)):
+            cycle = " -> ".join(dict.fromkeys(name for _, name in self._recent))
+            raise JumpLoopError(
+                f"{where}: {LOOP} jumps with no time to speak of between them: {cycle}; "
+                "a reset must leave its guard, a contact needs rests=True; accumulations of "
+                "edges other than one contact are not summed"
+            )
+
+    def limit_point(self, point: Accumulation, tail: Tail | None) -> None:
+        """Add an accumulation, and the tail that was summed."""
+        self.zeno.append(point)
+        self.tails.append(tail)
+
+    def released(self, contact: str) -> None:
+        """Note the release in the contact's last accumulation."""
+        point = next((p for p in reversed(self.zeno) if p.edges == (contact,)), None)
+        if point is not None and point.mode is not None and point.t_release is None:
+            point.t_release = self.now.t
+
+
+def _projected(segment: Segment, t0: float, project: Callable[..., Any]) -> Segment:
+    """A segment of a resting arc, back on the surface at its nodes."""
+    degree = segment.degree
+    times = (t0 + segment.start + segment.length * nodes(degree)).tolist()
+    states = segment.at(nodes(degree)).tolist()
+    values = np.array([project(t, x) for t, x in zip(times, states, strict=True)])
+    return Segment(segment.start, segment.length, from_values(degree) @ values)

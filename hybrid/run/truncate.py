@@ -1,0 +1,71 @@
+"""At most N impacts, then held: section 2 of *Analysis of Impact Chattering*.
+
+The paper lets the body fall under its flow alone after the last permitted impact; without a
+contact force it would sink. Here the contact is held, and the distance to the full series
+is measured by a run of its own.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import attrs
+import numpy as np
+
+from ..scene import Contact, Field
+from ..segment import nodes
+from ..trajectory import Accumulation, TailPart, Truncation
+from .entry import Jumped
+
+if TYPE_CHECKING:
+    from .driver import Driver
+
+
+def permitted(r: float) -> int:
+    """``[1/r]`` from the simplest fraction that rounds to ``r``, so that 1/93 gives 93."""
+    return int(1 / Fraction(r).limit_denominator(10**6)) if r > 1e-6 else 10**6
+
+
+def hold(driver: Driver, contact: Contact, x: np.ndarray, field: Field) -> bool:
+    """Hold the contact, if its series has used up its impacts and the obstacle pushes."""
+    t, record = driver.t, driver.record
+    ratio = contact.law(t, x.tolist(), -0.0)
+    cap = driver.plan.cap or permitted(ratio)
+    pushed = field.guards[field.column(contact.name)].lie(t, x.tolist())[2] < 0
+    if driver.watch.count < cap or not pushed or not contact.rests:
+        return False
+    cut = Truncation(cap, *_left_out(driver, contact, x, field))
+    held = (*field.held, contact.name)
+    after = driver.scene.field(driver.scene.name(field.mode, held))
+    assert after.project is not None
+    still = np.array(after.project(t, x.tolist()))
+    record.arc(field, x, x, 0.0, [])
+    state, edges = driver.scene.spec.record(still), (contact.name,)
+    point = Accumulation(t, state, ratio, edges, "truncated", after.name, record.j)
+    point.truncation = cut
+    record.limit_point(point, None)
+    driver.watch.reset()
+    driver.add_jump(f"{contact.name}.hold", x, still)
+    driver.enter(field.mode, still, Jumped(held=held))
+    return True
+
+
+def _left_out(
+    driver: Driver, contact: Contact, x: np.ndarray, field: Field
+) -> tuple[float, float, float]:
+    """``t_inf`` of the full series, its distance, and its greatest height."""
+    plan = attrs.evolve(driver.plan, zeno="stop", progress=None, dense=True, samples=None)
+    full = type(driver)(driver.scene, driver.solver, plan)
+    full.record.now, full.watch.contact, full.watch.count = driver.record.now, contact.name, 1
+    full.enter(field.mode, x, Jumped({contact.name: 1}, field.held))
+    full.go_on()
+    first = full.record.parts[0]
+    arc = first.arc(0) if isinstance(first, TailPart) else first
+    gap, taus = field.guards[field.column(contact.name)].value, arc.length * nodes(64)
+    states = zip(taus.tolist(), arc.local(taus).tolist(), strict=True)
+    height = max(gap(arc.t0 + s, y) for s, y in states)
+    if not full.record.zeno:
+        return float("nan"), float("nan"), height
+    t_inf, now = full.record.zeno[0].t, driver.record.now
+    return t_inf, t_inf - now.t - now.low, height
