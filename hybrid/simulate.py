@@ -126,7 +126,7 @@ def _trajectory(
     samples = None
     if plan.samples is not None:
         if plan.samples.size and plan.samples[-1] == driver.record.now.t:
-            driver.record.sampled.append(driver.entry.x)
+            driver.record.sampled.append(driver.record.parts[-1].last)
         samples = np.array(driver.record.sampled).reshape(-1, spec.dimension)
         options["times"] = plan.samples[: len(samples)]
     assert driver.status is not None

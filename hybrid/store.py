@@ -14,11 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .accumulation import Accumulation, Truncation
+from .arcs import Arc, JumpRow
 from .automaton.record import Record
 from .automaton.spec import Spec, StateSpec
 from .errors import StoreError
 from .segment import Segment
-from .trajectory import Accumulation, Arc, Jump, JumpRow, Status, Trajectory, Truncation
+from .trajectory import Jump, Status, Trajectory
 
 if TYPE_CHECKING:
     import xarray

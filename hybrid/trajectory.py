@@ -9,18 +9,18 @@ from __future__ import annotations
 
 import enum
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
 
+from .accumulation import Accumulation, explain
+from .arcs import Arc, JumpRow, Part, TailPart
 from .automaton.record import Record
 from .automaton.spec import Spec
 from .errors import OptionError
-from .segment import Segment, from_powers
-from .zeno.accumulate import Tail
 
 if TYPE_CHECKING:
     import xarray
@@ -47,67 +47,6 @@ class Status(enum.Enum):
 
 
 @attrs.frozen(eq=False)
-class Arc:
-    """A piece of the trajectory between two jumps.
-
-    Attributes
-    ----------
-    mode : str
-        The mode, ``"<mode>.rest(<contact>)"`` at rest.
-    j : int
-        Number of jumps before it.
-    t0, t1 : float
-        Where it starts and ends.
-    low : float
-        What ``t0`` lacks to the time of the jump (compensated sum): ``t0 + low``.
-    length : float
-        Duration; exact where ``t1 - t0`` would round to zero.
-    first, last : array
-        States at its ends.
-    segments : sequence of Segment
-        Dense output in local time; empty if none was kept.
-    """
-
-    mode: str
-    j: int
-    t0: float
-    low: float
-    length: float
-    first: np.ndarray
-    last: np.ndarray
-    _segments: Any = attrs.field(alias="segments")
-    project: Callable[..., Any] | None = None
-
-    @property
-    def t1(self) -> float:
-        return self.t0 + (self.low + self.length)
-
-    @property
-    def segments(self) -> Sequence[Segment]:
-        return self._segments() if callable(self._segments) else self._segments
-
-    def local(self, tau: Any) -> np.ndarray:
-        """State at local times in the arc; shape ``tau.shape + (n,)``."""
-        tau = np.asarray(tau, dtype=float)
-        flat = np.clip(np.atleast_1d(tau).reshape(-1), 0.0, self.length)
-        states = np.empty((len(flat), len(self.first)))
-        if not len(flat):
-            return states.reshape((*tau.shape, len(self.first)))
-        segments = self.segments
-        starts = [segment.start for segment in segments]
-        which = np.clip(np.searchsorted(starts, flat, side="right") - 1, 0, None)
-        for index in np.unique(which):
-            chosen = which == index
-            states[chosen] = segments[index](flat[chosen])
-        if self.project is not None:
-            rows = zip((self.t0 + flat).tolist(), states.tolist(), strict=True)
-            states = np.array([self.project(t, x) for t, x in rows])
-        states[flat == 0.0] = self.first
-        states[flat == self.length] = self.last
-        return states.reshape((*tau.shape, len(self.first)))
-
-
-@attrs.frozen(eq=False)
 class Jump:
     """A jump: at time ``t``, from arc ``j`` to arc ``j + 1``."""
 
@@ -116,165 +55,6 @@ class Jump:
     edge: str
     before: Record
     after: Record
-
-
-@attrs.frozen(eq=False)
-class JumpRow:
-    """A jump as it is kept: states as vectors, the time in two floats."""
-
-    t: float
-    low: float
-    edge: str
-    before: np.ndarray
-    after: np.ndarray
-
-
-@attrs.frozen(eq=False)
-class TailPart:
-    """A chattering tail in a trajectory: from arc ``j`` on, ``tail.count + 1`` arcs."""
-
-    tail: Tail
-    j: int
-
-    @property
-    def mode(self) -> str:
-        return self.tail.field.name
-
-    @property
-    def t0(self) -> float:
-        return self.tail.t
-
-    @property
-    def t1(self) -> float:
-        return self.tail.t + (self.tail.low + self.tail.remaining)
-
-    @property
-    def last(self) -> np.ndarray:
-        return self.tail.x_inf
-
-    def arc(self, n: int) -> Arc:
-        """The arc after the tail's impact ``n``."""
-        tail = self.tail
-        flight = tail.flight(n)
-        since, x = float(tail.times[n]), tail.point(tail.r**n)[1] if n else tail.x
-        if flight is None:
-            length = float(tail.remaining - since)
-            straight = np.array([x, tail.x_inf])
-            segments = [Segment(0.0, length, np.array([[0.5, 0.5], [-0.5, 0.5]]) @ straight)]
-            end = tail.x_inf
-        else:
-            length, end = flight.time, np.array(flight.x)
-            segments = [_taylor_segment(*piece) for piece in flight.pieces]
-        t = tail.t + since
-        low = (tail.t - t) + since + tail.low
-        return Arc(self.mode, self.j + n, t, low, length, x, end, segments)
-
-    def jump(self, n: int) -> JumpRow:
-        """The tail's impact ``n`` (1, 2, ...)."""
-        tail, since = self.tail, float(self.tail.times[n])
-        t = tail.t + since
-        low = (tail.t - t) + since + tail.low
-        return JumpRow(t, low, tail.contact.name, self.arc(n - 1).last, tail.point(tail.r**n)[1])
-
-    def place(self, t: float, side: str) -> int:
-        """The arc of the tail that covers a time, by the listed times of its impacts."""
-        listed = self.tail.t + self.tail.times
-        return max(int(np.searchsorted(listed, t, side=side)) - 1, 0)  # type: ignore[call-overload]
-
-
-def _taylor_segment(start: float, length: float, series: list[list[float]]) -> Segment:
-    powers = np.array(series)
-    degree = powers.shape[1] - 1
-    return Segment(
-        start, length, from_powers(degree) @ (powers * length ** np.arange(degree + 1)).T
-    )
-
-
-@attrs.define(eq=False)
-class Truncation:
-    """What a truncated series leaves out (section 2 of the paper).
-
-    Attributes
-    ----------
-    impacts : int
-        Impacts permitted.
-    t_inf : float
-        Where the full series would have ended (NaN if it does not accumulate from here).
-    gap : float
-        ``t_inf`` minus the time of the last impact permitted.
-    height : float
-        Largest gap in what is left out.
-    """
-
-    impacts: int
-    t_inf: float
-    gap: float
-    height: float
-
-
-@attrs.define(eq=False, repr=False)
-class Accumulation:
-    """A limit point of jumps.
-
-    Attributes
-    ----------
-    t : float
-        When the jumps accumulate.
-    state : Record
-        The limit of the state.
-    ratio : float
-        Limit of the ratio of successive gaps in time.
-    edges : tuple of str
-        The cycle of edges.
-    verdict : str
-        ``"certified"`` where it is proved, ``"estimated"`` where the series was summed and
-        seen to converge, ``"truncated"`` where it was cut off by ``zeno="truncate"``.
-    enclosure : (low, high) or None
-        Proved bounds on ``t``.
-    mode : str or None
-        The mode entered after it.
-    t_release : float or None
-        When that mode was left; None if it was not in this run.
-    truncation : Truncation or None
-        With ``zeno="truncate"``: the distance to the full solution.
-    """
-
-    t: float
-    state: Record
-    ratio: float
-    edges: tuple[str, ...]
-    verdict: str
-    mode: str | None
-    j: int
-    enclosure: tuple[float, float] | None = None
-    t_release: float | None = None
-    truncation: Truncation | None = None
-    _errors: Any = attrs.field(default=None, alias="errors", repr=False)
-
-    @cached_property
-    def _error(self) -> tuple[float, Record]:
-        return self._errors() if callable(self._errors) else self._errors
-
-    @property
-    def t_error(self) -> float:
-        """Bound on the error of ``t``: of the integration before, and of the closing.
-
-        The first is measured when this is first read, by a second run in Taylor series
-        accurate to rounding; infinite if that run does not show the same accumulations.
-        """
-        return self._error[0]
-
-    @property
-    def state_error(self) -> Record:
-        """Bound on the error of ``state``, found as ``t_error`` is."""
-        return self._error[1]
-
-    def __repr__(self) -> str:
-        went = f", then {self.mode}" if self.mode else ""
-        return (
-            f"t_inf = {self.t!r} ± {self.t_error:.1g} ({self.verdict}), state {self.state}, "
-            f"ratio {self.ratio:.6g}{went}"
-        )
 
 
 class Jumps(Sequence[Jump]):
@@ -338,9 +118,6 @@ class Jumps(Sequence[Jump]):
             for row in self._rows[:10]
         ]
         return "\n".join(head + ["  ..."] * (len(self) > 10))
-
-
-Part = Arc | TailPart
 
 
 @attrs.define(eq=False)
@@ -553,24 +330,3 @@ class Trajectory:
             f"{self.spec.model}: {self.t0:g} <= t <= {self.t1:g}, {len(self.parts)} parts, "
             f"{len(self.own_jumps)} jumps computed{zeno}\n  {self.status}"
         )
-
-
-def explain(point: Accumulation) -> str:
-    """One accumulation in a sentence or two; also the message of ``zeno="raise"``."""
-    cycle = ", ".join(point.edges)
-    if point.truncation is not None:
-        cut = point.truncation
-        return (
-            f"At t = {point.t!r} the series of {cycle} was cut off after {cut.impacts} impacts "
-            f"(zeno='truncate') and the contact is held; in full it would have ended at "
-            f"t_inf = {cut.t_inf!r}, {cut.gap:.3g} later, after rising {cut.height:.3g} at most."
-        )
-    how = "is proved" if point.verdict == "certified" else "was summed by the chatter map"
-    then = f"The run went on in {point.mode}" if point.mode else "The run ended there"
-    if point.t_release is not None:
-        then += f" until it was released at t = {point.t_release!r}"
-    return (
-        f"Jumps of {cycle} accumulate at t_inf = {point.t!r} with ratio {point.ratio:.6g}; the "
-        f"limit {how} ({point.verdict}). {then} (zeno='rest' goes on at rest, 'stop' ends the "
-        "run, 'truncate' cuts the series, 'raise' makes it an error)."
-    )

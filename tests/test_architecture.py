@@ -15,7 +15,7 @@ LAYERS = [
     ["scene"],
     ["events", "solvers"],
     ["zeno"],
-    ["trajectory"],
+    ["accumulation", "arcs", "trajectory"],
     ["run", "store", "plotting"],
     ["simulate"],
     ["gallery"],

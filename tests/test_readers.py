@@ -8,7 +8,7 @@ import pytest
 import hybrid as hy
 from hybrid.automaton import trace
 from hybrid.errors import TraceError
-from hybrid.scene.scene import ORDER, Lowered
+from hybrid.scene.lowered import ORDER, Lowered
 from hybrid.scene.taylor import flat, polynomial
 
 #: Flows of (x, y) that use what the models of this field use, and what jax.numpy makes of it.

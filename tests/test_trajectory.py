@@ -85,6 +85,8 @@ def test_saving_only_what_is_asked_for():
     dense = hy.simulate(BouncingBall(), [1.0, 0.0], (0, 3))(times)
     np.testing.assert_allclose(sampled.x.values, dense.x, atol=1e-14)
     np.testing.assert_array_equal(sampled.time.values, times)
+    flying = hy.simulate(BouncingBall(r=1.0), [1.0, 0.0], (0, 1), save=[0.2, 1.0])
+    assert flying.to_xarray().x.values[-1] == flying.final.x
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from ..clock import Instant
 from ..errors import FlowError
 from ..events import EPS, fires, time_scale, zeros
 from ..scene import Guard, Scene
-from ..scene.scene import ORDER
+from ..scene.lowered import ORDER
 from ..segment import Segment
 from ..solvers import Solver, Stepper
 from ..solvers.taylor_backend import step_length

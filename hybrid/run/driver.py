@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..accumulation import Accumulation, explain
+from ..arcs import TailPart
 from ..errors import FlowError, ZenoError
 from ..scene import Contact, Field, Guard, Scene, released
 from ..solvers import Solver
-from ..trajectory import Accumulation, Jump, Status, TailPart, explain
+from ..trajectory import Jump, Status
 from ..zeno.accumulate import Tail, close
 from . import truncate
 from .arc import SHARES, ArcFlow

@@ -9,11 +9,13 @@ from typing import Any
 import attrs
 import numpy as np
 
+from ..accumulation import Accumulation
+from ..arcs import Arc, JumpRow, Part, TailPart
 from ..clock import Instant
 from ..errors import JumpLoopError
 from ..scene import Field
 from ..segment import Segment, from_values, nodes
-from ..trajectory import Accumulation, Arc, Jump, JumpRow, Part, TailPart
+from ..trajectory import Jump
 from ..zeno.accumulate import Tail
 from .plan import Plan
 

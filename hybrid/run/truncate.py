@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 import attrs
 import numpy as np
 
+from ..accumulation import Accumulation, Truncation
+from ..arcs import TailPart
 from ..scene import Contact, Field
 from ..segment import nodes
-from ..trajectory import Accumulation, TailPart, Truncation
 from .entry import Jumped
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import FlowError, OptionError
 from ..scene import Field
-from ..scene.scene import ORDER
+from ..scene.lowered import ORDER
 from ..scene.taylor import polynomial, slope
 from ..segment import Segment, from_powers
 from .base import Solver, Stepper

@@ -1,0 +1,118 @@
+"""Limit points of jumps, as a run reports them."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import attrs
+
+from .automaton.record import Record
+
+
+@attrs.define(eq=False)
+class Truncation:
+    """What a truncated series leaves out (section 2 of the paper).
+
+    Attributes
+    ----------
+    impacts : int
+        Impacts permitted.
+    t_inf : float
+        Where the full series would have ended (NaN if it does not accumulate from here).
+    gap : float
+        ``t_inf`` minus the time of the last impact permitted.
+    height : float
+        Largest gap in what is left out.
+    """
+
+    impacts: int
+    t_inf: float
+    gap: float
+    height: float
+
+
+@attrs.define(eq=False, repr=False)
+class Accumulation:
+    """A limit point of jumps.
+
+    Attributes
+    ----------
+    t : float
+        When the jumps accumulate.
+    state : Record
+        The limit of the state.
+    ratio : float
+        Limit of the ratio of successive gaps in time.
+    edges : tuple of str
+        The cycle of edges.
+    verdict : str
+        ``"certified"`` where it is proved, ``"estimated"`` where the series was summed and
+        seen to converge, ``"truncated"`` where it was cut off by ``zeno="truncate"``.
+    enclosure : (low, high) or None
+        Proved bounds on ``t``.
+    mode : str or None
+        The mode entered after it.
+    t_release : float or None
+        When that mode was left; None if it was not in this run.
+    truncation : Truncation or None
+        With ``zeno="truncate"``: the distance to the full solution.
+    """
+
+    t: float
+    state: Record
+    ratio: float
+    edges: tuple[str, ...]
+    verdict: str
+    mode: str | None
+    j: int
+    enclosure: tuple[float, float] | None = None
+    t_release: float | None = None
+    truncation: Truncation | None = None
+    _errors: Any = attrs.field(default=None, alias="errors", repr=False)
+
+    @cached_property
+    def _error(self) -> tuple[float, Record]:
+        return self._errors() if callable(self._errors) else self._errors
+
+    @property
+    def t_error(self) -> float:
+        """Bound on the error of ``t``: of the integration before, and of the closing.
+
+        The first is measured when this is first read, by a second run in Taylor series
+        accurate to rounding; infinite if that run does not show the same accumulations.
+        """
+        return self._error[0]
+
+    @property
+    def state_error(self) -> Record:
+        """Bound on the error of ``state``, found as ``t_error`` is."""
+        return self._error[1]
+
+    def __repr__(self) -> str:
+        went = f", then {self.mode}" if self.mode else ""
+        return (
+            f"t_inf = {self.t!r} ± {self.t_error:.1g} ({self.verdict}), state {self.state}, "
+            f"ratio {self.ratio:.6g}{went}"
+        )
+
+
+def explain(point: Accumulation) -> str:
+    """One accumulation in a sentence or two; also the message of ``zeno="raise"``."""
+    cycle = ", ".join(point.edges)
+    if point.truncation is not None:
+        cut = point.truncation
+        return (
+            f"At t = {point.t!r} the series of {cycle} was cut off after {cut.impacts} impacts "
+            f"(zeno='truncate') and the contact is held; in full it would have ended at "
+            f"t_inf = {cut.t_inf!r}, {cut.gap:.3g} later, after rising {cut.height:.3g} at most."
+        )
+    how = "is proved" if point.verdict == "certified" else "was summed by the chatter map"
+    then = f"The run went on in {point.mode}" if point.mode else "The run ended there"
+    if point.t_release is not None:
+        then += f" until it was released at t = {point.t_release!r}"
+    return (
+        f"Jumps of {cycle} accumulate at t_inf = {point.t!r} with ratio {point.ratio:.6g}; the "
+        f"limit {how} ({point.verdict}). {then} (zeno='rest' goes on at rest, 'stop' ends the "
+        "run, 'truncate' cuts the series, 'raise' makes it an error)."
+    )

@@ -1,0 +1,148 @@
+"""The parts of a trajectory: arcs, and chattering tails that stand for infinitely many."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import attrs
+import numpy as np
+
+from .segment import Segment, from_powers
+from .zeno.accumulate import Tail
+
+
+@attrs.frozen(eq=False)
+class Arc:
+    """A piece of the trajectory between two jumps.
+
+    Attributes
+    ----------
+    mode : str
+        The mode, ``"<mode>.rest(<contact>)"`` at rest.
+    j : int
+        Number of jumps before it.
+    t0, t1 : float
+        Where it starts and ends.
+    low : float
+        What ``t0`` lacks to the time of the jump (compensated sum): ``t0 + low``.
+    length : float
+        Duration; exact where ``t1 - t0`` would round to zero.
+    first, last : array
+        States at its ends.
+    segments : sequence of Segment
+        Dense output in local time; empty if none was kept.
+    """
+
+    mode: str
+    j: int
+    t0: float
+    low: float
+    length: float
+    first: np.ndarray
+    last: np.ndarray
+    _segments: Any = attrs.field(alias="segments")
+    project: Callable[..., Any] | None = None
+
+    @property
+    def t1(self) -> float:
+        return self.t0 + (self.low + self.length)
+
+    @property
+    def segments(self) -> Sequence[Segment]:
+        return self._segments() if callable(self._segments) else self._segments
+
+    def local(self, tau: Any) -> np.ndarray:
+        """State at local times in the arc; shape ``tau.shape + (n,)``."""
+        tau = np.asarray(tau, dtype=float)
+        flat = np.clip(np.atleast_1d(tau).reshape(-1), 0.0, self.length)
+        states = np.empty((len(flat), len(self.first)))
+        if not len(flat):
+            return states.reshape((*tau.shape, len(self.first)))
+        segments = self.segments
+        starts = [segment.start for segment in segments]
+        which = np.clip(np.searchsorted(starts, flat, side="right") - 1, 0, None)
+        for index in np.unique(which):
+            chosen = which == index
+            states[chosen] = segments[index](flat[chosen])
+        if self.project is not None:
+            rows = zip((self.t0 + flat).tolist(), states.tolist(), strict=True)
+            states = np.array([self.project(t, x) for t, x in rows])
+        states[flat == 0.0] = self.first
+        states[flat == self.length] = self.last
+        return states.reshape((*tau.shape, len(self.first)))
+
+
+@attrs.frozen(eq=False)
+class JumpRow:
+    """A jump as it is kept: states as vectors, the time in two floats."""
+
+    t: float
+    low: float
+    edge: str
+    before: np.ndarray
+    after: np.ndarray
+
+
+@attrs.frozen(eq=False)
+class TailPart:
+    """A chattering tail in a trajectory: from arc ``j`` on, ``tail.count + 1`` arcs."""
+
+    tail: Tail
+    j: int
+
+    @property
+    def mode(self) -> str:
+        return self.tail.field.name
+
+    @property
+    def t0(self) -> float:
+        return self.tail.t
+
+    @property
+    def t1(self) -> float:
+        return self.tail.t + (self.tail.low + self.tail.remaining)
+
+    @property
+    def last(self) -> np.ndarray:
+        return self.tail.x_inf
+
+    def arc(self, n: int) -> Arc:
+        """The arc after the tail's impact ``n``."""
+        tail = self.tail
+        flight = tail.flight(n)
+        since, x = float(tail.times[n]), tail.point(tail.r**n)[1] if n else tail.x
+        if flight is None:
+            length = float(tail.remaining - since)
+            straight = np.array([x, tail.x_inf])
+            segments = [Segment(0.0, length, np.array([[0.5, 0.5], [-0.5, 0.5]]) @ straight)]
+            end = tail.x_inf
+        else:
+            length, end = flight.time, np.array(flight.x)
+            segments = [_taylor_segment(*piece) for piece in flight.pieces]
+        t = tail.t + since
+        low = (tail.t - t) + since + tail.low
+        return Arc(self.mode, self.j + n, t, low, length, x, end, segments)
+
+    def jump(self, n: int) -> JumpRow:
+        """The tail's impact ``n`` (1, 2, ...)."""
+        tail, since = self.tail, float(self.tail.times[n])
+        t = tail.t + since
+        low = (tail.t - t) + since + tail.low
+        return JumpRow(t, low, tail.contact.name, self.arc(n - 1).last, tail.point(tail.r**n)[1])
+
+    def place(self, t: float, side: str) -> int:
+        """The arc of the tail that covers a time, by the listed times of its impacts."""
+        listed = self.tail.t + self.tail.times
+        return max(int(np.searchsorted(listed, t, side=side)) - 1, 0)  # type: ignore[call-overload]
+
+
+def _taylor_segment(start: float, length: float, series: list[list[float]]) -> Segment:
+    powers = np.array(series)
+    degree = powers.shape[1] - 1
+    return Segment(
+        start, length, from_powers(degree) @ (powers * length ** np.arange(degree + 1)).T
+    )
+
+
+Part = Arc | TailPart

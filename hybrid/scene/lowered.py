@@ -1,0 +1,265 @@
+"""The generated code of one class: traces read once, kept for every run and parameter value."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..automaton import trace
+from ..automaton.spec import ContactSpec, EdgeSpec
+from ..errors import TraceError
+from . import contact as contacts
+from .graph import Graph
+from .python import Program, needed
+from .taylor import TaylorProgram, flat
+
+#: Order of the Taylor series of flows and gaps.
+ORDER = 16
+
+#: Stands for the time among places in the state vector.
+TIME = -1
+
+
+class Lowered:
+    """Generated code of one class, for one set of parameter shapes."""
+
+    def __init__(self, cls: Any, shapes: tuple[tuple[int, ...], ...]) -> None:
+        self.cls, self.spec, self.shapes = cls, cls.spec, shapes
+        self._programs: dict[Any, Any] = {}
+
+    def _trace(self, call: Any, extra: int = 0) -> Any:
+        return trace.trace(self.spec, call, extra, self.shapes)
+
+    def closed(self, kind: str, name: str) -> Any:
+        """The class's own trace, or one for these shapes where they are not the defaults'."""
+        closed = self.cls.traces[kind, name]
+        given = tuple(tuple(v.aval.shape) for v in closed.jaxpr.invars[: len(self.shapes)])
+        if given == self.shapes:
+            return closed
+        raise TraceError(
+            f"{self.spec.model}: parameters of shapes {self.shapes} where the defaults "
+            f"have {given}; give arrays of the defaults' shapes"
+        )
+
+    def once(self, key: Any, make: Callable[[], Any]) -> Any:
+        """What ``make`` returns, made only the first time."""
+        if key not in self._programs:
+            self._programs[key] = make()
+        return self._programs[key]
+
+    # -- graphs -------------------------------------------------------------------------
+
+    def inputs(self, graph: Graph, extra: Sequence[str] = ()) -> list[np.ndarray]:
+        """Node numbers of parameters, ``t``, ``x`` and the extra inputs."""
+        count, arrays = 0, []
+        for shape in self.shapes:
+            size = int(np.prod(shape, dtype=int))
+            ids = [graph.input(f"p{count + i}") for i in range(size)]
+            arrays.append(np.array(ids, dtype=np.int64).reshape(shape))
+            count += size
+        arrays.append(np.array(graph.input("t")))
+        states = [graph.input(f"x{i}") for i in range(self.spec.dimension)]
+        return [
+            *arrays,
+            np.array(states, dtype=np.int64),
+            *(np.array(graph.input(e)) for e in extra),
+        ]
+
+    def program(self, key: Any, closed: Callable[[], Any], extra: Sequence[str] = ()) -> Program:
+        """Scalar code of a closed jaxpr."""
+
+        def make() -> Program:
+            graph = Graph()
+            (outputs,) = graph.outputs(closed(), self.inputs(graph, extra))
+            return Program(graph, ["t", "x", *extra], self.spec.dimension, outputs)
+
+        return self.once(key, make)
+
+    def dependencies(self, closed: Any, extra: Sequence[str] = ()) -> list[set[int]]:
+        """For each element of a result, the elements of ``x`` it depends on; -1 is time."""
+        graph = Graph()
+        (outputs,) = graph.outputs(closed, self.inputs(graph, extra))
+        return [_states_in(graph, int(i)) for i in outputs.reshape(-1)]
+
+    def local(self, name: str) -> bool:
+        """See :class:`.scene.Contact`."""
+        contact, pairing = self.contact_spec(name), self.pairing(name)
+        own = {*pairing.positions, *pairing.velocities}
+        flows = self.dependencies(self.closed("flow", contact.source))
+        (gap,) = self.dependencies(self.closed("gap", name))
+        (law,) = self.dependencies(self.closed("restitution", name), ["u"])
+        used = set().union(gap, law, *(flows[i] for i in own))
+        return len(own) == 2 and used <= own and not callable(contact.inverse_mass)
+
+    # -- modes --------------------------------------------------------------------------
+
+    def flow(self, mode: str) -> Program:
+        return self.program(("flow", mode), lambda: self.closed("flow", mode))
+
+    def held(self, names: tuple[str, ...]) -> contacts.Held:
+        """The laws of contacts held at once."""
+        flow = trace.again(self.closed("flow", self.contact_spec(names[0]).source))
+        return contacts.Held(tuple(self.laws(name) for name in names), flow)
+
+    def rest_closed(self, names: tuple[str, ...]) -> Any:
+        """The jaxpr of the flow while contacts are held."""
+        return self.once(("rest closed", names), lambda: self._trace(self.held(names).rest))
+
+    def load_closed(self, names: tuple[str, ...], index: int) -> Any:
+        """The jaxpr of the load of one of the contacts held."""
+        key = ("load closed", names, index)
+        return self.once(key, lambda: self._trace(self.held(names).load(index)))
+
+    def project(self, names: tuple[str, ...]) -> Program:
+        """Projection onto the gaps of the contacts held."""
+        closed = lambda: self._trace(self.held(names).project)  # noqa: E731
+        return self.program(("project", names), closed)
+
+    def field_closed(self, mode: str, held: tuple[str, ...]) -> Any:
+        """The jaxpr of the flow of a mode, or of it with contacts held."""
+        return self.rest_closed(held) if held else self.closed("flow", mode)
+
+    def taylor(self, key: Any, flow: Any, functions: Sequence[Any]) -> TaylorProgram | None:
+        """Taylor code of a flow and of functions along it; None where there is none."""
+
+        def make() -> TaylorProgram | None:
+            graph = Graph()
+            inputs = self.inputs(graph)
+            (states,) = graph.outputs(flow, inputs)
+            values = [int(graph.outputs(f, inputs)[0].reshape(())) for f in functions]
+            try:
+                return TaylorProgram(graph, self.spec.dimension, states, values, ORDER)
+            except TraceError:
+                return None
+
+        return self.once(("taylor", key), make)
+
+    # -- guards and contacts ------------------------------------------------------------
+
+    def guard_closed(self, edge: EdgeSpec | ContactSpec) -> Any:
+        return self.closed("gap" if isinstance(edge, ContactSpec) else "guard", edge.name)
+
+    def lie_program(self, key: Any, guard: Any, flow: Any) -> Program:
+        """The guard and its first two derivatives along the flow."""
+
+        def triple(parameters: Any, t: Any, x: Any) -> Any:
+            import jax.numpy as jnp
+
+            g, f = trace.again(guard), trace.again(flow)
+            first = contacts.lie(g, f)
+            parts = [h(parameters, t, x) for h in (g, first, contacts.lie(first, f))]
+            return jnp.stack(parts)
+
+        return self.program(("lie", key), lambda: self._trace(triple))
+
+    def rounding_program(self, key: Any, guard: Any, flow: Any) -> Program:
+        """Sums of the absolute terms of which the guard and its derivatives are made."""
+
+        def sizes(parameters: Any, t: Any, x: Any) -> Any:
+            import jax
+            import jax.numpy as jnp
+
+            g, f = trace.again(guard), trace.again(flow)
+            first = contacts.lie(g, f)
+
+            def terms(h: Any, rates: Any) -> Any:
+                by_t, by_x = jax.grad(h, argnums=(1, 2))(parameters, t, x)
+                return jnp.abs(by_t) * rates[0] + jnp.abs(by_x) @ rates[1]
+
+            moving = (1.0, jnp.abs(f(parameters, t, x)))
+            here = (jnp.abs(t), jnp.abs(x))
+            offset = jnp.abs(g(parameters, t, jnp.zeros_like(x)))
+            size = terms(g, here) + jnp.where(jnp.isfinite(offset), offset, 0.0)
+            return jnp.stack([size, terms(g, moving), terms(first, moving)])
+
+        return self.program(("rounding", key), lambda: self._trace(sizes))
+
+    def pairing(self, name: str) -> contacts.Pairing:
+        """Positions of a contact's gap and their velocities."""
+
+        def make() -> contacts.Pairing:
+            contact = self.contact_spec(name)
+            flow = self.closed("flow", contact.source)
+            (gap,) = self.dependencies(self.closed("gap", name))
+            gap, flows = gap - {TIME}, [d - {TIME} for d in self.dependencies(flow)]
+            return contacts.pair(self.spec, contact, gap, flows, self._unit(contact.source))
+
+        return self.once(("pairing", name), make)
+
+    def _unit(self, mode: str) -> Callable[[int, int], bool]:
+        """Whether a component of the flow has slope one in an element, at random points."""
+        rhs = self.flow(mode).bind(flat([p.default for p in self.spec.parameters]))
+        draw = random.Random(0)
+
+        def unit(i: int, j: int) -> bool:
+            for _ in range(3):
+                x = [draw.uniform(0.5, 1.5) for _ in range(self.spec.dimension)]
+                moved = [v + (k == j) for k, v in enumerate(x)]
+                if not abs(rhs(0.3, moved)[i] - rhs(0.3, x)[i] - 1.0) < 1e-9:
+                    return False
+            return True
+
+        return unit
+
+    def contact_spec(self, name: str) -> ContactSpec:
+        return next(e for e in self.spec.transitions if e.name == name)
+
+    def laws(self, name: str) -> contacts.ContactLaws:
+        def make() -> contacts.ContactLaws:
+            return contacts.laws(self.cls, self.spec, self.contact_spec(name), self.pairing(name))
+
+        return self.once(("laws", name), make)
+
+    def law_program(self, name: str, what: str) -> Program:
+        def closed() -> Any:
+            return self._trace(getattr(self.laws(name), what))
+
+        return self.program((what, name), closed)
+
+
+def _states_in(graph: Graph, root: int) -> set[int]:
+    names = [n[1] for n in (graph.nodes[i] for i in needed(graph, [root])) if n[0] == "input"]
+    places = {int(name[1:]) for name in names if name.startswith("x")}
+    return places | ({TIME} if "t" in names else set())
+
+
+def _degree(graph: Graph, root: int) -> float:
+    """Degree of a polynomial in ``t`` and ``x``; infinite where it is none."""
+    degree: dict[int, float] = {}
+    for number in needed(graph, [root]):
+        node = graph.nodes[number]
+        below = [degree[a] for a in node[1:]] if node[0] not in ("const", "input") else []
+        if node[0] == "const" or (node[0] == "input" and node[1][0] == "p"):
+            degree[number] = 0
+        elif node[0] == "input":
+            degree[number] = 1
+        elif node[0] in ("add", "sub", "neg", "real"):
+            degree[number] = max(below)
+        elif node[0] == "mul":
+            degree[number] = sum(below)
+        elif node[0] == "div" and below[1] == 0:
+            degree[number] = below[0]
+        else:
+            degree[number] = 0 if max(below) == 0 else float("inf")
+    return degree[root]
+
+
+def lowered(cls: Any, shapes: tuple[tuple[int, ...], ...]) -> Lowered:
+    """The generated code of a class, kept on the class."""
+    store = cls.__dict__.get("_hybrid_lowered")
+    if store is None:
+        store = {}
+        cls._hybrid_lowered = store
+    if shapes not in store:
+        store[shapes] = Lowered(cls, shapes)
+    return store[shapes]
+
+
+def guard_shape(code: Lowered, closed: Any) -> tuple[bool, tuple[int, ...]]:
+    graph = Graph()
+    (output,) = graph.outputs(closed, code.inputs(graph))
+    root = int(output.reshape(()))
+    return _degree(graph, root) <= 1, tuple(sorted(_states_in(graph, root) - {TIME}))
