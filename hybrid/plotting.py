@@ -49,6 +49,9 @@ def plot(run: Trajectory, path: Any = None) -> Figure:
     half = rows // 2
     _phase(figure.add_subplot(grid[:half, 1]), run, curves)
     _gaps(figure.add_subplot(grid[half:, 1]), run)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    if handles:
+        figure.legend(handles, labels, loc="outside lower left", ncols=4, fontsize=8, frameon=False)
     figure.suptitle(_title(run), fontsize=10)
     if path is not None:
         figure.savefig(path, dpi=150)
@@ -85,8 +88,6 @@ def _series(axes: Axes, run: Trajectory, curves: Any, index: int) -> None:
     for number, point in enumerate(run.zeno):
         label = None if number else "accumulation"
         axes.axvline(point.t, color=LIMIT, lw=1, ls="--", label=label)
-    if index == 0 and axes.get_legend_handles_labels()[0]:
-        axes.legend(loc="upper right", fontsize=8)
 
 
 def _impacts(run: Trajectory) -> np.ndarray:
@@ -111,7 +112,14 @@ def _surface(axes: Axes, run: Trajectory, index: int) -> None:
         moved[index] += 1.0
         slope = guard.value(run.t1, moved.tolist()) - guard.value(run.t1, state.tolist())
         if abs(abs(slope) - 1.0) < 1e-12:
-            axes.plot(times, state[index] - slope * values, color=SURFACE, lw=1.2, zorder=0)
+            axes.plot(
+                times,
+                state[index] - slope * values,
+                color=SURFACE,
+                lw=1.2,
+                zorder=0,
+                label="obstacle",
+            )
 
 
 def _phase(axes: Axes, run: Trajectory, curves: Any) -> None:
