@@ -66,11 +66,17 @@ class ArcFlow:
         self.scene, self.solver, self.plan, self.now = scene, solver, plan, now
         self.field, self.x, self.series = entry.field, entry.x, entry.series
         self.orders = entry.orders
+        kept = plan.dense or plan.samples is not None
+        self.wanted = kept or bool(self.field.guards)
         self.ends: dict[Any, float] = {}
         self.grazes: list[tuple[float, int, np.ndarray]] = []
 
     def run(self) -> Flown:
         """Flow until a guard fires or the run ends."""
+        with np.errstate(all="ignore"):  # what is not finite is reported, not warned of
+            return self._run()
+
+    def _run(self) -> Flown:
         length = self.now.until(self.plan.t1)
         target = self._predict(length)
         stepper = self._begin(length, target)
@@ -81,7 +87,10 @@ class ArcFlow:
             scales = self._scales(start, x)
             limit = target if target is not None and target > start else length
             limit = min(limit, length, start + REACH * min(scales, default=float("inf")))
-            segment = self._step(stepper, limit)
+            self._step(stepper, limit)
+            if not self.wanted:
+                continue
+            segment = stepper.segment()
             fired = self._first_event(segment, stepper, scales, target)
             if fired is not None:
                 landed = self._land(stepper, segment, fired) if fired.tau > start else None
@@ -113,10 +122,10 @@ class ArcFlow:
         except ValueError as fault:
             raise FlowError(f"{self._where()}: the flow is not finite ({fault})") from None
 
-    def _step(self, stepper: Stepper, limit: float) -> Segment:
+    def _step(self, stepper: Stepper, limit: float) -> None:
         tau, x = stepper.tau, stepper.x
         try:
-            return stepper.step(limit)
+            stepper.step(limit)
         except FlowError as fault:
             raise FlowError(f"{self._where(tau, x)}: {fault}") from None
 

@@ -6,11 +6,13 @@ may be far shorter than the spacing of floats around ``t``.
 
 Contract (held by ``tests/contract``)
 -------------------------------------
-* ``step(limit)`` makes one accepted step from ``tau`` and returns it as a
-  :class:`~hybrid.segment.Segment`, whose end is ``tau`` afterwards, exactly. It never
-  passes the arc's ``length``; a method that can repeat a step stops at ``limit`` too.
+* ``step(limit)`` makes one accepted step from ``tau``. It never passes the arc's
+  ``length``; a method that can repeat a step stops at ``limit`` too.
+* ``segment()`` is the last step's interpolant; its end is ``tau``, exactly. Where nobody
+  watches a guard or keeps dense output it is not asked for, and costs nothing.
 * ``land(tau)`` replaces the last step by one that ends at ``tau``, inside it, as
-  accurately as the method can. The arc ends there: ``step`` is not called again.
+  accurately as the method can, and returns its segment. The arc ends there: ``step`` is
+  not called again.
 * A flow that is not finite, or a step that cannot be made, raises
   :class:`~hybrid.errors.FlowError` with the time and state; the driver adds the mode.
 """
@@ -35,8 +37,12 @@ class Stepper(abc.ABC):
     x: np.ndarray
 
     @abc.abstractmethod
-    def step(self, limit: float) -> Segment:
+    def step(self, limit: float) -> None:
         """One accepted step, not beyond local time ``limit``."""
+
+    @abc.abstractmethod
+    def segment(self) -> Segment:
+        """The last step's interpolant."""
 
     @abc.abstractmethod
     def land(self, tau: float) -> Segment:

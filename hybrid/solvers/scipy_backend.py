@@ -8,6 +8,7 @@ jump: prefer a Runge-Kutta method where jumps are many.
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -127,12 +128,11 @@ class _OdeStepper(Stepper):
     def _advance(self) -> None:
         solver = self.solver
         try:
-            with np.errstate(all="ignore"):
-                message = solver.step()
+            message = solver.step()
         except ValueError as fault:  # the implicit methods' linear algebra meets inf or nan
             raise FlowError(f"the flow or its Jacobian is not finite ({fault})") from None
         self.tau, self.x = float(solver.t), solver.y
-        if solver.status == "failed" or not np.all(np.isfinite(solver.y)):
+        if solver.status == "failed" or not isfinite(solver.y.sum()):
             raise FlowError(self._reason(message or ""))
 
     def _reason(self, message: str) -> str:
@@ -149,11 +149,9 @@ class _OdeStepper(Stepper):
 class RungeKuttaStepper(_OdeStepper):
     """DOP853, RK45, RK23: the interpolant's coefficients are read off."""
 
-    def step(self, limit: float) -> Segment:
+    def step(self, limit: float) -> None:
         self._before = (self.solver.t, self.solver.y, self.solver.f)
         self._towards(limit)
-        self._last = self._segment()
-        return self._last
 
     def land(self, tau: float) -> Segment:
         """Step again from where the last step began, onto ``tau``."""
@@ -164,21 +162,24 @@ class RungeKuttaStepper(_OdeStepper):
         if self.tau < tau:  # refused, though a longer step was accepted: take its interpolant
             self.tau, self.x = tau, self._last(tau)
             return self._last.cut(tau - self._last.start)
-        return self._segment()
+        return self.segment()
 
     def _towards(self, limit: float) -> None:
         self.solver.t_bound, self.solver.status = limit, "running"
         self._advance()
 
-    def _segment(self) -> Segment:
+    def segment(self) -> Segment:
+        """The method's own interpolant."""
         dense = self.solver.dense_output()
         if isinstance(self.solver, DOP853):
             powers = dense.F.T @ _DOP853_BASIS
         else:
-            powers = np.pad(dense.h * dense.Q, ((0, 0), (1, 0)))
+            powers = np.empty((len(dense.y_old), dense.Q.shape[1] + 1))
+            np.multiply(dense.h, dense.Q, out=powers[:, 1:])
         powers[:, 0] = dense.y_old
         coefficients = from_powers(powers.shape[1] - 1) @ powers.T
-        return Segment(float(dense.t_old), float(dense.h), coefficients)
+        self._last = Segment(float(dense.t_old), float(dense.h), coefficients)
+        return self._last
 
 
 class SampledStepper(_OdeStepper):
@@ -189,9 +190,12 @@ class SampledStepper(_OdeStepper):
         self.degree, self.origin = DEGREES[method], origin
         self.x = solver.y + origin
 
-    def step(self, limit: float) -> Segment:
+    def step(self, limit: float) -> None:
         self._advance()
         self.x = self.solver.y + self.origin
+
+    def segment(self) -> Segment:
+        """The method's own interpolant, sampled."""
         dense = self.solver.dense_output()
         start, length = float(dense.t_old), float(dense.t - dense.t_old)
         values = dense(start + length * nodes(self.degree)).T + self.origin

@@ -58,7 +58,7 @@ class TaylorStepper(Stepper):
         self.tau, self.x = 0.0, x0
         self.sides = [0] * field.kinks
 
-    def step(self, limit: float) -> Segment:
+    def step(self, limit: float) -> None:
         series, kinks = self._series()
         h = min(step_length(series), limit - self.tau)
         h, crossed = first_kink(kinks, h, self.sides)
@@ -69,12 +69,19 @@ class TaylorStepper(Stepper):
         if crossed is not None:
             sides[crossed] = -1 if slope(kinks[crossed], h) < 0 else 1
         self.sides = sides
-        return self._finish(h, limit if self.tau + h >= limit else self.tau + h)
+        self._finish(h, limit if self.tau + h >= limit else self.tau + h)
 
     def land(self, tau: float) -> Segment:
         """The same series, cut at ``tau``."""
         self.tau = self._last[0]
-        return self._finish(tau - self.tau, tau)
+        self._finish(tau - self.tau, tau)
+        return self.segment()
+
+    def segment(self) -> Segment:
+        """The last step's series, in Chebyshev form."""
+        start, series = self._last
+        powers = np.array(series) * (self._length ** np.arange(ORDER + 1))
+        return Segment(start, self.tau - start, from_powers(ORDER) @ powers.T)
 
     def _series(self) -> tuple[list[list[float]], list[list[float]]]:
         assert self.field.jets is not None
@@ -86,12 +93,9 @@ class TaylorStepper(Stepper):
             raise FlowError("the flow is not finite")
         return series, kinks
 
-    def _finish(self, h: float, end: float) -> Segment:
-        start, series = self._last
-        powers = np.array(series) * (h ** np.arange(ORDER + 1))
-        self.tau = end
-        self.x = np.array([polynomial(c, h) for c in series])
-        return Segment(start, end - start, from_powers(ORDER) @ powers.T)
+    def _finish(self, h: float, end: float) -> None:
+        self._length, self.tau = h, end
+        self.x = np.array([polynomial(c, h) for c in self._last[1]])
 
 
 def step_length(series: list[list[float]]) -> float:
