@@ -90,6 +90,8 @@ class Accumulation:
         return self._error[1]
 
     def __repr__(self) -> str:
+        if self.truncation is not None:
+            return explain(self)
         went = f", then {self.mode}" if self.mode else ""
         return (
             f"t_inf = {self.t!r} ± {self.t_error:.1g} ({self.verdict}), state {self.state}, "

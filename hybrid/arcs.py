@@ -8,6 +8,7 @@ from typing import Any
 import attrs
 import numpy as np
 
+from .errors import OptionError
 from .segment import Segment, from_powers
 from .zeno.accumulate import Tail
 
@@ -60,6 +61,8 @@ class Arc:
         if not len(flat):
             return states.reshape((*tau.shape, len(self.first)))
         segments = self.segments
+        if not segments:
+            return self._ends(flat).reshape((*tau.shape, len(self.first)))
         starts = [segment.start for segment in segments]
         which = np.clip(np.searchsorted(starts, flat, side="right") - 1, 0, None)
         for index in np.unique(which):
@@ -71,6 +74,15 @@ class Arc:
         states[flat == 0.0] = self.first
         states[flat == self.length] = self.last
         return states.reshape((*tau.shape, len(self.first)))
+
+    def _ends(self, tau: np.ndarray) -> np.ndarray:
+        """The states at the two ends, where nothing between them was kept."""
+        if np.any((tau > 0) & (tau < self.length)):
+            raise OptionError(
+                "no dense output was kept (save='jumps', or times): there are the states at "
+                "jumps, at the ends and at the times asked for; use save='dense' for all"
+            )
+        return np.where((tau == 0.0)[:, None], self.first, self.last)
 
 
 @attrs.frozen(eq=False)

@@ -11,6 +11,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -22,6 +24,12 @@ from .trajectory import Status, Trajectory
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Simulate hybrid automata through Zeno points."
 )
+
+#: Accumulations that are printed, at most.
+SHOWN = 20
+
+#: What an option needs beyond the package itself.
+NEEDS = {"--plot": ["matplotlib"], "--save": ["xarray", "h5netcdf", "h5py"]}
 
 #: Seconds after which a run shows its progress.
 PATIENCE = 1.0
@@ -56,7 +64,10 @@ def run(
     atol: Annotated[float, typer.Option(help="Absolute tolerance.")] = 1e-10,
     zeno: Annotated[str, typer.Option(help="rest, stop, truncate or raise.")] = "rest",
     mode: Annotated[str | None, typer.Option(help="Mode at the start.")] = None,
-    max_jumps: Annotated[int | None, typer.Option(help="Stop after this many jumps.")] = None,
+    max_jumps: Annotated[
+        int | None,
+        typer.Option(help="Stop after so many computed jumps; impacts permitted with truncate."),
+    ] = None,
     plot: Annotated[
         str | None, typer.Option(help="Write a picture: out.png, out.pdf, out.svg.")
     ] = None,
@@ -68,6 +79,8 @@ def run(
     """Run a model, say what happened, and draw or save it."""
     with _one_line():
         entry = gallery.find(model)
+        _can_write("--plot", plot)
+        _can_write("--save", save)
         values = _pairs(set_ or [], "--set")
         made = entry.cls(**values)
         first = _start(entry, _pairs(start or [], "--start"))
@@ -88,10 +101,10 @@ def run(
         if oracle:
             _compare(entry, result)
         if plot is not None:
-            _extra("plot", lambda: result.plot(plot))
+            _write(lambda: result.plot(plot))
             typer.echo(f"picture: {plot}")
         if save is not None:
-            _extra("io", lambda: result.save(save))
+            _write(lambda: result.save(save))
             typer.echo(f"trajectory: {save}")
     if result.status is Status.INTERRUPTED:
         raise typer.Exit(130)
@@ -197,10 +210,12 @@ def _report(result: Trajectory) -> None:
         f"{result.spec.model}({parameters}), {result.options['solver']} {result.options['method']}"
     )
     typer.echo(f"{len(result.jumps)} jumps listed; t = {result.t0:.12g} to {result.t1:.12g}")
-    for point in result.zeno:
+    for point in result.zeno[:SHOWN]:
         typer.echo(f"  {point}")
         if point.t_release is not None:
             typer.echo(f"    released at t = {point.t_release!r}")
+    if len(result.zeno) > SHOWN:
+        typer.echo(f"  ... and {len(result.zeno) - SHOWN} more accumulations")
     for graze in result.grazings:
         typer.echo(f"  grazing of {graze.edge} at t = {graze.t!r}")
     typer.echo(f"final: {result.final} in {result.mode}")
@@ -211,20 +226,33 @@ def _compare(entry: gallery.Entry, result: Trajectory) -> None:
     """Values of a run beside the exact ones."""
     if not hasattr(entry.module, "oracle"):
         raise OptionError(f"{entry.cls.__name__}: its file has no oracle(run)")
+    try:
+        rows = [(what, float(a), float(b)) for what, a, b, _ in entry.module.oracle(result)]
+    except Exception as fault:  # whatever the user's function raises, in one line
+        name = type(fault).__name__
+        raise OptionError(f"oracle(run) of {entry.cls.__name__}: {name}: {fault}") from fault
     typer.echo(f"{'':28} {'computed':>22} {'exact':>22} {'difference':>11}")
-    for what, value, exact, _ in entry.module.oracle(result):
-        difference = float(value) - exact
-        typer.echo(f"{what:28} {float(value):22.15g} {exact:22.15g} {difference:11.1e}")
+    for what, value, exact in rows:
+        typer.echo(f"{what:28} {value:22.15g} {exact:22.15g} {value - exact:11.1e}")
 
 
-def _extra(name: str, action: Callable[[], Any]) -> None:
-    """Do what needs an extra package, or say which."""
+def _can_write(option: str, path: str | None) -> None:
+    """Refuse before the run what could only fail after it."""
+    if path is None:
+        return
+    missing = [name for name in NEEDS[option] if find_spec(name) is None]
+    if missing:
+        raise OptionError(f"{option} needs {', '.join(missing)}: pip install {' '.join(missing)}")
+    if not Path(path).resolve().parent.is_dir():
+        raise OptionError(f"{option} {path}: no such folder")
+
+
+def _write(action: Callable[[], Any]) -> None:
+    """Write a file, or say why it cannot be written."""
     try:
         action()
-    except ImportError as fault:
-        raise OptionError(f"{fault}; install it with: pip install 'hybrid[{name}]'") from None
     except (OSError, ValueError) as fault:
-        raise OptionError(f"{name}: {fault}") from None
+        raise OptionError(str(fault)) from None
 
 
 def main() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import attrs
 
 from .automaton import Automaton
+from .automaton.markers import is_number
 from .errors import DeclarationError, HybridError
 
 
@@ -77,12 +79,20 @@ def find(given: str) -> Entry:
         and issubclass(value, Automaton)
         and value.__module__ == module.__name__
     ]
-    return Entry(
-        _choose(path, models, wanted),
-        getattr(module, "START", None),
-        getattr(module, "UNTIL", None),
-        module,
-    )
+    start, until = getattr(module, "START", None), getattr(module, "UNTIL", None)
+    if start is not None and not isinstance(start, Mapping):
+        raise GalleryError(f"{path}: START = {start!r}: a dict, the states by name")
+    if until is not None and not _is_pair(until):
+        raise GalleryError(f"{path}: UNTIL = {until!r}: a pair, (first, last) time")
+    return Entry(_choose(path, models, wanted), start, until, module)
+
+
+def _is_pair(until: Any) -> bool:
+    try:
+        first, last = until
+    except (TypeError, ValueError):
+        return False
+    return is_number(first) and is_number(last)
 
 
 def _choose(path: Path, models: list[type], wanted: str) -> type:

@@ -30,8 +30,8 @@ def plot(run: Trajectory, path: Any = None) -> Figure:
     from matplotlib.figure import Figure
 
     names = run.spec.element_names
-    rows = max(2, len(names))
-    figure = Figure(figsize=(11, 2.1 * rows + 0.8), layout="constrained")
+    rows = max(2, len(names)) if len(names) > 1 else 1
+    figure = Figure(figsize=(11, 2.1 * max(rows, 1.5) + 0.8), layout="constrained")
     grid = figure.add_gridspec(rows, 2, width_ratios=(1.7, 1))
     curves = _curves(run)
     shared: Axes | None = None
@@ -46,8 +46,9 @@ def plot(run: Trajectory, path: Any = None) -> Figure:
             axes.tick_params(labelbottom=False)
         else:
             axes.set_xlabel("t")
-    half = rows // 2
-    _phase(figure.add_subplot(grid[:half, 1]), run, curves)
+    half = rows // 2 if len(names) > 1 else 0
+    if half:
+        _phase(figure.add_subplot(grid[:half, 1]), run, curves)
     _gaps(figure.add_subplot(grid[half:, 1]), run)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     if handles:

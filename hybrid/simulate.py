@@ -13,7 +13,7 @@ from .errors import FlowError, HybridError, OptionError, StartError
 from .run import Driver, Plan
 from .scene import Scene, scene_of
 from .solvers import choose
-from .trajectory import Trajectory
+from .trajectory import Status, Trajectory
 from .zeno.accumulate import FLOOR
 
 #: Jumps after which a run stops if it is given no ``max_jumps``.
@@ -198,6 +198,8 @@ def _second_run(
         again.run(mode, x)
     except HybridError:
         return None
+    if again.status is Status.INTERRUPTED:
+        raise KeyboardInterrupt
     return again
 
 
@@ -250,6 +252,8 @@ def _plan(
         raise OptionError(f"zeno={zeno!r}: one of {', '.join(map(repr, ZENO))}")
     if max_jumps is not None and not (isinstance(max_jumps, int | np.integer) and max_jumps > 0):
         raise OptionError(f"max_jumps={max_jumps!r}: a whole number greater than 0, or None")
+    if progress is not None and not callable(progress):
+        raise OptionError(f"progress={progress!r}: a function of the time reached, or None")
     dense, samples = _saving(save, t0, t1)
     cap = max_jumps if zeno == "truncate" else None
     limit = MAX_JUMPS if max_jumps is None or zeno == "truncate" else max_jumps

@@ -123,6 +123,7 @@ def _meta(run: Trajectory, modes: list[str], edges: list[str]) -> dict[str, Any]
         "parameters": _numbers(run.parameters),
         "options": {k: np.asarray(v).tolist() for k, v in options.items()},
         "status": run.status.name,
+        "pairs": [list(pair) for pair in run.pairs],
         "modes": modes,
         "edges": edges,
         "zeno": [_accumulation(run.spec, point) for point in run.zeno],
@@ -199,6 +200,7 @@ def load(path: Any) -> Trajectory:
         Status[meta["status"]],
         options,
         samples,
+        pairs=[(i, k) for i, k in meta["pairs"]],
     )
 
 

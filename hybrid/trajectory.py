@@ -48,7 +48,10 @@ class Status(enum.Enum):
 
 @attrs.frozen(eq=False)
 class Jump:
-    """A jump: at time ``t``, from arc ``j`` to arc ``j + 1``."""
+    """A jump: at time ``t``, from arc ``j`` to arc ``j + 1``, by the edge of that name.
+
+    ``before`` and ``after`` are the states on its two sides.
+    """
 
     t: float
     j: int
@@ -122,11 +125,19 @@ class Jumps(Sequence[Jump]):
 
 @attrs.define(eq=False)
 class Trajectory:
-    """The result of a run.
+    """The result of a run, in hybrid time.
+
+    ``run(t)`` is the state at a time, ``run.arcs`` and ``run.jumps`` the tables, ``run.final``
+    and ``run.mode`` where it ended.
 
     Attributes
     ----------
+    parameters : dict
+        Values of the model's parameters.
     zeno : list of Accumulation
+        Limit points of jumps, in order.
+    samples : array, shape (number of times, n), or None
+        With ``save=times``: the states at these times.
     grazings : list of Jump
         Tangencies of a guard, which fire no edge (``before`` and ``after`` are the same).
     status : Status
@@ -189,12 +200,23 @@ class Trajectory:
             raise OptionError(f"side={side!r}: 'right' or 'left'")
         bad = times[(times < self.t0) | (times > self.t1) | np.isnan(times)]
         if bad.size:
-            raise OptionError(f"t = {bad.flat[0]!r} is outside the run [{self.t0}, {self.t1}]")
+            raise OptionError(f"t = {bad.flat[0]} is outside the run [{self.t0}, {self.t1}]")
         if j is not None:
             return self.spec.record(self._in_arc(self._arc_of(j, times), times))
+        kept = self._kept(times.reshape(-1))
+        if kept is not None and side == "right":
+            return self.spec.record(kept.reshape((*times.shape, self.spec.dimension)))
         flat = [self._at(float(v), side) for v in times.reshape(-1)] if times.size < 4 else None
         states = np.array(flat) if flat is not None else self._many(times.reshape(-1), side)
         return self.spec.record(states.reshape((*times.shape, self.spec.dimension)))
+
+    def _kept(self, times: np.ndarray) -> np.ndarray | None:
+        """The states that the run was asked to keep at these times, if it was."""
+        if self.samples is None or not len(self.samples):
+            return None
+        asked = self.options["times"]
+        places = np.minimum(np.searchsorted(asked, times), len(asked) - 1)
+        return self.samples[places] if np.all(asked[places] == times) else None
 
     def _arc_of(self, j: int, times: np.ndarray) -> Arc:
         """The arc after ``j`` jumps; a limit of jumps lies between two arcs of the same ``j``."""
@@ -211,10 +233,6 @@ class Trajectory:
 
     def _dense(self, arc: Arc, times: np.ndarray) -> np.ndarray:
         tau = (times - arc.t0) - arc.low
-        if not arc.segments and np.any((tau > 0) & (tau < arc.length)):
-            raise OptionError(
-                f"save={self.options.get('save')!r} kept no dense output; use save='dense'"
-            )
         tau = np.where(times >= arc.t1, arc.length, np.where(times <= arc.t0, 0.0, tau))
         return arc.local(tau)
 

@@ -75,7 +75,7 @@ def test_check_reports_all_faults(tmp_path):
         (["run", "bouncing_ball", "--solver", "mine"], "solver='mine'"),
         (["run", "bouncing_ball", "--start", "x=-1"], "outside the mode's domain"),
         (["run", "bouncing_ball", "--until", "-1"], "the first before the last"),
-        (["run", "bouncing_ball", "--plot", "out.xyz"], "plot: "),
+        (["run", "bouncing_ball", "--plot", "out.xyz"], "Format 'xyz' is not supported"),
         (["check", "none.py"], "none.py: no such file"),
     ],
 )
@@ -107,3 +107,36 @@ def test_a_fault_in_the_users_file_names_its_line(tmp_path):
     assert "the flow is not finite" in result.output
     no_start = call("run", nan, "--until", "1")
     assert "no start for x; add --start x=NUMBER" in no_start.output
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("UNTIL = 3.0", "UNTIL = 3.0: a pair, (first, last) time"),
+        ("START = 5", "START = 5: a dict, the states by name"),
+        ("def oracle(run): return None", "oracle(run) of Still: TypeError"),
+        ("def oracle(run): yield 'x', 1 / 0, 0.0, 0.0", "oracle(run) of Still: ZeroDivisionError"),
+    ],
+)
+def test_slips_in_a_models_file(tmp_path, line, message):
+    """What the file says about its own run is checked too."""
+    text = (
+        "import hybrid as hy\nclass Still(hy.Automaton):\n    x = hy.state()\n    @hy.mode\n"
+        "    def f(self, t, s):\n        return 0.0\nSTART = {'x': 0.0}\nUNTIL = (0.0, 1.0)\n"
+    )
+    path = tmp_path / "still.py"
+    path.write_text(text + line + "\n")
+    result = call("run", path, "--oracle")
+    assert result.exit_code == 2
+    assert message in result.output
+
+
+def test_a_truncated_run_can_be_drawn(tmp_path):
+    """With the distance to the full series in words."""
+    result = call(
+        *("run", "bouncing_ball", "--zeno", "truncate", "--max-jumps", 3),
+        *("--plot", tmp_path / "cut.png"),
+    )
+    assert result.exit_code == 0
+    assert "cut off after 3 impacts" in result.output
+    assert call("run", "bouncing_ball", "--save", tmp_path / "no" / "x.nc").exit_code == 2

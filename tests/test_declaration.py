@@ -159,3 +159,42 @@ def test_a_record_unpacks_and_replaces():
         _ = record.z
     with pytest.raises(AttributeError, match="does not change"):
         record.x = 1.0
+
+
+def test_code_that_cannot_be_traced_gets_its_remedy():
+    """if, numpy and math on a state: each with what to write instead."""
+    import math
+
+    with pytest.raises(hy.DeclarationError) as caught:
+
+        class Bad(hy.Automaton):
+            x = hy.state()
+
+            @hy.mode(initial=True)
+            def one(self, t, s):
+                return 1.0 if s.x > 0 else -1.0
+
+            @hy.mode
+            def two(self, t, s):
+                return np.sin(s.x)
+
+            @hy.mode
+            def three(self, t, s):
+                return math.sin(s.x)
+
+    for part in ("write jnp.where", "use the one of jax.numpy"):
+        assert part in str(caught.value)
+    assert len(caught.value.faults) == 3
+
+
+def test_a_default_outside_its_bounds_is_a_fault():
+    """Found when the class is defined, not when a model is made."""
+    with pytest.raises(hy.DeclarationError, match=r"default of Bad.r = 2.0: must lie in \[0, 1\]"):
+
+        class Bad(hy.Automaton):
+            x = hy.state()
+            r = hy.parameter(2.0, between=(0, 1))
+
+            @hy.mode
+            def flow(self, t, s):
+                return 0.0

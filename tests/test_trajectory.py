@@ -85,6 +85,12 @@ def test_saving_only_what_is_asked_for():
     dense = hy.simulate(BouncingBall(), [1.0, 0.0], (0, 3))(times)
     np.testing.assert_allclose(sampled.x.values, dense.x, atol=1e-14)
     np.testing.assert_array_equal(sampled.time.values, times)
+    kept = hy.simulate(BouncingBall(), [1.0, 0.0], (0, 3), save=[0.0, 1.0, 2.0])
+    assert kept(1.0).x == kept.samples[1, 0]
+    assert kept(3.0).x == 0.0
+    with pytest.raises(hy.OptionError, match="at the times asked for"):
+        kept(0.3)
+    assert len(lean.to_xarray().time) >= 2 * len(lean.arcs)
     flying = hy.simulate(BouncingBall(r=1.0), [1.0, 0.0], (0, 1), save=[0.2, 1.0])
     assert flying.to_xarray().x.values[-1] == flying.final.x
 
@@ -172,6 +178,8 @@ def test_truncation_reports_its_distance(reference):
         height = float(row["max_height_missed(after impact N)"])
         assert cut.height == pytest.approx(height, rel=1e-2)  # the largest of 65 samples
         assert run.final.x == 2.0
+        assert "cut off after" in repr(run.zeno[0])
+        run.to_xarray()
 
 
 def test_the_floor_of_one_over_r_is_exact():
@@ -194,6 +202,22 @@ def test_a_flow_that_is_not_finite_is_named(solver):
 
     with pytest.raises(hy.FlowError, match=r"Root, mode grow, t = 0\.61.*not finite"):
         hy.simulate(Root(), {"x": 0.0}, (0, 3), **solver)
+
+
+def test_zero_times_not_a_number_is_not_zero(solver):
+    """As in IEEE arithmetic: 0 * sqrt(1 - x) is not finite for x > 1, so the run must stop."""
+    import jax.numpy as jnp
+
+    class Hidden(hy.Automaton):
+        x = hy.state()
+        k = hy.parameter(0.0)
+
+        @hy.mode
+        def grow(self, t, s):
+            return jnp.sqrt(1.0 - s.x) * self.k + jnp.sqrt(1.0 - s.x) * 0.0 + 1.0
+
+    with pytest.raises(hy.FlowError, match="not finite"):
+        hy.simulate(Hidden(), {"x": 0.9}, (0, 3), **solver)
 
 
 def test_an_interrupted_run_keeps_what_it_has():

@@ -14,6 +14,14 @@ from . import trace
 from .markers import Contact, Crossing, Edge, Mode, State, is_number
 from .spec import ContactSpec, EdgeSpec, ModeSpec, ParameterSpec, Spec, StateSpec
 
+#: What to say where JAX could not trace an author's code.
+REMEDIES = {
+    "TracerBoolConversionError": "a choice by value: write jnp.where(condition, a, b) for `if`",
+    "TracerArrayConversionError": "a numpy function of a state: use the one of jax.numpy",
+    "ConcretizationTypeError": "a math function of a state: use the one of jax.numpy",
+    "TracerIntegerConversionError": "an index by value: write jnp.where, or index by a constant",
+}
+
 
 class Automaton:
     """Base class of a hybrid automaton; a model is a subclass.
@@ -40,6 +48,7 @@ class Automaton:
         builder = _Builder(cls, markers)
         cls.spec = builder.build()
         cls.traces, faults = _trace_all(cls, cls.spec, builder.untraceable)
+        builder.check_defaults()
         if builder.faults or faults:
             raise DeclarationError(cls.__name__, builder.faults + faults)
         _register_pytree(cls)
@@ -85,7 +94,9 @@ def _make_attrs(cls: type, markers: dict[str, Any]) -> None:
     attrs.frozen(cls, these=fields, slots=False, kw_only=True)
     generated = vars(cls)["__init__"]
 
-    def __init__(self: Any, **parameters: Any) -> None:
+    def __init__(self: Any, *values: Any, **parameters: Any) -> None:
+        if values:
+            raise ParameterError(f"{cls.__name__}: give parameters by name, {cls.__name__}(r=0.5)")
         unknown = [name for name in parameters if name not in fields]
         if unknown:
             raise ParameterError(
@@ -135,6 +146,13 @@ class _Builder:
             tuple(transitions),
             self.initial(),
         )
+
+    def check_defaults(self) -> None:
+        """Each default must be a value that the model could be given."""
+        try:
+            self.cls()
+        except ParameterError as fault:
+            self.faults.append(f"default of {fault}")
 
     def initial(self) -> str:
         modes = self.of(Mode)
@@ -240,7 +258,7 @@ def _trace_all(
             trace.require_wide(closed, function)
             traces[kind, owner] = closed
         except Exception as fault:  # whatever the author's code raises is a fault to report
-            reason = str(fault).split("\n")[0]
+            reason = REMEDIES.get(type(fault).__name__) or str(fault).split("\n")[0]
             named = isinstance(fault, ValueError | TraceError)
             faults.append(
                 f"{label}: {reason}" if named else f"{label}: {type(fault).__name__}: {reason}"

@@ -92,7 +92,7 @@ def state(unit: str = "", doc: str = "", shape: tuple[int, ...] = ()) -> Any:
     shape : tuple of int
         ``()`` for a number; the order of declaration is the order in the state vector.
     """
-    return State(unit, doc, tuple(shape))
+    return State(unit, doc, (shape,) if isinstance(shape, int) else tuple(shape))
 
 
 def parameter(

@@ -91,7 +91,10 @@ class ArcFlow:
             if not self.wanted:
                 continue
             segment = stepper.segment()
-            fired = self._first_event(segment, stepper, scales, target)
+            try:
+                fired = self._first_event(segment, stepper, scales, target)
+            except FlowError as fault:
+                raise FlowError(f"{self._where(start, x)}: {fault}") from None
             if fired is not None:
                 landed = self._land(stepper, segment, fired) if fired.tau > start else None
                 if landed is None:

@@ -39,11 +39,15 @@ MOVES = {"gather", "pad", "dynamic_slice", "dynamic_update_slice", "scatter"}
 class Graph:
     """Nodes ``(op, *arguments)`` in an order in which arguments come first.
 
+    ``exact`` keeps ``0 * x``, which is not 0 where ``x`` is not finite; without it the graph
+    shows what depends on what.
+
     ``("const", value)`` and ``("input", name)`` are leaves; other arguments are node
     numbers. Equal nodes are one node.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, exact: bool = False) -> None:
+        self.exact = exact
         self.nodes: list[tuple[Any, ...]] = []
         self._known: dict[tuple[Any, ...], int] = {}
 
@@ -88,14 +92,16 @@ class Graph:
             folded = fold(op, values)
             if folded is not None:
                 return ("const", folded, repr(folded))
-        return _identity(op, arguments, values) or key
+        return _identity(op, arguments, values, self.exact) or key
 
     def outputs(self, closed: Any, inputs: Sequence[Ids]) -> list[Ids]:
         """Node numbers of a closed jaxpr's results, given those of its inputs."""
         return _evaluate(self, closed.jaxpr, closed.consts, inputs)
 
 
-def _identity(op: str, args: tuple[Any, ...], values: list[Any]) -> tuple[Any, ...] | None:
+def _identity(
+    op: str, args: tuple[Any, ...], values: list[Any], exact: bool
+) -> tuple[Any, ...] | None:
     """``x + 0``, ``x * 1``, ``x - 0``, ``x / 1``, and a choice already made."""
     if op == "select":
         return (args[1] if values[0] else args[2],) if values[0] is not None else None
@@ -109,7 +115,7 @@ def _identity(op: str, args: tuple[Any, ...], values: list[Any]) -> tuple[Any, .
         return (args[1],)
     if op in ("mul", "div") and values[1] == 1:
         return (args[0],)
-    if op == "mul" and 0 in [v for v in values if v is not None]:
+    if op == "mul" and not exact and 0 in [v for v in values if v is not None]:
         return ("const", 0.0, "0.0")
     return None
 

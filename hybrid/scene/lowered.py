@@ -68,11 +68,17 @@ class Lowered:
             *(np.array(graph.input(e)) for e in extra),
         ]
 
-    def program(self, key: Any, closed: Callable[[], Any], extra: Sequence[str] = ()) -> Program:
-        """Scalar code of a closed jaxpr."""
+    def program(
+        self,
+        key: Any,
+        closed: Callable[[], Any],
+        extra: Sequence[str] = (),
+        exact: bool = False,
+    ) -> Program:
+        """Scalar code of a closed jaxpr; ``exact`` for what the author wrote."""
 
         def make() -> Program:
-            graph = Graph()
+            graph = Graph(exact)
             (outputs,) = graph.outputs(closed(), self.inputs(graph, extra))
             return Program(graph, ["t", "x", *extra], self.spec.dimension, outputs)
 
@@ -97,7 +103,7 @@ class Lowered:
     # -- modes --------------------------------------------------------------------------
 
     def flow(self, mode: str) -> Program:
-        return self.program(("flow", mode), lambda: self.closed("flow", mode))
+        return self.program(("flow", mode), lambda: self.closed("flow", mode), exact=True)
 
     def held(self, names: tuple[str, ...]) -> contacts.Held:
         """The laws of contacts held at once."""

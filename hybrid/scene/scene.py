@@ -171,7 +171,8 @@ class Scene:
             closed.append(code.load_closed(held, index))
             edges.append(_release(contact, name, mode))
         guards = [self._guard(e, g, flow, name) for e, g in zip(edges, closed, strict=True)]
-        rhs = code.program(("field", name), lambda: flow).bind(self._values)
+        program = code.program(("field", name), lambda: flow, exact=not held)
+        rhs = program.bind(self._values)
         taylor = code.taylor(name, flow, closed)
         jets = taylor.bind(self._values) if taylor else None
         kinks = taylor.kinks if taylor else 0

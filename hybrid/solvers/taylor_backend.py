@@ -8,6 +8,7 @@ far side the other branch is expanded.
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -96,6 +97,8 @@ class TaylorStepper(Stepper):
     def _finish(self, h: float, end: float) -> None:
         self._length, self.tau = h, end
         self.x = np.array([polynomial(c, h) for c in self._last[1]])
+        if not all(map(isfinite, self.field.rhs(self.t0 + end, self.x.tolist()))):
+            raise FlowError("the flow is not finite")
 
 
 def step_length(series: list[list[float]]) -> float:
