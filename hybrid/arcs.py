@@ -141,7 +141,7 @@ class TailPart:
         tail, since = self.tail, float(self.tail.times[n])
         t = tail.t + since
         low = (tail.t - t) + since + tail.low
-        return JumpRow(t, low, tail.contact.name, self.arc(n - 1).last, tail.point(tail.r**n)[1])
+        return JumpRow(t, low, tail.contact.name, tail.before(n), tail.point(tail.r**n)[1])
 
     def place(self, t: float, side: str) -> int:
         """The arc of the tail that covers a time, by the listed times of its impacts."""

@@ -114,9 +114,7 @@ def run(
 def list_() -> None:
     """The models of the gallery."""
     for name in gallery.names():
-        entry = gallery.find(name)
-        words = (entry.module.__doc__ or "").strip().splitlines()[0]
-        typer.echo(f"{name:16} {words}")
+        typer.echo(f"{name:16} {gallery.summary(name)}")
 
 
 @app.command()

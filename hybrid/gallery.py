@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import sys
 from collections.abc import Mapping
@@ -52,6 +53,12 @@ def folder() -> Path:
 def names() -> list[str]:
     """Names of the models in the gallery."""
     return sorted(path.stem for path in folder().glob("*.py") if not path.stem.startswith("_"))
+
+
+def summary(name: str) -> str:
+    """The first line of a gallery file, without running it."""
+    text = ast.get_docstring(ast.parse((folder() / f"{name}.py").read_text())) or ""
+    return text.partition("\n")[0]
 
 
 def find(given: str) -> Entry:
