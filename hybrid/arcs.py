@@ -9,7 +9,7 @@ import attrs
 import numpy as np
 
 from .errors import OptionError
-from .segment import Segment, from_powers
+from .segment import Segment
 from .zeno.accumulate import Tail
 
 
@@ -131,7 +131,7 @@ class TailPart:
             end = tail.x_inf
         else:
             length, end = flight.time, np.array(flight.x)
-            segments = [_taylor_segment(*piece) for piece in flight.pieces]
+            segments = flight.segments()
         t = tail.t + since
         low = (tail.t - t) + since + tail.low
         return Arc(self.mode, self.j + n, t, low, length, x, end, segments)
@@ -147,14 +147,6 @@ class TailPart:
         """The arc of the tail that covers a time, by the listed times of its impacts."""
         listed = self.tail.t + self.tail.times
         return max(int(np.searchsorted(listed, t, side=side)) - 1, 0)  # type: ignore[call-overload]
-
-
-def _taylor_segment(start: float, length: float, series: list[list[float]]) -> Segment:
-    powers = np.array(series)
-    degree = powers.shape[1] - 1
-    return Segment(
-        start, length, from_powers(degree) @ (powers * length ** np.arange(degree + 1)).T
-    )
 
 
 Part = Arc | TailPart

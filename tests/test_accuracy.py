@@ -89,6 +89,17 @@ def test_the_circle_from_three_starts():
     assert known(known.zeno[0].t_release).q[1] == pytest.approx(0.664320513532, abs=1e-11)
 
 
+@pytest.mark.parametrize("options", [{"solver": "taylor"}, {"rtol": 1e-13, "atol": 1e-15}])
+def test_the_border_between_chattering_and_bouncing_off(options):
+    """0.1913325241911, known to 13 digits: chattering on one side of it, none on the other.
+
+    Near it impacts are as slow as 1e-12; they are right only with the gap as a coordinate.
+    """
+    for x, count in ((0.1913325241910, 1), (0.1913325241912, 0)):
+        run = hy.simulate(BallOnCircle(), {"q": [x, 1.2], "p": [0, 0]}, (0, 6), **options)
+        assert len(run.zeno) == count
+
+
 def test_run_in_the_tail_is_the_closed_form():
     """Dense output inside the infinitely many flights of a ball."""
     r, g = 0.7, 9.81

@@ -14,6 +14,7 @@ from ..scene import Contact, Field, Guard, Scene, released
 from ..solvers import Solver
 from ..trajectory import Jump, Status
 from ..zeno.accumulate import Tail, close
+from ..zeno.flight import fly
 from . import truncate
 from .arc import SHARES, ArcFlow
 from .entry import Entry, Jumped, describe, enter
@@ -22,6 +23,9 @@ from .recorder import Recorder
 
 #: Gap and gap speed, relative to the state, below which a held contact stays closed.
 CLOSED = 1e-12
+
+#: Height, relative to the state, below which a flight is flown by its series.
+LOW = 1e-6
 
 #: Impacts are summed anew only after their speed has fallen to this share.
 PATIENCE = 0.6
@@ -148,11 +152,47 @@ class Driver:
                 f"{self.where(before)}: the restitution of {guard.edge} gives the speed "
                 f"{speed:.6g} after the impact; it must not be negative"
             )
-        held = self._still_held(guard.to, after)
-        self.watch.saw(guard.edge)
-        self.add_jump(guard.edge, before, after)
-        if self.status is None and not self._accumulate(contact, after, speed, guard.to, held):
-            self.enter(guard.to, after, Jumped({guard.edge: 1 if speed > 0 else 2}, held))
+        while True:
+            held = self._still_held(guard.to, after)
+            self.watch.saw(guard.edge)
+            self.add_jump(guard.edge, before, after)
+            if self.status is not None or self._accumulate(contact, after, speed, guard.to, held):
+                return
+            hop = self._hop(contact, after, speed, self.scene.name(guard.to, held))
+            if hop is None:
+                break
+            before, after, speed = hop
+        self.enter(guard.to, after, Jumped({guard.edge: 1 if speed > 0 else 2}, held))
+
+    def _hop(
+        self, contact: Contact, x: np.ndarray, v: float, name: str
+    ) -> tuple[np.ndarray, np.ndarray, float] | None:
+        """A flight so low that the gap would drown in the rounding of the state (7).
+
+        It is flown by its series, in which gap and gap speed are coordinates of their own.
+        Returns the states before and after the next impact and the gap's speed; None where
+        the flight is higher, or another guard comes near.
+        """
+        field, t = self.scene.field(name), self.t
+        column = field.column(contact.name)
+        fall = -field.guards[column].lie(t, x.tolist())[2]
+        if not 0 < v * v <= LOW * fall * (1.0 + float(np.max(np.abs(x)))):
+            return None
+        flight = fly(field, column, t, x.tolist(), v)
+        if flight is None or self.record.now.after(flight.time).until(self.plan.t1) < 0:
+            return None
+        end = t + flight.time
+        landed = contact.land(end, flight.x)
+        for index, guard in enumerate(field.guards):
+            if index != column and guard.value(t, x.tolist()) * guard.value(end, landed) <= 0:
+                return None
+        speed = contact.law(end, landed, flight.u) * -flight.u
+        missing = speed - field.guards[column].lie(end, landed)[1]
+        before = np.array(landed)
+        after = before + missing * np.array(contact.push(end, landed))
+        self.record.arc(field, x, before, flight.time, flight.segments())
+        self.entry = Entry(field, before, None, [], [])
+        return before, after, speed
 
     def add_jump(self, edge: str, before: np.ndarray, after: np.ndarray) -> None:
         """Record a jump; the run ends at ``max_jumps``."""

@@ -11,8 +11,10 @@ from math import sqrt
 from typing import TYPE_CHECKING
 
 import attrs
+import numpy as np
 
 from ..scene.taylor import polynomial, polynomial_and_slope, slope
+from ..segment import Segment, from_powers
 from ..solvers.taylor_backend import first_kink, step_length
 
 if TYPE_CHECKING:
@@ -35,6 +37,17 @@ class Flight:
     u: float
     pieces: tuple[tuple[float, float, list[list[float]]], ...]
     branch: tuple[int, ...]
+
+    def segments(self) -> list[Segment]:
+        """The states along the flight."""
+        return [_segment(*piece) for piece in self.pieces]
+
+
+def _segment(start: float, length: float, series: list[list[float]]) -> Segment:
+    powers = np.array(series)
+    degree = powers.shape[1] - 1
+    scaled = powers * length ** np.arange(degree + 1)
+    return Segment(start, length, from_powers(degree) @ scaled.T)
 
 
 def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight | None:
