@@ -264,6 +264,3 @@ def _release(contact: str, source: str, mode: str) -> EdgeSpec:
 def released(edge: str) -> str:
     """The contact that a release ends."""
     return edge.removesuffix(".release")
-
-
-__all__ = ["Contact", "ContactSpec", "Field", "Guard", "Scene", "Spec", "rest_name"]
