@@ -13,6 +13,9 @@ SOLVERS = {
     "BDF": {"solver": "scipy", "method": "BDF"},
     "LSODA": {"solver": "scipy", "method": "LSODA"},
     "taylor": {"solver": "taylor"},
+    "Tsit5": {"solver": "diffrax", "method": "Tsit5"},
+    "Dopri8": {"solver": "diffrax", "method": "Dopri8"},
+    "Kvaerno5": {"solver": "diffrax", "method": "Kvaerno5"},
 }
 
 

@@ -98,7 +98,7 @@ def test_saving_only_what_is_asked_for():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"solver": "euler"}, "solver='euler': there are scipy, taylor"),
+        ({"solver": "euler"}, "solver='euler': there are scipy, diffrax, taylor"),
         ({"method": "RK99"}, "method='RK99': solver 'scipy' has DOP853, RK45"),
         ({"rtol": -1.0}, "rtol=-1.0: a number between 0 and 1"),
         ({"atol": [1e-9] * 3}, "one for each of the 2 elements"),

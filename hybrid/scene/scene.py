@@ -12,11 +12,12 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import attrs
+import numpy as np
 
 from ..automaton.markers import Crossing
 from ..automaton.spec import ContactSpec, EdgeSpec, Spec
 from ..errors import TraceError
-from .lowered import guard_shape, lowered
+from .lowered import Lowered, guard_shape, lowered
 from .python import Program
 from .taylor import flat
 
@@ -69,6 +70,8 @@ class Field:
         Number of kinks (see :mod:`.taylor`).
     held : tuple of str
         Contacts held closed here.
+    closed, code, parameters
+        The flow's jaxpr, what else is generated for the class, and the parameters' values.
     project : callable ``(t, x)`` or None
         Back onto the held contacts' gaps.
     """
@@ -80,6 +83,9 @@ class Field:
     jets: Scalar | None
     kinks: int
     guards: tuple[Guard, ...]
+    closed: Any
+    code: Lowered
+    parameters: tuple[Any, ...]
     project: Scalar | None = None
 
     def column(self, edge: str) -> int:
@@ -134,6 +140,7 @@ class Scene:
     ) -> None:
         self.spec: Spec = cls.spec
         self.code = lowered(cls, shapes)
+        self.parameters = _arrays(shapes, values)
         self._values = values
         self._bound: dict[Any, Scalar] = {}
         self._fields: dict[str, Field] = {}
@@ -177,7 +184,8 @@ class Scene:
         jets = taylor.bind(self._values) if taylor else None
         kinks = taylor.kinks if taylor else 0
         project = code.project(held).bind(self._values) if held else None
-        return Field(name, mode, held, rhs, jets, kinks, tuple(guards), project)
+        made = (flow, code, self.parameters)
+        return Field(name, mode, held, rhs, jets, kinks, tuple(guards), *made, project)
 
     def _guard(self, edge: Any, closed: Any, flow: Any, where: str) -> Guard:
         code, key = self.code, (edge.name, where)
@@ -233,6 +241,13 @@ class Scene:
                 **laws,
             )
         return self._contacts[name]
+
+
+def _arrays(shapes: tuple[tuple[int, ...], ...], values: tuple[float, ...]) -> tuple[Any, ...]:
+    """Flattened parameters in their shapes again."""
+    ends = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes])
+    parts = np.split(np.array(values), ends[:-1]) if shapes else []
+    return tuple(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True))
 
 
 @lru_cache(maxsize=64)

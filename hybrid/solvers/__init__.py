@@ -33,8 +33,15 @@ def _taylor(method: str | None, rtol: float, atol: Any) -> Solver:
     return TaylorSolver(method, rtol, atol)
 
 
+def _diffrax(method: str | None, rtol: float, atol: Any) -> Solver:
+    from .diffrax_backend import DiffraxSolver
+
+    return DiffraxSolver(method, rtol, atol)
+
+
 SOLVERS: dict[str, Callable[[str | None, float, Any], Solver]] = {
     "scipy": _scipy,
+    "diffrax": _diffrax,
     "taylor": _taylor,
 }
 

@@ -1,0 +1,231 @@
+"""Diffrax's Runge-Kutta methods, one compiled step at a time.
+
+A step is Diffrax's own: its ``step``, its error estimate under its step size controller,
+its interpolant. :class:`Method` writes one attempt of it as a pure function of arrays; here
+it is compiled alone, for one arc flown from Python, and :mod:`hybrid.compiled` compiles it
+together with events and jumps. Parameters, start, time and tolerances are arguments of
+what is compiled: changing a number does not compile again.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Any
+
+import attrs
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..automaton.trace import again, wide
+from ..errors import FlowError, OptionError
+from ..scene import Field
+from ..segment import Segment, from_values, nodes
+from .base import Solver, Stepper
+
+#: Degree of each method's interpolant in the fraction of the step.
+DEGREES = {
+    "Heun": 3,
+    "Midpoint": 3,
+    "Ralston": 3,
+    "Bosh3": 3,
+    "Tsit5": 4,
+    "Dopri5": 4,
+    "Dopri8": 6,
+    "Kvaerno3": 3,
+    "Kvaerno4": 3,
+    "Kvaerno5": 3,
+}
+
+#: A step this short against the time in the arc cannot be made.
+SHORTEST = 1e-14
+
+
+@attrs.frozen
+class Method:
+    """A Diffrax method, as a pure function that attempts one step.
+
+    ``scan`` is how Diffrax loops over the stages: ``"bounded"`` can be differentiated both
+    ways, None is its choice.
+    """
+
+    name: str
+    scan: str | None = None
+
+    @property
+    def degree(self) -> int:
+        return DEGREES[self.name]
+
+    @property
+    def implicit(self) -> bool:
+        return self.name.startswith("Kvaerno")
+
+    def solver(self, rtol: Any, atol: Any) -> Any:
+        """Diffrax's solver; the tolerances are those of an implicit method's equations."""
+        options: dict[str, Any] = {"scan_kind": self.scan} if self.scan else {}
+        if self.implicit:
+            options["root_finder"] = diffrax.VeryChord(rtol=rtol, atol=jnp.min(atol))
+        return getattr(diffrax, self.name)(**options)
+
+    def order(self) -> int:
+        """Order of the method."""
+        return int(self.solver(1e-6, np.array(1e-6)).order(_unused_term()))
+
+    def memory(self, x: Any) -> Any:
+        """The solver's memory at the start of an arc: its last stage, if it is reused."""
+        fsal = self.solver(1e-6, np.array(1e-6)).tableau.fsal
+        return (jnp.array(True), jnp.zeros_like(x)) if fsal else None
+
+    def attempt(
+        self, flow: Any, tau: Any, h: Any, x: Any, memory: Any, rtol: Any, atol: Any
+    ) -> tuple[Any, Any, Any, Any, Any]:
+        """One step of length ``h`` from local time ``tau``.
+
+        Parameters
+        ----------
+        flow : callable ``(tau, x)``
+
+        Returns
+        -------
+        x, kept, next_h, values, memory
+            The state at its end; whether the error is within the tolerances; the length to
+            try next; the states at ``nodes(degree)``, shape ``(degree + 1, n)``.
+        """
+        solver = self.solver(rtol, atol)
+        term = diffrax.ODETerm(lambda t, y, args: flow(t, y))
+        end, error, dense, after, _ = solver.step(
+            term, tau, tau + h, x, None, memory, jnp.array(False)
+        )
+        error = jnp.where(jnp.all(jnp.isfinite(end + error)), error, jnp.inf)
+        control = diffrax.PIDController(rtol=rtol, atol=atol)
+        state = (jnp.array(1.0), jnp.array(1.0), False)
+        order = solver.error_order(term)
+        kept, begin, stop, *_ = control.adapt_step_size(
+            jnp.zeros_like(h), h, x, end, None, error, order, state
+        )
+        path = solver.interpolation_cls(t0=jnp.zeros_like(h), t1=h, **dense)
+        values = jax.vmap(lambda s: path.evaluate(s * h))(jnp.asarray(nodes(self.degree)))
+        values = values.at[0].set(x).at[-1].set(end)
+        if after is not None:
+            after = (jnp.asarray(after[0]), after[1])
+        return end, kept, stop - begin, values, after
+
+
+def _unused_term() -> Any:
+    return diffrax.ODETerm(lambda t, y, args: y)
+
+
+class DiffraxSolver(Solver):
+    """One of Diffrax's methods: Tsit5 (default), Dopri8, Dopri5, Bosh3, Kvaerno5, ..."""
+
+    name = "diffrax"
+
+    def __init__(self, method: str | None, rtol: float, atol: Any) -> None:
+        method = method or "Tsit5"
+        if method not in DEGREES:
+            raise OptionError(f"method={method!r}: solver 'diffrax' has {', '.join(DEGREES)}")
+        self.method, self.compiled = method, Method(method)
+        self.order = self.compiled.order()
+        self.rtol, self.atol = max(rtol, 2.3e-14), atol
+
+    def begin(
+        self,
+        field: Field,
+        t0: float,
+        x0: np.ndarray,
+        length: float,
+        first_step: float | None,
+        sizes: np.ndarray | None = None,
+    ) -> Stepper:
+        return DiffraxStepper(self, field, t0, x0, first_step or min(length, 1e-3))
+
+
+class DiffraxStepper(Stepper):
+    """Steps along one arc, each a call of a compiled function."""
+
+    def __init__(
+        self, solver: DiffraxSolver, field: Field, t0: float, x0: np.ndarray, first: float
+    ) -> None:
+        self.field, self.method = field, solver.compiled
+        self.tau, self.x, self.h = 0.0, x0, first
+        self.fixed = (field.parameters, t0)
+        self.tolerances = (solver.rtol, np.broadcast_to(solver.atol, x0.shape).astype(float))
+        key = ("diffrax", field.name, self.method)
+        self._call = field.code.once(key, lambda: _compiled(self.method, field))
+        self.memory: Any = None
+
+    def step(self, limit: float) -> None:
+        self._before = (self.tau, self.x, self.memory)
+        self._towards(limit, False)
+
+    def land(self, tau: float) -> Segment:
+        """Step again from where the last step began, onto ``tau``, in one step."""
+        self.tau, self.x, self.memory = self._before
+        h, self.h = self.h, tau - self.tau
+        self._towards(tau, True)
+        self.h = h
+        return self.segment()
+
+    def segment(self) -> Segment:
+        """The method's own interpolant."""
+        start, values = self._last
+        return Segment(start, self.tau - start, from_values(self.method.degree) @ values)
+
+    def _towards(self, limit: float, force: bool) -> None:
+        span, start = limit - self.tau, self.tau
+        with wide():
+            if self.memory is None:
+                self.memory = self.method.memory(jnp.asarray(self.x))
+            result = self._call(
+                *self.fixed, start, self.h, span, self.x, self.memory, *self.tolerances, force
+            )
+            x, h, self.h, values, self.memory = result
+            self.x, h, self.h = np.asarray(x), float(h), float(self.h)
+        self.tau = limit if h >= span else start + h
+        self._last = (start, np.asarray(values))
+        if not isfinite(self.x.sum()) or not self.tau > start:
+            raise FlowError(self._reason())
+
+    def _reason(self) -> str:
+        tau, x, *_ = self._before
+        if not np.all(np.isfinite(self.field.rhs(self.fixed[1] + tau, x.tolist()))):
+            return "the flow is not finite"
+        return "the solver gave up: the step became too small, or the flow is not finite"
+
+
+def _compiled(method: Method, field: Field) -> Any:
+    """One kept step, with its refused attempts, as a compiled function."""
+    traced = again(field.closed)
+
+    def step(
+        parameters: Any,
+        t0: Any,
+        tau: Any,
+        h: Any,
+        span: Any,
+        x: Any,
+        memory: Any,
+        rtol: Any,
+        atol: Any,
+        force: Any,
+    ) -> Any:
+        def flow(s: Any, y: Any) -> Any:
+            return traced(parameters, t0 + s, y)
+
+        def attempt(h: Any) -> Any:
+            taken = jnp.minimum(h, span)
+            end, kept, new, values, after = method.attempt(flow, tau, taken, x, memory, rtol, atol)
+            wanted = jnp.where(kept & (taken < h), jnp.maximum(new, h), new)
+            return end, taken, wanted, values, after, kept
+
+        def refused(carry: Any) -> Any:
+            _, taken, _, _, _, kept = carry
+            return ~kept & ~force & (taken > SHORTEST * tau) & (taken > 1e-300)
+
+        last = jax.lax.while_loop(refused, lambda carry: attempt(carry[2]), attempt(h))
+        end, taken, new, values, after, kept = last
+        taken = jnp.where(kept | force, taken, 0.0)
+        return end, taken, new, values, after
+
+    return jax.jit(step)
