@@ -38,6 +38,8 @@ from .errors import (
 )
 
 if TYPE_CHECKING:
+    from .ensemble import ensemble
+    from .function import as_function
     from .simulate import simulate
     from .store import load
     from .trajectory import Status, Trajectory
@@ -46,6 +48,8 @@ __version__ = "0.1.0"
 
 #: Names that load SciPy or xarray when first used.
 _LAZY = {
+    "as_function": "function",
+    "ensemble": "ensemble",
     "simulate": "simulate",
     "load": "store",
     "Status": "trajectory",
@@ -79,8 +83,10 @@ __all__ = [
     "TraceError",
     "Trajectory",
     "ZenoError",
+    "as_function",
     "contact",
     "edge",
+    "ensemble",
     "load",
     "mode",
     "parameter",

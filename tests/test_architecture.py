@@ -15,9 +15,10 @@ LAYERS = [
     ["scene"],
     ["events", "solvers"],
     ["zeno"],
+    ["compiled"],
     ["accumulation", "arcs", "trajectory"],
     ["run", "store", "plotting"],
-    ["simulate"],
+    ["simulate", "ensemble", "function"],
     ["gallery"],
     ["cli", "__main__", "__init__"],
 ]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import enum
 import math
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -131,6 +132,8 @@ def _bounds(positive: bool, between: tuple[float, float] | None) -> Callable[...
     from ..errors import ParameterError
 
     def check(model: Any, field: Any, value: Any) -> None:
+        if _is_traced(value):
+            return
         name = f"{type(model).__name__}.{field.name}"
         try:
             array = np.asarray(value, dtype=float)
@@ -144,6 +147,12 @@ def _bounds(positive: bool, between: tuple[float, float] | None) -> Callable[...
             raise ParameterError(f"{name} = {value!r}: must lie in [{between[0]}, {between[1]}]")
 
     return check
+
+
+def _is_traced(value: Any) -> bool:
+    """Whether a value is known only when JAX runs: nothing can be checked of it."""
+    jax = sys.modules.get("jax")
+    return jax is not None and isinstance(value, jax.core.Tracer)
 
 
 def mode(flow: Callable[..., Any] | None = None, *, initial: bool = False) -> Any:

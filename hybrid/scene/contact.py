@@ -97,10 +97,15 @@ class ContactLaws:
 
 @attrs.frozen
 class Held:
-    """Contacts closed at once: the field while they are held, and each one's load."""
+    """Contacts closed at once: the field while they are held, and each one's load.
+
+    With a ``mask`` only those of the contacts are held whose entry is true: an array, so that
+    compiled code need not be written anew for each set of contacts.
+    """
 
     contacts: tuple[ContactLaws, ...]
     flow: Traced
+    mask: Any = None
 
     def geometry(self, parameters: Any, t: Any, x: Any) -> tuple[list[Any], list[Any], list[Any]]:
         """Gradients at the positions, the same at the velocities, impulse directions."""
@@ -118,7 +123,20 @@ class Held:
         matrix = [[n @ d for d in directions] for n in speeds]
         wanted = [-contact.acceleration(parameters, t, x) for contact in self.contacts]
         weights = [row[i] for i, row in enumerate(matrix)]
-        return solve(matrix, wanted), weights, directions
+        return self._solve(matrix, wanted), weights, directions
+
+    def _solve(self, matrix: list[list[Any]], right: list[Any]) -> list[Any]:
+        """The equations of the contacts held; 0 for the others."""
+        if self.mask is None:
+            return solve(matrix, right)
+        import jax.numpy as jnp
+
+        pairs, size = self.mask, len(right)
+        rows = [
+            [jnp.where(pairs[i] & pairs[j], matrix[i][j], float(i == j)) for j in range(size)]
+            for i in range(size)
+        ]
+        return solve(rows, [jnp.where(held, b, 0.0) for held, b in zip(pairs, right, strict=True)])
 
     def rest(self, parameters: Any, t: Any, x: Any) -> Any:
         """The flow while the contacts are held."""
@@ -140,11 +158,11 @@ class Held:
         for _ in range(2):
             gradients, _, _ = self.geometry(parameters, t, x)
             matrix = [[n @ m for m in gradients] for n in gradients]
-            steps = solve(matrix, [c.gap(parameters, t, x) for c in self.contacts])
+            steps = self._solve(matrix, [c.gap(parameters, t, x) for c in self.contacts])
             x = x - sum(s * n for s, n in zip(steps, gradients, strict=True))
         _, speeds, directions = self.geometry(parameters, t, x)
         matrix = [[n @ d for d in directions] for n in speeds]
-        steps = solve(matrix, [c.speed(parameters, t, x) for c in self.contacts])
+        steps = self._solve(matrix, [c.speed(parameters, t, x) for c in self.contacts])
         return x - sum(s * d for s, d in zip(steps, directions, strict=True))
 
 

@@ -106,7 +106,7 @@ class Method:
         )
         path = solver.interpolation_cls(t0=jnp.zeros_like(h), t1=h, **dense)
         values = jax.vmap(lambda s: path.evaluate(s * h))(jnp.asarray(nodes(self.degree)))
-        values = values.at[0].set(x).at[-1].set(end)
+        values = jnp.concatenate([x[None], values[1:-1], end[None]])
         if after is not None:
             after = (jnp.asarray(after[0]), after[1])
         return end, kept, stop - begin, values, after

@@ -1,0 +1,301 @@
+"""A class's functions for compiled runs: one function of the mode's number and of the
+contacts held, where :mod:`hybrid.scene` has one for each mode and set of contacts.
+
+Every edge and contact of a mode has a *slot*, in declared order. A contact's slot is its gap
+while it is open and its load while it is held, so that each slot fires where it falls to
+zero: an impact, or a release.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..automaton.markers import Crossing
+from ..automaton.spec import ContactSpec
+from ..automaton.trace import again
+from ..scene.contact import ContactLaws, Held
+from ..scene.lowered import Lowered
+
+#: A guard's value in a slot that its mode does not have.
+FAR = 1.0
+
+#: Gap and gap speed, relative to the state, below which a held contact stays closed.
+CLOSED = 1e-12
+
+
+class Jumped(NamedTuple):
+    """A jump carried out.
+
+    Attributes
+    ----------
+    before, after : array
+        States; ``before`` lies on the contact's gap.
+    mode, held
+        Where it leads.
+    speed : number
+        The gap's speed after an impact; 1 for an edge.
+    stays : bool
+        The guard is the same after the jump as before it.
+    """
+
+    before: Any
+    after: Any
+    mode: Any
+    held: Any
+    speed: Any
+    stays: Any
+
+
+class System:
+    """Functions of ``(parameters, mode, held, t, x)``.
+
+    ``held`` is a mask over the slots, or None where no contact is known to be held.
+    """
+
+    def __init__(self, code: Lowered) -> None:
+        self.code, self.spec = code, code.spec
+        self.modes = tuple(mode.name for mode in self.spec.modes)
+        self.edges = {mode: self.spec.leaving(mode) for mode in self.modes}
+        self.width = max(1, *(len(edges) for edges in self.edges.values()))
+
+    def table(self, entry: Callable[[Any], Any], empty: Any) -> np.ndarray:
+        """A number for each mode and slot."""
+        rows = [
+            [entry(edge) for edge in edges] + [empty] * (self.width - len(edges))
+            for edges in self.edges.values()
+        ]
+        return np.array(rows)
+
+    @cached_property
+    def crossing(self) -> np.ndarray:
+        """-1 where a slot fires falling, +1 rising, 0 either way."""
+        signs = {Crossing.FALLING: -1, Crossing.RISING: 1, Crossing.EITHER: 0}
+        return self.table(lambda edge: signs[edge.crossing], -1)
+
+    @cached_property
+    def is_contact(self) -> np.ndarray:
+        return self.table(lambda edge: isinstance(edge, ContactSpec), False)
+
+    @cached_property
+    def rests(self) -> np.ndarray:
+        """Whether a slot is a contact that may be held."""
+        return self.table(lambda edge: isinstance(edge, ContactSpec) and edge.rests, False)
+
+    @cached_property
+    def smooth(self) -> bool:
+        """Whether every guard is a polynomial wherever the state is one."""
+        from ..scene.lowered import guard_shape
+
+        guards = [guard_shape(self.code, self.code.guard_closed(e)) for e in self.spec.transitions]
+        return all(affine for affine, _ in guards) and not self.rests.any()
+
+    def table_row(self, name: str, mode: str) -> np.ndarray:
+        """A mode's row of a table, empty for a mode that is not there."""
+        table: np.ndarray = getattr(self, name)
+        return table[self.modes.index(mode)] if mode in self.modes else table[0, :0]
+
+    def pick(self, table: np.ndarray, mode: Any, slot: Any = None) -> Any:
+        """A mode's row of a table, or one slot's entry; not looked up where all are equal."""
+        if (table == table.flat[0]).all():
+            return jnp.asarray(table[0] if slot is None else table.flat[0])
+        row = jnp.asarray(table)[mode] if len(table) > 1 else jnp.asarray(table[0])
+        return row if slot is None else row[slot]
+
+    def number(self, mode: Any, slot: Any) -> Any:
+        """The number of an edge among all, mode by mode."""
+        first = np.cumsum([0, *map(len, self.edges.values())])[:-1]
+        return self.pick(first[:, None], mode, 0) + slot
+
+    # -- by mode ------------------------------------------------------------------------
+
+    def flow(self, p: Any, mode: Any, held: Any, t: Any, x: Any) -> Any:
+        """Time derivatives, along the contacts held."""
+        return self._by_mode(self._flow, p, mode, held, t, x)
+
+    def guards(self, p: Any, mode: Any, held: Any, t: Any, x: Any) -> Any:
+        """Guards of all slots; shape ``(width,)``."""
+        return self._by_mode(self._guards, p, mode, held, t, x)
+
+    def lies(self, p: Any, mode: Any, held: Any, t: Any, x: Any) -> tuple[Any, Any]:
+        """Guards and their first two derivatives along the flow; and the flow.
+
+        Shape ``(3, width)``; the second derivative of a load is left out (0). The guards are
+        differentiated along the second-order curve of the flow, which needs one derivative
+        of the flow only.
+        """
+
+        def along(t: Any, x: Any) -> Any:
+            return self.flow(p, mode, held, t, x)
+
+        one = jnp.ones_like(t)
+        rate = along(t, x)
+        rate, bend = jax.jvp(along, (t, x), (one, rate))
+
+        def on_curve(s: Any) -> Any:
+            return self._by_mode(self._gaps, p, mode, t + s, x + s * rate + 0.5 * s * s * bend)
+
+        def slope(s: Any) -> Any:
+            return jax.jvp(on_curve, (s,), (one,))
+
+        (value, first), (_, second) = jax.jvp(slope, (jnp.zeros_like(t),), (one,))
+        lies = jnp.stack([value, first, second])
+        if self.rests.any():
+            guards = lambda t, x: self.guards(p, mode, held, t, x)  # noqa: E731
+            load, change = jax.jvp(guards, (t, x), (one, rate))
+            of_loads = jnp.stack([load, change, jnp.zeros_like(load)])
+            lies = jnp.where(held, of_loads, lies)
+        return lies, rate
+
+    def project(self, p: Any, mode: Any, held: Any, t: Any, x: Any) -> Any:
+        """The state moved onto the contacts held."""
+
+        def onto(name: str, p: Any, held: Any, t: Any, x: Any) -> Any:
+            return self._if_held(name, held, lambda h: h.project(p, t, x), lambda: x)
+
+        return self._by_mode(onto, p, mode, held, t, x)
+
+    def jump(self, p: Any, mode: Any, slot: Any, held: Any, t: Any, x: Any) -> Jumped:
+        """Carry out the jump of a slot that fired."""
+        branches = [
+            self._jump_of(edge, name, i)
+            for name, edges in self.edges.items()
+            for i, edge in enumerate(edges)
+        ]
+        done = _switch(self.number(mode, slot), branches, p, held, t, x)
+        return Jumped(*done)._replace(held=self._still_held(p, mode, held, done, t))
+
+    def touch(self, p: Any, mode: Any, slot: Any, t: Any, x: Any) -> tuple[Any, Any, Any]:
+        """The state on a contact's gap, the change that adds one to the gap's speed, the speed."""
+
+        def of(laws: ContactLaws, p: Any, t: Any, x: Any) -> Any:
+            landed = laws.land(p, t, x)
+            return landed, laws.push(p, t, landed), laws.speed(p, t, landed)
+
+        return self._by_contact(of, p, mode, slot, t, x)
+
+    def law(self, p: Any, mode: Any, slot: Any, t: Any, x: Any, u: Any) -> Any:
+        """A contact's restitution at the gap speed ``u``."""
+        return self._by_contact(lambda laws, p, *at: laws.law(p, *at), p, mode, slot, t, x, u)
+
+    def _by_contact(self, function: Any, p: Any, mode: Any, slot: Any, *rest: Any) -> Any:
+        branches: list[Any] = []
+        places = np.zeros((len(self.modes), self.width), dtype=int)
+        for number, edges in enumerate(self.edges.values()):
+            for place, edge in enumerate(edges):
+                if isinstance(edge, ContactSpec):
+                    places[number, place] = len(branches)
+                    laws = self.code.laws(edge.name)
+                    branches.append(lambda p, *rest, laws=laws: function(laws, p, *rest))
+        return _switch(self.pick(places, mode, slot), branches, p, *rest)
+
+    # -- one mode -----------------------------------------------------------------------
+
+    def _by_mode(self, function: Any, p: Any, mode: Any, *rest: Any) -> Any:
+        branches = [lambda p, *rest, name=name: function(name, p, *rest) for name in self.modes]
+        return _switch(mode, branches, p, *rest)
+
+    def _resting(self, name: str) -> list[tuple[int, ContactLaws]]:
+        """Slots and laws of the contacts of a mode that may be held."""
+        pairs = enumerate(self.edges[name])
+        return [
+            (i, self.code.laws(e.name)) for i, e in pairs if isinstance(e, ContactSpec) and e.rests
+        ]
+
+    def _held(self, name: str, held: Any) -> Held:
+        contacts = self._resting(name)
+        mask = [held[slot] for slot, _ in contacts]
+        flow = again(self.code.closed("flow", name))
+        return Held(tuple(laws for _, laws in contacts), flow, mask)
+
+    def _if_held(self, name: str, held: Any, then: Any, otherwise: Any) -> Any:
+        if held is None or not self._resting(name):
+            return otherwise()
+        return jax.lax.cond(held.any(), lambda: then(self._held(name, held)), otherwise)
+
+    def _flow(self, name: str, p: Any, held: Any, t: Any, x: Any) -> Any:
+        free = again(self.code.closed("flow", name))
+        return self._if_held(name, held, lambda h: h.rest(p, t, x), lambda: free(p, t, x))
+
+    def _gaps(self, name: str, p: Any, t: Any, x: Any) -> Any:
+        gaps = [again(self.code.guard_closed(edge))(p, t, x) for edge in self.edges[name]]
+        gaps += [jnp.full_like(t, FAR)] * (self.width - len(gaps))
+        return jnp.stack(gaps)
+
+    def _guards(self, name: str, p: Any, held: Any, t: Any, x: Any) -> Any:
+        values = self._gaps(name, p, t, x)
+
+        def loads(h: Held) -> Any:
+            multipliers, weights, _ = h.forces(p, t, x)
+            pairs = zip(self._resting(name), multipliers, weights, strict=True)
+            own = values
+            for (slot, _), force, weight in pairs:
+                here = held & (jnp.arange(self.width) == slot)
+                own = jnp.where(here, force * weight, own)
+            return own
+
+        return self._if_held(name, held, loads, lambda: values)
+
+    def _jump_of(self, edge: Any, name: str, slot: int) -> Any:
+        """The jump of one slot, as a function ``(p, held, t, x)``."""
+        to = jnp.array(self.modes.index(edge.to))
+        if not isinstance(edge, ContactSpec):
+            reset, guard = again(self.code.closed("reset", edge.name)), self.code.guard_closed(edge)
+
+            def by_reset(p: Any, held: Any, t: Any, x: Any) -> Any:
+                after = reset(p, t, x)
+                stays = again(guard)(p, t, after) == again(guard)(p, t, x)
+                return x, after, to, held, jnp.array(1.0), stays
+
+            return by_reset
+        laws = self.code.laws(edge.name)
+
+        def impact(p: Any, held: Any, t: Any, x: Any) -> Any:
+            before = laws.land(p, t, x)
+            after = laws.impact(p, t, before)
+            return before, after[:-1], to, held, after[-1], jnp.array(True)
+
+        def release(p: Any, held: Any, t: Any, x: Any) -> Any:
+            return (
+                x,
+                x,
+                to,
+                held & (jnp.arange(self.width) != slot),
+                jnp.array(1.0),
+                jnp.array(True),
+            )
+
+        if not edge.rests:
+            return impact
+        return lambda p, held, t, x: jax.lax.cond(held[slot], release, impact, p, held, t, x)
+
+    def _still_held(self, p: Any, mode: Any, before: Any, done: Any, t: Any) -> Any:
+        """The contacts held that the jump has left closed: gap and speed zero."""
+        _, after, to, held, *_ = done
+        if not self.rests.any():
+            return held
+        none = jnp.zeros_like(held)
+
+        def closed() -> Any:
+            open_lies = self.lies(p, to, none, t, after)[0]
+            small = CLOSED * (1.0 + jnp.max(jnp.abs(after)))
+            return held & (jnp.abs(open_lies[:2]) <= small).all(axis=0) & (mode == to)
+
+        return jax.lax.cond(held.any(), closed, lambda: held)
+
+
+def _switch(index: Any, branches: Sequence[Any], *operands: Any) -> Any:
+    if len(branches) == 1:
+        return branches[0](*operands)
+    return jax.lax.switch(index, branches, *operands)
+
+
+def system_of(code: Lowered) -> System:
+    """The system of a class, kept with its generated code."""
+    made: System = code.once("system", lambda: System(code))
+    return made

@@ -1,0 +1,297 @@
+"""The sum of infinitely many impacts, as array code (compare :mod:`hybrid.zeno.accumulate`).
+
+The curve ``y(w)`` and its equations are the same (``docs/notes/chatter.md``). The flights are
+not expanded in Taylor series but collocated, all at once: on Chebyshev points of each flight
+the states are iterated (Picard) together with the curve. The gap is a coordinate of its own
+here too: with the gap's acceleration ``a(s)`` along a flight of length ``theta`` that starts
+with gap speed ``v``::
+
+    0 = v + theta * integral of (1 - s) a(s),    u = v + theta * integral of a(s)
+
+so that no digit is lost to the size of the state, and no zero is sought.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from ..events import EPS
+from ..segment import from_values, nodes
+from ..zeno.accumulate import CAUTION, FLOOR, PROBES, ROUNDING, SAMPLES, SMOOTH
+from .system import System
+from .turn import Run
+
+#: Degree of the curve, and of each flight: low, for another impact costs less than a point.
+DEGREE, FLIGHT = 6, 6
+
+#: Sweeps after which the change must have fallen to this, or the impacts are too strong yet.
+TRIAL, HOPE = 5, 1e-4
+
+#: Most sweeps, and sweeps through which derivatives are carried.
+SWEEPS, CARRIED = 40, 14
+
+
+def _integrals(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """From values at the nodes: the integral from 0 to each node, to 1, and of ``(1 - s) f``."""
+    basis = np.eye(degree + 1)
+    values = []
+    for k in range(degree + 1):
+        whole = chebyshev.chebint(basis[k], lbnd=-1.0)
+        values.append(0.5 * chebyshev.chebval(2.0 * nodes(degree) - 1.0, whole))
+    running = np.array(values).T @ from_values(degree)
+    return running, running[-1], running[-1] @ running
+
+
+_RUNNING, _WHOLE, _TWICE = _integrals(FLIGHT)
+_TO_CURVE = from_values(DEGREE)
+
+#: Where flights begin: the points of the curve, then those at which it is put to the test.
+_W = np.concatenate([nodes(DEGREE)[1:], PROBES])
+_AT = chebyshev.chebvander(2.0 * _W - 1.0, DEGREE) @ _TO_CURVE
+
+
+class Tail(NamedTuple):
+    """A sum, if there is one (``found``)."""
+
+    found: Any
+    remaining: Any
+    x_inf: Any
+    t_error: Any
+    x_error: Any
+    ratio: Any
+
+
+class _Curve(NamedTuple):
+    """A curve and the flights from it.
+
+    Attributes
+    ----------
+    offsets : array, shape (points + 1, 1 + n)
+        Time and state at the points of the curve, less those at its start.
+    bend : array, shape (points + 1,)
+        ``l``: the logarithm of the gap's speed over ``v w``.
+    flights, lengths : array, shape (flights, nodes, n), (flights,)
+        States along each flight, and its length.
+    forces, guards : array, shape (flights, nodes), (flights, nodes, slots)
+        The gap's acceleration along each flight, and all guards.
+    ratio
+        Restitution at the limit.
+    """
+
+    offsets: Any
+    bend: Any
+    flights: Any
+    lengths: Any
+    forces: Any
+    guards: Any
+    ratio: Any
+
+
+class Tails:
+    """Sums series of impacts of a system."""
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+
+    def close(
+        self, run: Run, mode: Any, held: Any, slot: Any, t: Any, x: Any, v: Any, carried: bool
+    ) -> Tail:
+        """Sum the impacts that follow an impact with gap speed ``v``.
+
+        ``carried``: let derivatives pass, at the cost of some sweeps more.
+        """
+        of = _Series(self.system, run, mode, held, slot, t, x, v)
+        fixed = _Series(self.system, *jax.lax.stop_gradient((run, mode, held, slot, t, x, v)))
+        curve, change = fixed.solve()
+        found, t_error, x_error = fixed.judge(curve, change)
+        if carried:
+            curve, _ = jax.lax.scan(lambda c, _: (of.sweep(c), None), curve, length=CARRIED)
+        return of.limit(curve, found, t_error, x_error)
+
+
+class _Series:
+    """One series: from an impact on."""
+
+    def __init__(
+        self, system: System, run: Run, mode: Any, held: Any, slot: Any, t: Any, x: Any, v: Any
+    ) -> None:
+        self.system, self.run, self.p = system, run, run.parameters
+        self.mode, self.held, self.slot = mode, held, slot
+        self.t, self.x, self.v = t, x, v
+
+    # -- the iteration ------------------------------------------------------------------
+
+    def solve(self) -> tuple[_Curve, Any]:
+        """Sweep until nothing changes; the curve, and what the last sweep changed (time)."""
+        share = jnp.maximum(1e-4 * self.run.rtol, 4e-16)
+
+        def goes_on(carry: Any) -> Any:
+            curve, change, count = carry
+            enough = share + 4e-16 / (1.0 - curve.ratio)
+            hopeless = (count >= TRIAL) & (change > HOPE)
+            return (count < SWEEPS) & (change > enough) & jnp.isfinite(change) & ~hopeless
+
+        def body(carry: Any) -> Any:
+            curve, _, count = carry
+            new = self.sweep(curve)
+            change = jnp.max(jnp.abs(new.offsets - curve.offsets).max(axis=0) / self.scale(new))
+            return new, jnp.where(count < 3, 1.0, change), count + 1
+
+        curve, change, _ = jax.lax.while_loop(
+            goes_on, body, (self.guess(), jnp.array(1.0), jnp.array(0))
+        )
+        return curve, change
+
+    def guess(self) -> _Curve:
+        """All flights at their start, and all from the same place."""
+        size, n, many = DEGREE + 1, len(self.x), len(_W)
+        return _Curve(
+            jnp.zeros((size, 1 + n)),
+            jnp.zeros(size),
+            jnp.broadcast_to(self.x, (many, FLIGHT + 1, n)),
+            jnp.zeros(many),
+            jnp.zeros((many, FLIGHT + 1)),
+            jnp.zeros((many, FLIGHT + 1, self.system.width)),
+            self._law(self.t, self.x, jnp.array(-0.0)),
+        )
+
+    def sweep(self, curve: _Curve) -> _Curve:
+        """All flights once more, then the curve through them."""
+        starts = jnp.asarray(_AT) @ jnp.column_stack([curve.offsets, curve.bend])
+        speeds = self.v * jnp.asarray(_W) * jnp.exp(starts[:, -1])
+        steps, flights, lengths, forces, guards = jax.vmap(self._flight)(
+            starts[:, :-1], speeds, curve.flights, curve.lengths, curve.ratio * speeds
+        )
+        matrix = (_shift(curve.ratio) @ jnp.asarray(_TO_CURVE))[1:, :-1]
+        values = jnp.linalg.solve(matrix, steps[:DEGREE])
+        values = jnp.concatenate([values, jnp.zeros_like(values[:1])])
+        end = self._onto(values[0, 0], self.x + values[0, 1:-1], 0.0)
+        ratio = self._law(self.t + values[0, 0], end, jnp.array(-0.0))
+        return _Curve(values[:, :-1], values[:, -1], flights, lengths, forces, guards, ratio)
+
+    def _flight(
+        self, offset: Any, v: Any, states: Any, length: Any, expected: Any
+    ) -> tuple[Any, Any, Any, Any, Any]:
+        """One flight: the step it makes along the curve, its states, length, forces, guards."""
+        start = self._onto(offset[0], self.x + offset[1:], v)
+        times = self.t + offset[0] + length * jnp.asarray(nodes(FLIGHT))
+        lies, rates = jax.vmap(self._lies)(times, states)
+        a = lies[:, 2, self.slot]
+        length = -v / (jnp.asarray(_TWICE) @ a)
+        states = start + length * (jnp.asarray(_RUNNING) @ rates)
+        u = v + length * (jnp.asarray(_WHOLE) @ a)
+        end = self.t + offset[0] + length
+        after = self._law(end, states[-1], u) * -u
+        landed, push, _ = self._touch(end, states[-1])
+        moved = landed + push * (after - u)
+        bend = jnp.log(after / expected)
+        step = jnp.concatenate([length[None], moved - start, bend[None]])
+        return step, states, length, a, lies[:, 0]
+
+    def _onto(self, since: Any, x: Any, v: Any) -> Any:
+        """A state moved to gap 0 and gap speed ``v``."""
+        landed, push, speed = self._touch(self.t + since, x)
+        return landed + push * (v - speed)
+
+    def _lies(self, t: Any, x: Any) -> tuple[Any, Any]:
+        return self.system.lies(self.p, self.mode, self.held, t, x)
+
+    def _touch(self, t: Any, x: Any) -> tuple[Any, Any, Any]:
+        return self.system.touch(self.p, self.mode, self.slot, t, x)
+
+    def _law(self, t: Any, x: Any, u: Any) -> Any:
+        return self.system.law(self.p, self.mode, self.slot, t, x, u)
+
+    # -- what it is worth ---------------------------------------------------------------
+
+    def scale(self, curve: _Curve) -> Any:
+        """Size of time and of each element of the state, over the tail."""
+        size = jnp.abs(curve.offsets[0]) + jnp.abs(jnp.concatenate([self.t[None], self.x]))
+        return size + EPS * size.max()
+
+    def judge(self, curve: _Curve, change: Any) -> tuple[Any, Any, Any]:
+        """Whether the curve is one, far down and between its points; bounds on its error."""
+        run, size = self.run, self.scale(curve)
+        remaining, r = curve.offsets[0, 0], curve.ratio
+        spectrum = jnp.abs(curve.forces @ jnp.asarray(from_values(FLIGHT)).T)
+        blur = jnp.max(_next(spectrum.T) / jnp.abs(curve.forces).min(axis=1))
+        left = _next(jnp.abs(jnp.asarray(_TO_CURVE) @ curve.offsets))
+        left = CAUTION * (left + change * size + blur * jnp.abs(curve.offsets[0]))
+        rounding = ROUNDING / (1.0 - r) * size.at[0].set(remaining)
+        floor = 1e-3 * jnp.max(run.atol) * (jnp.arange(len(size)) > 0)  # for states, not time
+        allowed = CAUTION * jnp.maximum(1e-3 * run.rtol, FLOOR) * size + rounding + floor
+        sane = (r > 0) & (r < 1.0 - 1e-12) & (remaining > 0) & (curve.lengths > 0).all()
+        sane = sane & (left <= allowed).all() & (curve.forces < 0).all()
+        found = jax.lax.cond(
+            sane,
+            lambda: self._holds(curve, allowed[0]) & self._clear(curve.guards),
+            lambda: jnp.array(False),
+        )
+        error = left + rounding + FLOOR * size
+        return found, error[0], error[1:]
+
+    def _clear(self, values: Any) -> Any:
+        """Whether no other guard changes sign along the flights."""
+        values = values.reshape(-1, values.shape[-1])
+        own = jnp.arange(values.shape[-1]) == self.slot
+        return (own | (values > 0).all(axis=0) | (values < 0).all(axis=0)).all()
+
+    def _holds(self, curve: _Curve, allowed: Any) -> Any:
+        """Flights at other points fulfil the equation; forces along the tail are smooth."""
+        series = jnp.asarray(_TO_CURVE) @ curve.offsets
+        w, lengths = jnp.asarray(PROBES), curve.lengths[DEGREE:]
+        here, there = _at(series, w)[:, 0], _at(series, curve.ratio * w)[:, 0]
+        missing = jnp.abs(lengths - (there - here))
+        return (missing <= allowed + CAUTION * ROUNDING * lengths).all() & self._smooth(series)
+
+    def _smooth(self, series: Any) -> Any:
+        """Whether forces vary along the tail as a polynomial of its degree does."""
+
+        def force(y: Any) -> Any:
+            state = self._onto(y[0], self.x + y[1:], 0.0)
+            return self._lies(self.t + y[0], state)[0][2, self.slot]
+
+        grid = jnp.linspace(0.0, 1.0, 4 * SAMPLES)
+        since = _at(series, grid)[:, 0]
+        even = jnp.interp(jnp.linspace(0.0, since[0], SAMPLES), since[::-1], grid[::-1])
+        w = jnp.concatenate([jnp.asarray(nodes(DEGREE)), even])
+        push = jax.vmap(force)(_at(series, w))
+        own = jnp.asarray(_TO_CURVE) @ push[: DEGREE + 1]
+        return jnp.max(jnp.abs(push - _at(own, w))) <= SMOOTH * jnp.max(jnp.abs(push))
+
+    def limit(self, curve: _Curve, found: Any, t_error: Any, x_error: Any) -> Tail:
+        """The limit point."""
+        remaining = curve.offsets[0, 0]
+        x_inf = self._onto(remaining, self.x + curve.offsets[0, 1:], 0.0)
+        return Tail(found, remaining, x_inf, t_error, x_error, curve.ratio)
+
+
+def _shift(r: Any) -> Any:
+    """``T_k(2 r w - 1) - T_k(2 w - 1)`` at the nodes, accurate for ``r`` close to 1."""
+    w = jnp.asarray(nodes(DEGREE))
+    a, b, step = 2.0 * r * w - 1.0, 2.0 * w - 1.0, 2.0 * (r - 1.0) * w
+    columns, values = [jnp.zeros_like(w), step], [jnp.ones_like(w), b]
+    for k in range(1, DEGREE):
+        columns.append(2.0 * (a * columns[k] + step * values[k]) - columns[k - 1])
+        values.append(2.0 * b * values[k] - values[k - 1])
+    return jnp.stack(columns[: DEGREE + 1], axis=1)
+
+
+def _next(spectrum: Any) -> Any:
+    """What the first coefficients left out would be, from how the last four fall."""
+    last = spectrum[-2:].max(axis=0)
+    before = jnp.maximum(spectrum[-4:-2].max(axis=0), 1e-300)
+    return last * jnp.minimum(last / before, 1.0)
+
+
+def _at(series: Any, w: Any) -> Any:
+    """Chebyshev series in ``2 w - 1`` at points."""
+    x, columns = 2.0 * w - 1.0, [jnp.ones_like(w), 2.0 * w - 1.0]
+    for _ in range(DEGREE - 1):
+        columns.append(2.0 * x * columns[-1] - columns[-2])
+    return jnp.stack(columns, axis=-1) @ series

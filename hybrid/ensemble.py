@@ -1,0 +1,314 @@
+"""``hy.ensemble``: many runs of one model at once, over arrays of starts and parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from os import cpu_count
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .automaton.spec import Spec
+from .compiled.abreast import Abreast, status_of
+from .compiled.ask import REASONS, check_method, check_zeno, code_of, place
+from .compiled.jit import jit
+from .compiled.lanes import Journey, Trip
+from .compiled.turn import Run, Turner
+from .errors import OptionError, StartError
+from .scene.scene import rest_name
+from .solvers.diffrax_backend import Method
+
+if TYPE_CHECKING:
+    import xarray
+
+#: Most lanes in one call, and places abreast, on a CPU and on other devices.
+CHUNK = {"cpu": (1024, 256), "other": (1 << 17, 1 << 14)}
+
+#: Rounds of turns between two looks from Python.
+ROUNDS = 64
+
+
+def ensemble(
+    model: Any,
+    start: Any,
+    t: tuple[Any, Any],
+    parameters: Mapping[str, Any] | None = None,
+    *,
+    solver: str = "diffrax",
+    method: str | None = None,
+    rtol: float = 1e-8,
+    atol: float = 1e-10,
+    zeno: str = "rest",
+    max_jumps: int | None = None,
+    max_steps: int = 1_000_000,
+    mode: str | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> xarray.Dataset:
+    """Simulate many lanes of one model: each has its own mode, verdict, rest and end.
+
+    Parameters
+    ----------
+    model : Automaton
+        Its parameters' values hold where ``parameters`` gives none.
+    start : dict
+        Each state's value: one for all lanes, or an array with the lanes as first axis.
+    t : (t0, t1)
+        First and last time; each a number or an array over the lanes.
+    parameters : dict, optional
+        Values by name, as ``start``.
+    solver, method
+        ``"diffrax"``, and one of its methods (Tsit5 if omitted).
+    rtol, atol : float
+        Tolerances of a step; ``atol`` may be an array, one for each element of the state.
+    zeno : "rest", "stop" or "ignore"
+        What happens where impacts accumulate; ignored, they are simulated one by one.
+    max_jumps, max_steps : int
+        A lane ends after so many computed jumps, or attempted steps.
+    progress : callable ``(lanes)``, optional
+        Called now and then with the number of lanes that have ended.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over ``lane``: the time ``t`` and each state at the end, ``mode``, ``jumps`` computed,
+        ``accumulations``, the first one's ``t_inf``, ``ratio`` and ``t_inf_error`` (a bound on the
+        error of the sum, not of the integration before it; NaN where there is none), its
+        ``verdict``, and ``status``: a lane that failed is a row with its reason.
+
+    Raises
+    ------
+    OptionError, StartError, ParameterError
+        If what is given cannot be used.
+
+    Notes
+    -----
+    The rules are those of :func:`hybrid.simulate`, but for the finest distinctions: tangencies
+    are not listed, and impacts slower than the rounding of the state count as rest. One
+    program runs all lanes; on a CPU once in each core. Changing numbers, or the number of
+    lanes within a power of two, does not compile anew.
+    """
+    import xarray
+
+    code = code_of(model)
+    method = check_method(solver, method)
+    check_zeno(zeno)
+    system, number, held = place(code, mode)
+    bounds = np.iinfo(np.int64).max // 2 if max_jumps is None else max_jumps, max_steps
+    lanes = _Lanes(code.spec, model, start, t, dict(parameters or {}), (rtol, atol), bounds)
+    device = jax.default_backend()
+    most, places = CHUNK["cpu" if device == "cpu" else "other"]
+    workers = (cpu_count() or 1) if device == "cpu" else 1
+    size = min(most, _power_of_two(-(-lanes.count // workers)))
+    key = ("ensemble", method, zeno, number, tuple(held), size)
+    begin, advance = code.once(
+        key, lambda: _compiled(system, Method(method), zeno, number, held, min(places, size))
+    )
+    done = [0] * -(-lanes.count // size)
+
+    def work(chunk: int) -> Any:
+        starts = lanes.chunk(chunk * size, size)
+        state = begin(*starts)
+        while True:
+            state, left = advance(*starts, state, ROUNDS)
+            done[chunk] = size - int(left)
+            if progress is not None:
+                progress(min(sum(done), lanes.count))
+            if not left:
+                return jax.tree.map(np.asarray, state.results)
+
+    with ThreadPoolExecutor(workers) as pool:
+        parts = list(pool.map(work, range(len(done))))
+    results = jax.tree.map(lambda *a: np.concatenate(a)[: lanes.count], *parts)
+    variables, attributes = _variables(code.spec, system, results)
+    return xarray.Dataset(
+        {name: (("lane", *dims), value) for name, (dims, value) in variables.items()},
+        coords=lanes.coordinates(),
+        attrs=attributes,
+    )
+
+
+def _power_of_two(number: int) -> int:
+    return 1 << max(0, number - 1).bit_length()
+
+
+def _compiled(
+    system: Any, method: Method, zeno: str, mode: int, held: np.ndarray, places: int
+) -> tuple[Any, Any]:
+    """The two programs of a chunk: begin, and go on for some rounds."""
+    turner = Turner(system, method, judged=False, sums=zeno != "ignore")
+    abreast = Abreast(Journey(turner, zeno), places, _show)
+
+    def starts(run: Run, x: Any) -> Any:
+        count = len(x)
+        return (
+            run,
+            jnp.full(count, mode),
+            jnp.broadcast_to(jnp.asarray(held), (count, len(held))),
+            x,
+        )
+
+    def begin(run: Run, x: Any) -> Any:
+        return abreast.begin(starts(run, x))
+
+    def advance(run: Run, x: Any, work: Any, rounds: Any) -> Any:
+        work = abreast.advance(starts(run, x), work, rounds)
+        return work, (work.lane < len(x)).sum() + len(x) - work.following
+
+    return jit(begin), jit(advance)
+
+
+def _show(trip: Trip) -> dict[str, Any]:
+    """What is kept of a lane that has ended."""
+    lane = trip.lane
+    return {
+        "t": lane.now,
+        "x": lane.going.x,
+        "mode": lane.mode,
+        "held": lane.held,
+        "jumps": lane.jumps,
+        "steps": lane.going.steps,
+        "accumulations": trip.sums,
+        "t_inf": trip.t_inf,
+        "t_inf_error": trip.error,
+        "ratio": trip.ratio,
+        "status": status_of(trip),
+    }
+
+
+class _Lanes:
+    """What is asked of each lane, as arrays.
+
+    Attributes
+    ----------
+    count : int
+    x : array, shape (lanes, n)
+    varied : dict
+        What differs between lanes, by name.
+    """
+
+    def __init__(
+        self,
+        spec: Spec,
+        model: Any,
+        start: Any,
+        t: Any,
+        given: dict[str, Any],
+        tolerances: tuple[Any, Any],
+        bounds: tuple[int, int],
+    ) -> None:
+        self.spec = spec
+        self.varied: dict[str, np.ndarray] = {}
+        _check(model, given)
+        states = self._states(start)
+        parameters = [
+            (self._array(p.name, given.get(p.name, getattr(model, p.name)), shape), shape)
+            for p, shape in ((p, np.shape(p.default)) for p in spec.parameters)
+        ]
+        first, last = (self._array(name, v, ()) for name, v in zip(("t0", "t1"), t, strict=True))
+        if not np.all(last > first):
+            raise OptionError(f"t={t!r}: the first time before the last, in every lane")
+        if min(bounds) < 1:
+            raise OptionError("max_jumps, max_steps: whole numbers greater than 0")
+        counts = {len(v) for v in self.varied.values()}
+        if len(counts) > 1:
+            each = ", ".join(f"{name}: {len(v)}" for name, v in self.varied.items())
+            raise OptionError(f"{spec.model}: lanes differ in number ({each})")
+        self.count = counts.pop() if counts else 1
+        parts = [self._full(v, shape).reshape(self.count, -1) for v, shape in states]
+        self.x = np.concatenate(parts, axis=1)
+        rtol, atol = (np.asarray(v, dtype=float) for v in tolerances)
+        self.run = Run(
+            tuple(self._full(v, shape) for v, shape in parameters),
+            self._full(first, ()),
+            self._full(last, ()),
+            self._full(rtol, ()),
+            self._full(atol, (spec.dimension,)),
+            *(self._full(np.array(bound), ()) for bound in bounds),
+        )
+
+    def _states(self, start: Any) -> list[tuple[np.ndarray, tuple[int, ...]]]:
+        spec = self.spec
+        try:
+            values = spec.values(start)
+        except ValueError as fault:
+            raise StartError(f"{spec.model}: start={start!r}: {fault}") from None
+        pairs = zip(spec.states, values, strict=True)
+        return [(self._array(f"{s.name}_start", v, s.shape), s.shape) for s, v in pairs]
+
+    def _array(self, name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+        """A value for all lanes, or one for each."""
+        where = f"{self.spec.model}: {name}"
+        try:
+            array = np.asarray(value, dtype=float)
+        except (TypeError, ValueError):
+            raise StartError(f"{where} = {value!r} is no number") from None
+        if not np.all(np.isfinite(array)):
+            raise StartError(f"{where}: a value is not finite")
+        own = array.ndim - len(shape)
+        if own not in (0, 1) or array.shape[own:] != shape or array.size == 0:
+            due = f"{shape} or (lanes, ...)" if shape else "one number, or one for each lane,"
+            raise StartError(f"{where} has shape {array.shape}; {due} is due")
+        if own:
+            self.varied[name] = array
+        return array
+
+    def _full(self, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+        return np.broadcast_to(array, (self.count, *shape))
+
+    def chunk(self, first: int, size: int) -> tuple[Run, np.ndarray]:
+        """Lanes from one on; the last is repeated to fill up."""
+        which = np.minimum(np.arange(first, first + size), self.count - 1)
+        chosen: Run = jax.tree.map(lambda a: a[which], self.run)
+        return chosen, self.x[which]
+
+    def coordinates(self) -> dict[str, Any]:
+        """The starts and parameters that vary."""
+        return {
+            name: (("lane", *(f"{name}_{i}" for i in range(v.ndim - 1))), v)
+            for name, v in self.varied.items()
+        }
+
+
+def _check(model: Any, given: dict[str, Any]) -> None:
+    """Let the model's own validators see the extremes of the parameters given."""
+    import attrs
+
+    unknown = [name for name in given if name not in {p.name for p in model.spec.parameters}]
+    if unknown:
+        known = ", ".join(p.name for p in model.spec.parameters) or "none"
+        raise OptionError(f"parameters: {unknown[0]!r} is none of {model.spec.model}'s: {known}")
+    for extreme in (np.min, np.max):
+        ends = {k: extreme(v, axis=0) if np.ndim(v) else v for k, v in given.items()}
+        attrs.evolve(model, **ends)
+
+
+def _variables(spec: Spec, system: Any, results: dict[str, Any]) -> tuple[dict[str, Any], Any]:
+    record = spec.record(results.pop("x"))
+    x = {
+        s.name: (tuple(f"{s.name}_{i}" for i in range(len(s.shape))), record[s.name])
+        for s in spec.states
+    }
+    modes, held, status = (results.pop(name) for name in ("mode", "held", "status"))
+    names = [_mode_name(system, m, h) for m, h in zip(modes, held, strict=True)]
+    verdict = np.where(results["accumulations"] > 0, "estimated", "")
+    reasons = [REASONS[int(s)][0] for s in status]
+    found = {
+        **{name: ((), value) for name, value in results.items()},
+        **x,
+        "mode": ((), np.array(names)),
+        "verdict": ((), verdict),
+        "status": ((), np.array(reasons)),
+    }
+    return found, {"model": spec.model, **{f"status_{n}": text for n, text in REASONS.values()}}
+
+
+def _mode_name(system: Any, mode: int, held: np.ndarray) -> str:
+    name = system.modes[mode]
+    edges = system.edges[name]
+    return rest_name(name, tuple(e.name for e, h in zip(edges, held, strict=False) if h))
+
+
+__all__ = ["ensemble"]
