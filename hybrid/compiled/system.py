@@ -145,7 +145,7 @@ class System:
 
         (value, first), (_, second) = jax.jvp(slope, (jnp.zeros_like(t),), (one,))
         lies = jnp.stack([value, first, second])
-        if self.rests.any():
+        if held is not None and self.rests.any():
             guards = lambda t, x: self.guards(p, mode, held, t, x)  # noqa: E731
             load, change = jax.jvp(guards, (t, x), (one, rate))
             of_loads = jnp.stack([load, change, jnp.zeros_like(load)])

@@ -322,14 +322,14 @@ class Turner:
         values = deflated(samples, orders)
         b = (jnp.asarray(self.to_bernstein) @ values).T
         b = jnp.concatenate([values[:1].T, b[:, 1:-1], values[-1:].T], axis=1)
-        return b * self._towards(lane, samples)[:, None]
+        return b * self._towards(lane, values)[:, None]
 
-    def _towards(self, lane: Lane, samples: Any) -> Any:
+    def _towards(self, lane: Lane, values: Any) -> Any:
         """+1 where a slot fires falling, -1 where rising; either way: from where it starts."""
         sign = -self.system.pick(self.system.crossing, lane.mode)
         if (self.system.crossing != 0).all():
             return sign
-        start = jnp.sign(jnp.where(samples[0] == 0, samples[1], samples[0]))
+        start = jnp.sign(jnp.where(values[0] == 0, values[1], values[0]))
         return jnp.where(sign == 0, start, sign)
 
     def _event(self, run: Run, lane: Lane, samples: Any, kept: Any, h: Any) -> Event:
@@ -482,7 +482,7 @@ class Turner:
         sums = sums & (stage == FLOW) & (status == RUNNING) & self.sums
         open_contacts = system.pick(system.is_contact, lane.mode) & ~lane.held
         entered = lane._replace(
-            orders=order, limit=_flight(lies, open_contacts & (order == 1))
+            orders=order, limit=flight_bound(lies, open_contacts & (order == 1))
         ).but(
             ends=lies[0],
             largest=jnp.abs(lies[0]),
@@ -521,7 +521,7 @@ def _first_step(run: Run, x: Any, rate: Any) -> Any:
     return stop_gradient(jnp.minimum(guess, run.t1 - run.t0))
 
 
-def _flight(lies: Any, leaving: Any) -> Any:
+def flight_bound(lies: Any, leaving: Any) -> Any:
     """A bound on the first step: a little more than the flight predicted (2)."""
     falls = leaving & (lies[2] < 0) & (lies[1] > 0)
     length = 2.0 * lies[1] / jnp.where(falls, -lies[2], 1.0)

@@ -78,7 +78,7 @@ class ArcFlow:
 
     def _run(self) -> Flown:
         length = self.now.until(self.plan.t1)
-        target = self._predict(length)
+        target = self.predict(length)
         stepper = self._begin(length, target)
         segments: list[Segment] = []
         fired = None
@@ -113,7 +113,7 @@ class ArcFlow:
     def _begin(self, length: float, target: float | None) -> Stepper:
         if not all(map(isfinite, self.field.rhs(self.now.t, self.x.tolist()))):
             raise FlowError(f"{self._where()}: the flow is not finite")
-        first, sizes = self._first_step(length), None
+        first, sizes = self.first_step(length), None
         if target is not None:
             powers = target ** np.arange(1, ORDER + 1)
             sizes = np.abs(np.array(self.series[0])[:, 1:] * powers).max(axis=1)
@@ -132,7 +132,7 @@ class ArcFlow:
         except FlowError as fault:
             raise FlowError(f"{self._where(tau, x)}: {fault}") from None
 
-    def _first_step(self, length: float) -> float | None:
+    def first_step(self, length: float) -> float | None:
         """Where the first term that the method neglects reaches the tolerance."""
         if self.series is None:
             return None
@@ -146,7 +146,7 @@ class ArcFlow:
                     first = min(first, (allowed / abs(c[power])) ** (1.0 / power))
         return SAFETY * first if first > 0 and np.isfinite(first) else None
 
-    def _predict(self, length: float) -> float | None:
+    def predict(self, length: float) -> float | None:
         """The end of a short flight after an impact, from its Taylor series (2)."""
         if self.series is None:
             return None

@@ -5,6 +5,8 @@ The rules are those of ``docs/semantics.md``; numbers in brackets are its rules.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..accumulation import Accumulation, explain
@@ -61,6 +63,7 @@ class Driver:
         self.status: Status | None = None
         self.watch = Watch()
         self.reach = 0.0
+        self.streaks = _streaks(self)
 
     @property
     def t(self) -> float:
@@ -94,6 +97,26 @@ class Driver:
             self.reach = max(self.reach, float(np.max(np.abs(x))))
 
     def flow(self) -> None:
+        """Flow an arc, or as many as need no judgement, and carry out the jump that ends it."""
+        if self.streaks is not None and self.streaks.takes():
+            self.streaks.fly()
+        else:
+            self.flow_arc()
+
+    def arrive(self, field: Field, x: np.ndarray, guard: Guard) -> None:
+        """Begin an arc after a jump that needed no judgement (see :meth:`renew`)."""
+        self.reach = max(self.reach, float(np.max(np.abs(x))))
+        self.entry = Entry(field, x, None, [], [])
+        self._known = Jumped({guard.edge: 1} if guard.kind == "contact" else {})
+
+    def renew(self) -> None:
+        """Look at the start of the present arc again, with all the rules."""
+        if not self.entry.orders and self.entry.field.guards:
+            self.entry = enter(
+                self.scene, self.t, self.entry.field.mode, self.entry.x, self._known, self.reach
+            )
+
+    def flow_arc(self) -> None:
         """Flow an arc and carry out the jump that ends it."""
         entry, now = self.entry, self.record.now
         flown = ArcFlow(self.scene, self.solver, self.plan, entry, now).run()
@@ -267,6 +290,15 @@ class Driver:
         elif len(record.zeno) == self.plan.accumulations:
             self.status = Status.ZENO_STOPPED
         self.enter(tail.field.mode, tail.x_inf, Jumped(held=held))
+
+
+def _streaks(driver: Driver) -> Any:
+    """Compiled streaks, where the solver can."""
+    if driver.solver.compiled is None:
+        return None
+    from .streak import Streaks
+
+    return Streaks(driver, driver.solver)
 
 
 def _clear(tail: Tail, field: Field, column: int) -> bool:

@@ -20,7 +20,7 @@ Contract (held by ``tests/contract``)
 from __future__ import annotations
 
 import abc
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -57,11 +57,15 @@ class Solver(abc.ABC):
     name, method : str
     order : int
         Order of the method; the driver chooses an arc's first step by it.
+    compiled : object or None
+        The method as a pure function (:class:`.diffrax_backend.Method`), where whole streaks
+        of arcs can be compiled with it.
     """
 
     name: str
     method: str
     order: int
+    compiled: Any = None
 
     @abc.abstractmethod
     def begin(

@@ -1,0 +1,168 @@
+"""The Python side of a compiled streak: from entries to lanes, from records to arcs and jumps."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..automaton.trace import wide
+from ..compiled.streak import Streak, Watch
+from ..compiled.system import system_of
+from ..compiled.turn import AHEAD, END, JUDGE, JUMP, RUNNING, Lane, Run
+from ..scene import Guard
+from ..segment import Segment, from_values
+from ..solvers.base import Solver
+from ..trajectory import Jump, Status
+from .arc import ArcFlow
+from .entry import Jumped
+
+if TYPE_CHECKING:
+    from .driver import Driver
+
+#: Largest power of the local time by which a guard may vanish at the start of a streak.
+ORDERS = 3
+
+
+class Streaks:
+    """Runs a driver's plain arcs compiled, where its solver can.
+
+    ``fly`` goes on from the driver's entry as far as nothing needs judgement, and leaves the
+    driver with an entry, a jump done, or its status set.
+    """
+
+    def __init__(self, driver: Driver, solver: Solver) -> None:
+        self.driver, self.plan = driver, driver.plan
+        dense = self.plan.dense or self.plan.samples is not None
+        code = driver.scene.code
+        method = solver.compiled
+        system = system_of(code)
+        key = ("streak", method, dense)
+        self.streak: Streak = code.once(key, lambda: Streak(system, method, dense))
+        self.degree = method.degree
+        self.system, self.dense = system, dense
+        self.h: float | None = None
+
+    def takes(self) -> bool:
+        """Whether the arc that begins at the driver's entry is plain."""
+        entry = self.driver.entry
+        plain = not entry.field.held and max(entry.orders, default=0) <= ORDERS
+        return plain and self.plan.zeno != "truncate"
+
+    def fly(self) -> None:
+        """Go on until something needs judgement, or the run ends."""
+        with wide():
+            lane = self._begin()
+        run, watch = self._asked()
+        driver, segments = self.driver, []
+        while driver.status is None:
+            lane, records = self.streak.chunk(run, watch, lane)
+            records = jax.tree.map(np.asarray, records)
+            segments = self._keep(records, segments)
+            if self.plan.progress is not None:
+                self.plan.progress(driver.t)
+            status = int(lane.going.status)
+            if driver.status is not None or status != RUNNING:
+                break
+        self.h = float(lane.going.h)
+        if driver.status is None:
+            self._stand(lane, status, segments)
+
+    def _asked(self) -> tuple[Run, Watch]:
+        plan, driver = self.plan, self.driver
+        atol = np.broadcast_to(plan.atol, driver.entry.x.shape).astype(float)
+        bounds = np.int64(2**62), np.int64(2**62)
+        run = Run(driver.scene.parameters, plan.t0, plan.t1, self._rtol(), atol, *bounds)
+        from .driver import PATIENCE
+
+        return run, Watch(plan.patience, PATIENCE)
+
+    def _rtol(self) -> float:
+        return max(self.plan.rtol, 2.3e-14)
+
+    def _begin(self) -> Lane:
+        """The lane of the driver's entry."""
+        driver, entry, plan = self.driver, self.driver.entry, self.plan
+        now, edges = driver.record.now, [guard.edge for guard in entry.field.guards]
+        first = ArcFlow(driver.scene, driver.solver, plan, entry, now)
+        length = now.until(plan.t1)
+        flight = first.predict(length)
+        h = self.h or first.first_step(length) or min(length, 1e-3)
+        values = [guard.value(now.t, entry.x.tolist()) for guard in entry.field.guards]
+        padded = np.zeros(self.system.width)
+        padded[: len(values)] = values
+        orders = np.zeros(self.system.width, dtype=int)
+        orders[: len(values)] = entry.orders
+        watch = driver.watch
+        start = {
+            "t": now.t,
+            "low": now.low,
+            "mode": self.system.modes.index(entry.field.mode),
+            "orders": orders,
+            "limit": np.inf if flight is None else AHEAD * flight,
+            "series": edges.index(watch.contact) if watch.contact in edges else -1,
+            "count": watch.count,
+            "tried": watch.tried,
+        }
+        going = {"h": h, "ends": padded, "largest": np.abs(padded)}
+        arrays = [{k: jnp.asarray(v) for k, v in given.items()} for given in (start, going)]
+        return self.streak.begin(jnp.asarray(entry.x), *arrays)
+
+    # -- what a chunk left ----------------------------------------------------------------
+
+    def _keep(self, records: Any, segments: list[Segment]) -> list[Segment]:
+        """Add the arcs and jumps of a chunk; returns the segments of the arc still going."""
+        coefficients = None
+        if self.dense:
+            coefficients = np.einsum("ij,kjn->kin", from_values(self.degree), records.values)
+        for row in range(len(records.step)):
+            if self.driver.status is not None:
+                break
+            if self.dense and records.step[row]:
+                start, length = float(records.start[row]), float(records.length[row])
+                segments.append(Segment(start, length, coefficients[row]))
+            if records.jump[row]:
+                self._jumped(records, row, segments)
+                segments = []
+        return segments
+
+    def _jumped(self, records: Any, row: int, segments: list[Segment]) -> None:
+        """An arc and the jump that ended it."""
+        driver = self.driver
+        field = driver.entry.field
+        guard = field.guards[int(records.slot[row])]
+        before, after = records.before[row], records.after[row]
+        self._arc(before, float(records.tau[row]), segments)
+        if guard.kind == "contact":
+            driver.watch.saw(guard.edge)
+        else:
+            driver.watch.reset()
+        driver.add_jump(guard.edge, before, after)
+        driver.arrive(driver.scene.field(guard.to), after, guard)
+
+    def _arc(self, last: np.ndarray, tau: float, segments: list[Segment]) -> None:
+        driver = self.driver
+        if segments:
+            segments[-1] = segments[-1].cut(tau - segments[-1].start)
+        driver.record.arc(driver.entry.field, driver.entry.x, last, tau, segments)
+
+    def _stand(self, lane: Lane, status: int, segments: list[Segment]) -> None:
+        """Where the lane stopped: the end, a jump to judge, or an arc to fly anew."""
+        driver, going = self.driver, lane.going
+        x, tau = np.asarray(going.x), float(going.tau)
+        if status == END:
+            self._arc(x, tau, segments)
+            driver.status = Status.REACHED_END
+        elif status == JUDGE and int(going.stage) == JUMP:
+            guard: Guard = driver.entry.field.guards[int(going.slot)]
+            self._arc(x, tau, segments)
+            driver.watch.tried = float(lane.tried)
+            driver.jump(guard, x)
+        else:
+            driver.renew()
+            driver.flow_arc()
+
+
+__all__ = ["Jump", "Jumped", "Streaks"]
