@@ -14,10 +14,10 @@ import numpy as np
 from .automaton.spec import Spec
 from .compiled.abreast import Abreast, status_of
 from .compiled.ask import REASONS, check_method, check_zeno, code_of, place
-from .compiled.jit import jit
 from .compiled.lanes import Journey, Trip
 from .compiled.turn import Run, Turner
 from .errors import OptionError, StartError
+from .jit import jit
 from .scene.scene import rest_name
 from .solvers.diffrax_backend import Method
 
@@ -60,7 +60,7 @@ def ensemble(
     parameters : dict, optional
         Values by name, as ``start``.
     solver, method
-        ``"diffrax"``, and one of its methods (Tsit5 if omitted).
+        ``"diffrax"``, and one of its methods (Dopri8 if omitted).
     rtol, atol : float
         Tolerances of a step; ``atol`` may be an array, one for each element of the state.
     zeno : "rest", "stop" or "ignore"

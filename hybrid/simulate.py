@@ -51,9 +51,12 @@ def simulate(
         The states at ``t[0]``, by name or in declared order.
     t : (t0, t1)
         First and last time.
-    solver : "scipy" or "taylor"
+    solver : "scipy", "diffrax" or "taylor"
+        Or the name of a solver that is plugged in (``docs/extending.md``).
     method : str, optional
-        A method of the solver; SciPy's are DOP853 (default), RK45, RK23, Radau, BDF, LSODA.
+        A method of the solver. SciPy's are DOP853 (default), RK45, RK23, Radau, BDF, LSODA;
+        Diffrax's Dopri8 (default), Tsit5, Dopri5, Bosh3, Heun, Midpoint, Ralston, and Kvaerno3,
+        Kvaerno4, Kvaerno5 for stiff flows.
     rtol, atol : float
         Tolerances of the solver for each step; ``atol`` may be an array, one for each
         element of the state.

@@ -1,9 +1,12 @@
 """Fixtures: every rule is held on every solver."""
 
 import json
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
+
+from hybrid import solvers
 
 SOLVERS = {
     "DOP853": {"solver": "scipy", "method": "DOP853"},
@@ -16,7 +19,18 @@ SOLVERS = {
     "Tsit5": {"solver": "diffrax", "method": "Tsit5"},
     "Dopri8": {"solver": "diffrax", "method": "Dopri8"},
     "Kvaerno5": {"solver": "diffrax", "method": "Kvaerno5"},
+    "classic": {"solver": "classic"},
 }
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _classic_is_plugged_in():
+    """The solver of docs/extending.md, as if a package had declared it."""
+    found = solvers.entry_points
+    point = EntryPoint("classic", "tests.plugged:Classic", solvers.GROUP)
+    solvers.entry_points = lambda group: [*found(group=group), point]
+    yield
+    solvers.entry_points = found
 
 
 @pytest.fixture(params=SOLVERS)
@@ -25,7 +39,7 @@ def solver(request):
     return SOLVERS[request.param]
 
 
-@pytest.fixture(params=["DOP853", "taylor"])
+@pytest.fixture(params=["DOP853", "taylor", "Dopri8"])
 def accurate(request):
     """Options of the solvers that reach rounding, with tolerances to match."""
     return {**SOLVERS[request.param], "rtol": 1e-12, "atol": 1e-12}

@@ -10,7 +10,15 @@ from models.bouncing_ball import BouncingBall
 from models.hard_spring import HardSpring
 from models.moon_holmes import MoonHolmes
 
+from .conftest import SOLVERS
+
 TOLERANCES = [1e-6, 1e-9, 1e-12]
+
+
+@pytest.fixture(params=["DOP853", "Dopri8"])
+def backend(request):
+    """Options that choose the default method of each backend."""
+    return SOLVERS[request.param]
 
 
 def check(run, t_inf, tolerance):
@@ -25,11 +33,11 @@ def check(run, t_inf, tolerance):
 @pytest.mark.parametrize(
     ("e", "t_inf"), [(0.7, 2.55863396558580846), (0.99, 89.85320455616), (0.999, 902.59575833047)]
 )
-def test_bouncing_ball_in_closed_form(e, t_inf):
+def test_bouncing_ball_in_closed_form(backend, e, t_inf):
     """1e-12 relative from a handful of impacts, however many a brute force would need."""
     exact = np.sqrt(2 / 9.81) * (1 + e) / (1 - e)
     assert exact == pytest.approx(t_inf, rel=1e-12)
-    run = hy.simulate(BouncingBall(r=e), {"x": 1.0, "v": 0.0}, (0, 1000), save="jumps")
+    run = hy.simulate(BouncingBall(r=e), {"x": 1.0, "v": 0.0}, (0, 1000), save="jumps", **backend)
     assert abs(run.zeno[0].t - exact) <= min(1e-12 * exact, run.zeno[0].t_error)
     assert len(run.own_jumps) <= 3
     assert run.final.x == 0.0
@@ -37,11 +45,16 @@ def test_bouncing_ball_in_closed_form(e, t_inf):
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)
 @pytest.mark.parametrize("r", ["0.8", "0.5", "0.99"])
-def test_example_1(reference, r, tolerance):
+def test_example_1(backend, reference, r, tolerance):
     """t_inf, and the first impacts to 1e-10 at 1e-12."""
     case = reference["example_1"][f"r={r},x0=2.1"]
     run = hy.simulate(
-        HardSpring(r=float(r)), {"x": 2.1, "v": 0.0}, (0, 31), rtol=tolerance, atol=tolerance
+        HardSpring(r=float(r)),
+        {"x": 2.1, "v": 0.0},
+        (0, 31),
+        rtol=tolerance,
+        atol=tolerance,
+        **backend,
     )
     check(run, float(case["t_inf"]), tolerance)
     if tolerance <= 1e-12:
@@ -50,11 +63,11 @@ def test_example_1(reference, r, tolerance):
 
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)
-def test_example_2(reference, tolerance):
+def test_example_2(backend, reference, tolerance):
     """A moving table: t_inf, the point on the table, and the first impacts."""
     case = reference["example_2"]
     run = hy.simulate(
-        BeadOnTable(), [1.9, 0.0], (2 * np.pi / 0.29, 40), rtol=tolerance, atol=tolerance
+        BeadOnTable(), [1.9, 0.0], (2 * np.pi / 0.29, 40), rtol=tolerance, atol=tolerance, **backend
     )
     check(run, float(case["t_inf"]), tolerance)
     x_inf = float(case["X(t_inf)"])
@@ -65,12 +78,17 @@ def test_example_2(reference, tolerance):
 
 @pytest.mark.parametrize("tolerance", TOLERANCES)
 @pytest.mark.parametrize(("delta", "gamma"), [(0.0, 0.0), (0.05, 0.05)])
-def test_moon_holmes(reference, delta, gamma, tolerance):
+def test_moon_holmes(backend, reference, delta, gamma, tolerance):
     """With and without forcing."""
     key = "0" if delta == 0 else "0.05"
     case = reference[f"moon_holmes delta={key},gamma={key},w=0.1"]
     run = hy.simulate(
-        MoonHolmes(delta=delta, gamma=gamma), [1.3, 0.0], (0, 30), rtol=tolerance, atol=tolerance
+        MoonHolmes(delta=delta, gamma=gamma),
+        [1.3, 0.0],
+        (0, 30),
+        rtol=tolerance,
+        atol=tolerance,
+        **backend,
     )
     check(run, float(case["t_inf"]), tolerance)
     if tolerance <= 1e-12:
@@ -78,18 +96,27 @@ def test_moon_holmes(reference, delta, gamma, tolerance):
         np.testing.assert_allclose(run.jumps.t[: len(first)], first, rtol=0, atol=1e-10)
 
 
-def test_the_circle_from_three_starts():
+def test_the_circle_from_three_starts(backend):
     """0.191 chatters, slides and leaves; 0.192 makes 9 bounces; 0.15 leaves at a known height."""
-    chatters = hy.simulate(BallOnCircle(), {"q": [0.191, 1.2], "p": [0, 0]}, (0, 6))
+    chatters = hy.simulate(BallOnCircle(), {"q": [0.191, 1.2], "p": [0, 0]}, (0, 6), **backend)
     assert len(chatters.zeno) == 1
     assert chatters.zeno[0].t_release is not None
-    bounces = hy.simulate(BallOnCircle(), {"q": [0.192, 1.2], "p": [0, 0]}, (0, 6))
+    bounces = hy.simulate(BallOnCircle(), {"q": [0.192, 1.2], "p": [0, 0]}, (0, 6), **backend)
     assert (len(bounces.zeno), len(bounces.jumps)) == (0, 9)
-    known = hy.simulate(BallOnCircle(), {"q": [0.15, 1.2], "p": [0, 0]}, (0, 6), rtol=1e-12)
+    known = hy.simulate(
+        BallOnCircle(), {"q": [0.15, 1.2], "p": [0, 0]}, (0, 6), rtol=1e-12, **backend
+    )
     assert known(known.zeno[0].t_release).q[1] == pytest.approx(0.664320513532, abs=1e-11)
 
 
-@pytest.mark.parametrize("options", [{"solver": "taylor"}, {"rtol": 1e-13, "atol": 1e-15}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"solver": "taylor"},
+        {"rtol": 1e-13, "atol": 1e-15},
+        {"rtol": 1e-13, "atol": 1e-15, "solver": "diffrax", "method": "Dopri8"},
+    ],
+)
 def test_the_border_between_chattering_and_bouncing_off(options):
     """0.1913325241911, known to 13 digits: chattering on one side of it, none on the other.
 

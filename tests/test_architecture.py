@@ -12,6 +12,7 @@ PACKAGE = ROOT / "hybrid"
 LAYERS = [
     ["errors", "clock", "segment"],
     ["automaton"],
+    ["jit"],
     ["scene"],
     ["events", "solvers"],
     ["zeno"],

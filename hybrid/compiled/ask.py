@@ -70,7 +70,7 @@ def check_method(solver: str, method: str | None) -> str:
 
     if solver != "diffrax":
         raise OptionError(f"solver={solver!r}: compiled runs need solver='diffrax'")
-    method = method or "Tsit5"
+    method = method or "Dopri8"
     if method not in DEGREES:
         raise OptionError(f"method={method!r}: solver 'diffrax' has {', '.join(DEGREES)}")
     return method

@@ -35,3 +35,11 @@ def when(condition: Any, then: Callable[[], Any], otherwise: Any) -> Any:
 def choose(condition: Any, yes: Any, no: Any) -> Any:
     """One or the other, entry by entry; both have been computed."""
     return jax.tree.map(lambda a, b: a if a is b else jnp.where(condition, a, b), yes, no)
+
+
+def apply(matrix: Any, values: Any) -> Any:
+    """A small constant matrix times a matrix of columns.
+
+    Written out: for so few numbers a call of a library costs more than the product.
+    """
+    return (jnp.asarray(matrix)[:, :, None] * values[None]).sum(axis=1)

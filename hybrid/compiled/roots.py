@@ -15,6 +15,7 @@ import numpy as np
 
 from ..events import _to_bernstein
 from ..segment import nodes
+from .batch import apply
 
 #: Newton steps towards a zero: it is a first guess, the landing does the rest.
 NEWTON = 8
@@ -41,7 +42,7 @@ def deflated(values: Any, order: Any) -> Any:
     power = jnp.where(order == 0, 1.0, jnp.where(order == 1, s, s * s))
     power = jnp.where(order == 3, s * s * s, power)
     rest = values[1:] / power
-    start = jnp.where(order == 0, values[0], jnp.asarray(to_start(degree)) @ rest)
+    start = jnp.where(order == 0, values[0], apply(to_start(degree)[None], rest)[0])
     return jnp.concatenate([start[None], rest])
 
 
@@ -73,8 +74,8 @@ def falling(b: Any) -> tuple[Any, Any]:
     once = (count == 1) & (first > 0)
     at_end = (count == 0) & (first > 0) & (b[:, -1] == 0)
     unclear = count > 1
-    powers = b @ jnp.asarray(to_powers(b.shape[1] - 1))
-    root = jnp.where(once, _newton(powers.T), jnp.where(at_end, 1.0, jnp.inf))
+    powers = apply(to_powers(b.shape[1] - 1).T, b.T)
+    root = jnp.where(once, _newton(powers), jnp.where(at_end, 1.0, jnp.inf))
     return root, unclear
 
 

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from ..jit import jit
 from ..solvers.diffrax_backend import Method
 from .batch import choose, when
-from .jit import jit
 from .system import System
 from .turn import FLOW, JUDGE, JUMP, NEAR, RUNNING, Lane, Run, Step, Turner, flight_bound
 
@@ -90,7 +90,7 @@ class Streak:
         start = going.tau
 
         def goes_on(carry: Any) -> Any:
-            going, step = carry
+            going = carry[0]
             moves = (going.status == RUNNING) & (going.stage < JUMP)
             moves = moves & (going.steps < run.max_steps)
             return moves & (going.tau == start) if self.dense else moves
@@ -136,9 +136,7 @@ class Streak:
         again = again & (done.speed <= watch.share * after.tried)
         plain = (clear | own).all() & ~(impact & (~high | again))
         plain = plain & (after.going.status == RUNNING)
-        entered = after._replace(
-            orders=jnp.where(own, 1, 0), limit=flight_bound(lies, own)
-        ).but(
+        entered = after._replace(orders=jnp.where(own, 1, 0), limit=flight_bound(lies, own)).but(
             ends=lies[0],
             largest=jnp.abs(lies[0]),
             stage=jnp.full_like(after.going.stage, FLOW),

@@ -18,7 +18,7 @@ from jax.lax import stop_gradient
 from ..events import EPS, RESOLVED, SAMPLED
 from ..segment import from_values, nodes
 from ..solvers.diffrax_backend import SHORTEST, Method
-from .batch import choose, when
+from .batch import apply, choose, when
 from .roots import bernstein, deflated, falling, to_powers
 from .system import Jumped, System
 
@@ -34,6 +34,9 @@ NEAR = 1e-6
 
 #: Pieces of a run in which a guard that is no polynomial is sampled at least.
 SHARES = 100
+
+#: Growth, from step to step, of the bound that lets the guards be seen.
+WIDER = 1.3
 
 #: A first step after an impact, against the predicted flight.
 AHEAD = 1.1
@@ -55,8 +58,9 @@ class Going(NamedTuple):
     ----------
     tau, x
         Local time in the arc, and the state there.
-    h, reach
-        The step the controller wants; the length of a landing.
+    h, reach, cap
+        The step the controller wants; the length of a landing; a bound on the step, so that
+        the guards can be seen.
     memory
         The solver's.
     ends, largest : array, shape (slots,)
@@ -71,6 +75,7 @@ class Going(NamedTuple):
     x: Any
     h: Any
     reach: Any
+    cap: Any
     memory: Any
     ends: Any
     largest: Any
@@ -205,6 +210,7 @@ class Turner:
             x=x,
             h=zero,
             reach=zero,
+            cap=jnp.array(jnp.inf),
             memory=self.method.memory(x),
             ends=none,
             largest=none,
@@ -240,7 +246,8 @@ class Turner:
         going, held = lane.going, None if free else lane.held
         landing, first = going.stage == LAND, going.tau == 0
         left = lane.left(run.t1)
-        wanted = jnp.minimum(going.h, jnp.where(first, lane.limit, jnp.inf))
+        wanted = jnp.minimum(going.h, going.cap)
+        wanted = jnp.minimum(wanted, jnp.where(first, lane.limit, jnp.inf))
         if not self.system.smooth:
             wanted = jnp.minimum(wanted, (run.t1 - run.t0) / SHARES)
         h = stop_gradient(jnp.where(landing, going.reach, jnp.minimum(wanted, left)))
@@ -276,7 +283,8 @@ class Turner:
         status = jnp.where(failed, NOT_FINITE, jnp.where(event.unsure, JUDGE, going.status))
         moved = self._settled(run, lane, held, moved)
         result = choose(stays, going, moved)._replace(
-            h=jnp.where(event.halve, 0.5 * h, jnp.where(event.fires, going.h, new)),
+            h=jnp.where(event.fires | event.halve, going.h, new),
+            cap=jnp.where(event.halve, 0.5 * h, jnp.where(stays, going.cap, WIDER * going.cap)),
             reach=jnp.where(event.fires, event.share * h, going.reach),
             slot=jnp.where(event.fires, event.slot, going.slot),
             stage=jnp.where(event.fires, jnp.where(event.share <= 1e-13, JUMP, LAND), going.stage),
@@ -302,7 +310,7 @@ class Turner:
         """Guards at the nodes of a step; shape ``(degree + 1, slots)``."""
         values = stop_gradient(values)
         if self.degree != self.method.degree:
-            values = jnp.asarray(self.spread) @ values
+            values = apply(self.spread, values)
         times = lane.now + h * jnp.asarray(nodes(self.degree))
 
         def at(t: Any, x: Any) -> Any:
@@ -320,7 +328,7 @@ class Turner:
         """
         orders = jnp.where(lane.going.tau > 0, 0, lane.orders)
         values = deflated(samples, orders)
-        b = (jnp.asarray(self.to_bernstein) @ values).T
+        b = apply(self.to_bernstein, values).T
         b = jnp.concatenate([values[:1].T, b[:, 1:-1], values[-1:].T], axis=1)
         return b * self._towards(lane, values)[:, None]
 
@@ -352,7 +360,7 @@ class Turner:
 
     def _unresolved(self, samples: Any, run: Run, h: Any, tolerance: Any) -> Any:
         """Whether a guard that is no polynomial is not yet one on this step."""
-        series = jnp.abs(jnp.asarray(from_values(self.degree)) @ samples)
+        series = jnp.abs(apply(from_values(self.degree), samples))
         allowed = RESOLVED * series.max(axis=0) + 1e-3 * tolerance
         shortest = (run.t1 - run.t0) / (SHARES * 4096)
         return (series[-3:].max(axis=0) > allowed).any() & (h > shortest)
@@ -532,7 +540,7 @@ def _shallow(b: Any, order: Any, s: Any, tolerance: Any) -> Any:
     """Whether zeros of polynomials ``s^order b(s)`` go no deeper than a tolerance (1)."""
     found = jnp.isfinite(s)
     at = jnp.where(found, s, 0.5)
-    powers = (b @ jnp.asarray(to_powers(b.shape[1] - 1))).T
+    powers = apply(to_powers(b.shape[1] - 1).T, b.T)
     first, second = _slopes(powers, at)
     power = jnp.where(order == 0, 1.0, jnp.where(order == 1, at, at * at))  # third order: bound
     second = 2 * order * first * power / at + power * second

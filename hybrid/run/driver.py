@@ -20,7 +20,7 @@ from ..zeno.flight import fly
 from . import truncate
 from .arc import SHARES, ArcFlow
 from .entry import Entry, Jumped, describe, enter
-from .plan import Plan
+from .plan import PATIENCE, Plan
 from .recorder import Recorder
 
 #: Gap and gap speed, relative to the state, below which a held contact stays closed.
@@ -28,9 +28,6 @@ CLOSED = 1e-12
 
 #: Height, relative to the state, below which a flight is flown by its series.
 LOW = 1e-6
-
-#: Impacts are summed anew only after their speed has fallen to this share.
-PATIENCE = 0.6
 
 
 class Watch:
@@ -219,7 +216,7 @@ class Driver:
 
     def add_jump(self, edge: str, before: np.ndarray, after: np.ndarray) -> None:
         """Record a jump; the run ends at ``max_jumps``."""
-        self.record.jump(edge, before, after, self.where(before))
+        self.record.jump(edge, before, after, self.where)
         if len(self.record.own_jumps) >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
 

@@ -8,6 +8,9 @@ from typing import Any
 import attrs
 import numpy as np
 
+#: Impacts are summed anew only after their speed has fallen to this share.
+PATIENCE = 0.6
+
 
 @attrs.frozen
 class Plan:

@@ -69,8 +69,10 @@ class Recorder:
         assert isinstance(arc, Arc)
         self.parts[-1] = attrs.evolve(arc, last=x, segments=arc._segments)
 
-    def jump(self, edge: str, before: np.ndarray, after: np.ndarray, where: str) -> None:
-        """Add a jump from the last arc.
+    def jump(
+        self, edge: str, before: np.ndarray, after: np.ndarray, where: Callable[..., str]
+    ) -> None:
+        """Add a jump from the last arc; ``where(state)`` says where, for messages.
 
         Raises
         ------
@@ -85,7 +87,7 @@ class Recorder:
         if len(self._recent) == LOOP and spent <= 4 * LOOP * np.spacing(abs(now.t)):
             cycle = " -> ".join(dict.fromkeys(name for _, name in self._recent))
             raise JumpLoopError(
-                f"{where}: {LOOP} jumps with no time to speak of between them: {cycle}; "
+                f"{where(before)}: {LOOP} jumps with no time to speak of between them: {cycle}; "
                 "a reset must leave its guard, a contact needs rests=True; accumulations of "
                 "edges other than one contact are not summed"
             )

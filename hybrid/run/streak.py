@@ -15,9 +15,9 @@ from ..compiled.turn import AHEAD, END, JUDGE, JUMP, RUNNING, Lane, Run
 from ..scene import Guard
 from ..segment import Segment, from_values
 from ..solvers.base import Solver
-from ..trajectory import Jump, Status
+from ..trajectory import Status
 from .arc import ArcFlow
-from .entry import Jumped
+from .plan import PATIENCE
 
 if TYPE_CHECKING:
     from .driver import Driver
@@ -56,7 +56,8 @@ class Streaks:
         with wide():
             lane = self._begin()
         run, watch = self._asked()
-        driver, segments = self.driver, []
+        driver = self.driver
+        segments: list[Segment] = []
         while driver.status is None:
             lane, records = self.streak.chunk(run, watch, lane)
             records = jax.tree.map(np.asarray, records)
@@ -75,8 +76,6 @@ class Streaks:
         atol = np.broadcast_to(plan.atol, driver.entry.x.shape).astype(float)
         bounds = np.int64(2**62), np.int64(2**62)
         run = Run(driver.scene.parameters, plan.t0, plan.t1, self._rtol(), atol, *bounds)
-        from .driver import PATIENCE
-
         return run, Watch(plan.patience, PATIENCE)
 
     def _rtol(self) -> float:
@@ -114,9 +113,7 @@ class Streaks:
 
     def _keep(self, records: Any, segments: list[Segment]) -> list[Segment]:
         """Add the arcs and jumps of a chunk; returns the segments of the arc still going."""
-        coefficients = None
-        if self.dense:
-            coefficients = np.einsum("ij,kjn->kin", from_values(self.degree), records.values)
+        coefficients = np.einsum("ij,kjn->kin", from_values(self.degree), records.values)
         for row in range(len(records.step)):
             if self.driver.status is not None:
                 break
@@ -163,6 +160,3 @@ class Streaks:
         else:
             driver.renew()
             driver.flow_arc()
-
-
-__all__ = ["Jump", "Jumped", "Streaks"]

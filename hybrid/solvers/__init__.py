@@ -4,21 +4,29 @@
     SciPy's methods. DOP853 is the default: eighth order, and an impact's landing is a step
     of the method itself. Radau for stiff flows. BDF and LSODA restart at order one after
     each jump.
+``diffrax``
+    Diffrax's methods, compiled: plain arcs, with their events and jumps, run as one program.
+    Dopri8 is the default; Kvaerno5 for stiff flows.
 ``taylor``
     Taylor series of order 16 made from the trace: accurate to rounding whatever the
     tolerance, for flows that are not stiff. It is also what a run's error bounds are
     measured with.
 
-A solver only flows (:mod:`.base`); to add one, write those two classes and name it here.
+A solver only flows (:mod:`.base`). A package of its own adds one by an entry point of the
+group ``hybrid.solvers`` (``docs/extending.md``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.metadata import entry_points
 from typing import Any
 
 from ..errors import OptionError
 from .base import Solver, Stepper
+
+#: Entry points of this group are callables ``(method, rtol, atol) -> Solver``.
+GROUP = "hybrid.solvers"
 
 
 def _scipy(method: str | None, rtol: float, atol: Any) -> Solver:
@@ -54,9 +62,18 @@ def choose(solver: str, method: str | None, rtol: float, atol: Any) -> Solver:
     OptionError
         If there is none, or it has no such method.
     """
-    if solver not in SOLVERS:
-        raise OptionError(f"solver={solver!r}: there are {', '.join(SOLVERS)}")
-    return SOLVERS[solver](method, rtol, atol)
+    if solver in SOLVERS:
+        return SOLVERS[solver](method, rtol, atol)
+    plugged = {point.name: point for point in entry_points(group=GROUP)}
+    if solver not in plugged:
+        raise OptionError(f"solver={solver!r}: there are {', '.join([*SOLVERS, *plugged])}")
+    made = plugged[solver].load()(method, rtol, atol)
+    if not isinstance(made, Solver):
+        raise OptionError(
+            f"solver={solver!r}: its entry point {plugged[solver].value} made {made!r}, "
+            "which is no hybrid.solvers.Solver"
+        )
+    return made
 
 
 __all__ = ["SOLVERS", "Solver", "Stepper", "choose"]

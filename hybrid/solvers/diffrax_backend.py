@@ -20,6 +20,7 @@ import numpy as np
 
 from ..automaton.trace import again, wide
 from ..errors import FlowError, OptionError
+from ..jit import jit
 from ..scene import Field
 from ..segment import Segment, from_values, nodes
 from .base import Solver, Stepper
@@ -117,12 +118,12 @@ def _unused_term() -> Any:
 
 
 class DiffraxSolver(Solver):
-    """One of Diffrax's methods: Tsit5 (default), Dopri8, Dopri5, Bosh3, Kvaerno5, ..."""
+    """One of Diffrax's methods: Dopri8 (default), Tsit5, Dopri5, Bosh3, Kvaerno5, ..."""
 
     name = "diffrax"
 
     def __init__(self, method: str | None, rtol: float, atol: Any) -> None:
-        method = method or "Tsit5"
+        method = method or "Dopri8"
         if method not in DEGREES:
             raise OptionError(f"method={method!r}: solver 'diffrax' has {', '.join(DEGREES)}")
         self.method, self.compiled = method, Method(method)
@@ -174,14 +175,13 @@ class DiffraxStepper(Stepper):
 
     def _towards(self, limit: float, force: bool) -> None:
         span, start = limit - self.tau, self.tau
-        with wide():
-            if self.memory is None:
+        if self.memory is None:
+            with wide():
                 self.memory = self.method.memory(jnp.asarray(self.x))
-            result = self._call(
-                *self.fixed, start, self.h, span, self.x, self.memory, *self.tolerances, force
-            )
-            x, h, self.h, values, self.memory = result
-            self.x, h, self.h = np.asarray(x), float(h), float(self.h)
+        x, h, new, values, self.memory = self._call(
+            *self.fixed, start, self.h, span, self.x, self.memory, *self.tolerances, force
+        )
+        self.x, h, self.h = np.asarray(x), float(h), float(new)
         self.tau = limit if h >= span else start + h
         self._last = (start, np.asarray(values))
         if not isfinite(self.x.sum()) or not self.tau > start:
@@ -228,4 +228,4 @@ def _compiled(method: Method, field: Field) -> Any:
         taken = jnp.where(kept | force, taken, 0.0)
         return end, taken, new, values, after
 
-    return jax.jit(step)
+    return jit(step)

@@ -1,0 +1,59 @@
+"""``jax.jit`` with the compiler's settings that suit these programs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+from .automaton.trace import wide
+
+#: XLA's newer emitters take twice as long to compile these programs, which then run no faster.
+WANTED = {"xla_cpu_use_fusion_emitters": False}
+
+
+def jit(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function compiled in 64 bits when first called.
+
+    Its arguments are trees of numbers and arrays. Which numbers, and whether they come as
+    Python's, numpy's or JAX's, does not matter: it is compiled once for each set of shapes.
+    """
+    import jax
+
+    def strongly_typed(*arguments: Any) -> Any:
+        return jax.tree.map(_strong, function(*arguments))
+
+    compiled = jax.jit(strongly_typed, compiler_options=_options())
+
+    def call(*arguments: Any) -> Any:
+        with wide():
+            return compiled(*jax.tree.map(_array, arguments))
+
+    return call
+
+
+def _strong(value: Any) -> Any:
+    import jax
+
+    return jax.lax.convert_element_type(value, value.dtype)
+
+
+def _array(value: Any) -> Any:
+    """An array whose type does not depend on where the number came from."""
+    import numpy as np
+
+    if hasattr(value, "weak_type"):
+        return value.astype(value.dtype) if value.weak_type else value
+    return np.asarray(value)
+
+
+@cache
+def _options() -> dict[str, Any] | None:
+    """The settings, if this version of XLA knows them."""
+    import jax
+
+    try:
+        jax.jit(lambda x: x + 1.0, compiler_options=WANTED)(0.0)
+    except Exception:  # an unknown option is an error of the backend's own type
+        return None
+    return WANTED
