@@ -1,6 +1,6 @@
-"""The command line: ``hybrid run``, ``hybrid list``, ``hybrid check``.
+"""The command line: ``hybrid run``, ``list``, ``check``, ``compare``.
 
-Exit codes: 0 done; 2 something asked for cannot be done (one line says what); 130
+Exit codes: 0 done; 1 solvers differ by more than the tolerance explains; 2 something asked for cannot be done (one line says what); 130
 interrupted, with what was computed until then reported.
 """
 
@@ -56,7 +56,7 @@ def run(
     ] = None,
     since: Annotated[float | None, typer.Option("--from", help="First time.")] = None,
     until: Annotated[float | None, typer.Option("--until", help="Last time.")] = None,
-    solver: Annotated[str, typer.Option(help="scipy or taylor.")] = "scipy",
+    solver: Annotated[str, typer.Option(help="scipy, diffrax or taylor.")] = "scipy",
     method: Annotated[
         str | None, typer.Option(help="A method of the solver: DOP853, RK45 ...")
     ] = None,
@@ -108,6 +108,55 @@ def run(
             typer.echo(f"trajectory: {save}")
     if result.status is Status.INTERRUPTED:
         raise typer.Exit(130)
+
+
+@app.command()
+def compare(
+    model: Annotated[str, typer.Argument(help="A name in the gallery, FILE.py, or FILE.py:Class.")],
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", help="A parameter: r=0.8. May be repeated.")
+    ] = None,
+    start: Annotated[
+        list[str] | None, typer.Option("--start", help="A state at the start: x=1.9.")
+    ] = None,
+    since: Annotated[float | None, typer.Option("--from", help="First time.")] = None,
+    until: Annotated[float | None, typer.Option("--until", help="Last time.")] = None,
+    rtol: Annotated[float, typer.Option(help="Relative tolerance.")] = 1e-9,
+    atol: Annotated[float, typer.Option(help="Absolute tolerance.")] = 1e-11,
+) -> None:
+    """Run a model with all solvers side by side: what differs, and what explains it."""
+    from .compare import compare as run_all
+
+    with _one_line():
+        entry = gallery.find(model)
+        made = entry.cls(**_pairs(set_ or [], "--set"))
+        first = _start(entry, _pairs(start or [], "--start"))
+        found = run_all(made, first, _span(entry, since, until), rtol=rtol, atol=atol)
+    _table(found)
+    if not found.explained:
+        raise typer.Exit(1)
+
+
+def _table(found: Any) -> None:
+    """Each quantity's largest difference from the reference, and what is explained."""
+    from .compare import CLOSE, SAME, STEPS
+
+    for label, run in found.runs.items():
+        if isinstance(run, HybridError):
+            typer.echo(f"{label:18} failed: {run}")
+        else:
+            typer.echo(f"{label:18} {len(run.own_jumps)} jumps computed, {len(run.zeno)} summed")
+    typer.echo(f"largest differences from {found.reference}:")
+    for quantity in SAME:
+        worst = found.worst(quantity)
+        typer.echo(f"{quantity:10} {'the same' if worst.explained else 'NOT the same'}")
+    for quantity in CLOSE:
+        worst, growth = found.worst(quantity), found.growth[quantity]
+        verdict = "explained by" if worst.explained else "NOT explained by"
+        typer.echo(
+            f"{quantity:10} {worst.size:9.1e}  {worst.method:16} {verdict} {worst.allowed:.1e} "
+            f"= {STEPS} steps of rtol {found.rtol:g}, grown {growth:.3g}"
+        )
 
 
 @app.command("list")

@@ -20,7 +20,7 @@ LAYERS = [
     ["accumulation", "arcs", "trajectory"],
     ["run", "store", "plotting"],
     ["simulate", "ensemble", "function"],
-    ["gallery"],
+    ["compare", "gallery"],
     ["cli", "__main__", "__init__"],
 ]
 
