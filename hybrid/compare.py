@@ -119,9 +119,7 @@ def compare(
     """
     chosen = dict(METHODS if methods is None else methods)
     options = {"rtol": rtol, "atol": atol, **options}
-    runs = {
-        label: _run(model, start, t, {**options, **choice}) for label, choice in chosen.items()
-    }
+    runs = {label: _run(model, start, t, {**options, **choice}) for label, choice in chosen.items()}
     reference, first = next(iter(runs.items()))
     if isinstance(first, HybridError):
         raise first

@@ -28,7 +28,9 @@ def test_what_the_tolerance_does_not_explain_is_seen():
     )
     assert not found.explained
     assert all(d.size > 0 for d in found.differences if d.quantity in CLOSE[:2])
-    assert compare(entry.cls(), entry.start, entry.until, methods={"a": exact, "b": exact}).explained
+    assert compare(
+        entry.cls(), entry.start, entry.until, methods={"a": exact, "b": exact}
+    ).explained
 
 
 def test_a_method_that_fails_is_named():

@@ -46,11 +46,15 @@ def place(code: Lowered, mode: str | None) -> tuple[System, int, np.ndarray]:
     name = code.spec.initial if mode is None else mode
     base, _, rest = name.partition(".rest(")
     held = rest.removesuffix(")").split(", ") if rest else []
-    slots = [edge.name for edge in system.edges.get(base, ())]
-    able = [n for n, ok in zip(slots, system.table_row("rests", base), strict=False) if ok]
-    if base not in system.modes or any(contact not in able for contact in held):
-        known = [*system.modes, *(f"{base}.rest({contact})" for contact in able)]
-        raise OptionError(f"{code.spec.model}: mode={mode!r}; there are {', '.join(known)}")
+    able = {
+        m: [edge.name for edge, rests in zip(edges, row, strict=False) if rests]
+        for (m, edges), row in zip(system.edges.items(), system.rests, strict=True)
+    }
+    if base not in able or any(contact not in able[base] for contact in held):
+        rests = [f"{m}.rest({contact})" for m, contacts in able.items() for contact in contacts]
+        known = ", ".join([*system.modes, *rests])
+        raise OptionError(f"{code.spec.model}: mode={mode!r}; there are {known}")
+    slots = [edge.name for edge in system.edges[base]]
     mask = np.array([name in held for name in slots] + [False] * (system.width - len(slots)))
     return system, system.modes.index(base), mask
 

@@ -95,11 +95,6 @@ class System:
         guards = [guard_shape(self.code, self.code.guard_closed(e)) for e in self.spec.transitions]
         return all(affine for affine, _ in guards) and not self.rests.any()
 
-    def table_row(self, name: str, mode: str) -> np.ndarray:
-        """A mode's row of a table, empty for a mode that is not there."""
-        table: np.ndarray = getattr(self, name)
-        return table[self.modes.index(mode)] if mode in self.modes else table[0, :0]
-
     def pick(self, table: np.ndarray, mode: Any, slot: Any = None) -> Any:
         """A mode's row of a table, or one slot's entry; not looked up where all are equal."""
         if (table == table.flat[0]).all():

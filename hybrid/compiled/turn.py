@@ -194,7 +194,8 @@ class Turner:
     """
 
     def __init__(self, system: System, method: Method, judged: bool, sums: bool) -> None:
-        self.system, self.method, self.judged, self.sums = system, method, judged, sums
+        self.system, self.method, self.judged = system, method, judged
+        self.sums = sums and bool(system.is_contact.any())
         self.watches = bool(system.spec.transitions)
         self.degree = method.degree if system.smooth else SAMPLED
         self.to_bernstein = bernstein(self.degree)

@@ -1,0 +1,178 @@
+"""Ensembles: each lane is what a run of its own would be."""
+
+import numpy as np
+import pytest
+
+import hybrid as hy
+from hybrid.jit import jit
+from models.ball_on_circle import BallOnCircle
+from models.bead_on_table import BeadOnTable
+from models.bouncing_ball import BouncingBall
+from models.hard_spring import HardSpring
+
+from . import systems
+
+TIGHT = {"rtol": 1e-11, "atol": 1e-12}
+
+
+def alone(model, start, t, **options):
+    """A run of one lane by the solver that is accurate to rounding."""
+    return hy.simulate(model, start, t, solver="taylor", **options)
+
+
+def test_lanes_reach_the_closed_form():
+    """Balls of all restitutions: t_inf to 1e-12, and at rest on the floor afterwards."""
+    r = np.linspace(0.3, 0.95, 300)
+    exact = np.sqrt(2 / 9.81) * (1 + r) / (1 - r)
+    lanes = hy.ensemble(BouncingBall(), {"x": 1.0, "v": 0.0}, (0, 30), {"r": r}, **TIGHT)
+    np.testing.assert_allclose(lanes.t_inf, exact, rtol=1e-12)
+    assert np.all(lanes.x == 0.0)
+    assert set(lanes["mode"].values) == {"flight.rest(impact)"}
+    assert set(lanes.verdict.values) == {"estimated"}
+
+
+def test_lanes_are_runs_of_their_own():
+    """A hard spring with starts and restitutions drawn at random: against single runs."""
+    rng = np.random.default_rng(3)
+    x, r = rng.uniform(2.05, 2.45, 40), rng.uniform(0.5, 0.95, 40)
+    lanes = hy.ensemble(HardSpring(), {"x": x, "v": 0.0}, (0, 1.0), {"r": r}, **TIGHT)
+    for i in range(0, 40, 5):
+        run = alone(HardSpring(r=r[i]), {"x": x[i], "v": 0.0}, (0, 1.0))
+        assert lanes["mode"].values[i] == run.mode
+        assert float(lanes.x[i]) == pytest.approx(run.final.x, abs=1e-9)
+        assert np.isnan(lanes.t_inf[i]) == (not run.zeno)
+        if run.zeno:
+            assert float(lanes.t_inf[i]) == pytest.approx(run.zeno[0].t, abs=1e-10)
+
+
+def test_lanes_of_mixed_fate():
+    """Tables of different frequency: rest, release, another series; each lane its own."""
+    omega = np.array([0.5, 3.5, 4.0, 4.5, 6.0])
+    model, start = BeadOnTable(r=0.3), {"x": 1.5, "v": 0.0}
+    lanes = hy.ensemble(model, start, (0, 6.8), {"omega": omega}, **TIGHT)
+    for i, w in enumerate(omega):
+        run = alone(BeadOnTable(r=0.3, omega=w), start, (0, 6.8))
+        assert (lanes["mode"].values[i], int(lanes.accumulations[i])) == (run.mode, len(run.zeno))
+        assert float(lanes.x[i]) == pytest.approx(run.final.x, abs=1e-7)
+
+
+def test_arrays_as_states():
+    """Balls on a circle: some chatter, slide and leave, some bounce off."""
+    q = np.stack([np.linspace(0.05, 0.4, 12), np.full(12, 1.2)], axis=1)
+    lanes = hy.ensemble(BallOnCircle(), {"q": q, "p": [0.0, 0.0]}, (0, 4), **TIGHT)
+    for i in range(12):
+        run = alone(BallOnCircle(), {"q": q[i], "p": [0, 0]}, (0, 4))
+        np.testing.assert_allclose(lanes.q[i], run.final.q, atol=1e-7)
+        assert int(lanes.accumulations[i]) == len(run.zeno)
+
+
+def test_modes_and_edges():
+    """Thermostats from many starts: the exponentials give every temperature."""
+    T = np.linspace(18.5, 21.5, 7)
+    lanes = hy.ensemble(systems.Thermostat(), {"T": T}, (0, 2.0), **TIGHT)
+    for i, start in enumerate(T):
+        run = alone(systems.Thermostat(), {"T": start}, (0, 2.0))
+        assert lanes["mode"].values[i] == run.mode
+        assert float(lanes["T"][i]) == pytest.approx(run.final.T, abs=1e-9)
+        assert int(lanes.jumps[i]) == len(run.jumps)
+
+
+def test_two_contacts_of_one_mode():
+    """Into the corner; both contacts fire at t = 1."""
+    lanes = hy.ensemble(systems.Corner(), [1.0, 1.0, -1.0, -1.0], (0, 2))
+    assert (float(lanes.u[0]), float(lanes.w[0]), int(lanes.jumps[0])) == (0.5, 0.5, 2)
+
+
+def test_a_long_lane_does_not_hold_up_the_others():
+    """More lanes than places; one makes three hundred impacts; results are in order."""
+    r = np.full(600, 0.5)
+    r[7] = 0.99
+    lanes = hy.ensemble(
+        BouncingBall(), {"x": 1.0, "v": 0.0}, (0, 100), {"r": r}, zeno="ignore", max_jumps=300
+    )
+    ended = lanes.status.values == "max_jumps"
+    assert ended[7]
+    first = np.sqrt(2 / 9.81)
+    flight = 2 * 0.99 * np.sqrt(2 * 9.81) / 9.81
+    assert float(lanes.t[7]) == pytest.approx(
+        first + flight * (1 - 0.99**299) / (1 - 0.99), abs=1e-6
+    )
+    assert np.unique(lanes.x.values[np.arange(600) != 7]).size == 1
+
+
+def test_a_failed_lane_is_a_row_with_its_reason():
+    """Outside the domain; too many steps; the others go on."""
+    x = np.array([1.0, -1.0, 1.0])
+    lanes = hy.ensemble(BouncingBall(), {"x": x, "v": 0.0}, (0, 3))
+    assert lanes.status.values.tolist() == ["reached_end", "outside", "reached_end"]
+    short = hy.ensemble(BouncingBall(), {"x": x, "v": 0.0}, (0, 3), max_steps=4)
+    assert short.status.values.tolist() == ["max_steps", "outside", "max_steps"]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"parameters": {"e": [0.5]}}, "'e' is none of BouncingBall's: g, r"),
+        ({"parameters": {"r": [0.5, 1.5]}}, r"BouncingBall.r = .*1.5.*\[0, 1\]"),
+        ({"parameters": {"r": [0.5, 0.6], "g": [9.0, 9.1, 9.2]}}, "lanes differ in number"),
+        ({"zeno": "raise"}, "'rest', 'stop' and 'ignore'"),
+        ({"solver": "scipy"}, "need solver='diffrax'"),
+        ({"method": "Euler"}, "solver 'diffrax' has"),
+        ({"mode": "air"}, r"mode='air'; there are flight, flight.rest\(impact\)"),
+        ({"start": {"x": 1.0}}, "no value for v"),
+        ({"start": {"x": [[1.0]], "v": 0.0}}, r"x_start has shape \(1, 1\)"),
+        ({"max_jumps": 0}, "greater than 0"),
+    ],
+)
+def test_what_cannot_be_asked(given, message):
+    """Each error names what was given and what would do."""
+    asked = {"start": {"x": 1.0, "v": 0.0}, "t": (0, 3), **given}
+    with pytest.raises(hy.HybridError, match=message):
+        hy.ensemble(BouncingBall(), **asked)
+
+
+def test_numbers_do_not_compile_anew():
+    """Other parameters, starts, times, tolerances: the same program."""
+    import jax
+
+    lanes = np.linspace(0.5, 0.6, 64)
+    hy.ensemble(BouncingBall(), {"x": 1.0, "v": 0.0}, (0, 3), {"r": lanes})
+    with jax.log_compiles(True), _no_compilation():
+        hy.ensemble(BouncingBall(g=2.0), {"x": 2.0, "v": 0.1}, (1, 4), {"r": lanes}, rtol=1e-6)
+
+
+class _no_compilation:
+    """Fails if JAX compiles inside."""
+
+    def __enter__(self):
+        import logging
+
+        self.seen = []
+        self.handler = logging.Handler()
+        self.handler.emit = lambda record: self.seen.append(record.getMessage())
+        logging.getLogger("jax").addHandler(self.handler)
+
+    def __exit__(self, *_):
+        import logging
+
+        logging.getLogger("jax").removeHandler(self.handler)
+        compiled = [line for line in self.seen if line.startswith("Compiling")]
+        assert not compiled, compiled
+
+
+def test_simulate_does_not_compile_anew_either():
+    """A second model of the class, another start, other times and tolerances."""
+    import jax
+
+    options = {"solver": "diffrax", "method": "Tsit5"}
+    hy.simulate(HardSpring(r=0.8), {"x": 2.1, "v": 0.0}, (0, 2), **options)
+    with jax.log_compiles(True), _no_compilation():
+        hy.simulate(HardSpring(r=0.7), [2.2, 0.1], (1.0, 4.0), rtol=1e-7, atol=1e-9, **options)
+
+
+def test_the_compile_watch_sees_compilation():
+    """The test above can fail."""
+    import jax
+
+    with pytest.raises(AssertionError), jax.log_compiles(True), _no_compilation():
+        jit(lambda x: x * 3.25)(1.0)
