@@ -1,7 +1,8 @@
 """The command line: ``hybrid run``, ``list``, ``check``, ``compare``.
 
-Exit codes: 0 done; 1 solvers differ by more than the tolerance explains; 2 something asked for cannot be done (one line says what); 130
-interrupted, with what was computed until then reported.
+Exit codes: 0 done; 1 solvers differ by more than the tolerance explains; 2 something asked
+for cannot be done (one line says what); 130 interrupted, with what was computed until then
+reported.
 """
 
 from __future__ import annotations

@@ -3,10 +3,11 @@
 import re
 from pathlib import Path
 
+import jax
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PAGES = ["README.md", "docs/getting_started.md"]
+PAGES = ["README.md", "docs/getting_started.md", "docs/choosing.md"]
 
 
 def blocks(page, language):
@@ -18,8 +19,12 @@ def blocks(page, language):
 def test_code_blocks_run(page, capsys):
     """Each block sees the names of those before it."""
     scope = {"__name__": "page"}
-    for block in blocks(page, "python"):
-        exec(compile(block, page, "exec"), scope)
+    wide = jax.config.jax_enable_x64
+    try:
+        for block in blocks(page, "python"):
+            exec(compile(block, page, "exec"), scope)
+    finally:
+        jax.config.update("jax_enable_x64", wide)
     assert scope["run"].status.name == "REACHED_END"
 
 
