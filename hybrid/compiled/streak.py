@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..jit import jit
 from ..solvers.diffrax_backend import Method
@@ -68,11 +69,11 @@ class Streak:
         self.turner = Turner(system, method, judged=True, sums=True)
         self.chunk = jit(self._chunk)
 
-    def begin(self, x: Any, start: dict[str, Any], going: dict[str, Any]) -> Lane:
+    def begin(self, x: np.ndarray, start: dict[str, Any], going: dict[str, Any]) -> Lane:
         """A lane at the start of an arc; what is given replaces the entries at a run's start."""
         run = Run((), 0.0, 1.0, 0.0, 0.0, 0, 0)
-        lane = self.turner.begin(run, 0, jnp.zeros(self.system.width, dtype=bool), x)
-        return lane._replace(**start).but(stage=jnp.array(FLOW), **going)
+        lane = self.turner.begin(run, 0, np.zeros(self.system.width, dtype=bool), x, np)
+        return lane._replace(**start).but(stage=np.asarray(FLOW), **going)
 
     def _chunk(self, run: Run, watch: Watch, lane: Lane) -> tuple[Lane, Record]:
         until = run._replace(max_steps=lane.going.steps + ATTEMPTS)

@@ -202,21 +202,24 @@ class Turner:
         spread = np.linalg.inv(from_values(self.degree))[:, : method.degree + 1]
         self.spread = spread @ from_values(method.degree)
 
-    def begin(self, run: Run, mode: Any, held: Any, x: Any) -> Lane:
-        """A lane at the start of a run, still to be entered."""
-        zero, width = jnp.asarray(run.t0) * 0.0, self.system.width
-        none, whole = jnp.zeros(width), jnp.array(0)
+    def begin(self, run: Run, mode: Any, held: Any, x: Any, xp: Any = jnp) -> Lane:
+        """A lane at the start of a run, still to be entered.
+
+        ``xp`` is the array namespace: numpy's makes a lane without compiling anything.
+        """
+        zero, width = xp.asarray(run.t0) * 0.0, self.system.width
+        none, whole = xp.zeros(width), xp.asarray(0)
         going = Going(
             tau=zero,
             x=x,
             h=zero,
             reach=zero,
-            cap=jnp.array(jnp.inf),
-            memory=self.method.memory(x),
+            cap=xp.asarray(xp.inf),
+            memory=self.method.memory(x, xp),
             ends=none,
             largest=none,
-            slot=jnp.array(-1),
-            stage=jnp.array(ENTER),
+            slot=xp.asarray(-1),
+            stage=xp.asarray(ENTER),
             tries=whole,
             steps=whole,
             status=whole,
@@ -224,15 +227,15 @@ class Turner:
         return Lane(
             t=run.t0 + zero,
             low=zero,
-            mode=jnp.asarray(mode),
+            mode=xp.asarray(mode),
             held=held,
-            orders=jnp.zeros(width, dtype=int),
-            limit=jnp.array(jnp.inf),
+            orders=xp.zeros(width, dtype=int),
+            limit=xp.asarray(xp.inf),
             jumps=whole,
             stuck=whole,
-            series=jnp.array(-1),
+            series=xp.asarray(-1),
             count=whole,
-            tried=jnp.array(jnp.inf),
+            tried=xp.asarray(xp.inf),
             speed=zero,
             going=going,
         )

@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from ..automaton.trace import wide
 from ..compiled.streak import Streak, Watch
 from ..compiled.system import system_of
 from ..compiled.turn import AHEAD, END, JUDGE, JUMP, RUNNING, Lane, Run
@@ -53,8 +51,7 @@ class Streaks:
 
     def fly(self) -> None:
         """Go on until something needs judgement, or the run ends."""
-        with wide():
-            lane = self._begin()
+        lane = self._begin()
         run, watch = self._asked()
         driver = self.driver
         segments: list[Segment] = []
@@ -106,8 +103,7 @@ class Streaks:
             "tried": watch.tried,
         }
         going = {"h": h, "ends": padded, "largest": np.abs(padded)}
-        arrays = [{k: jnp.asarray(v) for k, v in given.items()} for given in (start, going)]
-        return self.streak.begin(jnp.asarray(entry.x), *arrays)
+        return self.streak.begin(entry.x, start, going)
 
     # -- what a chunk left ----------------------------------------------------------------
 

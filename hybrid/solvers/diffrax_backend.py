@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..automaton.trace import again, wide
+from ..automaton.trace import again
 from ..errors import FlowError, OptionError
 from ..jit import jit
 from ..scene import Field
@@ -73,10 +73,10 @@ class Method:
         """Order of the method."""
         return int(self.solver(1e-6, np.array(1e-6)).order(_unused_term()))
 
-    def memory(self, x: Any) -> Any:
+    def memory(self, x: Any, xp: Any = jnp) -> Any:
         """The solver's memory at the start of an arc: its last stage, if it is reused."""
         fsal = self.solver(1e-6, np.array(1e-6)).tableau.fsal
-        return (jnp.array(True), jnp.zeros_like(x)) if fsal else None
+        return (xp.asarray(True), xp.zeros_like(x)) if fsal else None
 
     def attempt(
         self, flow: Any, tau: Any, h: Any, x: Any, memory: Any, rtol: Any, atol: Any
@@ -176,8 +176,7 @@ class DiffraxStepper(Stepper):
     def _towards(self, limit: float, force: bool) -> None:
         span, start = limit - self.tau, self.tau
         if self.memory is None:
-            with wide():
-                self.memory = self.method.memory(jnp.asarray(self.x))
+            self.memory = self.method.memory(self.x, np)
         x, h, new, values, self.memory = self._call(
             *self.fixed, start, self.h, span, self.x, self.memory, *self.tolerances, force
         )
