@@ -15,13 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..jit import jit
-from ..solvers.diffrax_backend import Method
+from ..solvers.diffrax_backend import ATTEMPTS, Method
 from .batch import choose, when
 from .system import System
 from .turn import FLOW, JUDGE, JUMP, NEAR, RUNNING, Lane, Run, Step, Turner, flight_bound
 
-#: Records in a chunk, and most attempts between two looks from Python.
-ROWS, ATTEMPTS = 64, 100_000
+#: Records in a chunk.
+ROWS = 64
 
 #: What a record is.
 NOTHING, STEP, JUMPED = range(3)

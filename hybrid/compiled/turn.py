@@ -274,30 +274,30 @@ class Turner:
             status=jnp.where(last, END, going.status),
         )
         step = Step(values, going.tau, h)
-        event = NOTHING
-        if self.watches:
-            samples = self._samples(run, lane, held, values, h)
-            moved = moved._replace(ends=samples[-1])
-            if self.judged:
-                largest = jnp.maximum(going.largest, jnp.abs(samples).max(axis=0))
-                moved = moved._replace(largest=largest)
-            event = self._event(run, lane, samples, kept & ~landing, h)
-        stays = ~kept | event.fires | event.halve | event.unsure
         failed = ~kept & (~(new > SHORTEST * going.tau) | (new < 1e-300))
-        status = jnp.where(failed, NOT_FINITE, jnp.where(event.unsure, JUDGE, going.status))
+        refused = going._replace(
+            h=new, steps=steps, status=jnp.where(failed, NOT_FINITE, going.status)
+        )
+        if not self.watches:
+            return choose(kept, moved, refused), step
+        samples = self._samples(run, lane, held, values, h)
+        moved = moved._replace(ends=samples[-1], cap=WIDER * going.cap)
+        if self.judged:
+            largest = jnp.maximum(going.largest, jnp.abs(samples).max(axis=0))
+            moved = moved._replace(largest=largest)
         moved = self._settled(run, lane, held, moved)
-        result = choose(stays, going, moved)._replace(
+        event = self._event(run, lane, samples, kept & ~landing, h)
+        stays = ~kept | event.fires | event.halve | event.unsure
+        result = choose(stays, refused, moved)._replace(
             h=jnp.where(event.fires | event.halve, going.h, new),
-            cap=jnp.where(event.halve, 0.5 * h, jnp.where(stays, going.cap, WIDER * going.cap)),
+            cap=jnp.where(event.halve, 0.5 * h, jnp.where(stays, going.cap, moved.cap)),
             reach=jnp.where(event.fires, event.share * h, going.reach),
             slot=jnp.where(event.fires, event.slot, going.slot),
             stage=jnp.where(event.fires, jnp.where(event.share <= 1e-13, JUMP, LAND), going.stage),
             tries=jnp.where(event.fires, 0, going.tries),
-            steps=steps,
-            status=jnp.where(stays, status, moved.status),
         )
-        if not self.watches:
-            return result, step
+        status = jnp.where(event.unsure, JUDGE, result.status)
+        result = result._replace(status=status)
         return when(landing, lambda: self._landed(run, lane, held, moved, h), result), step
 
     def _settled(self, run: Run, lane: Lane, held: Any, going: Going) -> Going:

@@ -80,6 +80,8 @@ class ArcFlow:
         length = self.now.until(self.plan.t1)
         target = self.predict(length)
         stepper = self._begin(length, target)
+        if not self.wanted:
+            return self._finish(stepper, length)
         segments: list[Segment] = []
         fired = None
         while fired is None and stepper.tau < length:
@@ -88,8 +90,6 @@ class ArcFlow:
             limit = target if target is not None and target > start else length
             limit = min(limit, length, start + REACH * min(scales, default=float("inf")))
             self._step(stepper, limit)
-            if not self.wanted:
-                continue
             segment = stepper.segment()
             try:
                 fired = self._first_event(segment, stepper, scales, target)
@@ -124,6 +124,14 @@ class ArcFlow:
             raise FlowError(f"{self._where()}: {fault}") from None
         except ValueError as fault:
             raise FlowError(f"{self._where()}: the flow is not finite ({fault})") from None
+
+    def _finish(self, stepper: Stepper, length: float) -> Flown:
+        """To the end, where nothing is watched and nothing kept."""
+        try:
+            stepper.finish(length)
+        except FlowError as fault:
+            raise FlowError(f"{self._where(stepper.tau, stepper.x)}: {fault}") from None
+        return Flown(None, stepper.tau, stepper.x, [], [])
 
     def _step(self, stepper: Stepper, limit: float) -> None:
         tau, x = stepper.tau, stepper.x

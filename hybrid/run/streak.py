@@ -44,8 +44,10 @@ class Streaks:
         self.h: float | None = None
 
     def takes(self) -> bool:
-        """Whether the arc that begins at the driver's entry is plain."""
+        """Whether the arc that begins at the driver's entry is plain, and somebody watches it."""
         entry = self.driver.entry
+        if not (self.dense or entry.field.guards):
+            return False
         plain = not entry.field.held and max(entry.orders, default=0) <= ORDERS
         return plain and self.plan.zeno != "truncate"
 

@@ -13,6 +13,7 @@ Contract (held by ``tests/contract``)
 * ``land(tau)`` replaces the last step by one that ends at ``tau``, inside it, as
   accurately as the method can, and returns its segment. The arc ends there: ``step`` is
   not called again.
+* ``finish(length)`` makes all steps to the end at once, where nobody looks at them.
 * A flow that is not finite, or a step that cannot be made, raises
   :class:`~hybrid.errors.FlowError` with the time and state; the driver adds the mode.
 """
@@ -39,6 +40,11 @@ class Stepper(abc.ABC):
     @abc.abstractmethod
     def step(self, limit: float) -> None:
         """One accepted step, not beyond local time ``limit``."""
+
+    def finish(self, length: float) -> None:
+        """All steps to the end of the arc; nobody asks for their segments."""
+        while self.tau < length:
+            self.step(length)
 
     @abc.abstractmethod
     def segment(self) -> Segment:

@@ -9,6 +9,7 @@ what is compiled: changing a number does not compile again.
 
 from __future__ import annotations
 
+from functools import cache
 from math import isfinite
 from typing import Any
 
@@ -38,6 +39,9 @@ DEGREES = {
     "Kvaerno4": 3,
     "Kvaerno5": 3,
 }
+
+#: Most attempts between two looks from Python.
+ATTEMPTS = 100_000
 
 #: A step this short against the time in the arc cannot be made.
 SHORTEST = 1e-14
@@ -71,7 +75,7 @@ class Method:
 
     def order(self) -> int:
         """Order of the method."""
-        return int(self.solver(1e-6, np.array(1e-6)).order(_unused_term()))
+        return _order(self.name)
 
     def memory(self, x: Any, xp: Any = jnp) -> Any:
         """The solver's memory at the start of an arc: its last stage, if it is reused."""
@@ -113,8 +117,10 @@ class Method:
         return end, kept, stop - begin, values, after
 
 
-def _unused_term() -> Any:
-    return diffrax.ODETerm(lambda t, y, args: y)
+@cache
+def _order(name: str) -> int:
+    term = diffrax.ODETerm(lambda t, y, args: y)
+    return int(Method(name).solver(1e-6, np.array(1e-6)).order(term))
 
 
 class DiffraxSolver(Solver):
@@ -167,6 +173,18 @@ class DiffraxStepper(Stepper):
         self._towards(tau, True)
         self.h = h
         return self.segment()
+
+    def finish(self, length: float) -> None:
+        """Diffrax's own loop, so many attempts at a time."""
+        key = ("diffrax whole", self.field.name, self.method)
+        whole = self.field.code.once(key, lambda: _whole(self.method, self.field))
+        while self.tau < length:
+            state = (self.tau, length, self.h, self.x)
+            tau, x, h = whole(*self.fixed, *state, *self.tolerances)
+            if not (self.tau < float(tau) and np.all(np.isfinite(x))):
+                self.step(length)  # which says what is wrong
+            else:
+                self.tau, self.x, self.h = float(tau), np.asarray(x), float(h)
 
     def segment(self) -> Segment:
         """The method's own interpolant."""
@@ -228,3 +246,28 @@ def _compiled(method: Method, field: Field) -> Any:
         return end, taken, new, values, after
 
     return jit(step)
+
+
+def _whole(method: Method, field: Field) -> Any:
+    """Diffrax's own loop from a local time on, as far as so many attempts go."""
+    traced = again(field.closed)
+
+    def run(
+        parameters: Any, t0: Any, tau: Any, end: Any, h: Any, x: Any, rtol: Any, atol: Any
+    ) -> Any:
+        term = diffrax.ODETerm(lambda s, y, args: traced(parameters, t0 + s, y))
+        solution = diffrax.diffeqsolve(
+            term,
+            method.solver(rtol, atol),
+            tau,
+            end,
+            h,
+            x,
+            stepsize_controller=diffrax.PIDController(rtol=rtol, atol=atol),
+            max_steps=ATTEMPTS,
+            throw=False,
+        )
+        reached = solution.ts[-1]
+        return reached, solution.ys[-1], (reached - tau) / solution.stats["num_steps"]
+
+    return jit(run)
