@@ -8,8 +8,9 @@ from typing import Any
 
 from .automaton.trace import wide
 
-#: XLA's newer emitters take twice as long to compile these programs, which then run no faster.
-WANTED = {"xla_cpu_use_fusion_emitters": False}
+#: XLA's newer emitters take twice as long to compile these programs, which then run no faster;
+#: its library for reductions costs more to call than these small sums do.
+WANTED = {"xla_cpu_use_fusion_emitters": False, "xla_cpu_experimental_ynn_fusion_type": ""}
 
 
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -48,12 +49,16 @@ def _array(value: Any) -> Any:
 
 
 @cache
-def _options() -> dict[str, Any] | None:
-    """The settings, if this version of XLA knows them."""
+def _options() -> dict[str, Any]:
+    """Those of the settings that this version of XLA knows."""
+    return {name: value for name, value in WANTED.items() if _known(name, value)}
+
+
+def _known(name: str, value: Any) -> bool:
     import jax
 
     try:
-        jax.jit(lambda x: x + 1.0, compiler_options=WANTED)(0.0)
+        jax.jit(lambda x: x + 1.0, compiler_options={name: value})(0.0)
     except Exception:  # an unknown option is an error of the backend's own type
-        return None
-    return WANTED
+        return False
+    return True

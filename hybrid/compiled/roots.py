@@ -99,7 +99,7 @@ def _newton(powers: Any) -> Any:
         value, rate = horner(powers, s)
         left, right = jnp.where(value > 0, s, left), jnp.where(value > 0, right, s)
         new = s - value / jnp.where(rate < 0, rate, -1.0)
-        inside = (rate < 0) & (new > left) & (new < right)
+        inside = (rate < 0) & (new >= left) & (new <= right)
         return left, right, jnp.where(inside, new, 0.5 * (left + right))
 
     left, right = jnp.zeros_like(powers[0]), jnp.ones_like(powers[0])
