@@ -38,9 +38,9 @@ from .errors import (
 )
 
 if TYPE_CHECKING:
-    from .ensemble import ensemble
+    from .ensembles import ensemble
     from .function import as_function
-    from .simulate import simulate
+    from .simulation import simulate
     from .store import load
     from .trajectory import Status, Trajectory
 
@@ -49,8 +49,8 @@ __version__ = "0.1.0"
 #: Names that load SciPy or xarray when first used.
 _LAZY = {
     "as_function": "function",
-    "ensemble": "ensemble",
-    "simulate": "simulate",
+    "ensemble": "ensembles",
+    "simulate": "simulation",
     "load": "store",
     "Status": "trajectory",
     "Trajectory": "trajectory",

@@ -223,7 +223,7 @@ def _span(entry: gallery.Entry, since: float | None, until: float | None) -> tup
 
 
 def _simulate(model: Any, start: Any, span: tuple[float, float], **options: Any) -> Trajectory:
-    from .simulate import simulate
+    from .simulation import simulate
 
     if not sys.stderr.isatty():
         return simulate(model, start, span, **options)

@@ -15,7 +15,7 @@ import attrs
 import numpy as np
 
 from .errors import HybridError
-from .simulate import simulate
+from .simulation import simulate
 from .trajectory import Trajectory
 
 #: What is run, by label; the first is the reference.

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from .automaton.spec import Spec
-from .compiled.ask import check_method, check_zeno, code_of, place
+from .compiled.ask import check_method, check_tolerances, check_zeno, code_of, place
 from .compiled.batch import when
 from .compiled.lanes import Journey, Trip, empty_log, ended
 from .compiled.turn import CLOSE, MAX_JUMPS, MAX_STEPS, RUNNING, Run, Turner
@@ -131,13 +131,14 @@ def as_function(
     unknown = [name for name in outputs if name not in OUTPUTS]
     if unknown:
         raise OptionError(f"outputs: {unknown[0]!r} is none of {', '.join(OUTPUTS)}")
+    tolerances = check_tolerances(code.spec, rtol, atol)
     system, number, held = place(code, mode)
     turner = Turner(system, Method(method, "bounded"), judged=False, sums=zeno != "ignore")
     journey = Journey(turner, zeno, carried=True)
 
     def function(model: Any, start: Any) -> Outcome:
         _require_wide()
-        run = _run(code.spec, model, t, rtol, atol, max_jumps, max_steps)
+        run = _run(code.spec, model, t, tolerances, max_jumps, max_steps)
         x = _vector(code.spec, start)
         trip = journey.begin(run, number, jnp.asarray(held), x)
         if "jumps" in outputs:
@@ -156,15 +157,13 @@ def _require_wide() -> None:
         )
 
 
-def _run(
-    spec: Spec, model: Any, t: Any, rtol: Any, atol: Any, max_jumps: int, max_steps: int
-) -> Run:
+def _run(spec: Spec, model: Any, t: Any, tolerances: Any, max_jumps: int, max_steps: int) -> Run:
     if getattr(type(model), "spec", None) is not spec:
         raise OptionError(f"the function was made for {spec.model}, not for {type(model).__name__}")
     parameters = tuple(jnp.asarray(getattr(model, p.name), float) for p in spec.parameters)
-    tolerances = jnp.asarray(rtol, float), jnp.broadcast_to(jnp.asarray(atol), spec.dimension)
+    rtol, atol = jnp.asarray(tolerances[0]), jnp.broadcast_to(tolerances[1], spec.dimension)
     first, last = (jnp.asarray(v, float) for v in t)
-    return Run(parameters, first, last, *tolerances, max_jumps + 1, max_steps)
+    return Run(parameters, first, last, rtol, atol, max_jumps + 1, max_steps)
 
 
 def _vector(spec: Spec, start: Any) -> Any:

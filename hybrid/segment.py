@@ -81,5 +81,15 @@ def from_powers(degree: int) -> np.ndarray:
 
 
 @cache
+def integrals(degree: int) -> np.ndarray:
+    """Matrix from values at :func:`nodes` to integrals from 0 to each node."""
+    columns = []
+    for k in range(degree + 1):
+        whole = chebyshev.chebint(np.eye(degree + 1)[k], lbnd=-1.0)
+        columns.append(0.5 * chebyshev.chebval(2.0 * nodes(degree) - 1.0, whole))
+    return np.array(columns).T @ from_values(degree)
+
+
+@cache
 def _values_matrix(fractions: bytes, degree: int) -> np.ndarray:
     return chebyshev.chebvander(2.0 * np.frombuffer(fractions) - 1.0, degree)

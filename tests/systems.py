@@ -261,3 +261,36 @@ class DippingCeiling(hy.Automaton):
         gap=lambda self, t, s: 2 - 1.99 * jnp.exp(-(((t - 3.0) / 0.2) ** 2)) - s.x,
         restitution=0.9,
     )
+
+
+class Dip(hy.Automaton):
+    """A ball that chatters on a floor while a ceiling comes down on it at ``t = c``."""
+
+    x = hy.state()
+    v = hy.state()
+    c = hy.parameter(1.2)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -10.0
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.9)
+    ceiling = hy.contact(
+        flight,
+        gap=lambda self, t, s: 2 - 1.99 * jnp.exp(-(((t - self.c) / 0.2) ** 2)) - s.x,
+        restitution=0.9,
+    )
+
+
+class Metered(Thermostat):
+    """A thermostat beside a meter whose reading is large."""
+
+    E = hy.state()
+
+    @hy.mode(initial=True)
+    def on(self, t, s):
+        return 30.0 - s.T, 0.0
+
+    @hy.mode
+    def off(self, t, s):
+        return 10.0 - s.T, 0.0

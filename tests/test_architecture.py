@@ -19,7 +19,7 @@ LAYERS = [
     ["compiled"],
     ["accumulation", "arcs", "trajectory"],
     ["run", "store", "plotting"],
-    ["simulate", "ensemble", "function"],
+    ["simulation", "ensembles", "function"],
     ["compare", "gallery"],
     ["cli", "__main__", "__init__"],
 ]
@@ -68,3 +68,11 @@ def test_public_names_have_docstrings():
         value = getattr(hybrid, name)
         if callable(value):
             assert value.__doc__, name
+
+
+def test_no_module_hides_a_public_function():
+    """``import hybrid.x`` sets ``hybrid.x``: no module may have a public function's name."""
+    import hybrid
+
+    modules = {path.stem for path in PACKAGE.glob("*.py")} | {p.name for p in PACKAGE.glob("*/")}
+    assert not modules & set(hybrid.__all__)

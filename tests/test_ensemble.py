@@ -176,3 +176,29 @@ def test_the_compile_watch_sees_compilation():
 
     with pytest.raises(AssertionError), jax.log_compiles(True), _no_compilation():
         jit(lambda x: x * 3.25)(1.0)
+
+
+def test_a_ceiling_that_dips_into_the_tail():
+    """Other contacts' gaps are watched along the flights that are summed."""
+    c = np.array([0.8, 1.2, 1.4, 1.5])
+    lanes = hy.ensemble(systems.Dip(), {"x": 0.1, "v": 0.0}, (0, 6), {"c": c}, **TIGHT)
+    for i, value in enumerate(c):
+        run = alone(systems.Dip(c=value), {"x": 0.1, "v": 0.0}, (0, 6))
+        assert float(lanes.t_inf[i]) == pytest.approx(run.zeno[0].t, abs=1e-8)
+
+
+def test_a_large_state_hides_no_guard_of_others():
+    """A guard's tolerance is that of the states it is made of."""
+    lanes = hy.ensemble(systems.Metered(), {"T": 20.0, "E": 1e9}, (0, 10))
+    run = alone(systems.Metered(), {"T": 20.0, "E": 1e9}, (0, 10))
+    assert int(lanes.jumps[0]) == len(run.jumps) == 25
+    assert float(lanes["T"][0]) == pytest.approx(run.final.T, abs=1e-6)
+
+
+def test_far_from_the_origin_of_time():
+    """At t = 1e6 a float's spacing moves the table by more than the smallest gaps."""
+    t0 = np.array([0.0, 1e5, 1e6])
+    model = BeadOnTable(r=0.1, amplitude=0.02, omega=25.0)
+    lanes = hy.ensemble(model, {"x": 0.1, "v": 0.0}, (t0, t0 + 3), max_steps=5000)
+    assert set(lanes.status.values) == {"reached_end"}
+    assert np.all(lanes.accumulations > 5)

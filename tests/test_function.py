@@ -156,3 +156,14 @@ def test_reverse_mode_is_forward_mode():
     reverse = jax.jit(jax.grad(scalar))(numbers)
     for name in numbers:
         assert float(reverse[name]) == pytest.approx(float(forward[name]), rel=1e-9)
+
+
+def test_derivatives_of_a_state_in_flight():
+    """The run ends in the air: x = v s - g s^2 / 2, s the time since the first impact."""
+    g, r, h = 9.81, 0.7, 3.0
+    fly = hy.as_function(BouncingBall(), t=(0.0, 1.5), max_jumps=4, max_steps=64, **TIGHT)
+    slope = jax.jacfwd(lambda h: fly(BouncingBall(), {"x": h, "v": 0.0}).final["x"])(h)
+    drop = np.sqrt(2 * h / g)
+    v, s = r * np.sqrt(2 * g * h), 1.5 - drop
+    dv, ds = 0.5 * v / h, -0.5 * drop / h
+    assert float(slope) == pytest.approx(dv * s + v * ds - g * s * ds, rel=1e-9)

@@ -6,9 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from ..automaton.spec import Spec
 from ..errors import OptionError
 from ..scene.lowered import Lowered, lowered
 from .system import System, system_of
+
+#: No step can be held to less, relative to the state.
+FINEST = 2.3e-14
 
 #: What a lane's status means.
 REASONS = {
@@ -57,6 +61,19 @@ def place(code: Lowered, mode: str | None) -> tuple[System, int, np.ndarray]:
     slots = [edge.name for edge in system.edges[base]]
     mask = np.array([name in held for name in slots] + [False] * (system.width - len(slots)))
     return system, system.modes.index(base), mask
+
+
+def check_tolerances(spec: Spec, rtol: Any, atol: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Tolerances that a step can be held to; ``atol`` may have one for each element."""
+    relative, absolute = (np.asarray(v, dtype=float) for v in (rtol, atol))
+    if relative.shape != () or not 0 < relative < 1:
+        raise OptionError(f"rtol={rtol!r}: a number between 0 and 1")
+    if absolute.shape not in ((), (spec.dimension,)) or not np.all(absolute >= 0):
+        raise OptionError(
+            f"atol={atol!r}: a number, or one for each of the {spec.dimension} elements of the "
+            "state"
+        )
+    return np.maximum(relative, FINEST), absolute
 
 
 def check_zeno(zeno: str) -> None:

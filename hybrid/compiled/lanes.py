@@ -140,6 +140,7 @@ class Journey:
         t, low = later(lane.t, lane.low, tail.remaining)
         rests = self.system.pick(self.system.rests, lane.mode, slot)
         status = jnp.where(rests, RUNNING, NO_REST) if self.zeno == "rest" else ZENO
+        rests = rests & (self.zeno == "rest")
         passed = lane._replace(
             t=t,
             low=low,

@@ -20,7 +20,7 @@ from ..automaton.markers import Crossing
 from ..automaton.spec import ContactSpec
 from ..automaton.trace import again
 from ..scene.contact import ContactLaws, Held
-from ..scene.lowered import Lowered
+from ..scene.lowered import Lowered, guard_shape
 
 #: A guard's value in a slot that its mode does not have.
 FAR = 1.0
@@ -88,12 +88,24 @@ class System:
         return self.table(lambda edge: isinstance(edge, ContactSpec) and edge.rests, False)
 
     @cached_property
-    def smooth(self) -> bool:
-        """Whether every guard is a polynomial wherever the state is one."""
-        from ..scene.lowered import guard_shape
+    def uses(self) -> np.ndarray:
+        """Elements of the state that a guard is made of; shape ``(modes, width, n)``."""
+        table = np.zeros((len(self.modes), self.width, self.spec.dimension), dtype=bool)
+        for mode, edges in enumerate(self.edges.values()):
+            for slot, edge in enumerate(edges):
+                table[mode, slot, list(self._shape(edge)[1])] = True
+        return table
 
-        guards = [guard_shape(self.code, self.code.guard_closed(e)) for e in self.spec.transitions]
-        return all(affine for affine, _ in guards) and not self.rests.any()
+    def _shape(self, edge: Any) -> tuple[bool, tuple[int, ...]]:
+        """Whether a guard is affine, and the elements it is made of."""
+        make = lambda: guard_shape(self.code, self.code.guard_closed(edge))  # noqa: E731
+        shape: tuple[bool, tuple[int, ...]] = self.code.once(("guard shape", edge.name), make)
+        return shape
+
+    @cached_property
+    def affine(self) -> bool:
+        """Whether every guard but the loads is a polynomial wherever the state is one."""
+        return all(self._shape(edge)[0] for edge in self.spec.transitions)
 
     def pick(self, table: np.ndarray, mode: Any, slot: Any = None) -> Any:
         """A mode's row of a table, or one slot's entry; not looked up where all are equal."""

@@ -21,8 +21,9 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..events import EPS
-from ..segment import from_values, nodes
+from ..segment import from_values, integrals, nodes
 from ..zeno.accumulate import CAUTION, FLOOR, PROBES, ROUNDING, SAMPLES, SMOOTH
+from .batch import when
 from .system import System
 from .turn import Run
 
@@ -32,22 +33,16 @@ DEGREE, FLIGHT = 6, 6
 #: Sweeps after which the change must have fallen to this, or the impacts are too strong yet.
 TRIAL, HOPE = 5, 1e-4
 
+#: Sweeps that show roughly where a flight goes.
+ROUGH = 8
+
 #: Most sweeps, and sweeps through which derivatives are carried.
 SWEEPS, CARRIED = 40, 14
 
 
-def _integrals(degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """From values at the nodes: the integral from 0 to each node, to 1, and of ``(1 - s) f``."""
-    basis = np.eye(degree + 1)
-    values = []
-    for k in range(degree + 1):
-        whole = chebyshev.chebint(basis[k], lbnd=-1.0)
-        values.append(0.5 * chebyshev.chebval(2.0 * nodes(degree) - 1.0, whole))
-    running = np.array(values).T @ from_values(degree)
-    return running, running[-1], running[-1] @ running
-
-
-_RUNNING, _WHOLE, _TWICE = _integrals(FLIGHT)
+#: Integrals along a flight: to each node, to its end, and of ``(1 - s) a`` to its end.
+_RUNNING = integrals(FLIGHT)
+_WHOLE, _TWICE = _RUNNING[-1], _RUNNING[-1] @ _RUNNING
 _TO_CURVE = from_values(DEGREE)
 
 #: Where flights begin: the points of the curve, then those at which it is put to the test.
@@ -123,6 +118,8 @@ class _Series:
         self.system, self.run, self.p = system, run, run.parameters
         self.mode, self.held, self.slot = mode, held, slot
         self.t, self.x, self.v = t, x, v
+        ticks = 8 * EPS * jnp.abs(t) * jnp.abs(self._lies(t, x)[1])
+        self.noise = jnp.concatenate([jnp.zeros(1), ticks])  # rounding of the time, in states
 
     # -- the iteration ------------------------------------------------------------------
 
@@ -139,7 +136,8 @@ class _Series:
         def body(carry: Any) -> Any:
             curve, _, count = carry
             new = self.sweep(curve)
-            change = jnp.max(jnp.abs(new.offsets - curve.offsets).max(axis=0) / self.scale(new))
+            moved = jnp.abs(new.offsets - curve.offsets).max(axis=0) - self.noise
+            change = jnp.maximum(jnp.max(moved / self.scale(new)), 0.0)
             return new, jnp.where(count < 3, 1.0, change), count + 1
 
         curve, change, _ = jax.lax.while_loop(
@@ -222,23 +220,37 @@ class _Series:
         blur = jnp.max(_next(spectrum.T) / jnp.abs(curve.forces).min(axis=1))
         left = _next(jnp.abs(jnp.asarray(_TO_CURVE) @ curve.offsets))
         left = CAUTION * (left + change * size + blur * jnp.abs(curve.offsets[0]))
-        rounding = ROUNDING / (1.0 - r) * size.at[0].set(remaining)
+        rounding = ROUNDING / (1.0 - r) * size.at[0].set(remaining) + self.noise
         floor = 1e-3 * jnp.max(run.atol) * (jnp.arange(len(size)) > 0)  # for states, not time
         allowed = CAUTION * jnp.maximum(1e-3 * run.rtol, FLOOR) * size + rounding + floor
+        allowed = allowed + CAUTION * self.noise
         sane = (r > 0) & (r < 1.0 - 1e-12) & (remaining > 0) & (curve.lengths > 0).all()
         sane = sane & (left <= allowed).all() & (curve.forces < 0).all()
-        found = jax.lax.cond(
-            sane,
-            lambda: self._holds(curve, allowed[0]) & self._clear(curve.guards),
-            lambda: jnp.array(False),
+        found = when(
+            sane, lambda: self._holds(curve, allowed[0]) & self._clear(curve), jnp.array(False)
         )
         error = left + rounding + FLOOR * size
         return found, error[0], error[1:]
 
-    def _clear(self, values: Any) -> Any:
-        """Whether no other guard changes sign along the flights."""
-        values = values.reshape(-1, values.shape[-1])
-        own = jnp.arange(values.shape[-1]) == self.slot
+    def _clear(self, curve: _Curve) -> Any:
+        """Whether no other guard changes sign along the tail: impacts and flights."""
+        if self.system.width == 1:
+            return jnp.array(True)
+        w = self._even(jnp.asarray(_TO_CURVE) @ curve.offsets)
+        starts = _at(jnp.asarray(_TO_CURVE) @ jnp.column_stack([curve.offsets, curve.bend]), w)
+        speeds = self.v * w * jnp.exp(starts[:, -1])
+        states = jnp.broadcast_to(self.x, (SAMPLES, FLIGHT + 1, len(self.x)))
+
+        def again(_: Any, carry: Any) -> Any:
+            states, lengths, _ = carry
+            flown = jax.vmap(self._flight)(starts[:, :-1], speeds, states, lengths, speeds)
+            return flown[1], flown[2], flown[4]
+
+        guards = jnp.zeros((SAMPLES, FLIGHT + 1, self.system.width))
+        start = (states, jnp.zeros(SAMPLES), guards)
+        guards = jax.lax.fori_loop(0, ROUGH, again, start)[2]
+        values = jnp.concatenate([guards, curve.guards]).reshape(-1, self.system.width)
+        own = jnp.arange(self.system.width) == self.slot
         return (own | (values > 0).all(axis=0) | (values < 0).all(axis=0)).all()
 
     def _holds(self, curve: _Curve, allowed: Any) -> Any:
@@ -249,6 +261,13 @@ class _Series:
         missing = jnp.abs(lengths - (there - here))
         return (missing <= allowed + CAUTION * ROUNDING * lengths).all() & self._smooth(series)
 
+    def _even(self, series: Any) -> Any:
+        """Points on the curve at equal steps of time, the limit left out."""
+        grid = jnp.linspace(0.0, 1.0, 4 * SAMPLES)
+        since = _at(series, grid)[:, 0]
+        times = jnp.linspace(0.0, since[0], SAMPLES + 1)[:-1]
+        return jnp.interp(times, since[::-1], grid[::-1])
+
     def _smooth(self, series: Any) -> Any:
         """Whether forces vary along the tail as a polynomial of its degree does."""
 
@@ -256,10 +275,7 @@ class _Series:
             state = self._onto(y[0], self.x + y[1:], 0.0)
             return self._lies(self.t + y[0], state)[0][2, self.slot]
 
-        grid = jnp.linspace(0.0, 1.0, 4 * SAMPLES)
-        since = _at(series, grid)[:, 0]
-        even = jnp.interp(jnp.linspace(0.0, since[0], SAMPLES), since[::-1], grid[::-1])
-        w = jnp.concatenate([jnp.asarray(nodes(DEGREE)), even])
+        w = jnp.concatenate([jnp.asarray(nodes(DEGREE)), self._even(series)])
         push = jax.vmap(force)(_at(series, w))
         own = jnp.asarray(_TO_CURVE) @ push[: DEGREE + 1]
         return jnp.max(jnp.abs(push - _at(own, w))) <= SMOOTH * jnp.max(jnp.abs(push))

@@ -32,6 +32,12 @@ MAX_STEPS, NOT_FINITE, OUTSIDE, UNDECIDED, LOOP, SERIES = range(7, 13)
 #: A guard nearer to zero than this share of the state is looked at more closely.
 NEAR = 1e-6
 
+#: By how much dividing by the local time may blow up a guard's rounding.
+DEFLATED = 200
+
+#: Least degree at which loads are sampled.
+LEAST = 6
+
 #: Pieces of a run in which a guard that is no polynomial is sampled at least.
 SHARES = 100
 
@@ -164,6 +170,12 @@ class Event(NamedTuple):
     halve: Any
     unsure: Any
 
+    def but_halve(self, coarse: Any) -> Event:
+        """The same, or to be halved whatever it says."""
+        return Event(
+            self.fires & ~coarse, self.slot, self.share, self.halve | coarse, self.unsure & ~coarse
+        )
+
 
 NOTHING = Event(False, 0, np.inf, False, False)
 
@@ -197,7 +209,8 @@ class Turner:
         self.system, self.method, self.judged = system, method, judged
         self.sums = sums and bool(system.is_contact.any())
         self.watches = bool(system.spec.transitions)
-        self.degree = method.degree if system.smooth else SAMPLED
+        loads = bool(system.rests.any()) and not judged
+        self.degree = max(method.degree, LEAST if loads else 1) if system.affine else SAMPLED
         self.to_bernstein = bernstein(self.degree)
         spread = np.linalg.inv(from_values(self.degree))[:, : method.degree + 1]
         self.spread = spread @ from_values(method.degree)
@@ -252,9 +265,11 @@ class Turner:
         left = lane.left(run.t1)
         wanted = jnp.minimum(going.h, going.cap)
         wanted = jnp.minimum(wanted, jnp.where(first, lane.limit, jnp.inf))
-        if not self.system.smooth:
-            wanted = jnp.minimum(wanted, (run.t1 - run.t0) / SHARES)
-        h = stop_gradient(jnp.where(landing, going.reach, jnp.minimum(wanted, left)))
+        curved = self._curved(lane, free)
+        if curved is not None:
+            wanted = jnp.where(curved, jnp.minimum(wanted, (run.t1 - run.t0) / SHARES), wanted)
+        last = ~landing & (left <= wanted)
+        h = jnp.where(last, left, stop_gradient(jnp.where(landing, going.reach, wanted)))
         t0 = lane.t + lane.low
 
         def rate(s: Any, x: Any) -> Any:
@@ -264,7 +279,7 @@ class Turner:
             rate, going.tau, h, going.x, going.memory, run.rtol, run.atol
         )
         new = stop_gradient(jnp.where(kept & (h < going.h), jnp.maximum(new, going.h), new))
-        last, steps = h >= left, going.steps + 1
+        last, steps = last | (h >= left), going.steps + 1
         moved = going._replace(
             tau=jnp.where(last, left + going.tau, going.tau + h),
             x=x,
@@ -286,7 +301,10 @@ class Turner:
             largest = jnp.maximum(going.largest, jnp.abs(samples).max(axis=0))
             moved = moved._replace(largest=largest)
         moved = self._settled(run, lane, held, moved)
-        event = self._event(run, lane, samples, kept & ~landing, h)
+        event = self._event(run, lane, samples, x, kept & ~landing, h)
+        if curved is not None:
+            coarse = kept & ~landing & curved & self._unresolved(run, lane, samples, moved, h)
+            event = event.but_halve(coarse)
         stays = ~kept | event.fires | event.halve | event.unsure
         result = choose(stays, refused, moved)._replace(
             h=jnp.where(event.fires | event.halve, going.h, new),
@@ -344,32 +362,50 @@ class Turner:
         start = jnp.sign(jnp.where(values[0] == 0, values[1], values[0]))
         return jnp.where(sign == 0, start, sign)
 
-    def _event(self, run: Run, lane: Lane, samples: Any, kept: Any, h: Any) -> Event:
+    def _event(self, run: Run, lane: Lane, samples: Any, end: Any, kept: Any, h: Any) -> Event:
         """The first guard that fires in a kept step, or why the step must be shorter."""
-        tolerance = jnp.max(run.atol) + run.rtol * jnp.max(jnp.abs(lane.going.x))
+        tolerance = self._tolerance(run, lane)
+        noise = DEFLATED * self._noise(lane, samples, end, h)
         b = self._coefficients(lane, samples)
         least = tolerance if self.judged else 0.0
-        near = kept & (jnp.min(b) <= least)
+        near = kept & (jnp.min(b, axis=1) <= least).any()
         b = jnp.where(near, b, 1.0)
         nothing = Event(*(jnp.asarray(v) for v in NOTHING))
-        event = when(near, lambda: self._first(run, lane, samples[-1], b, h, tolerance), nothing)
-        if self.system.smooth:
-            return event
-        coarse = kept & self._unresolved(samples, run, h, tolerance)
-        return event._replace(
-            halve=event.halve | coarse,
-            fires=event.fires & ~coarse,
-            unsure=event.unsure & ~coarse,
-        )
+        first = lambda: self._first(run, lane, samples[-1], b, h, tolerance, noise)  # noqa: E731
+        return when(near, first, nothing)
 
-    def _unresolved(self, samples: Any, run: Run, h: Any, tolerance: Any) -> Any:
-        """Whether a guard that is no polynomial is not yet one on this step."""
+    def _noise(self, lane: Lane, samples: Any, end: Any, h: Any) -> Any:
+        """What rounding of time and state makes of each guard."""
+        way = jnp.abs(end - lane.going.x).max() + jnp.ptp(samples, axis=0)
+        return 8 * EPS * (jnp.abs(lane.now) * way / h + jnp.abs(end).max())
+
+    def _tolerance(self, run: Run, lane: Lane) -> Any:
+        """For each guard, what the tolerances leave open of the states it is made of."""
+        uses = self.system.pick(self.system.uses, lane.mode)
+        allowed = run.atol + run.rtol * jnp.abs(lane.going.x)
+        return jnp.where(uses, allowed, 0.0).max(axis=1)
+
+    def _curved(self, lane: Lane, free: bool) -> Any:
+        """Whether a guard is watched that is no polynomial; None if there can be none."""
+        if not self.system.affine:
+            return jnp.array(True)
+        return None if free or not self.system.rests.any() else lane.held.any()
+
+    def _unresolved(self, run: Run, lane: Lane, samples: Any, moved: Going, h: Any) -> Any:
+        """Whether a guard that is no polynomial is not yet one on this step.
+
+        What rounding of the time makes of a guard cannot be resolved.
+        """
         series = jnp.abs(apply(from_values(self.degree), samples))
-        allowed = RESOLVED * series.max(axis=0) + 1e-3 * tolerance
-        shortest = (run.t1 - run.t0) / (SHARES * 4096)
-        return (series[-3:].max(axis=0) > allowed).any() & (h > shortest)
+        noise = 8 * self._noise(lane, samples, moved.x, h)
+        allowed = RESOLVED * series.max(axis=0) + 1e-3 * self._tolerance(run, lane) + noise
+        coarse = series[-3:].max(axis=0) > allowed
+        coarse = coarse & lane.held if self.system.affine else coarse
+        return coarse.any() & (h > (run.t1 - run.t0) / (SHARES * 4096))
 
-    def _first(self, run: Run, lane: Lane, ends: Any, b: Any, h: Any, tolerance: Any) -> Event:
+    def _first(
+        self, run: Run, lane: Lane, ends: Any, b: Any, h: Any, tolerance: Any, noise: Any
+    ) -> Event:
         """The first guard that fires: earliest, then in declared order (1, 4)."""
         going = lane.going
         roots, unclear = falling(b)
@@ -380,7 +416,7 @@ class Turner:
         roots = jnp.where(sunk, 0.0, jnp.where(shallow, jnp.inf, roots))
         first = jnp.min(roots)
         tie = 4 * EPS * jnp.abs(lane.now) / jnp.maximum(h, 1e-300)
-        unclear = unclear & (jnp.min(b, axis=1) < -tolerance)
+        unclear = unclear & (jnp.min(b, axis=1) < -(tolerance + noise))
         shortest = SHORTEST * (jnp.abs(lane.now) + going.tau) + 1e-12 * (run.t1 - run.t0)
         halve = unclear.any() & (h > shortest)
         unsure = jnp.zeros_like(halve)
@@ -512,9 +548,9 @@ class Turner:
         t, x = lane.t, lane.going.x
         lies, flow = self.system.lies(run.parameters, lane.mode, lane.held, t, x)
         rate, size = jnp.max(jnp.abs(flow)), 1.0 + jnp.max(jnp.abs(x))
-        tick = jnp.abs(t) * jnp.abs(lies[1])
-        sizes = [size + tick, jnp.broadcast_to(size + rate, tick.shape)]
-        noise = 64 * EPS * jnp.stack([*sizes, sizes[-1]])
+        tick = jnp.abs(t) * jnp.abs(lies)
+        last = jnp.broadcast_to(size + rate, tick[0].shape)
+        noise = 64 * EPS * jnp.stack([size + tick[1], last + tick[2], last])
         known = jnp.where(lane.held, 0, lane.orders)
         decides = (jnp.abs(lies) > noise) & (known <= jnp.arange(3)[:, None])
         order = jnp.where(decides[0], 0, jnp.where(decides[1], 1, jnp.where(decides[2], 2, 0)))

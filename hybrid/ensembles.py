@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from os import cpu_count
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,14 @@ import numpy as np
 
 from .automaton.spec import Spec
 from .compiled.abreast import Abreast, status_of
-from .compiled.ask import REASONS, check_method, check_zeno, code_of, place
+from .compiled.ask import (
+    REASONS,
+    check_method,
+    check_tolerances,
+    check_zeno,
+    code_of,
+    place,
+)
 from .compiled.lanes import Journey, Trip
 from .compiled.turn import Run, Turner
 from .errors import OptionError, StartError
@@ -76,7 +83,8 @@ def ensemble(
         Over ``lane``: the time ``t`` and each state at the end, ``mode``, ``jumps`` computed,
         ``accumulations``, the first one's ``t_inf``, ``ratio`` and ``t_inf_error`` (a bound on the
         error of the sum, not of the integration before it; NaN where there is none), its
-        ``verdict``, and ``status``: a lane that failed is a row with its reason.
+        ``verdict``, and ``status``: a lane that failed is a row with its reason. With
+        ``"max_jumps"`` the state is that after the last jump.
 
     Raises
     ------
@@ -207,10 +215,12 @@ class _Lanes:
             (self._array(p.name, given.get(p.name, getattr(model, p.name)), shape), shape)
             for p, shape in ((p, np.shape(p.default)) for p in spec.parameters)
         ]
+        if not (isinstance(t, Sequence) and len(t) == 2):
+            raise OptionError(f"t={t!r}: give (first, last) time")
         first, last = (self._array(name, v, ()) for name, v in zip(("t0", "t1"), t, strict=True))
         if not np.all(last > first):
             raise OptionError(f"t={t!r}: the first time before the last, in every lane")
-        if min(bounds) < 1:
+        if not all(isinstance(b, int | np.integer) and b > 0 for b in bounds):
             raise OptionError("max_jumps, max_steps: whole numbers greater than 0")
         counts = {len(v) for v in self.varied.values()}
         if len(counts) > 1:
@@ -219,7 +229,7 @@ class _Lanes:
         self.count = counts.pop() if counts else 1
         parts = [self._full(v, shape).reshape(self.count, -1) for v, shape in states]
         self.x = np.concatenate(parts, axis=1)
-        rtol, atol = (np.asarray(v, dtype=float) for v in tolerances)
+        rtol, atol = check_tolerances(spec, *tolerances)
         self.run = Run(
             tuple(self._full(v, shape) for v, shape in parameters),
             self._full(first, ()),
