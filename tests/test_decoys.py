@@ -1,8 +1,10 @@
 """Shrinking gaps that are no accumulation, next to ones that are."""
 
+import numpy as np
 import pytest
 
 import hybrid as hy
+from models.bead_on_table import BeadOnTable
 from models.bouncing_ball import BouncingBall
 
 from . import systems
@@ -77,3 +79,15 @@ def test_the_sum_stops_short_of_the_end_of_the_run():
     assert not run.zeno
     assert run.t1 == 2.5
     assert run.jumps.t[-1] <= 2.5
+
+
+@pytest.mark.parametrize("method", ["Tsit5", "Dopri8"])
+def test_a_long_run_hides_no_small_table(method):
+    """The step that a parabola allows spans many of the table's periods: none is jumped over."""
+    model = BeadOnTable(r=0.85, omega=7.0, amplitude=1.0)
+    options = {"max_jumps": 4, "save": "jumps", "rtol": 1e-9, "atol": 1e-9}
+    start = {"x": 5.0, "v": 0.0}
+    exact = hy.simulate(model, start, (0, 1e3), solver="taylor", **options)
+    for end in (1e4, 1e6, 1e9):
+        run = hy.simulate(model, start, (0, end), solver="diffrax", method=method, **options)
+        np.testing.assert_allclose(run.jumps.t, exact.jumps.t, atol=1e-6)

@@ -32,6 +32,12 @@ MAX_STEPS, NOT_FINITE, OUTSIDE, UNDECIDED, LOOP, SERIES = range(7, 13)
 #: A guard nearer to zero than this share of the state is looked at more closely.
 NEAR = 1e-6
 
+#: A guard this many times its last coefficients from zero has no zero in a step.
+AWAY = 20.0
+
+#: Share of the step wanted, below which a guard that is still not resolved has a kink.
+KINK = 1e-12
+
 #: By how much dividing by the local time may blow up a guard's rounding.
 DEFLATED = 200
 
@@ -377,7 +383,7 @@ class Turner:
     def _noise(self, lane: Lane, samples: Any, end: Any, h: Any) -> Any:
         """What rounding of time and state makes of each guard."""
         way = jnp.abs(end - lane.going.x).max() + jnp.ptp(samples, axis=0)
-        return 8 * EPS * (jnp.abs(lane.now) * way / h + jnp.abs(end).max())
+        return 8 * EPS * (jnp.abs(lane.now) * way / h + jnp.abs(lane.going.x).max())
 
     def _tolerance(self, run: Run, lane: Lane) -> Any:
         """For each guard, what the tolerances leave open of the states it is made of."""
@@ -394,14 +400,21 @@ class Turner:
     def _unresolved(self, run: Run, lane: Lane, samples: Any, moved: Going, h: Any) -> Any:
         """Whether a guard that is no polynomial is not yet one on this step.
 
-        What rounding of the time makes of a guard cannot be resolved.
+        A guard that stays away from zero by more than it is unresolved need not be; what
+        rounding of the time makes of a guard cannot be. On a long step the guard may be large
+        beside what moves it: it is measured against the state, not against itself alone.
         """
+        going = lane.going
         series = jnp.abs(apply(from_values(self.degree), samples))
+        size = jnp.minimum(series.max(axis=0), 1.0 + jnp.abs(going.x).max())
         noise = 8 * self._noise(lane, samples, moved.x, h)
-        allowed = RESOLVED * series.max(axis=0) + 1e-3 * self._tolerance(run, lane) + noise
-        coarse = series[-3:].max(axis=0) > allowed
+        last = series[-3:].max(axis=0)
+        coarse = last > RESOLVED * size + 1e-3 * self._tolerance(run, lane) + noise
+        far = (jnp.abs(samples) > AWAY * last).all(axis=0)
+        one_side = (samples > 0).all(axis=0) | (samples < 0).all(axis=0)
+        coarse = coarse & ~(far & one_side)
         coarse = coarse & lane.held if self.system.affine else coarse
-        return coarse.any() & (h > (run.t1 - run.t0) / (SHARES * 4096))
+        return coarse.any() & (h > KINK * jnp.minimum(going.h, lane.left(run.t1)))
 
     def _first(
         self, run: Run, lane: Lane, ends: Any, b: Any, h: Any, tolerance: Any, noise: Any
