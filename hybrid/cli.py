@@ -36,6 +36,15 @@ NEEDS = {"--plot": ["matplotlib"], "--save": ["xarray", "h5netcdf", "h5py"]}
 PATIENCE = 1.0
 
 
+ModelName = Annotated[str, typer.Argument(help="A name in the gallery, FILE.py, or FILE.py:Class.")]
+Parameters = Annotated[
+    list[str] | None, typer.Option("--set", help="A parameter: r=0.8. May be repeated.")
+]
+States = Annotated[list[str] | None, typer.Option("--start", help="A state at the start: x=1.9.")]
+Since = Annotated[float | None, typer.Option("--from", help="First time.")]
+Until = Annotated[float | None, typer.Option("--until", help="Last time.")]
+
+
 @contextmanager
 def _one_line() -> Iterator[None]:
     """Faults as one line on standard error and exit code 2."""
@@ -48,15 +57,11 @@ def _one_line() -> Iterator[None]:
 
 @app.command()
 def run(
-    model: Annotated[str, typer.Argument(help="A name in the gallery, FILE.py, or FILE.py:Class.")],
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", help="A parameter: r=0.8. May be repeated.")
-    ] = None,
-    start: Annotated[
-        list[str] | None, typer.Option("--start", help="A state at the start: x=1.9.")
-    ] = None,
-    since: Annotated[float | None, typer.Option("--from", help="First time.")] = None,
-    until: Annotated[float | None, typer.Option("--until", help="Last time.")] = None,
+    model: ModelName,
+    set_: Parameters = None,
+    start: States = None,
+    since: Since = None,
+    until: Until = None,
     solver: Annotated[str, typer.Option(help="scipy, diffrax or taylor.")] = "scipy",
     method: Annotated[
         str | None, typer.Option(help="A method of the solver: DOP853, RK45 ...")
@@ -113,15 +118,11 @@ def run(
 
 @app.command()
 def compare(
-    model: Annotated[str, typer.Argument(help="A name in the gallery, FILE.py, or FILE.py:Class.")],
-    set_: Annotated[
-        list[str] | None, typer.Option("--set", help="A parameter: r=0.8. May be repeated.")
-    ] = None,
-    start: Annotated[
-        list[str] | None, typer.Option("--start", help="A state at the start: x=1.9.")
-    ] = None,
-    since: Annotated[float | None, typer.Option("--from", help="First time.")] = None,
-    until: Annotated[float | None, typer.Option("--until", help="Last time.")] = None,
+    model: ModelName,
+    set_: Parameters = None,
+    start: States = None,
+    since: Since = None,
+    until: Until = None,
     rtol: Annotated[float, typer.Option(help="Relative tolerance.")] = 1e-9,
     atol: Annotated[float, typer.Option(help="Absolute tolerance.")] = 1e-11,
 ) -> None:

@@ -94,7 +94,8 @@ def ensemble(
     Notes
     -----
     The rules are those of :func:`hybrid.simulate`, but for the finest distinctions: tangencies
-    are not listed, and impacts slower than the rounding of the state count as rest. One
+    are not listed, impacts slower than the rounding of the state count as rest, and with
+    ``zeno="ignore"`` the times of very slow impacts are rounding (``docs/semantics.md``). One
     program runs all lanes; on a CPU once in each core. Changing numbers, or the number of
     lanes within a power of two, does not compile anew.
     """

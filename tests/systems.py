@@ -246,29 +246,11 @@ class Switching(hy.Automaton):
 
 
 class DippingCeiling(hy.Automaton):
-    """A ball under a ceiling that comes down for a moment at t = 3."""
+    """A ball under a ceiling that comes down for a moment at ``t = c``."""
 
     x = hy.state()
     v = hy.state()
-
-    @hy.mode
-    def flight(self, t, s):
-        return s.v, -10.0
-
-    floor = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.9)
-    ceiling = hy.contact(
-        flight,
-        gap=lambda self, t, s: 2 - 1.99 * jnp.exp(-(((t - 3.0) / 0.2) ** 2)) - s.x,
-        restitution=0.9,
-    )
-
-
-class Dip(hy.Automaton):
-    """A ball that chatters on a floor while a ceiling comes down on it at ``t = c``."""
-
-    x = hy.state()
-    v = hy.state()
-    c = hy.parameter(1.2)
+    c = hy.parameter(3.0)
 
     @hy.mode
     def flight(self, t, s):

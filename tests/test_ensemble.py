@@ -181,9 +181,9 @@ def test_the_compile_watch_sees_compilation():
 def test_a_ceiling_that_dips_into_the_tail():
     """Other contacts' gaps are watched along the flights that are summed."""
     c = np.array([0.8, 1.2, 1.4, 1.5])
-    lanes = hy.ensemble(systems.Dip(), {"x": 0.1, "v": 0.0}, (0, 6), {"c": c}, **TIGHT)
+    lanes = hy.ensemble(systems.DippingCeiling(), {"x": 0.1, "v": 0.0}, (0, 6), {"c": c}, **TIGHT)
     for i, value in enumerate(c):
-        run = alone(systems.Dip(c=value), {"x": 0.1, "v": 0.0}, (0, 6))
+        run = alone(systems.DippingCeiling(c=value), {"x": 0.1, "v": 0.0}, (0, 6))
         assert float(lanes.t_inf[i]) == pytest.approx(run.zeno[0].t, abs=1e-8)
 
 
