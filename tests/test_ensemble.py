@@ -80,7 +80,8 @@ def test_modes_and_edges():
 def test_two_contacts_of_one_mode():
     """Into the corner; both contacts fire at t = 1."""
     lanes = hy.ensemble(systems.Corner(), [1.0, 1.0, -1.0, -1.0], (0, 2))
-    assert (float(lanes.u[0]), float(lanes.w[0]), int(lanes.jumps[0])) == (0.5, 0.5, 2)
+    assert [float(lanes.u[0]), float(lanes.w[0])] == pytest.approx([0.5, 0.5], abs=1e-14)
+    assert int(lanes.jumps[0]) == 2
 
 
 def test_a_long_lane_does_not_hold_up_the_others():

@@ -315,14 +315,26 @@ class Turner:
         result = choose(stays, refused, moved)._replace(
             h=jnp.where(event.fires | event.halve, going.h, new),
             cap=jnp.where(event.halve, 0.5 * h, jnp.where(stays, going.cap, moved.cap)),
-            reach=jnp.where(event.fires, event.share * h, going.reach),
+            reach=stop_gradient(jnp.where(event.fires, event.share, 0.0) * h),
             slot=jnp.where(event.fires, event.slot, going.slot),
             stage=jnp.where(event.fires, jnp.where(event.share <= 1e-13, JUMP, LAND), going.stage),
             tries=jnp.where(event.fires, 0, going.tries),
         )
         status = jnp.where(event.unsure, JUDGE, result.status)
         result = result._replace(status=status)
-        return when(landing, lambda: self._landed(run, lane, held, moved, h), result), step
+        cut = event.fires & (event.share > 1e-13) & self.method.dense
+        there, share = moved, h
+        if self.method.dense:
+            at = stop_gradient(jnp.where(cut, event.share, 0.5))
+            basis = _chebyshev(2.0 * at - 1.0, self.method.degree)
+            inside = basis @ (jnp.asarray(from_values(self.method.degree)) @ values)
+            there = moved._replace(x=jnp.where(cut, inside, moved.x))
+            share = jnp.where(cut, at * h, h)
+        aimed = lane.but(
+            slot=jnp.where(cut, event.slot, going.slot), tries=jnp.where(cut, 0, going.tries)
+        )
+        landed = lambda: self._landed(run, aimed, held, there, share)  # noqa: E731
+        return when(landing | cut, landed, result), step
 
     def _settled(self, run: Run, lane: Lane, held: Any, going: Going) -> Going:
         """With the state back on the contacts held."""
@@ -467,10 +479,16 @@ class Turner:
             tau=going.tau + (h + shift),
             x=moved.x + shift * rate,
             h=going.h,
+            slot=going.slot,
             stage=jnp.full_like(going.stage, JUMP),
             status=jnp.full_like(going.status, RUNNING),
         )
-        more = going._replace(reach=reach, tries=going.tries + 1, steps=moved.steps)
+        more = going._replace(
+            reach=reach,
+            stage=jnp.full_like(going.stage, LAND),
+            tries=going.tries + 1,
+            steps=moved.steps,
+        )
         return choose(again, more, self._settled(run, lane, held, there))
 
     # -- jumps --------------------------------------------------------------------------
@@ -587,6 +605,14 @@ def flight_bound(lies: Any, leaving: Any) -> Any:
     falls = leaving & (lies[2] < 0) & (lies[1] > 0)
     length = 2.0 * lies[1] / jnp.where(falls, -lies[2], 1.0)
     return stop_gradient(AHEAD * jnp.min(jnp.where(falls, length, jnp.inf)))
+
+
+def _chebyshev(x: Any, degree: int) -> Any:
+    """Chebyshev polynomials at a point; shape ``(degree + 1,)``."""
+    columns = [jnp.ones_like(x), x]
+    for _ in range(degree - 1):
+        columns.append(2.0 * x * columns[-1] - columns[-2])
+    return jnp.stack(columns)
 
 
 def _shallow(b: Any, order: Any, s: Any, tolerance: Any) -> Any:

@@ -66,6 +66,11 @@ class Method:
         return DEGREES[self.name]
 
     @property
+    def dense(self) -> bool:
+        """Whether the dense output is as accurate as a step: events need not be stepped onto."""
+        return self.name in SWEEPS
+
+    @property
     def implicit(self) -> bool:
         return self.name.startswith("Kvaerno")
 
