@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import xarray
 
 #: Most lanes in one call, and places abreast, on a CPU and on other devices.
-CHUNK = {"cpu": (1024, 256), "other": (1 << 17, 1 << 14)}
+CHUNK = {"cpu": (8192, 256), "other": (1 << 17, 1 << 14)}
 
 #: Rounds of turns between two looks from Python.
 ROUNDS = 64
@@ -110,27 +110,29 @@ def ensemble(
     device = jax.default_backend()
     most, places = CHUNK["cpu" if device == "cpu" else "other"]
     workers = (cpu_count() or 1) if device == "cpu" else 1
-    size = min(most, _power_of_two(-(-lanes.count // workers)))
+    each = min(most, -(-lanes.count // workers))
+    size = _power_of_two(each)
     key = ("ensemble", method, zeno, number, tuple(held), size)
     begin, advance = code.once(
         key, lambda: _compiled(system, Method(method), zeno, number, held, min(places, size))
     )
-    done = [0] * -(-lanes.count // size)
+    done = [0] * -(-lanes.count // each)
 
     def work(chunk: int) -> Any:
-        starts = lanes.chunk(chunk * size, size)
-        state = begin(*starts)
+        count = min(each, lanes.count - chunk * each)
+        starts = lanes.chunk(chunk * each, size)
+        state = begin(*starts, count)
         while True:
-            state, left = advance(*starts, state, ROUNDS)
-            done[chunk] = size - int(left)
+            state, left = advance(*starts, count, state, ROUNDS)
+            done[chunk] = count - int(left)
             if progress is not None:
-                progress(min(sum(done), lanes.count))
+                progress(sum(done))
             if not left:
-                return jax.tree.map(np.asarray, state.results)
+                return jax.tree.map(lambda a: np.asarray(a)[:count], state.results)
 
     with ThreadPoolExecutor(workers) as pool:
         parts = list(pool.map(work, range(len(done))))
-    results = jax.tree.map(lambda *a: np.concatenate(a)[: lanes.count], *parts)
+    results = jax.tree.map(lambda *a: np.concatenate(a), *parts)
     variables, attributes = _variables(code.spec, system, results)
     return xarray.Dataset(
         {name: (("lane", *dims), value) for name, (dims, value) in variables.items()},
@@ -159,12 +161,12 @@ def _compiled(
             x,
         )
 
-    def begin(run: Run, x: Any) -> Any:
-        return abreast.begin(starts(run, x))
+    def begin(run: Run, x: Any, count: Any) -> Any:
+        return abreast.begin(starts(run, x), count)
 
-    def advance(run: Run, x: Any, work: Any, rounds: Any) -> Any:
-        work = abreast.advance(starts(run, x), work, rounds)
-        return work, (work.lane < len(x)).sum() + len(x) - work.following
+    def advance(run: Run, x: Any, count: Any, work: Any, rounds: Any) -> Any:
+        work = abreast.advance(starts(run, x), count, work, rounds)
+        return work, (work.lane < count).sum() + count - work.following
 
     return jit(begin), jit(advance)
 

@@ -20,7 +20,7 @@ TURNS = 16
 
 
 class Work(NamedTuple):
-    """Places, the lane each one has (``len`` of the starts if none), the next lane, results."""
+    """Places, the lane each one has (``count`` if none), the next lane, results."""
 
     trips: Trip
     lane: Any
@@ -31,25 +31,24 @@ class Work(NamedTuple):
 class Abreast:
     """Runs lanes of one journey in ``places`` places.
 
-    ``starts`` are the lanes' own ``(run, mode, held, x)``, each with the lanes as first axis.
-    ``show`` picks what is kept of a trip that has ended.
+    ``starts`` are the lanes' own ``(run, mode, held, x)``, each with the lanes as first axis; the
+    first ``count`` of them are run. ``show`` picks what is kept of a trip that has ended.
     """
 
     def __init__(self, journey: Journey, places: int, show: Any) -> None:
         self.journey, self.places, self.show = journey, places, show
 
-    def begin(self, starts: Any) -> Work:
-        """All places empty."""
-        count = len(starts[-1])
-        lane = jnp.full(self.places, count)
+    def begin(self, starts: Any, count: Any) -> Work:
+        """The first lanes in their places."""
+        room = len(starts[-1])
+        lane = jnp.broadcast_to(count, self.places)
         trips = self._fresh(starts, jnp.zeros(self.places, dtype=int))
         one = jax.eval_shape(lambda: self.show(jax.tree.map(lambda a: a[0], trips)))
-        results = jax.tree.map(lambda a: jnp.zeros((count, *a.shape), a.dtype), one)
-        return self._refill(starts, Work(trips, lane, jnp.array(0), results))
+        results = jax.tree.map(lambda a: jnp.zeros((room, *a.shape), a.dtype), one)
+        return self._refill(starts, count, Work(trips, lane, jnp.array(0), results))
 
-    def advance(self, starts: Any, work: Work, rounds: Any) -> Work:
+    def advance(self, starts: Any, count: Any, work: Work, rounds: Any) -> Work:
         """At most so many rounds of turns."""
-        count = len(starts[-1])
 
         def goes_on(carry: Any) -> Any:
             work, done = carry
@@ -63,7 +62,7 @@ class Abreast:
             work = work._replace(trips=trips)
             if self.journey.turner.sums:
                 work = self._sum(runs, work, work.lane < count)
-            return self._refill(starts, work), done + 1
+            return self._refill(starts, count, work), done + 1
 
         return jax.lax.while_loop(goes_on, body, (work, jnp.array(0)))[0]
 
@@ -79,12 +78,11 @@ class Abreast:
         trips: Trip = jax.vmap(self.journey.begin)(*own)
         return trips
 
-    def _refill(self, starts: Any, work: Work) -> Work:
+    def _refill(self, starts: Any, count: Any, work: Work) -> Work:
         """Keep what has ended; give its place to the next lanes."""
-        count = len(starts[-1])
         done = jax.vmap(ended)(self._runs(starts, work.lane), work.trips)
         kept = jax.vmap(self.show)(work.trips)
-        target = jnp.where(done, work.lane, count)
+        target = jnp.where(done & (work.lane < count), work.lane, len(starts[-1]))
         results = jax.tree.map(
             lambda all_, own: all_.at[target].set(own, mode="drop"), work.results, kept
         )
