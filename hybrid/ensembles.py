@@ -21,8 +21,9 @@ from .compiled.ask import (
     code_of,
     place,
 )
+from .compiled.lane import Run
 from .compiled.lanes import Journey, Trip
-from .compiled.turn import Run, Turner
+from .compiled.turn import Turner
 from .errors import OptionError, StartError
 from .jit import jit
 from .scene.scene import rest_name

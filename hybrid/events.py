@@ -31,11 +31,23 @@ if TYPE_CHECKING:
 #: Degree at which a guard that is no polynomial is sampled, piece by piece.
 SAMPLED = 12
 
+#: Pieces of a run in which such a guard is sampled at least.
+SHARES = 100
+
 #: Pieces are halved until the last coefficients are this small against the largest.
 RESOLVED = 1e-6
 
 #: Most pieces at first, and most halvings of one.
 PIECES, DEPTH = 4096, 12
+
+#: A guard nearer to zero than this share of the state is looked at more closely.
+NEAR = 1e-6
+
+#: Gap and gap speed, relative to the state, below which a held contact stays closed.
+CLOSED = 1e-12
+
+#: Jumps with no time between them after which a run is taken to be caught in a loop.
+CAUGHT = 100
 
 EPS = float(np.finfo(float).eps)
 
@@ -116,7 +128,7 @@ class _Piece:
             return
         edge, seen = self.guard.edge, ("largest", self.guard.edge)
         values[0] = self.ends.get(edge, values[0])
-        bernstein = _to_bernstein(self.degree) @ values
+        bernstein = to_bernstein(self.degree) @ values
         bernstein[0], bernstein[-1] = values[0], values[-1]
         away = max(self.ends.get(seen, 0.0), abs(float(values[0]))) > self.tolerance
         self.ends[edge] = float(values[-1])
@@ -144,7 +156,7 @@ class _Piece:
 
 
 @cache
-def _to_bernstein(degree: int) -> np.ndarray:
+def to_bernstein(degree: int) -> np.ndarray:
     """Matrix from values at the nodes to Bernstein coefficients."""
     points = nodes(degree)
     basis = [

@@ -11,8 +11,9 @@ import jax.numpy as jnp
 from .automaton.spec import Spec
 from .compiled.ask import check_method, check_tolerances, check_zeno, code_of, place
 from .compiled.batch import when
+from .compiled.lane import CLOSE, MAX_JUMPS, MAX_STEPS, RUNNING, Run
 from .compiled.lanes import Journey, Trip, empty_log, ended
-from .compiled.turn import CLOSE, MAX_JUMPS, MAX_STEPS, RUNNING, Run, Turner
+from .compiled.turn import Turner
 from .errors import OptionError
 from .solvers.diffrax_backend import Method
 

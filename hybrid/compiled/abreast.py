@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 
 from .batch import choose
+from .lane import CLOSE, MAX_STEPS, RUNNING, Run
 from .lanes import Journey, Trip, ended
-from .turn import CLOSE, MAX_STEPS, RUNNING, Run
 
 #: Turns between two looks at who has ended.
 TURNS = 16

@@ -43,3 +43,12 @@ def apply(matrix: Any, values: Any) -> Any:
     Written out: for so few numbers a call of a library costs more than the product.
     """
     return (jnp.asarray(matrix)[:, :, None] * values[None]).sum(axis=1)
+
+
+def chebyshev(s: Any, degree: int) -> Any:
+    """Chebyshev polynomials in ``2 s - 1``; shape ``s.shape + (degree + 1,)``."""
+    x = 2.0 * jnp.asarray(s) - 1.0
+    columns = [jnp.ones_like(x), x]
+    for _ in range(degree - 1):
+        columns.append(2.0 * x * columns[-1] - columns[-2])
+    return jnp.stack(columns, axis=-1)

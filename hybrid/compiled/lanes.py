@@ -10,20 +10,11 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from ..clock import Instant
 from .batch import choose, when
+from .lane import CLOSE, ENTER, JUMP, NO_REST, RUNNING, ZENO, Lane, Run
 from .tail import Tails
-from .turn import (
-    CLOSE,
-    ENTER,
-    JUMP,
-    NO_REST,
-    RUNNING,
-    ZENO,
-    Lane,
-    Run,
-    Turner,
-    later,
-)
+from .turn import Turner
 
 
 class Trip(NamedTuple):
@@ -117,7 +108,7 @@ class Journey:
         after, done = self.turner.jumped(run, lane)
         if log is not None:
             slot, row = lane.going.slot, lane.jumps
-            released = (lane.held & (jnp.arange(self.system.width) == slot)).any()
+            released = (lane.held & self.system.only(slot)).any()
             edge = self.system.number(lane.mode, slot) + released * (len(self.edges) // 2)
             log = Log(
                 log.t.at[row].set(after.t + after.low, mode="drop"),
@@ -137,14 +128,14 @@ class Journey:
             run, lane.mode, lane.held, slot, lane.t, lane.going.x, lane.speed, self.carried
         )
         found = tail.found & (lane.left(run.t1) >= tail.remaining)
-        t, low = later(lane.t, lane.low, tail.remaining)
+        end = Instant(lane.t, lane.low).after(tail.remaining)
         rests = self.system.pick(self.system.rests, lane.mode, slot)
         status = jnp.where(rests, RUNNING, NO_REST) if self.zeno == "rest" else ZENO
         rests = rests & (self.zeno == "rest")
         passed = lane._replace(
-            t=t,
-            low=low,
-            held=lane.held | (rests & (jnp.arange(self.system.width) == slot)),
+            t=end.t,
+            low=end.low,
+            held=lane.held | (rests & self.system.only(slot)),
             orders=jnp.zeros_like(lane.orders),
             series=jnp.full_like(lane.series, -1),
             count=jnp.zeros_like(lane.count),
@@ -162,7 +153,7 @@ class Journey:
         first = found & (trip.sums == 0)
         return trip._replace(
             lane=choose(found, passed, onward),
-            t_inf=jnp.where(first, t + low, trip.t_inf),
+            t_inf=jnp.where(first, end.t + end.low, trip.t_inf),
             x_inf=jnp.where(first, tail.x_inf, trip.x_inf),
             error=jnp.where(first, tail.t_error, trip.error),
             ratio=jnp.where(first, tail.ratio, trip.ratio),

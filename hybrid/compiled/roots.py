@@ -13,17 +13,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..events import _to_bernstein
 from ..segment import nodes
 from .batch import apply
 
 #: Newton steps towards a zero: it is a first guess, the landing does the rest.
 NEWTON = 8
-
-
-def bernstein(degree: int) -> np.ndarray:
-    """Matrix from values at the nodes to Bernstein coefficients."""
-    return _to_bernstein(degree)
 
 
 def to_start(degree: int) -> np.ndarray:
@@ -96,7 +90,7 @@ def _newton(powers: Any) -> Any:
 
     def closer(_: Any, carry: Any) -> Any:
         left, right, s = carry
-        value, rate = horner(powers, s)
+        value, rate, _ = horner(powers, s)
         left, right = jnp.where(value > 0, s, left), jnp.where(value > 0, right, s)
         new = s - value / jnp.where(rate < 0, rate, -1.0)
         inside = (rate < 0) & (new >= left) & (new <= right)
@@ -106,9 +100,20 @@ def _newton(powers: Any) -> Any:
     return jax.lax.fori_loop(0, NEWTON, closer, (left, right, 0.5 * right))[2]
 
 
-def horner(powers: Any, s: Any) -> tuple[Any, Any]:
-    """Polynomials and their derivatives."""
-    value, rate = powers[-1], jnp.zeros_like(s)
+def horner(powers: Any, s: Any) -> tuple[Any, Any, Any]:
+    """Polynomials and their first two derivatives."""
+    value, first, half = powers[-1], jnp.zeros_like(s), jnp.zeros_like(s)
     for c in powers[-2::-1]:
-        value, rate = value * s + c, rate * s + value
-    return value, rate
+        value, first, half = value * s + c, first * s + value, half * s + first
+    return value, first, 2.0 * half
+
+
+def shallow(b: Any, order: Any, s: Any, tolerance: Any) -> Any:
+    """Whether zeros ``s`` of polynomials ``s^order b(s)`` go no deeper than a tolerance."""
+    found = jnp.isfinite(s)
+    at = jnp.where(found, s, 0.5)
+    _, first, second = horner(apply(to_powers(b.shape[1] - 1).T, b.T), at)
+    power = jnp.where(order == 0, 1.0, jnp.where(order == 1, at, at * at))  # third order: bound
+    second = 2 * order * first * power / at + power * second
+    first = power * first
+    return found & (first * second <= 0) & (first**2 <= 2 * jnp.abs(second) * tolerance)

@@ -14,17 +14,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..events import NEAR
 from ..jit import jit
 from ..solvers.diffrax_backend import ATTEMPTS, Method
 from .batch import choose, when
+from .lane import FLOW, JUDGE, JUMP, RUNNING, Lane, Run, Step
 from .system import System
-from .turn import FLOW, JUDGE, JUMP, NEAR, RUNNING, Lane, Run, Step, Turner, flight_bound
+from .turn import Turner, flight_bound
 
 #: Records in a chunk.
 ROWS = 64
-
-#: What a record is.
-NOTHING, STEP, JUMPED = range(3)
 
 
 class Watch(NamedTuple):
@@ -42,8 +41,7 @@ class Record(NamedTuple):
     step : bool
         A step was made: ``values`` at the method's nodes, from ``start`` on, ``length`` long.
     jump : bool
-        A jump ended the arc: of ``slot`` at local time ``tau`` in state ``end``, from ``before``
-        to ``after``.
+        A jump ended the arc: of ``slot`` at local time ``tau``, from ``before`` to ``after``.
     """
 
     step: Any
@@ -52,7 +50,6 @@ class Record(NamedTuple):
     length: Any
     jump: Any
     slot: Any
-    mode: Any
     tau: Any
     before: Any
     after: Any
@@ -110,7 +107,6 @@ class Streak:
             step.length,
             jnp.array(False),
             going.slot,
-            lane.mode,
             going.tau,
             going.x,
             going.x,
@@ -123,13 +119,13 @@ class Streak:
     def _jump(self, run: Run, watch: Watch, lane: Lane, record: Record) -> tuple[Lane, Record]:
         """The jump, if what it leads to is plain."""
         after, done = self.turner.jumped(run, lane)
-        x, width = after.going.x, self.system.width
+        x = after.going.x
         lies, _ = self.system.lies(run.parameters, after.mode, None, after.t, x)
         size = 1.0 + jnp.max(jnp.abs(x))
         sign = self.system.pick(self.system.crossing, after.mode)
         clear = (jnp.abs(lies[0]) > NEAR * size) & (lies[0] * sign <= 0)
         impact = after.series >= 0
-        own = (jnp.arange(width) == lane.going.slot) & impact
+        own = self.system.only(lane.going.slot) & impact
         fall = jnp.where(own, -lies[2], 0.0).sum()
         high = done.speed**2 > NEAR * jnp.abs(fall) * size
         rests = self.system.pick(self.system.is_contact, lane.mode, lane.going.slot)

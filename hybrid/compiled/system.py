@@ -19,14 +19,12 @@ import numpy as np
 from ..automaton.markers import Crossing
 from ..automaton.spec import ContactSpec
 from ..automaton.trace import again
+from ..events import CLOSED
 from ..scene.contact import ContactLaws, Held
 from ..scene.lowered import Lowered, guard_shape
 
 #: A guard's value in a slot that its mode does not have.
 FAR = 1.0
-
-#: Gap and gap speed, relative to the state, below which a held contact stays closed.
-CLOSED = 1e-12
 
 
 class Jumped(NamedTuple):
@@ -114,6 +112,10 @@ class System:
         row = jnp.asarray(table)[mode] if len(table) > 1 else jnp.asarray(table[0])
         return row if slot is None else row[slot]
 
+    def only(self, slot: Any) -> Any:
+        """Mask over the slots: this one."""
+        return jnp.arange(self.width) == slot
+
     def number(self, mode: Any, slot: Any) -> Any:
         """The number of an edge among all, mode by mode."""
         first = np.cumsum([0, *map(len, self.edges.values())])[:-1]
@@ -175,7 +177,7 @@ class System:
             for i, edge in enumerate(edges)
         ]
         done = _switch(self.number(mode, slot), branches, p, held, t, x)
-        return Jumped(*done)._replace(held=self._still_held(p, mode, held, done, t))
+        return done._replace(held=self._still_held(p, mode, done, t))
 
     def touch(self, p: Any, mode: Any, slot: Any, t: Any, x: Any) -> tuple[Any, Any, Any]:
         """The state on a contact's gap, the change that adds one to the gap's speed, the speed."""
@@ -242,7 +244,7 @@ class System:
             pairs = zip(self._resting(name), multipliers, weights, strict=True)
             own = values
             for (slot, _), force, weight in pairs:
-                here = held & (jnp.arange(self.width) == slot)
+                here = held & self.only(slot)
                 own = jnp.where(here, force * weight, own)
             return own
 
@@ -251,13 +253,14 @@ class System:
     def _jump_of(self, edge: Any, name: str, slot: int) -> Any:
         """The jump of one slot, as a function ``(p, held, t, x)``."""
         to = jnp.array(self.modes.index(edge.to))
+        one, sure = jnp.array(1.0), jnp.array(True)
         if not isinstance(edge, ContactSpec):
             reset, guard = again(self.code.closed("reset", edge.name)), self.code.guard_closed(edge)
 
             def by_reset(p: Any, held: Any, t: Any, x: Any) -> Any:
                 after = reset(p, t, x)
                 stays = again(guard)(p, t, after) == again(guard)(p, t, x)
-                return x, after, to, held, jnp.array(1.0), stays
+                return Jumped(x, after, to, held, one, stays)
 
             return by_reset
         laws = self.code.laws(edge.name)
@@ -265,35 +268,27 @@ class System:
         def impact(p: Any, held: Any, t: Any, x: Any) -> Any:
             before = laws.land(p, t, x)
             after = laws.impact(p, t, before)
-            return before, after[:-1], to, held, after[-1], jnp.array(True)
+            return Jumped(before, after[:-1], to, held, after[-1], sure)
 
         def release(p: Any, held: Any, t: Any, x: Any) -> Any:
-            return (
-                x,
-                x,
-                to,
-                held & (jnp.arange(self.width) != slot),
-                jnp.array(1.0),
-                jnp.array(True),
-            )
+            return Jumped(x, x, to, held & ~self.only(slot), one, sure)
 
         if not edge.rests:
             return impact
         return lambda p, held, t, x: jax.lax.cond(held[slot], release, impact, p, held, t, x)
 
-    def _still_held(self, p: Any, mode: Any, before: Any, done: Any, t: Any) -> Any:
+    def _still_held(self, p: Any, mode: Any, done: Jumped, t: Any) -> Any:
         """The contacts held that the jump has left closed: gap and speed zero."""
-        _, after, to, held, *_ = done
         if not self.rests.any():
-            return held
-        none = jnp.zeros_like(held)
+            return done.held
 
         def closed() -> Any:
-            open_lies = self.lies(p, to, none, t, after)[0]
-            small = CLOSED * (1.0 + jnp.max(jnp.abs(after)))
-            return held & (jnp.abs(open_lies[:2]) <= small).all(axis=0) & (mode == to)
+            lies, _ = self.lies(p, done.mode, jnp.zeros_like(done.held), t, done.after)
+            small = CLOSED * (1.0 + jnp.max(jnp.abs(done.after)))
+            left = (jnp.abs(lies[:2]) <= small).all(axis=0)
+            return done.held & left & (mode == done.mode)
 
-        return jax.lax.cond(held.any(), closed, lambda: held)
+        return jax.lax.cond(done.held.any(), closed, lambda: done.held)
 
 
 def _switch(index: Any, branches: Sequence[Any], *operands: Any) -> Any:

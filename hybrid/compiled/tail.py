@@ -18,14 +18,14 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.polynomial import chebyshev
+from numpy.polynomial.chebyshev import chebvander
 
 from ..events import EPS
 from ..segment import from_values, integrals, nodes
-from ..zeno.accumulate import CAUTION, FLOOR, PROBES, ROUNDING, SAMPLES, SMOOTH
-from .batch import when
+from ..zeno.accumulate import CAUTION, FLOOR, PROBES, ROUNDING, SAMPLES, SMOOTH, shift
+from .batch import chebyshev, when
+from .lane import Run
 from .system import System
-from .turn import Run
 
 #: Degree of the curve, and of each flight: low, for another impact costs less than a point.
 DEGREE, FLIGHT = 6, 6
@@ -47,7 +47,7 @@ _TO_CURVE = from_values(DEGREE)
 
 #: Where flights begin: the points of the curve, then those at which it is put to the test.
 _W = np.concatenate([nodes(DEGREE)[1:], PROBES])
-_AT = chebyshev.chebvander(2.0 * _W - 1.0, DEGREE) @ _TO_CURVE
+_AT = chebvander(2.0 * _W - 1.0, DEGREE) @ _TO_CURVE
 
 
 class Tail(NamedTuple):
@@ -165,7 +165,7 @@ class _Series:
         steps, flights, lengths, forces, guards = jax.vmap(self._flight)(
             starts[:, :-1], speeds, curve.flights, curve.lengths, curve.ratio * speeds
         )
-        matrix = (_shift(curve.ratio) @ jnp.asarray(_TO_CURVE))[1:, :-1]
+        matrix = (shift(curve.ratio, DEGREE, jnp) @ jnp.asarray(_TO_CURVE))[1:, :-1]
         values = jnp.linalg.solve(matrix, steps[:DEGREE])
         values = jnp.concatenate([values, jnp.zeros_like(values[:1])])
         end = self._onto(values[0, 0], self.x + values[0, 1:-1], 0.0)
@@ -237,7 +237,8 @@ class _Series:
         if self.system.width == 1:
             return jnp.array(True)
         w = self._even(jnp.asarray(_TO_CURVE) @ curve.offsets)
-        starts = _at(jnp.asarray(_TO_CURVE) @ jnp.column_stack([curve.offsets, curve.bend]), w)
+        series = jnp.asarray(_TO_CURVE) @ jnp.column_stack([curve.offsets, curve.bend])
+        starts = chebyshev(w, DEGREE) @ series
         speeds = self.v * w * jnp.exp(starts[:, -1])
         states = jnp.broadcast_to(self.x, (SAMPLES, FLIGHT + 1, len(self.x)))
 
@@ -250,21 +251,21 @@ class _Series:
         start = (states, jnp.zeros(SAMPLES), guards)
         guards = jax.lax.fori_loop(0, ROUGH, again, start)[2]
         values = jnp.concatenate([guards, curve.guards]).reshape(-1, self.system.width)
-        own = jnp.arange(self.system.width) == self.slot
+        own = self.system.only(self.slot)
         return (own | (values > 0).all(axis=0) | (values < 0).all(axis=0)).all()
 
     def _holds(self, curve: _Curve, allowed: Any) -> Any:
         """Flights at other points fulfil the equation; forces along the tail are smooth."""
         series = jnp.asarray(_TO_CURVE) @ curve.offsets
         w, lengths = jnp.asarray(PROBES), curve.lengths[DEGREE:]
-        here, there = _at(series, w)[:, 0], _at(series, curve.ratio * w)[:, 0]
+        here, there = ((chebyshev(p, DEGREE) @ series)[:, 0] for p in (w, curve.ratio * w))
         missing = jnp.abs(lengths - (there - here))
         return (missing <= allowed + CAUTION * ROUNDING * lengths).all() & self._smooth(series)
 
     def _even(self, series: Any) -> Any:
         """Points on the curve at equal steps of time, the limit left out."""
         grid = jnp.linspace(0.0, 1.0, 4 * SAMPLES)
-        since = _at(series, grid)[:, 0]
+        since = (chebyshev(grid, DEGREE) @ series)[:, 0]
         times = jnp.linspace(0.0, since[0], SAMPLES + 1)[:-1]
         return jnp.interp(times, since[::-1], grid[::-1])
 
@@ -276,9 +277,11 @@ class _Series:
             return self._lies(self.t + y[0], state)[0][2, self.slot]
 
         w = jnp.concatenate([jnp.asarray(nodes(DEGREE)), self._even(series)])
-        push = jax.vmap(force)(_at(series, w))
+        push = jax.vmap(force)(chebyshev(w, DEGREE) @ series)
         own = jnp.asarray(_TO_CURVE) @ push[: DEGREE + 1]
-        return jnp.max(jnp.abs(push - _at(own, w))) <= SMOOTH * jnp.max(jnp.abs(push))
+        return jnp.max(jnp.abs(push - chebyshev(w, DEGREE) @ own)) <= SMOOTH * jnp.max(
+            jnp.abs(push)
+        )
 
     def limit(self, curve: _Curve, found: Any, t_error: Any, x_error: Any) -> Tail:
         """The limit point."""
@@ -287,27 +290,8 @@ class _Series:
         return Tail(found, remaining, x_inf, t_error, x_error, curve.ratio)
 
 
-def _shift(r: Any) -> Any:
-    """``T_k(2 r w - 1) - T_k(2 w - 1)`` at the nodes, accurate for ``r`` close to 1."""
-    w = jnp.asarray(nodes(DEGREE))
-    a, b, step = 2.0 * r * w - 1.0, 2.0 * w - 1.0, 2.0 * (r - 1.0) * w
-    columns, values = [jnp.zeros_like(w), step], [jnp.ones_like(w), b]
-    for k in range(1, DEGREE):
-        columns.append(2.0 * (a * columns[k] + step * values[k]) - columns[k - 1])
-        values.append(2.0 * b * values[k] - values[k - 1])
-    return jnp.stack(columns[: DEGREE + 1], axis=1)
-
-
 def _next(spectrum: Any) -> Any:
     """What the first coefficients left out would be, from how the last four fall."""
     last = spectrum[-2:].max(axis=0)
     before = jnp.maximum(spectrum[-4:-2].max(axis=0), 1e-300)
     return last * jnp.minimum(last / before, 1.0)
-
-
-def _at(series: Any, w: Any) -> Any:
-    """Chebyshev series in ``2 w - 1`` at points."""
-    x, columns = 2.0 * w - 1.0, [jnp.ones_like(w), 2.0 * w - 1.0]
-    for _ in range(DEGREE - 1):
-        columns.append(2.0 * x * columns[-1] - columns[-2])
-    return jnp.stack(columns, axis=-1) @ series

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..clock import Instant
 from ..errors import FlowError
-from ..events import EPS, fires, time_scale, zeros
+from ..events import EPS, SHARES, fires, time_scale, zeros
 from ..scene import Guard, Scene
 from ..scene.lowered import ORDER
 from ..segment import Segment
@@ -19,9 +19,6 @@ from ..solvers.taylor_backend import step_length
 from ..zeno.flight import zero_of
 from .entry import Entry, describe, expand
 from .plan import Plan
-
-#: Guards that are no polynomials are sampled in at least so many pieces over a run.
-SHARES = 100
 
 #: A step never spans more than this many time scales of a guard that is no polynomial.
 REACH = 8.0

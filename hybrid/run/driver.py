@@ -12,22 +12,17 @@ import numpy as np
 from ..accumulation import Accumulation, explain
 from ..arcs import TailPart
 from ..errors import FlowError, ZenoError
+from ..events import CLOSED, NEAR, SHARES
 from ..scene import Contact, Field, Guard, Scene, released
 from ..solvers import Solver
 from ..trajectory import Jump, Status
 from ..zeno.accumulate import Tail, close
 from ..zeno.flight import fly
 from . import truncate
-from .arc import SHARES, ArcFlow
+from .arc import ArcFlow
 from .entry import Entry, Jumped, describe, enter
 from .plan import PATIENCE, Plan
 from .recorder import Recorder
-
-#: Gap and gap speed, relative to the state, below which a held contact stays closed.
-CLOSED = 1e-12
-
-#: Height, relative to the state, below which a flight is flown by its series.
-LOW = 1e-6
 
 
 class Watch:
@@ -196,7 +191,7 @@ class Driver:
         field, t = self.scene.field(name), self.t
         column = field.column(contact.name)
         fall = -field.guards[column].lie(t, x.tolist())[2]
-        if not 0 < v * v <= LOW * fall * (1.0 + float(np.max(np.abs(x)))):
+        if not 0 < v * v <= NEAR * fall * (1.0 + float(np.max(np.abs(x)))):
             return None
         flight = fly(field, column, t, x.tolist(), v)
         if flight is None or self.record.now.after(flight.time).until(self.plan.t1) < 0:

@@ -11,12 +11,9 @@ import numpy as np
 
 from ..automaton.markers import Crossing
 from ..errors import DomainError, FlowError, StartError
-from ..events import EPS, fires, higher_noise, time_scale, vanishing_order
+from ..events import EPS, NEAR, fires, higher_noise, time_scale, vanishing_order
 from ..scene import Field, Guard, Scene
 from ..solvers.taylor_backend import step_length
-
-#: A guard nearer to zero than this share of the state is looked at for rounding.
-CLOSE = 1e-6
 
 
 @attrs.frozen(eq=False)
@@ -147,7 +144,7 @@ class _Here:
         if not np.isfinite(value):
             raise FlowError(f"{self.where()}: the guard of {guard.edge} is {value}")
         if not least:
-            if abs(value) > CLOSE * (1.0 + max(map(abs, x))):
+            if abs(value) > NEAR * (1.0 + max(map(abs, x))):
                 return 0, 1 if value > 0 else -1
             size = self.scene.rounding(guard, self.field)(t, x)[0]
             tick = 64 * EPS * abs(t) * abs(guard.lie(t, x)[1])

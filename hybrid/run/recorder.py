@@ -13,14 +13,12 @@ from ..accumulation import Accumulation
 from ..arcs import Arc, JumpRow, Part, TailPart
 from ..clock import Instant
 from ..errors import JumpLoopError
+from ..events import CAUGHT
 from ..scene import Field
 from ..segment import Segment, from_values, nodes
 from ..trajectory import Jump
 from ..zeno.accumulate import Tail
 from .plan import Plan
-
-#: Jumps at one time after which a run is taken to be caught in a loop.
-LOOP = 100
 
 
 class Recorder:
@@ -36,7 +34,7 @@ class Recorder:
         self.tails: list[Tail | None] = []
         self.grazings: list[Jump] = []
         self.sampled: list[np.ndarray] = []
-        self._recent: deque[tuple[float, str]] = deque(maxlen=LOOP)
+        self._recent: deque[tuple[float, str]] = deque(maxlen=CAUGHT)
 
     def arc(
         self, field: Field, first: np.ndarray, last: np.ndarray, length: float, segments: Any
@@ -84,10 +82,10 @@ class Recorder:
         self.j += 1
         self._recent.append((now.t, edge))
         spent = now.t - self._recent[0][0]
-        if len(self._recent) == LOOP and spent <= 4 * LOOP * np.spacing(abs(now.t)):
+        if len(self._recent) == CAUGHT and spent <= 4 * CAUGHT * np.spacing(abs(now.t)):
             cycle = " -> ".join(dict.fromkeys(name for _, name in self._recent))
             raise JumpLoopError(
-                f"{where(before)}: {LOOP} jumps with no time to speak of between them: {cycle}; "
+                f"{where(before)}: {CAUGHT} jumps with no time to speak of between them: {cycle}; "
                 "a reset must leave its guard, a contact needs rests=True; accumulations of "
                 "edges other than one contact are not summed"
             )

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from ..compiled.lane import END, JUDGE, JUMP, RUNNING, Lane, Run
 from ..compiled.streak import Streak, Watch
 from ..compiled.system import system_of
-from ..compiled.turn import AHEAD, END, JUDGE, JUMP, RUNNING, Lane, Run
+from ..compiled.turn import AHEAD
 from ..scene import Guard
 from ..segment import Segment, from_values
 from ..solvers.base import Solver

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from math import exp, log
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -215,7 +215,7 @@ class _Curve:
             if step is None:
                 return False
             steps.append(step)
-        equations = (_shift(self.r, degree) @ from_values(degree))[1:, :-1]
+        equations = (shift(self.r, degree) @ from_values(degree))[1:, :-1]
         values = np.linalg.solve(equations, np.array(steps[::-1]))
         values = np.concatenate([values, np.zeros((1, values.shape[1]))])
         if not np.all(np.isfinite(values)) or not values[0, 0] > 0:
@@ -321,12 +321,15 @@ class _Curve:
         )
 
 
-def _shift(r: float, degree: int) -> np.ndarray:
-    """``T_k(2 r w - 1) - T_k(2 w - 1)`` at the nodes, accurate for ``r`` close to 1."""
+def shift(r: Any, degree: int, xp: Any = np) -> Any:
+    """``T_k(2 r w - 1) - T_k(2 w - 1)`` at the nodes, accurate for ``r`` close to 1.
+
+    ``xp`` is the array namespace.
+    """
     w = nodes(degree)
     a, b, step = 2.0 * r * w - 1.0, 2.0 * w - 1.0, 2.0 * (r - 1.0) * w
-    columns, values = [np.zeros_like(w), step], [np.ones_like(w), b]
+    columns, values = [xp.zeros_like(w), step], [xp.ones_like(w), b]
     for k in range(1, degree):
         columns.append(2.0 * (a * columns[k] + step * values[k]) - columns[k - 1])
         values.append(2.0 * b * values[k] - values[k - 1])
-    return np.array(columns[: degree + 1]).T
+    return xp.stack(columns[: degree + 1], axis=1)
