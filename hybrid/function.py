@@ -134,7 +134,7 @@ def as_function(
         raise OptionError(f"outputs: {unknown[0]!r} is none of {', '.join(OUTPUTS)}")
     tolerances = check_tolerances(code.spec, rtol, atol)
     system, number, held = place(code, mode)
-    turner = Turner(system, Method(method, "bounded"), judged=False, sums=zeno != "ignore")
+    turner = Turner(system, Method(method), judged=False, sums=zeno != "ignore")
     journey = Journey(turner, zeno, carried=True)
 
     def function(model: Any, start: Any) -> Outcome:

@@ -90,6 +90,14 @@ def integrals(degree: int) -> np.ndarray:
     return np.array(columns).T @ from_values(degree)
 
 
+def apply(matrix: np.ndarray, values: Any) -> Any:
+    """A small constant matrix times a matrix of columns, of numpy or of JAX.
+
+    Written out: for so few numbers a call of a library costs more than the product.
+    """
+    return (matrix[:, :, None] * values[None]).sum(axis=1)
+
+
 @cache
 def _values_matrix(fractions: bytes, degree: int) -> np.ndarray:
     return chebyshev.chebvander(2.0 * np.frombuffer(fractions) - 1.0, degree)

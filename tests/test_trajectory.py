@@ -1,9 +1,13 @@
 """The record of a run: times, sides, arcs, tables, options."""
 
+import itertools
+import math
+
 import numpy as np
 import pytest
 
 import hybrid as hy
+from hybrid.solvers.scipy_backend import RungeKuttaStepper
 from models.bead_on_table import BeadOnTable
 from models.bouncing_ball import BouncingBall
 
@@ -230,6 +234,43 @@ def test_an_interrupted_run_keeps_what_it_has():
     run = hy.simulate(BouncingBall(r=1.0), [1.0, 0.0], (0, 99), progress=stop)
     assert run.status is hy.Status.INTERRUPTED
     assert 5.0 < run.t1 < 7.0
+
+
+class Swing(hy.Automaton):
+    """An oscillator with a wall that it never reaches: one arc."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode(initial=True)
+    def swings(self, t, s):
+        return s.v, -s.x
+
+    wall = hy.contact(swings, gap=lambda self, t, s: s.x + 5.0, restitution=0.5)
+
+
+@pytest.mark.parametrize("solver", ["scipy", "diffrax"])
+def test_an_interrupted_arc_is_kept_as_far_as_it_was_flown(solver, monkeypatch):
+    """Ctrl-C in the middle of an arc: the arc ends at the last step made, and can be read."""
+    steps = itertools.count()
+
+    def stop(*_):
+        if next(steps) > 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(RungeKuttaStepper, "step", _then(RungeKuttaStepper.step, stop))
+    run = hy.simulate(Swing(), {"x": 1.0, "v": 0.0}, (0, 9999), solver=solver, progress=stop)
+    assert run.status is hy.Status.INTERRUPTED
+    assert 0.5 < run.t1 < 2000.0
+    assert abs(run.final.x - math.cos(run.t1)) < 1e-5  # 1e-8 a step, and thousands of steps
+
+
+def _then(first, second):
+    def both(*arguments):
+        first(*arguments)
+        second()
+
+    return both
 
 
 def test_explain_says_what_happened():

@@ -37,14 +37,6 @@ def choose(condition: Any, yes: Any, no: Any) -> Any:
     return jax.tree.map(lambda a, b: a if a is b else jnp.where(condition, a, b), yes, no)
 
 
-def apply(matrix: Any, values: Any) -> Any:
-    """A small constant matrix times a matrix of columns.
-
-    Written out: for so few numbers a call of a library costs more than the product.
-    """
-    return (jnp.asarray(matrix)[:, :, None] * values[None]).sum(axis=1)
-
-
 def chebyshev(s: Any, degree: int) -> Any:
     """Chebyshev polynomials in ``2 s - 1``; shape ``s.shape + (degree + 1,)``."""
     x = 2.0 * jnp.asarray(s) - 1.0

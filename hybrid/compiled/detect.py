@@ -16,9 +16,9 @@ from jax.lax import stop_gradient
 from numpy.polynomial.chebyshev import chebvander
 
 from ..events import EPS, RESOLVED, SAMPLED, to_bernstein
-from ..segment import from_values, nodes
+from ..segment import apply, from_values, nodes
 from ..solvers.diffrax_backend import SHORTEST, Method
-from .batch import apply, when
+from .batch import when
 from .lane import Lane, Run
 from .roots import deflated, falling, shallow
 from .system import System

@@ -26,8 +26,6 @@ class Going(NamedTuple):
     h, reach, cap
         The step the controller wants; the length of a landing; a bound on the step, so that
         the guards can be seen.
-    memory
-        The solver's.
     ends, largest : array, shape (slots,)
         The guards here, and their largest size in this arc so far.
     slot, stage, tries
@@ -41,7 +39,6 @@ class Going(NamedTuple):
     h: Any
     reach: Any
     cap: Any
-    memory: Any
     ends: Any
     largest: Any
     slot: Any

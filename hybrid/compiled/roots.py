@@ -13,8 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..segment import nodes
-from .batch import apply
+from ..segment import apply, nodes
 
 #: Newton steps towards a zero: it is a first guess, the landing does the rest.
 NEWTON = 8

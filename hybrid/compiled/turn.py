@@ -80,7 +80,6 @@ class Turner:
             h=zero,
             reach=zero,
             cap=xp.asarray(xp.inf),
-            memory=self.method.memory(x, xp),
             ends=none,
             largest=none,
             slot=xp.asarray(-1),
@@ -150,9 +149,7 @@ class Turner:
         def rate(s: Any, x: Any) -> Any:
             return self.system.flow(run.parameters, lane.mode, held, t0 + s, x)
 
-        x, kept, new, values, memory = self.method.attempt(
-            rate, going.tau, h, going.x, going.memory, run.rtol, run.atol
-        )
+        x, kept, new, values = self.method.attempt(rate, going.tau, h, going.x, run.rtol, run.atol)
         new = stop_gradient(jnp.where(kept & (h < going.h), jnp.maximum(new, going.h), new))
         failed = ~kept & (~(new > SHORTEST * going.tau) | (new < 1e-300))
         refused = going._replace(
@@ -163,7 +160,6 @@ class Turner:
         moved = refused._replace(
             tau=jnp.where(last, lane.left(run.t1) + going.tau, going.tau + h),
             x=x,
-            memory=memory,
             status=jnp.where(last, END, going.status),
         )
         return kept, moved, refused, values
@@ -233,8 +229,9 @@ class Turner:
 
         value, slope = jax.jvp(guard, (t, moved.x), (jnp.ones_like(t), rate))
         slope = stop_gradient(slope)
-        shift = -value / jnp.where(slope == 0, jnp.inf, slope)
-        small = jnp.abs(shift) <= 1e-6 * h
+        steep = jnp.where(slope == 0, jnp.inf, slope)
+        shift, noise = -value / steep, 8 * EPS * (1.0 + jnp.abs(moved.x).max()) / jnp.abs(steep)
+        small = jnp.abs(shift) <= 1e-6 * h + noise
         again = ~small & (going.tries < LANDINGS) & (h + shift > 0)
         again = again & (h + shift <= lane.left(run.t1))
         reach = stop_gradient(h + shift)
@@ -293,7 +290,6 @@ class Turner:
         after = after.but(
             tau=jnp.zeros_like(going.tau),
             x=done.after,
-            memory=self.method.memory(done.after),
             slot=jnp.where(~contact & same_mode, going.slot, -1),
             stage=jnp.full_like(going.stage, ENTER),
             status=jnp.where(finite, status, NOT_FINITE),
@@ -306,8 +302,7 @@ class Turner:
         ``orders`` holds the powers known from the jump, ``slot`` the edge just used. A
         contact found closed is held, and the lane has to be entered again.
         """
-        going = lane.going._replace(memory=self.method.memory(lane.going.x))
-        lane = lane._replace(going=self._settled(run, lane, lane.held, going))
+        lane = lane._replace(going=self._settled(run, lane, lane.held, lane.going))
         going, system = lane.going, self.system
         lies, rate, order, sign = self._signs(run, lane)
         closing = system.pick(system.rests, lane.mode) & ~lane.held & (order >= 2) & (sign < 0)

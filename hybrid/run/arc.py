@@ -45,6 +45,8 @@ class Flown:
         The guard that ended it; None at the end of the run.
     grazes : list of (local time, guard, state)
         Tangencies on the way.
+    interrupted : bool
+        By the keyboard: the arc goes as far as it was flown.
     """
 
     fired: int | None
@@ -52,6 +54,7 @@ class Flown:
     x: np.ndarray
     segments: list[Segment]
     grazes: list[tuple[float, int, np.ndarray]]
+    interrupted: bool = False
 
 
 class ArcFlow:
@@ -80,6 +83,19 @@ class ArcFlow:
         if not self.wanted:
             return self._finish(stepper, length)
         segments: list[Segment] = []
+        try:
+            fired = self._steps(stepper, length, target, segments)
+        except KeyboardInterrupt:
+            if not segments:
+                raise
+            last = segments[-1]
+            return Flown(None, last.end, last(last.end), segments, self.grazes, True)
+        return Flown(fired, stepper.tau, stepper.x, segments, self.grazes)
+
+    def _steps(
+        self, stepper: Stepper, length: float, target: float | None, segments: list[Segment]
+    ) -> int | None:
+        """Add step after step to ``segments``; the guard that fires, None if none does."""
         fired = None
         while fired is None and stepper.tau < length:
             start, x = stepper.tau, stepper.x
@@ -101,8 +117,7 @@ class ArcFlow:
                 stepper.tau = landed.end
             segments.append(segment)
             self.orders = [0] * len(self.orders)
-        index = None if fired is None else fired.index
-        return Flown(index, stepper.tau, stepper.x, segments, self.grazes)
+        return None if fired is None else fired.index
 
     def _where(self, tau: float = 0.0, x: np.ndarray | None = None) -> str:
         return describe(self.scene, self.field, self.now.t + tau, self.x if x is None else x)

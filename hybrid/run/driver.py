@@ -55,6 +55,7 @@ class Driver:
         self.status: Status | None = None
         self.watch = Watch()
         self.reach = 0.0
+        self._known = Jumped()
         self.streaks = _streaks(self)
 
     @property
@@ -120,7 +121,7 @@ class Driver:
         if self.plan.progress is not None:
             self.plan.progress(self.t)
         if flown.fired is None:
-            self.status = Status.REACHED_END
+            self.status = Status.INTERRUPTED if flown.interrupted else Status.REACHED_END
         else:
             self.jump(entry.field.guards[flown.fired], x)
 

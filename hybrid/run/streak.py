@@ -55,21 +55,32 @@ class Streaks:
     def fly(self) -> None:
         """Go on until something needs judgement, or the run ends."""
         lane = self._begin()
-        run, watch = self._asked()
-        driver = self.driver
-        segments: list[Segment] = []
-        while driver.status is None:
-            lane, records = self.streak.chunk(run, watch, lane)
-            records = jax.tree.map(np.asarray, records)
-            segments = self._keep(records, segments)
-            if self.plan.progress is not None:
-                self.plan.progress(driver.t)
-            status = int(lane.going.status)
-            if driver.status is not None or status != RUNNING:
-                break
+        try:
+            lane, status = self._chunks(lane)
+        except KeyboardInterrupt:
+            if self.segments:
+                last = self.segments[-1]
+                self._arc(last(last.end), last.end)
+            raise
         self.h = float(lane.going.h)
-        if driver.status is None:
-            self._stand(lane, status, segments)
+        if self.driver.status is None:
+            self._stand(lane, status)
+
+    def _chunks(self, lane: Lane) -> tuple[Lane, int]:
+        """Chunk after chunk: each is computed while what the last one left is being kept."""
+        run, watch = self._asked()
+        self.segments: list[Segment] = []
+        following = self.streak.chunk(run, watch, lane)
+        while True:
+            lane, records = following
+            status = int(lane.going.status)
+            if status == RUNNING:
+                following = self.streak.chunk(run, watch, lane)
+            self._keep(jax.tree.map(np.asarray, records))
+            if self.plan.progress is not None:
+                self.plan.progress(float(lane.now))
+            if self.driver.status is not None or status != RUNNING:
+                return lane, status
 
     def _asked(self) -> tuple[Run, Watch]:
         plan, driver = self.plan, self.driver
@@ -110,27 +121,25 @@ class Streaks:
 
     # -- what a chunk left ----------------------------------------------------------------
 
-    def _keep(self, records: Any, segments: list[Segment]) -> list[Segment]:
-        """Add the arcs and jumps of a chunk; returns the segments of the arc still going."""
+    def _keep(self, records: Any) -> None:
+        """Add the arcs and jumps of a chunk, and the segments of the arc still going."""
         coefficients = np.einsum("ij,kjn->kin", from_values(self.degree), records.values)
         for row in range(len(records.step)):
             if self.driver.status is not None:
                 break
             if self.dense and records.step[row]:
                 start, length = float(records.start[row]), float(records.length[row])
-                segments.append(Segment(start, length, coefficients[row]))
+                self.segments.append(Segment(start, length, coefficients[row]))
             if records.jump[row]:
-                self._jumped(records, row, segments)
-                segments = []
-        return segments
+                self._jumped(records, row)
 
-    def _jumped(self, records: Any, row: int, segments: list[Segment]) -> None:
+    def _jumped(self, records: Any, row: int) -> None:
         """An arc and the jump that ended it."""
         driver = self.driver
         field = driver.entry.field
         guard = field.guards[int(records.slot[row])]
         before, after = records.before[row], records.after[row]
-        self._arc(before, float(records.tau[row]), segments)
+        self._arc(before, float(records.tau[row]))
         if guard.kind == "contact":
             driver.watch.saw(guard.edge)
         else:
@@ -138,22 +147,23 @@ class Streaks:
         driver.add_jump(guard.edge, before, after)
         driver.arrive(driver.scene.field(guard.to), after, guard)
 
-    def _arc(self, last: np.ndarray, tau: float, segments: list[Segment]) -> None:
+    def _arc(self, last: np.ndarray, tau: float) -> None:
         driver = self.driver
+        segments, self.segments = self.segments, []
         if segments:
             segments[-1] = segments[-1].cut(tau - segments[-1].start)
         driver.record.arc(driver.entry.field, driver.entry.x, last, tau, segments)
 
-    def _stand(self, lane: Lane, status: int, segments: list[Segment]) -> None:
+    def _stand(self, lane: Lane, status: int) -> None:
         """Where the lane stopped: the end, a jump to judge, or an arc to fly anew."""
         driver, going = self.driver, lane.going
         x, tau = np.asarray(going.x), float(going.tau)
         if status == END:
-            self._arc(x, tau, segments)
+            self._arc(x, tau)
             driver.status = Status.REACHED_END
         elif status == JUDGE and int(going.stage) == JUMP:
             guard: Guard = driver.entry.field.guards[int(going.slot)]
-            self._arc(x, tau, segments)
+            self._arc(x, tau)
             driver.watch.tried = float(lane.tried)
             driver.jump(guard, x)
         else:

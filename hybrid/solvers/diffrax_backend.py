@@ -23,18 +23,18 @@ from ..automaton.trace import again
 from ..errors import FlowError, OptionError
 from ..jit import jit
 from ..scene import Field
-from ..segment import Segment, from_values, integrals, nodes
+from ..segment import Segment, apply, from_values, integrals, nodes
 from .base import Solver, Stepper
 
-#: Degree of each method's dense output in the fraction of the step.
+#: Degree of each method's dense output in the fraction of the step; the first is the default.
 DEGREES = {
+    "Dopri8": 8,
+    "Tsit5": 4,
+    "Dopri5": 4,
+    "Bosh3": 3,
     "Heun": 3,
     "Midpoint": 3,
     "Ralston": 3,
-    "Bosh3": 3,
-    "Tsit5": 4,
-    "Dopri5": 4,
-    "Dopri8": 8,
     "Kvaerno3": 3,
     "Kvaerno4": 3,
     "Kvaerno5": 3,
@@ -49,17 +49,15 @@ ATTEMPTS = 100_000
 #: A step this short against the time in the arc cannot be made.
 SHORTEST = 1e-14
 
+#: A flow of more equations than this is compiled once, in a loop over the stages.
+WRITTEN_OUT = 200
+
 
 @attrs.frozen
 class Method:
-    """A Diffrax method, as a pure function that attempts one step.
-
-    ``scan`` is how Diffrax loops over the stages: ``"bounded"`` can be differentiated both
-    ways, None is its choice.
-    """
+    """A Diffrax method, as a pure function that attempts one step."""
 
     name: str
-    scan: str | None = None
 
     @property
     def degree(self) -> int:
@@ -74,25 +72,21 @@ class Method:
     def implicit(self) -> bool:
         return self.name.startswith("Kvaerno")
 
-    def solver(self, rtol: Any, atol: Any) -> Any:
-        """Diffrax's solver; the tolerances are those of an implicit method's equations."""
-        options: dict[str, Any] = {"scan_kind": self.scan} if self.scan else {}
-        if self.implicit:
-            options["root_finder"] = diffrax.VeryChord(rtol=rtol, atol=jnp.min(atol))
-        return getattr(diffrax, self.name)(**options)
-
+    @property
     def order(self) -> int:
         """Order of the method."""
-        return _order(self.name)
+        return int(self.solver(1e-6, 1e-6).order(_TERM))
 
-    def memory(self, x: Any, xp: Any = jnp) -> Any:
-        """The solver's memory at the start of an arc: its last stage, if it is reused."""
-        fsal = self.solver(1e-6, np.array(1e-6)).tableau.fsal
-        return (xp.asarray(True), xp.zeros_like(x)) if fsal else None
+    def solver(self, rtol: Any, atol: Any) -> Any:
+        """Diffrax's solver; the tolerances are those of an implicit method's equations."""
+        if not self.implicit:
+            return getattr(diffrax, self.name)(scan_kind="bounded")
+        roots = diffrax.VeryChord(rtol=rtol, atol=jnp.min(atol))
+        return getattr(diffrax, self.name)(scan_kind="bounded", root_finder=roots)
 
     def attempt(
-        self, flow: Any, tau: Any, h: Any, x: Any, memory: Any, rtol: Any, atol: Any
-    ) -> tuple[Any, Any, Any, Any, Any]:
+        self, flow: Any, tau: Any, h: Any, x: Any, rtol: Any, atol: Any
+    ) -> tuple[Any, Any, Any, Any]:
         """One step of length ``h`` from local time ``tau``.
 
         Parameters
@@ -101,29 +95,51 @@ class Method:
 
         Returns
         -------
-        x, kept, next_h, values, memory
+        x, kept, next_h, values
             The state at its end; whether the error is within the tolerances; the length to
             try next; the states at ``nodes(degree)``, shape ``(degree + 1, n)``.
         """
-        solver = self.solver(rtol, atol)
-        term = diffrax.ODETerm(lambda t, y, args: flow(t, y))
-        end, error, dense, after, _ = solver.step(
-            term, tau, tau + h, x, None, memory, jnp.array(False)
-        )
+        small = str(jax.make_jaxpr(flow)(tau, x)).count("\n") <= WRITTEN_OUT
+        steps = self._stages if small and not self.implicit else self._step
+        end, error, values = steps(flow, tau, h, x, rtol, atol)
         error = jnp.where(jnp.all(jnp.isfinite(end + error)), error, jnp.inf)
         control = diffrax.PIDController(rtol=rtol, atol=atol)
         state = (jnp.array(1.0), jnp.array(1.0), False)
-        order = solver.error_order(term)
+        order = self.solver(rtol, atol).error_order(_TERM)
         kept, begin, stop, *_ = control.adapt_step_size(
             jnp.zeros_like(h), h, x, end, None, error, order, state
         )
-        path = solver.interpolation_cls(t0=jnp.zeros_like(h), t1=h, **dense)
-        values = jax.vmap(lambda s: path.evaluate(s * h))(jnp.asarray(nodes(self.degree)))
         values = self._swept(flow, tau, h, x, end, values)
         values = jnp.concatenate([x[None], values[1:-1], end[None]])
-        if after is not None:
-            after = (jnp.asarray(after[0]), after[1])
-        return end, kept, stop - begin, values, after
+        return end, kept, stop - begin, values
+
+    def _stages(
+        self, flow: Any, tau: Any, h: Any, x: Any, rtol: Any, atol: Any
+    ) -> tuple[Any, Any, Any]:
+        """An explicit step, its stages written out: state, error, states at the nodes.
+
+        The numbers are Diffrax's; its loop over the stages costs several times as much as
+        they do where the flow is small.
+        """
+        table = getattr(diffrax, self.name).tableau
+        rates = [h * flow(tau, x)]
+        for c, row in zip(table.c, table.a_lower, strict=True):
+            rates.append(h * flow(tau + c * h, x + _combined(row, rates)))
+        end = x + _combined(table.b_sol, rates)
+        values = apply(_weights(self), jnp.stack([x, end, *rates]))
+        return end, _combined(table.b_error, rates), values
+
+    def _step(
+        self, flow: Any, tau: Any, h: Any, x: Any, rtol: Any, atol: Any
+    ) -> tuple[Any, Any, Any]:
+        """The same by Diffrax's own ``step``."""
+        solver = self.solver(rtol, atol)
+        term = diffrax.ODETerm(lambda t, y, args: flow(t, y))
+        begins = (jnp.asarray(True), jnp.zeros_like(x)) if solver.tableau.fsal else None
+        end, error, dense, *_ = solver.step(term, tau, tau + h, x, None, begins, jnp.array(False))
+        path = solver.interpolation_cls(t0=jnp.zeros_like(h), t1=h, **dense)
+        values = jax.vmap(lambda s: path.evaluate(s * h))(jnp.asarray(nodes(self.degree)))
+        return end, error, values
 
     def _swept(self, flow: Any, tau: Any, h: Any, x: Any, end: Any, values: Any) -> Any:
         """The interpolant, brought nearer to the solution between the ends of the step.
@@ -133,15 +149,33 @@ class Method:
         s = jnp.asarray(nodes(self.degree))
         for _ in range(SWEEPS.get(self.name, 0)):
             rates = jax.vmap(flow)(tau + h * s, values)
-            values = x + h * (jnp.asarray(integrals(self.degree)) @ rates)
+            values = x + h * apply(integrals(self.degree), rates)
             values = values + s[:, None] * (end - values[-1])
         return values
 
 
+_TERM = diffrax.ODETerm(lambda t, y, args: y)
+
+
+def _combined(weights: Any, rates: Any) -> Any:
+    """A weighted sum, written out."""
+    return sum(float(w) * k for w, k in zip(weights, rates, strict=True) if w)
+
+
 @cache
-def _order(name: str) -> int:
-    term = diffrax.ODETerm(lambda t, y, args: y)
-    return int(Method(name).solver(1e-6, np.array(1e-6)).order(term))
+def _weights(method: Method) -> np.ndarray:
+    """States at the nodes, from those at both ends and the stages: the interpolant is linear."""
+    size = 2 + len(method.solver(1e-6, 1e-6).tableau.b_sol)
+
+    def at_nodes() -> Any:
+        start, end, *rates = jnp.eye(size)
+        path = method.solver(1e-6, 1e-6).interpolation_cls(
+            t0=jnp.array(0.0), t1=jnp.array(1.0), y0=start, y1=end, k=jnp.stack(rates)
+        )
+        return jax.vmap(path.evaluate)(jnp.asarray(nodes(method.degree)))
+
+    with jax.ensure_compile_time_eval():
+        return np.asarray(jit(at_nodes)())
 
 
 class DiffraxSolver(Solver):
@@ -154,7 +188,7 @@ class DiffraxSolver(Solver):
         if method not in DEGREES:
             raise OptionError(f"method={method!r}: solver 'diffrax' has {', '.join(DEGREES)}")
         self.method, self.compiled = method, Method(method)
-        self.order = self.compiled.order()
+        self.order = self.compiled.order
         self.rtol, self.atol = max(rtol, 2.3e-14), atol
 
     def begin(
@@ -181,15 +215,14 @@ class DiffraxStepper(Stepper):
         self.tolerances = (solver.rtol, np.broadcast_to(solver.atol, x0.shape).astype(float))
         key = ("diffrax", field.name, self.method)
         self._call = field.code.once(key, lambda: _compiled(self.method, field))
-        self.memory: Any = None
 
     def step(self, limit: float) -> None:
-        self._before = (self.tau, self.x, self.memory)
+        self._before = (self.tau, self.x)
         self._towards(limit, False)
 
     def land(self, tau: float) -> Segment:
         """Step again from where the last step began, onto ``tau``, in one step."""
-        self.tau, self.x, self.memory = self._before
+        self.tau, self.x = self._before
         h, self.h = self.h, tau - self.tau
         self._towards(tau, True)
         self.h = h
@@ -214,10 +247,8 @@ class DiffraxStepper(Stepper):
 
     def _towards(self, limit: float, force: bool) -> None:
         span, start = limit - self.tau, self.tau
-        if self.memory is None:
-            self.memory = self.method.memory(self.x, np)
-        x, h, new, values, self.memory = self._call(
-            *self.fixed, start, self.h, span, self.x, self.memory, *self.tolerances, force
+        x, h, new, values = self._call(
+            *self.fixed, start, self.h, span, self.x, *self.tolerances, force
         )
         self.x, h, self.h = np.asarray(x), float(h), float(new)
         self.tau = limit if h >= span else start + h
@@ -226,7 +257,7 @@ class DiffraxStepper(Stepper):
             raise FlowError(self._reason())
 
     def _reason(self) -> str:
-        tau, x, *_ = self._before
+        tau, x = self._before
         if not np.all(np.isfinite(self.field.rhs(self.fixed[1] + tau, x.tolist()))):
             return "the flow is not finite"
         return "the solver gave up: the step became too small, or the flow is not finite"
@@ -243,7 +274,6 @@ def _compiled(method: Method, field: Field) -> Any:
         h: Any,
         span: Any,
         x: Any,
-        memory: Any,
         rtol: Any,
         atol: Any,
         force: Any,
@@ -253,18 +283,18 @@ def _compiled(method: Method, field: Field) -> Any:
 
         def attempt(h: Any) -> Any:
             taken = jnp.minimum(h, span)
-            end, kept, new, values, after = method.attempt(flow, tau, taken, x, memory, rtol, atol)
+            end, kept, new, values = method.attempt(flow, tau, taken, x, rtol, atol)
             wanted = jnp.where(kept & (taken < h), jnp.maximum(new, h), new)
-            return end, taken, wanted, values, after, kept
+            return end, taken, wanted, values, kept
 
         def refused(carry: Any) -> Any:
-            _, taken, _, _, _, kept = carry
+            _, taken, _, _, kept = carry
             return ~kept & ~force & (taken > SHORTEST * tau) & (taken > 1e-300)
 
         last = jax.lax.while_loop(refused, lambda carry: attempt(carry[2]), attempt(h))
-        end, taken, new, values, after, kept = last
+        end, taken, new, values, kept = last
         taken = jnp.where(kept | force, taken, 0.0)
-        return end, taken, new, values, after
+        return end, taken, new, values
 
     return jit(step)
 
