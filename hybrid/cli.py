@@ -148,6 +148,8 @@ def _table(found: Any) -> None:
             typer.echo(f"{label:18} failed: {run}")
         else:
             typer.echo(f"{label:18} {len(run.own_jumps)} jumps computed, {len(run.zeno)} summed")
+    if not found.differences:
+        return
     typer.echo(f"largest differences from {found.reference}:")
     for quantity in SAME:
         worst = found.worst(quantity)

@@ -86,10 +86,10 @@ class Comparison:
         failed = any(isinstance(run, HybridError) for run in self.runs.values())
         return not failed and all(d.explained for d in self.differences)
 
-    def worst(self, quantity: str) -> Difference:
-        """The largest difference in a quantity."""
+    def worst(self, quantity: str) -> Difference | None:
+        """The largest difference in a quantity; None if every other method failed."""
         own = [d for d in self.differences if d.quantity == quantity]
-        return max(own, key=lambda d: (not d.explained, d.size))
+        return max(own, key=lambda d: (not d.explained, d.size), default=None)
 
 
 def compare(

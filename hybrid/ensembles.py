@@ -8,7 +8,6 @@ from os import cpu_count
 from typing import TYPE_CHECKING, Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .automaton.spec import Spec
@@ -16,7 +15,6 @@ from .compiled.abreast import Abreast, status_of
 from .compiled.ask import (
     REASONS,
     check_method,
-    check_tolerances,
     check_zeno,
     code_of,
     place,
@@ -27,6 +25,7 @@ from .compiled.turn import Turner
 from .errors import OptionError, StartError
 from .jit import jit
 from .scene.scene import rest_name
+from .solvers.base import FINEST, tolerances
 from .solvers.diffrax_backend import Method
 
 if TYPE_CHECKING:
@@ -107,24 +106,26 @@ def ensemble(
     check_zeno(zeno)
     system, number, held = place(code, mode)
     bounds = np.iinfo(np.int64).max // 2 if max_jumps is None else max_jumps, max_steps
-    lanes = _Lanes(code.spec, model, start, t, dict(parameters or {}), (rtol, atol), bounds)
+    allowed = tolerances(rtol, atol, code.spec.dimension)
+    lanes = _Lanes(code.spec, model, start, t, dict(parameters or {}), allowed, bounds)
     device = jax.default_backend()
     most, places = CHUNK["cpu" if device == "cpu" else "other"]
     workers = (cpu_count() or 1) if device == "cpu" else 1
     each = min(most, -(-lanes.count // workers))
     size = _power_of_two(each)
-    key = ("ensemble", method, zeno, number, tuple(held), size)
+    places = min(places, size)
     begin, advance = code.once(
-        key, lambda: _compiled(system, Method(method), zeno, number, held, min(places, size))
+        ("ensemble", method, zeno, places), lambda: _compiled(system, Method(method), zeno, places)
     )
     done = [0] * -(-lanes.count // each)
 
     def work(chunk: int) -> Any:
         count = min(each, lanes.count - chunk * each)
-        starts = lanes.chunk(chunk * each, size)
-        state = begin(*starts, count)
+        run, x = lanes.chunk(chunk * each, size)
+        starts = run, np.full(size, number), np.broadcast_to(held, (size, len(held))), x
+        state = begin(starts, count)
         while True:
-            state, left = advance(*starts, count, state, ROUNDS)
+            state, left = advance(starts, count, state, ROUNDS)
             done[chunk] = count - int(left)
             if progress is not None:
                 progress(sum(done))
@@ -146,30 +147,16 @@ def _power_of_two(number: int) -> int:
     return 1 << max(0, number - 1).bit_length()
 
 
-def _compiled(
-    system: Any, method: Method, zeno: str, mode: int, held: np.ndarray, places: int
-) -> tuple[Any, Any]:
+def _compiled(system: Any, method: Method, zeno: str, places: int) -> tuple[Any, Any]:
     """The two programs of a chunk: begin, and go on for some rounds."""
     turner = Turner(system, method, judged=False, sums=zeno != "ignore")
     abreast = Abreast(Journey(turner, zeno), places, _show)
 
-    def starts(run: Run, x: Any) -> Any:
-        count = len(x)
-        return (
-            run,
-            jnp.full(count, mode),
-            jnp.broadcast_to(jnp.asarray(held), (count, len(held))),
-            x,
-        )
-
-    def begin(run: Run, x: Any, count: Any) -> Any:
-        return abreast.begin(starts(run, x), count)
-
-    def advance(run: Run, x: Any, count: Any, work: Any, rounds: Any) -> Any:
-        work = abreast.advance(starts(run, x), count, work, rounds)
+    def advance(starts: Any, count: Any, work: Any, rounds: Any) -> Any:
+        work = abreast.advance(starts, count, work, rounds)
         return work, (work.lane < count).sum() + count - work.following
 
-    return jit(begin), jit(advance)
+    return jit(abreast.begin), jit(advance)
 
 
 def _show(trip: Trip) -> dict[str, Any]:
@@ -208,7 +195,7 @@ class _Lanes:
         start: Any,
         t: Any,
         given: dict[str, Any],
-        tolerances: tuple[Any, Any],
+        allowed: tuple[float, np.ndarray],
         bounds: tuple[int, int],
     ) -> None:
         self.spec = spec
@@ -233,13 +220,12 @@ class _Lanes:
         self.count = counts.pop() if counts else 1
         parts = [self._full(v, shape).reshape(self.count, -1) for v, shape in states]
         self.x = np.concatenate(parts, axis=1)
-        rtol, atol = check_tolerances(spec, *tolerances)
         self.run = Run(
             tuple(self._full(v, shape) for v, shape in parameters),
             self._full(first, ()),
             self._full(last, ()),
-            self._full(rtol, ()),
-            self._full(atol, (spec.dimension,)),
+            self._full(np.array(max(allowed[0], FINEST)), ()),
+            self._full(allowed[1], (spec.dimension,)),
             *(self._full(np.array(bound), ()) for bound in bounds),
         )
 

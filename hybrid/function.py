@@ -9,12 +9,13 @@ import jax
 import jax.numpy as jnp
 
 from .automaton.spec import Spec
-from .compiled.ask import check_method, check_tolerances, check_zeno, code_of, place
+from .compiled.ask import check_method, check_zeno, code_of, place
 from .compiled.batch import when
 from .compiled.lane import CLOSE, MAX_JUMPS, MAX_STEPS, RUNNING, Run
 from .compiled.lanes import Journey, Trip, empty_log, ended
 from .compiled.turn import Turner
 from .errors import OptionError
+from .solvers.base import FINEST, tolerances
 from .solvers.diffrax_backend import Method
 
 #: Turns between two looks at whether all is done; also what a reverse pass recomputes at once.
@@ -132,14 +133,14 @@ def as_function(
     unknown = [name for name in outputs if name not in OUTPUTS]
     if unknown:
         raise OptionError(f"outputs: {unknown[0]!r} is none of {', '.join(OUTPUTS)}")
-    tolerances = check_tolerances(code.spec, rtol, atol)
+    allowed = tolerances(rtol, atol, code.spec.dimension)
     system, number, held = place(code, mode)
     turner = Turner(system, Method(method), judged=False, sums=zeno != "ignore")
     journey = Journey(turner, zeno, carried=True)
 
     def function(model: Any, start: Any) -> Outcome:
         _require_wide()
-        run = _run(code.spec, model, t, tolerances, max_jumps, max_steps)
+        run = _run(code.spec, model, t, allowed, max_jumps, max_steps)
         x = _vector(code.spec, start)
         trip = journey.begin(run, number, jnp.asarray(held), x)
         if "jumps" in outputs:
@@ -158,11 +159,12 @@ def _require_wide() -> None:
         )
 
 
-def _run(spec: Spec, model: Any, t: Any, tolerances: Any, max_jumps: int, max_steps: int) -> Run:
+def _run(spec: Spec, model: Any, t: Any, allowed: Any, max_jumps: int, max_steps: int) -> Run:
     if getattr(type(model), "spec", None) is not spec:
         raise OptionError(f"the function was made for {spec.model}, not for {type(model).__name__}")
     parameters = tuple(jnp.asarray(getattr(model, p.name), float) for p in spec.parameters)
-    rtol, atol = jnp.asarray(tolerances[0]), jnp.broadcast_to(tolerances[1], spec.dimension)
+    rtol = jnp.asarray(max(allowed[0], FINEST))
+    atol = jnp.broadcast_to(jnp.asarray(allowed[1]), spec.dimension)
     first, last = (jnp.asarray(v, float) for v in t)
     return Run(parameters, first, last, rtol, atol, max_jumps + 1, max_steps)
 

@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from .automaton.base import require_model
 from .automaton.record import Record
 from .automaton.spec import Spec
 from .errors import HybridError, OptionError, StartError
 from .run import Driver, Plan
 from .scene import Scene, scene_of
 from .solvers import choose
+from .solvers.base import FINEST, tolerances
 from .trajectory import Status, Trajectory
 from .zeno.accumulate import FLOOR
 
@@ -98,11 +100,7 @@ def simulate(
     >>> run.zeno[0].t
     2.5586339655858...
     """
-    if not hasattr(model, "spec"):
-        what = "an instance: write Model()" if isinstance(model, type) else repr(type(model))
-        raise OptionError(f"model must be an instance of a subclass of hy.Automaton, not {what}")
-    if isinstance(model, type):
-        raise OptionError(f"give an instance of the model: {model.__name__}()")
+    require_model(model)
     scene = scene_of(model)
     spec = scene.spec
     _refuse_history(spec, history, memory)
@@ -196,7 +194,7 @@ def _second_run(
     if not has_series:
         other = choose(solver, method, max(1e-2 * plan.rtol, 3e-14), 1e-2 * plan.atol)
     elif solver == "taylor":
-        other = choose("scipy", "DOP853", 2.3e-14, 1e-4 * plan.atol)
+        other = choose("scipy", "DOP853", FINEST, 1e-4 * plan.atol)
     else:
         other = choose("taylor", None, plan.rtol, plan.atol)
     again = Driver(driver.scene, other, plan)
@@ -255,17 +253,7 @@ def _plan(
     progress: Any,
 ) -> Plan:
     t0, t1 = _times(t)
-    if not (isinstance(rtol, float | int) and 0 < rtol < 1):
-        raise OptionError(f"rtol={rtol!r}: a number between 0 and 1")
-    try:
-        atol = np.asarray(atol, dtype=float)
-    except (TypeError, ValueError):
-        raise OptionError(f"atol={atol!r}: a number, or one for each element") from None
-    if atol.shape not in ((), (spec.dimension,)) or not np.all(atol >= 0):
-        raise OptionError(
-            f"atol={atol!r}: a number, or one for each of the {spec.dimension} elements of the "
-            "state"
-        )
+    rtol, atol = tolerances(rtol, atol, spec.dimension)
     if zeno not in ZENO:
         raise OptionError(f"zeno={zeno!r}: one of {', '.join(map(repr, ZENO))}")
     if max_jumps is not None and not (isinstance(max_jumps, int | np.integer) and max_jumps > 0):
@@ -276,7 +264,7 @@ def _plan(
     cap = max_jumps if zeno == "truncate" else None
     limit = MAX_JUMPS if max_jumps is None or zeno == "truncate" else max_jumps
     plain = float(atol) if atol.shape == () else atol
-    return Plan(t0, t1, float(rtol), plain, zeno, limit, cap, dense, samples, progress)
+    return Plan(t0, t1, rtol, plain, zeno, limit, cap, dense, samples, progress)
 
 
 def _times(t: Any) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import attrs
 import numpy as np
 
-from ..errors import DeclarationError, ParameterError, TraceError
+from ..errors import DeclarationError, OptionError, ParameterError, TraceError
 from . import trace
 from .markers import Contact, Crossing, Edge, Mode, State, is_number
 from .spec import ContactSpec, EdgeSpec, ModeSpec, ParameterSpec, Spec, StateSpec
@@ -289,3 +289,17 @@ def _register_pytree(cls: type) -> None:
         return trace.instance(cls, names, leaves)
 
     jax.tree_util.register_pytree_node(cls, flatten, unflatten)
+
+
+def require_model(model: Any) -> None:
+    """Refuse what is no instance of a model.
+
+    Raises
+    ------
+    OptionError
+    """
+    if not hasattr(model, "spec"):
+        what = "an instance: write Model()" if isinstance(model, type) else repr(type(model))
+        raise OptionError(f"model must be an instance of a subclass of hy.Automaton, not {what}")
+    if isinstance(model, type):
+        raise OptionError(f"give an instance of the model: {model.__name__}()")

@@ -2,8 +2,11 @@
 
 ``system``
     A class's functions for any mode and any contacts held.
-``roots``, ``turn``, ``tail``
-    The rules: the zeros of guards, one step or jump, the sum of a series of impacts.
-``lanes``
-    The loops around them.
+``lane``, ``roots``, ``detect``, ``turn``, ``tail``
+    The rules: one trajectory on its way, the zeros of guards, the first event of a step, one
+    step or jump, the sum of a series of impacts.
+``lanes``, ``abreast``, ``streak``
+    The loops around them: a whole trajectory, many at once, the plain arcs of one.
+``ask``
+    What a caller gives, as arrays.
 """

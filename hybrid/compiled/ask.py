@@ -6,34 +6,48 @@ from typing import Any
 
 import numpy as np
 
-from ..automaton.spec import Spec
+from ..automaton.base import require_model
 from ..errors import OptionError
 from ..scene.lowered import Lowered, lowered
+from ..solvers.base import method_of
+from ..solvers.diffrax_backend import DEGREES
+from .lane import (
+    END,
+    LOOP,
+    MAX_JUMPS,
+    MAX_STEPS,
+    NO_REST,
+    NOT_FINITE,
+    OUTSIDE,
+    UNDECIDED,
+    ZENO,
+)
 from .system import System, system_of
-
-#: No step can be held to less, relative to the state.
-FINEST = 2.3e-14
 
 #: What a lane's status means.
 REASONS = {
-    1: ("reached_end", "the last time was reached"),
-    2: ("max_jumps", "max_jumps was reached; raise it"),
-    3: ("zeno_stopped", "jumps accumulate (zeno='stop'); zeno='rest' goes on at rest"),
-    4: ("no_rest", "jumps accumulate, and the contact declares rests=False"),
-    7: ("max_steps", "max_steps was reached; raise it"),
-    8: ("not_finite", "a flow, guard or reset is not finite, or the step became zero"),
-    9: ("outside", "the start, or a reset, is outside the mode's domain"),
-    10: ("undecided", "a guard is zero and two derivatives do not decide which way it goes"),
-    11: ("jump_loop", "jumps follow each other with no time between them"),
+    END: ("reached_end", "the last time was reached"),
+    MAX_JUMPS: ("max_jumps", "max_jumps was reached; raise it"),
+    ZENO: ("zeno_stopped", "jumps accumulate (zeno='stop'); zeno='rest' goes on at rest"),
+    NO_REST: ("no_rest", "jumps accumulate, and the contact declares rests=False"),
+    MAX_STEPS: ("max_steps", "max_steps was reached; raise it"),
+    NOT_FINITE: (
+        "not_finite",
+        "a flow, guard or reset is not finite, or the step became zero",
+    ),
+    OUTSIDE: ("outside", "the start, or a reset, is outside the mode's domain"),
+    UNDECIDED: (
+        "undecided",
+        "a guard is zero and two derivatives do not decide which way it goes",
+    ),
+    LOOP: ("jump_loop", "jumps follow each other with no time between them"),
 }
 
 
 def code_of(model: Any) -> Lowered:
     """The generated code of a model (its parameters may be tracers)."""
+    require_model(model)
     cls: Any = type(model)
-    if not hasattr(cls, "spec"):
-        what = "write Model()" if hasattr(model, "spec") else repr(cls)
-        raise OptionError(f"model must be an instance of a subclass of hy.Automaton: {what}")
     shapes = tuple(np.shape(getattr(model, p.name)) for p in cls.spec.parameters)
     return lowered(cls, shapes)
 
@@ -63,19 +77,6 @@ def place(code: Lowered, mode: str | None) -> tuple[System, int, np.ndarray]:
     return system, system.modes.index(base), mask
 
 
-def check_tolerances(spec: Spec, rtol: Any, atol: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Tolerances that a step can be held to; ``atol`` may have one for each element."""
-    relative, absolute = (np.asarray(v, dtype=float) for v in (rtol, atol))
-    if relative.shape != () or not 0 < relative < 1:
-        raise OptionError(f"rtol={rtol!r}: a number between 0 and 1")
-    if absolute.shape not in ((), (spec.dimension,)) or not np.all(absolute >= 0):
-        raise OptionError(
-            f"atol={atol!r}: a number, or one for each of the {spec.dimension} elements of the "
-            "state"
-        )
-    return np.maximum(relative, FINEST), absolute
-
-
 def check_zeno(zeno: str) -> None:
     """Refuse what a compiled run cannot do about accumulations."""
     if zeno not in ("rest", "stop", "ignore"):
@@ -87,11 +88,6 @@ def check_zeno(zeno: str) -> None:
 
 def check_method(solver: str, method: str | None) -> str:
     """The name of a Diffrax method."""
-    from ..solvers.diffrax_backend import DEGREES
-
     if solver != "diffrax":
         raise OptionError(f"solver={solver!r}: compiled runs need solver='diffrax'")
-    method = method or "Dopri8"
-    if method not in DEGREES:
-        raise OptionError(f"method={method!r}: solver 'diffrax' has {', '.join(DEGREES)}")
-    return method
+    return method_of(solver, method, DEGREES)

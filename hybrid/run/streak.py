@@ -13,7 +13,7 @@ from ..compiled.system import system_of
 from ..compiled.turn import AHEAD
 from ..scene import Guard
 from ..segment import Segment, from_values
-from ..solvers.base import Solver
+from ..solvers.base import FINEST, Solver
 from ..trajectory import Status
 from .arc import ArcFlow
 from .plan import PATIENCE
@@ -86,11 +86,9 @@ class Streaks:
         plan, driver = self.plan, self.driver
         atol = np.broadcast_to(plan.atol, driver.entry.x.shape).astype(float)
         bounds = np.int64(2**62), np.int64(2**62)
-        run = Run(driver.scene.parameters, plan.t0, plan.t1, self._rtol(), atol, *bounds)
+        rtol = max(plan.rtol, FINEST)
+        run = Run(driver.scene.parameters, plan.t0, plan.t1, rtol, atol, *bounds)
         return run, Watch(plan.patience, PATIENCE)
-
-    def _rtol(self) -> float:
-        return max(self.plan.rtol, 2.3e-14)
 
     def _begin(self) -> Lane:
         """The lane of the driver's entry."""

@@ -21,14 +21,58 @@ Contract (held by ``tests/contract``)
 from __future__ import annotations
 
 import abc
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..errors import OptionError
 from ..segment import Segment
 
 if TYPE_CHECKING:
     from ..scene import Field
+
+#: No step can be held to less, relative to the state.
+FINEST = 2.3e-14
+
+
+def method_of(solver: str, method: str | None, known: Iterable[str]) -> str:
+    """The method named, or the first that a solver has.
+
+    Raises
+    ------
+    OptionError
+        If it has no such method.
+    """
+    names = list(known)
+    if method is not None and method not in names:
+        raise OptionError(f"method={method!r}: solver {solver!r} has {', '.join(names)}")
+    return method or names[0]
+
+
+def tolerances(rtol: Any, atol: Any, dimension: int) -> tuple[float, np.ndarray]:
+    """Tolerances of a step: a number, and a number or one for each element of the state.
+
+    Raises
+    ------
+    OptionError
+        If they are not that.
+    """
+    try:
+        relative = float(rtol)
+    except (TypeError, ValueError):
+        relative = 0.0
+    if not 0 < relative < 1:
+        raise OptionError(f"rtol={rtol!r}: a number between 0 and 1")
+    try:
+        absolute = np.asarray(atol, dtype=float)
+    except (TypeError, ValueError):
+        absolute = np.array(-1.0)
+    if absolute.shape not in ((), (dimension,)) or not np.all(absolute >= 0):
+        raise OptionError(
+            f"atol={atol!r}: a number, or one for each of the {dimension} elements of the state"
+        )
+    return relative, absolute
 
 
 class Stepper(abc.ABC):

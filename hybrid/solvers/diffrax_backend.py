@@ -20,11 +20,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..automaton.trace import again
-from ..errors import FlowError, OptionError
+from ..errors import FlowError
 from ..jit import jit
 from ..scene import Field
 from ..segment import Segment, apply, from_values, integrals, nodes
-from .base import Solver, Stepper
+from .base import FINEST, Solver, Stepper, method_of
 
 #: Degree of each method's dense output in the fraction of the step; the first is the default.
 DEGREES = {
@@ -184,12 +184,10 @@ class DiffraxSolver(Solver):
     name = "diffrax"
 
     def __init__(self, method: str | None, rtol: float, atol: Any) -> None:
-        method = method or "Dopri8"
-        if method not in DEGREES:
-            raise OptionError(f"method={method!r}: solver 'diffrax' has {', '.join(DEGREES)}")
-        self.method, self.compiled = method, Method(method)
+        self.method = method_of(self.name, method, DEGREES)
+        self.compiled = Method(self.method)
         self.order = self.compiled.order
-        self.rtol, self.atol = max(rtol, 2.3e-14), atol
+        self.rtol, self.atol = max(rtol, FINEST), atol
 
     def begin(
         self,

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, Radau
 
-from ..errors import FlowError, OptionError
+from ..errors import FlowError
 from ..scene import Field
 from ..segment import Segment, from_powers, from_values, nodes
-from .base import Solver, Stepper
+from .base import FINEST, Solver, Stepper, method_of
 
 METHODS: dict[str, Any] = {
     "DOP853": DOP853,
@@ -39,11 +39,9 @@ class SciPySolver(Solver):
     name = "scipy"
 
     def __init__(self, method: str | None, rtol: float, atol: Any) -> None:
-        method = method or "DOP853"
-        if method not in METHODS:
-            raise OptionError(f"method={method!r}: solver 'scipy' has {', '.join(METHODS)}")
-        self.method, self.order = method, ORDERS[method]
-        self.rtol, self.atol = max(rtol, 2.3e-14), atol
+        self.method = method_of(self.name, method, METHODS)
+        self.order = ORDERS[self.method]
+        self.rtol, self.atol = max(rtol, FINEST), atol
         self._kept: dict[int, Any] = {}
 
     def begin(
