@@ -216,18 +216,28 @@ class Turner:
     def _landed(self, run: Run, lane: Lane, held: Any, moved: Going, h: Any) -> Going:
         """After a step onto a guard: moved by the last rounding onto it, or sent again (5).
 
-        The correction is Newton's. It carries the derivative of the time of the event; the
-        length of the step that led here is a number like any other.
+        The correction is Newton's, along the second-order curve of the flow. It carries the
+        derivative of the time of the event; the length of the step that led here is a number
+        like any other.
         """
         going, p = lane.going, run.parameters
         t = lane.now + h
-        rate = self.system.flow(p, lane.mode, held, t, moved.x)
 
-        def guard(t: Any, x: Any) -> Any:
-            values = self.system.guards(p, lane.mode, held, t, x)
+        def flow(t: Any, x: Any) -> Any:
+            return self.system.flow(p, lane.mode, held, t, x)
+
+        rate = flow(t, moved.x)
+        rate, bend = jax.jvp(flow, (t, moved.x), (jnp.ones_like(t), rate))
+        bend = stop_gradient(bend)
+
+        def on_curve(s: Any) -> Any:
+            return moved.x + s * (rate + 0.5 * s * bend)
+
+        def guard(s: Any) -> Any:
+            values = self.system.guards(p, lane.mode, held, t + s, on_curve(s))
             return jnp.where(self.system.only(going.slot), values, 0.0).sum()
 
-        value, slope = jax.jvp(guard, (t, moved.x), (jnp.ones_like(t), rate))
+        value, slope = jax.jvp(guard, (jnp.zeros_like(t),), (jnp.ones_like(t),))
         slope = stop_gradient(slope)
         steep = jnp.where(slope == 0, jnp.inf, slope)
         shift, noise = -value / steep, 8 * EPS * (1.0 + jnp.abs(moved.x).max()) / jnp.abs(steep)
@@ -235,10 +245,10 @@ class Turner:
         again = ~small & (going.tries < LANDINGS) & (h + shift > 0)
         again = again & (h + shift <= lane.left(run.t1))
         reach = stop_gradient(h + shift)
-        shift = jnp.where(small, shift, 0.0)
+        shift = jnp.where(small, shift - guard(shift) / steep, 0.0)
         there = moved._replace(
             tau=going.tau + (h + shift),
-            x=moved.x + shift * rate,
+            x=on_curve(shift),
             h=going.h,
             slot=going.slot,
             stage=jnp.full_like(going.stage, JUMP),
