@@ -115,7 +115,8 @@ def ensemble(
     size = _power_of_two(each)
     places = min(places, size)
     begin, advance = code.once(
-        ("ensemble", method, zeno, places), lambda: _compiled(system, Method(method), zeno, places)
+        ("ensemble", method, zeno, places),
+        lambda: _compiled(system, Method(method, written=True), zeno, places),
     )
     done = [0] * -(-lanes.count // each)
 

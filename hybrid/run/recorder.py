@@ -41,6 +41,8 @@ class Recorder:
     ) -> np.ndarray:
         """Add an arc and move to its end; returns the state there, on the contacts held."""
         project = field.project
+        if not (self.plan.dense or self.plan.samples is not None):
+            segments = ()
         if project is not None:
             last = np.array(project(self.now.t + length, last.tolist()))
             segments = [_projected(s, self.now.t, project) for s in segments]
@@ -57,7 +59,7 @@ class Recorder:
             for t in inside.tolist():
                 arc = part.arc(part.place(t, "right")) if isinstance(part, TailPart) else part
                 self.sampled.append(arc.local((t - arc.t0) - arc.low))
-        if isinstance(part, Arc) and not plan.dense:
+        if isinstance(part, Arc) and part._segments and not plan.dense:
             part = attrs.evolve(part, segments=())
         self.parts.append(part)
 

@@ -49,15 +49,20 @@ ATTEMPTS = 100_000
 #: A step this short against the time in the arc cannot be made.
 SHORTEST = 1e-14
 
-#: A flow of more equations than this is compiled once, in a loop over the stages.
+#: A flow of more equations than this is never written out once for each stage.
 WRITTEN_OUT = 200
 
 
 @attrs.frozen
 class Method:
-    """A Diffrax method, as a pure function that attempts one step."""
+    """A Diffrax method, as a pure function that attempts one step.
+
+    ``written``: write out the stages of an explicit method. Many lanes abreast then run twice
+    as fast, and the program takes twice as long to compile.
+    """
 
     name: str
+    written: bool = False
 
     @property
     def degree(self) -> int:
@@ -99,9 +104,9 @@ class Method:
             The state at its end; whether the error is within the tolerances; the length to
             try next; the states at ``nodes(degree)``, shape ``(degree + 1, n)``.
         """
-        small = str(jax.make_jaxpr(flow)(tau, x)).count("\n") <= WRITTEN_OUT
-        steps = self._stages if small and not self.implicit else self._step
-        end, error, values = steps(flow, tau, h, x, rtol, atol)
+        written = self.written and not self.implicit and _size(flow, tau, x) <= WRITTEN_OUT
+        step = self._stages if written else self._step
+        end, error, values = step(flow, tau, h, x, rtol, atol)
         error = jnp.where(jnp.all(jnp.isfinite(end + error)), error, jnp.inf)
         control = diffrax.PIDController(rtol=rtol, atol=atol)
         state = (jnp.array(1.0), jnp.array(1.0), False)
@@ -152,6 +157,11 @@ class Method:
             values = x + h * apply(integrals(self.degree), rates)
             values = values + s[:, None] * (end - values[-1])
         return values
+
+
+def _size(flow: Any, tau: Any, x: Any) -> int:
+    """How many equations JAX makes of a flow."""
+    return str(jax.make_jaxpr(flow)(tau, x)).count("\n")
 
 
 _TERM = diffrax.ODETerm(lambda t, y, args: y)
