@@ -116,7 +116,7 @@ def ensemble(
     places = min(places, size)
     begin, advance = code.once(
         ("ensemble", method, zeno, places),
-        lambda: _compiled(system, Method(method, written=True), zeno, places),
+        lambda: _compiled(system, Method(method), zeno, places),
     )
     done = [0] * -(-lanes.count // each)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from functools import cache
 from math import isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
 import attrs
 import diffrax
@@ -49,20 +49,12 @@ ATTEMPTS = 100_000
 #: A step this short against the time in the arc cannot be made.
 SHORTEST = 1e-14
 
-#: A flow of more equations than this is never written out once for each stage.
-WRITTEN_OUT = 200
-
 
 @attrs.frozen
 class Method:
-    """A Diffrax method, as a pure function that attempts one step.
-
-    ``written``: write out the stages of an explicit method. Many lanes abreast then run twice
-    as fast, and the program takes twice as long to compile.
-    """
+    """A Diffrax method, as a pure function that attempts one step."""
 
     name: str
-    written: bool = False
 
     @property
     def degree(self) -> int:
@@ -104,8 +96,7 @@ class Method:
             The state at its end; whether the error is within the tolerances; the length to
             try next; the states at ``nodes(degree)``, shape ``(degree + 1, n)``.
         """
-        written = self.written and not self.implicit and _size(flow, tau, x) <= WRITTEN_OUT
-        step = self._stages if written else self._step
+        step = self._implicit if self.implicit else self._explicit
         end, error, values = step(flow, tau, h, x, rtol, atol)
         error = jnp.where(jnp.all(jnp.isfinite(end + error)), error, jnp.inf)
         control = diffrax.PIDController(rtol=rtol, atol=atol)
@@ -118,23 +109,25 @@ class Method:
         values = jnp.concatenate([x[None], values[1:-1], end[None]])
         return end, kept, stop - begin, values
 
-    def _stages(
+    def _explicit(
         self, flow: Any, tau: Any, h: Any, x: Any, rtol: Any, atol: Any
     ) -> tuple[Any, Any, Any]:
-        """An explicit step, its stages written out: state, error, states at the nodes.
+        """State, error, states at the nodes after a step with the numbers of Diffrax's table.
 
-        The numbers are Diffrax's; its loop over the stages costs several times as much as
-        they do where the flow is small.
+        Diffrax's own loop over the stages costs several times as much where the flow is small.
         """
-        table = getattr(diffrax, self.name).tableau
-        rates = [h * flow(tau, x)]
-        for c, row in zip(table.c, table.a_lower, strict=True):
-            rates.append(h * flow(tau + c * h, x + _combined(row, rates)))
-        end = x + _combined(table.b_sol, rates)
-        values = apply(_weights(self), jnp.stack([x, end, *rates]))
-        return end, _combined(table.b_error, rates), values
+        table = _table(self.name)
 
-    def _step(
+        def stage(i: Any, rates: Any) -> Any:
+            y = x + (jnp.asarray(table.stages)[i][:, None] * rates).sum(axis=0)
+            return rates.at[i].set(h * flow(tau + jnp.asarray(table.c)[i] * h, y))
+
+        count = len(table.c)
+        rates = jax.lax.fori_loop(0, count, stage, jnp.zeros((count, len(x))))
+        end, error = x + apply(table.end[None], rates)[0], apply(table.error[None], rates)[0]
+        return end, error, apply(table.nodes, jnp.concatenate([x[None], end[None], rates]))
+
+    def _implicit(
         self, flow: Any, tau: Any, h: Any, x: Any, rtol: Any, atol: Any
     ) -> tuple[Any, Any, Any]:
         """The same by Diffrax's own ``step``."""
@@ -159,33 +152,39 @@ class Method:
         return values
 
 
-def _size(flow: Any, tau: Any, x: Any) -> int:
-    """How many equations JAX makes of a flow."""
-    return str(jax.make_jaxpr(flow)(tau, x)).count("\n")
-
-
 _TERM = diffrax.ODETerm(lambda t, y, args: y)
 
 
-def _combined(weights: Any, rates: Any) -> Any:
-    """A weighted sum, written out."""
-    return sum(float(w) * k for w, k in zip(weights, rates, strict=True) if w)
+class _Table(NamedTuple):
+    """Numbers of an explicit method.
+
+    ``nodes`` gives the states at the nodes from those at both ends and the stages: the
+    interpolant is linear in them, and Diffrax's own is asked for unit vectors.
+    """
+
+    c: np.ndarray
+    stages: np.ndarray
+    end: np.ndarray
+    error: np.ndarray
+    nodes: np.ndarray
 
 
 @cache
-def _weights(method: Method) -> np.ndarray:
-    """States at the nodes, from those at both ends and the stages: the interpolant is linear."""
-    size = 2 + len(method.solver(1e-6, 1e-6).tableau.b_sol)
+def _table(name: str) -> _Table:
+    own = getattr(diffrax, name).tableau
+    stages = np.zeros((len(own.b_sol), len(own.b_sol)))
+    for i, row in enumerate(own.a_lower):
+        stages[i + 1, : i + 1] = row
+    interpolant = Method(name).solver(1e-6, 1e-6).interpolation_cls
 
-    def at_nodes() -> Any:
-        start, end, *rates = jnp.eye(size)
-        path = method.solver(1e-6, 1e-6).interpolation_cls(
-            t0=jnp.array(0.0), t1=jnp.array(1.0), y0=start, y1=end, k=jnp.stack(rates)
-        )
-        return jax.vmap(path.evaluate)(jnp.asarray(nodes(method.degree)))
+    def at_nodes(units: Any, points: Any) -> Any:
+        ends = {"t0": jnp.array(0.0), "t1": jnp.array(1.0), "y0": units[0], "y1": units[1]}
+        return jax.vmap(interpolant(k=units[2:], **ends).evaluate)(points)
 
     with jax.ensure_compile_time_eval():
-        return np.asarray(jit(at_nodes)())
+        weights = np.asarray(jit(at_nodes)(np.eye(2 + len(stages)), nodes(DEGREES[name])))
+    c = np.concatenate([[0.0], own.c])
+    return _Table(c, stages, np.array(own.b_sol), np.array(own.b_error), weights)
 
 
 class DiffraxSolver(Solver):
