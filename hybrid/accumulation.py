@@ -109,7 +109,9 @@ def explain(point: Accumulation) -> str:
             f"(zeno='truncate') and the contact is held; in full it would have ended at "
             f"t_inf = {cut.t_inf!r}, {cut.gap:.3g} later, after rising {cut.height:.3g} at most."
         )
-    how = "is proved" if point.verdict == "certified" else "was summed by the chatter map"
+    chatters = len(point.edges) == 1 and point.ratio < 1.0
+    how = "summed by the chatter map" if chatters else "found by sequence acceleration"
+    how = "is proved" if point.verdict == "certified" else f"was {how}"
     then = f"The run went on in {point.mode}" if point.mode else "The run ended there"
     if point.t_release is not None:
         then += f" until it was released at t = {point.t_release!r}"

@@ -36,8 +36,8 @@ class Status(enum.Enum):
         "zeno='rest' goes on in the resting mode."
     )
     NO_REST = (
-        "The run stopped at an accumulation of jumps: the contact declares rests=False; "
-        "declare rests=True to go on."
+        "The run stopped at an accumulation of jumps that nothing follows: to go on, declare "
+        "the contact with rests=True, or a mode with limit_of= the edges of the cycle."
     )
     MAX_JUMPS = "The run stopped at max_jumps; give a larger max_jumps to go on."
     INTERRUPTED = "The run was interrupted; what was computed until then is kept."

@@ -276,3 +276,26 @@ class Metered(Thermostat):
     @hy.mode
     def off(self, t, s):
         return 10.0 - s.T, 0.0
+
+
+class BareTanks(hy.Automaton):
+    """Two tanks whose author names no mode for the limit."""
+
+    x1 = hy.state()
+    x2 = hy.state()
+
+    @hy.mode(initial=True)
+    def first(self, t, s):
+        return 0.8 + 0.0 * s.x1, -1.0 + 0.0 * s.x2
+
+    @hy.mode
+    def second(self, t, s):
+        return -1.0 + 0.0 * s.x1, 0.8 + 0.0 * s.x2
+
+    @hy.edge(first, to=second, guard=lambda self, t, s: s.x2 - 5.0)
+    def to_second(self, t, s):
+        return s
+
+    @hy.edge(second, to=first, guard=lambda self, t, s: s.x1 - 5.0)
+    def to_first(self, t, s):
+        return s

@@ -168,7 +168,15 @@ class _Builder:
 
     def mode(self, marker: Mode) -> ModeSpec:
         self.signature(f"mode {marker.name}", marker.flow, ("t", "s"))
-        return ModeSpec(marker.name, marker.flow)
+        edges = [m.name for m in self.of(Edge) + self.of(Contact)]
+        unknown = [name for name in marker.limit_of if name not in edges]
+        if unknown:
+            known = ", ".join(edges) or "none"
+            self.faults.append(
+                f"mode {marker.name}: limit_of={marker.limit_of!r}: {unknown[0]!r} is no edge; "
+                f"there are: {known}"
+            )
+        return ModeSpec(marker.name, marker.flow, tuple(marker.limit_of))
 
     def edge(self, marker: Edge) -> EdgeSpec:
         where = f"edge {marker.name}"

@@ -50,6 +50,7 @@ class Mode(_Named):
 
     flow: Callable[..., Any]
     initial: bool = False
+    limit_of: tuple[str, ...] = ()
 
     def __get__(self, instance: Any, owner: type | None = None) -> Any:
         return self if instance is None else self.flow.__get__(instance, owner)
@@ -155,15 +156,29 @@ def _is_traced(value: Any) -> bool:
     return jax is not None and isinstance(value, jax.core.Tracer)
 
 
-def mode(flow: Callable[..., Any] | None = None, *, initial: bool = False) -> Any:
+def mode(
+    flow: Callable[..., Any] | None = None,
+    *,
+    initial: bool = False,
+    limit_of: tuple[str, ...] = (),
+) -> Any:
     """Declare a mode: ``@hy.mode`` or ``@hy.mode(initial=True)`` over its flow.
 
+    Parameters
+    ----------
+    initial : bool
+        Runs begin here.
+    limit_of : tuple of str
+        Names of the edges of a cycle: where they accumulate, this mode follows.
+
+    Notes
+    -----
     The flow is ``def name(self, t, s)``; it returns the time derivatives in the order of
     the states (a tuple, a record ``s.replace(...)``, or a dict by state).
     """
     if flow is None:
-        return lambda function: Mode(function, initial)
-    return Mode(flow, initial)
+        return lambda function: Mode(function, initial, limit_of)
+    return Mode(flow, initial, limit_of)
 
 
 def edge(

@@ -40,10 +40,11 @@ class ParameterSpec:
 
 @attrs.frozen(eq=False)
 class ModeSpec:
-    """A mode: its name and flow."""
+    """A mode: its name and flow; the cycle of edges at whose limit it is entered."""
 
     name: str
     flow: Callable[..., Any]
+    limit_of: tuple[str, ...] = ()
 
 
 @attrs.frozen(eq=False)
@@ -109,6 +110,15 @@ class Spec:
     def mode(self, name: str) -> ModeSpec:
         """The mode of that name."""
         return next(mode for mode in self.modes if mode.name == name)
+
+    def mode_after(self, cycle: tuple[str, ...]) -> str | None:
+        """The mode that its author has named for the limit of a cycle of edges."""
+        named = (m.name for m in self.modes if m.limit_of and set(m.limit_of) == set(cycle))
+        return next(named, None)
+
+    def transition(self, edge: str) -> EdgeSpec | ContactSpec:
+        """The edge or contact of that name."""
+        return next(e for e in self.transitions if e.name == edge)
 
     def leaving(self, mode: str) -> tuple[EdgeSpec | ContactSpec, ...]:
         """Edges and contacts watched in a mode, in declared order."""

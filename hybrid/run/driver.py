@@ -14,12 +14,15 @@ from ..arcs import TailPart
 from ..errors import FlowError, ZenoError
 from ..events import CLOSED, NEAR, SHARES
 from ..scene import Contact, Field, Guard, Scene, released
+from ..segment import Segment
 from ..solvers import Solver
 from ..trajectory import Jump, Status
 from ..zeno.accumulate import Tail, close
+from ..zeno.cycle import CycleLimit
 from ..zeno.flight import fly
 from . import truncate
 from .arc import ArcFlow
+from .cycles import Cycles, pass_limit
 from .entry import Entry, Jumped, describe, enter
 from .plan import PATIENCE, Plan
 from .recorder import Recorder
@@ -54,6 +57,7 @@ class Driver:
         self.record = Recorder(plan)
         self.status: Status | None = None
         self.watch = Watch()
+        self.cycles = Cycles()
         self.reach = 0.0
         self._known = Jumped()
         self.streaks = _streaks(self)
@@ -143,7 +147,8 @@ class Driver:
         stays = guard.value(t, after.tolist()) == guard.value(t, before.tolist())
         held = self._still_held(guard.to, after)
         self.watch.reset()
-        self.add_jump(guard.edge, before, after)
+        if self.add_jump(guard.edge, before, after) and pass_limit(self):
+            return
         known = {guard.edge: 1} if stays else {}
         self.enter(guard.to, after, Jumped(known, held, used=guard.edge))
 
@@ -171,8 +176,10 @@ class Driver:
         while True:
             held = self._still_held(guard.to, after)
             self.watch.saw(guard.edge)
-            self.add_jump(guard.edge, before, after)
+            due = self.add_jump(guard.edge, before, after)
             if self.status is not None or self._accumulate(contact, after, speed, guard.to, held):
+                return
+            if due and pass_limit(self):
                 return
             hop = self._hop(contact, after, speed, self.scene.name(guard.to, held))
             if hop is None:
@@ -210,11 +217,12 @@ class Driver:
         self.entry = Entry(field, before, None, [], [])
         return before, after, speed
 
-    def add_jump(self, edge: str, before: np.ndarray, after: np.ndarray) -> None:
-        """Record a jump; the run ends at ``max_jumps``."""
+    def add_jump(self, edge: str, before: np.ndarray, after: np.ndarray) -> bool:
+        """Record a jump, at ``max_jumps`` the last; whether it is time to look for cycles."""
         self.record.jump(edge, before, after, self.where)
         if len(self.record.own_jumps) >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
+        return self.cycles.saw(edge, self.entry.field.name, self.record.now, after)
 
     def where(self, x: np.ndarray) -> str:
         """Model, mode, time and state, for messages."""
@@ -270,19 +278,48 @@ class Driver:
         record.j += tail.count
         record.now = record.now.after(tail.remaining)
         held = (*tail.field.held, contact.name)
-        goes_on = contact.rests and self.plan.zeno == "rest"
-        rest = self.scene.name(tail.field.mode, held) if goes_on else None
-        state, edges = self.scene.spec.record(tail.x_inf), (contact.name,)
-        point = Accumulation(self.t, state, tail.r, edges, "estimated", rest, record.j)
-        record.limit_point(point, tail)
+        after = (tail.field.mode, held) if contact.rests else None
+        self._go_on_from(tail, (contact.name,), tail.r, after)
+
+    def pass_cycle(self, found: CycleLimit, x: np.ndarray) -> None:
+        """Go over the limit of a cycle, which the last jump led on towards from ``x``.
+
+        The part between them is kept as a straight line.
+        """
+        record, last = self.record, self.scene.spec.transition(found.last)
+        straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, found.x_inf])
+        segments = [Segment(0.0, found.remaining, straight)]
+        record.arc(self.scene.field(last.to), x, found.x_inf, found.remaining, segments)
+        record.j += 1
+        after = self.scene.spec.mode_after(found.edges)
+        if after is None and len(found.edges) == 1 and getattr(last, "rests", False):
+            self._go_on_from(found, found.edges, found.ratio, (last.to, (last.name,)))
+        else:
+            self._go_on_from(found, found.edges, found.ratio, (after, ()) if after else None)
+
+    def _go_on_from(
+        self,
+        limit: Tail | CycleLimit,
+        edges: tuple[str, ...],
+        ratio: float,
+        after: tuple[str, tuple[str, ...]] | None,
+    ) -> None:
+        """From an accumulation into what follows it: a mode, and the contacts held there."""
+        record, zeno = self.record, self.plan.zeno
+        rest = self.scene.name(*after) if after and zeno == "rest" else None
+        state = self.scene.spec.record(limit.x_inf)
+        point = Accumulation(self.t, state, ratio, edges, "estimated", rest, record.j)
+        record.limit_point(point, limit)
         self.watch.reset()
-        if self.plan.zeno == "raise":
+        self.cycles.forget()
+        if zeno == "raise":
             raise ZenoError(f"{self.scene.spec.model}: {explain(point)}")
         if rest is None:
-            self.status = Status.ZENO_STOPPED if self.plan.zeno == "stop" else Status.NO_REST
+            self.status = Status.ZENO_STOPPED if zeno == "stop" else Status.NO_REST
         elif len(record.zeno) == self.plan.accumulations:
             self.status = Status.ZENO_STOPPED
-        self.enter(tail.field.mode, tail.x_inf, Jumped(held=held))
+        if after:
+            self.enter(after[0], limit.x_inf, Jumped(held=after[1]))
 
 
 def _streaks(driver: Driver) -> Any:

@@ -18,6 +18,7 @@ from ..scene import Field
 from ..segment import Segment, from_values, nodes
 from ..trajectory import Jump
 from ..zeno.accumulate import Tail
+from ..zeno.cycle import CycleLimit
 from .plan import Plan
 
 
@@ -31,7 +32,7 @@ class Recorder:
         self.parts: list[Part] = []
         self.own_jumps: dict[int, JumpRow] = {}
         self.zeno: list[Accumulation] = []
-        self.tails: list[Tail | None] = []
+        self.tails: list[Tail | CycleLimit | None] = []
         self.grazings: list[Jump] = []
         self.sampled: list[np.ndarray] = []
         self._recent: deque[tuple[float, str]] = deque(maxlen=CAUGHT)
@@ -92,7 +93,7 @@ class Recorder:
                 "edges other than one contact are not summed"
             )
 
-    def limit_point(self, point: Accumulation, tail: Tail | None) -> None:
+    def limit_point(self, point: Accumulation, tail: Tail | CycleLimit | None) -> None:
         """Add an accumulation, and the tail that was summed."""
         self.zeno.append(point)
         self.tails.append(tail)

@@ -16,6 +16,7 @@ from ..segment import Segment, from_values
 from ..solvers.base import FINEST, Solver
 from ..trajectory import Status
 from .arc import ArcFlow
+from .cycles import pass_limit
 from .plan import PATIENCE
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ class Streaks:
         self.degree = method.degree
         self.system, self.dense = system, dense
         self.h: float | None = None
+        self.passed = False
 
     def takes(self) -> bool:
         """Whether the arc that begins at the driver's entry is plain, and somebody watches it."""
@@ -63,13 +65,14 @@ class Streaks:
                 self._arc(last(last.end), last.end)
             raise
         self.h = float(lane.going.h)
-        if self.driver.status is None:
+        if self.driver.status is None and not self.passed:
             self._stand(lane, status)
 
     def _chunks(self, lane: Lane) -> tuple[Lane, int]:
         """Chunk after chunk: each is computed while what the last one left is being kept."""
         run, watch = self._asked()
         self.segments: list[Segment] = []
+        self.passed = False
         following = self.streak.chunk(run, watch, lane)
         while True:
             lane, records = following
@@ -79,7 +82,7 @@ class Streaks:
             self._keep(jax.tree.map(np.asarray, records))
             if self.plan.progress is not None:
                 self.plan.progress(float(lane.now))
-            if self.driver.status is not None or status != RUNNING:
+            if self.driver.status is not None or self.passed or status != RUNNING:
                 return lane, status
 
     def _asked(self) -> tuple[Run, Watch]:
@@ -130,6 +133,8 @@ class Streaks:
                 self.segments.append(Segment(start, length, coefficients[row]))
             if records.jump[row]:
                 self._jumped(records, row)
+            if self.passed:
+                break
 
     def _jumped(self, records: Any, row: int) -> None:
         """An arc and the jump that ended it."""
@@ -142,8 +147,10 @@ class Streaks:
             driver.watch.saw(guard.edge)
         else:
             driver.watch.reset()
-        driver.add_jump(guard.edge, before, after)
-        driver.arrive(driver.scene.field(guard.to), after, guard)
+        due = driver.add_jump(guard.edge, before, after)
+        self.passed = due and pass_limit(driver)
+        if not self.passed:
+            driver.arrive(driver.scene.field(guard.to), after, guard)
 
     def _arc(self, last: np.ndarray, tau: float) -> None:
         driver = self.driver

@@ -218,6 +218,10 @@ class Scene:
         program = self.code.program(("reset", edge), lambda: self.code.closed("reset", edge))
         return self._bind(program)
 
+    def is_contact(self, edge: str) -> bool:
+        """Whether an edge's name is that of a contact."""
+        return any(isinstance(e, ContactSpec) and e.name == edge for e in self.spec.transitions)
+
     def pairs(self, contact: str) -> list[tuple[int, int]]:
         """Places of a contact's positions and of their velocities."""
         pairing = self.code.pairing(contact)

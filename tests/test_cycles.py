@@ -1,0 +1,211 @@
+"""Cycles of jumps that accumulate, and cycles that only look like it."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+from hybrid.zeno.cycle import limit, period
+from models.two_tanks import TwoTanks
+
+from . import systems
+
+SOLVERS = pytest.mark.parametrize("solver", ["scipy", "taylor", "diffrax"])
+
+
+class Rocking(hy.Automaton):
+    """A slender block that rocks from edge to edge (Housner 1963, small angles)."""
+
+    angle = hy.state()
+    rate = hy.state()
+
+    p: float = hy.parameter(2.0)
+    alpha: float = hy.parameter(0.25)
+    r: float = hy.parameter(0.9)
+
+    @hy.mode(initial=True)
+    def right(self, t, s):
+        return s.rate, self.p**2 * (s.angle - self.alpha)
+
+    @hy.mode
+    def left(self, t, s):
+        return s.rate, self.p**2 * (s.angle + self.alpha)
+
+    @hy.mode(limit_of=("to_left", "to_right"))
+    def stands(self, t, s):
+        return 0.0 * s.rate, 0.0 * s.angle
+
+    @hy.edge(right, to=left, guard=lambda self, t, s: s.angle)
+    def to_left(self, t, s):
+        return 0.0 * s.angle, self.r * s.rate
+
+    @hy.edge(left, to=right, guard=lambda self, t, s: s.angle, crossing=hy.RISING)
+    def to_right(self, t, s):
+        return 0.0 * s.angle, self.r * s.rate
+
+
+class PowerLaw(hy.Automaton):
+    """A ball whose loss fades with the speed: the n-th flight lasts 1/n^2."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -2.0
+
+    impact = hy.contact(
+        flight,
+        gap=lambda self, t, s: s.x,
+        restitution=lambda self, t, s, u: 1.0 / (1.0 + jnp.sqrt(jnp.abs(u))) ** 2,
+    )
+
+
+class LateInflow(TwoTanks):
+    """The inflow grows shortly before the tanks would have run down."""
+
+    at: float = hy.parameter(19.99)
+
+    @hy.mode(initial=True)
+    def fills_first(self, t, s):
+        return self.w + self.more(t) - self.v1, -self.v2
+
+    @hy.mode
+    def fills_second(self, t, s):
+        return -self.v1, self.w + self.more(t) - self.v2
+
+    def more(self, t):
+        return 0.5 * (1.0 + jnp.tanh(2e3 * (t - self.at)))
+
+    @hy.edge(fills_first, to=fills_second, guard=lambda self, t, s: s.x2 - self.r2)
+    def to_second(self, t, s):
+        return s
+
+    @hy.edge(fills_second, to=fills_first, guard=lambda self, t, s: s.x1 - self.r1)
+    def to_first(self, t, s):
+        return s
+
+
+@SOLVERS
+def test_two_tanks(solver, reference):
+    """Both reference cases: t_inf, levels, ratio; the bound holds and is not idle."""
+    for case in reference["two_tanks"]:
+        numbers = {name: float(case[name]) for name in ("w", "v1", "v2", "r1", "r2")}
+        start = [float(case["x1(0)"]), float(case["x2(0)"])]
+        exact = float(case["zeno_time=(x1+x2-r1-r2)/(v1+v2-w)"])
+        run = hy.simulate(TwoTanks(**numbers), start, (0, 30), solver=solver, rtol=1e-9)
+        (point,) = run.zeno
+        assert point.edges == ("to_first", "to_second")
+        assert abs(point.t - exact) <= point.t_error < 1e-10
+        assert point.ratio == pytest.approx(float(case["ratio_over_two_switches"]), rel=1e-6)
+        assert run.mode == "shares"
+        switches = [float(t) for t in case["switch_times_first12"]]
+        np.testing.assert_allclose(run.jumps.t[:12], switches, rtol=0, atol=1e-12)
+
+
+@SOLVERS
+@pytest.mark.parametrize("r", [0.5, 0.9, 0.97])
+def test_a_rocking_block_comes_to_stand(solver, r):
+    """The k-th swing lasts (2/p) atanh(r^k rate / (alpha p)): the sum is known."""
+    run = hy.simulate(
+        Rocking(r=r), {"angle": 0.0, "rate": 0.4}, (0, 60), rtol=1e-11, atol=1e-13, solver=solver
+    )
+    k = np.arange(5000)
+    exact = math.fsum(np.arctanh(r**k * 0.4 / 0.5))
+    (point,) = run.zeno
+    assert point.ratio == pytest.approx(r * r, rel=1e-3)
+    assert abs(point.t - exact) <= point.t_error < 1e-7
+    assert run.mode == "stands"
+
+
+@SOLVERS
+def test_gaps_that_fall_like_the_square_accumulate(solver, reference):
+    """Ratio 1, and yet a limit: pi^2 / 6; then the ball rests."""
+    exact = float(reference["zeno_ratio_to_1"]["theta_inf=(2/(g c^2)) psi1(1/(c sqrt v0))=pi^2/6"])
+    run = hy.simulate(PowerLaw(), {"x": 0.0, "v": 1.0}, (0, 3), rtol=1e-9, solver=solver)
+    (point,) = run.zeno
+    assert abs(point.t - exact) <= point.t_error < 1e-9
+    assert point.ratio == 1.0
+    assert run.mode == "flight.rest(impact)"
+    assert "sequence acceleration" in run.explain()
+
+
+@pytest.mark.parametrize("w", [2.0, 2.1])
+def test_tanks_that_do_not_run_down(w):
+    """Enough inflow: the visits last as long for ever, or longer."""
+    run = hy.simulate(TwoTanks(w=w), {"x1": 8.0, "x2": 6.0}, (0, 200))
+    assert not run.zeno
+    assert len(run.jumps) > 10
+
+
+@pytest.mark.parametrize("before", [1e-2, 1e-3, 1e-4])
+def test_tanks_that_are_saved_at_the_last_moment(before):
+    """Gaps shrink until just before the end that they point to; then the inflow grows."""
+    model = LateInflow(at=20.0 - before)
+    run = hy.simulate(model, {"x1": 8.0, "x2": 6.0}, (0, 22), rtol=1e-9)
+    assert not run.zeno
+    assert run.t1 == 22.0
+
+
+def test_without_a_mode_to_go_on_in_the_run_stops():
+    """The status says what to declare; zeno='raise' says what happened."""
+    start = {"x1": 8.0, "x2": 6.0}
+    run = hy.simulate(systems.BareTanks(), start, (0, 30))
+    assert run.status is hy.Status.NO_REST
+    assert "limit_of=" in str(run.status)
+    assert run.t1 == pytest.approx(20.0, abs=1e-10)
+    with pytest.raises(hy.ZenoError, match="to_first, to_second accumulate at t_inf = 20"):
+        hy.simulate(TwoTanks(), start, (0, 30), zeno="raise")
+    assert hy.simulate(TwoTanks(), start, (0, 30), zeno="stop").status is hy.Status.ZENO_STOPPED
+
+
+def test_a_limit_of_unknown_edges_is_a_fault():
+    """The declaration names the mode and what there is."""
+    with pytest.raises(hy.DeclarationError, match=r"limit_of=.*'gone' is no edge; there are: go"):
+
+        class Lost(hy.Automaton):
+            x = hy.state()
+
+            @hy.mode(initial=True)
+            def one(self, t, s):
+                return (-1.0 + 0.0 * s.x,)
+
+            @hy.mode(limit_of=("gone",))
+            def two(self, t, s):
+                return (0.0 * s.x,)
+
+            @hy.edge(one, to=two, guard=lambda self, t, s: s.x)
+            def go(self, t, s):
+                return s
+
+
+@pytest.mark.parametrize(
+    ("terms", "accumulates"),
+    [
+        (lambda k: k**-1.0, False),
+        (lambda k: k**-1.05, False),
+        (lambda k: k**-1.2, True),
+        (lambda k: k**-3.0, True),
+        (lambda k: 0.3**k, True),
+        (lambda k: 0.99**k, True),
+        (lambda k: 0.1 + 0.5**k, False),
+        (lambda k: 1.0 / (k * np.log(k + 1.0)), False),
+    ],
+)
+def test_which_sequences_have_a_sum(terms, accumulates):
+    """Powers just below and just above 1, geometric ones, ones that tend to something else."""
+    k = np.arange(1.0, 2001.0)
+    times = np.concatenate([[0.0], np.cumsum(terms(k))])
+    states = np.append(terms(k), 0.0)[:, None]
+    found = [limit(("e",), "e", times[:n], states[:n], 1e-8) for n in (10, 30, 60, 200, 2000)]
+    assert any(f is not None for f in found) == accumulates
+
+
+def test_the_shortest_period_is_found():
+    """Of one edge, of two, of three with a repetition in it; of none."""
+    assert period(["a"] * 20) == 1
+    assert period(["a", "b"] * 10) == 2
+    assert period(["a", "a", "b"] * 10) == 3
+    assert period(list("abcdefghij") * 2) == 0
