@@ -38,6 +38,7 @@ from .errors import (
 )
 
 if TYPE_CHECKING:
+    from . import study
     from .ensembles import ensemble
     from .function import as_function
     from .simulation import simulate
@@ -58,6 +59,8 @@ _LAZY = {
 
 
 def __getattr__(name: str) -> Any:
+    if name == "study":
+        return import_module(".study", __name__)
     if name not in _LAZY:
         raise AttributeError(f"module 'hybrid' has no attribute {name!r}")
     value = getattr(import_module(f".{_LAZY[name]}", __name__), name)
@@ -92,4 +95,5 @@ __all__ = [
     "parameter",
     "simulate",
     "state",
+    "study",
 ]

@@ -1,0 +1,37 @@
+"""Studies of several runs."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import hybrid as hy
+from models.hard_spring import HardSpring
+
+
+def test_the_transient_of_section_2(reference):
+    """Impacts, t_inf, gap and height for r from 0.8 down to 1/4; the gap falls ever faster."""
+    rows = reference["section_2"]["rows"]
+    r = [float(Fraction(row["r"])) for row in rows]
+    found = hy.study.transient(HardSpring(), [2.1, 0.0], (0, 3), values=r, rtol=1e-12, atol=1e-12)
+    assert found.impacts.tolist() == [row["[1/r]"] for row in rows]
+    exact = [float(row["theta_inf"]) for row in rows]
+    np.testing.assert_allclose(found.t_inf, exact, rtol=0, atol=1e-11)  # rtol, grown by impacts
+    gaps = [float(row["gap=theta_inf-theta_[1/r]"]) for row in rows]
+    np.testing.assert_allclose(found.gap, gaps, rtol=0, atol=1e-11)
+    heights = [float(row["max_height_missed(after impact N)"]) for row in rows]
+    np.testing.assert_allclose(found.height, heights, rtol=1e-3)  # of 64 points of the flight
+    few = hy.study.transient(HardSpring(), [2.1, 0.0], (0, 3), values=[1 / 2, 1 / 4, 1 / 6, 1 / 8])
+    assert np.all(np.diff(np.log(few.gap), 2) < 0)
+    assert len(str(few).splitlines()) == 5
+
+
+def test_what_cannot_be_studied():
+    """Unknown parameters; another treatment of the accumulation; a run that never chatters."""
+    with pytest.raises(hy.OptionError, match="no parameter 'e'; there are: r, wall"):
+        hy.study.transient(HardSpring(), [2.1, 0.0], (0, 3), values=[0.5], parameter="e")
+    with pytest.raises(hy.OptionError, match="zeno='truncate'"):
+        hy.study.transient(HardSpring(), [2.1, 0.0], (0, 3), values=[0.5], zeno="rest")
+    none = hy.study.transient(HardSpring(), [2.1, 0.0], (0, 0.1), values=[0.5])
+    assert none.impacts.tolist() == [-1]
+    assert np.isnan(none.gap[0])
