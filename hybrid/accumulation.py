@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
 import attrs
+import numpy as np
 
 from .automaton.record import Record
+from .zeno.cycle import period
+
+#: Gaps that fall by less than this from one to the next are not said to shrink.
+SHRINKS = 1.0 - 1e-9
 
 
 @attrs.define(eq=False)
@@ -97,6 +103,24 @@ class Accumulation:
             f"t_inf = {self.t!r} ± {self.t_error:.1g} ({self.verdict}), state {self.state}, "
             f"ratio {self.ratio:.6g}{went}"
         )
+
+
+def unfinished(edges: Sequence[str], times: Sequence[float]) -> str:
+    """What a run was doing when ``max_jumps`` was used up, in a sentence."""
+    length = period(edges)
+    if not length:
+        return "The last jumps are no cycle."
+    cycle, turns = ", ".join(edges[-length:]), np.array(times)[::-length][:3]
+    last, before = turns[0] - turns[1], turns[1] - turns[2]
+    text = f"The last jumps are a cycle of {cycle}, {last:.3g} long"
+    if not 0 < last < SHRINKS * before:
+        return f"{text}, and the one before it was no longer: they do not accumulate."
+    ratio = last / before
+    end = turns[0] + last * ratio / (1.0 - ratio)
+    return (
+        f"{text}, {ratio:.6g} times the one before it; if that goes on, they accumulate at about "
+        f"t = {end:.9g}. What is done there is zeno='rest', 'stop', 'truncate' or 'raise'."
+    )
 
 
 def explain(point: Accumulation) -> str:

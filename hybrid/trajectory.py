@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import attrs
 import numpy as np
 
-from .accumulation import Accumulation, explain
+from .accumulation import Accumulation, explain, unfinished
 from .arcs import Arc, JumpRow, Part, TailPart
 from .automaton.record import Record
 from .automaton.spec import Spec
@@ -310,6 +310,9 @@ class Trajectory:
         ]
         for point in self.zeno:
             lines.append(explain(point))
+        if self.status is Status.MAX_JUMPS:
+            rows = list(self.own_jumps.values())
+            lines.append(unfinished([row.edge for row in rows], [row.t for row in rows]))
         return "\n".join([*lines, str(self.status)])
 
     def plot(self, path: Any = None) -> Figure:

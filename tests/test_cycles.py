@@ -209,3 +209,45 @@ def test_the_shortest_period_is_found():
     assert period(["a", "b"] * 10) == 2
     assert period(["a", "a", "b"] * 10) == 3
     assert period(list("abcdefghij") * 2) == 0
+
+
+class Box(hy.Automaton):
+    """A body that falls into a corner; each wall has its own restitution."""
+
+    u = hy.state()
+    w = hy.state()
+    du = hy.state()
+    dw = hy.state()
+
+    r1: float = hy.parameter(0.6)
+    r2: float = hy.parameter(0.6)
+
+    @hy.mode
+    def falls(self, t, s):
+        return s.du, s.dw, -1.0, -1.0
+
+    one = hy.contact(falls, gap=lambda self, t, s: s.u, restitution="r1")
+    other = hy.contact(falls, gap=lambda self, t, s: s.w, restitution="r2")
+
+
+@SOLVERS
+@pytest.mark.parametrize(("height", "r2"), [(1.0, 0.6), (1.5, 0.6), (0.5, 0.8), (0.25, 7 / 9)])
+def test_two_contacts_close_one_after_the_other_or_at_once(solver, height, r2):
+    """Together in step, one after the other, and at one instant from different series."""
+    run = hy.simulate(Box(r2=r2), [1.0, height, 0.0, 0.0], (0, 20), solver=solver, rtol=1e-10)
+    ends = [math.sqrt(2 * h) * (1 + r) / (1 - r) for h, r in ((1.0, 0.6), (height, r2))]
+    found = [point.t for point in run.zeno]
+    expected = sorted(ends) if abs(ends[0] - ends[1]) > 1e-9 else [ends[0]]
+    assert found == pytest.approx(expected, abs=1e-10)
+    assert run.mode == "falls.rest(one, other)"
+    assert all(point.t_error < 1e-8 for point in run.zeno)
+
+
+def test_what_max_jumps_has_cut_off_is_explained():
+    """A cycle on its way to its limit, with the limit predicted; one that goes nowhere."""
+    run = hy.simulate(TwoTanks(), {"x1": 8.0, "x2": 6.0}, (0, 30), max_jumps=20)
+    assert "to_second, to_first" in run.explain()
+    assert "0.64 times the one before it" in run.explain()
+    assert "accumulate at about t = 20." in run.explain()
+    steady = hy.simulate(TwoTanks(w=2.0), {"x1": 8.0, "x2": 6.0}, (0, 200), max_jumps=20)
+    assert "do not accumulate" in steady.explain()

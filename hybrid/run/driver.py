@@ -12,7 +12,7 @@ import numpy as np
 from ..accumulation import Accumulation, explain
 from ..arcs import TailPart
 from ..errors import FlowError, ZenoError
-from ..events import CLOSED, NEAR, SHARES
+from ..events import CLOSED, EPS, NEAR, SHARES
 from ..scene import Contact, Field, Guard, Scene, released
 from ..segment import Segment
 from ..solvers import Solver
@@ -206,8 +206,10 @@ class Driver:
             return None
         end = t + flight.time
         landed = contact.land(end, flight.x)
+        rounding = 64 * EPS * (1.0 + float(np.max(np.abs(x))))
         for index, guard in enumerate(field.guards):
-            if index != column and guard.value(t, x.tolist()) * guard.value(end, landed) <= 0:
+            here, there = guard.value(t, x.tolist()), guard.value(end, landed)
+            if index != column and (abs(here) <= rounding or here * there <= 0):
                 return None
         speed = contact.law(end, landed, flight.u) * -flight.u
         missing = speed - field.guards[column].lie(end, landed)[1]
@@ -291,11 +293,18 @@ class Driver:
         segments = [Segment(0.0, found.remaining, straight)]
         record.arc(self.scene.field(last.to), x, found.x_inf, found.remaining, segments)
         record.j += 1
-        after = self.scene.spec.mode_after(found.edges)
-        if after is None and len(found.edges) == 1 and getattr(last, "rests", False):
-            self._go_on_from(found, found.edges, found.ratio, (last.to, (last.name,)))
-        else:
-            self._go_on_from(found, found.edges, found.ratio, (after, ()) if after else None)
+        self._go_on_from(found, found.edges, found.ratio, self._after(found.edges))
+
+    def _after(self, cycle: tuple[str, ...]) -> tuple[str, tuple[str, ...]] | None:
+        """What follows a cycle: the mode that its author names, or the rest of its contacts."""
+        spec = self.scene.spec
+        named = spec.mode_after(cycle)
+        if named is not None:
+            return named, ()
+        contacts = [e for e in spec.transitions if e.name in cycle and getattr(e, "rests", False)]
+        if len(contacts) < len(set(cycle)) or len({e.to for e in contacts}) > 1:
+            return None
+        return contacts[0].to, tuple(e.name for e in contacts)
 
     def _go_on_from(
         self,
