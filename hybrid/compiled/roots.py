@@ -96,7 +96,9 @@ def _newton(powers: Any) -> Any:
         return left, right, jnp.where(inside, new, 0.5 * (left + right))
 
     left, right = jnp.zeros_like(powers[0]), jnp.ones_like(powers[0])
-    return jax.lax.fori_loop(0, NEWTON, closer, (left, right, 0.5 * right))[2]
+    tangent = -powers[0] / jnp.where(powers[1] < 0, powers[1], -1.0)  # at the start
+    first = jnp.where((powers[1] < 0) & (tangent < 1.0), tangent, 0.5)
+    return jax.lax.fori_loop(0, NEWTON, closer, (left, right, first))[2]
 
 
 def horner(powers: Any, s: Any) -> tuple[Any, Any, Any]:

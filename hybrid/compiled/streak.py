@@ -133,7 +133,9 @@ class Streak:
         again = again & (done.speed <= watch.share * after.tried)
         plain = (clear | own).all() & ~(impact & (~high | again))
         plain = plain & (after.going.status == RUNNING)
-        entered = after._replace(orders=jnp.where(own, 1, 0), limit=flight_bound(lies, own)).but(
+        contacts = self.system.pick(self.system.is_contact, after.mode)
+        limit = flight_bound(lies, contacts, own)
+        entered = after._replace(orders=jnp.where(own, 1, 0), limit=limit).but(
             ends=lies[0],
             largest=jnp.abs(lies[0]),
             stage=jnp.full_like(after.going.stage, FLOW),

@@ -244,6 +244,7 @@ class Turner:
         small = jnp.abs(shift) <= 1e-6 * h + noise
         again = ~small & (going.tries < LANDINGS) & (h + shift > 0)
         again = again & (h + shift <= lane.left(run.t1))
+        lost = ~small & ~again & self.judged
         reach = stop_gradient(h + shift)
         shift = jnp.where(small, shift - guard(shift) / steep, 0.0)
         there = moved._replace(
@@ -260,7 +261,13 @@ class Turner:
             tries=going.tries + 1,
             steps=moved.steps,
         )
-        return choose(again, more, self._settled(run, lane, held, there))
+        given_up = going._replace(
+            stage=jnp.full_like(going.stage, FLOW),
+            status=jnp.full_like(going.status, JUDGE),
+            steps=moved.steps,
+        )
+        landed = self._settled(run, lane, held, there)
+        return choose(lost, given_up, choose(again, more, landed))
 
     # -- jumps --------------------------------------------------------------------------
 
@@ -330,7 +337,7 @@ class Turner:
         sums = sums & (stage == FLOW) & (status == RUNNING) & self.sums
         open_contacts = system.pick(system.is_contact, lane.mode) & ~lane.held
         entered = lane._replace(
-            orders=order, limit=flight_bound(lies, open_contacts & (order == 1))
+            orders=order, limit=flight_bound(lies, open_contacts, order == 1)
         ).but(
             ends=lies[0],
             largest=jnp.abs(lies[0]),
@@ -369,8 +376,15 @@ def _first_step(run: Run, x: Any, rate: Any) -> Any:
     return stop_gradient(jnp.minimum(guess, run.t1 - run.t0))
 
 
-def flight_bound(lies: Any, leaving: Any) -> Any:
-    """A bound on the first step: a little more than the flight predicted (2)."""
-    falls = leaving & (lies[2] < 0) & (lies[1] > 0)
-    length = 2.0 * lies[1] / jnp.where(falls, -lies[2], 1.0)
+def flight_bound(lies: Any, contacts: Any, leaving: Any) -> Any:
+    """A bound on the first step: a little more than the flight predicted (2).
+
+    ``contacts``: those open; ``leaving``: those just left, whose gap is zero.
+    """
+    gap, speed, force = jnp.where(leaving, 0.0, lies[0]), lies[1], lies[2]
+    root = jnp.sqrt(jnp.maximum(speed**2 - 2.0 * gap * force, 0.0))
+    rises = leaving | (speed > 0)
+    length = jnp.where(rises, (speed + root) / -force, 2.0 * gap / (root - speed))
+    falls = jnp.where(rises, (force < 0) & (speed > 0), (speed < 0) & (gap > 0))
+    falls = falls & contacts & (speed**2 >= 2.0 * gap * force)
     return stop_gradient(AHEAD * jnp.min(jnp.where(falls, length, jnp.inf)))
