@@ -39,6 +39,7 @@ from .errors import (
 
 if TYPE_CHECKING:
     from . import study
+    from .certificates import Certificate, certify
     from .ensembles import ensemble
     from .function import as_function
     from .simulation import simulate
@@ -49,7 +50,9 @@ __version__ = "0.1.0"
 
 #: Names that load SciPy or xarray when first used.
 _LAZY = {
+    "Certificate": "certificates",
     "as_function": "function",
+    "certify": "certificates",
     "ensemble": "ensembles",
     "simulate": "simulation",
     "load": "store",
@@ -73,6 +76,7 @@ __all__ = [
     "FALLING",
     "RISING",
     "Automaton",
+    "Certificate",
     "DeclarationError",
     "DomainError",
     "FlowError",
@@ -87,6 +91,7 @@ __all__ = [
     "Trajectory",
     "ZenoError",
     "as_function",
+    "certify",
     "contact",
     "edge",
     "ensemble",

@@ -1,0 +1,66 @@
+"""Proofs of complete chattering before a run, by interval arithmetic, never by sampling.
+
+``question.py``: what is asked, checked, and the functions it needs, read from the trace.
+``theorem.py``: Theorem 1 of Akhmet and Çağ, with condition (C2). ``relative.py``: the lemma
+without (C2), in coordinates relative to the contact. ``result.py``: the answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from .result import Certificate
+
+__all__ = ["Certificate", "certify"]
+
+
+def certify(
+    model: Any,
+    box: Mapping[str, tuple[float, float]],
+    mode: str | None = None,
+    contact: str | None = None,
+) -> Certificate:
+    """Prove, from the right-hand side alone, that a contact's impacts accumulate.
+
+    With bounds of position and velocity, Theorem 1 of Akhmet and Çağ is asked: a fixed
+    obstacle, forces of position and velocity. With bounds of ``gap`` and ``speed`` (the
+    coordinates relative to the contact), the lemma without (C2): moving obstacles, and
+    forces that depend on the time or are not even in the velocity.
+
+    Parameters
+    ----------
+    model : Automaton
+    box : mapping of str to (low, high)
+        Theorem 1: position from the obstacle to the largest height, velocity
+        ``(-c, c)``. Lemma: ``"gap": (0, y)``, ``"speed": (0, w)`` (an absolute value),
+        and what the gap's acceleration depends on besides: ``"t"``, other states.
+        Elements of an array are named ``"q[0]"``.
+    mode, contact : str, optional
+        Which contact; needed where there are several.
+
+    Returns
+    -------
+    Certificate
+        ``verdict`` is ``"certified"`` (proved), ``"refuted"`` (a condition is proved not
+        to hold on this box; the motion may chatter all the same) or ``"undecided"``.
+
+    Raises
+    ------
+    OptionError
+        If the question cannot be asked; the message says why and what would mend it.
+
+    Examples
+    --------
+    >>> proof = hy.certify(BouncingBall(), {"x": (0.0, 1.0), "v": (-5.0, 5.0)})
+    >>> proof.verdict
+    'certified'
+    """
+    from ..scene.interval import require_flint
+    from .question import ask
+    from .relative import by_lemma
+    from .theorem import by_theorem
+
+    require_flint()
+    question = ask(model, box, mode, contact)
+    return by_lemma(question) if question.relative else by_theorem(question)

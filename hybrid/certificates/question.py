@@ -1,0 +1,202 @@
+"""What is asked of a certificate: options checked, functions read from the trace."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import attrs
+
+from ..automaton import trace
+from ..automaton.base import require_model
+from ..automaton.spec import ContactSpec, Spec
+from ..errors import DeclarationError, OptionError, TraceError
+from ..scene import scene_of
+from ..scene.contact import ContactLaws
+from ..scene.extrema import Bounds, ScalarFunction
+from ..scene.fixed import FixedGraph
+from ..scene.interval import IntervalProgram
+from ..scene.lowered import Lowered
+from ..scene.taylor import flat
+
+#: Names of the coordinates relative to a contact.
+GAP, SPEED, TIME = "gap", "speed", "t"
+
+Traced = Callable[..., Any]
+
+
+@attrs.frozen(eq=False)
+class Question:
+    """A contact of a model with its parameters' values, and a box.
+
+    Attributes
+    ----------
+    box : dict
+        Bounds by the name they were given under.
+    relative : bool
+        Whether the box is in coordinates relative to the contact.
+    position, velocity : int
+        Places in the state vector of the gap's position and of its velocity; of the first
+        pair, where the gap depends on several.
+    """
+
+    spec: Spec
+    code: Lowered
+    values: tuple[float, ...]
+    contact: ContactSpec
+    box: dict[str, Bounds]
+    relative: bool
+
+    @property
+    def laws(self) -> ContactLaws:
+        return self.code.laws(self.contact.name)
+
+    @property
+    def position(self) -> int:
+        return self.laws.pairing.positions[0]
+
+    @property
+    def velocity(self) -> int:
+        return self.laws.pairing.velocities[0]
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """The inputs of the functions (``x0``, ``t``, ``u``) to the names in the box."""
+        names = {f"x{i}": name for i, name in enumerate(self.spec.element_names)}
+        if self.relative:
+            names |= {f"x{self.position}": GAP, f"x{self.velocity}": SPEED}
+        return {**names, TIME: TIME, "u": "u"}
+
+    def bounds(self, *functions: ScalarFunction) -> dict[str, Bounds]:
+        """Bounds of the inputs of these functions.
+
+        Raises
+        ------
+        OptionError
+            If the box has none for one of them.
+        """
+        inputs = sorted(set().union(*(f.inputs for f in functions)))
+        labels = self.labels
+        for name in inputs:
+            if labels[name] not in self.box:
+                self.refuse(
+                    f"box has no bounds for {labels[name]!r}, on which the proof depends; "
+                    f"add {labels[name]!r}: (low, high)"
+                )
+        return {name: self.box[labels[name]] for name in inputs}
+
+    def refuse(self, sentence: str) -> None:
+        raise OptionError(f"{self.spec.model}, contact {self.contact.name}: {sentence}")
+
+    def named(self, point: Mapping[str, Any]) -> dict[str, Any]:
+        """A point under the names of the box."""
+        return {self.labels[name]: value for name, value in point.items()}
+
+    def function(self, call: Traced, extra: int = 0) -> ScalarFunction:
+        """An expression of ``(parameters, t, x, u)``, with its gradient where it has one."""
+        try:
+            return self._function(call, extra, gradient=True)
+        except TraceError:
+            return self._function(call, extra, gradient=False)
+
+    def _function(self, call: Traced, extra: int, gradient: bool) -> ScalarFunction:
+        def stacked(parameters: Any, *point: Any) -> Any:
+            import jax
+            import jax.numpy as jnp
+
+            if not gradient:
+                return call(parameters, *point)[None]
+            places = tuple(range(1, 1 + len(point)))
+            value, slopes = jax.value_and_grad(call, argnums=places)(parameters, *point)
+            return jnp.concatenate([jnp.ravel(part) for part in (value, *slopes)])
+
+        shapes = self.code.shapes
+        closed = trace.trace(self.spec, stacked, extra, shapes)
+        graph = FixedGraph(exact=True)
+        parameters = graph.arguments(shapes, self.values)
+        inputs = self.code.inputs(graph, ["u"] * extra)[len(shapes) :]
+        (roots,) = graph.outputs(closed, [*parameters, *inputs])
+        used = IntervalProgram(graph, roots[:1]).inputs
+        names = [TIME, *(f"x{i}" for i in range(self.spec.dimension)), "u"]
+        kept = [i for i, name in enumerate(names[: len(roots) - 1]) if name in used]
+        program = IntervalProgram(graph, [roots[0], *(roots[1 + i] for i in kept)])
+        if not program.inputs <= used:
+            program, kept = IntervalProgram(graph, roots[:1]), []
+        return ScalarFunction(program, [names[i] for i in kept], graph)
+
+    def law(self, place: Traced = lambda p, t, x: x) -> ScalarFunction:
+        """The restitution; its input ``u`` is the gap speed, ``place`` gives the state."""
+        law = trace.again(self.code.closed("restitution", self.contact.name))
+        return self.function(lambda p, t, z, u: law(p, t, place(p, t, z), u), extra=1)
+
+    def other_guards(self, place: Callable[[Traced], Traced]) -> dict[str, ScalarFunction]:
+        """The guards of the mode's other edges; ``place`` puts the state into them."""
+        edges = [e for e in self.spec.leaving(self.contact.source) if e is not self.contact]
+        guards = {e.name: trace.again(self.code.guard_closed(e)) for e in edges}
+        return {name: self.function(place(guard)) for name, guard in guards.items()}
+
+
+def ask(model: Any, box: Any, mode: str | None, contact: str | None) -> Question:
+    """A checked question.
+
+    Raises
+    ------
+    OptionError
+    """
+    require_model(model)
+    scene = scene_of(model)
+    chosen = _contact(scene.spec, mode, contact)
+    try:
+        scene.code.pairing(chosen.name)
+    except DeclarationError as fault:
+        raise OptionError(
+            f"{scene.spec.model}: a certificate needs a contact of second order; "
+            + "; ".join(fault.faults)
+        ) from None
+    values = tuple(flat(model.parameters))
+    checked = _box(scene.spec, box)
+    relative = any(name in checked and name not in scene.spec.names for name in (GAP, SPEED))
+    return Question(scene.spec, scene.code, values, chosen, checked, relative)
+
+
+def _contact(spec: Spec, mode: str | None, contact: str | None) -> ContactSpec:
+    modes = [m.name for m in spec.modes]
+    if mode is not None and mode not in modes:
+        raise OptionError(f"{spec.model}: mode={mode!r}; there are {', '.join(modes)}")
+    contacts = [e for e in spec.transitions if isinstance(e, ContactSpec)]
+    if not contacts:
+        raise OptionError(
+            f"{spec.model}: there is no contact to certify; declare one with hy.contact"
+        )
+    found = [e for e in contacts if mode in (None, e.source) and contact in (None, e.name)]
+    if len(found) == 1:
+        return found[0]
+    names = ", ".join(f"{e.name} (mode {e.source})" for e in contacts)
+    given = f"contact={contact!r}, mode={mode!r}"
+    if not found:
+        raise OptionError(f"{spec.model}: {given}: no such contact; there are {names}")
+    raise OptionError(f"{spec.model}: {given}: several contacts, {names}; name one: contact=...")
+
+
+def _box(spec: Spec, box: Any) -> dict[str, Bounds]:
+    known = [*spec.element_names, GAP, SPEED, TIME]
+    if not isinstance(box, Mapping) or not box:
+        raise OptionError(f"{spec.model}: box={box!r}; give bounds by name: {{'x': (a, b), ...}}")
+    checked = {}
+    for name, bounds in box.items():
+        if name not in known:
+            raise OptionError(
+                f"{spec.model}: box has {name!r}, which is no state; there are "
+                f"{', '.join(spec.element_names)}, and the relative coordinates gap, speed, t"
+            )
+        try:
+            low, high = (float(bound) for bound in bounds)
+        except (TypeError, ValueError):
+            raise OptionError(f"{spec.model}: box {name}={bounds!r}; give (low, high)") from None
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise OptionError(
+                f"{spec.model}: box {name}=({low}, {high}); two finite bounds, the lower first"
+            )
+        checked[name] = (low, high)
+    return checked

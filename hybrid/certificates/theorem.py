@@ -1,0 +1,423 @@
+"""Theorem 1 of Akhmet and Çağ: a fixed obstacle, forces even in the velocity.
+
+For a gap ``g = b (x - phi)`` and ``x' = v`` the theorem is asked in the gap's own
+coordinates, in which the acceleration is ``a = L_f^2 g``: it is the paper's ``f`` where
+``b`` is 1, and covers an obstacle above the body (``b < 0``) too.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import attrs
+
+from ..scene.extrema import Bounds, Extreme, ScalarFunction, continuous, extrema
+from ..scene.parity import parity
+from .question import TIME, Question
+from .result import Certificate
+
+STATEMENT = "Theorem 1 (fixed obstacle, (C1), (C2))"
+
+#: Accuracy of the extrema in the answer, and in trials on the way to a repair.
+FINE, COARSE = 1e-13, 1e-6
+
+#: Bisections on the way to a repair.
+TRIALS = 20
+
+#: A box may begin so far (relative to its place) from the wall and count as touching it.
+TOUCH = 1e-9
+
+
+@attrs.frozen(eq=False)
+class Setting:
+    """A contact to which the theorem applies.
+
+    Attributes
+    ----------
+    acceleration : ScalarFunction
+        Of the gap, in free flight.
+    slope : arb
+        ``b``.
+    wall : arb
+        ``phi``.
+    near, far : float
+        The wall's position (rounded to its outer side) and the other end of the box.
+    limit : arb
+        The largest absolute gap speed of the box.
+    """
+
+    question: Question
+    acceleration: ScalarFunction
+    slope: Any
+    wall: Any
+    near: float
+    far: float
+    limit: Any
+
+    def box(self, far: float, speed: float) -> dict[str, Bounds]:
+        q = self.question
+        x = (min(self.near, far), max(self.near, far))
+        return {f"x{q.position}": x, f"x{q.velocity}": (-speed, speed)}
+
+    @property
+    def speed(self) -> float:
+        """The largest absolute velocity of the box."""
+        low, high = self.question.box[self.question.spec.element_names[self.question.velocity]]
+        return min(-low, high)
+
+
+@attrs.frozen
+class Trial:
+    """The numbers of the theorem on one box.
+
+    ``left`` bounds ``M sqrt(2 (h - phi) / m)`` from below and above; None without (C1).
+    """
+
+    least: Extreme
+    most: Extreme
+    left: tuple[float, float] | None
+    limit: tuple[float, float]
+
+    @property
+    def m(self) -> float:
+        import math
+
+        return math.nextafter(-self.most.high, 0.0)
+
+    @property
+    def M(self) -> float:
+        return -self.least.low
+
+    @property
+    def holds(self) -> bool:
+        return self.left is not None and self.left[1] < self.limit[0]
+
+
+def by_theorem(question: Question) -> Certificate:
+    """The certificate by Theorem 1."""
+    setting = _setting(question)
+    if isinstance(setting, str):
+        return _answer(question, "undecided", setting, repair=_relative(question))
+    trial = _trial(setting, setting.far, setting.speed, FINE)
+    found: dict[str, Any] = _numbers(question, trial)
+    box = setting.box(setting.far, setting.speed)
+    law = restitution(question.law(), {**box, **_impacts(setting)})
+    found["restitution"] = law and (law[0].low, law[1].high)
+    faults = [
+        restitution_fault(law),
+        _parity(setting),
+        edges_fault(question.other_guards(lambda h: h), box),
+        _regularity(setting),
+    ]
+    bad = next((fault for fault in faults if fault), None)
+    if bad:
+        return _answer(question, *bad, **found)
+    if trial.holds:
+        return _certified(setting, trial, found)
+    return _refused(setting, trial, found)
+
+
+def _answer(q: Question, verdict: str, reason: str, repair: str = "", **found: Any) -> Certificate:
+    return Certificate(
+        model=q.spec.model,
+        contact=q.contact.name,
+        box=q.box,
+        statement=STATEMENT,
+        verdict=verdict,
+        reason=reason,
+        repair=repair,
+        **found,
+    )
+
+
+def _relative(q: Question) -> str:
+    return (
+        'ask without (C2), in relative coordinates: box={"gap": (0, y), "speed": (0, w), ...} '
+        "with bounds of t and of other states that the gap's acceleration depends on"
+    )
+
+
+# ---------------------------------------------------------------------------------------
+# does the theorem speak of this contact?
+
+
+def _setting(q: Question) -> Setting | str:
+    """The setting, or the sentence that says why the theorem does not apply."""
+    from ..scene.balls import high, low
+
+    if len(q.laws.pairing.positions) > 1:
+        return "Theorem 1 is for a gap of one position; this gap depends on several"
+    x, v = f"x{q.position}", f"x{q.velocity}"
+    gap, speed, acceleration = (
+        q.function(h) for h in (q.laws.gap, q.laws.speed, q.laws.acceleration)
+    )
+    names = ", ".join(q.labels[name] for name in sorted(gap.inputs - {x}))
+    if TIME in gap.inputs:
+        return "Theorem 1 is for a fixed obstacle; this gap depends on the time"
+    if names:
+        return f"Theorem 1 is for a gap of one position; this gap depends on {names} too"
+    slope = constant_slope(gap, x)
+    if slope is None or slope.contains(0):
+        return "Theorem 1 is for a gap x - phi; this gap is not affine"
+    if speed.inputs != {v} or constant_slope(speed, v) != slope or speed.at({v: 0.0}) != 0:
+        return "Theorem 1 is for x' = v; here the position's derivative is another function"
+    others = acceleration.inputs - {x, v}
+    if others:
+        names = ", ".join("the time" if n == TIME else q.labels[n] for n in sorted(others))
+        return f"Theorem 1 is for forces of position and velocity; these depend on {names} too"
+    wall = -gap.at({x: 0.0}) / slope
+    _require_bounds(q)
+    ends = q.box[q.labels[x]]
+    near, far = (low(wall), ends[1]) if slope > 0 else (high(wall), ends[0])
+    _require_touch(q, ends, near, slope > 0)
+    setting = Setting(q, acceleration, slope, wall, near, far, None)
+    from ..scene.balls import absolute
+
+    return attrs.evolve(setting, limit=absolute(slope) * setting.speed)
+
+
+def constant_slope(function: ScalarFunction, name: str) -> Any:
+    """The derivative with respect to an input where it is one constant, else None."""
+    if name not in function.gradient or function.graph is None:
+        return None
+    from ..scene.interval import IntervalProgram
+
+    root = function.program.roots[1 + function.gradient.index(name)]
+    program = IntervalProgram(function.graph, [root])
+    if program.inputs:
+        return None
+    result = program.enclose({})[0]
+    return result.value if result.defined else None
+
+
+def _require_bounds(q: Question) -> None:
+    names = q.spec.element_names
+    for place in (q.position, q.velocity):
+        if names[place] not in q.box:
+            q.refuse(f"box has no bounds for {names[place]!r}; add {names[place]!r}: (low, high)")
+    low, high = q.box[names[q.velocity]]
+    if not low < 0.0 < high:
+        name = names[q.velocity]
+        q.refuse(f"box {name}=({low}, {high}); speeds of both signs: {name!r}: (-c, c)")
+
+
+def _require_touch(q: Question, ends: Bounds, near: float, below: bool) -> None:
+    """The box must reach from the wall inward."""
+    name, room = q.spec.element_names[q.position], TOUCH * max(1.0, abs(near))
+    start, far = ends if below else ends[::-1]
+    sign = 1.0 if below else -1.0
+    if sign * (start - near) > room or sign * (far - near) <= 0.0:
+        wanted = f"({near:.12g}, h)" if below else f"(h, {near:.12g})"
+        q.refuse(
+            f"box {name}=({ends[0]}, {ends[1]}) does not reach from the obstacle at "
+            f"{near:.12g} inward; give {name!r}: {wanted}"
+        )
+
+
+# ---------------------------------------------------------------------------------------
+# the conditions
+
+
+def _trial(setting: Setting, far: float, speed: float, tolerance: float) -> Trial:
+    from flint import arb, ctx
+
+    from ..scene.balls import absolute, high, low
+    from ..scene.interval import PRECISION
+
+    least, most = extrema(setting.acceleration, setting.box(far, speed), tolerance)
+    with ctx.workprec(PRECISION):
+        limit = absolute(setting.slope) * arb(speed)
+        left = None
+        if most.high < 0.0 and least.low > float("-inf"):
+            room = 2 * absolute(setting.slope * (arb(far) - setting.wall))
+            above = -arb(least.low) * (room / arb(_below(most.high))).sqrt()
+            under = -arb(least.high) * (room / -arb(most.low)).sqrt()
+            left = low(under), high(above)
+    return Trial(least, most, left, (low(limit), high(limit)))
+
+
+def _below(high: float) -> float:
+    """``m``: the float below what was proved, because (C1) is strict."""
+    import math
+
+    return math.nextafter(-high, 0.0)
+
+
+def _impacts(setting: Setting) -> dict[str, Bounds]:
+    from ..scene.balls import high
+
+    return {"u": (-high(setting.limit), 0.0)}
+
+
+Fault = tuple[str, str, str]
+
+
+def restitution(law: ScalarFunction, box: dict[str, Bounds]) -> tuple[Extreme, Extreme] | None:
+    """Bounds of the restitution; None if it depends on more than the box bounds."""
+    return extrema(law, box) if law.inputs <= set(box) else None
+
+
+def restitution_fault(law: tuple[Extreme, Extreme] | None) -> Fault | None:
+    """The restitution must lie strictly between 0 and 1."""
+    if law is None:
+        reason = "the restitution depends on the time or on states without bounds here"
+        return "undecided", reason, "a restitution of the contact's own position and speed"
+    least, most = law
+    if least.low > 0.0 and most.high < 1.0:
+        return None
+    wrong = most.low >= 1.0 or least.high <= 0.0
+    bounds = f"[{least.low!r}, {most.high!r}]"
+    reason = f"the restitution must lie strictly between 0 and 1; it lies in {bounds}"
+    verdict = "refuted" if wrong else "undecided"
+    return verdict, reason, "choose a restitution strictly between 0 and 1"
+
+
+def _parity(setting: Setting) -> Fault | None:
+    """(C2): the proof of evenness, or a point at which it fails."""
+    function, q = setting.acceleration, setting.question
+    v = f"x{q.velocity}"
+    root = function.program.roots[0]
+    if v not in function.inputs or parity(function.graph, root, {v}) == "even":
+        return None
+    box = setting.box(setting.far, setting.speed)
+    for i, j in ((i, j) for i in range(5) for j in range(5)):
+        (a, b), (_, c) = box[f"x{q.position}"], box[v]
+        point = {f"x{q.position}": a + (b - a) * i / 4, v: c * (j + 0.9) / 5}
+        here, there = function.at(point), function.at({**point, v: -point[v]})
+        if here is not None and there is not None and not here.overlaps(there):
+            at = ", ".join(f"{q.labels[n]} = {value:.12g}" for n, value in point.items())
+            reason = f"(C2) fails: the force is not even in the velocity, for instance at {at}"
+            return "refuted", reason, _relative(q)
+    reason = "(C2) could not be decided: no proof that the force is even in the velocity"
+    return "undecided", reason, _relative(q)
+
+
+def edges_fault(guards: dict[str, ScalarFunction], box: dict[str, Bounds]) -> Fault | None:
+    """No other edge may be taken inside the box."""
+    for name, guard in guards.items():
+        bounded = False
+        if guard.inputs <= set(box):
+            least, most = extrema(guard, box, COARSE)
+            bounded = least.low > 0.0 or most.high < 0.0
+        if not bounded:
+            reason = f"the motion may leave by {name}, whose guard may be zero on the box"
+            return "undecided", reason, "choose a box on which that guard keeps its sign"
+    return None
+
+
+def _regularity(setting: Setting) -> Fault | None:
+    function, box = setting.acceleration, setting.box(setting.far, setting.speed)
+    if continuous(function, {name: box[name] for name in function.inputs}):
+        return None
+    reason = (
+        "the theorem wants a force that is continuous and locally Lipschitz on the box; "
+        "that could not be shown (a switch, a step, or an infinite slope)"
+    )
+    return "undecided", reason, _relative(setting.question)
+
+
+# ---------------------------------------------------------------------------------------
+# answers
+
+
+def _numbers(q: Question, trial: Trial) -> dict[str, Any]:
+    found: dict[str, Any] = {
+        "m_at": q.named(trial.most.at),
+        "M_at": q.named(trial.least.at),
+        "right": trial.limit[0],
+    }
+    if trial.left is not None:
+        found.update(m=trial.m, M=trial.M, left=trial.left[1])
+        found["margin"] = trial.limit[0] - trial.left[1]
+    return found
+
+
+def _certified(setting: Setting, trial: Trial, found: dict[str, Any]) -> Certificate:
+    from flint import arb, ctx
+
+    from ..scene.balls import absolute, high
+    from ..scene.interval import PRECISION
+
+    q = setting.question
+    with ctx.workprec(PRECISION):
+        room = 2 * absolute(setting.slope * (arb(setting.far) - setting.wall))
+        smallest = high(arb(trial.M) ** 2 * room / arb(trial.limit[0]) ** 2)
+    start = _starts(setting, setting.far)
+    reason = "(C1), (C2) and the inequality hold on the box"
+    largest = -trial.most.high
+    return _answer(q, "certified", reason, m_range=(smallest, largest), initial_set=start, **found)
+
+
+def _starts(setting: Setting, far: float) -> dict[str, Any]:
+    q = setting.question
+    names = q.spec.element_names
+    bounds = (min(setting.near, far), max(setting.near, far))
+    return {names[q.position]: bounds, names[q.velocity]: 0.0}
+
+
+def _refused(setting: Setting, trial: Trial, found: dict[str, Any]) -> Certificate:
+    q = setting.question
+    far, speed = _largest_height(setting), None
+    position, velocity = (q.spec.element_names[i] for i in (q.position, q.velocity))
+    repairs = []
+    if trial.left is not None:
+        speed = _smallest_speed(setting, trial)
+    if speed is not None:
+        repairs.append(f"|{velocity}| up to more than {speed!r}")
+    if far is not None:
+        repairs.append(f"{position} only as far as {far!r}")
+        found["initial_set"] = _starts(setting, far)
+    repair = ", or ".join(repairs) or "no smaller box was found on which the conditions hold"
+    return _answer(q, *_failure(setting, trial), repair=repair, **found)
+
+
+def _failure(setting: Setting, trial: Trial) -> tuple[str, str]:
+    """The verdict and the condition that fails."""
+    q = setting.question
+    at = ", ".join(f"{q.labels[n]} = {value:.12g}" for n, value in trial.most.at.items())
+    if trial.most.low >= 0.0:
+        return "refuted", f"(C1) fails: the gap's acceleration is {trial.most.low:.12g} at {at}"
+    if trial.left is None:
+        why = trial.most.reason or trial.least.reason or "the bounds are not close enough"
+        return "undecided", f"(C1) could not be decided on the box: {why}"
+    if trial.left[0] >= trial.limit[1]:
+        reason = (
+            f"the inequality fails: M sqrt(2 (h - phi) / m) = {trial.left[1]!r} is not below "
+            f"{trial.limit[0]!r} (the least |force| is {-trial.most.high:.12g}, at {at})"
+        )
+        return "refuted", reason
+    return "undecided", "the inequality could not be decided: both sides are equal to rounding"
+
+
+def _smallest_speed(setting: Setting, trial: Trial) -> float | None:
+    """A speed beyond which the inequality holds on this height; None if none was found."""
+    from flint import arb
+
+    from ..scene.balls import absolute, high
+
+    assert trial.left is not None
+    scale = absolute(setting.slope)
+    left = high(arb(trial.left[1]) / scale)
+    if f"x{setting.question.velocity}" not in setting.acceleration.inputs:
+        return left
+    for _ in range(TRIALS):
+        wider = _trial(setting, setting.far, left * (1.0 + COARSE), COARSE)
+        if wider.left is None:
+            return None
+        if wider.holds:
+            return left * (1.0 + COARSE)
+        left = high(arb(wider.left[1]) / scale)
+    return None
+
+
+def _largest_height(setting: Setting) -> float | None:
+    """The position up to which the conditions hold with this box's speeds, by bisection."""
+    good, bad = None, 1.0
+    for _ in range(TRIALS):
+        share = 0.5 * ((good or 0.0) + bad)
+        far = setting.near + share * (setting.far - setting.near)
+        if far != setting.near and _trial(setting, far, setting.speed, COARSE).holds:
+            good = share
+        else:
+            bad = share
+    return None if good is None else setting.near + good * (setting.far - setting.near)
