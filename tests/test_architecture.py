@@ -19,7 +19,7 @@ LAYERS = [
     ["compiled"],
     ["accumulation", "arcs", "trajectory"],
     ["run", "store", "plotting"],
-    ["simulation", "ensembles", "function"],
+    ["simulation", "ensembles", "function", "certificates"],
     ["compare", "gallery", "study"],
     ["cli", "__main__", "__init__"],
 ]
@@ -49,11 +49,9 @@ def test_imports_point_down():
 
 
 def test_importing_is_light():
-    """Neither JAX, SciPy nor matplotlib is loaded by ``import hybrid``."""
-    code = (
-        "import sys, hybrid\n"
-        "print([m for m in ('jax', 'scipy', 'matplotlib', 'xarray', 'rich') if m in sys.modules])"
-    )
+    """Neither JAX, SciPy, python-flint nor matplotlib is loaded by ``import hybrid``."""
+    heavy = ("jax", "scipy", "matplotlib", "xarray", "rich", "flint")
+    code = f"import sys, hybrid\nprint([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True
     )

@@ -13,6 +13,7 @@ from ..automaton.spec import ContactSpec, EdgeSpec
 from ..errors import TraceError
 from . import contact as contacts
 from .graph import Graph
+from .interval import IntervalProgram
 from .python import Program, needed
 from .taylor import TaylorProgram, flat
 
@@ -148,8 +149,8 @@ class Lowered:
     def guard_closed(self, edge: EdgeSpec | ContactSpec) -> Any:
         return self.closed("gap" if isinstance(edge, ContactSpec) else "guard", edge.name)
 
-    def lie_program(self, key: Any, guard: Any, flow: Any) -> Program:
-        """The guard and its first two derivatives along the flow."""
+    def lie_closed(self, key: Any, guard: Any, flow: Any) -> Any:
+        """The jaxpr of the guard and its first two derivatives along the flow."""
 
         def triple(parameters: Any, t: Any, x: Any) -> Any:
             import jax.numpy as jnp
@@ -159,7 +160,21 @@ class Lowered:
             parts = [h(parameters, t, x) for h in (g, first, contacts.lie(first, f))]
             return jnp.stack(parts)
 
-        return self.program(("lie", key), lambda: self._trace(triple))
+        return self.once(("lie closed", key), lambda: self._trace(triple))
+
+    def lie_program(self, key: Any, guard: Any, flow: Any) -> Program:
+        """The guard and its first two derivatives along the flow."""
+        return self.program(("lie", key), lambda: self.lie_closed(key, guard, flow))
+
+    def lie_enclosure(self, key: Any, guard: Any, flow: Any) -> IntervalProgram:
+        """The same three as balls: :class:`.interval.IntervalProgram`."""
+
+        def make() -> IntervalProgram:
+            graph = Graph()
+            (roots,) = graph.outputs(self.lie_closed(key, guard, flow), self.inputs(graph))
+            return IntervalProgram(graph, roots)
+
+        return self.once(("lie enclosure", key), make)
 
     def rounding_program(self, key: Any, guard: Any, flow: Any) -> Program:
         """Sums of the absolute terms of which the guard and its derivatives are made."""

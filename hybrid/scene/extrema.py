@@ -1,0 +1,223 @@
+"""Rigorous least and greatest values of an expression on a box, by branch and bound.
+
+A sub-box is bounded by the interval reader, and by the mean value form where the gradient
+has been traced too; where the gradient's sign proves that the expression is monotone in a
+coordinate, the sub-box shrinks to its face. The best value at a point bounds from the
+other side. Both bounds hold however early the search stops.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import attrs
+
+from .interval import Enclosure, IntervalProgram
+
+Bounds = tuple[float, float]
+Box = dict[str, Bounds]
+
+#: Nodes of the graph that a search evaluates, at most (a node takes a microsecond or two).
+EFFORT = 200_000
+
+
+class ScalarFunction:
+    """An expression of named inputs, with its gradient if that could be traced.
+
+    Parameters
+    ----------
+    program : IntervalProgram
+        Its first root is the expression, the others are partial derivatives.
+    gradient : sequence of str
+        The inputs of these partial derivatives, in order.
+    graph : Graph, optional
+        The graph itself, for other readers of the expression.
+    """
+
+    def __init__(
+        self, program: IntervalProgram, gradient: Sequence[str] = (), graph: Any = None
+    ) -> None:
+        self.program, self.gradient, self.graph = program, list(gradient), graph
+        self.value = program.first()
+        self.inputs = program.inputs
+
+    def enclose(self, box: Mapping[str, Any]) -> tuple[Enclosure, dict[str, Any]]:
+        """The enclosure over a box, and those of the slopes that are defined."""
+        value, *slopes = self.program.enclose(box)
+        named = zip(self.gradient, slopes, strict=True)
+        return value, {name: slope.value for name, slope in named if slope.defined}
+
+    def at(self, point: Mapping[str, Any]) -> Any:
+        """The value at a point as a small ball; None where it is not defined."""
+        value = self.value.enclose(point)[0]
+        return value.value if value.defined else None
+
+
+@attrs.frozen
+class Extreme:
+    """The infimum or supremum of an expression on a box lies in ``[low, high]``.
+
+    Attributes
+    ----------
+    at : dict
+        The point whose value is the bound that is attained; only the coordinates on which
+        the expression depends.
+    reason : str
+        Why a bound is infinite.
+    """
+
+    low: float
+    high: float
+    at: dict[str, float]
+    reason: str = ""
+
+
+def extrema(
+    function: ScalarFunction, box: Mapping[str, Bounds], tolerance: float = 1e-12
+) -> tuple[Extreme, Extreme]:
+    """Infimum and supremum of an expression on a box.
+
+    Parameters
+    ----------
+    function : ScalarFunction
+    box : mapping of str to (low, high)
+        Bounds of every input of the expression; others are passed over.
+    tolerance : float
+        The search stops when the bounds are so close (relative to the value, or to 1).
+
+    Returns
+    -------
+    (Extreme, Extreme)
+        Infimum, supremum; bounds that could not be shown are infinite.
+    """
+    most = supremum(function, box, tolerance)
+    least = supremum(function, box, tolerance, sign=-1)
+    return Extreme(-least.high, -least.low, least.at, least.reason), most
+
+
+def supremum(
+    function: ScalarFunction,
+    box: Mapping[str, Bounds],
+    tolerance: float = 1e-12,
+    sign: int = 1,
+    effort: int = EFFORT,
+) -> Extreme:
+    """The supremum of an expression (times ``sign``) on a box."""
+    search = _Search(function, sign)
+    whole = {name: box[name] for name in sorted(function.inputs)}
+    search.add(whole)
+    for _ in range(max(50, effort // len(function.program))):
+        if not search.open or search.closed(tolerance):
+            break
+        search.divide()
+    top = -search.open[0][0] if search.open else search.best
+    return Extreme(search.best, max(top, search.best), search.at, search.reason)
+
+
+def continuous(function: ScalarFunction, box: Mapping[str, Bounds], effort: int = 200) -> bool:
+    """Whether an expression is shown to be continuous on a box, with a bounded gradient.
+
+    Both together make it Lipschitz continuous there.
+    """
+    queue = [{name: box[name] for name in function.inputs}]
+    for part in itertools.islice(_popped(queue), effort):
+        value, slopes = function.enclose(part)
+        if not value.defined or not value.continuous or len(slopes) < len(function.gradient):
+            queue.extend(_halves(part))
+    return not queue
+
+
+def _popped(queue: list[Box]) -> Iterable[Box]:
+    while queue:
+        yield queue.pop(0)
+
+
+class _Search:
+    """Open sub-boxes in order of their upper bounds, and the best value at a point."""
+
+    def __init__(self, function: ScalarFunction, sign: int) -> None:
+        self.function, self.sign = function, sign
+        self.open: list[tuple[float, int, Box]] = []
+        self.best, self.at = float("-inf"), dict[str, float]()
+        self.reason = ""
+        self._count = itertools.count()
+
+    def closed(self, tolerance: float) -> bool:
+        top = -self.open[0][0]
+        return top - self.best <= tolerance * max(1.0, abs(self.best))
+
+    def divide(self) -> None:
+        _, _, part = heapq.heappop(self.open)
+        for half in _halves(part):
+            self.add(half)
+
+    def add(self, part: Box) -> None:
+        """Bound a sub-box; keep it if it may hold more than the best value."""
+        top, part, slopes = self.bound(part)
+        point = {name: _middle(bounds) for name, bounds in part.items()}
+        value = self.sample(point)
+        if value is not None and slopes is not None:
+            top = min(top, self.mean_value(value, part, point, slopes))
+        if top > self.best:
+            heapq.heappush(self.open, (-top, next(self._count), part))
+
+    def sample(self, point: dict[str, float]) -> Any:
+        """The value at a point, kept if it is the best."""
+        from .balls import low
+
+        value = self.function.at(point)
+        if value is not None and low(self.sign * value) > self.best:
+            self.best, self.at = low(self.sign * value), point
+        return value
+
+    def bound(self, part: Box) -> tuple[float, Box, dict[str, Any] | None]:
+        """An upper bound on a sub-box, the face on which it is attained, the slopes there."""
+        from .balls import high
+
+        value, slopes = self.function.enclose(part)
+        if not value.defined:
+            self.reason = value.value.reason
+            return float("inf"), part, None
+        top = high(self.sign * value.value)
+        if not value.continuous:
+            return top, part, None
+        face = {name: self.face(part[name], slopes.get(name)) for name in part}
+        if face != part:
+            return self.bound(face)
+        return top, part, slopes if all(name in slopes for name in part) else None
+
+    def face(self, bounds: Bounds, slope: Any) -> Bounds:
+        """The end towards which the expression grows, where its slope has one sign."""
+        if slope is None or bounds[0] == bounds[1] or not (slope >= 0 or slope <= 0):
+            return bounds
+        end = bounds[1] if (slope >= 0) == (self.sign > 0) else bounds[0]
+        return (end, end)
+
+    def mean_value(self, value: Any, part: Box, point: dict[str, float], slopes: Any) -> float:
+        from flint import ctx
+
+        from .balls import BALLS, high
+        from .interval import PRECISION, ball
+
+        with ctx.workprec(PRECISION):
+            for name, bounds in part.items():
+                away = ball(bounds) - ball(point[name])
+                value = BALLS["add"](value, BALLS["mul"](slopes[name], away))
+            return high(self.sign * value)
+
+
+def _middle(bounds: Bounds) -> float:
+    return min(max(0.5 * bounds[0] + 0.5 * bounds[1], bounds[0]), bounds[1])
+
+
+def _halves(part: Box) -> list[Box]:
+    """The two halves of a box, across its widest side (relative to its place)."""
+    wide = [name for name, (a, b) in part.items() if a < _middle((a, b)) < b]
+    if not wide:
+        return [part]
+    name = max(wide, key=lambda n: part[n][1] - part[n][0])
+    (a, b), middle = part[name], _middle(part[name])
+    return [{**part, name: (a, middle)}, {**part, name: (middle, b)}]
