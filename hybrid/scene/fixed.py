@@ -1,0 +1,68 @@
+"""The graph of a model whose parameters have values, for readers that prove something.
+
+The parameters are constants, so that a term times a parameter that is 0 is gone. No
+constant is rounded: an operation on constants is folded only where its result is exact.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from .graph import Graph, Ids, fold
+from .python import needed
+
+#: Operations of which a float's result is always exact.
+EXACT = {
+    *("neg", "abs", "sign", "max", "min", "floor", "ceil", "round", "trunc", "real", "select"),
+    *("gt", "ge", "lt", "le", "eq", "ne", "and", "or", "xor", "not", "is_finite"),
+}
+
+#: Operations whose result is finite wherever their arguments are.
+TOTAL = EXACT | {
+    *("const", "input", "add", "sub", "mul", "sin", "cos", "atan", "tanh", "asinh", "exp"),
+    *("sinh", "cosh", "exp2", "expm1", "logistic", "cbrt", "erf", "erfc", "away"),
+}
+
+
+class FixedGraph(Graph):
+    """A graph in which constants stay as exact as they were written."""
+
+    def _simplify(self, key: tuple[Any, ...]) -> tuple[Any, ...]:
+        op, arguments = key[0], key[1:]
+        if op in ("const", "input"):
+            return key
+        values = [self.value(a) for a in arguments]
+        if op == "mul" and any(v is not None and v == 0 for v in values) and self._total(arguments):
+            return ("const", 0.0, "0.0")
+        if all(v is not None for v in values) and not _exact(op, values):
+            return key
+        return super()._simplify(key)
+
+    def _total(self, numbers: Sequence[int]) -> bool:
+        return all(self.nodes[i][0] in TOTAL for i in needed(self, numbers))
+
+    def arguments(self, shapes: Sequence[tuple[int, ...]], values: Sequence[float]) -> list[Ids]:
+        """Nodes of the parameters: constants, in their shapes."""
+        ids = iter([self.const(float(value)) for value in values])
+        sizes = [int(np.prod(shape, dtype=int)) for shape in shapes]
+        return [
+            np.array([next(ids) for _ in range(size)], dtype=np.int64).reshape(shape)
+            for size, shape in zip(sizes, shapes, strict=True)
+        ]
+
+
+def _exact(op: str, values: Sequence[Any]) -> bool:
+    """Whether the folded value of an operation is the exact one."""
+    if op in EXACT:
+        return True
+    if op not in ("add", "sub", "mul") or not all(math.isfinite(v) for v in values):
+        return False
+    a, b = map(Fraction, values)
+    exact = a + b if op == "add" else a - b if op == "sub" else a * b
+    folded = fold(op, values)
+    return folded is not None and Fraction(folded) == exact
