@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from importlib.util import find_spec
+from math import inf, isfinite, nextafter
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
 
 from .automaton.record import Record
 from .zeno.cycle import period
+
+if TYPE_CHECKING:
+    from .zeno.enclose import Proof
 
 #: Gaps that fall by less than this from one to the next are not said to shrink.
 SHRINKS = 1.0 - 1e-9
@@ -52,11 +57,6 @@ class Accumulation:
         Limit of the ratio of successive gaps in time.
     edges : tuple of str
         The cycle of edges.
-    verdict : str
-        ``"certified"`` where it is proved, ``"estimated"`` where the series was summed and
-        seen to converge, ``"truncated"`` where it was cut off by ``zeno="truncate"``.
-    enclosure : (low, high) or None
-        Proved bounds on ``t``.
     mode : str or None
         The mode entered after it.
     t_release : float or None
@@ -69,13 +69,48 @@ class Accumulation:
     state: Record
     ratio: float
     edges: tuple[str, ...]
-    verdict: str
+    _verdict: str = attrs.field(alias="verdict")
     mode: str | None
     j: int
-    enclosure: tuple[float, float] | None = None
+    _enclosure: tuple[float, float] | None = attrs.field(default=None, alias="enclosure")
     t_release: float | None = None
     truncation: Truncation | None = None
     _errors: Any = attrs.field(default=None, alias="errors", repr=False)
+    _proofs: Any = attrs.field(default=None, alias="proofs", repr=False)
+
+    @cached_property
+    def proofs(self) -> list[Proof]:
+        """Proofs that the impacts accumulate: from an early one on, and narrower from later ones.
+
+        They are looked for when this, ``verdict`` or ``enclosure`` is first read, and need
+        python-flint (extra ``certify``). Empty where none succeeds.
+        """
+        if self._proofs is None or find_spec("flint") is None:
+            return []
+        found: list[Proof] = self._proofs()
+        return found
+
+    @property
+    def verdict(self) -> str:
+        """How the accumulation is known.
+
+        ``"certified"`` where it is proved from an impact on, ``"estimated"`` where the series
+        was summed and seen to converge, ``"truncated"`` where ``zeno="truncate"`` cut it off.
+        """
+        return "certified" if self.proofs else self._verdict
+
+    @property
+    def enclosure(self) -> tuple[float, float] | None:
+        """Bounds on ``t``: the narrowest proved from an impact on, made wider by ``t_error``.
+
+        The proof takes the impact's state as it is given; what the integration before it has
+        lost is measured, not proved, and is what ``t_error`` bounds.
+        """
+        if not self.proofs or not isfinite(self.t_error):
+            return self._enclosure
+        best = min(self.proofs, key=lambda proof: proof.high - proof.low)
+        low, high = best.low - self.t_error, best.high + self.t_error
+        return nextafter(low, -inf), nextafter(high, inf)
 
     @cached_property
     def _error(self) -> tuple[float, Record]:
@@ -135,12 +170,21 @@ def explain(point: Accumulation) -> str:
         )
     chatters = len(point.edges) == 1 and point.ratio < 1.0
     how = "summed by the chatter map" if chatters else "found by sequence acceleration"
-    how = "is proved" if point.verdict == "certified" else f"was {how}"
+    how = f"was {how} ({point.verdict})"
+    if point.proofs:
+        first = point.proofs[0]
+        low, high = point.enclosure or (first.low, first.high)
+        how += (
+            f". It is proved from the impact at t = {first.t:.9g} on: from its gap speed of "
+            f"{first.speed:.4g} on the gap's acceleration stays between {-first.M:.6g} and "
+            f"{-first.m:.6g}, so that speeds fall to {first.rho:.6g} at most from impact to "
+            f"impact. With the error of the integration, t_inf is between {low!r} and {high!r}"
+        )
     then = f"The run went on in {point.mode}" if point.mode else "The run ended there"
     if point.t_release is not None:
         then += f" until it was released at t = {point.t_release!r}"
     return (
         f"Jumps of {cycle} accumulate at t_inf = {point.t!r} with ratio {point.ratio:.6g}; the "
-        f"limit {how} ({point.verdict}). {then} (zeno='rest' goes on at rest, 'stop' ends the "
+        f"limit {how}. {then} (zeno='rest' goes on at rest, 'stop' ends the "
         "run, 'truncate' cuts the series, 'raise' makes it an error)."
     )

@@ -318,6 +318,8 @@ class Driver:
         rest = self.scene.name(*after) if after and zeno == "rest" else None
         state = self.scene.spec.record(limit.x_inf)
         point = Accumulation(self.t, state, ratio, edges, "estimated", rest, record.j)
+        if isinstance(limit, Tail):
+            point._proofs = limit.prove
         record.limit_point(point, limit)
         self.watch.reset()
         self.cycles.forget()

@@ -34,6 +34,7 @@ from .flight import Flight, fly
 
 if TYPE_CHECKING:
     from ..scene import Contact, Field
+    from .enclose import Proof
 
 #: Most points on the curve.
 DEGREE = 16
@@ -52,6 +53,9 @@ SAMPLES, SMOOTH = 64, 1e-5
 
 #: What is left after a turn, against what the turn changed: it shrinks, but not evenly.
 CAUTION = 8.0
+
+#: Impacts of a tail from which a proof is tried.
+STAGES = (0, 3, 10, 30, 60, 100, 160, 250, 400, 1000, 4000)
 
 #: Rounding of one flight, relative, as seen in the change from turn to turn.
 ROUNDING = 3e-15
@@ -134,6 +138,18 @@ class Tail:
         s = min(max(since - float(self.times[n]), 0.0), flight.time)
         start, _, series = next(p for p in reversed(flight.pieces) if p[0] <= s)
         return [polynomial(c, s - start) for c in series]
+
+    def prove(self) -> list[Proof]:
+        """Proofs from some of the impacts on, in order of time."""
+        from .enclose import prove
+
+        points = [self.point(self.r**n) for n in STAGES if n <= self.count]
+        found = [
+            prove(self.field, self.contact.name, self.t + since, x, v)
+            for since, x, v in points
+            if v > 0
+        ]
+        return [proof for proof in found if proof is not None]
 
     def flight(self, n: int) -> Flight | None:
         """The flight after impact ``n`` of the tail, from the curve."""

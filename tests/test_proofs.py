@@ -1,0 +1,108 @@
+"""Proofs from an impact on: where they hold, what they enclose, and that none is false."""
+
+import math
+
+import numpy as np
+import pytest
+
+import hybrid as hy
+from hybrid import gallery
+from hybrid.scene import scene_of
+from hybrid.zeno.enclose import prove
+from models.bouncing_ball import BouncingBall
+from models.hard_spring import HardSpring
+
+from . import systems
+
+pytest.importorskip("flint")
+
+CHATTERING = [
+    *("ball_on_circle", "bead_on_table", "bouncing_ball", "bowl"),
+    *("coupled", "hard_spring", "hills", "moon_holmes"),
+]
+
+BORDER = 0.150562297509349608672127586612455896897636764
+
+
+@pytest.mark.parametrize("solver", ["scipy", "taylor", "diffrax"])
+@pytest.mark.parametrize("name", CHATTERING)
+def test_the_gallery_is_certified(name, solver):
+    """Every contact that chatters is proved to; the known limit lies in the enclosure."""
+    entry = gallery.find(name)
+    run = hy.simulate(entry.cls(), entry.start, entry.until, rtol=1e-11, solver=solver)
+    known = [value for label, _, value, _ in entry.module.oracle(run) if label == "t_inf"]
+    point = run.zeno[0]
+    assert point.verdict == "certified"
+    low, high = point.enclosure
+    assert high - low < 2.1 * point.t_error + 1e-12  # the proof's own width, some roundings
+    assert all(low <= value <= high for value in known)
+    assert "It is proved from the impact at" in run.explain()
+
+
+def test_the_enclosure_of_example_1():
+    """Narrower than 1e-9, and from the proof alone narrower than 1e-13."""
+    run = hy.simulate(HardSpring(), {"x": 2.1, "v": 0.0}, (0, 2), rtol=1e-12, atol=1e-13)
+    low, high = run.zeno[0].enclosure
+    assert low <= 1.32961738383844857732 <= high
+    assert high - low < 1e-9
+    best = min(run.zeno[0].proofs, key=lambda proof: proof.high - proof.low)
+    assert best.high - best.low < 1e-13
+
+
+@pytest.mark.parametrize("v", [1e-6, 1e-2, 2.0, 40.0])
+@pytest.mark.parametrize("r", [0.1, 0.7, 0.999])
+def test_a_ball_is_proved_from_any_impact(v, r):
+    """Constant gravity: the bounds are the closed form, up to rounding, however strong."""
+    model = BouncingBall(r=r)
+    field = scene_of(model).field("flight")
+    proof = prove(field, "impact", 0.25, np.array([0.0, v]), v)
+    exact = 0.25 + 2 * v / 9.81 / (1 - r)
+    assert proof.low <= exact <= proof.high
+    assert proof.high - proof.low < 1e-13 * (1 + exact)  # a hundred roundings
+    assert proof.rho == pytest.approx(r, rel=1e-12)
+    assert np.all(proof.x_low <= 0.0)
+    assert np.all(proof.x_high >= 0.0)
+
+
+@pytest.mark.parametrize("share", [1e-2, 1e-6, 1e-9])
+def test_what_escapes_is_never_proved(share):
+    """Weakening gravity above the threshold: no proof from any of the impacts; below it, one."""
+    tight = {"rtol": 1e-13, "atol": 1e-15, "zeno": "truncate", "max_jumps": 60}
+    for sign in (1, -1):
+        start = {"y": 0.0, "v": BORDER * (1 + sign * share)}
+        run = hy.simulate(systems.WeakeningGravity(), start, (0, 2), **tight)
+        field = scene_of(systems.WeakeningGravity()).field("flight")
+        proofs = [
+            prove(field, "impact", jump.t, np.array([0.0, jump.after.v]), jump.after.v)
+            for jump in run.jumps
+            if jump.edge == "impact"
+        ]
+        assert any(proof is not None for proof in proofs) == (sign < 0)
+
+
+def test_nothing_is_proved_with_another_guard_in_the_way():
+    """A ceiling in the box, restitution 1, an obstacle that lets go: each is turned down."""
+    scene = scene_of(systems.DippingCeiling(c=0.8))
+    assert prove(scene.field("flight"), "floor", 0.0, np.array([0.0, 3.0]), 3.0) is None
+    elastic = scene_of(BouncingBall(r=1.0)).field("flight")
+    assert prove(elastic, "impact", 0.0, np.array([0.0, 1.0]), 1.0) is None
+    late = scene_of(systems.WeakeningGravity()).field("flight")
+    assert prove(late, "impact", 0.999, np.array([0.0, 0.1]), 0.1) is None
+
+
+def test_the_bounds_are_those_of_the_lemma():
+    """Weakening gravity from t = 0: bounds by hand, with g between 1 - T and 1."""
+    field = scene_of(systems.WeakeningGravity()).field("flight")
+    v = 1e-3
+    proof = prove(field, "impact", 0.0, np.array([0.0, v]), v)
+    assert pytest.approx(1.0, abs=1e-12) == proof.M
+    assert proof.m < 1.0 - proof.high
+    assert proof.rho == pytest.approx(0.5 * math.sqrt(proof.M / proof.m), rel=1e-12)
+    assert proof.high == pytest.approx(2 * v / (proof.m * (1 - proof.rho)), rel=1e-12)
+    # three further impacts, flown by hand, lie within
+    t, speed = 0.0, v
+    for _ in range(60):
+        a, b, c = -1.0 / 6.0, 0.5 * (1.0 - t), -speed
+        flight = -2 * c / (b + math.sqrt(b * b - 4 * a * c))
+        t, speed = t + flight, 0.5 * abs(speed - (1.0 - t) * flight + 0.5 * flight**2)
+    assert proof.low <= t <= proof.high
