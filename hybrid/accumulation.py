@@ -183,8 +183,11 @@ def explain(point: Accumulation) -> str:
     then = f"The run went on in {point.mode}" if point.mode else "The run ended there"
     if point.t_release is not None:
         then += f" until it was released at t = {point.t_release!r}"
+    pace = f"ratio {point.ratio:.6g}"
+    if point.ratio == 1.0:
+        pace = "gaps that fall like a power (ratio 1)"
     return (
-        f"Jumps of {cycle} accumulate at t_inf = {point.t!r} with ratio {point.ratio:.6g}; the "
+        f"Jumps of {cycle} accumulate at t_inf = {point.t!r} with {pace}; the "
         f"limit {how}. {then} (zeno='rest' goes on at rest, 'stop' ends the "
         "run, 'truncate' cuts the series, 'raise' makes it an error)."
     )

@@ -129,7 +129,8 @@ def test_gaps_that_fall_like_the_square_accumulate(solver, reference):
     assert abs(point.t - exact) <= point.t_error < 1e-9
     assert point.ratio == 1.0
     assert run.mode == "flight.rest(impact)"
-    assert "sequence acceleration" in run.explain()
+    assert "gaps that fall like a power" in run.explain()
+    assert "found by sequence acceleration" in run.explain()
 
 
 @pytest.mark.parametrize("w", [2.0, 2.1])

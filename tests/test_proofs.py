@@ -9,6 +9,7 @@ import hybrid as hy
 from hybrid import gallery
 from hybrid.scene import scene_of
 from hybrid.zeno.enclose import prove
+from models.ball_on_circle import BallOnCircle
 from models.bouncing_ball import BouncingBall
 from models.hard_spring import HardSpring
 
@@ -78,6 +79,20 @@ def test_what_escapes_is_never_proved(share):
             if jump.edge == "impact"
         ]
         assert any(proof is not None for proof in proofs) == (sign < 0)
+
+
+def test_the_border_of_the_circle_by_bisection():
+    """The start beyond which the ball no longer comes to rest, by the certificate alone."""
+    inside, outside = 0.19, 0.193
+    while outside - inside > 2e-14:
+        middle = 0.5 * (inside + outside)
+        start = {"q": [middle, 1.2], "p": [0.0, 0.0]}
+        run = hy.simulate(BallOnCircle(), start, (0, 6), solver="taylor", save="jumps")
+        if run.zeno and run.zeno[0].verdict == "certified":
+            inside = middle
+        else:
+            outside = middle
+    assert inside == pytest.approx(0.1913325241911, abs=1e-13)  # as many digits as are known
 
 
 def test_nothing_is_proved_with_another_guard_in_the_way():
