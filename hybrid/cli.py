@@ -1,8 +1,8 @@
-"""The command line: ``hybrid run``, ``list``, ``check``, ``compare``.
+"""The command line: ``hybrid run``, ``list``, ``check``, ``compare``, ``certify``.
 
-Exit codes: 0 done; 1 solvers differ by more than the tolerance explains; 2 something asked
-for cannot be done (one line says what); 130 interrupted, with what was computed until then
-reported.
+Exit codes: 0 done (``certify``: certified); 1 solvers differ by more than the tolerance
+explains (``certify``: refuted); 2 something asked for cannot be done (one line says what);
+3 ``certify`` could not decide; 130 interrupted, with what was computed until then reported.
 """
 
 from __future__ import annotations
@@ -165,6 +165,46 @@ def _table(found: Any) -> None:
             f"{quantity:10} {worst.size:9.1e}  {worst.method:16} {verdict} {worst.allowed:.1e} "
             f"= {STEPS} steps of rtol {found.rtol:g}, grown {growth:.3g}"
         )
+
+
+#: Exit codes of ``hybrid certify``.
+VERDICTS = {"certified": 0, "refuted": 1, "undecided": 3}
+
+
+@app.command()
+def certify(
+    model: ModelName,
+    box: Annotated[
+        list[str] | None,
+        typer.Option(help="Bounds: x=2:2.5, v=-7:7; or gap=0:1, speed=0:1, t=0:9. Repeat it."),
+    ] = None,
+    set_: Parameters = None,
+    mode: Annotated[str | None, typer.Option(help="The mode that the contact is in.")] = None,
+    contact: Annotated[str | None, typer.Option(help="Which contact, if several.")] = None,
+) -> None:
+    """Prove that impacts accumulate: exit code 0 certified, 1 refuted, 3 undecided."""
+    from .certificates import certify as prove
+
+    with _one_line():
+        made = gallery.find(model).cls(**_pairs(set_ or [], "--set"))
+        found = prove(made, _bounds(box or []), mode, contact)
+    typer.echo(str(found))
+    if VERDICTS[found.verdict]:
+        raise typer.Exit(VERDICTS[found.verdict])
+
+
+def _bounds(given: list[str]) -> dict[str, tuple[float, float]]:
+    bounds = {}
+    for text in given:
+        name, _, ends = text.partition("=")
+        try:
+            low, high = (float(end) for end in ends.split(":"))
+        except ValueError:
+            raise OptionError(f"--box {text}: write NAME=LOW:HIGH") from None
+        bounds[name.strip()] = (low, high)
+    if not bounds:
+        raise OptionError("--box NAME=LOW:HIGH is needed, once for each coordinate")
+    return bounds
 
 
 @app.command("list")

@@ -77,6 +77,10 @@ def test_check_reports_all_faults(tmp_path):
         (["run", "bouncing_ball", "--until", "-1"], "the first before the last"),
         (["run", "bouncing_ball", "--plot", "out.xyz"], "Format 'xyz' is not supported"),
         (["check", "none.py"], "none.py: no such file"),
+        (["certify", "hard_spring"], "--box NAME=LOW:HIGH is needed"),
+        (["certify", "hard_spring", "--box", "x=2"], "--box x=2: write NAME=LOW:HIGH"),
+        (["certify", "hard_spring", "--box", "y=0:1"], "box has 'y', which is no state"),
+        (["certify", "hard_spring", "--box", "x=2:2.5"], "box has no bounds for 'v'"),
     ],
 )
 def test_faults_are_one_line_and_exit_code_2(arguments, message):
@@ -140,3 +144,19 @@ def test_a_truncated_run_can_be_drawn(tmp_path):
     assert result.exit_code == 0
     assert "cut off after 3 impacts" in result.output
     assert call("run", "bouncing_ball", "--save", tmp_path / "no" / "x.nc").exit_code == 2
+
+
+def test_certify_says_what_is_proved_by_its_exit_code():
+    """0 certified, 1 refuted (with the repair), 3 undecided."""
+    proved = call("certify", "hard_spring", "--box", "x=2:2.5", "--box", "v=-7:7")
+    assert proved.exit_code == 0, proved.output
+    assert "certified: HardSpring" in proved.output
+    beam = ("certify", "moon_holmes", "--set", "delta=0", "--set", "gamma=0", "--box", "x=1.1:1.5")
+    refuted = call(*beam, "--box", "v=-3:3")
+    assert refuted.exit_code == 1
+    assert "3.4893157889942" in refuted.output
+    assert call(*beam, "--box", "v=-3.5:3.5").exit_code == 0
+    table = ("certify", "bead_on_table", "--box")
+    assert call(*table, "x=1:2", "--box", "v=-1:1").exit_code == 3
+    relative = ("gap=0:1", "--box", "speed=0:1", "--box", "t=20:30", "--contact", "impact")
+    assert call(*table, *relative).exit_code == 0

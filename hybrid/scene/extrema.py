@@ -20,8 +20,8 @@ from .interval import Enclosure, IntervalProgram
 Bounds = tuple[float, float]
 Box = dict[str, Bounds]
 
-#: Nodes of the graph that a search evaluates, at most (a node takes a microsecond or two).
-EFFORT = 200_000
+#: Divisions of a sub-box times nodes of the graph that a search makes, at most.
+EFFORT = 60_000
 
 
 class ScalarFunction:

@@ -19,8 +19,8 @@ from .python import needed
 #: Bits of the balls' midpoints: rounding stays far below a double's.
 PRECISION = 96
 
-#: Operations on twice the same node.
-SAME = {"ge": True, "le": True, "eq": True, "gt": False, "lt": False, "ne": False}
+#: Results of operations on twice the same node.
+SAME = {"ge": True, "le": True, "eq": True, "gt": False, "lt": False, "ne": False, "sub": 0}
 
 
 class Undecided(Exception):
@@ -96,10 +96,11 @@ class IntervalProgram:
         require_flint()
         self._graph = graph
         self.roots = [int(root) for root in roots]
-        self._order = needed(graph, self.roots)
-        self._nodes = [graph.nodes[number] for number in self._order]
-        self._place = {number: place for place, number in enumerate(self._order)}
-        self.inputs = {node[1] for node in self._nodes if node[0] == "input"}
+        order = needed(graph, self.roots)
+        place = {number: place for place, number in enumerate(order)}
+        self._steps = [_step(graph.nodes[number], place) for number in order]
+        self._places = [place[root] for root in self.roots]
+        self.inputs = {step.given for step in self._steps if step.op == "input"}
 
     def first(self) -> IntervalProgram:
         """The program of the first root alone."""
@@ -107,7 +108,7 @@ class IntervalProgram:
 
     def __len__(self) -> int:
         """The number of nodes."""
-        return len(self._nodes)
+        return len(self._steps)
 
     def __call__(self, parameters: Sequence[Any], t: Any, x: Sequence[Any], **extra: Any) -> Any:
         """A ball for each root.
@@ -141,47 +142,63 @@ class IntervalProgram:
 
         with ctx.workprec(PRECISION):
             values, jumps = self._evaluate({name: ball(box[name]) for name in self.inputs})
-        places = [self._place[root] for root in self.roots]
-        return [Enclosure(_finite(values[place]), not jumps[place]) for place in places]
+        return [Enclosure(_finite(values[place]), not jumps[place]) for place in self._places]
 
     def _evaluate(self, inputs: Mapping[str, Any]) -> tuple[list[Any], list[bool]]:
-        from .balls import number
-
         values: list[Any] = []
         jumps: list[bool] = []
-        for op, *arguments in self._nodes:
-            if op == "input":
-                value, jump = inputs[arguments[0]], False
-            elif op == "const":
-                value, jump = number(arguments[0]), False
+        for step in self._steps:
+            if step.op == "input":
+                value, jump = inputs[step.given], False
+            elif step.op == "const":
+                value, jump = step.given, False
+            elif step.op == "select":
+                a, b, c = step.places
+                value, jump = _select([values[a], values[b], values[c]], [jumps[b], jumps[c]])
             else:
-                places = [self._place[a] for a in arguments]
-                given = [values[p] for p in places]
-                value, jump = _apply(op, arguments, given, [jumps[p] for p in places])
+                value, jump = _apply(step, [values[p] for p in step.places])
+                jump = jump or any([jumps[p] for p in step.places])
             values.append(value)
             jumps.append(jump)
         return values, jumps
 
 
-def _apply(op: str, nodes: list[int], args: list[Any], jumps: list[bool]) -> tuple[Any, bool]:
-    from .balls import BALLS, JUMPS, LIMITS, Undefined, number
+@attrs.frozen
+class _Step:
+    """A node made ready: its rule, the test whether it jumps, the places of its arguments."""
 
-    if op == "select":
-        return _select(args, jumps)
-    for argument in args:
-        argument = argument if op in LIMITS else _finite(argument)
-        if isinstance(argument, Undefined):
-            return argument, True
-    if len(nodes) == 2 and nodes[0] == nodes[1]:
+    op: str
+    places: tuple[int, ...] = ()
+    given: Any = None
+    rule: Any = None
+    jumps: Any = None
+    strict: bool = True
+
+
+def _step(node: tuple[Any, ...], place: Mapping[int, int]) -> _Step:
+    from .balls import BALLS, JUMPS, LIMITS, number
+
+    op, *arguments = node
+    if op in ("input", "const"):
+        return _Step(op, given=arguments[0] if op == "input" else number(arguments[0]))
+    if len(arguments) == 2 and arguments[0] == arguments[1]:
         if op in SAME:
-            return SAME[op], False
-        if op == "mul":
-            return _finite(BALLS["square"](args[0])), jumps[0]
-        if op == "sub":
-            return number(0), jumps[0]
-    value = BALLS[op](*args)
-    jump = any(jumps) or (op in JUMPS and not isinstance(value, Undefined) and JUMPS[op](*args))
-    return value if op in LIMITS else _finite(value), jump
+            result = number(SAME[op])
+            return _Step(op, (place[arguments[0]],), rule=lambda a: result)
+        op, arguments = ("square", arguments[:1]) if op == "mul" else (op, arguments)
+    places = tuple(place[a] for a in arguments)
+    return _Step(op, places, None, BALLS.get(op), JUMPS.get(op), op not in LIMITS)
+
+
+def _apply(step: _Step, args: list[Any]) -> tuple[Any, bool]:
+    if step.strict:
+        args = [_finite(argument) for argument in args]
+    for argument in args:
+        if hasattr(argument, "reason"):
+            return argument, True
+    value = step.rule(*args)
+    jump = step.jumps is not None and (hasattr(value, "reason") or step.jumps(*args))
+    return value, jump
 
 
 def _select(args: list[Any], jumps: list[bool]) -> tuple[Any, bool]:
@@ -192,7 +209,7 @@ def _select(args: list[Any], jumps: list[bool]) -> tuple[Any, bool]:
     if isinstance(test, Undefined):
         return test, True
     if test is not None:
-        return (yes, jumps[1]) if test else (no, jumps[2])
+        return (yes, jumps[0]) if test else (no, jumps[1])
     for branch in (yes, no):
         if isinstance(branch, Undefined):
             return branch, True
@@ -202,8 +219,8 @@ def _select(args: list[Any], jumps: list[bool]) -> tuple[Any, bool]:
 
 
 def _finite(value: Any) -> Any:
+    if isinstance(value, bool | None) or hasattr(value, "reason") or value.is_finite():
+        return value
     from .balls import Undefined
 
-    if hasattr(value, "is_finite") and not value.is_finite():
-        return Undefined("a value that may not be finite")
-    return value
+    return Undefined("a value that may not be finite")
