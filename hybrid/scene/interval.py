@@ -157,7 +157,7 @@ class IntervalProgram:
                 value, jump = _select([values[a], values[b], values[c]], [jumps[b], jumps[c]])
             else:
                 value, jump = _apply(step, [values[p] for p in step.places])
-                jump = jump or any([jumps[p] for p in step.places])
+                jump = jump or any(jumps[p] for p in step.places)
             values.append(value)
             jumps.append(jump)
         return values, jumps

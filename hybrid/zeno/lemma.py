@@ -8,6 +8,7 @@ sum, and the sum is enclosed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import attrs
@@ -58,17 +59,17 @@ def chattering(v: Any, m: Any, M: Any, r: Any) -> Chattering:
     """
     from flint import ctx
 
-    from ..scene.interval import PRECISION, ball
+    from ..scene.interval import PRECISION
 
     with ctx.workprec(PRECISION):
-        v, r, m, M = ball(v), ball(r), ball(m).lower(), ball(M).upper()
-        least, most = v.lower(), v.upper()
+        (least, most), (weak, strong) = _ends(v), _ends(r)
+        m, M = _ends(m)[0], _ends(M)[1]
         growth = (M / m).sqrt().upper()
-        rho = (r.upper() * growth).upper()
-        contracts = bool(m > 0 and least > 0 and r.lower() >= 0 and rho < 1)
+        rho = (strong * growth).upper()
+        contracts = bool(m > 0 and least > 0 and weak >= 0 and rho < 1)
         remaining = None
         if contracts:
-            slow = 1 - (r.lower() / growth).lower()
+            slow = 1 - (weak / growth).lower()
             remaining = (2 * least / (M * slow)).lower(), (2 * most / (m * (1 - rho))).upper()
         return Chattering(
             rho,
@@ -78,6 +79,16 @@ def chattering(v: Any, m: Any, M: Any, r: Any) -> Chattering:
             ((2 * least / M).lower(), (2 * most / m).upper()),
             remaining,
         )
+
+
+def _ends(bounds: Any) -> tuple[Any, Any]:
+    """The exact ends of a number, a pair or a ball."""
+    from flint import arb
+
+    if isinstance(bounds, Sequence):
+        return arb(float(bounds[0])), arb(float(bounds[1]))
+    bounds = arb(bounds)
+    return bounds.lower(), bounds.upper()
 
 
 def largest_speed(m: float, M: float, r: Any, height: float, speed: float, time: float) -> float:
