@@ -216,7 +216,8 @@ def _lgamma(x: Any) -> Any:
         return Undefined("lgamma of what may not be positive")
     if x < 1.46 or x > 1.47:
         return rising(lambda v: v.lgamma())(x)
-    return x.lgamma()
+    value = x.lgamma()
+    return value if value.is_finite() else Undefined("lgamma of a ball that is too wide")
 
 
 def _cbrt(x: Any) -> Any:
