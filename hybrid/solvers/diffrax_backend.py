@@ -1,10 +1,10 @@
 """Diffrax's Runge-Kutta methods, one compiled step at a time.
 
 A step is Diffrax's own: its tables (or, of an implicit method, its ``step``), its step size
-controller, its interpolant. :class:`Method` writes one attempt of it as a pure function of arrays; here
-it is compiled alone, for one arc flown from Python, and :mod:`hybrid.compiled` compiles it
-together with events and jumps. Parameters, start, time and tolerances are arguments of
-what is compiled: changing a number does not compile again.
+controller, its interpolant. :class:`Method` writes one attempt of it as a pure function of
+arrays; here it is compiled alone, for one arc flown from Python, and :mod:`hybrid.compiled`
+compiles it together with events and jumps. Parameters, start, time and tolerances are
+arguments of what is compiled: changing a number does not compile again.
 """
 
 from __future__ import annotations
