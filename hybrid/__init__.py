@@ -22,6 +22,7 @@ from .automaton import (
     mode,
     parameter,
     state,
+    switching,
 )
 from .errors import (
     DeclarationError,
@@ -92,4 +93,5 @@ __all__ = [
     "parameter",
     "simulate",
     "state",
+    "switching",
 ]

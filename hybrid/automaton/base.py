@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import attrs
@@ -11,8 +11,17 @@ import numpy as np
 
 from ..errors import DeclarationError, OptionError, ParameterError, TraceError
 from . import trace
-from .markers import Contact, Crossing, Edge, Mode, State, is_number
-from .spec import ContactSpec, EdgeSpec, ModeSpec, ParameterSpec, Spec, StateSpec
+from .markers import Contact, Crossing, Edge, Mode, State, Switching, is_number
+from .spec import (
+    ContactSpec,
+    EdgeSpec,
+    ModeSpec,
+    ParameterSpec,
+    Spec,
+    StateSpec,
+    SwitchingSpec,
+    Transition,
+)
 
 #: What to say where JAX could not trace an author's code.
 REMEDIES = {
@@ -20,6 +29,16 @@ REMEDIES = {
     "TracerArrayConversionError": "a numpy function of a state: use the one of jax.numpy",
     "ConcretizationTypeError": "a math function of a state: use the one of jax.numpy",
     "TracerIntegerConversionError": "an index by value: write jnp.where, or index by a constant",
+}
+
+#: What each kind of traced function belongs to.
+OWNERS = {
+    "flow": "mode",
+    "guard": "edge",
+    "reset": "edge",
+    "gap": "contact",
+    "restitution": "contact",
+    "surface": "switching",
 }
 
 
@@ -77,7 +96,7 @@ def _collect(cls: type) -> dict[str, Any]:
 
 
 def _is_marker(value: Any) -> bool:
-    return isinstance(value, State | Mode | Edge | Contact) or _is_parameter(value)
+    return isinstance(value, State | Mode | Edge | Contact | Switching) or _is_parameter(value)
 
 
 def _is_parameter(value: Any) -> bool:
@@ -133,11 +152,16 @@ class _Builder:
         if not states:
             self.faults.append("no state: declare one, x = hy.state()")
         modes = tuple(self.mode(marker) for marker in self.of(Mode))
-        transitions = [
-            self.edge(m) if isinstance(m, Edge) else self.contact(m, parameters)
-            for m in self.markers.values()
-            if isinstance(m, Edge | Contact)
-        ]
+        transitions: list[Transition] = []
+        switchings = []
+        for m in self.markers.values():
+            if isinstance(m, Edge):
+                transitions.append(self.edge(m))
+            elif isinstance(m, Contact):
+                transitions.append(self.contact(m, parameters))
+            elif isinstance(m, Switching):
+                switchings.append(self.switching(m))
+                transitions += switchings[-1].sides
         return Spec(
             self.cls.__name__,
             tuple(states),
@@ -145,6 +169,7 @@ class _Builder:
             modes,
             tuple(transitions),
             self.initial(),
+            tuple(switchings),
         )
 
     def check_defaults(self) -> None:
@@ -173,7 +198,7 @@ class _Builder:
     def edge(self, marker: Edge) -> EdgeSpec:
         where = f"edge {marker.name}"
         source, to = (
-            self.target(where, "source", marker.source),
+            self.target(where, "source", marker.source, self.slides()),
             self.target(where, "to", marker.to),
         )
         self.signature(f"{where}, reset", marker.reset, ("t", "s"))
@@ -190,6 +215,32 @@ class _Builder:
         self.signature(f"{where}, gap", marker.gap, ("t", "s"))
         law = self.restitution(where, marker.restitution, [p.name for p in parameters])
         return ContactSpec(marker.name, source, marker.gap, law, marker.rests, marker.inverse_mass)
+
+    def switching(self, marker: Switching) -> SwitchingSpec:
+        where = f"switching {marker.name}"
+        positive = self.target(where, "positive", marker.positive)
+        negative = self.target(where, "negative", marker.negative)
+        if positive == negative:
+            self.faults.append(
+                f"{where}: positive and negative are both {positive!r}; give two modes"
+            )
+        for contact in self.of(Contact):
+            source = getattr(contact.mode, "name", contact.mode)
+            if source in (positive, negative):
+                self.faults.append(
+                    f"{where}: mode {source} has the contact {contact.name}; a mode with a "
+                    "switching can have no contact yet: write its impact as an edge with a reset"
+                )
+        if not isinstance(marker.slides, bool):
+            self.faults.append(f"{where}: slides={marker.slides!r}; give True or False")
+        self.signature(f"{where}, surface", marker.surface, ("t", "s"))
+        return SwitchingSpec(
+            marker.name, positive, negative, marker.surface, marker.slides is not False
+        )
+
+    def slides(self) -> list[str]:
+        """Arc modes in which the state slides on a surface."""
+        return [f"slide({marker.name})" for marker in self.of(Switching) if marker.slides]
 
     def restitution(self, where: str, given: Any, names: list[str]) -> Callable[..., Any]:
         if isinstance(given, str):
@@ -211,9 +262,9 @@ class _Builder:
             return lambda self, t, s, u: 1.0
         return lambda self, t, s, u: given
 
-    def target(self, where: str, what: str, given: Any) -> str:
+    def target(self, where: str, what: str, given: Any, more: Sequence[str] = ()) -> str:
         name = given.name if isinstance(given, Mode) else given
-        modes = [marker.name for marker in self.of(Mode)]
+        modes = [marker.name for marker in self.of(Mode)] + list(more)
         if name not in modes:
             known = ", ".join(modes) or "none"
             self.faults.append(
@@ -251,8 +302,7 @@ def _trace_all(
             return
         call = trace.caller(cls, spec, function)
         call = trace.vector(spec, call) if whole else trace.scalar(call)
-        where = {"flow": "mode", "gap": "contact", "restitution": "contact"}.get(kind, "edge")
-        label = f"{where} {owner}" + ("" if kind == "flow" else f", {kind}")
+        label = f"{OWNERS[kind]} {owner}" + ("" if kind == "flow" else f", {kind}")
         try:
             closed = trace.trace(spec, call, extra)
             trace.require_wide(closed, function)
@@ -270,9 +320,11 @@ def _trace_all(
         if isinstance(edge, ContactSpec):
             add("gap", edge.name, edge.guard, False)
             add("restitution", edge.name, edge.restitution, False, 1)
-        else:
+        elif isinstance(edge, EdgeSpec):
             add("guard", edge.name, edge.guard, False)
             add("reset", edge.name, edge.reset, True)
+    for switching in spec.switchings:
+        add("surface", switching.name, switching.surface, False)
     return traces, faults
 
 

@@ -77,15 +77,58 @@ class ContactSpec:
 
 
 @attrs.frozen(eq=False)
+class SwitchingSpec:
+    """Two modes on the two sides of a surface."""
+
+    name: str
+    positive: str
+    negative: str
+    surface: Callable[..., Any]
+    slides: bool
+
+    @property
+    def mode(self) -> str:
+        """The arc mode in which the state slides."""
+        return f"slide({self.name})"
+
+    @property
+    def sides(self) -> tuple[SideSpec, SideSpec]:
+        """The surface as it is watched from its two modes."""
+        falling, rising = Crossing.FALLING, Crossing.RISING
+        return (
+            SideSpec(self.name, self.positive, self.negative, self.surface, falling),
+            SideSpec(self.name, self.negative, self.positive, self.surface, rising),
+        )
+
+
+@attrs.frozen(eq=False)
+class SideSpec:
+    """A switching seen from one of its modes: its surface is a guard that leads across."""
+
+    name: str
+    source: str
+    to: str
+    guard: Callable[..., Any]
+    crossing: Crossing
+
+
+Transition = EdgeSpec | ContactSpec | SideSpec
+
+
+@attrs.frozen(eq=False)
 class Spec:
-    """The whole model. ``transitions`` holds edges and contacts in declared order."""
+    """The whole model.
+
+    ``transitions`` holds edges, contacts and the two sides of each switching, in declared order.
+    """
 
     model: str
     states: tuple[StateSpec, ...]
     parameters: tuple[ParameterSpec, ...]
     modes: tuple[ModeSpec, ...]
-    transitions: tuple[EdgeSpec | ContactSpec, ...]
+    transitions: tuple[Transition, ...]
     initial: str
+    switchings: tuple[SwitchingSpec, ...] = ()
 
     @property
     def dimension(self) -> int:
@@ -110,9 +153,21 @@ class Spec:
         """The mode of that name."""
         return next(mode for mode in self.modes if mode.name == name)
 
-    def leaving(self, mode: str) -> tuple[EdgeSpec | ContactSpec, ...]:
-        """Edges and contacts watched in a mode, in declared order."""
-        return tuple(edge for edge in self.transitions if edge.source == mode)
+    def switching(self, name: str) -> SwitchingSpec:
+        """The switching of that name."""
+        return next(switching for switching in self.switchings if switching.name == name)
+
+    def sliding(self, mode: str) -> SwitchingSpec | None:
+        """The switching on whose surface an arc mode slides, if it does."""
+        return next((switching for switching in self.switchings if switching.mode == mode), None)
+
+    def leaving(self, mode: str) -> tuple[Transition, ...]:
+        """What is watched in a mode, in declared order; sliding, the edges of both modes too."""
+        switching, sources = self.sliding(mode), {mode}
+        if switching is not None:
+            sources |= {switching.positive, switching.negative}
+        name = switching.name if switching is not None else None
+        return tuple(e for e in self.transitions if e.source in sources and e.name != name)
 
     def record(self, vector: Any) -> Record:
         """The state vector (last axis the coordinates) as a record."""
