@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..automaton.markers import Crossing
-from ..automaton.spec import ContactSpec
+from ..automaton.spec import ContactSpec, SideSpec
 from ..automaton.trace import again
 from ..events import CLOSED
 from ..scene.contact import ContactLaws, Held
@@ -254,6 +254,8 @@ class System:
         """The jump of one slot, as a function ``(p, held, t, x)``."""
         to = jnp.array(self.modes.index(edge.to))
         one, sure = jnp.array(1.0), jnp.array(True)
+        if isinstance(edge, SideSpec):  # on the surface, where a streak stops for judgement
+            return lambda p, held, t, x: Jumped(x, x, to, held, one, sure)
         if not isinstance(edge, ContactSpec):
             reset, guard = again(self.code.closed("reset", edge.name)), self.code.guard_closed(edge)
 
