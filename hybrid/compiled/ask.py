@@ -45,9 +45,20 @@ REASONS = {
 
 
 def code_of(model: Any) -> Lowered:
-    """The generated code of a model (its parameters may be tracers)."""
+    """The generated code of a model (its parameters may be tracers).
+
+    Raises
+    ------
+    OptionError
+        If the model has a switching: whether it slides is judged in Python.
+    """
     require_model(model)
     cls: Any = type(model)
+    if cls.spec.switchings:
+        raise OptionError(
+            f"{cls.spec.model}: compiled lanes cannot judge the switching "
+            f"{cls.spec.switchings[0].name} yet; use hy.simulate, once for each lane"
+        )
     shapes = tuple(np.shape(getattr(model, p.name)) for p in cls.spec.parameters)
     return lowered(cls, shapes)
 

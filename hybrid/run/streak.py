@@ -49,7 +49,8 @@ class Streaks:
         entry = self.driver.entry
         if not (self.dense or entry.field.guards):
             return False
-        plain = not entry.field.held and max(entry.orders, default=0) <= ORDERS
+        declared = entry.field.name in self.system.modes
+        plain = declared and max(entry.orders, default=0) <= ORDERS
         return plain and self.plan.zeno != "truncate"
 
     def fly(self) -> None:
