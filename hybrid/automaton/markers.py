@@ -252,6 +252,16 @@ def switching(
     return Switching(positive, negative, surface, slides)
 
 
+def is_parameter(value: Any) -> bool:
+    """Whether ``value`` is the marker of a parameter."""
+    return getattr(value, "metadata", {}).get("hybrid") == "parameter"
+
+
+def name_of(mode: Any) -> Any:
+    """The name of a mode given by its marker or its name."""
+    return mode.name if isinstance(mode, Mode) else mode
+
+
 def is_number(value: Any) -> bool:
     """Whether ``value`` is a finite real number (and not a flag)."""
     if isinstance(value, bool):
