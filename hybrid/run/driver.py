@@ -163,7 +163,8 @@ class Driver:
 
     def _switch(self, guard: Guard, x: np.ndarray) -> None:
         """On the surface of a switching: into the other mode, or to slide (8)."""
-        mode = onward(self.scene, self.entry.field, guard, self.t, x, self.reach)
+        starting = self.t == self.plan.t0
+        mode = onward(self.scene, self.entry.field, guard, self.t, x, self.reach, starting)
         project = self.scene.field(mode).project
         if project is not None:
             x = np.array(project(self.t, x.tolist()))

@@ -8,24 +8,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import DomainError
+from ..errors import DomainError, StartError
 from ..scene import Field, Guard, Scene
 from .entry import describe, heading
 
 
-def onward(scene: Scene, field: Field, guard: Guard, t: float, x: np.ndarray, reach: float) -> str:
+def onward(
+    scene: Scene, field: Field, guard: Guard, t: float, x: np.ndarray, reach: float, starting: bool
+) -> str:
     """The mode that follows where a flow has reached the surface of a switching.
 
     Raises
     ------
-    DomainError
+    StartError, DomainError
         If the state would slide and the switching forbids it, or on two surfaces at once; or if
         nothing decides where it goes.
     """
     where, name = describe(scene, field, t, x), guard.edge
+    kind = StartError if starting else DomainError
     switching = scene.spec.switching(name)
     if scene.spec.sliding(field.mode) is not None:
-        raise DomainError(
+        raise kind(
             f"{where}: a state that slides reached the surface of {name} too; sliding on two "
             "surfaces at once is not known yet: declare an edge from "
             f'"{field.mode}" with this surface as its guard'
@@ -36,12 +39,12 @@ def onward(scene: Scene, field: Field, guard: Guard, t: float, x: np.ndarray, re
     if sign == inside:
         return guard.to
     if sign == 0 or order > 1 < other:
-        raise DomainError(
+        raise kind(
             f"{where}: on the surface of {name} neither flow leads away, and no first derivative "
             "decides whether the state slides; start beside the surface"
         )
     if not switching.slides:
-        raise DomainError(
+        raise kind(
             f"{where}: on the surface of {name} both flows lead to it and slides=False; declare "
             "slides=True, or two edges with a hysteresis between them"
         )
