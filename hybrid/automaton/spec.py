@@ -87,6 +87,14 @@ class SwitchingSpec:
     slides: bool
 
     @property
+    def ends(self) -> tuple[LeaveSpec, LeaveSpec]:
+        """What ends sliding, into the positive and into the negative side."""
+        return (
+            LeaveSpec(self.name, "positive", self.mode, self.positive, Crossing.RISING),
+            LeaveSpec(self.name, "negative", self.mode, self.negative, Crossing.FALLING),
+        )
+
+    @property
     def mode(self) -> str:
         """The arc mode in which the state slides."""
         return f"slide({self.name})"
@@ -112,7 +120,22 @@ class SideSpec:
     crossing: Crossing
 
 
-Transition = EdgeSpec | ContactSpec | SideSpec
+@attrs.frozen(eq=False)
+class LeaveSpec:
+    """The end of sliding into a side: its guard is the surface's rate under that side's flow."""
+
+    switching: str
+    side: str
+    source: str
+    to: str
+    crossing: Crossing
+
+    @property
+    def name(self) -> str:
+        return f"{self.switching}.{self.side}"
+
+
+Transition = EdgeSpec | ContactSpec | SideSpec | LeaveSpec
 
 
 @attrs.frozen(eq=False)
@@ -162,12 +185,17 @@ class Spec:
         return next((switching for switching in self.switchings if switching.mode == mode), None)
 
     def leaving(self, mode: str) -> tuple[Transition, ...]:
-        """What is watched in a mode, in declared order; sliding, the edges of both modes too."""
-        switching, sources = self.sliding(mode), {mode}
-        if switching is not None:
-            sources |= {switching.positive, switching.negative}
-        name = switching.name if switching is not None else None
-        return tuple(e for e in self.transitions if e.source in sources and e.name != name)
+        """What is watched in a mode, in declared order.
+
+        Where the state slides: its own edges, those of both modes, what ends sliding.
+        """
+        own = tuple(edge for edge in self.transitions if edge.source == mode)
+        switching = self.sliding(mode)
+        if switching is None:
+            return own
+        modes = (switching.positive, switching.negative)
+        others = [e for e in self.transitions if e.source in modes and e.name != switching.name]
+        return (*own, *others, *switching.ends)
 
     def record(self, vector: Any) -> Record:
         """The state vector (last axis the coordinates) as a record."""

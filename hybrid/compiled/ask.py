@@ -38,27 +38,17 @@ REASONS = {
     OUTSIDE: ("outside", "the start, or a reset, is outside the mode's domain"),
     UNDECIDED: (
         "undecided",
-        "a guard is zero and two derivatives do not decide which way it goes",
+        "a guard is zero and the derivatives looked at do not decide which way it goes, "
+        "or a switching forbids to slide or meets another; hy.simulate says which",
     ),
     LOOP: ("jump_loop", "jumps follow each other with no time between them"),
 }
 
 
 def code_of(model: Any) -> Lowered:
-    """The generated code of a model (its parameters may be tracers).
-
-    Raises
-    ------
-    OptionError
-        If the model has a switching: whether it slides is judged in Python.
-    """
+    """The generated code of a model (its parameters may be tracers)."""
     require_model(model)
     cls: Any = type(model)
-    if cls.spec.switchings:
-        raise OptionError(
-            f"{cls.spec.model}: compiled lanes cannot judge the switching "
-            f"{cls.spec.switchings[0].name} yet; use hy.simulate, once for each lane"
-        )
     shapes = tuple(np.shape(getattr(model, p.name)) for p in cls.spec.parameters)
     return lowered(cls, shapes)
 
@@ -71,17 +61,18 @@ def place(code: Lowered, mode: str | None) -> tuple[System, int, np.ndarray]:
     OptionError
         If there is no such mode.
     """
-    system = system_of(code)
+    system = system_of(code, slides=True)
     name = code.spec.initial if mode is None else mode
     base, _, rest = name.partition(".rest(")
     held = rest.removesuffix(")").split(", ") if rest else []
     able = {
         m: [edge.name for edge, rests in zip(edges, row, strict=False) if rests]
         for (m, edges), row in zip(system.edges.items(), system.rests, strict=True)
+        if code.spec.sliding(m) is None
     }
     if base not in able or any(contact not in able[base] for contact in held):
         rests = [f"{m}.rest({contact})" for m, contacts in able.items() for contact in contacts]
-        known = ", ".join([*system.modes, *rests])
+        known = ", ".join([*able, *rests])
         raise OptionError(f"{code.spec.model}: mode={mode!r}; there are {known}")
     slots = [edge.name for edge in system.edges[base]]
     mask = np.array([name in held for name in slots] + [False] * (system.width - len(slots)))

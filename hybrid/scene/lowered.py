@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..automaton import trace
-from ..automaton.spec import ContactSpec, SideSpec, Transition
+from ..automaton.spec import ContactSpec, LeaveSpec, SideSpec, Transition
 from ..errors import TraceError
 from . import contact as contacts
 from .graph import Graph
@@ -167,6 +167,8 @@ class Lowered:
     # -- guards and contacts ------------------------------------------------------------
 
     def guard_closed(self, edge: Transition) -> Any:
+        if isinstance(edge, LeaveSpec):
+            return self.rate_closed(edge.switching, edge.side)
         if isinstance(edge, SideSpec):
             return self.closed("surface", edge.name)
         return self.closed("gap" if isinstance(edge, ContactSpec) else "guard", edge.name)

@@ -15,7 +15,15 @@ import attrs
 import numpy as np
 
 from ..automaton.markers import Crossing
-from ..automaton.spec import ContactSpec, EdgeSpec, SideSpec, Spec, SwitchingSpec, Transition
+from ..automaton.spec import (
+    ContactSpec,
+    EdgeSpec,
+    LeaveSpec,
+    SideSpec,
+    Spec,
+    SwitchingSpec,
+    Transition,
+)
 from ..errors import TraceError
 from .lowered import Lowered, guard_shape, lowered
 from .python import Program
@@ -182,9 +190,6 @@ class Scene:
         for index, contact in enumerate(held):
             load = code.load_closed(held, index)
             watched.append((_release(contact, name, mode), "release", load))
-        if switching is not None:
-            rates = [code.rate_closed(switching.name, side) for side in ("positive", "negative")]
-            watched += zip(_leaves(switching), ("leave", "leave"), rates, strict=True)
         guards = [self._guard(*each, flow, name) for each in watched]
         closed = [guard.closed for guard in guards]
         derived = bool(held) or switching is not None
@@ -278,32 +283,16 @@ def rest_name(mode: str, held: tuple[str, ...]) -> str:
 def _release(contact: str, source: str, mode: str) -> EdgeSpec:
     """The edge that ends the rest of a contact (its guard is the load)."""
 
-    return _derived(f"{contact}.release", source, mode, Crossing.FALLING)
-
-
-def _leaves(switching: SwitchingSpec) -> tuple[EdgeSpec, EdgeSpec]:
-    """The edges that end sliding, into the positive and the negative side."""
-    name, mode = switching.name, switching.mode
-    return (
-        _derived(f"{name}.positive", mode, switching.positive, Crossing.RISING),
-        _derived(f"{name}.negative", mode, switching.negative, Crossing.FALLING),
-    )
-
-
-def _derived(name: str, source: str, to: str, crossing: Crossing) -> EdgeSpec:
-    """An edge whose guard is derived and whose reset is none."""
-
     def unused(*_: Any) -> None:
-        raise TraceError(f"the guard of {name} is derived")
+        raise TraceError("a release has its load as guard")
 
-    return EdgeSpec(name, source, to, unused, crossing, unused)
+    return EdgeSpec(f"{contact}.release", source, mode, unused, Crossing.FALLING, unused)
 
 
 def _kind(edge: Transition) -> str:
-    """The kind of a declared transition's guard."""
-    if isinstance(edge, ContactSpec):
-        return "contact"
-    return "switch" if isinstance(edge, SideSpec) else "edge"
+    """The kind of a transition's guard."""
+    kinds = {ContactSpec: "contact", SideSpec: "switch", LeaveSpec: "leave"}
+    return kinds.get(type(edge), "edge")
 
 
 def released(edge: str) -> str:
