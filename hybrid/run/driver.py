@@ -18,12 +18,11 @@ from ..solvers import Solver
 from ..trajectory import Jump, Status
 from ..zeno.accumulate import Tail, close
 from ..zeno.flight import fly
-from . import truncate
+from . import switch, truncate
 from .arc import ArcFlow
 from .entry import Entry, Jumped, describe, enter
 from .plan import PATIENCE, Plan
 from .recorder import Recorder
-from .switch import onward
 
 
 class Watch:
@@ -135,9 +134,9 @@ class Driver:
         elif guard.kind == "release":
             self._release(guard, x)
         elif guard.kind == "switch":
-            self._switch(guard, x)
+            switch.meet(self, guard, x)
         elif guard.kind == "leave":
-            self._leave(guard, x)
+            switch.leave(self, guard, x)
         else:
             self._reset(guard, x)
 
@@ -160,25 +159,6 @@ class Driver:
         self.add_jump(guard.edge, x, x)
         held = tuple(name for name in field.held if name != contact)
         self.enter(field.mode, x, Jumped({contact: 2 if overdue else 3}, held))
-
-    def _switch(self, guard: Guard, x: np.ndarray) -> None:
-        """On the surface of a switching: into the other mode, or to slide (8)."""
-        starting = self.t == self.plan.t0
-        mode = onward(self.scene, self.entry.field, guard, self.t, x, self.reach, starting)
-        project = self.scene.field(mode).project
-        if project is not None:
-            x = np.array(project(self.t, x.tolist()))
-            self.record.end_on(x)
-        self.watch.reset()
-        self.add_jump(guard.edge, x, x)
-        self.enter(mode, x, Jumped({} if project is not None else {guard.edge: 1}))
-
-    def _leave(self, guard: Guard, x: np.ndarray) -> None:
-        """Sliding ends: the surface and its rate vanish in the mode that follows (8)."""
-        switching, overdue = guard.edge.rpartition(".")[0], bool(self.entry.at_once)
-        self.watch.reset()
-        self.add_jump(guard.edge, x, x)
-        self.enter(guard.to, x, Jumped({switching: 1 if overdue else 2}))
 
     def _impact(self, guard: Guard, x: np.ndarray) -> None:
         contact = self.scene.contact(guard.edge)

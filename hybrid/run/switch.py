@@ -6,16 +6,39 @@ surface function along it that is not zero.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from ..errors import DomainError, StartError
-from ..scene import Field, Guard, Scene
-from .entry import describe, heading
+from ..scene import Guard
+from .entry import Jumped, heading
+
+if TYPE_CHECKING:
+    from .driver import Driver
 
 
-def onward(
-    scene: Scene, field: Field, guard: Guard, t: float, x: np.ndarray, reach: float, starting: bool
-) -> str:
+def meet(driver: Driver, guard: Guard, x: np.ndarray) -> None:
+    """On the surface of a switching: into the other mode, or to slide."""
+    mode = onward(driver, guard, x)
+    project = driver.scene.field(mode).project
+    if project is not None:
+        x = np.array(project(driver.t, x.tolist()))
+        driver.record.end_on(x)
+    driver.watch.reset()
+    driver.add_jump(guard.edge, x, x)
+    driver.enter(mode, x, Jumped({} if project is not None else {guard.edge: 1}))
+
+
+def leave(driver: Driver, guard: Guard, x: np.ndarray) -> None:
+    """Sliding ends: the surface function and its rate vanish in the mode that follows."""
+    switching, overdue = guard.edge.rpartition(".")[0], bool(driver.entry.at_once)
+    driver.watch.reset()
+    driver.add_jump(guard.edge, x, x)
+    driver.enter(guard.to, x, Jumped({switching: 1 if overdue else 2}))
+
+
+def onward(driver: Driver, guard: Guard, x: np.ndarray) -> str:
     """The mode that follows where a flow has reached the surface of a switching.
 
     Raises
@@ -24,17 +47,18 @@ def onward(
         If the state would slide and the switching forbids it, or on two surfaces at once; or if
         nothing decides where it goes.
     """
-    where, name = describe(scene, field, t, x), guard.edge
-    kind = StartError if starting else DomainError
+    scene, mode, name = driver.scene, driver.entry.field.mode, guard.edge
+    at, where = driver.t, driver.where(x)
+    kind = StartError if at == driver.plan.t0 else DomainError
     switching = scene.spec.switching(name)
-    if scene.spec.sliding(field.mode) is not None:
+    if scene.spec.sliding(mode) is not None:
         raise kind(
             f"{where}: a state that slides reached the surface of {name} too; sliding on two "
             "surfaces at once is not known yet: declare an edge from "
-            f'"{field.mode}" with this surface as its guard'
+            f'"{mode}" with this surface as its guard'
         )
-    order, _ = heading(scene, t, field.mode, x, name, reach)
-    other, sign = heading(scene, t, guard.to, x, name, reach)
+    order, _ = heading(scene, at, mode, x, name, driver.reach)
+    other, sign = heading(scene, at, guard.to, x, name, driver.reach)
     inside = 1 if guard.to == switching.positive else -1
     if sign == inside:
         return guard.to
