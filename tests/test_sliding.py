@@ -1,5 +1,6 @@
 """Switchings: crossing, sliding by both flows, and the ends of sliding, against closed forms."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -23,6 +24,13 @@ def solver(request):
 @pytest.fixture(params=SOLVERS)
 def tight(request):
     return {"solver": request.param, **TIGHT}
+
+
+@pytest.fixture
+def wide():
+    """JAX in 64 bits, as ``hy.as_function`` asks for."""
+    with jax.enable_x64(True):
+        yield
 
 
 class Planar(hy.Automaton):
@@ -334,12 +342,60 @@ def test_a_second_surface_is_refused_while_sliding(solver):
         hy.simulate(Quadrants(), {"x": 0.5, "y": 1.0}, (0, 2), **solver)
 
 
-def test_compiled_lanes_refuse_a_switching():
-    """With what to use instead."""
-    with pytest.raises(hy.OptionError, match=r"Relay: .*switching relay.*use hy.simulate"):
-        hy.ensemble(Relay(), START, UNTIL, {"a": np.linspace(1.1, 1.5, 3)})
-    with pytest.raises(hy.OptionError, match=r"use hy\.simulate"):
-        hy.as_function(Relay(), t=UNTIL, max_jumps=16)
+def test_an_edge_leads_past_a_second_surface(solver):
+    """An edge of the sliding mode comes first, and the state slides on along the other half."""
+
+    class Led(Quadrants):
+        south = hy.switching("south_east", "south_west", surface=lambda self, t, s: s.x)
+
+        @hy.edge("slide(north)", to="south_east", guard=lambda self, t, s: s.y)
+        def past(self, t, s):
+            return s
+
+    run = hy.simulate(Led(), {"x": 0.5, "y": 1.0}, (0, 2), **solver)
+    assert run.jumps.edge.tolist() == ["north", "past", "south"]
+    assert run.mode == "slide(south)"
+    assert (run.final.x, run.final.y) == pytest.approx((0.0, -2.0), abs=1e-9)
+
+
+def test_lanes_slide_as_runs_of_their_own_do():
+    """Relays of several amplitudes: those of hy.simulate, mode by mode."""
+    a = np.linspace(1.05, 2.0, 9)
+    lanes = hy.ensemble(Relay(), START, UNTIL, {"a": a}, rtol=1e-11, atol=1e-12)
+    runs = [hy.simulate(Relay(a=v), START, UNTIL, solver="taylor") for v in a]
+    assert lanes.jumps.values.tolist() == [len(run.jumps) for run in runs]
+    assert lanes["mode"].values.tolist() == [run.mode for run in runs]
+    np.testing.assert_allclose(lanes.x, [run.final.x for run in runs], rtol=0, atol=SMALL)
+
+
+def test_lanes_end_undecided_where_the_driver_has_an_error():
+    """Two surfaces at once; sliding forbidden."""
+
+    class Strict(Planar):
+        line = hy.switching("up", "down", surface=lambda self, t, s: s.y, slides=False)
+
+    both = hy.ensemble(Quadrants(), {"x": 0.5, "y": np.array([1.0, 2.0])}, (0, 3))
+    forbidden = hy.ensemble(Strict(), {"x": 0.0, "y": np.array([1.0, 2.0])}, (0, 3))
+    assert {*both.status.values, *forbidden.status.values} == {"undecided"}
+    with pytest.raises(hy.OptionError, match=r"there are up, down$"):
+        hy.ensemble(Planar(), {"x": 0.0, "y": np.zeros(2)}, (0, 1), mode="slide(line)")
+
+
+@pytest.mark.usefixtures("wide")
+def test_derivatives_pass_through_sliding():
+    """Sliding ends at ``pi + asin(1 / a)``; the end is ``a`` times a cosine plus lines in time."""
+    relay = hy.as_function(Relay(), t=(0.0, 5.0), max_jumps=4, max_steps=256, **TIGHT)
+
+    def values(a):
+        outcome = relay(Relay(a=a), START)
+        return jnp.append(outcome.jumps.t[:2], outcome.final["x"])
+
+    hit, left, slope = jax.jacfwd(values)(1.3)
+    t, sine = 3.0988104769344734006, np.sqrt(1 - 1 / 1.3**2)
+    assert hit == pytest.approx((1 - np.cos(t)) / (1 - 1.3 * np.sin(t)), abs=SMALL)
+    assert left == pytest.approx(-1 / (1.3**2 * sine), abs=SMALL)
+    # x = a (cos(left) - cos 5) + 5 - left; the state does not move where sliding ends.
+    assert slope == pytest.approx(-sine - np.cos(5.0), abs=SMALL)
 
 
 def test_a_sliding_run_is_kept_and_read_again(tmp_path):
