@@ -9,6 +9,20 @@ import hybrid as hy
 from models.dry_friction import DryFriction
 from models.relay import START, UNTIL, Relay
 
+from .switched import (
+    Apart,
+    Drawn,
+    Fold,
+    Planar,
+    Pursuit,
+    Quadrants,
+    Relieved,
+    Rings,
+    StickSlip,
+    Timed,
+    TwoFold,
+)
+
 SOLVERS = ("scipy", "taylor", "diffrax")
 
 #: Rounding of the state, and of a few hundred steps at rtol 1e-12.
@@ -31,144 +45,6 @@ def wide():
     """JAX in 64 bits, as ``hy.as_function`` asks for."""
     with jax.enable_x64(True):
         yield
-
-
-class Planar(hy.Automaton):
-    """Two flows in the plane on the two sides of ``y = 0``, as a subclass says."""
-
-    x = hy.state()
-    y = hy.state()
-
-    @hy.mode(initial=True)
-    def up(self, t, s):
-        return 1.0, -2.0
-
-    @hy.mode
-    def down(self, t, s):
-        return -s.x, 1.0
-
-    line = hy.switching(up, down, surface=lambda self, t, s: s.y)
-
-
-class Apart(Planar):
-    """Both flows lead away from the line."""
-
-    @hy.mode(initial=True)
-    def up(self, t, s):
-        return 0.0, 1.0
-
-    @hy.mode
-    def down(self, t, s):
-        return 0.0, -1.0
-
-
-class Fold(Planar):
-    """The upper flow touches the line from above at the origin, and sinks below it."""
-
-    @hy.mode(initial=True)
-    def up(self, t, s):
-        return 1.0, -s.x
-
-    @hy.mode
-    def down(self, t, s):
-        return 0.0, 1.0
-
-
-class TwoFold(Fold):
-    """Both flows touch the line at the origin: no first derivative says how it slides."""
-
-    @hy.mode
-    def down(self, t, s):
-        return 1.0, s.x
-
-
-class Rings(Planar):
-    """Spirals onto the unit circle: from outside at angular speed 1, from inside at 2."""
-
-    @hy.mode(initial=True)
-    def up(self, t, s):
-        return -s.x - s.y, s.x - s.y
-
-    @hy.mode
-    def down(self, t, s):
-        return s.x - 2 * s.y, 2 * s.x + s.y
-
-    line = hy.switching("up", "down", surface=lambda self, t, s: s.x**2 + s.y**2 - 1)
-
-
-class Pursuit(hy.Automaton):
-    """``x' = -+1`` towards a target ``2 sin t``, which is faster than that at times."""
-
-    x = hy.state()
-
-    @hy.mode(initial=True)
-    def above(self, t, s):
-        return -1.0
-
-    @hy.mode
-    def below(self, t, s):
-        return 1.0
-
-    target = hy.switching(above, below, surface=lambda self, t, s: s.x - 2 * jnp.sin(t))
-
-
-class Timed(hy.Automaton):
-    """A relay that slides at once, with a clock; edges leave one of its modes, or sliding."""
-
-    x = hy.state()
-    clock = hy.state()
-
-    @hy.mode(initial=True)
-    def up(self, t, s):
-        return -1.0, 1.0
-
-    @hy.mode
-    def down(self, t, s):
-        return 1.0, 1.0
-
-    @hy.mode
-    def off(self, t, s):
-        return 3.0, 1.0
-
-    relay = hy.switching(up, down, surface=lambda self, t, s: s.x)
-
-    @hy.edge(down, to=off, guard=lambda self, t, s: 2.0 - s.clock)
-    def alarm(self, t, s):
-        return s
-
-
-class Relieved(Timed):
-    """An edge declared from the sliding mode itself comes before the alarm."""
-
-    @hy.edge("slide(relay)", to="off", guard=lambda self, t, s: 1.5 - s.clock)
-    def relief(self, t, s):
-        return s.replace(x=s.x + 7.0)
-
-
-class Quadrants(hy.Automaton):
-    """Relays in ``x`` and ``y``, each side of each line a mode of its own."""
-
-    x = hy.state()
-    y = hy.state()
-
-    @hy.mode(initial=True)
-    def north_east(self, t, s):
-        return -1.0, -1.0
-
-    @hy.mode
-    def north_west(self, t, s):
-        return 1.0, -1.0
-
-    @hy.mode
-    def south_east(self, t, s):
-        return -1.0, -2.0
-
-    @hy.mode
-    def south_west(self, t, s):
-        return 1.0, -2.0
-
-    north = hy.switching(north_east, north_west, surface=lambda self, t, s: s.x)
-    east = hy.switching(north_east, south_east, surface=lambda self, t, s: s.y)
 
 
 def modes(run):
@@ -250,6 +126,40 @@ def test_both_flows_through_the_surface_cross_it(tight):
     assert run.jumps.edge.tolist() == ["friction"] * 3
     assert np.all(run.jumps.before.x == run.jumps.after.x)
     assert modes(run) == ["slower", "faster", "slower", "faster"]
+
+
+def test_a_stick_slip_oscillation_is_the_same_by_every_solver(tight):
+    """Thirty sticks in 200 s; an attracting cycle, so that errors of steps do not add up."""
+    exact = hy.simulate(StickSlip(), {"x": 0.0, "v": 0.0}, (0, 200), solver="taylor")
+    run = hy.simulate(StickSlip(), {"x": 0.0, "v": 0.0}, (0, 200), **tight)
+    assert len(run.jumps) > 50
+    assert run.jumps.edge.tolist() == exact.jumps.edge.tolist()
+    np.testing.assert_allclose(run.jumps.t, exact.jumps.t, rtol=0, atol=1e-9)
+
+
+def test_no_run_hangs_or_leaves_its_side(tight):
+    """Systems drawn at random: each arc stays on its side, or on the surface."""
+    rng = np.random.default_rng(1)
+    slid = 0
+    for _ in range(12):
+        A, b = rng.normal(size=(2, 3, 3)) - np.eye(3), rng.normal(size=(2, 3))
+        run = hy.simulate(Drawn(A=A, b=b), {"q": [2.0, 0.1, -0.3]}, (0, 10), **tight)
+        slid += "slide(bent)" in modes(run)
+        for arc in run.arcs:
+            q = arc.local(np.linspace(0.0, arc.length, 50))
+            h = q[:, 0] + 0.3 * q[:, 1] ** 2
+            sign = {"up": 1, "down": -1}.get(arc.mode, 0)
+            size = np.abs(q).max() ** 2
+            assert np.all(sign * h >= -1e-11 * size)
+            assert sign or np.all(np.abs(h) <= 1e-11 * size)
+    assert slid >= 3
+
+
+def test_sliding_arcs_are_drawn_as_such():
+    """The legend says which arcs slide."""
+    figure = hy.simulate(Relay(), START, UNTIL).plot()
+    labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    assert "sliding" in labels
 
 
 # -- starting on the surface --------------------------------------------------------------
