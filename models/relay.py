@@ -13,7 +13,7 @@ class Relay(hy.Automaton):
     x = hy.state()
 
     a: float = hy.parameter(1.3, doc="amplitude of the force")
-    w: float = hy.parameter(1.0, unit="rad/s", positive=True)
+    w: float = hy.parameter(2.0, unit="rad/s", positive=True)
 
     @hy.mode(initial=True)
     def up(self, t, s):
@@ -27,16 +27,17 @@ class Relay(hy.Automaton):
 
 
 START = {"x": 0.5}
-UNTIL = (0.0, 21.0)
+UNTIL = (0.0, 12.0)
 
 
 def oracle(run):
-    """Times computed with 40 digits; sliding ends where ``a sin(w t)`` is 1 or -1."""
+    """Roots with 40 digits; sliding ends where ``a sin(w t)`` is -1 or 1, every half period."""
     a, w, t = float(run.parameters["a"]), float(run.parameters["w"]), run.jumps.t
-    yield "first hit", t[0], 3.0988104769344734006, 1e-10
-    yield "left downwards", t[1], (math.pi + math.asin(1 / a)) / w, 1e-10
-    yield "second hit", t[2], 6.1357968127068399705, 1e-10
-    yield "left upwards", t[3], (2 * math.pi + math.asin(1 / a)) / w, 1e-10
-    yield "last hit", t[10], 18.702167427066012924, 1e-10
-    yield "left for the last time", t[11], (6 * math.pi + math.asin(1 / a)) / w, 1e-10
-    yield "x while sliding", run(3.5).x, 0.0, 0.0
+    half, end = math.pi / w, (math.pi + math.asin(1 / a)) / w
+    yield "first hit", t[0], 1.7559435423403977145, 1e-10
+    yield "left downwards", t[1], end, 1e-10
+    yield "second hit", t[2], 3.0678984063534199853, 1e-10
+    yield "left upwards", t[3], end + half, 1e-10
+    yield "last hit", t[12], 10.921880040327903081, 1e-10
+    yield "left for the last time", t[13], end + 6 * half, 1e-10
+    yield "x while sliding", run(1.9).x, 0.0, 0.0

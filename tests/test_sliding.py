@@ -7,7 +7,7 @@ import pytest
 
 import hybrid as hy
 from models.dry_friction import DryFriction
-from models.relay import START, UNTIL, Relay
+from models.relay import START, Relay
 
 from .switched import (
     Apart,
@@ -28,6 +28,8 @@ SOLVERS = ("scipy", "taylor", "diffrax")
 #: Rounding of the state, and of a few hundred steps at rtol 1e-12.
 TIGHT = {"rtol": 1e-12, "atol": 1e-12}
 SMALL = 1e-10
+
+UNTIL = (0.0, 21.0)
 
 
 @pytest.fixture(params=SOLVERS)
@@ -57,7 +59,7 @@ def modes(run):
 @pytest.mark.parametrize("options", [TIGHT, {}])
 def test_a_forced_relay_slides_and_leaves_at_the_reference_times(solver, options):
     """Twelve hits and ends, to 1e-10; 1e-9 at the default rtol of 1e-8 for each step."""
-    run = hy.simulate(Relay(), START, UNTIL, **solver, **options)
+    run = hy.simulate(Relay(w=1.0), START, UNTIL, **solver, **options)
     a, pi = np.arcsin(1 / 1.3), np.pi
     hits = [
         *(3.0988104769344734006, 6.1357968127068399705, 9.2773894662966332090),
@@ -157,7 +159,7 @@ def test_no_run_hangs_or_leaves_its_side(tight):
 
 def test_sliding_arcs_are_drawn_as_such():
     """The legend says which arcs slide."""
-    figure = hy.simulate(Relay(), START, UNTIL).plot()
+    figure = hy.simulate(Relay(w=1.0), START, UNTIL).plot()
     labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     assert "sliding" in labels
 
@@ -271,8 +273,8 @@ def test_an_edge_leads_past_a_second_surface(solver):
 def test_lanes_slide_as_runs_of_their_own_do():
     """Relays of several amplitudes: those of hy.simulate, mode by mode."""
     a = np.linspace(1.05, 2.0, 9)
-    lanes = hy.ensemble(Relay(), START, UNTIL, {"a": a}, rtol=1e-11, atol=1e-12)
-    runs = [hy.simulate(Relay(a=v), START, UNTIL, solver="taylor") for v in a]
+    lanes = hy.ensemble(Relay(w=1.0), START, UNTIL, {"a": a}, rtol=1e-11, atol=1e-12)
+    runs = [hy.simulate(Relay(w=1.0, a=v), START, UNTIL, solver="taylor") for v in a]
     assert lanes.jumps.values.tolist() == [len(run.jumps) for run in runs]
     assert lanes["mode"].values.tolist() == [run.mode for run in runs]
     np.testing.assert_allclose(lanes.x, [run.final.x for run in runs], rtol=0, atol=SMALL)
@@ -294,10 +296,10 @@ def test_lanes_end_undecided_where_the_driver_has_an_error():
 @pytest.mark.usefixtures("wide")
 def test_derivatives_pass_through_sliding():
     """Sliding ends at ``pi + asin(1 / a)``; the end is ``a`` times a cosine plus lines in time."""
-    relay = hy.as_function(Relay(), t=(0.0, 5.0), max_jumps=4, max_steps=256, **TIGHT)
+    relay = hy.as_function(Relay(w=1.0), t=(0.0, 5.0), max_jumps=4, max_steps=256, **TIGHT)
 
     def values(a):
-        outcome = relay(Relay(a=a), START)
+        outcome = relay(Relay(w=1.0, a=a), START)
         return jnp.append(outcome.jumps.t[:2], outcome.final["x"])
 
     hit, left, slope = jax.jacfwd(values)(1.3)
@@ -311,8 +313,8 @@ def test_derivatives_pass_through_sliding():
 def test_a_sliding_run_is_kept_and_read_again(tmp_path):
     """At given times, and from a file."""
     t = np.linspace(0.0, 21.0, 43)
-    whole = hy.simulate(Relay(), START, UNTIL, **TIGHT)
-    some = hy.simulate(Relay(), START, UNTIL, save=t, **TIGHT)
+    whole = hy.simulate(Relay(w=1.0), START, UNTIL, **TIGHT)
+    some = hy.simulate(Relay(w=1.0), START, UNTIL, save=t, **TIGHT)
     np.testing.assert_array_equal(some(t).x, whole(t).x)
     whole.save(tmp_path / "run.nc")
     again = hy.load(tmp_path / "run.nc")

@@ -146,7 +146,9 @@ def test_a_relay_slides_where_both_flows_lead_to_its_surface(solver):
     """Rule 8: x stays on 0 until the force is 1; the relay crosses 0 where it is stronger."""
     from models.relay import Relay
 
-    run = hy.simulate(Relay(a=1.5), {"x": -1.0}, (1.0, 5.0), mode="down", rtol=1e-9, **solver)
+    run = hy.simulate(
+        Relay(a=1.5, w=1.0), {"x": -1.0}, (1.0, 5.0), mode="down", rtol=1e-9, **solver
+    )
     times = hit_and_end(1.5)
     assert run.jumps.edge.tolist() == ["relay", "relay", "relay.negative"]
     np.testing.assert_allclose(run.jumps.t, times, atol=10 * tolerance(solver))
