@@ -22,6 +22,7 @@ from .automaton import (
     mode,
     parameter,
     state,
+    switching,
 )
 from .errors import (
     DeclarationError,
@@ -101,4 +102,5 @@ __all__ = [
     "simulate",
     "state",
     "study",
+    "switching",
 ]

@@ -20,7 +20,7 @@ class Arc:
     Attributes
     ----------
     mode : str
-        The mode, ``"<mode>.rest(<contact>)"`` at rest.
+        The mode, ``"<mode>.rest(<contact>)"`` at rest, ``"slide(<switching>)"`` sliding.
     j : int
         Number of jumps before it.
     t0, t1 : float

@@ -232,7 +232,7 @@ def check(file: Annotated[str, typer.Argument(help="FILE.py, or a name in the ga
         except DeclarationError as fault:
             typer.echo(str(fault), err=True)
             raise typer.Exit(2) from None
-    edges = ", ".join(edge.name for edge in spec.transitions) or "none"
+    edges = ", ".join(dict.fromkeys(edge.name for edge in spec.transitions)) or "none"
     modes = ", ".join(scene.modes)
     states = ", ".join(spec.names)
     typer.echo(f"{spec.model}: no faults. States {states}; modes {modes}; edges {edges}.")

@@ -66,8 +66,17 @@ def _curves(run: Trajectory) -> list[tuple[bool, np.ndarray, np.ndarray]]:
     curves = []
     for arc in arcs:
         grid = np.linspace(0.0, 1.0, count if arc.segments else 2) * arc.length
-        curves.append((".rest(" in arc.mode, arc.t0 + (arc.low + grid), arc.local(grid)))
+        curves.append((_stays(arc.mode), arc.t0 + (arc.low + grid), arc.local(grid)))
     return curves
+
+
+def _stays(mode: str) -> bool:
+    """Whether an arc stays on a surface: at rest on a contact, or sliding."""
+    return ".rest(" in mode or mode.startswith("slide(")
+
+
+def _staying(run: Trajectory) -> str:
+    return "at rest" if any(".rest(" in arc.mode for arc in run.arcs) else "sliding"
 
 
 def _series(axes: Axes, run: Trajectory, curves: Any, index: int) -> None:
@@ -79,7 +88,7 @@ def _series(axes: Axes, run: Trajectory, curves: Any, index: int) -> None:
         axes.plot(times, values, color=LINE, lw=1)
     for resting, t, x in curves:
         if resting:
-            label = None if axes.get_legend_handles_labels()[0] else "at rest"
+            label = None if axes.get_legend_handles_labels()[0] else _staying(run)
             style: dict[str, Any] = {"color": LINE, "lw": 2.4, "label": label}
             axes.plot(t, x[:, index], **style)
     shown = _impacts(run)

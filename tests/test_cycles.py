@@ -200,7 +200,7 @@ def test_which_sequences_have_a_sum(terms, accumulates):
     k = np.arange(1.0, 2001.0)
     times = np.concatenate([[0.0], np.cumsum(terms(k))])
     states = np.append(terms(k), 0.0)[:, None]
-    found = [limit(("e",), "e", times[:n], states[:n], 1e-8) for n in (10, 30, 60, 200, 2000)]
+    found = [limit(("e",), times[:n], states[:n], 1e-8) for n in (10, 30, 60, 200, 2000)]
     assert any(f is not None for f in found) == accumulates
 
 

@@ -7,7 +7,7 @@ import jax
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PAGES = ["README.md", "docs/getting_started.md", "docs/choosing.md"]
+PAGES = ["README.md", "docs/getting_started.md", "docs/choosing.md", "docs/sliding.md"]
 
 
 def blocks(page, language):

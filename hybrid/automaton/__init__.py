@@ -11,9 +11,10 @@ from .markers import (
     mode,
     parameter,
     state,
+    switching,
 )
 from .record import Record
-from .spec import ContactSpec, EdgeSpec, ModeSpec, Spec
+from .spec import ContactSpec, EdgeSpec, ModeSpec, SideSpec, Spec, SwitchingSpec
 
 __all__ = [
     "EITHER",
@@ -25,10 +26,13 @@ __all__ = [
     "EdgeSpec",
     "ModeSpec",
     "Record",
+    "SideSpec",
     "Spec",
+    "SwitchingSpec",
     "contact",
     "edge",
     "mode",
     "parameter",
     "state",
+    "switching",
 ]

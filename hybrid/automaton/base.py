@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
@@ -11,8 +10,9 @@ import numpy as np
 
 from ..errors import DeclarationError, OptionError, ParameterError, TraceError
 from . import trace
-from .markers import Contact, Crossing, Edge, Mode, State, is_number
-from .spec import ContactSpec, EdgeSpec, ModeSpec, ParameterSpec, Spec, StateSpec
+from .builder import Builder
+from .markers import Contact, Edge, Mode, State, Switching, is_parameter
+from .spec import ContactSpec, EdgeSpec, Spec
 
 #: What to say where JAX could not trace an author's code.
 REMEDIES = {
@@ -20,6 +20,16 @@ REMEDIES = {
     "TracerArrayConversionError": "a numpy function of a state: use the one of jax.numpy",
     "ConcretizationTypeError": "a math function of a state: use the one of jax.numpy",
     "TracerIntegerConversionError": "an index by value: write jnp.where, or index by a constant",
+}
+
+#: What each kind of traced function belongs to.
+OWNERS = {
+    "flow": "mode",
+    "guard": "edge",
+    "reset": "edge",
+    "gap": "contact",
+    "restitution": "contact",
+    "surface": "switching",
 }
 
 
@@ -45,7 +55,7 @@ class Automaton:
         super().__init_subclass__(**kwargs)
         markers = _collect(cls)
         _make_attrs(cls, markers)
-        builder = _Builder(cls, markers)
+        builder = Builder(cls, markers)
         cls.spec = builder.build()
         cls.traces, faults = _trace_all(cls, cls.spec, builder.untraceable)
         builder.check_defaults()
@@ -77,16 +87,12 @@ def _collect(cls: type) -> dict[str, Any]:
 
 
 def _is_marker(value: Any) -> bool:
-    return isinstance(value, State | Mode | Edge | Contact) or _is_parameter(value)
-
-
-def _is_parameter(value: Any) -> bool:
-    return getattr(value, "metadata", {}).get("hybrid") == "parameter"
+    return isinstance(value, State | Mode | Edge | Contact | Switching) or is_parameter(value)
 
 
 def _make_attrs(cls: type, markers: dict[str, Any]) -> None:
     """Make the class a frozen attrs class whose fields are its parameters."""
-    fields = {name: value for name, value in markers.items() if _is_parameter(value)}
+    fields = {name: value for name, value in markers.items() if is_parameter(value)}
     cls._hybrid_markers = dict(markers)  # type: ignore[attr-defined]
     for name in list(vars(cls)):
         if isinstance(vars(cls)[name], State) or name in fields:
@@ -109,142 +115,6 @@ def _make_attrs(cls: type, markers: dict[str, Any]) -> None:
     cls.__init__ = __init__  # type: ignore[misc]
 
 
-class _Builder:
-    """Turns the markers of one class into a spec and a list of faults."""
-
-    def __init__(self, cls: type, markers: dict[str, Any]) -> None:
-        self.cls, self.markers = cls, markers
-        self.faults: list[str] = []
-        self.untraceable: list[Any] = []
-
-    def of(self, kind: type) -> list[Any]:
-        return [marker for marker in self.markers.values() if isinstance(marker, kind)]
-
-    def build(self) -> Spec:
-        states, offset = [], 0
-        for marker in self.of(State):
-            states.append(StateSpec(marker.name, marker.unit, marker.doc, marker.shape, offset))
-            offset += states[-1].size
-        parameters = tuple(
-            ParameterSpec(name, m._default, m.metadata["unit"], m.metadata["doc"])
-            for name, m in self.markers.items()
-            if _is_parameter(m)
-        )
-        if not states:
-            self.faults.append("no state: declare one, x = hy.state()")
-        modes = tuple(self.mode(marker) for marker in self.of(Mode))
-        transitions = [
-            self.edge(m) if isinstance(m, Edge) else self.contact(m, parameters)
-            for m in self.markers.values()
-            if isinstance(m, Edge | Contact)
-        ]
-        return Spec(
-            self.cls.__name__,
-            tuple(states),
-            parameters,
-            modes,
-            tuple(transitions),
-            self.initial(),
-        )
-
-    def check_defaults(self) -> None:
-        """Each default must be a value that the model could be given."""
-        try:
-            self.cls()
-        except ParameterError as fault:
-            self.faults.append(f"default of {fault}")
-
-    def initial(self) -> str:
-        modes = self.of(Mode)
-        chosen = [marker.name for marker in modes if marker.initial]
-        if len(modes) == 1:
-            return modes[0].name
-        if not modes:
-            self.faults.append("no mode: write one, @hy.mode(initial=True) over its flow")
-        elif len(chosen) != 1:
-            which = " and ".join(chosen) or "none"
-            self.faults.append(f"one mode must be initial=True; marked: {which}")
-        return chosen[0] if chosen else ""
-
-    def mode(self, marker: Mode) -> ModeSpec:
-        self.signature(f"mode {marker.name}", marker.flow, ("t", "s"))
-        edges = [m.name for m in self.of(Edge) + self.of(Contact)]
-        unknown = [name for name in marker.limit_of if name not in edges]
-        if unknown:
-            known = ", ".join(edges) or "none"
-            self.faults.append(
-                f"mode {marker.name}: limit_of={marker.limit_of!r}: {unknown[0]!r} is no edge; "
-                f"there are: {known}"
-            )
-        return ModeSpec(marker.name, marker.flow, tuple(marker.limit_of))
-
-    def edge(self, marker: Edge) -> EdgeSpec:
-        where = f"edge {marker.name}"
-        source, to = (
-            self.target(where, "source", marker.source),
-            self.target(where, "to", marker.to),
-        )
-        self.signature(f"{where}, reset", marker.reset, ("t", "s"))
-        self.signature(f"{where}, guard", marker.guard, ("t", "s"))
-        if not isinstance(marker.crossing, Crossing):
-            self.faults.append(
-                f"{where}: crossing={marker.crossing!r}; use hy.FALLING, hy.RISING or hy.EITHER"
-            )
-        return EdgeSpec(marker.name, source, to, marker.guard, marker.crossing, marker.reset)
-
-    def contact(self, marker: Contact, parameters: tuple[ParameterSpec, ...]) -> ContactSpec:
-        where = f"contact {marker.name}"
-        source = self.target(where, "mode", marker.mode)
-        self.signature(f"{where}, gap", marker.gap, ("t", "s"))
-        law = self.restitution(where, marker.restitution, [p.name for p in parameters])
-        return ContactSpec(marker.name, source, marker.gap, law, marker.rests, marker.inverse_mass)
-
-    def restitution(self, where: str, given: Any, names: list[str]) -> Callable[..., Any]:
-        if isinstance(given, str):
-            if given not in names:
-                known = ", ".join(names) or "none"
-                self.faults.append(
-                    f"{where}: restitution={given!r} is no parameter; there are: {known}"
-                )
-                return lambda self, t, s, u: 1.0
-            return lambda self, t, s, u: getattr(self, given)
-        if callable(given):
-            self.signature(f"{where}, restitution", given, ("t", "s", "u"))
-            return given
-        if not is_number(given) or not 0 <= float(given) <= 1:
-            self.faults.append(
-                f"{where}: restitution={given!r}; give a parameter's name, "
-                "a number from 0 to 1 or a function (self, t, s, u)"
-            )
-            return lambda self, t, s, u: 1.0
-        return lambda self, t, s, u: given
-
-    def target(self, where: str, what: str, given: Any) -> str:
-        name = given.name if isinstance(given, Mode) else given
-        modes = [marker.name for marker in self.of(Mode)]
-        if name not in modes:
-            known = ", ".join(modes) or "none"
-            self.faults.append(
-                f"{where}: {what}={name!r} is no mode of this class; there are: {known}"
-            )
-        return str(name)
-
-    def signature(self, where: str, function: Any, arguments: tuple[str, ...]) -> None:
-        wanted = f"(self, {', '.join(arguments)})"
-        if not callable(function):
-            self.faults.append(f"{where}: {function!r} is not a function {wanted}")
-            self.untraceable.append(function)
-            return
-        try:
-            inspect.signature(function).bind(None, *arguments)
-        except TypeError:
-            given = inspect.signature(function)
-            late = "past" in given.parameters
-            why = "; flows that look into the past cannot be simulated yet" if late else ""
-            self.faults.append(f"{where}: takes {given} where {wanted} is due{why}")
-            self.untraceable.append(function)
-
-
 def _trace_all(
     cls: type, spec: Spec, skipped: list[Any]
 ) -> tuple[dict[tuple[str, str], Any], list[str]]:
@@ -259,8 +129,7 @@ def _trace_all(
             return
         call = trace.caller(cls, spec, function)
         call = trace.vector(spec, call) if whole else trace.scalar(call)
-        where = {"flow": "mode", "gap": "contact", "restitution": "contact"}.get(kind, "edge")
-        label = f"{where} {owner}" + ("" if kind == "flow" else f", {kind}")
+        label = f"{OWNERS[kind]} {owner}" + ("" if kind == "flow" else f", {kind}")
         try:
             closed = trace.trace(spec, call, extra)
             trace.require_wide(closed, function)
@@ -278,9 +147,11 @@ def _trace_all(
         if isinstance(edge, ContactSpec):
             add("gap", edge.name, edge.guard, False)
             add("restitution", edge.name, edge.restitution, False, 1)
-        else:
+        elif isinstance(edge, EdgeSpec):
             add("guard", edge.name, edge.guard, False)
             add("reset", edge.name, edge.reset, True)
+    for switching in spec.switchings:
+        add("surface", switching.name, switching.surface, False)
     return traces, faults
 
 

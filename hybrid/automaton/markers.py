@@ -84,6 +84,16 @@ class Contact(_Named):
     inverse_mass: Any
 
 
+@attrs.define(slots=False, eq=False)
+class Switching(_Named):
+    """Marker of a switching between two modes; made by :func:`switching`."""
+
+    positive: Mode | str
+    negative: Mode | str
+    surface: Callable[..., Any]
+    slides: bool
+
+
 def state(unit: str = "", doc: str = "", shape: tuple[int, ...] = ()) -> Any:
     """Declare a coordinate of the state.
 
@@ -230,6 +240,41 @@ def contact(
     ``u = d(gap)/dt`` along the flow, and the impact maps ``u`` to ``-r u``.
     """
     return Contact(mode, gap, restitution, rests, inverse_mass)
+
+
+def switching(
+    positive: Any, negative: Any, *, surface: Callable[..., Any], slides: bool = True
+) -> Any:
+    """Declare two modes on the two sides of a surface (Filippov).
+
+    Parameters
+    ----------
+    positive, negative : mode or str
+        The modes where ``surface`` is positive and negative: defined above, or their names.
+    surface : callable ``(self, t, s)``
+        A scalar; it may depend on ``t`` (a moving surface).
+    slides : bool
+        Whether the state slides where both flows point to the surface; without it that is
+        an error.
+
+    Notes
+    -----
+    Where both flows lead through the surface the run crosses it: a jump of the switching's
+    name, which leaves the state as it is. Where both lead to it, it slides in the arc mode
+    ``"slide(<name>)"`` along the convex combination of the two flows that stays on it, until
+    one of them leads away: a jump ``"<name>.positive"`` or ``"<name>.negative"``.
+    """
+    return Switching(positive, negative, surface, slides)
+
+
+def is_parameter(value: Any) -> bool:
+    """Whether ``value`` is the marker of a parameter."""
+    return getattr(value, "metadata", {}).get("hybrid") == "parameter"
+
+
+def name_of(mode: Any) -> Any:
+    """The name of a mode given by its marker or its name."""
+    return mode.name if isinstance(mode, Mode) else mode
 
 
 def is_number(value: Any) -> bool:

@@ -78,15 +78,81 @@ class ContactSpec:
 
 
 @attrs.frozen(eq=False)
+class SwitchingSpec:
+    """Two modes on the two sides of a surface."""
+
+    name: str
+    positive: str
+    negative: str
+    surface: Callable[..., Any]
+    slides: bool
+
+    @property
+    def ends(self) -> tuple[LeaveSpec, LeaveSpec]:
+        """What ends sliding, into the positive and into the negative side."""
+        return (
+            LeaveSpec(self.name, "positive", self.mode, self.positive, Crossing.RISING),
+            LeaveSpec(self.name, "negative", self.mode, self.negative, Crossing.FALLING),
+        )
+
+    @property
+    def mode(self) -> str:
+        """The arc mode in which the state slides."""
+        return f"slide({self.name})"
+
+    @property
+    def sides(self) -> tuple[SideSpec, SideSpec]:
+        """The surface as it is watched from its two modes."""
+        falling, rising = Crossing.FALLING, Crossing.RISING
+        return (
+            SideSpec(self.name, self.positive, self.negative, self.surface, falling),
+            SideSpec(self.name, self.negative, self.positive, self.surface, rising),
+        )
+
+
+@attrs.frozen(eq=False)
+class SideSpec:
+    """A switching seen from one of its modes: its surface is a guard that leads across."""
+
+    name: str
+    source: str
+    to: str
+    guard: Callable[..., Any]
+    crossing: Crossing
+
+
+@attrs.frozen(eq=False)
+class LeaveSpec:
+    """The end of sliding into a side: its guard is the surface's rate under that side's flow."""
+
+    switching: str
+    side: str
+    source: str
+    to: str
+    crossing: Crossing
+
+    @property
+    def name(self) -> str:
+        return f"{self.switching}.{self.side}"
+
+
+Transition = EdgeSpec | ContactSpec | SideSpec | LeaveSpec
+
+
+@attrs.frozen(eq=False)
 class Spec:
-    """The whole model. ``transitions`` holds edges and contacts in declared order."""
+    """The whole model.
+
+    ``transitions`` holds edges, contacts and the two sides of each switching, in declared order.
+    """
 
     model: str
     states: tuple[StateSpec, ...]
     parameters: tuple[ParameterSpec, ...]
     modes: tuple[ModeSpec, ...]
-    transitions: tuple[EdgeSpec | ContactSpec, ...]
+    transitions: tuple[Transition, ...]
     initial: str
+    switchings: tuple[SwitchingSpec, ...] = ()
 
     @property
     def dimension(self) -> int:
@@ -116,13 +182,26 @@ class Spec:
         named = (m.name for m in self.modes if m.limit_of and set(m.limit_of) == set(cycle))
         return next(named, None)
 
-    def transition(self, edge: str) -> EdgeSpec | ContactSpec:
-        """The edge or contact of that name."""
-        return next(e for e in self.transitions if e.name == edge)
+    def switching(self, name: str) -> SwitchingSpec:
+        """The switching of that name."""
+        return next(switching for switching in self.switchings if switching.name == name)
 
-    def leaving(self, mode: str) -> tuple[EdgeSpec | ContactSpec, ...]:
-        """Edges and contacts watched in a mode, in declared order."""
-        return tuple(edge for edge in self.transitions if edge.source == mode)
+    def sliding(self, mode: str) -> SwitchingSpec | None:
+        """The switching on whose surface an arc mode slides, if it does."""
+        return next((switching for switching in self.switchings if switching.mode == mode), None)
+
+    def leaving(self, mode: str) -> tuple[Transition, ...]:
+        """What is watched in a mode, in declared order.
+
+        Where the state slides: its own edges, those of both modes, what ends sliding.
+        """
+        own = tuple(edge for edge in self.transitions if edge.source == mode)
+        switching = self.sliding(mode)
+        if switching is None:
+            return own
+        modes = (switching.positive, switching.negative)
+        others = [e for e in self.transitions if e.source in modes and e.name != switching.name]
+        return (*own, *others, *switching.ends)
 
     def record(self, vector: Any) -> Record:
         """The state vector (last axis the coordinates) as a record."""

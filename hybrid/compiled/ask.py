@@ -38,7 +38,8 @@ REASONS = {
     OUTSIDE: ("outside", "the start, or a reset, is outside the mode's domain"),
     UNDECIDED: (
         "undecided",
-        "a guard is zero and two derivatives do not decide which way it goes",
+        "a guard is zero and the derivatives looked at do not decide which way it goes, "
+        "or a switching forbids to slide or meets another; hy.simulate says which",
     ),
     LOOP: ("jump_loop", "jumps follow each other with no time between them"),
 }
@@ -60,17 +61,18 @@ def place(code: Lowered, mode: str | None) -> tuple[System, int, np.ndarray]:
     OptionError
         If there is no such mode.
     """
-    system = system_of(code)
+    system = system_of(code, slides=True)
     name = code.spec.initial if mode is None else mode
     base, _, rest = name.partition(".rest(")
     held = rest.removesuffix(")").split(", ") if rest else []
     able = {
         m: [edge.name for edge, rests in zip(edges, row, strict=False) if rests]
         for (m, edges), row in zip(system.edges.items(), system.rests, strict=True)
+        if code.spec.sliding(m) is None
     }
     if base not in able or any(contact not in able[base] for contact in held):
         rests = [f"{m}.rest({contact})" for m, contacts in able.items() for contact in contacts]
-        known = ", ".join([*system.modes, *rests])
+        known = ", ".join([*able, *rests])
         raise OptionError(f"{code.spec.model}: mode={mode!r}; there are {known}")
     slots = [edge.name for edge in system.edges[base]]
     mask = np.array([name in held for name in slots] + [False] * (system.width - len(slots)))

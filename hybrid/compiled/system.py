@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..automaton.markers import Crossing
-from ..automaton.spec import ContactSpec
+from ..automaton.spec import ContactSpec, LeaveSpec, SideSpec
 from ..automaton.trace import again
-from ..events import CLOSED
+from ..events import CLOSED, EPS
 from ..scene.contact import ContactLaws, Held
 from ..scene.lowered import Lowered, guard_shape
 
@@ -40,6 +40,8 @@ class Jumped(NamedTuple):
         The gap's speed after an impact; 1 for an edge.
     stays : bool
         The guard is the same after the jump as before it.
+    sure : bool
+        The rules of compiled lanes decide what follows.
     """
 
     before: Any
@@ -48,19 +50,24 @@ class Jumped(NamedTuple):
     held: Any
     speed: Any
     stays: Any
+    sure: Any
 
 
 class System:
     """Functions of ``(parameters, mode, held, t, x)``.
 
-    ``held`` is a mask over the slots, or None where no contact is known to be held.
+    ``held`` is a mask over the slots, or None where no contact is known to be held. With
+    ``slides`` the sliding modes of switchings are modes like others; without them a
+    switching's jump is not carried out here.
     """
 
-    def __init__(self, code: Lowered) -> None:
+    def __init__(self, code: Lowered, slides: bool = False) -> None:
         self.code, self.spec = code, code.spec
-        self.modes = tuple(mode.name for mode in self.spec.modes)
+        sliding = [switching.mode for switching in self.spec.switchings if switching.slides]
+        self.modes = (*(mode.name for mode in self.spec.modes), *sliding[: None if slides else 0])
         self.edges = {mode: self.spec.leaving(mode) for mode in self.modes}
         self.width = max(1, *(len(edges) for edges in self.edges.values()))
+        self.projects = bool(self.spec.switchings) or bool(self.rests.any())
 
     def table(self, entry: Callable[[Any], Any], empty: Any) -> np.ndarray:
         """A number for each mode and slot."""
@@ -103,7 +110,7 @@ class System:
     @cached_property
     def affine(self) -> bool:
         """Whether every guard but the loads is a polynomial wherever the state is one."""
-        return all(self._shape(edge)[0] for edge in self.spec.transitions)
+        return all(self._shape(edge)[0] for edges in self.edges.values() for edge in edges)
 
     def pick(self, table: np.ndarray, mode: Any, slot: Any = None) -> Any:
         """A mode's row of a table, or one slot's entry; not looked up where all are equal."""
@@ -162,9 +169,12 @@ class System:
         return lies, rate
 
     def project(self, p: Any, mode: Any, held: Any, t: Any, x: Any) -> Any:
-        """The state moved onto the contacts held."""
+        """The state moved onto the contacts held, or onto the surface on which it slides."""
 
         def onto(name: str, p: Any, held: Any, t: Any, x: Any) -> Any:
+            switching = self.spec.sliding(name)
+            if switching is not None:
+                return self.code.sliding(switching.name).project(p, t, x)
             return self._if_held(name, held, lambda h: h.project(p, t, x), lambda: x)
 
         return self._by_mode(onto, p, mode, held, t, x)
@@ -228,7 +238,7 @@ class System:
         return jax.lax.cond(held.any(), lambda: then(self._held(name, held)), otherwise)
 
     def _flow(self, name: str, p: Any, held: Any, t: Any, x: Any) -> Any:
-        free = again(self.code.closed("flow", name))
+        free = again(self.code.field_closed(name, ()))
         return self._if_held(name, held, lambda h: h.rest(p, t, x), lambda: free(p, t, x))
 
     def _gaps(self, name: str, p: Any, t: Any, x: Any) -> Any:
@@ -254,13 +264,17 @@ class System:
         """The jump of one slot, as a function ``(p, held, t, x)``."""
         to = jnp.array(self.modes.index(edge.to))
         one, sure = jnp.array(1.0), jnp.array(True)
+        if isinstance(edge, SideSpec):
+            return self._side(edge, name)
+        if isinstance(edge, LeaveSpec):
+            return lambda p, held, t, x: Jumped(x, x, to, held, one, sure, sure)
         if not isinstance(edge, ContactSpec):
             reset, guard = again(self.code.closed("reset", edge.name)), self.code.guard_closed(edge)
 
             def by_reset(p: Any, held: Any, t: Any, x: Any) -> Any:
                 after = reset(p, t, x)
                 stays = again(guard)(p, t, after) == again(guard)(p, t, x)
-                return Jumped(x, after, to, held, one, stays)
+                return Jumped(x, after, to, held, one, stays, sure)
 
             return by_reset
         laws = self.code.laws(edge.name)
@@ -268,14 +282,31 @@ class System:
         def impact(p: Any, held: Any, t: Any, x: Any) -> Any:
             before = laws.land(p, t, x)
             after = laws.impact(p, t, before)
-            return Jumped(before, after[:-1], to, held, after[-1], sure)
+            return Jumped(before, after[:-1], to, held, after[-1], sure, sure)
 
         def release(p: Any, held: Any, t: Any, x: Any) -> Any:
-            return Jumped(x, x, to, held & ~self.only(slot), one, sure)
+            return Jumped(x, x, to, held & ~self.only(slot), one, sure, sure)
 
         if not edge.rests:
             return impact
         return lambda p, held, t, x: jax.lax.cond(held[slot], release, impact, p, held, t, x)
+
+    def _side(self, edge: SideSpec, name: str) -> Any:
+        """The jump of a switching (8), decided by the first derivative along the other flow."""
+        switching, sliding = self.spec.switching(edge.name), self.spec.sliding(name) is not None
+        slide = switching.mode if switching.mode in self.modes else edge.to
+        side, away = ("positive", 1) if edge.to == switching.positive else ("negative", -1)
+        modes = self.modes.index(edge.to), self.modes.index(slide)
+        rate = self.code.sliding(edge.name).rate(side)
+
+        def jump(p: Any, held: Any, t: Any, x: Any) -> Jumped:
+            leads = away * rate(p, t, x)
+            crosses = leads > 0
+            small = 64 * EPS * (1.0 + jnp.max(jnp.abs(x)))
+            sure = (jnp.abs(leads) > small) & (crosses | (slide != edge.to)) & (not sliding)
+            return Jumped(x, x, jnp.where(crosses, *modes), held, jnp.array(1.0), sure, sure)
+
+        return jump
 
     def _still_held(self, p: Any, mode: Any, done: Jumped, t: Any) -> Any:
         """The contacts held that the jump has left closed: gap and speed zero."""
@@ -297,7 +328,8 @@ def _switch(index: Any, branches: Sequence[Any], *operands: Any) -> Any:
     return jax.lax.switch(index, branches, *operands)
 
 
-def system_of(code: Lowered) -> System:
+def system_of(code: Lowered, slides: bool = False) -> System:
     """The system of a class, kept with its generated code."""
-    made: System = code.once("system", lambda: System(code))
+    slides = slides and bool(code.spec.switchings)
+    made: System = code.once(("system", slides), lambda: System(code, slides))
     return made

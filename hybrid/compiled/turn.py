@@ -206,8 +206,8 @@ class Turner:
         return aimed, there, jnp.where(cut, at * h, h)
 
     def _settled(self, run: Run, lane: Lane, held: Any, going: Going) -> Going:
-        """With the state back on the contacts held."""
-        if held is None or not self.system.rests.any():
+        """With the state back on the contacts held, or on the surface on which it slides."""
+        if held is None or not self.system.projects:
             return going
         t = lane.t + (lane.low + going.tau)
         x = self.system.project(run.parameters, lane.mode, held, t, going.x)
@@ -309,7 +309,7 @@ class Turner:
             x=done.after,
             slot=jnp.where(~contact & same_mode, going.slot, -1),
             stage=jnp.full_like(going.stage, ENTER),
-            status=jnp.where(finite, status, NOT_FINITE),
+            status=jnp.where(finite, jnp.where(done.sure, status, UNDECIDED), NOT_FINITE),
         )
         return after, done
 

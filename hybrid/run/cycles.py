@@ -75,7 +75,7 @@ class Cycles:
         begin = int(np.max(np.flatnonzero(~goes_on), initial=-1)) + 1
         edges = _canonical([seen.edge for seen in self.seen[-length:]])
         states = np.array([turn.x for turn in turns[begin:]])
-        found = limit(edges, turns[-1].edge, times[begin:] - times[begin], states, rtol)
+        found = limit(edges, times[begin:] - times[begin], states, rtol)
         return found, self.seen[-length * len(turns[begin:]) :][: length + 1]
 
 
@@ -101,14 +101,16 @@ def persists(scene: Scene, first: list[Seen], found: CycleLimit, now: Seen, rtol
     states = np.array([seen.x for seen in first])
     slack = ZERO * np.ptp(states, axis=0) + 10 * found.x_error + 10 * rtol * np.abs(x)
     for seen in first:
+        fired = None
         for guard in scene.field(seen.mode).guards:
+            fired = guard if guard.edge == seen.edge else fired
             here = guard.value(t, x.tolist())
             if guard.edge not in found.edges:
                 if not here * guard.value(now.now.t, now.x.tolist()) > 0:
                     return False
             elif abs(here) > _allowed(guard, t, x, slack, first):
                 return False
-        if np.any(np.abs(_reset(scene, seen.edge, t, x) - x) > slack):
+        if fired is None or np.any(np.abs(_after(scene, fired, t, x) - x) > slack):
             return False
     return True
 
@@ -131,15 +133,21 @@ def _allowed(guard: Guard, t: float, x: np.ndarray, slack: np.ndarray, first: li
     return ZERO * size + sum(map(abs, moved))
 
 
-def _reset(scene: Scene, edge: str, t: float, x: np.ndarray) -> np.ndarray:
-    if scene.is_contact(edge):
-        contact = scene.contact(edge)
+def _after(scene: Scene, guard: Guard, t: float, x: np.ndarray) -> np.ndarray:
+    """The state after a jump."""
+    if guard.kind == "contact":
+        contact = scene.contact(guard.edge)
         return np.array(contact.impact(t, list(contact.land(t, x.tolist())))[:-1])
-    return np.array(scene.reset(edge)(t, x.tolist()))
+    if guard.kind == "edge":
+        return np.array(scene.reset(guard.edge)(t, x.tolist()))
+    return x
 
 
-def pass_limit(driver: Driver) -> bool:
-    """Go over the limit of a cycle, if the last jumps have one; False if they have none."""
+def pass_limit(driver: Driver, mode: str) -> bool:
+    """Go over the limit of a cycle, if the last jumps have one; False if they have none.
+
+    ``mode`` is where the last jump leads.
+    """
     if driver.plan.zeno == "truncate" or driver.status is not None:
         return False
     found, first = driver.cycles.limit(driver.plan.closing * driver.plan.rtol)
@@ -150,7 +158,7 @@ def pass_limit(driver: Driver) -> bool:
         return False
     if not persists(driver.scene, first, found, last, driver.plan.rtol):
         return False
-    driver.pass_cycle(found, last.x)
+    driver.pass_cycle(found, last.x, mode)
     return True
 
 

@@ -20,7 +20,7 @@ from ..trajectory import Jump, Status
 from ..zeno.accumulate import Tail, close
 from ..zeno.cycle import CycleLimit
 from ..zeno.flight import fly
-from . import truncate
+from . import switch, truncate
 from .arc import ArcFlow
 from .cycles import Cycles, pass_limit
 from .entry import Entry, Jumped, describe, enter
@@ -137,6 +137,10 @@ class Driver:
             self._impact(guard, x)
         elif guard.kind == "release":
             self._release(guard, x)
+        elif guard.kind == "switch":
+            switch.meet(self, guard, x)
+        elif guard.kind == "leave":
+            switch.leave(self, guard, x)
         else:
             self._reset(guard, x)
 
@@ -147,7 +151,7 @@ class Driver:
         stays = guard.value(t, after.tolist()) == guard.value(t, before.tolist())
         held = self._still_held(guard.to, after)
         self.watch.reset()
-        if self.add_jump(guard.edge, before, after) and pass_limit(self):
+        if self.add_jump(guard.edge, before, after) and pass_limit(self, guard.to):
             return
         known = {guard.edge: 1} if stays else {}
         self.enter(guard.to, after, Jumped(known, held, used=guard.edge))
@@ -179,7 +183,7 @@ class Driver:
             due = self.add_jump(guard.edge, before, after)
             if self.status is not None or self._accumulate(contact, after, speed, guard.to, held):
                 return
-            if due and pass_limit(self):
+            if due and pass_limit(self, guard.to):
                 return
             hop = self._hop(contact, after, speed, self.scene.name(guard.to, held))
             if hop is None:
@@ -283,15 +287,15 @@ class Driver:
         after = (tail.field.mode, held) if contact.rests else None
         self._go_on_from(tail, (contact.name,), tail.r, after)
 
-    def pass_cycle(self, found: CycleLimit, x: np.ndarray) -> None:
-        """Go over the limit of a cycle, which the last jump led on towards from ``x``.
+    def pass_cycle(self, found: CycleLimit, x: np.ndarray, mode: str) -> None:
+        """Go over the limit of a cycle, which the last jump led on towards from ``x`` in a mode.
 
         The part between them is kept as a straight line.
         """
-        record, last = self.record, self.scene.spec.transition(found.last)
+        record = self.record
         straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, found.x_inf])
         segments = [Segment(0.0, found.remaining, straight)]
-        record.arc(self.scene.field(last.to), x, found.x_inf, found.remaining, segments)
+        record.arc(self.scene.field(mode), x, found.x_inf, found.remaining, segments)
         record.j += 1
         self._go_on_from(found, found.edges, found.ratio, self._after(found.edges))
 

@@ -72,6 +72,8 @@ def enter(scene: Scene, t: float, mode: str, x: np.ndarray, jumped: Jumped, reac
         If a guard is not finite.
     """
     field = scene.field(scene.name(mode, jumped.held))
+    if jumped.starting:
+        _require_on_surface(scene, field, t, x)
     if field.project is not None:
         x = np.array(field.project(t, x.tolist()))
     here = _Here(scene, field, t, x, reach, expand(field, t, x))
@@ -95,6 +97,32 @@ def expand(field: Field, t: float, x: np.ndarray) -> Any:
         return field.expand(t, x.tolist(), [0] * field.kinks)
     except (ValueError, OverflowError, ZeroDivisionError):
         return None
+
+
+def heading(
+    scene: Scene, t: float, mode: str, x: np.ndarray, edge: str, reach: float
+) -> tuple[int, int]:
+    """From a zero of an edge's guard: the order by which it vanishes along a mode's flow, and
+    the sign that it takes; sign 0 where no derivative decides."""
+    field = scene.field(mode)
+    here, index = _Here(scene, field, t, x, reach, expand(field, t, x)), field.column(edge)
+    return here.decide(field.guards[index], index, 1)
+
+
+def _require_on_surface(scene: Scene, field: Field, t: float, x: np.ndarray) -> None:
+    """Refuse to start to slide off the surface."""
+    switching = scene.spec.sliding(field.mode)
+    if switching is None:
+        return
+    side = scene.field(switching.positive)
+    index = side.column(switching.name)
+    here = _Here(scene, side, t, x, 0.0, None)
+    if here.start_of(side.guards[index], index, 0)[0] == 0:
+        value = side.guards[index].value(t, x.tolist())
+        raise StartError(
+            f"{describe(scene, field, t, x)}: the run starts to slide off the surface: it is "
+            f"{value:.6g} there and must be 0"
+        )
 
 
 def describe(scene: Scene, field: Field, t: float, x: np.ndarray) -> str:
@@ -129,14 +157,28 @@ class _Here:
                 "the flow decides which way it goes; start off the guard"
             )
         if order == 0:
-            if guard.kind == "release" and sign < 0 and not jumped.starting:
+            derived = guard.kind in ("release", "leave")
+            if derived and fires(guard.crossing, sign) and not jumped.starting:
                 return True
             self.require_inside(guard, sign, jumped.starting)
             return False
         if guard.crossing is Crossing.EITHER:
             return False
         used = guard.kind == "edge" and guard.edge == jumped.used
-        return not used and fires(guard.crossing, sign)
+        leaves = not used and fires(guard.crossing, sign)
+        if guard.kind == "switch" and not leaves and guard.edge not in jumped.vanishing:
+            self.require_way(guard, sign, jumped.starting)
+        return leaves
+
+    def require_way(self, guard: Guard, sign: int, starting: bool) -> None:
+        """Refuse to choose where both flows lead away from the surface of a switching."""
+        _, other = heading(self.scene, self.t, guard.to, self.x, guard.edge, self.reach)
+        if other != -sign:
+            return
+        raise (StartError if starting else DomainError)(
+            f"{self.where()}: on the surface of {guard.edge} the flows of {self.field.mode} and "
+            f"{guard.to} both lead away from it: what follows is not unique; start beside it"
+        )
 
     def start_of(self, guard: Guard, index: int, least: int) -> tuple[int, int]:
         t, x = self.t, self.x.tolist()
@@ -179,11 +221,12 @@ class _Here:
         side = "positive" if wanted > 0 else "negative"
         what = "starts" if starting else "jumped"
         kind = StartError if starting else DomainError
+        other = f"; there flows {guard.to}" if guard.kind == "switch" else ""
         if guard.kind == "release":
             raise kind(
                 f"{self.where()}: cannot rest here, the contact would have to pull ({value:.6g})"
             )
         raise kind(
             f"{self.where()}: the run {what} outside the mode's domain: the guard of "
-            f"{guard.edge} is {value:.6g} and must be {side}"
+            f"{guard.edge} is {value:.6g} and must be {side}{other}"
         )

@@ -51,7 +51,8 @@ class Streaks:
         entry = self.driver.entry
         if not (self.dense or entry.field.guards):
             return False
-        plain = not entry.field.held and max(entry.orders, default=0) <= ORDERS
+        declared = entry.field.name in self.system.modes
+        plain = declared and max(entry.orders, default=0) <= ORDERS
         return plain and self.plan.zeno != "truncate"
 
     def fly(self) -> None:
@@ -148,7 +149,7 @@ class Streaks:
         else:
             driver.watch.reset()
         due = driver.add_jump(guard.edge, before, after)
-        self.passed = due and pass_limit(driver)
+        self.passed = due and pass_limit(driver, guard.to)
         if not self.passed:
             driver.arrive(driver.scene.field(guard.to), after, guard)
 

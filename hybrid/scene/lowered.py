@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from ..automaton import trace
-from ..automaton.spec import ContactSpec, EdgeSpec
+from ..automaton.spec import ContactSpec, LeaveSpec, SideSpec, Transition
 from ..errors import TraceError
 from . import contact as contacts
 from .graph import Graph
 from .interval import IntervalProgram
 from .python import Program, needed
+from .sliding import Sliding
 from .taylor import TaylorProgram, flat
 
 #: Order of the Taylor series of flows and gaps.
@@ -125,8 +126,28 @@ class Lowered:
         closed = lambda: self._trace(self.held(names).project)  # noqa: E731
         return self.program(("project", names), closed)
 
+    def sliding(self, name: str) -> Sliding:
+        """The laws of sliding on a switching's surface."""
+        switching = self.spec.switching(name)
+        modes = switching.positive, switching.negative
+        flows = [trace.again(self.closed("flow", mode)) for mode in modes]
+        return Sliding(trace.again(self.closed("surface", name)), *flows)
+
+    def rate_closed(self, name: str, side: str) -> Any:
+        """The jaxpr of the rate of a switching's surface under the flow of a side."""
+        key = ("rate closed", name, side)
+        return self.once(key, lambda: self._trace(self.sliding(name).rate(side)))
+
+    def onto(self, name: str) -> Program:
+        """Projection onto a switching's surface."""
+        return self.program(("onto", name), lambda: self._trace(self.sliding(name).project))
+
     def field_closed(self, mode: str, held: tuple[str, ...]) -> Any:
-        """The jaxpr of the flow of a mode, or of it with contacts held."""
+        """The jaxpr of the flow of a mode, or of it with contacts held, or on a surface."""
+        switching = self.spec.sliding(mode)
+        if switching is not None:
+            key, name = ("slide closed", mode), switching.name
+            return self.once(key, lambda: self._trace(self.sliding(name).field))
         return self.rest_closed(held) if held else self.closed("flow", mode)
 
     def taylor(self, key: Any, flow: Any, functions: Sequence[Any]) -> TaylorProgram | None:
@@ -146,7 +167,11 @@ class Lowered:
 
     # -- guards and contacts ------------------------------------------------------------
 
-    def guard_closed(self, edge: EdgeSpec | ContactSpec) -> Any:
+    def guard_closed(self, edge: Transition) -> Any:
+        if isinstance(edge, LeaveSpec):
+            return self.rate_closed(edge.switching, edge.side)
+        if isinstance(edge, SideSpec):
+            return self.closed("surface", edge.name)
         return self.closed("gap" if isinstance(edge, ContactSpec) else "guard", edge.name)
 
     def lie_closed(self, key: Any, guard: Any, flow: Any) -> Any:

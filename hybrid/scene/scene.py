@@ -15,7 +15,15 @@ import attrs
 import numpy as np
 
 from ..automaton.markers import Crossing
-from ..automaton.spec import ContactSpec, EdgeSpec, Spec
+from ..automaton.spec import (
+    ContactSpec,
+    EdgeSpec,
+    LeaveSpec,
+    SideSpec,
+    Spec,
+    SwitchingSpec,
+    Transition,
+)
 from ..errors import TraceError
 from .lowered import Lowered, guard_shape, lowered
 from .python import Program
@@ -31,8 +39,9 @@ class Guard:
     Attributes
     ----------
     edge : str
-        Name of the edge or contact; ``"<contact>.release"`` for the end of a rest.
-    kind : "edge", "contact" or "release"
+        Name of the edge, contact or switching; ``"<contact>.release"`` for the end of a rest,
+        ``"<switching>.positive"`` and ``"<switching>.negative"`` for those of sliding.
+    kind : "edge", "contact", "release", "switch" or "leave"
     to : str
         The mode it leads to.
     value : callable ``(t, x)``
@@ -43,6 +52,8 @@ class Guard:
         Affine in ``t`` and ``x``: a polynomial wherever the state is one.
     uses : tuple of int
         Elements of the state that the guard depends on.
+    closed
+        The guard's jaxpr.
     """
 
     edge: str
@@ -53,6 +64,7 @@ class Guard:
     lie: Scalar
     affine: bool
     uses: tuple[int, ...]
+    closed: Any
 
 
 @attrs.frozen(eq=False)
@@ -73,7 +85,7 @@ class Field:
     closed, code, parameters
         The flow's jaxpr, what else is generated for the class, and the parameters' values.
     project : callable ``(t, x)`` or None
-        Back onto the held contacts' gaps.
+        Back onto the held contacts' gaps, or onto the surface on which the state slides.
     """
 
     name: str
@@ -148,13 +160,14 @@ class Scene:
 
     @cached_property
     def modes(self) -> tuple[str, ...]:
-        """Modes in which a run may start: those declared, and each contact's rest."""
+        """Modes in which a run may start: those declared, each contact's rest, each sliding."""
         rests = [
             rest_name(e.source, (e.name,))
             for e in self.spec.transitions
             if isinstance(e, ContactSpec) and e.rests
         ]
-        return (*(mode.name for mode in self.spec.modes), *rests)
+        slides = [switching.mode for switching in self.spec.switchings if switching.slides]
+        return (*(mode.name for mode in self.spec.modes), *rests, *slides)
 
     def name(self, mode: str, held: Iterable[str]) -> str:
         """The arc mode of a mode with contacts held, these in declared order."""
@@ -170,43 +183,43 @@ class Scene:
         return self._fields[name]
 
     def _make_field(self, name: str, mode: str, held: tuple[str, ...]) -> Field:
-        code = self.code
+        code, switching = self.code, self.spec.sliding(mode)
         flow = code.field_closed(mode, held)
-        edges: list[Any] = [edge for edge in self.spec.leaving(mode) if edge.name not in held]
-        closed = [code.guard_closed(edge) for edge in edges]
+        edges = [edge for edge in self.spec.leaving(mode) if edge.name not in held]
+        watched = [(edge, _kind(edge), code.guard_closed(edge)) for edge in edges]
         for index, contact in enumerate(held):
-            closed.append(code.load_closed(held, index))
-            edges.append(_release(contact, name, mode))
-        guards = [self._guard(e, g, flow, name) for e, g in zip(edges, closed, strict=True)]
-        program = code.program(("field", name), lambda: flow, exact=not held)
+            load = code.load_closed(held, index)
+            watched.append((_release(contact, name, mode), "release", load))
+        guards = [self._guard(*each, flow, name) for each in watched]
+        closed = [guard.closed for guard in guards]
+        derived = bool(held) or switching is not None
+        program = code.program(("field", name), lambda: flow, exact=not derived)
         rhs = program.bind(self._values)
         taylor = code.taylor(name, flow, closed)
         jets = taylor.bind(self._values) if taylor else None
         kinks = taylor.kinks if taylor else 0
-        project = code.project(held).bind(self._values) if held else None
+        project = self._projection(switching, held) if derived else None
         made = (flow, code, self.parameters)
         return Field(name, mode, held, rhs, jets, kinks, tuple(guards), *made, project)
 
-    def _guard(self, edge: Any, closed: Any, flow: Any, where: str) -> Guard:
+    def _projection(self, switching: SwitchingSpec | None, held: tuple[str, ...]) -> Scalar:
+        code = self.code
+        program = code.project(held) if switching is None else code.onto(switching.name)
+        return program.bind(self._values)
+
+    def _guard(self, edge: Transition, kind: str, closed: Any, flow: Any, where: str) -> Guard:
         code, key = self.code, (edge.name, where)
-        kind = "contact" if isinstance(edge, ContactSpec) else "edge"
-        kind = "release" if edge.name.endswith(".release") else kind
         lie = code.lie_program(key, closed, flow)
         value = code.program(("guard", key), lambda: closed)
         affine, uses = code.once(("shape", key), lambda: guard_shape(code, closed))
         bound = value.bind(self._values), lie.bind(self._values)
-        return Guard(edge.name, kind, edge.to, edge.crossing, *bound, affine, uses)
+        return Guard(edge.name, kind, edge.to, edge.crossing, *bound, affine, uses, closed)
 
     def rounding(self, guard: Guard, field: Field) -> Scalar:
         """Sizes whose rounding the guard and its first two derivatives carry."""
         code = self.code
         flow = code.field_closed(field.mode, field.held)
-        if guard.kind == "release":
-            closed = code.load_closed(field.held, field.held.index(released(guard.edge)))
-        else:
-            edge = next(e for e in self.spec.transitions if e.name == guard.edge)
-            closed = code.guard_closed(edge)
-        return self._bind(code.rounding_program((guard.edge, field.name), closed, flow))
+        return self._bind(code.rounding_program((guard.edge, field.name), guard.closed, flow))
 
     def _bind(self, program: Program) -> Scalar:
         if program not in self._bound:
@@ -278,6 +291,12 @@ def _release(contact: str, source: str, mode: str) -> EdgeSpec:
         raise TraceError("a release has its load as guard")
 
     return EdgeSpec(f"{contact}.release", source, mode, unused, Crossing.FALLING, unused)
+
+
+def _kind(edge: Transition) -> str:
+    """The kind of a transition's guard."""
+    kinds = {ContactSpec: "contact", SideSpec: "switch", LeaveSpec: "leave"}
+    return kinds.get(type(edge), "edge")
 
 
 def released(edge: str) -> str:

@@ -107,11 +107,24 @@ def step_length(series: list[list[float]]) -> float:
     length = float("inf")
     for c in series:
         own = ROUNDING * max(abs(c[0]), abs(c[1]), smallest)
+        if own == 0.0:
+            length = min(length, _from_zero(c))
+            continue
         last, other = abs(c[ORDER]), abs(c[ORDER - 1])
         if last and last * length**ORDER > own:
             length = (own / last) ** (1.0 / ORDER)
         if other and other * length ** (ORDER - 1) > own:
             length = (own / other) ** (1.0 / (ORDER - 1))
+    return length
+
+
+def _from_zero(c: list[float]) -> float:
+    """Length at which the last two terms fall to rounding, of a state that is zero and at rest."""
+    length = float("inf")
+    for last in (ORDER - 1, ORDER):
+        if c[last]:
+            shares = [(k, ROUNDING * abs(c[k] / c[last])) for k in range(2, ORDER - 1)]
+            length = min(length, max(share ** (1.0 / (last - k)) for k, share in shares))
     return length
 
 

@@ -54,7 +54,6 @@ class CycleLimit:
     Attributes
     ----------
     edges : tuple of str
-        The cycle; ``last`` is the edge of the last jump.
     remaining : float
         Time from the last jump to the limit.
     x_inf : array
@@ -67,7 +66,6 @@ class CycleLimit:
     """
 
     edges: tuple[str, ...]
-    last: str
     remaining: float
     x_inf: np.ndarray
     ratio: float
@@ -88,7 +86,7 @@ def period(edges: Sequence[str]) -> int:
 
 
 def limit(
-    edges: tuple[str, ...], last: str, times: np.ndarray, states: np.ndarray, rtol: float
+    edges: tuple[str, ...], times: np.ndarray, states: np.ndarray, rtol: float
 ) -> CycleLimit | None:
     """The limit of a cycle; None where it does not accumulate, or not well enough yet.
 
@@ -116,7 +114,7 @@ def limit(
     if not (remaining > 0 and settled and near):
         return None
     ratio = 1.0 if power else float(durations[-1] / durations[-2])
-    return CycleLimit(edges, last, remaining, now[1:], ratio, float(error[0]), error[1:])
+    return CycleLimit(edges, remaining, now[1:], ratio, float(error[0]), error[1:])
 
 
 def _raabe(durations: np.ndarray) -> float:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import hybrid as hy
 
@@ -139,3 +140,24 @@ def test_gaps_below_the_spacing_of_floats_are_gaps(solver):
     lengths = np.array([arc.length for arc in run.arcs[1:-1]])
     np.testing.assert_allclose(lengths[1:] / lengths[:-1], 0.5, rtol=1e-6)
     assert lengths[-1] < 1e-14
+
+
+def test_a_relay_slides_where_both_flows_lead_to_its_surface(solver):
+    """Rule 8: x stays on 0 until the force is 1; the relay crosses 0 where it is stronger."""
+    from models.relay import Relay
+
+    run = hy.simulate(
+        Relay(a=1.5, w=1.0), {"x": -1.0}, (1.0, 5.0), mode="down", rtol=1e-9, **solver
+    )
+    times = hit_and_end(1.5)
+    assert run.jumps.edge.tolist() == ["relay", "relay", "relay.negative"]
+    np.testing.assert_allclose(run.jumps.t, times, atol=10 * tolerance(solver))
+    mid = 0.5 * (run.jumps.t[1] + run.jumps.t[2])
+    assert run(mid).x == 0.0
+
+
+def hit_and_end(a):
+    """Zeros of ``x = c - a cos t + t`` below, of ``c - a cos t - t`` above, and of the force's."""
+    below = brentq(lambda t: -1.0 + a * (np.cos(1.0) - np.cos(t)) + (t - 1.0), 1.0, 2.0)
+    above = brentq(lambda t: a * (np.cos(below) - np.cos(t)) - (t - below), below + 0.5, 4.0)
+    return [below, above, np.pi + np.arcsin(1 / a)]

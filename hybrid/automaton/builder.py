@@ -1,0 +1,208 @@
+"""From the markers of a class body to a spec, and a list of what is wrong with them."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from ..errors import ParameterError
+from .markers import (
+    Contact,
+    Crossing,
+    Edge,
+    Mode,
+    State,
+    Switching,
+    is_number,
+    is_parameter,
+    name_of,
+)
+from .spec import (
+    ContactSpec,
+    EdgeSpec,
+    ModeSpec,
+    ParameterSpec,
+    Spec,
+    StateSpec,
+    SwitchingSpec,
+    Transition,
+)
+
+
+class Builder:
+    """Turns the markers of one class into a spec and a list of faults."""
+
+    def __init__(self, cls: type, markers: dict[str, Any]) -> None:
+        self.cls, self.markers = cls, markers
+        self.faults: list[str] = []
+        self.untraceable: list[Any] = []
+
+    def of(self, kind: type) -> list[Any]:
+        return [marker for marker in self.markers.values() if isinstance(marker, kind)]
+
+    def build(self) -> Spec:
+        states, offset = [], 0
+        for marker in self.of(State):
+            states.append(StateSpec(marker.name, marker.unit, marker.doc, marker.shape, offset))
+            offset += states[-1].size
+        parameters = tuple(
+            ParameterSpec(name, m._default, m.metadata["unit"], m.metadata["doc"])
+            for name, m in self.markers.items()
+            if is_parameter(m)
+        )
+        if not states:
+            self.faults.append("no state: declare one, x = hy.state()")
+        modes = tuple(self.mode(marker) for marker in self.of(Mode))
+        transitions: list[Transition] = []
+        switchings = []
+        for m in self.markers.values():
+            if isinstance(m, Edge):
+                transitions.append(self.edge(m))
+            elif isinstance(m, Contact):
+                transitions.append(self.contact(m, parameters))
+            elif isinstance(m, Switching):
+                switchings.append(self.switching(m))
+                transitions += switchings[-1].sides
+        return Spec(
+            self.cls.__name__,
+            tuple(states),
+            parameters,
+            modes,
+            tuple(transitions),
+            self.initial(),
+            tuple(switchings),
+        )
+
+    def check_defaults(self) -> None:
+        """Each default must be a value that the model could be given."""
+        try:
+            self.cls()
+        except ParameterError as fault:
+            self.faults.append(f"default of {fault}")
+
+    def initial(self) -> str:
+        modes = self.of(Mode)
+        chosen = [marker.name for marker in modes if marker.initial]
+        if len(modes) == 1:
+            return modes[0].name
+        if not modes:
+            self.faults.append("no mode: write one, @hy.mode(initial=True) over its flow")
+        elif len(chosen) != 1:
+            which = " and ".join(chosen) or "none"
+            self.faults.append(f"one mode must be initial=True; marked: {which}")
+        return chosen[0] if chosen else ""
+
+    def mode(self, marker: Mode) -> ModeSpec:
+        self.signature(f"mode {marker.name}", marker.flow, ("t", "s"))
+        edges = [m.name for kind in (Edge, Contact, Switching) for m in self.of(kind)]
+        unknown = [name for name in marker.limit_of if name not in edges]
+        if unknown:
+            known = ", ".join(edges) or "none"
+            self.faults.append(
+                f"mode {marker.name}: limit_of={marker.limit_of!r}: {unknown[0]!r} is no edge; "
+                f"there are: {known}"
+            )
+        return ModeSpec(marker.name, marker.flow, tuple(marker.limit_of))
+
+    def edge(self, marker: Edge) -> EdgeSpec:
+        where = f"edge {marker.name}"
+        source, to = (
+            self.target(where, "source", marker.source, self.slides()),
+            self.target(where, "to", marker.to),
+        )
+        self.signature(f"{where}, reset", marker.reset, ("t", "s"))
+        self.signature(f"{where}, guard", marker.guard, ("t", "s"))
+        if not isinstance(marker.crossing, Crossing):
+            self.faults.append(
+                f"{where}: crossing={marker.crossing!r}; use hy.FALLING, hy.RISING or hy.EITHER"
+            )
+        return EdgeSpec(marker.name, source, to, marker.guard, marker.crossing, marker.reset)
+
+    def contact(self, marker: Contact, parameters: tuple[ParameterSpec, ...]) -> ContactSpec:
+        where = f"contact {marker.name}"
+        source = self.target(where, "mode", marker.mode)
+        self.signature(f"{where}, gap", marker.gap, ("t", "s"))
+        law = self.restitution(where, marker.restitution, [p.name for p in parameters])
+        return ContactSpec(marker.name, source, marker.gap, law, marker.rests, marker.inverse_mass)
+
+    def switching(self, marker: Switching) -> SwitchingSpec:
+        where = f"switching {marker.name}"
+        positive = self.target(where, "positive", marker.positive)
+        negative = self.target(where, "negative", marker.negative)
+        if positive == negative:
+            self.faults.append(
+                f"{where}: positive and negative are both {positive!r}; give two modes"
+            )
+        self.alone(where, marker, {positive, negative})
+        if not isinstance(marker.slides, bool):
+            self.faults.append(f"{where}: slides={marker.slides!r}; give True or False")
+        self.signature(f"{where}, surface", marker.surface, ("t", "s"))
+        return SwitchingSpec(
+            marker.name, positive, negative, marker.surface, marker.slides is not False
+        )
+
+    def alone(self, where: str, marker: Switching, modes: set[str]) -> None:
+        """The two modes of a switching may share no other, and have no contact."""
+        for contact in self.of(Contact):
+            source = name_of(contact.mode)
+            if source in modes:
+                self.faults.append(
+                    f"{where}: mode {source} has the contact {contact.name}; a mode with a "
+                    "switching can have no contact yet: write its impact as an edge with a reset"
+                )
+        for other in self.of(Switching)[: self.of(Switching).index(marker)]:
+            if {str(name_of(side)) for side in (other.positive, other.negative)} == modes:
+                self.faults.append(
+                    f"{where}: its modes are already those of the switching {other.name}; give "
+                    "each side of each surface a mode of its own"
+                )
+
+    def slides(self) -> list[str]:
+        """Arc modes in which the state slides on a surface."""
+        return [f"slide({marker.name})" for marker in self.of(Switching) if marker.slides]
+
+    def restitution(self, where: str, given: Any, names: list[str]) -> Callable[..., Any]:
+        if isinstance(given, str):
+            if given not in names:
+                known = ", ".join(names) or "none"
+                self.faults.append(
+                    f"{where}: restitution={given!r} is no parameter; there are: {known}"
+                )
+                return lambda self, t, s, u: 1.0
+            return lambda self, t, s, u: getattr(self, given)
+        if callable(given):
+            self.signature(f"{where}, restitution", given, ("t", "s", "u"))
+            return given
+        if not is_number(given) or not 0 <= float(given) <= 1:
+            self.faults.append(
+                f"{where}: restitution={given!r}; give a parameter's name, "
+                "a number from 0 to 1 or a function (self, t, s, u)"
+            )
+            return lambda self, t, s, u: 1.0
+        return lambda self, t, s, u: given
+
+    def target(self, where: str, what: str, given: Any, more: Sequence[str] = ()) -> str:
+        name = name_of(given)
+        modes = [marker.name for marker in self.of(Mode)] + list(more)
+        if name not in modes:
+            known = ", ".join(modes) or "none"
+            self.faults.append(
+                f"{where}: {what}={name!r} is no mode of this class; there are: {known}"
+            )
+        return str(name)
+
+    def signature(self, where: str, function: Any, arguments: tuple[str, ...]) -> None:
+        wanted = f"(self, {', '.join(arguments)})"
+        if not callable(function):
+            self.faults.append(f"{where}: {function!r} is not a function {wanted}")
+            self.untraceable.append(function)
+            return
+        try:
+            inspect.signature(function).bind(None, *arguments)
+        except TypeError:
+            given = inspect.signature(function)
+            late = "past" in given.parameters
+            why = "; flows that look into the past cannot be simulated yet" if late else ""
+            self.faults.append(f"{where}: takes {given} where {wanted} is due{why}")
+            self.untraceable.append(function)

@@ -1,0 +1,77 @@
+"""What happens on the surface of a switching: cross, slide, or refuse to choose (rule 8).
+
+On the surface each of the two flows goes to one side: that of the first derivative of the
+surface function along it that is not zero.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import DomainError, StartError
+from ..scene import Guard
+from .cycles import pass_limit
+from .entry import Jumped, heading
+
+if TYPE_CHECKING:
+    from .driver import Driver
+
+
+def meet(driver: Driver, guard: Guard, x: np.ndarray) -> None:
+    """On the surface of a switching: into the other mode, or to slide."""
+    mode = onward(driver, guard, x)
+    project = driver.scene.field(mode).project
+    if project is not None:
+        x = np.array(project(driver.t, x.tolist()))
+        driver.record.end_on(x)
+    driver.watch.reset()
+    if driver.add_jump(guard.edge, x, x) and pass_limit(driver, mode):
+        return
+    driver.enter(mode, x, Jumped({} if project is not None else {guard.edge: 1}))
+
+
+def leave(driver: Driver, guard: Guard, x: np.ndarray) -> None:
+    """Sliding ends: the surface function and its rate vanish in the mode that follows."""
+    switching, overdue = guard.edge.rpartition(".")[0], bool(driver.entry.at_once)
+    driver.watch.reset()
+    driver.add_jump(guard.edge, x, x)
+    driver.enter(guard.to, x, Jumped({switching: 1 if overdue else 2}))
+
+
+def onward(driver: Driver, guard: Guard, x: np.ndarray) -> str:
+    """The mode that follows where a flow has reached the surface of a switching.
+
+    Raises
+    ------
+    StartError, DomainError
+        If the state would slide and the switching forbids it, or on two surfaces at once; or if
+        nothing decides where it goes.
+    """
+    scene, mode, name = driver.scene, driver.entry.field.mode, guard.edge
+    at, where = driver.t, driver.where(x)
+    kind = StartError if at == driver.plan.t0 else DomainError
+    switching = scene.spec.switching(name)
+    if scene.spec.sliding(mode) is not None:
+        raise kind(
+            f"{where}: a state that slides reached the surface of {name} too; sliding on two "
+            "surfaces at once is not known yet: declare an edge from "
+            f'"{mode}" with this surface as its guard'
+        )
+    order, _ = heading(scene, at, mode, x, name, driver.reach)
+    other, sign = heading(scene, at, guard.to, x, name, driver.reach)
+    inside = 1 if guard.to == switching.positive else -1
+    if sign == inside:
+        return guard.to
+    if sign == 0 or order > 1 < other:
+        raise kind(
+            f"{where}: on the surface of {name} neither flow leads away, and no first derivative "
+            "decides whether the state slides; start beside the surface"
+        )
+    if not switching.slides:
+        raise kind(
+            f"{where}: on the surface of {name} both flows lead to it and slides=False; declare "
+            "slides=True, or two edges with a hysteresis between them"
+        )
+    return switching.mode
