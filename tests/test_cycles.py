@@ -88,6 +88,49 @@ class LateInflow(TwoTanks):
         return s
 
 
+class Twisting(hy.Automaton):
+    """``x'' = -2 sign x - sign x'`` (Levant 1993): the origin after finitely much time."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode(initial=True)
+    def right_back(self, t, s):
+        return s.v, -1.0
+
+    @hy.mode
+    def left_back(self, t, s):
+        return s.v, 3.0
+
+    @hy.mode
+    def left_forth(self, t, s):
+        return s.v, 1.0
+
+    @hy.mode
+    def right_forth(self, t, s):
+        return s.v, -3.0
+
+    @hy.mode(limit_of=("crosses_left", "turns_left", "crosses_right", "turns_right"))
+    def rests(self, t, s):
+        return 0.0 * s.x, 0.0 * s.v
+
+    crosses_left = hy.switching(right_back, left_back, surface=lambda self, t, s: s.x)
+    crosses_right = hy.switching(right_forth, left_forth, surface=lambda self, t, s: s.x)
+    turns_left = hy.switching(left_forth, left_back, surface=lambda self, t, s: s.v)
+    turns_right = hy.switching(right_forth, right_back, surface=lambda self, t, s: s.v)
+
+
+@SOLVERS
+def test_twisting_reaches_the_origin(solver):
+    """A cycle of four switchings that are crossed: half turns shrink by 1/3 in x."""
+    run = hy.simulate(Twisting(), {"x": 1.0, "v": 0.0}, (0, 9), rtol=1e-10, solver=solver)
+    half = math.sqrt(2.0) + math.sqrt(2.0) / 3.0
+    (point,) = run.zeno
+    assert abs(point.t - half / (1.0 - math.sqrt(1 / 3))) <= point.t_error < 1e-8
+    assert point.ratio == pytest.approx(1 / 3, rel=1e-6)
+    assert run.mode == "rests"
+
+
 @SOLVERS
 def test_two_tanks(solver, reference):
     """Both reference cases: t_inf, levels, ratio; the bound holds and is not idle."""
