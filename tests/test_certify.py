@@ -3,6 +3,7 @@
 import math
 import sys
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -153,6 +154,7 @@ def test_an_even_force_that_is_not_recognised_is_undecided():
         (BeadOnTable(), "this gap depends on the time"),
         (MoonHolmes(delta=0.0), "these depend on the time too"),
         (fall(lambda t, x, v: -1.0, gap=lambda self, t, s: s.x * (s.x + 1)), "not affine"),
+        (fall(lambda t, x, v: -1.0, gap=lambda self, t, s: s.x + jnp.floor(s.x)), "not affine"),
         (fall(lambda t, x, v: -1.0, rate=lambda t, s: s.v + s.x), "another function"),
         (fall(lambda t, x, v: -1.0, gap=lambda self, t, s: s.x - t), "depends on the time"),
         (fall(lambda t, x, v: jnp.where(jnp.abs(v) > 1, -1.0, -2.0)), "locally Lipschitz"),
@@ -376,6 +378,13 @@ def test_a_contact_of_first_order_is_refused():
 
     with pytest.raises(hy.OptionError, match="contact of second order"):
         hy.certify(Sink(), {"x": (0, 1), "y": (-1, 1)})
+
+
+def test_a_hidden_derivative_is_refused():
+    """Bounds by monotonicity would rest on a slope that is not the function's."""
+    model = fall(lambda t, x, v: -2.0 + jax.lax.stop_gradient(jnp.sin(x)))
+    with pytest.raises(hy.OptionError, match="stop_gradient hides a derivative"):
+        hy.certify(model, box())
 
 
 def test_without_flint_the_remedy_is_named(monkeypatch):

@@ -1,7 +1,7 @@
 """Proofs of complete chattering before a run, by interval arithmetic, never by sampling.
 
 ``question.py``: what is asked, checked, and the functions it needs, read from the trace.
-``theorem.py``: Theorem 1 of Akhmet and Çağ, with condition (C2). ``relative.py``: the lemma
+``setting.py``, ``theorem.py``: Theorem 1 of Akhmet and Çağ, with (C2). ``relative.py``: the lemma
 without (C2), in coordinates relative to the contact. ``result.py``: the answer.
 """
 

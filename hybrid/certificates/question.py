@@ -97,7 +97,7 @@ class Question:
         """An expression of ``(parameters, t, x, u)``, with its gradient where it has one."""
         try:
             return self._function(call, extra, gradient=True)
-        except TraceError:
+        except (TraceError, NotImplementedError):
             return self._function(call, extra, gradient=False)
 
     def _function(self, call: Traced, extra: int, gradient: bool) -> ScalarFunction:
@@ -154,10 +154,33 @@ def ask(model: Any, box: Any, mode: str | None, contact: str | None) -> Question
             f"{scene.spec.model}: a certificate needs a contact of second order; "
             + "; ".join(fault.faults)
         ) from None
+    _require_own_derivatives(scene.code, chosen)
     values = tuple(flat(model.parameters))
     checked = _box(scene.spec, box)
     relative = any(name in checked and name not in scene.spec.names for name in (GAP, SPEED))
     return Question(scene.spec, scene.code, values, chosen, checked, relative)
+
+
+def _require_own_derivatives(code: Lowered, contact: ContactSpec) -> None:
+    """The proofs rest on derivatives of the traces; ``stop_gradient`` falsifies them."""
+    for kind, name in (("flow", contact.source), ("gap", contact.name)):
+        if "stop_gradient" in _primitives(code.closed(kind, name).jaxpr):
+            raise OptionError(
+                f"{code.spec.model}, {kind} {name}: stop_gradient hides a derivative that the "
+                "proof needs; remove it"
+            )
+
+
+def _primitives(jaxpr: Any) -> set[str]:
+    """Names of the primitives of a jaxpr, inner ones included."""
+    found = set()
+    for equation in jaxpr.eqns:
+        found.add(equation.primitive.name)
+        for inner in equation.params.values():
+            for part in inner if isinstance(inner, tuple | list) else [inner]:
+                part = getattr(part, "jaxpr", part)
+                found |= _primitives(part) if hasattr(part, "eqns") else set()
+    return found
 
 
 def _contact(spec: Spec, mode: str | None, contact: str | None) -> ContactSpec:

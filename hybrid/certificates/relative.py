@@ -12,6 +12,7 @@ states, and the answer says what that leaves open.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import attrs
@@ -20,7 +21,8 @@ from ..scene.extrema import Bounds, Extreme, ScalarFunction, continuous, extrema
 from ..zeno.lemma import chattering, largest_speed
 from .question import GAP, SPEED, TIME, Question, Traced
 from .result import Certificate, shown
-from .theorem import COARSE, FINE, TRIALS, constant_slope, edges_fault, restitution_fault
+from .setting import constant_slope
+from .theorem import COARSE, FINE, TRIALS, edges_fault, restitution_fault
 from .theorem import restitution as bounds_of
 
 STATEMENT = "the lemma without (C2), relative to the contact"
@@ -191,7 +193,7 @@ def _trial(setting: Setting, law: Any, tolerance: float) -> Trial:
         return Trial(least, most, None)
     above = chattering(1.0, -most.high, -least.low, law[1].high).rho
     under = chattering(1.0, -most.low, -least.high, law[1].low).rho
-    return Trial(least, most, (min(low(under), high(above)), high(above)))
+    return Trial(least, most, (math.nextafter(low(under), 0.0), high(above)))
 
 
 def _answer(setting: Setting, law: Any, fault: Any) -> Certificate:

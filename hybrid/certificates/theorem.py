@@ -13,8 +13,9 @@ import attrs
 
 from ..scene.extrema import Bounds, Extreme, ScalarFunction, continuous, extrema
 from ..scene.parity import parity
-from .question import TIME, Question
+from .question import Question
 from .result import Certificate
+from .setting import Setting, setting_of
 
 STATEMENT = "Theorem 1 (fixed obstacle, (C1), (C2))"
 
@@ -23,47 +24,6 @@ FINE, COARSE = 1e-13, 1e-6
 
 #: Bisections on the way to a repair.
 TRIALS = 20
-
-#: A box may begin so far (relative to its place) from the wall and count as touching it.
-TOUCH = 1e-9
-
-
-@attrs.frozen(eq=False)
-class Setting:
-    """A contact to which the theorem applies.
-
-    Attributes
-    ----------
-    acceleration : ScalarFunction
-        Of the gap, in free flight.
-    slope : arb
-        ``b``.
-    wall : arb
-        ``phi``.
-    near, far : float
-        The wall's position (rounded to its outer side) and the other end of the box.
-    limit : arb
-        The largest absolute gap speed of the box.
-    """
-
-    question: Question
-    acceleration: ScalarFunction
-    slope: Any
-    wall: Any
-    near: float
-    far: float
-    limit: Any
-
-    def box(self, far: float, speed: float) -> dict[str, Bounds]:
-        q = self.question
-        x = (min(self.near, far), max(self.near, far))
-        return {f"x{q.position}": x, f"x{q.velocity}": (-speed, speed)}
-
-    @property
-    def speed(self) -> float:
-        """The largest absolute velocity of the box."""
-        low, high = self.question.box[self.question.spec.element_names[self.question.velocity]]
-        return min(-low, high)
 
 
 @attrs.frozen
@@ -95,7 +55,7 @@ class Trial:
 
 def by_theorem(question: Question) -> Certificate:
     """The certificate by Theorem 1."""
-    setting = _setting(question)
+    setting = setting_of(question)
     if isinstance(setting, str):
         return _answer(question, "undecided", setting, repair=_relative(question))
     trial = _trial(setting, setting.far, setting.speed, FINE)
@@ -135,83 +95,6 @@ def _relative(q: Question) -> str:
         'ask without (C2), in relative coordinates: box={"gap": (0, y), "speed": (0, w), ...} '
         "with bounds of t and of other states that the gap's acceleration depends on"
     )
-
-
-# ---------------------------------------------------------------------------------------
-# does the theorem speak of this contact?
-
-
-def _setting(q: Question) -> Setting | str:
-    """The setting, or the sentence that says why the theorem does not apply."""
-    from ..scene.balls import high, low
-
-    if len(q.laws.pairing.positions) > 1:
-        return "Theorem 1 is for a gap of one position; this gap depends on several"
-    x, v = f"x{q.position}", f"x{q.velocity}"
-    gap, speed, acceleration = (
-        q.function(h) for h in (q.laws.gap, q.laws.speed, q.laws.acceleration)
-    )
-    names = ", ".join(q.labels[name] for name in sorted(gap.inputs - {x}))
-    if TIME in gap.inputs:
-        return "Theorem 1 is for a fixed obstacle; this gap depends on the time"
-    if names:
-        return f"Theorem 1 is for a gap of one position; this gap depends on {names} too"
-    slope = constant_slope(gap, x)
-    if slope is None or slope.contains(0):
-        return "Theorem 1 is for a gap x - phi; this gap is not affine"
-    if speed.inputs != {v} or constant_slope(speed, v) != slope or speed.at({v: 0.0}) != 0:
-        return "Theorem 1 is for x' = v; here the position's derivative is another function"
-    others = acceleration.inputs - {x, v}
-    if others:
-        names = ", ".join("the time" if n == TIME else q.labels[n] for n in sorted(others))
-        return f"Theorem 1 is for forces of position and velocity; these depend on {names} too"
-    wall = -gap.at({x: 0.0}) / slope
-    _require_bounds(q)
-    ends = q.box[q.labels[x]]
-    near, far = (low(wall), ends[1]) if slope > 0 else (high(wall), ends[0])
-    _require_touch(q, ends, near, slope > 0)
-    setting = Setting(q, acceleration, slope, wall, near, far, None)
-    from ..scene.balls import absolute
-
-    return attrs.evolve(setting, limit=absolute(slope) * setting.speed)
-
-
-def constant_slope(function: ScalarFunction, name: str) -> Any:
-    """The derivative with respect to an input where it is one constant, else None."""
-    if name not in function.gradient or function.graph is None:
-        return None
-    from ..scene.interval import IntervalProgram
-
-    root = function.program.roots[1 + function.gradient.index(name)]
-    program = IntervalProgram(function.graph, [root])
-    if program.inputs:
-        return None
-    result = program.enclose({})[0]
-    return result.value if result.defined else None
-
-
-def _require_bounds(q: Question) -> None:
-    names = q.spec.element_names
-    for place in (q.position, q.velocity):
-        if names[place] not in q.box:
-            q.refuse(f"box has no bounds for {names[place]!r}; add {names[place]!r}: (low, high)")
-    low, high = q.box[names[q.velocity]]
-    if not low < 0.0 < high:
-        name = names[q.velocity]
-        q.refuse(f"box {name}=({low}, {high}); speeds of both signs: {name!r}: (-c, c)")
-
-
-def _require_touch(q: Question, ends: Bounds, near: float, below: bool) -> None:
-    """The box must reach from the wall inward."""
-    name, room = q.spec.element_names[q.position], TOUCH * max(1.0, abs(near))
-    start, far = ends if below else ends[::-1]
-    sign = 1.0 if below else -1.0
-    if sign * (start - near) > room or sign * (far - near) <= 0.0:
-        wanted = f"({near:.12g}, h)" if below else f"(h, {near:.12g})"
-        q.refuse(
-            f"box {name}=({ends[0]}, {ends[1]}) does not reach from the obstacle at "
-            f"{near:.12g} inward; give {name!r}: {wanted}"
-        )
 
 
 # ---------------------------------------------------------------------------------------

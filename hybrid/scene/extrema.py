@@ -125,7 +125,7 @@ def continuous(function: ScalarFunction, box: Mapping[str, Bounds], effort: int 
     queue = [{name: box[name] for name in function.inputs}]
     for part in itertools.islice(_popped(queue), effort):
         value, slopes = function.enclose(part)
-        if not value.defined or not value.continuous or len(slopes) < len(function.gradient):
+        if not value.defined or not value.continuous or not set(part) <= set(slopes):
             queue.extend(_halves(part))
     return not queue
 

@@ -1,7 +1,7 @@
-"""The graph of a model whose parameters have values, for readers that prove something.
+"""A graph for readers that prove something: no constant is rounded.
 
-The parameters are constants, so that a term times a parameter that is 0 is gone. No
-constant is rounded: an operation on constants is folded only where its result is exact.
+An operation on constants is folded only where its result is exact. Where a model's
+parameters are put in as constants, a term times a parameter that is 0 is gone.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ class FixedGraph(Graph):
         return super()._simplify(key)
 
     def _total(self, numbers: Sequence[int]) -> bool:
-        return all(self.nodes[i][0] in TOTAL for i in needed(self, numbers))
+        nodes = [self.nodes[i] for i in needed(self, numbers)]
+        return all(n[0] in TOTAL and (n[0] != "const" or math.isfinite(n[1])) for n in nodes)
 
     def arguments(self, shapes: Sequence[tuple[int, ...]], values: Sequence[float]) -> list[Ids]:
         """Nodes of the parameters: constants, in their shapes."""

@@ -12,6 +12,7 @@ from ..automaton import trace
 from ..automaton.spec import ContactSpec, LeaveSpec, SideSpec, Transition
 from ..errors import TraceError
 from . import contact as contacts
+from .fixed import FixedGraph
 from .graph import Graph
 from .interval import IntervalProgram
 from .python import Program, needed
@@ -195,7 +196,7 @@ class Lowered:
         """The same three as balls: :class:`.interval.IntervalProgram`."""
 
         def make() -> IntervalProgram:
-            graph = Graph()
+            graph = FixedGraph(exact=True)
             (roots,) = graph.outputs(self.lie_closed(key, guard, flow), self.inputs(graph))
             return IntervalProgram(graph, roots)
 
