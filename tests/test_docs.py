@@ -7,7 +7,13 @@ import jax
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PAGES = ["README.md", "docs/getting_started.md", "docs/choosing.md", "docs/sliding.md"]
+PAGES = [
+    "README.md",
+    "docs/getting_started.md",
+    "docs/choosing.md",
+    "docs/sliding.md",
+    "docs/certificates.md",
+]
 
 
 def blocks(page, language):
@@ -48,3 +54,17 @@ def test_links_lead_somewhere():
 def test_the_readme_is_short():
     """Eighty lines and a little: a stranger reads it."""
     assert len((ROOT / "README.md").read_text().splitlines()) <= 82
+
+
+def test_the_certificate_shown_is_what_is_printed(capsys):
+    """Line by line; numbers are shown without their last digits, and those of -m's place."""
+    scope = {"__name__": "page"}
+    exec(blocks("docs/certificates.md", "python")[0], scope)
+    printed = capsys.readouterr().out.strip().split("\n")
+    shown = blocks("docs/certificates.md", "text")[0].strip().split("\n")
+    assert len(printed) == len(shown)
+    for line, expected in zip(printed, shown, strict=True):
+        numbers = [re.findall(r"-?\d+\.?\d*", text) for text in (line, expected)]
+        values, wanted = ([abs(float(n)) for n in found] for found in numbers)
+        assert values == pytest.approx(wanted, rel=1e-6)
+        assert re.sub(r"[-\d.]+", "", line) == re.sub(r"[-\d.]+", "", expected)
