@@ -191,7 +191,8 @@ def function_of(expression):
 
     code, graph = Lowered(Model, ()), Graph()
     (roots,) = graph.outputs(code._trace(stacked), code.inputs(graph))
-    return ScalarFunction(IntervalProgram(graph, roots), ["t", "x0", "x1"], graph)
+    value, slopes = IntervalProgram(graph, roots[:1]), IntervalProgram(graph, roots[1:])
+    return ScalarFunction(value, slopes, ["t", "x0", "x1"])
 
 
 BOX = {"t": (0.0, 1.0), "x0": (2.0, 2.5), "x1": (-7.0, 7.0)}

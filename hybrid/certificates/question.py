@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import attrs
@@ -95,35 +95,36 @@ class Question:
 
     def function(self, call: Traced, extra: int = 0) -> ScalarFunction:
         """An expression of ``(parameters, t, x, u)``, with its gradient where it has one."""
-        try:
-            return self._function(call, extra, gradient=True)
-        except (TraceError, NotImplementedError):
-            return self._function(call, extra, gradient=False)
 
-    def _function(self, call: Traced, extra: int, gradient: bool) -> ScalarFunction:
-        def stacked(parameters: Any, *point: Any) -> Any:
+        def slopes(parameters: Any, *point: Any) -> Any:
             import jax
             import jax.numpy as jnp
 
-            if not gradient:
-                return call(parameters, *point)[None]
             places = tuple(range(1, 1 + len(point)))
-            value, slopes = jax.value_and_grad(call, argnums=places)(parameters, *point)
-            return jnp.concatenate([jnp.ravel(part) for part in (value, *slopes)])
+            parts = jax.jacfwd(call, argnums=places)(parameters, *point)
+            return jnp.concatenate([jnp.ravel(part) for part in parts])
 
+        value = self._program(lambda *given: call(*given)[None], extra, exact=True)
+        names = [TIME, *(f"x{i}" for i in range(self.spec.dimension)), *["u"] * extra]
+        kept = [i for i, name in enumerate(names) if name in value.inputs]
+        try:
+            gradient = self._program(slopes, extra, exact=False, kept=kept)
+        except (TraceError, NotImplementedError):
+            return ScalarFunction(value)
+        if not gradient.inputs <= value.inputs:
+            return ScalarFunction(value)
+        return ScalarFunction(value, gradient, [names[i] for i in kept])
+
+    def _program(
+        self, call: Traced, extra: int, exact: bool, kept: Sequence[int] = (0,)
+    ) -> IntervalProgram:
+        """Some results of an expression, the parameters' values put in."""
         shapes = self.code.shapes
-        closed = trace.trace(self.spec, stacked, extra, shapes)
-        graph = FixedGraph(exact=True)
-        parameters = graph.arguments(shapes, self.values)
+        closed = trace.trace(self.spec, call, extra, shapes)
+        graph = FixedGraph(exact)
         inputs = self.code.inputs(graph, ["u"] * extra)[len(shapes) :]
-        (roots,) = graph.outputs(closed, [*parameters, *inputs])
-        used = IntervalProgram(graph, roots[:1]).inputs
-        names = [TIME, *(f"x{i}" for i in range(self.spec.dimension)), "u"]
-        kept = [i for i, name in enumerate(names[: len(roots) - 1]) if name in used]
-        program = IntervalProgram(graph, [roots[0], *(roots[1 + i] for i in kept)])
-        if not program.inputs <= used:
-            program, kept = IntervalProgram(graph, roots[:1]), []
-        return ScalarFunction(program, [names[i] for i in kept], graph)
+        (roots,) = graph.outputs(closed, [*graph.arguments(shapes, self.values), *inputs])
+        return IntervalProgram(graph, [roots[i] for i in kept])
 
     def law(self, place: Traced = lambda p, t, x: x) -> ScalarFunction:
         """The restitution; its input ``u`` is the gap speed, ``place`` gives the state."""

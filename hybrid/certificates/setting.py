@@ -7,6 +7,7 @@ from typing import Any
 import attrs
 
 from ..scene.extrema import Bounds, ScalarFunction
+from ..scene.interval import IntervalProgram
 from ..scene.python import needed
 from .question import TIME, Question
 
@@ -111,14 +112,10 @@ def _require_touch(q: Question, ends: Bounds, near: float, below: bool) -> None:
 
 def constant_slope(function: ScalarFunction, name: str) -> Any:
     """The derivative with respect to an input in which the function is affine, else None."""
-    if name not in function.gradient or function.graph is None:
+    if name not in function.gradient or function.slopes is None or _may_step(function, name):
         return None
-    from ..scene.interval import IntervalProgram
-
-    if _may_step(function, name):
-        return None
-    root = function.program.roots[1 + function.gradient.index(name)]
-    program = IntervalProgram(function.graph, [root])
+    root = function.slopes.roots[function.gradient.index(name)]
+    program = IntervalProgram(function.slopes.graph, [root])
     if program.inputs:
         return None
     result = program.enclose({})[0]
@@ -129,8 +126,8 @@ def _may_step(function: ScalarFunction, name: str) -> bool:
     """Whether an operation that can jump, and has no slope there, works on an input."""
     from ..scene.balls import JUMPS
 
-    graph = function.graph
-    order = needed(graph, function.program.roots[:1])
+    graph = function.value.graph
+    order = needed(graph, function.value.roots)
     moved: set[int] = set()
     for number in order:
         op, *arguments = graph.nodes[number]

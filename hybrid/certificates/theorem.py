@@ -159,8 +159,8 @@ def _parity(setting: Setting) -> Fault | None:
     """(C2): the proof of evenness, or a point at which it fails."""
     function, q = setting.acceleration, setting.question
     v = f"x{q.velocity}"
-    root = function.program.roots[0]
-    if v not in function.inputs or parity(function.graph, root, {v}) == "even":
+    (root,) = function.value.roots
+    if v not in function.inputs or parity(function.value.graph, root, {v}) == "even":
         return None
     box = setting.box(setting.far, setting.speed)
     for i, j in ((i, j) for i in range(5) for j in range(5)):

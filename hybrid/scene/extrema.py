@@ -29,25 +29,32 @@ class ScalarFunction:
 
     Parameters
     ----------
-    program : IntervalProgram
-        Its first root is the expression, the others are partial derivatives.
+    value : IntervalProgram
+        Its root is the expression.
+    slopes : IntervalProgram, optional
+        Its roots are the partial derivatives, claimed only where the expression is defined.
     gradient : sequence of str
         The inputs of these partial derivatives, in order.
-    graph : Graph, optional
-        The graph itself, for other readers of the expression.
     """
 
     def __init__(
-        self, program: IntervalProgram, gradient: Sequence[str] = (), graph: Any = None
+        self,
+        value: IntervalProgram,
+        slopes: IntervalProgram | None = None,
+        gradient: Sequence[str] = (),
     ) -> None:
-        self.program, self.gradient, self.graph = program, list(gradient), graph
-        self.value = program.first()
-        self.inputs = program.inputs
+        self.value, self.slopes, self.gradient = value, slopes, list(gradient)
+        self.inputs = value.inputs
+
+    def __len__(self) -> int:
+        return len(self.value) + (len(self.slopes) if self.slopes else 0)
 
     def enclose(self, box: Mapping[str, Any]) -> tuple[Enclosure, dict[str, Any]]:
         """The enclosure over a box, and those of the slopes that are defined."""
-        value, *slopes = self.program.enclose(box)
-        named = zip(self.gradient, slopes, strict=True)
+        (value,) = self.value.enclose(box)
+        if self.slopes is None or not value.defined:
+            return value, {}
+        named = zip(self.gradient, self.slopes.enclose(box), strict=True)
         return value, {name: slope.value for name, slope in named if slope.defined}
 
     def at(self, point: Mapping[str, Any]) -> Any:
@@ -109,7 +116,7 @@ def supremum(
     search = _Search(function, sign)
     whole = {name: box[name] for name in sorted(function.inputs)}
     search.add(whole)
-    for _ in range(max(50, effort // len(function.program))):
+    for _ in range(max(50, effort // len(function))):
         if not search.open or search.closed(tolerance):
             break
         search.divide()

@@ -30,7 +30,11 @@ TOTAL = EXACT | {
 
 
 class FixedGraph(Graph):
-    """A graph in which constants stay as exact as they were written."""
+    """A graph in which constants stay as exact as they were written.
+
+    ``0 * a`` is 0 where ``a`` cannot fail to be finite; with ``exact=False`` everywhere,
+    which is right for a derivative: what an expression does not depend on does not count.
+    """
 
     def _simplify(self, key: tuple[Any, ...]) -> tuple[Any, ...]:
         op, arguments = key[0], key[1:]

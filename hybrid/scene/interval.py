@@ -94,17 +94,13 @@ class IntervalProgram:
 
     def __init__(self, graph: Graph, roots: Iterable[int]) -> None:
         require_flint()
-        self._graph = graph
+        self.graph = graph
         self.roots = [int(root) for root in roots]
         order = needed(graph, self.roots)
         place = {number: place for place, number in enumerate(order)}
         self._steps = [_step(graph.nodes[number], place) for number in order]
         self._places = [place[root] for root in self.roots]
         self.inputs = {step.given for step in self._steps if step.op == "input"}
-
-    def first(self) -> IntervalProgram:
-        """The program of the first root alone."""
-        return IntervalProgram(self._graph, self.roots[:1])
 
     def __len__(self) -> int:
         """The number of nodes."""
