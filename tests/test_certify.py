@@ -15,6 +15,7 @@ from models.coupled import Coupled
 from models.hard_spring import HardSpring
 from models.moon_holmes import MoonHolmes
 from tests.systems import Thermostat
+from tests.test_readers import EXPRESSIONS
 
 #: ``16.625 sqrt(2 (2.5 - 2) / 7)`` and ``1.875 sqrt(2 (1.5 - 1.1) / 0.231)``, 24 and 15 digits.
 LEFT_OF_EXAMPLE_1 = 6.283659363778402652441337
@@ -399,3 +400,22 @@ def test_parameters_count_as_the_floats_they_are():
     model = fall(lambda t, x, v: -(jnp.float64(0.1) * np.float64(3.0)) + 0.0 * v)
     proof = hy.certify(model, box())
     assert proof.m < 0.1 * 3.0
+
+
+@pytest.mark.parametrize("name", EXPRESSIONS)
+def test_bounds_hold_for_what_models_use(name):
+    """Random values of every kind of force lie within the m and M that are reported."""
+    force = EXPRESSIONS[name]
+    model = fall(lambda t, x, v: 0.7 * force(t, x, v) - 9.0, restitution=0.2)
+    asked = {"gap": (0.0, 0.5), "speed": (0.0, 0.6), "t": (0.0, 1.0)}
+    proof = hy.certify(model, asked)
+    if proof.m is None:
+        assert name in ("trigonometric", "angles")  # a division by 0 in the branch not taken
+        return
+    draw = np.random.default_rng(7)
+    values = [
+        0.7 * float(force(draw.uniform(0, 1), draw.uniform(0, 0.5), draw.uniform(-0.6, 0.6))) - 9.0
+        for _ in range(40)
+    ]
+    assert min(values) >= -proof.M - 1e-6  # values in single precision
+    assert max(values) <= -proof.m + 1e-6

@@ -89,11 +89,13 @@ def _coordinates(q: Question) -> tuple[Any, Any]:
 
     def state(parameters: Any, t: Any, z: Any) -> Any:
         import jax
+        import jax.numpy as jnp
 
         def solved(h: Traced, k: int, x: Any) -> Any:
             base = x.at[k].set(0.0)
-            value, slope = jax.value_and_grad(lambda x: h(parameters, t, x))(base)
-            return base.at[k].set((z[k] - value) / slope[k])
+            along = jnp.zeros_like(x).at[k].set(1.0)
+            value, slope = jax.jvp(lambda x: h(parameters, t, x), (base,), (along,))
+            return base.at[k].set((z[k] - value) / slope)
 
         return solved(q.laws.speed, j, solved(q.laws.gap, i, z))
 
