@@ -2,6 +2,7 @@
 
 import math
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -103,6 +104,28 @@ def test_nothing_is_proved_with_another_guard_in_the_way():
     assert prove(elastic, "impact", 0.0, np.array([0.0, 1.0]), 1.0) is None
     late = scene_of(systems.WeakeningGravity()).field("flight")
     assert prove(late, "impact", 0.999, np.array([0.0, 0.1]), 0.1) is None
+
+
+class Stepped(hy.Automaton):
+    """A floor that steps up by 0.1 at t = 1."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -10.0
+
+    impact = hy.contact(
+        flight, gap=lambda self, t, s: s.x - jnp.where(t < 1.0, 0.0, 0.1), restitution=0.5
+    )
+
+
+def test_a_gap_that_may_jump_proves_nothing():
+    """Its derivatives along the flow are those of a floor at rest; a step is no derivative."""
+    field = scene_of(Stepped()).field("flight")
+    assert prove(field, "impact", 0.0, np.array([0.0, 1.0]), 1.0) is not None
+    assert prove(field, "impact", 0.9, np.array([0.0, 1.0]), 1.0) is None
 
 
 def test_the_bounds_are_those_of_the_lemma():

@@ -15,7 +15,7 @@ from ..errors import DeclarationError, OptionError, TraceError
 from ..scene import scene_of
 from ..scene.contact import ContactLaws
 from ..scene.extrema import Bounds, ScalarFunction
-from ..scene.fixed import FixedGraph
+from ..scene.fixed import FixedGraph, hides_derivatives
 from ..scene.interval import IntervalProgram
 from ..scene.lowered import Lowered
 from ..scene.taylor import flat
@@ -165,23 +165,11 @@ def ask(model: Any, box: Any, mode: str | None, contact: str | None) -> Question
 def _require_own_derivatives(code: Lowered, contact: ContactSpec) -> None:
     """The proofs rest on derivatives of the traces; ``stop_gradient`` falsifies them."""
     for kind, name in (("flow", contact.source), ("gap", contact.name)):
-        if "stop_gradient" in _primitives(code.closed(kind, name).jaxpr):
+        if hides_derivatives(code.closed(kind, name)):
             raise OptionError(
                 f"{code.spec.model}, {kind} {name}: stop_gradient hides a derivative that the "
                 "proof needs; remove it"
             )
-
-
-def _primitives(jaxpr: Any) -> set[str]:
-    """Names of the primitives of a jaxpr, inner ones included."""
-    found = set()
-    for equation in jaxpr.eqns:
-        found.add(equation.primitive.name)
-        for inner in equation.params.values():
-            for part in inner if isinstance(inner, tuple | list) else [inner]:
-                part = getattr(part, "jaxpr", part)
-                found |= _primitives(part) if hasattr(part, "eqns") else set()
-    return found
 
 
 def _contact(spec: Spec, mode: str | None, contact: str | None) -> ContactSpec:

@@ -71,3 +71,20 @@ def _exact(op: str, values: Sequence[Any]) -> bool:
     exact = a + b if op == "add" else a - b if op == "sub" else a * b
     folded = fold(op, values)
     return folded is not None and Fraction(folded) == exact
+
+
+def hides_derivatives(closed: Any) -> bool:
+    """Whether a trace holds back a derivative (``stop_gradient``): proofs rest on them all."""
+    return "stop_gradient" in _primitives(closed.jaxpr)
+
+
+def _primitives(jaxpr: Any) -> set[str]:
+    """Names of the primitives of a jaxpr, inner ones included."""
+    found = set()
+    for equation in jaxpr.eqns:
+        found.add(equation.primitive.name)
+        for inner in equation.params.values():
+            for part in inner if isinstance(inner, tuple | list) else [inner]:
+                part = getattr(part, "jaxpr", part)
+                found |= _primitives(part) if hasattr(part, "eqns") else set()
+    return found

@@ -12,9 +12,7 @@ from ..automaton import trace
 from ..automaton.spec import ContactSpec, LeaveSpec, SideSpec, Transition
 from ..errors import TraceError
 from . import contact as contacts
-from .fixed import FixedGraph
 from .graph import Graph
-from .interval import IntervalProgram
 from .python import Program, needed
 from .sliding import Sliding
 from .taylor import TaylorProgram, flat
@@ -191,16 +189,6 @@ class Lowered:
     def lie_program(self, key: Any, guard: Any, flow: Any) -> Program:
         """The guard and its first two derivatives along the flow."""
         return self.program(("lie", key), lambda: self.lie_closed(key, guard, flow))
-
-    def lie_enclosure(self, key: Any, guard: Any, flow: Any) -> IntervalProgram:
-        """The same three as balls: :class:`.interval.IntervalProgram`."""
-
-        def make() -> IntervalProgram:
-            graph = FixedGraph(exact=True)
-            (roots,) = graph.outputs(self.lie_closed(key, guard, flow), self.inputs(graph))
-            return IntervalProgram(graph, roots)
-
-        return self.once(("lie enclosure", key), make)
 
     def rounding_program(self, key: Any, guard: Any, flow: Any) -> Program:
         """Sums of the absolute terms of which the guard and its derivatives are made."""

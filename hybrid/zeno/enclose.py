@@ -19,7 +19,7 @@ import attrs
 import numpy as np
 
 from ..automaton import trace
-from ..scene.graph import Graph
+from ..scene.fixed import FixedGraph, hides_derivatives
 from ..scene.taylor import flat
 from .lemma import Chattering, chattering
 
@@ -86,14 +86,22 @@ def prove(field: Field, contact: str, t: float, x: np.ndarray, v: float) -> Proo
     OptionError
         If python-flint is missing.
     """
-    from ..scene.interval import Undecided
+    from flint import ctx
 
+    from ..scene.interval import PRECISION, require_flint
+
+    require_flint()
+    closed = field.code.field_closed(field.mode, field.held), field.code.closed("gap", contact)
+    if any(map(hides_derivatives, closed)):
+        return None
+    with ctx.workprec(PRECISION):
+        return _prove(field, contact, float(t), x, float(v))
+
+
+def _prove(field: Field, contact: str, t: float, x: np.ndarray, v: float) -> Proof | None:
     box = _Box(0.0, np.zeros(len(x)), 2.0 * v)
     for _ in range(TRIES):
-        try:
-            bounds = _Bounds(field, contact, t, x, box)
-        except Undecided:
-            return None
+        bounds = _Bounds(field, contact, t, x, box)
         if not bounds.pushes:
             return None
         says = chattering(v, bounds.m, bounds.M, bounds.r)
@@ -132,24 +140,29 @@ class _Bounds:
     """Enclosures over a box."""
 
     def __init__(self, field: Field, contact: str, t: float, x: np.ndarray, box: _Box) -> None:
+        n, low, high = len(x), x - box.reach, x + box.reach
+        inputs: dict[str, Any] = {f"p{i}": value for i, value in enumerate(flat(field.parameters))}
+        inputs |= {
+            f"x{i}": (nextafter(a, -inf), nextafter(b, inf))
+            for i, (a, b) in enumerate(zip(low.tolist(), high.tolist(), strict=True))
+        }
+        inputs |= {"t": (t, nextafter(t + box.time, inf)), "u": (-box.speed, 0.0)}
         key = ("proof", field.name, contact)
         program = field.code.once(key, lambda: _program(field, contact))
-        n = len(x)
-        sides = [
-            (nextafter(a - b, -inf), nextafter(a + b, inf))
-            for a, b in zip(x.tolist(), box.reach.tolist(), strict=True)
-        ]
-        times = (t, nextafter(t + box.time, inf))
-        values = program(flat(field.parameters), times, sides, u=(-box.speed, 0.0))
-        force, self.r, *rest = values
+        found = program.enclose(inputs)
+        gap, speed, *rest = found
+        self.sound = all(e.defined for e in found) and gap.continuous and speed.continuous
+        if not self.sound:
+            return
+        force, self.r, *values = [e.value for e in rest]
         self.m, self.M = (-force).lower(), (-force).upper()
-        self.flow, self.push, guards = rest[:n], rest[n : 2 * n], rest[2 * n :]
-        self.others = any(bool(guard.contains(0)) for guard in guards)
+        self.flow, self.push = values[:n], values[n : 2 * n]
+        self.others = any(bool(guard.contains(0)) for guard in values[2 * n :])
 
     @property
     def pushes(self) -> bool:
-        """Whether the gap is accelerated towards zero all over the box."""
-        return bool(self.m > 0)
+        """Whether all is defined on the box, and the gap accelerated towards zero all over it."""
+        return self.sound and bool(self.m > 0)
 
     def needed(self, says: Chattering) -> _Box:
         """How far the motion goes: along the flow, and by the impacts."""
@@ -166,23 +179,21 @@ class _Bounds:
 
 
 def _program(field: Field, contact: str) -> Any:
-    """The gap's acceleration, the restitution, the flow, the push, and the other guards."""
+    """Gap, its two derivatives, restitution, flow, push, and the other guards, as balls."""
     from ..scene.interval import IntervalProgram
 
     code = field.code
     flow, gap = code.field_closed(field.mode, field.held), code.closed("gap", contact)
-    graph = Graph(exact=True)
-    inputs = code.inputs(graph)
-    lies = code.lie_closed((contact, field.name), gap, flow)
     push = trace.trace(code.spec, code.laws(contact).push, 0, code.shapes)
-    edges = [e for e in code.spec.leaving(field.mode) if e.name not in (contact, *field.held)]
-    others = [code.guard_closed(edge) for edge in edges]
-    others += [code.load_closed(field.held, index) for index in range(len(field.held))]
+    others = [guard.closed for guard in field.guards if guard.edge != contact]
+    graph = FixedGraph(exact=True)
+    inputs = code.inputs(graph)
 
     def nodes(closed: Any, *extra: Any) -> list[int]:
         (found,) = graph.outputs(closed, [*inputs, *extra])
         return [int(i) for i in found.reshape(-1)]
 
+    lies = nodes(code.lie_closed((contact, field.name), gap, flow))
     law = nodes(code.closed("restitution", contact), np.array(graph.input("u")))
     guards = [node for closed in others for node in nodes(closed)]
-    return IntervalProgram(graph, [nodes(lies)[2], *law, *nodes(flow), *nodes(push), *guards])
+    return IntervalProgram(graph, [*lies, *law, *nodes(flow), *nodes(push), *guards])
