@@ -91,6 +91,11 @@ class Accumulation:
         return found
 
     @property
+    def narrowest(self) -> Proof:
+        """The proof with the narrowest bounds on ``t``."""
+        return min(self.proofs, key=lambda proof: proof.high - proof.low)
+
+    @property
     def verdict(self) -> str:
         """How the accumulation is known.
 
@@ -108,8 +113,7 @@ class Accumulation:
         """
         if not self.proofs or not isfinite(self.t_error):
             return self._enclosure
-        best = min(self.proofs, key=lambda proof: proof.high - proof.low)
-        low, high = best.low - self.t_error, best.high + self.t_error
+        low, high = self.narrowest.low - self.t_error, self.narrowest.high + self.t_error
         return nextafter(low, -inf), nextafter(high, inf)
 
     @cached_property
@@ -172,13 +176,13 @@ def explain(point: Accumulation) -> str:
     how = "summed by the chatter map" if chatters else "found by sequence acceleration"
     how = f"was {how} ({point.verdict})"
     if point.proofs:
-        first = point.proofs[0]
-        low, high = point.enclosure or (first.low, first.high)
+        first, best = point.proofs[0], point.narrowest
         how += (
             f". It is proved from the impact at t = {first.t:.9g} on: from its gap speed of "
             f"{first.speed:.4g} on the gap's acceleration stays between {-first.M:.6g} and "
             f"{-first.m:.6g}, so that speeds fall to {first.rho:.6g} at most from impact to "
-            f"impact. With the error of the integration, t_inf is between {low!r} and {high!r}"
+            f"impact; and that t_inf lies between {best.low!r} and {best.high!r}, the error of the "
+            "integration before apart"
         )
     then = f"The run went on in {point.mode}" if point.mode else "The run ended there"
     if point.t_release is not None:

@@ -79,14 +79,6 @@ class LateInflow(TwoTanks):
     def more(self, t):
         return 0.5 * (1.0 + jnp.tanh(2e3 * (t - self.at)))
 
-    @hy.edge(fills_first, to=fills_second, guard=lambda self, t, s: s.x2 - self.r2)
-    def to_second(self, t, s):
-        return s
-
-    @hy.edge(fills_second, to=fills_first, guard=lambda self, t, s: s.x1 - self.r1)
-    def to_first(self, t, s):
-        return s
-
 
 class Twisting(hy.Automaton):
     """``x'' = -2 sign x - sign x'`` (Levant 1993): the origin after finitely much time."""

@@ -19,6 +19,7 @@ from ..scene.fixed import FixedGraph, hides_derivatives
 from ..scene.interval import IntervalProgram
 from ..scene.lowered import Lowered
 from ..scene.taylor import flat
+from .result import Certificate
 
 #: Names of the coordinates relative to a contact.
 GAP, SPEED, TIME = "gap", "speed", "t"
@@ -88,6 +89,21 @@ class Question:
 
     def refuse(self, sentence: str) -> None:
         raise OptionError(f"{self.spec.model}, contact {self.contact.name}: {sentence}")
+
+    def answer(
+        self, statement: str, verdict: str, reason: str, repair: str = "", **found: Any
+    ) -> Certificate:
+        """What is said of the statement asked about."""
+        return Certificate(
+            model=self.spec.model,
+            contact=self.contact.name,
+            box=self.box,
+            statement=statement,
+            verdict=verdict,
+            reason=reason,
+            repair=repair,
+            **found,
+        )
 
     def named(self, point: Mapping[str, Any]) -> dict[str, Any]:
         """A point under the names of the box."""

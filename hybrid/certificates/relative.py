@@ -202,7 +202,7 @@ def _answer(setting: Setting, law: Any, fault: Any) -> Certificate:
     q = setting.question
     found: dict[str, Any] = {"right": 1.0}
     if law is None:
-        return _made(q, *fault, **found)
+        return q.answer(STATEMENT, *fault, **found)
     found["restitution"] = (law[0].low, law[1].high)
     trial = _trial(setting, law, FINE)
     found.update(m_at=q.named(trial.most.at), M_at=q.named(trial.least.at))
@@ -210,28 +210,15 @@ def _answer(setting: Setting, law: Any, fault: Any) -> Certificate:
         found.update(m=-trial.most.high, M=-trial.least.low)
         found.update(left=trial.rho[1], margin=1.0 - trial.rho[1])
     if fault is not None:
-        return _made(q, *fault, **found)
+        return q.answer(STATEMENT, *fault, **found)
     if trial.rho is not None and trial.rho[1] < 1.0:
         found.update(_starts(setting, law, trial))
         if found["initial_set"] is None:
             reason = "the box of times and other states leaves no room for the motion"
-            return _made(q, "undecided", reason, "a wider box", **found)
+            return q.answer(STATEMENT, "undecided", reason, "a wider box", **found)
         reason = "the gap's acceleration and r sqrt(M / m) < 1 are proved on the box"
-        return _made(q, "certified", reason, **found)
+        return q.answer(STATEMENT, "certified", reason, **found)
     return _smaller(setting, law, trial, found)
-
-
-def _made(q: Question, verdict: str, reason: str, repair: str = "", **found: Any) -> Certificate:
-    return Certificate(
-        model=q.spec.model,
-        contact=q.contact.name,
-        box=q.box,
-        statement=STATEMENT,
-        verdict=verdict,
-        reason=reason,
-        repair=repair,
-        **found,
-    )
 
 
 def _starts(setting: Setting, law: Any, trial: Trial) -> dict[str, Any]:
@@ -284,10 +271,12 @@ def _smaller(setting: Setting, law: Any, trial: Trial, found: dict[str, Any]) ->
     at = ", ".join(f"{q.labels[n]} = {value:.12g}" for n, value in trial.most.at.items())
     if trial.most.low >= 0.0:
         reason = f"the gap's acceleration is {trial.most.low:.12g} at {at}: it must be below 0"
-        return _made(q, "refuted", reason, repair, **found)
+        return q.answer(STATEMENT, "refuted", reason, repair, **found)
     if trial.rho is None:
         why = trial.most.reason or trial.least.reason or "the bounds are not close enough"
         reason = f"the gap's acceleration could not be shown to be below 0: {why}"
-        return _made(q, "undecided", reason, repair, **found)
+        return q.answer(STATEMENT, "undecided", reason, repair, **found)
     reason = f"r sqrt(M / m) = {trial.rho[1]:.12g} is not below 1"
-    return _made(q, "refuted" if trial.rho[0] >= 1.0 else "undecided", reason, repair, **found)
+    return q.answer(
+        STATEMENT, "refuted" if trial.rho[0] >= 1.0 else "undecided", reason, repair, **found
+    )

@@ -57,7 +57,7 @@ def by_theorem(question: Question) -> Certificate:
     """The certificate by Theorem 1."""
     setting = setting_of(question)
     if isinstance(setting, str):
-        return _answer(question, "undecided", setting, repair=_relative(question))
+        return question.answer(STATEMENT, "undecided", setting, repair=_relative(question))
     trial = _trial(setting, setting.far, setting.speed, FINE)
     found: dict[str, Any] = _numbers(question, trial)
     box = setting.box(setting.far, setting.speed)
@@ -71,23 +71,10 @@ def by_theorem(question: Question) -> Certificate:
     ]
     bad = next((fault for fault in faults if fault), None)
     if bad:
-        return _answer(question, *bad, **found)
+        return question.answer(STATEMENT, *bad, **found)
     if trial.holds:
         return _certified(setting, trial, found)
     return _refused(setting, trial, found)
-
-
-def _answer(q: Question, verdict: str, reason: str, repair: str = "", **found: Any) -> Certificate:
-    return Certificate(
-        model=q.spec.model,
-        contact=q.contact.name,
-        box=q.box,
-        statement=STATEMENT,
-        verdict=verdict,
-        reason=reason,
-        repair=repair,
-        **found,
-    )
 
 
 def _relative(q: Question) -> str:
@@ -228,7 +215,9 @@ def _certified(setting: Setting, trial: Trial, found: dict[str, Any]) -> Certifi
     start = _starts(setting, setting.far)
     reason = "(C1), (C2) and the inequality hold on the box"
     largest = -trial.most.high
-    return _answer(q, "certified", reason, m_range=(smallest, largest), initial_set=start, **found)
+    return q.answer(
+        STATEMENT, "certified", reason, m_range=(smallest, largest), initial_set=start, **found
+    )
 
 
 def _starts(setting: Setting, far: float) -> dict[str, Any]:
@@ -251,7 +240,7 @@ def _refused(setting: Setting, trial: Trial, found: dict[str, Any]) -> Certifica
         repairs.append(f"{position} only as far as {far!r}")
         found["initial_set"] = _starts(setting, far)
     repair = ", or ".join(repairs) or "no smaller box was found on which the conditions hold"
-    return _answer(q, *_failure(setting, trial), repair=repair, **found)
+    return q.answer(STATEMENT, *_failure(setting, trial), repair=repair, **found)
 
 
 def _failure(setting: Setting, trial: Trial) -> tuple[str, str]:
