@@ -235,7 +235,7 @@ def test_which_sequences_have_a_sum(terms, accumulates):
     k = np.arange(1.0, 2001.0)
     times = np.concatenate([[0.0], np.cumsum(terms(k))])
     states = np.append(terms(k), 0.0)[:, None]
-    found = [limit(("e",), times[:n], states[:n], 1e-8) for n in (10, 30, 60, 200, 2000)]
+    found = [limit(("e",), times[:n], states[:n], 1e-8, 0.0) for n in (10, 30, 60, 200, 2000)]
     assert any(f is not None for f in found) == accumulates
 
 
@@ -287,3 +287,45 @@ def test_what_max_jumps_has_cut_off_is_explained():
     assert "accumulate at about t = 20." in run.explain()
     steady = hy.simulate(TwoTanks(w=2.0), {"x1": 8.0, "x2": 6.0}, (0, 200), max_jumps=20)
     assert "do not accumulate" in steady.explain()
+
+
+class Stacked(hy.Automaton):
+    """Two equal beads, one above the other, over a floor."""
+
+    x = hy.state()
+    y = hy.state()
+    v = hy.state()
+    w = hy.state()
+
+    @hy.mode
+    def falls(self, t, s):
+        return s.v, s.w, -9.81, -9.81
+
+    floor = hy.contact(falls, gap=lambda self, t, s: s.x, restitution=0.8)
+    between = hy.contact(falls, gap=lambda self, t, s: s.y - s.x, restitution=0.3)
+
+
+def stacked():
+    """The same by exact flights and collisions, until they are slower than 1e-9."""
+    x, gap, v, u, t, g = 1.0, 0.2, 0.0, 0.0, 0.0, 9.81  # u: speed of the gap between them
+    while True:
+        floor = (v + math.sqrt(v * v + 2 * g * x)) / g
+        meet = -gap / u if u < 0 else math.inf
+        s = min(floor, meet)
+        t, x, gap, v = t + s, x + v * s - 0.5 * g * s * s, gap + u * s, v - g * s
+        if meet < floor:
+            v, u, gap = v + 0.5 * 1.3 * u, -0.3 * u, 0.0
+        else:
+            v, u, x = -0.8 * v, u + 1.8 * v, 0.0
+            if abs(v) < 1e-9:
+                return t
+
+
+@SOLVERS
+def test_two_beads_come_to_rest_together(solver):
+    """Impacts on the floor and between the beads accumulate at one instant; both rest."""
+    run = hy.simulate(Stacked(), [1.0, 1.2, 0.0, 0.0], (0, 3), rtol=1e-11, solver=solver)
+    assert run.zeno[-1].t == pytest.approx(stacked(), abs=1e-8)  # what is left of the brute force
+    assert run.mode == "falls.rest(floor, between)"
+    assert run.final.x == pytest.approx(0.0, abs=1e-12)
+    assert run.final.y == pytest.approx(0.0, abs=1e-12)

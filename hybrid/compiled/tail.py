@@ -233,7 +233,7 @@ class _Series:
         return found, error[0], error[1:]
 
     def _clear(self, curve: _Curve) -> Any:
-        """Whether no other guard changes sign along the tail: impacts and flights."""
+        """Whether no other guard is reached along the tail: impacts and flights."""
         if self.system.width == 1:
             return jnp.array(True)
         w = self._even(jnp.asarray(_TO_CURVE) @ curve.offsets)
@@ -252,7 +252,10 @@ class _Series:
         guards = jax.lax.fori_loop(0, ROUGH, again, start)[2]
         values = jnp.concatenate([guards, curve.guards]).reshape(-1, self.system.width)
         own = self.system.only(self.slot)
-        return (own | (values > 0).all(axis=0) | (values < 0).all(axis=0)).all()
+        above, below = (values > 0).all(axis=0), (values < 0).all(axis=0)
+        crossing = self.system.pick(self.system.crossing, self.mode)
+        inside = (above & (crossing <= 0)) | (below & (crossing >= 0))
+        return (own | inside).all()
 
     def _holds(self, curve: _Curve, allowed: Any) -> Any:
         """Flights at other points fulfil the equation; forces along the tail are smooth."""

@@ -62,7 +62,7 @@ class Cycles:
         self.seen.clear()
         self.next = 2 * WINDOW
 
-    def limit(self, rtol: float) -> tuple[CycleLimit | None, list[Seen]]:
+    def limit(self, rtol: float, atol: float) -> tuple[CycleLimit | None, list[Seen]]:
         """Where the last jumps accumulate, if they do, and the jumps of the first cycle."""
         length = period([seen.edge for seen in self.seen])
         if not length:
@@ -75,7 +75,7 @@ class Cycles:
         begin = int(np.max(np.flatnonzero(~goes_on), initial=-1)) + 1
         edges = _canonical([seen.edge for seen in self.seen[-length:]])
         states = np.array([turn.x for turn in turns[begin:]])
-        found = limit(edges, times[begin:] - times[begin], states, rtol)
+        found = limit(edges, times[begin:] - times[begin], states, rtol, atol)
         return found, self.seen[-length * len(turns[begin:]) :][: length + 1]
 
 
@@ -148,15 +148,16 @@ def pass_limit(driver: Driver, mode: str) -> bool:
 
     ``mode`` is where the last jump leads.
     """
-    if driver.plan.zeno == "truncate" or driver.status is not None:
+    plan = driver.plan
+    if plan.zeno == "truncate" or driver.status is not None:
         return False
-    found, first = driver.cycles.limit(driver.plan.closing * driver.plan.rtol)
-    if found is None or driver.record.now.after(found.remaining).until(driver.plan.t1) < 0:
+    found, first = driver.cycles.limit(plan.closing * plan.rtol, plan.closing * plan.limit)
+    if found is None or driver.record.now.after(found.remaining).until(plan.t1) < 0:
         return False
     last = driver.cycles.seen[-1]
     if _summed(driver.scene, found, last):
         return False
-    if not persists(driver.scene, first, found, last, driver.plan.rtol):
+    if not persists(driver.scene, first, found, last, plan.rtol):
         return False
     driver.pass_cycle(found, last.x, mode)
     return True

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..accumulation import Accumulation, explain
 from ..arcs import TailPart
+from ..automaton.markers import Crossing
 from ..errors import FlowError, ZenoError
 from ..events import CLOSED, EPS, NEAR, SHARES
 from ..scene import Contact, Field, Guard, Scene, released
@@ -347,7 +348,7 @@ def _streaks(driver: Driver) -> Any:
 
 
 def _clear(tail: Tail, field: Field, column: int) -> bool:
-    """Whether no other guard changes sign along the tail, impacts and flights."""
+    """Whether no other guard is reached along the tail, impacts and flights."""
     others = [guard for i, guard in enumerate(field.guards) if i != column]
     if not others:
         return True
@@ -356,6 +357,8 @@ def _clear(tail: Tail, field: Field, column: int) -> bool:
     points = [(tail.t + s, tail.state(s)) for s in since[since < tail.remaining].tolist()]
     for guard in others:
         values = [guard.value(t, x) for t, x in points]
-        if not (min(values) > 0 or max(values) < 0):
+        above, below = min(values) > 0, max(values) < 0
+        inside = {Crossing.FALLING: above, Crossing.RISING: below}
+        if not inside.get(guard.crossing, above or below):
             return False
     return True

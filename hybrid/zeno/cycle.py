@@ -86,7 +86,7 @@ def period(edges: Sequence[str]) -> int:
 
 
 def limit(
-    edges: tuple[str, ...], times: np.ndarray, states: np.ndarray, rtol: float
+    edges: tuple[str, ...], times: np.ndarray, states: np.ndarray, rtol: float, atol: float
 ) -> CycleLimit | None:
     """The limit of a cycle; None where it does not accumulate, or not well enough yet.
 
@@ -96,6 +96,8 @@ def limit(
         When the cycle closed, from the first time on.
     states : array, shape (cycles + 1, n)
         States after those jumps.
+    rtol, atol : float
+        What the jumps are known to: the limit need not be known better.
     """
     durations = np.diff(times)
     if len(durations) < LEAST or not (np.all(durations > 0) and np.all(np.diff(durations) < 0)):
@@ -109,7 +111,7 @@ def limit(
     elapsed, remaining = float(times[-1]), float(now[0] - times[-1])
     scale = np.abs(now) + np.ptp(columns, axis=0)
     error = error + ROUNDING * len(times) * scale
-    settled = np.all(error <= max(rtol, 1e-13) * np.maximum(scale, scale[0]))
+    settled = np.all(error <= max(rtol, 1e-13) * np.maximum(scale, scale[0]) + atol)
     near = remaining <= LEFT * elapsed or (power and len(times) >= MOST)
     if not (remaining > 0 and settled and near):
         return None
