@@ -11,6 +11,7 @@ PAGES = [
     "README.md",
     "docs/getting_started.md",
     "docs/choosing.md",
+    "docs/zeno.md",
     "docs/sliding.md",
     "docs/certificates.md",
 ]
