@@ -279,6 +279,31 @@ def test_two_contacts_close_one_after_the_other_or_at_once(solver, height, r2):
     assert all(point.t_error < 1e-8 for point in run.zeno)
 
 
+class Shelf(Box):
+    """The same corner, with a third coordinate that lies on a shelf all the while."""
+
+    h = hy.state()
+    dh = hy.state()
+
+    @hy.mode
+    def falls(self, t, s):
+        return s.du, s.dw, -1.0, -1.0, s.dh, -1.0
+
+    shelf = hy.contact("falls", gap=lambda self, t, s: s.h, restitution=0.5)
+
+
+@SOLVERS
+def test_a_contact_held_before_is_held_after(solver):
+    """Two contacts close at once while a third has been closed from the start."""
+    start = [1.0, 1.0, 0.0, 0.0, 0.0, 0.0]
+    run = hy.simulate(Shelf(), start, (0, 9), solver=solver, mode="falls.rest(shelf)")
+    assert run.zeno[0].t == pytest.approx(math.sqrt(2.0) * 4.0, abs=1e-9)
+    assert set(run.mode.removeprefix("falls.rest(").removesuffix(")").split(", ")) == {
+        *("one", "other", "shelf")
+    }
+    assert run.final.h == 0.0
+
+
 def test_what_max_jumps_has_cut_off_is_explained():
     """A cycle on its way to its limit, with the limit predicted; one that goes nowhere."""
     run = hy.simulate(TwoTanks(), {"x1": 8.0, "x2": 6.0}, (0, 30), max_jumps=20)

@@ -293,14 +293,17 @@ class Driver:
 
         The part between them is kept as a straight line.
         """
-        record = self.record
+        record, held = self.record, self._still_held(mode, x)
         straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, found.x_inf])
         segments = [Segment(0.0, found.remaining, straight)]
-        record.arc(self.scene.field(mode), x, found.x_inf, found.remaining, segments)
+        field = self.scene.field(self.scene.name(mode, held))
+        record.arc(field, x, found.x_inf, found.remaining, segments)
         record.j += 1
-        self._go_on_from(found, found.edges, found.ratio, self._after(found.edges))
+        self._go_on_from(found, found.edges, found.ratio, self._after(found.edges, held))
 
-    def _after(self, cycle: tuple[str, ...]) -> tuple[str, tuple[str, ...]] | None:
+    def _after(
+        self, cycle: tuple[str, ...], held: tuple[str, ...]
+    ) -> tuple[str, tuple[str, ...]] | None:
         """What follows a cycle: the mode that its author names, or the rest of its contacts."""
         spec = self.scene.spec
         named = spec.mode_after(cycle)
@@ -309,7 +312,7 @@ class Driver:
         contacts = [e for e in spec.transitions if e.name in cycle and getattr(e, "rests", False)]
         if len(contacts) < len(set(cycle)) or len({e.to for e in contacts}) > 1:
             return None
-        return contacts[0].to, tuple(e.name for e in contacts)
+        return contacts[0].to, (*held, *(e.name for e in contacts))
 
     def _go_on_from(
         self,

@@ -89,8 +89,8 @@ class Recorder:
             cycle = " -> ".join(dict.fromkeys(name for _, name in self._recent))
             raise JumpLoopError(
                 f"{where(before)}: {CAUGHT} jumps with no time to speak of between them: {cycle}; "
-                "a reset must leave its guard, a contact needs rests=True; accumulations of "
-                "edges other than one contact are not summed"
+                "a reset must leave its guard, a contact needs rests=True, and a cycle of edges "
+                "has a limit only where its resets leave the state as it is"
             )
 
     def limit_point(self, point: Accumulation, tail: Tail | CycleLimit | None) -> None:
