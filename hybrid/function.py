@@ -135,7 +135,7 @@ def as_function(
         raise OptionError(f"outputs: {unknown[0]!r} is none of {', '.join(OUTPUTS)}")
     allowed = tolerances(rtol, atol, code.spec.dimension)
     system, number, held = place(code, mode)
-    turner = Turner(system, Method(method), judged=False, sums=zeno != "ignore")
+    turner = Turner(system, Method(method, "bounded"), judged=False, sums=zeno != "ignore")
     journey = Journey(turner, zeno, carried=True)
 
     def function(model: Any, start: Any) -> Outcome:
