@@ -77,7 +77,7 @@ class Method:
     @property
     def order(self) -> int:
         """Order of the method."""
-        return int(self.solver(1e-6, 1e-6).order(_TERM))
+        return _order(self)
 
     def solver(self, rtol: Any, atol: Any) -> Any:
         """Diffrax's solver; the tolerances are those of an implicit method's equations."""
@@ -158,6 +158,11 @@ class Method:
 
 
 _TERM = diffrax.ODETerm(lambda t, y, args: y)
+
+
+@cache
+def _order(method: Method) -> int:
+    return int(method.solver(1e-6, 1e-6).order(_TERM))
 
 
 class _Table(NamedTuple):
