@@ -22,8 +22,7 @@ from ..zeno.lemma import chattering, largest_speed
 from .question import GAP, SPEED, TIME, Question, Traced
 from .result import Certificate, shown
 from .setting import constant_slope
-from .theorem import COARSE, FINE, TRIALS, edges_fault, restitution_fault
-from .theorem import restitution as bounds_of
+from .theorem import COARSE, FINE, TRIALS, edges_fault, restitution_bounds, restitution_fault
 
 STATEMENT = "the lemma without (C2), relative to the contact"
 
@@ -44,7 +43,7 @@ def by_lemma(question: Question) -> Certificate:
         speed,
     )
     q.bounds(setting.acceleration, *setting.motion)
-    law = bounds_of(setting.law, setting.box())
+    law = restitution_bounds(setting.law, setting.box())
     faults = [fault, restitution_fault(law), edges_fault(setting.guards, setting.box())]
     faults.append(setting.regularity())
     return _answer(setting, law, next((f for f in faults if f), None))

@@ -7,6 +7,7 @@ coordinates, in which the acceleration is ``a = L_f^2 g``: it is the paper's ``f
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import attrs
@@ -40,9 +41,7 @@ class Trial:
 
     @property
     def m(self) -> float:
-        import math
-
-        return math.nextafter(-self.most.high, 0.0)
+        return _below(self.most.high)
 
     @property
     def M(self) -> float:
@@ -61,7 +60,7 @@ def by_theorem(question: Question) -> Certificate:
     trial = _trial(setting, setting.far, setting.speed, FINE)
     found: dict[str, Any] = _numbers(question, trial)
     box = setting.box(setting.far, setting.speed)
-    law = restitution(question.law(), {**box, **_impacts(setting)})
+    law = restitution_bounds(question.law(), {**box, **_impacts(setting)})
     found["restitution"] = law and (law[0].low, law[1].high)
     faults = [
         restitution_fault(law),
@@ -108,8 +107,6 @@ def _trial(setting: Setting, far: float, speed: float, tolerance: float) -> Tria
 
 def _below(high: float) -> float:
     """``m``: the float below what was proved, because (C1) is strict."""
-    import math
-
     return math.nextafter(-high, 0.0)
 
 
@@ -122,7 +119,9 @@ def _impacts(setting: Setting) -> dict[str, Bounds]:
 Fault = tuple[str, str, str]
 
 
-def restitution(law: ScalarFunction, box: dict[str, Bounds]) -> tuple[Extreme, Extreme] | None:
+def restitution_bounds(
+    law: ScalarFunction, box: dict[str, Bounds]
+) -> tuple[Extreme, Extreme] | None:
     """Bounds of the restitution; None if it depends on more than the box bounds."""
     return extrema(law, box) if law.inputs <= set(box) else None
 

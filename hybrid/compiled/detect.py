@@ -150,14 +150,10 @@ class Detector:
 
     # -- one row for each slot of each piece ------------------------------------------------
 
-    def _rows(self, first: Any, others: Any) -> Any:
-        """Of each slot, one number for the first piece and one for the others."""
-        rest = jnp.broadcast_to(others, first.shape)
-        return jnp.concatenate([first] + [rest] * (self.pieces - 1))
-
     def _orders(self, lane: Lane) -> Any:
         """Powers of the local time by which a row vanishes at its start."""
-        return self._rows(jnp.where(lane.going.tau > 0, 0, lane.orders), 0)
+        first = jnp.where(lane.going.tau > 0, 0, lane.orders)
+        return jnp.concatenate([first] + [jnp.zeros_like(first)] * (self.pieces - 1))
 
     def _coefficients(self, lane: Lane, columns: Any) -> Any:
         """Bernstein coefficients of each row, turned so that it fires falling.

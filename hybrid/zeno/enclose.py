@@ -91,17 +91,17 @@ def prove(field: Field, contact: str, t: float, x: np.ndarray, v: float) -> Proo
     from ..scene.interval import PRECISION, require_flint
 
     require_flint()
-    closed = field.code.field_closed(field.mode, field.held), field.code.closed("gap", contact)
-    if any(map(hides_derivatives, closed)):
+    program = field.code.once(("proof", field.name, contact), lambda: _program(field, contact))
+    if program is None:
         return None
     with ctx.workprec(PRECISION):
-        return _prove(field, contact, float(t), x, float(v))
+        return _prove(program, flat(field.parameters), float(t), x, float(v))
 
 
-def _prove(field: Field, contact: str, t: float, x: np.ndarray, v: float) -> Proof | None:
+def _prove(program: Any, parameters: Any, t: float, x: np.ndarray, v: float) -> Proof | None:
     box = _Box(0.0, np.zeros(len(x)), 2.0 * v)
     for _ in range(TRIES):
-        bounds = _Bounds(field, contact, t, x, box)
+        bounds = _Bounds(program, parameters, t, x, box)
         if not bounds.pushes:
             return None
         says = chattering(v, bounds.m, bounds.M, bounds.r)
@@ -139,16 +139,14 @@ def _proof(
 class _Bounds:
     """Enclosures over a box."""
 
-    def __init__(self, field: Field, contact: str, t: float, x: np.ndarray, box: _Box) -> None:
+    def __init__(self, program: Any, parameters: Any, t: float, x: np.ndarray, box: _Box) -> None:
         n, low, high = len(x), x - box.reach, x + box.reach
-        inputs: dict[str, Any] = {f"p{i}": value for i, value in enumerate(flat(field.parameters))}
+        inputs: dict[str, Any] = {f"p{i}": value for i, value in enumerate(parameters)}
         inputs |= {
             f"x{i}": (nextafter(a, -inf), nextafter(b, inf))
             for i, (a, b) in enumerate(zip(low.tolist(), high.tolist(), strict=True))
         }
         inputs |= {"t": (t, nextafter(t + box.time, inf)), "u": (-box.speed, 0.0)}
-        key = ("proof", field.name, contact)
-        program = field.code.once(key, lambda: _program(field, contact))
         found = program.enclose(inputs)
         gap, speed, *rest = found
         self.sound = all(e.defined for e in found) and gap.continuous and speed.continuous
@@ -179,11 +177,16 @@ class _Bounds:
 
 
 def _program(field: Field, contact: str) -> Any:
-    """Gap, its two derivatives, restitution, flow, push, and the other guards, as balls."""
+    """Gap, its two derivatives, restitution, flow, push, and the other guards, as balls.
+
+    None where the flow or the gap holds a derivative back.
+    """
     from ..scene.interval import IntervalProgram
 
     code = field.code
     flow, gap = code.field_closed(field.mode, field.held), code.closed("gap", contact)
+    if hides_derivatives(flow) or hides_derivatives(gap):
+        return None
     push = trace.trace(code.spec, code.laws(contact).push, 0, code.shapes)
     others = [guard.closed for guard in field.guards if guard.edge != contact]
     graph = FixedGraph(exact=True)
