@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import attrs
 import numpy as np
 
 from .automaton.base import require_model
 from .automaton.record import Record
 from .automaton.spec import Spec
 from .errors import HybridError, OptionError, StartError
+from .histories import pieces
 from .run import Driver, Plan
+from .run.memory import Piece
 from .scene import Scene, scene_of
 from .solvers import choose
 from .solvers.base import FINEST, tolerances
@@ -70,8 +73,13 @@ def simulate(
         omitted. With ``zeno="truncate"`` the number of impacts of a series.
     save : "dense", "jumps" or array of times
         Keep dense output; only jumps and the ends of arcs; or the states at these times.
-    history, memory
-        For flows that look into the past; there are none yet.
+    history : optional
+        What was before ``t[0]``, for flows that look into the past (``docs/delays.md``): by state
+        a number or a function of time, a function of time that gives all states, or an earlier
+        run. The start, for ever, if omitted.
+    memory : "keep" or "restart"
+        What such flows see after a jump: the past as it was, or the state after the jump, for
+        ever (what an integrator does that is started again there).
     mode : str, optional
         Mode at the start; the model's initial mode if omitted.
     progress : callable ``(t)``, optional
@@ -103,13 +111,14 @@ def simulate(
     require_model(model)
     scene = scene_of(model)
     spec = scene.spec
-    _refuse_history(spec, history, memory)
     plan = _plan(spec, t, rtol, atol, zeno, max_jumps, save, progress)
+    plan = attrs.evolve(plan, memory=_memory(memory))
     x = _start(spec, start)
+    past = _past(spec, history, plan.t0, x)
     first = spec.initial if mode is None else mode
     if first not in scene.modes:
         raise OptionError(f"{spec.model}: mode={mode!r}; there are {', '.join(scene.modes)}")
-    driver = Driver(scene, choose(solver, method, rtol, plan.atol), plan)
+    driver = Driver(scene, choose(solver, method, rtol, plan.atol), plan, past)
     driver.run(first, x)
     _give_errors(driver, solver, method, first, x)
     options = {
@@ -135,7 +144,8 @@ def _trajectory(
         options["times"] = plan.samples[: len(samples)]
     assert driver.status is not None
     parameters = {p.name: getattr(model, p.name) for p in spec.parameters}
-    guards = {g.edge: g for m in spec.modes for g in scene.field(m.name).guards}
+    watched = (g for m in spec.modes for g in scene.field(m.name).guards)
+    guards = {g.edge: g for g in watched if g.kind != "window"}
     contacts = [name for name, guard in guards.items() if guard.kind == "contact"]
     return Trajectory(
         spec,
@@ -176,8 +186,6 @@ def _give_errors(driver: Driver, solver: str, method: str | None, mode: str, x: 
 def _second_run(
     driver: Driver, solver: str, method: str | None, mode: str, x: np.ndarray
 ) -> Driver | None:
-    import attrs
-
     count = len(driver.record.zeno)
     plan = attrs.evolve(
         driver.plan,
@@ -197,7 +205,7 @@ def _second_run(
         other = choose("scipy", "DOP853", FINEST, 1e-4 * plan.atol)
     else:
         other = choose("taylor", None, plan.rtol, plan.atol)
-    again = Driver(driver.scene, other, plan)
+    again = Driver(driver.model, other, plan, driver.history)
     try:
         again.run(mode, _nudged(driver, mode, x))
     except HybridError:
@@ -315,8 +323,16 @@ def _start(spec: Spec, start: Any) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _refuse_history(spec: Spec, history: Any, memory: str) -> None:
+def _memory(memory: str) -> str:
     if memory not in ("keep", "restart"):
         raise OptionError(f"memory={memory!r}: 'keep' or 'restart'")
+    return memory
+
+
+def _past(spec: Spec, history: Any, t0: float, x: np.ndarray) -> list[Piece] | None:
+    """The record before the run; None for a model without delays."""
+    if spec.lags:
+        return pieces(spec, history, t0, x)
     if history is not None:
         raise OptionError(f"{spec.model}: history was given, but no flow looks into the past")
+    return None

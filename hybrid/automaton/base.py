@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, ClassVar
 
 import attrs
@@ -12,6 +12,7 @@ from ..errors import DeclarationError, OptionError, ParameterError, TraceError
 from . import trace
 from .builder import Builder
 from .markers import Contact, Edge, Mode, State, Switching, is_parameter
+from .past import Asking, Lags, Past, looks_back
 from .spec import ContactSpec, EdgeSpec, Spec
 
 #: What to say where JAX could not trace an author's code.
@@ -56,11 +57,12 @@ class Automaton:
         markers = _collect(cls)
         _make_attrs(cls, markers)
         builder = Builder(cls, markers)
-        cls.spec = builder.build()
-        cls.traces, faults = _trace_all(cls, cls.spec, builder.untraceable)
+        traced = _Traced(cls, builder.build(), builder.untraceable)
+        traced.all()
+        cls.spec, cls.traces = traced.spec, traced.traces
         builder.check_defaults()
-        if builder.faults or faults:
-            raise DeclarationError(cls.__name__, builder.faults + faults)
+        if builder.faults or traced.faults:
+            raise DeclarationError(cls.__name__, builder.faults + traced.faults)
         _register_pytree(cls)
 
     def __init__(self, **parameters: Any) -> None:
@@ -115,44 +117,103 @@ def _make_attrs(cls: type, markers: dict[str, Any]) -> None:
     cls.__init__ = __init__  # type: ignore[misc]
 
 
-def _trace_all(
-    cls: type, spec: Spec, skipped: list[Any]
-) -> tuple[dict[tuple[str, str], Any], list[str]]:
-    """Trace every function of the model; faults are sentences."""
-    traces: dict[tuple[str, str], Any] = {}
-    faults: list[str] = []
+class _Traced:
+    """The traces of a class as they are made; faults are sentences."""
 
-    def add(
-        kind: str, owner: str, function: Callable[..., Any], whole: bool, extra: int = 0
-    ) -> None:
-        if not spec.states or any(function is other for other in skipped):
-            return
-        call = trace.caller(cls, spec, function)
-        call = trace.vector(spec, call) if whole else trace.scalar(call)
+    def __init__(self, cls: type, spec: Spec, skipped: list[Any]) -> None:
+        self.cls, self.spec, self.skipped = cls, spec, skipped
+        self.traces: dict[tuple[str, str], Any] = {}
+        self.faults: list[str] = []
+
+    def all(self) -> None:
+        """Find the lags that are asked for, then trace every function."""
+        functions = list(_functions(self.spec)) if self.spec.states else []
+        functions = [f for f in functions if not any(f[2] is other for other in self.skipped)]
+        lags = Lags(self.spec)
+        for each in functions:
+            if looks_back(each[2]):
+                self._guarded(each, lambda each=each: self._ask(lags, *each))
+        self.spec = attrs.evolve(self.spec, lags=tuple(lags.found))
+        for each in functions:
+            self._guarded(each, lambda each=each: self._add(lags, *each))
+
+    def _guarded(self, each: Any, make: Callable[[], None]) -> None:
+        kind, owner = each[:2]
         label = f"{OWNERS[kind]} {owner}" + ("" if kind == "flow" else f", {kind}")
         try:
-            closed = trace.trace(spec, call, extra)
-            trace.require_wide(closed, function)
-            traces[kind, owner] = closed
+            make()
         except Exception as fault:  # whatever the author's code raises is a fault to report
             reason = REMEDIES.get(type(fault).__name__) or str(fault).split("\n")[0]
             named = isinstance(fault, ValueError | TraceError)
-            faults.append(
-                f"{label}: {reason}" if named else f"{label}: {type(fault).__name__}: {reason}"
-            )
+            said = f"{label}: {reason}" if named else f"{label}: {type(fault).__name__}: {reason}"
+            if said not in self.faults:
+                self.faults.append(said)
 
+    def _ask(
+        self, lags: Lags, kind: str, owner: str, function: Any, whole: bool, extra: int
+    ) -> None:
+        """Note which lags a function asks for."""
+        notes: list[Asking] = []
+
+        def past(*given: Any) -> Asking:
+            notes.append(Asking(*given))
+            return notes[-1]
+
+        call = trace.caller(self.cls, self.spec, function, past=past)
+        where = f"{OWNERS[kind]} {owner}"
+
+        def listens(parameters: Any, t: Any, x: Any, *more: Any) -> Any:
+            call(parameters, t, x, *more)
+            lags.note((kind, owner), where, notes[-1].lags, parameters)
+            return t
+
+        trace.trace(self.spec, listens, extra)
+
+    def _add(
+        self, lags: Lags, kind: str, owner: str, function: Any, whole: bool, extra: int
+    ) -> None:
+        numbers = lags.numbers.get((kind, owner), [])
+        call = trace.caller(self.cls, self.spec, function, numbers)
+        call = trace.vector(self.spec, call) if whole else trace.scalar(call)
+        closed = trace.trace(self.spec, call, extra)
+        trace.require_wide(closed, function)
+        self.traces[kind, owner] = closed
+        for place, number in enumerate(numbers):
+            name = self.spec.lags[number].name
+            if ("lag", name) not in self.traces:
+                lag = self._lag(function, numbers, place)
+                self.traces["lag", name] = trace.trace(self.spec, lag, extra)
+
+    def _lag(self, function: Any, numbers: list[int], place: int) -> Callable[..., Any]:
+        """The lag of one of a function's calls of ``past``, as a function."""
+        made: list[Past] = []
+
+        def past(*given: Any) -> Past:
+            made.append(Past(*given))
+            return made[-1]
+
+        call = trace.caller(self.cls, self.spec, function, numbers, past)
+
+        def lag(parameters: Any, t: Any, x: Any, *more: Any) -> Any:
+            call(parameters, t, x, *more)
+            return made[-1].lags[place]
+
+        return trace.scalar(lag)
+
+
+def _functions(spec: Spec) -> Iterator[tuple[str, str, Any, bool, int]]:
+    """Kind, owner, function, whether it gives a whole state, numbers it takes besides."""
     for mode in spec.modes:
-        add("flow", mode.name, mode.flow, True)
+        yield "flow", mode.name, mode.flow, True, 0
     for edge in spec.transitions:
         if isinstance(edge, ContactSpec):
-            add("gap", edge.name, edge.guard, False)
-            add("restitution", edge.name, edge.restitution, False, 1)
+            yield "gap", edge.name, edge.guard, False, 0
+            yield "restitution", edge.name, edge.restitution, False, 1
         elif isinstance(edge, EdgeSpec):
-            add("guard", edge.name, edge.guard, False)
-            add("reset", edge.name, edge.reset, True)
+            yield "guard", edge.name, edge.guard, False, 0
+            yield "reset", edge.name, edge.reset, True, 0
     for switching in spec.switchings:
-        add("surface", switching.name, switching.surface, False)
-    return traces, faults
+        yield "surface", switching.name, switching.surface, False, 0
 
 
 def _register_pytree(cls: type) -> None:

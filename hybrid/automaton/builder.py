@@ -18,6 +18,7 @@ from .markers import (
     is_parameter,
     name_of,
 )
+from .past import looks_back
 from .spec import (
     ContactSpec,
     EdgeSpec,
@@ -194,15 +195,16 @@ class Builder:
 
     def signature(self, where: str, function: Any, arguments: tuple[str, ...]) -> None:
         wanted = f"(self, {', '.join(arguments)})"
+        past = {"past": None} if looks_back(function) else {}
         if not callable(function):
             self.faults.append(f"{where}: {function!r} is not a function {wanted}")
             self.untraceable.append(function)
             return
         try:
-            inspect.signature(function).bind(None, *arguments)
+            inspect.signature(function).bind(None, *arguments, **past)
         except TypeError:
             given = inspect.signature(function)
-            late = "past" in given.parameters
-            why = "; flows that look into the past cannot be simulated yet" if late else ""
-            self.faults.append(f"{where}: takes {given} where {wanted} is due{why}")
+            self.faults.append(
+                f"{where}: takes {given} where {wanted} is due, and past after them for delays"
+            )
             self.untraceable.append(function)

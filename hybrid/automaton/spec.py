@@ -10,6 +10,7 @@ import attrs
 import numpy as np
 
 from .markers import Crossing
+from .past import LagSpec, window_shapes
 from .record import Record
 
 
@@ -143,7 +144,8 @@ Transition = EdgeSpec | ContactSpec | SideSpec | LeaveSpec
 class Spec:
     """The whole model.
 
-    ``transitions`` holds edges, contacts and the two sides of each switching, in declared order.
+    ``transitions`` holds edges, contacts and the two sides of each switching, in declared order;
+    ``lags`` what its functions ask of the past.
     """
 
     model: str
@@ -153,6 +155,12 @@ class Spec:
     transitions: tuple[Transition, ...]
     initial: str
     switchings: tuple[SwitchingSpec, ...] = ()
+    lags: tuple[LagSpec, ...] = ()
+
+    @property
+    def windows(self) -> tuple[tuple[int, ...], ...]:
+        """Shapes of the windows of the past, which follow the parameters in every trace."""
+        return window_shapes(self.lags, self.dimension)
 
     @property
     def dimension(self) -> int:

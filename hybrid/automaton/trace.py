@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import TraceError
+from .past import Past, asking
 from .spec import Spec
 
 Traced = Callable[..., Any]
@@ -35,12 +36,25 @@ def instance(cls: type, names: Sequence[str], values: Sequence[Any]) -> Any:
     return model
 
 
-def caller(cls: type, spec: Spec, function: Callable[..., Any]) -> Traced:
-    """The author's ``function(self, t, s, ...)`` with the signature of this module."""
+def caller(
+    cls: type,
+    spec: Spec,
+    function: Callable[..., Any],
+    lags: Sequence[int] = (),
+    past: Callable[..., Any] = Past,
+) -> Traced:
+    """The author's ``function(self, t, s, ...)`` with the signature of this module.
+
+    Where it looks into the past, ``lags`` are the numbers of the lags it asks for; ``past`` makes
+    what it looks at.
+    """
     names = [parameter.name for parameter in spec.parameters]
 
     def call(parameters: Any, t: Any, x: Any, *extra: Any) -> Any:
-        return function(instance(cls, names, parameters), t, spec.record(x), *extra)
+        own, windows = parameters[: len(names)], parameters[len(names) :]
+        record = past(spec, t, windows, lags)
+        seeing = asking(function, record)
+        return seeing(instance(cls, names, own), t, spec.record(x), *extra)
 
     return call
 
@@ -83,12 +97,12 @@ def trace(spec: Spec, call: Traced, extra: int = 0, shapes: Sequence[Any] | None
     Parameters
     ----------
     shapes : sequence of tuple, optional
-        Shapes of the parameters; those of the defaults if omitted.
+        Shapes of the parameters and windows; those of the defaults if omitted.
     """
     import jax
 
     if shapes is None:
-        shapes = [np.shape(parameter.default) for parameter in spec.parameters]
+        shapes = [*(np.shape(parameter.default) for parameter in spec.parameters), *spec.windows]
     with wide():
         real = np.dtype(np.float64)
         inputs = tuple(jax.ShapeDtypeStruct(shape, real) for shape in shapes)

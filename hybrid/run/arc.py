@@ -58,15 +58,22 @@ class Flown:
 
 
 class ArcFlow:
-    """Flows one arc from an entry."""
+    """Flows one arc from an entry, to ``until`` at most (the end of the run)."""
 
     def __init__(
-        self, scene: Scene, solver: Solver, plan: Plan, entry: Entry, now: Instant
+        self,
+        scene: Scene,
+        solver: Solver,
+        plan: Plan,
+        entry: Entry,
+        now: Instant,
+        until: float | None = None,
     ) -> None:
         self.scene, self.solver, self.plan, self.now = scene, solver, plan, now
+        self.until = plan.t1 if until is None else until
         self.field, self.x, self.series = entry.field, entry.x, entry.series
         self.orders = entry.orders
-        kept = plan.dense or plan.samples is not None
+        kept = plan.dense or plan.samples is not None or bool(scene.spec.lags)
         self.wanted = kept or bool(self.field.guards)
         self.ends: dict[Any, float] = {}
         self.grazes: list[tuple[float, int, np.ndarray]] = []
@@ -77,7 +84,7 @@ class ArcFlow:
             return self._run()
 
     def _run(self) -> Flown:
-        length = self.now.until(self.plan.t1)
+        length = self.now.until(self.until)
         target = self.predict(length)
         stepper = self._begin(length, target)
         if not self.wanted:
@@ -267,7 +274,7 @@ class ArcFlow:
         """End the step on the guard, to rounding (5); None if that is the step's start."""
         guard, tau = self.field.guards[fired.index], fired.tau
         small, least = 1e-6 * segment.length, segment.start + 1e-13 * segment.length
-        last, shift = self.now.until(self.plan.t1), 0.0
+        last, shift = self.now.until(self.until), 0.0
         try:
             if segment.end - tau > small:
                 if tau <= least:

@@ -5,6 +5,7 @@ The rules are those of ``docs/semantics.md``; numbers in brackets are its rules.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,10 @@ from ..zeno.accumulate import Tail, close
 from ..zeno.cycle import CycleLimit
 from ..zeno.flight import fly
 from . import switch, truncate
-from .arc import ArcFlow
+from .arc import ArcFlow, Flown
 from .cycles import Cycles, pass_limit
 from .entry import Entry, Jumped, describe, enter
+from .memory import Memory, Piece
 from .plan import PATIENCE, Plan
 from .recorder import Recorder
 
@@ -53,14 +55,21 @@ class Driver:
 
     entry: Entry
 
-    def __init__(self, scene: Scene, solver: Solver, plan: Plan) -> None:
-        self.scene, self.solver, self.plan = scene, solver, plan
+    def __init__(
+        self,
+        scene: Scene,
+        solver: Solver,
+        plan: Plan,
+        history: Sequence[Piece] | None = None,
+    ) -> None:
+        self.model = self.scene = scene
+        self.solver, self.plan, self.history = solver, plan, history
         self.record = Recorder(plan)
         self.status: Status | None = None
         self.watch = Watch()
         self.cycles = Cycles()
         self.reach = 0.0
-        self._known = Jumped()
+        self._known = self._jumped = Jumped()
         self.streaks = _streaks(self)
 
     @property
@@ -70,6 +79,9 @@ class Driver:
 
     def run(self, mode: str, x: np.ndarray) -> None:
         """From the start to the end of the run."""
+        if self.history is not None:
+            order = self.solver.order
+            self.record.memory = Memory(self.scene, self.plan, order, self.history, x)
         base, _, rest = mode.partition(".rest(")
         held = (rest.removesuffix(")"),) if rest else ()
         self.enter(base, x, Jumped(held=held, starting=True))
@@ -82,8 +94,10 @@ class Driver:
         """Arc after arc until something ends the run."""
         while self.status is None:
             if self.entry.at_once:
-                self.record.arc(self.entry.field, self.entry.x, self.entry.x, 0.0, [])
-                self.jump(self.entry.field.guards[self.entry.at_once[0]], self.entry.x)
+                guard = self.entry.field.guards[self.entry.at_once[0]]
+                if guard.kind != "window":
+                    self.record.arc(self.entry.field, self.entry.x, self.entry.x, 0.0, [])
+                self.jump(guard, self.entry.x)
             else:
                 self.flow()
 
@@ -91,8 +105,22 @@ class Driver:
         """Begin an arc, unless the run has ended."""
         if self.status is None:
             reach = 0.0 if jumped.starting else self.reach
+            self.look(x)
             self.entry = enter(self.scene, self.t, mode, x, jumped, reach)
+            self._jumped = jumped
             self.reach = max(self.reach, float(np.max(np.abs(x))))
+
+    def look(self, x: np.ndarray) -> None:
+        """Let delays see the past from here, where what they see has come to an end."""
+        memory = self.record.memory
+        if memory is not None and memory.until <= self.t:
+            self.scene = memory.look(self.t, x)
+
+    @property
+    def horizon(self) -> float:
+        """How far the present flows hold: to the end of the run, or of what delays see."""
+        memory = self.record.memory
+        return self.plan.t1 if memory is None else memory.until
 
     def flow(self) -> None:
         """Flow an arc, or as many as need no judgement, and carry out the jump that ends it."""
@@ -116,19 +144,47 @@ class Driver:
 
     def flow_arc(self) -> None:
         """Flow an arc and carry out the jump that ends it."""
-        entry, now = self.entry, self.record.now
-        flown = ArcFlow(self.scene, self.solver, self.plan, entry, now).run()
+        entry, now, memory = self.entry, self.record.now, self.record.memory
+        flown = ArcFlow(self.scene, self.solver, self.plan, entry, now, self.horizon).run()
+        if memory is not None:
+            other = memory.confirm(now, flown.length, flown.segments)
+            if other is not None:
+                self.scene = other
+                self.enter(entry.field.mode, entry.x, self._jumped)
+                return
         for tau, index, state in flown.grazes:
             record = self.scene.spec.record(state)
             edge = entry.field.guards[index].edge
             self.record.grazings.append(Jump(now.t + tau, self.record.j, edge, record, record))
+        fired = None if flown.fired is None else entry.field.guards[flown.fired]
+        if self._passes(fired, flown):
+            self.record.extend(entry.field, entry.x, flown.x, flown.length, flown.segments)
+            self.pass_window(fired, flown.x)
+            return
         x = self.record.arc(entry.field, entry.x, flown.x, flown.length, flown.segments)
         if self.plan.progress is not None:
             self.plan.progress(self.t)
-        if flown.fired is None:
+        if fired is None:
             self.status = Status.INTERRUPTED if flown.interrupted else Status.REACHED_END
         else:
-            self.jump(entry.field.guards[flown.fired], x)
+            self.jump(fired, x)
+
+    def _passes(self, fired: Guard | None, flown: Flown) -> bool:
+        """Whether an arc has come to the end of what delays see, and goes on."""
+        if fired is not None:
+            return fired.kind == "window"
+        return self.horizon < self.plan.t1 and not flown.interrupted
+
+    def pass_window(self, fired: Guard | None, x: np.ndarray) -> None:
+        """Go on within an arc, with another window of the past."""
+        field, t, memory = self.entry.field, self.t, self.record.memory
+        assert memory is not None
+        if self.plan.progress is not None:
+            self.plan.progress(t)
+        state = x.tolist()
+        signs = {g.edge: int(np.sign(g.value(t, state))) for g in field.guards}
+        memory.passed(t, field, fired.edge if fired else None)
+        self.enter(field.mode, x, Jumped(held=field.held, passing=signs))
 
     # -- jumps --------------------------------------------------------------------------
 
@@ -142,6 +198,8 @@ class Driver:
             switch.meet(self, guard, x)
         elif guard.kind == "leave":
             switch.leave(self, guard, x)
+        elif guard.kind == "window":
+            self.pass_window(guard, x)
         else:
             self._reset(guard, x)
 
@@ -182,6 +240,7 @@ class Driver:
             held = self._still_held(guard.to, after)
             self.watch.saw(guard.edge)
             due = self.add_jump(guard.edge, before, after)
+            contact = self.scene.contact(guard.edge)
             if self.status is not None or self._accumulate(contact, after, speed, guard.to, held):
                 return
             if due and pass_limit(self, guard.to):
@@ -207,7 +266,7 @@ class Driver:
         if not 0 < v * v <= NEAR * fall * (1.0 + float(np.max(np.abs(x)))):
             return None
         flight = fly(field, column, t, x.tolist(), v)
-        if flight is None or self.record.now.after(flight.time).until(self.plan.t1) < 0:
+        if flight is None or self.record.now.after(flight.time).until(self.horizon) < 0:
             return None
         end = t + flight.time
         landed = contact.land(end, flight.x)
@@ -227,6 +286,7 @@ class Driver:
     def add_jump(self, edge: str, before: np.ndarray, after: np.ndarray) -> bool:
         """Record a jump, at ``max_jumps`` the last; whether it is time to look for cycles."""
         self.record.jump(edge, before, after, self.where)
+        self.look(after)
         if len(self.record.own_jumps) >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
         return self.cycles.saw(edge, self.entry.field.name, self.record.now, after)
@@ -266,7 +326,10 @@ class Driver:
             return False
         watch.tried = v
         tail = self.tail(contact, x, v, field)
-        if tail is None or self.record.now.after(tail.remaining).until(self.plan.t1) < 0:
+        if tail is None or self.record.now.after(tail.remaining).until(self.horizon) < 0:
+            return False
+        memory = self.record.memory
+        if memory is not None and not memory.stays(x, tail.x_inf):
             return False
         self._pass_limit(tail)
         return True
@@ -343,7 +406,7 @@ class Driver:
 
 def _streaks(driver: Driver) -> Any:
     """Compiled streaks, where the solver can."""
-    if driver.solver.compiled is None:
+    if driver.solver.compiled is None or driver.scene.spec.lags:
         return None
     from .streak import Streaks
 

@@ -51,12 +51,16 @@ class Jumped:
         The edge just taken: zero by construction, it waits until it has left zero (2).
     starting : bool
         The run starts here: there was no jump.
+    passing : dict or None
+        There was no jump, but what delays see may have jumped: by edge the sign that its guard
+        had; one that has changed it fires (1).
     """
 
     vanishing: dict[str, int] = attrs.Factory(dict)
     held: tuple[str, ...] = ()
     used: str | None = None
     starting: bool = False
+    passing: dict[str, int] | None = None
 
 
 def enter(scene: Scene, t: float, mode: str, x: np.ndarray, jumped: Jumped, reach: float) -> Entry:
@@ -151,11 +155,15 @@ class _Here:
 
     def fires(self, guard: Guard, order: int, sign: int, jumped: Jumped) -> bool:
         """Whether a guard fires at once; refuses a state outside the domain."""
+        if guard.kind == "window":
+            return order > 0 and sign < 0
         if sign == 0:
             raise StartError(
                 f"{self.where()}: the guard of {guard.edge} is zero and no derivative along "
                 "the flow decides which way it goes; start off the guard"
             )
+        if order == 0 and jumped.passing is not None:
+            return fires(guard.crossing, sign) and jumped.passing.get(guard.edge) != sign
         if order == 0:
             derived = guard.kind in ("release", "leave")
             if derived and fires(guard.crossing, sign) and not jumped.starting:

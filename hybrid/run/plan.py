@@ -24,6 +24,8 @@ class Plan:
         Keep dense output.
     samples : array or None
         Times at which to keep the state.
+    memory : "keep" or "restart"
+        What delays see after a jump: what was, or the state after it.
     accumulations : int or None
         Stop at this accumulation (a second run, to measure errors).
     closing, patience : float, int
@@ -40,6 +42,7 @@ class Plan:
     dense: bool
     samples: np.ndarray | None
     progress: Callable[[float], None] | None
+    memory: str = "keep"
     accumulations: int | None = None
     closing: float = 1.0
     patience: int = 2

@@ -19,6 +19,7 @@ from ..segment import Segment, from_values, nodes
 from ..trajectory import Jump
 from ..zeno.accumulate import Tail
 from ..zeno.cycle import CycleLimit
+from .memory import Memory
 from .plan import Plan
 
 
@@ -35,22 +36,50 @@ class Recorder:
         self.tails: list[Tail | CycleLimit | None] = []
         self.grazings: list[Jump] = []
         self.sampled: list[np.ndarray] = []
+        self.memory: Memory | None = None
+        self._begun: tuple[Instant, np.ndarray] | None = None
+        self._open: list[Segment] = []
         self._recent: deque[tuple[float, str]] = deque(maxlen=CAUGHT)
 
     def arc(
         self, field: Field, first: np.ndarray, last: np.ndarray, length: float, segments: Any
     ) -> np.ndarray:
         """Add an arc and move to its end; returns the state there, on the contacts held."""
-        project = field.project
-        if not (self.plan.dense or self.plan.samples is not None):
+        last, segments = self._flown(field, last, length, segments)
+        now, end, project = self.now, self.now.after(length), field.project
+        if self._begun is not None:
+            (now, first), self._begun = self._begun, None
+            segments, self._open = [*self._open, *_later(segments, now, self.now)], []
+            length = (end.t - now.t) + (end.low - now.low)
+        self.keep(Arc(field.name, self.j, now.t, now.low, length, first, last, segments, project))
+        self.now = end
+        return last
+
+    def extend(
+        self, field: Field, first: np.ndarray, last: np.ndarray, length: float, segments: Any
+    ) -> np.ndarray:
+        """Move on within an arc that is still going: to the end of a window of the past."""
+        last, segments = self._flown(field, last, length, segments)
+        if self._begun is None:
+            self._begun = self.now, first
+        self._open += _later(segments, self._begun[0], self.now)
+        self.now = self.now.after(length)
+        return last
+
+    def _flown(
+        self, field: Field, last: np.ndarray, length: float, segments: Any
+    ) -> tuple[np.ndarray, Any]:
+        """The end and the segments of a flight, on the contacts held, remembered for delays."""
+        kept = self.plan.dense or self.plan.samples is not None
+        if not (kept or self.memory is not None):
             segments = ()
+        project = field.project
         if project is not None:
             last = np.array(project(self.now.t + length, last.tolist()))
             segments = [_projected(s, self.now.t, project) for s in segments]
-        now = self.now
-        self.keep(Arc(field.name, self.j, now.t, now.low, length, first, last, segments, project))
-        self.now = now.after(length)
-        return last
+        if self.memory is not None:
+            self.memory.flown(self.now, segments)
+        return last, segments if kept else ()
 
     def keep(self, part: Part) -> None:
         """Keep a part: whole, or only its ends and the states asked for."""
@@ -60,6 +89,8 @@ class Recorder:
             for t in inside.tolist():
                 arc = part.arc(part.place(t, "right")) if isinstance(part, TailPart) else part
                 self.sampled.append(arc.local((t - arc.t0) - arc.low))
+        if isinstance(part, TailPart) and self.memory is not None:
+            self.memory.tail(part)
         if isinstance(part, Arc) and part._segments and not plan.dense:
             part = attrs.evolve(part, segments=())
         self.parts.append(part)
@@ -81,6 +112,8 @@ class Recorder:
             If jumps follow each other with no time to speak of between them (4).
         """
         now = self.now
+        if self.memory is not None:
+            self.memory.jumped(now.t, before, after)
         self.own_jumps[len(self.parts) - 1] = JumpRow(now.t, now.low, edge, before, after)
         self.j += 1
         self._recent.append((now.t, edge))
@@ -103,6 +136,12 @@ class Recorder:
         point = next((p for p in reversed(self.zeno) if p.edges == (contact,)), None)
         if point is not None and point.mode is not None and point.t_release is None:
             point.t_release = self.now.t
+
+
+def _later(segments: Any, begun: Instant, now: Instant) -> list[Segment]:
+    """Segments counted from an earlier instant."""
+    since = (now.t - begun.t) + (now.low - begun.low)
+    return [Segment(since + s.start, s.length, s.coefficients) for s in segments]
 
 
 def _projected(segment: Segment, t0: float, project: Callable[..., Any]) -> Segment:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ..automaton import trace
+from ..automaton.past import DEGREE, blank
 from ..automaton.spec import ContactSpec, LeaveSpec, SideSpec, Transition
 from ..errors import TraceError
 from . import contact as contacts
@@ -28,7 +30,8 @@ class Lowered:
     """Generated code of one class, for one set of parameter shapes."""
 
     def __init__(self, cls: Any, shapes: tuple[tuple[int, ...], ...]) -> None:
-        self.cls, self.spec, self.shapes = cls, cls.spec, shapes
+        self.cls, self.spec, self.shapes = cls, cls.spec, (*shapes, *cls.spec.windows)
+        self._own_shapes = shapes
         self._programs: dict[Any, Any] = {}
 
     def _trace(self, call: Any, extra: int = 0) -> Any:
@@ -93,6 +96,9 @@ class Lowered:
 
     def local(self, name: str) -> bool:
         """See :class:`.scene.Contact`."""
+        return bool(self.once(("local", name), lambda: self._local(name)))
+
+    def _local(self, name: str) -> bool:
         contact, pairing = self.contact_spec(name), self.pairing(name)
         own = {*pairing.positions, *pairing.velocities}
         flows = self.dependencies(self.closed("flow", contact.source))
@@ -164,6 +170,57 @@ class Lowered:
 
         return self.once(("taylor", key), make)
 
+    # -- the past -----------------------------------------------------------------------
+
+    def lag(self, number: int) -> Program:
+        """A lag as scalar code."""
+        name = self.spec.lags[number].name
+        return self.program(("lag", name), lambda: self.closed("lag", name))
+
+    @cached_property
+    def moving(self) -> tuple[bool, ...]:
+        """Which lags depend on time or state."""
+        return tuple(
+            bool(self.dependencies(self.closed("lag", lag.name))[0]) for lag in self.spec.lags
+        )
+
+    def window_closed(self, number: int, side: str) -> Any:
+        """The jaxpr of the guard that a lag's place is inside its window, at one of its ends."""
+
+        def inside(parameters: Any, t: Any, x: Any) -> Any:
+            lag = trace.again(self.closed("lag", self.spec.lags[number].name))
+            frame = parameters[len(self._own_shapes) + 2 * number]
+            place = (t - lag(parameters, t, x) - frame[0]) / frame[1]
+            return 1.0 - place if side == "b" else 1.0 + place
+
+        return self.once(("window", number, side), lambda: self._trace(inside))
+
+    def asked(self, closed: Any, extra: Sequence[str] = ()) -> list[set[tuple[int, int]]]:
+        """For each element of a result, what it asks of the past: lags and elements."""
+        graph, first = Graph(), sum(int(np.prod(s, dtype=int)) for s in self._own_shapes)
+        (outputs,) = graph.outputs(closed, self.inputs(graph, extra))
+        return [self._past_in(graph, int(i), first) for i in outputs.reshape(-1)]
+
+    def _past_in(self, graph: Graph, root: int, first: int) -> set[tuple[int, int]]:
+        found, size = set(), 2 + (DEGREE + 1) * self.spec.dimension
+        for name in _inputs_of(graph, root):
+            place = int(name[1:]) - first if name[0] == "p" else -1
+            number, rest = divmod(place, size)
+            if place >= 0 and rest >= 2:
+                found.add((number, (rest - 2) % self.spec.dimension))
+        return found
+
+    @cached_property
+    def seen(self) -> tuple[tuple[int, ...], ...]:
+        """For each lag the elements of the state that some function asks for."""
+        extra = {"restitution": ["u"]}
+        parts = [self.asked(c, extra.get(kind, [])) for (kind, _), c in self.cls.traces.items()]
+        pairs = {pair for part in parts for element in part for pair in element}
+        return tuple(
+            tuple(sorted(e for number, e in pairs if number == k))
+            for k in range(len(self.spec.lags))
+        )
+
     # -- guards and contacts ------------------------------------------------------------
 
     def guard_closed(self, edge: Transition) -> Any:
@@ -226,7 +283,8 @@ class Lowered:
 
     def _unit(self, mode: str) -> Callable[[int, int], bool]:
         """Whether a component of the flow has slope one in an element, at random points."""
-        rhs = self.flow(mode).bind(flat([p.default for p in self.spec.parameters]))
+        shown = blank(self.spec.lags, self.spec.dimension, 1.0)
+        rhs = self.flow(mode).bind(flat([*(p.default for p in self.spec.parameters), *shown]))
         draw = random.Random(0)
 
         def unit(i: int, j: int) -> bool:
@@ -255,8 +313,12 @@ class Lowered:
         return self.program((what, name), closed)
 
 
+def _inputs_of(graph: Graph, root: int) -> list[str]:
+    return [n[1] for n in (graph.nodes[i] for i in needed(graph, [root])) if n[0] == "input"]
+
+
 def _states_in(graph: Graph, root: int) -> set[int]:
-    names = [n[1] for n in (graph.nodes[i] for i in needed(graph, [root])) if n[0] == "input"]
+    names = _inputs_of(graph, root)
     places = {int(name[1:]) for name in names if name.startswith("x")}
     return places | ({TIME} if "t" in names else set())
 

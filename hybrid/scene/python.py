@@ -162,6 +162,7 @@ class Program:
     def __init__(self, graph: Graph, inputs: Sequence[str], size: int, outputs: Ids) -> None:
         self.source = _source(graph, inputs, size, outputs)
         self._code = compile(self.source, "<hybrid: generated>", "exec")
+        self._maker: Scalar | None = None
 
     def bind(self, parameters: Sequence[float]) -> Scalar:
         """The function for these values of the (flattened) parameters."""
@@ -171,19 +172,21 @@ class Program:
             with np.errstate(all="ignore"):
                 if not forgiving:
                     wide = [np.float64(p) for p in parameters]
-                    forgiving.append(self._make(_FORGIVING, wide, _never))
+                    forgiving.append(self._make(_FORGIVING)(_never, *wide))
                 return _plain(forgiving[0](*map(_numpy, arguments)))
 
+        if self._maker is None:
+            self._maker = self._make(OPERATIONS)
         try:
-            return self._make(OPERATIONS, parameters, fallback)
+            return self._maker(fallback, *parameters)
         except (ValueError, OverflowError, ZeroDivisionError):
             return fallback
 
-    def _make(self, operations: Any, parameters: Sequence[Any], fallback: Scalar) -> Scalar:
+    def _make(self, operations: Any) -> Scalar:
         scope = {f"_{name}": function for name, function in operations.items()}
-        scope.update(_inf=math.inf, _nan=math.nan, _fallback=fallback)
+        scope.update(_inf=math.inf, _nan=math.nan)
         exec(self._code, scope)
-        return scope["_make"](*parameters)
+        return scope["_make"]
 
 
 def _never(*arguments: Any) -> Any:
@@ -229,7 +232,8 @@ def _source(graph: Graph, inputs: Sequence[str], size: int, outputs: Ids) -> str
     unpack = [", ".join(f"x{i}" for i in range(size)) + ", = x"] if "x" in inputs and size else []
     result = ", ".join(text[i] for i in flat)
     result = result if outputs.shape == () else f"({result},)"
-    lines = [f"def _make({', '.join(f'p{i}' for i in range(count))}{', ' if count else ''}*_rest):"]
+    head = "".join(f"p{i}, " for i in range(count))
+    lines = [f"def _make(_fallback, {head}*_rest):"]
     lines += [f"    {line}" for line in before]
     lines += [f"    def function({', '.join(inputs)}):"]
     lines += ["        try:"]

@@ -7,7 +7,7 @@ Nothing is made for a mode that a run does not enter.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -15,6 +15,7 @@ import attrs
 import numpy as np
 
 from ..automaton.markers import Crossing
+from ..automaton.past import blank
 from ..automaton.spec import (
     ContactSpec,
     EdgeSpec,
@@ -41,7 +42,7 @@ class Guard:
     edge : str
         Name of the edge, contact or switching; ``"<contact>.release"`` for the end of a rest,
         ``"<switching>.positive"`` and ``"<switching>.negative"`` for those of sliding.
-    kind : "edge", "contact", "release", "switch" or "leave"
+    kind : "edge", "contact", "release", "switch", "leave" or "window"
     to : str
         The mode it leads to.
     value : callable ``(t, x)``
@@ -152,11 +153,16 @@ class Scene:
     ) -> None:
         self.spec: Spec = cls.spec
         self.code = lowered(cls, shapes)
-        self.parameters = _arrays(shapes, values)
-        self._values = values
+        self.parameters = _arrays(self.code.shapes, values)
+        self._made, self._values = (cls, shapes), values
         self._bound: dict[Any, Scalar] = {}
         self._fields: dict[str, Field] = {}
         self._contacts: dict[str, Contact] = {}
+
+    def through(self, windows: Sequence[np.ndarray]) -> Scene:
+        """The same model on other windows of the past."""
+        count = len(self.parameters) - len(windows)
+        return Scene(*self._made, tuple(flat([*self.parameters[:count], *windows])))
 
     @cached_property
     def modes(self) -> tuple[str, ...]:
@@ -189,7 +195,13 @@ class Scene:
         watched = [(edge, _kind(edge), code.guard_closed(edge)) for edge in edges]
         for index, contact in enumerate(held):
             load = code.load_closed(held, index)
-            watched.append((_release(contact, name, mode), "release", load))
+            watched.append((_unwritten(f"{contact}.release", name, mode), "release", load))
+        for number in [k for k, moves in enumerate(code.moving) if moves]:
+            for side in ("a", "b"):
+                closed = code.window_closed(number, side)
+                watched.append(
+                    (_unwritten(window_edge(number, side), mode, mode), "window", closed)
+                )
         guards = [self._guard(*each, flow, name) for each in watched]
         closed = [guard.closed for guard in guards]
         derived = bool(held) or switching is not None
@@ -274,9 +286,10 @@ def _scene(cls: Any, shapes: tuple[tuple[int, ...], ...], values: tuple[float, .
 
 def scene_of(model: Any) -> Scene:
     """The scene of a model; models of equal parameters share one."""
-    values = model.parameters
     cls: Any = type(model)
-    return _scene(cls, tuple(tuple(v.shape) for v in values), tuple(flat(values)))
+    windows = blank(cls.spec.lags, cls.spec.dimension)
+    shapes = tuple(tuple(v.shape) for v in model.parameters)
+    return _scene(cls, shapes, tuple(flat([*model.parameters, *windows])))
 
 
 def rest_name(mode: str, held: tuple[str, ...]) -> str:
@@ -284,13 +297,18 @@ def rest_name(mode: str, held: tuple[str, ...]) -> str:
     return f"{mode}.rest({', '.join(held)})" if held else mode
 
 
-def _release(contact: str, source: str, mode: str) -> EdgeSpec:
-    """The edge that ends the rest of a contact (its guard is the load)."""
+def window_edge(number: int, side: str) -> str:
+    """Name of the guard by which a lag that moves comes to an end, a or b, of its window."""
+    return f"past({number}).{side}"
+
+
+def _unwritten(name: str, source: str, to: str) -> EdgeSpec:
+    """An edge that no author has written: the end of a rest, or of a window."""
 
     def unused(*_: Any) -> None:
-        raise TraceError("a release has its load as guard")
+        raise TraceError(f"{name} has no function of its own")
 
-    return EdgeSpec(f"{contact}.release", source, mode, unused, Crossing.FALLING, unused)
+    return EdgeSpec(name, source, to, unused, Crossing.FALLING, unused)
 
 
 def _kind(edge: Transition) -> str:

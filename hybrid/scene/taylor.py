@@ -77,6 +77,7 @@ class TaylorProgram:
         writer = _Writer(graph, size, [int(i) for i in flow], list(functions), order)
         self.source, self.kinks = writer.source(), len(writer.kinks)
         self._code = compile(self.source, "<hybrid: generated Taylor series>", "exec")
+        self._maker: Callable[..., Any] | None = None
 
     def bind(self, parameters: Sequence[float]) -> Callable[..., Any]:
         """The function for these values of the (flattened) parameters.
@@ -84,10 +85,12 @@ class TaylorProgram:
         It raises ``ValueError``, ``OverflowError`` or ``ZeroDivisionError`` where the
         series does not exist (``sqrt`` at 0, for instance).
         """
-        scope: dict[str, Any] = {f"_{name}": function for name, function in OPERATIONS.items()}
-        scope.update(_inf=math.inf, _nan=math.nan)
-        exec(self._code, scope)
-        return scope["_make"](*parameters)
+        if self._maker is None:
+            scope: dict[str, Any] = {f"_{name}": function for name, function in OPERATIONS.items()}
+            scope.update(_inf=math.inf, _nan=math.nan)
+            exec(self._code, scope)
+            self._maker = scope["_make"]
+        return self._maker(*parameters)
 
 
 class _Writer:

@@ -1,0 +1,144 @@
+"""What a model sees of its past: ``past(lag)``, and the lags that it asks for.
+
+In a trace the past is a polynomial in time, one for each lag: the record of the run on a *window*
+of the past. Its numbers are inputs of the trace, behind the parameters, so that every reader of
+the trace takes a model with delays for one without: on a window it is one.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import attrs
+import numpy as np
+
+#: Degree of the polynomial on a window.
+DEGREE = 12
+
+
+@attrs.frozen
+class LagSpec:
+    """A lag that a model asks for.
+
+    Attributes
+    ----------
+    name : str
+        For messages: the parameter, the number, or where it is asked for.
+    value : float or None
+        A number; None where it is a parameter, or depends on time or state.
+    parameter : str or None
+    """
+
+    name: str
+    value: float | None = None
+    parameter: str | None = None
+
+
+def looks_back(function: Any) -> bool:
+    """Whether a function of a model takes ``past``."""
+    try:
+        return "past" in inspect.signature(function).parameters
+    except (TypeError, ValueError):
+        return False
+
+
+def window_shapes(lags: Iterable[LagSpec], dimension: int) -> tuple[tuple[int, ...], ...]:
+    """Shapes of the windows' arrays: for each lag its frame and its coefficients.
+
+    The frame is the middle and half the length of the window; the coefficients are those of the
+    powers of the place in it, from -1 to 1, one row each.
+    """
+    return ((2,), (DEGREE + 1, dimension)) * len(tuple(lags))
+
+
+def blank(lags: Iterable[LagSpec], dimension: int, shown: float = np.nan) -> list[np.ndarray]:
+    """Windows that show the same everywhere; at first nothing."""
+    rows = np.zeros((DEGREE + 1, dimension))
+    rows[0] = shown
+    return [np.array([0.0, 1.0]), rows] * len(tuple(lags))
+
+
+class Past:
+    """``past`` in a trace: the record at ``t - lag``, from the windows of the lags asked for.
+
+    ``numbers`` are those lags' places among the model's, in the order of the calls.
+    """
+
+    def __init__(self, spec: Any, t: Any, windows: Any, numbers: Iterable[int]) -> None:
+        self.spec, self.t, self.windows = spec, t, windows
+        self.numbers = iter(numbers)
+        self.lags: list[Any] = []
+
+    def __call__(self, lag: Any) -> Any:
+        self.lags.append(lag)
+        frame, rows = self.windows[2 * (number := next(self.numbers)) : 2 * number + 2]
+        place = ((self.t - lag) - frame[0]) / frame[1]
+        value = rows[DEGREE]
+        for k in range(DEGREE - 1, -1, -1):
+            value = value * place + rows[k]
+        return self.spec.record(value)
+
+
+class Asking:
+    """``past`` while the lags are being found: it takes notes, and shows nothing."""
+
+    def __init__(self, spec: Any, t: Any, *_: Any) -> None:
+        self.spec, self.t = spec, t
+        self.lags: list[Any] = []
+
+    def __call__(self, lag: Any) -> Any:
+        shape = np.shape(lag)
+        if shape != ():
+            raise ValueError(f"past(lag): the lag has shape {shape}; one number is due")
+        self.lags.append(lag)
+        return self.spec.record(np.ones(self.spec.dimension) * self.t)
+
+
+class Lags:
+    """The lags of a model as they are found, function by function.
+
+    ``numbers[kind, owner]`` lists the places in ``found`` of those that a function asks for.
+    """
+
+    def __init__(self, spec: Any) -> None:
+        self.spec = spec
+        self.found: list[LagSpec] = []
+        self.numbers: dict[tuple[str, str], list[int]] = {}
+
+    def note(self, key: tuple[str, str], where: str, lags: list[Any], parameters: Any) -> None:
+        """Give each lag of a function its place; equal parameters and numbers share one."""
+        names = [p.name for p in self.spec.parameters]
+        by_identity = {id(value): name for name, value in zip(names, parameters, strict=True)}
+        places: dict[int, int] = {}
+        for lag in lags:
+            if id(lag) not in places:
+                places[id(lag)] = self._place(lag, by_identity.get(id(lag)), where)
+        self.numbers[key] = [places[id(lag)] for lag in lags]
+
+    def _place(self, lag: Any, parameter: str | None, where: str) -> int:
+        if parameter is not None:
+            made = LagSpec(parameter, parameter=parameter)
+        elif _is_known(lag):
+            made = LagSpec(repr(float(lag)), value=float(lag))
+        else:
+            own = sum(spec.name.startswith(f"{where}, lag") for spec in self.found)
+            made = LagSpec(f"{where}, lag {own + 1}")
+        if made not in self.found:
+            self.found.append(made)
+        return self.found.index(made)
+
+
+def _is_known(lag: Any) -> bool:
+    """Whether a lag is a number when the class is defined."""
+    import jax
+
+    return not isinstance(lag, jax.core.Tracer)
+
+
+def asking(function: Callable[..., Any], past: Any) -> Callable[..., Any]:
+    """``function`` with its ``past`` given, where it takes one."""
+    if not looks_back(function):
+        return function
+    return lambda *arguments: function(*arguments, past=past)

@@ -1,0 +1,106 @@
+"""What was before a run: constants, functions of time, or an earlier run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from .arcs import Arc
+from .automaton.record import Record
+from .automaton.spec import Spec
+from .errors import OptionError
+from .run.memory import Piece, constant, piece_of
+from .trajectory import Trajectory
+
+
+def pieces(spec: Spec, history: Any, t0: float, x: np.ndarray) -> list[Piece]:
+    """The record before ``t0``.
+
+    Parameters
+    ----------
+    history : None, mapping, record, sequence, callable or Trajectory
+        Nothing: the start, for ever. By state (or in declared order) a number, an array or a
+        function of time; states left out are as at the start. A function of time that gives all
+        states. A trajectory: its record up to ``t0``, and its first state before it.
+    x : array
+        The state at ``t0``.
+
+    Raises
+    ------
+    OptionError
+        If it cannot be understood.
+    """
+    if history is None:
+        return [constant(x, t0)]
+    if isinstance(history, Trajectory):
+        return _of_run(spec, history, t0)
+    if callable(history):
+        return [_of_function(lambda t: _vector(spec, history(t), "history(t)"), t0)]
+    return [_of_states(spec, history, t0, x)]
+
+
+def _of_states(spec: Spec, history: Any, t0: float, x: np.ndarray) -> Piece:
+    """Constants and functions, state by state."""
+    if isinstance(history, Mapping | Record):
+        given = {name: history[name] for name in history.keys()}
+    else:
+        try:
+            given = dict(zip(spec.names, spec.values(history), strict=True))
+        except ValueError as fault:
+            raise OptionError(f"{spec.model}: history={history!r}: {fault}") from None
+    unknown = [name for name in given if name not in spec.names]
+    if unknown:
+        known = ", ".join(spec.names)
+        raise OptionError(f"{spec.model}: history of {unknown[0]!r}; the states are {known}")
+    start = spec.record(x)
+    complete = {name: given.get(name, start[name]) for name in spec.names}
+    if not any(callable(value) for value in complete.values()):
+        return constant(_vector(spec, complete, "history"), t0)
+
+    def state(t: float) -> np.ndarray:
+        now = {name: v(t) if callable(v) else v for name, v in complete.items()}
+        return _vector(spec, now, f"history at t = {t!r}")
+
+    return _of_function(state, t0)
+
+
+def _of_function(state: Callable[[float], np.ndarray], t0: float) -> Piece:
+    return Piece(-np.inf, t0, lambda s: np.array([state(t) for t in s.tolist()]), None)
+
+
+def _of_run(spec: Spec, run: Trajectory, t0: float) -> list[Piece]:
+    """The pieces of an earlier run, which must reach ``t0``."""
+    if run.spec.names != spec.names:
+        theirs, own = ", ".join(run.spec.names), ", ".join(spec.names)
+        raise OptionError(f"{spec.model}: history: a run with the states {theirs}, not {own}")
+    if not run.t0 < t0 <= run.t1:
+        raise OptionError(
+            f"{spec.model}: history: a run from {run.t0!r} to {run.t1!r}; the run that it is the "
+            f"history of starts at {t0!r}"
+        )
+    found = [constant(run.arcs[0].first, run.t0)]
+    for arc in run.arcs:
+        if arc.t0 < t0:
+            _require_dense(spec, arc)
+            found += [piece_of(segment, arc.t0, arc.low) for segment in arc.segments]
+    return [piece for piece in found if piece.start < t0]
+
+
+def _require_dense(spec: Spec, arc: Arc) -> None:
+    if not arc.segments and arc.length > 0:
+        raise OptionError(f"{spec.model}: history: a run without dense output; use save='dense'")
+
+
+def _vector(spec: Spec, values: Any, what: str) -> np.ndarray:
+    try:
+        parts = [np.asarray(value, dtype=float) for value in spec.values(values)]
+    except (ValueError, TypeError) as fault:
+        raise OptionError(f"{spec.model}: {what} = {values!r}: {fault}") from None
+    for state, part in zip(spec.states, parts, strict=True):
+        if part.shape != state.shape:
+            raise OptionError(
+                f"{spec.model}: {what}: {state.name} has shape {part.shape}; {state.shape} is due"
+            )
+    return np.concatenate([part.reshape(-1) for part in parts])
