@@ -19,6 +19,7 @@ LAYERS = [
     ["compiled"],
     ["accumulation", "arcs", "trajectory"],
     ["run", "store", "plotting"],
+    ["histories"],
     ["simulation", "ensembles", "function", "certificates"],
     ["compare", "gallery", "study"],
     ["cli", "__main__", "__init__"],

@@ -137,18 +137,6 @@ def test_a_contact_without_velocities_is_refused():
         hy.simulate(First(), {"x": 1.0}, (0, 2))
 
 
-def test_looking_into_the_past_is_refused_for_now():
-    """A flow with ``past`` is a fault that says so."""
-    with pytest.raises(hy.DeclarationError, match="look into the past cannot be simulated yet"):
-
-        class Late(hy.Automaton):
-            x = hy.state()
-
-            @hy.mode
-            def flow(self, t, s, past):
-                return -past(1.0).x
-
-
 def test_a_record_unpacks_and_replaces():
     """``s.x``, ``x, v = s``, ``s.replace(v=...)``."""
     record = BeadOnTable.spec.record(np.array([1.0, 2.0]))

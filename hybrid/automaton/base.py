@@ -132,16 +132,16 @@ class _Traced:
         lags = Lags(self.spec)
         for each in functions:
             if looks_back(each[2]):
-                self._guarded(each, lambda each=each: self._ask(lags, *each))
+                self._guarded(self._ask, lags, each)
         self.spec = attrs.evolve(self.spec, lags=tuple(lags.found))
         for each in functions:
-            self._guarded(each, lambda each=each: self._add(lags, *each))
+            self._guarded(self._add, lags, each)
 
-    def _guarded(self, each: Any, make: Callable[[], None]) -> None:
+    def _guarded(self, make: Callable[..., None], lags: Lags, each: Any) -> None:
         kind, owner = each[:2]
         label = f"{OWNERS[kind]} {owner}" + ("" if kind == "flow" else f", {kind}")
         try:
-            make()
+            make(lags, *each)
         except Exception as fault:  # whatever the author's code raises is a fault to report
             reason = REMEDIES.get(type(fault).__name__) or str(fault).split("\n")[0]
             named = isinstance(fault, ValueError | TraceError)

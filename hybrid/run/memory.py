@@ -20,7 +20,6 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from math import isfinite
-from typing import Any
 
 import attrs
 import numpy as np
@@ -54,13 +53,13 @@ SMOOTH = 10**6
 class Piece:
     """The record between two times: ``state(times)`` has shape ``(len(times), n)``.
 
-    ``degree`` is that of a polynomial; None where it is a function of the caller's.
+    ``degree`` is that of a polynomial, infinity where it is a function of the caller's.
     """
 
     start: float
     end: float
     state: Callable[[np.ndarray], np.ndarray]
-    degree: int | None
+    degree: float
 
 
 def piece_of(segment: Segment, t0: float, low: float) -> Piece:
@@ -143,6 +142,11 @@ class Breaks:
         """The next after a time, infinity if there is none."""
         place = bisect_right(self.times, s + _slack(s, s))
         return self.times[place] if place < len(self.times) else np.inf
+
+    def until(self, s: float) -> float:
+        """The last up to a time, minus infinity if there is none."""
+        place = bisect_right(self.times, s + _slack(s, s))
+        return self.times[place - 1] if place else -np.inf
 
     def before(self, s: float) -> float:
         """The last before a time, minus infinity if there is none."""
@@ -367,8 +371,7 @@ class Memory:
             b = min(b, s + self._spans[k]) if b > s else b
             pieces = self.pieces.within(a, min(b, t))
             window = Window(a, b, self._sampled(a, b, t, pieces), t)
-            exact = len(pieces) == 1 and pieces[0].degree is not None
-            exact = exact and pieces[0].degree <= DEGREE and b <= t
+            exact = len(pieces) == 1 and pieces[0].degree <= DEGREE and b <= t
             if exact or self._resolved(k, window) or b - a <= 1e3 * _slack(a, b):
                 self._spans[k] = 2.0 * (b - s) if b > s else np.inf
                 return window
@@ -381,8 +384,7 @@ class Memory:
             b = min(s + _slack(s, s), b)
             return max(self.breaks.before(s), s - min(self._spans[k], self._share)), b
         b = min(b, s + min(self._spans[k], self._share))
-        back = max(self.breaks.before(b if b <= s else s + _slack(s, s)), s - 0.25 * (b - s))
-        return (back if back < s else s), b
+        return min(s, max(self.breaks.until(s), s - 0.25 * (b - s))), b
 
     @property
     def _share(self) -> float:
