@@ -20,7 +20,7 @@ LAYERS = [
     ["accumulation", "arcs", "trajectory"],
     ["run", "store", "plotting"],
     ["simulation", "ensembles", "function", "certificates"],
-    ["compare", "gallery", "study"],
+    ["compare", "gallery", "study", "orbits"],
     ["cli", "__main__", "__init__"],
 ]
 
