@@ -31,6 +31,7 @@ from .errors import (
     HybridError,
     JumpLoopError,
     OptionError,
+    OrbitError,
     ParameterError,
     StartError,
     StoreError,
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from .certificates import Certificate, certify
     from .ensembles import ensemble
     from .function import as_function
+    from .orbits import periodic_orbit, return_map
     from .simulation import simulate
     from .store import load
     from .trajectory import Status, Trajectory
@@ -54,6 +56,8 @@ _LAZY = {
     "Certificate": "certificates",
     "as_function": "function",
     "certify": "certificates",
+    "periodic_orbit": "orbits",
+    "return_map": "orbits",
     "ensemble": "ensembles",
     "simulate": "simulation",
     "load": "store",
@@ -84,6 +88,7 @@ __all__ = [
     "HybridError",
     "JumpLoopError",
     "OptionError",
+    "OrbitError",
     "ParameterError",
     "StartError",
     "Status",
@@ -99,6 +104,8 @@ __all__ = [
     "load",
     "mode",
     "parameter",
+    "periodic_orbit",
+    "return_map",
     "simulate",
     "state",
     "study",

@@ -1,0 +1,407 @@
+"""``hy.periodic_orbit``: find an orbit, close it by Newton's method, describe it."""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from typing import Any
+
+import attrs
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from ..arcs import Arc
+from ..automaton.base import require_model
+from ..automaton.markers import RISING
+from ..automaton.record import Record
+from ..errors import HybridError, OptionError, OrbitError
+from ..scene import Scene, scene_of
+from ..scene.lowered import TIME
+from ..trajectory import Trajectory
+from .returns import ReturnMap, start_mode
+from .shooting import Guess, Shooting, Turn
+from .variation import SMOOTH, Factor, factors
+
+#: Turns flown before Newton's method is tried again.
+ROUNDS = (0, 8, 64)
+
+#: Parts of a period that are tried as the period of an autonomous orbit.
+DIVISORS = (2, 3, 4, 5)
+
+#: A guard's rate at a jump, against its largest, below which the jump is said to graze.
+GRAZES = 1e-3
+
+#: A multiplier nearer than this to the unit circle is not said to lie inside or outside.
+NEUTRAL = 1e-6
+
+#: An orbit that moves less than this, against its size, in a period, is an equilibrium.
+MOVES = 1e-6
+
+
+@attrs.frozen
+class Stick:
+    """A phase at rest on contacts, or sliding: its mode, first and last time."""
+
+    mode: str
+    t0: float
+    t1: float
+
+
+@attrs.frozen(eq=False, repr=False)
+class PeriodicOrbit:
+    """A periodic orbit, its shape and its stability.
+
+    Attributes
+    ----------
+    period : float
+    extrema : dict of (float, float)
+        Least and greatest value of each coordinate, by name.
+    jumps : float
+        Jumps in a period, releases and switchings included; ``inf`` where they accumulate.
+    sticks : tuple of Stick
+        Phases at rest on contacts, or sliding.
+    saltations : tuple of Factor
+        Of each jump, and each accumulation: ``.t .edge .matrix``.
+    monodromy : array, shape (n, n)
+        The first variation over a period, from ``start``.
+    multipliers : array of complex, shape (n,)
+        Its eigenvalues, largest first. In an autonomous model one of them is 1: that of a
+        change along the orbit.
+    stable : bool
+        Whether all others lie inside the unit circle, by more than rounding (1e-6).
+    start : Record
+        The state at ``run.t0``, in the middle of an arc.
+    run : Trajectory
+        One period.
+    residual : float
+        Largest difference between its ends, against the size of the orbit.
+    autonomous : bool
+    grazing : tuple of str
+        Sentences on guards that are touched, or crossed almost without speed: there the
+        multipliers may not say what happens nearby.
+    """
+
+    period: float
+    extrema: dict[str, tuple[float, float]]
+    jumps: float
+    sticks: tuple[Stick, ...]
+    saltations: tuple[Factor, ...]
+    monodromy: np.ndarray
+    multipliers: np.ndarray
+    stable: bool
+    start: Record
+    run: Trajectory
+    residual: float
+    autonomous: bool
+    grazing: tuple[str, ...]
+
+    def __str__(self) -> str:
+        outside = bool(np.any(np.abs(self.multipliers) > 1.0 + NEUTRAL))
+        kind = "stable" if self.stable else "unstable" if outside else "neutral"
+        edges = Counter(row.edge for row in self.run.own_jumps.values())
+        counted = ", ".join(f"{count} {edge}" for edge, count in edges.items()) or "none"
+        if self.run.zeno:
+            counted += f", and {len(self.run.zeno)} accumulation(s) of infinitely many"
+        lines = [
+            f"{self.run.spec.model}: {kind} periodic orbit of period {self.period:.12g}",
+            f"  multipliers  {', '.join(map(_number, self.multipliers))}",
+            f"  jumps        {counted}",
+        ]
+        lines += [f"  {stick.mode:12} for {stick.t1 - stick.t0:.9g}" for stick in self.sticks]
+        lines += [f"  {name:12} {a:.12g} to {b:.12g}" for name, (a, b) in self.extrema.items()]
+        lines += [f"  {sentence}" for sentence in self.grazing]
+        return "\n".join([*lines, f"  closed to     {self.residual:.2g} of its size"])
+
+    __repr__ = __str__
+
+
+def periodic_orbit(
+    model: Any,
+    guess: Any,
+    *,
+    section: Any = None,
+    period: float | None = None,
+    t: float = 0.0,
+    mode: str | None = None,
+    settle: int = 0,
+    t_max: float = 1000.0,
+    tol: float = 1e-9,
+    **options: Any,
+) -> PeriodicOrbit:
+    """Find a periodic orbit near a guess, stable or not, and describe it.
+
+    Parameters
+    ----------
+    model : Automaton
+        Autonomous, or periodic in time.
+    guess : dict, record, sequence or Trajectory
+        A state near the orbit; of a run its last one.
+    section : str, callable or float, optional
+        As for :func:`hybrid.return_map`: one return is one turn. A plane through the guess,
+        across the flow, if omitted. Give an edge that jumps once a turn.
+    period : float, optional
+        Of a model that depends on time: the orbit's period, a whole number of those of the
+        forcing. Otherwise a first guess of the orbit's period, in place of a section.
+    t, mode
+        Time and mode of the guess.
+    settle : int
+        Turns that are flown before Newton's method begins: towards a stable orbit.
+    t_max : float
+        The longest time a return may take.
+    tol : float
+        How well the orbit must close, relative to its size, to be an orbit.
+    options
+        As for :func:`hybrid.simulate`; by default ``rtol=1e-12, atol=1e-13``.
+
+    Returns
+    -------
+    PeriodicOrbit
+
+    Raises
+    ------
+    OptionError
+        If the model depends on time and no period is given.
+    OrbitError
+        If no orbit is found: the message says how far it came.
+
+    Warns
+    -----
+    UserWarning
+        If the orbit touches a guard, or crosses one almost without speed.
+
+    Notes
+    -----
+    Newton's method starts from the guess, then from where 8 and 64 turns lead. Its matrix is the
+    product of the fundamental matrices of the arcs and the saltation matrices of the jumps;
+    accumulations of impacts have one too (``docs/notes/orbits.md``). Source: di Bernardo, Budd,
+    Champneys & Kowalczyk, *Piecewise-smooth Dynamical Systems* (2008).
+
+    Examples
+    --------
+    >>> orbit = hy.periodic_orbit(VanDerPol(), {"x": 2.0, "v": 0.0})
+    >>> orbit.period
+    6.66328685932...
+    """
+    require_model(model)
+    scene = scene_of(model)
+    options = {"rtol": 1e-12, "atol": 1e-13, **options, "save": "dense"}
+    timed = depends_on_time(scene)
+    if period is None and isinstance(section, int | float):
+        period = float(section)
+    if period is None and timed:
+        raise OptionError(
+            f"{scene.spec.model} depends on time: give period=, that of the forcing or a multiple"
+        )
+    if period is not None and not 0 < period < float("inf"):
+        raise OptionError(f"period={period!r}: a time greater than 0")
+    search = _Search(Shooting(model, timed, tol, options), section, period, t_max)
+    turn = search.find(_given(scene, guess, t, mode), settle)
+    orbit = _describe(model, scene, turn, not timed)
+    for sentence in orbit.grazing:
+        warnings.warn(f"{scene.spec.model}: {sentence}", stacklevel=2)
+    return orbit
+
+
+def depends_on_time(scene: Scene) -> bool:
+    """Whether any flow, guard, reset or law of a model depends on time explicitly."""
+    code = scene.code
+
+    def look() -> bool:
+        keys = code.cls.traces
+        extra = {"restitution": ["u"]}
+        found = [code.dependencies(code.closed(*key), extra.get(key[0], ())) for key in keys]
+        return any(TIME in places for each in found for places in each)
+
+    return bool(code.once("timed", look))
+
+
+def _given(scene: Scene, guess: Any, t: float, mode: str | None) -> Guess:
+    if isinstance(guess, Trajectory):
+        last = start_mode(scene, guess.mode)
+        return Guess(guess.t1, guess.parts[-1].last, last, 0.0)
+    try:
+        values = scene.spec.values(guess)
+    except ValueError as fault:
+        raise OptionError(f"{scene.spec.model}: guess={guess!r}: {fault}") from None
+    x = np.concatenate([np.ravel(np.asarray(v, dtype=float)) for v in values])
+    return Guess(t, x, mode, 0.0)
+
+
+@attrs.frozen(eq=False)
+class _Search:
+    """The search for an orbit."""
+
+    shooting: Shooting
+    section: Any
+    period: float | None
+    t_max: float
+
+    def find(self, guess: Guess, settle: int) -> Turn:
+        """A closed turn, from the guess or from where it leads."""
+        reached: list[str] = []
+        for turns in ROUNDS:
+            try:
+                guess = self.timed(self.advanced(self.timed(guess), turns + (not turns) * settle))
+                turn = self.shooting.refine(self.shooting.centred(guess))
+            except HybridError as fault:
+                reached.append(str(fault))
+                continue
+            if turn.residual <= self.shooting.tol:
+                return self.shortest(self.moving(turn))
+            reached.append(
+                f"Newton's method came to {self.shooting.scene.spec.record(turn.guess.x)}, whose "
+                f"run of {turn.guess.period:.9g} closes to {turn.residual:.2g} of its size"
+            )
+        raise OrbitError(
+            f"{self.shooting.scene.spec.model}: no periodic orbit was found. From the guess: "
+            f"{reached[0]}. After {ROUNDS[-1]} more turns: {reached[-1]}. Give a guess nearer to "
+            "the orbit, another section or period, or settle= a number of turns"
+        )
+
+    def timed(self, guess: Guess) -> Guess:
+        """A guess with the time that its turn takes."""
+        if self.period is not None:
+            return attrs.evolve(guess, period=self.period)
+        across = self.section is None
+        section = _plane(self.shooting, guess) if across else self.section
+        options = self.shooting.options
+        back = ReturnMap(
+            self.shooting.model, section, guess.mode, self.t_max, RISING, dict(options)
+        )
+        if not across:
+            run = back.run(guess.x, guess.t)
+            last = start_mode(self.shooting.scene, run.mode)
+            guess = Guess(run.t1, run.parts[-1].last, last, 0.0)
+            back.mode = last
+        return attrs.evolve(guess, period=back.time(guess.x, guess.t))
+
+    def advanced(self, guess: Guess, turns: int) -> Guess:
+        """Where a number of turns lead."""
+        if not turns:
+            return guess
+        run = self.shooting.turn(attrs.evolve(guess, period=turns * guess.period)).run
+        last = start_mode(self.shooting.scene, run.mode)
+        return Guess(run.t1, run.parts[-1].last, last, guess.period)
+
+    def moving(self, turn: Turn) -> Turn:
+        """Refuse an equilibrium for a periodic orbit."""
+        shooting, guess = self.shooting, turn.guess
+        rate = shooting.flow(turn.run.parts[0].mode, guess.t, guess.x)
+        if shooting.timed or np.max(np.abs(rate) / turn.scale) * guess.period > MOVES:
+            return turn
+        raise OrbitError(
+            f"{shooting.scene.spec.model}: the search ended at an equilibrium, "
+            f"{shooting.scene.spec.record(guess.x)}; give a guess nearer to the orbit"
+        )
+
+    def shortest(self, turn: Turn) -> Turn:
+        """An orbit that goes round several times, once."""
+        for part in () if self.shooting.timed else DIVISORS:
+            guess = attrs.evolve(turn.guess, period=turn.guess.period / part)
+            near = turn.run(guess.t + guess.period)
+            x = np.concatenate([np.ravel(v) for v in near])
+            if np.max(np.abs(x - guess.x) / turn.scale) <= MOVES:
+                once = self.shooting.refine(guess)
+                if once.residual <= self.shooting.tol:
+                    return self.shortest(once)
+        return turn
+
+
+def _plane(shooting: Shooting, guess: Guess) -> Any:
+    """The plane through a state, across the flow there; coordinates against their own size."""
+    scene = shooting.scene
+    flow = shooting.flow(guess.mode or scene.spec.initial, guess.t, guess.x)
+    if not np.any(flow):
+        raise OrbitError(
+            f"{scene.spec.model}: the guess {scene.spec.record(guess.x)} is an equilibrium; "
+            "give another, or a section"
+        )
+    sizes = np.abs(flow) + np.abs(guess.x) + 1e-300
+    normal = flow / sizes**2
+    level = float(normal @ guess.x)
+
+    def plane(self: Any, t: Any, s: Any) -> Any:
+        import jax.numpy as jnp
+
+        return jnp.concatenate([jnp.ravel(v) for v in s]) @ normal - level
+
+    return plane
+
+
+# ---------------------------------------------------------------------------------------
+# description
+
+
+def _describe(model: Any, scene: Scene, turn: Turn, autonomous: bool) -> PeriodicOrbit:
+    run, size = turn.run, scene.spec.dimension
+    matrix, saltations = np.eye(size), []
+    for factor in factors(model, run):
+        matrix = factor.matrix @ matrix
+        if factor.edge is not None:
+            saltations.append(factor)
+    values = np.linalg.eigvals(matrix).astype(complex)
+    values = values[np.argsort(-np.abs(values))]
+    others = np.delete(values, np.argmin(np.abs(values - 1.0))) if autonomous else values
+    return PeriodicOrbit(
+        period=turn.guess.period,
+        extrema=extrema(run),
+        jumps=float("inf") if run.zeno else len(run.own_jumps),
+        sticks=tuple(Stick(a.mode, a.t0, a.t1) for a in run.parts if a.t1 > a.t0 and "(" in a.mode),
+        saltations=tuple(saltations),
+        monodromy=matrix,
+        multipliers=values,
+        stable=bool(np.all(np.abs(others) < 1.0 - NEUTRAL)),
+        start=scene.spec.record(turn.guess.x),
+        run=run,
+        residual=turn.residual,
+        autonomous=autonomous,
+        grazing=tuple(_grazing(scene, run)),
+    )
+
+
+def extrema(run: Trajectory) -> dict[str, tuple[float, float]]:
+    """Least and greatest value of each element of the state along a run, by name."""
+    low = np.min([np.minimum(arc.first, arc.last) for arc in run.arcs], axis=0)
+    high = np.max([np.maximum(arc.first, arc.last) for arc in run.arcs], axis=0)
+    for arc in run.arcs:
+        for segment in arc.segments:
+            for i, series in enumerate(segment.coefficients.T):
+                turns = chebyshev.chebval(_turning(series), series)
+                low[i], high[i] = min([low[i], *turns]), max([high[i], *turns])
+    pairs = zip(low.tolist(), high.tolist(), strict=True)
+    return dict(zip(run.spec.element_names, pairs, strict=True))
+
+
+def _turning(series: np.ndarray) -> np.ndarray:
+    """Where a Chebyshev series has zero slope, inside (-1, 1)."""
+    slope = chebyshev.chebtrim(chebyshev.chebder(series), 1e-16 * float(np.abs(series).max()))
+    if len(slope) < 2:
+        return np.empty(0)
+    roots = chebyshev.chebroots(slope)
+    real = roots.real[np.abs(roots.imag) <= 1e-6]
+    return real[np.abs(real) < 1.0]
+
+
+def _grazing(scene: Scene, run: Trajectory) -> list[str]:
+    """Sentences on guards that are touched, or crossed almost without speed."""
+    found = [f"the guard of {g.edge} is touched at t = {g.t:.9g}" for g in run.grazings]
+    summed = {edge for point in run.zeno for edge in point.edges}
+    for index, row in run.own_jumps.items():
+        field = scene.field(run.parts[index].mode)
+        guard = field.guards[field.column(row.edge)]
+        if guard.kind in SMOOTH or row.edge in summed:
+            continue
+        rate = abs(guard.lie(row.t, row.before.tolist())[1])
+        alike = [a for a in run.parts if isinstance(a, Arc) and a.mode == field.name]
+        states = [(a.t0 + s.end, s(s.end).tolist()) for a in alike for s in a.segments]
+        largest = max((abs(guard.lie(t, x)[1]) for t, x in states), default=rate)
+        if rate <= GRAZES * largest:
+            found.append(
+                f"{row.edge} at t = {row.t:.9g} is near to grazing: its guard is reached at "
+                f"{rate:.3g}, where it changes as fast as {largest:.3g} along the orbit"
+            )
+    return found
+
+
+def _number(value: complex) -> str:
+    return f"{value.real:.9g}" if not value.imag else f"{value.real:.9g}{value.imag:+.9g}i"
