@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from .certificates import Certificate, certify
     from .ensembles import ensemble
     from .function import as_function
-    from .orbits import periodic_orbit, return_map
+    from .orbits import lyapunov, periodic_orbit, return_map
     from .simulation import simulate
     from .store import load
     from .trajectory import Status, Trajectory
@@ -56,6 +56,7 @@ _LAZY = {
     "Certificate": "certificates",
     "as_function": "function",
     "certify": "certificates",
+    "lyapunov": "orbits",
     "periodic_orbit": "orbits",
     "return_map": "orbits",
     "ensemble": "ensembles",
@@ -102,6 +103,7 @@ __all__ = [
     "edge",
     "ensemble",
     "load",
+    "lyapunov",
     "mode",
     "parameter",
     "periodic_orbit",

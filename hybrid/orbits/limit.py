@@ -20,7 +20,7 @@ from ..segment import from_values, nodes
 from ..zeno.accumulate import Tail
 from ..zeno.flight import fly
 from .derivatives import Derivatives
-from .variation import transition
+from .variation import cleared, transition
 
 #: Degrees that are tried, and the change, relative, at which a derivative is taken as it is.
 DEGREES, SETTLED = (4, 6, 8, 10, 12, 14, 16), 1e-10
@@ -58,8 +58,9 @@ def through(derivatives: Derivatives, tail: Tail) -> np.ndarray:
         )
     enters = limits.event(tail.t, tail.x, tail.v)
     after = limits.drift(tail.t + tail.remaining, tail.x_inf)
-    moved: np.ndarray = (before[1:] - np.outer(after, before[0])) @ enters
-    return moved
+    later = np.outer(after, before[0])
+    sizes = (np.abs(before[1:]) + np.abs(later)) @ np.abs(enters)
+    return cleared((before[1:] - later) @ enters, sizes, SETTLED)
 
 
 class _Limits:

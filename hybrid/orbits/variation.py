@@ -34,6 +34,9 @@ STAGES = 8
 #: Steps are halved until both halves say the same, relative; and most halvings of one.
 RESOLVED, DEPTH = 1e-12, 24
 
+#: What is left of a difference, relative, that is rounding.
+ROUNDING = 1e-14
+
 #: Kinds of jumps that leave the state and, where they begin, the flow as they are.
 SMOOTH = ("release", "leave")
 
@@ -153,7 +156,13 @@ class _Walk:
                 "without speed; a jump that grazes has no first variation"
             )
         change = np.array(after.rhs(last.t, last.after.tolist())) - reset @ before
-        return reset[:, 1:] + np.outer(change, gradient[1:]) / rate
+        sooner = np.outer(change, gradient[1:]) / rate
+        return cleared(reset[:, 1:] + sooner, np.abs(reset[:, 1:]) + np.abs(sooner), ROUNDING)
+
+
+def cleared(matrix: np.ndarray, sizes: np.ndarray, relative: float) -> np.ndarray:
+    """A matrix with 0 for what is rounding of the terms it is made of: a lost rank stays lost."""
+    return np.where(np.abs(matrix) <= relative * sizes, 0.0, matrix)
 
 
 def transition(rate: Matrix, t: float, segments: Sequence[Segment]) -> np.ndarray:
