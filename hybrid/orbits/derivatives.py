@@ -44,6 +44,15 @@ class Derivatives:
         same = np.eye(size, 1 + size, 1)
         return lambda t, x: same
 
+    def project(self, field: Field) -> Matrix:
+        """``(t, x) -> (n, 1 + n)``: of the way back onto the contacts held, or the surface."""
+        code, switching = self.scene.code, self.scene.spec.sliding(field.mode)
+        if switching is None:
+            onto = lambda: code.held(field.held).project  # noqa: E731
+        else:
+            onto = lambda: code.sliding(switching.name).project  # noqa: E731
+        return self._of(("project", field.name), self.size, onto)
+
     def speed(self, guard: Guard, field: Field) -> Matrix:
         """``(t, x) -> (1, 1 + n)``: of a guard's rate along the flow."""
         from ..scene.contact import lie

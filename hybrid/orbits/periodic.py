@@ -10,7 +10,6 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from ..arcs import Arc
 from ..automaton.base import require_model
 from ..automaton.markers import RISING
 from ..automaton.record import Record
@@ -18,18 +17,16 @@ from ..errors import HybridError, OptionError, OrbitError
 from ..scene import Scene, scene_of
 from ..scene.lowered import TIME
 from ..trajectory import Trajectory
+from .grazing import grazing, turning
 from .returns import ReturnMap, start_mode
 from .shooting import Guess, Shooting, Turn
-from .variation import SMOOTH, Factor, factors
+from .variation import Factor, factors
 
 #: Turns flown before Newton's method is tried again.
 ROUNDS = (0, 8, 64)
 
 #: Parts of a period that are tried as the period of an autonomous orbit.
 DIVISORS = (2, 3, 4, 5)
-
-#: A guard's rate at a jump, against its largest, below which the jump is said to graze.
-GRAZES = 1e-3
 
 #: A multiplier nearer than this to the unit circle is not said to lie inside or outside.
 NEUTRAL = 1e-6
@@ -244,7 +241,7 @@ class _Search:
                 guess = self.timed(self.advanced(self.timed(guess), turns + (not turns) * settle))
                 turn = self.shooting.refine(self.shooting.centred(guess))
             except HybridError as fault:
-                reached.append(str(fault))
+                reached.append(str(fault).rstrip("."))
                 continue
             if turn.residual <= self.shooting.tol:
                 return self.shortest(self.moving(turn))
@@ -262,17 +259,14 @@ class _Search:
         """A guess with the time that its turn takes."""
         if self.period is not None:
             return attrs.evolve(guess, period=self.period)
-        across = self.section is None
-        section = _plane(self.shooting, guess) if across else self.section
-        options = self.shooting.options
-        back = ReturnMap(
-            self.shooting.model, section, guess.mode, self.t_max, RISING, dict(options)
-        )
+        shooting, across = self.shooting, self.section is None
+        mode = guess.mode or shooting.scene.spec.initial
+        section = _plane(shooting, guess) if across else self.section
+        back = ReturnMap(shooting.model, section, mode, self.t_max, RISING, shooting.options)
         if not across:
             run = back.run(guess.x, guess.t)
-            last = start_mode(self.shooting.scene, run.mode)
-            guess = Guess(run.t1, run.parts[-1].last, last, 0.0)
-            back.mode = last
+            back.mode = start_mode(shooting.scene, run.mode)
+            guess = Guess(run.t1, run.parts[-1].last, back.mode, 0.0)
         return attrs.evolve(guess, period=back.time(guess.x, guess.t))
 
     def advanced(self, guess: Guess, turns: int) -> Guess:
@@ -355,7 +349,7 @@ def _describe(model: Any, scene: Scene, turn: Turn, autonomous: bool) -> Periodi
         run=run,
         residual=turn.residual,
         autonomous=autonomous,
-        grazing=tuple(_grazing(scene, run)),
+        grazing=tuple(grazing(scene, run)),
     )
 
 
@@ -366,41 +360,10 @@ def extrema(run: Trajectory) -> dict[str, tuple[float, float]]:
     for arc in run.arcs:
         for segment in arc.segments:
             for i, series in enumerate(segment.coefficients.T):
-                turns = chebyshev.chebval(_turning(series), series)
+                turns = chebyshev.chebval(turning(series), series)
                 low[i], high[i] = min([low[i], *turns]), max([high[i], *turns])
     pairs = zip(low.tolist(), high.tolist(), strict=True)
     return dict(zip(run.spec.element_names, pairs, strict=True))
-
-
-def _turning(series: np.ndarray) -> np.ndarray:
-    """Where a Chebyshev series has zero slope, inside (-1, 1)."""
-    slope = chebyshev.chebtrim(chebyshev.chebder(series), 1e-16 * float(np.abs(series).max()))
-    if len(slope) < 2:
-        return np.empty(0)
-    roots = chebyshev.chebroots(slope)
-    real = roots.real[np.abs(roots.imag) <= 1e-6]
-    return real[np.abs(real) < 1.0]
-
-
-def _grazing(scene: Scene, run: Trajectory) -> list[str]:
-    """Sentences on guards that are touched, or crossed almost without speed."""
-    found = [f"the guard of {g.edge} is touched at t = {g.t:.9g}" for g in run.grazings]
-    summed = {edge for point in run.zeno for edge in point.edges}
-    for index, row in run.own_jumps.items():
-        field = scene.field(run.parts[index].mode)
-        guard = field.guards[field.column(row.edge)]
-        if guard.kind in SMOOTH or row.edge in summed:
-            continue
-        rate = abs(guard.lie(row.t, row.before.tolist())[1])
-        alike = [a for a in run.parts if isinstance(a, Arc) and a.mode == field.name]
-        states = [(a.t0 + s.end, s(s.end).tolist()) for a in alike for s in a.segments]
-        largest = max((abs(guard.lie(t, x)[1]) for t, x in states), default=rate)
-        if rate <= GRAZES * largest:
-            found.append(
-                f"{row.edge} at t = {row.t:.9g} is near to grazing: its guard is reached at "
-                f"{rate:.3g}, where it changes as fast as {largest:.3g} along the orbit"
-            )
-    return found
 
 
 def _number(value: complex) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..arcs import Arc
+from ..segment import nodes
 from ..trajectory import Trajectory
 
 #: Distances below this many times ``rtol``, three turns in a row, are those of a closed orbit.
@@ -20,6 +21,15 @@ LONGEST = 16
 
 #: Turns whose distances must all shrink, and what they must have come to.
 SHRINKING, NEAR = 5, 1e-3
+
+#: Distances of this ratio are much the same.
+ALIKE = 10.0
+
+#: Where along a step the state is looked at.
+SHARES = (0.0, 0.25, 0.5, 0.75)
+
+#: Degree at which a step is searched for a crossing.
+LOOK = 16
 
 #: Turns, or parts of the run, that are looked at.
 TURNS, PARTS = 12, 6
@@ -87,7 +97,7 @@ def settles(run: Trajectory) -> Settled:
     tried = [turns for returns in _returns(run) for turns in _turns(returns, scale)]
     for turns in tried:
         if _closed(turns.distances, tol) or _shrinks(turns.distances):
-            return _periodic(run, turns, tol)
+            return _periodic(run, _shortest(turns, tried), tol)
     return _none(run, tried)
 
 
@@ -97,22 +107,22 @@ def settles(run: Trajectory) -> Settled:
 
 def _scale(run: Trajectory) -> np.ndarray:
     """Size of each element of the state over the last half of a run."""
-    states = np.array([x for _, x in _states(run, 0.5 * (run.t0 + run.t1))])
+    states = _states(run, 0.5 * (run.t0 + run.t1))[1]
     size: np.ndarray = np.abs(states).max(axis=0)
     return np.where(size > 0, size, 1.0)
 
 
-def _states(run: Trajectory, since: float) -> Iterator[tuple[float, np.ndarray]]:
-    """States along a run from a time on: at the ends of arcs and along their steps."""
+def _states(run: Trajectory, since: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states along a run from a time on: at the ends of arcs and along their steps."""
+    times, states = [], []
     for arc in run.arcs:
-        if arc.t1 < since:
-            continue
-        inside = [
-            s.start + share * s.length for s in arc.segments for share in (0.0, 0.25, 0.5, 0.75)
-        ]
-        for tau in [0.0, *inside, arc.length]:
-            if arc.t0 + tau >= since:
-                yield arc.t0 + tau, arc.local(np.array(tau))
+        if arc.t1 >= since:
+            inside = [s.start + share * s.length for s in arc.segments for share in SHARES]
+            tau = np.array([0.0, *inside, arc.length])
+            tau = tau[arc.t0 + tau >= since]
+            times.append(arc.t0 + tau)
+            states.append(arc.local(tau))
+    return np.concatenate(times), np.concatenate(states)
 
 
 def _held(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
@@ -121,15 +131,16 @@ def _held(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
     whole = run.t1 - run.t0
     if not isinstance(arc, Arc) or "(" not in arc.mode or arc.length < 0.25 * whole:
         return None
-    points = list(_states(attrs.evolve(run, parts=[arc]), arc.t0))
-    moved = float(np.max(np.ptp([x for _, x in points], axis=0) / scale))
+    times, states = _states(attrs.evolve(run, parts=[arc]), arc.t0)
+    moved = float(np.max(np.ptp(states, axis=0) / scale))
     if moved > tol:
         return None
     said = f"rests in {arc.mode} since t = {arc.t0:.9g}, for {arc.length:.6g}"
     held = arc.mode.partition(".rest(")[2].removesuffix(")")
     if held in run.surfaces:
         guard = run.surfaces[held]
-        loads = [-guard.lie(t, x.tolist())[2] for t, x in points]
+        pairs = zip(times.tolist(), states.tolist(), strict=True)
+        loads = [-guard.lie(t, x)[2] for t, x in pairs]
         early, late = min(loads[: len(loads) // 2 + 1]), min(loads[len(loads) // 2 :])
         if not 2.0 * late > early:
             return None
@@ -142,8 +153,7 @@ def _still(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
     middle = 0.5 * (run.t0 + run.t1)
     if len(run.jumps) and run.jumps.t[-1] > middle:
         return None
-    points = list(_states(run, middle))
-    times, states = np.array([t for t, _ in points]), np.array([x for _, x in points])
+    times, states = _states(run, middle)
     part = np.minimum(((times - middle) / (run.t1 - middle) * PARTS).astype(int), PARTS - 1)
     if len(np.unique(part)) < PARTS:
         states = np.array([np.concatenate([np.ravel(v) for v in run(t)]) for t in _even(run)])
@@ -190,26 +200,26 @@ def _longest(times: np.ndarray) -> float:
 
 def _crossings(run: Trajectory) -> Returns:
     """Rising crossings of the middle of the coordinate that varies most, against its size."""
-    states = np.array([x for _, x in _states(run, 0.5 * (run.t0 + run.t1))])
+    states = _states(run, 0.5 * (run.t0 + run.t1))[1]
     spread, size = np.ptp(states, axis=0), np.abs(states).max(axis=0)
     i = int(np.argmax(spread / np.where(size > 0, size, 1.0)))
     level, name = 0.5 * (states[:, i].min() + states[:, i].max()), run.spec.element_names[i]
     times, points = [], []
     for arc in run.arcs:
         for segment in arc.segments:
-            series = segment.coefficients[:, i] - level * (np.arange(segment.degree + 1) == 0)
-            for xi in _rising(series):
-                tau = segment.start + 0.5 * (xi + 1.0) * segment.length
-                times.append(arc.t0 + tau)
-                points.append(segment(tau))
+            above = segment.at(nodes(LOOK))[:, i] > level
+            if above.any() and not above.all():
+                for xi in _rising(segment.coefficients[:, i], level):
+                    tau = segment.start + 0.5 * (xi + 1.0) * segment.length
+                    times.append(arc.t0 + tau)
+                    points.append(segment(tau))
     shape = (len(times), run.spec.dimension)
     return Returns(f"{name} = {level:.6g}", np.array(times), np.array(points).reshape(shape))
 
 
-def _rising(series: np.ndarray) -> list[float]:
-    """Where a Chebyshev series rises through zero, in (-1, 1]."""
-    if abs(series[0]) > np.abs(series[1:]).sum():
-        return []
+def _rising(series: np.ndarray, level: float) -> list[float]:
+    """Where a Chebyshev series rises through a level, in (-1, 1]."""
+    series = chebyshev.chebsub(series, [level])
     series = chebyshev.chebtrim(series, 1e-16 * float(np.abs(series).max()))
     roots = chebyshev.chebroots(series) if len(series) > 1 else np.empty(0)
     real = np.sort(roots.real[np.abs(roots.imag) <= 1e-9])
@@ -242,6 +252,17 @@ def _shrinks(distances: np.ndarray) -> bool:
     last = distances[-SHRINKING:]
     small = len(last) == SHRINKING and last[-1] <= NEAR
     return bool(small and np.all(np.diff(last) < 0) and last[-1] <= 0.9 * last[0])
+
+
+def _shortest(turns: Turns, tried: list[Turns]) -> Turns:
+    """The shortest orbit that is as nearly closed: one that shrinks turning round is that too."""
+    return next(
+        shorter
+        for shorter in tried
+        if shorter.returns is turns.returns
+        and turns.length % shorter.length == 0
+        and shorter.distances[-1] <= ALIKE * turns.distances[-1]
+    )
 
 
 def _rate(distances: np.ndarray, tol: float) -> float | None:

@@ -21,7 +21,7 @@ import attrs
 import numpy as np
 from numpy.polynomial import legendre
 
-from ..arcs import Arc, JumpRow, TailPart
+from ..arcs import Arc, JumpRow, Part, TailPart
 from ..errors import OrbitError
 from ..scene import Field, Guard, scene_of
 from ..segment import Segment
@@ -96,6 +96,7 @@ class _Walk:
     def factors(self) -> Iterator[Factor]:
         group: list[tuple[Field, JumpRow]] = []  # jumps with no time between them
         parts, jumps = self.run.parts, self.run.own_jumps
+        yield from self.start(parts[0])
         for index, part in enumerate(parts):
             field, last = self.scene.field(part.mode), index + 1 == len(parts)
             instant = isinstance(part, Arc) and not part.length
@@ -113,6 +114,13 @@ class _Walk:
                     f"{self.run.spec.model}: the run passes the limit of a cycle of several edges "
                     f"at t = {part.t1!r}; its first variation is known for one contact only"
                 )
+
+    def start(self, part: Part) -> Iterator[Factor]:
+        """A run that begins at rest, or sliding, begins with its start's projection."""
+        field = self.scene.field(part.mode)
+        if isinstance(part, Arc) and field.project is not None:
+            onto = self.derivatives.project(field)(part.t0, part.first)[:, 1:]
+            yield Factor(part.t0, None, cleared(onto, np.ones_like(onto), ROUNDING))
 
     def arc(self, arc: Arc, field: Field) -> Iterator[Factor]:
         rate, t = self.derivatives.flow(field), arc.t0 + arc.low
