@@ -68,6 +68,7 @@ class Beside(hy.Automaton):
     z = hy.state()
     w = hy.state()
     r = hy.parameter(0.6)
+    amplitude = hy.parameter(0.2)
 
     @hy.mode
     def flight(self, t, s):
@@ -76,7 +77,7 @@ class Beside(hy.Automaton):
 
     floor = hy.contact(
         flight,
-        gap=lambda self, t, s: s.x - 0.2 * jnp.sin(t) + 0.1 * s.z,
+        gap=lambda self, t, s: s.x - self.amplitude * jnp.sin(t) + 0.1 * s.z,
         restitution=lambda self, t, s, u: self.r * (1 + 0.1 * s.z),
     )
 

@@ -10,7 +10,7 @@ from numpy.polynomial import chebyshev
 
 from ..arcs import Arc
 from ..scene import Field, Guard, Scene
-from ..segment import Segment, from_values, nodes
+from ..segment import from_values, nodes
 from ..trajectory import Trajectory
 from .variation import SMOOTH
 
@@ -23,34 +23,54 @@ DEGREE = 16
 
 
 @attrs.frozen(eq=False)
+class Step:
+    """A guard along a step of an arc: its Chebyshev series, times and values."""
+
+    start: float
+    length: float
+    series: np.ndarray
+    times: np.ndarray
+    values: np.ndarray
+
+
+@attrs.frozen(eq=False)
 class Along:
-    """A guard along the arcs of a mode: Chebyshev series, one a step, and its time scale."""
+    """A guard along the arcs of a mode, each a list of steps."""
 
     field: Field
     guard: Guard
-    series: list[tuple[float, Segment, np.ndarray]]
+    arcs: list[list[Step]]
 
     @property
     def largest(self) -> float:
         """Its largest value, nearly."""
-        return max(float(np.abs(series).sum()) for *_, series in self.series)
+        return max(float(np.abs(step.values).max()) for arc in self.arcs for step in arc)
 
     @property
     def fastest(self) -> float:
         """Its largest rate, nearly."""
-        slopes = [(s, chebyshev.chebder(series)) for _, s, series in self.series]
-        return max(float(np.abs(slope).sum()) * 2.0 / s.length for s, slope in slopes)
+        steps = [step for arc in self.arcs for step in arc]
+        return max(2.0 / s.length * np.abs(chebyshev.chebder(s.series)).sum() for s in steps)
 
     def nearest(self) -> Iterator[tuple[float, float]]:
-        """Times and values where it comes near to zero and turns back."""
+        """Times and values where it comes near to zero from afar, and turns back."""
         bound = GRAZES**2 * self.largest
-        for t, segment, series in self.series:
-            points = turning(series)
-            values = chebyshev.chebval(points, series)
-            bends = chebyshev.chebval(points, chebyshev.chebder(series, 2))
-            near = (values * bends > 0) & (np.abs(values) <= bound)
-            for xi, value in zip(points[near].tolist(), values[near].tolist(), strict=True):
-                yield t + segment.start + 0.5 * (xi + 1.0) * segment.length, value
+        for arc in self.arcs:
+            times = np.concatenate([step.times for step in arc])
+            far = times[np.abs(np.concatenate([step.values for step in arc])) > bound]
+            for step in arc:
+                for t, value in _turned(step, bound):
+                    if far.size and far[0] < t < far[-1]:
+                        yield t, value
+
+
+def _turned(step: Step, bound: float) -> Iterator[tuple[float, float]]:
+    points = turning(step.series)
+    values = chebyshev.chebval(points, step.series)
+    bends = chebyshev.chebval(points, chebyshev.chebder(step.series, 2))
+    near = (values * bends > 0) & (np.abs(values) <= bound)
+    for xi, value in zip(points[near].tolist(), values[near].tolist(), strict=True):
+        yield step.start + 0.5 * (xi + 1.0) * step.length, value
 
 
 def turning(series: np.ndarray) -> np.ndarray:
@@ -92,14 +112,15 @@ def _guards(scene: Scene, run: Trajectory) -> Iterator[Along]:
     for mode in dict.fromkeys(arc.mode for arc in arcs):
         field, alike = scene.field(mode), [arc for arc in arcs if arc.mode == mode]
         for guard in field.guards:
-            steps = [(a.t0 + a.low, segment) for a in alike for segment in a.segments]
-            yield Along(field, guard, [(t, s, _series(guard, t, s)) for t, s in steps])
+            yield Along(field, guard, [_steps(guard, arc) for arc in alike])
 
 
-def _series(guard: Guard, t: float, segment: Segment) -> np.ndarray:
-    shares = nodes(DEGREE)
-    times = (t + segment.start + segment.length * shares).tolist()
-    states = segment.at(shares).tolist()
-    values = [guard.value(when, x) for when, x in zip(times, states, strict=True)]
-    series: np.ndarray = from_values(DEGREE) @ np.array(values)
-    return series
+def _steps(guard: Guard, arc: Arc) -> list[Step]:
+    shares, found = nodes(DEGREE), []
+    for segment in arc.segments:
+        start = arc.t0 + arc.low + segment.start
+        times, states = start + segment.length * shares, segment.at(shares)
+        pairs = zip(times.tolist(), states.tolist(), strict=True)
+        values = np.array([guard.value(t, x) for t, x in pairs])
+        found.append(Step(start, segment.length, from_values(DEGREE) @ values, times, values))
+    return found

@@ -20,13 +20,13 @@ from ..segment import from_values, nodes
 from ..zeno.accumulate import Tail
 from ..zeno.flight import fly
 from .derivatives import Derivatives
-from .variation import cleared, transition
+from .variation import ROUNDING, cleared, transition
 
-#: Degrees that are tried, and the change, relative, at which a derivative is taken as it is.
-DEGREES, SETTLED = (4, 6, 8, 10, 12, 14, 16), 1e-10
+#: Degrees that are tried.
+DEGREES = (3, 4, 6, 8, 10, 12, 14, 16)
 
-#: What a change of the last degree but one may be for a derivative to be of use at all.
-USABLE = 1e-6
+#: Change from degree to degree, relative, at which a derivative is taken as it is; and at most.
+SETTLED, USABLE = 1e-11, 1e-6
 
 
 def through(derivatives: Derivatives, tail: Tail) -> np.ndarray:
@@ -43,24 +43,22 @@ def through(derivatives: Derivatives, tail: Tail) -> np.ndarray:
         Where the impacts of the tail do not depend smoothly on its start.
     """
     limits = _Limits(derivatives, tail)
-    before, change = limits.derivative(DEGREES[0]), np.inf
+    best = before = limits.carried(DEGREES[0])
+    least = np.inf
     for degree in DEGREES[1:]:
-        found = limits.derivative(degree)
-        change = float(np.abs(found - before).max() / np.abs(found).max())
-        before = found
-        if change <= SETTLED:
+        found = limits.carried(degree)
+        change = float(np.abs(found - before).max() / max(np.abs(found).max(), 1e-300))
+        if change < least:
+            best, least = found, change
+        if least <= SETTLED:
             break
-    if not change <= USABLE:
-        field = tail.field
+        before = found
+    if not least <= USABLE:
         raise OrbitError(
-            f"mode {field.name}, t = {tail.t!r}: the derivative of the limit of the impacts of "
-            f"{tail.contact.name} is not resolved (it still changes by {change:.2g})"
+            f"mode {tail.field.name}, t = {tail.t!r}: the derivative of the limit of the impacts "
+            f"of {tail.contact.name} is not resolved (it changes by {least:.2g} of its size)"
         )
-    enters = limits.event(tail.t, tail.x, tail.v)
-    after = limits.drift(tail.t + tail.remaining, tail.x_inf)
-    later = np.outer(after, before[0])
-    sizes = (np.abs(before[1:]) + np.abs(later)) @ np.abs(enters)
-    return cleared((before[1:] - later) @ enters, sizes, SETTLED)
+    return best
 
 
 class _Limits:
@@ -70,6 +68,14 @@ class _Limits:
         self.of, self.tail, self.size = derivatives, tail, derivatives.size
         self.guard = tail.field.guards[tail.column]
         self._maps: dict[float, np.ndarray] = {}
+
+    def carried(self, degree: int) -> np.ndarray:
+        """From a change after the first impact to one at the limit, both at equal times."""
+        tail, whole = self.tail, self.derivative(degree)
+        enters = self.event(tail.t, tail.x, tail.v)
+        later = np.outer(self.drift(tail.t + tail.remaining, tail.x_inf), whole[0])
+        sizes = (np.abs(whole[1:]) + np.abs(later)) @ np.abs(enters)
+        return cleared((whole[1:] - later) @ enters, sizes, ROUNDING)
 
     def derivative(self, degree: int) -> np.ndarray:
         """``G(1)``, from values at ``degree + 1`` points; shape ``(1 + n, 1 + n)``."""

@@ -33,6 +33,9 @@ REACH = 0.5
 #: An element of the state smaller than this many times ``atol`` is measured by that.
 FLOOR = 1e3
 
+#: What is added to the residual where the ends of a turn are in different modes.
+APART = 1.0
+
 #: Shortest arc of a plain mode, against the period, in which an orbit is begun.
 LEAST = 1e-2
 
@@ -56,7 +59,7 @@ class Turn:
     scale : array, shape (n,)
         Largest size of each element along it.
     residual : float
-        Largest difference between its ends, against ``scale``; infinite where they are in
+        Largest difference between its ends, against ``scale``; more by 1 where they are in
         different modes.
     """
 
@@ -86,7 +89,7 @@ class Shooting:
             raise OrbitError(f"{run.spec.model}: the run ended at t = {run.t1:.9g}: {run.status}")
         miss, scale = run.parts[-1].last - run.parts[0].first, self._scale(run)  # type: ignore[union-attr]
         same = start_mode(self.scene, run.mode) == start_mode(self.scene, run.parts[0].mode)
-        residual = float(np.max(np.abs(miss) / scale)) if same else float("inf")
+        residual = float(np.max(np.abs(miss) / scale)) + (0.0 if same else APART)
         return Turn(attrs.evolve(guess, x=x), run, miss, scale, residual)
 
     def _scale(self, run: Trajectory) -> np.ndarray:
@@ -121,8 +124,6 @@ class Shooting:
 
     def _improved(self, turn: Turn) -> Turn | None:
         """A step of Newton's method, shortened until it gains; None where it does not."""
-        if not np.isfinite(turn.residual):
-            return None
         step, stretch = self._step(turn)
         size = max(float(np.max(np.abs(step) / turn.scale)), abs(stretch) / turn.guess.period)
         share = min(1.0, REACH / size) if size else 1.0
