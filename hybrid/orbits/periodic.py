@@ -20,7 +20,7 @@ from ..trajectory import Trajectory
 from .grazing import grazing, turning
 from .returns import ReturnMap, start_mode
 from .shooting import Guess, Shooting, Turn
-from .variation import Factor, factors
+from .variation import Factor
 
 #: Turns flown before Newton's method is tried again.
 ROUNDS = (0, 8, 64)
@@ -191,9 +191,9 @@ def periodic_orbit(
         )
     if period is not None and not 0 < period < float("inf"):
         raise OptionError(f"period={period!r}: a time greater than 0")
-    search = _Search(Shooting(model, timed, tol, options), section, period, t_max)
-    turn = search.find(_given(scene, guess, t, mode), settle)
-    orbit = _describe(model, scene, turn, not timed)
+    shooting = Shooting(model, timed, tol, options)
+    search = _Search(shooting, section, period, t_max)
+    orbit = _describe(shooting, search.find(_given(scene, guess, t, mode), settle))
     for sentence in orbit.grazing:
         warnings.warn(f"{scene.spec.model}: {sentence}", stacklevel=2)
     return orbit
@@ -326,13 +326,9 @@ def _plane(shooting: Shooting, guess: Guess) -> Any:
 # description
 
 
-def _describe(model: Any, scene: Scene, turn: Turn, autonomous: bool) -> PeriodicOrbit:
-    run, size = turn.run, scene.spec.dimension
-    matrix, saltations = np.eye(size), []
-    for factor in factors(model, run):
-        matrix = factor.matrix @ matrix
-        if factor.edge is not None:
-            saltations.append(factor)
+def _describe(shooting: Shooting, turn: Turn) -> PeriodicOrbit:
+    scene, run, autonomous = shooting.scene, turn.run, not shooting.timed
+    matrix, saltations = shooting.variation(run)
     values = np.linalg.eigvals(matrix).astype(complex)
     values = values[np.argsort(-np.abs(values))]
     others = np.delete(values, np.argmin(np.abs(values - 1.0))) if autonomous else values

@@ -22,7 +22,7 @@ from ..scene import Scene, scene_of
 from ..simulation import simulate
 from ..trajectory import Trajectory
 from .returns import start_mode
-from .variation import factors
+from .variation import Factor, factors
 
 #: Most steps of Newton's method, and most halvings of one.
 STEPS, HALVINGS = 40, 8
@@ -144,7 +144,7 @@ class Shooting:
     def _step(self, turn: Turn) -> tuple[np.ndarray, float]:
         """Changes of the state and of the period."""
         guess, run, scale = turn.guess, turn.run, turn.scale
-        matrix = monodromy(self.model, run) - np.eye(len(scale))
+        matrix = self.variation(run)[0] - np.eye(len(scale))
         system = matrix * scale / scale[:, None]
         right = -turn.miss / scale
         if not self.timed:
@@ -161,10 +161,11 @@ class Shooting:
         """The flow of an arc's mode at a state."""
         return np.array(self.scene.field(mode).rhs(t, x.tolist()))
 
-
-def monodromy(model: Any, run: Trajectory) -> np.ndarray:
-    """The first variation over a whole run; shape (n, n)."""
-    matrix = np.eye(run.spec.dimension)
-    for factor in factors(model, run):
-        matrix = factor.matrix @ matrix
-    return matrix
+    def variation(self, run: Trajectory) -> tuple[np.ndarray, list[Factor]]:
+        """The monodromy matrix of a run, and the matrices of its jumps and accumulations."""
+        matrix, jumps = np.eye(run.spec.dimension), []
+        for factor in factors(self.model, run):
+            matrix = factor.matrix @ matrix
+            if factor.edge is not None:
+                jumps.append(factor)
+        return matrix, jumps
