@@ -326,6 +326,11 @@ class Trajectory:
             ``.kind`` is ``"rest"``, ``"periodic"`` or ``"none"``, ``.reason`` a sentence with the
             evidence, ``.period``, ``.jumps`` (a period), ``.distance`` and ``.rate`` its numbers.
 
+        Raises
+        ------
+        OptionError
+            If no dense output was kept where it is needed.
+
         Notes
         -----
         An orbit is taken for one if three distances between turns in a row are below 1000

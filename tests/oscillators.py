@@ -59,6 +59,30 @@ class Baker(hy.Automaton):
         return 3 * s.x - third, (s.y + third) / 3, 0.0
 
 
+class Chain(hy.Automaton):
+    """A reset leads onto the guard of another edge, which fires at once."""
+
+    x = hy.state()
+    y = hy.state()
+
+    @hy.mode(initial=True)
+    def first(self, t, s):
+        return 1.0 + 0.2 * s.y, -0.3 * s.y + 0.1 * t
+
+    @hy.mode
+    def second(self, t, s):
+        return 2.0 - 0.1 * s.x, 0.5 * s.x
+
+    @hy.edge(first, to=second, guard=lambda self, t, s: 1.0 - s.x - 0.1 * s.y)
+    def one(self, t, s):
+        y = 1.5 * s.y + 0.2 * t
+        return 2.0 + 0.2 * y - 0.04 * t, y
+
+    @hy.edge(second, to=first, guard=lambda self, t, s: 2.0 + 0.2 * s.y - 0.04 * t - s.x)
+    def two(self, t, s):
+        return 0.1 * s.y, 0.4 * s.y + 0.2 * s.x
+
+
 class Beside(hy.Automaton):
     """A bouncing ball beside a damped oscillator: each acts on the other, on the floor and on
     the restitution. With a force of period 2 pi."""

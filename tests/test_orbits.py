@@ -12,9 +12,9 @@ from models.bead_on_table import BeadOnTable
 from models.bouncing_ball import BouncingBall
 from models.relay import Relay
 from models.two_tanks import TwoTanks
-from tests.oscillators import Beside, VanDerPol, bouncing, flight
+from tests.oscillators import Beside, Chain, VanDerPol, bouncing, flight
 from tests.switched import Rings, StickSlip
-from tests.systems import ForcedOscillator, Oscillator, Thermostat
+from tests.systems import ForcedOscillator, Oscillator, Room, Thermostat
 
 FINE = {"rtol": 1e-12, "atol": 1e-13}
 
@@ -52,9 +52,11 @@ def differences(model, x, t, step):
         (BeadOnTable(r=0.6, omega=3.5), [1.5, 0.0], (0.0, 2.2)),  # moving contact
         (ForcedOscillator(), [-1.0, 0.3], (0.0, 9.0)),  # a time-dependent force
         (Thermostat(), [19.0], (0.0, 3.0)),  # edges between two modes
+        (Chain(), [0.0, 0.5], (0.0, 2.0)),  # two jumps with no time between them
+        (Room(), [1.0, 1.0, 1.0, 0.0], (0.0, 2.4)),  # an impact while another contact is held
         (StickSlip(), [0.3, 0.1], (0.0, 9.0)),  # onto a surface, along it, and off it again
     ],
-    ids=["table", "forced", "thermostat", "stick-slip"],
+    ids=["table", "forced", "thermostat", "chain", "room", "stick-slip"],
 )
 def test_the_variation_is_the_derivative_of_the_flow(model, x, t):
     """Against differences with a step of 1e-5, which 1e-12 in the flow makes 1e-7."""

@@ -236,6 +236,8 @@ def _turns(returns: Returns, scale: np.ndarray) -> Iterator[Turns]:
             return
         lasts = t[length:] - t[:-length]
         apart = np.abs(x[length:] - x[:-length]).max(axis=1)
+        if not np.all(lasts > 0):
+            continue
         later = np.abs(lasts[length:] - lasts[:-length]) / lasts[length:]
         each = np.maximum(apart[length:], later)
         count = min(len(each) // length, TURNS)
