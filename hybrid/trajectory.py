@@ -333,7 +333,7 @@ class Trajectory:
 
         Notes
         -----
-        An orbit is taken for one if three distances between turns in a row are below 1000
+        An orbit is taken for one if three distances between turns in a row are below 10
         ``rtol``, or five in a row have shrunk to less than a thousandth of its size.
         """
         from .orbits.settling import settles

@@ -287,6 +287,8 @@ def test_what_is_no_orbit():
     """A forced model without a period; a ball that comes to rest; an equilibrium."""
     with pytest.raises(hy.OptionError, match="depends on time: give period="):
         hy.periodic_orbit(BeadOnTable(), [1.5, 0.0])
+    with pytest.raises(hy.OptionError, match=r"period=2\.0: .* does not close; give the period"):
+        hy.periodic_orbit(ForcedOscillator(), [-0.5, 0.0], period=2.0)  # the forcing's is 2.24
     with pytest.raises(hy.OrbitError, match=r"no periodic orbit was found\. From the guess: "):
         hy.periodic_orbit(BouncingBall(), [1.0, 0.0], t_max=20.0)
     with pytest.raises(hy.OrbitError, match="is an equilibrium"):

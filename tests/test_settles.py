@@ -49,6 +49,8 @@ def test_a_focus():
     found = hy.simulate(Damped(wall=-9.0), [0.5, 0.0], (0.0, 100.0)).settles()
     assert found.kind == "rest"
     assert found.rate == pytest.approx(math.exp(-0.2 * 50 / 6), rel=0.05)
+    late = hy.simulate(Damped(wall=-9.0), [0.5, 0.0], (0.0, 900.0)).settles()
+    assert (late.kind, late.distance) == ("rest", 0.0)
     assert hy.simulate(Damped(wall=-9.0), [0.5, 0.0], (0.0, 20.0)).settles().kind == "none"
 
 

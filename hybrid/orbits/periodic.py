@@ -31,6 +31,9 @@ DIVISORS = (2, 3, 4, 5)
 #: A multiplier nearer than this to the unit circle is not said to lie inside or outside.
 NEUTRAL = 1e-6
 
+#: What the turn after an orbit may fail to close by.
+LASTS = 1e-6
+
 #: An orbit that moves less than this, against its size, in a period, is an equilibrium.
 MOVES = 1e-6
 
@@ -244,7 +247,7 @@ class _Search:
                 reached.append(str(fault).rstrip("."))
                 continue
             if turn.residual <= self.shooting.tol:
-                return self.shortest(self.moving(turn))
+                return self.shortest(self.lasting(self.moving(turn)))
             reached.append(
                 f"Newton's method came to {self.shooting.scene.spec.record(turn.guess.x)}, whose "
                 f"run of {turn.guess.period:.9g} closes to {turn.residual:.2g} of its size"
@@ -286,6 +289,18 @@ class _Search:
         raise OrbitError(
             f"{shooting.scene.spec.model}: the search ended at an equilibrium, "
             f"{shooting.scene.spec.record(guess.x)}; give a guess nearer to the orbit"
+        )
+
+    def lasting(self, turn: Turn) -> Turn:
+        """Refuse a turn after which the model is not what it was: the period is not its own."""
+        shooting, guess = self.shooting, turn.guess
+        later = attrs.evolve(guess, t=guess.t + guess.period)
+        if not shooting.timed or shooting.turn(later).residual <= LASTS:
+            return turn
+        raise OptionError(
+            f"period={guess.period!r}: the next run of that length from {shooting.scene.spec.model}"
+            f"'s state {shooting.scene.spec.record(guess.x)} does not close; give the period of "
+            "the forcing, or a multiple of it"
         )
 
     def shortest(self, turn: Turn) -> Turn:

@@ -14,7 +14,10 @@ from ..segment import nodes
 from ..trajectory import Trajectory
 
 #: Distances below this many times ``rtol``, three turns in a row, are those of a closed orbit.
-CLOSE = 1e3
+CLOSE = 10.0
+
+#: Moves of this many times ``atol`` are none.
+STILL = 100.0
 
 #: Longest orbit, in returns, that is looked for.
 LONGEST = 16
@@ -125,6 +128,12 @@ def _states(run: Trajectory, since: float) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(times), np.concatenate(states)
 
 
+def _moves(run: Trajectory, states: np.ndarray, scale: np.ndarray) -> float:
+    """How far the states lie apart, beyond what the tolerance makes of it."""
+    slack = STILL * np.asarray(run.options.get("atol", 1e-10), dtype=float)
+    return float(np.max(np.maximum(np.ptp(states, axis=0) - slack, 0.0) / scale))
+
+
 def _held(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
     """Held still by contacts, or on a surface, over the last quarter of the run at least."""
     arc = run.parts[-1]
@@ -132,7 +141,7 @@ def _held(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
     if not isinstance(arc, Arc) or "(" not in arc.mode or arc.length < 0.25 * whole:
         return None
     times, states = _states(attrs.evolve(run, parts=[arc]), arc.t0)
-    moved = float(np.max(np.ptp(states, axis=0) / scale))
+    moved = _moves(run, states, scale)
     if moved > tol:
         return None
     said = f"rests in {arc.mode} since t = {arc.t0:.9g}, for {arc.length:.6g}"
@@ -158,7 +167,7 @@ def _still(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
     if len(np.unique(part)) < PARTS:
         states = np.array([np.concatenate([np.ravel(v) for v in run(t)]) for t in _even(run)])
         part = np.repeat(np.arange(PARTS), len(states) // PARTS)
-    moves = np.array([np.max(np.ptp(states[part == k], axis=0) / scale) for k in range(PARTS)])
+    moves = np.array([_moves(run, states[part == k], scale) for k in range(PARTS)])
     if not (np.all(moves <= tol) or _shrinks(moves)):
         return None
     each, (first, last) = (run.t1 - middle) / PARTS, (float(moves[0]), float(moves[-1]))
@@ -295,10 +304,12 @@ def _none(run: Trajectory, tried: list[Turns]) -> Settled:
         return Settled("none", f"neither at rest nor long enough to show a period: {few}")
     best = min(tried, key=lambda turns: float(turns.distances[-SHRINKING:].max()))
     distance = float(best.distances[-SHRINKING:].max())
+    falls = np.all(np.diff(best.distances[-SHRINKING:]) < 0)
+    how = "shrinks too slowly to tell" if falls else "does not shrink"
     return Settled(
         "none",
         f"not at rest, and no orbit of up to {LONGEST} returns closes: the nearest, of "
         f"{best.length} return{'s' * (best.length > 1)} to {best.returns.to}, is {distance:.3g} of "
-        "its size apart from turn to turn, and does not shrink",
+        f"its size apart from turn to turn, and {how}",
         distance=distance,
     )
