@@ -83,7 +83,7 @@ def turning(series: np.ndarray) -> np.ndarray:
     return real[np.abs(real) < 1.0]
 
 
-def grazing(scene: Scene, run: Trajectory) -> list[str]:
+def near_grazing(scene: Scene, run: Trajectory) -> list[str]:
     """Sentences on guards that a run touches, or reaches almost without speed."""
     found: list[str] = []
     summed = {edge for point in run.zeno for edge in point.edges}

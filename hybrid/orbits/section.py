@@ -39,11 +39,6 @@ class Period:
     def __str__(self) -> str:
         return f"the period {self.period!r}"
 
-    def first(self, run: Trajectory) -> Return | None:
-        """The end of a run that lasts a period."""
-        whole = run.t1 >= run.t0 + self.period
-        return Return(len(run.parts) - 1, run.parts[-1].t1 - run.parts[-1].t0) if whole else None
-
 
 @attrs.frozen
 class Edge:
