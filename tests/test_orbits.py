@@ -283,6 +283,21 @@ def test_a_touch_is_warned_of():
     assert not orbit.stable
 
 
+class Brushing(VanDerPol):
+    """Its wall cuts a millionth off the cycle, whose least ``x`` is -2.00861986."""
+
+    impact = hy.contact("flow", gap=lambda self, t, s: s.x + 2.008619, restitution=0.8)
+
+
+def test_a_jump_that_nearly_grazes_is_warned_of():
+    """The determinant still holds: ``r^2`` times the exponential of the divergence's integral."""
+    with pytest.warns(UserWarning, match="near to grazing: its guard is reached at 0.0018"):
+        orbit = hy.periodic_orbit(Brushing(), [2.0, 0.0])
+    bare = 0.000859695  # without the wall, which moves the orbit by a thousandth
+    assert orbit.multipliers[1] == pytest.approx(0.8**2 * bare, rel=0.01)
+    assert orbit.jumps == 1
+
+
 def test_what_is_no_orbit():
     """A forced model without a period; a ball that comes to rest; an equilibrium."""
     with pytest.raises(hy.OptionError, match="depends on time: give period="):
