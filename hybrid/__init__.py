@@ -31,6 +31,7 @@ from .errors import (
     HybridError,
     JumpLoopError,
     OptionError,
+    OrbitError,
     ParameterError,
     StartError,
     StoreError,
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from .certificates import Certificate, certify
     from .ensembles import ensemble
     from .function import as_function
+    from .orbits import lyapunov, periodic_orbit, return_map
     from .simulation import simulate
     from .store import load
     from .trajectory import Status, Trajectory
@@ -54,6 +56,9 @@ _LAZY = {
     "Certificate": "certificates",
     "as_function": "function",
     "certify": "certificates",
+    "lyapunov": "orbits",
+    "periodic_orbit": "orbits",
+    "return_map": "orbits",
     "ensemble": "ensembles",
     "simulate": "simulation",
     "load": "store",
@@ -84,6 +89,7 @@ __all__ = [
     "HybridError",
     "JumpLoopError",
     "OptionError",
+    "OrbitError",
     "ParameterError",
     "StartError",
     "Status",
@@ -97,8 +103,11 @@ __all__ = [
     "edge",
     "ensemble",
     "load",
+    "lyapunov",
     "mode",
     "parameter",
+    "periodic_orbit",
+    "return_map",
     "simulate",
     "state",
     "study",

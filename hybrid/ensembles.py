@@ -17,10 +17,12 @@ from .compiled.ask import (
     check_method,
     check_zeno,
     code_of,
+    past_of,
     place,
 )
 from .compiled.lane import Run
 from .compiled.lanes import Journey, Trip
+from .compiled.past import Past
 from .compiled.turn import Turner
 from .errors import OptionError, StartError
 from .jit import jit
@@ -52,6 +54,9 @@ def ensemble(
     max_jumps: int | None = None,
     max_steps: int = 1_000_000,
     mode: str | None = None,
+    history: Any = None,
+    memory: str = "keep",
+    segments: int = 256,
     progress: Callable[[int], None] | None = None,
 ) -> xarray.Dataset:
     """Simulate many lanes of one model: each has its own mode, verdict, rest and end.
@@ -74,6 +79,15 @@ def ensemble(
         What happens where impacts accumulate; ignored, they are simulated one by one.
     max_jumps, max_steps : int
         A lane ends after so many computed jumps, or attempted steps.
+    history : dict or callable, optional
+        For delays: by state a number, an array over the lanes or a function of time, or one
+        function of time that gives all states, written with ``jax.numpy``; the start, for ever,
+        where there is none.
+    memory : "keep" or "restart"
+        As for :func:`hybrid.simulate`.
+    segments : int
+        Steps and breaking points that a lane remembers for its delays; a lane that needs more
+        says so in its status.
     progress : callable ``(lanes)``, optional
         Called now and then with the number of lanes that have ended.
 
@@ -114,16 +128,21 @@ def ensemble(
     each = min(most, -(-lanes.count // workers))
     size = _power_of_two(each)
     places = min(places, size)
-    begin, advance = code.once(
-        ("ensemble", method, zeno, places),
-        lambda: _compiled(system, Method(method), zeno, places),
-    )
+    steps = Method(method)
+    past, constants = past_of(system, steps, segments, history, memory)
+    first = lanes.x if past is None else lanes.first(constants)
+    make = lambda: _compiled(system, steps, zeno, places, past)  # noqa: E731
+    if past is None or past.history is None:
+        key = ("ensemble", method, zeno, places, segments, memory)
+        begin, advance = code.once(key, make)
+    else:
+        begin, advance = make()
     done = [0] * -(-lanes.count // each)
 
     def work(chunk: int) -> Any:
         count = min(each, lanes.count - chunk * each)
-        run, x = lanes.chunk(chunk * each, size)
-        starts = run, np.full(size, number), np.broadcast_to(held, (size, len(held))), x
+        run, x, before = lanes.chunk(chunk * each, size, first)
+        starts = run, np.full(size, number), np.broadcast_to(held, (size, len(held))), x, before
         state = begin(starts, count)
         while True:
             state, left = advance(starts, count, state, ROUNDS)
@@ -148,10 +167,12 @@ def _power_of_two(number: int) -> int:
     return 1 << max(0, number - 1).bit_length()
 
 
-def _compiled(system: Any, method: Method, zeno: str, places: int) -> tuple[Any, Any]:
+def _compiled(
+    system: Any, method: Method, zeno: str, places: int, past: Past | None
+) -> tuple[Any, Any]:
     """The two programs of a chunk: begin, and go on for some rounds."""
     turner = Turner(system, method, judged=False, sums=zeno != "ignore")
-    abreast = Abreast(Journey(turner, zeno), places, _show)
+    abreast = Abreast(Journey(turner, zeno, past=past), places, _show)
 
     def advance(starts: Any, count: Any, work: Any, rounds: Any) -> Any:
         work = abreast.advance(starts, count, work, rounds)
@@ -259,11 +280,21 @@ class _Lanes:
     def _full(self, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         return np.broadcast_to(array, (self.count, *shape))
 
-    def chunk(self, first: int, size: int) -> tuple[Run, np.ndarray]:
-        """Lanes from one on; the last is repeated to fill up."""
-        which = np.minimum(np.arange(first, first + size), self.count - 1)
+    def first(self, constants: dict[str, Any]) -> np.ndarray:
+        """The constants of a history, the start where there are none."""
+        start = self.spec.record(self.x)
+        given = {name: constants.get(name, start[name]) for name in self.spec.names}
+        states = [
+            (self._array(f"{s.name}_history", given[s.name], s.shape), s.shape)
+            for s in self.spec.states
+        ]
+        return np.concatenate([self._full(v, s).reshape(self.count, -1) for v, s in states], axis=1)
+
+    def chunk(self, start: int, size: int, first: np.ndarray) -> tuple[Run, np.ndarray, np.ndarray]:
+        """Lanes from one on, with what was before; the last is repeated to fill up."""
+        which = np.minimum(np.arange(start, start + size), self.count - 1)
         chosen: Run = jax.tree.map(lambda a: a[which], self.run)
-        return chosen, self.x[which]
+        return chosen, self.x[which], first[which]
 
     def coordinates(self) -> dict[str, Any]:
         """The starts and parameters that vary."""

@@ -61,5 +61,9 @@ class ZenoError(HybridError):
     """Jumps accumulate and the caller asked for an error (``zeno="raise"``)."""
 
 
+class OrbitError(HybridError):
+    """No return, periodic orbit or first variation was found where one was asked for."""
+
+
 class StoreError(HybridError):
     """A saved trajectory cannot be written or read."""

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from .automaton.spec import Spec
-from .compiled.ask import check_method, check_zeno, code_of, place
+from .compiled.ask import check_method, check_zeno, code_of, past_of, place
 from .compiled.batch import when
 from .compiled.lane import CLOSE, MAX_JUMPS, MAX_STEPS, RUNNING, Run
 from .compiled.lanes import Journey, Trip, empty_log, ended
@@ -87,6 +87,9 @@ def as_function(
     zeno: str = "rest",
     mode: str | None = None,
     outputs: tuple[str, ...] = OUTPUTS,
+    history: Any = None,
+    memory: str = "keep",
+    segments: int = 256,
 ) -> Callable[[Any, Any], Outcome]:
     """A run as a pure function of (model, start), for ``jit``, ``vmap``, ``grad`` and ``scan``.
 
@@ -109,6 +112,8 @@ def as_function(
         What happens where impacts accumulate; ignored, they are computed one by one.
     outputs : tuple of "final", "jumps", "zeno"
         What to return.
+    history, memory, segments
+        For delays, as for :func:`hybrid.ensemble`; a function of time is traced.
 
     Returns
     -------
@@ -135,14 +140,17 @@ def as_function(
         raise OptionError(f"outputs: {unknown[0]!r} is none of {', '.join(OUTPUTS)}")
     allowed = tolerances(rtol, atol, code.spec.dimension)
     system, number, held = place(code, mode)
-    turner = Turner(system, Method(method, "bounded"), judged=False, sums=zeno != "ignore")
-    journey = Journey(turner, zeno, carried=True)
+    steps = Method(method, "bounded")
+    past, constants = past_of(system, steps, segments, history, memory)
+    turner = Turner(system, steps, judged=False, sums=zeno != "ignore")
+    journey = Journey(turner, zeno, carried=True, past=past)
 
     def function(model: Any, start: Any) -> Outcome:
         _require_wide()
         run = _run(code.spec, model, t, allowed, max_jumps, max_steps)
         x = _vector(code.spec, start)
-        trip = journey.begin(run, number, jnp.asarray(held), x)
+        first = _first(code.spec, constants, x)
+        trip = journey.begin(run, number, jnp.asarray(held), x, first)
         if "jumps" in outputs:
             trip = trip._replace(log=empty_log(max_jumps, x))
         return _outcome(code.spec, _bounded(journey, run, trip, max_steps + 2 * max_jumps), outputs)
@@ -180,6 +188,14 @@ def _vector(spec: Spec, start: Any) -> Any:
             )
         parts.append(array.reshape(-1))
     return jnp.concatenate(parts)
+
+
+def _first(spec: Spec, constants: Any, x: Any) -> Any:
+    """The constants of a history, the start where there are none."""
+    if not constants:
+        return x
+    start = spec.record(x)
+    return _vector(spec, {name: constants.get(name, start[name]) for name in spec.names})
 
 
 def _bounded(journey: Journey, run: Run, trip: Trip, turns: int) -> Trip:

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
+    from .orbits.settling import Settled
+
 
 class Status(enum.Enum):
     """How a run ended; the value is a sentence with the remedy."""
@@ -314,6 +316,29 @@ class Trajectory:
             rows = list(self.own_jumps.values())
             lines.append(unfinished([row.edge for row in rows], [row.t for row in rows]))
         return "\n".join([*lines, str(self.status)])
+
+    def settles(self) -> Settled:
+        """Whether the run has come to rest, or to a periodic orbit, as far as it shows.
+
+        Returns
+        -------
+        Settled
+            ``.kind`` is ``"rest"``, ``"periodic"`` or ``"none"``, ``.reason`` a sentence with the
+            evidence, ``.period``, ``.jumps`` (a period), ``.distance`` and ``.rate`` its numbers.
+
+        Raises
+        ------
+        OptionError
+            If no dense output was kept where it is needed.
+
+        Notes
+        -----
+        An orbit is taken for one if three distances between turns in a row are below 10
+        ``rtol``, or five in a row have shrunk to less than a thousandth of its size.
+        """
+        from .orbits.settling import settles
+
+        return settles(self)
 
     def plot(self, path: Any = None) -> Figure:
         """Draw the run: states, phase portrait, gaps between impacts.

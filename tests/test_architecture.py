@@ -21,7 +21,7 @@ LAYERS = [
     ["run", "store", "plotting"],
     ["histories"],
     ["simulation", "ensembles", "function", "certificates"],
-    ["compare", "gallery", "study"],
+    ["compare", "gallery", "study", "orbits"],
     ["cli", "__main__", "__init__"],
 ]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from ..automaton.base import require_model
@@ -13,6 +14,7 @@ from ..solvers.base import method_of
 from ..solvers.diffrax_backend import DEGREES
 from .lane import (
     END,
+    FORGOTTEN,
     LOOP,
     MAX_JUMPS,
     MAX_STEPS,
@@ -22,6 +24,7 @@ from .lane import (
     UNDECIDED,
     ZENO,
 )
+from .past import Past
 from .system import System, system_of
 
 #: What a lane's status means.
@@ -42,6 +45,7 @@ REASONS = {
         "or a switching forbids to slide or meets another; hy.simulate says which",
     ),
     LOOP: ("jump_loop", "jumps follow each other with no time between them"),
+    FORGOTTEN: ("forgotten", "a lag looks further back than the record; raise segments"),
 }
 
 
@@ -77,6 +81,65 @@ def place(code: Lowered, mode: str | None) -> tuple[System, int, np.ndarray]:
     slots = [edge.name for edge in system.edges[base]]
     mask = np.array([name in held for name in slots] + [False] * (system.width - len(slots)))
     return system, system.modes.index(base), mask
+
+
+def past_of(
+    system: System, method: Any, segments: int, history: Any, memory: str
+) -> tuple[Past | None, Any]:
+    """The delays of a system, and the constants in its history by state; None without delays.
+
+    Raises
+    ------
+    OptionError
+        If the options cannot be used, or a lag is not constant along a run.
+    """
+    spec, code = system.spec, system.code
+    if memory not in ("keep", "restart"):
+        raise OptionError(f"memory={memory!r}: 'keep' or 'restart'")
+    if not spec.lags:
+        if history is not None:
+            raise OptionError(f"{spec.model}: history was given, but no flow looks into the past")
+        return None, None
+    if any(code.moving):
+        name = spec.lags[code.moving.index(True)].name
+        raise OptionError(
+            f"{spec.model}: the lag {name} depends on time or state; compiled runs of many lanes "
+            "know constant lags only: use hy.simulate"
+        )
+    if not (isinstance(segments, int | np.integer) and segments > 1):
+        raise OptionError(f"segments={segments!r}: a whole number greater than 1")
+    constants, function = _history(spec, history)
+    return Past(system, method, int(segments), memory == "restart", function), constants
+
+
+def _history(spec: Any, history: Any) -> tuple[dict[str, Any], Any]:
+    """Constants by state, and the function ``(first, t)`` of a history that is one."""
+    if history is None:
+        return {}, None
+    if callable(history):
+        return {}, lambda first, t: _flat(spec, history(t))
+    given = {name: history[name] for name in getattr(history, "keys", lambda: ())()}
+    unknown = [name for name in given if name not in spec.names]
+    if not given or unknown:
+        known = ", ".join(spec.names)
+        raise OptionError(
+            f"{spec.model}: history={history!r}: give states by name (there are {known}), or one "
+            "function of time; compiled runs take no trajectory"
+        )
+    functions = {name: value for name, value in given.items() if callable(value)}
+    constants = {name: value for name, value in given.items() if not callable(value)}
+    if not functions:
+        return constants, None
+
+    def function(first: Any, t: Any) -> Any:
+        record = spec.record(first)
+        return _flat(spec, {n: functions[n](t) if n in functions else record[n] for n in spec.names})
+
+    return constants, function
+
+
+def _flat(spec: Any, values: Any) -> Any:
+    return jnp.concatenate([jnp.asarray(v, float).reshape(-1) for v in spec.values(values)])
 
 
 def check_zeno(zeno: str) -> None:

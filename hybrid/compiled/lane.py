@@ -13,7 +13,7 @@ FLOW, LAND, JUMP, ENTER = range(4)
 
 #: Why a lane stands still.
 RUNNING, END, MAX_JUMPS, ZENO, NO_REST, CLOSE, JUDGE = range(7)
-MAX_STEPS, NOT_FINITE, OUTSIDE, UNDECIDED, LOOP = range(7, 12)
+MAX_STEPS, NOT_FINITE, OUTSIDE, UNDECIDED, LOOP, FORGOTTEN = range(7, 13)
 
 
 class Going(NamedTuple):
@@ -96,7 +96,10 @@ class Lane(NamedTuple):
 
 
 class Run(NamedTuple):
-    """What is asked for: traced, so that no number compiles anew."""
+    """What is asked for: traced, so that no number compiles anew.
+
+    ``until``: how far the parameters serve, where they hold windows of the past.
+    """
 
     parameters: Any
     t0: Any
@@ -105,6 +108,12 @@ class Run(NamedTuple):
     atol: Any
     max_jumps: Any
     max_steps: Any
+    until: Any = None
+
+    @property
+    def end(self) -> Any:
+        """How far steps may go."""
+        return self.t1 if self.until is None else self.until
 
 
 class Step(NamedTuple):

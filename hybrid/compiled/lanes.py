@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from ..clock import Instant
 from .batch import choose, when
-from .lane import CLOSE, ENTER, JUMP, NO_REST, RUNNING, ZENO, Lane, Run
+from .lane import CLOSE, END, ENTER, FORGOTTEN, JUMP, NO_REST, RUNNING, ZENO, Lane, Run
+from .past import Memory, Past
 from .tail import Tails
 from .turn import Turner
 
@@ -28,6 +30,8 @@ class Trip(NamedTuple):
         Accumulations passed so far.
     log : Log or None
         The jumps, where they are kept.
+    memory : Memory or None
+        What delays see, in a model that has some.
     """
 
     lane: Lane
@@ -37,6 +41,7 @@ class Trip(NamedTuple):
     ratio: Any
     sums: Any
     log: Any = None
+    memory: Any = None
 
 
 class Log(NamedTuple):
@@ -66,10 +71,14 @@ class Journey:
         What happens where impacts accumulate; ignored, they are simulated one by one.
     carried : bool
         Let derivatives pass through sums.
+    past : Past, optional
+        The delays, in a model that has some.
     """
 
-    def __init__(self, turner: Turner, zeno: str, carried: bool = False) -> None:
-        self.turner, self.system = turner, turner.system
+    def __init__(
+        self, turner: Turner, zeno: str, carried: bool = False, past: Past | None = None
+    ) -> None:
+        self.turner, self.system, self.past = turner, turner.system, past
         self.tails, self.zeno, self.carried = Tails(turner.system), zeno, carried
 
     @property
@@ -78,21 +87,64 @@ class Journey:
         names = [edge.name for edges in self.system.edges.values() for edge in edges]
         return (*names, *(f"{name}.release" for name in names))
 
-    def begin(self, run: Run, mode: Any, held: Any, x: Any) -> Trip:
-        """A trip at its start."""
+    def begin(self, run: Run, mode: Any, held: Any, x: Any, first: Any = None) -> Trip:
+        """A trip at its start; ``first`` is what the history is a function of, besides time."""
         nothing = jnp.full_like(x[0], jnp.nan)
         lane = self.turner.begin(run, mode, held, x)
-        return Trip(lane, nothing, jnp.full_like(x, jnp.nan), nothing, nothing, jnp.array(0))
+        trip = Trip(lane, nothing, jnp.full_like(x, jnp.nan), nothing, nothing, jnp.array(0))
+        if self.past is None:
+            return trip
+        return trip._replace(memory=self.past.begin(run, x, first))
+
+    def seeing(self, run: Run, trip: Trip) -> Run:
+        """The run as far, and with what, delays see at present."""
+        if self.past is None:
+            return run
+        return run._replace(
+            parameters=(*run.parameters, *trip.memory.windows), until=trip.memory.until
+        )
 
     def turn(self, run: Run, trip: Trip) -> Trip:
         """One attempted step, then the jump it led to and the entry after it."""
-        lane = trip.lane
-        stays = (lane.going.status != RUNNING) | (lane.going.steps >= run.max_steps)
-        flows = ~stays & (lane.going.stage < JUMP)
-        lane = when(flows, lambda: lane._replace(going=self.turner.flow(run, lane)[0]), lane)
-        trip = trip._replace(lane=lane)
-        settles = (lane.going.status == RUNNING) & (lane.going.stage >= JUMP) & ~stays
+        going = trip.lane.going
+        stays = (going.status != RUNNING) | (going.steps >= run.max_steps)
+        flows = ~stays & (going.stage < JUMP)
+        trip = when(flows, lambda: self._flow(run, trip), trip)
+        going = trip.lane.going
+        if self.past is not None:
+            passes = (going.status == END) & (trip.memory.until < run.t1)
+            trip = when(passes, lambda: self._pass(run, trip), trip)
+            going = trip.lane.going
+        settles = (going.status == RUNNING) & (going.stage >= JUMP) & ~stays
         return when(settles, lambda: self._settle(run, trip), trip)
+
+    def _flow(self, run: Run, trip: Trip) -> Trip:
+        lane, memory = trip.lane, trip.memory
+        going, step = self.turner.flow(self.seeing(run, trip), lane)
+        if self.past is not None:
+            memory = self.past.flown(lane, going, step, memory)
+        return trip._replace(lane=lane._replace(going=going), memory=memory)
+
+    def _pass(self, run: Run, trip: Trip) -> Trip:
+        """Go on within an arc, with other windows of the past."""
+        assert self.past is not None
+        lane, memory = trip.lane, trip.memory
+        now = Instant(lane.t, lane.low).after(lane.going.tau)
+        memory = self.past.passed(run, memory, lane.mode, now.t)
+        trip = trip._replace(memory=memory)
+        none = jnp.zeros_like(lane.going.tau)
+        lane = lane._replace(
+            t=now.t, low=now.low, orders=jnp.zeros_like(lane.orders), speed=none
+        ).but(
+            tau=none,
+            slot=jnp.full_like(lane.going.slot, -1),
+            status=self._remembers(memory, jnp.full_like(lane.going.status, RUNNING)),
+        )
+        return trip._replace(lane=self.turner.enter(self.seeing(run, trip), lane, passing=True))
+
+    @staticmethod
+    def _remembers(memory: Memory, status: Any) -> Any:
+        return jnp.where(memory.full & (status == RUNNING), FORGOTTEN, status)
 
     def _settle(self, run: Run, trip: Trip) -> Trip:
         """Jump where a guard has fired, and enter what follows."""
@@ -101,11 +153,33 @@ class Journey:
             trip = when(jumps, lambda: self._jump(run, trip), trip)
         lane = trip.lane
         moves = lane.going.status == RUNNING
-        return trip._replace(lane=choose(moves, self.turner.enter(run, lane), lane))
+        entered = self.turner.enter(self.seeing(run, trip), lane)
+        return trip._replace(lane=choose(moves, self._low(run, trip, entered), lane))
+
+    def _low(self, run: Run, trip: Trip, lane: Lane) -> Lane:
+        """With delays, impacts are summed only where nothing they see can tell the flights."""
+        if self.past is None or not self.turner.sums:
+            return lane
+        p, x, t = self.seeing(run, trip).parameters, lane.going.x, lane.t
+
+        def flow(t: Any, x: Any) -> Any:
+            return self.system.flow(p, lane.mode, lane.held, t, x)
+
+        rate, bend = jax.jvp(flow, (t, x), (jnp.ones_like(t), flow(t, x)))
+        lies, _ = self.system.lies(p, lane.mode, lane.held, t, x)
+        fall = jnp.abs(jnp.where(self.system.only(lane.series), lies[2], 0.0).sum())
+        length = 2.0 * lane.speed / fall
+        way = jnp.abs(length * rate) + 0.5 * jnp.abs(length * length * bend)
+        low = self.past.unseen(run, x, way)
+        status = jnp.where((lane.going.status == CLOSE) & ~low, RUNNING, lane.going.status)
+        return lane.but(status=status)
 
     def _jump(self, run: Run, trip: Trip) -> Trip:
-        lane, log = trip.lane, trip.log
-        after, done = self.turner.jumped(run, lane)
+        lane, log, memory = trip.lane, trip.log, trip.memory
+        after, done = self.turner.jumped(self.seeing(run, trip), lane)
+        if self.past is not None:
+            memory = self.past.jumped(run, memory, after.t, done.before, done.after)
+            after = after.but(status=self._remembers(memory, after.going.status))
         if log is not None:
             slot, row = lane.going.slot, lane.jumps
             released = (lane.held & self.system.only(slot)).any()
@@ -116,18 +190,18 @@ class Journey:
                 log.before.at[row].set(done.before, mode="drop"),
                 log.after.at[row].set(done.after, mode="drop"),
             )
-        return trip._replace(lane=after, log=log)
+        return trip._replace(lane=after, log=log, memory=memory)
 
     # -- accumulations ------------------------------------------------------------------
 
     def sum(self, run: Run, trip: Trip) -> Trip:
         """Pass the accumulation, if the impacts from here on have one; else go on with them."""
-        lane = trip.lane
-        slot = lane.series
+        lane, memory = trip.lane, trip.memory
+        slot, seeing = lane.series, self.seeing(run, trip)
         tail = self.tails.close(
-            run, lane.mode, lane.held, slot, lane.t, lane.going.x, lane.speed, self.carried
+            seeing, lane.mode, lane.held, slot, lane.t, lane.going.x, lane.speed, self.carried
         )
-        found = tail.found & (lane.left(run.t1) >= tail.remaining)
+        found = tail.found & (lane.left(seeing.end) >= tail.remaining)
         end = Instant(lane.t, lane.low).after(tail.remaining)
         rests = self.system.pick(self.system.rests, lane.mode, slot)
         status = jnp.where(rests, RUNNING, NO_REST) if self.zeno == "rest" else ZENO
@@ -150,8 +224,15 @@ class Journey:
         onward = lane._replace(tried=lane.speed).but(
             status=jnp.full_like(lane.going.status, RUNNING)
         )
+        if self.past is not None:
+            if self.past.restarts:
+                way = jnp.abs(tail.x_inf - lane.going.x)
+                found = found & self.past.unseen(run, tail.x_inf, way)
+            limit = self.past.limit(run, memory, lane, end.t, tail.x_inf)
+            memory = choose(found, limit, memory)
         first = found & (trip.sums == 0)
         return trip._replace(
+            memory=memory,
             lane=choose(found, passed, onward),
             t_inf=jnp.where(first, end.t + end.low, trip.t_inf),
             x_inf=jnp.where(first, tail.x_inf, trip.x_inf),

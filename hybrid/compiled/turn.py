@@ -130,7 +130,7 @@ class Turner:
 
     def _length(self, run: Run, lane: Lane, curved: Any) -> tuple[Any, Any]:
         """Length of the step to attempt, and whether it is the run's last."""
-        going, left = lane.going, lane.left(run.t1)
+        going, left = lane.going, lane.left(run.end)
         landing, first = going.stage == LAND, going.tau == 0
         wanted = jnp.minimum(going.h, going.cap)
         wanted = jnp.minimum(wanted, jnp.where(first, lane.limit, jnp.inf))
@@ -158,7 +158,7 @@ class Turner:
             status=jnp.where(failed, NOT_FINITE, going.status),
         )
         moved = refused._replace(
-            tau=jnp.where(last, lane.left(run.t1) + going.tau, going.tau + h),
+            tau=jnp.where(last, lane.left(run.end) + going.tau, going.tau + h),
             x=x,
             status=jnp.where(last, END, going.status),
         )
@@ -243,7 +243,7 @@ class Turner:
         shift, noise = -value / steep, 8 * EPS * (1.0 + jnp.abs(moved.x).max()) / jnp.abs(steep)
         small = jnp.abs(shift) <= 1e-6 * h + noise
         again = ~small & (going.tries < LANDINGS) & (h + shift > 0)
-        again = again & (h + shift <= lane.left(run.t1))
+        again = again & (h + shift <= lane.left(run.end))
         lost = ~small & ~again & self.judged
         reach = stop_gradient(h + shift)
         shift = jnp.where(small, shift - guard(shift) / steep, 0.0)
@@ -313,11 +313,12 @@ class Turner:
         )
         return after, done
 
-    def enter(self, run: Run, lane: Lane) -> Lane:
+    def enter(self, run: Run, lane: Lane, passing: bool = False) -> Lane:
         """Which guards are zero here, and what follows (2, 3).
 
         ``orders`` holds the powers known from the jump, ``slot`` the edge just used. A
-        contact found closed is held, and the lane has to be entered again.
+        contact found closed is held, and the lane has to be entered again. ``passing``: there
+        was no jump, but what delays see may have jumped, and guards with it (9).
         """
         lane = lane._replace(going=self._settled(run, lane, lane.held, lane.going))
         going, system = lane.going, self.system
@@ -326,10 +327,11 @@ class Turner:
         direction = system.pick(system.crossing, lane.mode)
         leaving = (direction != 0) & (sign == direction)
         starting = (lane.jumps == 0) & (lane.t == run.t0)
-        overdue = (order == 0) & leaving & lane.held & ~starting
+        late = (order == 0) & leaving
+        overdue = late if passing else late & lane.held & ~starting
         used = system.only(going.slot)
         at_once = overdue | ((order > 0) & leaving & ~used)
-        outside = (order == 0) & leaving & ~overdue
+        outside = late & ~overdue
         status = jnp.where(outside.any(), OUTSIDE, going.status)
         status = jnp.where((sign == 0).any(), UNDECIDED, status)
         stage = jnp.where(at_once.any(), JUMP, FLOW)

@@ -201,6 +201,11 @@ class Lowered:
         (outputs,) = graph.outputs(closed, self.inputs(graph, extra))
         return [self._past_in(graph, int(i), first) for i in outputs.reshape(-1)]
 
+    def reach(self, flow: Any) -> list[tuple[set[int], set[tuple[int, int]]]]:
+        """For each element's derivative: elements, and lags with elements, that it depends on."""
+        states = [uses - {TIME} for uses in self.dependencies(flow)]
+        return list(zip(states, self.asked(flow), strict=True))
+
     def _past_in(self, graph: Graph, root: int, first: int) -> set[tuple[int, int]]:
         found, size = set(), 2 + (DEGREE + 1) * self.spec.dimension
         for name in _inputs_of(graph, root):

@@ -231,9 +231,10 @@ class Scene:
         """Sizes whose rounding the guard and its first two derivatives carry."""
         code = self.code
         flow = code.field_closed(field.mode, field.held)
-        return self._bind(code.rounding_program((guard.edge, field.name), guard.closed, flow))
+        return self.bind(code.rounding_program((guard.edge, field.name), guard.closed, flow))
 
-    def _bind(self, program: Program) -> Scalar:
+    def bind(self, program: Program) -> Scalar:
+        """A program of the class's code as a function, for these values of the parameters."""
         if program not in self._bound:
             self._bound[program] = program.bind(self._values)
         return self._bound[program]
@@ -241,7 +242,7 @@ class Scene:
     def reset(self, edge: str) -> Scalar:
         """The reset of an edge (not of a contact)."""
         program = self.code.program(("reset", edge), lambda: self.code.closed("reset", edge))
-        return self._bind(program)
+        return self.bind(program)
 
     def is_contact(self, edge: str) -> bool:
         """Whether an edge's name is that of a contact."""

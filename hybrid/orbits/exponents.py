@@ -1,0 +1,189 @@
+"""``hy.lyapunov``: the mean rates at which neighbours of a run part."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import attrs
+import numpy as np
+
+from ..automaton.base import require_model
+from ..errors import OptionError, OrbitError
+from ..scene import scene_of
+from ..simulation import simulate
+from ..trajectory import Status, Trajectory
+from .returns import start_mode
+from .variation import factors
+
+#: Parts of a run whose means are compared.
+BATCHES = 20
+
+#: Running estimates that are kept.
+KEPT = 200
+
+#: Growth, against the largest of a piece, that is rounding: the direction is lost.
+LOST = 1e-14
+
+
+@attrs.frozen(eq=False, repr=False)
+class Exponents:
+    """Lyapunov exponents of a run, and how well they have converged.
+
+    Attributes
+    ----------
+    exponents : array, shape (count,)
+        Mean rates, one over the unit of time, largest first; ``-inf`` where directions are
+        lost for good (at rest, sliding, through an accumulation).
+    error : array, shape (count,)
+        Standard error of each: of the means of twenty parts of the run, one after the other.
+        NaN for what is ``-inf``, or where the run is too short to be parted.
+    sum : float
+        Of the exponents.
+    times : array, shape (k,)
+    running : array, shape (k, count)
+        Estimates at some times on the way: from the end of the transient until then.
+    run : Trajectory
+        Over which they were taken.
+    """
+
+    exponents: np.ndarray
+    error: np.ndarray
+    times: np.ndarray
+    running: np.ndarray
+    run: Trajectory
+
+    @property
+    def sum(self) -> float:
+        return float(np.sum(self.exponents))
+
+    def __str__(self) -> str:
+        pairs = zip(self.exponents, self.error, strict=True)
+        values = ", ".join(f"{value:.6g} ± {error:.1g}" for value, error in pairs)
+        return f"{self.run.spec.model}: {values} over t = {self.run.t0:.6g} to {self.run.t1:.6g}"
+
+    __repr__ = __str__
+
+
+def lyapunov(
+    model: Any,
+    start: Any,
+    t: tuple[float, float],
+    *,
+    count: int | None = None,
+    transient: float | None = None,
+    **options: Any,
+) -> Exponents:
+    """Lyapunov exponents of a hybrid flow.
+
+    Parameters
+    ----------
+    model : Automaton
+    start, t
+        As for :func:`hybrid.simulate`.
+    count : int, optional
+        How many, from the largest on; all if omitted.
+    transient : float, optional
+        Time at the beginning that is left out; a tenth of the run if omitted.
+    options
+        As for :func:`hybrid.simulate`.
+
+    Returns
+    -------
+    Exponents
+
+    Raises
+    ------
+    OptionError
+        If ``count`` or ``transient`` cannot be used.
+    OrbitError
+        If the run ends early, grazes, or passes the limit of a cycle of several edges.
+
+    Notes
+    -----
+    An orthonormal frame is carried along the run by the first variation of its steps and the
+    saltation matrices of its jumps, and made orthonormal again after each of them; the logarithms
+    of what it grew by are summed. Sources: Benettin, Galgani, Giorgilli & Strelcyn, Meccanica 15
+    (1980); Müller, Chaos, Solitons & Fractals 5 (1995) for systems with jumps.
+
+    In an autonomous model one exponent is 0: that of a change along the run.
+
+    Examples
+    --------
+    >>> hy.lyapunov(Lorenz(), [1.0, 1.0, 20.0], (0.0, 1000.0)).exponents
+    array([ 0.90..., 0.00..., -14.57...])
+    """
+    require_model(model)
+    size = model.spec.dimension
+    count = size if count is None else count
+    if not (isinstance(count, int | np.integer) and 1 <= count <= size):
+        raise OptionError(f"count={count!r}: a whole number from 1 to {size}")
+    first, last = _span(t)
+    begin = first + (0.1 * (last - first) if transient is None else float(transient))
+    if not first <= begin < last:
+        raise OptionError(f"transient={transient!r}: a time shorter than the run, {t!r}")
+    frame = np.linalg.qr(np.random.default_rng(0).normal(size=(size, int(count))))[0]
+    options = {**options, "save": "dense"}
+    if begin > first:
+        before = _run(model, start, (first, begin), options)
+        frame = _carry(model, before, frame)[2]
+        start, options["mode"] = before.final, start_mode(scene_of(model), before.mode)
+    run = _run(model, start, (begin, last), options)
+    times, growth, _ = _carry(model, run, frame)
+    return _exponents(times, growth, run)
+
+
+def _span(t: Any) -> tuple[float, float]:
+    try:
+        first, last = (float(v) for v in t)
+    except (TypeError, ValueError):
+        raise OptionError(f"t={t!r}: give (first, last) time") from None
+    return first, last
+
+
+def _run(model: Any, start: Any, t: tuple[float, float], options: dict[str, Any]) -> Trajectory:
+    """A run that reaches its last time."""
+    run = simulate(model, start, t, **options)
+    if run.status is not Status.REACHED_END:
+        raise OrbitError(f"{run.spec.model}: the run ended at t = {run.t1:.9g}: {run.status}")
+    return run
+
+
+def _carry(
+    model: Any, run: Trajectory, frame: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times at the ends of a run's pieces, logarithms of the frame's growth, the last frame."""
+    times, growth = [], []
+    for factor in factors(model, run):
+        frame, upper = np.linalg.qr(factor.matrix @ frame)
+        sizes = np.abs(np.diag(upper))
+        sizes[sizes <= LOST * np.abs(factor.matrix).max()] = 0.0
+        with np.errstate(divide="ignore"):
+            growth.append(np.log(sizes))
+        times.append(factor.t)
+    return np.array(times), np.array(growth), frame
+
+
+def _exponents(times: np.ndarray, growth: np.ndarray, run: Trajectory) -> Exponents:
+    total, spans = np.cumsum(growth, axis=0), times - run.t0
+    at = np.unique(np.linspace(np.argmax(spans > 0), len(times) - 1, KEPT).astype(int))
+    running = total[at] / spans[at, None]
+    order = np.argsort(-running[-1], kind="stable")
+    error = _error(times, total, run.t0)
+    return Exponents(running[-1][order], error[order], times[at], running[:, order], run)
+
+
+def _error(times: np.ndarray, total: np.ndarray, first: float) -> np.ndarray:
+    """Standard error of the mean growth, from the means of parts of the run."""
+    ends = np.linspace(first, times[-1], BATCHES + 1)[1:]
+    index = np.unique(np.searchsorted(times, ends - 1e-12 * (times[-1] - first)))
+    if len(index) < 3:
+        return np.full(total.shape[1], np.nan)
+    start = np.zeros((1, total.shape[1]))
+    with np.errstate(invalid="ignore"):
+        gained = np.diff(np.concatenate([start, total[index]]), axis=0)
+        lasted = np.diff(np.append(first, times[index]))
+        mean = total[-1] / (times[-1] - first)
+        spread = ((gained - mean * lasted[:, None]) ** 2).sum(axis=0)
+        parts = len(index)
+        error: np.ndarray = np.sqrt(spread * parts / (parts - 1)) / (times[-1] - first)
+    return error

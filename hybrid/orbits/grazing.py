@@ -1,0 +1,126 @@
+"""Guards that an orbit touches, or nearly: there its multipliers say little of what is near."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import attrs
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from ..arcs import Arc
+from ..scene import Field, Guard, Scene
+from ..segment import from_values, nodes
+from ..trajectory import Trajectory
+from .variation import SMOOTH
+
+#: A guard's rate at a jump, against its largest, below which the jump is said to graze; the
+#: square of this is what a guard that turns back has come to, against its largest value.
+GRAZES = 1e-3
+
+#: Degree at which a guard is sampled along a step.
+DEGREE = 16
+
+
+@attrs.frozen(eq=False)
+class Step:
+    """A guard along a step of an arc: its Chebyshev series, times and values."""
+
+    start: float
+    length: float
+    series: np.ndarray
+    times: np.ndarray
+    values: np.ndarray
+
+
+@attrs.frozen(eq=False)
+class Along:
+    """A guard along the arcs of a mode, each a list of steps."""
+
+    field: Field
+    guard: Guard
+    arcs: list[list[Step]]
+
+    @property
+    def largest(self) -> float:
+        """Its largest value, nearly."""
+        return max(float(np.abs(step.values).max()) for arc in self.arcs for step in arc)
+
+    @property
+    def fastest(self) -> float:
+        """Its largest rate, nearly."""
+        steps = [step for arc in self.arcs for step in arc]
+        return max(2.0 / s.length * np.abs(chebyshev.chebder(s.series)).sum() for s in steps)
+
+    def nearest(self) -> Iterator[tuple[float, float]]:
+        """Times and values where it comes near to zero from afar, and turns back."""
+        bound = GRAZES**2 * self.largest
+        for arc in self.arcs:
+            times = np.concatenate([step.times for step in arc])
+            far = times[np.abs(np.concatenate([step.values for step in arc])) > bound]
+            for step in arc:
+                for t, value in _turned(step, bound):
+                    if far.size and far[0] < t < far[-1]:
+                        yield t, value
+
+
+def _turned(step: Step, bound: float) -> Iterator[tuple[float, float]]:
+    points = turning(step.series)
+    values = chebyshev.chebval(points, step.series)
+    bends = chebyshev.chebval(points, chebyshev.chebder(step.series, 2))
+    near = (values * bends > 0) & (np.abs(values) <= bound)
+    for xi, value in zip(points[near].tolist(), values[near].tolist(), strict=True):
+        yield step.start + 0.5 * (xi + 1.0) * step.length, value
+
+
+def turning(series: np.ndarray) -> np.ndarray:
+    """Where a Chebyshev series has zero slope, inside (-1, 1)."""
+    slope = chebyshev.chebtrim(chebyshev.chebder(series), 1e-16 * float(np.abs(series).max()))
+    if len(slope) < 2:
+        return np.empty(0)
+    roots = chebyshev.chebroots(slope)
+    real = roots.real[np.abs(roots.imag) <= 1e-6]
+    return real[np.abs(real) < 1.0]
+
+
+def near_grazing(scene: Scene, run: Trajectory) -> list[str]:
+    """Sentences on guards that a run touches, or reaches almost without speed."""
+    found: list[str] = []
+    summed = {edge for point in run.zeno for edge in point.edges}
+    for along in _guards(scene, run):
+        edge = along.guard.edge
+        for t, value in along.nearest():
+            near = f"comes to {abs(value):.2g} of zero at t = {t:.9g} and turns back"
+            found.append(f"the guard of {edge} {near}")
+        if along.guard.kind in SMOOTH or edge in summed:
+            continue
+        for index, row in run.own_jumps.items():
+            if row.edge != edge or run.parts[index].mode != along.field.name:
+                continue
+            rate, fastest = abs(along.guard.lie(row.t, row.before.tolist())[1]), along.fastest
+            if rate <= GRAZES * fastest:
+                found.append(
+                    f"{edge} at t = {row.t:.9g} is near to grazing: its guard is reached at "
+                    f"{rate:.3g}, where it changes as fast as {fastest:.3g} along the orbit"
+                )
+    return found
+
+
+def _guards(scene: Scene, run: Trajectory) -> Iterator[Along]:
+    """Every guard along all arcs on which it is watched."""
+    arcs = [part for part in run.parts if isinstance(part, Arc) and part.segments]
+    for mode in dict.fromkeys(arc.mode for arc in arcs):
+        field, alike = scene.field(mode), [arc for arc in arcs if arc.mode == mode]
+        for guard in field.guards:
+            yield Along(field, guard, [_steps(guard, arc) for arc in alike])
+
+
+def _steps(guard: Guard, arc: Arc) -> list[Step]:
+    shares, found = nodes(DEGREE), []
+    for segment in arc.segments:
+        start = arc.t0 + arc.low + segment.start
+        times, states = start + segment.length * shares, segment.at(shares)
+        pairs = zip(times.tolist(), states.tolist(), strict=True)
+        values = np.array([guard.value(t, x) for t, x in pairs])
+        found.append(Step(start, segment.length, from_values(DEGREE) @ values, times, values))
+    return found

@@ -1,0 +1,228 @@
+"""``hy.periodic_orbit``: find an orbit, close it by Newton's method, describe it."""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from typing import Any
+
+import attrs
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from ..automaton.base import require_model
+from ..automaton.record import Record
+from ..errors import OptionError
+from ..scene import scene_of
+from ..trajectory import Trajectory
+from .grazing import near_grazing, turning
+from .search import Search, depends_on_time, given
+from .shooting import Shooting, Turn
+from .variation import Factor
+
+#: A multiplier nearer than this to the unit circle is not said to lie inside or outside.
+NEUTRAL = 1e-6
+
+
+@attrs.frozen
+class Stick:
+    """A phase at rest on contacts, or sliding: its mode, first and last time."""
+
+    mode: str
+    t0: float
+    t1: float
+
+
+@attrs.frozen(eq=False, repr=False)
+class PeriodicOrbit:
+    """A periodic orbit, its shape and its stability.
+
+    Attributes
+    ----------
+    period : float
+    extrema : dict of (float, float)
+        Least and greatest value of each coordinate, by name.
+    jumps : float
+        Jumps in a period, releases and switchings included; ``inf`` where they accumulate.
+    sticks : tuple of Stick
+        Phases at rest on contacts, or sliding.
+    saltations : tuple of Factor
+        Of each jump, and each accumulation: ``.t .edge .matrix``.
+    monodromy : array, shape (n, n)
+        The first variation over a period, from ``start``.
+    multipliers : array of complex, shape (n,)
+        Its eigenvalues, largest first. In an autonomous model one of them is 1: that of a
+        change along the orbit.
+    stable : bool
+        Whether all others lie inside the unit circle, by more than rounding (1e-6).
+    start : Record
+        The state at ``run.t0``, in the middle of an arc.
+    run : Trajectory
+        One period.
+    residual : float
+        Largest difference between its ends, against the size of the orbit.
+    autonomous : bool
+    grazing : tuple of str
+        Sentences on guards that are touched, or crossed almost without speed: there the
+        multipliers may not say what happens nearby.
+    """
+
+    period: float
+    extrema: dict[str, tuple[float, float]]
+    jumps: float
+    sticks: tuple[Stick, ...]
+    saltations: tuple[Factor, ...]
+    monodromy: np.ndarray
+    multipliers: np.ndarray
+    stable: bool
+    start: Record
+    run: Trajectory
+    residual: float
+    autonomous: bool
+    grazing: tuple[str, ...]
+
+    def __str__(self) -> str:
+        outside = bool(np.any(np.abs(self.multipliers) > 1.0 + NEUTRAL))
+        kind = "stable" if self.stable else "unstable" if outside else "neutral"
+        edges = Counter(row.edge for row in self.run.own_jumps.values())
+        counted = ", ".join(f"{count} {edge}" for edge, count in edges.items()) or "none"
+        if self.run.zeno:
+            counted += f", and {len(self.run.zeno)} accumulation(s) of infinitely many"
+        lines = [
+            f"{self.run.spec.model}: {kind} periodic orbit of period {self.period:.12g}",
+            f"  multipliers  {', '.join(map(_number, self.multipliers))}",
+            f"  jumps        {counted}",
+        ]
+        lines += [f"  {stick.mode:12} for {stick.t1 - stick.t0:.9g}" for stick in self.sticks]
+        lines += [f"  {name:12} {a:.12g} to {b:.12g}" for name, (a, b) in self.extrema.items()]
+        lines += [f"  {sentence}" for sentence in self.grazing]
+        return "\n".join([*lines, f"  closed to     {self.residual:.2g} of its size"])
+
+    __repr__ = __str__
+
+
+def periodic_orbit(
+    model: Any,
+    guess: Any,
+    *,
+    section: Any = None,
+    period: float | None = None,
+    t: float = 0.0,
+    mode: str | None = None,
+    settle: int = 0,
+    t_max: float = 1000.0,
+    tol: float = 1e-9,
+    **options: Any,
+) -> PeriodicOrbit:
+    """Find a periodic orbit near a guess, stable or not, and describe it.
+
+    Parameters
+    ----------
+    model : Automaton
+        Autonomous, or periodic in time.
+    guess : dict, record, sequence or Trajectory
+        A state near the orbit; of a run its last one.
+    section : str, callable or float, optional
+        As for :func:`hybrid.return_map`: one return is one turn. A plane through the guess,
+        across the flow, if omitted. Give an edge that jumps once a turn.
+    period : float, optional
+        Of a model that depends on time: the orbit's period, a whole number of those of the
+        forcing. Otherwise a first guess of the orbit's period, in place of a section.
+    t, mode
+        Time and mode of the guess.
+    settle : int
+        Turns that are flown before Newton's method begins: towards a stable orbit.
+    t_max : float
+        The longest time a return may take.
+    tol : float
+        How well the orbit must close, relative to its size, to be an orbit.
+    options
+        As for :func:`hybrid.simulate`; by default ``rtol=1e-12, atol=1e-13``.
+
+    Returns
+    -------
+    PeriodicOrbit
+
+    Raises
+    ------
+    OptionError
+        If the model depends on time and no period is given.
+    OrbitError
+        If no orbit is found: the message says how far it came.
+
+    Warns
+    -----
+    UserWarning
+        If the orbit touches a guard, or crosses one almost without speed.
+
+    Notes
+    -----
+    Newton's method starts from the guess, then from where 8 and 64 turns lead. Its matrix is the
+    product of the fundamental matrices of the arcs and the saltation matrices of the jumps;
+    accumulations of impacts have one too (``docs/notes/orbits.md``). Source: di Bernardo, Budd,
+    Champneys & Kowalczyk, *Piecewise-smooth Dynamical Systems* (2008).
+
+    Examples
+    --------
+    >>> orbit = hy.periodic_orbit(VanDerPol(), {"x": 2.0, "v": 0.0})
+    >>> orbit.period
+    6.66328685932...
+    """
+    require_model(model)
+    scene = scene_of(model)
+    options = {"rtol": 1e-12, "atol": 1e-13, **options, "save": "dense"}
+    timed = depends_on_time(scene)
+    if period is None and isinstance(section, int | float):
+        period = float(section)
+    if period is None and timed:
+        raise OptionError(
+            f"{scene.spec.model} depends on time: give period=, that of the forcing or a multiple"
+        )
+    if period is not None and not 0 < period < float("inf"):
+        raise OptionError(f"period={period!r}: a time greater than 0")
+    shooting = Shooting(model, timed, tol, options)
+    search = Search(shooting, section, period, t_max)
+    orbit = _describe(shooting, search.find(given(scene, guess, t, mode), settle))
+    for sentence in orbit.grazing:
+        warnings.warn(f"{scene.spec.model}: {sentence}", stacklevel=2)
+    return orbit
+
+
+def _describe(shooting: Shooting, turn: Turn) -> PeriodicOrbit:
+    scene, run, autonomous = shooting.scene, turn.run, not shooting.timed
+    matrix, saltations = shooting.variation(run)
+    values = np.linalg.eigvals(matrix).astype(complex)
+    values = values[np.argsort(-np.abs(values))]
+    others = np.delete(values, np.argmin(np.abs(values - 1.0))) if autonomous else values
+    return PeriodicOrbit(
+        period=turn.guess.period,
+        extrema=extrema(run),
+        jumps=float("inf") if run.zeno else len(run.own_jumps),
+        sticks=tuple(Stick(a.mode, a.t0, a.t1) for a in run.parts if a.t1 > a.t0 and "(" in a.mode),
+        saltations=tuple(saltations),
+        monodromy=matrix,
+        multipliers=values,
+        stable=bool(np.all(np.abs(others) < 1.0 - NEUTRAL)),
+        start=scene.spec.record(turn.guess.x),
+        run=run,
+        residual=turn.residual,
+        autonomous=autonomous,
+        grazing=tuple(near_grazing(scene, run)),
+    )
+
+
+def extrema(run: Trajectory) -> dict[str, tuple[float, float]]:
+    """Least and greatest value of each element of the state along a run, by name."""
+    low = np.min([np.minimum(arc.first, arc.last) for arc in run.arcs], axis=0)
+    high = np.max([np.maximum(arc.first, arc.last) for arc in run.arcs], axis=0)
+    for arc in run.arcs:
+        for segment in arc.segments:
+            for i, series in enumerate(segment.coefficients.T):
+                turns = chebyshev.chebval(turning(series), series)
+                low[i], high[i] = min([low[i], *turns]), max([high[i], *turns])
+    pairs = zip(low.tolist(), high.tolist(), strict=True)
+    return dict(zip(run.spec.element_names, pairs, strict=True))
+
+
+def _number(value: complex) -> str:
+    return f"{value.real:.9g}" if not value.imag else f"{value.real:.9g}{value.imag:+.9g}i"

@@ -1,0 +1,243 @@
+"""``hy.return_map``: from a state to where the run from there next meets a section."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import attrs
+import numpy as np
+
+from ..automaton.base import require_model
+from ..automaton.markers import RISING, Crossing
+from ..automaton.record import Record
+from ..errors import OptionError, OrbitError
+from ..scene import scene_of
+from ..simulation import simulate
+from ..trajectory import Status, Trajectory
+from .section import Edge, Period, Section, Surface, cut, section_of
+
+#: The first window in which a return is sought, of the longest; windows double.
+SHARE = 64.0
+
+#: A window against the return time seen last.
+MARGIN = 1.25
+
+
+@attrs.frozen(eq=False)
+class Point:
+    """A point of a return map: time, state, and mode."""
+
+    t: float
+    state: Any
+    mode: str | None
+
+
+class Iterates(Sequence[Record]):
+    """Points of a return map, the first one being the start.
+
+    Attributes
+    ----------
+    t : array, shape (n + 1,)
+    states : array, shape (n + 1, dimension)
+    modes : list of str
+    """
+
+    def __init__(self, spec: Any, points: Sequence[Point]) -> None:
+        self._spec = spec
+        self.t = np.array([point.t for point in points])
+        self.states = np.array([point.state for point in points])
+        self.modes = [point.mode for point in points]
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._spec.record(self.states[index])
+
+    def __getattr__(self, name: str) -> Any:
+        """A coordinate of all points: ``iterates.x``."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self._spec.record(self.states), name)
+
+
+class ReturnMap:
+    """The map from a state to the one where its run next meets a section; see :func:`return_map`.
+
+    ``P(state)`` is the state at the next return.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        section: Any,
+        mode: str | None,
+        t_max: float,
+        crossing: Crossing,
+        options: dict[str, Any],
+    ) -> None:
+        self.model, self.mode, self.t_max = model, mode, t_max
+        self.options = {"rtol": 1e-11, "atol": 1e-12, **options}
+        self.scene = scene_of(model)
+        self.section: Section = section_of(model, self.scene, section, crossing)
+        if mode is None and isinstance(self.section, Edge):
+            self.mode = _mode_after(self.scene.spec, self.section.name)
+        self._took: float | None = None
+
+    def __call__(self, state: Any, t: float = 0.0) -> Record:
+        """The state at the next return of the run that starts from ``state`` at time ``t``."""
+        return self.run(state, t).final
+
+    def time(self, state: Any, t: float = 0.0) -> float:
+        """How long the run takes to return."""
+        run = self.run(state, t)
+        return run.t1 - run.t0
+
+    def run(self, state: Any, t: float = 0.0) -> Trajectory:
+        """The run from a state to its next return, which is where it ends.
+
+        Raises
+        ------
+        OrbitError
+            If it does not return within ``t_max``.
+        """
+        return self._from(Point(t, state, self.mode))
+
+    def iterate(self, state: Any, n: int, t: float = 0.0) -> Iterates:
+        """``n`` returns, one after the other, from a state at time ``t``.
+
+        Returns
+        -------
+        Iterates
+            ``n + 1`` states, the start included, with their times ``.t``; the columns of a
+            coordinate are ``.x``.
+        """
+        if not (isinstance(n, int | np.integer) and n >= 0):
+            raise OptionError(f"n={n!r}: a whole number of returns")
+        points = [Point(t, self._vector(state), self.mode)]
+        points += self._points(points[0], n)
+        return Iterates(self.scene.spec, points)
+
+    def _points(self, point: Point, n: int) -> Iterator[Point]:
+        for _ in range(n):
+            run = self._from(point)
+            point = Point(run.t1, run.parts[-1].last, start_mode(self.scene, run.mode))
+            yield point
+
+    def _vector(self, state: Any) -> np.ndarray:
+        if isinstance(state, np.ndarray) and state.shape == (self.scene.spec.dimension,):
+            return state
+        values = self.scene.spec.values(state)
+        return np.concatenate([np.ravel(np.asarray(v, dtype=float)) for v in values])
+
+    def _from(self, point: Point) -> Trajectory:
+        start = self.scene.spec.record(self._vector(point.state))
+        if isinstance(self.section, Period):
+            run = self._simulate(start, point, self.section.period)
+            return self._returned(run, self.section.period)
+        window = self.t_max / SHARE if self._took is None else MARGIN * self._took
+        while True:
+            window = min(window, self.t_max)
+            run = self._simulate(start, point, window)
+            found = self.section.first(run)
+            if found is not None:
+                run = self._land(cut(run, found), start, point)
+                self._took = run.t1 - run.t0
+                return run
+            if window == self.t_max or run.status is not Status.REACHED_END:
+                return self._returned(run, None)
+            window *= 2.0
+
+    def _simulate(self, start: Any, point: Point, length: float) -> Trajectory:
+        times = (point.t, point.t + length)
+        return simulate(self.model, start, times, mode=point.mode, **self.options)
+
+    def _land(self, run: Trajectory, start: Any, point: Point) -> Trajectory:
+        """A run that ends on a surface: flown again to there, which is more than dense output."""
+        if not isinstance(self.section, Surface):
+            return run
+        return self._simulate(start, point, run.t1 - run.t0)
+
+    def _returned(self, run: Trajectory, period: float | None) -> Trajectory:
+        """The run itself if it lasted a whole period; else an error that says why not."""
+        if period is not None and run.status is Status.REACHED_END:
+            return run
+        why = f"it is in {run.mode} at t = {run.t1:.9g}, {run.final}"
+        if run.status is not Status.REACHED_END:
+            why = str(run.status)
+        raise OrbitError(
+            f"{run.spec.model}: the run from t = {run.t0:.9g} does not return to {self.section} "
+            f"within t_max = {self.t_max:g}: {why}; give another section, or a greater t_max"
+        )
+
+
+def return_map(
+    model: Any,
+    section: Any,
+    *,
+    mode: str | None = None,
+    t_max: float = 1000.0,
+    crossing: Crossing = RISING,
+    **options: Any,
+) -> ReturnMap:
+    """The map from a state to that at the next return to a section: a thing to iterate.
+
+    Parameters
+    ----------
+    model : Automaton
+        Autonomous, or periodic in time.
+    section : str, callable or float
+        The name of an edge, contact, switching or release: the states just after its jumps. Or
+        a surface ``(self, t, s)``: the states where it crosses zero along an arc. Or a period:
+        the states that long apart (stroboscopic).
+    mode : str, optional
+        The mode in which the states are given; that after the edge, or the model's initial
+        mode, if omitted.
+    t_max : float
+        The longest time a return may take.
+    crossing : RISING, FALLING or EITHER
+        The direction in which a surface counts.
+    options
+        As for :func:`hybrid.simulate`; by default ``rtol=1e-11, atol=1e-12``.
+
+    Returns
+    -------
+    ReturnMap
+        ``P(state, t=0.0)`` is the state at the next return, ``P.time(state)`` how long that
+        takes, ``P.run(state)`` the run from the one to the other, ``P.iterate(state, n)`` the
+        start and ``n`` returns with their times.
+
+    Raises
+    ------
+    OptionError
+        If the section is none, or ``t_max`` is no time.
+    OrbitError
+        When the map is used: if the run does not return within ``t_max``, or ends before.
+
+    Examples
+    --------
+    >>> P = hy.return_map(Table(), "impact")
+    >>> P.iterate({"x": 0.0, "v": 3.0}, 100).v
+    """
+    require_model(model)
+    if not 0 < float(t_max) < float("inf"):
+        raise OptionError(f"t_max={t_max!r}: a time greater than 0")
+    options.setdefault("save", "dense")
+    if options["save"] != "dense":
+        raise OptionError(f"save={options['save']!r}: a return is found on dense output")
+    return ReturnMap(model, section, mode, float(t_max), crossing, options)
+
+
+def _mode_after(spec: Any, edge: str) -> str | None:
+    """The mode that follows an edge, where there is one only."""
+    name, _, what = edge.rpartition(".")
+    of = name if what == "release" else edge
+    modes = {e.to for e in spec.transitions if e.name == of}
+    modes |= {end.to for switching in spec.switchings for end in switching.ends if end.name == edge}
+    return next(iter(modes)) if len(modes) == 1 else None
+
+
+def start_mode(scene: Any, mode: str) -> str:
+    """The mode by whose name a run can go on from an arc's mode."""
+    return mode if mode in scene.modes else mode.partition(".rest(")[0]

@@ -1,0 +1,164 @@
+"""The search for a periodic orbit: from a guess to a turn that is closed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import attrs
+import numpy as np
+
+from ..automaton.markers import RISING
+from ..errors import HybridError, OptionError, OrbitError
+from ..scene import Scene
+from ..scene.lowered import TIME
+from ..trajectory import Trajectory
+from .returns import ReturnMap, start_mode
+from .shooting import Guess, Shooting, Turn
+
+#: Turns flown before Newton's method is tried again.
+ROUNDS = (0, 8, 64)
+
+#: Parts of a period that are tried as the period of an autonomous orbit.
+DIVISORS = (2, 3, 4, 5)
+
+#: What the turn after an orbit may fail to close by.
+LASTS = 1e-6
+
+#: An orbit that moves less than this, against its size, in a period, is an equilibrium.
+MOVES = 1e-6
+
+
+def depends_on_time(scene: Scene) -> bool:
+    """Whether any flow, guard, reset or law of a model depends on time explicitly."""
+    code = scene.code
+
+    def look() -> bool:
+        keys = code.cls.traces
+        extra = {"restitution": ["u"]}
+        found = [code.dependencies(code.closed(*key), extra.get(key[0], ())) for key in keys]
+        return any(TIME in places for each in found for places in each)
+
+    return bool(code.once("timed", look))
+
+
+def given(scene: Scene, guess: Any, t: float, mode: str | None) -> Guess:
+    """A guess as a caller gives it: a state, or a run that goes on from its end."""
+    if isinstance(guess, Trajectory):
+        last = start_mode(scene, guess.mode)
+        return Guess(guess.t1, guess.parts[-1].last, last, 0.0)
+    try:
+        values = scene.spec.values(guess)
+    except ValueError as fault:
+        raise OptionError(f"{scene.spec.model}: guess={guess!r}: {fault}") from None
+    x = np.concatenate([np.ravel(np.asarray(v, dtype=float)) for v in values])
+    return Guess(t, x, mode, 0.0)
+
+
+@attrs.frozen(eq=False)
+class Search:
+    """The search for an orbit."""
+
+    shooting: Shooting
+    section: Any
+    period: float | None
+    t_max: float
+
+    def find(self, guess: Guess, settle: int) -> Turn:
+        """A closed turn, from the guess or from where it leads."""
+        reached: list[str] = []
+        for turns in ROUNDS:
+            try:
+                guess = self.timed(self.advanced(self.timed(guess), turns + (not turns) * settle))
+                turn = self.shooting.refine(self.shooting.centred(guess))
+            except HybridError as fault:
+                reached.append(str(fault).rstrip("."))
+                continue
+            if turn.residual <= self.shooting.tol:
+                return self.shortest(self.lasting(self.moving(turn)))
+            reached.append(
+                f"Newton's method came to {self.shooting.scene.spec.record(turn.guess.x)}, whose "
+                f"run of {turn.guess.period:.9g} closes to {turn.residual:.2g} of its size"
+            )
+        raise OrbitError(
+            f"{self.shooting.scene.spec.model}: no periodic orbit was found. From the guess: "
+            f"{reached[0]}. After {ROUNDS[-1]} more turns: {reached[-1]}. Give a guess nearer to "
+            "the orbit, another section or period, or settle= a number of turns"
+        )
+
+    def timed(self, guess: Guess) -> Guess:
+        """A guess with the time that its turn takes."""
+        if self.period is not None:
+            return attrs.evolve(guess, period=self.period)
+        shooting, across = self.shooting, self.section is None
+        mode = guess.mode or shooting.scene.spec.initial
+        section = _plane(shooting, guess) if across else self.section
+        back = ReturnMap(shooting.model, section, mode, self.t_max, RISING, shooting.options)
+        if not across:
+            run = back.run(guess.x, guess.t)
+            back.mode = start_mode(shooting.scene, run.mode)
+            guess = Guess(run.t1, run.parts[-1].last, back.mode, 0.0)
+        return attrs.evolve(guess, period=back.time(guess.x, guess.t))
+
+    def advanced(self, guess: Guess, turns: int) -> Guess:
+        """Where a number of turns lead."""
+        if not turns:
+            return guess
+        run = self.shooting.turn(attrs.evolve(guess, period=turns * guess.period)).run
+        last = start_mode(self.shooting.scene, run.mode)
+        return Guess(run.t1, run.parts[-1].last, last, guess.period)
+
+    def moving(self, turn: Turn) -> Turn:
+        """Refuse an equilibrium for a periodic orbit."""
+        shooting, guess = self.shooting, turn.guess
+        rate = shooting.flow(turn.run.parts[0].mode, guess.t, guess.x)
+        if shooting.timed or np.max(np.abs(rate) / turn.scale) * guess.period > MOVES:
+            return turn
+        raise OrbitError(
+            f"{shooting.scene.spec.model}: the search ended at an equilibrium, "
+            f"{shooting.scene.spec.record(guess.x)}; give a guess nearer to the orbit"
+        )
+
+    def lasting(self, turn: Turn) -> Turn:
+        """Refuse a turn after which the model is not what it was: the period is not its own."""
+        shooting, guess = self.shooting, turn.guess
+        later = attrs.evolve(guess, t=guess.t + guess.period)
+        if not shooting.timed or shooting.turn(later).residual <= LASTS:
+            return turn
+        raise OptionError(
+            f"period={guess.period!r}: the next run of that length from {shooting.scene.spec.model}"
+            f"'s state {shooting.scene.spec.record(guess.x)} does not close; give the period of "
+            "the forcing, or a multiple of it"
+        )
+
+    def shortest(self, turn: Turn) -> Turn:
+        """An orbit that goes round several times, once."""
+        for part in () if self.shooting.timed else DIVISORS:
+            guess = attrs.evolve(turn.guess, period=turn.guess.period / part)
+            near = turn.run(guess.t + guess.period)
+            x = np.concatenate([np.ravel(v) for v in near])
+            if np.max(np.abs(x - guess.x) / turn.scale) <= MOVES:
+                once = self.shooting.refine(guess)
+                if once.residual <= self.shooting.tol:
+                    return self.shortest(once)
+        return turn
+
+
+def _plane(shooting: Shooting, guess: Guess) -> Any:
+    """The plane through a state, across the flow there; coordinates against their own size."""
+    scene = shooting.scene
+    flow = shooting.flow(guess.mode or scene.spec.initial, guess.t, guess.x)
+    if not np.any(flow):
+        raise OrbitError(
+            f"{scene.spec.model}: the guess {scene.spec.record(guess.x)} is an equilibrium; "
+            "give another, or a section"
+        )
+    sizes = np.abs(flow) + np.abs(guess.x) + 1e-300
+    normal = flow / sizes**2
+    level = float(normal @ guess.x)
+
+    def plane(self: Any, t: Any, s: Any) -> Any:
+        import jax.numpy as jnp
+
+        return jnp.concatenate([jnp.ravel(v) for v in s]) @ normal - level
+
+    return plane

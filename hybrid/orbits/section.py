@@ -1,0 +1,168 @@
+"""Where a run comes back: an edge, a surface, or a period of the forcing."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable
+from typing import Any
+
+import attrs
+import numpy as np
+
+from ..arcs import Arc, Part
+from ..automaton.markers import RISING, Crossing
+from ..automaton.trace import caller, scalar, trace
+from ..errors import OptionError
+from ..events import fires, zeros
+from ..scene import Guard, Scene
+from ..scene.lowered import guard_shape
+from ..trajectory import Status, Trajectory
+
+#: A surface on which a run starts is zero there, relative to the state.
+STARTS = 1e-8
+
+
+@attrs.frozen
+class Return:
+    """Where a run meets a section: in which part, how long after that part began."""
+
+    part: int
+    tau: float
+
+
+@attrs.frozen
+class Period:
+    """A section in time: the states one period apart (stroboscopic)."""
+
+    period: float
+
+    def __str__(self) -> str:
+        return f"the period {self.period!r}"
+
+
+@attrs.frozen
+class Edge:
+    """The states just after the jumps of an edge, a contact, a switching or a release."""
+
+    name: str
+
+    def __str__(self) -> str:
+        return f"the jump {self.name!r}"
+
+    def first(self, run: Trajectory) -> Return | None:
+        """The run's first jump of that name that is no part of a summed series."""
+        for index, row in sorted(run.own_jumps.items()):
+            part = run.parts[index]
+            if row.edge == self.name and isinstance(part, Arc) and index + 1 < len(run.parts):
+                return Return(index, part.length)
+        return None
+
+
+@attrs.frozen(eq=False)
+class Surface:
+    """The states where a function of time and state crosses zero along an arc."""
+
+    scene: Scene
+    guard: Guard
+
+    def __str__(self) -> str:
+        return "the surface"
+
+    def first(self, run: Trajectory) -> Return | None:
+        """The first crossing after the start (not within a summed series of impacts)."""
+        for index, part in enumerate(run.parts):
+            tau = self._first_of(part, index == 0) if isinstance(part, Arc) else None
+            if tau is not None:
+                return Return(index, tau)
+        return None
+
+    def _first_of(self, arc: Arc, starts: bool) -> float | None:
+        size = STARTS * (1.0 + float(np.abs(arc.first).max()))
+        here = self.guard.value(arc.t0, arc.first.tolist())
+        order, ends = int(starts and abs(here) <= size), dict[Any, float]()
+        for segment in arc.segments:
+            scale, t = float("inf"), arc.t0 + arc.low
+            for zero in zeros(self.guard, segment, t, order, scale, 0.0, ends):
+                if fires(self.guard.crossing, zero.direction):
+                    return zero.tau
+            order = 0
+        return None
+
+
+Section = Period | Edge | Surface
+
+
+def section_of(model: Any, scene: Scene, section: Any, crossing: Crossing = RISING) -> Section:
+    """A section as a caller gives it: a name, a number, or a function ``(self, t, s)``.
+
+    Raises
+    ------
+    OptionError
+        If it is none of these.
+    """
+    if isinstance(section, str):
+        known = _jumps(scene)
+        if section not in known:
+            raise OptionError(
+                f"{scene.spec.model}: section={section!r}: there are the jumps {', '.join(known)}; "
+                "or give a surface (self, t, s), or a period"
+            )
+        return Edge(section)
+    if callable(section):
+        return _surface(model, scene, section, crossing)
+    try:
+        period = float(section)
+    except (TypeError, ValueError):
+        period = -1.0
+    if not 0 < period < float("inf"):
+        raise OptionError(
+            f"{scene.spec.model}: section={section!r}: the name of an edge or contact, a surface "
+            "(self, t, s), or a period greater than 0"
+        )
+    return Period(period)
+
+
+def _jumps(scene: Scene) -> list[str]:
+    """The names of all jumps of a model."""
+    spec = scene.spec
+    ends = [end.name for switching in spec.switchings for end in switching.ends]
+    names = list(dict.fromkeys(edge.name for edge in spec.transitions))
+    return [*names, *(f"{name}.release" for name in names if scene.is_contact(name)), *ends]
+
+
+def _surface(model: Any, scene: Scene, function: Callable[..., Any], crossing: Crossing) -> Surface:
+    code, spec = scene.code, scene.spec
+    call = scalar(caller(type(model), spec, function))
+    try:
+        closed = trace(spec, call, 0, code.shapes)
+    except Exception as fault:  # whatever the caller's function raises
+        reason = str(fault).split("\n")[0]
+        raise OptionError(f"{spec.model}: section {function!r}: {reason}") from fault
+    value = scene.bind(code.program(("section", function), lambda: closed))
+    affine, uses = guard_shape(code, closed)
+    name, free = "section", lambda *_: (0.0, 0.0, 0.0)
+    return Surface(scene, Guard(name, "edge", "", crossing, value, free, affine, uses, closed))
+
+
+def cut(run: Trajectory, at: Return) -> Trajectory:
+    """A run as far as a return; where that is a jump, just after it."""
+    part = run.parts[at.part]
+    jump = run.own_jumps.get(at.part)
+    kept: list[Part] = list(run.parts[: at.part])
+    jumps = {index: row for index, row in run.own_jumps.items() if index < at.part}
+    if isinstance(part, Arc) and at.tau >= part.length and jump is not None:
+        after = run.parts[at.part + 1]
+        end = Arc(after.mode, part.j + 1, jump.t, jump.low, 0.0, jump.after, jump.after, ())
+        kept, jumps[at.part] = [*kept, part, end], jump
+    else:
+        assert isinstance(part, Arc)
+        segments = part.segments
+        last = bisect_right([segment.start for segment in segments], at.tau) - 1
+        shorter = [*segments[:last], segments[last].cut(at.tau - segments[last].start)]
+        kept.append(attrs.evolve(part, length=at.tau, last=part.local(at.tau), segments=shorter))
+    t1 = kept[-1].t1
+    zeno = [point for point in run.zeno if point.t <= t1]
+    grazings = [grazing for grazing in run.grazings if grazing.t <= t1]
+    return attrs.evolve(
+        run, parts=kept, own_jumps=jumps, zeno=zeno, grazings=grazings, status=Status.REACHED_END
+    )

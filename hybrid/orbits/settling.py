@@ -1,0 +1,315 @@
+"""``run.settles()``: whether a run has come to rest, or to an orbit, and how that is known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import attrs
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from ..arcs import Arc
+from ..segment import nodes
+from ..trajectory import Trajectory
+
+#: Distances below this many times ``rtol``, three turns in a row, are those of a closed orbit.
+CLOSE = 10.0
+
+#: Moves of this many times ``atol`` are none.
+STILL = 100.0
+
+#: Longest orbit, in returns, that is looked for.
+LONGEST = 16
+
+#: Turns whose distances must all shrink, and what they must have come to.
+SHRINKING, NEAR = 5, 1e-3
+
+#: Distances of this ratio are much the same.
+ALIKE = 10.0
+
+#: Where along a step the state is looked at.
+SHARES = (0.0, 0.25, 0.5, 0.75)
+
+#: Degree at which a step is searched for a crossing.
+LOOK = 16
+
+#: Turns, or parts of the run, that are looked at.
+TURNS, PARTS = 12, 6
+
+
+@attrs.frozen
+class Settled:
+    """What a run has settled to.
+
+    Attributes
+    ----------
+    kind : "rest", "periodic" or "none"
+    reason : str
+        A sentence with the evidence.
+    period : float or None
+    jumps : float or None
+        Jumps in a period; ``inf`` where they accumulate.
+    distance : float or None
+        Between the last two turns (at rest: how far the state still moves), against the size of
+        the orbit.
+    rate : float or None
+        By what that distance is multiplied each turn; None where it has been rounding all along.
+    """
+
+    kind: str
+    reason: str
+    period: float | None = None
+    jumps: float | None = None
+    distance: float | None = None
+    rate: float | None = None
+
+    def __str__(self) -> str:
+        return f"{self.kind}: {self.reason}"
+
+
+@attrs.frozen(eq=False)
+class Returns:
+    """Times and states at which a run comes back to something."""
+
+    to: str
+    t: np.ndarray
+    x: np.ndarray
+
+
+@attrs.frozen(eq=False)
+class Turns:
+    """The last turns of a run, taken as ``length`` returns each, and distances between them."""
+
+    returns: Returns
+    length: int
+    distances: np.ndarray
+
+    @property
+    def period(self) -> float:
+        return float(self.returns.t[-1] - self.returns.t[-1 - self.length])
+
+
+def settles(run: Trajectory) -> Settled:
+    """See :meth:`hybrid.Trajectory.settles`."""
+    tol = CLOSE * max(float(run.options.get("rtol", 1e-8)), 1e-13)
+    scale = _scale(run)
+    found = _held(run, scale, tol) or _still(run, scale, tol)
+    if found is not None:
+        return found
+    tried = [turns for returns in _returns(run) for turns in _turns(returns, scale)]
+    for turns in tried:
+        if _closed(turns.distances, tol) or _shrinks(turns.distances):
+            return _periodic(run, _shortest(turns, tried), tol)
+    return _none(run, tried)
+
+
+# ---------------------------------------------------------------------------------------
+# rest
+
+
+def _scale(run: Trajectory) -> np.ndarray:
+    """Size of each element of the state over the last half of a run."""
+    states = _states(run, 0.5 * (run.t0 + run.t1))[1]
+    size: np.ndarray = np.abs(states).max(axis=0)
+    return np.where(size > 0, size, 1.0)
+
+
+def _states(run: Trajectory, since: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times and states along a run from a time on: at the ends of arcs and along their steps."""
+    times, states = [], []
+    for arc in run.arcs:
+        if arc.t1 >= since:
+            inside = [s.start + share * s.length for s in arc.segments for share in SHARES]
+            tau = np.array([0.0, *inside, arc.length])
+            tau = tau[arc.t0 + tau >= since]
+            times.append(arc.t0 + tau)
+            states.append(arc.local(tau))
+    return np.concatenate(times), np.concatenate(states)
+
+
+def _moves(run: Trajectory, states: np.ndarray, scale: np.ndarray) -> float:
+    """How far the states lie apart, beyond what the tolerance makes of it."""
+    slack = STILL * np.asarray(run.options.get("atol", 1e-10), dtype=float)
+    return float(np.max(np.maximum(np.ptp(states, axis=0) - slack, 0.0) / scale))
+
+
+def _held(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
+    """Held still by contacts, or on a surface, over the last quarter of the run at least."""
+    arc = run.parts[-1]
+    whole = run.t1 - run.t0
+    if not isinstance(arc, Arc) or "(" not in arc.mode or arc.length < 0.25 * whole:
+        return None
+    times, states = _states(attrs.evolve(run, parts=[arc]), arc.t0)
+    moved = _moves(run, states, scale)
+    if moved > tol:
+        return None
+    said = f"rests in {arc.mode} since t = {arc.t0:.9g}, for {arc.length:.6g}"
+    held = arc.mode.partition(".rest(")[2].removesuffix(")")
+    if held in run.surfaces:
+        guard = run.surfaces[held]
+        pairs = zip(times.tolist(), states.tolist(), strict=True)
+        loads = [-guard.lie(t, x)[2] for t, x in pairs]
+        early, late = min(loads[: len(loads) // 2 + 1]), min(loads[len(loads) // 2 :])
+        if not 2.0 * late > early:
+            return None
+        said += f": the load stays at {min(loads):.6g} or more"
+    return Settled("rest", f"{said}; the state does not change", distance=moved)
+
+
+def _still(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
+    """The last half of the run tends to a point, without a jump."""
+    middle = 0.5 * (run.t0 + run.t1)
+    if len(run.jumps) and run.jumps.t[-1] > middle:
+        return None
+    times, states = _states(run, middle)
+    part = np.minimum(((times - middle) / (run.t1 - middle) * PARTS).astype(int), PARTS - 1)
+    if len(np.unique(part)) < PARTS:
+        states = np.array([np.concatenate([np.ravel(v) for v in run(t)]) for t in _even(run)])
+        part = np.repeat(np.arange(PARTS), len(states) // PARTS)
+    moves = np.array([_moves(run, states[part == k], scale) for k in range(PARTS)])
+    if not (np.all(moves <= tol) or _shrinks(moves)):
+        return None
+    each, (first, last) = (run.t1 - middle) / PARTS, (float(moves[0]), float(moves[-1]))
+    said = f"tends to a point: the moves in times of {each:.6g} fall from {first:.3g} to {last:.3g}"
+    return Settled("rest", f"{said} of its size", None, 0, last, _rate(moves, tol))
+
+
+def _even(run: Trajectory) -> np.ndarray:
+    """Times that part the last half of a run evenly."""
+    return np.linspace(0.5 * (run.t0 + run.t1), run.t1, 16 * PARTS)
+
+
+# ---------------------------------------------------------------------------------------
+# returns and turns
+
+
+def _returns(run: Trajectory) -> list[Returns]:
+    """What a run comes back to: limits of jumps, jumps of each edge, a level; rarest first."""
+    found = []
+    for edges in {point.edges for point in run.zeno}:
+        points = [p for p in run.zeno if p.edges == edges]
+        states = [np.concatenate([np.ravel(v) for v in p.state]) for p in points]
+        name = f"the limit of {', '.join(edges)}"
+        found.append(Returns(name, np.array([p.t for p in points]), np.array(states)))
+    rows = run.own_jumps.values()
+    for edge in dict.fromkeys(row.edge for row in rows):
+        chosen = [row for row in rows if row.edge == edge]
+        after = np.array([row.after for row in chosen])
+        found.append(Returns(edge, np.array([row.t for row in chosen]), after))
+    found.append(_crossings(run))
+    late = [r for r in found if len(r.t) > SHRINKING and r.t[-1] > run.t1 - _longest(r.t)]
+    return sorted(late, key=lambda returns: len(returns.t))
+
+
+def _longest(times: np.ndarray) -> float:
+    """Twice the longest time between the last returns: later than that they have ceased."""
+    return 2.0 * float(np.max(np.diff(times[-LONGEST:])))
+
+
+def _crossings(run: Trajectory) -> Returns:
+    """Rising crossings of the middle of the coordinate that varies most, against its size."""
+    states = _states(run, 0.5 * (run.t0 + run.t1))[1]
+    spread, size = np.ptp(states, axis=0), np.abs(states).max(axis=0)
+    i = int(np.argmax(spread / np.where(size > 0, size, 1.0)))
+    level, name = 0.5 * (states[:, i].min() + states[:, i].max()), run.spec.element_names[i]
+    times, points = [], []
+    for arc in run.arcs:
+        for segment in arc.segments:
+            above = segment.at(nodes(LOOK))[:, i] > level
+            if above.any() and not above.all():
+                for xi in _rising(segment.coefficients[:, i], level):
+                    tau = segment.start + 0.5 * (xi + 1.0) * segment.length
+                    times.append(arc.t0 + tau)
+                    points.append(segment(tau))
+    shape = (len(times), run.spec.dimension)
+    return Returns(f"{name} = {level:.6g}", np.array(times), np.array(points).reshape(shape))
+
+
+def _rising(series: np.ndarray, level: float) -> list[float]:
+    """Where a Chebyshev series rises through a level, in (-1, 1]."""
+    series = chebyshev.chebsub(series, [level])
+    series = chebyshev.chebtrim(series, 1e-16 * float(np.abs(series).max()))
+    roots = chebyshev.chebroots(series) if len(series) > 1 else np.empty(0)
+    real = np.sort(roots.real[np.abs(roots.imag) <= 1e-9])
+    inside = real[(real > -1.0) & (real <= 1.0)]
+    slopes = chebyshev.chebval(inside, chebyshev.chebder(series))
+    return [float(xi) for xi in inside[slopes > 0]]
+
+
+def _turns(returns: Returns, scale: np.ndarray) -> Iterator[Turns]:
+    """Turns of 1, 2, ... returns, each with the distances between one turn and the next."""
+    t, x = returns.t, returns.x / scale
+    for length in range(1, LONGEST + 1):
+        if len(t) < (SHRINKING + 1) * length + 1:
+            return
+        lasts = t[length:] - t[:-length]
+        apart = np.abs(x[length:] - x[:-length]).max(axis=1)
+        if not np.all(lasts > 0):
+            continue
+        later = np.abs(lasts[length:] - lasts[:-length]) / lasts[length:]
+        each = np.maximum(apart[length:], later)
+        count = min(len(each) // length, TURNS)
+        yield Turns(returns, length, each[-count * length :].reshape(count, length).max(axis=1))
+
+
+def _closed(distances: np.ndarray, tol: float) -> bool:
+    """Whether the last three distances are those of a closed orbit."""
+    return len(distances) >= 3 and bool(np.all(distances[-3:] <= tol))
+
+
+def _shrinks(distances: np.ndarray) -> bool:
+    """Whether the last distances all shrink, to little."""
+    last = distances[-SHRINKING:]
+    small = len(last) == SHRINKING and last[-1] <= NEAR
+    return bool(small and np.all(np.diff(last) < 0) and last[-1] <= 0.9 * last[0])
+
+
+def _shortest(turns: Turns, tried: list[Turns]) -> Turns:
+    """The shortest orbit that is as nearly closed: one that shrinks turning round is that too."""
+    return next(
+        shorter
+        for shorter in tried
+        if shorter.returns is turns.returns
+        and turns.length % shorter.length == 0
+        and shorter.distances[-1] <= ALIKE * turns.distances[-1]
+    )
+
+
+def _rate(distances: np.ndarray, tol: float) -> float | None:
+    """Mean factor from one distance to the next, where they are more than rounding."""
+    ratios = [after / before for before, after in pairwise(distances) if after > 1e-2 * tol]
+    return float(np.exp(np.mean(np.log(ratios)))) if ratios else None
+
+
+def _periodic(run: Trajectory, turns: Turns, tol: float) -> Settled:
+    last, first = turns.returns.t[-1], turns.returns.t[-1 - turns.length]
+    inside = (run.jumps.t > first) & (run.jumps.t <= last)
+    limits = [point for point in run.zeno if first < point.t <= last]
+    jumps = float("inf") if limits else int(np.sum(inside))
+    distances, rate = turns.distances, _rate(turns.distances, tol)
+    counted = "infinitely many jumps" if limits else f"{jumps} jump{'s' * (jumps != 1)}"
+    how = f"the last turns are {distances[-3:].max():.3g} of its size apart at most"
+    if rate is not None and not _closed(distances, tol):
+        how = f"the distance between turns shrinks by {rate:.3g} each turn, to {distances[-1]:.3g}"
+    said = (
+        f"periodic with {counted} a period, T = {turns.period:.12g} (returns to {turns.returns.to})"
+    )
+    return Settled("periodic", f"{said}; {how}", turns.period, jumps, float(distances[-1]), rate)
+
+
+def _none(run: Trajectory, tried: list[Turns]) -> Settled:
+    if not tried:
+        few = f"fewer than {SHRINKING + 2} returns to anything in t = {run.t0:.6g} to {run.t1:.6g}"
+        return Settled("none", f"neither at rest nor long enough to show a period: {few}")
+    best = min(tried, key=lambda turns: float(turns.distances[-SHRINKING:].max()))
+    distance = float(best.distances[-SHRINKING:].max())
+    falls = np.all(np.diff(best.distances[-SHRINKING:]) < 0)
+    how = "shrinks too slowly to tell" if falls else "does not shrink"
+    return Settled(
+        "none",
+        f"not at rest, and no orbit of up to {LONGEST} returns closes: the nearest, of "
+        f"{best.length} return{'s' * (best.length > 1)} to {best.returns.to}, is {distance:.3g} of "
+        f"its size apart from turn to turn, and {how}",
+        distance=distance,
+    )

@@ -1,0 +1,171 @@
+"""Newton's method for a run that ends where it begins.
+
+The unknowns are the state in the middle of an arc, where nothing is about to fire, and, in an
+autonomous model, the period. With the monodromy matrix ``M`` of the run from ``x`` to ``y`` ::
+
+    (M - 1) dx + f(y) dT = x - y,        f(x) . dx = 0
+
+where the last equation says that the start does not slide along the orbit. Where time matters
+``T`` is known and the first equation alone is solved.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import attrs
+import numpy as np
+
+from ..arcs import Arc
+from ..errors import HybridError, OrbitError
+from ..scene import Scene, scene_of
+from ..simulation import simulate
+from ..trajectory import Trajectory
+from .returns import start_mode
+from .variation import Factor, factors
+
+#: Most steps of Newton's method, and most halvings of one.
+STEPS, HALVINGS = 40, 8
+
+#: What a step may change, against the size of the orbit and the period.
+REACH = 0.5
+
+#: An element of the state smaller than this many times ``atol`` is measured by that.
+FLOOR = 1e3
+
+#: What is added to the residual where the ends of a turn are in different modes.
+APART = 1.0
+
+#: Shortest arc of a plain mode, against the period, in which an orbit is begun.
+LEAST = 1e-2
+
+
+@attrs.frozen(eq=False)
+class Guess:
+    """Where a turn begins, and how long it takes."""
+
+    t: float
+    x: np.ndarray
+    mode: str | None
+    period: float
+
+
+@attrs.frozen(eq=False)
+class Turn:
+    """A run of one period and how far it is from being closed.
+
+    Attributes
+    ----------
+    scale : array, shape (n,)
+        Largest size of each element along it.
+    residual : float
+        Largest difference between its ends, against ``scale``; more by 1 where they are in
+        different modes.
+    """
+
+    guess: Guess
+    run: Trajectory
+    miss: np.ndarray
+    scale: np.ndarray
+    residual: float
+
+
+class Shooting:
+    """Newton's method on the turns of one model."""
+
+    def __init__(self, model: Any, timed: bool, tol: float, options: dict[str, Any]) -> None:
+        self.model, self.timed, self.tol, self.options = model, timed, tol, options
+        self.scene: Scene = scene_of(model)
+
+    def turn(self, guess: Guess) -> Turn:
+        """The run from a guess for one period."""
+        field = None if guess.mode is None else self.scene.field(guess.mode)
+        x = guess.x
+        if field is not None and field.project is not None:
+            x = np.array(field.project(guess.t, x.tolist()))
+        span, start = (guess.t, guess.t + guess.period), self.scene.spec.record(x)
+        run = simulate(self.model, start, span, mode=guess.mode, **self.options)
+        if run.t1 < span[1]:
+            raise OrbitError(f"{run.spec.model}: the run ended at t = {run.t1:.9g}: {run.status}")
+        miss, scale = run.parts[-1].last - run.parts[0].first, self._scale(run)  # type: ignore[union-attr]
+        same = start_mode(self.scene, run.mode) == start_mode(self.scene, run.parts[0].mode)
+        residual = float(np.max(np.abs(miss) / scale)) + (0.0 if same else APART)
+        return Turn(attrs.evolve(guess, x=x), run, miss, scale, residual)
+
+    def _scale(self, run: Trajectory) -> np.ndarray:
+        ends = [part.last for part in run.parts]
+        inside = [s(s.start + 0.5 * s.length) for a in run.arcs for s in a.segments]
+        atol = np.broadcast_to(np.asarray(self.options["atol"], dtype=float), ends[0].shape)
+        sizes: np.ndarray = np.abs(np.array(ends + inside)).max(axis=0)
+        return np.maximum(sizes, np.maximum(FLOOR * atol, 1e-300))
+
+    def centred(self, guess: Guess) -> Guess:
+        """The same turn, begun in the middle of its longest arc: of a plain mode if there is one.
+
+        A short change of the start then changes neither the mode nor the guard it starts on.
+        """
+        run = self.turn(guess).run
+        arcs = [arc for arc in run.parts if isinstance(arc, Arc)]
+        plain = [a for a in arcs if "(" not in a.mode and a.length > LEAST * guess.period]
+        arc = max(plain or arcs, key=lambda arc: arc.length)
+        half = 0.5 * arc.length
+        t = arc.t0 + (arc.low + half) if self.timed else guess.t
+        return Guess(t, arc.local(np.array(half)), start_mode(self.scene, arc.mode), guess.period)
+
+    def refine(self, guess: Guess) -> Turn:
+        """Newton's method from a guess, as far as it goes."""
+        turn = self.turn(guess)
+        for _ in range(STEPS):
+            better = self._improved(turn)
+            if better is None:
+                break
+            turn = better
+        return turn
+
+    def _improved(self, turn: Turn) -> Turn | None:
+        """A step of Newton's method, shortened until it gains; None where it does not."""
+        step, stretch = self._step(turn)
+        size = max(float(np.max(np.abs(step) / turn.scale)), abs(stretch) / turn.guess.period)
+        share = min(1.0, REACH / size) if size else 1.0
+        for halving in range(1 if turn.residual <= self.tol else HALVINGS):
+            part = share * 0.5**halving
+            guess = turn.guess
+            moved = attrs.evolve(
+                guess, x=guess.x + part * step, period=guess.period + part * stretch
+            )
+            try:
+                found = self.turn(moved)
+            except HybridError:
+                continue
+            if found.residual < (1.0 - 0.25 * part) * turn.residual:
+                return found
+        return None
+
+    def _step(self, turn: Turn) -> tuple[np.ndarray, float]:
+        """Changes of the state and of the period."""
+        guess, run, scale = turn.guess, turn.run, turn.scale
+        matrix = self.variation(run)[0] - np.eye(len(scale))
+        system = matrix * scale / scale[:, None]
+        right = -turn.miss / scale
+        if not self.timed:
+            start = self.flow(run.parts[0].mode, guess.t, guess.x) / scale
+            end = self.flow(run.mode, run.t1, run.parts[-1].last) / scale
+            row = np.append(start / np.linalg.norm(start), 0.0)
+            system = np.vstack([np.column_stack([system, end * guess.period]), row])
+            right = np.append(right, 0.0)
+        found = np.linalg.lstsq(system, right, rcond=1e-12)[0]
+        step: np.ndarray = found[: len(scale)] * scale
+        return step, 0.0 if self.timed else float(found[-1]) * guess.period
+
+    def flow(self, mode: str, t: float, x: np.ndarray) -> np.ndarray:
+        """The flow of an arc's mode at a state."""
+        return np.array(self.scene.field(mode).rhs(t, x.tolist()))
+
+    def variation(self, run: Trajectory) -> tuple[np.ndarray, list[Factor]]:
+        """The monodromy matrix of a run, and the matrices of its jumps and accumulations."""
+        matrix, jumps = np.eye(run.spec.dimension), []
+        for factor in factors(self.model, run):
+            matrix = factor.matrix @ matrix
+            if factor.edge is not None:
+                jumps.append(factor)
+        return matrix, jumps

@@ -1,0 +1,95 @@
+"""Lyapunov exponents of flows with jumps."""
+
+import math
+
+import numpy as np
+import pytest
+
+import hybrid as hy
+from models.bead_on_table import BeadOnTable
+from models.relay import Relay
+from tests.oscillators import Baker, Linear, Lorenz, bouncing, flight
+from tests.systems import ForcedOscillator
+
+
+def test_a_linear_system():
+    """Its eigenvalues: after a time of 30 the frame has turned to e^-30 of them."""
+    found = hy.lyapunov(Linear(), [1.0, 1.0], (0.0, 40.0), transient=30.0)
+    np.testing.assert_allclose(found.exponents, [0.3, -0.7], rtol=0, atol=1e-11)
+    assert np.all(found.error < 1e-11)
+
+
+def test_a_map_as_a_flow_with_jumps():
+    """The baker's map in thirds: log 3 and -log 3 for every unit of time, 0 along the run."""
+    found = hy.lyapunov(Baker(), [0.31415, 0.2, 0.0], (0.0, 60.5), transient=20.5)
+    np.testing.assert_allclose(found.exponents, [math.log(3), 0, -math.log(3)], rtol=0, atol=1e-9)
+
+
+def test_a_stable_impact_orbit():
+    """On an orbit with a complex pair of multipliers each exponent is ``log|m| / T``.
+
+    The sum is exact over whole periods; each of the two turns round with the frame, so that its
+    mean over 200 periods is right to about 1/200.
+    """
+    model, period, speed, since, _ = bouncing(0.8, 0.2, 5.0)
+    orbit = hy.periodic_orbit(model, flight(model, speed, since, 0.1), t=since + 0.1, period=period)
+    span = (orbit.run.t0, orbit.run.t0 + 220 * period)
+    found = hy.lyapunov(model, orbit.start, span, transient=20 * period, rtol=1e-10)
+    expected = np.log(np.abs(orbit.multipliers)) / period
+    assert found.sum == pytest.approx(expected.sum(), rel=1e-9)
+    np.testing.assert_allclose(found.exponents, expected, rtol=0.05)
+
+
+def test_a_saddle_of_impacts():
+    """Real multipliers: both exponents, to the rounding that the unstable one lets grow."""
+    model, period, speed, since, _ = bouncing(0.8, 0.2, 5.0, -1)
+    orbit = hy.periodic_orbit(model, flight(model, speed, since, 0.1), t=since + 0.1, period=period)
+    span = (orbit.run.t0, orbit.run.t0 + 14 * period)
+    found = hy.lyapunov(model, orbit.start, span, transient=8 * period, rtol=1e-12, atol=1e-13)
+    expected = np.log(np.abs(orbit.multipliers)) / period
+    np.testing.assert_allclose(found.exponents, expected, rtol=1e-4)
+
+
+def test_lorenz():
+    """0.9056, 0, -14.572 (Viswanath 1998; Sprott 2003), within three standard errors."""
+    found = hy.lyapunov(Lorenz(), [1.0, 1.0, 20.0], (0.0, 160.0), transient=10.0, rtol=1e-7)
+    assert np.all(np.abs(found.exponents - [0.9056, 0.0, -14.5723]) <= 3 * found.error)
+    assert np.all(found.error < 0.1)
+    assert found.sum == pytest.approx(-10 - 1 - 8 / 3, rel=1e-10)  # the divergence
+    assert len(found.times) == len(found.running)
+    assert found.running[-1] == pytest.approx(found.exponents)
+
+
+def test_the_sum_is_that_of_divergence_and_jumps():
+    """No damping, and each impact has the determinant ``r^2``: chaos, but a known sum."""
+    found = hy.lyapunov(ForcedOscillator(), [-0.5, 0.0], (0.0, 150.0))
+    expected = 2 * math.log(0.8) * len(found.run.jumps) / (found.run.t1 - found.run.t0)
+    assert found.sum == pytest.approx(expected, rel=1e-9)
+    assert found.exponents[0] > 3 * found.error[0] > 0
+
+
+def test_directions_are_lost_for_good():
+    """Sliding takes one, an accumulation of impacts and the rest after it take two."""
+    slides = hy.lyapunov(Relay(), [0.5], (0.0, 12.0))
+    assert slides.exponents.tolist() == [-math.inf]
+    rests = hy.lyapunov(BeadOnTable(r=0.3, omega=3.5), [1.5, 0.0], (0.0, 12.0))
+    assert rests.exponents.tolist() == [-math.inf, -math.inf]
+
+
+def test_the_largest_alone():
+    """``count`` of them, from the largest on."""
+    found = hy.lyapunov(Linear(), [1.0, 1.0], (0.0, 60.0), count=1, transient=40.0)
+    assert found.exponents == pytest.approx([0.3], abs=1e-12)
+    assert "0.3" in str(found)
+
+
+def test_what_cannot_be_asked():
+    """Counts, transients, and runs that end."""
+    with pytest.raises(hy.OptionError, match="count=3: a whole number from 1 to 2"):
+        hy.lyapunov(Linear(), [1.0, 1.0], (0.0, 1.0), count=3)
+    with pytest.raises(hy.OptionError, match=r"transient=2\.0: a time shorter"):
+        hy.lyapunov(Linear(), [1.0, 1.0], (0.0, 1.0), transient=2.0)
+    with pytest.raises(hy.OptionError, match="first, last"):
+        hy.lyapunov(Linear(), [1.0, 1.0], 5.0)
+    with pytest.raises(hy.OrbitError, match="stopped at an accumulation"):
+        hy.lyapunov(BeadOnTable(r=0.3, omega=3.5), [1.5, 0.0], (0.0, 12.0), zeno="stop")

@@ -1,0 +1,312 @@
+"""Return maps, the first variation, and periodic orbits."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import fsolve
+
+import hybrid as hy
+from hybrid.orbits.variation import factors
+from models.bead_on_table import BeadOnTable
+from models.bouncing_ball import BouncingBall
+from models.relay import Relay
+from models.two_tanks import TwoTanks
+from tests.oscillators import Beside, Chain, VanDerPol, bouncing, flight
+from tests.switched import Rings, StickSlip
+from tests.systems import ForcedOscillator, Oscillator, Room, Thermostat
+
+FINE = {"rtol": 1e-12, "atol": 1e-13}
+
+#: Period of van der Pol's oscillator for mu = 1, from the literature.
+VAN_DER_POL = 6.6632868593231301897
+
+
+def variation(model, run):
+    """The product of all factors."""
+    matrix = np.eye(run.spec.dimension)
+    for factor in factors(model, run):
+        matrix = factor.matrix @ matrix
+    return matrix
+
+
+def differences(model, x, t, step):
+    """The same from central differences of fourth order of the flow itself."""
+    columns = []
+    for unit in np.eye(len(x)):
+        ends = {}
+        for k in (-2, -1, 1, 2):
+            final = hy.simulate(model, (x + k * step * unit).tolist(), t, **FINE).final
+            ends[k] = np.array([float(v) for v in final])
+        columns.append((8 * (ends[1] - ends[-1]) - (ends[2] - ends[-2])) / (12 * step))
+    return np.array(columns).T
+
+
+# ---------------------------------------------------------------------------------------
+# the first variation
+
+
+@pytest.mark.parametrize(
+    ("model", "x", "t"),
+    [
+        (BeadOnTable(r=0.6, omega=3.5), [1.5, 0.0], (0.0, 2.2)),  # moving contact
+        (ForcedOscillator(), [-1.0, 0.3], (0.0, 9.0)),  # a time-dependent force
+        (Thermostat(), [19.0], (0.0, 3.0)),  # edges between two modes
+        (Chain(), [0.0, 0.5], (0.0, 2.0)),  # two jumps with no time between them
+        (Room(), [1.0, 1.0, 1.0, 0.0], (0.0, 2.4)),  # an impact while another contact is held
+        (StickSlip(), [0.3, 0.1], (0.0, 9.0)),  # onto a surface, along it, and off it again
+    ],
+    ids=["table", "forced", "thermostat", "chain", "room", "stick-slip"],
+)
+def test_the_variation_is_the_derivative_of_the_flow(model, x, t):
+    """Against differences with a step of 1e-5, which 1e-12 in the flow makes 1e-7."""
+    exact = variation(model, hy.simulate(model, x, t, **FINE))
+    np.testing.assert_allclose(differences(model, np.array(x), t, 1e-5), exact, atol=2e-7)
+
+
+@pytest.mark.parametrize("r", [0.3, 0.6])
+def test_the_variation_passes_an_accumulation(r):
+    """And the rest after it: two ranks are lost there, two go on. Differences as above."""
+    model, x, t = Beside(r=r), np.array([1.0, 0.0, 0.3, -0.2]), (0.0, 9.0)
+    run = hy.simulate(model, x.tolist(), t, **FINE)
+    assert run.zeno
+    assert run.mode == "flight.rest(floor)"
+    exact = variation(model, run)
+    np.testing.assert_allclose(differences(model, x, t, 1e-5), exact, atol=2e-7)
+    assert np.linalg.matrix_rank(exact, tol=1e-9) == 2
+
+
+def test_the_saltation_of_a_bouncing_ball():
+    """``[[-r, 0], [(1 + r) g / v, -r]]`` with ``v`` the speed before the impact (known)."""
+    g, r, v = 9.81, 0.7, -math.sqrt(2 * 9.81)
+    run = hy.simulate(BouncingBall(), [1.0, 0.0], (0.0, 0.6), **FINE)
+    (jump,) = (factor for factor in factors(BouncingBall(), run) if factor.edge)
+    expected = [[-r, 0.0], [-(1 + r) * g / v, -r]]
+    np.testing.assert_allclose(jump.matrix, expected, rtol=1e-12, atol=1e-15)
+
+
+def test_no_variation_through_the_limit_of_a_cycle():
+    """Two tanks: the series of a cycle of edges is extrapolated, not summed; so it is refused."""
+    run = hy.simulate(TwoTanks(), [8.0, 8.0], (0.0, 30.0))
+    assert run.zeno
+    with pytest.raises(hy.OrbitError, match="limit of a cycle"):
+        list(factors(TwoTanks(), run))
+
+
+# ---------------------------------------------------------------------------------------
+# return maps
+
+
+def test_impacts_of_a_ball_as_a_map():
+    """``v -> r v`` after ``2 v / g``, for every iterate."""
+    P = hy.return_map(BouncingBall(), "impact")
+    found = P.iterate({"x": 0.0, "v": 1.0}, 10)
+    powers = 0.7 ** np.arange(11)
+    np.testing.assert_allclose(found.v, powers, rtol=1e-12)
+    np.testing.assert_allclose(np.diff(found.t), 2 / 9.81 * powers[:-1], rtol=1e-12)
+    assert len(found) == 11
+    assert found[3].x == 0.0
+    assert P.run([0.0, 1.0]).jumps.edge.tolist() == ["impact"]
+
+
+def test_a_surface_as_a_section():
+    """Turning points of a harmonic oscillator, rising and falling ones."""
+    free = Oscillator(wall=-2.0)
+    top = hy.return_map(free, lambda self, t, s: s.v, crossing=hy.FALLING)
+    either = hy.return_map(free, lambda self, t, s: s.v, crossing=hy.EITHER)
+    assert top.time([1.0, 0.0]) == pytest.approx(2 * math.pi, abs=1e-11)  # rtol, over a turn
+    assert either([1.0, 0.0]).x == pytest.approx(-1.0, abs=1e-11)
+
+
+def test_a_stroboscopic_map():
+    """A harmonic oscillator seen every ``pi / 2`` turns by a quarter."""
+    P = hy.return_map(Oscillator(wall=-2.0), math.pi / 2)
+    np.testing.assert_allclose(P.iterate([1.0, 0.0], 4).x, [1, 0, -1, 0, 1], atol=1e-10)
+
+
+def test_a_map_through_accumulation_and_rest():
+    """From release to release: the table lets go where ``A w^2 sin(w t) = g``, a period apart."""
+    model = BeadOnTable(r=0.6, omega=3.5)
+    found = hy.return_map(model, "impact.release").iterate([1.5, 0.0], 4)
+    np.testing.assert_allclose(found.x[1:], 9.8 / 3.5**2, rtol=1e-11)  # sin = g / (A w^2)
+    np.testing.assert_allclose(np.diff(found.t)[1:], 2 * math.pi / 3.5, rtol=1e-11)
+
+
+def test_what_is_no_return():
+    """Unknown sections; a ball that comes to rest; a run that its options end."""
+    with pytest.raises(
+        hy.OptionError, match=r"'wall': there are the jumps impact, impact\.release"
+    ):
+        hy.return_map(BouncingBall(), "wall")
+    with pytest.raises(hy.OptionError, match="a period greater than 0"):
+        hy.return_map(BouncingBall(), -1.0)
+    with pytest.raises(hy.OptionError, match="section"):
+        hy.return_map(BouncingBall(), lambda self, t, s: s.height)
+    never = hy.return_map(BouncingBall(), "impact.release", t_max=5.0)
+    with pytest.raises(hy.OrbitError, match=r"within t_max = 5: it is in flight.rest\(impact\)"):
+        never([1.0, 0.0])
+    with pytest.raises(hy.OrbitError, match="stopped at an accumulation"):
+        hy.return_map(BouncingBall(), 4.0, zeno="stop")([1.0, 0.0])
+
+
+# ---------------------------------------------------------------------------------------
+# periodic orbits
+
+
+def test_van_der_pols_period():
+    """Twelve digits; the other multiplier is the exponential of the divergence's integral."""
+    orbit = hy.periodic_orbit(VanDerPol(), {"x": 2.0, "v": 0.1})
+    assert orbit.period == pytest.approx(VAN_DER_POL, rel=1e-12)
+    t, weights = np.polynomial.legendre.leggauss(200)
+    times = orbit.run.t0 + orbit.period * (0.5 + 0.5 * t)
+    divergence = 0.5 * orbit.period * weights @ (1 - orbit.run(times).x ** 2)
+    first, second = orbit.multipliers
+    assert first == pytest.approx(1.0, abs=1e-10)
+    assert second == pytest.approx(math.exp(divergence), rel=1e-8)  # quadrature
+    assert orbit.stable
+    assert orbit.jumps == 0
+    assert orbit.extrema["x"] == pytest.approx((-2.00861986087, 2.00861986087), rel=1e-10)
+
+
+def test_an_unstable_cycle():
+    """Van der Pol's cycle with time reversed: no iteration would find it."""
+    orbit = hy.periodic_orbit(VanDerPol(mu=-1.0), [2.0, 0.0])
+    assert orbit.period == pytest.approx(VAN_DER_POL, rel=1e-12)
+    assert not orbit.stable
+    assert abs(orbit.multipliers[0]) > 1000
+
+
+@pytest.mark.parametrize("sign", [1, -1], ids=["stable", "saddle"])
+def test_a_ball_on_a_table(sign):
+    """Both orbits of one impact a period, closed form: period, speed, phase, multipliers."""
+    r = 0.8
+    model, period, speed, since, trace = bouncing(r, 0.2, 5.0, sign)
+    guess = flight(model, 1.01 * speed, since, 0.1)
+    orbit = hy.periodic_orbit(model, guess, t=since + 0.1, period=period)
+    assert orbit.jumps == 1
+    assert orbit.run.jumps.t[0] % period == pytest.approx(since % period, abs=1e-11)
+    assert orbit.extrema["v"] == pytest.approx((-speed, speed), rel=1e-11)
+    assert np.sum(orbit.multipliers).real == pytest.approx(trace, rel=1e-10)
+    assert np.prod(orbit.multipliers).real == pytest.approx(r**2, rel=1e-10)
+    assert orbit.stable == (sign == 1)
+
+
+def test_a_forced_impact_oscillator():
+    """Against the flight in closed form: ``gamma cos w t + a cos + b sin``, closed by fsolve."""
+    w, r = 2.8, 0.8
+    period, gamma = 2 * math.pi / w, 1 / (1 - w**2)
+
+    def closes(unknown):
+        since, v = unknown
+        a, b = -gamma * math.cos(w * since), v + gamma * w * math.sin(w * since)
+        end = gamma * math.cos(w * since) + a * math.cos(period) + b * math.sin(period)
+        arrives = -gamma * w * math.sin(w * since) - a * math.sin(period) + b * math.cos(period)
+        return end, r * arrives + v
+
+    since, v = fsolve(closes, [1.1, -0.6], xtol=1e-13)
+    orbit = hy.periodic_orbit(ForcedOscillator(w=w, r=r), [-0.5, 0.0], period=period)
+    (jump,) = orbit.run.jumps
+    assert jump.after.v == pytest.approx(v, rel=1e-11)
+    assert (jump.t - since) % period == pytest.approx(0.0, abs=1e-10) or (
+        (since - jump.t) % period == pytest.approx(0.0, abs=1e-10)
+    )
+    assert np.prod(orbit.multipliers).real == pytest.approx(r**2, rel=1e-10)  # no damping
+    assert not orbit.stable
+
+
+def test_a_thermostats_cycle():
+    """Two exponentials: ``2 log(3/2)``; an edge as the section."""
+    orbit = hy.periodic_orbit(Thermostat(), [20.0], section="cold")
+    assert orbit.period == pytest.approx(2 * math.log(1.5), rel=1e-12)
+    assert orbit.extrema["T"] == pytest.approx((18.0, 22.0), rel=1e-12)
+    assert orbit.jumps == 2
+
+
+def test_an_orbit_that_chatters_and_sticks():
+    """Complete chattering, rest, release in each period: nothing of a change is left."""
+    model = BeadOnTable(r=0.3, omega=3.5)
+    period = 2 * math.pi / 3.5
+    orbit = hy.periodic_orbit(model, [1.5, 0.0], period=period, settle=3)
+    assert orbit.jumps == math.inf
+    (stick,) = orbit.sticks
+    assert stick.mode == "flight.rest(impact)"
+    released = math.asin(9.8 / 3.5**2) / 3.5  # A w^2 sin(w t) = g
+    assert stick.t1 % period == pytest.approx(released, abs=1e-11)
+    assert orbit.multipliers.tolist() == [0, 0]
+    assert orbit.stable
+    assert [factor.edge for factor in orbit.saltations][-1] == "impact.release"
+
+
+def test_multipliers_through_chattering():
+    """With an oscillator beside the ball two are not 0: against differences of a period's flow."""
+    model, period = Beside(r=0.4, amplitude=4.0), 2 * math.pi
+    orbit = hy.periodic_orbit(model, [4.0, 0.0, 0.0, 0.0], period=period, settle=20)
+    assert orbit.residual < 1e-11
+    assert orbit.jumps == math.inf
+    assert orbit.run.parts[0].mode == "flight"
+    x = np.array([float(v) for v in orbit.start])
+    numeric = differences(model, x, (orbit.run.t0, orbit.run.t0 + period), 1e-5)
+    np.testing.assert_allclose(orbit.monodromy, numeric, atol=1e-7 * np.abs(numeric).max())
+    assert np.abs(orbit.multipliers[:2]) == pytest.approx([0.685, 0.685], abs=1e-3)
+    assert np.all(np.abs(orbit.multipliers[2:]) < 1e-6)  # a double 0: the root of rounding
+
+
+def test_sliding_orbits():
+    """On the unit circle at the mean angular speed 3/2; a relay on and off its surface."""
+    ring = hy.periodic_orbit(Rings(), [0.8, 0.1], mode="down", settle=1)
+    assert ring.period == pytest.approx(2 * math.pi / 1.5, rel=1e-11)
+    assert sorted(np.abs(ring.multipliers)) == pytest.approx([0, 1], abs=1e-9)
+    assert {stick.mode for stick in ring.sticks} == {"slide(line)"}
+    relay = hy.periodic_orbit(Relay(), [0.5], period=math.pi)
+    assert len(relay.sticks) == 2
+    assert relay.multipliers.tolist() == [0]
+
+
+def test_a_multiple_of_the_period_is_taken_once():
+    """A guess of twice the period gives the orbit, not twice the orbit."""
+    orbit = hy.periodic_orbit(VanDerPol(), [2.0, 0.1], period=13.3)
+    assert orbit.period == pytest.approx(VAN_DER_POL, rel=1e-12)
+
+
+def test_a_run_as_guess():
+    """Its last state, mode and time."""
+    model, period, *_ = bouncing(0.8, 0.2, 5.0)
+    run = hy.simulate(model, flight(model, 6.2, 0.16, 0.1), (0.26, 0.26 + 40 * period))
+    assert hy.periodic_orbit(model, run, period=period).stable
+
+
+def test_a_touch_is_warned_of():
+    """A harmonic oscillator that just touches its wall: neutral, and grazing."""
+    with pytest.warns(UserWarning, match="impact comes to .* of zero at"):
+        orbit = hy.periodic_orbit(Oscillator(wall=-1.0), [0.8, -0.6], period=2 * math.pi)
+    assert "neutral" in str(orbit)
+    assert not orbit.stable
+
+
+class Brushing(VanDerPol):
+    """Its wall cuts a millionth off the cycle, whose least ``x`` is -2.00861986."""
+
+    impact = hy.contact("flow", gap=lambda self, t, s: s.x + 2.008619, restitution=0.8)
+
+
+def test_a_jump_that_nearly_grazes_is_warned_of():
+    """The determinant still holds: ``r^2`` times the exponential of the divergence's integral."""
+    with pytest.warns(UserWarning, match="near to grazing: its guard is reached at 0.0018"):
+        orbit = hy.periodic_orbit(Brushing(), [2.0, 0.0])
+    bare = 0.000859695  # without the wall, which moves the orbit by a thousandth
+    assert orbit.multipliers[1] == pytest.approx(0.8**2 * bare, rel=0.01)
+    assert orbit.jumps == 1
+
+
+def test_what_is_no_orbit():
+    """A forced model without a period; a ball that comes to rest; an equilibrium."""
+    with pytest.raises(hy.OptionError, match="depends on time: give period="):
+        hy.periodic_orbit(BeadOnTable(), [1.5, 0.0])
+    with pytest.raises(hy.OptionError, match=r"period=2\.0: .* does not close; give the period"):
+        hy.periodic_orbit(ForcedOscillator(), [-0.5, 0.0], period=2.0)  # the forcing's is 2.24
+    with pytest.raises(hy.OrbitError, match=r"no periodic orbit was found\. From the guess: "):
+        hy.periodic_orbit(BouncingBall(), [1.0, 0.0], t_max=20.0)
+    with pytest.raises(hy.OrbitError, match="is an equilibrium"):
+        hy.periodic_orbit(VanDerPol(), [0.0, 0.0])
+    with pytest.raises(hy.OptionError, match="no value for v"):
+        hy.periodic_orbit(VanDerPol(), {"x": 1.0})
