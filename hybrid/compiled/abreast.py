@@ -31,7 +31,7 @@ class Work(NamedTuple):
 class Abreast:
     """Runs lanes of one journey in ``places`` places.
 
-    ``starts`` are the lanes' own ``(run, mode, held, x, first)``, each with the lanes as first axis; the
+    ``starts`` are the lanes' own ``(run, mode, held, x, first)``, lanes as first axis; the
     first ``count`` of them are run. ``show`` picks what is kept of a trip that has ended.
     """
 

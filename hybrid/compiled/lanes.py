@@ -146,7 +146,7 @@ class Journey:
         assert self.past is not None
         lane, memory = trip.lane, trip.memory
         now = Instant(lane.t, lane.low).after(lane.going.tau)
-        memory = self.past.passed(run, ring, memory, lane.mode, now.t)
+        memory = self.past.passed(run, ring, memory, lane.mode, lane.held, now.t)
         trip = trip._replace(memory=memory)
         none = jnp.zeros_like(lane.going.tau)
         lane = lane._replace(

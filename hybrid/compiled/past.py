@@ -238,7 +238,7 @@ class Past:
 
     # -- windows --------------------------------------------------------------------------
 
-    def passed(self, run: Run, ring: Ring, memory: Memory, mode: Any, t: Any) -> Memory:
+    def passed(self, run: Run, ring: Ring, memory: Memory, mode: Any, held: Any, t: Any) -> Memory:
         """The windows' end is reached: note what follows from theirs, and look on."""
         lags, n = self._lag_values(run), self.spec.dimension
         slack = 8.0 * EPS * jnp.abs(t)
@@ -246,7 +246,8 @@ class Past:
         near = jnp.abs(self._breaks(ring, memory)[None] - memory.ends[:, None]) <= slack
         near = near & there[:, None]
         orders = jnp.where(near[:, :, None], ring.orders[None], SMOOTH).min(axis=1)
-        carried = jnp.where(near.any(), self._carried(mode, orders), jnp.full(n, SMOOTH))
+        carried = self._carried(mode, held.any().astype(int), orders)
+        carried = jnp.where(near.any(), carried, jnp.full(n, SMOOTH))
         return self.look(run, ring, self._break(memory, t, carried), t)
 
     def _breaks(self, ring: Ring, memory: Memory) -> Any:
@@ -342,33 +343,36 @@ class Past:
 
     # -- orders ---------------------------------------------------------------------------
 
-    def _carried(self, mode: Any, seen: Any) -> Any:
+    def _carried(self, mode: Any, rests: Any, seen: Any) -> Any:
         """Orders of the elements where lags see breaking points of orders ``seen`` (lags, n)."""
         states, past = self.reach
-        uses, asks = jnp.asarray(states)[mode], jnp.asarray(past)[mode]
+        uses, asks = jnp.asarray(states)[mode, rests], jnp.asarray(past)[mode, rests]
         own = 1 + jnp.where(asks, seen[None], SMOOTH).min(axis=(1, 2))
         for _ in range(self.spec.dimension):
             own = jnp.minimum(own, 1 + jnp.where(uses, own[None], SMOOTH).min(axis=1))
         return own
 
     def _reach(self) -> tuple[np.ndarray, np.ndarray]:
-        """By mode and element of the flow: the elements, and lags with elements, it depends on."""
+        """What each element of the flow depends on: elements, and lags with elements.
+
+        By mode, free (0) or along contacts (1).
+        """
         n = self.spec.dimension
-        states = np.zeros((len(self.modes), n, n), dtype=bool)
-        past = np.zeros((len(self.modes), n, len(self.lags), n), dtype=bool)
+        states = np.zeros((len(self.modes), 2, n, n), dtype=bool)
+        past = np.zeros((len(self.modes), 2, n, len(self.lags), n), dtype=bool)
         for number, mode in enumerate(self.modes):
-            for closed in self._flows(mode):
-                for i, (uses, asks) in enumerate(self.code.reach(closed)):
-                    states[number, i, sorted(uses - {i})] = True
+            for rests, held in self._helds(mode):
+                for i, (uses, asks) in enumerate(self.code.reach(mode, held)):
+                    states[number, rests, i, sorted(uses - {i})] = True
                     for k, element in asks:
-                        past[number, i, k, element] = True
+                        past[number, rests, i, k, element] = True
         return states, past
 
-    def _flows(self, mode: str) -> Sequence[Any]:
-        """The flows of a mode: free, and with each of its contacts held."""
+    def _helds(self, mode: str) -> list[tuple[int, tuple[str, ...]]]:
+        """Contacts held in a mode: none, or one; if more can be, all that any flow depends on."""
         rests = [e.name for e in self.spec.leaving(mode) if getattr(e, "rests", False)]
-        helds = [(), *((name,) for name in rests)]
-        return [self.code.field_closed(mode, held) for held in helds]
+        free = [(0, ())] if len(rests) < 2 else [(0, ()), (1, ())]
+        return [*free, *((1, (name,)) for name in rests)]
 
 
 def _mask(rows: Sequence[Sequence[int]], n: int) -> np.ndarray:
