@@ -31,7 +31,7 @@ class Work(NamedTuple):
 class Abreast:
     """Runs lanes of one journey in ``places`` places.
 
-    ``starts`` are the lanes' own ``(run, mode, held, x, first)``, each with the lanes as first axis; the
+    ``starts`` are the lanes' own ``(run, mode, held, x, first)``, lanes as first axis; the
     first ``count`` of them are run. ``show`` picks what is kept of a trip that has ended.
     """
 
@@ -89,7 +89,7 @@ class Abreast:
         free = done | (work.lane >= count)
         lane = jnp.where(free, work.following + jnp.cumsum(free) - 1, work.lane)
         lane = jnp.minimum(lane, count)
-        fresh = self._fresh(starts, lane)
+        fresh = self._fresh(starts, lane)._replace(ring=work.trips.ring)
         trips = jax.vmap(choose)(free, fresh, work.trips)
         return Work(trips, lane, jnp.minimum(work.following + free.sum(), count), results)
 
@@ -97,6 +97,8 @@ class Abreast:
         """Sum the series that are due, an eighth of the places at a time."""
         some = max(1, self.places // 8)
         due = (work.trips.lane.going.status == CLOSE) & taken
+
+        ring, trips = work.trips.ring, work.trips._replace(ring=None)
 
         def goes_on(carry: Any) -> Any:
             return carry[1].any()
@@ -110,8 +112,8 @@ class Abreast:
             trips = jax.tree.map(lambda a, b: a.at[which].set(b), trips, summed)
             return trips, due.at[which].set(False)
 
-        trips, _ = jax.lax.while_loop(goes_on, body, (work.trips, due))
-        return work._replace(trips=trips)
+        trips, _ = jax.lax.while_loop(goes_on, body, (trips, due))
+        return work._replace(trips=trips._replace(ring=ring))
 
 
 def status_of(trip: Trip) -> Any:

@@ -133,7 +133,9 @@ def _history(spec: Any, history: Any) -> tuple[dict[str, Any], Any]:
 
     def function(first: Any, t: Any) -> Any:
         record = spec.record(first)
-        return _flat(spec, {n: functions[n](t) if n in functions else record[n] for n in spec.names})
+        return _flat(
+            spec, {n: functions[n](t) if n in functions else record[n] for n in spec.names}
+        )
 
     return constants, function
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from ..clock import Instant
 from .batch import choose, when
 from .lane import CLOSE, END, ENTER, FORGOTTEN, JUMP, NO_REST, RUNNING, ZENO, Lane, Run
-from .past import Memory, Past
+from .past import Memory, Past, Ring
 from .tail import Tails
 from .turn import Turner
 
@@ -30,8 +30,8 @@ class Trip(NamedTuple):
         Accumulations passed so far.
     log : Log or None
         The jumps, where they are kept.
-    memory : Memory or None
-        What delays see, in a model that has some.
+    memory, ring : Memory, Ring or None
+        What delays see, in a model that has some, and the record.
     """
 
     lane: Lane
@@ -42,6 +42,7 @@ class Trip(NamedTuple):
     sums: Any
     log: Any = None
     memory: Any = None
+    ring: Any = None
 
 
 class Log(NamedTuple):
@@ -94,7 +95,7 @@ class Journey:
         trip = Trip(lane, nothing, jnp.full_like(x, jnp.nan), nothing, nothing, jnp.array(0))
         if self.past is None:
             return trip
-        return trip._replace(memory=self.past.begin(run, x, first))
+        return trip._replace(memory=self.past.begin(run, x, first), ring=self.past.ring(len(x)))
 
     def seeing(self, run: Run, trip: Trip) -> Run:
         """The run as far, and with what, delays see at present."""
@@ -106,17 +107,32 @@ class Journey:
 
     def turn(self, run: Run, trip: Trip) -> Trip:
         """One attempted step, then the jump it led to and the entry after it."""
+        if self.past is not None:
+            return self._turn_back(run, trip)
         going = trip.lane.going
         stays = (going.status != RUNNING) | (going.steps >= run.max_steps)
         flows = ~stays & (going.stage < JUMP)
         trip = when(flows, lambda: self._flow(run, trip), trip)
         going = trip.lane.going
-        if self.past is not None:
-            passes = (going.status == END) & (trip.memory.until < run.t1)
-            trip = when(passes, lambda: self._pass(run, trip), trip)
-            going = trip.lane.going
         settles = (going.status == RUNNING) & (going.stage >= JUMP) & ~stays
         return when(settles, lambda: self._settle(run, trip), trip)
+
+    def _turn_back(self, run: Run, trip: Trip) -> Trip:
+        """A turn in a model with delays: where a window of the past ends, the next is made."""
+        assert self.past is not None
+        going = trip.lane.going
+        stays = (going.status != RUNNING) | (going.steps >= run.max_steps)
+        ring, memory = self.past.write(run, trip.ring, trip.memory)
+        trip = trip._replace(memory=memory, ring=None)
+        flows = ~stays & (going.stage < JUMP)
+        trip = when(flows, lambda: self._flow(run, trip), trip)
+        ring, memory = self.past.write(run, ring, trip.memory)
+        trip = trip._replace(memory=memory)
+        passes = (trip.lane.going.status == END) & (memory.until < run.t1)
+        trip = when(passes, lambda: self._pass(run, ring, trip), trip)
+        going = trip.lane.going
+        settles = (going.status == RUNNING) & (going.stage >= JUMP) & ~stays
+        return when(settles, lambda: self._settle(run, trip), trip)._replace(ring=ring)
 
     def _flow(self, run: Run, trip: Trip) -> Trip:
         lane, memory = trip.lane, trip.memory
@@ -125,12 +141,12 @@ class Journey:
             memory = self.past.flown(lane, going, step, memory)
         return trip._replace(lane=lane._replace(going=going), memory=memory)
 
-    def _pass(self, run: Run, trip: Trip) -> Trip:
+    def _pass(self, run: Run, ring: Ring, trip: Trip) -> Trip:
         """Go on within an arc, with other windows of the past."""
         assert self.past is not None
         lane, memory = trip.lane, trip.memory
         now = Instant(lane.t, lane.low).after(lane.going.tau)
-        memory = self.past.passed(run, memory, lane.mode, now.t)
+        memory = self.past.passed(run, ring, memory, lane.mode, lane.held, now.t)
         trip = trip._replace(memory=memory)
         none = jnp.zeros_like(lane.going.tau)
         lane = lane._replace(
@@ -170,7 +186,8 @@ class Journey:
         fall = jnp.abs(jnp.where(self.system.only(lane.series), lies[2], 0.0).sum())
         length = 2.0 * lane.speed / fall
         way = jnp.abs(length * rate) + 0.5 * jnp.abs(length * length * bend)
-        low = self.past.unseen(run, x, way)
+        ratio = self.system.law(p, lane.mode, lane.series, t, x, jnp.array(-0.0))
+        low = self.past.unseen(run, x, way, length / (1.0 - ratio))
         status = jnp.where((lane.going.status == CLOSE) & ~low, RUNNING, lane.going.status)
         return lane.but(status=status)
 
@@ -227,7 +244,7 @@ class Journey:
         if self.past is not None:
             if self.past.restarts:
                 way = jnp.abs(tail.x_inf - lane.going.x)
-                found = found & self.past.unseen(run, tail.x_inf, way)
+                found = found & self.past.unseen(run, tail.x_inf, way, tail.remaining)
             limit = self.past.limit(run, memory, lane, end.t, tail.x_inf)
             memory = choose(found, limit, memory)
         first = found & (trip.sums == 0)

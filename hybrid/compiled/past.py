@@ -19,7 +19,6 @@ from jax.lax import stop_gradient
 from ..automaton.past import DEGREE, blank
 from ..automaton.trace import again
 from ..events import EPS
-from ..scene.lowered import Lowered
 from ..scene.windows import ROUNDING, SHARE, SMOOTH, TO_POWERS
 from ..segment import apply, from_values, nodes
 from ..solvers.diffrax_backend import Method
@@ -37,41 +36,67 @@ HALVINGS = 40
 INSIDE = 1e-10
 
 
-class Memory(NamedTuple):
-    """What a lane remembers.
+class Ring(NamedTuple):
+    """The record of a lane: its last segments and breaking points, each row used in turn.
+
+    It is large, so it is written to once a turn, and only read otherwise.
 
     Attributes
     ----------
-    start, length, values, count
-        Rings of segments: where each starts and how long its step was, states at the method's
-        nodes; and how many there have been.
+    start, length, values
+        Segments: where each starts and how long its step was, states at the method's nodes.
+    breaks, orders
+        Breaking points, and the order of each element there.
+    """
+
+    start: Any
+    length: Any
+    values: Any
+    breaks: Any
+    orders: Any
+
+
+class Due(NamedTuple):
+    """A segment and a breaking point to be written, where ``made`` and ``broke`` say so."""
+
+    made: Any
+    start: Any
+    length: Any
+    values: Any
+    broke: Any
+    at: Any
+    orders: Any
+
+
+class Memory(NamedTuple):
+    """What delays see of a lane at present, and how its ring is to be read.
+
+    Attributes
+    ----------
+    segments, met
+        Segments and breaking points so far.
     first, constant
         What the history is a function of, besides time; whether that is what was, for ever.
-    breaks, orders, met
-        Rings of breaking points and of the order of each element there; and how many.
     windows : tuple of arrays
     until
         How long the windows serve.
     ends, spans : array, shape (lags,)
         Where each window ends; the length to try next.
     full : bool
-        Something was needed that the rings no longer hold.
+        Something was needed that the ring no longer holds.
+    due : Due
     """
 
-    start: Any
-    length: Any
-    values: Any
-    count: Any
+    segments: Any
+    met: Any
     first: Any
     constant: Any
-    breaks: Any
-    orders: Any
-    met: Any
     windows: Any
     until: Any
     ends: Any
     spans: Any
     full: Any
+    due: Due
 
 
 class Past:
@@ -79,7 +104,7 @@ class Past:
 
     Parameters
     ----------
-    segments : int
+    rows : int
         Room in the rings.
     restarts : bool
         After a jump the past is the state after it.
@@ -91,13 +116,13 @@ class Past:
         self,
         system: System,
         method: Method,
-        segments: int,
+        rows: int,
         restarts: bool,
         history: Callable[[Any, Any], Any] | None = None,
     ) -> None:
         self.code, self.spec = system.code, system.spec
         self.modes, self.method = system.modes, method
-        self.segments, self.restarts, self.history = segments, restarts, history
+        self.rows, self.restarts, self.history = rows, restarts, history
         self.highest = method.order + 1
         self.lags = [again(self.code.closed("lag", lag.name)) for lag in self.spec.lags]
         self.seen = _mask(self.code.seen, self.spec.dimension)
@@ -105,49 +130,78 @@ class Past:
 
     # -- the record -----------------------------------------------------------------------
 
+    def ring(self, n: int) -> Ring:
+        """A ring with nothing in it."""
+        rows = self.rows
+        return Ring(
+            jnp.zeros(rows),
+            jnp.ones(rows),
+            jnp.zeros((rows, self.method.degree + 1, n)),
+            jnp.zeros(rows),
+            jnp.full((rows, n), SMOOTH),
+        )
+
     def begin(self, run: Run, x: Any, first: Any) -> Memory:
         """Memory at the start of a run, with its first windows."""
-        n, rows = len(x), self.segments
+        n, count = len(x), len(self.lags)
+        zero, none = run.t0 * 0.0, jnp.array(False)
+        values, smooth = jnp.zeros((self.method.degree + 1, n)), jnp.full(n, SMOOTH)
         memory = Memory(
-            start=jnp.full(rows, jnp.inf),
-            length=jnp.ones(rows),
-            values=jnp.zeros((rows, self.method.degree + 1, n)),
-            count=jnp.array(0),
+            segments=jnp.array(0),
+            met=jnp.array(0),
             first=first,
             constant=jnp.array(self.history is None),
-            breaks=jnp.full(rows, -jnp.inf),
-            orders=jnp.full((rows, n), SMOOTH),
-            met=jnp.array(0),
             windows=tuple(jnp.asarray(w) for w in blank(self.spec.lags, n)),
             until=run.t0,
-            ends=jnp.full(len(self.lags), run.t0),
-            spans=jnp.full(len(self.lags), jnp.inf),
-            full=jnp.array(False),
+            ends=jnp.full(count, run.t0),
+            spans=jnp.full(count, jnp.inf),
+            full=none,
+            due=Due(none, zero, zero, values, none, zero, smooth),
         )
-        before = self._before(memory, run.t0)
-        memory = self._break(run, memory, run.t0, jnp.where(before == x, 1, 0))
-        return self.look(run, memory, run.t0)
+        orders = jnp.where(self._before(memory, run.t0) == x, 1, 0)
+        memory = self._break(memory, run.t0, orders)
+        return self.look(run, self.ring(n), memory, run.t0)
+
+    def write(self, run: Run, ring: Ring, memory: Memory) -> tuple[Ring, Memory]:
+        """Write what is due into the ring."""
+        due = memory.due
+        row, place = memory.segments % self.rows, memory.met % self.rows
+        lost = due.broke & (memory.met >= self.rows)
+        lost = lost & (ring.breaks[place] > due.at - self._lag_values(run).max())
+
+        def put(column: Any, row: Any, new: Any, flag: Any) -> Any:
+            return column.at[row].set(jnp.where(flag, new, column[row]))
+
+        ring = Ring(
+            put(ring.start, row, due.start, due.made),
+            put(ring.length, row, due.length, due.made),
+            put(ring.values, row, due.values, due.made),
+            put(ring.breaks, place, due.at, due.broke),
+            put(ring.orders, place, due.orders, due.broke),
+        )
+        none = jnp.zeros_like(due.made)
+        return ring, memory._replace(
+            segments=memory.segments + due.made,
+            met=memory.met + due.broke,
+            full=memory.full | lost,
+            due=due._replace(made=none, broke=none),
+        )
 
     def flown(self, lane: Lane, moved: Any, step: Step, memory: Memory) -> Memory:
         """With the step that a lane has made, if it has."""
         made = moved.tau > lane.going.tau
-        return self._kept(memory, made, lane.now, step.length, step.values)
+        return self._keep(memory, made, lane.now, step.length, step.values)
 
-    def _kept(self, memory: Memory, made: Any, start: Any, length: Any, values: Any) -> Memory:
-        row = memory.count % self.segments
-        put = lambda ring, new: ring.at[row].set(jnp.where(made, new, ring[row]))  # noqa: E731
-        return memory._replace(
-            start=put(memory.start, start),
-            length=put(memory.length, length),
-            values=put(memory.values, values),
-            count=memory.count + made,
-        )
+    @staticmethod
+    def _keep(memory: Memory, made: Any, start: Any, length: Any, values: Any) -> Memory:
+        due = memory.due._replace(made=made, start=start, length=length, values=values)
+        return memory._replace(due=due)
 
     def jumped(self, run: Run, memory: Memory, t: Any, before: Any, after: Any) -> Memory:
         """After a jump."""
         if self.restarts:
             return self._restarted(run, memory, t, after)
-        return self._break(run, memory, t, jnp.where(before == after, 1, 0))
+        return self._break(memory, t, jnp.where(before == after, 1, 0))
 
     def limit(self, run: Run, memory: Memory, lane: Lane, t: Any, x: Any) -> Memory:
         """After an accumulation at ``t``: the way there, too low to be seen, is straight."""
@@ -155,32 +209,26 @@ class Past:
             return self._restarted(run, memory, t, x)
         share = jnp.asarray(nodes(self.method.degree))[:, None]
         straight = lane.going.x + share * (x - lane.going.x)
-        memory = self._kept(memory, True, lane.now, t - lane.now, straight)
-        return self._break(run, memory, t, jnp.ones(len(x), dtype=int))
+        memory = self._keep(memory, jnp.array(True), lane.now, t - lane.now, straight)
+        return self._break(memory, t, jnp.ones(len(x), dtype=int))
 
     def _restarted(self, run: Run, memory: Memory, t: Any, x: Any) -> Memory:
-        memory = memory._replace(
-            start=jnp.full_like(memory.start, jnp.inf),
-            count=jnp.zeros_like(memory.count),
-            first=x,
-            constant=jnp.array(True),
-            breaks=jnp.full_like(memory.breaks, -jnp.inf),
-            met=jnp.zeros_like(memory.met),
-        )
-        memory = self._break(run, memory, t, jnp.ones(len(x), dtype=int))
-        return self.look(run, memory, t)
+        none = jnp.zeros_like(memory.segments)
+        memory = memory._replace(segments=none, met=none, first=x, constant=jnp.array(True))
+        memory = memory._replace(due=memory.due._replace(made=jnp.array(False)))
+        memory = self._break(memory, t, jnp.ones(len(x), dtype=int))
+        return self.look(run, self.ring(len(x)), memory, t)
 
-    def _break(self, run: Run, memory: Memory, t: Any, orders: Any) -> Memory:
+    def _break(self, memory: Memory, t: Any, orders: Any) -> Memory:
         """With a breaking point at ``t``, if any order is low enough to matter."""
-        row, matters = memory.met % self.segments, orders.min() <= self.highest
-        oldest = memory.breaks[row]
-        lost = matters & (oldest > t - self._lag_values(run).max())
-        return memory._replace(
-            breaks=memory.breaks.at[row].set(jnp.where(matters, t, oldest)),
-            orders=memory.orders.at[row].set(jnp.where(matters, orders, memory.orders[row])),
-            met=memory.met + matters,
-            full=memory.full | lost,
+        due, matters = memory.due, orders.min() <= self.highest
+        both = jnp.where(due.broke, jnp.minimum(due.orders, orders), orders)
+        due = due._replace(
+            broke=due.broke | matters,
+            at=jnp.where(matters, t, due.at),
+            orders=jnp.where(matters, both, due.orders),
         )
+        return memory._replace(due=due)
 
     def _before(self, memory: Memory, t: Any) -> Any:
         """The state before the record begins."""
@@ -190,44 +238,47 @@ class Past:
 
     # -- windows --------------------------------------------------------------------------
 
-    def passed(self, run: Run, memory: Memory, mode: Any, t: Any) -> Memory:
+    def passed(self, run: Run, ring: Ring, memory: Memory, mode: Any, held: Any, t: Any) -> Memory:
         """The windows' end is reached: note what follows from theirs, and look on."""
         lags, n = self._lag_values(run), self.spec.dimension
         slack = 8.0 * EPS * jnp.abs(t)
         there = memory.ends + lags <= t + slack
-        near = jnp.abs(memory.breaks[None] - memory.ends[:, None]) <= slack
+        near = jnp.abs(self._breaks(ring, memory)[None] - memory.ends[:, None]) <= slack
         near = near & there[:, None]
-        orders = jnp.where(near[:, :, None], memory.orders[None], SMOOTH).min(axis=1)
-        carried = self._carried(mode, orders)
-        matters = near.any() & (carried.min() <= self.highest)
-        memory = self._break(run, memory, t, jnp.where(matters, carried, jnp.full(n, SMOOTH)))
-        return self.look(run, memory, t)
+        orders = jnp.where(near[:, :, None], ring.orders[None], SMOOTH).min(axis=1)
+        carried = self._carried(mode, held.any().astype(int), orders)
+        carried = jnp.where(near.any(), carried, jnp.full(n, SMOOTH))
+        return self.look(run, ring, self._break(memory, t, carried), t)
 
-    def look(self, run: Run, memory: Memory, t: Any) -> Memory:
+    def _breaks(self, ring: Ring, memory: Memory) -> Any:
+        """Breaking points; minus infinity in unused rows."""
+        return jnp.where(jnp.arange(self.rows) < memory.met, ring.breaks, -jnp.inf)
+
+    def look(self, run: Run, ring: Ring, memory: Memory, t: Any) -> Memory:
         """Windows from a time on."""
         slack = 8.0 * EPS * jnp.abs(t)
         until, windows, ends, spans = run.t1, [], [], []
-        values = self._lag_values(run)
+        values, breaks = self._lag_values(run), self._breaks(ring, memory)
         for k in range(len(self.lags)):
             a = t - values[k]
-            later = jnp.where(memory.breaks > a + slack, memory.breaks, jnp.inf).min()
+            later = jnp.where(breaks > a + slack, breaks, jnp.inf).min()
             bound = jnp.minimum(later, t)
-            far = jnp.minimum(bound, stop_gradient(a + (until - t)))
-            b = self._end(run, memory, k, stop_gradient(a), stop_gradient(far))
-            b = jnp.where(b == later, later, b)
-            until = jnp.minimum(until, b + values[k])
-            windows += self._window(memory, stop_gradient(a), stop_gradient(b))
-            ends.append(stop_gradient(b))
-            spans.append(LONGER * stop_gradient(b - a))
-        oldest = memory.start[memory.count % self.segments]
-        wrapped = (memory.count > self.segments) & (oldest > t - values.max())
-        stuck = ~(until > t)
+            far = jnp.minimum(bound, a + (until - t))
+            record = stop_gradient((ring, memory))
+            b = self._end(run, record, k, stop_gradient(a), stop_gradient(far))
+            end = jnp.where(b == later, later + values[k], stop_gradient(b + values[k]))
+            until = jnp.where(end < until, end, until)
+            windows += self._window((ring, memory), stop_gradient(a), b)
+            ends.append(b)
+            spans.append(LONGER * (b - stop_gradient(a)))
+        last = (memory.segments - self.rows) % self.rows
+        wrapped = (memory.segments > self.rows) & (ring.start[last] > t - values.max())
         return memory._replace(
             windows=tuple(windows),
             until=until,
             ends=jnp.stack(ends),
             spans=jnp.stack(spans),
-            full=memory.full | wrapped | stuck,
+            full=memory.full | wrapped | ~(until > t),
         )
 
     def _lag_values(self, run: Run) -> Any:
@@ -235,14 +286,14 @@ class Past:
         parameters = (*run.parameters[: len(self.spec.parameters)], *blank(self.spec.lags, len(x)))
         return jnp.stack([lag(parameters, run.t0, x) for lag in self.lags])
 
-    def _end(self, run: Run, memory: Memory, k: int, a: Any, b: Any) -> Any:
+    def _end(self, run: Run, record: Any, k: int, a: Any, b: Any) -> Any:
         """Where the window from ``a`` ends: at ``b``, or nearer so that it is resolved."""
-        memory, run = stop_gradient((memory, run))
-        b = jnp.minimum(b, a + memory.spans[k])
+        run = stop_gradient(run)
+        b = jnp.minimum(b, a + record[1].spans[k])
 
         def coarse(carry: Any) -> Any:
             b, count = carry
-            fine = self._resolved(run, self._sampled(memory, a, b), k)
+            fine = self._resolved(run, self._sampled(record, a, b), k)
             return ~fine & (count < HALVINGS) & (b - a > 1e4 * EPS * (jnp.abs(a) + jnp.abs(b)))
 
         def shorter(carry: Any) -> Any:
@@ -256,9 +307,9 @@ class Past:
         allowed = SHARE * (run.atol + run.rtol * size) + 2 * EPS * size
         return (~jnp.asarray(self.seen[k]) | (series[-3:].sum(axis=0) <= allowed)).all()
 
-    def _window(self, memory: Memory, a: Any, b: Any) -> list[Any]:
+    def _window(self, record: Any, a: Any, b: Any) -> list[Any]:
         """Frame and coefficients, as the trace takes them; what is rounding is left out."""
-        values = self._sampled(memory, a, b)
+        values = self._sampled(record, a, b)
         series = apply(from_values(DEGREE), values)
         noise = ROUNDING * jnp.abs(values).max(axis=0)
         loud = (jnp.abs(series) > noise)[::-1]
@@ -266,56 +317,62 @@ class Past:
         frame = jnp.stack([0.5 * (a + b), 0.5 * (b - a)])
         return [frame, apply(TO_POWERS, jnp.where(heard, series, 0.0))]
 
-    def _sampled(self, memory: Memory, a: Any, b: Any) -> Any:
+    def _sampled(self, record: tuple[Ring, Memory], a: Any, b: Any) -> Any:
         """The record at a window's nodes; shape ``(DEGREE + 1, n)``."""
+        ring, memory = record
         times = a + (b - a) * jnp.asarray(nodes(DEGREE))
         inside = times + INSIDE * (0.5 * (a + b) - times)
+        start = jnp.where(jnp.arange(self.rows) < memory.segments, ring.start, jnp.inf)
+        oldest = jnp.maximum(memory.segments - self.rows, 0)
 
         def at(t: Any, inner: Any) -> Any:
-            began = memory.start <= inner
-            last = memory.start == jnp.where(began, memory.start, -jnp.inf).max()
-            row = jnp.argmax(jnp.where(last, memory.length, -jnp.inf))
-            place = (t - memory.start[row]) / memory.length[row]
-            series = apply(from_values(self.method.degree), memory.values[row])
-            seen = chebyshev(jnp.where(began.any(), place, 0.0), self.method.degree) @ series
-            return jnp.where(began.any(), seen, self._before(memory, t))
+            began = (start <= inner).sum()
+            row = (oldest + began - 1) % self.rows
+            place = jnp.where(began > 0, (t - ring.start[row]) / ring.length[row], 0.0)
+            weights = chebyshev(place, self.method.degree) @ from_values(self.method.degree)
+            seen = (weights[:, None] * ring.values[row]).sum(axis=0)
+            return jnp.where(began > 0, seen, self._before(memory, t))
 
         return jax.vmap(at)(times, inside)
 
-    def unseen(self, run: Run, x: Any, way: Any) -> Any:
-        """Whether no lag can tell from ``x`` a state so far from it."""
+    def unseen(self, run: Run, x: Any, way: Any, time: Any) -> Any:
+        """Whether no lag can tell from ``x`` states so far from it for such a time."""
+        way = way * jnp.minimum(1.0, time / self._lag_values(run).min())
         allowed = SHARE * (run.atol + run.rtol * jnp.abs(x)) + 2 * EPS * jnp.abs(x)
         return (~jnp.asarray(self.seen.any(axis=0)) | (way <= allowed)).all()
 
     # -- orders ---------------------------------------------------------------------------
 
-    def _carried(self, mode: Any, seen: Any) -> Any:
+    def _carried(self, mode: Any, rests: Any, seen: Any) -> Any:
         """Orders of the elements where lags see breaking points of orders ``seen`` (lags, n)."""
         states, past = self.reach
-        uses, asks = jnp.asarray(states)[mode], jnp.asarray(past)[mode]
+        uses, asks = jnp.asarray(states)[mode, rests], jnp.asarray(past)[mode, rests]
         own = 1 + jnp.where(asks, seen[None], SMOOTH).min(axis=(1, 2))
         for _ in range(self.spec.dimension):
             own = jnp.minimum(own, 1 + jnp.where(uses, own[None], SMOOTH).min(axis=1))
         return own
 
     def _reach(self) -> tuple[np.ndarray, np.ndarray]:
-        """By mode and element of the flow: the elements, and lags with elements, it depends on."""
+        """What each element of the flow depends on: elements, and lags with elements.
+
+        By mode, free (0) or along contacts (1).
+        """
         n = self.spec.dimension
-        states = np.zeros((len(self.modes), n, n), dtype=bool)
-        past = np.zeros((len(self.modes), n, len(self.lags), n), dtype=bool)
+        states = np.zeros((len(self.modes), 2, n, n), dtype=bool)
+        past = np.zeros((len(self.modes), 2, n, len(self.lags), n), dtype=bool)
         for number, mode in enumerate(self.modes):
-            for closed in self._flows(mode):
-                for i, (uses, asks) in enumerate(self.code.reach(closed)):
-                    states[number, i, sorted(uses - {i})] = True
+            for rests, held in self._helds(mode):
+                for i, (uses, asks) in enumerate(self.code.reach(mode, held)):
+                    states[number, rests, i, sorted(uses - {i})] = True
                     for k, element in asks:
-                        past[number, i, k, element] = True
+                        past[number, rests, i, k, element] = True
         return states, past
 
-    def _flows(self, mode: str) -> Sequence[Any]:
-        """The flows of a mode: free, and with each of its contacts held."""
+    def _helds(self, mode: str) -> list[tuple[int, tuple[str, ...]]]:
+        """Contacts held in a mode: none, or one; if more can be, all that any flow depends on."""
         rests = [e.name for e in self.spec.leaving(mode) if getattr(e, "rests", False)]
-        helds = [(), *((name,) for name in rests)]
-        return [self.code.field_closed(mode, held) for held in helds]
+        free = [(0, ())] if len(rests) < 2 else [(0, ()), (1, ())]
+        return [*free, *((1, (name,)) for name in rests)]
 
 
 def _mask(rows: Sequence[Sequence[int]], n: int) -> np.ndarray:

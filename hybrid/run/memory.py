@@ -496,7 +496,7 @@ class Memory:
 
     def _carried(self, field: Field, seen: dict[int, np.ndarray]) -> np.ndarray:
         """Orders of the elements where some lags see breaking points."""
-        reach = field.code.once(("reach", field.name), lambda: _reach(field))
+        reach = field.code.reach(field.mode, field.held)
         own = [
             1 + min((int(seen[k][e]) for k, e in past if k in seen), default=SMOOTH)
             for _, past in reach
@@ -507,10 +507,3 @@ class Memory:
                 for i, (order, (uses, _)) in enumerate(zip(own, reach, strict=True))
             ]
         return np.array(own)
-
-
-def _reach(field: Field) -> list[tuple[set[int], set[tuple[int, int]]]]:
-    """For each element's derivative: elements, and lags with elements, that it depends on."""
-    code = field.code
-    states = [uses - {-1} for uses in code.dependencies(field.closed)]
-    return list(zip(states, code.asked(field.closed), strict=True))

@@ -25,6 +25,9 @@ ORDER = 16
 #: Stands for the time among places in the state vector.
 TIME = -1
 
+#: For each element of a flow: elements, and lags with elements, that it depends on.
+Reach = list[tuple[set[int], set[tuple[int, int]]]]
+
 
 class Lowered:
     """Generated code of one class, for one set of parameter shapes."""
@@ -197,14 +200,51 @@ class Lowered:
 
     def asked(self, closed: Any, extra: Sequence[str] = ()) -> list[set[tuple[int, int]]]:
         """For each element of a result, what it asks of the past: lags and elements."""
-        graph, first = Graph(), sum(int(np.prod(s, dtype=int)) for s in self._own_shapes)
+        graph, first = Graph(), sum(map(_count, self._own_shapes))
         (outputs,) = graph.outputs(closed, self.inputs(graph, extra))
         return [self._past_in(graph, int(i), first) for i in outputs.reshape(-1)]
 
-    def reach(self, flow: Any) -> list[tuple[set[int], set[tuple[int, int]]]]:
+    def reach(self, mode: str, held: tuple[str, ...]) -> Reach:
         """For each element's derivative: elements, and lags with elements, that it depends on."""
+        return self.once(("reach", mode, held), lambda: self._reach(mode, held))
+
+    def _reach(self, mode: str, held: tuple[str, ...]) -> Reach:
+        flow = self.field_closed(mode, held)
         states = [uses - {TIME} for uses in self.dependencies(flow)]
-        return list(zip(states, self.asked(flow), strict=True))
+        pairs = list(zip(states, self.asked(flow), strict=True))
+        return [self._felt(i, *pair, flow) for i, pair in enumerate(pairs)] if held else pairs
+
+    def _felt(
+        self, i: int, uses: set[int], asks: set[tuple[int, int]], flow: Any
+    ) -> tuple[set[int], set[tuple[int, int]]]:
+        """What a flow along contacts depends on in truth: their forces take some of it away.
+
+        The traces know of that no more than the algebra of the forces; random points do.
+        """
+        rhs = self.program(("felt", id(flow)), lambda: flow)
+        first = self.spec.dimension + sum(map(_count, self._own_shapes))
+        size = 2 + (DEGREE + 1) * self.spec.dimension
+        draw = random.Random(0)
+
+        def moves(place: int) -> bool:
+            for _ in range(3):
+                x = [draw.uniform(0.5, 1.5) for _ in range(self.spec.dimension)]
+                values = [*x, *((v or 0.7) * draw.uniform(0.7, 1.3) for v in self._defaults())]
+                both = [values, [v + (k == place) for k, v in enumerate(values)]]
+                here, there = (rhs.bind(v[len(x) :])(0.3, v[: len(x)])[i] for v in both)
+                if not abs(there - here) <= 1e-9 * (1.0 + abs(here)):
+                    return True
+            return False
+
+        return (
+            {j for j in uses if moves(j)},
+            {(k, e) for k, e in asks if moves(first + k * size + 2 + e)},
+        )
+
+    def _defaults(self) -> list[float]:
+        """Values of the parameters, and of windows that show 1 everywhere."""
+        shown = blank(self.spec.lags, self.spec.dimension, 1.0)
+        return flat([*(p.default for p in self.spec.parameters), *shown])
 
     def _past_in(self, graph: Graph, root: int, first: int) -> set[tuple[int, int]]:
         found, size = set(), 2 + (DEGREE + 1) * self.spec.dimension
@@ -288,8 +328,7 @@ class Lowered:
 
     def _unit(self, mode: str) -> Callable[[int, int], bool]:
         """Whether a component of the flow has slope one in an element, at random points."""
-        shown = blank(self.spec.lags, self.spec.dimension, 1.0)
-        rhs = self.flow(mode).bind(flat([*(p.default for p in self.spec.parameters), *shown]))
+        rhs = self.flow(mode).bind(self._defaults())
         draw = random.Random(0)
 
         def unit(i: int, j: int) -> bool:
@@ -316,6 +355,10 @@ class Lowered:
             return self._trace(getattr(self.laws(name), what))
 
         return self.program((what, name), closed)
+
+
+def _count(shape: tuple[int, ...]) -> int:
+    return int(np.prod(shape, dtype=int))
 
 
 def _inputs_of(graph: Graph, root: int) -> list[str]:
