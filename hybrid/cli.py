@@ -235,6 +235,7 @@ def list_() -> None:
 @app.command()
 def check(file: Annotated[str, typer.Argument(help="FILE.py, or a name in the gallery.")]) -> None:
     """Check a model's declaration: all its faults, or what it declares."""
+    from .automaton.past import blank
     from .scene import Scene
     from .scene.taylor import flat
 
@@ -244,7 +245,8 @@ def check(file: Annotated[str, typer.Argument(help="FILE.py, or a name in the ga
             spec = entry.cls.spec
             values = [parameter.default for parameter in spec.parameters]
             shapes = tuple(getattr(value, "shape", ()) for value in values)
-            scene = Scene(entry.cls, shapes, tuple(flat(values)))
+            windows = blank(spec.lags, spec.dimension)
+            scene = Scene(entry.cls, shapes, tuple(flat([*values, *windows])))
             for name in scene.modes:
                 scene.field(name)
         except DeclarationError as fault:
@@ -253,7 +255,8 @@ def check(file: Annotated[str, typer.Argument(help="FILE.py, or a name in the ga
     edges = ", ".join(dict.fromkeys(edge.name for edge in spec.transitions)) or "none"
     modes = ", ".join(scene.modes)
     states = ", ".join(spec.names)
-    typer.echo(f"{spec.model}: no faults. States {states}; modes {modes}; edges {edges}.")
+    lags = "; lags " + ", ".join(lag.name for lag in spec.lags) if spec.lags else ""
+    typer.echo(f"{spec.model}: no faults. States {states}; modes {modes}; edges {edges}{lags}.")
 
 
 def _pairs(given: list[str], option: str) -> dict[str, Any]:

@@ -60,6 +60,7 @@ def test_check_reports_all_faults(tmp_path):
     good = call("check", "two_walls")
     assert good.exit_code == 0
     assert "no faults" in good.output
+    assert "lags tau." in call("check", "pyragas").output
 
 
 @pytest.mark.parametrize(
