@@ -73,10 +73,10 @@ def test_what_a_restarted_memory_shows(solver):
 
 
 def test_a_load_carried_below_zero_releases_there(solver):
-    """At ``t0 + tau`` exactly, where the history did not lead to the start."""
+    """At ``t0 + tau``, where the history did not lead to the start."""
     start = {"y": 0.05, "v": 0.0}
     run = hy.simulate(DelayBounce(), start, (0.0, 2.0), history=HISTORY, **solver)
-    assert run.zeno[0].t_release == 1.0
+    assert run.zeno[0].t_release == pytest.approx(1.0, abs=1e-15)
     assert run(1.1).y > 0.0
 
 
