@@ -72,13 +72,15 @@ class Past:
         self.lags: list[Any] = []
 
     def __call__(self, lag: Any) -> Any:
+        import jax.numpy as jnp
+
         self.lags.append(lag)
         frame, rows = self.windows[2 * (number := next(self.numbers)) : 2 * number + 2]
         place = ((self.t - lag) - frame[0]) / frame[1]
-        value = rows[DEGREE]
-        for k in range(DEGREE - 1, -1, -1):
-            value = value * place + rows[k]
-        return self.spec.record(value)
+        powers = [place**0, place]
+        for _ in range(DEGREE - 1):
+            powers.append(powers[-1] * place)
+        return self.spec.record(jnp.stack(powers) @ rows)
 
 
 class Asking:
