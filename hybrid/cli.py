@@ -47,6 +47,10 @@ Parameters = Annotated[
 States = Annotated[list[str] | None, typer.Option("--start", help="A state at the start: x=1.9.")]
 Since = Annotated[float | None, typer.Option("--from", help="First time.")]
 Until = Annotated[float | None, typer.Option("--until", help="Last time.")]
+Before = Annotated[
+    list[str] | None, typer.Option("--history", help="A state before the start: x=0. For delays.")
+]
+MemoryKind = Annotated[str, typer.Option("--memory", help="keep or restart. For delays.")]
 
 
 @contextmanager
@@ -66,6 +70,8 @@ def run(
     start: States = None,
     since: Since = None,
     until: Until = None,
+    history: Before = None,
+    memory: MemoryKind = "keep",
     solver: Annotated[str, typer.Option(help="scipy, diffrax or taylor.")] = "scipy",
     method: Annotated[
         str | None, typer.Option(help="A method of the solver: DOP853, RK45 ...")
@@ -106,6 +112,8 @@ def run(
             zeno=zeno,
             mode=mode,
             max_jumps=max_jumps,
+            history=_history(entry, _pairs(history or [], "--history")),
+            memory=memory,
         )
         _report(result)
         if oracle:
@@ -127,6 +135,8 @@ def compare(
     start: States = None,
     since: Since = None,
     until: Until = None,
+    history: Before = None,
+    memory: MemoryKind = "keep",
     rtol: Annotated[float, typer.Option(help="Relative tolerance.")] = 1e-9,
     atol: Annotated[float, typer.Option(help="Absolute tolerance.")] = 1e-11,
 ) -> None:
@@ -137,7 +147,15 @@ def compare(
         entry = gallery.find(model)
         made = entry.cls(**_pairs(set_ or [], "--set"))
         first = _start(entry, _pairs(start or [], "--start"))
-        found = run_all(made, first, _span(entry, since, until), rtol=rtol, atol=atol)
+        found = run_all(
+            made,
+            first,
+            _span(entry, since, until),
+            rtol=rtol,
+            atol=atol,
+            history=_history(entry, _pairs(history or [], "--history")),
+            memory=memory,
+        )
     _table(found)
     if not found.explained:
         raise typer.Exit(1)
@@ -217,6 +235,7 @@ def list_() -> None:
 @app.command()
 def check(file: Annotated[str, typer.Argument(help="FILE.py, or a name in the gallery.")]) -> None:
     """Check a model's declaration: all its faults, or what it declares."""
+    from .automaton.past import blank
     from .scene import Scene
     from .scene.taylor import flat
 
@@ -226,7 +245,8 @@ def check(file: Annotated[str, typer.Argument(help="FILE.py, or a name in the ga
             spec = entry.cls.spec
             values = [parameter.default for parameter in spec.parameters]
             shapes = tuple(getattr(value, "shape", ()) for value in values)
-            scene = Scene(entry.cls, shapes, tuple(flat(values)))
+            windows = blank(spec.lags, spec.dimension)
+            scene = Scene(entry.cls, shapes, tuple(flat([*values, *windows])))
             for name in scene.modes:
                 scene.field(name)
         except DeclarationError as fault:
@@ -235,7 +255,8 @@ def check(file: Annotated[str, typer.Argument(help="FILE.py, or a name in the ga
     edges = ", ".join(dict.fromkeys(edge.name for edge in spec.transitions)) or "none"
     modes = ", ".join(scene.modes)
     states = ", ".join(spec.names)
-    typer.echo(f"{spec.model}: no faults. States {states}; modes {modes}; edges {edges}.")
+    lags = "; lags " + ", ".join(lag.name for lag in spec.lags) if spec.lags else ""
+    typer.echo(f"{spec.model}: no faults. States {states}; modes {modes}; edges {edges}{lags}.")
 
 
 def _pairs(given: list[str], option: str) -> dict[str, Any]:
@@ -260,6 +281,15 @@ def _start(entry: gallery.Entry, given: dict[str, Any]) -> dict[str, Any]:
             f"add --start {missing[0]}=NUMBER, or START = {{...}} to the file"
         )
     return start
+
+
+def _history(entry: gallery.Entry, given: dict[str, Any]) -> Any:
+    """What was before the start: the file's, but for the states given."""
+    if not given:
+        return entry.history
+    if callable(entry.history):
+        raise OptionError("--history: the file's HISTORY is a function, not a dict of states")
+    return {**(entry.history or {}), **given}
 
 
 def _span(entry: gallery.Entry, since: float | None, until: float | None) -> tuple[float, float]:

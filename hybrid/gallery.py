@@ -33,6 +33,8 @@ class Entry:
         ``START`` of the file.
     until : (t0, t1) or None
         ``UNTIL`` of the file.
+    history : dict, callable or None
+        ``HISTORY`` of the file, what was before ``until[0]``; for models with delays.
     module : module
         The file itself; the gallery's files hold an ``oracle(run)``.
     """
@@ -40,6 +42,7 @@ class Entry:
     cls: Any
     start: Any
     until: Any
+    history: Any
     module: ModuleType
 
 
@@ -86,12 +89,14 @@ def find(given: str) -> Entry:
         and issubclass(value, Automaton)
         and value.__module__ == module.__name__
     ]
-    start, until = getattr(module, "START", None), getattr(module, "UNTIL", None)
+    start, until, history = (getattr(module, n, None) for n in ("START", "UNTIL", "HISTORY"))
     if start is not None and not isinstance(start, Mapping):
         raise GalleryError(f"{path}: START = {start!r}: a dict, the states by name")
     if until is not None and not _is_pair(until):
         raise GalleryError(f"{path}: UNTIL = {until!r}: a pair, (first, last) time")
-    return Entry(_choose(path, models, wanted), start, until, module)
+    if history is not None and not (isinstance(history, Mapping) or callable(history)):
+        raise GalleryError(f"{path}: HISTORY = {history!r}: a dict, the states by name")
+    return Entry(_choose(path, models, wanted), start, until, history, module)
 
 
 def _is_pair(until: Any) -> bool:

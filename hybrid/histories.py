@@ -10,6 +10,7 @@ import numpy as np
 from .arcs import Arc
 from .automaton.record import Record
 from .automaton.spec import Spec
+from .automaton.trace import wide
 from .errors import OptionError
 from .run.memory import Piece, constant, piece_of
 from .trajectory import Trajectory
@@ -67,7 +68,11 @@ def _of_states(spec: Spec, history: Any, t0: float, x: np.ndarray) -> Piece:
 
 
 def _of_function(state: Callable[[float], np.ndarray], t0: float) -> Piece:
-    return Piece(-np.inf, t0, lambda s: np.array([state(t) for t in s.tolist()]), np.inf)
+    def states(s: np.ndarray) -> np.ndarray:
+        with wide():  # a function of jax.numpy, too, gives 64 bits
+            return np.array([state(t) for t in s.tolist()])
+
+    return Piece(-np.inf, t0, states, np.inf)
 
 
 def _of_run(spec: Spec, run: Trajectory, t0: float) -> list[Piece]:

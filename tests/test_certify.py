@@ -14,6 +14,7 @@ from models.bouncing_ball import BouncingBall
 from models.coupled import Coupled
 from models.hard_spring import HardSpring
 from models.moon_holmes import MoonHolmes
+from models.pyragas import Pyragas
 from tests.systems import Thermostat
 from tests.test_readers import EXPRESSIONS
 
@@ -419,3 +420,17 @@ def test_bounds_hold_for_what_models_use(name):
     ]
     assert min(values) >= -proof.M - 1e-6  # values in single precision
     assert max(values) <= -proof.m + 1e-6
+
+
+def test_models_with_delays_are_refused():
+    """By all that takes the present state for everything: in one sentence, naming the lags."""
+    start = {"x1": 2.0, "x2": 5.7}
+    for ask in (
+        lambda: hy.certify(Pyragas(), {"x1": (2.0, 2.5), "x2": (-7.0, 7.0)}),
+        lambda: hy.periodic_orbit(Pyragas(), start),
+        lambda: hy.lyapunov(Pyragas(), start, (0.0, 8.0)),
+    ):
+        with pytest.raises(
+            hy.OptionError, match=r"no model that looks into the past \(lags: tau\)"
+        ):
+            ask()

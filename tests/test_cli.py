@@ -60,6 +60,7 @@ def test_check_reports_all_faults(tmp_path):
     good = call("check", "two_walls")
     assert good.exit_code == 0
     assert "no faults" in good.output
+    assert "lags tau." in call("check", "pyragas").output
 
 
 @pytest.mark.parametrize(
@@ -118,6 +119,8 @@ def test_a_fault_in_the_users_file_names_its_line(tmp_path):
     [
         ("UNTIL = 3.0", "UNTIL = 3.0: a pair, (first, last) time"),
         ("START = 5", "START = 5: a dict, the states by name"),
+        ("HISTORY = 5", "HISTORY = 5: a dict, the states by name"),
+        ("HISTORY = {'x': 1.0}", "Still: history was given, but no flow looks into the past"),
         ("def oracle(run): return None", "oracle(run) of Still: TypeError"),
         ("def oracle(run): yield 'x', 1 / 0, 0.0, 0.0", "oracle(run) of Still: ZeroDivisionError"),
     ],
@@ -160,3 +163,26 @@ def test_certify_says_what_is_proved_by_its_exit_code():
     assert call(*table, "x=1:2", "--box", "v=-1:1").exit_code == 3
     relative = ("gap=0:1", "--box", "speed=0:1", "--box", "t=20:30", "--contact", "impact")
     assert call(*table, *relative).exit_code == 0
+
+
+def test_what_was_before_is_the_files_or_given(tmp_path):
+    """HISTORY of the file, changed state by state; memory restarted at impacts."""
+    assert "released at t = 1.0\n" in call("run", "delay_bounce").output
+    lay = call("run", "delay_bounce", "--history", "y=0.05")
+    assert "released at t = 1.0\n" not in lay.output
+    kept = call("run", "pyragas", "--until", 8)
+    assert "flight.rest(impact)" in kept.output
+    assert (
+        "flight.rest(impact)"
+        not in call("run", "pyragas", "--until", 8, "--memory", "restart").output
+    )
+    assert call("run", "pyragas", "--memory", "lose").exit_code == 2
+    path = tmp_path / "echo.py"
+    path.write_text(
+        "import jax.numpy as jnp\nimport hybrid as hy\n"
+        "class Echo(hy.Automaton):\n    y = hy.state()\n    @hy.mode\n"
+        "    def f(self, t, s, past):\n        return -past(jnp.pi / 2).y\n"
+        "START, UNTIL = {'y': 1.0}, (0.0, 2 * jnp.pi)\nHISTORY = {'y': jnp.cos}\n"
+        "def oracle(run):\n    yield 'y', run.final.y, 1.0, 1e-8\n"
+    )
+    assert call("run", path, "--oracle").exit_code == 0

@@ -14,6 +14,7 @@ PAGES = [
     "docs/zeno.md",
     "docs/sliding.md",
     "docs/certificates.md",
+    "docs/delays.md",
     "docs/orbits.md",
 ]
 

@@ -10,7 +10,7 @@ from hybrid import gallery
 def test_model_agrees_with_its_oracle(name, accurate):
     """Every value of ``oracle(run)`` within the tolerance given there (relative above 1)."""
     entry = gallery.find(name)
-    run = hy.simulate(entry.cls(), entry.start, entry.until, **accurate)
+    run = hy.simulate(entry.cls(), entry.start, entry.until, history=entry.history, **accurate)
     checked = 0
     for what, value, exact, tolerance in entry.module.oracle(run):
         assert abs(value - exact) <= tolerance * max(1.0, abs(exact)), what

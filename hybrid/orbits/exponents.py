@@ -7,7 +7,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..automaton.base import require_model
+from ..automaton.base import require_model, require_present
 from ..errors import OptionError, OrbitError
 from ..scene import scene_of
 from ..simulation import simulate
@@ -113,6 +113,7 @@ def lyapunov(
     array([ 0.90..., 0.00..., -14.57...])
     """
     require_model(model)
+    require_present(model, "hy.lyapunov")
     size = model.spec.dimension
     count = size if count is None else count
     if not (isinstance(count, int | np.integer) and 1 <= count <= size):

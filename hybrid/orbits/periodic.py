@@ -10,7 +10,7 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from ..automaton.base import require_model
+from ..automaton.base import require_model, require_present
 from ..automaton.record import Record
 from ..errors import OptionError
 from ..scene import scene_of
@@ -169,6 +169,7 @@ def periodic_orbit(
     6.66328685932...
     """
     require_model(model)
+    require_present(model, "hy.periodic_orbit")
     scene = scene_of(model)
     options = {"rtol": 1e-12, "atol": 1e-13, **options, "save": "dense"}
     timed = depends_on_time(scene)
