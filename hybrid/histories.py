@@ -67,7 +67,10 @@ def _of_states(spec: Spec, history: Any, t0: float, x: np.ndarray) -> Piece:
 
 
 def _of_function(state: Callable[[float], np.ndarray], t0: float) -> Piece:
-    return Piece(-np.inf, t0, lambda s: np.array([state(t) for t in s.tolist()]), np.inf)
+    def states(s: float, since: np.ndarray) -> np.ndarray:
+        return np.array([state(t) for t in (s + since).tolist()])
+
+    return Piece(-np.inf, t0, states, np.inf)
 
 
 def _of_run(spec: Spec, run: Trajectory, t0: float) -> list[Piece]:
