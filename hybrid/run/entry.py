@@ -84,6 +84,8 @@ def enter(scene: Scene, t: float, mode: str, x: np.ndarray, jumped: Jumped, reac
     orders, at_once = [], []
     for index, guard in enumerate(field.guards):
         order, sign = here.start_of(guard, index, jumped)
+        if guard.kind == "window" and sign == 0:  # it stays at an end of its window
+            order, sign = 0, 1
         if here.closed(guard, order, sign):
             more = attrs.evolve(jumped, held=(*jumped.held, guard.edge))
             return enter(scene, t, mode, x, more, reach)
@@ -171,7 +173,7 @@ class _Here:
             self.require_inside(guard, sign, jumped.starting)
             return False
         if guard.crossing is Crossing.EITHER:
-            return bool(jumped.passing) and jumped.passing.get(guard.edge, 0) == -sign
+            return jumped.passing is not None and jumped.passing.get(guard.edge, 0) == -sign
         used = guard.kind == "edge" and guard.edge == jumped.used
         leaves = not used and fires(guard.crossing, sign)
         if guard.kind == "switch" and not leaves and guard.edge not in jumped.vanishing:

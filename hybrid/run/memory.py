@@ -40,12 +40,19 @@ SHARE = 0.1
 #: Windows in a row that are one step long before longer ones are guessed.
 TIGHT = 3
 
+#: Windows without a guess after one that was not worth it.
+REST = 30
+
 #: Most guesses at a window before a shorter one is tried.
 GUESSES = 12
 
 #: Longest window of a lag that depends on time or state, against the run, and what part of it may
 #: lie behind, against the part ahead.
 MOST, SIDE = 0.1, 0.25
+
+#: Highest order of breaking points that are noted once a lag has turned back over its past: each
+#: is seen many times, and those times are themselves seen many times.
+TURNING = 2
 
 #: First length of windows to guess where a lag vanishes, against that of the run.
 LEAST = 1e-4
@@ -271,7 +278,7 @@ class Memory:
         self.until = plan.t0
         self._joined = False
         self._spans = [np.inf] * len(self._lags)
-        self._stride, self._tight, self._guesses = 0.0, 0, 0
+        self._stride, self._shortest, self._tight, self._guesses = 0.0, 0.0, 0, 0
         self._backwards: set[int] = set()
 
     def _start(self, x: np.ndarray) -> np.ndarray:
@@ -404,13 +411,13 @@ class Memory:
     def _wanted(self, t: float, places: list[float]) -> float:
         """Length of windows to guess; 0 where the record reaches far enough."""
         slack, latest = _slack(t), max(places)
-        shortest = t - latest
+        self._shortest = shortest = t - latest
         nothing = shortest <= slack
         if not nothing and self.breaks.after(latest, slack) <= t:
             self._tight, self._stride = 0, 0.0
             return 0.0
-        if self._stride <= shortest:
-            self._stride = 0.0
+        if self._stride and self._stride <= shortest:
+            self._tight, self._stride = 0, 0.0
         if (nothing or self._tight >= TIGHT) and not self._stride:
             least = LEAST * (self.plan.t1 - self.plan.t0) if nothing else 0.0
             self._stride = max(2.0 * shortest, least)
@@ -432,7 +439,7 @@ class Memory:
             if k in self._backwards:
                 a = 0.5 * (a + b)
             else:
-                b = self._shorter(s, b, pieces, slack)
+                b = self._shorter(s, b, t, pieces, slack)
                 a = max(a, s - SIDE * (b - s))
 
     def _ends(
@@ -449,8 +456,10 @@ class Memory:
         return min(s, max(self.breaks.until(s, slack), s - SIDE * (b - s))), b
 
     @staticmethod
-    def _shorter(s: float, b: float, pieces: list[Piece], slack: float) -> float:
-        """A nearer end: that of a piece, else the middle."""
+    def _shorter(s: float, b: float, t: float, pieces: list[Piece], slack: float) -> float:
+        """A nearer end: half as far in what is guessed, that of a piece, the middle."""
+        if b - t > 0.25 * (t - s):
+            return t + 0.5 * (b - t)
         ends = [p.end for p in pieces if s + slack < p.end < b - slack]
         return ends[len(ends) // 2] if ends else 0.5 * (s + b)
 
@@ -498,8 +507,7 @@ class Memory:
         flown = [piece_of(segment, now.t, now.low) for segment in segments]
         right = [self._corrected(k, window, flown) for k, window in enumerate(self.windows)]
         if all(right):
-            if self._guesses <= EASY:
-                self._stride *= 2.0
+            self._pays(length)
             return None
         self._guesses += 1
         t = self._from[0]
@@ -511,6 +519,13 @@ class Memory:
             self._stride *= 0.25
         self._require_stride(t)
         return self.look(*self._from)
+
+    def _pays(self, length: float) -> None:
+        """Longer guesses next where they are easy, none for a while where they cost too much."""
+        easy = self._guesses <= EASY
+        self._stride = (2.0 if easy else 1.0) * length
+        if not easy and length < self._guesses * self._shortest:
+            self._stride, self._tight = 0.0, -REST
 
     def _require_stride(self, t: float) -> None:
         """Refuse guesses at nothing."""
@@ -539,6 +554,8 @@ class Memory:
         ``fired`` is the edge of the guard by which a lag that moves came to the end of its own.
         """
         self._backwards = {k for k in range(len(self.windows)) if fired == window_edge(k, "a")}
+        if self._backwards:
+            self.highest = min(self.highest, TURNING)
         met = {}
         for k, window in enumerate(self.windows):
             end = self._met(k, window, t, x, fired)
@@ -549,7 +566,7 @@ class Memory:
             orders = self._carried(field, met)
             if orders[self.all_seen].min(initial=SMOOTH) <= self.highest:
                 self.breaks.add(t, orders)
-        self._tight = self._tight + 1 if self._steps <= 2 and not met else 0
+        self._tight = self._tight + 1 if self._steps <= 2 and not met else min(self._tight, 0)
         self.until = t
 
     def _met(
