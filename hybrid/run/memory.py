@@ -58,7 +58,7 @@ TURNING = 2
 LEAST = 1e-4
 
 #: Guesses at a window up to which the next is longer.
-EASY = 4
+EASY = 2
 
 #: Rounding of a window's series, relative to what it shows.
 ROUNDING = 1e-15
@@ -420,7 +420,7 @@ class Memory:
             self._tight, self._stride = 0, 0.0
         if (nothing or self._tight >= TIGHT) and not self._stride:
             least = LEAST * (self.plan.t1 - self.plan.t0) if nothing else 0.0
-            self._stride = max(2.0 * shortest, least)
+            self._stride = max(4.0 * shortest, least)
         return self._stride
 
     def _window(self, k: int, t: float, s: float, known: float, length: float) -> Window:
@@ -522,9 +522,8 @@ class Memory:
 
     def _pays(self, length: float) -> None:
         """Longer guesses next where they are easy, none for a while where they cost too much."""
-        easy = self._guesses <= EASY
-        self._stride = (2.0 if easy else 1.0) * length
-        if not easy and length < self._guesses * self._shortest:
+        self._stride = (2.0 if self._guesses <= EASY else 1.0) * length
+        if length < (1 + self._guesses) * self._shortest:
             self._stride, self._tight = 0.0, -REST
 
     def _require_stride(self, t: float) -> None:
