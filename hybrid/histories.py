@@ -16,7 +16,7 @@ from .run.memory import Piece, constant, piece_of
 from .trajectory import Trajectory
 
 
-def pieces(spec: Spec, history: Any, t0: float, x: np.ndarray) -> list[Piece]:
+def pieces(spec: Spec, history: Any, t0: float, x: np.ndarray, memory: str = "keep") -> list[Piece]:
     """The record before ``t0``.
 
     Parameters
@@ -24,9 +24,11 @@ def pieces(spec: Spec, history: Any, t0: float, x: np.ndarray) -> list[Piece]:
     history : None, mapping, record, sequence, callable or Trajectory
         Nothing: the start, for ever. By state (or in declared order) a number, an array or a
         function of time; states left out are as at the start. A function of time that gives all
-        states. A trajectory: its record up to ``t0``, and its first state before it.
+        states. A trajectory: its record up to ``t0``, and before it what was before that run.
     x : array
         The state at ``t0``.
+    memory : "keep" or "restart"
+        Whether of a trajectory all is seen, or what follows its last jump.
 
     Raises
     ------
@@ -36,9 +38,9 @@ def pieces(spec: Spec, history: Any, t0: float, x: np.ndarray) -> list[Piece]:
     if history is None:
         return [constant(x, t0)]
     if isinstance(history, Trajectory):
-        return _of_run(spec, history, t0)
+        return _of_run(spec, history, t0, memory)
     if callable(history):
-        return [_of_function(lambda t: _vector(spec, history(t), "history(t)"), t0)]
+        return [_of_function(spec, lambda t: _vector(spec, history(t), "history(t)"), t0)]
     return [_of_states(spec, history, t0, x)]
 
 
@@ -64,19 +66,30 @@ def _of_states(spec: Spec, history: Any, t0: float, x: np.ndarray) -> Piece:
         now = {name: v(t) if callable(v) else v for name, v in complete.items()}
         return _vector(spec, now, f"history at t = {t!r}")
 
-    return _of_function(state, t0)
+    return _of_function(spec, state, t0)
 
 
-def _of_function(state: Callable[[float], np.ndarray], t0: float) -> Piece:
-    def states(s: np.ndarray) -> np.ndarray:
+def _of_function(spec: Spec, state: Callable[[float], np.ndarray], t0: float) -> Piece:
+    def at(t: float) -> np.ndarray:
+        try:
+            return state(t)
+        except OptionError:
+            raise
+        except Exception as fault:  # whatever the caller's code raises
+            raise OptionError(
+                f"{spec.model}: history at t = {t!r}: {type(fault).__name__}: {fault}; it is asked "
+                "for as far back as the lags reach"
+            ) from fault
+
+    def states(s: float, since: np.ndarray) -> np.ndarray:
         with wide():  # a function of jax.numpy, too, gives 64 bits
-            return np.array([state(t) for t in s.tolist()])
+            return np.array([at(t) for t in (s + since).tolist()])
 
     return Piece(-np.inf, t0, states, np.inf)
 
 
-def _of_run(spec: Spec, run: Trajectory, t0: float) -> list[Piece]:
-    """The pieces of an earlier run, which must reach ``t0``."""
+def _of_run(spec: Spec, run: Trajectory, t0: float, memory: str) -> list[Piece]:
+    """The pieces of an earlier run, which must reach ``t0``, and of what was before it."""
     if run.spec.names != spec.names:
         theirs, own = ", ".join(run.spec.names), ", ".join(spec.names)
         raise OptionError(f"{spec.model}: history: a run with the states {theirs}, not {own}")
@@ -85,12 +98,24 @@ def _of_run(spec: Spec, run: Trajectory, t0: float) -> list[Piece]:
             f"{spec.model}: history: a run from {run.t0!r} to {run.t1!r}; the run that it is the "
             f"history of starts at {t0!r}"
         )
-    found = [constant(run.arcs[0].first, run.t0)]
-    for arc in run.arcs:
-        if arc.t0 < t0:
-            _require_dense(spec, arc)
-            found += [piece_of(segment, arc.t0, arc.low) for segment in arc.segments]
+    arcs = [arc for arc in run.arcs if arc.t0 < t0]
+    if memory == "restart" and len(arcs) > 1:
+        found, arcs = [constant(arcs[-1].first, arcs[-1].t0)], arcs[-1:]
+    else:
+        found = list(run.before) or [_unknown(spec, run.t0)]
+    end = found[-1].state(run.t0, np.zeros(1))[0]
+    for arc in arcs:
+        _require_dense(spec, arc)
+        joints = [np.where(end == arc.first, 1, 0), *[None] * len(arc.segments)]
+        pairs = zip(arc.segments, joints, strict=False)
+        found += [piece_of(segment, arc.t0, arc.low, orders) for segment, orders in pairs]
+        end = arc.last
     return [piece for piece in found if piece.start < t0]
+
+
+def _unknown(spec: Spec, end: float) -> Piece:
+    """What was before a run that does not say it."""
+    return Piece(-np.inf, end, lambda s, since: np.full((len(since), spec.dimension), np.nan), 0)
 
 
 def _require_dense(spec: Spec, arc: Arc) -> None:

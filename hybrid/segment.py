@@ -39,7 +39,8 @@ class Segment:
     def __call__(self, tau: Any) -> np.ndarray:
         """State at local times ``tau``; shape ``tau.shape + (n,)``."""
         xi = 2.0 * (np.asarray(tau, dtype=float) - self.start) / self.length - 1.0
-        return np.moveaxis(np.asarray(chebyshev.chebval(xi, self.coefficients)), 0, -1)
+        states: np.ndarray = _basis(xi if xi.ndim else float(xi), self.degree) @ self.coefficients
+        return states
 
     def at(self, fractions: np.ndarray) -> np.ndarray:
         """State at some fractions of the step (an array made by :func:`nodes`)."""
@@ -52,6 +53,18 @@ class Segment:
         points = length / self.length * nodes(self.degree)
         values = chebyshev.chebvander(2.0 * points - 1.0, self.degree) @ self.coefficients
         return Segment(self.start, length, from_values(self.degree) @ values)
+
+
+def _basis(xi: Any, degree: int) -> np.ndarray:
+    """Chebyshev polynomials at a number, or at an array of them along a last axis more."""
+    terms = [xi**0, xi]
+    for _ in range(degree - 1):
+        terms.append(2.0 * xi * terms[-1] - terms[-2])
+    return (
+        np.array(terms[: degree + 1])
+        if isinstance(xi, float)
+        else np.stack(terms[: degree + 1], axis=-1)
+    )
 
 
 @cache

@@ -114,7 +114,7 @@ def simulate(
     plan = _plan(spec, t, rtol, atol, zeno, max_jumps, save, progress)
     plan = attrs.evolve(plan, memory=_memory(memory))
     x = _start(spec, start)
-    past = _past(spec, history, plan.t0, x)
+    past = _past(spec, history, plan, x)
     first = spec.initial if mode is None else mode
     if first not in scene.modes:
         raise OptionError(f"{spec.model}: mode={mode!r}; there are {', '.join(scene.modes)}")
@@ -159,6 +159,7 @@ def _trajectory(
         samples,
         guards,
         [pair for name in contacts for pair in scene.pairs(name)],
+        list(driver.history or ()),
     )
 
 
@@ -329,10 +330,13 @@ def _memory(memory: str) -> str:
     return memory
 
 
-def _past(spec: Spec, history: Any, t0: float, x: np.ndarray) -> list[Piece] | None:
+def _past(spec: Spec, history: Any, plan: Plan, x: np.ndarray) -> list[Piece] | None:
     """The record before the run; None for a model without delays."""
     if spec.lags:
-        return pieces(spec, history, t0, x)
+        return pieces(spec, history, plan.t0, x, plan.memory)
     if history is not None:
-        raise OptionError(f"{spec.model}: history was given, but no flow looks into the past")
+        raise OptionError(
+            f"{spec.model}: history={history!r}, but nothing in the model looks into the past; "
+            "leave it out"
+        )
     return None

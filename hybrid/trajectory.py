@@ -150,6 +150,9 @@ class Trajectory:
         The guards by edge, for pictures; empty in a run that was loaded.
     pairs : list of (int, int)
         Places of a contact's positions and velocities in the state vector.
+    before : list
+        The record before the run, for flows that look into the past; empty in a run that was
+        loaded.
     """
 
     spec: Spec
@@ -163,6 +166,7 @@ class Trajectory:
     samples: np.ndarray | None = None
     surfaces: dict[str, Any] = attrs.Factory(dict)
     pairs: list[tuple[int, int]] = attrs.Factory(list)
+    before: list[Any] = attrs.Factory(list)
 
     # -- the record at a time -----------------------------------------------------------
 

@@ -33,6 +33,7 @@ EXPRESSIONS = {
     "vectors": lambda t, x, y: (
         jnp.linalg.norm(jnp.stack([x, y, 1.0])) + jnp.dot(jnp.array([1.0, 2.0]), jnp.array([x, y]))
     ),
+    "derivatives": lambda t, x, y: jax.grad(lambda x: jnp.sum(jnp.stack([x, y, x * y]) ** 2))(x),
     "matrices": lambda t, x, y: (
         (jnp.array([[1.0, 2.0], [3.0, 4.0]]) @ jnp.array([x, y]))[1]
         + jnp.einsum("i,ij,j->", jnp.array([x, y]), jnp.eye(2), jnp.array([y, x]))

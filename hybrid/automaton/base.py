@@ -12,7 +12,7 @@ from ..errors import DeclarationError, OptionError, ParameterError, TraceError
 from . import trace
 from .builder import Builder
 from .markers import Contact, Edge, Mode, State, Switching, is_parameter
-from .past import Asking, Lags, Past, looks_back
+from .past import Asking, Lags, Past, looks_back, sees_past
 from .spec import ContactSpec, EdgeSpec, Spec
 
 #: What to say where JAX could not trace an author's code.
@@ -133,6 +133,7 @@ class _Traced:
         for each in functions:
             if looks_back(each[2]):
                 self._guarded(self._ask, lags, each)
+        functions = [f for f in functions if not looks_back(f[2]) or f[:2] in lags.numbers]
         self.spec = attrs.evolve(self.spec, lags=tuple(lags.found))
         for each in functions:
             self._guarded(self._add, lags, each)
@@ -181,8 +182,17 @@ class _Traced:
         for place, number in enumerate(numbers):
             name = self.spec.lags[number].name
             if ("lag", name) not in self.traces:
-                lag = self._lag(function, numbers, place)
-                self.traces["lag", name] = trace.trace(self.spec, lag, extra)
+                lag = trace.trace(self.spec, self._lag(function, numbers, place), extra)
+                self._require_plain(name, lag, extra)
+                self.traces["lag", name] = lag
+
+    def _require_plain(self, name: str, lag: Any, extra: int) -> None:
+        """Refuse a lag that is itself seen in the past."""
+        if sees_past(lag, len(self.spec.parameters), extra):
+            raise ValueError(
+                f"past(lag): the lag ({name}) depends on past(...); it may depend on parameters, "
+                "t and s"
+            )
 
     def _lag(self, function: Any, numbers: list[int], place: int) -> Callable[..., Any]:
         """The lag of one of a function's calls of ``past``, as a function."""

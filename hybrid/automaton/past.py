@@ -72,13 +72,15 @@ class Past:
         self.lags: list[Any] = []
 
     def __call__(self, lag: Any) -> Any:
+        import jax.numpy as jnp
+
         self.lags.append(lag)
         frame, rows = self.windows[2 * (number := next(self.numbers)) : 2 * number + 2]
         place = ((self.t - lag) - frame[0]) / frame[1]
-        value = rows[DEGREE]
-        for k in range(DEGREE - 1, -1, -1):
-            value = value * place + rows[k]
-        return self.spec.record(value)
+        powers = [place**0, place]
+        for _ in range(DEGREE - 1):
+            powers.append(powers[-1] * place)
+        return self.spec.record(jnp.stack(powers) @ rows)
 
 
 class Asking:
@@ -89,11 +91,18 @@ class Asking:
         self.lags: list[Any] = []
 
     def __call__(self, lag: Any) -> Any:
-        shape = np.shape(lag)
-        if shape != ():
-            raise ValueError(f"past(lag): the lag has shape {shape}; one number is due")
-        self.lags.append(lag)
+        self.lags.append(_number(lag))
         return self.spec.record(np.ones(self.spec.dimension) * self.t)
+
+
+def _number(lag: Any) -> Any:
+    """A lag, refused where it is none whatever the time and state."""
+    if isinstance(lag, str) or np.shape(lag) != ():
+        what = repr(lag) if isinstance(lag, str) else f"of shape {np.shape(lag)}"
+        raise ValueError(f"past(lag): the lag is {what}; one number is due")
+    if _is_known(lag) and not (np.isfinite(lag) and lag >= 0):
+        raise ValueError(f"past({float(lag)!r}): a lag must be a number of at least 0")
+    return lag
 
 
 class Lags:
@@ -128,6 +137,20 @@ class Lags:
         if made not in self.found:
             self.found.append(made)
         return self.found.index(made)
+
+
+def sees_past(lag: Any, parameters: int, extra: int) -> bool:
+    """Whether a traced lag depends on what is seen through another.
+
+    Its inputs are parameters, windows, ``t``, ``x`` and ``extra`` numbers.
+    """
+    jaxpr = lag.jaxpr
+    needed = {id(v) for v in jaxpr.outvars}
+    for equation in reversed(jaxpr.eqns):
+        if needed.intersection(map(id, equation.outvars)):
+            needed.update(map(id, equation.invars))
+    windows = jaxpr.invars[parameters : len(jaxpr.invars) - 2 - extra]
+    return bool(needed.intersection(map(id, windows)))
 
 
 def _is_known(lag: Any) -> bool:

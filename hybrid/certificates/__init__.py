@@ -56,11 +56,18 @@ def certify(
     >>> proof.verdict
     'certified'
     """
+    from ..errors import OptionError
     from ..scene.interval import require_flint
     from .question import ask
     from .relative import by_lemma
     from .theorem import by_theorem
 
+    lags = getattr(model, "spec", None) and model.spec.lags
+    if lags:
+        raise OptionError(
+            f"{model.spec.model} looks into the past (lag {lags[0].name}): a proof before a run "
+            "knows no past; simulate it, and ask the accumulations of the run for their proofs"
+        )
     require_flint()
     question = ask(model, box, mode, contact)
     return by_lemma(question) if question.relative else by_theorem(question)

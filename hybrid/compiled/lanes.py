@@ -147,16 +147,16 @@ class Journey:
         lane, memory = trip.lane, trip.memory
         now = Instant(lane.t, lane.low).after(lane.going.tau)
         memory = self.past.passed(run, ring, memory, lane.mode, lane.held, now.t)
-        trip = trip._replace(memory=memory)
         none = jnp.zeros_like(lane.going.tau)
         lane = lane._replace(
             t=now.t, low=now.low, orders=jnp.zeros_like(lane.orders), speed=none
         ).but(
             tau=none,
             slot=jnp.full_like(lane.going.slot, -1),
+            stage=jnp.full_like(lane.going.stage, ENTER),
             status=self._remembers(memory, jnp.full_like(lane.going.status, RUNNING)),
         )
-        return trip._replace(lane=self.turner.enter(self.seeing(run, trip), lane, passing=True))
+        return trip._replace(lane=lane, memory=memory._replace(passing=jnp.array(True)))
 
     @staticmethod
     def _remembers(memory: Memory, status: Any) -> Any:
@@ -169,13 +169,18 @@ class Journey:
             trip = when(jumps, lambda: self._jump(run, trip), trip)
         lane = trip.lane
         moves = lane.going.status == RUNNING
-        entered = self.turner.enter(self.seeing(run, trip), lane)
-        return trip._replace(lane=choose(moves, self._low(run, trip, entered), lane))
+        if self.past is None:
+            return trip._replace(lane=choose(moves, self.turner.enter(run, lane), lane))
+        memory = trip.memory
+        entered = self.turner.enter(self.seeing(run, trip), lane, memory.passing)
+        lane = choose(moves, self._low(run, trip, entered), lane)
+        return trip._replace(lane=lane, memory=memory._replace(passing=jnp.array(False)))
 
     def _low(self, run: Run, trip: Trip, lane: Lane) -> Lane:
         """With delays, impacts are summed only where nothing they see can tell the flights."""
-        if self.past is None or not self.turner.sums:
+        if not self.turner.sums:
             return lane
+        assert self.past is not None
         p, x, t = self.seeing(run, trip).parameters, lane.going.x, lane.t
 
         def flow(t: Any, x: Any) -> Any:

@@ -85,6 +85,8 @@ class Memory(NamedTuple):
     full : bool
         Something was needed that the ring no longer holds.
     due : Due
+    passing : bool
+        The lane is to be entered anew where a window ended.
     """
 
     segments: Any
@@ -97,6 +99,7 @@ class Memory(NamedTuple):
     spans: Any
     full: Any
     due: Due
+    passing: Any
 
 
 class Past:
@@ -157,6 +160,7 @@ class Past:
             spans=jnp.full(count, jnp.inf),
             full=none,
             due=Due(none, zero, zero, values, none, zero, smooth),
+            passing=none,
         )
         orders = jnp.where(self._before(memory, run.t0) == x, 1, 0)
         memory = self._break(memory, run.t0, orders)

@@ -313,7 +313,7 @@ class Turner:
         )
         return after, done
 
-    def enter(self, run: Run, lane: Lane, passing: bool = False) -> Lane:
+    def enter(self, run: Run, lane: Lane, passing: Any = False) -> Lane:
         """Which guards are zero here, and what follows (2, 3).
 
         ``orders`` holds the powers known from the jump, ``slot`` the edge just used. A
@@ -328,7 +328,7 @@ class Turner:
         leaving = (direction != 0) & (sign == direction)
         starting = (lane.jumps == 0) & (lane.t == run.t0)
         late = (order == 0) & leaving
-        overdue = late if passing else late & lane.held & ~starting
+        overdue = late & ((lane.held & ~starting) | passing)
         used = system.only(going.slot)
         at_once = overdue | ((order > 0) & leaving & ~used)
         outside = late & ~overdue

@@ -164,14 +164,14 @@ class ArcFlow:
         if self.series is None:
             return None
         k = min(self.solver.order + 1, ORDER)
-        first = length
+        first = float("inf")
         atol = np.broadcast_to(self.plan.atol, self.x.shape)
         for c, absolute in zip(self.series[0], atol.tolist(), strict=True):
             allowed = absolute + self.plan.rtol * abs(c[0])
             for power in (k - 1, k):
                 if c[power]:
                     first = min(first, (allowed / abs(c[power])) ** (1.0 / power))
-        return SAFETY * first if first > 0 and np.isfinite(first) else None
+        return min(length, SAFETY * first) if first > 0 else None
 
     def predict(self, length: float) -> float | None:
         """The end of a short flight after an impact, from its Taylor series (2)."""

@@ -152,7 +152,7 @@ def pass_limit(driver: Driver, mode: str) -> bool:
     if plan.zeno == "truncate" or driver.status is not None:
         return False
     found, first = driver.cycles.limit(plan.closing * plan.rtol, plan.closing * plan.limit)
-    if found is None or driver.record.now.after(found.remaining).until(driver.horizon) < 0:
+    if found is None or driver.record.now.after(found.remaining).until(driver.known) < 0:
         return False
     last = driver.cycles.seen[-1]
     if _summed(driver.scene, found, last):

@@ -122,6 +122,12 @@ class Driver:
         memory = self.record.memory
         return self.plan.t1 if memory is None else memory.until
 
+    @property
+    def known(self) -> float:
+        """How far flights hold that are not flown again: what delays see there is no guess."""
+        memory = self.record.memory
+        return self.plan.t1 if memory is None else memory.known
+
     def flow(self) -> None:
         """Flow an arc, or as many as need no judgement, and carry out the jump that ends it."""
         if self.streaks is not None and self.streaks.takes():
@@ -183,7 +189,7 @@ class Driver:
             self.plan.progress(t)
         state = x.tolist()
         signs = {g.edge: int(np.sign(g.value(t, state))) for g in field.guards}
-        memory.passed(t, field, fired.edge if fired else None)
+        memory.passed(t, x, field, fired.edge if fired else None)
         self.enter(field.mode, x, Jumped(held=field.held, passing=signs))
 
     # -- jumps --------------------------------------------------------------------------
@@ -266,7 +272,7 @@ class Driver:
         if not 0 < v * v <= NEAR * fall * (1.0 + float(np.max(np.abs(x)))):
             return None
         flight = fly(field, column, t, x.tolist(), v)
-        if flight is None or self.record.now.after(flight.time).until(self.horizon) < 0:
+        if flight is None or self.record.now.after(flight.time).until(self.known) < 0:
             return None
         end = t + flight.time
         landed = contact.land(end, flight.x)
@@ -329,7 +335,7 @@ class Driver:
         if tail is None or self.record.now.after(tail.remaining).until(self.horizon) < 0:
             return False
         memory = self.record.memory
-        if memory is not None and not memory.stays(x, tail.x_inf):
+        if memory is not None and not memory.stays(TailPart(tail, self.record.j)):
             return False
         self._pass_limit(tail)
         return True

@@ -83,7 +83,9 @@ def enter(scene: Scene, t: float, mode: str, x: np.ndarray, jumped: Jumped, reac
     here = _Here(scene, field, t, x, reach, expand(field, t, x))
     orders, at_once = [], []
     for index, guard in enumerate(field.guards):
-        order, sign = here.start_of(guard, index, jumped.vanishing.get(guard.edge, 0))
+        order, sign = here.start_of(guard, index, jumped)
+        if guard.kind == "window" and sign == 0:  # it stays at an end of its window
+            order, sign = 0, 1
         if here.closed(guard, order, sign):
             more = attrs.evolve(jumped, held=(*jumped.held, guard.edge))
             return enter(scene, t, mode, x, more, reach)
@@ -121,7 +123,7 @@ def _require_on_surface(scene: Scene, field: Field, t: float, x: np.ndarray) -> 
     side = scene.field(switching.positive)
     index = side.column(switching.name)
     here = _Here(scene, side, t, x, 0.0, None)
-    if here.start_of(side.guards[index], index, 0)[0] == 0:
+    if here.start_of(side.guards[index], index, Jumped())[0] == 0:
         value = side.guards[index].value(t, x.tolist())
         raise StartError(
             f"{describe(scene, field, t, x)}: the run starts to slide off the surface: it is "
@@ -171,7 +173,7 @@ class _Here:
             self.require_inside(guard, sign, jumped.starting)
             return False
         if guard.crossing is Crossing.EITHER:
-            return False
+            return jumped.passing is not None and jumped.passing.get(guard.edge, 0) == -sign
         used = guard.kind == "edge" and guard.edge == jumped.used
         leaves = not used and fires(guard.crossing, sign)
         if guard.kind == "switch" and not leaves and guard.edge not in jumped.vanishing:
@@ -188,11 +190,13 @@ class _Here:
             f"{guard.to} both lead away from it: what follows is not unique; start beside it"
         )
 
-    def start_of(self, guard: Guard, index: int, least: int) -> tuple[int, int]:
-        t, x = self.t, self.x.tolist()
+    def start_of(self, guard: Guard, index: int, jumped: Jumped) -> tuple[int, int]:
+        t, x, least = self.t, self.x.tolist(), jumped.vanishing.get(guard.edge, 0)
         value = guard.value(t, x)
         if not np.isfinite(value):
             raise FlowError(f"{self.where()}: the guard of {guard.edge} is {value}")
+        if jumped.passing is not None and value * jumped.passing.get(guard.edge, 0) > 0:
+            return 0, 1 if value > 0 else -1
         if not least:
             if abs(value) > NEAR * (1.0 + max(map(abs, x))):
                 return 0, 1 if value > 0 else -1

@@ -18,7 +18,8 @@ See ``docs/notes/delays.md``.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from copy import copy
 from math import isfinite
 
 import attrs
@@ -39,8 +40,25 @@ SHARE = 0.1
 #: Windows in a row that are one step long before longer ones are guessed.
 TIGHT = 3
 
+#: Windows without a guess after one that was not worth it.
+REST = 30
+
 #: Most guesses at a window before a shorter one is tried.
 GUESSES = 12
+
+#: Longest window of a lag that depends on time or state, against the run, and what part of it may
+#: lie behind, against the part ahead.
+MOST, SIDE = 0.1, 0.25
+
+#: Highest order of breaking points that are noted once a lag has turned back over its past: each
+#: is seen many times, and those times are themselves seen many times.
+TURNING = 2
+
+#: First length of windows to guess where a lag vanishes, against that of the run.
+LEAST = 1e-4
+
+#: Guesses at a window up to which the next is longer.
+EASY = 2
 
 #: Rounding of a window's series, relative to what it shows.
 ROUNDING = 1e-15
@@ -51,34 +69,51 @@ SMOOTH = 10**6
 
 @attrs.frozen(eq=False)
 class Piece:
-    """The record between two times: ``state(times)`` has shape ``(len(times), n)``.
+    """The record between two times.
 
-    ``degree`` is that of a polynomial, infinity where it is a function of the caller's.
+    ``state(s, since)`` gives the states at ``s + since`` (an array), shape ``(len(since), n)``: in
+    two parts, so that on a short window they do not drown in the rounding of the time. ``degree``
+    is that of a polynomial, infinity where it is a function of the caller's. ``orders`` are those
+    of a breaking point at the start of a piece of an earlier run.
     """
 
     start: float
     end: float
-    state: Callable[[np.ndarray], np.ndarray]
+    state: Callable[[float, np.ndarray], np.ndarray]
     degree: float
+    orders: np.ndarray | None = None
 
 
-def piece_of(segment: Segment, t0: float, low: float) -> Piece:
+def piece_of(segment: Segment, t0: float, low: float, orders: np.ndarray | None = None) -> Piece:
     """A segment of an arc that starts at ``t0 + low``."""
     start, end = t0 + (low + segment.start), t0 + (low + segment.end)
-    return Piece(start, end, lambda s: segment((s - t0) - low), segment.degree)
+    state = lambda s, since: segment(((s - t0) - low) + since)  # noqa: E731
+    return Piece(start, end, state, segment.degree, orders)
 
 
 def constant(x: np.ndarray, end: float) -> Piece:
     """The same state for all times before ``end``."""
-    return Piece(-np.inf, end, lambda s: np.broadcast_to(x, (len(s), len(x))), 0)
+    return Piece(-np.inf, end, lambda s, since: np.broadcast_to(x, (len(since), len(x))), 0)
+
+
+def states(pieces: Sequence[Piece], s: float, since: np.ndarray) -> np.ndarray:
+    """States at ``s + since`` from pieces in order; beyond them the outer ones go on."""
+    if len(pieces) == 1:
+        return pieces[0].state(s, since)
+    starts = np.array([piece.start for piece in pieces[1:]]) - s
+    which = np.searchsorted(starts, since, side="right")
+    cuts = np.flatnonzero(np.diff(which)) + 1
+    parts = np.split(since, cuts)
+    firsts = which[[0, *cuts.tolist()]].tolist()
+    return np.concatenate([pieces[i].state(s, p) for i, p in zip(firsts, parts, strict=True)])
 
 
 class Pieces:
     """The record: pieces in order of time, those no longer needed forgotten."""
 
-    def __init__(self) -> None:
-        self._pieces: list[Piece] = []
-        self._ends: list[float] = []
+    def __init__(self, pieces: Iterable[Piece] = ()) -> None:
+        self._pieces = list(pieces)
+        self._ends = [piece.end for piece in self._pieces]
 
     def add(self, piece: Piece) -> None:
         """Append a piece; one without length is left out."""
@@ -92,33 +127,28 @@ class Pieces:
         if count > 64 and 2 * count > len(self._pieces):
             del self._pieces[:count], self._ends[:count]
 
-    def clear(self) -> None:
-        """Forget all."""
-        self._pieces.clear()
-        self._ends.clear()
-
-    @property
-    def first(self) -> float:
-        """Where the record begins."""
-        return self._pieces[0].start
+    def copy(self) -> Pieces:
+        """One that grows by itself."""
+        return Pieces(self._pieces)
 
     @property
     def last(self) -> Piece:
         """The latest piece."""
         return self._pieces[-1]
 
-    def within(self, a: float, b: float) -> list[Piece]:
-        """Pieces that have a part between two times."""
-        slack = _slack(a, b)
-        first = bisect_right(self._ends, a + slack)
-        last = first
+    def within(self, a: float, b: float, slack: float) -> list[Piece]:
+        """Pieces that have a part between two times; the nearest if none has."""
+        first = last = min(bisect_right(self._ends, a + slack), len(self._ends) - 1)
         while last < len(self._pieces) and self._pieces[last].start < b - slack:
             last += 1
-        return self._pieces[first:last]
+        return self._pieces[first : max(last, first + 1)]
 
 
 class Breaks:
-    """Breaking points of the record: times in order, and the order of each element there."""
+    """Breaking points of the record: times in order, and the order of each element there.
+
+    ``slack`` is the distance at which two times are one.
+    """
 
     def __init__(self) -> None:
         self.times: list[float] = []
@@ -126,7 +156,7 @@ class Breaks:
 
     def add(self, t: float, orders: np.ndarray) -> None:
         """A breaking point at the present time; those at one time are one."""
-        if self.times and t <= self.times[-1] + _slack(t, t):
+        if self.times and t <= self.times[-1] + _slack(t):
             self.orders[-1] = np.minimum(self.orders[-1], orders)
         else:
             self.times.append(t)
@@ -138,58 +168,75 @@ class Breaks:
         if count > 64 and 2 * count > len(self.times):
             del self.times[:count], self.orders[:count]
 
-    def after(self, s: float) -> float:
+    def copy(self) -> Breaks:
+        """One that grows by itself."""
+        other = Breaks()
+        other.times, other.orders = self.times.copy(), self.orders.copy()
+        return other
+
+    def after(self, s: float, slack: float) -> float:
         """The next after a time, infinity if there is none."""
-        place = bisect_right(self.times, s + _slack(s, s))
+        place = bisect_right(self.times, s + slack)
         return self.times[place] if place < len(self.times) else np.inf
 
-    def until(self, s: float) -> float:
+    def until(self, s: float, slack: float) -> float:
         """The last up to a time, minus infinity if there is none."""
-        place = bisect_right(self.times, s + _slack(s, s))
+        place = bisect_right(self.times, s + slack)
         return self.times[place - 1] if place else -np.inf
 
-    def before(self, s: float) -> float:
+    def before(self, s: float, slack: float) -> float:
         """The last before a time, minus infinity if there is none."""
-        place = bisect_left(self.times, s - _slack(s, s))
+        place = bisect_left(self.times, s - slack)
         return self.times[place - 1] if place else -np.inf
 
-    def at(self, s: float) -> np.ndarray | None:
-        """Orders at a time; None where there is no breaking point."""
-        place = bisect_left(self.times, s - _slack(s, s))
-        near = place < len(self.times) and self.times[place] <= s + _slack(s, s)
-        return self.orders[place] if near else None
+    def at(self, s: float, slack: float) -> np.ndarray | None:
+        """Orders at a time, the least of those that are one; None if there is none."""
+        first, last = bisect_left(self.times, s - slack), bisect_right(self.times, s + slack)
+        return np.min(self.orders[first:last], axis=0) if first < last else None
 
 
-def _slack(a: float, b: float) -> float:
-    """Times nearer than this are one."""
-    sizes = [abs(v) for v in (a, b) if isfinite(v)]
-    return 8.0 * float(np.spacing(max(sizes, default=0.0)))
+def _slack(*times: float) -> float:
+    """Times nearer than this are one, if sums of such times are rounded."""
+    return 8.0 * float(np.spacing(max(abs(v) for v in times)))
 
 
 @attrs.define(eq=False)
 class Window:
     """A part of the record as one polynomial.
 
-    ``guessed`` is the time from which it is a guess; ``values`` are the states at its nodes.
+    ``values`` are the states at its nodes, ``guess`` says which of them are guessed; ``noise`` is
+    what the rounding of times makes of them.
     """
 
     a: float
     b: float
     values: np.ndarray
-    guessed: float
+    guess: np.ndarray
+    noise: np.ndarray
 
     @property
-    def times(self) -> np.ndarray:
-        return self.a + (self.b - self.a) * nodes(DEGREE)
+    def since(self) -> np.ndarray:
+        """Nodes, counted from the start."""
+        return (self.b - self.a) * nodes(DEGREE)
+
+    def shown(self, since: np.ndarray) -> np.ndarray:
+        """What the polynomial shows at times counted from the start."""
+        places = 2.0 * since / (self.b - self.a) - 1.0
+        return np.polynomial.chebyshev.chebvander(places, DEGREE) @ self.series
+
+    @property
+    def series(self) -> np.ndarray:
+        """Chebyshev coefficients, one row each."""
+        return from_values(DEGREE) @ self.values
 
     def arrays(self) -> list[np.ndarray]:
         """Frame and coefficients, as the trace takes them; what is rounding is left out.
 
         (On a short window the derivatives of rounding are large.)
         """
-        frame = np.array([0.5 * (self.a + self.b), 0.5 * (self.b - self.a)])
-        series = from_values(DEGREE) @ self.values
-        noise = ROUNDING * np.abs(self.values).max(axis=0)
+        frame = np.array([0.5 * self.a + 0.5 * self.b, 0.5 * (self.b - self.a)])
+        series = self.series
+        noise = ROUNDING * np.abs(self.values).max(axis=0) + self.noise
         heard = np.maximum.accumulate(np.abs(series)[::-1] > noise, axis=0)[::-1]
         return [frame, _TO_POWERS @ np.where(heard, series, 0.0)]
 
@@ -218,23 +265,33 @@ class Memory:
         spec, code = scene.spec, scene.code
         self.scene, self.plan, self.highest = scene, plan, order + 1
         self.moving, self.seen = code.moving, code.seen
+        self.all_seen = sorted({element for seen in self.seen for element in seen})
         hidden = flat([*scene.parameters[: len(spec.parameters)], *blank(spec.lags, len(x))])
         self._lags = [code.lag(k).bind(hidden) for k in range(len(spec.lags))]
         self.names = [lag.name for lag in spec.lags]
-        self.pieces, self.breaks = Pieces(), Breaks()
+        self.pieces, self.breaks = Pieces(history), Breaks()
         for piece in history:
-            self.pieces.add(piece)
+            if piece.orders is not None:
+                self.breaks.add(piece.start, piece.orders)
         self.breaks.add(plan.t0, self._start(x))
         self.windows: list[Window] = []
         self.until = plan.t0
+        self._joined = False
         self._spans = [np.inf] * len(self._lags)
-        self._stride, self._tight, self._guesses = 0.0, 0, 0
+        self._stride, self._shortest, self._tight, self._guesses = 0.0, 0.0, 0, 0
         self._backwards: set[int] = set()
 
     def _start(self, x: np.ndarray) -> np.ndarray:
         """Orders at the start: 0 where the history does not lead to it."""
-        end = self.pieces.last.state(np.array([self.plan.t0]))[0]
+        end = self.pieces.last.state(self.plan.t0, np.zeros(1))[0]
         return np.where(end == x, 1, 0)
+
+    def fork(self) -> Memory:
+        """The same, for a run that leaves this one here."""
+        other = copy(self)
+        other.pieces, other.breaks = self.pieces.copy(), self.breaks.copy()
+        other._spans = self._spans.copy()
+        return other
 
     # -- what happens ---------------------------------------------------------------------
 
@@ -242,22 +299,23 @@ class Memory:
         """Segments flown from an instant on (their starts are counted from it)."""
         for segment in segments:
             self.pieces.add(piece_of(segment, now.t, now.low))
+            self._joined = True
 
     def jumped(self, t: float, before: np.ndarray, after: np.ndarray) -> None:
         """A jump; with ``memory="restart"`` all before it is forgotten."""
         if self.plan.memory == "restart":
             self._restart(t, after)
-        else:
-            self.breaks.add(t, np.where(before == after, 1, 0))
-        if self.plan.memory == "restart" or any(self.moving) or self.guessing:
+            return
+        stays = before == after
+        self.breaks.add(t, np.where(stays, 1, 0))
+        self._joined = self._joined and bool(stays.all())
+        if any(self.moving) or self.guessing:
             self.until = t
 
     def _restart(self, t: float, x: np.ndarray) -> None:
-        self.pieces.clear()
-        self.pieces.add(constant(x, t))
-        self.breaks = Breaks()
+        self.pieces, self.breaks = Pieces([constant(x, t)]), Breaks()
         self.breaks.add(t, np.ones(len(x), dtype=int))
-        self.until = t
+        self.until, self._joined = t, True
 
     def tail(self, part: TailPart) -> None:
         """Impacts up to their limit: one by one while they are seen, then the limit alone."""
@@ -267,7 +325,7 @@ class Memory:
             return
         for n in range(tail.count + 1):
             arc = part.arc(n)
-            if self._low(arc, tail.x_inf):
+            if n == tail.count or self._low(arc, tail.x_inf):
                 break
             self.flown(Instant(arc.t0, arc.low), arc.segments)
             row = part.jump(n + 1)
@@ -277,24 +335,27 @@ class Memory:
         straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ ends
         self.pieces.add(piece_of(Segment(0.0, part.t1 - since, straight), since, 0.0))
         self.breaks.add(part.t1, np.ones(len(tail.x_inf), dtype=int))
+        self._joined = True
 
     def _low(self, arc: Arc, x: np.ndarray) -> bool:
         """Whether nothing that is seen of a flight can be told from the limit."""
-        states = np.concatenate([s(s.start + s.length * nodes(4)) for s in arc.segments])
-        return bool(
-            np.all(np.abs(states - x)[:, self._all_seen] <= self._allowed(x)[self._all_seen])
-        )
+        there = np.concatenate([s(s.start + s.length * nodes(4)) for s in arc.segments])
+        return self._near(there, x)
 
-    def stays(self, before: np.ndarray, limit: np.ndarray) -> bool:
-        """Whether restarts between here and a limit show the same past."""
-        if self.plan.memory == "keep":
-            return True
-        seen = self._all_seen
-        return bool(np.all(np.abs(before - limit)[seen] <= self._allowed(limit)[seen]))
+    def stays(self, part: TailPart) -> bool:
+        """Whether impacts up to their limit see the past that is shown here.
 
-    @property
-    def _all_seen(self) -> list[int]:
-        return sorted({element for seen in self.seen for element in seen})
+        A lag that vanishes sees the impacts themselves, and after restarts all see the last.
+        """
+        limit = part.tail.x_inf
+        if self.plan.memory == "restart":
+            return self._near(part.tail.x, limit)
+        return not self.guessing or self._low(part.arc(0), limit)
+
+    def _near(self, there: np.ndarray, x: np.ndarray) -> bool:
+        """Whether what is seen of some states cannot be told from a state."""
+        seen = self.all_seen
+        return bool(np.all(np.abs(there - x)[..., seen] <= self._allowed(x)[seen]))
 
     def _allowed(self, x: np.ndarray) -> np.ndarray:
         size = np.abs(x)
@@ -305,22 +366,27 @@ class Memory:
     @property
     def guessing(self) -> bool:
         """Whether a window shows what is not yet flown."""
-        return any(window.b > window.guessed for window in self.windows)
+        return any(window.guess.any() for window in self.windows)
+
+    @property
+    def known(self) -> float:
+        """Until when the windows show what was flown."""
+        return self._from[0] if self.guessing else self.until
 
     def look(self, t: float, x: np.ndarray) -> Scene:
         """The scene as it looks back from a time; ``until`` says for how long."""
+        self._from, self._steps, self._guesses = (t, x), 0, 0
         places = [self._place(k, t, x) for k in range(len(self._lags))]
-        self._forget(t)
+        self._forget(places)
         stride = self._wanted(t, places)
         end = min(self.plan.t1, t + stride) if stride else self.plan.t1
-        self._from, self._steps, self._guesses = (t, x), 0, 0
         self.windows = []
         for k, s in enumerate(places):
             window = self._window(k, t, s, np.inf if stride else t, end - t)
             if not self.moving[k]:
-                end = min(end, self._reaches(k, window, t, x))
+                end = min(end, window.b + (t - s))
             self.windows.append(window)
-        self.until = end
+        self.until = min(self.plan.t1, max(end, t + _slack(t)))
         return self._scene()
 
     def _scene(self) -> Scene:
@@ -337,89 +403,99 @@ class Memory:
             )
         return t - lag
 
-    def _reaches(self, k: int, window: Window, t: float, x: np.ndarray) -> float:
-        """When a constant lag comes to the end of its window."""
-        return min(self.plan.t1, window.b + self._lags[k](t, x.tolist()))
-
-    def _forget(self, t: float) -> None:
-        if any(self.moving) or not self.windows:
-            return
-        oldest = min(window.a for window in self.windows)
-        self.pieces.forget(oldest)
-        self.breaks.forget(oldest)
+    def _forget(self, places: list[float]) -> None:
+        if not any(self.moving):
+            self.pieces.forget(min(places))
+            self.breaks.forget(min(places))
 
     def _wanted(self, t: float, places: list[float]) -> float:
         """Length of windows to guess; 0 where the record reaches far enough."""
-        shortest = t - max(places)
-        nothing = shortest <= _slack(t, t)
-        if self.breaks.after(max(places)) <= t and not nothing:
+        slack, latest = _slack(t), max(places)
+        self._shortest = shortest = t - latest
+        nothing = shortest <= slack
+        if not nothing and self.breaks.after(latest, slack) <= t:
             self._tight, self._stride = 0, 0.0
             return 0.0
-        if nothing or self._tight >= TIGHT:
-            least = 1e-4 * (self.plan.t1 - self.plan.t0) if nothing else 0.0
-            self._stride = max(self._stride, 2.0 * shortest, least)
         if self._stride and self._stride <= shortest:
-            self._stride, self._tight = 0.0, 0
+            self._tight, self._stride = 0, 0.0
+        if (nothing or self._tight >= TIGHT) and not self._stride:
+            least = LEAST * (self.plan.t1 - self.plan.t0) if nothing else 0.0
+            self._stride = max(4.0 * shortest, least)
         return self._stride
 
     def _window(self, k: int, t: float, s: float, known: float, length: float) -> Window:
         """A window of a lag that looks at ``s``."""
-        a, b = s, min(self.breaks.after(s), known, s + length)
-        if self.moving[k]:
-            a, b = self._around(k, s, min(self.breaks.after(s), known, s + 2.0 * length))
+        slack = _slack(t, s)
+        a, b, pad = *self._ends(k, s, known, length, slack), 0.5 * slack if self.moving[k] else 0.0
+        whole = b - a
         while True:
-            b = min(b, s + self._spans[k]) if b > s else b
-            pieces = self.pieces.within(a, min(b, t))
-            window = Window(a, b, self._sampled(a, b, t, pieces), t)
-            exact = len(pieces) == 1 and pieces[0].degree <= DEGREE and b <= t
-            if exact or self._resolved(k, window) or b - a <= 1e3 * _slack(a, b):
-                self._spans[k] = 2.0 * (b - s) if b > s else np.inf
+            pieces = self.pieces.within(a, min(b, t), slack)
+            window = self._sampled(a - pad, b + pad, t, pieces)
+            exact = len(pieces) == 1 and pieces[0].degree <= DEGREE and not window.guess.any()
+            if exact or self._resolved(k, window) or b - a <= 1e3 * slack:
+                if b - a < whole or whole >= self._spans[k]:
+                    self._spans[k] = 2.0 * (b - a)
                 return window
-            b = self._shorter(s, b, pieces)
-            a = max(a, s - 0.25 * (b - s)) if a < s else a
+            if k in self._backwards:
+                a = 0.5 * (a + b)
+            else:
+                b = self._shorter(s, b, t, pieces, slack)
+                a = max(a, s - SIDE * (b - s))
 
-    def _around(self, k: int, s: float, b: float) -> tuple[float, float]:
-        """Both ends of a window of a lag that depends on time or state."""
+    def _ends(
+        self, k: int, s: float, known: float, length: float, slack: float
+    ) -> tuple[float, float]:
+        """Both ends of a window, if it is resolved: where there is room, more than is needed."""
+        span, end = self._spans[k], min(self.breaks.after(s, slack), known)
+        if not self.moving[k]:
+            return s, max(min(end, s + length, s + span), s + slack)
+        span = min(span, 2.0 * length + 1e4 * slack, MOST * (self.plan.t1 - self.plan.t0))
         if k in self._backwards:
-            b = min(s + _slack(s, s), b)
-            return max(self.breaks.before(s), s - min(self._spans[k], self._share)), b
-        b = min(b, s + min(self._spans[k], self._share))
-        return min(s, max(self.breaks.until(s), s - 0.25 * (b - s))), b
-
-    @property
-    def _share(self) -> float:
-        return 0.1 * (self.plan.t1 - self.plan.t0)
+            return max(self.breaks.before(s, slack), s - span), min(s + slack, end)
+        b = min(end, s + span)
+        return min(s, max(self.breaks.until(s, slack), s - SIDE * (b - s))), b
 
     @staticmethod
-    def _shorter(s: float, b: float, pieces: list[Piece]) -> float:
-        """A nearer end: that of a piece, else the middle."""
-        ends = [p.end for p in pieces if s + _slack(s, b) < p.end < b - _slack(s, b)]
+    def _shorter(s: float, b: float, t: float, pieces: list[Piece], slack: float) -> float:
+        """A nearer end: half as far in what is guessed, that of a piece, the middle."""
+        if b - t > 0.25 * (t - s):
+            return t + 0.5 * (b - t)
+        ends = [p.end for p in pieces if s + slack < p.end < b - slack]
         return ends[len(ends) // 2] if ends else 0.5 * (s + b)
 
-    def _sampled(self, a: float, b: float, t: float, pieces: list[Piece]) -> np.ndarray:
-        """The record at a window's nodes; beyond the present, its last piece goes on."""
-        times = a + (b - a) * nodes(DEGREE)
-        pieces = pieces or [self.pieces.last]
-        values = np.empty((len(times), self.scene.spec.dimension))
-        starts = np.array([piece.start for piece in pieces[1:]])
-        which = np.searchsorted(starts, times, side="right")
-        for index in np.unique(which).tolist():
-            chosen = which == index
-            values[chosen] = pieces[index].state(times[chosen])
-        if not np.all(np.isfinite(values)):
-            bad = times[~np.isfinite(values).all(axis=1)][0]
+    def _sampled(self, a: float, b: float, t: float, pieces: list[Piece]) -> Window:
+        """A window: the record at its nodes; beyond the present, a guess."""
+        since, slack = (b - a) * nodes(DEGREE), _slack(t)
+        here = t - a
+        guess = since > (here + slack if here > slack else -1.0)
+        with np.errstate(all="ignore"):
+            values = np.empty((len(since), self.scene.spec.dimension))
+            if not guess.all():
+                values[~guess] = states(pieces, a, since[~guess])
+            if guess.any():
+                values[guess] = self._ahead(a, since[guess])
+        if not np.isfinite(values).all():
+            bad = a + float(since[~np.isfinite(values).all(axis=1)][0])
             raise FlowError(
                 f"{self.scene.spec.model}, t = {t!r}: the record at {bad!r} is not finite; give a "
                 "history that reaches back that far"
             )
-        return values
+        noise = 0.5 * _slack(t, a) / (b - a) * np.ptp(values, axis=0)
+        return Window(a, b, values, guess, noise)
+
+    def _ahead(self, s: float, since: np.ndarray) -> np.ndarray:
+        """A first guess at what comes: the last piece goes on, or the state stays as it is."""
+        x, last = self._from[1], self.pieces.last
+        if not self._joined:
+            return np.broadcast_to(x, (len(since), len(x)))
+        return last.state(s, since)
 
     def _resolved(self, k: int, window: Window) -> bool:
         """Whether the polynomial is the record, as far as the run can tell."""
         seen = list(self.seen[k])
-        series = np.abs(from_values(DEGREE) @ window.values)[:, seen]
-        allowed = self._allowed(np.abs(window.values).max(axis=0))[seen]
-        return bool(np.all(series[-3:].sum(axis=0) <= allowed))
+        rest = np.abs(window.series[-3:]).sum(axis=0)
+        allowed = self._allowed(np.abs(window.values).max(axis=0)) + window.noise
+        return bool(np.all(rest[seen] <= allowed[seen]))
 
     # -- at the end of a window -------------------------------------------------------------
 
@@ -428,71 +504,80 @@ class Memory:
         self._steps += len(segments)
         if not self.guessing or not segments:
             return None
-        end = now.t + (now.low + length)
         flown = [piece_of(segment, now.t, now.low) for segment in segments]
-        right = [self._corrected(k, window, flown, end) for k, window in enumerate(self.windows)]
+        right = [self._corrected(k, window, flown) for k, window in enumerate(self.windows)]
         if all(right):
-            if self._guesses <= 4:
-                self._stride *= 1.5
+            self._pays(length)
             return None
         self._guesses += 1
-        if self._guesses <= GUESSES:
+        t = self._from[0]
+        if length < 0.9 * (self.until - t):
+            self._stride = length
+        elif self._guesses <= GUESSES:
             return self._scene()
-        self._stride *= 0.25
+        else:
+            self._stride *= 0.25
+        self._require_stride(t)
         return self.look(*self._from)
 
-    def _corrected(self, k: int, window: Window, flown: list[Piece], end: float) -> bool:
-        """Put what was flown into a guessed window; whether it was there already."""
-        times = window.times
-        new = times > window.guessed
-        if not new.any():
-            return True
-        starts = np.array([piece.start for piece in flown[1:]])
-        which = np.searchsorted(starts, times, side="right")
-        values = window.values.copy()
-        for index in np.unique(which[new]).tolist():
-            chosen = new & (which == index)
-            values[chosen] = flown[index].state(times[chosen])
-        seen = list(self.seen[k])
-        matters = new & (times <= end + _slack(end, end))
-        change = np.abs(values - window.values)[matters][:, seen]
-        window.values = values
-        allowed = self._allowed(np.abs(values).max(axis=0))[seen]
-        return bool(np.all(change <= allowed))
+    def _pays(self, length: float) -> None:
+        """Longer guesses next where they are easy, none for a while where they cost too much."""
+        self._stride = (2.0 if self._guesses <= EASY else 1.0) * length
+        if length < (1 + self._guesses) * self._shortest:
+            self._stride, self._tight = 0.0, -REST
 
-    def passed(self, t: float, field: Field, fired: str | None = None) -> None:
+    def _require_stride(self, t: float) -> None:
+        """Refuse guesses at nothing."""
+        if self._stride < 1e2 * _slack(t):
+            state = self.scene.spec.record(self._from[1])
+            raise FlowError(
+                f"{self.scene.spec.model}, t = {t!r}, {state}: a lag is next to nothing, and what "
+                "is seen through it cannot be found; write the state itself where the lag is 0"
+            )
+
+    def _corrected(self, k: int, window: Window, flown: list[Piece]) -> bool:
+        """Put what was flown into a guessed window; whether it showed that already."""
+        low, high = max(window.a, flown[0].start), min(window.b, flown[-1].end)
+        if not window.guess.any() or not low < high:
+            return True
+        since, seen = (low - window.a) + (high - low) * nodes(DEGREE), list(self.seen[k])
+        there = states(flown, window.a, since)
+        change = np.abs(window.shown(since) - there)[:, seen]
+        window.values[window.guess] = states(flown, window.a, window.since[window.guess])
+        allowed = self._allowed(np.abs(there).max(axis=0)) + window.noise
+        return bool(np.all(change <= allowed[seen]))
+
+    def passed(self, t: float, x: np.ndarray, field: Field, fired: str | None = None) -> None:
         """The windows' end is reached: note the breaking point that follows from theirs.
 
         ``fired`` is the edge of the guard by which a lag that moves came to the end of its own.
         """
-        self._backwards = set()
+        self._backwards = {k for k in range(len(self.windows)) if fired == window_edge(k, "a")}
+        if self._backwards:
+            self.highest = min(self.highest, TURNING)
         met = {}
         for k, window in enumerate(self.windows):
-            end = self._met(k, window, t, fired)
-            orders = None if end is None else self.breaks.at(end)
+            end = self._met(k, window, t, x, fired)
+            orders = None if end is None else self.breaks.at(end, _slack(t, end))
             if orders is not None:
                 met[k] = orders
         if met:
             orders = self._carried(field, met)
-            if orders[self._all_seen].min() <= self.highest:
+            if orders[self.all_seen].min(initial=SMOOTH) <= self.highest:
                 self.breaks.add(t, orders)
-        self._tight = self._tight + 1 if self._steps <= 2 and not met else 0
+        self._tight = self._tight + 1 if self._steps <= 2 and not met else min(self._tight, 0)
         self.until = t
 
-    def _met(self, k: int, window: Window, t: float, fired: str | None) -> float | None:
+    def _met(
+        self, k: int, window: Window, t: float, x: np.ndarray, fired: str | None
+    ) -> float | None:
         """The end of its window that a lag has come to; None if it is on its way."""
-        if not self.moving[k]:
-            return (
-                window.b
-                if window.b + self._lags[k](t, self._from[1].tolist()) <= t + _slack(t, t)
-                else None
-            )
-        if fired == window_edge(k, "b"):
-            return window.b
-        if fired == window_edge(k, "a"):
-            self._backwards = {k}
+        if k in self._backwards:
             return window.a
-        return None
+        here = self._place(k, t, x)
+        slack = _slack(t, here) * (1e2 if self.moving[k] else 1.0)
+        ended = fired == window_edge(k, "b") or here >= window.b - slack
+        return window.b if ended else None
 
     def _carried(self, field: Field, seen: dict[int, np.ndarray]) -> np.ndarray:
         """Orders of the elements where some lags see breaking points."""

@@ -58,6 +58,8 @@ def _left_out(
     """``t_inf`` of the full series, its distance, and its greatest height."""
     plan = attrs.evolve(driver.plan, zeno="stop", progress=None, dense=True, samples=None)
     full = type(driver)(driver.scene, driver.solver, plan)
+    memory = driver.record.memory
+    full.record.memory = memory.fork() if memory is not None else None
     full.record.now, full.watch.contact, full.watch.count = driver.record.now, contact.name, 1
     full.enter(field.mode, x, Jumped({contact.name: 1}, field.held))
     full.go_on()

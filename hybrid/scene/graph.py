@@ -175,6 +175,8 @@ def _apply(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
     if name == "split":
         bounds = np.cumsum(params["sizes"])[:-1]
         return list(np.split(inputs[0], bounds, axis=params["axis"]))
+    if name == "unstack":
+        return list(np.moveaxis(inputs[0], params["axis"], 0))
     if inner is not None and name not in ("while", "scan"):
         closed_consts = getattr(inner, "consts", [])
         return _evaluate(graph, getattr(inner, "jaxpr", inner), closed_consts, inputs)

@@ -1,0 +1,180 @@
+"""Delays in compiled runs: ensembles and functions, as one trajectory, and their derivatives."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+
+TIGHT = {"rtol": 1e-10, "atol": 1e-12}
+
+
+class Pyragas(hy.Automaton):
+    """The controlled oscillator of the paper, with its wall."""
+
+    x1 = hy.state()
+    x2 = hy.state()
+    C: float = hy.parameter(-30.0)
+    tau: float = hy.parameter(1.0, positive=True)
+    r: float = hy.parameter(0.6, between=(0, 1))
+
+    @hy.mode(initial=True)
+    def flight(self, t, s, past):
+        return s.x2, -(s.x1**3) - jnp.cos(s.x2) + self.C * (past(self.tau).x1 - s.x1)
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x1 - 2.0, restitution="r")
+
+
+class Decay(hy.Automaton):
+    """``y' = -y(t - tau)``: polynomials, one more degree each lag."""
+
+    y = hy.state()
+    tau: float = hy.parameter(1.0)
+
+    @hy.mode(initial=True)
+    def only(self, t, s, past):
+        return -past(self.tau).y
+
+
+def decay(tau, t):
+    """``y`` and its derivative by the lag, from the closed form, for ``y = 1`` before 0."""
+    terms = [(k, t - (k - 1) * tau) for k in range(12) if t - (k - 1) * tau >= 0]
+    y = sum((-1) ** k * s**k / math.factorial(k) for k, s in terms)
+    slope = sum((-1) ** k * (1 - k) * s ** (k - 1) / math.factorial(k - 1) for k, s in terms if k)
+    return y, slope
+
+
+@pytest.fixture
+def wide():
+    """JAX in 64 bits, as a user of ``as_function`` has it."""
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.mark.parametrize("memory", ["keep", "restart"])
+def test_lanes_are_trajectories(memory):
+    """Each lane ends where the trajectory of its own does, with as many accumulations.
+
+    1e-8: both errors of 1e-10 a step, grown by the impacts.
+    """
+    starts = np.array([2.1, 2.5, 3.0, 5.0])
+    lanes = hy.ensemble(Pyragas(), {"x1": starts, "x2": 0.0}, (0.0, 5.0), memory=memory, **TIGHT)
+    assert set(lanes.status.values) == {"reached_end"}
+    for k, x in enumerate(starts.tolist()):
+        run = hy.simulate(Pyragas(), {"x1": x, "x2": 0.0}, (0.0, 5.0), memory=memory, **TIGHT)
+        assert lanes.x1.values[k] == pytest.approx(float(run.final.x1), abs=1e-8)
+        assert lanes.accumulations.values[k] == len(run.zeno)
+        assert lanes["mode"].values[k] == run.mode
+        if run.zeno:
+            assert lanes.t_inf.values[k] == pytest.approx(run.zeno[0].t, abs=1e-10)
+
+
+def test_released_by_what_returns(reference):
+    """Chattering, rest and release by the delayed term, again and again, in one lane."""
+    known = reference["cases"]["pyragas"]["C=+60, r=0.2, x0=2.5, constant history, memory kept"]
+    model, start = Pyragas(C=60.0, r=0.2), {"x1": 2.5, "x2": 0.0}
+    until = np.array([2.6, 3.6, 4.8])
+    lanes = hy.ensemble(model, start, (0.0, until), **TIGHT)
+    assert lanes.accumulations.values.tolist() == [1, 2, 3]
+    assert set(lanes["mode"].values) == {"flight.rest(impact)"}
+    np.testing.assert_allclose(lanes.t_inf, float(known["sticks"][0]), atol=1e-10)
+
+
+def test_histories_of_lanes():
+    """Constants by lane, functions of time, and the start where nothing is said."""
+    for history, before in (
+        ({"y": np.array([1.0, 2.0])}, [1.0, 2.0]),
+        (None, [3.0, 3.0]),
+    ):
+        lanes = hy.ensemble(Decay(), {"y": np.full(2, 3.0)}, (0.0, 0.5), history=history, **TIGHT)
+        np.testing.assert_allclose(lanes.y, 3.0 - 0.5 * np.array(before), rtol=1e-14)
+    half = Decay(tau=np.pi / 2)
+    for history in ({"y": jnp.cos}, lambda t: {"y": jnp.cos(t)}):
+        lanes = hy.ensemble(half, {"y": np.ones(2)}, (0.0, 20 * np.pi), history=history, **TIGHT)
+        # ten periods of 4 steps of 1e-12 each
+        np.testing.assert_allclose(lanes.y, 1.0, atol=1e-10)
+
+
+def test_lags_may_differ_by_lane():
+    """A lag is a parameter like any other."""
+    lags = np.array([0.3, 0.7, 1.0, 2.5])
+    lanes = hy.ensemble(Decay(), {"y": 1.0}, (0.0, 2.0), {"tau": lags}, **TIGHT)
+    expected = [decay(lag, 2.0)[0] for lag in lags]
+    np.testing.assert_allclose(lanes.y, expected, atol=1e-11)
+
+
+def test_a_lane_says_what_it_has_forgotten():
+    """A record too small for the lag ends the lane, with its reason."""
+    lane = hy.ensemble(Pyragas(), {"x1": 100.0, "x2": 0.0}, (0.0, 3.0), segments=16)
+    assert lane.status.values[0] == "forgotten"
+    assert "segments" in lane.attrs["status_forgotten"]
+
+
+def test_derivatives_by_the_lag(wide):
+    """Forward and reverse, through breaking points: the closed form to rounding."""
+    run = hy.as_function(Decay(), t=(0.0, 3.3), max_jumps=1, max_steps=64, segments=32, **TIGHT)
+
+    def end(tau):
+        return run(Decay(tau=tau), {"y": 1.0}).final["y"]
+
+    value, slope = decay(1.0, 3.3)
+    assert end(1.0) == pytest.approx(value, abs=1e-14)
+    assert jax.jvp(end, (1.0,), (1.0,))[1] == pytest.approx(slope, abs=1e-13)
+    assert jax.grad(end)(1.0) == pytest.approx(slope, abs=1e-13)
+
+
+def test_derivatives_through_impacts(wide):
+    """The second impact's time by the lag, against differences of Taylor runs (1e-9: theirs)."""
+    start, span = {"x1": 2.5, "x2": 0.0}, (0.0, 1.5)
+    run = hy.as_function(
+        Pyragas(tau=0.3),
+        t=span,
+        max_jumps=8,
+        max_steps=200,
+        segments=64,
+        outputs=("jumps",),
+        **TIGHT,
+    )
+
+    def time(tau):
+        return run(Pyragas(tau=tau), start).jumps.t[1]
+
+    def exact(tau):
+        return hy.simulate(Pyragas(tau=tau), start, span, solver="taylor", max_jumps=2).jumps.t[1]
+
+    h = 2.5e-4
+    sides = [exact(0.3 + k * h) for k in (-2, -1, 1, 2)]
+    differences = (sides[0] - 8 * sides[1] + 8 * sides[2] - sides[3]) / (12 * h)
+    assert jax.jvp(time, (0.3,), (1.0,))[1] == pytest.approx(differences, rel=1e-8)
+
+
+def test_refusals():
+    """What compiled lanes cannot do is said, with what can."""
+
+    class Moving(hy.Automaton):
+        y = hy.state()
+
+        @hy.mode(initial=True)
+        def only(self, t, s, past):
+            return -past(0.5 * t).y
+
+    class Plain(hy.Automaton):
+        y = hy.state()
+
+        @hy.mode(initial=True)
+        def only(self, t, s):
+            return -s.y
+
+    with pytest.raises(hy.OptionError, match=r"depends on time or state.*use hy\.simulate"):
+        hy.ensemble(Moving(), {"y": 1.0}, (0.0, 1.0))
+    with pytest.raises(hy.OptionError, match="no flow looks into the past"):
+        hy.ensemble(Plain(), {"y": 1.0}, (0.0, 1.0), history={"y": 1.0})
+    with pytest.raises(hy.OptionError, match="memory='lose'"):
+        hy.ensemble(Decay(), {"y": 1.0}, (0.0, 1.0), memory="lose")
+    with pytest.raises(hy.OptionError, match="give states by name"):
+        hy.ensemble(Decay(), {"y": 1.0}, (0.0, 1.0), history={"z": 1.0})
+    with pytest.raises(hy.OptionError, match="segments=1"):
+        hy.ensemble(Decay(), {"y": 1.0}, (0.0, 1.0), segments=1)
