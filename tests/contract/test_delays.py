@@ -105,3 +105,11 @@ def test_a_negative_lag_is_an_error(solver):
     """Said with the model, the time, and which lag it is."""
     with pytest.raises(hy.FlowError, match=r"Ahead, t = 0.0, .*: the lag lag is -1.0"):
         hy.simulate(Ahead(), {"y": 1.0}, (0.0, 1.0), **solver)
+
+
+def test_dense_output_is_fit_to_be_seen(solver):
+    """At its tolerance, where steps are exact and no reason to be short: polynomials."""
+    options = {"rtol": 1e-7, "atol": 1e-7}
+    run = hy.simulate(DelayJump(), {"y": 1.0}, (0.0, 10.0), **options, **solver)
+    assert run.final.y == pytest.approx(0.09445695934262015, abs=3e-5)
+    assert run(4.75).y == pytest.approx(0.1156982421875, abs=3e-5)
