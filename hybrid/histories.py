@@ -10,6 +10,7 @@ import numpy as np
 from .arcs import Arc
 from .automaton.record import Record
 from .automaton.spec import Spec
+from .automaton.trace import wide
 from .errors import OptionError
 from .run.memory import Piece, constant, piece_of
 from .trajectory import Trajectory
@@ -81,7 +82,8 @@ def _of_function(spec: Spec, state: Callable[[float], np.ndarray], t0: float) ->
             ) from fault
 
     def states(s: float, since: np.ndarray) -> np.ndarray:
-        return np.array([at(t) for t in (s + since).tolist()])
+        with wide():
+            return np.array([at(t) for t in (s + since).tolist()])
 
     return Piece(-np.inf, t0, states, np.inf)
 

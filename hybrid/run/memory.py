@@ -18,6 +18,7 @@ See ``docs/notes/delays.md``.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from math import isfinite
@@ -62,6 +63,9 @@ EASY = 2
 
 #: Rounding of a window's series, relative to what it shows.
 ROUNDING = 1e-15
+
+#: Places at which a record may be rough within a time this short against the run.
+ROUGH, NEAR = 20, 1e-3
 
 #: Order of an element that is smooth.
 SMOOTH = 10**6
@@ -280,6 +284,7 @@ class Memory:
         self._spans = [np.inf] * len(self._lags)
         self._stride, self._shortest, self._tight, self._guesses = 0.0, 0.0, 0, 0
         self._backwards: set[int] = set()
+        self._rough: deque[float] = deque(maxlen=ROUGH)
 
     def _start(self, x: np.ndarray) -> np.ndarray:
         """Orders at the start: 0 where the history does not lead to it."""
@@ -432,7 +437,9 @@ class Memory:
             pieces = self.pieces.within(a, min(b, t), slack)
             window = self._sampled(a - pad, b + pad, t, pieces)
             exact = len(pieces) == 1 and pieces[0].degree <= DEGREE and not window.guess.any()
-            if exact or self._resolved(k, window) or b - a <= 1e3 * slack:
+            fine = exact or self._resolved(k, window)
+            if fine or b - a <= 1e3 * slack:
+                self._note_rough(fine, s)
                 if b - a < whole or whole >= self._spans[k]:
                     self._spans[k] = 2.0 * (b - a)
                 return window
@@ -441,6 +448,19 @@ class Memory:
             else:
                 b = self._shorter(s, b, t, pieces, slack)
                 a = max(a, s - SIDE * (b - s))
+
+    def _note_rough(self, fine: bool, s: float) -> None:
+        """Refuse a record that is rough everywhere, not at some places only."""
+        if fine:
+            return
+        self._rough.append(s)
+        near = abs(self._rough[-1] - self._rough[0]) < NEAR * (self.plan.t1 - self.plan.t0)
+        if len(self._rough) == ROUGH and near:
+            raise FlowError(
+                f"{self.scene.spec.model}: the record at {s!r} is rough: no polynomial shows it to "
+                "rtol and atol (a history in 32 bits, or of measured numbers?); give a smooth one, "
+                "or larger tolerances"
+            )
 
     def _ends(
         self, k: int, s: float, known: float, length: float, slack: float
@@ -546,6 +566,10 @@ class Memory:
         window.values[window.guess] = states(flown, window.a, window.since[window.guess])
         allowed = self._allowed(np.abs(there).max(axis=0)) + window.noise
         return bool(np.all(change <= allowed[seen]))
+
+    def ends(self, t: float) -> bool:
+        """Whether the windows end within rounding of a time."""
+        return t < self.until < self.plan.t1 and self.until - t <= 2.0 * _slack(t)
 
     def passed(self, t: float, x: np.ndarray, field: Field, fired: str | None = None) -> None:
         """The windows' end is reached: note the breaking point that follows from theirs.
