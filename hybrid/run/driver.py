@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import attrs
 import numpy as np
 
 from ..accumulation import Accumulation, explain
@@ -153,6 +154,7 @@ class Driver:
         entry, now, memory = self.entry, self.record.now, self.record.memory
         flown = ArcFlow(self.scene, self.solver, self.plan, entry, now, self.horizon).run()
         if memory is not None:
+            flown = attrs.evolve(flown, segments=memory.refined(entry.field, now, flown.segments))
             other = memory.confirm(now, flown.length, flown.segments)
             if other is not None:
                 self.scene = other

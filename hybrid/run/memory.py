@@ -32,7 +32,7 @@ from ..clock import Instant
 from ..errors import FlowError
 from ..scene import Field, Scene, window_edge
 from ..scene.taylor import flat
-from ..segment import Segment, from_values, nodes
+from ..segment import Segment, from_values, integrals, nodes
 from .plan import Plan
 
 #: What a window may differ from the record, against the tolerance of a step.
@@ -66,6 +66,9 @@ ROUNDING = 1e-15
 
 #: Places at which a record may be rough within a time this short against the run.
 ROUGH, NEAR = 20, 1e-3
+
+#: Degree up to which dense output falls behind a method of higher order.
+CUBIC = 3
 
 #: Order of an element that is smooth.
 SMOOTH = 10**6
@@ -110,6 +113,23 @@ def states(pieces: Sequence[Piece], s: float, since: np.ndarray) -> np.ndarray:
     parts = np.split(since, cuts)
     firsts = which[[0, *cuts.tolist()]].tolist()
     return np.concatenate([pieces[i].state(s, p) for i, p in zip(firsts, parts, strict=True)])
+
+
+def swept(field: Field, now: Instant, segment: Segment, count: int) -> Segment:
+    """A segment brought nearer to the solution between its ends.
+
+    Each sweep integrates the flow along it, which gains an order, and meets the end again.
+    """
+    degree = segment.degree + count
+    places, h = nodes(degree), segment.length
+    times = (now.t + (now.low + segment.start) + h * places).tolist()
+    values = segment.at(places)
+    first, last = values[0], values[-1]
+    for _ in range(count):
+        states = zip(times, values.tolist(), strict=True)
+        values = first + h * (integrals(degree) @ np.array([field.rhs(t, x) for t, x in states]))
+        values += places[:, None] * (last - values[-1])
+    return Segment(segment.start, h, from_values(degree) @ values)
 
 
 class Pieces:
@@ -267,7 +287,7 @@ class Memory:
         self, scene: Scene, plan: Plan, order: int, history: Sequence[Piece], x: np.ndarray
     ) -> None:
         spec, code = scene.spec, scene.code
-        self.scene, self.plan, self.highest = scene, plan, order + 1
+        self.scene, self.plan, self.order, self.highest = scene, plan, order, order + 1
         self.moving, self.seen = code.moving, code.seen
         self.all_seen = sorted({element for seen in self.seen for element in seen})
         hidden = flat([*scene.parameters[: len(spec.parameters)], *blank(spec.lags, len(x))])
@@ -297,6 +317,18 @@ class Memory:
         other.pieces, other.breaks = self.pieces.copy(), self.breaks.copy()
         other._spans = self._spans.copy()
         return other
+
+    def refined(self, field: Field, now: Instant, segments: Sequence[Segment]) -> list[Segment]:
+        """Dense output as accurate as the steps, where a method's own is a cubic (if that).
+
+        What is read off between the steps is flown by a lag later: its errors are not made good.
+        """
+        return [
+            swept(field, now, segment, self.order - segment.degree)
+            if segment.degree <= CUBIC < self.order
+            else segment
+            for segment in segments
+        ]
 
     # -- what happens ---------------------------------------------------------------------
 
