@@ -31,7 +31,7 @@ def oracle(run):
     first, second, third = run.zeno[:3]
     yield "first impact", run.jumps.t[0], 0.31622776601683793320, 1e-12
     yield "first rest", first.t, 0.38650060290946858502, 1e-12
-    yield "first release", first.t_release, 1.0, 0.0
+    yield "first release", first.t_release, 1.0, 1e-15
     yield "second rest", second.t, 1.71423059942680915973, 1e-10
     yield "second release", second.t_release, 2.28692730886153627957, 1e-10
     yield "third rest", third.t, 2.77836467875937725037, 1e-10

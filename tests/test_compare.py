@@ -9,14 +9,8 @@ from hybrid.compare import CLOSE, compare
 
 from . import systems
 
-#: Kvaerno5 takes its largest steps on polynomials of degree 4, which its error estimate calls
-#: exact; its dense output, of degree 3, is 1e-5 off there, and delays see that.
-WEAK = {"delay_jump": pytest.mark.xfail(strict=True, reason="dense output of Kvaerno5")}
 
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=WEAK.get(name, ())) for name in gallery.names()]
-)
+@pytest.mark.parametrize("name", gallery.names())
 def test_solvers_agree_on_a_model(name):
     """Edges, modes and verdicts are the same; times, states and limits within the tolerance."""
     entry = gallery.find(name)
