@@ -12,7 +12,7 @@ from ..errors import DeclarationError, OptionError, ParameterError, TraceError
 from . import trace
 from .builder import Builder
 from .markers import Contact, Edge, Mode, State, Switching, is_parameter
-from .past import Asking, Lags, Past, looks_back, sees_past
+from .past import Asking, Lags, Past, looks_back, plain
 from .spec import ContactSpec, EdgeSpec, Spec
 
 #: What to say where JAX could not trace an author's code.
@@ -182,17 +182,19 @@ class _Traced:
         for place, number in enumerate(numbers):
             name = self.spec.lags[number].name
             if ("lag", name) not in self.traces:
-                lag = trace.trace(self.spec, self._lag(function, numbers, place), extra)
-                self._require_plain(name, lag, extra)
-                self.traces["lag", name] = lag
+                self.traces["lag", name] = self._plain_lag(name, function, numbers, place, extra)
 
-    def _require_plain(self, name: str, lag: Any, extra: int) -> None:
-        """Refuse a lag that is itself seen in the past."""
-        if sees_past(lag, len(self.spec.parameters), extra):
+    def _plain_lag(
+        self, name: str, function: Any, numbers: list[int], place: int, extra: int
+    ) -> Any:
+        """The trace of a lag, refused where it is itself seen in the past."""
+        lag = self._lag(function, numbers, place)
+        if not plain(trace.trace(self.spec, lag, extra), len(self.spec.parameters), extra):
             raise ValueError(
-                f"past(lag): the lag ({name}) depends on past(...); it may depend on parameters, "
-                "t and s"
+                f"past(lag): the lag ({name}) depends on past(...), or on the speed of an impact; "
+                "it may depend on parameters, t and s"
             )
+        return trace.trace(self.spec, lambda *given: lag(*given, *[-1.0] * extra))
 
     def _lag(self, function: Any, numbers: list[int], place: int) -> Callable[..., Any]:
         """The lag of one of a function's calls of ``past``, as a function."""

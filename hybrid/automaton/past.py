@@ -139,18 +139,19 @@ class Lags:
         return self.found.index(made)
 
 
-def sees_past(lag: Any, parameters: int, extra: int) -> bool:
-    """Whether a traced lag depends on what is seen through another.
+def plain(lag: Any, parameters: int, extra: int) -> bool:
+    """Whether a traced lag depends on parameters, ``t`` and ``x`` alone.
 
-    Its inputs are parameters, windows, ``t``, ``x`` and ``extra`` numbers.
+    Its inputs are parameters, windows of the past, ``t``, ``x`` and ``extra`` numbers.
     """
     jaxpr = lag.jaxpr
     needed = {id(v) for v in jaxpr.outvars}
     for equation in reversed(jaxpr.eqns):
         if needed.intersection(map(id, equation.outvars)):
             needed.update(map(id, equation.invars))
-    windows = jaxpr.invars[parameters : len(jaxpr.invars) - 2 - extra]
-    return bool(needed.intersection(map(id, windows)))
+    last = len(jaxpr.invars) - extra
+    others = [*jaxpr.invars[parameters : last - 2], *jaxpr.invars[last:]]
+    return not needed.intersection(map(id, others))
 
 
 def _is_known(lag: Any) -> bool:

@@ -13,7 +13,7 @@ from ..errors import FlowError
 from ..events import EPS, SHARES, fires, time_scale, zeros
 from ..scene import Guard, Scene
 from ..scene.lowered import ORDER
-from ..segment import Segment, integrals, nodes
+from ..segment import Segment
 from ..solvers import Solver, Stepper
 from ..solvers.taylor_backend import step_length
 from ..zeno.flight import zero_of
@@ -25,9 +25,6 @@ REACH = 8.0
 
 #: An arc's first step, against that at which the method's error reaches the tolerance.
 SAFETY = 0.5
-
-#: Degree of the check of dense output that delays will see; its middle node is the middle.
-CHECK = 6
 
 
 @attrs.frozen
@@ -78,8 +75,6 @@ class ArcFlow:
         self.orders = entry.orders
         kept = plan.dense or plan.samples is not None or bool(scene.spec.lags)
         self.wanted = kept or bool(self.field.guards)
-        self.seen = sorted({element for seen in scene.code.seen for element in seen})
-        self.longest = float("inf")
         self.ends: dict[Any, float] = {}
         self.grazes: list[tuple[float, int, np.ndarray]] = []
 
@@ -114,10 +109,8 @@ class ArcFlow:
             scales = self._scales(start, x)
             limit = target if target is not None and target > start else length
             limit = min(limit, length, start + REACH * min(scales, default=float("inf")))
-            self._step(stepper, min(limit, start + self.longest))
+            self._step(stepper, limit)
             segment = stepper.segment()
-            if self.seen and segment.degree + 1 < self.solver.order:
-                segment = self._fit_to_be_seen(stepper, segment)
             try:
                 fired = self._first_event(segment, stepper, scales, target)
             except FlowError as fault:
@@ -132,28 +125,6 @@ class ArcFlow:
             segments.append(segment)
             self.orders = [0] * len(self.orders)
         return None if fired is None else fired.index
-
-    def _fit_to_be_seen(self, stepper: Stepper, segment: Segment) -> Segment:
-        """A step no longer than its dense output is as accurate as it is itself.
-
-        Delays see dense output. That of some methods is much coarser than their steps; the flow
-        integrated along it is nearer to the solution, and the difference an estimate.
-        """
-        while (error := self._coarseness(segment)) > 1.0 and segment.length > 1e-9 * segment.end:
-            segment = stepper.land(segment.start + 0.5 * segment.length)
-        self.longest = segment.length * (2.0 if error < 2.0**-4 else 1.0)
-        return segment
-
-    def _coarseness(self, segment: Segment) -> float:
-        """Error in the middle of a step, against the tolerance."""
-        s, states = nodes(CHECK), segment.at(nodes(CHECK))
-        times = (self.now.t + segment.start + segment.length * s).tolist()
-        rates = [self.field.rhs(t, x) for t, x in zip(times, states.tolist(), strict=True)]
-        gone = segment.length * (integrals(CHECK) @ np.array(rates))
-        there = states[0] + gone + s[:, None] * (states[-1] - states[0] - gone[-1])
-        size = np.abs(states).max(axis=0)
-        allowed = self.plan.atol + self.plan.rtol * size + 4 * EPS * size
-        return float((np.abs(there - states)[CHECK // 2] / allowed)[self.seen].max())
 
     def _where(self, tau: float = 0.0, x: np.ndarray | None = None) -> str:
         return describe(self.scene, self.field, self.now.t + tau, self.x if x is None else x)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import attrs
 import numpy as np
 
 from ..accumulation import Accumulation, explain
@@ -25,7 +26,7 @@ from ..zeno.flight import fly
 from . import switch, truncate
 from .arc import ArcFlow, Flown
 from .cycles import Cycles, pass_limit
-from .entry import Entry, Jumped, describe, enter
+from .entry import Entry, Jumped, describe, enter, signs_at_end
 from .memory import Memory, Piece
 from .plan import PATIENCE, Plan
 from .recorder import Recorder
@@ -153,6 +154,7 @@ class Driver:
         entry, now, memory = self.entry, self.record.now, self.record.memory
         flown = ArcFlow(self.scene, self.solver, self.plan, entry, now, self.horizon).run()
         if memory is not None:
+            flown = attrs.evolve(flown, segments=memory.refined(entry.field, now, flown.segments))
             other = memory.confirm(now, flown.length, flown.segments)
             if other is not None:
                 self.scene = other
@@ -187,8 +189,7 @@ class Driver:
         assert memory is not None
         if self.plan.progress is not None:
             self.plan.progress(t)
-        state = x.tolist()
-        signs = {g.edge: int(np.sign(g.value(t, state))) for g in field.guards}
+        signs = signs_at_end(self.entry, t, x)
         memory.passed(t, x, field, fired.edge if fired else None)
         self.enter(field.mode, x, Jumped(held=field.held, passing=signs))
 
@@ -291,6 +292,9 @@ class Driver:
 
     def add_jump(self, edge: str, before: np.ndarray, after: np.ndarray) -> bool:
         """Record a jump, at ``max_jumps`` the last; whether it is time to look for cycles."""
+        memory = self.record.memory
+        if memory is not None and memory.ends(self.t):
+            memory.passed(self.t, before, self.entry.field)
         self.record.jump(edge, before, after, self.where)
         self.look(after)
         if len(self.record.own_jumps) >= self.plan.max_jumps:

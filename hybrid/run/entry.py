@@ -28,6 +28,8 @@ class Entry:
         For each guard the power of the local time by which it vanishes here.
     at_once : list of int
         Guards that fire before any flow.
+    signs : list of int
+        For each guard the sign that it has just after the start.
     """
 
     field: Field
@@ -35,6 +37,7 @@ class Entry:
     series: Any
     orders: list[int]
     at_once: list[int]
+    signs: list[int] = attrs.Factory(list)
 
 
 @attrs.frozen
@@ -53,7 +56,7 @@ class Jumped:
         The run starts here: there was no jump.
     passing : dict or None
         There was no jump, but what delays see may have jumped: by edge the sign that its guard
-        had; one that has changed it fires (1).
+        had; one that has changed it fires (1). See :func:`signs_at_end`.
     """
 
     vanishing: dict[str, int] = attrs.Factory(dict)
@@ -81,7 +84,7 @@ def enter(scene: Scene, t: float, mode: str, x: np.ndarray, jumped: Jumped, reac
     if field.project is not None:
         x = np.array(field.project(t, x.tolist()))
     here = _Here(scene, field, t, x, reach, expand(field, t, x))
-    orders, at_once = [], []
+    orders, at_once, signs = [], [], []
     for index, guard in enumerate(field.guards):
         order, sign = here.start_of(guard, index, jumped)
         if guard.kind == "window" and sign == 0:  # it stays at an end of its window
@@ -92,7 +95,22 @@ def enter(scene: Scene, t: float, mode: str, x: np.ndarray, jumped: Jumped, reac
         if here.fires(guard, order, sign, jumped):
             at_once.append(index)
         orders.append(order)
-    return Entry(field, x, here.series, orders, at_once)
+        signs.append(sign)
+    return Entry(field, x, here.series, orders, at_once, signs)
+
+
+def signs_at_end(entry: Entry, t: float, x: np.ndarray) -> dict[str, int]:
+    """By edge the sign of its guard at the end of a flight in which none has fired.
+
+    A guard that is next to zero there is still on the side on which it was.
+    """
+    state, signs = x.tolist(), {}
+    near = NEAR * (1.0 + float(np.max(np.abs(x))))
+    for index, guard in enumerate(entry.field.guards):
+        value = guard.value(t, state)
+        here = 1 if value > 0 else -1 if value < 0 else 0
+        signs[guard.edge] = entry.signs[index] if abs(value) <= near and entry.signs else here
+    return signs
 
 
 def expand(field: Field, t: float, x: np.ndarray) -> Any:

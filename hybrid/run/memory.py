@@ -18,6 +18,7 @@ See ``docs/notes/delays.md``.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from math import isfinite
@@ -31,7 +32,7 @@ from ..clock import Instant
 from ..errors import FlowError
 from ..scene import Field, Scene, window_edge
 from ..scene.taylor import flat
-from ..segment import Segment, from_values, nodes
+from ..segment import Segment, from_values, integrals, nodes
 from .plan import Plan
 
 #: What a window may differ from the record, against the tolerance of a step.
@@ -62,6 +63,12 @@ EASY = 2
 
 #: Rounding of a window's series, relative to what it shows.
 ROUNDING = 1e-15
+
+#: Places at which a record may be rough within a time this short against the run.
+ROUGH, NEAR = 20, 1e-3
+
+#: Degree up to which dense output falls behind a method of higher order.
+CUBIC = 3
 
 #: Order of an element that is smooth.
 SMOOTH = 10**6
@@ -106,6 +113,23 @@ def states(pieces: Sequence[Piece], s: float, since: np.ndarray) -> np.ndarray:
     parts = np.split(since, cuts)
     firsts = which[[0, *cuts.tolist()]].tolist()
     return np.concatenate([pieces[i].state(s, p) for i, p in zip(firsts, parts, strict=True)])
+
+
+def swept(field: Field, now: Instant, segment: Segment, count: int) -> Segment:
+    """A segment brought nearer to the solution between its ends.
+
+    Each sweep integrates the flow along it, which gains an order, and meets the end again.
+    """
+    degree = segment.degree + count
+    places, h = nodes(degree), segment.length
+    times = (now.t + (now.low + segment.start) + h * places).tolist()
+    values = segment.at(places)
+    first, last = values[0], values[-1]
+    for _ in range(count):
+        states = zip(times, values.tolist(), strict=True)
+        values = first + h * (integrals(degree) @ np.array([field.rhs(t, x) for t, x in states]))
+        values += places[:, None] * (last - values[-1])
+    return Segment(segment.start, h, from_values(degree) @ values)
 
 
 class Pieces:
@@ -263,7 +287,7 @@ class Memory:
         self, scene: Scene, plan: Plan, order: int, history: Sequence[Piece], x: np.ndarray
     ) -> None:
         spec, code = scene.spec, scene.code
-        self.scene, self.plan, self.highest = scene, plan, order + 1
+        self.scene, self.plan, self.order, self.highest = scene, plan, order, order + 1
         self.moving, self.seen = code.moving, code.seen
         self.all_seen = sorted({element for seen in self.seen for element in seen})
         hidden = flat([*scene.parameters[: len(spec.parameters)], *blank(spec.lags, len(x))])
@@ -280,6 +304,7 @@ class Memory:
         self._spans = [np.inf] * len(self._lags)
         self._stride, self._shortest, self._tight, self._guesses = 0.0, 0.0, 0, 0
         self._backwards: set[int] = set()
+        self._rough: deque[float] = deque(maxlen=ROUGH)
 
     def _start(self, x: np.ndarray) -> np.ndarray:
         """Orders at the start: 0 where the history does not lead to it."""
@@ -292,6 +317,18 @@ class Memory:
         other.pieces, other.breaks = self.pieces.copy(), self.breaks.copy()
         other._spans = self._spans.copy()
         return other
+
+    def refined(self, field: Field, now: Instant, segments: Sequence[Segment]) -> list[Segment]:
+        """Dense output as accurate as the steps, where a method's own is a cubic (if that).
+
+        What is read off between the steps is flown by a lag later: its errors are not made good.
+        """
+        return [
+            swept(field, now, segment, self.order - segment.degree)
+            if segment.degree <= CUBIC < self.order
+            else segment
+            for segment in segments
+        ]
 
     # -- what happens ---------------------------------------------------------------------
 
@@ -432,7 +469,9 @@ class Memory:
             pieces = self.pieces.within(a, min(b, t), slack)
             window = self._sampled(a - pad, b + pad, t, pieces)
             exact = len(pieces) == 1 and pieces[0].degree <= DEGREE and not window.guess.any()
-            if exact or self._resolved(k, window) or b - a <= 1e3 * slack:
+            fine = exact or self._resolved(k, window)
+            if fine or b - a <= 1e3 * slack:
+                self._note_rough(fine, s)
                 if b - a < whole or whole >= self._spans[k]:
                     self._spans[k] = 2.0 * (b - a)
                 return window
@@ -441,6 +480,19 @@ class Memory:
             else:
                 b = self._shorter(s, b, t, pieces, slack)
                 a = max(a, s - SIDE * (b - s))
+
+    def _note_rough(self, fine: bool, s: float) -> None:
+        """Refuse a record that is rough everywhere, not at some places only."""
+        if fine:
+            return
+        self._rough.append(s)
+        near = abs(self._rough[-1] - self._rough[0]) < NEAR * (self.plan.t1 - self.plan.t0)
+        if len(self._rough) == ROUGH and near:
+            raise FlowError(
+                f"{self.scene.spec.model}: the record at {s!r} is rough: no polynomial shows it to "
+                "rtol and atol (a history in 32 bits, or of measured numbers?); give a smooth one, "
+                "or larger tolerances"
+            )
 
     def _ends(
         self, k: int, s: float, known: float, length: float, slack: float
@@ -546,6 +598,10 @@ class Memory:
         window.values[window.guess] = states(flown, window.a, window.since[window.guess])
         allowed = self._allowed(np.abs(there).max(axis=0)) + window.noise
         return bool(np.all(change <= allowed[seen]))
+
+    def ends(self, t: float) -> bool:
+        """Whether the windows end within rounding of a time."""
+        return t < self.until < self.plan.t1 and self.until - t <= 2.0 * _slack(t)
 
     def passed(self, t: float, x: np.ndarray, field: Field, fired: str | None = None) -> None:
         """The windows' end is reached: note the breaking point that follows from theirs.

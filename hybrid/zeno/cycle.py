@@ -168,5 +168,8 @@ def _levin(sequence: np.ndarray) -> list[float]:
             break
         powers = (place[-1] / place)[:, None] ** np.arange(k)
         rows = np.column_stack([np.ones(k + 1), (place * terms[place - 1])[:, None] * powers])
-        estimates.append(float(np.linalg.solve(rows, sequence[place])[0]))
+        try:
+            estimates.append(float(np.linalg.solve(rows, sequence[place])[0]))
+        except np.linalg.LinAlgError:  # terms that do not thin out: no limit to be seen
+            return []
     return estimates

@@ -1,0 +1,281 @@
+"""Delay equations against closed forms and reference values, and the order of the methods."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+
+from . import delayed
+from .conftest import SOLVERS
+from .delay_truth import HALVING, TRUTHS, unit_lag, unit_lag_kicked
+
+TIGHT = {"rtol": 1e-10, "atol": 1e-12}
+
+#: Errors grow along a run; this much at TIGHT, against the size of what is known.
+GROWTH = {"Neves": 1e-8}
+
+
+def solved(truth, **options):
+    model, start = delayed.scalar(truth), truth.value(truth.span[0])
+    history = {"y": lambda t: truth.history(math, t)}
+    return hy.simulate(model, {"y": start}, truth.span, history=history, **options)
+
+
+@pytest.mark.parametrize("name", TRUTHS)
+@pytest.mark.parametrize("solver", ["DOP853", "taylor"])
+def test_closed_forms(name, solver):
+    """Ten to a hundred steps at 1e-10 each."""
+    truth = TRUTHS[name]
+    run = solved(truth, **TIGHT, **SOLVERS[solver])
+    for t in np.linspace(*truth.span, 7).tolist():
+        assert float(run(t).y) == pytest.approx(truth.value(t), abs=GROWTH.get(name, 2e-9))
+
+
+@pytest.mark.parametrize("name", TRUTHS)
+def test_breaking_points_of_closed_forms(name):
+    """Where a derivative jumps a step ends; up to order 5, as the states say to 1e-10."""
+    truth = TRUTHS[name]
+    run = solved(truth, **TIGHT)
+    ends = np.array([truth.span[0], *(s.end + truth.span[0] for s in run.arcs[0].segments)])
+    for t in [t for t, order in truth.breaks.items() if order <= 5]:
+        assert np.abs(ends - t).min() <= 1e-8  # those that depend on the state, to its error
+
+
+def test_a_long_wave():
+    """y' = -y(t - pi/2) is the cosine; over 100 periods errors of 1e-8 a step add up."""
+    run = hy.simulate(
+        delayed.Lagged(tau=math.pi / 2),
+        {"y": 1.0},
+        (0, 200 * math.pi),
+        history={"y": math.cos},
+        solver="taylor",
+    )
+    assert run.final.y == pytest.approx(1.0, abs=1e-8)
+
+
+def test_exact_polynomials_to_rounding(accurate):
+    """Methods of order 8 and more are exact on the first polynomials."""
+    run = hy.simulate(delayed.Lagged(), {"y": 1.0}, (0, 10), **accurate)
+    for t in (0.5, 1.5, 2.5, 6.25, 10.0):
+        assert run(t).y == pytest.approx(float(unit_lag(t)), abs=1e-13)
+
+
+def test_delay_jump(reference, accurate):
+    """Right-continuous values around the jump and its echoes, with 40 digits."""
+    run = hy.simulate(delayed.Kicked(), {"y": 1.0}, (0, 10), **accurate)
+    for row in reference["delay_jump"]["values"]:
+        top, _, bottom = row["t"].partition("/")
+        t = int(top) / int(bottom or 1)
+        assert run(t).y == pytest.approx(float(row["y(t+)"]), abs=1e-13)
+        assert float(unit_lag_kicked(t)) == pytest.approx(float(row["y(t+)"]), abs=1e-15)
+
+
+@pytest.mark.parametrize("case", ["rests", "rests and is released"])
+def test_delay_bounce(reference, accurate, case):
+    """Impacts, rests and releases; the first release is the end of a lag, exactly."""
+    known = reference["delay_bounce"][case]
+    model = delayed.Ball(**{name: float(known[name]) for name in ("g", "k", "tau", "r")})
+    history = {"y": float(known["history_const"])}
+    start = [float(known["y0"]), 0.0]
+    run = hy.simulate(model, start, (0, float(known["t_end"])), history=history, **accurate)
+    sticks = [float(t) for what, t in known["events"] if what == "stick"]
+    lifts = [float(t) for what, t in known["events"] if what == "lift"]
+    assert [point.t for point in run.zeno] == pytest.approx(sticks, abs=1e-11)
+    found = [point.t_release for point in run.zeno if point.t_release is not None]
+    assert found == pytest.approx(lifts, abs=1e-11)
+    first = [[float(v) for v in row] for row in known["first_impacts[t,v-]"][:8]]
+    assert run.jumps.t[:8].tolist() == pytest.approx([t for t, _ in first], abs=1e-11)
+    assert run.jumps.before.v[:8].tolist() == pytest.approx([v for _, v in first], abs=1e-11)
+
+
+KEPT = "memory kept through impacts, constant history x0 (the delay equation as written)"
+RESTARTED = (
+    "memory restarted at each impact with constant history 2 "
+    "(what an integrator does that is restarted from the impact state)"
+)
+LIFTED = "C=+60, r=0.2, x0=2.5, constant history, memory kept"
+
+
+@pytest.mark.parametrize("x0", ["2.1", "3", "100"])
+@pytest.mark.parametrize("solver", ["DOP853", "taylor", "Dopri8"])
+def test_pyragas_with_its_memory_kept_comes_to_rest(reference, solver, x0):
+    """Stick times to 1e-9 at rtol 1e-10."""
+    known = reference["pyragas"][KEPT][f"x0={x0}"]
+    run = hy.simulate(delayed.Pyragas(), [float(x0), 0.0], (0, 10), **TIGHT, **SOLVERS[solver])
+    assert [point.t for point in run.zeno] == pytest.approx([float(known["stick"])], abs=1e-9)
+    times, speeds = zip(*[map(float, row) for row in known["first_impacts"]], strict=True)
+    assert run.jumps.t[:8].tolist() == pytest.approx(list(times), abs=1e-9)
+    assert run.jumps.before.v[:8].tolist() == pytest.approx(list(speeds), rel=1e-8)
+    assert run.mode == "flight.rest(wall)"
+
+
+@pytest.mark.parametrize("x0", [2.5, 3.0, 5.0, 10.0, 100.0, 200.0])
+def test_pyragas_restarted_is_periodic(reference, x0):
+    """The period of Table 1; its multiplier of 0.58 forgets the start in 40 impacts."""
+    known = reference["pyragas"][RESTARTED]
+    run = hy.simulate(
+        delayed.Pyragas(), [x0, 0.0], (0, 90), memory="restart", save="jumps", **TIGHT
+    )
+    assert not run.zeno
+    assert np.diff(run.jumps.t)[-1] == pytest.approx(float(known["T"]), abs=1e-9)
+    assert run.jumps.before.v[-1] == pytest.approx(float(known["v_pre"]), abs=1e-8)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_pyragas_restarted_rests_below_a_border(reference, side):
+    """Within 1e-9 of the border: chattering below it, periodic above it."""
+    border = float(reference["pyragas"][RESTARTED]["boundary between the two, x0"])
+    options = {"memory": "restart", "save": "jumps", "max_jumps": 200}
+    run = hy.simulate(
+        delayed.Pyragas(), [border + side * 1e-9, 0.0], (0, 60), rtol=1e-12, atol=1e-12, **options
+    )
+    assert bool(run.zeno) == (side < 0)
+
+
+def test_pyragas_sticks_and_lifts(reference, accurate):
+    known = reference["pyragas"][LIFTED]
+    run = hy.simulate(delayed.Pyragas(C=60.0, r=0.2), [2.5, 0.0], (0, 5.2), **accurate)
+    sticks, lifts = [list(map(float, known[name])) for name in ("sticks", "lifts")]
+    assert [point.t for point in run.zeno] == pytest.approx(sticks, abs=1e-11)
+    assert [point.t_release for point in run.zeno] == pytest.approx(lifts, abs=1e-11)
+
+
+@pytest.mark.parametrize("name", ["RK45", "Radau", "Tsit5", "Kvaerno5", "classic"])
+def test_other_methods_stick_and_lift_at_the_same_times(reference, name):
+    """At rtol 1e-10 methods of order 5 agree to 1e-7 through two rests."""
+    known = reference["pyragas"][LIFTED]
+    run = hy.simulate(
+        delayed.Pyragas(C=60.0, r=0.2), [2.5, 0.0], (0, 3.9), **TIGHT, **SOLVERS[name]
+    )
+    lifts = [float(t) for t in known["lifts"][:2]]
+    assert [point.t_release for point in run.zeno[:2]] == pytest.approx(lifts, abs=1e-7)
+
+
+# ---------------------------------------------------------------------------------------
+# order
+
+
+class Wright(hy.Automaton):
+    """``y' = -1.2 y(t - 0.7) (1 + y)``: its start is a kink, which is seen at 0.7, 1.4, ..."""
+
+    y = hy.state()
+
+    @hy.mode(initial=True)
+    def flow(self, t, s, past):
+        return (-1.2 * past(0.7).y * (1.0 + s.y),)
+
+
+def slope(error, tolerances):
+    """Order by steps: minus the slope of the error's logarithm over that of their number."""
+    rows = [error(tolerance) for tolerance in tolerances]
+    steps, errors = np.log([[float(v) for v in row] for row in rows]).T
+    return -np.polyfit(steps, errors, 1)[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "order", "tolerances"),
+    [
+        ("DOP853", 8, np.logspace(-6, -11, 8)),
+        ("RK45", 5, np.logspace(-5, -10, 8)),
+        ("RK23", 3, np.logspace(-4, -8, 8)),
+        ("Dopri8", 8, np.logspace(-6, -11, 8)),
+        ("Tsit5", 5, np.logspace(-5, -10, 8)),
+        ("Bosh3", 3, np.logspace(-4, -8, 8)),
+        ("Kvaerno5", 5, np.logspace(-5, -9, 6)),
+    ],
+)
+def test_the_order_is_kept_across_breaking_points(name, order, tolerances):
+    """The largest error over a long run falls with the number of steps as without a delay.
+
+    A kink that a step went over would leave order two.
+    """
+    options = SOLVERS.get(name, {"solver": "diffrax", "method": name})
+    times = np.linspace(0.1, 20.0, 67)
+    exact = hy.simulate(Wright(), {"y": 1.0}, (0, 20), rtol=1e-14, atol=1e-14, solver="taylor")
+
+    def error(tolerance):
+        run = hy.simulate(Wright(), {"y": 1.0}, (0, 20), rtol=tolerance, atol=tolerance, **options)
+        return len(run.arcs[0].segments), np.abs(run(times).y - exact(times).y).max()
+
+    assert slope(error, tolerances) >= order - 0.5
+
+
+def test_lags_that_grow_keep_the_order():
+    """y' = -y(t / 2) has polynomials between octaves: a method of order 8 is exact on them."""
+    run = solved(HALVING, rtol=1e-6, atol=1e-6)
+    assert run.final.y == pytest.approx(HALVING.value(20), abs=1e-9)
+
+
+# ---------------------------------------------------------------------------------------
+# two solvers agree
+
+
+class Pushed(hy.Automaton):
+    """A ball that is pushed by where it was: many impacts a lag, and chaos in the end."""
+
+    y = hy.state()
+    v = hy.state()
+
+    @hy.mode(initial=True)
+    def flight(self, t, s, past):
+        return s.v, -9.81 + 4.0 * jnp.sin(5.0 * past(3.0).y)
+
+    ground = hy.contact("flight", gap=lambda self, t, s: s.y, restitution=0.98)
+
+
+def test_many_impacts_a_lag():
+    """Impacts within 6 lags, 2 or 3 a lag at first: DOP853 and Taylor series to 1e-8."""
+    one = hy.simulate(Pushed(), [1.0, 0.0], (0, 18), rtol=1e-12, atol=1e-12)
+    other = hy.simulate(Pushed(), [1.0, 0.0], (0, 18), solver="taylor")
+    assert len(one.jumps) == len(other.jumps) > 20
+    np.testing.assert_allclose(one.jumps.t, other.jumps.t, atol=1e-8)
+
+
+class Dragged(hy.Automaton):
+    """Chattering with r = 0.95 that sees where it was and how fast a lag ago."""
+
+    y = hy.state()
+    v = hy.state()
+    tau = hy.parameter(0.3)
+
+    @hy.mode(initial=True)
+    def flight(self, t, s, past):
+        before = past(self.tau)
+        return s.v, -9.81 + 0.5 * before.y - 0.2 * before.v
+
+    ground = hy.contact("flight", gap=lambda self, t, s: s.y, restitution=0.95)
+
+
+@pytest.mark.parametrize("tau", [0.3, 1e-2, 1e-4])
+def test_velocities_seen_a_lag_later_chatter_to_one_limit(tau):
+    """The velocity's jumps arrive as kinks, hundreds of them: two solvers to 1e-8."""
+    one = hy.simulate(Dragged(tau=tau), [0.1, 0.0], (0, 9), rtol=1e-11, atol=1e-13)
+    other = hy.simulate(Dragged(tau=tau), [0.1, 0.0], (0, 9), solver="taylor", rtol=1e-12)
+    assert one.zeno[0].t == pytest.approx(other.zeno[0].t, abs=1e-8)
+
+
+class Paired(hy.Automaton):
+    """Two balls; the second is pushed by where the first was."""
+
+    y = hy.state(shape=(2,))
+    v = hy.state(shape=(2,))
+
+    @hy.mode(initial=True)
+    def flight(self, t, s, past):
+        return s.v, jnp.array([-1.0, -1.0 + 0.3 * past(0.5).y[0]])
+
+    first = hy.contact("flight", gap=lambda self, t, s: s.y[0], restitution=0.5)
+    second = hy.contact("flight", gap=lambda self, t, s: s.y[1], restitution=0.7)
+
+
+def test_impacts_while_another_contact_rests():
+    """The first ball rests while the second chatters on: two solvers to 1e-9."""
+    start = {"y": [0.2, 1.0], "v": [0.0, 0.0]}
+    one = hy.simulate(Paired(), start, (0, 12), **TIGHT)
+    other = hy.simulate(Paired(), start, (0, 12), solver="taylor")
+    assert [point.edges for point in one.zeno] == [("first",), ("second",)]
+    found = [point.t for point in one.zeno]
+    assert found == pytest.approx([point.t for point in other.zeno], abs=1e-9)
