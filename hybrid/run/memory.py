@@ -21,7 +21,7 @@ from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
-from math import isfinite
+from math import isfinite, isinf
 
 import attrs
 import numpy as np
@@ -501,7 +501,9 @@ class Memory:
         span, end = self._spans[k], min(self.breaks.after(s, slack), known)
         if not self.moving[k]:
             return s, max(min(end, s + length, s + span), s + slack)
-        span = min(span, 2.0 * length + 1e4 * slack, MOST * (self.plan.t1 - self.plan.t0))
+        span = min(span, MOST * (self.plan.t1 - self.plan.t0))
+        if isinf(known):  # a guess need not go further than it is flown over
+            span = min(span, 2.0 * length + 1e4 * slack)
         if k in self._backwards:
             return max(self.breaks.before(s, slack), s - span), min(s + slack, end)
         b = min(end, s + span)
