@@ -283,7 +283,8 @@ class Turner:
         order = jnp.where(release, jnp.where(going.tau == 0, 2, 3), 1)
         order = jnp.where(impact & ~(done.speed > 0), 2, order)
         same_mode = done.mode == lane.mode
-        known = same_mode & (contact | done.stays)
+        carried = (going.tau == 0) & (lane.orders == 0)  # over zero, by what delays see
+        known = same_mode & (contact | (done.stays & ~carried))
         least = jnp.where(fired & known, order, 0)
         again = impact & (lane.series == going.slot)
         finite = jnp.isfinite(done.after).all() & jnp.isfinite(done.speed) & ~(done.speed < 0)

@@ -219,8 +219,13 @@ class Driver:
         self.watch.reset()
         if self.add_jump(guard.edge, before, after) and pass_limit(self, guard.to):
             return
-        known = {guard.edge: 1} if stays else {}
+        known = {guard.edge: 1} if stays and not self._carried(guard) else {}
         self.enter(guard.to, after, Jumped(known, held, used=guard.edge))
+
+    def _carried(self, guard: Guard) -> bool:
+        """Whether a guard has fired without being zero: carried over it by what delays see."""
+        index = self.entry.field.column(guard.edge)
+        return index in self.entry.at_once and self.entry.orders[index] == 0
 
     def _release(self, guard: Guard, x: np.ndarray) -> None:
         contact, field = released(guard.edge), self.entry.field

@@ -58,6 +58,9 @@ TURNING = 2
 #: First length of windows to guess where a lag vanishes, against that of the run.
 LEAST = 1e-4
 
+#: How far the last piece is taken to go on, against its length.
+FAR = 2.0
+
 #: Guesses at a window up to which the next is longer.
 EASY = 2
 
@@ -538,9 +541,13 @@ class Memory:
         return Window(a, b, values, guess, noise)
 
     def _ahead(self, s: float, since: np.ndarray) -> np.ndarray:
-        """A first guess at what comes: the last piece goes on, or the state stays as it is."""
+        """A first guess at what comes: the last piece goes on, or the state stays as it is.
+
+        (Far beyond its end a polynomial leads nowhere.)
+        """
         x, last = self._from[1], self.pieces.last
-        if not self._joined:
+        far = s + float(since[-1]) > last.end + FAR * (last.end - last.start)
+        if far or not self._joined:
             return np.broadcast_to(x, (len(since), len(x)))
         return last.state(s, since)
 

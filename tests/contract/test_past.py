@@ -113,3 +113,29 @@ def test_dense_output_is_fit_to_be_seen(solver):
     run = hy.simulate(DelayJump(), {"y": 1.0}, (0.0, 10.0), **options, **solver)
     assert run.final.y == pytest.approx(0.09445695934262015, abs=3e-5)
     assert run(4.75).y == pytest.approx(0.1156982421875, abs=3e-5)
+
+
+def test_an_edge_carried_over_zero_may_leave_its_guard_as_it_is(solver):
+    """The guard is not zero after the jump: the run goes on on its other side."""
+
+    class Late(hy.Automaton):
+        y = hy.state()
+        z = hy.state()
+
+        @hy.mode
+        def flow(self, t, s):
+            return 0.0, 0.0
+
+        @hy.edge(flow, to=flow, guard=lambda self, t, s: t - 0.5, crossing=hy.EITHER)
+        def kick(self, t, s):
+            return s.replace(y=s.y + 2.0)
+
+        @hy.edge(
+            flow, to=flow, guard=lambda self, t, s, past: past(1.0).y - 2.0, crossing=hy.EITHER
+        )
+        def seen(self, t, s, past):
+            return s.replace(z=past(1.0).y)
+
+    run = hy.simulate(Late(), {"y": 1.0, "z": 0.0}, (0.0, 4.0), **solver)
+    assert run.jumps.edge.tolist() == ["kick", "seen"]
+    assert run.final.z == pytest.approx(3.0, abs=1e-12)  # rounding of a window
