@@ -330,6 +330,8 @@ class Turner:
         starting = (lane.jumps == 0) & (lane.t == run.t0)
         late = (order == 0) & leaving
         overdue = late & ((lane.held & ~starting) | passing)
+        either = (direction == 0) & (order == 0) & (sign * jnp.sign(going.ends) < 0)
+        overdue = overdue | (either & passing)
         used = system.only(going.slot)
         at_once = overdue | ((order > 0) & leaving & ~used)
         outside = late & ~overdue
