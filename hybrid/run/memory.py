@@ -61,6 +61,9 @@ LEAST = 1e-4
 #: Guesses at a window up to which the next is longer.
 EASY = 2
 
+#: Times between which times are one that a guess spans at least.
+LITTLE = 100.0
+
 #: Rounding of a window's series, relative to what it shows.
 ROUNDING = 1e-15
 
@@ -571,13 +574,13 @@ class Memory:
         self._guesses += 1
         t = self._from[0]
         if length < 0.9 * (self.until - t):
-            self._stride = length
+            self._stride = max(length, LITTLE * _slack(t))  # an edge fired
         elif self._guesses <= GUESSES and not stuck:
             return self._scene()
         else:
             self._stride *= 0.25
             self._most = 2.0 * self._stride
-        self._require_stride(t)
+            self._require_stride(t)
         return self.look(*self._from)
 
     def _pays(self, length: float) -> None:
@@ -588,8 +591,8 @@ class Memory:
             self._stride, self._tight = 0.0, -REST
 
     def _require_stride(self, t: float) -> None:
-        """Refuse guesses at nothing."""
-        if self._stride < 1e2 * _slack(t):
+        """Refuse guesses at nothing, where there is nothing else."""
+        if self._stride < LITTLE * _slack(t) and self._shortest <= _slack(t):
             state = self.scene.spec.record(self._from[1])
             raise FlowError(
                 f"{self.scene.spec.model}, t = {t!r}, {state}: a lag is next to nothing, and what "
