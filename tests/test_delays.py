@@ -280,3 +280,45 @@ def test_impacts_while_another_contact_rests():
     assert [point.edges for point in one.zeno] == [("first",), ("second",)]
     found = [point.t for point in one.zeno]
     assert found == pytest.approx([point.t for point in other.zeno], abs=1e-9)
+
+
+class Tossed(hy.Automaton):
+    """A ball that sees its place and speed a lag ago, and its place another lag ago."""
+
+    y = hy.state()
+    v = hy.state()
+    k = hy.parameter(-2.0)
+    c = hy.parameter(0.3)
+    r = hy.parameter(0.5)
+    first = hy.parameter(0.5)
+    second = hy.parameter(1.0)
+
+    @hy.mode(initial=True)
+    def flight(self, t, s, past):
+        one, two = past(self.first), past(self.second)
+        return s.v, -1.0 + self.k * one.y + self.c * one.v + 0.5 * jnp.sin(3.0 * two.y)
+
+    ground = hy.contact("flight", gap=lambda self, t, s: s.y, restitution="r")
+
+
+@pytest.mark.parametrize("memory", ["keep", "restart"])
+@pytest.mark.parametrize("seed", range(8))
+def test_drawn_lags(seed, memory):
+    """Lags from 1e-6 to 2, equal, double or at random: two solvers to 1e-7 through impacts."""
+    draw = np.random.default_rng(seed)
+    first = float(draw.choice([draw.uniform(0.1, 2.0), 10.0 ** draw.uniform(-6, -1)]))
+    second = float(draw.choice([first, 2 * first, draw.uniform(0.01, 1.0)]))
+    model = Tossed(first=first, second=second, k=draw.uniform(-5, 0.5), r=draw.uniform(0.1, 0.8))
+    start, options = [float(draw.uniform(0.05, 1.5)), 0.0], {"memory": memory, "zeno": "stop"}
+    one = hy.simulate(model, start, (100, 103), rtol=1e-11, atol=1e-13, **options)
+    other = hy.simulate(model, start, (100, 103), rtol=1e-12, solver="taylor", **options)
+    assert one.status is other.status
+    assert [p.t for p in one.zeno] == pytest.approx([p.t for p in other.zeno], abs=1e-7)
+    assert one.final.y == pytest.approx(float(other.final.y), abs=1e-7)
+
+
+def test_an_impact_just_after_a_window_begins():
+    """Two lags, one of them double: a guess that an impact ends at once is no failure."""
+    model = Tossed(first=4.522946536544237e-4, second=9.045893073088474e-4)
+    run = hy.simulate(model, [1.1962981157030337, 0.0], (100, 104), solver="taylor", rtol=1e-12)
+    assert run.status is hy.Status.REACHED_END

@@ -64,11 +64,17 @@ FAR = 2.0
 #: Guesses at a window up to which the next is longer.
 EASY = 2
 
+#: Times between which times are one that a guess spans at least.
+LITTLE = 100.0
+
 #: Rounding of a window's series, relative to what it shows.
 ROUNDING = 1e-15
 
 #: Places at which a record may be rough within a time this short against the run.
 ROUGH, NEAR = 20, 1e-3
+
+#: Keeps ratios finite.
+TINY = 1e-300
 
 #: Degree up to which dense output falls behind a method of higher order.
 CUBIC = 3
@@ -307,6 +313,7 @@ class Memory:
         self._spans = [np.inf] * len(self._lags)
         self._stride, self._shortest, self._tight, self._guesses = 0.0, 0.0, 0, 0
         self._backwards: set[int] = set()
+        self._wrong, self._most = np.inf, np.inf
         self._rough: deque[float] = deque(maxlen=ROUGH)
 
     def _start(self, x: np.ndarray) -> np.ndarray:
@@ -415,7 +422,7 @@ class Memory:
 
     def look(self, t: float, x: np.ndarray) -> Scene:
         """The scene as it looks back from a time; ``until`` says for how long."""
-        self._from, self._steps, self._guesses = (t, x), 0, 0
+        self._from, self._steps, self._guesses, self._wrong = (t, x), 0, 0, np.inf
         places = [self._place(k, t, x) for k in range(len(self._lags))]
         self._forget(places)
         stride = self._wanted(t, places)
@@ -566,47 +573,53 @@ class Memory:
         if not self.guessing or not segments:
             return None
         flown = [piece_of(segment, now.t, now.low) for segment in segments]
-        right = [self._corrected(k, window, flown) for k, window in enumerate(self.windows)]
-        if all(right):
+        before, self._wrong = self._wrong, self._correct(flown)
+        stuck = self._wrong > 0.5 * before
+        if self._wrong <= 1.0 or (stuck and self._wrong <= 1.0 / SHARE):
             self._pays(length)
             return None
         self._guesses += 1
         t = self._from[0]
         if length < 0.9 * (self.until - t):
-            self._stride = length
-        elif self._guesses <= GUESSES:
+            self._stride = max(length, LITTLE * _slack(t))  # an edge fired
+        elif self._guesses <= GUESSES and not stuck:
             return self._scene()
         else:
             self._stride *= 0.25
-        self._require_stride(t)
+            self._most = 2.0 * self._stride
+            self._require_stride(t)
         return self.look(*self._from)
 
     def _pays(self, length: float) -> None:
         """Longer guesses next where they are easy, none for a while where they cost too much."""
-        self._stride = (2.0 if self._guesses <= EASY else 1.0) * length
+        self._most *= 1.2
+        self._stride = min((2.0 if self._guesses <= EASY else 1.0) * length, self._most)
         if length < (1 + self._guesses) * self._shortest:
             self._stride, self._tight = 0.0, -REST
 
     def _require_stride(self, t: float) -> None:
-        """Refuse guesses at nothing."""
-        if self._stride < 1e2 * _slack(t):
+        """Refuse guesses at nothing, where there is nothing else."""
+        if self._stride < LITTLE * _slack(t) and self._shortest <= _slack(t):
             state = self.scene.spec.record(self._from[1])
             raise FlowError(
                 f"{self.scene.spec.model}, t = {t!r}, {state}: a lag is next to nothing, and what "
                 "is seen through it cannot be found; write the state itself where the lag is 0"
             )
 
-    def _corrected(self, k: int, window: Window, flown: list[Piece]) -> bool:
-        """Put what was flown into a guessed window; whether it showed that already."""
+    def _correct(self, flown: list[Piece]) -> float:
+        """Put what was flown into the guessed windows; how wrong they were, against what may be."""
+        return max(self._corrected(k, window, flown) for k, window in enumerate(self.windows))
+
+    def _corrected(self, k: int, window: Window, flown: list[Piece]) -> float:
         low, high = max(window.a, flown[0].start), min(window.b, flown[-1].end)
         if not window.guess.any() or not low < high:
-            return True
+            return 0.0
         since, seen = (low - window.a) + (high - low) * nodes(DEGREE), list(self.seen[k])
         there = states(flown, window.a, since)
-        change = np.abs(window.shown(since) - there)[:, seen]
+        change = np.abs(window.shown(since) - there)
         window.values[window.guess] = states(flown, window.a, window.since[window.guess])
-        allowed = self._allowed(np.abs(there).max(axis=0)) + window.noise
-        return bool(np.all(change <= allowed[seen]))
+        allowed = self._allowed(np.abs(there).max(axis=0)) + window.noise + TINY
+        return float(np.max((change / allowed)[:, seen], initial=0.0))
 
     def ends(self, t: float) -> bool:
         """Whether the windows end within rounding of a time."""

@@ -107,7 +107,8 @@ def limit(
         return None
     power = growth > POWER
     columns = np.column_stack([times, states])
-    now, error = np.array([_accelerated(column, power) for column in columns.T]).T
+    with np.errstate(all="ignore"):  # steps that vanish to rounding: no estimate is best there
+        now, error = np.array([_accelerated(column, power) for column in columns.T]).T
     elapsed, remaining = float(times[-1]), float(now[0] - times[-1])
     scale = np.abs(now) + np.ptp(columns, axis=0)
     error = error + ROUNDING * len(times) * scale
