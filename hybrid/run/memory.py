@@ -21,7 +21,7 @@ from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
-from math import isfinite, isinf
+from math import isfinite, isinf, ulp
 
 import attrs
 import numpy as np
@@ -73,6 +73,9 @@ ROUNDING = 1e-15
 #: Places at which a record may be rough within a time this short against the run.
 ROUGH, NEAR = 20, 1e-3
 
+#: Rounding of places at the ends of a piece.
+INSIDE = 1e-12
+
 #: Keeps ratios finite.
 TINY = 1e-300
 
@@ -103,8 +106,21 @@ class Piece:
 def piece_of(segment: Segment, t0: float, low: float, orders: np.ndarray | None = None) -> Piece:
     """A segment of an arc that starts at ``t0 + low``."""
     start, end = t0 + (low + segment.start), t0 + (low + segment.end)
-    state = lambda s, since: segment(((s - t0) - low) + since)  # noqa: E731
+    middle, half = segment.start + 0.5 * segment.length, 0.5 * segment.length
+    rows = segment.coefficients
+
+    def state(s: float, since: np.ndarray) -> np.ndarray:
+        return chebyshev_sum(((((s - t0) - low) - middle) + since) / half, rows)
+
     return Piece(start, end, state, segment.degree, orders)
+
+
+def chebyshev_sum(places: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Chebyshev series at places, by their cosines: for a few places faster than a recurrence."""
+    if np.abs(places).max() > 1.0 + INSIDE:
+        return np.polynomial.chebyshev.chebvander(places, len(rows) - 1) @ rows
+    angles = np.arccos(np.minimum(np.maximum(places, -1.0), 1.0))
+    return np.cos(np.multiply.outer(angles, np.arange(len(rows)))) @ rows
 
 
 def constant(x: np.ndarray, end: float) -> Piece:
@@ -230,7 +246,7 @@ class Breaks:
 
 def _slack(*times: float) -> float:
     """Times nearer than this are one, if sums of such times are rounded."""
-    return 8.0 * float(np.spacing(max(abs(v) for v in times)))
+    return 8.0 * ulp(max(map(abs, times)))
 
 
 @attrs.define(eq=False)
@@ -254,8 +270,7 @@ class Window:
 
     def shown(self, since: np.ndarray) -> np.ndarray:
         """What the polynomial shows at times counted from the start."""
-        places = 2.0 * since / (self.b - self.a) - 1.0
-        return np.polynomial.chebyshev.chebvander(places, DEGREE) @ self.series
+        return chebyshev_sum(2.0 * since / (self.b - self.a) - 1.0, self.series)
 
     @property
     def series(self) -> np.ndarray:
@@ -544,7 +559,7 @@ class Memory:
                 f"{self.scene.spec.model}, t = {t!r}: the record at {bad!r} is not finite; give a "
                 "history that reaches back that far"
             )
-        noise = 0.5 * _slack(t, a) / (b - a) * np.ptp(values, axis=0)
+        noise = 0.5 * _slack(t, a) / (b - a) * (values.max(axis=0) - values.min(axis=0))
         return Window(a, b, values, guess, noise)
 
     def _ahead(self, s: float, since: np.ndarray) -> np.ndarray:

@@ -153,16 +153,20 @@ class Scene:
     ) -> None:
         self.spec: Spec = cls.spec
         self.code = lowered(cls, shapes)
-        self.parameters = _arrays(self.code.shapes, values)
         self._made, self._values = (cls, shapes), values
         self._bound: dict[Any, Scalar] = {}
         self._fields: dict[str, Field] = {}
         self._contacts: dict[str, Contact] = {}
 
+    @cached_property
+    def parameters(self) -> tuple[Any, ...]:
+        """Values of the parameters, then the windows of the past, as arrays."""
+        return _arrays(self.code.shapes, self._values)
+
     def through(self, windows: Sequence[np.ndarray]) -> Scene:
         """The same model on other windows of the past."""
-        count = len(self.parameters) - len(windows)
-        return Scene(*self._made, tuple(flat([*self.parameters[:count], *windows])))
+        shown = tuple(flat(windows))
+        return Scene(*self._made, (*self._values[: len(self._values) - len(shown)], *shown))
 
     @cached_property
     def modes(self) -> tuple[str, ...]:
