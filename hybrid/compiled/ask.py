@@ -45,7 +45,10 @@ REASONS = {
         "or a switching forbids to slide or meets another; hy.simulate says which",
     ),
     LOOP: ("jump_loop", "jumps follow each other with no time between them"),
-    FORGOTTEN: ("forgotten", "a lag looks further back than the record; raise segments"),
+    FORGOTTEN: (
+        "forgotten",
+        "a lag looks further back than the record (raise segments), at the present or ahead",
+    ),
 }
 
 

@@ -245,7 +245,7 @@ class Past:
     def passed(self, run: Run, ring: Ring, memory: Memory, mode: Any, held: Any, t: Any) -> Memory:
         """The windows' end is reached: note what follows from theirs, and look on."""
         lags, n = self._lag_values(run), self.spec.dimension
-        slack = 8.0 * EPS * jnp.abs(t)
+        slack = self._slack(lags, t)
         there = memory.ends + lags <= t + slack
         near = jnp.abs(self._breaks(ring, memory)[None] - memory.ends[:, None]) <= slack
         near = near & there[:, None]
@@ -260,9 +260,9 @@ class Past:
 
     def look(self, run: Run, ring: Ring, memory: Memory, t: Any) -> Memory:
         """Windows from a time on."""
-        slack = 8.0 * EPS * jnp.abs(t)
         until, windows, ends, spans = run.t1, [], [], []
         values, breaks = self._lag_values(run), self._breaks(ring, memory)
+        slack = self._slack(values, t)
         for k in range(len(self.lags)):
             a = t - values[k]
             later = jnp.where(breaks > a + slack, breaks, jnp.inf).min()
@@ -282,8 +282,13 @@ class Past:
             until=until,
             ends=jnp.stack(ends),
             spans=jnp.stack(spans),
-            full=memory.full | wrapped | ~(until > t),
+            full=memory.full | wrapped | ~(until > t) | ~(values >= 0).all(),
         )
+
+    @staticmethod
+    def _slack(lags: Any, t: Any) -> Any:
+        """Times nearer than this are one."""
+        return stop_gradient(8.0 * EPS * (jnp.abs(t) + lags.max()))
 
     def _lag_values(self, run: Run) -> Any:
         x = jnp.zeros(self.spec.dimension)
