@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import attrs
 import numpy as np
 
 from .arcs import Arc
@@ -13,6 +14,13 @@ from .automaton.spec import Spec
 from .errors import OptionError
 from .run.memory import Piece, constant, piece_of
 from .trajectory import Trajectory
+
+
+@attrs.frozen(eq=False)
+class Before:
+    """The record before a run, as the runs before it left it (:meth:`.Hindsight.before`)."""
+
+    pieces: list[Piece]
 
 
 def pieces(spec: Spec, history: Any, t0: float, x: np.ndarray) -> list[Piece]:
@@ -34,6 +42,8 @@ def pieces(spec: Spec, history: Any, t0: float, x: np.ndarray) -> list[Piece]:
     """
     if history is None:
         return [constant(x, t0)]
+    if isinstance(history, Before):
+        return history.pieces
     if isinstance(history, Trajectory):
         return _of_run(spec, history, t0)
     if callable(history):
@@ -85,7 +95,12 @@ def _of_run(spec: Spec, run: Trajectory, t0: float) -> list[Piece]:
         if arc.t0 < t0:
             _require_dense(spec, arc)
             found += [piece_of(segment, arc.t0, arc.low) for segment in arc.segments]
-    return [piece for piece in found if piece.start < t0]
+    return until(found, t0)
+
+
+def until(pieces: list[Piece], t: float) -> list[Piece]:
+    """The part of a record that is before a time."""
+    return [attrs.evolve(p, end=min(p.end, t)) for p in pieces if p.start < t]
 
 
 def _require_dense(spec: Spec, arc: Arc) -> None:

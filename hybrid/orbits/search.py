@@ -10,7 +10,6 @@ import numpy as np
 from ..automaton.markers import RISING
 from ..errors import HybridError, OptionError, OrbitError
 from ..scene import Scene
-from ..scene.lowered import TIME
 from ..trajectory import Trajectory
 from .returns import ReturnMap, start_mode
 from .shooting import Guess, Shooting, Turn
@@ -29,14 +28,16 @@ MOVES = 1e-6
 
 
 def depends_on_time(scene: Scene) -> bool:
-    """Whether any flow, guard, reset or law of a model depends on time explicitly."""
+    """Whether any flow, guard, reset or law of a model depends on time explicitly.
+
+    What is seen of the past does not count, where the lag is constant.
+    """
     code = scene.code
 
     def look() -> bool:
-        keys = code.cls.traces
         extra = {"restitution": ["u"]}
-        found = [code.dependencies(code.closed(*key), extra.get(key[0], ())) for key in keys]
-        return any(TIME in places for each in found for places in each)
+        keys = [key for key in code.cls.traces if key[0] != "lag"]
+        return any(code.timed(code.closed(*key), extra.get(key[0], ())) for key in keys)
 
     return bool(code.once("timed", look))
 
