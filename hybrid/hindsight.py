@@ -8,7 +8,7 @@ themselves, so that one scene serves as long as every lag looks at the same piec
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -20,7 +20,6 @@ from .run.memory import Piece, Window, constant, piece_of
 from .scene import Scene
 from .scene.taylor import flat
 from .segment import nodes
-from .trajectory import Trajectory
 
 #: Width of the window on a piece that is no polynomial of low degree, against the longest lag.
 NARROW = 1e-2
@@ -104,27 +103,21 @@ class Hindsight:
         return self._records[key]
 
     def _seen(self, part: int) -> list[Piece]:
-        if self.memory == "restart":
-            return self._of_part(part, part == 0)
-        return [p for i in range(len(self._parts)) for p in self._of_part(i, i == 0)]
+        if self.memory == "keep":
+            flown = [piece for each in self._parts for piece in _pieces(each)]
+            return [*(self.history or ()), *flown]
+        if part:
+            arc = next(_arcs(self._parts[part]))
+            return [constant(arc.first, arc.t0), *_pieces(self._parts[part])]
+        flown = [piece for each in self._parts[:1] for piece in _pieces(each)]
+        return [*(self.history or ()), *flown]
 
-    def _of_part(self, index: int, first: bool) -> list[Piece]:
-        part = self._parts[index]
-        arcs = [part] if isinstance(part, Arc) else [*map(part.arc, range(part.tail.count + 1))]
-        found: list[Piece] = list(self.history or ()) if first else []
-        if not first and self.memory == "restart":
-            found.append(constant(arcs[0].first, arcs[0].t0))
-        return found + [piece_of(s, arc.t0, arc.low) for arc in arcs for s in arc.segments]
-
-    def before(self, run: Trajectory) -> Before | None:
-        """What a run that goes on where this one ends is given as its history.
-
-        ``run`` is the run of this record, or a first part of it.
-        """
+    def before(self, part: int, t: float) -> Before | None:
+        """What a run that goes on from a time of a part of this one is given as its history."""
         if self.history is None:
             return None
-        pieces = until(self.record(len(run.parts) - 1).pieces, run.t1)
-        needed = -np.inf if any(self.scene.code.moving) else run.t1 - self.longest
+        pieces = until(self.record(part).pieces, t)
+        needed = -np.inf if any(self.scene.code.moving) else t - self.longest
         return Before([piece for piece in pieces if piece.end > needed] or pieces[-1:])
 
     def at(self, part: int, t: float, side: str = "right") -> Scene:
@@ -152,3 +145,11 @@ class Hindsight:
             b = min(b, place + width)
             a = max(a, b - 2.0 * width)
         return Window(a, b, piece.state(a + (b - a) * nodes(DEGREE)), b)
+
+
+def _arcs(part: Part) -> Iterator[Arc]:
+    return iter([part]) if isinstance(part, Arc) else map(part.arc, range(part.tail.count + 1))
+
+
+def _pieces(part: Part) -> Iterator[Piece]:
+    return (piece_of(s, arc.t0, arc.low) for arc in _arcs(part) for s in arc.segments)

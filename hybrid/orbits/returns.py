@@ -98,18 +98,21 @@ class ReturnMap:
         run = self.run(state, t)
         return run.t1 - run.t0
 
-    def run(self, state: Any, t: float = 0.0) -> Trajectory:
+    def run(self, state: Any, t: float = 0.0, history: Any = None) -> Trajectory:
         """The run from a state to its next return, which is where it ends.
+
+        ``history`` is that of a model with delays, in place of the one the map was given.
 
         Raises
         ------
         OrbitError
             If it does not return within ``t_max``.
         """
-        return self._from(self._point(state, t))
+        return self._from(self._point(state, t, history))
 
-    def _point(self, state: Any, t: float) -> Point:
-        return Point(t, self._vector(state), self.mode, self.options.get("history"))
+    def _point(self, state: Any, t: float, history: Any = None) -> Point:
+        given = self.options.get("history") if history is None else history
+        return Point(t, self._vector(state), self.mode, given)
 
     def iterate(self, state: Any, n: int, t: float = 0.0) -> Iterates:
         """``n`` returns, one after the other, from a state at time ``t``.
@@ -130,7 +133,8 @@ class ReturnMap:
         for _ in range(n):
             run = self._from(point)
             last = start_mode(self.scene, run.mode)
-            point = Point(run.t1, run.parts[-1].last, last, run.hindsight.before(run))
+            history = run.hindsight.before(len(run.parts) - 1, run.t1)
+            point = Point(run.t1, run.parts[-1].last, last, history)
             yield point
 
     def _vector(self, state: Any) -> np.ndarray:

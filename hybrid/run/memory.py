@@ -457,7 +457,7 @@ class Memory:
         matters = new & (times <= end + _slack(end, end))
         change = np.abs(values - window.values)[matters][:, seen]
         window.values = values
-        allowed = self._allowed(np.abs(values).max(axis=0))[seen]
+        allowed = self._allowed(np.abs(values[matters | ~new]).max(axis=0, initial=0.0))[seen]
         return bool(np.all(change <= allowed))
 
     def passed(self, t: float, field: Field, fired: str | None = None) -> None:
