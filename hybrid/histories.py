@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import attrs
 import numpy as np
 
 from .arcs import Arc
@@ -14,6 +15,13 @@ from .automaton.trace import wide
 from .errors import OptionError
 from .run.memory import Piece, constant, piece_of
 from .trajectory import Trajectory
+
+
+@attrs.frozen(eq=False)
+class Before:
+    """The record before a run, as the runs before it left it (:meth:`.Hindsight.before`)."""
+
+    pieces: list[Piece]
 
 
 def pieces(spec: Spec, history: Any, t0: float, x: np.ndarray, memory: str = "keep") -> list[Piece]:
@@ -37,6 +45,8 @@ def pieces(spec: Spec, history: Any, t0: float, x: np.ndarray, memory: str = "ke
     """
     if history is None:
         return [constant(x, t0)]
+    if isinstance(history, Before):
+        return history.pieces
     if isinstance(history, Trajectory):
         return _of_run(spec, history, t0, memory)
     if callable(history):
@@ -102,7 +112,7 @@ def _of_run(spec: Spec, run: Trajectory, t0: float, memory: str) -> list[Piece]:
     if memory == "restart" and len(arcs) > 1:
         found, arcs = [constant(arcs[-1].first, arcs[-1].t0)], arcs[-1:]
     else:
-        found = list(run.before) or [_unknown(spec, run.t0)]
+        found = list(run.hindsight.history if run.hindsight else ()) or [_unknown(spec, run.t0)]
     end = found[-1].state(run.t0, np.zeros(1))[0]
     for arc in arcs:
         _require_dense(spec, arc)
@@ -110,7 +120,12 @@ def _of_run(spec: Spec, run: Trajectory, t0: float, memory: str) -> list[Piece]:
         pairs = zip(arc.segments, joints, strict=False)
         found += [piece_of(segment, arc.t0, arc.low, orders) for segment, orders in pairs]
         end = arc.last
-    return [piece for piece in found if piece.start < t0]
+    return until(found, t0)
+
+
+def until(pieces: list[Piece], t: float) -> list[Piece]:
+    """The part of a record that is before a time."""
+    return [attrs.evolve(p, end=min(p.end, t)) for p in pieces if p.start < t]
 
 
 def _unknown(spec: Spec, end: float) -> Piece:

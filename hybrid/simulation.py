@@ -12,6 +12,7 @@ from .automaton.base import require_model
 from .automaton.record import Record
 from .automaton.spec import Spec
 from .errors import HybridError, OptionError, StartError
+from .hindsight import Hindsight
 from .histories import pieces
 from .run import Driver, Plan
 from .run.memory import Piece
@@ -159,7 +160,7 @@ def _trajectory(
         samples,
         guards,
         [pair for name in contacts for pair in scene.pairs(name)],
-        list(driver.history or ()),
+        Hindsight(scene, driver.history, plan.memory, driver.record.parts),
     )
 
 

@@ -150,9 +150,9 @@ class Trajectory:
         The guards by edge, for pictures; empty in a run that was loaded.
     pairs : list of (int, int)
         Places of a contact's positions and velocities in the state vector.
-    before : list
-        The record before the run, for flows that look into the past; empty in a run that was
-        loaded.
+    hindsight : Hindsight or None
+        How the model looked at each time of the run (:mod:`hybrid.hindsight`); None in a run that
+        was loaded.
     """
 
     spec: Spec
@@ -166,7 +166,7 @@ class Trajectory:
     samples: np.ndarray | None = None
     surfaces: dict[str, Any] = attrs.Factory(dict)
     pairs: list[tuple[int, int]] = attrs.Factory(list)
-    before: list[Any] = attrs.Factory(list)
+    hindsight: Any = None
 
     # -- the record at a time -----------------------------------------------------------
 
@@ -328,7 +328,8 @@ class Trajectory:
         -------
         Settled
             ``.kind`` is ``"rest"``, ``"periodic"`` or ``"none"``, ``.reason`` a sentence with the
-            evidence, ``.period``, ``.jumps`` (a period), ``.distance`` and ``.rate`` its numbers.
+            evidence, ``.period``, ``.jumps`` (a period), ``.distance`` and ``.rate`` its numbers;
+            ``.for_ever`` is true of a rest that nothing can end.
 
         Raises
         ------
@@ -338,7 +339,9 @@ class Trajectory:
         Notes
         -----
         An orbit is taken for one if three distances between turns in a row are below 10
-        ``rtol``, or five in a row have shrunk to less than a thousandth of its size.
+        ``rtol``, or five in a row have shrunk to less than a thousandth of its size. A rest is
+        for ever where neither flow nor guards depend on time, the state does not change at all,
+        and delays have seen nothing else for the longest lag.
         """
         from .orbits.settling import settles
 

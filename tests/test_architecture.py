@@ -19,7 +19,7 @@ LAYERS = [
     ["compiled"],
     ["accumulation", "arcs", "trajectory"],
     ["run", "store", "plotting"],
-    ["histories"],
+    ["histories", "hindsight"],
     ["simulation", "ensembles", "function", "certificates"],
     ["compare", "gallery", "study", "orbits"],
     ["cli", "__main__", "__init__"],

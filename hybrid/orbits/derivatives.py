@@ -2,12 +2,12 @@
 
 Each is traced from the trace of the function itself, once for a class, and read like any
 other program (:mod:`hybrid.scene.python`). Columns are time first, then the elements of the
-state.
+state; in a model with delays then what each lag shows of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ class Derivatives:
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.size = scene, scene.spec.dimension
+        self.columns = 1 + self.size * (1 + len(scene.spec.lags))
         self._made: dict[Any, Matrix] = {}
 
     def flow(self, field: Field) -> Matrix:
@@ -41,7 +42,7 @@ class Derivatives:
             return self._of(("impact", edge), size, impact)
         if kind == "edge":
             return self._of(("reset", edge), size, lambda: again(code.closed("reset", edge)))
-        same = np.eye(size, 1 + size, 1)
+        same = np.eye(size, self.columns, 1)
         return lambda t, x: same
 
     def project(self, field: Field) -> Matrix:
@@ -66,26 +67,38 @@ class Derivatives:
         return self._made[key]
 
     def _make(self, key: Any, rows: int, function: Callable[[], Any]) -> Matrix:
-        code, shape = self.scene.code, (rows, 1 + self.size)
-        closed = lambda: trace(code.spec, _jacobian(function()), 0, code.shapes)  # noqa: E731
+        code, shape = self.scene.code, (rows, self.columns)
+        shows = range(1 + len(code.shapes) - len(code.spec.windows), len(code.shapes), 2)
+        jacobian = lambda: _jacobian(function(), shows)  # noqa: E731
+        closed = lambda: trace(code.spec, jacobian(), 0, code.shapes)  # noqa: E731
         call = self.scene.bind(code.program(("derivative", *key), closed))
         return lambda t, x: np.array(call(t, x.tolist())).reshape(shape)
 
 
-def _jacobian(function: Any) -> Any:
-    """The derivatives of ``function(parameters, t, x)`` along time and each element."""
+def _jacobian(function: Any, shows: Sequence[int]) -> Any:
+    """The derivatives of ``function(parameters, t, x)`` along time and each element.
+
+    ``shows`` are the places among the parameters of the windows' coefficients: the first row of
+    them is a change of what is seen.
+    """
 
     def columns(parameters: Any, t: Any, x: Any) -> Any:
         import jax
         import jax.numpy as jnp
 
-        def along(dt: Any, dx: Any) -> Any:
-            of = lambda t, x: jnp.atleast_1d(function(parameters, t, x))  # noqa: E731
-            return jax.jvp(of, (t, x), (dt, dx))[1]
+        def of(t: Any, x: Any, seen: Any) -> Any:
+            given = list(parameters)
+            for place, shift in zip(shows, seen, strict=True):
+                given[place] = given[place].at[0].add(shift)
+            return jnp.atleast_1d(function(tuple(given), t, x))
 
-        still, one = jnp.zeros_like(x), jnp.ones_like(t)
-        steps = [along(jnp.zeros_like(t), still.at[i].set(1.0)) for i in range(x.size)]
-        return jnp.stack([along(one, still), *steps], axis=1)
+        here = t, x, [jnp.zeros_like(x) for _ in shows]
+        sizes = [1, *[x.size] * (1 + len(shows))]
+        steps = []
+        for unit in jnp.eye(sum(sizes)):
+            dt, dx, *seen = jnp.split(unit, [1 + x.size * k for k in range(1 + len(shows))])
+            steps.append(jax.jvp(of, here, (dt[0], dx, seen))[1])
+        return jnp.stack(steps, axis=1)
 
     return columns
 

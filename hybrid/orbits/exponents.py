@@ -7,7 +7,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..automaton.base import require_model, require_present
+from ..automaton.base import require_model
 from ..errors import OptionError, OrbitError
 from ..scene import scene_of
 from ..simulation import simulate
@@ -96,7 +96,8 @@ def lyapunov(
     OptionError
         If ``count`` or ``transient`` cannot be used.
     OrbitError
-        If the run ends early, grazes, or passes the limit of a cycle of several edges.
+        If the run ends early, grazes, or passes the limit of a cycle of several edges; for a
+        model with delays, whose exponents are infinitely many.
 
     Notes
     -----
@@ -113,7 +114,11 @@ def lyapunov(
     array([ 0.90..., 0.00..., -14.57...])
     """
     require_model(model)
-    require_present(model, "hy.lyapunov")
+    if model.spec.lags:
+        raise OrbitError(
+            f"{model.spec.model} looks into the past: its exponents are those of its history, of "
+            "which there are infinitely many; they are not computed"
+        )
     size = model.spec.dimension
     count = size if count is None else count
     if not (isinstance(count, int | np.integer) and 1 <= count <= size):

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..arcs import Arc
-from ..scene import Field, Guard, Scene
+from ..scene import Field, Guard
 from ..segment import from_values, nodes
 from ..trajectory import Trajectory
 from .variation import SMOOTH
@@ -83,11 +83,11 @@ def turning(series: np.ndarray) -> np.ndarray:
     return real[np.abs(real) < 1.0]
 
 
-def near_grazing(scene: Scene, run: Trajectory) -> list[str]:
+def near_grazing(run: Trajectory) -> list[str]:
     """Sentences on guards that a run touches, or reaches almost without speed."""
     found: list[str] = []
     summed = {edge for point in run.zeno for edge in point.edges}
-    for along in _guards(scene, run):
+    for along in _guards(run):
         edge = along.guard.edge
         for t, value in along.nearest():
             near = f"comes to {abs(value):.2g} of zero at t = {t:.9g} and turns back"
@@ -97,7 +97,9 @@ def near_grazing(scene: Scene, run: Trajectory) -> list[str]:
         for index, row in run.own_jumps.items():
             if row.edge != edge or run.parts[index].mode != along.field.name:
                 continue
-            rate, fastest = abs(along.guard.lie(row.t, row.before.tolist())[1]), along.fastest
+            field = run.hindsight.at(index, row.t, "left").field(along.field.name)
+            guard = field.guards[field.column(edge)]
+            rate, fastest = abs(guard.lie(row.t, row.before.tolist())[1]), along.fastest
             if rate <= GRAZES * fastest:
                 found.append(
                     f"{edge} at t = {row.t:.9g} is near to grazing: its guard is reached at "
@@ -106,21 +108,35 @@ def near_grazing(scene: Scene, run: Trajectory) -> list[str]:
     return found
 
 
-def _guards(scene: Scene, run: Trajectory) -> Iterator[Along]:
+def _guards(run: Trajectory) -> Iterator[Along]:
     """Every guard along all arcs on which it is watched."""
-    arcs = [part for part in run.parts if isinstance(part, Arc) and part.segments]
-    for mode in dict.fromkeys(arc.mode for arc in arcs):
-        field, alike = scene.field(mode), [arc for arc in arcs if arc.mode == mode]
+    parts = enumerate(run.parts)
+    arcs = [(i, part) for i, part in parts if isinstance(part, Arc) and part.segments]
+    for mode in dict.fromkeys(arc.mode for _, arc in arcs):
+        field = run.hindsight.scene.field(mode)
+        alike = [(i, arc) for i, arc in arcs if arc.mode == mode]
         for guard in field.guards:
-            yield Along(field, guard, [_steps(guard, arc) for arc in alike])
+            yield Along(field, guard, [_steps(run, guard, i, arc) for i, arc in alike])
 
 
-def _steps(guard: Guard, arc: Arc) -> list[Step]:
+def _steps(run: Trajectory, guard: Guard, index: int, arc: Arc) -> list[Step]:
     shares, found = nodes(DEGREE), []
+    looks = any(run.hindsight.scene.code.asked(guard.closed))
     for segment in arc.segments:
         start = arc.t0 + arc.low + segment.start
         times, states = start + segment.length * shares, segment.at(shares)
         pairs = zip(times.tolist(), states.tolist(), strict=True)
-        values = np.array([guard.value(t, x) for t, x in pairs])
+        value = _looking(run, guard, index, arc.mode) if looks else guard.value
+        values = np.array([value(t, x) for t, x in pairs])
         found.append(Step(start, segment.length, from_values(DEGREE) @ values, times, values))
     return found
+
+
+def _looking(run: Trajectory, guard: Guard, index: int, mode: str) -> Callable[..., float]:
+    """A guard that sees the past."""
+
+    def value(t: float, x: list[float]) -> float:
+        field = run.hindsight.at(index, t).field(mode)
+        return float(field.guards[field.column(guard.edge)].value(t, x))
+
+    return value

@@ -10,12 +10,15 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from ..automaton.base import require_model, require_present
+from ..automaton.base import require_model
 from ..automaton.record import Record
 from ..errors import OptionError
-from ..scene import scene_of
+from ..scene import Scene, scene_of
 from ..trajectory import Trajectory
+from .delayed import require_constant
 from .grazing import near_grazing, turning
+from .remembering import HistoryShooting
+from .restarting import RestartShooting
 from .search import Search, depends_on_time, given
 from .shooting import Shooting, Turn
 from .variation import Factor
@@ -65,6 +68,9 @@ class PeriodicOrbit:
     grazing : tuple of str
         Sentences on guards that are touched, or crossed almost without speed: there the
         multipliers may not say what happens nearby.
+    errors : array or None
+        Of a model with delays that keep: how much each multiplier changes where the history is
+        resolved more finely. None where the multipliers are those of a matrix of the state.
     """
 
     period: float
@@ -80,6 +86,7 @@ class PeriodicOrbit:
     residual: float
     autonomous: bool
     grazing: tuple[str, ...]
+    errors: np.ndarray | None = None
 
     def __str__(self) -> str:
         outside = bool(np.any(np.abs(self.multipliers) > 1.0 + NEUTRAL))
@@ -169,7 +176,6 @@ def periodic_orbit(
     6.66328685932...
     """
     require_model(model)
-    require_present(model, "hy.periodic_orbit")
     scene = scene_of(model)
     options = {"rtol": 1e-12, "atol": 1e-13, **options, "save": "dense"}
     timed = depends_on_time(scene)
@@ -181,7 +187,7 @@ def periodic_orbit(
         )
     if period is not None and not 0 < period < float("inf"):
         raise OptionError(f"period={period!r}: a time greater than 0")
-    shooting = Shooting(model, timed, tol, options)
+    shooting = shooting_of(scene, options)(model, timed, tol, options)
     search = Search(shooting, section, period, t_max)
     orbit = _describe(shooting, search.find(given(scene, guess, t, mode), settle))
     for sentence in orbit.grazing:
@@ -189,26 +195,34 @@ def periodic_orbit(
     return orbit
 
 
+def shooting_of(scene: Scene, options: dict[str, Any]) -> type[Shooting]:
+    """The unknowns of a model's orbits: a state; with delays that after a jump, or a history."""
+    if not scene.spec.lags:
+        return Shooting
+    require_constant(scene)
+    return RestartShooting if options.get("memory") == "restart" else HistoryShooting
+
+
 def _describe(shooting: Shooting, turn: Turn) -> PeriodicOrbit:
     scene, run, autonomous = shooting.scene, turn.run, not shooting.timed
-    matrix, saltations = shooting.variation(run)
-    values = np.linalg.eigvals(matrix).astype(complex)
-    values = values[np.argsort(-np.abs(values))]
+    found = shooting.describe(turn)
+    values = found.multipliers
     others = np.delete(values, np.argmin(np.abs(values - 1.0))) if autonomous else values
     return PeriodicOrbit(
         period=turn.guess.period,
         extrema=extrema(run),
         jumps=float("inf") if run.zeno else len(run.own_jumps),
         sticks=tuple(Stick(a.mode, a.t0, a.t1) for a in run.parts if a.t1 > a.t0 and "(" in a.mode),
-        saltations=tuple(saltations),
-        monodromy=matrix,
+        saltations=tuple(found.saltations),
+        monodromy=found.matrix,
         multipliers=values,
         stable=bool(np.all(np.abs(others) < 1.0 - NEUTRAL)),
         start=scene.spec.record(turn.guess.x),
         run=run,
         residual=turn.residual,
         autonomous=autonomous,
-        grazing=tuple(near_grazing(scene, run)),
+        grazing=tuple(near_grazing(run)),
+        errors=found.errors,
     )
 
 

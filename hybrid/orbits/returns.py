@@ -26,11 +26,12 @@ MARGIN = 1.25
 
 @attrs.frozen(eq=False)
 class Point:
-    """A point of a return map: time, state, and mode."""
+    """A point of a return map: time, state, mode, and of a model with delays what was before."""
 
     t: float
     state: Any
     mode: str | None
+    history: Any = None
 
 
 class Iterates(Sequence[Record]):
@@ -86,7 +87,10 @@ class ReturnMap:
         self._took: float | None = None
 
     def __call__(self, state: Any, t: float = 0.0) -> Record:
-        """The state at the next return of the run that starts from ``state`` at time ``t``."""
+        """The state at the next return of the run that starts from ``state`` at time ``t``.
+
+        A model with delays starts with the ``history=`` that the map was given.
+        """
         return self.run(state, t).final
 
     def time(self, state: Any, t: float = 0.0) -> float:
@@ -94,15 +98,21 @@ class ReturnMap:
         run = self.run(state, t)
         return run.t1 - run.t0
 
-    def run(self, state: Any, t: float = 0.0) -> Trajectory:
+    def run(self, state: Any, t: float = 0.0, history: Any = None) -> Trajectory:
         """The run from a state to its next return, which is where it ends.
+
+        ``history`` is that of a model with delays, in place of the one the map was given.
 
         Raises
         ------
         OrbitError
             If it does not return within ``t_max``.
         """
-        return self._from(Point(t, state, self.mode))
+        return self._from(self._point(state, t, history))
+
+    def _point(self, state: Any, t: float, history: Any = None) -> Point:
+        given = self.options.get("history") if history is None else history
+        return Point(t, self._vector(state), self.mode, given)
 
     def iterate(self, state: Any, n: int, t: float = 0.0) -> Iterates:
         """``n`` returns, one after the other, from a state at time ``t``.
@@ -115,14 +125,16 @@ class ReturnMap:
         """
         if not (isinstance(n, int | np.integer) and n >= 0):
             raise OptionError(f"n={n!r}: a whole number of returns")
-        points = [Point(t, self._vector(state), self.mode)]
+        points = [self._point(state, t)]
         points += self._points(points[0], n)
         return Iterates(self.scene.spec, points)
 
     def _points(self, point: Point, n: int) -> Iterator[Point]:
         for _ in range(n):
             run = self._from(point)
-            point = Point(run.t1, run.parts[-1].last, start_mode(self.scene, run.mode))
+            last = start_mode(self.scene, run.mode)
+            history = run.hindsight.before(len(run.parts) - 1, run.t1)
+            point = Point(run.t1, run.parts[-1].last, last, history)
             yield point
 
     def _vector(self, state: Any) -> np.ndarray:
@@ -151,7 +163,8 @@ class ReturnMap:
 
     def _simulate(self, start: Any, point: Point, length: float) -> Trajectory:
         times = (point.t, point.t + length)
-        return simulate(self.model, start, times, mode=point.mode, **self.options)
+        options = {**self.options, "history": point.history}
+        return simulate(self.model, start, times, mode=point.mode, **options)
 
     def _land(self, run: Trajectory, start: Any, point: Point) -> Trajectory:
         """A run that ends on a surface: flown again to there, which is more than dense output."""
@@ -206,7 +219,8 @@ def return_map(
     ReturnMap
         ``P(state, t=0.0)`` is the state at the next return, ``P.time(state)`` how long that
         takes, ``P.run(state)`` the run from the one to the other, ``P.iterate(state, n)`` the
-        start and ``n`` returns with their times.
+        start and ``n`` returns with their times. In a model with delays each return of
+        ``iterate`` goes on with the past of those before it.
 
     Raises
     ------

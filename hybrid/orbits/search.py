@@ -10,10 +10,9 @@ import numpy as np
 from ..automaton.markers import RISING
 from ..errors import HybridError, OptionError, OrbitError
 from ..scene import Scene
-from ..scene.lowered import TIME
 from ..trajectory import Trajectory
 from .returns import ReturnMap, start_mode
-from .shooting import Guess, Shooting, Turn
+from .shooting import MOVES, Guess, Shooting, Turn
 
 #: Turns flown before Newton's method is tried again.
 ROUNDS = (0, 8, 64)
@@ -24,19 +23,18 @@ DIVISORS = (2, 3, 4, 5)
 #: What the turn after an orbit may fail to close by.
 LASTS = 1e-6
 
-#: An orbit that moves less than this, against its size, in a period, is an equilibrium.
-MOVES = 1e-6
-
 
 def depends_on_time(scene: Scene) -> bool:
-    """Whether any flow, guard, reset or law of a model depends on time explicitly."""
+    """Whether any flow, guard, reset or law of a model depends on time explicitly.
+
+    What is seen of the past does not count, where the lag is constant.
+    """
     code = scene.code
 
     def look() -> bool:
-        keys = code.cls.traces
         extra = {"restitution": ["u"]}
-        found = [code.dependencies(code.closed(*key), extra.get(key[0], ())) for key in keys]
-        return any(TIME in places for each in found for places in each)
+        keys = [key for key in code.cls.traces if key[0] != "lag"]
+        return any(code.timed(code.closed(*key), extra.get(key[0], ())) for key in keys)
 
     return bool(code.once("timed", look))
 
@@ -45,7 +43,8 @@ def given(scene: Scene, guess: Any, t: float, mode: str | None) -> Guess:
     """A guess as a caller gives it: a state, or a run that goes on from its end."""
     if isinstance(guess, Trajectory):
         last = start_mode(scene, guess.mode)
-        return Guess(guess.t1, guess.parts[-1].last, last, 0.0)
+        history = guess if scene.spec.lags else None
+        return Guess(guess.t1, guess.parts[-1].last, last, 0.0, history)
     try:
         values = scene.spec.values(guess)
     except ValueError as fault:
@@ -94,24 +93,22 @@ class Search:
         section = _plane(shooting, guess) if across else self.section
         back = ReturnMap(shooting.model, section, mode, self.t_max, RISING, shooting.options)
         if not across:
-            run = back.run(guess.x, guess.t)
-            back.mode = start_mode(shooting.scene, run.mode)
-            guess = Guess(run.t1, run.parts[-1].last, back.mode, 0.0)
-        return attrs.evolve(guess, period=back.time(guess.x, guess.t))
+            guess = shooting.after(back.run(guess.x, guess.t, guess.history), 0.0)
+            back.mode = guess.mode
+        run = back.run(guess.x, guess.t, guess.history)
+        return attrs.evolve(guess, period=run.t1 - run.t0)
 
     def advanced(self, guess: Guess, turns: int) -> Guess:
         """Where a number of turns lead."""
         if not turns:
             return guess
-        run = self.shooting.turn(attrs.evolve(guess, period=turns * guess.period)).run
-        last = start_mode(self.shooting.scene, run.mode)
-        return Guess(run.t1, run.parts[-1].last, last, guess.period)
+        return self.shooting.after(self.shooting.fly(guess, turns * guess.period), guess.period)
 
     def moving(self, turn: Turn) -> Turn:
         """Refuse an equilibrium for a periodic orbit."""
         shooting, guess = self.shooting, turn.guess
-        rate = shooting.flow(turn.run.parts[0].mode, guess.t, guess.x)
-        if shooting.timed or np.max(np.abs(rate) / turn.scale) * guess.period > MOVES:
+        rate = shooting.flow(guess) / turn.scale[: len(guess.x)]
+        if shooting.timed or np.max(np.abs(rate)) * guess.period > MOVES:
             return turn
         raise OrbitError(
             f"{shooting.scene.spec.model}: the search ended at an equilibrium, "
@@ -122,6 +119,8 @@ class Search:
         """Refuse a turn after which the model is not what it was: the period is not its own."""
         shooting, guess = self.shooting, turn.guess
         later = attrs.evolve(guess, t=guess.t + guess.period)
+        if guess.history is not None:
+            later = shooting.after(turn.run, guess.period)
         if not shooting.timed or shooting.turn(later).residual <= LASTS:
             return turn
         raise OptionError(
@@ -134,9 +133,8 @@ class Search:
         """An orbit that goes round several times, once."""
         for part in () if self.shooting.timed else DIVISORS:
             guess = attrs.evolve(turn.guess, period=turn.guess.period / part)
-            near = turn.run(guess.t + guess.period)
-            x = np.concatenate([np.ravel(v) for v in near])
-            if np.max(np.abs(x - guess.x) / turn.scale) <= MOVES:
+            apart = np.abs(self.shooting.again(turn, guess.period) - guess.x)
+            if np.max(apart / turn.scale[: len(guess.x)]) <= MOVES:
                 once = self.shooting.refine(guess)
                 if once.residual <= self.shooting.tol:
                     return self.shortest(once)
@@ -146,7 +144,7 @@ class Search:
 def _plane(shooting: Shooting, guess: Guess) -> Any:
     """The plane through a state, across the flow there; coordinates against their own size."""
     scene = shooting.scene
-    flow = shooting.flow(guess.mode or scene.spec.initial, guess.t, guess.x)
+    flow = shooting.flow(guess)
     if not np.any(flow):
         raise OrbitError(
             f"{scene.spec.model}: the guess {scene.spec.record(guess.x)} is an equilibrium; "

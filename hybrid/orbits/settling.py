@@ -12,6 +12,7 @@ from numpy.polynomial import chebyshev
 from ..arcs import Arc
 from ..segment import nodes
 from ..trajectory import Trajectory
+from .standing import Standing, standing
 
 #: Distances below this many times ``rtol``, three turns in a row, are those of a closed orbit.
 CLOSE = 10.0
@@ -55,6 +56,8 @@ class Settled:
         the orbit.
     rate : float or None
         By what that distance is multiplied each turn; None where it has been rounding all along.
+    for_ever : bool
+        Whether nothing can end the rest (see :mod:`.standing`).
     """
 
     kind: str
@@ -63,6 +66,7 @@ class Settled:
     jumps: float | None = None
     distance: float | None = None
     rate: float | None = None
+    for_ever: bool = False
 
     def __str__(self) -> str:
         return f"{self.kind}: {self.reason}"
@@ -94,9 +98,17 @@ def settles(run: Trajectory) -> Settled:
     """See :meth:`hybrid.Trajectory.settles`."""
     tol = CLOSE * max(float(run.options.get("rtol", 1e-8)), 1e-13)
     scale = _scale(run)
-    found = _held(run, scale, tol) or _still(run, scale, tol)
-    if found is not None:
+    stands = standing(run)
+    if stands is not None and stands.but is None:
+        return _for_ever(run, stands)
+    found = _held(run, scale, tol) or _still(run, scale, tol) or _turning(run, scale, tol)
+    if stands is None or stands.but is None or found.kind == "periodic":
         return found
+    return attrs.evolve(found, reason=f"{found.reason}; not known to be for ever: {stands.but}")
+
+
+def _turning(run: Trajectory, scale: np.ndarray, tol: float) -> Settled:
+    """An orbit, or nothing."""
     tried = [turns for returns in _returns(run) for turns in _turns(returns, scale)]
     for turns in tried:
         if _closed(turns.distances, tol) or _shrinks(turns.distances):
@@ -134,6 +146,22 @@ def _moves(run: Trajectory, states: np.ndarray, scale: np.ndarray) -> float:
     return float(np.max(np.maximum(np.ptp(states, axis=0) - slack, 0.0) / scale))
 
 
+def _for_ever(run: Trajectory, stands: Standing) -> Settled:
+    lag = run.hindsight.longest
+    still = f"since t = {stands.since:.9g} everything that"
+    if stands.load is None:
+        said = f"{still} the flow and the guards depend on stands still"
+    else:
+        said = (
+            f"{still} the load depends on stands still; it is {stands.load:.6g} and was never "
+            f"below {stands.least:.6g}"
+        )
+    why = "neither flow nor guards depend on time"
+    why += f", and the longest lag, {lag:.6g}, has passed" if lag else ""
+    said = f"rests for ever in {run.mode}: {said} ({why})"
+    return Settled("rest", said, None, 0, 0.0, None, for_ever=True)
+
+
 def _held(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
     """Held still by contacts, or on a surface, over the last quarter of the run at least."""
     arc = run.parts[-1]
@@ -145,16 +173,24 @@ def _held(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
     if moved > tol:
         return None
     said = f"rests in {arc.mode} since t = {arc.t0:.9g}, for {arc.length:.6g}"
-    held = arc.mode.partition(".rest(")[2].removesuffix(")")
-    if held in run.surfaces:
-        guard = run.surfaces[held]
-        pairs = zip(times.tolist(), states.tolist(), strict=True)
-        loads = [-guard.lie(t, x)[2] for t, x in pairs]
+    loads = _loads(run, times, states)
+    if loads:
         early, late = min(loads[: len(loads) // 2 + 1]), min(loads[len(loads) // 2 :])
         if not 2.0 * late > early:
             return None
         said += f": the load stays at {min(loads):.6g} or more"
     return Settled("rest", f"{said}; the state does not change", distance=moved)
+
+
+def _loads(run: Trajectory, times: np.ndarray, states: np.ndarray) -> list[float]:
+    """The smallest load of the contacts held at the end, at some times; none if not known."""
+    if run.hindsight is None:
+        return []
+    found = []
+    for t, x in zip(times.tolist(), states.tolist(), strict=True):
+        field = run.hindsight.at(len(run.parts) - 1, t).field(run.mode)
+        found += [g.value(t, x) for g in field.guards if g.kind == "release"]
+    return found
 
 
 def _still(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:

@@ -18,6 +18,8 @@ import numpy as np
 
 from ..arcs import Arc
 from ..errors import HybridError, OrbitError
+from ..hindsight import Hindsight
+from ..histories import pieces
 from ..scene import Scene, scene_of
 from ..simulation import simulate
 from ..trajectory import Trajectory
@@ -36,18 +38,22 @@ FLOOR = 1e3
 #: What is added to the residual where the ends of a turn are in different modes.
 APART = 1.0
 
+#: An orbit that moves less than this, against its size, in a period, is an equilibrium.
+MOVES = 1e-6
+
 #: Shortest arc of a plain mode, against the period, in which an orbit is begun.
 LEAST = 1e-2
 
 
 @attrs.frozen(eq=False)
 class Guess:
-    """Where a turn begins, and how long it takes."""
+    """Where a turn begins, how long it takes, and of a model with delays what was before."""
 
     t: float
     x: np.ndarray
     mode: str | None
     period: float
+    history: Any = None
 
 
 @attrs.frozen(eq=False)
@@ -70,6 +76,27 @@ class Turn:
     residual: float
 
 
+@attrs.frozen(eq=False)
+class Description:
+    """The first variation over a turn.
+
+    Attributes
+    ----------
+    matrix : array
+        The monodromy matrix.
+    saltations : list of Factor
+    multipliers : array of complex
+        Largest first.
+    errors : array or None
+        Of the multipliers, where they are known.
+    """
+
+    matrix: np.ndarray
+    saltations: list[Factor]
+    multipliers: np.ndarray
+    errors: np.ndarray | None = None
+
+
 class Shooting:
     """Newton's method on the turns of one model."""
 
@@ -83,14 +110,31 @@ class Shooting:
         x = guess.x
         if field is not None and field.project is not None:
             x = np.array(field.project(guess.t, x.tolist()))
-        span, start = (guess.t, guess.t + guess.period), self.scene.spec.record(x)
-        run = simulate(self.model, start, span, mode=guess.mode, **self.options)
+        guess = attrs.evolve(guess, x=x)
+        run = self.fly(guess, guess.period)
+        miss, scale = run.parts[-1].last - run.parts[0].first, self._scale(run)  # type: ignore[union-attr]
+        residual = float(np.max(np.abs(miss) / scale)) + self._apart(run)
+        return Turn(guess, run, miss, scale, residual)
+
+    def fly(self, guess: Guess, length: float) -> Trajectory:
+        """A run from a guess that lasts a time."""
+        span, start = (guess.t, guess.t + length), self.scene.spec.record(guess.x)
+        options = {**self.options, "history": guess.history}
+        run = simulate(self.model, start, span, mode=guess.mode, **options)
         if run.t1 < span[1]:
             raise OrbitError(f"{run.spec.model}: the run ended at t = {run.t1:.9g}: {run.status}")
-        miss, scale = run.parts[-1].last - run.parts[0].first, self._scale(run)  # type: ignore[union-attr]
+        return run
+
+    def after(self, run: Trajectory, period: float) -> Guess:
+        """A guess where a run ends."""
+        history = run.hindsight.before(len(run.parts) - 1, run.t1)
+        last = start_mode(self.scene, run.mode)
+        return Guess(run.t1, run.parts[-1].last, last, period, history)
+
+    def _apart(self, run: Trajectory) -> float:
+        """What the residual is more by where the ends of a turn are in different modes."""
         same = start_mode(self.scene, run.mode) == start_mode(self.scene, run.parts[0].mode)
-        residual = float(np.max(np.abs(miss) / scale)) + (0.0 if same else APART)
-        return Turn(attrs.evolve(guess, x=x), run, miss, scale, residual)
+        return 0.0 if same else APART
 
     def _scale(self, run: Trajectory) -> np.ndarray:
         ends = [part.last for part in run.parts]
@@ -129,17 +173,18 @@ class Shooting:
         share = min(1.0, REACH / size) if size else 1.0
         for halving in range(1 if turn.residual <= self.tol else HALVINGS):
             part = share * 0.5**halving
-            guess = turn.guess
-            moved = attrs.evolve(
-                guess, x=guess.x + part * step, period=guess.period + part * stretch
-            )
             try:
-                found = self.turn(moved)
+                found = self.turn(self.moved(turn, part * step, part * stretch))
             except HybridError:
                 continue
             if found.residual < (1.0 - 0.25 * part) * turn.residual:
                 return found
         return None
+
+    def moved(self, turn: Turn, step: np.ndarray, stretch: float) -> Guess:
+        """The guess of a turn changed by a step."""
+        guess = turn.guess
+        return attrs.evolve(guess, x=guess.x + step, period=guess.period + stretch)
 
     def _step(self, turn: Turn) -> tuple[np.ndarray, float]:
         """Changes of the state and of the period."""
@@ -148,8 +193,9 @@ class Shooting:
         system = matrix * scale / scale[:, None]
         right = -turn.miss / scale
         if not self.timed:
-            start = self.flow(run.parts[0].mode, guess.t, guess.x) / scale
-            end = self.flow(run.mode, run.t1, run.parts[-1].last) / scale
+            last = attrs.evolve(self.after(run, 0.0), mode=run.mode)
+            start = self.flow(attrs.evolve(guess, mode=run.parts[0].mode)) / scale
+            end = self.flow(last) / scale
             row = np.append(start / np.linalg.norm(start), 0.0)
             system = np.vstack([np.column_stack([system, end * guess.period]), row])
             right = np.append(right, 0.0)
@@ -157,9 +203,24 @@ class Shooting:
         step: np.ndarray = found[: len(scale)] * scale
         return step, 0.0 if self.timed else float(found[-1]) * guess.period
 
-    def flow(self, mode: str, t: float, x: np.ndarray) -> np.ndarray:
-        """The flow of an arc's mode at a state."""
-        return np.array(self.scene.field(mode).rhs(t, x.tolist()))
+    def flow(self, guess: Guess) -> np.ndarray:
+        """The flow at a guess."""
+        scene = self.scene
+        if scene.spec.lags:
+            history = pieces(scene.spec, guess.history, guess.t, guess.x)
+            scene = Hindsight(scene, history, "keep", []).at(0, guess.t, "left")
+        mode = guess.mode or scene.spec.initial
+        return np.array(scene.field(mode).rhs(guess.t, guess.x.tolist()))
+
+    def again(self, turn: Turn, period: float) -> np.ndarray:
+        """The state a shorter period later."""
+        return np.concatenate([np.ravel(v) for v in turn.run(turn.guess.t + period)])
+
+    def describe(self, turn: Turn) -> Description:
+        """The first variation over a turn, and its multipliers."""
+        matrix, saltations = self.variation(turn.run)
+        values = np.linalg.eigvals(matrix).astype(complex)
+        return Description(matrix, saltations, values[np.argsort(-np.abs(values))])
 
     def variation(self, run: Trajectory) -> tuple[np.ndarray, list[Factor]]:
         """The monodromy matrix of a run, and the matrices of its jumps and accumulations."""

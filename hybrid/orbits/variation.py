@@ -78,8 +78,13 @@ def factors(model: Any, run: Trajectory) -> Iterator[Factor]:
     ------
     OrbitError
         Where the run passes the limit of a cycle of several edges, for which no derivative is
-        known; or where the neighbours of the run take another course.
+        known; or where the neighbours of the run take another course. In a model with delays.
     """
+    if run.spec.lags:
+        raise OrbitError(
+            f"{run.spec.model} looks into the past: a change of its state does not decide on what "
+            "follows; hy.periodic_orbit gives the multipliers of its orbits"
+        )
     walk = _Walk(model, run)
     if any(isinstance(part, Arc) and part.length and not part.segments for part in run.parts):
         raise OrbitError(f"{run.spec.model}: the first variation needs a run with save='dense'")

@@ -204,6 +204,16 @@ class Lowered:
         (outputs,) = graph.outputs(closed, self.inputs(graph, extra))
         return [self._past_in(graph, int(i), first) for i in outputs.reshape(-1)]
 
+    def timed(self, closed: Any, extra: Sequence[str] = ()) -> bool:
+        """Whether a function depends on time, but for what it sees a constant lag ago."""
+        graph = Graph()
+        inputs = self.inputs(graph, extra)
+        rows = inputs[len(self._own_shapes) + 1 : len(self.shapes) : 2]
+        for ids in rows if not any(self.moving) else ():
+            ids[1:] = graph.const(0.0)  # a window that shows the same everywhere
+        (outputs,) = graph.outputs(closed, inputs)
+        return any(TIME in _states_in(graph, int(i)) for i in outputs.reshape(-1))
+
     def reach(self, mode: str, held: tuple[str, ...]) -> Reach:
         """For each element's derivative: elements, and lags with elements, that it depends on."""
         return self.once(("reach", mode, held), lambda: self._reach(mode, held))

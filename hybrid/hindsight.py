@@ -1,0 +1,157 @@
+"""What a run saw of its past at any time of it, for those who look at the run afterwards.
+
+A model with delays is, between two breaking points, a model without: a scene that looks through
+windows on the record (:mod:`hybrid.run.memory`). Here the windows are the pieces of the record
+themselves, so that one scene serves as long as every lag looks at the same piece.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from .arcs import Arc, Part
+from .automaton.past import DEGREE, blank
+from .histories import Before, until
+from .run.memory import Piece, Window, constant, piece_of
+from .scene import Scene
+from .scene.taylor import flat
+from .segment import nodes
+
+#: Width of the window on a piece that is no polynomial of low degree, against the longest lag.
+NARROW = 1e-2
+
+
+class Record:
+    """Pieces in order of time, looked at from one side where two of them meet."""
+
+    def __init__(self, pieces: Iterable[Piece]) -> None:
+        self.pieces = [piece for piece in pieces if piece.end > piece.start]
+        self.ends = [piece.end for piece in self.pieces]
+        self.starts = [piece.start for piece in self.pieces]
+
+    def index(self, t: float, side: str = "right") -> int:
+        """The piece at a time; where two meet, the later one, or that before it."""
+        found = (bisect_left if side == "left" else bisect_right)(self.ends, t)
+        return min(found, len(self.pieces) - 1)
+
+    def states(self, times: np.ndarray, low: float = -np.inf, high: float = np.inf) -> np.ndarray:
+        """States at some times, of pieces between ``low`` and ``high`` (or a little beyond)."""
+        first, last = self.index(low), self.index(high, "left")
+        which = np.clip([self.index(t) for t in times.tolist()], first, max(first, last))
+        pairs = zip(which.tolist(), times.tolist(), strict=True)
+        return np.array([self.pieces[i].state(t, np.zeros(1))[0] for i, t in pairs])
+
+
+class Hindsight:
+    """The scenes of a run: how its model looked at any time of it.
+
+    Attributes
+    ----------
+    scene : Scene
+        With nothing before its windows.
+    history : sequence of Piece or None
+        The record before the run; None for a model without delays.
+    memory : "keep" or "restart"
+    """
+
+    def __init__(
+        self, scene: Scene, history: Sequence[Piece] | None, memory: str, parts: Sequence[Part]
+    ) -> None:
+        self.scene, self.history, self.memory = scene, history, memory
+        self._parts = parts
+        self._records: dict[int, Record] = {}
+        self._scenes: dict[tuple[int, ...], Scene] = {}
+
+    @cached_property
+    def lags(self) -> list[float]:
+        """The lags; NaN for one that depends on time or state."""
+        zero = np.zeros(self.scene.spec.dimension).tolist()
+        pairs = zip(self._lags, self.scene.code.moving, strict=True)
+        return [float("nan") if moves else float(lag(0.0, zero)) for lag, moves in pairs]
+
+    @cached_property
+    def longest(self) -> float:
+        """The longest lag that is constant; 0 without any."""
+        return max([lag for lag in self.lags if lag == lag], default=0.0)
+
+    @cached_property
+    def _lags(self) -> list[Callable[..., float]]:
+        scene, spec = self.scene, self.scene.spec
+        own = scene.parameters[: len(spec.parameters)]
+        values = flat([*own, *blank(spec.lags, spec.dimension)])
+        return [scene.code.lag(k).bind(values) for k in range(len(spec.lags))]
+
+    def places(self, part: int, t: float) -> list[float]:
+        """Where each lag looks at a time of a part of the run."""
+        if not any(self.scene.code.moving):
+            return [t - lag for lag in self.lags]
+        arc = self._parts[part]
+        if not isinstance(arc, Arc):
+            arc = arc.arc(arc.place(t, "right"))
+        x = arc.local((t - arc.t0) - arc.low).tolist()
+        return [t - float(lag(t, x)) for lag in self._lags]
+
+    def record(self, part: int) -> Record:
+        """The record as it is seen during a part of the run."""
+        key = part if self.memory == "restart" and part else 0
+        if key not in self._records:
+            self._records[key] = Record(self._seen(key))
+        return self._records[key]
+
+    def _seen(self, part: int) -> list[Piece]:
+        if self.memory == "keep":
+            flown = [piece for each in self._parts for piece in _pieces(each)]
+            return [*(self.history or ()), *flown]
+        if part:
+            arc = next(_arcs(self._parts[part]))
+            return [constant(arc.first, arc.t0), *_pieces(self._parts[part])]
+        flown = [piece for each in self._parts[:1] for piece in _pieces(each)]
+        return [*(self.history or ()), *flown]
+
+    def before(self, part: int, t: float) -> Before | None:
+        """What a run that goes on from a time of a part of this one is given as its history."""
+        if self.history is None:
+            return None
+        pieces = until(self.record(part).pieces, t)
+        needed = -np.inf if any(self.scene.code.moving) else t - self.longest
+        return Before([piece for piece in pieces if piece.end > needed] or pieces[-1:])
+
+    def at(self, part: int, t: float, side: str = "right") -> Scene:
+        """The scene at a time of a part of the run."""
+        if self.history is None:
+            return self.scene
+        record = self.record(part)
+        places = self.places(part, t)
+        which = [record.index(place, side) for place in places]
+        plain = all(record.pieces[i].degree <= DEGREE for i in which)
+        key = (part if self.memory == "restart" else 0, *which)
+        if plain and key in self._scenes:
+            return self._scenes[key]
+        windows = [self._window(record.pieces[i], s) for i, s in zip(which, places, strict=True)]
+        scene = self.scene.through([array for w in windows for array in w.arrays()])
+        if plain:
+            self._scenes[key] = scene
+        return scene
+
+    def _window(self, piece: Piece, place: float) -> Window:
+        """A piece as a window: all of it, or where it is no short polynomial a narrow part."""
+        a, b = piece.start, piece.end
+        if piece.degree > DEGREE or not np.isfinite(a):
+            width = NARROW * (self.longest or 1.0)
+            b = min(b, place + width)
+            a = max(a, b - 2.0 * width)
+        values = piece.state(a, (b - a) * nodes(DEGREE))
+        known = np.zeros(len(values), dtype=bool)
+        return Window(a, b, values, known, np.zeros(values.shape[1]))
+
+
+def _arcs(part: Part) -> Iterator[Arc]:
+    return iter([part]) if isinstance(part, Arc) else map(part.arc, range(part.tail.count + 1))
+
+
+def _pieces(part: Part) -> Iterator[Piece]:
+    return (piece_of(s, arc.t0, arc.low) for arc in _arcs(part) for s in arc.segments)

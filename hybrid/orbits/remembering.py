@@ -1,0 +1,335 @@
+"""Newton's method for orbits of models with delays that remember through their jumps.
+
+What decides on all that follows is the record over the longest lag: its values at Chebyshev points
+of the pieces between its breaking points, and the times at which what is seen of it jumps. They are
+the unknowns. A step changes them, and the turns that follow make a record of the model of them:
+with its breaking points where they belong.
+
+How well the pieces resolve the first variation is told by a second, finer set of points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from math import ceil
+from typing import Any
+
+import attrs
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from ..arcs import Arc
+from ..errors import OptionError, OrbitError
+from ..hindsight import Hindsight, Record
+from ..histories import Before
+from ..run.memory import Piece, constant
+from ..segment import from_values, nodes
+from ..trajectory import Trajectory
+from .delayed import Shift, Strand, Variation, descendants, distinct
+from .returns import start_mode
+from .shooting import LEAST, Description, Guess, Shooting, Turn
+
+#: Degree on each piece of the record, and on the finer set.
+DEGREE, FINER = 18, 26
+
+#: Pieces are halved until their last coefficients are this small, relative; and most halvings.
+RESOLVED, DEPTH = 1e-9, 4
+
+#: Pieces of the record that are this far apart, against its size, do not join: it jumps.
+JUMPS = 1e-10
+
+#: Where in a piece, from its ends, its side of a breaking point is told.
+INSIDE = 1e-7
+
+#: Multipliers that differ by this between the two sets of points are no longer given ...
+KNOWN = 1e-5
+
+#: ... and those that are not known may be as large as this.
+HIDDEN = 0.5
+
+
+@attrs.frozen(eq=False)
+class Leap:
+    """A jump of the record that is seen."""
+
+    t: float
+    before: np.ndarray
+    after: np.ndarray
+
+
+def leaps(record: Record, low: float, high: float, seen: Sequence[int]) -> list[Leap]:
+    """Where the record jumps between two times, in the elements that are seen."""
+    found = []
+    for earlier, later in pairwise(record.pieces):
+        t = later.start
+        if low < t < high:
+            before, after = (piece.state(t, np.zeros(1))[0] for piece in (earlier, later))
+            size = np.maximum(np.abs(before), np.abs(after)) + 1.0
+            if np.any((np.abs(before - after) > JUMPS * size)[list(seen)]):
+                found.append(Leap(t, before, after))
+    return found
+
+
+@attrs.frozen(eq=False)
+class Frame:
+    """The pieces of a record before a time, and the points on them.
+
+    Attributes
+    ----------
+    pieces : list of (float, float)
+        In order; the last one ends at that time.
+    leaps : list of Leap
+        Jumps that are seen; each is the end of a piece.
+    degree : int
+    """
+
+    pieces: list[tuple[float, float]]
+    leaps: list[Leap]
+    degree: int
+
+    @property
+    def points(self) -> list[np.ndarray]:
+        """Times of the points, piece by piece."""
+        return [a + (b - a) * nodes(self.degree) for a, b in self.pieces]
+
+    def bounds(self, later: float, ends: Sequence[Leap]) -> list[tuple[float, float]]:
+        """The pieces some time later, where the jumps are those of ``ends``."""
+        moved = {leap.t: end.t for leap, end in zip(self.leaps, ends, strict=True)}
+        return [(moved.get(a, a + later), moved.get(b, b + later)) for a, b in self.pieces]
+
+    def states(self, record: Record, later: float, ends: Sequence[Leap]) -> np.ndarray:
+        """A record at the points some time later; shape ``(pieces, degree + 1, n)``."""
+        found = []
+        for times, (a, b) in zip(self.points, self.bounds(later, ends), strict=True):
+            room = INSIDE * (b - a)
+            found.append(record.states(times + later, a + room, b - room))
+        return np.array(found)
+
+    def slopes(self, states: np.ndarray) -> np.ndarray:
+        """Time derivatives of values at the points."""
+        vander = chebyshev.chebvander(2.0 * nodes(self.degree) - 1.0, self.degree - 1)
+        matrix = vander @ chebyshev.chebder(from_values(self.degree))
+        lengths = np.array([b - a for a, b in self.pieces])
+        slopes: np.ndarray = 2.0 * np.tensordot(states, matrix, (1, 1)).transpose(0, 2, 1)
+        return slopes / lengths[:, None, None]
+
+    def finer(self) -> Frame:
+        """The same pieces with more points."""
+        return attrs.evolve(self, degree=FINER)
+
+
+def framed(run: Trajectory) -> Frame:
+    """The pieces of the record before a run that is a period of an orbit."""
+    sight, period = run.hindsight, run.t1 - run.t0
+    record, lag = sight.record(0), sight.longest
+    low, high = run.t0 - lag, run.t0
+    turns = range(1, 2 + ceil(lag / period))
+    jumps = [row.t - k * period for row in run.own_jumps.values() for k in turns]
+    seen = leaps(record, low, high, _seen(run))
+    exact = [low, high, *(leap.t for leap in seen)]
+    room = 1e-6 * min(lag, period)
+    breaks = [b for b in descendants(jumps, sight.lags, high) if low < b < high]
+    breaks = [b for b in breaks if all(abs(b - t) > room for t in exact)]
+    ends = distinct([*exact, *breaks])
+    pieces = [half for piece in pairwise(ends) for half in _resolved(record, piece, DEPTH)]
+    return Frame(pieces, seen, DEGREE)
+
+
+def _seen(run: Trajectory) -> list[int]:
+    return sorted({element for each in run.hindsight.scene.code.seen for element in each})
+
+
+def _resolved(record: Record, piece: tuple[float, float], depth: int) -> list[tuple[float, float]]:
+    """A piece, or parts of it on which the record is resolved."""
+    a, b = piece
+    room = INSIDE * (b - a)
+    states = record.states(a + (b - a) * nodes(DEGREE), a + room, b - room)
+    series = np.abs(from_values(DEGREE) @ states)
+    if not depth or np.all(series[-2:] <= RESOLVED * (series.max(axis=0) + 1e-300)):
+        return [piece]
+    halves = (a, 0.5 * (a + b)), (0.5 * (a + b), b)
+    return [part for half in halves for part in _resolved(record, half, depth - 1)]
+
+
+def monodromy(run: Trajectory, frame: Frame) -> tuple[np.ndarray, Variation]:
+    """What a period makes of a change of the record before it: of values at points, and of jumps.
+
+    Returns
+    -------
+    array, shape (m, m)
+    Variation
+    """
+    count, size, each = len(frame.pieces), run.spec.dimension, frame.degree + 1
+    total = count * each * size + len(frame.leaps)
+    values = np.eye(count * each * size, total).reshape(count, each, size, total)
+    strands = [Strand(a, b, v) for (a, b), v in zip(frame.pieces, values, strict=True)]
+    rows = np.eye(total)[count * each * size :]
+    shifts = [
+        Shift(leap.t, leap.before, leap.after, row)
+        for leap, row in zip(frame.leaps, rows, strict=True)
+    ]
+    breaks = [a for a, _ in frame.pieces]
+    found = Variation(run, strands[-1].values[-1], strands, shifts, breaks)
+    later, ends = run.t1 - run.t0, _ends(run, frame)
+    lookups = zip(frame.points, frame.bounds(later, ends), strict=True)
+    states = [found.at(times + later, a, b) for times, (a, b) in lookups]
+    moves = [_row(found.shifts, leap.t) for leap in ends]
+    return np.concatenate([np.reshape(states, (-1, total)), *moves]), found
+
+
+def _ends(run: Trajectory, frame: Frame) -> list[Leap]:
+    """The jumps of the record a period later.
+
+    Raises
+    ------
+    OrbitError
+        If they are more or fewer.
+    """
+    sight = run.hindsight
+    found = leaps(sight.record(0), run.t1 - sight.longest, run.t1, _seen(run))
+    if len(found) != len(frame.leaps):
+        raise OrbitError(
+            f"{run.spec.model}: {len(frame.leaps)} jumps are remembered at t = {run.t0:.9g}, and "
+            f"{len(found)} at t = {run.t1:.9g}"
+        )
+    return found
+
+
+def _row(shifts: Iterable[Shift], t: float) -> np.ndarray:
+    """The change of the time of the jump at a time."""
+    return min(shifts, key=lambda shift: abs(shift.t - t)).row[None]
+
+
+@attrs.frozen(eq=False)
+class Remembering(Turn):
+    """A turn, and the pieces of the record before it."""
+
+    frame: Frame
+
+
+class HistoryShooting(Shooting):
+    """Newton's method on records over the longest lag."""
+
+    def __init__(self, model: Any, timed: bool, tol: float, options: dict[str, Any]) -> None:
+        super().__init__(model, timed, tol, options)
+        self.lag = Hindsight(self.scene, [], "keep", []).longest
+        if not self.lag > 0.0:
+            raise OptionError(
+                f"{self.scene.spec.model}: the longest lag is {self.lag:g}: there is no history "
+                "to find; write the state in place of what was no time ago"
+            )
+
+    def _covering(self, period: float) -> int:
+        """Turns that cover the longest lag."""
+        return max(1, ceil(self.lag / period))
+
+    def centred(self, guess: Guess) -> Guess:
+        """The same turn, begun in the middle of an arc of a record that has been flown."""
+        run = self.fly(guess, (1 + self._covering(guess.period)) * guess.period)
+        since = run.t1 - guess.period
+        arcs = [(i, arc) for i, arc in enumerate(run.parts) if isinstance(arc, Arc)]
+        spans = {i: (max(arc.t0, since), arc.t1) for i, arc in arcs if arc.t1 > since}
+        long = [i for i, (a, b) in spans.items() if b - a > LEAST * guess.period]
+        plain = [i for i in long if "(" not in run.parts[i].mode]
+        index = max(plain or long, key=lambda i: spans[i][1] - spans[i][0])
+        arc, t = run.parts[index], 0.5 * sum(spans[index])
+        assert isinstance(arc, Arc)
+        x, mode = arc.local(np.array((t - arc.t0) - arc.low)), start_mode(self.scene, arc.mode)
+        return Guess(t, x, mode, guess.period, run.hindsight.before(index, t))
+
+    def turn(self, guess: Guess) -> Remembering:
+        """The run from a guess for one period, and how its record differs at the two ends."""
+        run = self.fly(guess, guess.period)
+        frame, record = framed(run), run.hindsight.record(0)
+        ends = _ends(run, frame)
+        states = frame.states(record, 0.0, frame.leaps)
+        misses = frame.states(record, guess.period, ends) - states
+        pairs = zip(frame.leaps, ends, strict=True)
+        late = [end.t - leap.t - guess.period for leap, end in pairs]
+        size = np.maximum(self._scale(run), np.abs(states).max(axis=(0, 1)))
+        scale = np.append(np.broadcast_to(size, states.shape), np.full(len(late), guess.period))
+        miss = np.append(misses, late)
+        residual = float(np.max(np.abs(miss) / scale)) + self._apart(run)
+        return Remembering(guess, run, miss, scale, residual, frame)
+
+    def _step(self, turn: Turn) -> tuple[np.ndarray, float]:
+        """Changes of the record and of the period."""
+        assert isinstance(turn, Remembering)
+        run, frame, scale, size = turn.run, turn.frame, turn.scale, len(turn.guess.x)
+        matrix = monodromy(run, frame)[0] - np.eye(len(scale))
+        system, right = matrix * scale / scale[:, None], -turn.miss / scale
+        if not self.timed:
+            period, ends = turn.guess.period, _ends(run, frame)
+            states = frame.states(run.hindsight.record(0), period, ends)
+            moving = np.append(frame.slopes(states), np.full(len(ends), -1.0)) / scale
+            start = np.zeros(len(scale) + 1)
+            last = slice(states.size - size, states.size)
+            flow = self.flow(attrs.evolve(turn.guess, mode=run.parts[0].mode)) / scale[last]
+            start[last] = flow / np.linalg.norm(flow)
+            system = np.vstack([np.column_stack([system, moving * period]), start])
+            right = np.append(right, 0.0)
+        found = np.linalg.lstsq(system, right, rcond=1e-12)[0]
+        stretch = 0.0 if self.timed else float(found[-1]) * turn.guess.period
+        return found[: len(scale)] * scale, stretch
+
+    def moved(self, turn: Turn, step: np.ndarray, stretch: float) -> Guess:
+        """Where the record changed by a step leads after the longest lag at least."""
+        changed = self.changed(turn, step, stretch)
+        length = self._covering(changed.period) * changed.period
+        return self.after(self.fly(changed, length), changed.period)
+
+    def changed(self, turn: Turn, step: np.ndarray, stretch: float) -> Guess:
+        """The guess of a turn with the record and the period changed by a step."""
+        assert isinstance(turn, Remembering)
+        frame, guess = turn.frame, turn.guess
+        states = frame.states(turn.run.hindsight.record(0), 0.0, frame.leaps)
+        states = states + step[: states.size].reshape(states.shape)
+        late = zip(frame.leaps, step[states.size :].tolist(), strict=True)
+        ends = [attrs.evolve(leap, t=leap.t + later) for leap, later in late]
+        pieces = [
+            _piece(a, b, frame.degree, points, values)
+            for points, values, (a, b) in zip(
+                frame.points, states, frame.bounds(0.0, ends), strict=True
+            )
+        ]
+        pieces.insert(0, constant(states[0, 0], pieces[0].start))
+        period, last = guess.period + stretch, states[-1, -1]
+        return attrs.evolve(guess, x=last, period=period, history=Before(pieces))
+
+    def describe(self, turn: Turn) -> Description:
+        """The leading multipliers, as many as both sets of points agree on.
+
+        Raises
+        ------
+        OrbitError
+            If they do not agree on one that may matter.
+        """
+        assert isinstance(turn, Remembering)
+        matrix, found = monodromy(turn.run, turn.frame)
+        values = _sorted(monodromy(turn.run, turn.frame.finer())[0])
+        others = _sorted(matrix)[: len(values)]
+        errors = np.array([np.abs(others - value).min() for value in values])
+        known = int(np.argmax(np.append(errors, np.inf) > KNOWN))
+        known -= int(0 < known < len(values) and values[known - 1].imag > 0)
+        if known == 0 or np.abs(values[min(known, len(values) - 1)]) > HIDDEN:
+            raise OrbitError(
+                f"{turn.run.spec.model}: the multipliers of the orbit of period "
+                f"{turn.guess.period:.9g} are not resolved beyond the {known} largest"
+            )
+        lasting = np.abs(values[:known]) > KNOWN
+        return Description(
+            matrix, found.saltations, values[:known][lasting], errors[:known][lasting]
+        )
+
+
+def _piece(a: float, b: float, degree: int, points: np.ndarray, values: np.ndarray) -> Piece:
+    """A piece of a record with these values at its points; its ends may have been moved."""
+    strand = Strand(float(points[0]), float(points[-1]), values[:, :, None])
+    return Piece(a, b, lambda s, since: strand(s + since)[:, :, 0], degree)
+
+
+def _sorted(matrix: np.ndarray) -> np.ndarray:
+    """Eigenvalues, largest first; of a pair the one above the real axis first."""
+    values = np.linalg.eigvals(matrix).astype(complex)
+    return values[np.lexsort((-values.imag, -np.round(np.abs(values), 9)))]

@@ -1,0 +1,117 @@
+"""Newton's method for orbits of models with delays whose memory restarts at jumps.
+
+The state just after a jump, and its time, decide on all that follows: they are the unknowns. A
+turn ends just after the jump of the same edge that comes nearest to a period later.
+"""
+
+from __future__ import annotations
+
+import attrs
+import numpy as np
+
+from ..arcs import Arc
+from ..errors import OrbitError
+from ..trajectory import Trajectory
+from .delayed import Strand, Variation
+from .returns import start_mode
+from .section import Return, cut
+from .shooting import MOVES, Description, Guess, Shooting, Turn
+
+#: How long a turn is flown, in periods, for its jump to come.
+BEYOND = 1.5
+
+
+@attrs.frozen(eq=False)
+class Landed(Guess):
+    """A guess just after a jump of ``edge``."""
+
+    edge: str = ""
+
+
+class RestartShooting(Shooting):
+    """Newton's method on the states after jumps."""
+
+    def centred(self, guess: Guess) -> Guess:
+        """The turn begun just after a jump, that which a longer arc follows than any other."""
+        run = self.fly(guess, BEYOND * guess.period + guess.period)
+        jumps = {i: row for i, row in run.own_jumps.items() if isinstance(run.parts[i + 1], Arc)}
+        chosen = [i for i, row in jumps.items() if row.t >= run.t1 - BEYOND * guess.period]
+        if not chosen:
+            raise OrbitError(
+                f"{run.spec.model}: no jump in a turn from t = {guess.t:.9g}: nothing restarts; "
+                'use memory="keep"'
+            )
+        index = max(chosen, key=lambda i: run.parts[i + 1].t1 - run.parts[i + 1].t0)
+        return self._landed(run, index, guess.period)
+
+    def _landed(self, run: Trajectory, index: int, period: float) -> Landed:
+        row, mode = run.own_jumps[index], start_mode(self.scene, run.parts[index + 1].mode)
+        return Landed(row.t, self._closed(row.edge, row.t, row.after), mode, period, None, row.edge)
+
+    def _closed(self, edge: str, t: float, x: np.ndarray) -> np.ndarray:
+        """A state on the contact of an edge, if that is one."""
+        if not self.scene.is_contact(edge):
+            return x
+        return np.array(self.scene.contact(edge).land(t, x.tolist()))
+
+    def turn(self, guess: Guess) -> Turn:
+        """The run from just after a jump to just after the one that comes a period later."""
+        assert isinstance(guess, Landed)
+        x = self._closed(guess.edge, guess.t, guess.x)
+        guess = attrs.evolve(guess, x=x, history=None)
+        whole = self.fly(guess, BEYOND * guess.period)
+        index = self._nearest(whole, guess)
+        run = cut(whole, Return(index, whole.parts[index].length))  # type: ignore[union-attr]
+        row = run.own_jumps[index]
+        scale = self._scale(run)
+        lasted, period = row.t - guess.t, guess.period
+        if not self.timed:
+            guess, period = attrs.evolve(guess, period=lasted), lasted
+        miss = np.append(row.after - x, lasted - period)
+        sizes = np.append(scale, period)
+        apart = self._apart(run)
+        return Turn(guess, run, miss, sizes, float(np.max(np.abs(miss) / sizes)) + apart)
+
+    def _nearest(self, run: Trajectory, guess: Landed) -> int:
+        """The jump of a guess's edge that comes nearest to a period after it."""
+        rows = {i: row for i, row in run.own_jumps.items() if row.edge == guess.edge}
+        if not rows:
+            raise OrbitError(f"{run.spec.model}: the run has no jump {guess.edge} again")
+        return min(rows, key=lambda i: abs(rows[i].t - guess.t - guess.period))
+
+    def _step(self, turn: Turn) -> tuple[np.ndarray, float]:
+        """Changes of the state after the jump, and of its time."""
+        matrix = self._carried(turn).matrix - np.eye(len(turn.scale))
+        count = len(turn.scale) if self.timed else len(turn.scale) - 1
+        system = (matrix * turn.scale / turn.scale[:, None])[:count, :count]
+        found = np.linalg.lstsq(system, -(turn.miss / turn.scale)[:count], rcond=1e-12)[0]
+        return np.append(found, np.zeros(len(turn.scale) - count)) * turn.scale, 0.0
+
+    def moved(self, turn: Turn, step: np.ndarray, stretch: float) -> Guess:
+        """The guess of a turn changed by a step."""
+        guess = turn.guess
+        return attrs.evolve(guess, x=guess.x + step[:-1], t=guess.t + float(step[-1]))
+
+    def again(self, turn: Turn, period: float) -> np.ndarray:
+        """The state after the jump a shorter period later; not a number where there is none."""
+        guess = attrs.evolve(turn.guess, period=period)
+        assert isinstance(guess, Landed)
+        row = turn.run.own_jumps[self._nearest(turn.run, guess)]
+        there = abs(row.t - guess.t - period) <= MOVES * period
+        return np.where(there, row.after, np.nan)
+
+    def describe(self, turn: Turn) -> Description:
+        """Multipliers of the states after the jump and its time; one of ``1 + n`` is always 0."""
+        found = self._carried(turn)
+        values = np.linalg.eigvals(found.matrix).astype(complex)
+        values = values[np.argsort(-np.abs(values))][:-1]
+        return attrs.evolve(found, multipliers=values)
+
+    def _carried(self, turn: Turn) -> Description:
+        """The derivative of state and time after the last jump by those after the first."""
+        run, size = turn.run, len(turn.guess.x)
+        start = np.eye(size, 1 + size)
+        now = start - np.outer(self.flow(turn.guess), np.eye(1, 1 + size, size)[0])
+        found = Variation(run, now, [Strand(run.t0 - 1.0, run.t0, start[None])])
+        matrix = np.vstack([found.fresh, found.shifts[-1].row])
+        return Description(matrix, found.saltations, np.empty(0))
