@@ -67,12 +67,15 @@ def slope(v, h):
     return (4 * near - far) / 3
 
 
-def fixed_points():
-    """Speeds that return: of the orbit that repels, of the one that attracts."""
-    return [
-        brentq(lambda v: returned(v) - v, *around, xtol=1e-13)
-        for around in ((2.0, 2.2), (5.0, 6.0))
-    ]
+def repelling():
+    """The speed that returns to itself on the border, between chattering and the orbit."""
+    return brentq(lambda v: returned(v) - v, 2.0, 2.2, xtol=1e-13)
+
+
+def orbit():
+    """The orbit of the table, with its multipliers."""
+    guess = {"x1": MODEL.wall, "x2": 5.7}
+    return hy.periodic_orbit(MODEL, guess, section="impact", memory="restart")
 
 
 # ---------------------------------------------------------------------------------------
@@ -95,10 +98,9 @@ def print_numbers():
     print(f"{'x1(0)':>6} | {'kept: at rest at':38} | {'restarted: T, max x1 - 2':30} | paper")
     for x0, kept, again, paper in rows():
         print(f"{x0:6g} | {kept:38} | {again:30} | {paper}")
-    low, high = fixed_points()
-    arc = RETURN.run({"x1": MODEL.wall, "x2": high}).arcs[0]
-    print(f"\nRestarted, the orbit: T = {arc.length:.13f}, max x1 = {top(arc):.12f},")
-    print(f"speed after the impact {high:.12f}, multiplier {slope(high, 4e-3):.9f}")
+    low, found = repelling(), orbit()
+    print(f"\nRestarted, the orbit: T = {found.period:.13f}, max x1 = {found.extrema['x1'][1]:.12f},")
+    print(f"speed after the impact {found.start.x2:.12f}, multiplier {found.multipliers[1].real:.9f}")
     border = brentq(lambda x0: first_speed(x0) - low, 2.38, 2.39, xtol=1e-14)
     print(f"The orbit that repels: speed {low:.12f}, multiplier {slope(low, 1e-4):.6f};")
     print(f"reached from x1(0) = {border:.12f}: below it chattering, above it the orbit")
@@ -159,7 +161,7 @@ def table_figure(path):
     axes.plot([0, 9], [0, 9], color=SURFACE, lw=0.9)
     for x0 in (2.1, 3.0):
         cobweb(axes, first_speed(x0))
-    low, high = fixed_points()
+    low, high = repelling(), float(orbit().start.x2)
     axes.plot(low, low, "o", color=LIMIT, mfc="white", ms=6)
     axes.plot(high, high, "o", color=LIMIT, ms=6)
     axes.annotate("border", (low, low), (low + 0.4, low - 0.3), fontsize=8)

@@ -59,13 +59,13 @@ def test_without_it_the_papers_orbit_appears(table, shown, x0):
 
 def test_the_orbit_its_multiplier_and_the_border(table):
     """To the digits known."""
-    low, high = table.fixed_points()
-    arc = table.RETURN.run({"x1": 2.0, "x2": high}).arcs[0]
-    assert high == pytest.approx(SPEED, abs=1e-11)
-    assert arc.length == pytest.approx(PERIOD, abs=1e-12)
-    assert table.top(arc) == pytest.approx(TOP, abs=1e-11)
-    assert table.slope(high, 4e-3) == pytest.approx(MULTIPLIER, abs=1e-9)
-    assert table.first_speed(BORDER) == pytest.approx(low, abs=1e-10)
+    orbit = table.orbit()
+    assert orbit.start.x2 == pytest.approx(SPEED, abs=1e-11)
+    assert orbit.period == pytest.approx(PERIOD, abs=1e-12)
+    assert orbit.extrema["x1"][1] == pytest.approx(TOP, abs=1e-11)
+    assert orbit.multipliers[1].real == pytest.approx(MULTIPLIER, abs=1e-10)
+    assert (orbit.jumps, orbit.stable) == (1, True)
+    assert table.first_speed(BORDER) == pytest.approx(table.repelling(), abs=1e-10)
 
 
 def test_released_by_the_past(table):
