@@ -337,7 +337,6 @@ def _past(spec: Spec, history: Any, plan: Plan, x: np.ndarray) -> list[Piece] | 
         return pieces(spec, history, plan.t0, x, plan.memory)
     if history is not None:
         raise OptionError(
-            f"{spec.model}: history={history!r}, but nothing in the model looks into the past; "
-            "leave it out"
+            f"{spec.model}: history={history!r}, but no flow looks into the past; leave it out"
         )
     return None
