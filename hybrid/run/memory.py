@@ -45,6 +45,9 @@ GUESSES = 12
 #: Rounding of a window's series, relative to what it shows.
 ROUNDING = 1e-15
 
+#: A flight as short as this many spacings of the time is no longer a piece of its own.
+BRIEF = 1e4
+
 #: Order of an element that is smooth.
 SMOOTH = 10**6
 
@@ -265,9 +268,9 @@ class Memory:
         if self.plan.memory == "restart":
             self._restart(part.t1, tail.x_inf)
             return
-        for n in range(tail.count + 1):
+        for n in range(tail.count):
             arc = part.arc(n)
-            if self._low(arc, tail.x_inf):
+            if arc.length <= BRIEF * np.spacing(part.t1) or self._low(arc, tail.x_inf):
                 break
             self.flown(Instant(arc.t0, arc.low), arc.segments)
             row = part.jump(n + 1)
@@ -457,7 +460,7 @@ class Memory:
         matters = new & (times <= end + _slack(end, end))
         change = np.abs(values - window.values)[matters][:, seen]
         window.values = values
-        allowed = self._allowed(np.abs(values[matters | ~new]).max(axis=0, initial=0.0))[seen]
+        allowed = self._allowed(np.abs(values).max(axis=0))[seen]
         return bool(np.all(change <= allowed))
 
     def passed(self, t: float, field: Field, fired: str | None = None) -> None:
