@@ -99,8 +99,12 @@ def print_numbers():
     for x0, kept, again, paper in rows():
         print(f"{x0:6g} | {kept:38} | {again:30} | {paper}")
     low, found = repelling(), orbit()
-    print(f"\nRestarted, the orbit: T = {found.period:.13f}, max x1 = {found.extrema['x1'][1]:.12f},")
-    print(f"speed after the impact {found.start.x2:.12f}, multiplier {found.multipliers[1].real:.9f}")
+    print(
+        f"\nRestarted, the orbit: T = {found.period:.13f}, max x1 = {found.extrema['x1'][1]:.12f},"
+    )
+    print(
+        f"speed after the impact {found.start.x2:.12f}, multiplier {found.multipliers[1].real:.9f}"
+    )
     border = brentq(lambda x0: first_speed(x0) - low, 2.38, 2.39, xtol=1e-14)
     print(f"The orbit that repels: speed {low:.12f}, multiplier {slope(low, 1e-4):.6f};")
     print(f"reached from x1(0) = {border:.12f}: below it chattering, above it the orbit")

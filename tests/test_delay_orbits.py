@@ -72,6 +72,7 @@ class Table(hy.Automaton):
     v = hy.state()
     gain = hy.parameter(0.1)
     tau = hy.parameter(0.17)
+    amplitude = hy.parameter(0.5)
 
     @hy.mode
     def flight(self, t, s, past):
@@ -79,7 +80,9 @@ class Table(hy.Automaton):
         return s.v, -9.8 - self.gain * (seen.x + 0.5 * seen.v)
 
     impact = hy.contact(
-        flight, gap=lambda self, t, s: s.x - 0.5 * jnp.sin(5.0 * t), restitution=0.5
+        flight,
+        gap=lambda self, t, s: s.x - self.amplitude * jnp.sin(5.0 * t),
+        restitution=0.5,
     )
 
 
@@ -260,6 +263,20 @@ def test_a_short_lag_is_none(memory):
     short, none = bounced(Table(tau=1e-8), memory), bounced(Forgetful())
     same(short.multipliers, none.multipliers, 7)
     np.testing.assert_allclose(short.extrema["x"], none.extrema["x"], atol=1e-7)
+
+
+def test_chattering_seen_a_short_lag_later():
+    """With a speed that does not tend to zero: flights near the limit are too short to be seen."""
+    model, period = Table(gain=0.3, tau=0.01, amplitude=0.45), 2 * np.pi / 5.0
+    start = {"x": 0.35859589539061, "v": 1.35931033808517}
+    runs = [
+        hy.simulate(model, start, (10.2375190340659883, 10.2375190340659883 + 2 * period), **fine)
+        for fine in ({}, {"rtol": 1e-12, "atol": 1e-13})
+    ]
+    for run in runs:
+        assert len(run.zeno) == 2
+        assert run.zeno[1].t - run.zeno[0].t == pytest.approx(period, rel=1e-6)
+    assert runs[0].final.v == pytest.approx(runs[1].final.v, rel=1e-7)
 
 
 def test_no_gain_is_no_delay():

@@ -82,6 +82,9 @@ TINY = 1e-300
 #: Degree up to which dense output falls behind a method of higher order.
 CUBIC = 3
 
+#: A flight as short as this many spacings of the time is no longer a piece of its own.
+BRIEF = 1e4
+
 #: Order of an element that is smooth.
 SMOOTH = 10**6
 
@@ -387,7 +390,8 @@ class Memory:
             return
         for n in range(tail.count + 1):
             arc = part.arc(n)
-            if n == tail.count or self._low(arc, tail.x_inf):
+            last = n == tail.count or arc.length <= BRIEF * np.spacing(part.t1)
+            if last or self._low(arc, tail.x_inf):
                 break
             self.flown(Instant(arc.t0, arc.low), arc.segments)
             row = part.jump(n + 1)
