@@ -16,7 +16,7 @@ import numpy as np
 from .arcs import Arc, Part
 from .automaton.past import DEGREE, blank
 from .histories import Before, until
-from .run.memory import Piece, Window, constant, piece_of
+from .run.pieces import Piece, Window, constant, piece_of
 from .scene import Scene
 from .scene.taylor import flat
 from .segment import nodes

@@ -13,7 +13,7 @@ from .automaton.record import Record
 from .automaton.spec import Spec
 from .automaton.trace import wide
 from .errors import OptionError
-from .run.memory import Piece, constant, piece_of
+from .run.pieces import Piece, constant, piece_of
 from .trajectory import Trajectory
 
 

@@ -15,7 +15,7 @@ from .errors import HybridError, OptionError, StartError
 from .hindsight import Hindsight
 from .histories import pieces
 from .run import Driver, Plan
-from .run.memory import Piece
+from .run.pieces import Piece
 from .scene import Scene, scene_of
 from .solvers import choose
 from .solvers.base import FINEST, tolerances

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import hybrid as hy
-from hybrid.run.memory import Breaks
+from hybrid.run.pieces import Breaks
 from models.bouncing_ball import BouncingBall
 
 from . import delayed

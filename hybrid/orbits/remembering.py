@@ -23,7 +23,7 @@ from ..arcs import Arc
 from ..errors import OptionError, OrbitError
 from ..hindsight import Hindsight, Record
 from ..histories import Before
-from ..run.memory import Piece, constant
+from ..run.pieces import Piece, constant
 from ..segment import from_values, nodes
 from ..trajectory import Trajectory
 from .delayed import Shift, Strand, Variation, descendants, distinct

@@ -27,7 +27,8 @@ from . import switch, truncate
 from .arc import ArcFlow, Flown
 from .cycles import Cycles, pass_limit
 from .entry import Entry, Jumped, describe, enter, signs_at_end
-from .memory import Memory, Piece
+from .memory import Memory
+from .pieces import Piece
 from .plan import PATIENCE, Plan
 from .recorder import Recorder
 
