@@ -110,7 +110,7 @@ def test_saving_only_what_is_asked_for():
         ({"max_jumps": 0}, "max_jumps=0: a whole number greater than 0"),
         ({"save": [3.0, 2.0]}, "increasing times within t"),
         ({"mode": "fly"}, r"mode='fly'; there are flight, flight.rest\(impact\)"),
-        ({"history": {"x": 1.0}}, "nothing in the model looks into the past"),
+        ({"history": {"x": 1.0}}, "looks into the past"),
         ({"memory": "lose"}, "memory='lose': 'keep' or 'restart'"),
     ],
 )

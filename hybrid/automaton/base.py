@@ -255,17 +255,3 @@ def require_model(model: Any) -> None:
         raise OptionError(f"model must be an instance of a subclass of hy.Automaton, not {what}")
     if isinstance(model, type):
         raise OptionError(f"give an instance of the model: {model.__name__}()")
-
-
-def require_present(model: Any, what: str) -> None:
-    """Refuse a model with delays, where the state must be all that decides what follows.
-
-    Raises
-    ------
-    OptionError
-    """
-    if model.spec.lags:
-        lags = ", ".join(lag.name for lag in model.spec.lags)
-        raise OptionError(
-            f"{model.spec.model}: {what} takes no model that looks into the past (lags: {lags})"
-        )

@@ -9,7 +9,7 @@ from typing import Any
 import attrs
 
 from ..automaton import trace
-from ..automaton.base import require_model, require_present
+from ..automaton.base import require_model
 from ..automaton.spec import ContactSpec, Spec
 from ..errors import DeclarationError, OptionError, TraceError
 from ..scene import scene_of
@@ -162,7 +162,6 @@ def ask(model: Any, box: Any, mode: str | None, contact: str | None) -> Question
     OptionError
     """
     require_model(model)
-    require_present(model, "hy.certify")
     scene = scene_of(model)
     chosen = _contact(scene.spec, mode, contact)
     try:

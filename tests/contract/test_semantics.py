@@ -113,7 +113,8 @@ def test_simultaneous_edges_fire_in_declared_order(solver):
     run = hy.simulate(systems.Corner(), [1.0, 1.0, -1.0, -1.0], (0, 2), **solver)
     assert run.jumps.edge.tolist() == ["left", "floor"]
     np.testing.assert_allclose(run.jumps.t, 1.0, atol=1e-9)
-    assert (run.final.u, run.final.w) == (0.5, 0.5)
+    assert run.final.u == pytest.approx(0.5, abs=1e-12)  # straight lines: rounding of a step
+    assert run.final.w == pytest.approx(0.5, abs=1e-12)
 
 
 def test_an_endless_loop_of_jumps_is_an_error(solver):
