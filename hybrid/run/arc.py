@@ -171,7 +171,8 @@ class ArcFlow:
             for power in (k - 1, k):
                 if c[power]:
                     first = min(first, (allowed / abs(c[power])) ** (1.0 / power))
-        return SAFETY * min(length, first) if first > 0 else None
+        most = length / SAFETY if self.scene.spec.lags else length  # a window may be one step
+        return SAFETY * min(most, first) if first > 0 else None
 
     def predict(self, length: float) -> float | None:
         """The end of a short flight after an impact, from its Taylor series (2)."""
