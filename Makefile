@@ -1,10 +1,11 @@
 # Two commands do everything on a machine with Python 3.11 (or later) and make:
 #   make        environment, then the main job: runs with numbers beside exact values, pictures
 #   make test   environment, then lint, types and tests
+# and make docs writes the documentation site, out/site/index.html.
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test bench clean
+.PHONY: run test bench docs clean
 
 run: .venv/installed
 	mkdir -p out
@@ -18,6 +19,9 @@ test: .venv/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -n 2
+
+docs: .venv/installed
+	$(BIN)/mkdocs build --strict
 
 bench: .venv/installed
 	$(BIN)/python benchmarks/example_1.py

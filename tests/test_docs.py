@@ -1,32 +1,33 @@
-"""The code blocks of the README and of the documents run as they stand, in order."""
+"""The code blocks and commands of the README and of every page run as they stand, in order."""
 
 import re
+import shlex
 from pathlib import Path
 
 import jax
 import pytest
+import typer
+from typer.testing import CliRunner
+
+from hybrid.cli import app
 
 ROOT = Path(__file__).parent.parent
-PAGES = [
-    "README.md",
-    "docs/getting_started.md",
-    "docs/choosing.md",
-    "docs/zeno.md",
-    "docs/sliding.md",
-    "docs/certificates.md",
-    "docs/delays.md",
-    "docs/orbits.md",
-]
+FILES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/**/*.md"))]
+PAGES = [str(path.relative_to(ROOT)) for path in FILES]
+
+#: Commands that are only parsed: each of the solvers compiles, which other tests wait for already.
+SLOW = ["hybrid compare coupled"]
 
 
-def blocks(page, language):
+def blocks(page, *languages):
     text = (ROOT / page).read_text()
-    return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
+    return re.findall(rf"```(?:{'|'.join(languages)})\n(.*?)```", text, flags=re.DOTALL)
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_code_blocks_run(page, capsys):
-    """Each block sees the names of those before it."""
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")])
+def test_code_blocks_run(page, capsys, tmp_path, monkeypatch):
+    """Each block sees the names of those before it; files go to the folder it is run in."""
+    monkeypatch.chdir(tmp_path)
     scope = {"__name__": "page"}
     wide = jax.config.jax_enable_x64
     try:
@@ -34,7 +35,45 @@ def test_code_blocks_run(page, capsys):
             exec(compile(block, page, "exec"), scope)
     finally:
         jax.config.update("jax_enable_x64", wide)
-    assert scope["run"].status.name == "REACHED_END"
+    assert "run" not in scope or scope["run"].status.name == "REACHED_END"
+
+
+def test_every_block_says_what_it_is():
+    """Python that runs, commands, or text: nothing that looks like code and is not run."""
+    known = ["python", "sh", "text", "toml"]
+    for page in PAGES:
+        text = (ROOT / page).read_text()
+        assert set(re.findall(r"^```(.*)\n.*?^```$", text, re.M | re.S)) <= set(known), page
+
+
+def commands():
+    """What the pages tell to type, without comments, line by line."""
+    for page in PAGES:
+        for block in blocks(page, "sh"):
+            yield from (shlex.split(line, comments=True) for line in block.splitlines())
+
+
+HYBRID = sorted({shlex.join(words) for words in commands() if words[:1] == ["hybrid"]})
+
+
+@pytest.mark.parametrize("command", HYBRID)
+def test_commands_run(command, tmp_path, monkeypatch):
+    """Every ``hybrid`` command of the pages ends with the exit code of a success."""
+    monkeypatch.chdir(tmp_path)
+    words = shlex.split(command)[1:]
+    if command in SLOW:
+        typer.main.get_command(app).commands[words[0]].make_context(words[0], words[1:])
+    else:
+        done = CliRunner().invoke(app, words)
+        assert done.exit_code == 0, done.output
+
+
+def test_targets_of_make_exist():
+    """``make NAME`` is a rule of the Makefile."""
+    rules = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.M)
+    told = [words[1] for words in commands() if words[:1] == ["make"] and words[1:]]
+    assert told
+    assert set(told) <= set(rules)
 
 
 def test_the_readmes_result_is_what_is_printed(capsys):
@@ -48,10 +87,10 @@ def test_the_readmes_result_is_what_is_printed(capsys):
 
 def test_links_lead_somewhere():
     """Every relative link of every page."""
-    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/**/*.md")]:
-        for link in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
+    for path in FILES:
+        for link in re.findall(r"\]\(([^)#]+)\)", path.read_text()):
             if "://" not in link:
-                assert (page.parent / link).exists(), f"{page.name}: {link}"
+                assert (path.parent / link).exists(), f"{path.name}: {link}"
 
 
 def test_the_readme_is_short():

@@ -23,7 +23,14 @@ class Crossing(enum.Enum):
     EITHER = "either"
 
 
-FALLING, RISING, EITHER = Crossing.FALLING, Crossing.RISING, Crossing.EITHER
+FALLING = Crossing.FALLING
+"""The edge fires where its guard falls to zero (the default): positive inside the domain."""
+
+RISING = Crossing.RISING
+"""The edge fires where its guard rises to zero: negative inside the domain."""
+
+EITHER = Crossing.EITHER
+"""The edge fires where its guard reaches zero from either side."""
 
 
 class _Named:

@@ -1,0 +1,121 @@
+"""The documentation site: built strictly, whole by itself, every link followed."""
+
+import fcntl
+import os
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+import hybrid as hy
+
+ROOT = Path(__file__).parent.parent
+
+#: Pages elsewhere that ours may lead to.
+OUTSIDE = ()
+
+
+def build(folder, *options):
+    """MkDocs, strictly, in a process of its own."""
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", folder, *options]
+    quiet = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "NO_COLOR": "1"}
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=quiet)
+
+
+class Page(HTMLParser):
+    """What a page loads, what it leads to, and what can be led to in it."""
+
+    def __init__(self, path):
+        super().__init__()
+        self.loads, self.leads, self.ids = [], [], set()
+        self.feed(path.read_text())
+
+    def handle_starttag(self, tag, attributes):
+        given = dict(attributes)
+        self.ids |= {given[name] for name in ("id", "name") if given.get(name)}
+        links = self.leads if tag == "a" else self.loads
+        links += [given[name] for name in ("href", "src", "poster", "data") if given.get(name)]
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory):
+    """The site; built once, whichever worker asks first."""
+    run = os.environ.get("PYTEST_XDIST_TESTRUNUID", os.getpid())
+    folder = tmp_path_factory.getbasetemp().parent / f"site-{run}"
+    with open(f"{folder}.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "index.html").exists():
+            done = build(folder)
+            assert done.returncode == 0, done.stderr
+            assert "WARNING" not in done.stderr
+    return folder
+
+
+@pytest.fixture(scope="session")
+def pages(site):
+    return {path: Page(path) for path in site.rglob("*.html")}
+
+
+def test_every_page_is_there(site):
+    """One for each Markdown file, and those made of files elsewhere."""
+    made = {"index", "gallery", "benchmarks", "contributing", "404"}
+    written = {str(p.relative_to(ROOT / "docs").with_suffix("")) for p in ROOT.glob("docs/**/*.md")}
+    assert {str(p.relative_to(site).with_suffix("")) for p in site.rglob("*.html")} == written | made
+
+
+def test_links_lead_to_what_is_there(site, pages):
+    """A file of the site, and an id in it."""
+    for path, page in pages.items():
+        for link in page.loads + page.leads:
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc or path.name == "404.html":
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            assert target.is_file(), f"{path.relative_to(site)}: {link}"
+            anchor = unquote(parts.fragment)
+            if anchor and target in pages and not anchor.startswith("__"):
+                assert anchor in pages[target].ids, f"{path.relative_to(site)}: {link}"
+
+
+def test_nothing_is_loaded_from_the_network(site, pages):
+    """Neither by the pages nor by their styles; links that lead out are known."""
+    away = re.compile(r"^(https?:)?//")
+    for path, page in pages.items():
+        assert not [link for link in page.loads if away.match(link)], path
+        assert not [link for link in page.leads if away.match(link) and link not in OUTSIDE], path
+    for path in site.rglob("*.css"):
+        assert not re.findall(r"(?:url\(|@import)\s*[\"']?(?:https?:)?//", path.read_text()), path
+
+
+def test_every_public_name_is_in_the_reference(pages):
+    """An entry for each name of ``hybrid.__all__``, and for what runs are made of."""
+    ids = set().union(*(page.ids for page in pages.values()))
+    assert {f"hybrid.{name}" for name in hy.__all__} <= ids
+    assert "hybrid.accumulation.Accumulation.verdict" in ids
+    assert "hybrid.Trajectory.__call__" in ids
+
+
+def test_the_gallery_has_every_model(site, pages):
+    """Its section, its picture."""
+    (path,) = (path for path in pages if path.name == "gallery.html")
+    names = {file.stem for file in ROOT.glob("models/[a-z]*.py")}
+    assert names <= pages[path].ids
+    for name in names:
+        assert (site / "figures" / "gallery" / f"{name}.png").stat().st_size > 10_000
+
+
+def test_a_name_that_is_not_there_fails_the_build(tmp_path):
+    """Strictly: an entry of the reference, and a link, that lead nowhere."""
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "mkdocs.yml").write_text(
+        f"site_name: x\nplugins: [mkdocstrings: {{handlers: {{python: {{paths: [{ROOT}]}}}}}}]\n"
+    )
+    for text, fault in [("::: hybrid.nothing\n", "hybrid.nothing"), ("[x](no.md)\n", "no.md")]:
+        (tmp_path / "docs" / "index.md").write_text(f"# Page\n\n{text}")
+        done = build(tmp_path / "out", "--config-file", tmp_path / "mkdocs.yml")
+        assert done.returncode != 0
+        assert fault in done.stderr
