@@ -28,6 +28,9 @@ PAGES = {
 
 LINK = re.compile(r"\]\(([^)#\s]+)(#[^)\s]*)?\)")
 
+#: A model's name in the table of the gallery.
+ROW = r"(?<=\n)\| `(\w+)` \|"
+
 #: Runs of the gallery are kept here until the package or the models change.
 KEPT = ROOT / "out" / "gallery"
 
@@ -38,14 +41,14 @@ def on_files(files, config):
         files.append(File.generated(config, page, content=(ROOT / path).read_text()))
     sources = [*ROOT.glob("hybrid/**/*.py"), *ROOT.glob("models/*.py")]
     digest = sha256(b"".join(path.read_bytes() for path in sorted(sources))).hexdigest()[:16]
-    sections = [(ROOT / "models/README.md").read_text()]
-    for name in gallery.names():
+    table = (ROOT / "models/README.md").read_text()
+    sections = [re.sub(ROW, r"| [`\1`](#\1) |", table)]
+    for name in re.findall(ROW, table):
         picture, printed = flown(name, digest)
         uri = f"figures/gallery/{name}.png"
         files.append(File.generated(config, uri, abs_src_path=str(picture)))
         sections.append(section(name, uri, printed.read_text()))
-    text = re.sub(r"\| `(\w+)` \|", r"| [`\1`](#\1) |", "\n".join(sections))
-    files.get_file_from_path("gallery.md").content_string = text
+    files.get_file_from_path("gallery.md").content_string = "\n".join(sections)
     return files
 
 

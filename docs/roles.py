@@ -1,4 +1,8 @@
-"""Docstrings as Markdown: roles such as ``:func:`hybrid.simulate``` become links of the reference."""
+"""Docstrings as the reference shows them.
+
+Roles such as ``:func:`simulate``` become links. Where one entry describes several parameters each has
+its own default.
+"""
 
 import re
 
@@ -7,6 +11,9 @@ import griffe
 import hybrid
 
 ROLE = re.compile(r":\w+:`~?\.?([\w.]+)`")
+
+#: The line that begins an entry, with its type.
+TYPED = re.compile(r"^[\w, *]+ : .*$", re.MULTILINE)
 
 
 def link(role: re.Match) -> str:
@@ -19,5 +26,12 @@ class Roles(griffe.Extension):
     """Runs over every object that is read."""
 
     def on_object(self, *, obj: griffe.Object, **_: object) -> None:
-        if obj.docstring:
-            obj.docstring.value = ROLE.sub(link, obj.docstring.value)
+        if not obj.docstring:
+            return
+        text = ROLE.sub(link, obj.docstring.value)
+        obj.docstring.value = TYPED.sub(lambda line: line[0].replace("``", ""), text)
+        if obj.is_function:
+            for section in obj.docstring.parsed:
+                if section.kind is griffe.DocstringSectionKind.parameters:
+                    for entry in section.value:
+                        entry.value = obj.parameters[entry.name.strip("*")].default
