@@ -86,7 +86,11 @@ class Lowered:
 
         def make() -> Program:
             graph = Graph(exact)
-            (outputs,) = graph.outputs(closed(), self.inputs(graph, extra))
+            try:
+                (outputs,) = graph.outputs(closed(), self.inputs(graph, extra))
+            except TraceError as fault:
+                what = " ".join(map(str, key))
+                raise TraceError(f"{self.spec.model}, {what}: {fault}") from None
             return Program(graph, ["t", "x", *extra], self.spec.dimension, outputs)
 
         return self.once(key, make)
