@@ -1,7 +1,7 @@
 """Docstrings as the reference shows them.
 
-Roles such as ``:func:`simulate``` become links. Where one entry describes several parameters each has
-its own default.
+Roles such as ``:func:`simulate``` become links. Where one entry describes several parameters each
+has its own default.
 """
 
 import re

@@ -2,6 +2,8 @@
 
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import jax
@@ -112,3 +114,13 @@ def test_links_lead_somewhere():
 def test_the_readme_is_short():
     """Eighty lines and a little: a stranger reads it."""
     assert len((ROOT / "README.md").read_text().splitlines()) <= 82
+
+
+def test_the_pictures_can_be_drawn_again(tmp_path):
+    """From the blocks of their page, by the script beside them; all are shown there."""
+    script = ROOT / "docs" / "figures" / "zeno.py"
+    subprocess.run([sys.executable, script, tmp_path], cwd=ROOT, check=True)
+    drawn = sorted(path.name for path in tmp_path.iterdir())
+    assert drawn == sorted(path.name for path in script.parent.glob("zeno_*.png"))
+    shown = re.findall(r"\(figures/(.*?)\)", (ROOT / "docs" / "zeno.md").read_text())
+    assert drawn == sorted(shown)
