@@ -355,9 +355,10 @@ class Trajectory:
         path : str or path, optional
             Also write the figure there.
         """
-        from .plotting import plot
+        from .pictures.of_run import figure
+        from .pictures.static import draw
 
-        return plot(self, path)
+        return draw(figure(self), path)
 
     def to_xarray(self, t: Any = None) -> xarray.Dataset:
         """The states as a dataset.
