@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import attrs
 import numpy as np
@@ -37,6 +38,10 @@ LOOKS = {
 }
 
 
+def _floats(values: Any) -> np.ndarray:
+    return np.asarray(values, dtype=float)
+
+
 @attrs.frozen(kw_only=True, eq=False)
 class Curve:
     """Points joined, dotted or both; NaN interrupts the line.
@@ -52,8 +57,8 @@ class Curve:
         What is shown when a point is hovered; one a point, or none.
     """
 
-    x: np.ndarray = attrs.field(converter=lambda v: np.asarray(v, dtype=float))
-    y: np.ndarray = attrs.field(converter=lambda v: np.asarray(v, dtype=float))
+    x: np.ndarray = attrs.field(converter=_floats)
+    y: np.ndarray = attrs.field(converter=_floats)
     name: str = ""
     look: str = attrs.field(default="line", validator=attrs.validators.in_(LOOKS))
     notes: Sequence[str] = ()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import log10
+from typing import Any
 
 import numpy as np
 
@@ -64,9 +65,9 @@ def phase_panel(run: Trajectory, *, points: int = IN_ALL) -> Panel:
         x, y = _joined([(s[:, i], s[:, k]) for _, _, s in arcs])
         curves.append(Curve(x=x, y=y, look=look))
     if 0 < len(run.jumps) < FALLS:
-        before, after = (_elements(r) for r in (run.jumps.before, run.jumps.after))
-        pairs = [(np.array([b[i], a[i]]), np.array([b[k], a[k]])) for b, a in zip(before, after)]
-        x, y = _joined(pairs)
+        before, after = (_elements(r)[:, [i, k]] for r in (run.jumps.before, run.jumps.after))
+        pairs = zip(before, after, strict=True)
+        x, y = _joined([np.array(pair).T for pair in pairs])
         curves.append(Curve(x=x, y=y, look="fall"))
     for point in run.zeno:
         state = np.concatenate([np.ravel(v) for v in point.state])
@@ -80,28 +81,28 @@ def gaps_panel(run: Trajectory) -> Panel:
     shown = gaps > 0
     title = "time between jumps" if np.any(shown) else "fewer than two jumps"
     number = np.arange(1, len(gaps) + 1)[shown]
-    notes = [f"{gap:.12g} after jump {n}" for n, gap in zip(number, gaps[shown])]
+    notes = [f"{gap:.12g} after jump {n}" for n, gap in zip(number, gaps[shown], strict=True)]
     curve = Curve(x=number, y=gaps[shown], look="series", notes=notes)
     return Panel(curves=[curve], x="jump", y="", log="y", title=title)
 
 
 def approach_panel(run: Trajectory, name: str, place: int = 0, *, points: int = IN_ALL) -> Panel:
-    """One element against the time that is left to an accumulation, on a logarithmic axis.
+    """An element that vanishes in the limit, over the time that is left, on a logarithmic axis.
 
     The impacts, which crowd together over time, are equally far apart on it.
     """
     point, index = run.zeno[place], run.spec.element_names.index(name)
     since = run.zeno[place - 1].t if place else run.t0
     arcs = [a for a in run.arcs if since <= a.t0 and a.t1 <= point.t and not _stays(a.mode)]
-    left = np.cumsum([a.length for a in arcs][::-1])[::-1]
+    ends = np.cumsum([a.length for a in arcs][::-1])[::-1]
     count, parts = _count(len(arcs), points), []
-    for arc, whole in zip(arcs, left):
+    for arc, end in zip(arcs, ends, strict=True):
         grid = np.linspace(0.0, 1.0, count) * arc.length
-        parts.append((whole - grid, arc.local(grid)[:, index]))
-    x, y = _joined([(left_, value) for left_, value in parts])
-    shown = x > 0
-    curves = [Curve(x=np.where(shown, x, np.nan), y=y)]
-    return Panel(curves=curves, x="t_inf - t", y=name, log="x", reverse=True)
+        left = np.where(end > grid, end - grid, np.nan)
+        parts.append((left, arc.local(grid)[:, index] / left))
+    x, y = _joined(parts)
+    label = f"{name} / (t_inf - t)"
+    return Panel(curves=[Curve(x=x, y=y)], x="t_inf - t", y=label, log="x", reverse=True)
 
 
 def zooms(run: Trajectory, place: int = 0) -> list[tuple[str, tuple[float, float]]]:
@@ -152,7 +153,7 @@ def _rests(run: Trajectory, points: int) -> list[tuple[Arc, np.ndarray, np.ndarr
     return _sampled([arc for arc in run.arcs if _stays(arc.mode)], points)
 
 
-def _joined(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+def _joined(parts: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
     """Pieces of a curve as one, interrupted between them."""
     gap = np.full(1, np.nan)
     x, y = ([np.concatenate([part[k], gap]) for part in parts] for k in (0, 1))
@@ -180,7 +181,7 @@ def _impacts(run: Trajectory, index: int) -> list[Curve]:
     )
     notes = [
         f"jump {number} at t = {when:.15g}<br>{names[index]}: {b[index]:.12g} → {a[index]:.12g}"
-        for number, when, b, a in zip(np.flatnonzero(shown) + 1, t, before, after)
+        for number, when, b, a in zip(np.flatnonzero(shown) + 1, t, before, after, strict=True)
     ]
     return [Curve(x=t, y=after[:, index], look="impact", name="jump", notes=notes)]
 

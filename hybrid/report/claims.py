@@ -52,8 +52,8 @@ class Number:
 
 
 def shown(value: float | int | str, error: float | None = None) -> str:
-    """A number with the digits that are known: ``1.329617383838(2)`` style, error beside it."""
-    if isinstance(value, str) or isinstance(value, int):
+    """A number with the digits that are known: ``1.3296173838386 ± 2e-13``."""
+    if isinstance(value, str | int):
         return str(value)
     if error is None or not isfinite(error) or not isfinite(value):
         return f"{value:.15g}"
