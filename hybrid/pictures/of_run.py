@@ -15,6 +15,9 @@ from .figure import Curve, Figure, Panel
 #: Points an arc, at most, and in all; arcs of a long run get fewer.
 POINTS, IN_ALL = 200, 20000
 
+#: How near an accumulation is shown, of the time to it: arcs end where doubles do.
+NEAREST = 1e-12
+
 #: Jumps that a phase portrait shows, at most.
 FALLS = 2000
 
@@ -98,7 +101,7 @@ def approach_panel(run: Trajectory, name: str, place: int = 0, *, points: int = 
     count, parts = _count(len(arcs), points), []
     for arc, end in zip(arcs, ends, strict=True):
         grid = np.linspace(0.0, 1.0, count) * arc.length
-        left = np.where(end > grid, end - grid, np.nan)
+        left = np.where(end - grid > NEAREST * ends[0], end - grid, np.nan)
         parts.append((left, arc.local(grid)[:, index] / left))
     x, y = _joined(parts)
     label = f"{name} / (t_inf - t)"
