@@ -1,10 +1,12 @@
 # Two commands do everything on a machine with Python 3.11 (or later) and make:
 #   make        environment, then the main job: runs with numbers beside exact values, pictures
 #   make test   environment, then lint, types and tests
+# and one writes the paper's claims, figures and verdicts on a page:
+#   make paper  environment, then out/paper/index.html
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test bench clean
+.PHONY: run test paper bench clean
 
 run: .venv/installed
 	mkdir -p out
@@ -18,6 +20,9 @@ test: .venv/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -n 2
+
+paper: .venv/installed
+	$(BIN)/hybrid report --out out/paper
 
 bench: .venv/installed
 	$(BIN)/python benchmarks/example_1.py

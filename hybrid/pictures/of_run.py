@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from math import log10
 from typing import Any
 
@@ -12,8 +13,8 @@ from ..arcs import Arc
 from ..trajectory import Trajectory
 from .figure import Curve, Figure, Panel
 
-#: Points an arc, at most, and in all; arcs of a long run get fewer.
-POINTS, IN_ALL = 200, 20000
+#: Points an arc, at most and at least, and in all; arcs of a long run get fewer.
+POINTS, FEWEST, IN_ALL = 200, 17, 20000
 
 #: How near an accumulation is shown, of the time to it: arcs end where doubles do.
 NEAREST = 1e-12
@@ -80,12 +81,15 @@ def phase_panel(run: Trajectory, *, points: int = IN_ALL) -> Panel:
 
 def gaps_panel(run: Trajectory) -> Panel:
     """Time between jumps, by number, on a logarithmic axis."""
-    gaps = run.jumps.gaps
-    shown = gaps > 0
-    title = "time between jumps" if np.any(shown) else "fewer than two jumps"
-    number = np.arange(1, len(gaps) + 1)[shown]
-    notes = [f"{gap:.12g} after jump {n}" for n, gap in zip(number, gaps[shown], strict=True)]
-    curve = Curve(x=number, y=gaps[shown], look="series", notes=notes)
+    pairs = [
+        (arc.j, arc.length)
+        for arc, after in pairwise(run.arcs)
+        if arc.j > 0 and after.j > arc.j and arc.length > 0.0
+    ]
+    title = "time between jumps" if pairs else "fewer than two jumps"
+    notes = [f"{gap:.12g} after jump {number}" for number, gap in pairs]
+    x, y = np.array(pairs).reshape(-1, 2).T
+    curve = Curve(x=x, y=y, look="series", notes=notes)
     return Panel(curves=[curve], x="jump", y="", log="y", title=title)
 
 
@@ -136,7 +140,7 @@ def _power(value: float) -> str:
 
 
 def _count(arcs: int, points: int) -> int:
-    return int(np.clip(points // max(arcs, 1), 9, POINTS))
+    return int(np.clip(points // max(arcs, 1), FEWEST, POINTS))
 
 
 def _sampled(arcs: Sequence[Arc], points: int) -> list[tuple[Arc, np.ndarray, np.ndarray]]:
