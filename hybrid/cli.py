@@ -37,6 +37,7 @@ SHOWN = 20
 NEEDS = {
     "--plot": ["matplotlib"],
     "--save": ["xarray", "h5netcdf", "h5py"],
+    ".html": ["plotly"],
     "report": ["matplotlib", "plotly", "flint"],
 }
 
@@ -92,7 +93,7 @@ def run(
         typer.Option(help="Stop after so many computed jumps; impacts permitted with truncate."),
     ] = None,
     plot: Annotated[
-        str | None, typer.Option(help="Write a picture: out.png, out.pdf, out.svg.")
+        str | None, typer.Option(help="Write a picture: out.png, out.pdf, out.svg, out.html.")
     ] = None,
     save: Annotated[str | None, typer.Option(help="Write the trajectory: out.nc.")] = None,
     oracle: Annotated[
@@ -395,7 +396,7 @@ def _can_write(option: str, path: str | None) -> None:
     """Refuse before the run what could only fail after it."""
     if path is None:
         return
-    _needed(option, NEEDS[option])
+    _needed(option, NEEDS[".html" if path.endswith(".html") else option])
     if not Path(path).resolve().parent.is_dir():
         raise OptionError(f"{option} {path}: no such folder")
 
