@@ -279,6 +279,7 @@ def report(
 
     with _one_line():
         _needed("report", NEEDS["report"])
+        _write(lambda: out.mkdir(parents=True, exist_ok=True))
         path = make(out, only or [], _judged)
     typer.echo(f"page: {path}")
 

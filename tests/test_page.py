@@ -19,7 +19,9 @@ def section():
     panels = column(states_panel(run, "x", points=4000), states_panel(run, "v", points=4000))
     ball = Figure(name="ball", title="A ball </script> & <b>", columns=panels, zooms=zooms(run))
     x = np.linspace(0.0, 1.0, 50)
-    stops = [(f"{r:g}", column(Panel(curves=[Curve(x=x, y=np.minimum(x, r))]))) for r in (0.5, 0.3, 0.1)]
+    stops = [
+        (f"{r:g}", column(Panel(curves=[Curve(x=x, y=np.minimum(x, r))]))) for r in (0.5, 0.3, 0.1)
+    ]
     lines = slid(Slider(label="r", stops=stops), name="lines", title="Lines")
     kind = np.array([[0, 1], [1, 0]])
     notes = np.array([["a", "b"], ["c", "d"]])
