@@ -1,11 +1,13 @@
 # Two commands do everything on a machine with Python 3.11 (or later) and make:
 #   make        environment, then the main job: runs with numbers beside exact values, pictures
 #   make test   environment, then lint, types and tests
-# and make docs writes the documentation site, out/site/index.html.
+# and two write pages:
+#   make paper  environment, then out/paper/index.html: the paper's claims, figures and verdicts
+#   make docs   environment, then out/site/index.html: the documentation
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test bench docs clean
+.PHONY: run test paper docs bench clean
 
 run: .venv/installed
 	mkdir -p out
@@ -19,6 +21,9 @@ test: .venv/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -n 2
+
+paper: .venv/installed
+	$(BIN)/hybrid report --out out/paper
 
 docs: .venv/installed
 	$(BIN)/mkdocs build --strict

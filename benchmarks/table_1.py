@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 import hybrid as hy
-from hybrid.plotting import IMPACT, LIMIT, LINE, SURFACE
+from hybrid.pictures.figure import IMPACT, LIMIT, LINE, SURFACE
 from models.pyragas import Pyragas
 
 STARTS = (2.1, 2.5, 3.0, 5.0, 10.0, 100.0, 200.0)

@@ -1,4 +1,4 @@
-"""The command line: ``hybrid run``, ``list``, ``check``, ``compare``, ``certify``.
+"""The command line: ``hybrid run``, ``list``, ``check``, ``compare``, ``certify``, ``report``.
 
 Exit codes: 0 done (``certify``: certified); 1 solvers differ by more than the tolerance
 explains (``certify``: refuted); 2 something asked for cannot be done (one line says what);
@@ -33,8 +33,16 @@ SMALL_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_thresho
 #: Accumulations that are printed, at most.
 SHOWN = 20
 
-#: What an option needs beyond the package itself.
-NEEDS = {"--plot": ["matplotlib"], "--save": ["xarray", "h5netcdf", "h5py"]}
+#: What an option or a command needs beyond the package itself.
+NEEDS = {
+    "--plot": ["matplotlib"],
+    "--save": ["xarray", "h5netcdf", "h5py"],
+    ".html": ["plotly"],
+    "report": ["matplotlib", "plotly", "flint"],
+}
+
+#: Packages whose modules have other names.
+PACKAGES = {"flint": "python-flint"}
 
 #: Seconds after which a run shows its progress.
 PATIENCE = 1.0
@@ -85,7 +93,7 @@ def run(
         typer.Option(help="Stop after so many computed jumps; impacts permitted with truncate."),
     ] = None,
     plot: Annotated[
-        str | None, typer.Option(help="Write a picture: out.png, out.pdf, out.svg.")
+        str | None, typer.Option(help="Write a picture: out.png, out.pdf, out.svg, out.html.")
     ] = None,
     save: Annotated[str | None, typer.Option(help="Write the trajectory: out.nc.")] = None,
     oracle: Annotated[
@@ -259,6 +267,30 @@ def check(file: Annotated[str, typer.Argument(help="FILE.py, or a name in the ga
     typer.echo(f"{spec.model}: no faults. States {states}; modes {modes}; edges {edges}{lags}.")
 
 
+@app.command()
+def report(
+    out: Annotated[Path, typer.Option(help="A folder for the page and its pictures.")],
+    only: Annotated[
+        list[str] | None, typer.Option(help="A section: existence, beam ... May be repeated.")
+    ] = None,
+) -> None:
+    """Reproduce the paper *Analysis of Impact Chattering*: a page of claims and verdicts."""
+    from .report import report as make
+
+    with _one_line():
+        _needed("report", NEEDS["report"])
+        _write(lambda: out.mkdir(parents=True, exist_ok=True))
+        path = make(out, only or [], _judged)
+    typer.echo(f"page: {path}")
+
+
+def _judged(section: Any, seconds: float) -> None:
+    """The verdicts of one section of the report."""
+    typer.echo(f"{section.title} ({seconds:.0f} s)")
+    for claim in section.claims:
+        typer.echo(f"  {claim.verdict.value:14} {claim.place}: {claim.found}")
+
+
 def _pairs(given: list[str], option: str) -> dict[str, Any]:
     pairs = {}
     for text in given:
@@ -365,11 +397,16 @@ def _can_write(option: str, path: str | None) -> None:
     """Refuse before the run what could only fail after it."""
     if path is None:
         return
-    missing = [name for name in NEEDS[option] if find_spec(name) is None]
-    if missing:
-        raise OptionError(f"{option} needs {', '.join(missing)}: pip install {' '.join(missing)}")
+    _needed(option, NEEDS[".html" if path.endswith(".html") else option])
     if not Path(path).resolve().parent.is_dir():
         raise OptionError(f"{option} {path}: no such folder")
+
+
+def _needed(what: str, modules: list[str]) -> None:
+    """Refuse what needs a package that is missing."""
+    missing = [PACKAGES.get(name, name) for name in modules if find_spec(name) is None]
+    if missing:
+        raise OptionError(f"{what} needs {', '.join(missing)}: pip install {' '.join(missing)}")
 
 
 def _write(action: Callable[[], Any]) -> None:

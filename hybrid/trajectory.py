@@ -24,7 +24,6 @@ from .errors import OptionError
 
 if TYPE_CHECKING:
     import xarray
-    from matplotlib.figure import Figure
 
     from .orbits.settling import Settled
 
@@ -347,17 +346,27 @@ class Trajectory:
 
         return settles(self)
 
-    def plot(self, path: Any = None) -> Figure:
+    def plot(self, path: Any = None) -> Any:
         """Draw the run: states, phase portrait, gaps between impacts.
 
         Parameters
         ----------
         path : str or path, optional
-            Also write the figure there.
-        """
-        from .plotting import plot
+            Also write the figure there. ``.html``: a page that zooms and answers the pointer,
+            and needs no network (extra ``report``).
 
-        return plot(self, path)
+        Returns
+        -------
+        matplotlib.figure.Figure
+            With ``.html`` plotly's ``Figure``.
+        """
+        from .pictures.of_run import figure
+
+        if str(path).endswith(".html"):
+            from .pictures.interactive import draw
+        else:
+            from .pictures.static import draw
+        return draw(figure(self), path)
 
     def to_xarray(self, t: Any = None) -> xarray.Dataset:
         """The states as a dataset.

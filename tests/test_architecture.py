@@ -18,10 +18,11 @@ LAYERS = [
     ["zeno"],
     ["compiled"],
     ["accumulation", "arcs", "trajectory"],
-    ["run", "store", "plotting"],
+    ["run", "store", "pictures"],
     ["histories", "hindsight"],
     ["simulation", "ensembles", "function", "certificates"],
     ["compare", "gallery", "study", "orbits"],
+    ["report"],
     ["cli", "__main__", "__init__"],
 ]
 

@@ -35,3 +35,21 @@ def test_a_run_without_jumps_can_be_drawn():
     """Nothing to put on the logarithmic axis."""
     run = hy.simulate(BeadOnTable(), {"x": 1.9, "v": 0.0}, (0, 0.1))
     assert len(run.plot().axes) == 4
+
+
+def test_a_page_that_zooms(tmp_path):
+    """The same curves, in one file that asks nothing of a network."""
+    run = hy.simulate(BeadOnTable(r=0.6, omega=3.5), [1.5, 0.0], (0, 7))
+    figure = run.plot(tmp_path / "run.html")
+    dots = next(trace for trace in figure.data if trace.name == "jump")
+    impacts = run.jumps.edge == "impact"
+    np.testing.assert_array_equal(dots.x, run.jumps.t[impacts])
+    assert f"t = {run.jumps.t[0]:.15g}" in dots.text[0]
+    assert "<script src" not in (tmp_path / "run.html").read_text()
+
+
+def test_gaps_shrink_to_the_last_double():
+    """The lengths of the arcs, not differences of times."""
+    run = hy.simulate(BeadOnTable(r=0.5, omega=0.0), [1.0, 0.0], (0, 4))
+    gaps = run.plot().axes[3].lines[0].get_ydata()
+    np.testing.assert_allclose(gaps[1:] / gaps[:-1], 0.5, rtol=1e-9)

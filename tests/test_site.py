@@ -13,10 +13,27 @@ import pytest
 
 import hybrid as hy
 
+from .browser import opened, overflow
+
 ROOT = Path(__file__).parent.parent
 
 #: Pages elsewhere that ours may lead to.
 OUTSIDE = ()
+
+#: What is in the reference beside the public names.
+MADE = (
+    "Trajectory.__call__",
+    "accumulation.Accumulation.verdict",
+    "arcs.Arc",
+    "function.Outcome",
+    "orbits.exponents.Exponents",
+    "orbits.periodic.PeriodicOrbit",
+    "orbits.returns.ReturnMap.__call__",
+    "orbits.settling.Settled",
+    "solvers.base.Stepper.land",
+    "study.transient",
+    "trajectory.Jumps.gaps",
+)
 
 
 def build(folder, *options):
@@ -43,16 +60,17 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="session")
 def site(tmp_path_factory):
-    """The site; built once, whichever worker asks first."""
-    run = os.environ.get("PYTEST_XDIST_TESTRUNUID", os.getpid())
-    folder = tmp_path_factory.getbasetemp().parent / f"site-{run}"
-    with open(f"{folder}.lock", "w") as lock:
+    """The site; built once, by whichever worker asks first."""
+    base = tmp_path_factory.getbasetemp()
+    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    with open(base / "site.lock", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (folder / "index.html").exists():
-            done = build(folder)
+        if not (base / "site.built").exists():
+            done = build(base / "site")
             assert done.returncode == 0, done.stderr
             assert "WARNING" not in done.stderr
-    return folder
+            (base / "site.built").touch()
+    return base / "site"
 
 
 @pytest.fixture(scope="session")
@@ -96,8 +114,7 @@ def test_every_public_name_is_in_the_reference(pages):
     """An entry for each name of ``hybrid.__all__``, and for what runs are made of."""
     ids = set().union(*(page.ids for page in pages.values()))
     assert {f"hybrid.{name}" for name in hy.__all__} <= ids
-    assert "hybrid.accumulation.Accumulation.verdict" in ids
-    assert "hybrid.Trajectory.__call__" in ids
+    assert {f"hybrid.{name}" for name in MADE} <= ids
 
 
 def test_the_gallery_has_every_model(site, pages):
@@ -107,6 +124,35 @@ def test_the_gallery_has_every_model(site, pages):
     assert names <= pages[path].ids
     for name in names:
         assert (site / "figures" / "gallery" / f"{name}.png").stat().st_size > 10_000
+
+
+#: A page's search is loaded, so that leaving the page cuts nothing off.
+LOADED = "!!document.querySelector('iframe')?.contentWindow.lunr"
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_pages_fit_and_nothing_fails(site, pages, width):
+    """Opened as files, on a desk and on a phone: no sideways scrolling, pictures, no complaints."""
+    with opened(site / "index.html", width) as (tab, complaints):
+        for path in pages:
+            if path.name == "404.html":  # for servers only: its links begin at their root
+                continue
+            tab.wait_for_function(LOADED)
+            tab.goto(path.as_uri())
+            assert overflow(tab) <= 0, path
+            empty = "[...document.images].filter(i => !i.complete || !i.naturalWidth).length"
+            assert tab.evaluate(empty) == 0, path
+            assert complaints == [], path
+
+
+def test_search_finds_without_a_server(site):
+    """In pages opened as files, from any folder."""
+    with opened(site / "notes" / "chatter.html") as (tab, complaints):
+        tab.locator(".md-search__input").click()
+        tab.keyboard.type("hysteresis")
+        found = tab.locator(".md-search-result__link[href*='zeno.html']").first
+        found.wait_for(state="attached")
+        assert complaints == []
 
 
 def test_a_name_that_is_not_there_fails_the_build(tmp_path):

@@ -1,0 +1,179 @@
+"""A figure as data: curves and cells in panels, panels in columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import attrs
+import numpy as np
+
+LINE, OTHER, IMPACT, LIMIT, SURFACE = "#1f5a96", "#d07c1a", "#c44e52", "#2e8b57", "#8c8c8c"
+
+
+@attrs.frozen(kw_only=True)
+class Look:
+    """How a curve is drawn: a line of some width, dots of some size, or both."""
+
+    color: str
+    width: float = 0.0
+    dash: bool = False
+    dot: float = 0.0
+
+
+#: What a curve may be; the names say what it shows.
+LOOKS = {
+    "line": Look(color=LINE, width=1.1),
+    "rest": Look(color=LINE, width=2.6),
+    "other": Look(color=OTHER, width=1.1),
+    "other rest": Look(color=OTHER, width=2.6),
+    "dashed": Look(color=OTHER, width=1.3, dash=True),
+    "impact": Look(color=IMPACT, dot=4.0),
+    "fall": Look(color=IMPACT, width=0.8, dash=True),
+    "series": Look(color=IMPACT, width=0.8, dot=4.0),
+    "other series": Look(color=OTHER, width=0.8, dot=4.0),
+    "limit": Look(color=LIMIT, width=1.2, dash=True),
+    "point": Look(color=LIMIT, dot=7.0),
+    "surface": Look(color=SURFACE, width=1.3),
+}
+
+
+def _floats(values: Any) -> np.ndarray:
+    return np.asarray(values, dtype=float)
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class Curve:
+    """Points joined, dotted or both; NaN interrupts the line.
+
+    Attributes
+    ----------
+    x, y : array, shape (n,)
+    name : str
+        In the legend; empty: not in it. Curves of one name are one entry.
+    look : str
+        A key of ``LOOKS``.
+    notes : sequence of str
+        What is shown when a point is hovered; one a point, or none.
+    """
+
+    x: np.ndarray = attrs.field(converter=_floats)
+    y: np.ndarray = attrs.field(converter=_floats)
+    name: str = ""
+    look: str = attrs.field(default="line", validator=attrs.validators.in_(LOOKS))
+    notes: Sequence[str] = ()
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class Cells:
+    """A map: each cell of a grid belongs to one kind.
+
+    Attributes
+    ----------
+    x, y : array
+        Centres of the cells, shapes (n,) and (m,).
+    kind : array of int, shape (m, n)
+        Index into ``kinds``.
+    kinds : sequence of (str, str)
+        Name and colour of each kind.
+    notes : array of str, shape (m, n), or None
+        What is shown when a cell is hovered.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    kind: np.ndarray
+    kinds: Sequence[tuple[str, str]]
+    notes: np.ndarray | None = None
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class Panel:
+    """Axes with curves, over cells if there are any.
+
+    Attributes
+    ----------
+    x, y : str
+        What the axes show; panels of a column with the same ``x`` move together.
+    log : str
+        Logarithmic axes: ``""``, ``"x"``, ``"y"`` or ``"xy"``.
+    title : str
+    reverse : bool
+        Whether the first axis runs from right to left.
+    square : bool
+        Whether both axes have the same scale.
+    """
+
+    curves: Sequence[Curve] = ()
+    cells: Cells | None = None
+    x: str = "t"
+    y: str = ""
+    log: str = ""
+    title: str = ""
+    reverse: bool = False
+    square: bool = False
+
+    def span(self, low: float, high: float) -> tuple[float, float] | None:
+        """Bounds of what is shown between two places of the first axis, with a margin."""
+        parts = [c.y[(c.x >= low) & (c.x <= high)] for c in self.curves if c.look != "limit"]
+        values = np.concatenate([np.empty(0), *parts])
+        values = values[np.isfinite(values)]
+        if not values.size:
+            return None
+        margin = 0.05 * (values.max() - values.min()) or 1e-12
+        return float(values.min() - margin), float(values.max() + margin)
+
+
+Columns = tuple[tuple[Panel, ...], ...]
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class Slider:
+    """What changes in a figure as a value does.
+
+    Attributes
+    ----------
+    label : str
+        The value's name.
+    stops : sequence of (str, columns)
+        The value as text, and the panels at it; all stops have the same axes.
+    start : int
+        The stop that is shown first, and in print.
+    """
+
+    label: str
+    stops: Sequence[tuple[str, Columns]]
+    start: int = 0
+
+
+@attrs.frozen(kw_only=True, eq=False)
+class Figure:
+    """Panels in columns, side by side.
+
+    Attributes
+    ----------
+    name : str
+        A short name, for files and links.
+    title : str
+    columns : tuple of tuples of Panel
+        Columns from left to right, each from top to bottom; with a slider those of its start.
+    zooms : sequence of (str, (low, high))
+        Ranges of the first axis worth looking at: what they are called, and their ends.
+    slider : Slider or None
+    """
+
+    name: str = ""
+    title: str = ""
+    columns: Columns = ()
+    zooms: Sequence[tuple[str, tuple[float, float]]] = ()
+    slider: Slider | None = None
+
+
+def column(*panels: Panel) -> Columns:
+    """Panels below each other, as the columns of a figure."""
+    return (panels,)
+
+
+def slid(slider: Slider, **rest: object) -> Figure:
+    """A figure with a slider, showing its start."""
+    return Figure(columns=slider.stops[slider.start][1], slider=slider, **rest)  # type: ignore[arg-type]

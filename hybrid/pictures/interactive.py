@@ -1,0 +1,208 @@
+"""Figures drawn with plotly: they zoom, answer the pointer, and slide."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from .figure import LOOKS, Cells, Columns, Curve, Figure, Panel
+
+#: Pixels: a panel, the space between two, and what stands above and below all of them (a name
+#: of an axis, and a legend of three lines on a phone).
+PANEL, BETWEEN, ABOVE, BELOW = 230, 72, 34, 110
+
+#: Pixels for a slider below, for a menu above.
+SLIDER, MENU = 84, 40
+
+#: What a drawn figure can do; shared by all pages.
+CONFIG = {
+    "responsive": True,
+    "displaylogo": False,
+    "modeBarButtonsToRemove": ["select2d", "lasso2d"],
+}
+
+
+def draw(figure: Figure, path: Any = None) -> go.Figure:
+    """A figure that zooms; its columns are set below each other, so that a phone can show it.
+
+    Parameters
+    ----------
+    figure : Figure
+    path : str or path, optional
+        Also write it there, as a page of HTML that needs no network.
+    """
+    panels = _stacked(figure.columns)
+    height = len(panels) * PANEL
+    drawn = make_subplots(
+        rows=len(panels),
+        cols=1,
+        vertical_spacing=BETWEEN / (height + (len(panels) - 1) * BETWEEN) if panels[1:] else 0.0,
+        subplot_titles=[panel.title for panel in panels],
+    )
+    stops = figure.slider.stops if figure.slider else [("", figure.columns)]
+    counts = []
+    for _, columns in stops:
+        before = len(drawn.data)
+        _add(drawn, _stacked(columns))
+        counts.append(len(drawn.data) - before)
+    for row, panel in enumerate(panels, start=1):
+        _axes(drawn, row, panel, panels)
+    below, above = BELOW, ABOVE
+    if figure.slider is not None:
+        below += SLIDER
+        _slide(drawn, figure, counts)
+    if len(figure.zooms) > 1:
+        above += MENU
+        drawn.update_layout(updatemenus=[_buttons(figure, panels)])
+    drawn.update_layout(
+        template="plotly_white",
+        height=height + (len(panels) - 1) * BETWEEN + above + below,
+        margin={"l": 64, "r": 16, "t": above, "b": below},
+        legend={"orientation": "h", "yref": "container", "y": 0.0, "yanchor": "bottom"},
+        font={"size": 13},
+        hovermode="closest",
+    )
+    if path is not None:
+        written = drawn.to_html(include_plotlyjs=True, config=CONFIG, full_html=True)
+        Path(path).write_text(written, encoding="utf-8")
+    return drawn
+
+
+def _stacked(columns: Columns) -> list[Panel]:
+    return [panel for column in columns for panel in column]
+
+
+def _add(drawn: go.Figure, panels: Sequence[Panel]) -> None:
+    """The traces of panels; curves of one name share an entry in the legend."""
+    named: set[str] = set()
+    for row, panel in enumerate(panels, start=1):
+        traces = [*_cells(panel.cells), *(_curve(curve) for curve in panel.curves)]
+        for trace in traces:
+            trace.showlegend = bool(trace.name) and trace.name not in named
+            trace.legendgroup = trace.name
+            named.add(trace.name)
+            drawn.add_trace(trace, row=row, col=1)
+
+
+def _curve(curve: Curve) -> go.Scatter:
+    look = LOOKS[curve.look]
+    mode = "+".join(["lines"] * bool(look.width) + ["markers"] * bool(look.dot))
+    return go.Scatter(
+        x=curve.x,
+        y=curve.y,
+        name=curve.name,
+        mode=mode,
+        line={
+            "color": look.color,
+            "width": 1.2 * look.width,
+            "dash": "dash" if look.dash else None,
+        },
+        marker={"color": look.color, "size": 1.3 * look.dot},
+        text=list(curve.notes) or None,
+        hovertemplate="%{text}<extra></extra>"
+        if curve.notes
+        else "%{x:.12g}, %{y:.12g}<extra></extra>",
+    )
+
+
+def _cells(cells: Cells | None) -> Iterator[go.Heatmap | go.Scatter]:
+    """A map, and a mark in the legend for each kind of its cells."""
+    if cells is None:
+        return
+    count = len(cells.kinds)
+    edges = np.repeat(np.arange(count + 1) / count, 2)[1:-1]
+    colors = [color for _, color in cells.kinds for _ in range(2)]
+    yield go.Heatmap(
+        x=cells.x,
+        y=cells.y,
+        z=cells.kind,
+        zmin=-0.5,
+        zmax=count - 0.5,
+        colorscale=list(zip(edges.tolist(), colors, strict=True)),
+        showscale=False,
+        text=cells.notes,
+        hovertemplate="%{text}<extra></extra>" if cells.notes is not None else None,
+    )
+    for name, color in cells.kinds:
+        marker = {"color": color, "symbol": "square", "size": 11}
+        yield go.Scatter(x=[None], y=[None], name=name, mode="markers", marker=marker)
+
+
+def _axes(drawn: go.Figure, row: int, panel: Panel, panels: Sequence[Panel]) -> None:
+    """Names, scales, and which first axes move together."""
+    first = next(i for i, other in enumerate(panels, start=1) if _moves_with(other, panel))
+    drawn.update_xaxes(
+        title_text=panel.x,
+        type="log" if "x" in panel.log else "linear",
+        autorange="reversed" if panel.reverse else None,
+        matches=f"x{first if first > 1 else ''}" if first < row else None,
+        exponentformat="power",
+        title_standoff=4,
+        row=row,
+        col=1,
+    )
+    drawn.update_yaxes(
+        title_text=panel.y,
+        type="log" if "y" in panel.log else "linear",
+        exponentformat="power",
+        scaleanchor=f"x{row if row > 1 else ''}" if panel.square else None,
+        row=row,
+        col=1,
+    )
+
+
+def _moves_with(one: Panel, other: Panel) -> bool:
+    return one.x == other.x and ("x" in one.log) == ("x" in other.log)
+
+
+def _slide(drawn: go.Figure, figure: Figure, counts: Sequence[int]) -> None:
+    """One set of traces a stop, of which one is visible."""
+    slider = figure.slider
+    assert slider is not None
+    owner = np.repeat(np.arange(len(counts)), counts)
+    for place, trace in zip(owner.tolist(), drawn.data, strict=True):
+        trace.visible = place == slider.start
+    steps = [
+        {"label": label, "method": "restyle", "args": [{"visible": (owner == place).tolist()}]}
+        for place, (label, _) in enumerate(slider.stops)
+    ]
+    current = {"prefix": f"{slider.label} = "}
+    drawn.update_layout(
+        sliders=[
+            {
+                "active": slider.start,
+                "currentvalue": current,
+                "steps": steps,
+                "pad": {"t": 50},
+                "x": 0.0,
+                "len": 1.0,
+            }
+        ]
+    )
+
+
+def _buttons(figure: Figure, panels: Sequence[Panel]) -> dict[str, Any]:
+    """Buttons that show a range of the first panel's axis, and what is in it."""
+    buttons = []
+    for label, (low, high) in figure.zooms:
+        ranges: dict[str, Any] = {"xaxis.range": [low, high]}
+        for place, panel in enumerate(panels):
+            span = panel.span(low, high) if _moves_with(panel, panels[0]) else None
+            if span is not None and "y" not in panel.log:
+                ranges[f"yaxis{place + 1 if place else ''}.range"] = list(span)
+        buttons.append({"label": label, "method": "relayout", "args": [ranges]})
+    return {
+        "buttons": buttons,
+        "type": "dropdown",
+        "direction": "down",
+        "x": 0.0,
+        "xanchor": "left",
+        "y": 1.0,
+        "yanchor": "bottom",
+        "pad": {"b": 12},
+    }

@@ -1,0 +1,240 @@
+"""Figures of a run: states over time, phase portrait, gaps between jumps, the way to a limit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from math import log10
+from typing import Any
+
+import numpy as np
+
+from ..arcs import Arc
+from ..trajectory import Trajectory
+from .figure import Curve, Figure, Panel
+
+#: Points an arc, at most and at least, and in all; arcs of a long run get fewer.
+POINTS, FEWEST, IN_ALL = 200, 17, 20000
+
+#: How near an accumulation is shown, of the time to it: arcs end where doubles do.
+NEAREST = 1e-12
+
+#: Jumps that a phase portrait shows, at most.
+FALLS = 2000
+
+
+def figure(run: Trajectory) -> Figure:
+    """A run on one figure.
+
+    Left: each element of the state over time, impacts marked, accumulations as lines,
+    resting arcs thicker, and the obstacle where a gap is the distance of one coordinate to
+    it. Right: the phase portrait of the first contact's position and velocity, and the
+    gaps between jumps against their number on a logarithmic axis, where a chattering
+    series is a straight line.
+    """
+    names = run.spec.element_names
+    states = tuple(states_panel(run, name) for name in names)
+    aside = (phase_panel(run), gaps_panel(run)) if len(names) > 1 else (gaps_panel(run),)
+    return Figure(name="run", title=title(run), columns=(states, aside), zooms=zooms(run))
+
+
+def states_panel(run: Trajectory, name: str, *, look: str = "line", points: int = IN_ALL) -> Panel:
+    """One element of the state over time, with impacts, rests, limits and the obstacle."""
+    index = run.spec.element_names.index(name)
+    curves = [*_obstacle(run, index), *path(run, index, look=look, points=points)]
+    curves += [*_impacts(run, index), *_limits(run, curves)]
+    unit = _unit(run, index)
+    return Panel(curves=curves, y=f"{name} [{unit}]" if unit else name)
+
+
+def path(
+    run: Trajectory, index: int, *, look: str = "line", name: str = "", points: int = IN_ALL
+) -> list[Curve]:
+    """One element over time: a curve for the flights, a thicker one for the rests."""
+    still = look if look not in ("line", "other") else "rest" if look == "line" else "other rest"
+    flying = _joined([(t, x[:, index]) for _, t, x in _flights(run, points)])
+    resting = _joined([(t, x[:, index]) for _, t, x in _rests(run, points)])
+    curves = [Curve(x=flying[0], y=flying[1], look=look, name=name)] if flying[0].size else []
+    if resting[0].size:
+        curves.append(Curve(x=resting[0], y=resting[1], look=still, name=_staying(run)))
+    return curves
+
+
+def phase_panel(run: Trajectory, *, points: int = IN_ALL) -> Panel:
+    """Velocity over position of the first contact (else the first two elements)."""
+    names = run.spec.element_names
+    i, k = (run.pairs or [(0, min(1, len(names) - 1))])[0]
+    curves = []
+    for look, arcs in (("line", _flights(run, points)), ("rest", _rests(run, points))):
+        x, y = _joined([(s[:, i], s[:, k]) for _, _, s in arcs])
+        curves.append(Curve(x=x, y=y, look=look))
+    if 0 < len(run.jumps) < FALLS:
+        before, after = (_elements(r)[:, [i, k]] for r in (run.jumps.before, run.jumps.after))
+        pairs = zip(before, after, strict=True)
+        x, y = _joined([np.array(pair).T for pair in pairs])
+        curves.append(Curve(x=x, y=y, look="fall"))
+    for point in run.zeno:
+        state = np.concatenate([np.ravel(v) for v in point.state])
+        curves.append(Curve(x=[state[i]], y=[state[k]], look="point"))
+    return Panel(curves=curves, x=names[i], y=names[k], title="phase portrait")
+
+
+def gaps_panel(run: Trajectory) -> Panel:
+    """Time between jumps, by number, on a logarithmic axis."""
+    pairs = [
+        (arc.j, arc.length)
+        for arc, after in pairwise(run.arcs)
+        if arc.j > 0 and after.j > arc.j and arc.length > 0.0
+    ]
+    title = "time between jumps" if pairs else "fewer than two jumps"
+    notes = [f"{gap:.12g} after jump {number}" for number, gap in pairs]
+    x, y = np.array(pairs).reshape(-1, 2).T
+    curve = Curve(x=x, y=y, look="series", notes=notes)
+    return Panel(curves=[curve], x="jump", y="", log="y", title=title)
+
+
+def approach_panel(run: Trajectory, name: str, place: int = 0, *, points: int = IN_ALL) -> Panel:
+    """An element that vanishes in the limit, over the time that is left, on a logarithmic axis.
+
+    The impacts, which crowd together over time, are equally far apart on it.
+    """
+    point, index = run.zeno[place], run.spec.element_names.index(name)
+    since = run.zeno[place - 1].t if place else run.t0
+    arcs = [a for a in run.arcs if since <= a.t0 and a.t1 <= point.t and not _stays(a.mode)]
+    ends = np.cumsum([a.length for a in arcs][::-1])[::-1]
+    count, parts = _count(len(arcs), points), []
+    for arc, end in zip(arcs, ends, strict=True):
+        grid = np.linspace(0.0, 1.0, count) * arc.length
+        left = np.where(end - grid > NEAREST * ends[0], end - grid, np.nan)
+        parts.append((left, arc.local(grid)[:, index] / left))
+    x, y = _joined(parts)
+    label = f"{name} / (t_inf - t)"
+    return Panel(curves=[Curve(x=x, y=y)], x="t_inf - t", y=label, log="x", reverse=True)
+
+
+def zooms(run: Trajectory, place: int = 0) -> list[tuple[str, tuple[float, float]]]:
+    """The whole run, and nearer and nearer to an accumulation."""
+    whole = [("whole run", (run.t0, run.t1))]
+    if not run.zeno:
+        return whole
+    t, since = run.zeno[place].t, run.zeno[place - 1].t if place else run.t0
+    near = [10.0**-k * (t - since) for k in range(1, 8) if 10.0**-k * (t - since) > 1e-7 * abs(t)]
+    return whole + [(f"last {_power(d)}", (t - d, t + 0.1 * d)) for d in near]
+
+
+def title(run: Trajectory) -> str:
+    """How many jumps, and where they accumulate."""
+    head = f"{run.spec.model}: {len(run.jumps)} jumps listed"
+    if not run.zeno:
+        return head
+    first = run.zeno[0]
+    more = f" (first of {len(run.zeno)})" if len(run.zeno) > 1 else ""
+    return f"{head}, accumulating at t = {first.t:.12g} ± {first.t_error:.0e}{more}"
+
+
+# ---------------------------------------------------------------------------------------
+
+
+def _power(value: float) -> str:
+    return f"{value / 10 ** np.floor(log10(value)):.2g}e{int(np.floor(log10(value)))}"
+
+
+def _count(arcs: int, points: int) -> int:
+    return int(np.clip(points // max(arcs, 1), FEWEST, POINTS))
+
+
+def _sampled(arcs: Sequence[Arc], points: int) -> list[tuple[Arc, np.ndarray, np.ndarray]]:
+    """Each arc with its times and states."""
+    count, sampled = _count(len(arcs), points), []
+    for arc in arcs:
+        grid = np.linspace(0.0, 1.0, count if arc.segments else 2) * arc.length
+        sampled.append((arc, arc.t0 + (arc.low + grid), arc.local(grid)))
+    return sampled
+
+
+def _flights(run: Trajectory, points: int) -> list[tuple[Arc, np.ndarray, np.ndarray]]:
+    return _sampled([arc for arc in run.arcs if not _stays(arc.mode)], points)
+
+
+def _rests(run: Trajectory, points: int) -> list[tuple[Arc, np.ndarray, np.ndarray]]:
+    return _sampled([arc for arc in run.arcs if _stays(arc.mode)], points)
+
+
+def _joined(parts: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
+    """Pieces of a curve as one, interrupted between them."""
+    gap = np.full(1, np.nan)
+    x, y = ([np.concatenate([part[k], gap]) for part in parts] for k in (0, 1))
+    empty = [np.empty(0)]
+    return np.concatenate(x or empty)[:-1], np.concatenate(y or empty)[:-1]
+
+
+def _stays(mode: str) -> bool:
+    """Whether an arc stays on a surface: at rest on a contact, or sliding."""
+    return ".rest(" in mode or mode.startswith("slide(")
+
+
+def _staying(run: Trajectory) -> str:
+    return "at rest" if any(".rest(" in arc.mode for arc in run.arcs) else "sliding"
+
+
+def _impacts(run: Trajectory, index: int) -> list[Curve]:
+    """Jumps at their places after them; not releases, where nothing jumps."""
+    names = run.spec.element_names
+    shown = np.array([not str(edge).endswith(".release") for edge in run.jumps.edge], dtype=bool)
+    if not np.any(shown):
+        return []
+    t, before, after = (
+        a[shown] for a in (run.jumps.t, _elements(run.jumps.before), _elements(run.jumps.after))
+    )
+    notes = [
+        f"jump {number} at t = {when:.15g}<br>{names[index]}: {b[index]:.12g} → {a[index]:.12g}"
+        for number, when, b, a in zip(np.flatnonzero(shown) + 1, t, before, after, strict=True)
+    ]
+    return [Curve(x=t, y=after[:, index], look="impact", name="jump", notes=notes)]
+
+
+def _limits(run: Trajectory, curves: Sequence[Curve]) -> list[Curve]:
+    """Accumulations, as lines as high as what is drawn."""
+    values = np.concatenate([curve.y[np.isfinite(curve.y)] for curve in curves])
+    ends = [values.min(), values.max()] if values.size else [0.0, 1.0]
+    return [
+        Curve(
+            x=[point.t, point.t],
+            y=ends,
+            look="limit",
+            name="accumulation",
+            notes=[f"t_inf = {point.t:.15g} ± {point.t_error:.0e} ({point.verdict})"] * 2,
+        )
+        for point in run.zeno
+    ]
+
+
+def _elements(record: object) -> np.ndarray:
+    """The columns of a record of jumps, one an element."""
+    parts = [np.asarray(v) for v in record]  # type: ignore[attr-defined]
+    return np.concatenate([p.reshape(len(p), -1) for p in parts], axis=1)
+
+
+def _obstacle(run: Trajectory, index: int) -> list[Curve]:
+    """The obstacle, where a gap grows as fast as this coordinate: ``x - gap(t, x)``."""
+    times = np.linspace(run.t0, run.t1, 600)
+    state = np.concatenate([np.ravel(v) for v in run.final])
+    curves = []
+    for guard in run.surfaces.values():
+        if guard.uses != (index,) or guard.kind != "contact":
+            continue
+        values = np.array([guard.value(t, state.tolist()) for t in times.tolist()])
+        moved = state.copy()
+        moved[index] += 1.0
+        slope = guard.value(run.t1, moved.tolist()) - guard.value(run.t1, state.tolist())
+        if abs(abs(slope) - 1.0) < 1e-12:
+            place = state[index] - slope * values
+            curves.append(Curve(x=times, y=place, look="surface", name="obstacle"))
+    return curves
+
+
+def _unit(run: Trajectory, index: int) -> str:
+    for state in run.spec.states:
+        if state.offset <= index < state.offset + state.size:
+            return state.unit
+    return ""
