@@ -1,7 +1,7 @@
 """Docstrings as the reference shows them.
 
-Roles such as ``:func:`simulate``` become links. Where one entry describes several parameters each
-has its own default.
+Roles such as ``:func:`simulate```, and pages of the documentation, become links. Where one entry
+describes several parameters each has its own default.
 """
 
 import re
@@ -11,6 +11,9 @@ import griffe
 import hybrid
 
 ROLE = re.compile(r":\w+:`~?\.?([\w.]+)`")
+
+#: A page, as it is named in a docstring; the entries are in pages of the folder reference/.
+PAGE = re.compile(r"``docs/([\w/-]+)\.md``")
 
 #: The line that begins an entry, with its type.
 TYPED = re.compile(r"^[\w, *]+ : .*$", re.MULTILINE)
@@ -28,7 +31,7 @@ class Roles(griffe.Extension):
     def on_object(self, *, obj: griffe.Object, **_: object) -> None:
         if not obj.docstring:
             return
-        text = ROLE.sub(link, obj.docstring.value)
+        text = PAGE.sub(r"[\1](../\1.md)", ROLE.sub(link, obj.docstring.value))
         obj.docstring.value = TYPED.sub(lambda line: line[0].replace("``", ""), text)
         if obj.is_function:
             for section in obj.docstring.parsed:
