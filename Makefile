@@ -26,7 +26,7 @@ paper: .venv/installed
 	$(BIN)/hybrid report --out out/paper
 
 docs: .venv/installed
-	$(BIN)/mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 bench: .venv/installed
 	$(BIN)/python benchmarks/example_1.py

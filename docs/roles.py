@@ -1,7 +1,7 @@
 """Docstrings as the reference shows them.
 
 Roles such as ``:func:`simulate```, and pages of the documentation, become links. Where one entry
-describes several parameters each has its own default.
+describes several parameters each has its own default and type.
 """
 
 import re
@@ -37,4 +37,12 @@ class Roles(griffe.Extension):
             for section in obj.docstring.parsed:
                 if section.kind is griffe.DocstringSectionKind.parameters:
                     for entry in section.value:
-                        entry.value = obj.parameters[entry.name.strip("*")].default
+                        own(entry, obj.parameters)
+
+
+def own(entry: griffe.DocstringParameter, parameters: griffe.Parameters) -> None:
+    """The default of a parameter, and its type where the entry itself names none."""
+    parameter = parameters[entry.name.strip("*")]
+    entry.value = None if parameter.kind is griffe.ParameterKind.var_keyword else parameter.default
+    if any(entry.annotation is other.annotation for other in parameters):
+        entry.annotation = parameter.annotation
