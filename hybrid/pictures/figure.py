@@ -33,6 +33,7 @@ LOOKS = {
     "series": Look(color=IMPACT, width=0.8, dot=4.0),
     "other series": Look(color=OTHER, width=0.8, dot=4.0),
     "limit": Look(color=LIMIT, width=1.2, dash=True),
+    "mark": Look(color="#1c2733", dot=2.5),
     "point": Look(color=LIMIT, dot=7.0),
     "surface": Look(color=SURFACE, width=1.3),
 }
