@@ -104,7 +104,9 @@ class Tail:
     def point(self, w: float) -> tuple[float, np.ndarray, float]:
         """Time since ``y(1)``, state and gap speed after the impact ``y(w)``."""
         offset = chebyshev.chebval(2.0 * w - 1.0, self.curve)
-        return float(offset[0]), self.x + offset[1:-1], self.v * w * exp(float(offset[-1]))
+        since, x, v = float(offset[0]), self.x + offset[1:-1], self.v * w * exp(float(offset[-1]))
+        moved = on_contact(self.field, self.contact, self.column, self.t + since, x.tolist(), v)
+        return since, np.array(moved), v
 
     @cached_property
     def count(self) -> int:
@@ -302,10 +304,7 @@ class _Curve:
         return [flight.time, *(moved - np.array(x)), log(after / (self.r * v))]
 
     def _on_contact(self, t: float, x: list[float], v: float) -> list[float]:
-        """A state moved to gap 0 and gap speed ``v``."""
-        x = self.contact.land(t, x)
-        missing = v - self.field.guards[self.column].lie(t, x)[1]
-        return [p + missing * q for p, q in zip(x, self.contact.push(t, x), strict=True)]
+        return on_contact(self.field, self.contact, self.column, t, x, v)
 
     def scale(self) -> np.ndarray:
         """Size of time and of each element of the state, over the tail."""
@@ -335,6 +334,15 @@ class _Curve:
             float(error[0]),
             error[1:],
         )
+
+
+def on_contact(
+    field: Field, contact: Contact, column: int, t: float, x: list[float], v: float
+) -> list[float]:
+    """A state moved to gap 0 and gap speed ``v``."""
+    x = contact.land(t, x)
+    missing = v - field.guards[column].lie(t, x)[1]
+    return [p + missing * q for p, q in zip(x, contact.push(t, x), strict=True)]
 
 
 def shift(r: Any, degree: int, xp: Any = np) -> Any:
