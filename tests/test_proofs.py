@@ -20,7 +20,7 @@ pytest.importorskip("flint")
 
 CHATTERING = [
     *("ball_on_circle", "bead_on_table", "bouncing_ball", "bowl"),
-    *("coupled", "hard_spring", "hills", "moon_holmes"),
+    *("coupled", "hard_spring", "hills", "moon_holmes", "steady_push"),
 ]
 
 BORDER = 0.150562297509349608672127586612455896897636764
