@@ -37,6 +37,20 @@ def test_what_is_left_out_keeps_its_digits(reference):
     assert found.gap[-1] < 1e-85
 
 
+@pytest.mark.parametrize("r", [0.4, 0.5])
+def test_the_gap_after_any_number_of_impacts(r, reference):
+    """From 5 impacts on it is the reference's series, to the accuracy that is asked of sums."""
+    case = reference["example_1"]
+    first = -float(case["r=0.8,x0=2.1"]["first_impacts"][0]["v_pre"])
+    series = [float(Fraction(c)) for c in case["flight_time_over_speed_as_series_in_v^2"]]
+    for impacts in range(5, 26):
+        options = {"zeno": "truncate", "max_jumps": impacts, "solver": "taylor", "rtol": 1e-12}
+        run = hy.simulate(HardSpring(r=r), [2.1, 0.0], (0, 2), **options)
+        v, powers = first * r**impacts, 2 * np.arange(len(series)) + 1
+        exact = np.sum(series * v**powers / (1 - r**powers))
+        assert abs(run.zeno[0].truncation.gap / exact - 1) < 1e-11
+
+
 def test_what_cannot_be_studied():
     """Unknown parameters; another treatment of the accumulation; a run that never chatters."""
     with pytest.raises(hy.OptionError, match="no parameter 'e'; there are: r, wall"):

@@ -67,10 +67,16 @@ def _left_out(
     memory = driver.record.memory
     full.record.memory = memory.fork() if memory is not None else None
     full.record.now, full.watch.contact, full.watch.count = driver.record.now, contact.name, 1
-    full.enter(field.mode, x, Jumped({contact.name: 1}, field.held))
+    column = field.column(contact.name)
+    guard = field.guards[column]
+    hop = full.hop(contact, x, guard.lie(driver.t, x.tolist())[1], field.name)
+    if hop is None:
+        full.enter(field.mode, x, Jumped({contact.name: 1}, field.held))
+    else:
+        full.bounce(guard, *hop)
     full.go_on()
     parts = full.record.parts
-    height = _height(parts[0], field, field.column(contact.name))
+    height = _height(parts[0], field, column)
     if not full.record.zeno:
         return float("nan"), float("nan"), height
     lengths = [p.tail.remaining if isinstance(p, TailPart) else p.length for p in parts]
