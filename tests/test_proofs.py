@@ -51,6 +51,15 @@ def test_the_enclosure_of_example_1():
     assert best.high - best.low < 1e-13
 
 
+@pytest.mark.parametrize("r", [0.99, 0.999])
+def test_long_series_are_proved_from_late_impacts(r):
+    """Speeds that hardly fall add up to wide boxes; late impacts give narrow ones."""
+    run = hy.simulate(HardSpring(r=r), [2.1, 0.0], (0, 400), zeno="stop", solver="taylor")
+    best = run.zeno[0].narrowest
+    assert best.high - best.low < 1e-12
+    assert best.low - 1e-8 < run.zeno[0].t < best.high + 1e-8
+
+
 @pytest.mark.parametrize("v", [1e-6, 1e-2, 2.0, 40.0])
 @pytest.mark.parametrize("r", [0.1, 0.7, 0.999])
 def test_a_ball_is_proved_from_any_impact(v, r):

@@ -54,8 +54,8 @@ SAMPLES, SMOOTH = 64, 1e-5
 #: What is left after a turn, against what the turn changed: it shrinks, but not evenly.
 CAUTION = 8.0
 
-#: Impacts of a tail from which a proof is tried.
-STAGES = (0, 3, 10, 30, 60, 100, 160, 250, 400, 1000, 4000)
+#: Impacts of a tail from which a proof is tried, and shares of all that are listed.
+STAGES, SHARES_LISTED = (0, 3, 10, 30, 60, 100, 160, 250, 400, 1000, 4000), (0.25, 0.5, 0.75)
 
 #: Rounding of one flight, relative, as seen in the change from turn to turn.
 ROUNDING = 3e-15
@@ -145,7 +145,9 @@ class Tail:
         """Proofs from some of the impacts on, in order of time."""
         from .enclose import prove
 
-        points = [self.point(self.r**n) for n in STAGES if n <= self.count]
+        late = (int(share * self.count) for share in SHARES_LISTED)
+        stages = sorted({*(n for n in STAGES if n <= self.count), *late})
+        points = [self.point(self.r**n) for n in stages]
         found = [
             prove(self.field, self.contact.name, self.t + since, x, v)
             for since, x, v in points
