@@ -89,8 +89,9 @@ def _state(case: Case, index: int, name: str) -> Panel:
     curves += [free, *path(case.full, index, name="all impacts", points=600)]
     panel = []
     for curve in curves:
-        inside = ~(curve.x > end * t_inf)
-        panel.append(attrs.evolve(curve, x=curve.x[inside] / t_inf, y=curve.y[inside]))
+        x = np.minimum(curve.x, end * t_inf) if curve.look.endswith("rest") else curve.x
+        inside = ~(x > end * t_inf)
+        panel.append(attrs.evolve(curve, x=x[inside] / t_inf, y=curve.y[inside]))
     return Panel(curves=panel, x="t / theta_inf", y=name)
 
 

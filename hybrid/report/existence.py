@@ -103,7 +103,7 @@ def autonomous() -> Claim:
         says="The systems under investigation in this paper are autonomous.",
         verdict=verdict(len(own) == len(kinds), mended=bool(own)),
         found=f"True of {_listed(own)}, and of all systems that Theorem 1 speaks of. The equations "
-        f"of {_listed(timed)} hold the time; the controlled system remembers its past.",
+        f"of {_listed(timed)} contain the time; the controlled system remembers its past.",
         how="Read off the traces of all functions of each model: whether a result depends on t, or "
         "on a past state.",
         numbers=[Number(what=f"{name}: depends on", ours=kind) for name, kind in kinds.items()],

@@ -126,9 +126,9 @@ def all_starts(spring: Spring) -> Claim:
         found=f"Proved for Example 1 from every start between {low:g} and {high:g} at rest, "
         f"without a run. In {len(verdicts)} runs, from {STARTS} starts with each of {len(RATIOS)} "
         f"values of r, the impacts accumulate; in {count} of them that is proved once more.",
-        how="The certificate encloses f and decides its symmetry from the model's trace. The runs "
-        "are independent of it: each one's accumulation is proved from its own impacts, by bounds "
-        "near them that need neither (C2) nor the box.",
+        how="The certificate encloses f, and decides from the model's trace that it is even in x' "
+        "and smooth enough. The runs are independent of it: each one's accumulation is proved from "
+        "its own impacts, by bounds near them that need neither (C2) nor the box.",
         numbers=[
             Number(
                 what=f"values of r with all starts between {low:g} and {high:g} proved to chatter",
