@@ -20,7 +20,7 @@ pytest.importorskip("flint")
 
 CHATTERING = [
     *("ball_on_circle", "bead_on_table", "bouncing_ball", "bowl"),
-    *("coupled", "hard_spring", "hills", "moon_holmes"),
+    *("coupled", "hard_spring", "hills", "moon_holmes", "steady_push"),
 ]
 
 BORDER = 0.150562297509349608672127586612455896897636764
@@ -49,6 +49,15 @@ def test_the_enclosure_of_example_1():
     assert high - low < 1e-9
     best = min(run.zeno[0].proofs, key=lambda proof: proof.high - proof.low)
     assert best.high - best.low < 1e-13
+
+
+@pytest.mark.parametrize("r", [0.99, 0.999])
+def test_long_series_are_proved_from_late_impacts(r):
+    """Speeds that hardly fall add up to wide boxes; late impacts give narrow ones."""
+    run = hy.simulate(HardSpring(r=r), [2.1, 0.0], (0, 400), zeno="stop", solver="taylor")
+    best = run.zeno[0].narrowest
+    assert best.high - best.low < 1e-12
+    assert best.low - 1e-8 < run.zeno[0].t < best.high + 1e-8
 
 
 @pytest.mark.parametrize("v", [1e-6, 1e-2, 2.0, 40.0])

@@ -290,3 +290,12 @@ def test_reading_at_the_listed_times_of_a_tail():
     assert run(2.9, run.arcs[-1].j).x == 0.0
     sampled = hy.simulate(BouncingBall(r=0.5), [1.0, 0.0], (0, 3), save=run.jumps.t[:20])
     assert np.all(sampled.to_xarray().v.values > 0)
+
+
+def test_the_listed_speeds_of_a_tail_keep_their_digits():
+    """Down to the last impact listed, at 1e-15, speeds are r^n of the first, on both sides."""
+    run = hy.simulate(BouncingBall(), {"x": 1.0, "v": 0.0}, (0, 3), solver="taylor")
+    exact = math.sqrt(2 * 9.81) * 0.7 ** np.arange(len(run.jumps) + 1)
+    np.testing.assert_allclose(run.jumps.before.v, -exact[:-1], rtol=1e-13)
+    np.testing.assert_allclose(run.jumps.after.v, exact[1:], rtol=1e-13)
+    assert exact[-1] < 1e-14

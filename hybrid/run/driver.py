@@ -249,6 +249,10 @@ class Driver:
                 f"{self.where(before)}: the restitution of {guard.edge} gives the speed "
                 f"{speed:.6g} after the impact; it must not be negative"
             )
+        self.bounce(guard, before, after, speed)
+
+    def bounce(self, guard: Guard, before: np.ndarray, after: np.ndarray, speed: float) -> None:
+        """Record an impact and those after low flights, then begin the next arc."""
         while True:
             held = self._still_held(guard.to, after)
             self.watch.saw(guard.edge)
@@ -258,13 +262,13 @@ class Driver:
                 return
             if due and pass_limit(self, guard.to):
                 return
-            hop = self._hop(contact, after, speed, self.scene.name(guard.to, held))
+            hop = self.hop(contact, after, speed, self.scene.name(guard.to, held))
             if hop is None:
                 break
             before, after, speed = hop
         self.enter(guard.to, after, Jumped({guard.edge: 1 if speed > 0 else 2}, held))
 
-    def _hop(
+    def hop(
         self, contact: Contact, x: np.ndarray, v: float, name: str
     ) -> tuple[np.ndarray, np.ndarray, float] | None:
         """A flight so low that the gap would drown in the rounding of the state (7).

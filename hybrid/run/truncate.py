@@ -8,15 +8,17 @@ is measured by a run of its own.
 from __future__ import annotations
 
 from fractions import Fraction
+from math import fsum
 from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
 
 from ..accumulation import Accumulation, Truncation
-from ..arcs import TailPart
+from ..arcs import Part, TailPart
 from ..scene import Contact, Field
 from ..segment import nodes
+from ..zeno.flight import rise
 from .entry import Jumped
 
 if TYPE_CHECKING:
@@ -55,20 +57,44 @@ def hold(driver: Driver, contact: Contact, x: np.ndarray, field: Field) -> bool:
 def _left_out(
     driver: Driver, contact: Contact, x: np.ndarray, field: Field
 ) -> tuple[float, float, float]:
-    """``t_inf`` of the full series, its distance, and its greatest height."""
+    """``t_inf`` of the full series, its distance, and its greatest height.
+
+    The distance is the sum of its flights, and the height that of a gap which is a coordinate
+    of its own: both keep their digits below the spacing of floats around ``t`` and ``x``.
+    """
     plan = attrs.evolve(driver.plan, zeno="stop", progress=None, dense=True, samples=None)
     full = type(driver)(driver.scene, driver.solver, plan)
     memory = driver.record.memory
     full.record.memory = memory.fork() if memory is not None else None
     full.record.now, full.watch.contact, full.watch.count = driver.record.now, contact.name, 1
-    full.enter(field.mode, x, Jumped({contact.name: 1}, field.held))
+    column = field.column(contact.name)
+    guard = field.guards[column]
+    hop = full.hop(contact, x, guard.lie(driver.t, x.tolist())[1], field.name)
+    if hop is None:
+        full.enter(field.mode, x, Jumped({contact.name: 1}, field.held))
+    else:
+        full.bounce(guard, *hop)
     full.go_on()
-    first = full.record.parts[0]
-    arc = first.arc(0) if isinstance(first, TailPart) else first
-    gap, taus = field.guards[field.column(contact.name)].value, arc.length * nodes(64)
-    states = zip(taus.tolist(), arc.local(taus).tolist(), strict=True)
-    height = max(gap(arc.t0 + s, y) for s, y in states)
+    parts = full.record.parts
+    height = _height(parts[0], field, column)
     if not full.record.zeno:
         return float("nan"), float("nan"), height
-    t_inf, now = full.record.zeno[0].t, driver.record.now
-    return t_inf, t_inf - now.t - now.low, height
+    lengths = [p.tail.remaining if isinstance(p, TailPart) else p.length for p in parts]
+    return full.record.zeno[0].t, fsum(lengths), height
+
+
+def _height(part: Part, field: Field, column: int) -> float:
+    """How far the gap opens on the first flight of a part."""
+    arc, guard = part.arc(0) if isinstance(part, TailPart) else part, field.guards[column]
+    x = arc.first.tolist()
+    height = rise(field, column, arc.t0, x, guard.lie(arc.t0, x)[1])
+    if height is not None:
+        return height
+    low, high = 0.0, arc.length
+    for _ in range(4):  # each time 64 points around the highest
+        at = low + (high - low) * nodes(64)
+        states = zip(at.tolist(), arc.local(at).tolist(), strict=True)
+        gaps = [guard.value(arc.t0 + s, y) for s, y in states]
+        best = int(np.argmax(gaps))
+        low, high = at[max(best - 1, 0)], at[min(best + 1, 64)]
+    return max(gaps)

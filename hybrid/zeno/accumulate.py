@@ -54,8 +54,8 @@ SAMPLES, SMOOTH = 64, 1e-5
 #: What is left after a turn, against what the turn changed: it shrinks, but not evenly.
 CAUTION = 8.0
 
-#: Impacts of a tail from which a proof is tried.
-STAGES = (0, 3, 10, 30, 60, 100, 160, 250, 400, 1000, 4000)
+#: Impacts of a tail from which a proof is tried, and shares of all that are listed.
+STAGES, SHARES_LISTED = (0, 3, 10, 30, 60, 100, 160, 250, 400, 1000, 4000), (0.25, 0.5, 0.75)
 
 #: Rounding of one flight, relative, as seen in the change from turn to turn.
 ROUNDING = 3e-15
@@ -104,7 +104,9 @@ class Tail:
     def point(self, w: float) -> tuple[float, np.ndarray, float]:
         """Time since ``y(1)``, state and gap speed after the impact ``y(w)``."""
         offset = chebyshev.chebval(2.0 * w - 1.0, self.curve)
-        return float(offset[0]), self.x + offset[1:-1], self.v * w * exp(float(offset[-1]))
+        since, x, v = float(offset[0]), self.x + offset[1:-1], self.v * w * exp(float(offset[-1]))
+        moved = on_contact(self.field, self.contact, self.column, self.t + since, x.tolist(), v)
+        return since, np.array(moved), v
 
     @cached_property
     def count(self) -> int:
@@ -143,7 +145,9 @@ class Tail:
         """Proofs from some of the impacts on, in order of time."""
         from .enclose import prove
 
-        points = [self.point(self.r**n) for n in STAGES if n <= self.count]
+        late = (int(share * self.count) for share in SHARES_LISTED)
+        stages = sorted({*(n for n in STAGES if n <= self.count), *late})
+        points = [self.point(self.r**n) for n in stages]
         found = [
             prove(self.field, self.contact.name, self.t + since, x, v)
             for since, x, v in points
@@ -302,10 +306,7 @@ class _Curve:
         return [flight.time, *(moved - np.array(x)), log(after / (self.r * v))]
 
     def _on_contact(self, t: float, x: list[float], v: float) -> list[float]:
-        """A state moved to gap 0 and gap speed ``v``."""
-        x = self.contact.land(t, x)
-        missing = v - self.field.guards[self.column].lie(t, x)[1]
-        return [p + missing * q for p, q in zip(x, self.contact.push(t, x), strict=True)]
+        return on_contact(self.field, self.contact, self.column, t, x, v)
 
     def scale(self) -> np.ndarray:
         """Size of time and of each element of the state, over the tail."""
@@ -335,6 +336,15 @@ class _Curve:
             float(error[0]),
             error[1:],
         )
+
+
+def on_contact(
+    field: Field, contact: Contact, column: int, t: float, x: list[float], v: float
+) -> list[float]:
+    """A state moved to gap 0 and gap speed ``v``."""
+    x = contact.land(t, x)
+    missing = v - field.guards[column].lie(t, x)[1]
+    return [p + missing * q for p, q in zip(x, contact.push(t, x), strict=True)]
 
 
 def shift(r: Any, degree: int, xp: Any = np) -> Any:

@@ -89,6 +89,28 @@ def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight
     return None
 
 
+def rise(field: Field, column: int, t: float, x: list[float], v: float) -> float | None:
+    """How far the gap opens after it was left with speed ``v``; None where one series is too short.
+
+    The gap is a coordinate of its own, as in :func:`fly`.
+    """
+    if field.jets is None or field.kinks:
+        return None
+    try:
+        series, values, _ = field.expand(t, x, [])
+    except (ValueError, OverflowError, ZeroDivisionError):
+        return None
+    gap = [0.0, v, *values[column][2:]]
+    end = zero_of(gap, step_length(series))
+    if end is None:
+        return None
+    speeds, s = [k * c for k, c in enumerate(gap)][1:], 0.5 * end
+    for _ in range(6):
+        speed, rate = polynomial_and_slope(speeds, s)
+        s = min(max(s - speed / rate, 0.0), end) if rate < 0 else s
+    return polynomial(gap, s)
+
+
 def zero_of(g: list[float], reach: float) -> float | None:
     """First zero in ``(0, reach]`` of a gap's series that rises, then falls.
 
