@@ -21,7 +21,7 @@ from .claims import Claim, Number, Section, rounds_to, verdict
 HEIGHT, LOW, HIGH, FASTEST = 1.9, 0.1, 2.0, 7.0
 
 #: How long a run lasts, and points a curve, at most.
-LASTS, POINTS = 20.0, 3000
+LASTS, POINTS = 20.0, 1500
 
 
 def section() -> Section:
