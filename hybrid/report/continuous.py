@@ -226,9 +226,9 @@ def oscillations() -> Claim:
         f"after it. What oscillates infinitely often is the acceleration x4' (below).",
         how="Extrema of x3 are changes of sign of x4; those of x4 are changes of sign of x4', "
         "within flights and where x4' jumps at impacts. Each flight was looked at "
-        f"{LOOKS} and {2 * LOOKS} times, with the same counts; within a flight x4 and x4' are of the "
-        "form a exp(-t) + b exp(-2 t) + a parabola, with at most four zeros, and where x4' turns "
-        f"without reaching zero it stays {nearest_miss(run, force):.3g} away at least. No more can "
+        f"{LOOKS} and {2 * LOOKS} times, with the same counts; within a flight x4 and x4' are of "
+        "the form a exp(-t) + b exp(-2 t) + a parabola, with at most four zeros, and where x4' "
+        f"turns without reaching zero it stays {nearest_miss(run, force):.3g} away at least. No more can "
         f"come: x4' is at least p = -2 x3 - 3 x4, which tends to {limit:.10f}, and from impact "
         f"{number} on it differs from that by less than that; x4 stays below zero. After t_inf "
         "x4' = a exp(-s) - b exp(-2 s) with a > b > 0, which has no zero.",

@@ -120,8 +120,8 @@ def law() -> Claim:
         verdict=verdict(worst < 1e-12),
         found=f"Both are one law: at the {len(run.jumps)} impacts listed the velocity relative to "
         f"the table after an impact is -{own.r:g} times that before, to {worst:.0e}.",
-        how="Solving the first for x'+ gives x'+ = X' - r (x'- - X'), which is the second. Relative "
-        "velocities before and after each impact of the run were compared.",
+        how="Solving the first for x'+ gives x'+ = X' - r (x'- - X'), which is the second. "
+        "Relative velocities before and after each impact of the run were compared.",
         numbers=[Number(what="largest difference of a relative velocity", ours=f"{worst:.0e}")],
     )
 
@@ -204,9 +204,7 @@ def example_2() -> Claim:
         place="Section 3, Example 2, Figure 4",
         says="with x(2 pi / omega) = 1.9, x'(2 pi / omega) = 0, r = 0.9, omega = 0.29 the "
         "conditions of Theorem 1 are satisfied and consequently this solution is chattering",
-        verdict=verdict(
-            asked.verdict == "certified", point.verdict == "certified" and bool(first)
-        ),
+        verdict=verdict(asked.verdict == "certified", point.verdict == "certified" and bool(first)),
         found=f"The solution chatters, and the impacts accumulate at t = {point.t:.10f}; but not "
         f"by Theorem 1, which is for a wall at rest. Relative to the table, from impact {first} on "
         "every motion of this speed is proved to chatter by the lemma without (C2), before any "
