@@ -41,19 +41,17 @@ def page():
 @pytest.mark.parametrize("x0", [2.1, 2.5, 3.0, 5.0, 10.0, 100.0])
 def test_with_its_memory_the_system_comes_to_rest(table, shown, x0):
     """Certified, as the page says; and to 2e-11 where digits are known."""
-    run = table.at_rest(x0)
-    assert [point.t_release for point in run.zeno] == [None]
-    assert run.zeno[0].verdict == "certified"
-    assert f"{run.zeno[0].t:.9f}" == shown[x0][0]
-    assert x0 not in AT_REST or abs(run.zeno[0].t - AT_REST[x0]) <= 2e-11
+    found = table.row(x0)
+    assert (found.certified, found.released) == (True, False)
+    assert f"{found.rests:.9f}" == shown[x0][0]
+    assert x0 not in AT_REST or abs(found.rests - AT_REST[x0]) <= 2e-11
 
 
 @pytest.mark.parametrize("x0", [2.5, 10.0])
 def test_without_it_the_papers_orbit_appears(table, shown, x0):
     """Period and amplitude."""
-    run = table.restarted(x0)
-    height = table.top(run.arcs[-2]) - table.MODEL.wall
-    assert f"{run.jumps.gaps[-1]:.6f}, {height:.6f}" == shown[x0][1]
+    found = table.row(x0)
+    assert f"{found.period:.6f}, {found.amplitude:.6f}" == shown[x0][1]
     assert shown[x0][2] == f"{table.PERIOD}, {table.AMPLITUDE}"
 
 
@@ -65,12 +63,12 @@ def test_the_orbit_its_multiplier_and_the_border(table):
     assert orbit.extrema["x1"][1] == pytest.approx(TOP, abs=1e-11)
     assert orbit.multipliers[1].real == pytest.approx(MULTIPLIER, abs=1e-10)
     assert (orbit.jumps, orbit.stable) == (1, True)
-    assert table.first_speed(BORDER) == pytest.approx(table.repelling(), abs=1e-10)
+    assert table.border().start == pytest.approx(BORDER, abs=1e-11)
 
 
 def test_released_by_the_past(table):
     """The rests and releases that the page lists, and no more of them."""
-    run = table.at_rest(2.5, table.LIFTED, 8.0)
+    run = table.released()
     times = [t for point in run.zeno for t in (point.t, point.t_release) if t is not None]
     assert len(times) == 9
     assert all(f"{t:.9f}" in page() for t in times)

@@ -144,9 +144,11 @@ def _count(arcs: int, points: int) -> int:
 
 
 def _sampled(arcs: Sequence[Arc], points: int) -> list[tuple[Arc, np.ndarray, np.ndarray]]:
-    """Each arc with its times and states."""
-    count, sampled = _count(len(arcs), points), []
-    for arc in arcs:
+    """Each arc with its times and states; long arcs have more points."""
+    sizes = np.sqrt([arc.length for arc in arcs])
+    counts = np.clip(points * sizes / max(np.sum(sizes), 1e-300), FEWEST, POINTS).astype(int)
+    sampled = []
+    for arc, count in zip(arcs, counts.tolist(), strict=True):
         grid = np.linspace(0.0, 1.0, count if arc.segments else 2) * arc.length
         sampled.append((arc, arc.t0 + (arc.low + grid), arc.local(grid)))
     return sampled

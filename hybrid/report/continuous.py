@@ -1,0 +1,393 @@
+"""Section 5 of the paper: an oscillator driven by a chattering ball."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from math import exp, sqrt
+from typing import Any
+
+import attrs
+import numpy as np
+
+from ..arcs import Arc
+from ..gallery import find
+from ..pictures.figure import Curve, Figure, Panel, column
+from ..pictures.of_run import path, states_panel, zooms
+from ..simulation import simulate
+from ..trajectory import Trajectory
+from .claims import Claim, Number, Section, verdict
+
+#: Damping, stiffness and drive of the oscillator, and where it starts, as printed.
+C, K, DRIVE = 3.0, 2.0, 20.0
+
+#: Last time of the run, and of the figures.
+END, SHOWN = 40.0, 25.0
+
+#: Places at which a flight is looked at for changes of sign; a second look takes twice as many.
+LOOKS = 64
+
+#: Points a curve, about.
+POINTS = 1500
+
+#: Where the last figure ends: nearer to t_inf the error of the limit of x4' would show.
+NEAR = 1e-3
+
+
+def section() -> Section:
+    """All claims of section 5."""
+    return Section(
+        name="continuous",
+        title="5. Continuous chattering",
+        about="A ball over a floor at x1 = 1; the square of its speed drives x3'' + 3 x3' + 2 x3.",
+        claims=[unilateral(), stable(), oscillations(), acceleration()],
+    )
+
+
+# ---------------------------------------------------------------------------------------
+# the run, and what x4 does in it
+
+
+@cache
+def flown() -> Trajectory:
+    """The run from the printed start, to where the oscillator has come to its equilibrium."""
+    entry = find("coupled")
+    return simulate(entry.cls(), entry.start, (0.0, END), solver="taylor", rtol=1e-14, atol=1e-14)
+
+
+def pull(states: np.ndarray) -> np.ndarray:
+    """The part of x4' that is continuous: -2 x3 - 3 x4."""
+    return -K * states[..., 2] - C * states[..., 3]
+
+
+def jerk(states: np.ndarray) -> np.ndarray:
+    """Its derivative along the flow, 6 x3 + 7 x4 - 60 x2^2."""
+    own = C * K * states[..., 2] + (C * C - K) * states[..., 3]
+    return own - C * DRIVE * states[..., 1] ** 2
+
+
+def force(states: np.ndarray) -> np.ndarray:
+    """x4' itself."""
+    return pull(states) + DRIVE * states[..., 1] ** 2
+
+
+def chattering(run: Trajectory) -> list[Arc]:
+    """The flights before the accumulation."""
+    return [arc for arc in run.arcs if ".rest(" not in arc.mode]
+
+
+@attrs.frozen
+class Turn:
+    """A change of sign: its time, the state there, and whether it happens at an impact."""
+
+    t: float
+    state: np.ndarray
+    jumps: bool
+
+
+def turns(run: Trajectory, of: Any, looks: int = LOOKS) -> list[Turn]:
+    """Where a function of the state changes sign before the accumulation, impacts included."""
+    found, before = [], 0.0
+    for arc in chattering(run):
+        grid = np.linspace(0.0, arc.length, looks + 1)
+        values = of(arc.local(grid))
+        if before * values[0] < 0.0:
+            found.append(Turn(arc.t0, arc.first, True))
+        for i in np.flatnonzero(values[:-1] * values[1:] < 0.0):
+            place = _root(arc, of, grid[i], grid[i + 1])
+            found.append(Turn(arc.t0 + place, arc.local(place), False))
+        before = float(values[-1]) or before
+    return found
+
+
+def _root(arc: Arc, of: Any, low: float, high: float) -> float:
+    from scipy.optimize import brentq
+
+    return float(brentq(lambda s: float(of(arc.local(s))), low, high, xtol=1e-14))
+
+
+def nearest_miss(run: Trajectory, of: Any) -> float:
+    """The least absolute value at which a function of the state turns without reaching zero."""
+    return min(_misses(run, of), default=np.inf)
+
+
+def _misses(run: Trajectory, of: Any) -> Iterator[float]:
+    for arc in chattering(run):
+        values = of(arc.local(np.linspace(0.0, arc.length, 2 * LOOKS + 1)))
+        inner, size = values[1:-1], np.abs(values)
+        turns_ = (inner - values[:-2]) * (values[2:] - inner) <= 0.0
+        apart = (values[:-2] * inner > 0.0) & (inner * values[2:] > 0.0)
+        towards = (size[1:-1] <= size[:-2]) & (size[1:-1] <= size[2:])
+        yield from size[1:-1][turns_ & apart & towards]
+
+
+def settled_from(run: Trajectory) -> int:
+    """The first impact from which x4' is bounded away from zero by an estimate.
+
+    x4' is at least p = -2 x3 - 3 x4, since the drive is never negative, and p differs from its
+    limit by at most the time that is left times the largest |p'|, where
+    |p'| <= |6 x3 + 7 x4| + 60 v^2 and v is the speed after the impact.
+    """
+    point, limit = run.zeno[0], float(pull(_limit(run)))
+    arcs = chattering(run)[1:]
+    largest = 0.0
+    first = len(arcs)
+    for number, arc in reversed(list(enumerate(arcs, start=1))):
+        rates = jerk(arc.local(np.linspace(0.0, arc.length, 9)))
+        speed = float(arc.first[1])
+        largest = max(largest, float(np.max(np.abs(rates)))) + C * DRIVE * speed**2
+        if limit - (point.t - arc.t0) * largest <= 0.0:
+            break
+        largest -= C * DRIVE * speed**2
+        first = number
+    return first
+
+
+def _limit(run: Trajectory) -> np.ndarray:
+    return np.array(list(run.zeno[0].state))
+
+
+# ---------------------------------------------------------------------------------------
+# claims
+
+
+def unilateral() -> Claim:
+    """The ball chatters, and nothing comes back to it from the oscillator."""
+    run, own = flown(), find("coupled").cls()
+    point = run.zeno[0]
+    first = sqrt(2.0 * (find("coupled").start["x1"] - 1.0) / own.g)
+    exact = first * (1.0 + own.r) / (1.0 - own.r)
+    count = 40
+    times = first * (1.0 + 2.0 * own.r * (1.0 - own.r ** np.arange(count)) / (1.0 - own.r))
+    worst = float(np.max(np.abs(run.jumps.t[:count] - times)))
+    return Claim(
+        place="Section 5, after Figure 7",
+        says="the coupling is unilateral: the second equation does not influence the first; "
+        "x1 and x2 chatter as before",
+        verdict=verdict(abs(point.t - exact) <= point.t_error and worst < 1e-11),
+        found=f"x1 and x2 are the ball's alone: its first {count} impacts are those of the ball's "
+        f"closed form to {worst:.0e}, and they accumulate at t = {point.t:.12f}.",
+        how="t_inf of the coupled run beside sqrt(2 h / g) (1 + r) / (1 - r), h = 5.",
+        numbers=[
+            Number(what="t_inf", ours=point.t, error=point.t_error),
+            Number(what="closed form", ours=exact),
+        ],
+        figures=[coordinates()],
+    )
+
+
+def stable() -> Claim:
+    """The oscillator has an asymptotically stable equilibrium."""
+    run = flown()
+    point = run.zeno[0]
+    roots = np.sort(np.roots([1.0, C, K]))
+    x3, x4 = float(point.state.x3), float(point.state.x4)
+    left = run.t1 - point.t
+    slow, fast = 2.0 * x3 + x4, -(x3 + x4)
+    exact = slow * exp(-left) + fast * exp(-2.0 * left)
+    return Claim(
+        place="Section 5, the mass-spring-damper",
+        says="if the characteristic equation has roots with negative real parts, the equilibrium "
+        "is asymptotically stable; m = 1, c = 3, k = 2",
+        verdict=verdict(
+            bool(np.all(roots < 0)) and bool(abs(run.final.x3 - exact) < 1e-4 * abs(exact))
+        ),
+        found=f"The roots are {roots[1]:g} and {roots[0]:g}. After the accumulation the ball is at "
+        f"rest and the oscillator is free: at t = {run.t1:g}, x3 = {run.final.x3:.10g}, where "
+        f"the free motion from its state at t_inf gives {exact:.10g}.",
+        how="Roots of s^2 + 3 s + 2; the run, carried on at rest on the floor, beside "
+        "a exp(-s) + b exp(-2 s) from its state at t_inf.",
+        numbers=[
+            Number(what="x3 at t_inf", ours=x3, error=float(point.state_error.x3)),
+            Number(what="x4 at t_inf", ours=x4, error=float(point.state_error.x4)),
+            Number(what="x3 at t = 1", ours=float(run(1.0).x3)),
+            Number(what="x4 at t = 1", ours=float(run(1.0).x4)),
+            Number(what="x3 at t = 10", ours=float(run(10.0).x3)),
+            Number(what="x4 at t = 10", ours=float(run(10.0).x4)),
+        ],
+    )
+
+
+def oscillations() -> Claim:
+    """x3 and x4 have finitely many extrema; only x4' oscillates for ever."""
+    run = flown()
+    point, counts = run.zeno[0], extrema(run)
+    (third, again3), (fourth, again4) = counts["x3"], counts["x4"]
+    limit, number = float(pull(_limit(run))), settled_from(run)
+    agreed = len(third) == again3 and len(fourth) == again4
+    ends = agreed and number < len(run.jumps)
+    return Claim(
+        place="Section 5 and Conclusion, Figure 7",
+        says="continuous chattering, understood as infinitely many oscillations in a finite time, "
+        "appears in the second system when it is driven by a chattering solution",
+        verdict=verdict(not ends, oscillates(run)),
+        found=f"x3 has {len(third)} extrema and x4 has {len(fourth)}, the last at "
+        f"t = {third[-1].t:.6f} and {fourth[-1].t:.6f}; none follow, before the accumulation or "
+        f"after it. What oscillates infinitely often is the acceleration x4' (below).",
+        how="Extrema of x3 are changes of sign of x4; those of x4 are changes of sign of x4', "
+        "within flights and where x4' jumps at impacts. Each flight was looked at "
+        f"{LOOKS} and {2 * LOOKS} times, with the same counts; within a flight x4 and x4' are of "
+        "the form a exp(-t) + b exp(-2 t) + a parabola, with at most four zeros, and where x4' "
+        f"turns without reaching zero it stays {nearest_miss(run, force):.3g} away at least. No more can "
+        f"come: x4' is at least p = -2 x3 - 3 x4, which tends to {limit:.10f}, and from impact "
+        f"{number} on it differs from that by less than that; x4 stays below zero. After t_inf "
+        "x4' = a exp(-s) - b exp(-2 s) with a > b > 0, which has no zero.",
+        numbers=[
+            Number(what="extrema of x3", ours=len(third), paper="infinitely many"),
+            Number(what="extrema of x4", ours=len(fourth), paper="infinitely many"),
+            Number(what="of these at impacts", ours=sum(turn.jumps for turn in fourth)),
+            Number(what="last extremum of x3 at t", ours=third[-1].t),
+            Number(what="last extremum of x4 at t", ours=fourth[-1].t),
+            Number(what="limit of x4'", ours=limit, error=_error(point, K, C)),
+            Number(what="x4' > 0 by the estimate from impact", ours=number),
+        ],
+        figures=[extrema_figure(third, fourth)],
+    )
+
+
+def acceleration() -> Claim:
+    """x4' rises before and falls at every impact from some on."""
+    run = flown()
+    own, point = find("coupled").cls(), run.zeno[0]
+    limit, rate = float(pull(_limit(run))), float(jerk(_limit(run)))
+    error = _error(point, C * K, C * C - K)
+    return Claim(
+        place="Section 5",
+        says="by the argument of the periodicity theorem one can expect continuous chattering in "
+        "a system with a stable equilibrium that is driven by a chattering solution",
+        verdict=verdict(limit == 0.0, oscillates(run)),
+        found="A bounded drive gives x4 a bounded derivative, which has a limit as the drive "
+        "vanishes, so that x3 and x4 are monotone near t_inf unless that limit is zero. x4' does "
+        "oscillate infinitely often here: at every impact it falls by "
+        f"{DRIVE:g} (1 - r^2) v^2, and before every impact it rises, with a slope of at "
+        f"least (6 x3 + 7 x4) > 0 near t_inf: the limit is {rate:.3e}. It is small because a drive "
+        "that fell as the square of the time left would give 0, and what is left of the start "
+        "decays as exp(-t); were it negative, x4' would in the end fall all the time.",
+        how="On a flight x4' has the slope 6 x3 + 7 x4 - 60 x2^2 - 40 g x2, which before an impact "
+        "at speed v is 6 x3 + 7 x4 + 40 g v - 60 v^2. Its limit was computed from the state at "
+        "t_inf, with the error bounds of that; the slopes and falls at the impacts listed agree.",
+        numbers=[
+            Number(what="6 x3 + 7 x4 at t_inf", ours=rate, error=error),
+            Number(what="40 g", ours=40.0 * own.g),
+            Number(what="impacts listed, each with a rise and a fall", ours=_peaks(run)),
+        ],
+        figures=[acceleration_figure()],
+    )
+
+
+def extrema(run: Trajectory) -> dict[str, tuple[list[Turn], int]]:
+    """Extrema of x3 and x4, each with the count of a second, finer look."""
+    found = {"x3": lambda s: s[..., 3], "x4": force}
+    return {
+        name: (turns(run, of), len(turns(run, of, 2 * LOOKS - 1))) for name, of in found.items()
+    }
+
+
+def oscillates(run: Trajectory) -> bool:
+    """Whether x4' rises before and falls at every impact near the limit."""
+    error = _error(run.zeno[0], C * K, C * C - K)
+    return float(jerk(_limit(run))) > error and _peaks(run) > 100
+
+
+def _peaks(run: Trajectory) -> int:
+    """Impacts at the end of the list before which x4' rises, and at which it falls."""
+    own = find("coupled").cls()
+    x2, x3, x4 = (np.asarray(getattr(run.jumps.before, n)) for n in ("x2", "x3", "x4"))
+    states = np.stack([x2, x2, x3, x4], axis=-1)
+    rises = jerk(states) - 2.0 * DRIVE * own.g * x2 > 0.0
+    falls = x2**2 > run.jumps.after.x2**2
+    shown = rises & falls
+    return int(len(shown) - 1 - np.max(np.flatnonzero(~shown), initial=-1))
+
+
+def _error(point: Any, a: float, b: float) -> float:
+    """Bound on the error of ``a x3 + b x4`` at the limit."""
+    return abs(a) * float(point.state_error.x3) + abs(b) * float(point.state_error.x4)
+
+
+# ---------------------------------------------------------------------------------------
+# figures
+
+
+def coordinates() -> Figure:
+    """The paper's figure: all four coordinates."""
+    run = flown()
+    names = run.spec.element_names
+    panels = [_until(states_panel(run, name, points=POINTS), SHOWN) for name in names]
+    return Figure(
+        name="coupled",
+        title="The coordinates of the coupled system",
+        columns=column(*panels),
+        zooms=[("whole run", (0.0, SHOWN)), *zooms(run)[1:]],
+    )
+
+
+def extrema_figure(third: list[Turn], fourth: list[Turn]) -> Figure:
+    """x3 and x4 with their extrema."""
+    run = flown()
+    panels = []
+    for name, index, found in (("x3", 2, third), ("x4", 3, fourth)):
+        dots = Curve(
+            x=[turn.t for turn in found],
+            y=[turn.state[index] for turn in found],
+            look="point",
+            name="extremum",
+            notes=[f"extremum {n} at t = {turn.t:.12g}" for n, turn in enumerate(found, start=1)],
+        )
+        panel = Panel(curves=[*path(run, index, points=POINTS), dots], y=name)
+        panels.append(_until(panel, SHOWN))
+    return Figure(
+        name="coupled-extrema",
+        title=f"x3 and x4 have {len(third)} and {len(fourth)} extrema",
+        columns=column(*panels),
+        zooms=[("whole run", (0.0, SHOWN)), ("the last extrema", (16.0, 20.0))],
+    )
+
+
+def acceleration_figure() -> Figure:
+    """x4' over time, and its distance to the limit over the time that is left."""
+    run = flown()
+    t_inf, limit = run.zeno[0].t, float(pull(_limit(run)))
+    over, scaled, jumps = [], [], []
+    for arc in chattering(run):
+        grid = np.linspace(0.0, arc.length, 24)
+        values, left = force(arc.local(grid)), t_inf - (arc.t0 + (arc.low + grid))
+        over.append((arc.t0 + grid, values))
+        keep = left > NEAR
+        scaled.append((left[keep], (values[keep] - limit) / left[keep] ** 2))
+        jumps.append((arc.t0, values[0]))
+    gap = np.array([np.nan])
+    t, x = (np.concatenate([np.append(part[k], gap) for part in over]) for k in (0, 1))
+    left, ratio = (np.concatenate([np.append(part[k], gap) for part in scaled]) for k in (0, 1))
+    marks = np.array(jumps[1:]).T
+    time = Panel(
+        curves=[
+            Curve(x=t, y=x, name="x4'"),
+            Curve(x=marks[0], y=marks[1], look="impact", name="after an impact"),
+            Curve(x=[0.0, t_inf], y=[0.0, 0.0], look="surface"),
+        ],
+        y="x4'",
+    )
+    near = Panel(
+        curves=[Curve(x=left, y=ratio)],
+        x="t_inf - t",
+        y="(x4' - limit) / (t_inf - t)^2",
+        log="x",
+        reverse=True,
+    )
+    return Figure(
+        name="coupled-acceleration",
+        title="x4' rises before every impact and falls at it",
+        columns=column(time, near),
+        zooms=[("last 3", (t_inf - 3.0, t_inf))],
+    )
+
+
+def _until(panel: Panel, end: float) -> Panel:
+    """A panel's curves as far as a time."""
+    curves = []
+    for curve in panel.curves:
+        keep = ~(curve.x > end)
+        notes = [n for n, k in zip(curve.notes, keep, strict=True) if k] if curve.notes else ()
+        curves.append(attrs.evolve(curve, x=curve.x[keep], y=curve.y[keep], notes=notes))
+    return attrs.evolve(panel, curves=curves)
