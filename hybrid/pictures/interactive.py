@@ -143,6 +143,7 @@ def _axes(drawn: go.Figure, row: int, panel: Panel, panels: Sequence[Panel]) -> 
         matches=f"x{first if first > 1 else ''}" if first < row else None,
         exponentformat="power",
         title_standoff=4,
+        constrain="domain" if panel.square else None,
         row=row,
         col=1,
     )
@@ -151,6 +152,7 @@ def _axes(drawn: go.Figure, row: int, panel: Panel, panels: Sequence[Panel]) -> 
         type="log" if "y" in panel.log else "linear",
         exponentformat="power",
         scaleanchor=f"x{row if row > 1 else ''}" if panel.square else None,
+        constrain="domain" if panel.square else None,
         row=row,
         col=1,
     )
