@@ -19,7 +19,7 @@ import numpy as np
 from hybrid.pictures.figure import Curve, Figure, Panel, column
 from hybrid.pictures.of_run import states_panel
 from hybrid.pictures.static import draw
-from hybrid.report.control import table_figure
+from hybrid.report.control_figures import table_figure
 from hybrid.report.pyragas import (
     AMPLITUDE,
     CHATTERS,

@@ -4,7 +4,7 @@ import attrs
 import numpy as np
 import pytest
 
-from hybrid.report import continuous
+from hybrid.report import continuous, oscillator
 from hybrid.report.claims import Verdict
 
 
@@ -61,10 +61,10 @@ def test_extrema_are_counted(claims, reference):
 
 def test_the_derivative_of_the_pull():
     """``6 x3 + 7 x4 - 60 x2^2`` is the derivative of ``-2 x3 - 3 x4`` along a flight."""
-    arc = continuous.chattering(continuous.flown())[5]
+    arc = oscillator.chattering(oscillator.flown())[5]
     s, h = 0.4 * arc.length, 1e-5
-    slope = (continuous.pull(arc.local(s + h)) - continuous.pull(arc.local(s - h))) / (2 * h)
-    assert slope == pytest.approx(continuous.jerk(arc.local(s)), rel=1e-7)
+    slope = (oscillator.pull(arc.local(s + h)) - oscillator.pull(arc.local(s - h))) / (2 * h)
+    assert slope == pytest.approx(oscillator.jerk(arc.local(s)), rel=1e-7)
 
 
 def test_the_acceleration_oscillates_for_ever(claims):
@@ -81,13 +81,13 @@ def test_with_another_start_it_does_not():
 
     start = {**find("coupled").start, "x4": 1000.0}
     run = hy.simulate(find("coupled").cls(), start, (0.0, 25.0), solver="taylor", rtol=1e-14)
-    assert not continuous.oscillates(run)
+    assert not oscillator.oscillates(run)
 
 
 def test_a_change_of_sign_is_found_within_a_flight_and_at_an_impact():
     """The ball's velocity: at each top, and at each impact."""
-    run = continuous.flown()
-    found = continuous.turns(run, lambda s: s[..., 1])
+    run = oscillator.flown()
+    found = oscillator.turns(run, lambda s: s[..., 1])
     times = run.jumps.t
     kinds = np.array([turn.jumps for turn in found[:41]])
     assert np.all(kinds[::2]) != np.all(kinds[1::2])

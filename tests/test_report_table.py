@@ -4,7 +4,7 @@ from math import pi, sin
 
 import pytest
 
-from hybrid.report import table
+from hybrid.report import bead, table
 from hybrid.report.claims import Verdict
 
 
@@ -65,10 +65,10 @@ def test_the_domain_is_left_at_impact_21(claims, reference):
 
 def test_the_certificate_covers_every_impact(claims):
     """It is for all phases, and its speed is above that of the first impact."""
-    proof = table.by_lemma()
+    proof = bead.by_lemma()
     first, last = proof.initial_set["t"]
     assert last - first >= 2 * pi / 0.29
-    assert table.covered_from(table.printed()) == 1
+    assert bead.covered_from(bead.printed()) == 1
     assert proof.m == pytest.approx(9.8 - 0.29**2, abs=1e-11)
     assert proof.left == pytest.approx(0.9 * ((9.8 + 0.29**2) / (9.8 - 0.29**2)) ** 0.5, abs=1e-11)
 
@@ -77,20 +77,20 @@ def test_a_weaker_certificate_covers_less(monkeypatch):
     """With a lower speed it covers a later impact; over less than a period it covers none."""
     import attrs
 
-    proof = table.by_lemma()
+    proof = bead.by_lemma()
     slower = attrs.evolve(proof, initial_set={**proof.initial_set, "speed": (0.0, 1.0)})
-    monkeypatch.setattr(table, "by_lemma", lambda: slower)
-    after = table.impacts(table.printed())[2]
-    assert after[table.covered_from(table.printed()) - 2] > 1.0
+    monkeypatch.setattr(bead, "by_lemma", lambda: slower)
+    after = bead.impacts(bead.printed())[2]
+    assert after[bead.covered_from(bead.printed()) - 2] > 1.0
     shorter = attrs.evolve(proof, initial_set={**proof.initial_set, "t": (0.0, 20.0)})
-    monkeypatch.setattr(table, "by_lemma", lambda: shorter)
-    assert table.covered_from(table.printed()) == 0
+    monkeypatch.setattr(bead, "by_lemma", lambda: shorter)
+    assert bead.covered_from(bead.printed()) == 0
 
 
 def test_the_table_at_both_starts(claims):
     """Fastest at 2 pi / omega, at rest at pi / (2 omega)."""
     found = claim(claims, "is one near")
     assert number(found, "table's speed at 2 pi / omega").ours == pytest.approx(0.29, abs=1e-15)
-    assert table.table(table.turned().t0) == pytest.approx((1.0, 0.0), abs=1e-15)
+    assert bead.table(bead.turned().t0) == pytest.approx((1.0, 0.0), abs=1e-15)
     force = number(claim(claims, "long contact"), "g - X0 omega^2")
     assert force.ours == pytest.approx(9.7159, abs=1e-14)

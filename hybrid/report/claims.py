@@ -72,6 +72,11 @@ def rounds_to(value: float, printed: str) -> bool:
     return f"{value:.{len(digits.partition('.')[2])}f}" == digits
 
 
+def known(value: float | None) -> float:
+    """A number that a certificate gives where it can; NaN where it gives none."""
+    return float("nan") if value is None else value
+
+
 @attrs.frozen(kw_only=True)
 class Claim:
     """What the paper says, what was found, and how that was decided.

@@ -2,33 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import cache
 from math import exp, sqrt
-from typing import Any
 
 import attrs
 import numpy as np
 
-from ..arcs import Arc
 from ..gallery import find
 from ..pictures.figure import Curve, Figure, Panel, column
 from ..pictures.of_run import path, states_panel, zooms
-from ..simulation import simulate
-from ..trajectory import Trajectory
 from .claims import Claim, Number, Section, verdict
+from .oscillator import (
+    DRIVE,
+    LOOKS,
+    C,
+    K,
+    Turn,
+    chattering,
+    error_of,
+    extrema,
+    flown,
+    force,
+    jerk,
+    limit_state,
+    nearest_miss,
+    oscillates,
+    peaks,
+    pull,
+    settled_from,
+)
 
-#: Damping, stiffness and drive of the oscillator, and where it starts, as printed.
-C, K, DRIVE = 3.0, 2.0, 20.0
-
-#: Last time of the run, and of the figures.
-END, SHOWN = 40.0, 25.0
-
-#: Places at which a flight is looked at for changes of sign; a second look takes twice as many.
-LOOKS = 64
-
-#: Points a curve, about.
-POINTS = 1500
+#: How far the figures go, and points a curve, about.
+SHOWN, POINTS = 25.0, 1500
 
 #: Where the last figure ends: nearer to t_inf the error of the limit of x4' would show.
 NEAR = 1e-3
@@ -42,109 +46,6 @@ def section() -> Section:
         about="A ball over a floor at x1 = 1; the square of its speed drives x3'' + 3 x3' + 2 x3.",
         claims=[unilateral(), stable(), oscillations(), acceleration()],
     )
-
-
-# ---------------------------------------------------------------------------------------
-# the run, and what x4 does in it
-
-
-@cache
-def flown() -> Trajectory:
-    """The run from the printed start, to where the oscillator has come to its equilibrium."""
-    entry = find("coupled")
-    return simulate(entry.cls(), entry.start, (0.0, END), solver="taylor", rtol=1e-14, atol=1e-14)
-
-
-def pull(states: np.ndarray) -> np.ndarray:
-    """The part of x4' that is continuous: -2 x3 - 3 x4."""
-    return -K * states[..., 2] - C * states[..., 3]
-
-
-def jerk(states: np.ndarray) -> np.ndarray:
-    """Its derivative along the flow, 6 x3 + 7 x4 - 60 x2^2."""
-    own = C * K * states[..., 2] + (C * C - K) * states[..., 3]
-    return own - C * DRIVE * states[..., 1] ** 2
-
-
-def force(states: np.ndarray) -> np.ndarray:
-    """x4' itself."""
-    return pull(states) + DRIVE * states[..., 1] ** 2
-
-
-def chattering(run: Trajectory) -> list[Arc]:
-    """The flights before the accumulation."""
-    return [arc for arc in run.arcs if ".rest(" not in arc.mode]
-
-
-@attrs.frozen
-class Turn:
-    """A change of sign: its time, the state there, and whether it happens at an impact."""
-
-    t: float
-    state: np.ndarray
-    jumps: bool
-
-
-def turns(run: Trajectory, of: Any, looks: int = LOOKS) -> list[Turn]:
-    """Where a function of the state changes sign before the accumulation, impacts included."""
-    found, before = [], 0.0
-    for arc in chattering(run):
-        grid = np.linspace(0.0, arc.length, looks + 1)
-        values = of(arc.local(grid))
-        if before * values[0] < 0.0:
-            found.append(Turn(arc.t0, arc.first, True))
-        for i in np.flatnonzero(values[:-1] * values[1:] < 0.0):
-            place = _root(arc, of, grid[i], grid[i + 1])
-            found.append(Turn(arc.t0 + place, arc.local(place), False))
-        before = float(values[-1]) or before
-    return found
-
-
-def _root(arc: Arc, of: Any, low: float, high: float) -> float:
-    from scipy.optimize import brentq
-
-    return float(brentq(lambda s: float(of(arc.local(s))), low, high, xtol=1e-14))
-
-
-def nearest_miss(run: Trajectory, of: Any) -> float:
-    """The least absolute value at which a function of the state turns without reaching zero."""
-    return min(_misses(run, of), default=np.inf)
-
-
-def _misses(run: Trajectory, of: Any) -> Iterator[float]:
-    for arc in chattering(run):
-        values = of(arc.local(np.linspace(0.0, arc.length, 2 * LOOKS + 1)))
-        inner, size = values[1:-1], np.abs(values)
-        turns_ = (inner - values[:-2]) * (values[2:] - inner) <= 0.0
-        apart = (values[:-2] * inner > 0.0) & (inner * values[2:] > 0.0)
-        towards = (size[1:-1] <= size[:-2]) & (size[1:-1] <= size[2:])
-        yield from size[1:-1][turns_ & apart & towards]
-
-
-def settled_from(run: Trajectory) -> int:
-    """The first impact from which x4' is bounded away from zero by an estimate.
-
-    x4' is at least p = -2 x3 - 3 x4, since the drive is never negative, and p differs from its
-    limit by at most the time that is left times the largest |p'|, where
-    |p'| <= |6 x3 + 7 x4| + 60 v^2 and v is the speed after the impact.
-    """
-    point, limit = run.zeno[0], float(pull(_limit(run)))
-    arcs = chattering(run)[1:]
-    largest = 0.0
-    first = len(arcs)
-    for number, arc in reversed(list(enumerate(arcs, start=1))):
-        rates = jerk(arc.local(np.linspace(0.0, arc.length, 9)))
-        speed = float(arc.first[1])
-        largest = max(largest, float(np.max(np.abs(rates)))) + C * DRIVE * speed**2
-        if limit - (point.t - arc.t0) * largest <= 0.0:
-            break
-        largest -= C * DRIVE * speed**2
-        first = number
-    return first
-
-
-def _limit(run: Trajectory) -> np.ndarray:
-    return np.array(list(run.zeno[0].state))
 
 
 # ---------------------------------------------------------------------------------------
@@ -213,7 +114,7 @@ def oscillations() -> Claim:
     run = flown()
     point, counts = run.zeno[0], extrema(run)
     (third, again3), (fourth, again4) = counts["x3"], counts["x4"]
-    limit, number = float(pull(_limit(run))), settled_from(run)
+    limit, number = float(pull(limit_state(run))), settled_from(run)
     agreed = len(third) == again3 and len(fourth) == again4
     ends = agreed and number < len(run.jumps)
     return Claim(
@@ -228,8 +129,9 @@ def oscillations() -> Claim:
         "within flights and where x4' jumps at impacts. Each flight was looked at "
         f"{LOOKS} and {2 * LOOKS} times, with the same counts; within a flight x4 and x4' are of "
         "the form a exp(-t) + b exp(-2 t) + a parabola, with at most four zeros, and where x4' "
-        f"turns without reaching zero it stays {nearest_miss(run, force):.3g} away at least. No more can "
-        f"come: x4' is at least p = -2 x3 - 3 x4, which tends to {limit:.10f}, and from impact "
+        f"turns without reaching zero it stays {nearest_miss(run, force):.3g} away at least. No "
+        "more "
+        f"can come: x4' is at least p = -2 x3 - 3 x4, which tends to {limit:.10f}, and from impact "
         f"{number} on it differs from that by less than that; x4 stays below zero. After t_inf "
         "x4' = a exp(-s) - b exp(-2 s) with a > b > 0, which has no zero.",
         numbers=[
@@ -238,7 +140,7 @@ def oscillations() -> Claim:
             Number(what="of these at impacts", ours=sum(turn.jumps for turn in fourth)),
             Number(what="last extremum of x3 at t", ours=third[-1].t),
             Number(what="last extremum of x4 at t", ours=fourth[-1].t),
-            Number(what="limit of x4'", ours=limit, error=_error(point, K, C)),
+            Number(what="limit of x4'", ours=limit, error=error_of(point, K, C)),
             Number(what="x4' > 0 by the estimate from impact", ours=number),
         ],
         figures=[extrema_figure(third, fourth)],
@@ -249,8 +151,8 @@ def acceleration() -> Claim:
     """x4' rises before and falls at every impact from some on."""
     run = flown()
     own, point = find("coupled").cls(), run.zeno[0]
-    limit, rate = float(pull(_limit(run))), float(jerk(_limit(run)))
-    error = _error(point, C * K, C * C - K)
+    limit, rate = float(pull(limit_state(run))), float(jerk(limit_state(run)))
+    error = error_of(point, C * K, C * C - K)
     return Claim(
         place="Section 5",
         says="by the argument of the periodicity theorem one can expect continuous chattering in "
@@ -269,40 +171,10 @@ def acceleration() -> Claim:
         numbers=[
             Number(what="6 x3 + 7 x4 at t_inf", ours=rate, error=error),
             Number(what="40 g", ours=40.0 * own.g),
-            Number(what="impacts listed, each with a rise and a fall", ours=_peaks(run)),
+            Number(what="impacts listed, each with a rise and a fall", ours=peaks(run)),
         ],
         figures=[acceleration_figure()],
     )
-
-
-def extrema(run: Trajectory) -> dict[str, tuple[list[Turn], int]]:
-    """Extrema of x3 and x4, each with the count of a second, finer look."""
-    found = {"x3": lambda s: s[..., 3], "x4": force}
-    return {
-        name: (turns(run, of), len(turns(run, of, 2 * LOOKS - 1))) for name, of in found.items()
-    }
-
-
-def oscillates(run: Trajectory) -> bool:
-    """Whether x4' rises before and falls at every impact near the limit."""
-    error = _error(run.zeno[0], C * K, C * C - K)
-    return float(jerk(_limit(run))) > error and _peaks(run) > 100
-
-
-def _peaks(run: Trajectory) -> int:
-    """Impacts at the end of the list before which x4' rises, and at which it falls."""
-    own = find("coupled").cls()
-    x2, x3, x4 = (np.asarray(getattr(run.jumps.before, n)) for n in ("x2", "x3", "x4"))
-    states = np.stack([x2, x2, x3, x4], axis=-1)
-    rises = jerk(states) - 2.0 * DRIVE * own.g * x2 > 0.0
-    falls = x2**2 > run.jumps.after.x2**2
-    shown = rises & falls
-    return int(len(shown) - 1 - np.max(np.flatnonzero(~shown), initial=-1))
-
-
-def _error(point: Any, a: float, b: float) -> float:
-    """Bound on the error of ``a x3 + b x4`` at the limit."""
-    return abs(a) * float(point.state_error.x3) + abs(b) * float(point.state_error.x4)
 
 
 # ---------------------------------------------------------------------------------------
@@ -347,7 +219,7 @@ def extrema_figure(third: list[Turn], fourth: list[Turn]) -> Figure:
 def acceleration_figure() -> Figure:
     """x4' over time, and its distance to the limit over the time that is left."""
     run = flown()
-    t_inf, limit = run.zeno[0].t, float(pull(_limit(run)))
+    t_inf, limit = run.zeno[0].t, float(pull(limit_state(run)))
     over, scaled, jumps = [], [], []
     for arc in chattering(run):
         grid = np.linspace(0.0, arc.length, 24)

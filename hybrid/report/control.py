@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import numpy as np
 
 from ..certificates import certify
 from ..certificates.result import Certificate
 from ..gallery import find
-from ..pictures.figure import Curve, Figure, Panel
-from ..pictures.of_run import states_panel
 from ..simulation import simulate
 from . import loose
-from .claims import Claim, Number, Section, rounds_to, verdict
+from .claims import Claim, Number, Section, known, rounds_to, verdict
+from .control_figures import table_figure
 from .pyragas import (
     AMPLITUDE,
     CHATTERS,
@@ -25,19 +25,14 @@ from .pyragas import (
     at_rest,
     border,
     drive,
-    first_speed,
     model,
     orbit,
     restarted,
-    returned,
     row,
 )
 
 #: Tolerances of the methods of low order that are tried: relative and absolute.
 LOOSE = ((1e-2, 1e-4), (1e-3, 1e-6), (1e-4, 1e-6))
-
-#: Points a curve, about; how long the figures last.
-POINTS, SHOWN = 2000, 8.0
 
 
 def section() -> Section:
@@ -98,7 +93,7 @@ def uncontrolled() -> Claim:
                 what=f"t_inf from {CHATTERS:g}, C = 0", ours=points[0].t, error=points[0].t_error
             ),
             Number(what="t_inf from 3, C = 0", ours=points[1].t, error=points[1].t_error),
-            Number(what="margin up to 2.5", ours=_number(near.margin)),
+            Number(what="margin up to 2.5", ours=known(near.margin)),
         ],
     )
 
@@ -195,7 +190,7 @@ def _tried(what: str, pair: tuple[float, float], amplitude: float) -> Number:
 def by_scipy(rtol: float, atol: float) -> float:
     """The amplitude that the restarted run shows with RK23 at these tolerances."""
     start = {"x1": 3.0, "x2": 0.0}
-    options = {"memory": "restart", "method": "RK23", "rtol": rtol, "atol": atol}
+    options: dict[str, Any] = {"memory": "restart", "method": "RK23", "rtol": rtol, "atol": atol}
     run = simulate(model(), start, (0.0, 25.0), **options)
     arc = run.arcs[-2]
     return float(np.max(arc.local(np.linspace(0.0, arc.length, 2001))[:, 0])) - model().wall
@@ -233,7 +228,7 @@ def chatters() -> Claim:
         how="Both runs to their accumulation.",
         numbers=[
             Number(what="kept: t_inf", ours=found.rests, error=found.error),
-            Number(what="restarted: t_inf", ours=_number(found.chatters), error=found.again),
+            Number(what="restarted: t_inf", ours=known(found.chatters), error=found.again),
         ],
     )
 
@@ -250,8 +245,8 @@ def conditions() -> Claim:
         verdict=verdict(divides and abs(multiplier) < 1.0),
         found="For the restarted system both are numbers. The orbit is stable: its multiplier is "
         f"{multiplier:.9f}. Starts above {edge.start:.10f} lead to it, as far as tried; those "
-        "below chatter. Between slow impacts, which lose 0.4 of their speed each, and the orbit lies "
-        f"one that repels (multiplier {edge.multiplier:.6f}). With the memory kept no start "
+        "below chatter. Between slow impacts, which lose 0.4 of their speed each, and the orbit "
+        f"lies one that repels (multiplier {edge.multiplier:.6f}). With the memory kept no start "
         "tried is controllable.",
         how="The restarted system is a map from the speed after an impact to the next such speed; "
         "hy.periodic_orbit gives its fixed points with their multipliers.",
@@ -276,61 +271,3 @@ def _has_period(found: Row) -> bool:
 def _digits(value: float | None) -> str:
     """As far as a run at these tolerances has come to its limit."""
     return "none" if value is None else f"{value:.6f}"
-
-
-def _number(value: float | None) -> float:
-    return np.nan if value is None else value
-
-
-# ---------------------------------------------------------------------------------------
-# figures
-
-
-def table_figure() -> Figure:
-    """From x1 = 3 with both memories; the return map of the restarted system."""
-    kept = states_panel(at_rest(3.0, SHOWN), "x1", points=POINTS)
-    again = states_panel(restarted(3.0, SHOWN), "x1", points=POINTS)
-    panels = [
-        Panel(curves=panel.curves, y="x1", title=f"memory {what} at impacts")
-        for panel, what in ((kept, "kept"), (again, "restarted"))
-    ]
-    return Figure(
-        name="table-1",
-        title="Pyragas control from x1 = 3, and the return map of the restarted system",
-        columns=(tuple(panels), (map_panel(),)),
-        zooms=[("whole run", (0.0, SHOWN)), ("the first two units", (0.0, 2.0))],
-    )
-
-
-def map_panel() -> Panel:
-    """Speed after an impact over that after the one before, with two ways along it."""
-    parts = (0.02, 1.95, 20), (2.0, 3.0, 60), (3.05, 9.0, 40)
-    speeds = np.concatenate([np.linspace(*part) for part in parts])
-    low, high = border().speed, float(orbit().start.x2)
-    curves = [
-        Curve(x=[0.0, 9.0], y=[0.0, 9.0], look="surface", name="equal speeds"),
-        Curve(x=speeds, y=[returned(v) for v in speeds], name="return map"),
-        *(_way(x0) for x0 in (CHATTERS, 3.0)),
-        Curve(
-            x=[low, high],
-            y=[low, high],
-            look="point",
-            name="orbits: the lower repels, the upper attracts",
-            notes=[f"repels, speed {low:.12g}", f"attracts, speed {high:.12g}"],
-        ),
-    ]
-    return Panel(
-        curves=curves, x="speed after an impact", y="speed after the next", square=True, title=""
-    )
-
-
-def _way(x0: float, count: int = 12) -> Curve:
-    """Speeds after impacts from a start, one after the other."""
-    speed = first_speed(x0)
-    path = [(speed, 0.0)]
-    for _ in range(count):
-        after = returned(speed)
-        path += [(speed, after), (after, after)]
-        speed = after
-    x, y = np.array(path).T
-    return Curve(x=x, y=y, look="fall", name="from 2.1 and from 3")

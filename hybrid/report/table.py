@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-from functools import cache
 from math import pi, sqrt
-from typing import Any
 
 import numpy as np
 
-from ..certificates import certify
-from ..certificates.result import Certificate
-from ..gallery import find
 from ..pictures.figure import Curve, Figure, Panel, column
 from ..pictures.of_run import gaps_panel, states_panel, zooms
-from ..simulation import simulate
 from ..trajectory import Trajectory
-from .claims import Claim, Number, Section, rounds_to, verdict
+from .bead import (
+    FASTEST,
+    HEIGHT,
+    LOW,
+    by_lemma,
+    by_theorem,
+    covered_from,
+    fastest,
+    held_still,
+    impacts,
+    model,
+    printed,
+    table,
+    turned,
+)
+from .claims import Claim, Number, Section, known, rounds_to, verdict
 
-#: Example 2 as printed: where it starts, and its domain.
-HEIGHT, LOW, HIGH, FASTEST = 1.9, 0.1, 2.0, 7.0
-
-#: How long a run lasts, and points a curve, at most.
-LASTS, POINTS = 20.0, 1500
+#: Points a curve, about.
+POINTS = 1500
 
 
 def section() -> Section:
@@ -33,74 +39,6 @@ def section() -> Section:
         "Newton's law of impact relative to the table.",
         claims=[law(), flat(), force(), inequality(), example_2(), start(), domain(), contact()],
     )
-
-
-# ---------------------------------------------------------------------------------------
-# the runs and the certificates
-
-
-def model() -> Any:
-    """The bead with the values of Example 2, which are the gallery's."""
-    return find("bead_on_table").cls()
-
-
-@cache
-def flown(t0: float) -> Trajectory:
-    """The run from rest at the printed height, at a time."""
-    return simulate(model(), {"x": HEIGHT, "v": 0.0}, (t0, t0 + LASTS), solver="taylor")
-
-
-def printed() -> Trajectory:
-    """The run from where Example 2 starts: ``t = 2 pi / omega``."""
-    return flown(2 * pi / model().omega)
-
-
-def turned() -> Trajectory:
-    """The run from where the table turns: ``t = pi / (2 omega)``."""
-    return flown(pi / (2 * model().omega))
-
-
-@cache
-def by_theorem() -> Certificate:
-    """Theorem 1 asked of the moving table, on the domain of Example 2."""
-    return certify(model(), {"x": (LOW, HIGH), "v": (-FASTEST, FASTEST)})
-
-
-@cache
-def by_lemma() -> Certificate:
-    """The lemma without (C2), relative to the table, over two of its periods."""
-    periods = (0.0, 4 * pi / model().omega)
-    return certify(model(), {"gap": (0.0, HIGH), "speed": (0.0, FASTEST), "t": periods})
-
-
-@cache
-def held_still() -> Certificate:
-    """Theorem 1 for the same bead over a floor that does not move, with the paper's h - phi."""
-    still = find("bead_on_table").cls(amplitude=0.0)
-    return certify(still, {"x": (0.0, HIGH - LOW), "v": (-FASTEST, FASTEST)})
-
-
-def table(t: Any) -> tuple[Any, Any]:
-    """Position and velocity of the table."""
-    own = model()
-    phase, size = own.omega * np.asarray(t, dtype=float), own.amplitude
-    return size * np.sin(phase), size * own.omega * np.cos(phase)
-
-
-def impacts(run: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times of the impacts, and the bead's velocity relative to the table before and after."""
-    moves = table(run.jumps.t)[1]
-    return run.jumps.t, run.jumps.before.v - moves, run.jumps.after.v - moves
-
-
-def covered_from(run: Trajectory) -> int:
-    """The first impact whose speed and time the lemma's certificate covers; 0 for none."""
-    proof = by_lemma().initial_set or {}
-    (slow, fast), (first, last) = (proof.get(name, (0.0, -1.0)) for name in ("speed", "t"))
-    t, _, after = impacts(run)
-    period = 2 * pi / model().omega
-    covers = (after > slow) & (after <= fast) & (last - first >= period)
-    return int(np.argmax(covers)) + 1 if np.any(covers) and t.size else 0
 
 
 # ---------------------------------------------------------------------------------------
@@ -144,11 +82,11 @@ def flat() -> Claim:
         how=f"hy.certify was asked for Theorem 1 ({asked.verdict}: {asked.reason}), then for the "
         f"lemma without (C2) in relative coordinates over two periods ({proof.verdict}).",
         numbers=[
-            Number(what="m, relative to the table", ours=_number(proof.m)),
-            Number(what="M, relative to the table", ours=_number(proof.M)),
-            Number(what="r sqrt(M / m), which must be below 1", ours=_number(proof.left)),
-            Number(what="margin", ours=_number(proof.margin)),
-            Number(what="proved for relative speeds up to", ours=_fastest(proof)),
+            Number(what="m, relative to the table", ours=known(proof.m)),
+            Number(what="M, relative to the table", ours=known(proof.M)),
+            Number(what="r sqrt(M / m), which must be below 1", ours=known(proof.left)),
+            Number(what="margin", ours=known(proof.margin)),
+            Number(what="proved for relative speeds up to", ours=fastest(proof)),
         ],
         figures=[table_figure()],
     )
@@ -167,7 +105,7 @@ def force() -> Claim:
         how="hy.certify, Theorem 1, for this bead over a floor at rest with the same h - phi: "
         "its m_range.",
         numbers=[
-            Number(what="M", ours=_number(proof.M), paper=f"{own.g:g}"),
+            Number(what="M", ours=known(proof.M), paper=f"{own.g:g}"),
             Number(what="m, least", ours=low),
             Number(what="m, largest", ours=high, paper=f"{own.g:g}"),
         ],
@@ -188,7 +126,7 @@ def inequality() -> Claim:
         numbers=[
             Number(what="left side", ours=left),
             Number(what="its square", ours=left**2, paper="37.24"),
-            Number(what="margin to 7", ours=_number(proof.margin)),
+            Number(what="margin to 7", ours=known(proof.margin)),
         ],
     )
 
@@ -212,7 +150,7 @@ def example_2() -> Claim:
         "box around that impact.",
         how="Simulated with Taylor series to rounding; the error bound is measured against a "
         "second run. Speed and time of each impact were compared with what the certificate covers "
-        f"(relative speed up to {_fastest(proof):.10g}, at any phase of the table).",
+        f"(relative speed up to {fastest(proof):.10g}, at any phase of the table).",
         numbers=[
             Number(what="t_inf", ours=point.t, error=point.t_error),
             Number(what="table there", ours=point.state.x, error=point.state_error.x),
@@ -220,7 +158,7 @@ def example_2() -> Claim:
             Number(what="first impact, time", ours=run.jumps.t[0]),
             Number(what="first impact, relative velocity before", ours=before[0]),
             Number(what="first impact, relative velocity after", ours=after[0]),
-            Number(what="r sqrt(M / m) on the certificate's box", ours=_number(proof.left)),
+            Number(what="r sqrt(M / m) on the certificate's box", ours=known(proof.left)),
             Number(what="proof in the run, from the impact at t", ours=least),
         ],
         figures=[run_figure(run, "example-2", "Example 2: from x = 1.9 at t = 2 pi / omega")],
@@ -262,21 +200,21 @@ def domain() -> Claim:
     t, x = run.jumps.t, run.jumps.before.x
     out = np.flatnonzero(x < LOW)
     place = int(out[0]) if out.size else -1
-    fastest = float(np.max(np.abs(run.jumps.before.v)))
+    quickest = float(np.max(np.abs(run.jumps.before.v)))
     return Claim(
         place="Section 3, Example 2",
         says="consider the domain 0.1 <= x <= 2, |x'| < 7",
         verdict=verdict(not out.size, by_lemma().verdict == "certified"),
         found=f"The motion leaves it: at impact {place + 1}, t = {t[place]:.10f}, the table is at "
         f"{x[place]:.10f}, and it goes on down to X0 sin(omega t) = -1. Speeds stay below "
-        f"{fastest:.6f}. Relative to the table the motion stays in gap <= 2, speed <= 7, as the "
+        f"{quickest:.6f}. Relative to the table the motion stays in gap <= 2, speed <= 7, as the "
         "certificate by the lemma proves.",
         how="Heights at the impacts of the run; between impacts the bead is above the table.",
         numbers=[
             Number(what="impact at which x < 0.1", ours=place + 1),
             Number(what="its time", ours=t[place]),
             Number(what="its height", ours=x[place], paper="at least 0.1"),
-            Number(what="largest |x'| at an impact", ours=fastest, paper="below 7"),
+            Number(what="largest |x'| at an impact", ours=quickest, paper="below 7"),
         ],
     )
 
@@ -297,7 +235,7 @@ def contact() -> Claim:
         how="g + X'' = -(acceleration of the gap), bounded over two periods of the table by "
         "hy.certify; the closed form beside it.",
         numbers=[
-            Number(what="force per mass, at least (proved)", ours=_number(proof.m)),
+            Number(what="force per mass, at least (proved)", ours=known(proof.m)),
             Number(what="g - X0 omega^2", ours=exact),
             Number(what="largest X0 for which it holds at this omega", ours=own.g / own.omega**2),
             Number(what="largest omega at this X0", ours=sqrt(own.g / own.amplitude)),
@@ -327,10 +265,10 @@ def speeds_panel(run: Trajectory) -> Panel:
     after = impacts(run)[2]
     kept = after > 1e-10
     number = np.arange(1, len(after) + 1)[kept]
-    fastest = _fastest(by_lemma())
+    bound = fastest(by_lemma())
     curves = [
         Curve(x=number, y=after[kept], look="series"),
-        Curve(x=[1, len(number)], y=[fastest] * 2, look="dashed", name="chatters below: proved"),
+        Curve(x=[1, len(number)], y=[bound] * 2, look="dashed", name="chatters below: proved"),
     ]
     return Panel(curves=curves, x="jump", log="y", title="speed relative to the table")
 
@@ -357,12 +295,3 @@ def table_figure() -> Figure:
         columns=column(Panel(curves=curves, y="X")),
         zooms=[("the paper's Figure 2", (0.0, 0.5 * period))],
     )
-
-
-def _number(value: float | None) -> float:
-    return np.nan if value is None else value
-
-
-def _fastest(proof: Certificate) -> float:
-    """The largest relative speed from which the certificate proves chattering."""
-    return (proof.initial_set or {}).get("speed", (0.0, 0.0))[1]
