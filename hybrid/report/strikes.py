@@ -21,11 +21,14 @@ from ..gallery import find
 #: Speeds: of the impacts that are kept, of an impact so slow that the beam is held.
 LEVELS, HELD = np.array([0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4, 1e-5]), 1e-6
 
+#: What the last flight of a series is of its first, at most.
+SHRUNK = 0.5
+
 #: Longer than any flight; more than any speed.
 FAR = 1e4
 
 #: How long a lane is flown: so long, and so many periods of the forcing.
-LASTS, PERIODS = 100.0, 2
+LASTS, PERIODS = 80.0, 2
 
 #: Tolerances of a step.
 RTOL, ATOL = 1e-9, 1e-12
@@ -39,7 +42,8 @@ class Struck(Automaton):
     age = state(doc="time since the last impact")
     flight = state(doc="length of the flight before the last impact")
     row = state(doc="flights so far in a row, each shorter than the one before")
-    longest = state(doc="longest such row that a longer flight has ended")
+    first = state(doc="length of the flight that this row began with")
+    longest = state(doc="longest such row to shrink enough, of those that a longer flight ended")
     count = state(doc="impacts")
     pace = state(doc="speed after the last impact")
     fuse = state(doc="burns down; lit at once by an impact slow enough, then the time of it")
@@ -60,7 +64,7 @@ class Struck(Automaton):
     def _rates(self, *own: Any, fuse: float = 0.0) -> Any:
         """Rates of ``y``, ``v``, ``age`` and of the fuse; the rest stands still."""
         none = jnp.zeros(len(LEVELS) + 1)
-        return (*own, *[0.0] * (8 - len(own)), fuse, none, none)
+        return (*own, *[0.0] * (9 - len(own)), fuse, none, none)
 
     @mode(initial=True)  # type: ignore[untyped-decorator]
     def flies(self, t: Any, s: Any) -> Any:
@@ -78,7 +82,7 @@ class Struck(Automaton):
     @edge(flies, to=flies, guard=lambda self, t, s: s.y)  # type: ignore[untyped-decorator]
     def strike(self, t: Any, s: Any) -> Any:
         v = -self.r * s.v
-        shorter = s.age < s.flight
+        shorter, shrunk = s.age < s.flight, s.flight <= SHRUNK * s.first
         falls = jnp.append((v < LEVELS) & (s.pace >= LEVELS), v < s.speeds[-1])
         ends = (v < HELD) & (self.push(t, 0.0) < 0.0)
         return s.replace(
@@ -87,7 +91,8 @@ class Struck(Automaton):
             age=0.0,
             flight=s.age,
             row=jnp.where(shorter, s.row + 1.0, 0.0),
-            longest=jnp.where(shorter, s.longest, jnp.maximum(s.longest, s.row)),
+            first=jnp.where(shorter, s.first, s.age),
+            longest=jnp.maximum(s.longest, jnp.where(~shorter & shrunk, s.row, 0.0)),
             count=s.count + 1.0,
             pace=v,
             fuse=jnp.where(ends, 0.0, FAR),
@@ -118,7 +123,8 @@ class Lanes:
         When the impacts had become so slow that the beam was held, and when the force then
         pulled it off; NaN where that did not happen.
     longest : array of int
-        Flights in the longest row of shorter and shorter ones that a longer one has ended.
+        Flights, less one, in the longest row of shorter and shorter ones that has shrunk to
+        ``SHRUNK`` of its first flight and that a longer one has ended.
     count : array of int
         Impacts.
     times, speeds : array, shape (lanes, levels + 1)
@@ -150,8 +156,8 @@ def fly(delta: Any, gamma: Any, w: Any, start: float = 1.3) -> Lanes:
     delta, gamma, w = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in (delta, gamma, w)))
     model = Struck(r=own.r, obstacle=own.obstacle)
     none = np.zeros(len(LEVELS) + 1)
-    first = {"y": start - own.obstacle, "v": 0.0, "age": 0.0, "flight": FAR, "row": 0.0}
-    first |= {"longest": 0.0, "count": 0.0, "pace": FAR, "fuse": FAR}
+    first = {"y": start - own.obstacle, "v": 0.0, "age": 0.0, "flight": 0.0, "row": 0.0}
+    first |= {"first": 0.0, "longest": 0.0, "count": 0.0, "pace": FAR, "fuse": FAR}
     first |= {"times": none, "speeds": none + FAR}  # type: ignore[dict-item]
     end = LASTS + PERIODS * 2.0 * np.pi / w
     parameters = {"delta": delta, "gamma": gamma, "w": w}
