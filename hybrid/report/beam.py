@@ -90,9 +90,8 @@ def bounds() -> Claim:
         place="Section 4, the unperturbed system",
         says="-1.875 <= f(u, v) <= -0.331 for all (u, v) in H, f = x - x^3, 1.1 <= x <= 1.5",
         verdict=verdict(good, rounds_to(low, "-1.875") and high < 0.0),
-        found=f"The lower bound is right. The upper one is {wall - wall**3:.10f}, at x = 1.1: "
-        f"1.1 - 1.331; -0.331 is 1 - 1.331. (C1) holds with m below {-high:.10f}; f does not "
-        "depend "
+        found=f"The lower bound is right. The upper one is {wall - wall**3:.10f}, at x = 1.1: 1.1 "
+        f"- 1.331; -0.331 is 1 - 1.331. (C1) holds with m below {-high:.10f}; f does not depend "
         "on v, so that (C2) holds.",
         how="Extrema of the traced force over the box, with intervals (hy.certify).",
         numbers=[
@@ -108,14 +107,13 @@ def inequality() -> Claim:
     printed = 1.875 * sqrt(2.0 * (FAR - beam().obstacle) / 0.331)
     left = known(proof.left)
     return Claim(
-        place="Section 4, condition (5)",
-        says="1.875 sqrt(2 (1.5 - 1.1) / 0.331), about 2.91, is below h_bar = 3: the inequality of "
-        "Theorem 1 is valid",
+        place="Section 4, the inequality of Theorem 1",
+        says="1.875 sqrt(2 (1.5 - 1.1) / 0.331), about 2.91, is below h_bar = 3: the inequality "
+        "of Theorem 1 is valid",
         verdict=verdict(proof.verdict == "certified", wide.verdict == "certified"),
         found=f"With 0.331 it is {printed:.10f}, as printed. With the least |f| there is, 0.231, "
-        "it "
-        f"is {left:.10f}, above 3: the condition fails on this domain ({proof.verdict}). As f does "
-        f"not depend on v, h_bar can be larger: with {mended():g} it holds.",
+        f"it is {left:.10f}, above 3: the condition fails on this domain ({proof.verdict}). As f "
+        f"does not depend on v, h_bar can be larger: with {mended():g} it holds.",
         how=f"hy.certify on both boxes. Of the first it says: {proof.reason}. Its repair: "
         f"{proof.repair}.",
         numbers=[
@@ -138,9 +136,8 @@ def chattering() -> Claim:
         place="Section 4, the unperturbed system",
         says="by Theorem 1 all solutions with x'(0) = 0, 1.1 < x(0) < 1.5, are chattering",
         verdict=verdict(proof.verdict == "certified", holds),
-        found=f"True, with h_bar = {mended():g}. With the printed h_bar = 3 Theorem 1 gives it "
-        "up to "
-        f"x(0) = {part[1]:.10f} only. From 1.3 the impacts accumulate at t = {point.t:.10f}.",
+        found=f"True, with h_bar = {mended():g}. With the printed h_bar = 3 Theorem 1 gives it up "
+        f"to x(0) = {part[1]:.10f} only. From 1.3 the impacts accumulate at t = {point.t:.10f}.",
         how="The sets of starts that the two certificates cover; the run with delta = gamma = 0.",
         numbers=[
             Number(what="t_inf from 1.3", ours=point.t, error=point.t_error),
@@ -179,17 +176,15 @@ def continuity() -> Claim:
         "the solutions are chattering as well",
         verdict=verdict(direct.verdict == "certified", inside and point.verdict == "certified"),
         found="The conclusion holds, the argument does not suffice: continuous dependence is for "
-        "finitely many impacts, and gives, however small delta and gamma, no more than a number of "
-        "impacts like those of the unperturbed solution. What is missing is the lemma without "
+        "finitely many impacts, and gives, however small delta and gamma, no more than a number "
+        "of impacts like those of the unperturbed solution. What is missing is the lemma without "
         "(C2): while gamma is below 0.231, the force at the obstacle is negative at all phases, "
-        "and "
-        "every impact slow enough starts complete chattering, whatever delta. Continuity is then "
-        f"needed only up to the first such impact: with delta = gamma = 0.05 that is impact "
+        "and every impact slow enough starts complete chattering, whatever delta. Continuity is "
+        "then needed only up to the first such impact: with delta = gamma = 0.05 that is impact "
         f"{place + 1}, of speed {v:.6f}.",
         how=f"Theorem 1 was asked for first ({direct.verdict}); then the lemma, in ball "
-        "arithmetic, "
-        "from each impact of the run in turn, on a box that holds the whole of what is left of the "
-        "motion. The bounds it gives contain the simulated t_inf.",
+        "arithmetic, from each impact of the run in turn, on a box that holds the whole of what "
+        "is left of the motion. The bounds it gives contain the simulated t_inf.",
         numbers=[
             Number(what="t_inf", ours=point.t, error=point.t_error),
             Number(what="proved from the impact at t", ours=t),

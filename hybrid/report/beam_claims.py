@@ -107,28 +107,24 @@ def small() -> Claim:
         verdict=verdict(holds),
         found=f"Of {len(found.seen)} beams on the map {kinds[0]} chatter completely and rest for "
         f"ever, {kinds[1]} chatter completely and are released, {kinds[2]} show a series that "
-        "ends, "
-        f"{kinds[3]} none. How small gamma must be depends on w: the gammas below are those up "
-        "to which all beams of a slice rest for ever. Below 0.231 slow impacts are proved to "
+        f"ends, {kinds[3]} none. How small gamma must be depends on w: the gammas below are those "
+        "up to which all beams of a slice rest for ever. Below 0.231 slow impacts are proved to "
         "chatter, but a fast forcing may keep the impacts from becoming slow: with delta = "
         f"{delta:g}, gamma = {gamma:g}, w = {w:g} the beam locks to the forcing, one impact a "
         "period, on a stable orbit (largest multiplier "
         f"{max(abs(m) for m in orbit.multipliers):.10f}).",
         how="Simulated: each impact by itself, in a model without a contact, nothing summed and "
         f"nothing proved, until the speed after an impact is below {HELD:g} while the force "
-        "presses "
-        "(complete), then held until the force pulls (released). A series is at least "
+        "presses (complete), then held until the force pulls (released). A series is at least "
         f"{SERIES} flights in a row, each shorter than the one before, that shrink to less than "
-        "half "
-        "and that a longer one ends "
-        "(incomplete, where the chattering is never complete). Proved: by the lemma without (C2) "
-        "from single impacts of each beam, complete or not: the last to fall below each of seven "
-        "speeds from 0.1 to 1e-5, and the slowest of all; with gamma < 0.231 the rest is for "
-        "ever, else it ends. A disagreement would be a beam that is proved to chatter and "
-        "does not come to 1e-6, or not within the bounds proved of its t_inf (median width "
-        f"{tight:.2g}), or rests where it should be released. There are {wrong}. Seen and not "
-        f"proved: {open_}; they are listed. The force is weak when they accumulate, and changes "
-        "much in what the lemma allows the series to last.",
+        "half and that a longer one ends (incomplete, where the chattering is never complete). "
+        "Proved: by the lemma without (C2) from single impacts of each beam, complete or not: the "
+        "last to fall below each of seven speeds from 0.1 to 1e-5, and the slowest of all; with "
+        "gamma < 0.231 the rest is for ever, else it ends. A disagreement would be a beam that is "
+        "proved to chatter and does not come to 1e-6, or not within the bounds proved of its "
+        f"t_inf (median width {tight:.2g}), or rests where it should be released. There are "
+        f"{wrong}. Seen and not proved: {open_}; they are listed. The force is weak when they "
+        "accumulate, and changes much in what the lemma allows the series to last.",
         numbers=[
             Number(what="proved and not seen", ours=wrong),
             Number(what="seen and not proved", ours=open_),
@@ -151,8 +147,8 @@ def _listed() -> list[Number]:
     parts = (("DISAGREEMENT", found.disagree), ("not proved", found.unproved))
     return [
         Number(
-            what=f"{what}: delta {lanes.delta[i]:.4g}, gamma {lanes.gamma[i]:.5g}, "
-            f"w {lanes.w[i]:g}: held at t = {lanes.held[i]:.4f} by a force of",
+            what=f"{what}: delta {lanes.delta[i]:.4g}, gamma {lanes.gamma[i]:.5g}, w "
+            f"{lanes.w[i]:g}: held at t = {lanes.held[i]:.4f} by a force of",
             ours=f"{found.press[i]:.6f}",
         )
         for what, which in parts
@@ -180,13 +176,13 @@ def border() -> Claim:
         place="Introduction and Section 4",
         says="the series of impacts ends in a finite time with establishing a long contact",
         verdict=verdict(low <= exact <= high and apart),
-        found="For the beam this contact lasts for ever if gamma < phi^3 - phi = "
-        f"{exact:.10f}, and ends within a period of the forcing if gamma is larger. The border was "
-        f"found from runs between {low:.13f} and {high:.13f}.",
+        found=f"For the beam this contact lasts for ever if gamma < phi^3 - phi = {exact:.10f}, "
+        "and ends within a period of the forcing if gamma is larger. The border was found from "
+        f"runs between {low:.13f} and {high:.13f}.",
         how="Bisected on whether a run from (1.3, 0), w = 1, delta = 0.05, is released after its "
         "accumulation. On the map all beams that rest for ever lie below it and all that are "
-        f"released above, down to gamma = {' and '.join(shown(g) for g in near)}. The force on the "
-        "resting beam is phi - phi^3 + gamma cos(w t).",
+        f"released above, down to gamma = {' and '.join(shown(g) for g in near)}. The force on "
+        "the resting beam is phi - phi^3 + gamma cos(w t).",
         numbers=[
             Number(what="border, from runs", ours=0.5 * (low + high), error=0.5 * (high - low)),
             Number(what="phi^3 - phi", ours=exact),
@@ -206,8 +202,8 @@ def incomplete() -> Claim:
         says="incomplete chattering initially has the same behavior as complete chattering, but "
         "ends after a large but finite number of impacts",
         verdict=verdict(row >= SERIES and count > 0),
-        found=f"It is common where gamma is a little above 0.231: {count} beams of the map show "
-        f"a series of at least {SERIES} flights, each shorter than the one before, that shrink to "
+        found=f"It is common where gamma is a little above 0.231: {count} beams of the map show a "
+        f"series of at least {SERIES} flights, each shorter than the one before, that shrink to "
         f"less than half and then end with a longer one; the longest has {most}. With delta = "
         f"{delta:g}, gamma = {gamma:g}, w = {w:g} one has {row}.",
         how="Such series counted on the map, and in the run shown. In the beams that neither rest "

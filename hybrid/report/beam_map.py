@@ -211,8 +211,8 @@ def note(found: Map, place: int) -> str:
     if found.certified[place]:
         what += (
             f"<br>proved from the impact at t = {found.t[place]:.6f} of speed "
-            f"{found.v[place]:.3g}: "
-            f"they accumulate in [{found.low[place]:.6f}, {found.high[place]:.6f}]"
+            f"{found.v[place]:.3g}: they accumulate in [{found.low[place]:.6f}, "
+            f"{found.high[place]:.6f}]"
         )
     else:
         what += f"<br>{lanes.count[place]} impacts; nothing proved"

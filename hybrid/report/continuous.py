@@ -63,8 +63,8 @@ def unilateral() -> Claim:
     worst = float(np.max(np.abs(run.jumps.t[:count] - times)))
     return Claim(
         place="Section 5, after Figure 7",
-        says="the coupling is unilateral: the second equation does not influence the first; "
-        "x1 and x2 chatter as before",
+        says="the coupling is unilateral: the second equation does not influence the first; x1 "
+        "and x2 chatter as before",
         verdict=verdict(abs(point.t - exact) <= point.t_error and worst < 1e-11),
         found=f"x1 and x2 are the ball's alone: its first {count} impacts are those of the ball's "
         f"closed form to {worst:.0e}, and they accumulate at t = {point.t:.12f}.",
@@ -93,11 +93,11 @@ def stable() -> Claim:
         verdict=verdict(
             bool(np.all(roots < 0)) and bool(abs(run.final.x3 - exact) < 1e-4 * abs(exact))
         ),
-        found=f"The roots are {roots[1]:g} and {roots[0]:g}. After the accumulation the ball is at "
-        f"rest and the oscillator is free: at t = {run.t1:g}, x3 = {run.final.x3:.10g}, where "
+        found=f"The roots are {roots[1]:g} and {roots[0]:g}. After the accumulation the ball is "
+        f"at rest and the oscillator is free: at t = {run.t1:g}, x3 = {run.final.x3:.10g}, where "
         f"the free motion from its state at t_inf gives {exact:.10g}.",
-        how="Roots of s^2 + 3 s + 2; the run, carried on at rest on the floor, beside "
-        "a exp(-s) + b exp(-2 s) from its state at t_inf.",
+        how="Roots of s^2 + 3 s + 2; the run, carried on at rest on the floor, beside a exp(-s) + "
+        "b exp(-2 s) from its state at t_inf.",
         numbers=[
             Number(what="x3 at t_inf", ours=x3, error=float(point.state_error.x3)),
             Number(what="x4 at t_inf", ours=x4, error=float(point.state_error.x4)),
@@ -122,18 +122,17 @@ def oscillations() -> Claim:
         says="continuous chattering, understood as infinitely many oscillations in a finite time, "
         "appears in the second system when it is driven by a chattering solution",
         verdict=verdict(not ends, oscillates(run)),
-        found=f"x3 has {len(third)} extrema and x4 has {len(fourth)}, the last at "
-        f"t = {third[-1].t:.6f} and {fourth[-1].t:.6f}; none follow, before the accumulation or "
-        f"after it. What oscillates infinitely often is the acceleration x4' (below).",
+        found=f"x3 has {len(third)} extrema and x4 has {len(fourth)}, the last at t = "
+        f"{third[-1].t:.6f} and {fourth[-1].t:.6f}; none follow, before the accumulation or after "
+        "it. What oscillates infinitely often is the acceleration x4' (below).",
         how="Extrema of x3 are changes of sign of x4; those of x4 are changes of sign of x4', "
-        "within flights and where x4' jumps at impacts. Each flight was looked at "
-        f"{LOOKS} and {2 * LOOKS} times, with the same counts; within a flight x4 and x4' are of "
-        "the form a exp(-t) + b exp(-2 t) + a parabola, with at most four zeros, and where x4' "
-        f"turns without reaching zero it stays {nearest_miss(run, force):.3g} away at least. No "
-        "more "
-        f"can come: x4' is at least p = -2 x3 - 3 x4, which tends to {limit:.10f}, and from impact "
-        f"{number} on it differs from that by less than that; x4 stays below zero. After t_inf "
-        "x4' = a exp(-s) - b exp(-2 s) with a > b > 0, which has no zero.",
+        f"within flights and where x4' jumps at impacts. Each flight was looked at {LOOKS} and "
+        f"{2 * LOOKS} times, with the same counts; within a flight x4 and x4' are of the form a "
+        "exp(-t) + b exp(-2 t) + a parabola, with at most four zeros, and where x4' turns without "
+        f"reaching zero it stays {nearest_miss(run, force):.3g} away at least. No more can come: "
+        f"x4' is at least p = -2 x3 - 3 x4, which tends to {limit:.10f}, and from impact {number} "
+        "on it differs from that by less than that; x4 stays below zero. After t_inf x4' = a "
+        "exp(-s) - b exp(-2 s) with a > b > 0, which has no zero.",
         numbers=[
             Number(what="extrema of x3", ours=len(third), paper="infinitely many"),
             Number(what="extrema of x4", ours=len(fourth), paper="infinitely many"),
@@ -160,14 +159,15 @@ def acceleration() -> Claim:
         verdict=verdict(limit == 0.0, oscillates(run)),
         found="A bounded drive gives x4 a bounded derivative, which has a limit as the drive "
         "vanishes, so that x3 and x4 are monotone near t_inf unless that limit is zero. x4' does "
-        "oscillate infinitely often here: at every impact it falls by "
-        f"{DRIVE:g} (1 - r^2) v^2, and before every impact it rises, with a slope of at "
-        f"least (6 x3 + 7 x4) > 0 near t_inf: the limit is {rate:.3e}. It is small because a drive "
-        "that fell as the square of the time left would give 0, and what is left of the start "
-        "decays as exp(-t); were it negative, x4' would in the end fall all the time.",
-        how="On a flight x4' has the slope 6 x3 + 7 x4 - 60 x2^2 - 40 g x2, which before an impact "
-        "at speed v is 6 x3 + 7 x4 + 40 g v - 60 v^2. Its limit was computed from the state at "
-        "t_inf, with the error bounds of that; the slopes and falls at the impacts listed agree.",
+        f"oscillate infinitely often here: at every impact it falls by {DRIVE:g} (1 - r^2) v^2, "
+        "and before every impact it rises, with a slope of at least (6 x3 + 7 x4) > 0 near t_inf: "
+        f"the limit is {rate:.3e}. It is small because a drive that fell as the square of the "
+        "time left would give 0, and what is left of the start decays as exp(-t); were it "
+        "negative, x4' would in the end fall all the time.",
+        how="On a flight x4' has the slope 6 x3 + 7 x4 - 60 x2^2 - 40 g x2, which before an "
+        "impact at speed v is 6 x3 + 7 x4 + 40 g v - 60 v^2. Its limit was computed from the "
+        "state at t_inf, with the error bounds of that; the slopes and falls at the impacts "
+        "listed agree.",
         numbers=[
             Number(what="6 x3 + 7 x4 at t_inf", ours=rate, error=error),
             Number(what="40 g", ours=40.0 * own.g),

@@ -40,8 +40,8 @@ def section() -> Section:
     return Section(
         name="control",
         title="6. Pyragas control",
-        about="x1'' = -x1^3 - cos x1' + C (x1(t - tau) - x1) over a wall at 2, with C = -30, "
-        "tau = 1, r = 0.6. Memory kept: the equation as it is written. Memory restarted: after an "
+        about="x1'' = -x1^3 - cos x1' + C (x1(t - tau) - x1) over a wall at 2, with C = -30, tau "
+        "= 1, r = 0.6. Memory kept: the equation as it is written. Memory restarted: after an "
         "impact the past is the state after it, as for a solver that is started again there.",
         claims=[
             uncontrolled(),
@@ -108,17 +108,17 @@ def controlled() -> Claim:
     rests = rests if own.C <= 0.0 and kept.settles().for_ever else []
     return Claim(
         place="Introduction and Section 6, Figure 8",
-        says="by Pyragas control the chattering solution is controlled to be periodic; for "
-        "x1(0) = 3 the periodic orbit can be seen in the figure",
+        says="by Pyragas control the chattering solution is controlled to be periodic; for x1(0) "
+        "= 3 the periodic orbit can be seen in the figure",
         verdict=verdict(not rests, len(waves) == len(rows)),
         found=f"With the memory kept, {len(rests)} of the {len(rows)} starts of Table 1 come to "
         "rest by complete chattering (proved), and for ever: on the wall the acceleration is "
-        f"-{load:g} - 30 (x1(t - 1) - 2), never above -{load:g}, because x1 is never below 2: this "
-        f"control only presses harder. With the memory restarted at impacts, {len(waves)} of "
+        f"-{load:g} - 30 (x1(t - 1) - 2), never above -{load:g}, because x1 is never below 2: "
+        f"this control only presses harder. With the memory restarted at impacts, {len(waves)} of "
         f"{len(rows)} come to one periodic orbit: Table 1 is that of a system which forgets at "
         "impacts.",
-        how="Each start was run with both memories, from a constant history with x2 = 0 (the paper "
-        f"gives no history). Of the run from 3, run.settles() says: {kept.settles().reason}.",
+        how="Each start was run with both memories, from a constant history with x2 = 0 (the "
+        f"paper gives no history). Of the run from 3, run.settles() says: {kept.settles().reason}.",
         numbers=[
             Number(what=f"kept, from {r.x0:g}: at rest from t", ours=r.rests, error=r.error)
             for r in rows
@@ -136,8 +136,8 @@ def periods() -> Claim:
         verdict=verdict(_all(rows, lambda r: not r.certified), _all(rows, _has_period)),
         found=f"The orbit of the restarted system has T = {found.period:.13f}, and all six starts "
         "lead to it. With the memory kept there is no orbit to have a period.",
-        how="hy.periodic_orbit closes the orbit by Newton's method (to "
-        f"{found.residual:.0e} of its size); the runs come to it to six digits.",
+        how=f"hy.periodic_orbit closes the orbit by Newton's method (to {found.residual:.0e} of "
+        "its size); the runs come to it to six digits.",
         numbers=[
             Number(what="T", ours=found.period, error=1e-12, paper=PERIOD),
             *[
@@ -161,10 +161,10 @@ def amplitudes() -> Claim:
         says="amplitude 2.933 of x1 from all six starts",
         verdict=verdict(rounds_to(height, AMPLITUDE), explained),
         found=f"The amplitude, max x1 - 2, is {height:.10f} (memory restarted), which rounds to "
-        f"{height:.3f}. What is printed is what a method of low order gives: the "
-        "Bogacki-Shampine pair with tolerances 1e-3 and 1e-6, the defaults of a widely used "
-        f"solver of delay equations, restarted at each impact, shows T = {default[0]:.4f} and "
-        f"amplitude {default[1]:.4f}. Which solver the paper used it does not say.",
+        f"{height:.3f}. What is printed is what a method of low order gives: the Bogacki-Shampine "
+        "pair with tolerances 1e-3 and 1e-6, the defaults of a widely used solver of delay "
+        f"equations, restarted at each impact, shows T = {default[0]:.4f} and amplitude "
+        f"{default[1]:.4f}. Which solver the paper used it does not say.",
         how="The orbit closed to rounding; then flown with that pair and its usual step control, "
         "the largest value at a step's end taken; beside it the same pair with SciPy's step "
         "control, the largest value of the curve taken.",

@@ -53,8 +53,8 @@ def law() -> Claim:
     worst = float(np.max(np.abs(after + own.r * before)))
     return Claim(
         place="Section 3, the model of the table",
-        says="r = (X'+ - x'+) / (x'- - X'-) with X'- = X'+, so that the jump of x' is "
-        "-(1 + r) (x' - X')",
+        says="r = (X'+ - x'+) / (x'- - X'-) with X'- = X'+, so that the jump of x' is -(1 + r) "
+        "(x' - X')",
         verdict=verdict(worst < 1e-12),
         found=f"Both are one law: at the {len(run.jumps)} impacts listed the velocity relative to "
         f"the table after an impact is -{own.r:g} times that before, to {worst:.0e}.",
@@ -102,8 +102,8 @@ def force() -> Claim:
         verdict=verdict(low < own.g < high, low < high),
         found="M = g, but (C1) wants f < -m, so that m = g is not allowed. Any m between "
         f"{low:.10g} and {high:.10g}, both excluded, is allowed by (C1) and by the inequality.",
-        how="hy.certify, Theorem 1, for this bead over a floor at rest with the same h - phi: "
-        "its m_range.",
+        how="hy.certify, Theorem 1, for this bead over a floor at rest with the same h - phi: its "
+        "m_range.",
         numbers=[
             Number(what="M", ours=known(proof.M), paper=f"{own.g:g}"),
             Number(what="m, least", ours=low),
@@ -144,10 +144,10 @@ def example_2() -> Claim:
         "conditions of Theorem 1 are satisfied and consequently this solution is chattering",
         verdict=verdict(asked.verdict == "certified", point.verdict == "certified" and bool(first)),
         found=f"The solution chatters, and the impacts accumulate at t = {point.t:.10f}; but not "
-        f"by Theorem 1, which is for a wall at rest. Relative to the table, from impact {first} on "
-        "every motion of this speed is proved to chatter by the lemma without (C2), before any "
-        f"run; during the run the impacts are proved to accumulate from impact {own} on, in a "
-        "box around that impact.",
+        f"by Theorem 1, which is for a wall at rest. Relative to the table, from impact {first} "
+        "on every motion of this speed is proved to chatter by the lemma without (C2), before any "
+        f"run; during the run the impacts are proved to accumulate from impact {own} on, in a box "
+        "around that impact.",
         how="Simulated with Taylor series to rounding; the error bound is measured against a "
         "second run. Speed and time of each impact were compared with what the certificate covers "
         f"(relative speed up to {fastest(proof):.10g}, at any phase of the table).",
@@ -230,8 +230,8 @@ def contact() -> Claim:
         says="the impacts end in a finite time with establishing a long contact between the bodies",
         verdict=verdict(stays),
         found="On this table the contact lasts for ever: its force on a unit of mass, g + X'', is "
-        f"never below g - X0 omega^2 = {exact:.10g}. The run is at rest on the moving table at its "
-        f"end, and moves as it does: x - X = {run.final.x - table(run.t1)[0]:.0e}.",
+        f"never below g - X0 omega^2 = {exact:.10g}. The run is at rest on the moving table at "
+        f"its end, and moves as it does: x - X = {run.final.x - table(run.t1)[0]:.0e}.",
         how="g + X'' = -(acceleration of the gap), bounded over two periods of the table by "
         "hy.certify; the closed form beside it.",
         numbers=[
