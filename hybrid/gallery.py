@@ -6,6 +6,7 @@ import ast
 import importlib.util
 import sys
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -62,6 +63,17 @@ def summary(name: str) -> str:
     """The first line of a gallery file, without running it."""
     text = ast.get_docstring(ast.parse((folder() / f"{name}.py").read_text())) or ""
     return text.partition("\n")[0]
+
+
+@cache
+def known(name: str) -> Entry:
+    """An entry of the gallery by its name, read once: what is traced and compiled of it is kept.
+
+    Raises
+    ------
+    GalleryError
+    """
+    return find(name)
 
 
 def find(given: str) -> Entry:

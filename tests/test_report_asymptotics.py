@@ -1,16 +1,17 @@
 """The report's section 2: its verdicts, and its numbers against the reference and closed forms."""
 
 from fractions import Fraction
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from hybrid.report import asymptotics
+from hybrid.report.asymptotics.cut import RATIOS
 from hybrid.report.claims import Verdict
-from hybrid.report.cut import RATIOS
 
-from .test_report_existence import number
+from .reported import claim_that, number
 
 pytest.importorskip("flint")
 
@@ -23,12 +24,7 @@ def section():
 @pytest.fixture(scope="module")
 def claim(section):
     """A claim by a part of what it says."""
-
-    def find(part):
-        (found,) = [claim for claim in section.claims if part in claim.says]
-        return found
-
-    return find
+    return partial(claim_that, section)
 
 
 @pytest.fixture

@@ -5,7 +5,8 @@ import pytest
 
 import hybrid as hy
 from hybrid.gallery import find
-from hybrid.report import beam, beam_claims, beam_map, beam_proof, strikes
+from hybrid.report import beam
+from hybrid.report.beam import chart, perturbed, proof, strikes
 from hybrid.report.claims import Verdict
 
 BORDER = 1.1**3 - 1.1
@@ -23,7 +24,7 @@ def small():
     gamma, delta, w = np.meshgrid(
         [0.0, 0.1, 0.2, 0.2309, 0.2311, 0.3], [0.05, 0.3], [0.1, 0.5, 1.0, 2.0, 5.0], indexing="ij"
     )
-    return beam_map.compared(strikes.fly(delta.ravel(), gamma.ravel(), w.ravel()))
+    return chart.compared(strikes.fly(delta.ravel(), gamma.ravel(), w.ravel()))
 
 
 def test_the_proof_fails_as_printed_and_is_mended():
@@ -65,20 +66,20 @@ def test_the_proof_from_an_impact_agrees_with_certify():
     own = find("moon_holmes").cls(delta=0.05, gamma=0.02, w=0.5)
     period = 2 * np.pi / 0.5
     box = {"gap": (0.0, 2e-5), "speed": (0.0, 0.004), "t": (0.0, 2 * period)}
-    proof = hy.certify(own, box)
-    fast = 0.99 * proof.initial_set["speed"][1]
-    assert proof.verdict == "certified"
+    certificate = hy.certify(own, box)
+    fast = 0.99 * certificate.initial_set["speed"][1]
+    assert certificate.verdict == "certified"
     assert fast > 1e-3
     for t in np.linspace(0.0, period, 9):
-        low, high = beam_proof.accumulates(0.05, 0.02, 0.5, t, fast)
-        assert proof.remaining[0] * 0.98 <= low - t < high - t <= proof.remaining[1]
-    assert beam_proof.accumulates(0.05, 0.3, 0.5, 0.0, fast) is None
+        low, high = proof.accumulates(0.05, 0.02, 0.5, t, fast)
+        assert certificate.remaining[0] * 0.98 <= low - t < high - t <= certificate.remaining[1]
+    assert proof.accumulates(0.05, 0.3, 0.5, 0.0, fast) is None
 
 
 def test_the_border_of_resting_is_proved():
     """gamma = 0.231 from below, not from above; 1.1 is the float next to it."""
-    assert beam_proof.pushes_always(BORDER - 1e-15)
-    assert not beam_proof.pushes_always(BORDER + 1e-15)
+    assert proof.pushes_always(BORDER - 1e-15)
+    assert not proof.pushes_always(BORDER + 1e-15)
 
 
 def test_nothing_is_proved_that_is_not_seen(small):
@@ -87,24 +88,24 @@ def test_nothing_is_proved_that_is_not_seen(small):
     assert not np.any(small.undecided)
     assert np.sum(small.certified) > 30
     assert np.sum(small.unproved) <= 3
-    rests = small.seen == beam_map.REST
+    rests = small.seen == chart.REST
     assert np.all(small.lanes.gamma[rests] < BORDER)
-    assert np.all(small.lanes.gamma[small.seen == beam_map.RELEASED] > BORDER)
+    assert np.all(small.lanes.gamma[small.seen == chart.RELEASED] > BORDER)
 
 
 def test_a_wrong_proof_would_be_noticed(small, monkeypatch):
     """With another restitution in the lemma, or a border moved, beams disagree."""
     own = find("moon_holmes").cls
-    monkeypatch.setattr(beam_proof, "beam", lambda: own(r=0.8))
-    assert np.sum(beam_map.compared(small.lanes).disagree) > 10
-    monkeypatch.setattr(beam_proof, "beam", lambda: own(obstacle=1.11))
-    assert np.any(beam_map.compared(small.lanes).disagree)
+    monkeypatch.setattr(proof, "beam", lambda: own(r=0.8))
+    assert np.sum(chart.compared(small.lanes).disagree) > 10
+    monkeypatch.setattr(proof, "beam", lambda: own(obstacle=1.11))
+    assert np.any(chart.compared(small.lanes).disagree)
 
 
 def test_a_proof_of_a_series_that_ends_would_be_noticed(small, monkeypatch):
     """A beam that is never held, and is said to chatter, is a disagreement."""
-    monkeypatch.setattr(beam_map, "accumulates", lambda *given: (given[3], given[3] + 1.0))
-    assert np.any(beam_map.compared(small.lanes).disagree & ~small.complete)
+    monkeypatch.setattr(chart, "accumulates", lambda *given: (given[3], given[3] + 1.0))
+    assert np.any(chart.compared(small.lanes).disagree & ~small.complete)
 
 
 def test_blow_by_blow_is_the_run_of_the_gallery(small):
@@ -125,40 +126,40 @@ def test_blow_by_blow_is_the_run_of_the_gallery(small):
 
 def test_the_border_from_runs():
     """Bisected to twelve digits."""
-    low, high = beam_claims.bisected()
+    low, high = perturbed.bisected()
     assert low <= BORDER <= high
     assert high - low < 3e-12
 
 
 def test_a_fast_forcing_locks_the_beam(small):
     """With w = 5 and gamma = 0.1 a stable orbit has one impact a period, and never chatters."""
-    orbit = beam_claims.locked()
+    orbit = perturbed.locked()
     assert (orbit.jumps, orbit.stable) == (1, True)
     assert abs(orbit.multipliers[0] * orbit.multipliers[1]) == pytest.approx(
         0.81 * np.exp(-0.1 * orbit.period), rel=1e-9
     )
-    assert not beam_claims.flown(*beam_claims.LOCKED).zeno
+    assert not perturbed.flown(*perturbed.LOCKED).zeno
 
 
 def test_claims_of_the_map(monkeypatch):
     """Verdicts and figure on a coarse grid; the slider has all slices, the cells both kinds."""
-    monkeypatch.setattr(beam_map, "GAMMAS", np.array([0.0, 0.04, 0.23099, 0.23101, 0.3]))
-    monkeypatch.setattr(beam_map, "DELTAS", np.array([0.1, 0.3]))
-    monkeypatch.setattr(beam_claims, "GAMMAS", beam_map.GAMMAS)
-    monkeypatch.setattr(beam_map, "whole", beam_map.whole.__wrapped__)
-    found = beam_map.whole()
-    for module in (beam_map, beam_claims):
+    monkeypatch.setattr(chart, "GAMMAS", np.array([0.0, 0.04, 0.23099, 0.23101, 0.3]))
+    monkeypatch.setattr(chart, "DELTAS", np.array([0.1, 0.3]))
+    monkeypatch.setattr(perturbed, "GAMMAS", chart.GAMMAS)
+    monkeypatch.setattr(chart, "whole", chart.whole.__wrapped__)
+    found = chart.whole()
+    for module in (chart, perturbed):
         monkeypatch.setattr(module, "whole", lambda: found)
-    small, border, incomplete = beam_claims.claims()
+    small, border, incomplete = perturbed.claims()
     assert small.verdict is border.verdict is Verdict.REPRODUCED
     assert incomplete.verdict is Verdict.REPRODUCED
     assert number(small, "proved and not seen").ours == 0
     slider = small.figures[0].slider
-    assert [label for label, _ in slider.stops] == [f"{w:g}" for w in beam_map.SLICES]
+    assert [label for label, _ in slider.stops] == [f"{w:g}" for w in chart.SLICES]
     (seen,), (proved,) = slider.stops[slider.start][1]
     assert seen.cells.kind.shape == proved.cells.kind.shape == (2, 5)
     assert "proved from the impact" in seen.cells.notes[0, 0]
     wrong = np.zeros(len(found.seen), dtype=bool)
     wrong[0] = True
-    monkeypatch.setattr(beam_map.Map, "disagree", property(lambda self: wrong))
-    assert beam_claims.small().verdict is Verdict.NOT_REPRODUCED
+    monkeypatch.setattr(chart.Map, "disagree", property(lambda self: wrong))
+    assert perturbed.small().verdict is Verdict.NOT_REPRODUCED

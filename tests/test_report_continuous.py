@@ -4,8 +4,9 @@ import attrs
 import numpy as np
 import pytest
 
-from hybrid.report import continuous, oscillator
+from hybrid.report import continuous
 from hybrid.report.claims import Verdict
+from hybrid.report.continuous import oscillator
 
 
 @pytest.fixture(scope="module")

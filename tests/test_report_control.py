@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from hybrid.report import control, loose, pyragas
+from hybrid.report import control
 from hybrid.report.claims import Verdict, rounds_to
+from hybrid.report.control import loose, pyragas
 
 
 def test_the_orbit_its_multiplier_and_the_border(reference):

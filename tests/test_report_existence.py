@@ -1,14 +1,17 @@
 """The report's section 1: its verdicts, and its numbers against the reference and closed forms."""
 
 import math
+from functools import partial
 
 import pytest
 
 from hybrid.report import existence
 from hybrid.report.claims import Verdict
-from hybrid.report.intervals import Ratios, flights, shrinks
+from hybrid.report.existence.intervals import Ratios, flights, shrinks
 from hybrid.report.runs import Spring
 from models import bouncing_ball
+
+from .reported import claim_that, number
 
 pytest.importorskip("flint")
 
@@ -21,17 +24,7 @@ def section():
 @pytest.fixture(scope="module")
 def claim(section):
     """A claim by a part of what it says."""
-
-    def find(part):
-        (found,) = [claim for claim in section.claims if part in claim.says]
-        return found
-
-    return find
-
-
-def number(claim, what):
-    """One of a claim's numbers, by how its name begins."""
-    return next(number for number in claim.numbers if number.what.startswith(what))
+    return partial(claim_that, section)
 
 
 def test_what_is_corrected(section):

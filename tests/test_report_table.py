@@ -4,8 +4,9 @@ from math import pi, sin
 
 import pytest
 
-from hybrid.report import bead, table
+from hybrid.report import table
 from hybrid.report.claims import Verdict
+from hybrid.report.table import bead
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ from typing import Any
 import attrs
 import numpy as np
 
+from .. import gallery
 from ..certificates import certify
-from ..gallery import find
 from ..scene import scene_of
 from ..simulation import simulate
 from .claims import Number
@@ -46,7 +46,7 @@ class Spring:
     @classmethod
     def made(cls) -> Spring:
         """The runs of Figure 1, and the theorem on the paper's domain."""
-        model = find("hard_spring").cls()
+        model = gallery.known("hard_spring").cls()
         runs = [simulate(model, START, (0.0, 1.5), **options) for options in (FINE, OTHER)]
         return cls(model, certify(model, DOMAIN), *runs)
 

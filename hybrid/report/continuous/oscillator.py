@@ -9,10 +9,10 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..arcs import Arc
-from ..gallery import find
-from ..simulation import simulate
-from ..trajectory import Trajectory
+from ... import gallery
+from ...arcs import Arc
+from ...simulation import simulate
+from ...trajectory import Trajectory
 
 #: Damping, stiffness and drive of the oscillator, as printed.
 C, K, DRIVE = 3.0, 2.0, 20.0
@@ -27,7 +27,7 @@ LOOKS = 64
 @cache
 def flown() -> Trajectory:
     """The run from the printed start, to where the oscillator has come to its equilibrium."""
-    entry = find("coupled")
+    entry = gallery.known("coupled")
     return simulate(entry.cls(), entry.start, (0.0, END), solver="taylor", rtol=1e-14, atol=1e-14)
 
 
@@ -139,7 +139,7 @@ def oscillates(run: Trajectory) -> bool:
 
 def peaks(run: Trajectory) -> int:
     """Impacts at the end of the list before which x4' rises, and at which it falls."""
-    own = find("coupled").cls()
+    own = gallery.known("coupled").cls()
     x2, x3, x4 = (np.asarray(getattr(run.jumps.before, n)) for n in ("x2", "x3", "x4"))
     states = np.stack([x2, x2, x3, x4], axis=-1)
     rises = jerk(states) - 2.0 * DRIVE * own.g * x2 > 0.0

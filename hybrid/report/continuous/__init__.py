@@ -7,10 +7,10 @@ from math import exp, sqrt
 import attrs
 import numpy as np
 
-from ..gallery import find
-from ..pictures.figure import Curve, Figure, Panel, column
-from ..pictures.of_run import path, states_panel, zooms
-from .claims import Claim, Number, Section, verdict
+from ... import gallery
+from ...pictures.figure import Curve, Figure, Panel, column
+from ...pictures.of_run import path, states_panel, zooms
+from ..claims import Claim, Number, Section, verdict
 from .oscillator import (
     DRIVE,
     LOOKS,
@@ -54,9 +54,9 @@ def section() -> Section:
 
 def unilateral() -> Claim:
     """The ball chatters, and nothing comes back to it from the oscillator."""
-    run, own = flown(), find("coupled").cls()
+    run, own = flown(), gallery.known("coupled").cls()
     point = run.zeno[0]
-    first = sqrt(2.0 * (find("coupled").start["x1"] - 1.0) / own.g)
+    first = sqrt(2.0 * (gallery.known("coupled").start["x1"] - 1.0) / own.g)
     exact = first * (1.0 + own.r) / (1.0 - own.r)
     count = 40
     times = first * (1.0 + 2.0 * own.r * (1.0 - own.r ** np.arange(count)) / (1.0 - own.r))
@@ -149,7 +149,7 @@ def oscillations() -> Claim:
 def acceleration() -> Claim:
     """x4' rises before and falls at every impact from some on."""
     run = flown()
-    own, point = find("coupled").cls(), run.zeno[0]
+    own, point = gallery.known("coupled").cls(), run.zeno[0]
     limit, rate = float(pull(limit_state(run))), float(jerk(limit_state(run)))
     error = error_of(point, C * K, C * C - K)
     return Claim(

@@ -12,11 +12,11 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..arcs import Arc
-from ..gallery import find
-from ..orbits import ReturnMap, periodic_orbit, return_map
-from ..simulation import simulate
-from ..trajectory import Trajectory
+from ... import gallery
+from ...arcs import Arc
+from ...orbits import ReturnMap, periodic_orbit, return_map
+from ...simulation import simulate
+from ...trajectory import Trajectory
 
 #: The starts of Table 1, and the one of which the paper says that it chatters.
 STARTS, CHATTERS = (2.5, 3.0, 5.0, 10.0, 100.0, 200.0), 2.1
@@ -37,7 +37,7 @@ def model(**parameters: float) -> Any:
 @cache
 def find_class() -> Any:
     """The model of the gallery, read once."""
-    return find("pyragas").cls
+    return gallery.known("pyragas").cls
 
 
 @cache

@@ -8,11 +8,11 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..pictures.figure import Columns, Curve, Figure, Panel, Slider, slid
-from ..pictures.of_run import path
-from .claims import Claim, Number, verdict
+from ...pictures.figure import Columns, Curve, Figure, Panel, Slider, slid
+from ...pictures.of_run import path
+from ..claims import Claim, Number, verdict
+from ..runs import ZERO, apart
 from .cut import LATE, RATIOS, SPAN, Case, truncated
-from .runs import ZERO, apart
 
 
 def stays(cases: Sequence[Case]) -> Claim:

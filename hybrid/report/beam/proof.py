@@ -9,8 +9,8 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from ..gallery import find
-from ..zeno.lemma import chattering
+from ... import gallery
+from ...zeno.lemma import chattering
 
 #: Boxes that are tried, and how far one reaches, against what the last one asked for.
 TRIES, WIDER = 20, 1.3
@@ -30,8 +30,8 @@ def accumulates(
     """
     from flint import arb, ctx
 
-    from ..scene.balls import high, low
-    from ..scene.interval import PRECISION
+    from ...scene.balls import high, low
+    from ...scene.interval import PRECISION
 
     own = beam()
     with ctx.workprec(PRECISION):
@@ -60,7 +60,7 @@ def pushes_always(gamma: float) -> bool:
     """Whether the force presses the resting beam on the obstacle at all phases: proved."""
     from flint import arb, ctx
 
-    from ..scene.interval import PRECISION
+    from ...scene.interval import PRECISION
 
     with ctx.workprec(PRECISION):
         wall = arb(beam().obstacle)
@@ -70,4 +70,4 @@ def pushes_always(gamma: float) -> bool:
 @cache
 def beam() -> Any:
     """The beam of the gallery, read once."""
-    return find("moon_holmes").cls()
+    return gallery.known("moon_holmes").cls()

@@ -14,9 +14,9 @@ import attrs
 import jax.numpy as jnp
 import numpy as np
 
-from ..automaton import Automaton, edge, mode, parameter, state
-from ..ensembles import ensemble
-from ..gallery import find
+from ... import gallery
+from ...automaton import Automaton, edge, mode, parameter, state
+from ...ensembles import ensemble
 
 #: Speeds: of the impacts that are kept, of an impact so slow that the beam is held.
 LEVELS, HELD = np.array([0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4, 1e-5]), 1e-6
@@ -152,7 +152,7 @@ def fly(delta: Any, gamma: Any, w: Any, start: float = 1.3) -> Lanes:
     ArithmeticError
         If a lane fails.
     """
-    own = find("moon_holmes").cls()
+    own = gallery.known("moon_holmes").cls()
     delta, gamma, w = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in (delta, gamma, w)))
     model = Struck(r=own.r, obstacle=own.obstacle)
     none = np.zeros(len(LEVELS) + 1)

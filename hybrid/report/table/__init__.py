@@ -6,9 +6,10 @@ from math import pi, sqrt
 
 import numpy as np
 
-from ..pictures.figure import Curve, Figure, Panel, column
-from ..pictures.of_run import gaps_panel, states_panel, zooms
-from ..trajectory import Trajectory
+from ...pictures.figure import Curve, Figure, Panel, column
+from ...pictures.of_run import gaps_panel, states_panel, zooms
+from ...trajectory import Trajectory
+from ..claims import Claim, Number, Section, known, rounds_to, verdict
 from .bead import (
     FASTEST,
     HEIGHT,
@@ -24,7 +25,6 @@ from .bead import (
     table,
     turned,
 )
-from .claims import Claim, Number, Section, known, rounds_to, verdict
 
 #: Points a curve, about.
 POINTS = 1500

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from ..certificates import certify
-from ..certificates.result import Certificate
-from ..gallery import find
-from ..simulation import simulate
+from ... import gallery
+from ...certificates import certify
+from ...certificates.result import Certificate
+from ...simulation import simulate
+from ..claims import Claim, Number, Section, known, rounds_to, verdict
 from . import loose
-from .claims import Claim, Number, Section, known, rounds_to, verdict
-from .control_figures import table_figure
+from .figures import table_figure
 from .pyragas import (
     AMPLITUDE,
     CHATTERS,
@@ -64,14 +64,16 @@ def spring(far: float, fastest: float) -> Certificate:
     """Theorem 1 for the system without control, as far as a height."""
     wall = model().wall
     box = {"x": (wall, far), "v": (-fastest, fastest)}
-    return certify(find("hard_spring").cls(r=model().r), box)
+    return certify(gallery.known("hard_spring").cls(r=model().r), box)
 
 
 def uncontrolled() -> Claim:
     """Without control all starts chatter."""
     near, far = spring(2.5, 7.0), spring(201.0, 1e9)
     runs = [
-        simulate(find("hard_spring").cls(r=model().r), {"x": x0, "v": 0.0}, (0.0, 3.0), **EXACT)
+        simulate(
+            gallery.known("hard_spring").cls(r=model().r), {"x": x0, "v": 0.0}, (0.0, 3.0), **EXACT
+        )
         for x0 in (CHATTERS, 3.0)
     ]
     points = [run.zeno[0] for run in runs]

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ..scene import scene_of
-from ..simulation import simulate
-from .claims import Claim, Number, verdict
+from ...scene import scene_of
+from ...simulation import simulate
+from ..claims import Claim, Number, verdict
+from ..runs import FINE, OTHER, ZERO, Attained, Spring, apart, force, twice, without_contact
 from .intervals import COUNT, Flight, Ratios, flights, intervals
-from .runs import FINE, OTHER, ZERO, Attained, Spring, apart, force, twice, without_contact
 
 #: Starts from which the first fall is looked at, as shares of ``h - phi``.
 SHARES = (0.02, 0.2, 0.4, 0.6, 0.8, 0.98)

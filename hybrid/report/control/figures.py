@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..pictures.figure import Curve, Figure, Panel
-from ..pictures.of_run import states_panel
+from ...pictures.figure import Curve, Figure, Panel
+from ...pictures.of_run import states_panel
 from .pyragas import CHATTERS, at_rest, border, first_speed, orbit, restarted, returned
 
 #: Points a curve, about; how long the figures last.

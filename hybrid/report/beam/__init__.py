@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from ..certificates import certify
-from ..certificates.result import Certificate
-from ..gallery import find
-from ..pictures.figure import Figure
-from ..pictures.of_run import gaps_panel, phase_panel, states_panel, zooms
-from ..simulation import simulate
-from ..trajectory import Trajectory
-from . import beam_claims
-from .beam_proof import accumulates
-from .claims import Claim, Number, Section, known, rounds_to, verdict
+from ... import gallery
+from ...certificates import certify
+from ...certificates.result import Certificate
+from ...pictures.figure import Figure
+from ...pictures.of_run import gaps_panel, phase_panel, states_panel, zooms
+from ...simulation import simulate
+from ...trajectory import Trajectory
+from ..claims import Claim, Number, Section, known, rounds_to, verdict
+from . import perturbed
+from .proof import accumulates
 
 #: The domain of the paper, its start, and the frequency of its figure.
 FAR, FASTEST, START, W = 1.5, 3.0, 1.3, 0.1
@@ -42,7 +42,7 @@ def section() -> Section:
             asymmetric(),
             continuity(),
             figure_6(),
-            *beam_claims.claims(),
+            *perturbed.claims(),
         ],
     )
 
@@ -54,7 +54,7 @@ def section() -> Section:
 @cache
 def beam(delta: float = 0.0, gamma: float = 0.0) -> Any:
     """The beam with a damping and a forcing of the figure's frequency."""
-    return find("moon_holmes").cls(delta=delta, gamma=gamma, w=W)
+    return gallery.known("moon_holmes").cls(delta=delta, gamma=gamma, w=W)
 
 
 @cache

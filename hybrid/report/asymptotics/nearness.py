@@ -10,10 +10,10 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..pictures.figure import Curve, Figure, Panel, column
-from .claims import Claim, Number, verdict
+from ...pictures.figure import Curve, Figure, Panel, column
+from ..claims import Claim, Number, verdict
+from ..runs import FINE, OTHER, ZERO, force, twice, without_contact
 from .cut import LATE, Case, truncated
-from .runs import FINE, OTHER, ZERO, force, twice, without_contact
 
 
 def shrinks(model: Any, cases: Sequence[Case]) -> Claim:

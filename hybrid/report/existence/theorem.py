@@ -7,11 +7,11 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..certificates import certify
-from ..pictures.figure import Curve, Figure, Panel, column
-from ..simulation import simulate
-from .claims import Claim, Number, rounds_to, verdict
-from .runs import DOMAIN, FINE, Attained, Spring, force
+from ...certificates import certify
+from ...pictures.figure import Curve, Figure, Panel, column
+from ...simulation import simulate
+from ..claims import Claim, Number, rounds_to, verdict
+from ..runs import DOMAIN, FINE, Attained, Spring, force
 
 #: Restitutions at which Theorem 1 is put to the test, and how many starts at each.
 RATIOS, STARTS = (0.2, 0.5, 0.8, 0.95), 41

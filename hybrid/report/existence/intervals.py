@@ -8,15 +8,15 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..certificates import certify
-from ..gallery import find
-from ..pictures.figure import Curve, Figure, Panel, column
-from ..scene import scene_of
-from ..segment import nodes
-from ..simulation import simulate
-from ..zeno.flight import rise
-from .claims import Claim, Number, verdict
-from .runs import FINE, OTHER, ZERO, Attained, Spring, twice
+from ... import gallery
+from ...certificates import certify
+from ...pictures.figure import Curve, Figure, Panel, column
+from ...scene import scene_of
+from ...segment import nodes
+from ...simulation import simulate
+from ...zeno.flight import rise
+from ..claims import Claim, Number, verdict
+from ..runs import FINE, OTHER, ZERO, Attained, Spring, twice
 
 #: Flights that are looked at.
 COUNT = 40
@@ -98,7 +98,7 @@ class Ratios:
 
 def intervals(spring: Spring, seen: Sequence[Flight], again: Sequence[Flight]) -> Claim:
     """The ratio of successive intervals, where the force stays constant along each flight."""
-    entry = find("steady_push")
+    entry = gallery.known("steady_push")
     push = entry.cls()
     proved = certify(push, SMALL)
     run, other = (simulate(push, entry.start, entry.until, **o) for o in (FINE, OTHER))

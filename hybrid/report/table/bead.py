@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ..certificates import certify
-from ..certificates.result import Certificate
-from ..gallery import find
-from ..simulation import simulate
-from ..trajectory import Trajectory
+from ... import gallery
+from ...certificates import certify
+from ...certificates.result import Certificate
+from ...simulation import simulate
+from ...trajectory import Trajectory
 
 #: Example 2 as printed: where it starts, and its domain.
 HEIGHT, LOW, HIGH, FASTEST = 1.9, 0.1, 2.0, 7.0
@@ -23,7 +23,7 @@ LASTS = 20.0
 
 def model() -> Any:
     """The bead with the values of Example 2, which are the gallery's."""
-    return find("bead_on_table").cls()
+    return gallery.known("bead_on_table").cls()
 
 
 @cache
@@ -58,7 +58,7 @@ def by_lemma() -> Certificate:
 @cache
 def held_still() -> Certificate:
     """Theorem 1 for the same bead over a floor that does not move, with the paper's h - phi."""
-    still = find("bead_on_table").cls(amplitude=0.0)
+    still = gallery.known("bead_on_table").cls(amplitude=0.0)
     return certify(still, {"x": (0.0, HIGH - LOW), "v": (-FASTEST, FASTEST)})
 
 

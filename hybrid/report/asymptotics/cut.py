@@ -9,9 +9,9 @@ from typing import Any
 
 import attrs
 
-from ..simulation import simulate
-from .claims import Number
-from .runs import FINE, OTHER, START, twice, without_contact
+from ...simulation import simulate
+from ..claims import Number
+from ..runs import FINE, OTHER, START, twice, without_contact
 
 #: Restitutions of the tables and of the slider.
 RATIOS = ("0.8", "0.6", "0.5", "0.4", "1/3", "0.25", "0.2", "0.125", "0.1", "0.05", "0.02")

@@ -7,7 +7,7 @@ from functools import cache
 import attrs
 import numpy as np
 
-from ..pictures.figure import (
+from ...pictures.figure import (
     IMPACT,
     LINE,
     OTHER,
@@ -19,7 +19,7 @@ from ..pictures.figure import (
     Slider,
     slid,
 )
-from .beam_proof import accumulates, beam, pushes_always
+from .proof import accumulates, beam, pushes_always
 from .strikes import HELD, Lanes, fly
 
 #: The border at which the force on the resting beam is zero at its strongest: phi^3 - phi.

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from ..gallery import find
-from ..orbits.search import depends_on_time
-from ..pictures.figure import Figure, column
-from ..pictures.of_run import approach_panel, gaps_panel, states_panel, zooms
-from ..scene import scene_of
-from ..simulation import simulate
+from ... import gallery
+from ...orbits.search import depends_on_time
+from ...pictures.figure import Figure, column
+from ...pictures.of_run import approach_panel, gaps_panel, states_panel, zooms
+from ...scene import scene_of
+from ...simulation import simulate
+from ..claims import Claim, Number, Section, verdict
+from ..runs import FINE, POINTS, ZERO, Spring, twice
 from . import proof, theorem
-from .claims import Claim, Number, Section, verdict
-from .runs import FINE, POINTS, ZERO, Spring, twice
 
 
 def section() -> Section:
@@ -43,7 +43,7 @@ def section() -> Section:
 
 def ball() -> Claim:
     """A ball over a floor."""
-    entry = find("bouncing_ball")
+    entry = gallery.known("bouncing_ball")
     model, height = entry.cls(), entry.start["x"]
     run = simulate(model, entry.start, entry.until, **FINE)
     point, impacts = run.zeno[0], run.jumps
@@ -95,7 +95,7 @@ SYSTEMS = {
 
 def autonomous() -> Claim:
     """Which systems depend on time, read off the traces of their functions."""
-    kinds = {name: _dependence(find(file).cls()) for name, file in SYSTEMS.items()}
+    kinds = {name: _dependence(gallery.known(file).cls()) for name, file in SYSTEMS.items()}
     own = [name for name, kind in kinds.items() if kind == "neither"]
     timed = [name for name, kind in kinds.items() if kind == "the time"]
     return Claim(

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from ..gallery import find
-from ..orbits import PeriodicOrbit, periodic_orbit
-from ..pictures.figure import Figure, column
-from ..pictures.of_run import gaps_panel, states_panel
-from ..simulation import simulate
-from ..trajectory import Trajectory
-from .beam_map import GAMMAS, KINDS, SERIES, SLICES, map_figure, safe_gamma, whole
-from .beam_proof import beam
-from .claims import Claim, Number, shown, verdict
+from ... import gallery
+from ...orbits import PeriodicOrbit, periodic_orbit
+from ...pictures.figure import Figure, column
+from ...pictures.of_run import gaps_panel, states_panel
+from ...simulation import simulate
+from ...trajectory import Trajectory
+from ..claims import Claim, Number, shown, verdict
+from .chart import GAMMAS, KINDS, SERIES, SLICES, map_figure, safe_gamma, whole
+from .proof import beam
 from .strikes import HELD, SHRUNK
 
 #: Where the border is looked for, and to which width.
@@ -41,7 +41,7 @@ def claims() -> list[Claim]:
 
 def released(gamma: float) -> bool:
     """Whether the beam, forced with w = 1, comes to rest and is released within a period."""
-    own = find("moon_holmes").cls(delta=0.05, gamma=gamma, w=1.0)
+    own = gallery.known("moon_holmes").cls(delta=0.05, gamma=gamma, w=1.0)
     options: dict[str, Any] = {"solver": "taylor", "rtol": 1e-13, "atol": 1e-13}
     run = simulate(own, {"x": 1.3, "v": 0.0}, (0.0, 32.0), **options)
     return bool(run.zeno) and run.zeno[0].t_release is not None
@@ -62,7 +62,7 @@ def bisected() -> tuple[float, float]:
 @cache
 def flown(delta: float, gamma: float, w: float, until: float = 80.0) -> Trajectory:
     """A run of the gallery's beam from (1.3, 0)."""
-    own = find("moon_holmes").cls(delta=delta, gamma=gamma, w=w)
+    own = gallery.known("moon_holmes").cls(delta=delta, gamma=gamma, w=w)
     return simulate(own, {"x": 1.3, "v": 0.0}, (0.0, until), rtol=1e-10)
 
 
@@ -70,7 +70,7 @@ def flown(delta: float, gamma: float, w: float, until: float = 80.0) -> Trajecto
 def locked() -> PeriodicOrbit:
     """The orbit to which the beam locks, one impact a period of the forcing."""
     delta, gamma, w = LOCKED
-    own = find("moon_holmes").cls(delta=delta, gamma=gamma, w=w)
+    own = gallery.known("moon_holmes").cls(delta=delta, gamma=gamma, w=w)
     return periodic_orbit(own, flown(*LOCKED), period=2.0 * pi / w)
 
 

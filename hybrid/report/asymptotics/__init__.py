@@ -10,14 +10,14 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..gallery import find
-from ..run.truncate import permitted
-from ..simulation import simulate
+from ... import gallery
+from ...run.truncate import permitted
+from ...simulation import simulate
+from ..claims import Claim, Number, Section, verdict
+from ..runs import FINE, OTHER, START, twice
 from .after import coincide, stays
-from .claims import Claim, Number, Section, verdict
 from .cut import RATIOS, Case, truncated
 from .nearness import approximates, shrinks
-from .runs import FINE, OTHER, START, twice
 
 #: Restitutions at which the full series is simulated, and how well its end is to be known.
 FULL, KNOWN = ("0.5", "0.8", "0.99"), 1e-9
@@ -28,7 +28,7 @@ FIXED = 0.5
 
 def section() -> Section:
     """All claims of section 2."""
-    model = find("hard_spring").cls()
+    model = gallery.known("hard_spring").cls()
     cases = [Case.made(model, ratio) for ratio in RATIOS]
     return Section(
         name="asymptotics",
