@@ -153,3 +153,22 @@ def test_the_bounds_are_those_of_the_lemma():
         flight = -2 * c / (b + math.sqrt(b * b - 4 * a * c))
         t, speed = t + flight, 0.5 * abs(speed - (1.0 - t) * flight + 0.5 * flight**2)
     assert proof.low <= t <= proof.high
+
+
+@pytest.mark.parametrize(
+    ("name", "speed"),
+    [("hard_spring", 0.4), ("moon_holmes", 0.02), ("bead_on_table", 2.9), ("pyragas", 1.0)],
+)
+def test_chattering_is_proved_early(name, speed):
+    """From fast impacts on; and the whole motion after them stays within the bounds proved."""
+    entry = gallery.find(name)
+    run = hy.simulate(entry.cls(), entry.start, entry.until, rtol=1e-12, atol=1e-13)
+    point = run.zeno[0]
+    first = point.proofs[0]
+    assert first.speed > speed
+    assert all(proof.low <= point.t + 1e-9 for proof in point.proofs)
+    assert all(proof.high >= point.t - 1e-9 for proof in point.proofs)
+    times = np.linspace(first.t, point.t, 2001)[1:]
+    states = np.array(run(times)).T
+    assert np.all(states >= first.x_low - 1e-9)
+    assert np.all(states <= first.x_high + 1e-9)

@@ -12,6 +12,7 @@ of the proof.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import inf, nextafter
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,9 @@ import attrs
 import numpy as np
 
 from ..automaton import trace
+from ..scene.contact import lie
 from ..scene.fixed import FixedGraph, hides_derivatives
+from ..scene.python import needed
 from ..scene.taylor import flat
 from .lemma import Chattering, chattering
 
@@ -91,17 +94,17 @@ def prove(field: Field, contact: str, t: float, x: np.ndarray, v: float) -> Proo
     from ..scene.interval import PRECISION, require_flint
 
     require_flint()
-    program = field.code.once(("proof", field.name, contact), lambda: _program(field, contact))
-    if program is None:
+    question = field.code.once(("proof", field.name, contact), lambda: _question(field, contact))
+    if question is None:
         return None
     with ctx.workprec(PRECISION):
-        return _prove(program, flat(field.parameters), float(t), x, float(v))
+        return _prove(question, flat(field.parameters), float(t), x, float(v))
 
 
-def _prove(program: Any, parameters: Any, t: float, x: np.ndarray, v: float) -> Proof | None:
+def _prove(question: _Question, parameters: Any, t: float, x: np.ndarray, v: float) -> Proof | None:
     box = _Box(0.0, np.zeros(len(x)), 2.0 * v)
     for _ in range(TRIES):
-        bounds = _Bounds(program, parameters, t, x, box)
+        bounds = _Bounds(question, parameters, t, x, box)
         if not bounds.pushes:
             return None
         says = chattering(v, bounds.m, bounds.M, bounds.r)
@@ -136,10 +139,29 @@ def _proof(
     )
 
 
+@attrs.frozen(eq=False)
+class _Question:
+    """What is enclosed for a contact.
+
+    Attributes
+    ----------
+    program : IntervalProgram
+        The gap and its two derivatives along the flow, the restitution, the flow, the push, the
+        slopes, the other guards.
+    pair : (int, int) or None
+        The one position and velocity on which, with the time, gap and gap speed depend.
+    """
+
+    program: Any
+    pair: tuple[int, int] | None
+
+
 class _Bounds:
     """Enclosures over a box."""
 
-    def __init__(self, program: Any, parameters: Any, t: float, x: np.ndarray, box: _Box) -> None:
+    def __init__(
+        self, question: _Question, parameters: Any, t: float, x: np.ndarray, box: _Box
+    ) -> None:
         n, low, high = len(x), x - box.reach, x + box.reach
         inputs: dict[str, Any] = {f"p{i}": value for i, value in enumerate(parameters)}
         inputs |= {
@@ -147,11 +169,15 @@ class _Bounds:
             for i, (a, b) in enumerate(zip(low.tolist(), high.tolist(), strict=True))
         }
         inputs |= {"t": (t, nextafter(t + box.time, inf)), "u": (-box.speed, 0.0)}
-        found = program.enclose(inputs)
+        found = question.program.enclose(inputs)
+        self.pair, count = question.pair, SLOPES if question.pair else 0
+        slopes = found[4 + 2 * n : 4 + 2 * n + count]
+        del found[4 + 2 * n : 4 + 2 * n + count]
         gap, speed, *rest = found
         self.sound = all(e.defined for e in found) and gap.continuous and speed.continuous
         if not self.sound:
             return
+        self.slopes = [e.value for e in slopes] if all(e.defined for e in slopes) else []
         force, self.r, *values = [e.value for e in rest]
         self.m, self.M = (-force).lower(), (-force).upper()
         self.flow, self.push = values[:n], values[n : 2 * n]
@@ -170,14 +196,33 @@ class _Bounds:
         time = says.remaining[1]
         jumps = (1 + self.r.upper()) * says.speed / (1 - says.rho)
         reach = [
-            high(time * abs(f).upper() + jumps * abs(p).upper())
+            time * abs(f).upper() + jumps * abs(p).upper()
             for f, p in zip(self.flow, self.push, strict=True)
         ]
-        return _Box(high(time), np.array(reach), high(says.speed))
+        for place, near in self._near(says, time):
+            reach[place] = min(reach[place], near)
+        return _Box(high(time), np.array([high(far) for far in reach]), high(says.speed))
+
+    def _near(self, says: Chattering, time: Any) -> Iterator[tuple[int, Any]]:
+        """How far position and velocity go, by the gap and the gap speed that they make."""
+        if not self.slopes:
+            return
+        assert self.pair is not None
+        gap_t, gap_x, speed_t, speed_x, speed_v = self.slopes
+        if not (abs(gap_x).lower() > 0 and abs(speed_v).lower() > 0):
+            return
+        far = (says.height + time * abs(gap_t).upper()) / abs(gap_x).lower()
+        yield self.pair[0], far
+        turn = 2 * says.speed + time * abs(speed_t).upper() + far * abs(speed_x).upper()
+        yield self.pair[1], turn / abs(speed_v).lower()
 
 
-def _program(field: Field, contact: str) -> Any:
-    """Gap, its two derivatives, restitution, flow, push, and the other guards, as balls.
+#: Derivatives of gap and gap speed by the time, the position and the velocity.
+SLOPES = 5
+
+
+def _question(field: Field, contact: str) -> _Question | None:
+    """Gap, its two derivatives, restitution, flow, push, slopes, and the other guards, as balls.
 
     None where the flow or the gap holds a derivative back.
     """
@@ -198,5 +243,38 @@ def _program(field: Field, contact: str) -> Any:
 
     lies = nodes(code.lie_closed((contact, field.name), gap, flow))
     law = nodes(code.closed("restitution", contact), np.array(graph.input("u")))
+    pair = _pair(field, contact, graph, lies)
+    slopes = nodes(_slopes(code, gap, flow, pair)) if pair else []
     guards = [node for closed in others for node in nodes(closed)]
-    return IntervalProgram(graph, [*lies, *law, *nodes(flow), *nodes(push), *guards])
+    roots = [*lies, *law, *nodes(flow), *nodes(push), *slopes, *guards]
+    return _Question(IntervalProgram(graph, roots), pair)
+
+
+def _pair(field: Field, contact: str, graph: FixedGraph, lies: list[int]) -> Any:
+    """The position and the velocity that alone, with the time, make the gap and its speed."""
+    pairing = field.code.pairing(contact)
+    if len(pairing.positions) != 1:
+        return None
+    i, k = int(pairing.positions[0]), int(pairing.velocities[0])
+    for root, own in ((lies[0], {i}), (lies[1], {i, k})):
+        names = [graph.nodes[n][1] for n in needed(graph, [root]) if graph.nodes[n][0] == "input"]
+        if not {int(name[1:]) for name in names if name[0] == "x"} <= own:
+            return None
+    return i, k
+
+
+def _slopes(code: Any, gap: Any, flow: Any, pair: tuple[int, int]) -> Any:
+    """The jaxpr of the slopes, in the order of :meth:`_Bounds._near`."""
+    i, k = pair
+
+    def slopes(parameters: Any, t: Any, x: Any) -> Any:
+        import jax
+        import jax.numpy as jnp
+
+        height = trace.again(gap)
+        speed = lie(height, trace.again(flow))
+        gap_t, gap_x = jax.jacfwd(height, (1, 2))(parameters, t, x)
+        speed_t, speed_x = jax.jacfwd(speed, (1, 2))(parameters, t, x)
+        return jnp.stack([gap_t, gap_x[i], speed_t, speed_x[i], speed_x[k]])
+
+    return trace.trace(code.spec, slopes, 0, code.shapes)

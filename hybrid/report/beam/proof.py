@@ -1,19 +1,16 @@
-"""The certificate of the map of section 4: complete chattering of the beam, from an impact on.
-
-The lemma without (C2) on a box that starts as the impact itself and is made wider until what the
-lemma says of the motion fits into it, all in ball arithmetic.
-"""
+"""The certificate of the map of section 4: complete chattering of the beam, from an impact on."""
 
 from __future__ import annotations
 
 from functools import cache
 from typing import Any
 
-from ... import gallery
-from ...zeno.lemma import chattering
+import attrs
+import numpy as np
 
-#: Boxes that are tried, and how far one reaches, against what the last one asked for.
-TRIES, WIDER = 20, 1.3
+from ... import gallery
+from ...scene import scene_of
+from ...zeno.enclose import prove
 
 
 def accumulates(
@@ -28,32 +25,9 @@ def accumulates(
     t, v : float
         An impact: its time, and the speed after it.
     """
-    from flint import arb, ctx
-
-    from ...scene.balls import high, low
-    from ...scene.interval import PRECISION
-
-    own = beam()
-    with ctx.workprec(PRECISION):
-        wall, time, height, speed = arb(own.obstacle), arb(0), arb(0), arb(v)
-        nearest = wall - wall**3
-        for _ in range(TRIES):
-            # x - x^3 falls with x beyond the obstacle, so that its bounds are at the ends
-            farthest = (wall + height) - (wall + height) ** 3
-            drive = gamma * (arb(w) * arb(t).union(arb(t) + time)).cos()
-            damping = arb(delta) * speed
-            m = -(nearest + drive + damping).upper()
-            M = -(farthest + drive - damping).lower()
-            if not m > 0:
-                return None
-            says = chattering(v, m, M, own.r)
-            if says.remaining is None:
-                return None
-            least, most = says.remaining
-            if says.height <= height and says.speed <= speed and most <= time:
-                return low(arb(t) + least), high(arb(t) + most)
-            time, height, speed = (WIDER * a for a in (most, says.height, says.speed))
-    return None
+    own = attrs.evolve(beam(), delta=delta, gamma=gamma, w=w)
+    found = prove(scene_of(own).field("flight"), "impact", t, np.array([own.obstacle, v]), v)
+    return (found.low, found.high) if found else None
 
 
 def pushes_always(gamma: float) -> bool:
