@@ -76,7 +76,8 @@ def ensemble(
     rtol, atol : float
         Tolerances of a step; ``atol`` may be an array, one for each element of the state.
     zeno : "rest", "stop" or "ignore"
-        What happens where impacts accumulate; ignored, they are simulated one by one.
+        What happens where impacts accumulate; ignored, they are simulated one by one, as many as
+        ``max_jumps`` permits: without it a lane that accumulates goes on to ``max_steps``.
     max_jumps, max_steps : int
         A lane ends after so many computed jumps, or attempted steps.
     history : dict or callable, optional
