@@ -172,7 +172,7 @@ def _compiled(
     system: Any, method: Method, zeno: str, places: int, past: Past | None
 ) -> tuple[Any, Any]:
     """The two programs of a chunk: begin, and go on for some rounds."""
-    turner = Turner(system, method, judged=False, sums=zeno != "ignore")
+    turner = Turner(system, method, judged=False, sums=zeno != "ignore", many=True)
     abreast = Abreast(Journey(turner, zeno, past=past), places, _show)
 
     def advance(starts: Any, count: Any, work: Any, rounds: Any) -> Any:

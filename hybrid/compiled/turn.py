@@ -17,7 +17,7 @@ from ..clock import Instant
 from ..events import CAUGHT, EPS, SHARES
 from ..segment import from_values
 from ..solvers.diffrax_backend import SHORTEST, Method
-from .batch import chebyshev, choose, when
+from .batch import any_lane, chebyshev, choose, when
 from .detect import Detector, Event
 from .lane import (
     CLOSE,
@@ -58,11 +58,14 @@ class Turner:
 
     ``judged``: a lane stops where Python has to judge (an impact that may be summed, a guard
     about to touch); otherwise the compiled rules decide, without the finest distinctions.
-    ``sums``: stop where a series of impacts may be summed.
+    ``sums``: stop where a series of impacts may be summed. ``many``: for many lanes, whose steps
+    are cheaper while none of them is held.
     """
 
-    def __init__(self, system: System, method: Method, judged: bool, sums: bool) -> None:
-        self.system, self.method, self.judged = system, method, judged
+    def __init__(
+        self, system: System, method: Method, judged: bool, sums: bool, many: bool = False
+    ) -> None:
+        self.system, self.method, self.judged, self.many = system, method, judged, many
         self.sums = sums and bool(system.is_contact.any())
         self.watches = bool(system.spec.transitions)
         self.detector = Detector(system, method, judged)
@@ -146,10 +149,18 @@ class Turner:
         """A step: whether it is kept, what follows if it is and if not, states at its nodes."""
         going, t0 = lane.going, lane.t + lane.low
 
-        def rate(s: Any, x: Any) -> Any:
-            return self.system.flow(run.parameters, lane.mode, held, t0 + s, x)
+        def step(held: Any) -> Any:
+            def rate(s: Any, x: Any) -> Any:
+                return self.system.flow(run.parameters, lane.mode, held, t0 + s, x)
 
-        x, kept, new, values = self.method.attempt(rate, going.tau, h, going.x, run.rtol, run.atol)
+            return self.method.attempt(rate, going.tau, h, going.x, run.rtol, run.atol)
+
+        if self.many and held is not None and self.system.rests.any():
+            rests = any_lane(held.any())
+            found = jax.lax.cond(rests, lambda: step(held), lambda: step(None))
+        else:
+            found = step(held)
+        x, kept, new, values = found
         new = stop_gradient(jnp.where(kept & (h < going.h), jnp.maximum(new, going.h), new))
         failed = ~kept & (~(new > SHORTEST * going.tau) | (new < 1e-300))
         refused = going._replace(
