@@ -26,7 +26,7 @@ PERIOD, AMPLITUDE = "1.22", "2.933"
 
 #: Tolerances: where digits are shown, and where a run only has to come near an orbit.
 EXACT: dict[str, Any] = {"rtol": 1e-12, "atol": 1e-12}
-NEAR: dict[str, Any] = {"rtol": 1e-10, "atol": 1e-10}
+NEAR = 1e-10
 
 
 def model(**parameters: float) -> Any:
@@ -47,10 +47,10 @@ def at_rest(x0: float, until: float = 5.0, **parameters: float) -> Trajectory:
 
 
 @cache
-def restarted(x0: float, until: float = 40.0) -> Trajectory:
+def restarted(x0: float, until: float = 40.0, tol: float = NEAR) -> Trajectory:
     """The run from a constant history, its memory restarted at impacts."""
     start = {"x1": x0, "x2": 0.0}
-    return simulate(model(), start, (0.0, until), memory="restart", **NEAR)
+    return simulate(model(), start, (0.0, until), memory="restart", rtol=tol, atol=tol)
 
 
 def top(arc: Arc) -> float:
@@ -168,7 +168,8 @@ def row(x0: float) -> Row:
         "released": point.t_release is not None,
     }
     if again.zeno:
-        return Row(**found, chatters=again.zeno[0].t, again=again.zeno[0].t_error)
+        ends = restarted(x0, again.zeno[0].t + 1.0, EXACT["rtol"]).zeno[0]
+        return Row(**found, chatters=ends.t, again=ends.t_error)
     height = top(again.arcs[-2]) - model().wall
     return Row(**found, period=float(again.jumps.gaps[-1]), amplitude=height)
 
