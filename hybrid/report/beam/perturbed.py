@@ -152,7 +152,7 @@ def small() -> Claim:
             ],
             *_listed(),
             Number(what="slowest impact of a beam that is not held", ours=_slowest()),
-            Number(what="period of the locked orbit", ours=orbit.period, error=1e-12),
+            Number(what="period of the locked orbit", ours=orbit.period),
         ],
         figures=[map_figure(), locked_figure()],
     )
