@@ -60,6 +60,18 @@ def test_extrema_are_counted(claims, reference):
     assert found["last extremum of x4 at t"].ours < float(exact["t_inf"]) - 0.9
 
 
+def test_no_extremum_follows_the_accumulation():
+    """x4 and x4' keep their signs in the free motion; from other states one of them does not."""
+    after = oscillator.limit_state(oscillator.flown())
+    assert oscillator.stays_after(after)
+    s = np.linspace(0.0, 20.0, 2001)
+    slow, fast = 2.0 * after[2] + after[3], -after[2] - after[3]
+    assert np.all(slow * np.exp(-s) + 2.0 * fast * np.exp(-2.0 * s) > 0.0)
+    assert np.all(slow * np.exp(-s) + 4.0 * fast * np.exp(-2.0 * s) > 0.0)
+    assert not oscillator.stays_after(np.array([1.0, 0.0, 1.0, 1.0]))
+    assert not oscillator.stays_after(np.array([1.0, 0.0, 3.0, -1.5]))
+
+
 def test_the_derivative_of_the_pull():
     """``6 x3 + 7 x4 - 60 x2^2`` is the derivative of ``-2 x3 - 3 x4`` along a flight."""
     arc = oscillator.chattering(oscillator.flown())[5]

@@ -87,7 +87,7 @@ def test_the_solution_of_example_1(claim, reference):
     case, told = reference["example_1"]["r=0.8,x0=2.1"], claim("the solution is chattering")
     t_inf = number(told, "`t_inf`")
     assert abs(t_inf.ours - float(case["t_inf"])) <= t_inf.error < 1e-12
-    low, high = (number(told, what).ours for what in ("`t_inf` is proved", "and below"))
+    low, high = (number(told, what).ours for what in ("`t_inf`: lower", "`t_inf`: upper"))
     assert low <= float(case["t_inf"]) <= high
     for impact in case["first_impacts"][:3]:
         t, v = (number(told, f"impact {impact['n']}: {what}") for what in ("time", "speed"))

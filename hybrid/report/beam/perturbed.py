@@ -16,15 +16,18 @@ from ...pictures.of_run import gaps_panel, states_panel
 from ...simulation import simulate
 from ...trajectory import Trajectory
 from ..claims import Claim, Number, shown, verdict
-from .chart import GAMMAS, KINDS, SERIES, SLICES, map_figure, safe_gamma, whole
-from .proof import beam
-from .strikes import HELD, SHRUNK
+from .chart import DELTAS, GAMMAS, INCOMPLETE, KINDS, SERIES, SLICES, map_figure, safe_gamma, whole
+from .proof import beam, pushes_always
+from .strikes import HELD, LASTS, PERIODS, SHRUNK, fly
 
 #: Where the border is looked for, and to which width.
 BETWEEN, WIDTH = (0.2, 0.26), 2e-12
 
 #: A beam that locks to its forcing: damping, forcing, frequency.
 LOCKED = (0.1, 0.1, 5.0)
+
+#: Other starts between the obstacle and 1.5, with a weak forcing and these dampings.
+ELSEWHERE, WEAK, DAMPED = (1.101, 1.2, 1.4, 1.499), 0.02, (0.0, 0.02, 0.1)
 
 #: A series that ends: damping, forcing, frequency.
 ENDING = (0.2, 0.28, 1.0)
@@ -74,6 +77,15 @@ def locked() -> PeriodicOrbit:
     return periodic_orbit(own, flown(*LOCKED), period=2.0 * pi / w)
 
 
+@cache
+def elsewhere() -> tuple[int, int]:
+    """Of the beams from other starts: how many there are, how many come to rest for ever."""
+    delta, w = (a.ravel() for a in np.meshgrid(DAMPED, SLICES))
+    found = [fly(delta, WEAK, w, start) for start in ELSEWHERE]
+    rest = sum(int(np.sum(~np.isnan(f.held) & np.isnan(f.released))) for f in found)
+    return len(ELSEWHERE) * delta.size, rest if pushes_always(WEAK) else 0
+
+
 def longest_row(run: Trajectory) -> int:
     """Flights, less one, in the longest series of shorter and shorter ones that has ended."""
     gaps, row, best = run.jumps.gaps.tolist(), 0, 0
@@ -97,7 +109,8 @@ def small() -> Claim:
     safe = {w: safe_gamma(found, w) for w in SLICES}
     wrong, open_ = int(np.sum(found.disagree)), int(np.sum(found.unproved))
     kinds = np.bincount(found.seen, minlength=len(KINDS))
-    holds = all(gamma > 0.0 for gamma in safe.values()) and wrong == 0
+    more, rest = elsewhere()
+    holds = all(gamma > 0.0 for gamma in safe.values()) and wrong == 0 and rest == more
     tight = np.nanmedian(found.high - found.low)
     delta, gamma, w = LOCKED
     return Claim(
@@ -105,14 +118,16 @@ def small() -> Claim:
         says="for sufficiently small delta and gamma the solutions with the same initial "
         "conditions are chattering as well",
         verdict=verdict(holds),
-        found=f"Of {len(found.seen)} beams on the map {kinds[0]} chatter completely and rest for "
-        f"ever, {kinds[1]} chatter completely and are released, {kinds[2]} show a series that "
-        f"ends, {kinds[3]} none. How small gamma must be depends on w: the gammas below are those "
-        "up to which all beams of a slice rest for ever. Below 0.231 slow impacts are proved to "
-        "chatter, but a fast forcing may keep the impacts from becoming slow: with delta = "
+        found=f"Of {len(found.seen)} beams from (1.3, 0) on the map {kinds[0]} chatter completely "
+        f"and rest for ever, {kinds[1]} chatter completely and are released, {kinds[2]} show a "
+        f"series that ends, {kinds[3]} none. Of {more} beams from other heights, with gamma = "
+        f"{WEAK:g}, {rest} chatter completely and rest for ever. How small gamma must be depends "
+        "on w: the gammas below are those up to which all beams on the map rest for ever, at any "
+        f"delta of it (0 to {DELTAS[-1]:g}). Below 0.231 slow impacts are proved to chatter, but a "
+        "fast forcing may keep the impacts from becoming slow: with delta = "
         f"{delta:g}, gamma = {gamma:g}, w = {w:g} the beam locks to the forcing, one impact a "
-        "period, on a stable orbit (largest multiplier "
-        f"{max(abs(m) for m in orbit.multipliers):.10f}).",
+        f"period, on {'a stable' if orbit.stable else 'an unstable'} orbit (multipliers of modulus "
+        f"{max(abs(m) for m in orbit.multipliers):.10f} at most).",
         how="Simulated: each impact by itself, in a model without a contact, nothing summed and "
         f"nothing proved, until the speed after an impact is below {HELD:g} while the force "
         "presses (complete), then held until the force pulls (released). A series is at least "
@@ -123,19 +138,21 @@ def small() -> Claim:
         "gamma < 0.231 the rest is for ever, else it ends. A disagreement would be a beam that is "
         "proved to chatter and does not come to 1e-6, or not within the bounds proved of its "
         f"t_inf (median width {tight:.2g}), or rests where it should be released. There are "
-        f"{wrong}. Seen and not proved: {open_}; they are listed. The force is weak when they "
-        "accumulate, and changes much in what the lemma allows the series to last.",
+        f"{wrong}. Seen and not proved: {open_}; they are listed. In these the force is weak when "
+        "the impacts accumulate, and changes much over the time that the lemma has to allow the "
+        f"series. The other heights are {', '.join(f'{x:g}' for x in ELSEWHERE)}, each with delta "
+        f"= {', '.join(f'{x:g}' for x in DAMPED)} and all w of the map.",
         numbers=[
             Number(what="proved and not seen", ours=wrong),
             Number(what="seen and not proved", ours=open_),
             Number(what="held too late to see a release", ours=int(np.sum(found.undecided))),
             *[
-                Number(what=f"w = {w:g}: all rest for ever up to gamma", ours=f"{gamma:g}")
+                Number(what=f"w = {w:g}: all rest for ever up to gamma =", ours=f"{gamma:g}")
                 for w, gamma in safe.items()
             ],
             *_listed(),
             Number(what="slowest impact of a beam that is not held", ours=_slowest()),
-            Number(what="period of the locked orbit", ours=orbit.period, error=1e-12),
+            Number(what="period of the locked orbit", ours=orbit.period),
         ],
         figures=[map_figure(), locked_figure()],
     )
@@ -173,7 +190,7 @@ def border() -> Claim:
     )
     near = [gamma for gamma in GAMMAS if abs(gamma - exact) < 5e-5]
     return Claim(
-        place="Introduction and Section 4",
+        place="Introduction, of impact chattering; for the beam",
         says="the series of impacts ends in a finite time with establishing a long contact",
         verdict=verdict(low <= exact <= high and apart),
         found=f"For the beam this contact lasts for ever if gamma < phi^3 - phi = {exact:.10f}, "
@@ -194,7 +211,9 @@ def incomplete() -> Claim:
     """A series of impacts that begins as complete chattering and ends."""
     run = flown(*ENDING)
     found, row = whole(), longest_row(run)
-    count = int(np.sum(found.lanes.longest >= SERIES))
+    shows, ended = found.lanes.longest >= SERIES, found.seen == INCOMPLETE
+    count, only = int(np.sum(shows)), int(np.sum(ended))
+    above = int(np.sum(ended & (found.lanes.gamma > beam().obstacle ** 3 - beam().obstacle)))
     most = int(np.max(found.lanes.longest))
     delta, gamma, w = ENDING
     return Claim(
@@ -202,14 +221,17 @@ def incomplete() -> Claim:
         says="incomplete chattering initially has the same behavior as complete chattering, but "
         "ends after a large but finite number of impacts",
         verdict=verdict(row >= SERIES and count > 0),
-        found=f"It is common where gamma is a little above 0.231: {count} beams of the map show a "
-        f"series of at least {SERIES} flights, each shorter than the one before, that shrink to "
-        f"less than half and then end with a longer one; the longest has {most}. With delta = "
-        f"{delta:g}, gamma = {gamma:g}, w = {w:g} one has {row}.",
-        how="Such series counted on the map, and in the run shown. In the beams that neither rest "
-        "nor settle to an orbit their lengths depend on rounding.",
+        found=f"{count} beams of the map show a series of at least {SERIES} flights, each shorter "
+        "than the one before, that shrink to less than half and then end with a longer one; the "
+        f"longest has {most}. Of these {count - only} chatter completely later, {only} never, "
+        f"{above} of them with gamma above 0.231. With delta = {delta:g}, gamma = {gamma:g}, w = "
+        f"{w:g} the longest series has {row} flights.",
+        how="Such series counted on the map, and in the run shown; never means until "
+        f"t = {LASTS:g} and {PERIODS} periods of the forcing. In beams that neither rest nor "
+        "settle to an orbit the lengths depend on rounding.",
         numbers=[
             Number(what="beams with such a series", ours=count),
+            Number(what="of these, never completely", ours=only),
             Number(what="flights in the longest", ours=most),
             Number(what="flights in the longest of the run shown", ours=row),
         ],

@@ -119,6 +119,16 @@ def settled_from(run: Trajectory) -> int:
     return first
 
 
+def stays_after(state: np.ndarray) -> bool:
+    """Whether x4 < 0 < x4' from a state on, the ball being at rest.
+
+    With ``x3 = p exp(-s) + q exp(-2 s)``: ``-x4 = p exp(-s) + 2 q exp(-2 s)`` and
+    ``x4' = p exp(-s) + 4 q exp(-2 s)``, positive at all ``s >= 0`` if ``p > -4 q > 0``.
+    """
+    p, q = 2.0 * state[2] + state[3], -state[2] - state[3]
+    return bool(p > -4.0 * q > 0.0)
+
+
 def limit_state(run: Trajectory) -> np.ndarray:
     return np.array(list(run.zeno[0].state))
 

@@ -68,7 +68,7 @@ def ball() -> Claim:
             Number(what="`t_inf`", ours=point.t, error=point.t_error),
             Number(what="`t_inf`, closed form", ours=exact),
             Number(what="speeds: largest relative error", ours=f"{max(off, 1e-16):.0e}"),
-            Number(what="mode at the end of the run", ours=run.mode),
+            Number(what="at the end of the run", ours="at rest" if rests else run.mode),
         ],
         figures=[
             Figure(
@@ -149,13 +149,15 @@ def example_1(spring: Spring) -> Claim:
         found=f"The impacts accumulate at t = {point.t:.12f}, where x = {float(point.state.x):g}, "
         f"x' = {float(point.state.v):g}.",
         how="Simulated to the accumulation: the tail of impacts is summed, and proved by interval "
-        f"arithmetic to accumulate, from the impact at t = {point.proofs[0].t:.6f} on. Errors of "
-        "impacts are three times the distance to a run with another method (DOP853), and "
-        "rounding; for `t_inf` the error of the sum is added.",
+        f"arithmetic to accumulate, from the impact at t = {point.proofs[0].t:.6f} on. The bounds "
+        "of `t_inf` are those of that proof from a later impact, made wider by the error of the "
+        "run up to there, which is measured. Errors of impacts are three times the distance to a "
+        "run with another method (DOP853), and rounding; for `t_inf` the error of the sum is "
+        "added.",
         numbers=[
             Number(what="`t_inf`", ours=point.t, error=point.t_error),
-            Number(what="`t_inf` is proved to lie above", ours=low),
-            Number(what="and below", ours=high),
+            Number(what="`t_inf`: lower bound", ours=low),
+            Number(what="`t_inf`: upper bound", ours=high),
             *first,
             *slow,
         ],
