@@ -389,8 +389,19 @@ def _can_write(option: str, path: str | None) -> None:
         need(option, FILES)
     else:
         need(option, HTML if is_page(path) else PLOT)
+    if option == "--plot" and not _drawable(path):
+        raise OptionError(f"{option} {path}: end the name in .png, .pdf, .svg or .html")
     if not Path(path).resolve().parent.is_dir():
         raise OptionError(f"{option} {path}: no such folder")
+
+
+def _drawable(path: str) -> bool:
+    """Whether the end of a picture's name says in which format it is drawn."""
+    if is_page(path):
+        return True
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    return Path(path).suffix.lower()[1:] in FigureCanvasBase.get_supported_filetypes()
 
 
 def _write(action: Callable[[], Any]) -> None:
