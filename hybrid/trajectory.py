@@ -397,7 +397,8 @@ class Trajectory:
 
     def __repr__(self) -> str:
         zeno = "".join(f"\n  accumulation at t = {point.t!r}" for point in self.zeno)
+        tails = sum(part.tail.count for part in self.parts if isinstance(part, TailPart))
         return (
-            f"{self.spec.model}: {self.t0:g} <= t <= {self.t1:g}, {len(self.parts)} parts, "
-            f"{len(self.own_jumps)} jumps computed{zeno}\n  {self.status}"
+            f"{self.spec.model}: {self.t0:g} <= t <= {self.t1:g}, "
+            f"{len(self.own_jumps) + tails} jumps listed{zeno}\n  {self.status}"
         )
