@@ -13,7 +13,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,6 +20,8 @@ import typer
 
 from . import gallery
 from .errors import DeclarationError, HybridError, OptionError, StartError
+from .extras import FILES, HTML, PLOT, need
+from .pictures import is_page
 from .trajectory import Status, Trajectory
 
 app = typer.Typer(
@@ -32,17 +33,6 @@ SMALL_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_thresho
 
 #: Accumulations that are printed, at most.
 SHOWN = 20
-
-#: What an option or a command needs beyond the package itself.
-NEEDS = {
-    "--plot": ["matplotlib"],
-    "--save": ["xarray", "h5netcdf", "h5py"],
-    ".html": ["plotly"],
-    "report": ["matplotlib", "plotly", "flint"],
-}
-
-#: Packages whose modules have other names.
-PACKAGES = {"flint": "python-flint"}
 
 #: Seconds after which a run shows its progress.
 PATIENCE = 1.0
@@ -278,8 +268,6 @@ def report(
     from .report import report as make
 
     with _one_line():
-        _needed("report", NEEDS["report"])
-        _write(lambda: out.mkdir(parents=True, exist_ok=True))
         path = make(out, only or [], _judged)
     typer.echo(f"page: {path}")
 
@@ -397,16 +385,23 @@ def _can_write(option: str, path: str | None) -> None:
     """Refuse before the run what could only fail after it."""
     if path is None:
         return
-    _needed(option, NEEDS[".html" if path.endswith(".html") else option])
+    if option == "--save":
+        need(option, FILES)
+    else:
+        need(option, HTML if is_page(path) else PLOT)
+    if option == "--plot" and not _drawable(path):
+        raise OptionError(f"{option} {path}: end the name in .png, .pdf, .svg or .html")
     if not Path(path).resolve().parent.is_dir():
         raise OptionError(f"{option} {path}: no such folder")
 
 
-def _needed(what: str, modules: list[str]) -> None:
-    """Refuse what needs a package that is missing."""
-    missing = [PACKAGES.get(name, name) for name in modules if find_spec(name) is None]
-    if missing:
-        raise OptionError(f"{what} needs {', '.join(missing)}: pip install {' '.join(missing)}")
+def _drawable(path: str) -> bool:
+    """Whether the end of a picture's name says in which format it is drawn."""
+    if is_page(path):
+        return True
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    return Path(path).suffix.lower()[1:] in FigureCanvasBase.get_supported_filetypes()
 
 
 def _write(action: Callable[[], Any]) -> None:

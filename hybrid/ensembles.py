@@ -25,6 +25,7 @@ from .compiled.lanes import Journey, Trip
 from .compiled.past import Past
 from .compiled.turn import Turner
 from .errors import OptionError, StartError
+from .extras import TABLES, need
 from .jit import jit
 from .scene.scene import rest_name
 from .solvers.base import FINEST, tolerances
@@ -114,6 +115,7 @@ def ensemble(
     program runs all lanes; on a CPU once in each core. Changing numbers, or the number of
     lanes within a power of two, does not compile anew.
     """
+    need("hy.ensemble", TABLES)
     import xarray
 
     code = code_of(model)

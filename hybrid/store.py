@@ -19,6 +19,7 @@ from .arcs import Arc, JumpRow
 from .automaton.record import Record
 from .automaton.spec import Spec, StateSpec
 from .errors import StoreError
+from .extras import FILES, TABLES, need
 from .segment import Segment
 from .trajectory import Jump, Status, Trajectory
 
@@ -35,6 +36,7 @@ def to_xarray(run: Trajectory, t: Any = None) -> xarray.Dataset:
     Where ``t`` is omitted: the times that the run was asked to save, or both ends of each
     arc and 15 points between (so a jump's time stands there twice: before and after).
     """
+    need("run.to_xarray", TABLES)
     import xarray as xr
 
     if t is not None:
@@ -75,6 +77,7 @@ def save(run: Trajectory, path: Any) -> None:
     StoreError
         If the file cannot be written; the message says why.
     """
+    need("run.save", FILES)
     import xarray as xr
 
     arcs, segments = run.arcs, [s for arc in run.arcs for s in arc.segments]
@@ -157,6 +160,7 @@ def load(path: Any) -> Trajectory:
     StoreError
         If there is no such file, or it was not written by this package.
     """
+    need("hy.load", FILES)
     import xarray as xr
 
     if not Path(path).exists():

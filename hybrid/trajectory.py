@@ -21,6 +21,7 @@ from .arcs import Arc, JumpRow, Part, TailPart
 from .automaton.record import Record
 from .automaton.spec import Spec
 from .errors import OptionError
+from .extras import HTML, PLOT, need
 
 if TYPE_CHECKING:
     import xarray
@@ -359,12 +360,20 @@ class Trajectory:
         -------
         matplotlib.figure.Figure
             With ``.html`` plotly's ``Figure``.
+
+        Raises
+        ------
+        OptionError
+            If matplotlib, or for a page plotly, is missing.
         """
+        from .pictures import is_page
         from .pictures.of_run import figure
 
-        if str(path).endswith(".html"):
+        if is_page(path):
+            need("run.plot to .html", HTML)
             from .pictures.interactive import draw
         else:
+            need("run.plot", PLOT)
             from .pictures.static import draw
         return draw(figure(self), path)
 
@@ -388,7 +397,8 @@ class Trajectory:
 
     def __repr__(self) -> str:
         zeno = "".join(f"\n  accumulation at t = {point.t!r}" for point in self.zeno)
+        tails = sum(part.tail.count for part in self.parts if isinstance(part, TailPart))
         return (
-            f"{self.spec.model}: {self.t0:g} <= t <= {self.t1:g}, {len(self.parts)} parts, "
-            f"{len(self.own_jumps)} jumps computed{zeno}\n  {self.status}"
+            f"{self.spec.model}: {self.t0:g} <= t <= {self.t1:g}, "
+            f"{len(self.own_jumps) + tails} jumps listed{zeno}\n  {self.status}"
         )

@@ -10,7 +10,7 @@ PACKAGE = ROOT / "hybrid"
 
 #: Lowest first: a module imports from its own layer or from those before it.
 LAYERS = [
-    ["errors", "clock", "segment"],
+    ["errors", "extras", "clock", "segment"],
     ["automaton"],
     ["jit"],
     ["scene"],

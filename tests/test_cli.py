@@ -76,7 +76,9 @@ def test_check_reports_all_faults(tmp_path):
         (["run", "bouncing_ball", "--solver", "mine"], "solver='mine'"),
         (["run", "bouncing_ball", "--start", "x=-1"], "outside the mode's domain"),
         (["run", "bouncing_ball", "--until", "-1"], "the first before the last"),
-        (["run", "bouncing_ball", "--plot", "out.xyz"], "Format 'xyz' is not supported"),
+        (["run", "bouncing_ball", "--plot", "out.xyz"], "--plot out.xyz: end the name in .png"),
+        (["run", "bouncing_ball", "--plot", "out"], "--plot out: end the name in .png, .pdf, .svg"),
+        (["run", "bouncing_ball", "--plot", "no/out.html"], "--plot no/out.html: no such folder"),
         (["check", "none.py"], "none.py: no such file"),
         (["certify", "hard_spring"], "--box NAME=LOW:HIGH is needed"),
         (["certify", "hard_spring", "--box", "x=2"], "--box x=2: write NAME=LOW:HIGH"),
@@ -190,9 +192,10 @@ def test_what_was_before_is_the_files_or_given(tmp_path):
 
 def test_report_says_its_verdicts_and_writes_the_page(tmp_path):
     """A line a claim; a section that is not there is refused before anything runs."""
-    done = call("report", "--out", tmp_path / "paper", "--only", "existence")
+    done = call("report", "--out", tmp_path / "paper", *["--only", "existence"] * 2)
     assert done.exit_code == 0, done.output
     assert "reproduced" in done.output
+    assert done.output.count("Existence of chattering") == 1
     assert (tmp_path / "paper" / "index.html").stat().st_size > 1_000_000
     assert (tmp_path / "paper" / "figures" / "example-1.png").exists()
     refused = call("report", "--out", tmp_path, "--only", "preface")
@@ -201,4 +204,8 @@ def test_report_says_its_verdicts_and_writes_the_page(tmp_path):
     (tmp_path / "file").write_text("")
     refused = call("report", "--out", tmp_path / "file")
     assert refused.exit_code == 2
-    assert "File exists" in refused.output
+    assert f"cannot write the page to {tmp_path / 'file'}: Not a directory" in refused.output
+    assert refused.stderr.count("\n") == 1
+    never = call("report", "--out", tmp_path / "never", "--only", "preface")
+    assert never.exit_code == 2
+    assert not (tmp_path / "never").exists()

@@ -90,6 +90,27 @@ def test_a_wrong_shape_is_a_fault():
                 return (1.0,)
 
 
+@pytest.mark.parametrize(
+    ("flow", "words"),
+    [
+        (lambda s: s.v, r"mode fall: one value for 2 states \(x, v\)"),
+        (lambda s: None, r"mode fall: None for 2 states \(x, v\)"),
+        (lambda s: (s.v, 0.0, 0.0), r"mode fall: 3 values for 2 states \(x, v\)"),
+    ],
+)
+def test_too_few_or_too_many_derivatives_are_counted(flow, words):
+    """One for each state; nothing of JAX in what is said."""
+    with pytest.raises(hy.DeclarationError, match=words):
+
+        class Bad(hy.Automaton):
+            x = hy.state()
+            v = hy.state()
+
+            @hy.mode
+            def fall(self, t, s):
+                return flow(s)
+
+
 def test_a_captured_constant_of_32_bits_is_named():
     """It was made before it could be widened: its digits are lost."""
     with pytest.raises(hy.DeclarationError, match="the constant 'NARROW' has only 32 bits"):

@@ -328,11 +328,13 @@ def flow(body):
     [
         (lambda s, past: past(np.array([1.0, 2.0])).y, r"shape \(2,\); one number is due"),
         (lambda s, past: past("1").y, "'1'; one number is due"),
+        (lambda s, past: past.y, r"past\.y: past is a function, write past\(lag\)\.y"),
+        (lambda s, past: past.z, r"past has no 'z'; write past\(lag\), and a state of it"),
         (lambda s, past: past(-1.0).y, "at least 0"),
         (lambda s, past: past(math.nan).y, "at least 0"),
         (lambda s, past: past(past(1.0).y).y, r"depends on past\(...\)"),
     ],
-    ids=["array", "text", "negative", "not a number", "nested"],
+    ids=["array", "text", "no lag", "no state", "negative", "not a number", "nested"],
 )
 def test_lags_that_are_refused_when_a_class_is_defined(body, words):
     with pytest.raises(hy.DeclarationError, match=words):

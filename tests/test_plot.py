@@ -6,6 +6,8 @@ import hybrid as hy
 from models.ball_on_circle import BallOnCircle
 from models.bead_on_table import BeadOnTable
 
+from .browser import opened, overflow
+
 
 def test_axes_impacts_accumulations_and_table(tmp_path):
     """One row a state; impacts as dots at their places; the table drawn under the bead."""
@@ -46,6 +48,13 @@ def test_a_page_that_zooms(tmp_path):
     np.testing.assert_array_equal(dots.x, run.jumps.t[impacts])
     assert f"t = {run.jumps.t[0]:.15g}" in dots.text[0]
     assert "<script src" not in (tmp_path / "run.html").read_text()
+    with opened(tmp_path / "run.html", width=390) as (page, complaints):
+        page.locator(".main-svg").first.wait_for()
+        assert page.title() == page.locator("h1").inner_text()
+        assert page.title().startswith(f"BeadOnTable: {len(run.jumps)} jumps listed, accumulating")
+        assert page.locator("meta[name=viewport]").count() == 1
+        assert overflow(page) <= 0
+        assert not complaints
 
 
 def test_gaps_shrink_to_the_last_double():

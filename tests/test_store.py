@@ -23,6 +23,8 @@ def test_a_saved_trajectory_is_the_same_trajectory(tmp_path):
     times = np.linspace(0, 7, 500)
     np.testing.assert_allclose(run(times).x, again(times).x, atol=1e-10)
     assert again.status is run.status
+    assert repr(again) == repr(run)
+    assert f"{len(run.jumps)} jumps listed" in repr(run)
     assert again.parameters["omega"] == 3.5
 
 

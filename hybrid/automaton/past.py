@@ -94,6 +94,11 @@ class Asking:
         self.lags.append(_number(lag))
         return self.spec.record(np.ones(self.spec.dimension) * self.t)
 
+    def __getattr__(self, name: str) -> Any:
+        if name in self.spec.names:
+            raise AttributeError(f"past.{name}: past is a function, write past(lag).{name}")
+        raise AttributeError(f"past has no {name!r}; write past(lag), and a state of it")
+
 
 def _number(lag: Any) -> Any:
     """A lag, refused where it is none whatever the time and state."""

@@ -239,7 +239,9 @@ class Spec:
         try:
             values = list(record)
         except TypeError:
-            raise ValueError(f"{record!r} is not one value for each of {self.names}") from None
+            what = "one value" if hasattr(record, "shape") else repr(record)
+            due = f"{len(self.states)} states ({', '.join(self.names)})"
+            raise ValueError(f"{what} for {due}") from None
         if len(values) != len(self.states):
             count = len(self.states)
             raise ValueError(f"{len(values)} values for {count} states ({', '.join(self.names)})")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,21 @@ CONFIG = {
     "displaylogo": False,
     "modeBarButtonsToRemove": ["select2d", "lasso2d"],
 }
+
+#: A figure's page; without the viewport a phone would show it as wide as a desk's screen.
+PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+</head>
+<body style="font-family: sans-serif">
+<h1 style="font-size: 1.1rem; margin: 0.5rem 1rem">{title}</h1>
+{body}
+</body>
+</html>
+"""
 
 
 def draw(figure: Figure, path: Any = None) -> go.Figure:
@@ -68,8 +84,9 @@ def draw(figure: Figure, path: Any = None) -> go.Figure:
         hovermode="closest",
     )
     if path is not None:
-        written = drawn.to_html(include_plotlyjs=True, config=CONFIG, full_html=True)
-        Path(path).write_text(written, encoding="utf-8")
+        body = drawn.to_html(include_plotlyjs=True, config=CONFIG, full_html=False)
+        page = PAGE.format(title=escape(figure.title), body=body)
+        Path(path).write_text(page, encoding="utf-8")
     return drawn
 
 

@@ -16,6 +16,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from ..errors import OptionError
+from ..extras import REPORT, need
 from .claims import Section
 
 #: The sections of the paper, in order.
@@ -34,7 +35,7 @@ def report(
     folder : Path
         Where the page and its pictures go; made if it is missing.
     only : sequence of str
-        Names of sections; all if empty.
+        Names of sections; all if empty, each once.
     progress : callable, optional
         Called with each section when it is done, and the seconds it took.
 
@@ -46,15 +47,21 @@ def report(
     Raises
     ------
     OptionError
-        If there is no such section.
+        If there is no such section, a package of the extra ``report`` is missing, or the
+        folder cannot be made. Nothing is run then.
     """
-    from .page import write
-
     unknown = sorted(set(only) - set(SECTIONS))
     if unknown:
         raise OptionError(f"no section {unknown[0]!r}; there are: {', '.join(SECTIONS)}")
+    need("report", REPORT)
+    from .page import write
+
+    try:
+        (folder / "figures").mkdir(parents=True, exist_ok=True)
+    except OSError as fault:
+        raise OptionError(f"cannot write the page to {folder}: {fault.strerror}") from None
     begun, done = time.perf_counter(), []
-    for name in only or SECTIONS:
+    for name in dict.fromkeys(only or SECTIONS):
         started = time.perf_counter()
         done.append(import_module(f".{name}", __name__).section())
         if progress is not None:

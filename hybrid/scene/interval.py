@@ -12,7 +12,7 @@ from typing import Any
 
 import attrs
 
-from ..errors import OptionError
+from ..extras import PROOFS, need
 from .graph import Graph
 from .python import needed
 
@@ -34,10 +34,7 @@ def require_flint() -> None:
     ------
     OptionError
     """
-    try:
-        import flint  # noqa: F401
-    except ImportError:
-        raise OptionError("proofs need python-flint: pip install hybrid[certify]") from None
+    need("a proof", PROOFS)
 
 
 def ball(bounds: Any) -> Any:
