@@ -1,4 +1,4 @@
-"""How sections 1 and 2 run Example 1: twice, with its certificate, and without its wall."""
+"""What sections share: Example 1 run twice, with its certificate, without its wall; a figure."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ import numpy as np
 
 from .. import gallery
 from ..certificates import certify
+from ..pictures.figure import Figure, Panel
+from ..pictures.of_run import gaps_panel, states_panel, zooms
 from ..scene import scene_of
 from ..simulation import simulate
+from ..trajectory import Trajectory
 from .claims import Number
 
 #: Runs are made in Taylor series, which are accurate to rounding.
@@ -99,3 +102,10 @@ def apart(one: Any, other: Any) -> float:
 def twice(what: str, one: Any, other: Any, paper: str = "") -> Number:
     """A number as computed by two methods."""
     return Number(what=what, ours=float(one), error=apart(one, other), paper=paper)
+
+
+def flight_figure(run: Trajectory, name: str, title: str, aside: Panel) -> Figure:
+    """Position and velocity of a body over time; another panel and the gaps beside them."""
+    states = tuple(states_panel(run, state, points=POINTS // 2) for state in ("x", "v"))
+    columns = (states, (aside, gaps_panel(run)))
+    return Figure(name=name, title=title, columns=columns, zooms=zooms(run))

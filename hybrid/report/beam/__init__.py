@@ -12,10 +12,11 @@ from ... import gallery
 from ...certificates import certify
 from ...certificates.result import Certificate
 from ...pictures.figure import Figure
-from ...pictures.of_run import gaps_panel, phase_panel, states_panel, zooms
+from ...pictures.of_run import phase_panel
 from ...simulation import simulate
 from ...trajectory import Trajectory
 from ..claims import Claim, Number, Section, known, rounds_to, verdict
+from ..runs import POINTS, flight_figure
 from . import perturbed
 from .proof import accumulates
 
@@ -24,9 +25,6 @@ FAR, FASTEST, START, W = 1.5, 3.0, 1.3, 0.1
 
 #: The paper's figure has w = 0.1 and does not say which damping and forcing; these are tried.
 TRIED = ((0.01, 0.01), (0.05, 0.05), (0.1, 0.1), (0.05, 0.2), (0.2, 0.05))
-
-#: Points a curve, about.
-POINTS = 1500
 
 
 def section() -> Section:
@@ -144,7 +142,7 @@ def chattering() -> Claim:
             Number(what="proved with h_bar = 3 up to", ours=part[1], paper="1.5"),
             Number(what=f"proved with h_bar = {mended():g} up to", ours=full[1], paper="1.5"),
         ],
-        figures=[run_figure(run, "beam-unperturbed", "The beam without damping and forcing")],
+        figures=[coordinates(run, "beam-unperturbed", "The beam without damping and forcing")],
     )
 
 
@@ -225,21 +223,13 @@ def figure_6() -> Claim:
             if p is not None
         ],
         figures=[
-            run_figure(
+            coordinates(
                 runs[0.05, 0.05], "beam-perturbed", "The beam with delta = gamma = 0.05, w = 0.1"
             )
         ],
     )
 
 
-def run_figure(run: Trajectory, name: str, title: str) -> Figure:
+def coordinates(run: Trajectory, name: str, title: str) -> Figure:
     """Coordinates, phase portrait, gaps."""
-    return Figure(
-        name=name,
-        title=title,
-        columns=(
-            (states_panel(run, "x", points=POINTS), states_panel(run, "v", points=POINTS)),
-            (phase_panel(run, points=POINTS), gaps_panel(run)),
-        ),
-        zooms=zooms(run),
-    )
+    return flight_figure(run, name, title, phase_panel(run, points=POINTS // 2))

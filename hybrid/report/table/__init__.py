@@ -7,10 +7,9 @@ from math import pi, sqrt
 import numpy as np
 
 from ...pictures.figure import Curve, Figure, Panel, column
-from ...pictures.of_run import gaps_panel, states_panel, zooms
 from ...trajectory import Trajectory
 from ..claims import Claim, Number, Section, known, rounds_to, verdict
-from ..runs import twice
+from ..runs import flight_figure, twice
 from .bead import (
     FASTEST,
     HEIGHT,
@@ -30,9 +29,6 @@ from .bead import (
 
 #: What is told of the first impact.
 FIRST = ("time", "relative velocity before", "relative velocity after")
-
-#: Points a curve, about.
-POINTS = 1500
 
 
 def section() -> Section:
@@ -174,7 +170,7 @@ def example_2() -> Claim:
             Number(what="r sqrt(M / m) on the certificate's box", ours=known(proof.left)),
             Number(what="proof in the run, from the impact at t", ours=least),
         ],
-        figures=[run_figure(run, "example-2", "Example 2: from x = 1.9 at t = 2 pi / omega")],
+        figures=[coordinates(run, "example-2", "Example 2: from x = 1.9 at t = 2 pi / omega")],
     )
 
 
@@ -203,7 +199,7 @@ def start() -> Claim:
             Number(what="t_inf from pi / (2 omega)", ours=points[1].t, error=points[1].t_error),
             Number(what="first relative velocity, second start", ours=speeds[1]),
         ],
-        figures=[run_figure(there, "example-2-top", "From x = 1.9 at t = pi / (2 omega)")],
+        figures=[coordinates(there, "example-2-top", "From x = 1.9 at t = pi / (2 omega)")],
     )
 
 
@@ -262,17 +258,9 @@ def contact() -> Claim:
 # figures
 
 
-def run_figure(run: Trajectory, name: str, title: str) -> Figure:
+def coordinates(run: Trajectory, name: str, title: str) -> Figure:
     """Coordinates with the table, relative speeds at the impacts, gaps in time."""
-    return Figure(
-        name=name,
-        title=title,
-        columns=(
-            (states_panel(run, "x", points=POINTS), states_panel(run, "v", points=POINTS)),
-            (speeds_panel(run), gaps_panel(run)),
-        ),
-        zooms=zooms(run),
-    )
+    return flight_figure(run, name, title, speeds_panel(run))
 
 
 def speeds_panel(run: Trajectory) -> Panel:
