@@ -34,13 +34,7 @@ COARSER = 1e-11
 
 def model(**parameters: float) -> Any:
     """The controlled system; C = -30, tau = 1 and r = 0.6 where nothing else is given."""
-    return find_class()(**parameters)
-
-
-@cache
-def find_class() -> Any:
-    """The model of the gallery, read once."""
-    return gallery.known("pyragas").cls
+    return gallery.known("pyragas").cls(**parameters)
 
 
 @cache
