@@ -124,14 +124,12 @@ def _figure(figure: Figure, pictures: Path) -> str:
     path = pictures / f"{figure.name}.png"
     static.draw(figure, path)
     still = base64.b64encode(path.read_bytes()).decode()
-    drawn = json.loads(interactive.draw(figure).to_json())
-    data = json.dumps(
-        {"data": drawn["data"], "layout": drawn["layout"], "config": interactive.CONFIG}
-    )
+    drawn = interactive.draw(figure)
+    data = f'{{"figure": {drawn.to_json()}, "config": {json.dumps(interactive.CONFIG)}}}'
     title = escape(figure.title)
     return (
         f'<figure><div class="plot" id="plot-{figure.name}" '
-        f'style="min-height:{drawn["layout"]["height"]}px"></div>\n'
+        f'style="min-height:{drawn.layout.height}px"></div>\n'
         f'<script type="application/json">{data.replace("</", "<" + chr(92) + "/")}</script>\n'
         f'<img alt="{title}" src="data:image/png;base64,{still}">\n'
         f"<figcaption>{title}</figcaption></figure>"

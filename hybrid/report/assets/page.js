@@ -1,12 +1,12 @@
 // Each figure is drawn when it comes near the window.
 const plots = document.querySelectorAll(".plot");
 function draw(place) {
-  const figure = JSON.parse(place.nextElementSibling.textContent);
+  const { figure, config } = JSON.parse(place.nextElementSibling.textContent);
   if (place.clientWidth < 500) {
     Object.assign(figure.layout.margin, { l: 48, r: 4 });
     figure.layout.font.size = 11;
   }
-  Plotly.newPlot(place, figure.data, figure.layout, figure.config);
+  Plotly.newPlot(place, figure.data, figure.layout, config);
 }
 const seen = new IntersectionObserver((entries) => {
   for (const entry of entries) {
