@@ -41,22 +41,6 @@ class Kicked(Lagged):
         return s.replace(y=s.y + self.kick)
 
 
-class Pyragas(hy.Automaton):
-    """A bead above a wall, driven by what it did a lag ago."""
-
-    x = hy.state()
-    v = hy.state()
-    C = hy.parameter(-30.0)
-    tau = hy.parameter(1.0)
-    r = hy.parameter(0.6)
-
-    @hy.mode(initial=True)
-    def flight(self, t, s, past):
-        return s.v, -(s.x**3) - jnp.cos(s.v) + self.C * (past(self.tau).x - s.x)
-
-    wall = hy.contact("flight", gap=lambda self, t, s: s.x - 2.0, restitution="r")
-
-
 class Ball(hy.Automaton):
     """``y'' = -g + k y(t - tau)`` above the ground."""
 

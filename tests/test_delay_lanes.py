@@ -8,24 +8,9 @@ import numpy as np
 import pytest
 
 import hybrid as hy
+from models.pyragas import Pyragas
 
 TIGHT = {"rtol": 1e-10, "atol": 1e-12}
-
-
-class Pyragas(hy.Automaton):
-    """The controlled oscillator of the paper, with its wall."""
-
-    x1 = hy.state()
-    x2 = hy.state()
-    C: float = hy.parameter(-30.0)
-    tau: float = hy.parameter(1.0, positive=True)
-    r: float = hy.parameter(0.6, between=(0, 1))
-
-    @hy.mode(initial=True)
-    def flight(self, t, s, past):
-        return s.x2, -(s.x1**3) - jnp.cos(s.x2) + self.C * (past(self.tau).x1 - s.x1)
-
-    impact = hy.contact(flight, gap=lambda self, t, s: s.x1 - 2.0, restitution="r")
 
 
 class Decay(hy.Automaton):

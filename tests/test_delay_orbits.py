@@ -9,26 +9,8 @@ import hybrid as hy
 from hybrid.orbits.remembering import HistoryShooting, framed, leaps, monodromy
 from hybrid.orbits.shooting import Guess
 from hybrid.orbits.variation import factors
+from models.pyragas import Pyragas
 from tests.oscillators import bouncing, flight
-
-
-class Pyragas(hy.Automaton):
-    """A hard spring at a wall, under Pyragas' control."""
-
-    x1 = hy.state()
-    x2 = hy.state()
-    wall = hy.parameter(2.0)
-    r = hy.parameter(0.6)
-    C = hy.parameter(-30.0)
-    tau = hy.parameter(1.0)
-
-    @hy.mode
-    def flight(self, t, s, past):
-        return s.x2, -(s.x1**3) - jnp.cos(s.x2) + self.C * (past(self.tau).x1 - s.x1)
-
-    impact = hy.contact(
-        flight, gap=lambda self, t, s: s.x1 - self.wall, restitution="r", rests=True
-    )
 
 
 class Wright(hy.Automaton):

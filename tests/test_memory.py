@@ -8,6 +8,7 @@ import pytest
 import hybrid as hy
 from hybrid.run.pieces import Breaks
 from models.bouncing_ball import BouncingBall
+from models.pyragas import Pyragas
 
 from . import delayed
 from .delay_truth import unit_lag
@@ -281,8 +282,8 @@ def test_a_history_without_dense_output_is_refused():
 
 
 def test_a_history_of_another_model_is_refused():
-    with pytest.raises(hy.OptionError, match="the states y, not x, v"):
-        hy.simulate(delayed.Pyragas(), [3.0, 0.0], (2, 3), history=RUN)
+    with pytest.raises(hy.OptionError, match="the states y, not x1, x2"):
+        hy.simulate(Pyragas(), [3.0, 0.0], (2, 3), history=RUN)
 
 
 @pytest.mark.parametrize(
