@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import hybrid as hy
+from models.pyragas import Pyragas
 
 from .. import delayed
 from ..delay_truth import unit_lag, unit_lag_kicked
@@ -96,7 +97,7 @@ def test_what_was_before_an_earlier_run_is_seen(solver):
 @pytest.fixture(scope="module")
 def lifted():
     """The Pyragas system that sticks and lifts."""
-    return delayed.Pyragas(C=60.0, r=0.2)
+    return Pyragas(C=60.0, r=0.2)
 
 
 @pytest.mark.parametrize("where", ["after an impact", "in the tail", "at rest", "after the lift"])
