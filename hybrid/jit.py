@@ -33,6 +33,32 @@ def jit(function: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
+def in_one_piece(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of JAX's arrays that the CPU's compiler makes one function of machine code.
+
+    Else each operation is dispatched on its own, at some hundred nanoseconds, which is most of
+    the time of a loop over small arrays. On other devices, and for an XLA that does not know
+    the marks, it is the same function. It must not need a library (LAPACK, sorting).
+    """
+    import jax
+    from jax.experimental.xla_metadata import set_xla_metadata
+
+    if jax.default_backend() != "cpu":
+        return function
+
+    def unmarked(*arguments: Any) -> Any:
+        with set_xla_metadata(inlineable="true", xla_cpu_small_call="false"):
+            return function(*arguments)
+
+    whole = jax.jit(unmarked)
+
+    def call(*arguments: Any) -> Any:
+        with set_xla_metadata(inlineable="false", xla_cpu_small_call="true"):
+            return whole(*arguments)
+
+    return call
+
+
 def _strong(value: Any) -> Any:
     import jax
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..events import NEAR
-from ..jit import jit
+from ..jit import in_one_piece, jit
 from ..solvers.diffrax_backend import ATTEMPTS, Method
 from .batch import choose, when
 from .lane import FLOW, JUDGE, JUMP, RUNNING, Lane, Run, Step
@@ -64,7 +64,8 @@ class Streak:
     def __init__(self, system: System, method: Method, dense: bool) -> None:
         self.system, self.method, self.dense = system, method, dense
         self.turner = Turner(system, method, judged=True, sums=True)
-        self.chunk = jit(self._chunk)
+        chunk = in_one_piece(self._chunk) if system.code.scalar else self._chunk
+        self.chunk = jit(chunk)
 
     def begin(self, x: np.ndarray, start: dict[str, Any], going: dict[str, Any]) -> Lane:
         """A lane at the start of an arc; what is given replaces the entries at a run's start."""

@@ -114,6 +114,18 @@ class Lowered:
         used = set().union(gap, law, *(flows[i] for i in own))
         return len(own) == 2 and used <= own and not callable(contact.inverse_mass)
 
+    @cached_property
+    def scalar(self) -> bool:
+        """Whether every function of the class can be written as scalar code: none needs a library."""
+        extra = {"restitution": ["u"]}
+        try:
+            for (kind, _), closed in self.cls.traces.items():
+                graph = Graph()
+                graph.outputs(closed, self.inputs(graph, extra.get(kind, [])))
+        except TraceError:
+            return False
+        return True
+
     # -- modes --------------------------------------------------------------------------
 
     def flow(self, mode: str) -> Program:
