@@ -14,28 +14,28 @@ from .automaton.spec import Spec
 from .compiled.abreast import Abreast, status_of
 from .compiled.ask import (
     REASONS,
-    check_method,
     check_zeno,
     code_of,
+    method_for,
     past_of,
     place,
 )
 from .compiled.lane import Run
 from .compiled.lanes import Journey, Trip
 from .compiled.past import Past
+from .compiled.serial import Serial
 from .compiled.turn import Turner
 from .errors import OptionError, StartError
 from .extras import TABLES, need
 from .jit import jit
 from .scene.scene import rest_name
 from .solvers.base import FINEST, tolerances
-from .solvers.diffrax_backend import Method
 
 if TYPE_CHECKING:
     import xarray
 
-#: Most lanes in one call, and places abreast, on a CPU and on other devices.
-CHUNK = {"cpu": (8192, 256), "other": (1 << 17, 1 << 14)}
+#: Most lanes in one call, and places abreast (0: one lane after another), by device.
+CHUNK = {"cpu": (512, 0), "other": (1 << 17, 1 << 14)}
 
 #: Rounds of turns between two looks from Python.
 ROUNDS = 64
@@ -119,7 +119,6 @@ def ensemble(
     import xarray
 
     code = code_of(model)
-    method = check_method(solver, method)
     check_zeno(zeno)
     system, number, held = place(code, mode)
     bounds = np.iinfo(np.int64).max // 2 if max_jumps is None else max_jumps, max_steps
@@ -131,12 +130,12 @@ def ensemble(
     each = min(most, -(-lanes.count // workers))
     size = _power_of_two(each)
     places = min(places, size)
-    steps = Method(method)
+    steps = method_for(system, solver, method)
     past, constants = past_of(system, steps, segments, history, memory)
     first = lanes.x if past is None else lanes.first(constants)
     make = lambda: _compiled(system, steps, zeno, places, past)  # noqa: E731
     if past is None or past.history is None:
-        key = ("ensemble", method, zeno, places, segments, memory)
+        key = ("ensemble", steps, zeno, places, segments, memory)
         begin, advance = code.once(key, make)
     else:
         begin, advance = make()
@@ -171,17 +170,18 @@ def _power_of_two(number: int) -> int:
 
 
 def _compiled(
-    system: Any, method: Method, zeno: str, places: int, past: Past | None
+    system: Any, method: Any, zeno: str, places: int, past: Past | None
 ) -> tuple[Any, Any]:
     """The two programs of a chunk: begin, and go on for some rounds."""
     turner = Turner(system, method, judged=False, sums=zeno != "ignore", many=True)
-    abreast = Abreast(Journey(turner, zeno, past=past), places, _show)
+    journey = Journey(turner, zeno, past=past)
+    runner = Abreast(journey, places, _show) if places else Serial(journey, _show)
 
     def advance(starts: Any, count: Any, work: Any, rounds: Any) -> Any:
-        work = abreast.advance(starts, count, work, rounds)
-        return work, (work.lane < count).sum() + count - work.following
+        work = runner.advance(starts, count, work, rounds)
+        return work, runner.left(count, work)
 
-    return jit(abreast.begin), jit(advance)
+    return jit(runner.begin), jit(advance, whole=not places and system.code.scalar)
 
 
 def _show(trip: Trip) -> dict[str, Any]:

@@ -8,15 +8,14 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from .arrays import when
 from .automaton.spec import Spec
-from .compiled.ask import check_method, check_zeno, code_of, past_of, place
-from .compiled.batch import when
+from .compiled.ask import check_zeno, code_of, method_for, past_of, place
 from .compiled.lane import CLOSE, MAX_JUMPS, MAX_STEPS, RUNNING, Run
 from .compiled.lanes import Journey, Trip, empty_log, ended
 from .compiled.turn import Turner
 from .errors import OptionError
 from .solvers.base import FINEST, tolerances
-from .solvers.diffrax_backend import Method
 
 #: Turns between two looks at whether all is done; also what a reverse pass recomputes at once.
 BLOCK = 32
@@ -133,14 +132,13 @@ def as_function(
     Array(10.03385886, dtype=float64)
     """
     code = code_of(model)
-    method = check_method(solver, method)
     check_zeno(zeno)
     unknown = [name for name in outputs if name not in OUTPUTS]
     if unknown:
         raise OptionError(f"outputs: {unknown[0]!r} is none of {', '.join(OUTPUTS)}")
     allowed = tolerances(rtol, atol, code.spec.dimension)
     system, number, held = place(code, mode)
-    steps = Method(method, "bounded")
+    steps = method_for(system, solver, method, "bounded")
     past, constants = past_of(system, steps, segments, history, memory)
     turner = Turner(system, steps, judged=False, sums=zeno != "ignore")
     journey = Journey(turner, zeno, carried=True, past=past)

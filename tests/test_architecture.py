@@ -12,7 +12,7 @@ PACKAGE = ROOT / "hybrid"
 LAYERS = [
     ["errors", "extras", "clock", "segment"],
     ["automaton"],
-    ["jit"],
+    ["jit", "arrays"],
     ["scene"],
     ["events", "solvers"],
     ["zeno"],

@@ -193,7 +193,7 @@ def function_of(expression):
         return jnp.stack([value, slopes[0], *slopes[1]])
 
     code, graph = Lowered(Model, ()), Graph()
-    (roots,) = graph.outputs(code._trace(stacked), code.inputs(graph))
+    (roots,) = graph.outputs(code.trace(stacked), code.inputs(graph))
     value, slopes = IntervalProgram(graph, roots[:1]), IntervalProgram(graph, roots[1:])
     return ScalarFunction(value, slopes, ["t", "x0", "x1"])
 

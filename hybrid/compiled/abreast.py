@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from .batch import choose
+from ..arrays import choose
 from .lane import CLOSE, MAX_STEPS, RUNNING, Run
 from .lanes import Journey, Trip, ended
 
@@ -65,6 +65,10 @@ class Abreast:
             return self._refill(starts, count, work), done + 1
 
         return jax.lax.while_loop(goes_on, body, (work, jnp.array(0)))[0]
+
+    def left(self, count: Any, work: Work) -> Any:
+        """How many lanes are not yet done."""
+        return (work.lane < count).sum() + count - work.following
 
     def _runs(self, starts: Any, lane: Any) -> Run:
         """What is asked of the lane in each place."""

@@ -11,7 +11,8 @@ from ..automaton.base import require_model
 from ..errors import OptionError
 from ..scene.lowered import Lowered, lowered
 from ..solvers.base import method_of
-from ..solvers.diffrax_backend import DEGREES
+from ..solvers.diffrax_backend import DEGREES, compiled_method
+from ..solvers.series import TAYLOR
 from .lane import (
     END,
     FORGOTTEN,
@@ -156,8 +157,22 @@ def check_zeno(zeno: str) -> None:
         )
 
 
-def check_method(solver: str, method: str | None) -> str:
-    """The name of a Diffrax method."""
+def method_for(system: System, solver: str, method: str | None, scan: str | None = None) -> Any:
+    """The method of a compiled run: where none is named, Taylor series if the class has them.
+
+    Raises
+    ------
+    OptionError
+        If it cannot be used.
+    """
     if solver != "diffrax":
         raise OptionError(f"solver={solver!r}: compiled runs need solver='diffrax'")
-    return method_of(solver, method, DEGREES)
+    name = method_of(solver, method, DEGREES)
+    if method is None and not system.spec.lags and system.no_series is None:
+        name = TAYLOR
+    if name == TAYLOR and system.no_series is not None:
+        raise OptionError(
+            f"{system.spec.model}: method={TAYLOR!r}: {system.no_series}; use another method "
+            f"({', '.join(n for n in DEGREES if n != TAYLOR)})"
+        )
+    return compiled_method(name, scan)

@@ -7,6 +7,7 @@ Each piece of each guard is a *row*: a polynomial of its own. The rules are thos
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -15,12 +16,12 @@ import numpy as np
 from jax.lax import stop_gradient
 from numpy.polynomial.chebyshev import chebvander
 
+from ..arrays import when
 from ..events import EPS, RESOLVED, SAMPLED, to_bernstein
 from ..segment import apply, from_values, nodes
 from ..solvers.diffrax_backend import SHORTEST, Method
-from .batch import when
 from .lane import Lane, Run
-from .roots import deflated, falling, shallow
+from .roots import Zeros, counted, deflated, falling, shallow, to_powers, zeros
 from .system import System
 
 #: A guard this many times its last coefficients from zero has no zero in a step.
@@ -69,6 +70,30 @@ class Event(NamedTuple):
     cap: Any
 
 
+class Rows(NamedTuple):
+    """The guards along a step: polynomials of its share, a row for each piece of each guard.
+
+    Attributes
+    ----------
+    zeros : Zeros
+        What is known of each row's; a row is divided by the power of the local time by which the
+        guard vanishes at the arc's start, and turned so that it fires falling.
+    powers : callable
+        Gives the rows' coefficients of powers.
+    ends, largest, spread : array, shape (slots,)
+        Each guard at the step's end, its largest size, and how far it moves.
+    columns : array, shape (degree + 1, rows), or None
+        Values at the nodes, of a guard that may have to be seen better.
+    """
+
+    zeros: Zeros
+    powers: Callable[[], Any]
+    ends: Any
+    largest: Any
+    spread: Any
+    columns: Any = None
+
+
 NOTHING = Event(False, 0, np.inf, False, False, np.inf)
 
 
@@ -96,9 +121,18 @@ class Detector:
             return jnp.array(True)
         return None if free or not self.system.rests.any() else lane.held.any()
 
-    def samples(self, run: Run, lane: Lane, held: Any, values: Any, h: Any) -> Any:
+    def rows(self, run: Run, lane: Lane, held: Any, path: Any, h: Any) -> Rows:
+        """The guards along a step."""
+        samples = self._samples(run, lane, held, path, h)
+        columns = jnp.moveaxis(samples, 1, 0).reshape(self.degree + 1, -1)
+        largest, spread = jnp.abs(samples).max(axis=(0, 1)), jnp.ptp(samples, axis=(0, 1))
+        b = self._coefficients(lane, columns)
+        powers = lambda: apply(to_powers(self.degree), b)  # noqa: E731
+        return Rows(counted(b), powers, samples[-1, -1], largest, spread, columns)
+
+    def _samples(self, run: Run, lane: Lane, held: Any, path: Any, h: Any) -> Any:
         """Guards at the nodes of each piece of a step; shape ``(pieces, degree + 1, slots)``."""
-        values = stop_gradient(values)
+        values = stop_gradient(path.values())
         if len(self.shares) != len(values):
             values = apply(self.spread, values)
         times = lane.now + h * jnp.asarray(self.shares)
@@ -114,27 +148,24 @@ class Detector:
         return jnp.concatenate([starts[:, None], samples[:, 1:]], axis=1)
 
     def event(
-        self, run: Run, lane: Lane, samples: Any, end: Any, h: Any, curved: Any, looks: Any
+        self, run: Run, lane: Lane, rows: Rows, end: Any, h: Any, curved: Any, looks: Any
     ) -> Event:
         """The first guard that fires in a step of length ``h`` to the state ``end``.
 
         ``looks``: whether anybody wants to know.
         """
-        tolerance, noise = self._tolerance(run, lane), self._noise(lane, samples, end, h)
-        columns = jnp.moveaxis(samples, 1, 0).reshape(self.degree + 1, -1)
-        b = self._coefficients(lane, columns)
-        least = jnp.tile(tolerance, self.pieces) if self.judged else 0.0
-        near = looks & (jnp.min(b, axis=1) <= least).any()
-        b = jnp.where(near, b, 1.0)
+        tolerance, noise = self.tolerance(run, lane), self._noise(lane, rows, end, h)
+        close = jnp.tile(tolerance, self.pieces) if self.judged else 0.0
+        near = looks & (rows.zeros.lowest <= close).any()
 
         def first() -> Event:
-            return self._first(run, lane, samples[-1, -1], b, h, tolerance, noise)
+            return self._first(run, lane, rows, h, tolerance, noise)
 
         event = when(near, first, Event(*(jnp.asarray(v) for v in NOTHING)))
         event = event._replace(cap=jnp.where(event.halve, 0.5 * h, WIDER * lane.going.cap))
         if curved is None:
             return event
-        coarse, gain = self._resolution(lane, columns, 1e-3 * tolerance + 8 * noise)
+        coarse, gain = self._resolution(lane, rows.columns, 1e-3 * tolerance + 8 * noise)
         coarse = (coarse & (self.starts <= event.share)).any() & curved & looks
         coarse = coarse & (h > KINK * jnp.minimum(lane.going.h, lane.left(run.t1)))
         fine, wider = ~coarse, jnp.maximum(lane.going.cap, jnp.clip(gain, 1.0, LEAP) * h)
@@ -161,24 +192,23 @@ class Detector:
         Divided by the power of the local time by which a guard vanishes at the arc's start.
         """
         values = deflated(columns, self._orders(lane))
-        b = apply(to_bernstein(self.degree), values).T
-        b = jnp.concatenate([values[:1].T, b[:, 1:-1], values[-1:].T], axis=1)
-        return b * self._towards(lane, values)[:, None]
+        b = apply(to_bernstein(self.degree), values)
+        b = jnp.concatenate([values[:1], b[1:-1], values[-1:]])
+        return b * self._towards(lane, *values[:2])
 
-    def _towards(self, lane: Lane, values: Any) -> Any:
+    def _towards(self, lane: Lane, start: Any, following: Any) -> Any:
         """+1 where a row fires falling, -1 where rising; either way: from where it starts."""
         sign = jnp.tile(-self.system.pick(self.system.crossing, lane.mode), self.pieces)
         if (self.system.crossing != 0).all():
             return sign
-        start = jnp.sign(jnp.where(values[0] == 0, values[1], values[0]))
-        return jnp.where(sign == 0, start, sign)
+        return jnp.where(sign == 0, jnp.sign(jnp.where(start == 0, following, start)), sign)
 
-    def _noise(self, lane: Lane, samples: Any, end: Any, h: Any) -> Any:
+    def _noise(self, lane: Lane, rows: Rows, end: Any, h: Any) -> Any:
         """What rounding of time and state makes of each guard."""
-        way = jnp.abs(end - lane.going.x).max() + jnp.ptp(samples, axis=(0, 1))
+        way = jnp.abs(end - lane.going.x).max() + rows.spread
         return 8 * EPS * (jnp.abs(lane.now) * way / h + jnp.abs(lane.going.x).max())
 
-    def _tolerance(self, run: Run, lane: Lane) -> Any:
+    def tolerance(self, run: Run, lane: Lane) -> Any:
         """For each guard, what the tolerances leave open of the states it is made of."""
         uses = self.system.pick(self.system.uses, lane.mode)
         allowed = run.atol + run.rtol * jnp.abs(lane.going.x)
@@ -203,34 +233,67 @@ class Detector:
         ratio = jnp.where(matters & (last > 0), allowed / jnp.where(last > 0, last, 1.0), jnp.inf)
         return ratio < 1.0, SAFETY * jnp.min(ratio) ** (1.0 / (self.degree - 2))
 
-    def _first(
-        self, run: Run, lane: Lane, ends: Any, b: Any, h: Any, tolerance: Any, noise: Any
-    ) -> Event:
+    def _first(self, run: Run, lane: Lane, rows: Rows, h: Any, tolerance: Any, noise: Any) -> Event:
         """The first guard that fires: earliest, then in declared order (1, 4).
 
         What is unclear in pieces after that does not matter.
         """
         going, slots = lane.going, (self.pieces, -1)
         allowed = jnp.tile(tolerance, self.pieces)
-        roots, unclear = falling(b)
-        touches = shallow(b, self._orders(lane), roots, allowed)
+        powers, unclear = rows.powers(), rows.zeros.unclear
+        roots = falling(rows.zeros, powers)
+        touches = shallow(powers, self._orders(lane), roots, allowed)
         shares = jnp.where(touches, jnp.inf, self.starts + roots / self.pieces)
         contacts = self.system.pick(self.system.is_contact, lane.mode) & ~lane.held
         quiet = ~(jnp.isfinite(roots) | unclear).reshape(slots).any(axis=0)
-        sunk = contacts & (ends < -tolerance) & quiet
+        sunk = contacts & (rows.ends < -tolerance) & quiet
         by_slot = jnp.where(sunk, 0.0, shares.reshape(slots).min(axis=0))
         first = jnp.min(by_slot)
         before = self.starts <= first
         tie = 4 * EPS * jnp.abs(lane.now) / jnp.maximum(h, 1e-300)
-        deep = jnp.min(b, axis=1) < -jnp.tile(tolerance + DEFLATED * noise, self.pieces)
+        deep = rows.zeros.lowest < -jnp.tile(tolerance + DEFLATED * noise, self.pieces)
         shortest = SHORTEST * (jnp.abs(lane.now) + going.tau) + 1e-12 * (run.t1 - run.t0)
         halve = (unclear & deep & before).any() & (h > shortest)
         unsure = jnp.zeros_like(halve)
         if self.judged:
             away = jnp.tile((going.largest > tolerance) & (going.tau > 0), self.pieces)
-            grazes = away & (jnp.abs(b).min(axis=1) <= allowed) & ~jnp.isfinite(roots)
+            grazes = away & (rows.zeros.nearest <= allowed) & ~jnp.isfinite(roots)
             unsure = (((touches | grazes) & before).any() | sunk.any()) & ~halve
         fires = jnp.isfinite(first) & ~halve & ~unsure
         return Event(
             fires, jnp.argmax(by_slot <= first + tie), first, halve, unsure, jnp.asarray(jnp.inf)
         )
+
+
+class SeriesDetector(Detector):
+    """The same for a method whose path carries the guards as polynomials."""
+
+    def __init__(self, system: System, judged: bool) -> None:
+        self.system, self.judged = system, judged
+        self.pieces, self.starts = 1, np.zeros(system.width)
+
+    def curved(self, lane: Lane, free: bool) -> Any:
+        """Never: the step is as long as the guards' own series hold."""
+        return None
+
+    def rows(self, run: Run, lane: Lane, held: Any, path: Any, h: Any) -> Rows:
+        """The guards along a step."""
+        powers = stop_gradient(path.guards)
+        inside = lane.going.tau > 0
+        powers = powers.at[0].set(jnp.where(inside, stop_gradient(lane.going.ends), powers[0]))
+        halfway = (0.5 ** np.arange(len(powers))[:, None] * powers).sum(axis=0)
+        orders = self._orders(lane)
+        powers = _shifted(powers, orders)
+        ends, sizes = powers.sum(axis=0), jnp.abs(powers)
+        spread = sizes[1:].sum(axis=0) + jnp.where(orders > 0, sizes[0], 0.0)
+        largest = jnp.maximum(jnp.abs(halfway), jnp.abs(ends))
+        powers = powers * self._towards(lane, *powers[:2])
+        return Rows(zeros(powers), lambda: powers, ends, largest, spread)
+
+
+def _shifted(powers: Any, orders: Any) -> Any:
+    """Coefficients of polynomials divided by a power (up to the third); those below are zero."""
+    count, padded = len(powers), jnp.concatenate([powers, jnp.zeros_like(powers[:3])])
+    first, second, third = (padded[k : k + count] for k in (1, 2, 3))
+    by_more = jnp.where(orders == 2, second, third)
+    return jnp.where(orders == 0, powers, jnp.where(orders == 1, first, by_more))

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from ..arrays import choose, when
 from ..clock import Instant
-from .batch import choose, when
 from .lane import CLOSE, END, ENTER, FORGOTTEN, JUMP, NO_REST, RUNNING, ZENO, Lane, Run
 from .past import Memory, Past, Ring
 from .tail import Tails

@@ -16,13 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.lax import stop_gradient
 
+from ..arrays import chebyshev
 from ..automaton.past import DEGREE, blank
 from ..automaton.trace import again
 from ..events import EPS
 from ..scene.windows import ROUNDING, SHARE, SMOOTH, TO_POWERS
 from ..segment import apply, from_values, nodes
 from ..solvers.diffrax_backend import Method
-from .batch import chebyshev
 from .lane import Lane, Run, Step
 from .system import System
 

@@ -14,10 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..arrays import choose, when
 from ..events import NEAR
-from ..jit import in_one_piece, jit
+from ..jit import jit
 from ..solvers.diffrax_backend import ATTEMPTS, Method
-from .batch import choose, when
 from .lane import FLOW, JUDGE, JUMP, RUNNING, Lane, Run, Step
 from .system import System
 from .turn import Turner, flight_bound
@@ -64,8 +64,7 @@ class Streak:
     def __init__(self, system: System, method: Method, dense: bool) -> None:
         self.system, self.method, self.dense = system, method, dense
         self.turner = Turner(system, method, judged=True, sums=True)
-        chunk = in_one_piece(self._chunk) if system.code.scalar else self._chunk
-        self.chunk = jit(chunk)
+        self.chunk = jit(self._chunk, whole=system.code.scalar)
 
     def begin(self, x: np.ndarray, start: dict[str, Any], going: dict[str, Any]) -> Lane:
         """A lane at the start of an arc; what is given replaces the entries at a run's start."""

@@ -9,7 +9,7 @@ zero: an impact, or a release.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -19,9 +19,11 @@ import numpy as np
 from ..automaton.markers import Crossing
 from ..automaton.spec import ContactSpec, LeaveSpec, SideSpec
 from ..automaton.trace import again
+from ..errors import TraceError
 from ..events import CLOSED, EPS
 from ..scene.contact import ContactLaws, Held
 from ..scene.lowered import Lowered, guard_shape
+from ..solvers.series import Expansion, expansion
 
 #: A guard's value in a slot that its mode does not have.
 FAR = 1.0
@@ -134,6 +136,10 @@ class System:
         """Time derivatives, along the contacts held."""
         return self._by_mode(self._flow, p, mode, held, t, x)
 
+    def series(self, p: Any, mode: Any, held: Any, t: Any, x: Any) -> Any:
+        """The states along the flow, as coefficients of the powers of time."""
+        return self._by_mode(self._series, p, mode, held, t, x)
+
     def guards(self, p: Any, mode: Any, held: Any, t: Any, x: Any) -> Any:
         """Guards of all slots; shape ``(width,)``."""
         return self._by_mode(self._guards, p, mode, held, t, x)
@@ -241,24 +247,64 @@ class System:
         free = again(self.code.field_closed(name, ()))
         return self._if_held(name, held, lambda h: h.rest(p, t, x), lambda: free(p, t, x))
 
+    def _series(self, name: str, p: Any, held: Any, t: Any, x: Any) -> Any:
+        free = lambda: self.expansion(name, False)(p, t, x)  # noqa: E731
+
+        def along(h: Held) -> Any:
+            return self.expansion(name, True)(p, t, x, *(jnp.asarray(m, float) for m in h.mask))
+
+        return self._if_held(name, held, along, free)
+
+    def expansion(self, name: str, held: bool) -> Expansion:
+        """The series of a mode's flow and guards; with contacts held, as so many flags say.
+
+        Raises
+        ------
+        TraceError
+            Where there is none.
+        """
+        contacts = tuple(laws for _, laws in self._resting(name))
+
+        def by(flags: Any) -> Held:
+            flow = again(self.code.closed("flow", name))
+            return Held(contacts, flow, [flag > 0.5 for flag in flags])
+
+        if not held:
+            flow = lambda: self.code.field_closed(name, ())  # noqa: E731
+            return expansion(self.code, name, flow, partial(self._gaps, name))
+        rest = lambda p, t, x, *flags: by(flags).rest(p, t, x)  # noqa: E731
+        flow = lambda: self.code.trace(rest, len(contacts))  # noqa: E731
+        guards = lambda p, t, x, *flags: self._loads(name, by(flags), p, t, x)  # noqa: E731
+        return expansion(self.code, ("held", name), flow, guards, len(contacts))
+
+    @cached_property
+    def no_series(self) -> str | None:
+        """Why Taylor series cannot be used here, or None."""
+        for name in self.modes:
+            for held in (False, True)[: 1 + bool(self._resting(name))]:
+                try:
+                    self.expansion(name, held)
+                except TraceError as fault:
+                    return f"mode {name}: {fault}"
+        return None
+
     def _gaps(self, name: str, p: Any, t: Any, x: Any) -> Any:
         gaps = [again(self.code.guard_closed(edge))(p, t, x) for edge in self.edges[name]]
         gaps += [jnp.full_like(t, FAR)] * (self.width - len(gaps))
         return jnp.stack(gaps)
 
     def _guards(self, name: str, p: Any, held: Any, t: Any, x: Any) -> Any:
+        loads = lambda h: self._loads(name, h, p, t, x)  # noqa: E731
+        return self._if_held(name, held, loads, lambda: self._gaps(name, p, t, x))
+
+    def _loads(self, name: str, h: Held, p: Any, t: Any, x: Any) -> Any:
+        """Guards where contacts are held: their loads in place of their gaps."""
         values = self._gaps(name, p, t, x)
-
-        def loads(h: Held) -> Any:
-            multipliers, weights, _ = h.forces(p, t, x)
-            pairs = zip(self._resting(name), multipliers, weights, strict=True)
-            own = values
-            for (slot, _), force, weight in pairs:
-                here = held & self.only(slot)
-                own = jnp.where(here, force * weight, own)
-            return own
-
-        return self._if_held(name, held, loads, lambda: values)
+        multipliers, weights, _ = h.forces(p, t, x)
+        contacts = zip(self._resting(name), h.mask, multipliers, weights, strict=True)
+        for (slot, _), held, force, weight in contacts:
+            values = jnp.where(held & self.only(slot), force * weight, values)
+        return values
 
     def _jump_of(self, edge: Any, name: str, slot: int) -> Any:
         """The jump of one slot, as a function ``(p, held, t, x)``."""

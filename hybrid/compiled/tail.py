@@ -20,10 +20,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
+from ..arrays import chebyshev, when
 from ..events import EPS
+from ..scene.contact import solve
 from ..segment import from_values, integrals, nodes
 from ..zeno.accumulate import CAUTION, FLOOR, PROBES, ROUNDING, SAMPLES, SMOOTH, shift
-from .batch import chebyshev, when
 from .lane import Run
 from .system import System
 
@@ -166,7 +167,7 @@ class _Series:
             starts[:, :-1], speeds, curve.flights, curve.lengths, curve.ratio * speeds
         )
         matrix = (shift(curve.ratio, DEGREE, jnp) @ jnp.asarray(_TO_CURVE))[1:, :-1]
-        values = jnp.linalg.solve(matrix, steps[:DEGREE])
+        values = jnp.stack(solve(list(map(list, matrix)), list(steps[:DEGREE])))
         values = jnp.concatenate([values, jnp.zeros_like(values[:1])])
         end = self._onto(values[0, 0], self.x + values[0, 1:-1], 0.0)
         ratio = self._law(self.t + values[0, 0], end, jnp.array(-0.0))

@@ -13,12 +13,12 @@ import jax
 import jax.numpy as jnp
 from jax.lax import stop_gradient
 
+from ..arrays import any_lane, choose, when
 from ..clock import Instant
 from ..events import CAUGHT, EPS, SHARES
-from ..segment import from_values
 from ..solvers.diffrax_backend import SHORTEST, Method
-from .batch import any_lane, chebyshev, choose, when
-from .detect import Detector, Event
+from ..solvers.series import Series
+from .detect import Detector, Event, Rows, SeriesDetector
 from .lane import (
     CLOSE,
     END,
@@ -68,7 +68,10 @@ class Turner:
         self.system, self.method, self.judged, self.many = system, method, judged, many
         self.sums = sums and bool(system.is_contact.any())
         self.watches = bool(system.spec.transitions)
-        self.detector = Detector(system, method, judged)
+        if isinstance(method, Series):
+            self.detector: Detector = SeriesDetector(system, judged)
+        else:
+            self.detector = Detector(system, method, judged)
 
     def begin(self, run: Run, mode: Any, held: Any, x: Any, xp: Any = jnp) -> Lane:
         """A lane at the start of a run, still to be entered.
@@ -116,18 +119,18 @@ class Turner:
         """
         going, held = lane.going, None if free else lane.held
         landing, curved = going.stage == LAND, self.detector.curved(lane, free)
-        h, last = self._length(run, lane, curved)
-        kept, moved, refused, values = self._attempt(run, lane, held, h, last)
-        step = Step(values, going.tau, h)
+        wanted, last = self._length(run, lane, curved)
+        kept, h, moved, refused, path = self._attempt(run, lane, held, wanted, last)
+        step = Step(path.values(), going.tau, h)
         if not self.watches:
             return choose(kept, moved, refused), step
-        samples = self.detector.samples(run, lane, held, values, h)
-        moved = self._settled(run, lane, held, self._seen(moved, samples))
+        rows = self.detector.rows(run, lane, held, path, h)
+        moved = self._settled(run, lane, held, self._seen(moved, rows))
         looks = kept & ~landing
-        event = self.detector.event(run, lane, samples, moved.x, h, curved, looks)
+        event = self.detector.event(run, lane, rows, moved.x, h, curved, looks)
         result = self._decided(going, kept, moved, refused, event, h)
         cut = event.fires & (event.share > AT_ONCE) & self.method.dense
-        aimed, there, length = self._cut(lane, moved, values, h, event, cut)
+        aimed, there, length = self._cut(lane, moved, path, h, event, cut)
         landed = lambda: self._landed(run, aimed, held, there, length)  # noqa: E731
         return when(landing | cut, landed, result), step
 
@@ -145,22 +148,27 @@ class Turner:
 
     def _attempt(
         self, run: Run, lane: Lane, held: Any, h: Any, last: Any
-    ) -> tuple[Any, Going, Going, Any]:
-        """A step: whether it is kept, what follows if it is and if not, states at its nodes."""
+    ) -> tuple[Any, Any, Going, Going, Any]:
+        """A step: whether it is kept, its length, what follows if it is and if not, its path."""
         going, t0 = lane.going, lane.t + lane.low
 
         def step(held: Any) -> Any:
             def rate(s: Any, x: Any) -> Any:
                 return self.system.flow(run.parameters, lane.mode, held, t0 + s, x)
 
-            return self.method.attempt(rate, going.tau, h, going.x, run.rtol, run.atol)
+            def expand(s: Any, x: Any) -> Any:
+                series = self.system.series(run.parameters, lane.mode, held, t0 + s, x)
+                return *series, self.detector.tolerance(run, lane)
+
+            return self.method.attempt(rate, going.tau, h, going.x, run.rtol, run.atol, expand)
 
         if self.many and held is not None and self.system.rests.any():
             rests = any_lane(held.any())
             found = jax.lax.cond(rests, lambda: step(held), lambda: step(None))
         else:
             found = step(held)
-        x, kept, new, values = found
+        wanted, (x, kept, h, new, path) = h, found
+        last = last & (h >= wanted)
         new = stop_gradient(jnp.where(kept & (h < going.h), jnp.maximum(new, going.h), new))
         failed = ~kept & (~(new > SHORTEST * going.tau) | (new < 1e-300))
         refused = going._replace(
@@ -173,15 +181,14 @@ class Turner:
             x=x,
             status=jnp.where(last, END, going.status),
         )
-        return kept, moved, refused, values
+        return kept, h, moved, refused, path
 
-    def _seen(self, moved: Going, samples: Any) -> Going:
+    def _seen(self, moved: Going, rows: Rows) -> Going:
         """With what the guards were on the step."""
-        moved = moved._replace(ends=samples[-1, -1])
+        moved = moved._replace(ends=rows.ends)
         if not self.judged:
             return moved
-        largest = jnp.abs(samples).max(axis=(0, 1))
-        return moved._replace(largest=jnp.maximum(moved.largest, largest))
+        return moved._replace(largest=jnp.maximum(moved.largest, rows.largest))
 
     def _decided(
         self, going: Going, kept: Any, moved: Going, refused: Going, event: Event, h: Any
@@ -201,14 +208,13 @@ class Turner:
         )
 
     def _cut(
-        self, lane: Lane, moved: Going, values: Any, h: Any, event: Event, cut: Any
+        self, lane: Lane, moved: Going, path: Any, h: Any, event: Event, cut: Any
     ) -> tuple[Lane, Going, Any]:
         """The step cut where a guard fires, if the dense output is as good as a step."""
         if not self.method.dense:
             return lane, moved, h
         at = stop_gradient(jnp.where(cut, event.share, 0.5))
-        degree = self.method.degree
-        inside = chebyshev(at, degree) @ (jnp.asarray(from_values(degree)) @ values)
+        inside = path.at(at)
         aimed = lane.but(
             slot=jnp.where(cut, event.slot, lane.going.slot),
             tries=jnp.where(cut, 0, lane.going.tries),

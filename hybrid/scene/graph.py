@@ -322,7 +322,7 @@ def _move(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
                 "the state or time cannot be written as scalar code; use jnp.where"
             )
         operands.append(np.array(values, dtype=np.int64).reshape(ids.shape))
-    with jax.enable_x64(True):
+    with jax.ensure_compile_time_eval(), jax.enable_x64(True):
         moved_ids = equation.primitive.bind(*operands, **equation.params)
     return np.asarray(moved_ids).astype(np.int64)
 

@@ -37,7 +37,7 @@ class Lowered:
         self._own_shapes = shapes
         self._programs: dict[Any, Any] = {}
 
-    def _trace(self, call: Any, extra: int = 0) -> Any:
+    def trace(self, call: Any, extra: int = 0) -> Any:
         return trace.trace(self.spec, call, extra, self.shapes)
 
     def closed(self, kind: str, name: str) -> Any:
@@ -138,16 +138,16 @@ class Lowered:
 
     def rest_closed(self, names: tuple[str, ...]) -> Any:
         """The jaxpr of the flow while contacts are held."""
-        return self.once(("rest closed", names), lambda: self._trace(self.held(names).rest))
+        return self.once(("rest closed", names), lambda: self.trace(self.held(names).rest))
 
     def load_closed(self, names: tuple[str, ...], index: int) -> Any:
         """The jaxpr of the load of one of the contacts held."""
         key = ("load closed", names, index)
-        return self.once(key, lambda: self._trace(self.held(names).load(index)))
+        return self.once(key, lambda: self.trace(self.held(names).load(index)))
 
     def project(self, names: tuple[str, ...]) -> Program:
         """Projection onto the gaps of the contacts held."""
-        closed = lambda: self._trace(self.held(names).project)  # noqa: E731
+        closed = lambda: self.trace(self.held(names).project)  # noqa: E731
         return self.program(("project", names), closed)
 
     def sliding(self, name: str) -> Sliding:
@@ -160,18 +160,18 @@ class Lowered:
     def rate_closed(self, name: str, side: str) -> Any:
         """The jaxpr of the rate of a switching's surface under the flow of a side."""
         key = ("rate closed", name, side)
-        return self.once(key, lambda: self._trace(self.sliding(name).rate(side)))
+        return self.once(key, lambda: self.trace(self.sliding(name).rate(side)))
 
     def onto(self, name: str) -> Program:
         """Projection onto a switching's surface."""
-        return self.program(("onto", name), lambda: self._trace(self.sliding(name).project))
+        return self.program(("onto", name), lambda: self.trace(self.sliding(name).project))
 
     def field_closed(self, mode: str, held: tuple[str, ...]) -> Any:
         """The jaxpr of the flow of a mode, or of it with contacts held, or on a surface."""
         switching = self.spec.sliding(mode)
         if switching is not None:
             key, name = ("slide closed", mode), switching.name
-            return self.once(key, lambda: self._trace(self.sliding(name).field))
+            return self.once(key, lambda: self.trace(self.sliding(name).field))
         return self.rest_closed(held) if held else self.closed("flow", mode)
 
     def taylor(self, key: Any, flow: Any, functions: Sequence[Any]) -> TaylorProgram | None:
@@ -188,6 +188,23 @@ class Lowered:
                 return None
 
         return self.once(("taylor", key), make)
+
+    def array_series(self, flow: Any, functions: Any, order: int, extra: int = 0) -> TaylorProgram:
+        """Taylor code for JAX of a flow, and of a vector along it.
+
+        Both are jaxprs with ``extra`` numbers more, which are bound as parameters are.
+
+        Raises
+        ------
+        TraceError
+            Where there is none.
+        """
+        graph = Graph()
+        count = sum(map(_count, self.shapes))
+        inputs = self.inputs(graph, [f"p{count + i}" for i in range(extra)])
+        (states,), (values,) = graph.outputs(flow, inputs), graph.outputs(functions, inputs)
+        size, roots = self.spec.dimension, list(map(int, values))
+        return TaylorProgram(graph, size, states, roots, order, arrays=True)
 
     # -- the past -----------------------------------------------------------------------
 
@@ -212,7 +229,7 @@ class Lowered:
             place = (t - lag(parameters, t, x) - frame[0]) / frame[1]
             return 1.0 - place if side == "b" else 1.0 + place
 
-        return self.once(("window", number, side), lambda: self._trace(inside))
+        return self.once(("window", number, side), lambda: self.trace(inside))
 
     def asked(self, closed: Any, extra: Sequence[str] = ()) -> list[set[tuple[int, int]]]:
         """For each element of a result, what it asks of the past: lags and elements."""
@@ -312,7 +329,7 @@ class Lowered:
             parts = [h(parameters, t, x) for h in (g, first, contacts.lie(first, f))]
             return jnp.stack(parts)
 
-        return self.once(("lie closed", key), lambda: self._trace(triple))
+        return self.once(("lie closed", key), lambda: self.trace(triple))
 
     def lie_program(self, key: Any, guard: Any, flow: Any) -> Program:
         """The guard and its first two derivatives along the flow."""
@@ -338,7 +355,7 @@ class Lowered:
             size = terms(g, here) + jnp.where(jnp.isfinite(offset), offset, 0.0)
             return jnp.stack([size, terms(g, moving), terms(first, moving)])
 
-        return self.program(("rounding", key), lambda: self._trace(sizes))
+        return self.program(("rounding", key), lambda: self.trace(sizes))
 
     def pairing(self, name: str) -> contacts.Pairing:
         """Positions of a contact's gap and their velocities."""
@@ -378,7 +395,7 @@ class Lowered:
 
     def law_program(self, name: str, what: str) -> Program:
         def closed() -> Any:
-            return self._trace(getattr(self.laws(name), what))
+            return self.trace(getattr(self.laws(name), what))
 
         return self.program((what, name), closed)
 

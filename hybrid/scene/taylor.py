@@ -14,7 +14,7 @@ holds up to the kink's first zero.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -70,23 +70,36 @@ class TaylorProgram:
     each state, each function and each kink the list of its coefficients 0 .. ``order``.
     ``sides[i]`` is 0 (the branch is taken by value) or +1 / -1 (the sign of kink ``i`` is
     known: a step has just ended on it).
+
+    With ``arrays`` the code is for JAX's numbers, which take no branches: there are no kinks.
     """
 
-    def __init__(self, graph: Graph, size: int, flow: Ids, functions: Sequence[int], order: int):
+    def __init__(
+        self,
+        graph: Graph,
+        size: int,
+        flow: Ids,
+        functions: Sequence[int],
+        order: int,
+        arrays: bool = False,
+    ) -> None:
         self.order = order
-        writer = _Writer(graph, size, [int(i) for i in flow], list(functions), order)
+        kind = _ArrayWriter if arrays else _Writer
+        writer = kind(graph, size, [int(i) for i in flow], list(functions), order)
         self.source, self.kinks = writer.source(), len(writer.kinks)
         self._code = compile(self.source, "<hybrid: generated Taylor series>", "exec")
         self._maker: Callable[..., Any] | None = None
 
-    def bind(self, parameters: Sequence[float]) -> Callable[..., Any]:
+    def bind(
+        self, parameters: Sequence[Any], operations: Mapping[str, Any] = OPERATIONS
+    ) -> Callable[..., Any]:
         """The function for these values of the (flattened) parameters.
 
         It raises ``ValueError``, ``OverflowError`` or ``ZeroDivisionError`` where the
         series does not exist (``sqrt`` at 0, for instance).
         """
         if self._maker is None:
-            scope: dict[str, Any] = {f"_{name}": function for name, function in OPERATIONS.items()}
+            scope: dict[str, Any] = {f"_{name}": function for name, function in operations.items()}
             scope.update(_inf=math.inf, _nan=math.nan)
             exec(self._code, scope)
             self._maker = scope["_make"]
@@ -150,8 +163,10 @@ class _Writer:
         states = [[f"x{i}"] for i in range(self.size)]
         named = {n[1]: i for i, n in enumerate(self.graph.nodes) if n[0] == "input"}
         for k in range(self.order + 1):
+            begun = len(self.lines)
             for number in self.nodes:
                 self._coefficient(number, k)
+            self._close_order(begun)
             if k == self.order:
                 break
             for i, number in enumerate(self.flow):
@@ -170,6 +185,9 @@ class _Writer:
         lines = [f"def _make({head}*_rest):", "    def jets(t, x, sides):"]
         lines += [f"        {line}" for line in body]
         return "\n".join([*lines, "    return jets", ""])
+
+    def _close_order(self, begun: int) -> None:
+        """What follows the lines of an order, which start at ``begun``."""
 
     def _series(self, number: int) -> list[str]:
         return [self._at(number, k) for k in range(self.order + 1)]
@@ -247,6 +265,10 @@ class _Writer:
         b = self._at(node[2], k)
         return f"({a} if {flag} else {b})" if op == "max" else f"({b} if {flag} else {a})"
 
+    @staticmethod
+    def _if(flag: str, a: str, b: str) -> str:
+        return f"({a} if {flag} else {b})"
+
     # -- order k ------------------------------------------------------------------------
 
     def _next(self, number: int, node: tuple[Any, ...], k: int) -> str:
@@ -263,7 +285,7 @@ class _Writer:
             return self._quotient(number, args[0], args[1], k)
         if op == "select":
             a, b = self._at(args[1], k), self._at(args[2], k)
-            return a if a == b else f"({a} if {self._at(args[0], 0)} else {b})"
+            return a if a == b else self._if(self._at(args[0], 0), a, b)
         if op in ("abs", "max", "min", "sign"):
             return self._chosen(op, node, k)
         if op in ("sin", "cos", "sinh", "cosh"):
@@ -346,6 +368,23 @@ class _Writer:
             if "0.0" not in (self._at(a, i), self._at(y, k - i))
         ]
         return f"({' + '.join(terms)}) / ({k} * {self._at(a, 0)})" if terms else "0.0"
+
+
+class _ArrayWriter(_Writer):
+    """The same recurrences, for JAX."""
+
+    def _side(self, a: int, b: int, op: str) -> str:
+        raise TraceError("the formula depends on the sign of something that moves")
+
+    @staticmethod
+    def _if(flag: str, a: str, b: str) -> str:
+        return f"_select({flag}, {a}, {b})"
+
+    def _close_order(self, begun: int) -> None:
+        """Each coefficient is computed once: XLA would write it out wherever it is used."""
+        names = ", ".join(line.partition(" = ")[0] for line in self.lines[begun:])
+        if names:
+            self.lines.append(f"{names}, = _barrier(({names},))")
 
 
 def polynomial(coefficients: Sequence[float], s: float) -> float:

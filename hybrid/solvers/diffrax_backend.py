@@ -19,12 +19,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..arrays import chebyshev
 from ..automaton.trace import again
-from ..errors import FlowError
+from ..errors import FlowError, OptionError, TraceError
 from ..jit import jit
 from ..scene import Field
 from ..segment import Segment, apply, from_values, integrals, nodes
 from .base import FINEST, Solver, Stepper, method_of
+from .series import ORDER, TAYLOR, Series, expansion
 
 #: Degree of each method's dense output in the fraction of the step; the first is the default.
 DEGREES = {
@@ -38,6 +40,7 @@ DEGREES = {
     "Kvaerno3": 3,
     "Kvaerno4": 3,
     "Kvaerno5": 3,
+    TAYLOR: ORDER,
 }
 
 #: Sweeps of Picard's iteration that raise an interpolant to the order of its method.
@@ -48,6 +51,21 @@ ATTEMPTS = 100_000
 
 #: A step this short against the time in the arc cannot be made.
 SHORTEST = 1e-14
+
+
+class Sampled(NamedTuple):
+    """A step as the states at ``nodes(degree)``, shape ``(degree + 1, n)``."""
+
+    states: Any
+
+    def at(self, share: Any) -> Any:
+        """The state at a share of the step."""
+        degree = len(self.states) - 1
+        return chebyshev(share, degree) @ (jnp.asarray(from_values(degree)) @ self.states)
+
+    def values(self) -> Any:
+        """The states at the nodes."""
+        return self.states
 
 
 @attrs.frozen
@@ -87,8 +105,8 @@ class Method:
         return getattr(diffrax, self.name)(root_finder=roots, scan_kind=self.scan)
 
     def attempt(
-        self, flow: Any, tau: Any, h: Any, x: Any, rtol: Any, atol: Any
-    ) -> tuple[Any, Any, Any, Any]:
+        self, flow: Any, tau: Any, h: Any, x: Any, rtol: Any, atol: Any, expand: Any = None
+    ) -> tuple[Any, Any, Any, Any, Any]:
         """One step of length ``h`` from local time ``tau``.
 
         Parameters
@@ -97,9 +115,9 @@ class Method:
 
         Returns
         -------
-        x, kept, next_h, values
-            The state at its end; whether the error is within the tolerances; the length to
-            try next; the states at ``nodes(degree)``, shape ``(degree + 1, n)``.
+        x, kept, h, next_h, path
+            The state at its end; whether the error is within the tolerances; its length; the
+            length to try next; its dense output.
         """
         step = self._implicit if self.implicit else self._explicit
         end, error, values = step(flow, tau, h, x, rtol, atol)
@@ -112,7 +130,7 @@ class Method:
         )
         values = self._swept(flow, tau, h, x, end, values)
         values = jnp.concatenate([x[None], values[1:-1], end[None]])
-        return end, kept, stop - begin, values
+        return end, kept, h, stop - begin, Sampled(values)
 
     def _explicit(
         self, flow: Any, tau: Any, h: Any, x: Any, rtol: Any, atol: Any
@@ -155,6 +173,11 @@ class Method:
             values = x + h * apply(integrals(self.degree), rates)
             values = values + s[:, None] * (end - values[-1])
         return values
+
+
+def compiled_method(name: str, scan: str | None = None) -> Any:
+    """A method by name: one of Diffrax's, or Taylor series."""
+    return Series() if name == TAYLOR else Method(name, scan)
 
 
 _TERM = diffrax.ODETerm(lambda t, y, args: y)
@@ -204,7 +227,7 @@ class DiffraxSolver(Solver):
 
     def __init__(self, method: str | None, rtol: float, atol: Any) -> None:
         self.method = method_of(self.name, method, DEGREES)
-        self.compiled = Method(self.method)
+        self.compiled = compiled_method(self.method)
         self.order = self.compiled.order
         self.rtol, self.atol = max(rtol, FINEST), atol
 
@@ -282,7 +305,7 @@ class DiffraxStepper(Stepper):
 
 def _compiled(method: Method, field: Field) -> Any:
     """One kept step, with its refused attempts, as a compiled function."""
-    traced = again(field.closed)
+    traced, series = again(field.closed), _series(method, field)
 
     def step(
         parameters: Any,
@@ -300,9 +323,10 @@ def _compiled(method: Method, field: Field) -> Any:
 
         def attempt(h: Any) -> Any:
             taken = jnp.minimum(h, span)
-            end, kept, new, values = method.attempt(flow, tau, taken, x, rtol, atol)
+            expand = lambda s, y: (*series(parameters, t0 + s, y), jnp.zeros(1))  # noqa: E731
+            end, kept, taken, new, path = method.attempt(flow, tau, taken, x, rtol, atol, expand)
             wanted = jnp.where(kept & (taken < h), jnp.maximum(new, h), new)
-            return end, taken, wanted, values, kept
+            return end, taken, wanted, path.values(), kept
 
         def refused(carry: Any) -> Any:
             _, taken, _, _, kept = carry
@@ -316,8 +340,30 @@ def _compiled(method: Method, field: Field) -> Any:
     return jit(step)
 
 
-def _whole(method: Method, field: Field) -> Any:
+def _series(method: Any, field: Field) -> Any:
+    """The flow's series, where the method needs it.
+
+    Raises
+    ------
+    OptionError
+        If there is none.
+    """
+    if method.name != TAYLOR:
+        return None
+    nothing = lambda p, t, x: jnp.zeros(1)  # noqa: E731
+    try:
+        return expansion(field.code, ("flow alone", field.name), lambda: field.closed, nothing)
+    except TraceError as fault:
+        raise OptionError(
+            f"{field.code.spec.model}: method={TAYLOR!r}: mode {field.name}: {fault}; "
+            f"use another method ({', '.join(n for n in DEGREES if n != TAYLOR)})"
+        ) from None
+
+
+def _whole(method: Any, field: Field) -> Any:
     """Diffrax's own loop from a local time on, as far as so many attempts go."""
+    if method.name == TAYLOR:
+        return _all_steps(method, field)
     traced = again(field.closed)
 
     def run(
@@ -339,3 +385,32 @@ def _whole(method: Method, field: Field) -> Any:
         return reached, solution.ys[-1], (reached - tau) / solution.stats["num_steps"]
 
     return jit(run)
+
+
+def _all_steps(method: Any, field: Field) -> Any:
+    """The same for Taylor series."""
+    traced, series = again(field.closed), _series(method, field)
+
+    def run(
+        parameters: Any, t0: Any, tau: Any, end: Any, h: Any, x: Any, rtol: Any, atol: Any
+    ) -> Any:
+        flow = lambda s, y: traced(parameters, t0 + s, y)  # noqa: E731
+        expand = lambda s, y: (*series(parameters, t0 + s, y), jnp.zeros(1))  # noqa: E731
+
+        def goes_on(carry: Any) -> Any:
+            tau, _, h, count = carry
+            return (tau < end) & (h > SHORTEST * tau) & (count < ATTEMPTS)
+
+        def body(carry: Any) -> Any:
+            tau, x, h, count = carry
+            left = end - tau
+            there, kept, taken, new, _ = method.attempt(
+                flow, tau, jnp.minimum(h, left), x, rtol, atol, expand
+            )
+            after = jnp.where(taken >= left, end, tau + taken)
+            return jnp.where(kept, after, tau), jnp.where(kept, there, x), new, count + 1
+
+        start = tau, x, jnp.maximum(h, end - tau), jnp.array(0)
+        return jax.lax.while_loop(goes_on, body, start)[:3]
+
+    return jit(run, whole=field.code.scalar)

@@ -1,0 +1,206 @@
+"""Taylor series as a method of compiled runs: the solution's own polynomial, a step at a time.
+
+The recurrences are those of :mod:`hybrid.scene.taylor`, written for JAX. A step is as long as
+the last two terms stay within the tolerances (Jorba & Zou, *A software package for the numerical
+integration of ODEs by means of high-order Taylor methods*, Experimental Mathematics 14, 2005);
+it is kept if the polynomial still has the flow's direction at its end. Its dense output is as
+accurate as the step, so that a guard's zero needs no second step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import attrs
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.lax import stop_gradient
+from jax.scipy.special import gammaln
+
+from ..arrays import when
+from ..scene.lowered import Lowered
+from ..scene.taylor import TaylorProgram
+from ..segment import apply, nodes
+
+#: The method's name, and the order of the series.
+TAYLOR, ORDER = "Taylor", 10
+
+#: By how much a step may end off the flow's direction, as a multiple of the tolerances.
+MISSED = 10.0
+
+#: Powers of the share at the nodes.
+_AT_NODES = nodes(ORDER)[:, None] ** np.arange(ORDER + 1)
+
+#: A step this short against the time in the arc cannot be made.
+SHORTEST = 1e-14
+
+#: The operations of a graph on JAX's numbers.
+OPERATIONS: dict[str, Callable[..., Any]] = {
+    "mul": jnp.multiply,
+    "add": jnp.add,
+    "sub": jnp.subtract,
+    "div": jnp.divide,
+    "neg": jnp.negative,
+    "pow": jnp.power,
+    "rem": jnp.fmod,
+    "gt": jnp.greater,
+    "ge": jnp.greater_equal,
+    "lt": jnp.less,
+    "le": jnp.less_equal,
+    "eq": jnp.equal,
+    "ne": jnp.not_equal,
+    "and": jnp.logical_and,
+    "or": jnp.logical_or,
+    "xor": jnp.logical_xor,
+    "not": jnp.logical_not,
+    "select": jnp.where,
+    "sign": jnp.sign,
+    "max": jnp.maximum,
+    "min": jnp.minimum,
+    "trunc": jnp.trunc,
+    "real": lambda x: jnp.asarray(x, float),
+    "round": jnp.round,
+    "away": lambda x: jnp.copysign(jnp.floor(jnp.abs(x) + 0.5), x),
+    "is_finite": jnp.isfinite,
+    "logistic": jax.nn.sigmoid,
+    "erf": jax.lax.erf,
+    "erfc": jax.lax.erfc,
+    "lgamma": gammaln,
+    "atan2": jnp.arctan2,
+    **{
+        name: getattr(jnp, name)
+        for name in (
+            *("abs", "floor", "ceil", "sqrt", "cbrt", "exp", "exp2", "expm1", "log", "log1p"),
+            *("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh"),
+            *("asinh", "acosh", "atanh"),
+        )
+    },
+    "barrier": jax.lax.optimization_barrier,
+}
+
+
+#: ``(parameters, t, x, *extra)`` to the coefficients of the powers of time of the states and of the
+#: guards, shapes ``(ORDER + 1, n)`` and ``(ORDER + 1, slots)``.
+Expansion = Callable[..., tuple[Any, Any]]
+
+
+def expansion(
+    code: Lowered, key: Any, flow: Callable[[], Any], guards: Any, extra: int = 0
+) -> Expansion:
+    """The series of a flow, and of guards along it.
+
+    Parameters
+    ----------
+    key
+        Under which it is kept.
+    flow : callable
+        Makes the flow's jaxpr.
+    guards : callable ``(parameters, t, x, *extra)``
+        A vector, to be traced.
+
+    Raises
+    ------
+    TraceError
+        Where there is none.
+    """
+
+    def make() -> TaylorProgram:
+        return code.array_series(flow(), code.trace(guards, extra), ORDER, extra)
+
+    program = code.once(("array series", key), make)
+
+    def expand(parameters: Any, t: Any, x: Any, *more: Any) -> Any:
+        flat = [v for p in parameters for v in jnp.ravel(jnp.asarray(p))]
+        jets = program.bind([*flat, *more], OPERATIONS)
+        states, guards, _ = jets(t, [x[i] for i in range(len(x))], [])
+        return _columns(states), _columns(guards)
+
+    return expand
+
+
+def _columns(series: list[list[Any]]) -> Any:
+    """Lists of coefficients as the columns of one array, put there once."""
+    flat = [jnp.asarray(c, float).reshape(1) for row in zip(*series, strict=True) for c in row]
+    barrier = jax.lax.optimization_barrier
+    return barrier(jnp.concatenate(barrier(flat))).reshape(-1, len(series))
+
+
+class Powers(NamedTuple):
+    """A step as polynomials of its share: coefficients of powers.
+
+    Attributes
+    ----------
+    states : array, shape (ORDER + 1, n)
+    guards : array, shape (ORDER + 1, slots)
+    """
+
+    states: Any
+    guards: Any
+
+    def at(self, share: Any) -> Any:
+        """The state there."""
+        value = self.states[-1]
+        for row in self.states[-2::-1]:
+            value = value * share + row
+        return value
+
+    def values(self) -> Any:
+        """The states at the nodes."""
+        return apply(_AT_NODES, self.states)
+
+
+@attrs.frozen
+class Series:
+    """Taylor's method, with the face of :class:`hybrid.solvers.diffrax_backend.Method`."""
+
+    name: str = TAYLOR
+    degree: int = ORDER
+    order: int = ORDER
+    dense: bool = True
+    implicit: bool = False
+
+    def attempt(
+        self, flow: Any, tau: Any, h: Any, x: Any, rtol: Any, atol: Any, expand: Any
+    ) -> tuple[Any, Any, Any, Any, Any]:
+        """One step from local time ``tau``, of length ``h`` at most.
+
+        Parameters
+        ----------
+        flow : callable ``(tau, x)``
+        expand : callable ``(tau, x)``
+            The flow's series, those of guards along it, and what may be off of each guard.
+        """
+        states, guards, open_ = expand(tau, x)
+        allowed = atol + rtol * jnp.abs(x)
+        bounds = jnp.concatenate([allowed, jnp.maximum(open_, jnp.min(allowed))])
+        last = jnp.concatenate([states[-2:], guards[-2:]], axis=1)
+        h, powers = _within(h, jnp.max(jnp.abs(stop_gradient(last)) / bounds, axis=1))
+        path = Powers(powers[:, None] * states, powers[:, None] * guards)
+        end = path.states.sum(axis=0)
+        slope = (np.arange(ORDER + 1)[:, None] * path.states).sum(axis=0)
+        good = (jnp.abs(h * flow(tau + h, end) - slope) <= MISSED * allowed).all()
+        kept = good & (h > SHORTEST * tau) & (h > 1e-300)
+        new = jnp.where(kept, jnp.inf, jnp.where(good, 0.0, 0.5 * h))
+        return end, kept, h, new, path
+
+
+def _powers(h: Any) -> Any:
+    """The powers of a number, each made of two about half as high."""
+    powers = [jnp.ones_like(h), h]
+    while len(powers) <= ORDER:
+        powers.append(powers[len(powers) // 2] * powers[(len(powers) + 1) // 2])
+    return jax.lax.optimization_barrier(jnp.stack(powers))
+
+
+def _within(h: Any, sizes: Any) -> tuple[Any, Any]:
+    """A length, with its powers, at which the last two terms are at most 1: ``sizes`` at 1."""
+    powers = _powers(h)
+    short = (sizes * powers[-2:] <= 1.0).all()
+
+    def shorter() -> tuple[Any, Any]:
+        less = jnp.minimum(h, jnp.min(sizes ** (-1.0 / np.array([ORDER - 1.0, ORDER]))))
+        return less, _powers(less)
+
+    return when(~short, shorter, (h, powers))
