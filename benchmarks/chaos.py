@@ -220,6 +220,7 @@ def main():
     peers = {
         "hybrid, diffrax, Tsit5": (partial(simulated, "diffrax", "Tsit5"), IMPACTS),
         "hybrid, diffrax, Dopri8": (partial(simulated, "diffrax", "Dopri8"), IMPACTS),
+        "hybrid, diffrax, Taylor": (partial(simulated, "diffrax", "Taylor"), IMPACTS),
         "hybrid, scipy, DOP853": (partial(simulated, "scipy", "DOP853"), IMPACTS // 10),
         "solve_ivp, DOP853, restart loop": (restarted, IMPACTS // 50),
         "Diffrax, Tsit5, a solve a flight": (in_blocks, IMPACTS),

@@ -30,6 +30,7 @@ from .extras import TABLES, need
 from .jit import jit
 from .scene.scene import rest_name
 from .solvers.base import FINEST, tolerances
+from .solvers.series import TAYLOR
 
 if TYPE_CHECKING:
     import xarray
@@ -73,7 +74,7 @@ def ensemble(
     parameters : dict, optional
         Values by name, as ``start``.
     solver, method
-        ``"diffrax"``, and one of its methods (Dopri8 if omitted).
+        ``"diffrax"``, and one of its methods (if omitted Taylor, with delays Dopri8).
     rtol, atol : float
         Tolerances of a step; ``atol`` may be an array, one for each element of the state.
     zeno : "rest", "stop" or "ignore"
@@ -130,6 +131,8 @@ def ensemble(
     each = min(most, -(-lanes.count // workers))
     size = _power_of_two(each)
     places = min(places, size)
+    if method is None and system.no_series is None:
+        method = TAYLOR
     steps = method_for(system, solver, method)
     past, constants = past_of(system, steps, segments, history, memory)
     first = lanes.x if past is None else lanes.first(constants)
@@ -181,7 +184,7 @@ def _compiled(
         work = runner.advance(starts, count, work, rounds)
         return work, runner.left(count, work)
 
-    return jit(runner.begin), jit(advance, whole=not places and system.code.scalar)
+    return jit(runner.begin), jit(advance, whole=not places and turner.whole)
 
 
 def _show(trip: Trip) -> dict[str, Any]:

@@ -19,8 +19,12 @@ SOLVERS = {
     "Tsit5": {"solver": "diffrax", "method": "Tsit5"},
     "Dopri8": {"solver": "diffrax", "method": "Dopri8"},
     "Kvaerno5": {"solver": "diffrax", "method": "Kvaerno5"},
+    "Taylor": {"solver": "diffrax", "method": "Taylor"},
     "classic": {"solver": "classic"},
 }
+
+#: Those that reach rounding.
+ACCURATE = ["DOP853", "taylor", "Dopri8", "Taylor"]
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -33,13 +37,21 @@ def _classic_is_plugged_in():
     solvers.entry_points = found
 
 
-@pytest.fixture(params=SOLVERS)
+def pytest_generate_tests(metafunc):
+    """Each solver for the fixtures below, but for those in the test module's ``WITHOUT``."""
+    for fixture, names in (("solver", SOLVERS), ("accurate", ACCURATE)):
+        if fixture in metafunc.fixturenames:
+            able = [name for name in names if name not in getattr(metafunc.module, "WITHOUT", ())]
+            metafunc.parametrize(fixture, able, indirect=True)
+
+
+@pytest.fixture
 def solver(request):
     """Options that choose a solver; a new backend is one line above."""
     return SOLVERS[request.param]
 
 
-@pytest.fixture(params=["DOP853", "taylor", "Dopri8"])
+@pytest.fixture
 def accurate(request):
     """Options of the solvers that reach rounding, with tolerances to match."""
     return {**SOLVERS[request.param], "rtol": 1e-12, "atol": 1e-12}

@@ -5,7 +5,7 @@ from typer.testing import CliRunner
 
 from hybrid import gallery
 from hybrid.cli import app
-from hybrid.compare import CLOSE, compare
+from hybrid.compare import CLOSE, able, compare
 
 from . import systems
 
@@ -16,7 +16,8 @@ def test_solvers_agree_on_a_model(name):
     entry = gallery.find(name)
     found = compare(entry.cls(), entry.start, entry.until, history=entry.history)
     assert found.explained, [d for d in found.differences if not d.explained]
-    assert len(found.runs) == 8
+    assert list(found.runs) == list(able(entry.cls))
+    assert len(found.runs) == 8 + (not entry.cls.spec.lags)
 
 
 def test_what_the_tolerance_does_not_explain_is_seen():

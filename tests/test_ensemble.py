@@ -1,12 +1,14 @@
 """Ensembles: each lane is what a run of its own would be."""
 
 import logging
+from functools import partial
 
 import jax
 import numpy as np
 import pytest
 
 import hybrid as hy
+from hybrid import ensembles
 from hybrid.jit import jit
 from models.ball_on_circle import BallOnCircle
 from models.bead_on_table import BeadOnTable
@@ -17,28 +19,42 @@ from . import systems
 
 TIGHT = {"rtol": 1e-11, "atol": 1e-12}
 
+#: How lanes are run: (places abreast, or 0 for one after another; method).
+WAYS = [(0, "Taylor"), (256, "Dopri8"), (8, "Taylor")]
+
+
+@pytest.fixture(params=WAYS[:2], ids=str)
+def ensemble(request, monkeypatch):
+    """``hy.ensemble`` as a CPU runs it, and as other devices do."""
+    return in_way(monkeypatch, *request.param)
+
+
+def in_way(monkeypatch, places, method):
+    monkeypatch.setitem(ensembles.CHUNK, "cpu", (512, places))
+    return partial(hy.ensemble, method=method)
+
 
 def alone(model, start, t, **options):
     """A run of one lane by the solver that is accurate to rounding."""
     return hy.simulate(model, start, t, solver="taylor", **options)
 
 
-def test_lanes_reach_the_closed_form():
+def test_lanes_reach_the_closed_form(ensemble):
     """Balls of all restitutions: t_inf to 1e-12, and at rest on the floor afterwards."""
     r = np.linspace(0.3, 0.95, 300)
     exact = np.sqrt(2 / 9.81) * (1 + r) / (1 - r)
-    lanes = hy.ensemble(BouncingBall(), {"x": 1.0, "v": 0.0}, (0, 30), {"r": r}, **TIGHT)
+    lanes = ensemble(BouncingBall(), {"x": 1.0, "v": 0.0}, (0, 30), {"r": r}, **TIGHT)
     np.testing.assert_allclose(lanes.t_inf, exact, rtol=1e-12)
     assert np.all(lanes.x == 0.0)
     assert set(lanes["mode"].values) == {"flight.rest(impact)"}
     assert set(lanes.verdict.values) == {"estimated"}
 
 
-def test_lanes_are_runs_of_their_own():
+def test_lanes_are_runs_of_their_own(ensemble):
     """A hard spring with starts and restitutions drawn at random: against single runs."""
     rng = np.random.default_rng(3)
     x, r = rng.uniform(2.05, 2.45, 40), rng.uniform(0.5, 0.95, 40)
-    lanes = hy.ensemble(HardSpring(), {"x": x, "v": 0.0}, (0, 1.0), {"r": r}, **TIGHT)
+    lanes = ensemble(HardSpring(), {"x": x, "v": 0.0}, (0, 1.0), {"r": r}, **TIGHT)
     for i in range(0, 40, 5):
         run = alone(HardSpring(r=r[i]), {"x": x[i], "v": 0.0}, (0, 1.0))
         assert lanes["mode"].values[i] == run.mode
@@ -48,31 +64,31 @@ def test_lanes_are_runs_of_their_own():
             assert float(lanes.t_inf[i]) == pytest.approx(run.zeno[0].t, abs=1e-10)
 
 
-def test_lanes_of_mixed_fate():
+def test_lanes_of_mixed_fate(ensemble):
     """Tables of different frequency: rest, release, another series; each lane its own."""
     omega = np.array([0.5, 3.5, 4.0, 4.5, 6.0])
     model, start = BeadOnTable(r=0.3), {"x": 1.5, "v": 0.0}
-    lanes = hy.ensemble(model, start, (0, 6.8), {"omega": omega}, **TIGHT)
+    lanes = ensemble(model, start, (0, 6.8), {"omega": omega}, **TIGHT)
     for i, w in enumerate(omega):
         run = alone(BeadOnTable(r=0.3, omega=w), start, (0, 6.8))
         assert (lanes["mode"].values[i], int(lanes.accumulations[i])) == (run.mode, len(run.zeno))
         assert float(lanes.x[i]) == pytest.approx(run.final.x, abs=1e-7)
 
 
-def test_arrays_as_states():
+def test_arrays_as_states(ensemble):
     """Balls on a circle: some chatter, slide and leave, some bounce off."""
     q = np.stack([np.linspace(0.05, 0.4, 12), np.full(12, 1.2)], axis=1)
-    lanes = hy.ensemble(BallOnCircle(), {"q": q, "p": [0.0, 0.0]}, (0, 4), **TIGHT)
+    lanes = ensemble(BallOnCircle(), {"q": q, "p": [0.0, 0.0]}, (0, 4), **TIGHT)
     for i in range(12):
         run = alone(BallOnCircle(), {"q": q[i], "p": [0, 0]}, (0, 4))
         np.testing.assert_allclose(lanes.q[i], run.final.q, atol=1e-7)
         assert int(lanes.accumulations[i]) == len(run.zeno)
 
 
-def test_modes_and_edges():
+def test_modes_and_edges(ensemble):
     """Thermostats from many starts: the exponentials give every temperature."""
     T = np.linspace(18.5, 21.5, 7)
-    lanes = hy.ensemble(systems.Thermostat(), {"T": T}, (0, 2.0), **TIGHT)
+    lanes = ensemble(systems.Thermostat(), {"T": T}, (0, 2.0), **TIGHT)
     for i, start in enumerate(T):
         run = alone(systems.Thermostat(), {"T": start}, (0, 2.0))
         assert lanes["mode"].values[i] == run.mode
@@ -80,18 +96,18 @@ def test_modes_and_edges():
         assert int(lanes.jumps[i]) == len(run.jumps)
 
 
-def test_two_contacts_of_one_mode():
+def test_two_contacts_of_one_mode(ensemble):
     """Into the corner; both contacts fire at t = 1."""
-    lanes = hy.ensemble(systems.Corner(), [1.0, 1.0, -1.0, -1.0], (0, 2))
+    lanes = ensemble(systems.Corner(), [1.0, 1.0, -1.0, -1.0], (0, 2))
     assert [float(lanes.u[0]), float(lanes.w[0])] == pytest.approx([0.5, 0.5], abs=1e-14)
     assert int(lanes.jumps[0]) == 2
 
 
-def test_a_long_lane_does_not_hold_up_the_others():
+def test_a_long_lane_does_not_hold_up_the_others(ensemble):
     """More lanes than places; one makes three hundred impacts; results are in order."""
     r = np.full(600, 0.5)
     r[7] = 0.99
-    lanes = hy.ensemble(
+    lanes = ensemble(
         BouncingBall(), {"x": 1.0, "v": 0.0}, (0, 100), {"r": r}, zeno="ignore", max_jumps=300
     )
     ended = lanes.status.values == "max_jumps"
@@ -104,12 +120,12 @@ def test_a_long_lane_does_not_hold_up_the_others():
     assert np.unique(lanes.x.values[np.arange(600) != 7]).size == 1
 
 
-def test_a_failed_lane_is_a_row_with_its_reason():
+def test_a_failed_lane_is_a_row_with_its_reason(ensemble):
     """Outside the domain; too many steps; the others go on."""
     x = np.array([1.0, -1.0, 1.0])
-    lanes = hy.ensemble(BouncingBall(), {"x": x, "v": 0.0}, (0, 3))
+    lanes = ensemble(BouncingBall(), {"x": x, "v": 0.0}, (0, 3))
     assert lanes.status.values.tolist() == ["reached_end", "outside", "reached_end"]
-    short = hy.ensemble(BouncingBall(), {"x": x, "v": 0.0}, (0, 3), max_steps=4)
+    short = ensemble(BouncingBall(), {"x": x, "v": 0.0}, (0, 3), max_steps=1)
     assert short.status.values.tolist() == ["max_steps", "outside", "max_steps"]
 
 
@@ -128,21 +144,21 @@ def test_a_failed_lane_is_a_row_with_its_reason():
         ({"max_jumps": 0}, "greater than 0"),
     ],
 )
-def test_what_cannot_be_asked(given, message):
+def test_what_cannot_be_asked(given, message, ensemble):
     """Each error names what was given and what would do."""
     asked = {"start": {"x": 1.0, "v": 0.0}, "t": (0, 3), **given}
     with pytest.raises(hy.HybridError, match=message):
-        hy.ensemble(BouncingBall(), **asked)
+        ensemble(BouncingBall(), **asked)
 
 
-def test_numbers_do_not_compile_anew():
+def test_numbers_do_not_compile_anew(ensemble):
     """Other parameters, starts, times, tolerances: the same program."""
     r = np.linspace(0.5, 0.6, 64)
-    hy.ensemble(BouncingBall(), {"x": 1.0, "v": 0.0}, (0, 3), {"r": r})
+    ensemble(BouncingBall(), {"x": 1.0, "v": 0.0}, (0, 3), {"r": r})
     other = {"start": {"x": 2.0, "v": 0.1}, "t": (1, 4), "parameters": {"r": r}, "rtol": 1e-6}
-    assert compilations(lambda: hy.ensemble(BouncingBall(g=2.0), **other)) == []
+    assert compilations(lambda: ensemble(BouncingBall(g=2.0), **other)) == []
     held = {"mode": "flight.rest(impact)", "start": {"x": 0.0, "v": 0.0}}
-    assert compilations(lambda: hy.ensemble(BouncingBall(), **{**other, **held})) == []
+    assert compilations(lambda: ensemble(BouncingBall(), **{**other, **held})) == []
 
 
 def compilations(run):
@@ -171,27 +187,45 @@ def test_the_compile_watch_sees_compilation():
     assert compilations(lambda: jit(lambda x: x * 3.25)(1.0))
 
 
-def test_a_ceiling_that_dips_into_the_tail():
+def test_a_ceiling_that_dips_into_the_tail(ensemble):
     """Other contacts' gaps are watched along the flights that are summed."""
     c = np.array([0.8, 1.2, 1.4, 1.5])
-    lanes = hy.ensemble(systems.DippingCeiling(), {"x": 0.1, "v": 0.0}, (0, 6), {"c": c}, **TIGHT)
+    lanes = ensemble(systems.DippingCeiling(), {"x": 0.1, "v": 0.0}, (0, 6), {"c": c}, **TIGHT)
     for i, value in enumerate(c):
         run = alone(systems.DippingCeiling(c=value), {"x": 0.1, "v": 0.0}, (0, 6))
         assert float(lanes.t_inf[i]) == pytest.approx(run.zeno[0].t, abs=1e-8)
 
 
-def test_a_large_state_hides_no_guard_of_others():
+def test_a_large_state_hides_no_guard_of_others(ensemble):
     """A guard's tolerance is that of the states it is made of."""
-    lanes = hy.ensemble(systems.Metered(), {"T": 20.0, "E": 1e9}, (0, 10))
+    lanes = ensemble(systems.Metered(), {"T": 20.0, "E": 1e9}, (0, 10))
     run = alone(systems.Metered(), {"T": 20.0, "E": 1e9}, (0, 10))
     assert int(lanes.jumps[0]) == len(run.jumps) == 25
     assert float(lanes["T"][0]) == pytest.approx(run.final.T, abs=1e-6)
 
 
-def test_far_from_the_origin_of_time():
+def test_far_from_the_origin_of_time(ensemble):
     """At t = 1e6 a float's spacing moves the table by more than the smallest gaps."""
     t0 = np.array([0.0, 1e5, 1e6])
     model = BeadOnTable(r=0.1, amplitude=0.02, omega=25.0)
-    lanes = hy.ensemble(model, {"x": 0.1, "v": 0.0}, (t0, t0 + 3), max_steps=5000)
+    lanes = ensemble(model, {"x": 0.1, "v": 0.0}, (t0, t0 + 3), max_steps=5000)
     assert set(lanes.status.values) == {"reached_end"}
     assert np.all(lanes.accumulations > 5)
+
+
+def test_all_ways_give_the_same(monkeypatch):
+    """Beads that rest, are thrown off, and are cut off: every way and method, to the tolerances."""
+    omega, start = np.array([0.5, 3.5, 4.0, 4.5, 6.0]), {"x": 1.5, "v": 0.0}
+    for max_jumps in (None, 7):
+        options = {**TIGHT, "max_jumps": max_jumps}
+        each = [
+            in_way(monkeypatch, *way)(
+                BeadOnTable(r=0.3), start, (0, 6.8), {"omega": omega}, **options
+            )
+            for way in WAYS
+        ]
+        for lanes in each[1:]:
+            for name in ("mode", "status", "accumulations", "jumps"):
+                assert lanes[name].values.tolist() == each[0][name].values.tolist()
+            for name in ("t", "x", "v", "t_inf"):
+                np.testing.assert_allclose(lanes[name], each[0][name], atol=1e-7, equal_nan=True)

@@ -158,7 +158,7 @@ def check_zeno(zeno: str) -> None:
 
 
 def method_for(system: System, solver: str, method: str | None, scan: str | None = None) -> Any:
-    """The method of a compiled run: where none is named, Taylor series if the class has them.
+    """The method of a compiled run.
 
     Raises
     ------
@@ -168,8 +168,6 @@ def method_for(system: System, solver: str, method: str | None, scan: str | None
     if solver != "diffrax":
         raise OptionError(f"solver={solver!r}: compiled runs need solver='diffrax'")
     name = method_of(solver, method, DEGREES)
-    if method is None and not system.spec.lags and system.no_series is None:
-        name = TAYLOR
     if name == TAYLOR and system.no_series is not None:
         raise OptionError(
             f"{system.spec.model}: method={TAYLOR!r}: {system.no_series}; use another method "

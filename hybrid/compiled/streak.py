@@ -64,7 +64,7 @@ class Streak:
     def __init__(self, system: System, method: Method, dense: bool) -> None:
         self.system, self.method, self.dense = system, method, dense
         self.turner = Turner(system, method, judged=True, sums=True)
-        self.chunk = jit(self._chunk, whole=system.code.scalar)
+        self.chunk = jit(self._chunk, whole=self.turner.whole)
 
     def begin(self, x: np.ndarray, start: dict[str, Any], going: dict[str, Any]) -> Lane:
         """A lane at the start of an arc; what is given replaces the entries at a run's start."""

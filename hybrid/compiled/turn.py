@@ -73,6 +73,11 @@ class Turner:
         else:
             self.detector = Detector(system, method, judged)
 
+    @property
+    def whole(self) -> bool:
+        """Whether a program of these pieces may be one function of machine code."""
+        return self.system.code.scalar and not self.method.implicit
+
     def begin(self, run: Run, mode: Any, held: Any, x: Any, xp: Any = jnp) -> Lane:
         """A lane at the start of a run, still to be entered.
 

@@ -9,7 +9,7 @@ import attrs
 import numpy as np
 
 from ..clock import Instant
-from ..errors import FlowError
+from ..errors import FlowError, OptionError
 from ..events import EPS, SHARES, fires, time_scale, zeros
 from ..scene import Guard, Scene
 from ..scene.lowered import ORDER
@@ -141,6 +141,8 @@ class ArcFlow:
             return self.solver.begin(self.field, self.now.t, self.x, length, first, sizes)
         except FlowError as fault:
             raise FlowError(f"{self._where()}: {fault}") from None
+        except OptionError:
+            raise
         except ValueError as fault:
             raise FlowError(f"{self._where()}: the flow is not finite ({fault})") from None
 

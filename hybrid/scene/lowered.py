@@ -116,7 +116,7 @@ class Lowered:
 
     @cached_property
     def scalar(self) -> bool:
-        """Whether every function of the class can be written as scalar code: none needs a library."""
+        """Whether no function of the class needs a library: each can be written as scalar code."""
         extra = {"restitution": ["u"]}
         try:
             for (kind, _), closed in self.cls.traces.items():

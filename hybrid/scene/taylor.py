@@ -71,7 +71,8 @@ class TaylorProgram:
     ``sides[i]`` is 0 (the branch is taken by value) or +1 / -1 (the sign of kink ``i`` is
     known: a step has just ended on it).
 
-    With ``arrays`` the code is for JAX's numbers, which take no branches: there are no kinks.
+    With ``arrays`` the code is for JAX's numbers, and there are no kinks: who steps has to see that
+    a series is left behind.
     """
 
     def __init__(
@@ -259,11 +260,11 @@ class _Writer:
     def _chosen(self, op: str, node: tuple[Any, ...], k: int) -> str:
         flag, a = self._flag(node), self._at(node[1], k)
         if op == "sign":
-            return f"(1.0 if {flag} else -1.0)" if k == 0 else "0.0"
+            return self._if(flag, "1.0", "-1.0") if k == 0 else "0.0"
         if op == "abs":
-            return f"({a} if {flag} else -{a})"
+            return self._if(flag, a, f"-{a}")
         b = self._at(node[2], k)
-        return f"({a} if {flag} else {b})" if op == "max" else f"({b} if {flag} else {a})"
+        return self._if(flag, a, b) if op == "max" else self._if(flag, b, a)
 
     @staticmethod
     def _if(flag: str, a: str, b: str) -> str:
@@ -371,10 +372,10 @@ class _Writer:
 
 
 class _ArrayWriter(_Writer):
-    """The same recurrences, for JAX."""
+    """The same recurrences, for JAX; a formula that switches is the one at the start."""
 
     def _side(self, a: int, b: int, op: str) -> str:
-        raise TraceError("the formula depends on the sign of something that moves")
+        return f"_{op}({self._at(a, 0)}, {self._at(b, 0)})"
 
     @staticmethod
     def _if(flag: str, a: str, b: str) -> str:

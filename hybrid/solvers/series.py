@@ -20,12 +20,13 @@ from jax.lax import stop_gradient
 from jax.scipy.special import gammaln
 
 from ..arrays import when
+from ..errors import TraceError
 from ..scene.lowered import Lowered
 from ..scene.taylor import TaylorProgram
 from ..segment import apply, nodes
 
 #: The method's name, and the order of the series.
-TAYLOR, ORDER = "Taylor", 10
+TAYLOR, ORDER = "Taylor", 12
 
 #: By how much a step may end off the flow's direction, as a multiple of the tolerances.
 MISSED = 10.0
@@ -105,6 +106,9 @@ def expansion(
     TraceError
         Where there is none.
     """
+
+    if code.spec.lags:
+        raise TraceError("the past is kept as fitted polynomials, whose series lose their digits")
 
     def make() -> TaylorProgram:
         return code.array_series(flow(), code.trace(guards, extra), ORDER, extra)

@@ -7,6 +7,9 @@ from models.delay_bounce import HISTORY, DelayBounce
 from models.delay_jump import DelayJump
 from models.pyragas import Pyragas
 
+#: Methods that know no delays.
+WITHOUT = {"Taylor"}
+
 
 class Seen(hy.Automaton):
     """``y`` jumps from 1 to 3 at 1/2; a lag of 1 later something looks."""
