@@ -2,8 +2,6 @@
 
     python benchmarks/chaos.py
 
-XLA's setting for small loops (``docs/choosing.md``) changes the ratios: run it with and without.
-
 The flight between impacts is a parabola, so all the work is in finding the first zero of a gap that
 is no polynomial. The motion is chaotic: only the first impacts can be compared, and the error is
 that of the first ten, against ``solver="taylor"``. Whether impacts were lost later on is asked of

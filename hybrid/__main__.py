@@ -1,5 +1,5 @@
 """``python -m hybrid``."""
 
-from .cli import main
+from .cli import app
 
-main()
+app()

@@ -8,7 +8,6 @@ explains (``certify``: refuted); 2 something asked for cannot be done (one line 
 from __future__ import annotations
 
 import json
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -27,9 +26,6 @@ from .trajectory import Status, Trajectory
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Simulate hybrid automata through Zeno points."
 )
-
-#: XLA's setting by which small loops on the CPU run in one piece (``docs/choosing.md``).
-SMALL_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000"
 
 #: Accumulations that are printed, at most.
 SHOWN = 20
@@ -412,11 +408,5 @@ def _write(action: Callable[[], Any]) -> None:
         raise OptionError(str(fault)) from None
 
 
-def main() -> None:
-    """Entry point: a process of our own, whose settings are ours to choose."""
-    os.environ.setdefault("XLA_FLAGS", SMALL_LOOPS)
-    app()
-
-
 if __name__ == "__main__":
-    main()
+    app()

@@ -35,8 +35,9 @@ from .solvers.series import TAYLOR
 if TYPE_CHECKING:
     import xarray
 
-#: Most lanes in one call, and places abreast (0: one lane after another), by device.
-CHUNK = {"cpu": (512, 0), "other": (1 << 17, 1 << 14)}
+#: Most lanes in one call, and places abreast (0: one lane after another): on a CPU where that is one
+#: function of machine code, else on a CPU, and on other devices.
+CHUNK = {"whole": (512, 0), "cpu": (8192, 256), "other": (1 << 17, 1 << 14)}
 
 #: Rounds of turns between two looks from Python.
 ROUNDS = 64
@@ -74,7 +75,8 @@ def ensemble(
     parameters : dict, optional
         Values by name, as ``start``.
     solver, method
-        ``"diffrax"``, and one of its methods (if omitted Taylor, with delays Dopri8).
+        ``"diffrax"``, and one of its methods; if omitted Taylor, with delays and for large systems
+        Dopri8.
     rtol, atol : float
         Tolerances of a step; ``atol`` may be an array, one for each element of the state.
     zeno : "rest", "stop" or "ignore"
@@ -125,18 +127,19 @@ def ensemble(
     bounds = np.iinfo(np.int64).max // 2 if max_jumps is None else max_jumps, max_steps
     allowed = tolerances(rtol, atol, code.spec.dimension)
     lanes = _Lanes(code.spec, model, start, t, dict(parameters or {}), allowed, bounds)
-    device = jax.default_backend()
-    most, places = CHUNK["cpu" if device == "cpu" else "other"]
-    workers = (cpu_count() or 1) if device == "cpu" else 1
+    if method is None and system.short_series:
+        method = TAYLOR
+    steps = method_for(system, solver, method)
+    turner = Turner(system, steps, judged=False, sums=zeno != "ignore", many=True)
+    cpu = jax.default_backend() == "cpu"
+    most, places = CHUNK["other" if not cpu else "whole" if turner.whole else "cpu"]
+    workers = (cpu_count() or 1) if cpu else 1
     each = min(most, -(-lanes.count // workers))
     size = _power_of_two(each)
     places = min(places, size)
-    if method is None and system.no_series is None:
-        method = TAYLOR
-    steps = method_for(system, solver, method)
     past, constants = past_of(system, steps, segments, history, memory)
     first = lanes.x if past is None else lanes.first(constants)
-    make = lambda: _compiled(system, steps, zeno, places, past)  # noqa: E731
+    make = lambda: _compiled(turner, zeno, places, past)  # noqa: E731
     if past is None or past.history is None:
         key = ("ensemble", steps, zeno, places, segments, memory)
         begin, advance = code.once(key, make)
@@ -172,11 +175,8 @@ def _power_of_two(number: int) -> int:
     return 1 << max(0, number - 1).bit_length()
 
 
-def _compiled(
-    system: Any, method: Any, zeno: str, places: int, past: Past | None
-) -> tuple[Any, Any]:
+def _compiled(turner: Turner, zeno: str, places: int, past: Past | None) -> tuple[Any, Any]:
     """The two programs of a chunk: begin, and go on for some rounds."""
-    turner = Turner(system, method, judged=False, sums=zeno != "ignore", many=True)
     journey = Journey(turner, zeno, past=past)
     runner = Abreast(journey, places, _show) if places else Serial(journey, _show)
 
@@ -184,7 +184,7 @@ def _compiled(
         work = runner.advance(starts, count, work, rounds)
         return work, runner.left(count, work)
 
-    return jit(runner.begin), jit(advance, whole=not places and turner.whole)
+    return jit(runner.begin), jit(advance, whole=not places)
 
 
 def _show(trip: Trip) -> dict[str, Any]:

@@ -62,7 +62,7 @@ def simulate(
     method : str, optional
         A method of the solver. SciPy's are DOP853 (default), RK45, RK23, Radau, BDF, LSODA;
         Diffrax's Dopri8 (default), Tsit5, Dopri5, Bosh3, Heun, Midpoint, Ralston, and Kvaerno3,
-        Kvaerno4, Kvaerno5 for stiff flows.
+        Kvaerno4, Kvaerno5 for stiff flows, and Taylor (series; no delays).
     rtol, atol : float
         Tolerances of the solver for each step; ``atol`` may be an array, one for each
         element of the state.

@@ -30,7 +30,7 @@ def ensemble(request, monkeypatch):
 
 
 def in_way(monkeypatch, places, method):
-    monkeypatch.setitem(ensembles.CHUNK, "cpu", (512, places))
+    monkeypatch.setitem(ensembles.CHUNK, "whole", (512, places))
     return partial(hy.ensemble, method=method)
 
 

@@ -20,7 +20,7 @@ from ..segment import apply, nodes
 
 #: Most of Newton's steps towards a zero, and the relative change after which none follows: it is a
 #: first guess, the landing does the rest.
-NEWTON, NEARLY = 8, 1e-4
+NEWTON, NEARLY = 8, 1e-8
 
 
 def to_start(degree: int) -> np.ndarray:

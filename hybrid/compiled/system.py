@@ -8,7 +8,7 @@ zero: an impact, or a release.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
@@ -27,6 +27,9 @@ from ..solvers.series import Expansion, expansion
 
 #: A guard's value in a slot that its mode does not have.
 FAR = 1.0
+
+#: Characters of a class's recurrences, written out, up to which they are short.
+LONG = 40_000
 
 
 class Jumped(NamedTuple):
@@ -277,16 +280,25 @@ class System:
         guards = lambda p, t, x, *flags: self._loads(name, by(flags), p, t, x)  # noqa: E731
         return expansion(self.code, ("held", name), flow, guards, len(contacts))
 
+    def _expansions(self) -> Iterator[tuple[str, Callable[[], Expansion]]]:
+        for name in self.modes:
+            for held in (False, True)[: 1 + bool(self._resting(name))]:
+                yield name, partial(self.expansion, name, held)
+
     @cached_property
     def no_series(self) -> str | None:
         """Why Taylor series cannot be used here, or None."""
-        for name in self.modes:
-            for held in (False, True)[: 1 + bool(self._resting(name))]:
-                try:
-                    self.expansion(name, held)
-                except TraceError as fault:
-                    return f"mode {name}: {fault}"
+        for name, make in self._expansions():
+            try:
+                make()
+            except TraceError as fault:
+                return f"mode {name}: {fault}"
         return None
+
+    @cached_property
+    def short_series(self) -> bool:
+        """Whether there are series, and short ones: others compile for longer than they save."""
+        return self.no_series is None and sum(make().size for _, make in self._expansions()) <= LONG
 
     def _gaps(self, name: str, p: Any, t: Any, x: Any) -> Any:
         gaps = [again(self.code.guard_closed(edge))(p, t, x) for edge in self.edges[name]]

@@ -139,7 +139,6 @@ class Driver:
 
     def arrive(self, field: Field, x: np.ndarray, guard: Guard) -> None:
         """Begin an arc after a jump that needed no judgement (see :meth:`renew`)."""
-        self.reach = max(self.reach, float(np.max(np.abs(x))))
         self.entry = Entry(field, x, None, [], [])
         self._known = Jumped({guard.edge: 1} if guard.kind == "contact" else {})
 

@@ -125,25 +125,28 @@ class Streaks:
 
     def _keep(self, records: Any) -> None:
         """Add the arcs and jumps of a chunk, and the segments of the arc still going."""
-        coefficients = np.einsum("ij,kjn->kin", from_values(self.degree), records.values)
-        for row in range(len(records.step)):
-            if self.driver.status is not None:
+        driver, jumps = self.driver, records.jump.tolist()
+        driver.reach = max(
+            driver.reach, float(np.max(np.abs(records.after[records.jump]), initial=0))
+        )
+        if self.dense:
+            coefficients = np.einsum("ij,kjn->kin", from_values(self.degree), records.values)
+            steps = [c.tolist() for c in (records.step, records.start, records.length)]
+        slots, taus = records.slot.tolist(), records.tau.tolist()
+        for row, jump in enumerate(jumps):
+            if driver.status is not None or self.passed:
                 break
-            if self.dense and records.step[row]:
-                start, length = float(records.start[row]), float(records.length[row])
-                self.segments.append(Segment(start, length, coefficients[row]))
-            if records.jump[row]:
-                self._jumped(records, row)
-            if self.passed:
-                break
+            if self.dense and steps[0][row]:
+                segment = Segment(steps[1][row], steps[2][row], coefficients[row])
+                self.segments.append(segment)
+            if jump:
+                self._jumped(slots[row], taus[row], records.before[row], records.after[row])
 
-    def _jumped(self, records: Any, row: int) -> None:
+    def _jumped(self, slot: int, tau: float, before: np.ndarray, after: np.ndarray) -> None:
         """An arc and the jump that ended it."""
         driver = self.driver
-        field = driver.entry.field
-        guard = field.guards[int(records.slot[row])]
-        before, after = records.before[row], records.after[row]
-        self._arc(before, float(records.tau[row]))
+        guard = driver.entry.field.guards[slot]
+        self._arc(before, tau)
         if guard.kind == "contact":
             driver.watch.saw(guard.edge)
         else:

@@ -25,6 +25,8 @@ from ..scene.lowered import Lowered
 from ..scene.taylor import TaylorProgram
 from ..segment import apply, nodes
 
+EPS = float(np.finfo(float).eps)
+
 #: The method's name, and the order of the series.
 TAYLOR, ORDER = "Taylor", 12
 
@@ -34,8 +36,9 @@ MISSED = 10.0
 #: Powers of the share at the nodes.
 _AT_NODES = nodes(ORDER)[:, None] ** np.arange(ORDER + 1)
 
-#: A step this short against the time in the arc cannot be made.
-SHORTEST = 1e-14
+#: A step this short against the time in the arc cannot be made; one this short only where its terms
+#: fall: else a singularity is nearer than its end, however little that is beside the tolerances.
+SHORTEST, SHORT = 1e-14, 1e-10
 
 #: The operations of a graph on JAX's numbers.
 OPERATIONS: dict[str, Callable[..., Any]] = {
@@ -82,9 +85,23 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
 }
 
 
-#: ``(parameters, t, x, *extra)`` to the coefficients of the powers of time of the states and of the
-#: guards, shapes ``(ORDER + 1, n)`` and ``(ORDER + 1, slots)``.
-Expansion = Callable[..., tuple[Any, Any]]
+@attrs.frozen
+class Expansion:
+    """The series of a flow, and of guards along it."""
+
+    program: TaylorProgram
+
+    @property
+    def size(self) -> int:
+        """Length of the recurrences, written out: what they take to compile grows with it."""
+        return len(self.program.source)
+
+    def __call__(self, parameters: Any, t: Any, x: Any, *extra: Any) -> tuple[Any, Any]:
+        """Coefficients of the powers of time, shapes ``(ORDER + 1, n)``, ``(ORDER + 1, slots)``."""
+        flat = [v for p in parameters for v in jnp.ravel(jnp.asarray(p))]
+        jets = self.program.bind([*flat, *extra], OPERATIONS)
+        states, guards, _ = jets(t, [x[i] for i in range(len(x))], [])
+        return _columns(states), _columns(guards)
 
 
 def expansion(
@@ -106,22 +123,13 @@ def expansion(
     TraceError
         Where there is none.
     """
-
     if code.spec.lags:
         raise TraceError("the past is kept as fitted polynomials, whose series lose their digits")
 
     def make() -> TaylorProgram:
         return code.array_series(flow(), code.trace(guards, extra), ORDER, extra)
 
-    program = code.once(("array series", key), make)
-
-    def expand(parameters: Any, t: Any, x: Any, *more: Any) -> Any:
-        flat = [v for p in parameters for v in jnp.ravel(jnp.asarray(p))]
-        jets = program.bind([*flat, *more], OPERATIONS)
-        states, guards, _ = jets(t, [x[i] for i in range(len(x))], [])
-        return _columns(states), _columns(guards)
-
-    return expand
+    return Expansion(code.once(("array series", key), make))
 
 
 def _columns(series: list[list[Any]]) -> Any:
@@ -177,7 +185,8 @@ class Series:
             The flow's series, those of guards along it, and what may be off of each guard.
         """
         states, guards, open_ = expand(tau, x)
-        allowed = atol + rtol * jnp.abs(x)
+        rounding = EPS * jnp.max(jnp.abs(x)) + 1e-300  # a state may be zero, and atol
+        allowed = jnp.maximum(atol + rtol * jnp.abs(x), rounding)
         bounds = jnp.concatenate([allowed, jnp.maximum(open_, jnp.min(allowed))])
         last = jnp.concatenate([states[-2:], guards[-2:]], axis=1)
         h, powers = _within(h, jnp.max(jnp.abs(stop_gradient(last)) / bounds, axis=1))
@@ -185,7 +194,9 @@ class Series:
         end = path.states.sum(axis=0)
         slope = (np.arange(ORDER + 1)[:, None] * path.states).sum(axis=0)
         good = (jnp.abs(h * flow(tau + h, end) - slope) <= MISSED * allowed).all()
-        kept = good & (h > SHORTEST * tau) & (h > 1e-300)
+        sizes = jnp.abs(path.states)
+        falls = jnp.max(sizes[-2:]) <= 0.1 * jnp.max(sizes[1:-2])
+        kept = good & (h > SHORTEST * tau) & (falls | (h > SHORT * tau)) & (h > 1e-300)
         new = jnp.where(kept, jnp.inf, jnp.where(good, 0.0, 0.5 * h))
         return end, kept, h, new, path
 

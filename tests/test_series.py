@@ -1,0 +1,87 @@
+"""Taylor series as a method of compiled runs, and programs made one function of machine code."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.special import airy
+
+import hybrid as hy
+from hybrid.compiled.ask import code_of
+from hybrid.compiled.system import system_of
+from models.pyragas import Pyragas
+
+TAYLOR = {"solver": "diffrax", "method": "Taylor", "rtol": 1e-11, "atol": 1e-12}
+
+
+class Airy(hy.Automaton):
+    """y'' = t y: two in three coefficients of the series vanish at the start."""
+
+    y = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        return s.v, t * s.y
+
+    low = hy.edge(flow, to=flow, guard=lambda self, t, s: s.y + 0.4, crossing="either")
+
+
+class Dragged(hy.Automaton):
+    """A kink at rest, where the run begins; one parameter is used by nobody."""
+
+    unused: float = hy.parameter(1.0)
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def fall(self, t, s):
+        return s.v, -9.81 - 0.5 * jnp.abs(s.v) * s.v
+
+    impact = hy.contact(fall, gap=lambda self, t, s: s.x, restitution=0.7)
+
+
+class Solved(hy.Automaton):
+    """A flow that needs a library."""
+
+    x = hy.state(shape=(2,))
+
+    @hy.mode
+    def flow(self, t, s):
+        return jnp.linalg.solve(jnp.array([[2.0, 1.0], [0.0, 2.0]]), -s.x)
+
+
+def test_small_terms_alone_prove_nothing():
+    """Airy's function backwards from 0: the polynomial of a step is held against the flow."""
+    ai, slope, _, _ = airy(0.0)
+    run = hy.simulate(Airy(), {"y": ai, "v": slope}, (0.0, 2.0), **TAYLOR)
+    assert run.final.y == pytest.approx(airy(2.0)[0], abs=1e-10)
+
+
+def test_a_kink_is_passed_and_a_zero_state_needs_no_atol():
+    """Drag |v| v from rest, with atol = 0: against the Taylor series that knows the kink."""
+    start, until = {"x": 1.0, "v": 0.0}, (0.0, 1.2)
+    exact = hy.simulate(Dragged(), start, until, solver="taylor")
+    run = hy.simulate(Dragged(), start, until, **{**TAYLOR, "atol": 0.0})
+    np.testing.assert_allclose(run.jumps.t, exact.jumps.t, rtol=1e-9)
+    lanes = hy.ensemble(Dragged(), start, until, rtol=1e-11, atol=0.0)
+    assert float(lanes.x[0]) == pytest.approx(exact.final.x, abs=1e-9)
+
+
+def test_delays_are_refused():
+    """Named, or reached through any of the three calls."""
+    start, message = {"x1": 3.0, "x2": 0.0}, "Pyragas: method='Taylor': mode flight: the past"
+    with pytest.raises(hy.OptionError, match=message):
+        hy.ensemble(Pyragas(), start, (0, 1), method="Taylor")
+    with pytest.raises(hy.OptionError, match=message):
+        hy.as_function(Pyragas(), t=(0.0, 1.0), max_jumps=8, method="Taylor")
+    with pytest.raises(hy.OptionError, match=message):
+        hy.simulate(Pyragas(), start, (0, 1), **TAYLOR)
+
+
+def test_a_flow_that_needs_a_library_runs_in_pieces():
+    """Lanes of it have no series and are not compiled in one piece: x' = -A^-1 x."""
+    assert not code_of(Solved()).scalar
+    assert system_of(code_of(Solved())).no_series is not None
+    lanes = hy.ensemble(Solved(), {"x": np.array([[1.0, 0.0], [0.0, 2.0]])}, (0.0, 1.0))
+    decay = np.exp(-0.5)
+    np.testing.assert_allclose(lanes.x, [[decay, 0.0], [0.5 * decay, 2 * decay]], atol=1e-7)
