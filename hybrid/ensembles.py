@@ -35,7 +35,7 @@ from .solvers.series import TAYLOR
 if TYPE_CHECKING:
     import xarray
 
-#: Most lanes in one call, and places abreast (0: one lane after another): on a CPU where that is one
+#: Most lanes in one call, and places abreast (0: one lane after another): on a CPU if that is one
 #: function of machine code, else on a CPU, and on other devices.
 CHUNK = {"whole": (512, 0), "cpu": (8192, 256), "other": (1 << 17, 1 << 14)}
 
