@@ -39,7 +39,8 @@ def _classic_is_plugged_in():
 
 def pytest_generate_tests(metafunc):
     """Each solver for the fixtures below, but for those in the test module's ``WITHOUT``."""
-    own = str([mark.args[0] for mark in metafunc.definition.iter_markers("parametrize")])
+    own = [mark.args[0] for mark in metafunc.definition.iter_markers("parametrize")]
+    own += vars(metafunc.module)
     for fixture, names in (("solver", SOLVERS), ("accurate", ACCURATE)):
         if fixture in metafunc.fixturenames and fixture not in own:
             able = [name for name in names if name not in getattr(metafunc.module, "WITHOUT", ())]
