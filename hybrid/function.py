@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from .arrays import when
 from .automaton.spec import Spec
 from .compiled.ask import check_zeno, code_of, method_for, past_of, place
-from .compiled.lane import CLOSE, MAX_JUMPS, MAX_STEPS, RUNNING, Run
+from .compiled.lane import MAX_JUMPS, MAX_STEPS, RUNNING, Run
 from .compiled.lanes import Journey, Trip, empty_log, ended
 from .compiled.turn import Turner
 from .errors import OptionError
@@ -200,11 +200,7 @@ def _bounded(journey: Journey, run: Run, trip: Trip, turns: int) -> Trip:
     """So many turns at least, in blocks that are skipped once all is done."""
 
     def one(trip: Trip, _: Any) -> tuple[Trip, None]:
-        trip = journey.turn(run, trip)
-        if journey.turner.sums:
-            due = trip.lane.going.status == CLOSE
-            trip = when(due, lambda: journey.sum(run, trip), trip)
-        return trip, None
+        return journey.step(run, trip), None
 
     def block(trip: Trip) -> Trip:
         return jax.lax.scan(one, trip, length=BLOCK)[0]

@@ -117,6 +117,14 @@ class Journey:
         settles = (going.status == RUNNING) & (going.stage >= JUMP) & ~stays
         return when(settles, lambda: self._settle(run, trip), trip)
 
+    def step(self, run: Run, trip: Trip) -> Trip:
+        """A turn, then the sum of a series of impacts where one is due: for a single lane."""
+        trip = self.turn(run, trip)
+        if not self.turner.sums:
+            return trip
+        due = trip.lane.going.status == CLOSE
+        return when(due, lambda: self.sum(run, trip), trip)
+
     def _turn_back(self, run: Run, trip: Trip) -> Trip:
         """A turn in a model with delays: where a window of the past ends, the next is made."""
         assert self.past is not None

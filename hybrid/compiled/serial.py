@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 
 from ..arrays import when
-from .lane import CLOSE
 from .lanes import Journey, Trip, ended
 
 #: Turns in a round.
@@ -53,7 +52,7 @@ class Serial:
             run = jax.tree.map(lambda a: a[work.lane], starts[0])
             trip, turns = jax.lax.while_loop(
                 lambda c: ~ended(run, c[0]) & (c[1] > 0),
-                lambda c: (self._turn(run, c[0]), c[1] - 1),
+                lambda c: (self.journey.step(run, c[0]), c[1] - 1),
                 (work.trip, turns),
             )
             results = jax.tree.map(
@@ -65,13 +64,6 @@ class Serial:
             return Work(trip, lane, results), turns
 
         return jax.lax.while_loop(goes_on, body, (work, rounds * TURNS))[0]
-
-    def _turn(self, run: Any, trip: Trip) -> Trip:
-        trip = self.journey.turn(run, trip)
-        if not self.journey.turner.sums:
-            return trip
-        due = trip.lane.going.status == CLOSE
-        return when(due, lambda: self.journey.sum(run, trip), trip)
 
     def _fresh(self, starts: Any, lane: Any) -> Trip:
         own = jax.tree.map(lambda a: a[jnp.minimum(lane, len(a) - 1)], starts)
