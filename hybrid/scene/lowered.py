@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -189,8 +189,15 @@ class Lowered:
 
         return self.once(("taylor", key), make)
 
-    def array_series(self, flow: Any, functions: Any, order: int, extra: int = 0) -> TaylorProgram:
-        """Taylor code for JAX of a flow, and of a vector along it.
+    def array_series(
+        self,
+        flow: Any,
+        functions: Any,
+        order: int,
+        operations: Mapping[str, Any],
+        extra: int = 0,
+    ) -> TaylorProgram:
+        """Taylor code for arrays of a flow, and of a vector along it.
 
         Both are jaxprs with ``extra`` numbers more, which are bound as parameters are.
 
@@ -204,7 +211,7 @@ class Lowered:
         inputs = self.inputs(graph, [f"p{count + i}" for i in range(extra)])
         (states,), (values,) = graph.outputs(flow, inputs), graph.outputs(functions, inputs)
         size, roots = self.spec.dimension, list(map(int, values))
-        return TaylorProgram(graph, size, states, roots, order, arrays=True)
+        return TaylorProgram(graph, size, states, roots, order, operations)
 
     # -- the past -----------------------------------------------------------------------
 

@@ -71,8 +71,8 @@ class TaylorProgram:
     ``sides[i]`` is 0 (the branch is taken by value) or +1 / -1 (the sign of kink ``i`` is
     known: a step has just ended on it).
 
-    With ``arrays`` the code is for JAX's numbers, and there are no kinks: who steps has to see that
-    a series is left behind.
+    With ``operations`` (functions by name) the code is for arrays' numbers, and there are no
+    kinks: who steps has to see that a series is left behind.
     """
 
     def __init__(
@@ -82,25 +82,24 @@ class TaylorProgram:
         flow: Ids,
         functions: Sequence[int],
         order: int,
-        arrays: bool = False,
+        operations: Mapping[str, Any] | None = None,
     ) -> None:
         self.order = order
-        kind = _ArrayWriter if arrays else _Writer
+        kind = _Writer if operations is None else _ArrayWriter
         writer = kind(graph, size, [int(i) for i in flow], list(functions), order)
         self.source, self.kinks = writer.source(), len(writer.kinks)
         self._code = compile(self.source, "<hybrid: generated Taylor series>", "exec")
+        self._operations = OPERATIONS if operations is None else operations
         self._maker: Callable[..., Any] | None = None
 
-    def bind(
-        self, parameters: Sequence[Any], operations: Mapping[str, Any] = OPERATIONS
-    ) -> Callable[..., Any]:
+    def bind(self, parameters: Sequence[Any]) -> Callable[..., Any]:
         """The function for these values of the (flattened) parameters.
 
         It raises ``ValueError``, ``OverflowError`` or ``ZeroDivisionError`` where the
         series does not exist (``sqrt`` at 0, for instance).
         """
         if self._maker is None:
-            scope: dict[str, Any] = {f"_{name}": function for name, function in operations.items()}
+            scope: dict[str, Any] = {f"_{name}": call for name, call in self._operations.items()}
             scope.update(_inf=math.inf, _nan=math.nan)
             exec(self._code, scope)
             self._maker = scope["_make"]

@@ -21,11 +21,10 @@ from jax.scipy.special import gammaln
 
 from ..arrays import when
 from ..errors import TraceError
+from ..events import EPS
 from ..scene.lowered import Lowered
 from ..scene.taylor import TaylorProgram
 from ..segment import apply, nodes
-
-EPS = float(np.finfo(float).eps)
 
 #: The method's name, and the order of the series.
 TAYLOR, ORDER = "Taylor", 12
@@ -99,7 +98,7 @@ class Expansion:
     def __call__(self, parameters: Any, t: Any, x: Any, *extra: Any) -> tuple[Any, Any]:
         """Coefficients of the powers of time, shapes ``(ORDER + 1, n)``, ``(ORDER + 1, slots)``."""
         flat = [v for p in parameters for v in jnp.ravel(jnp.asarray(p))]
-        jets = self.program.bind([*flat, *extra], OPERATIONS)
+        jets = self.program.bind([*flat, *extra])
         states, guards, _ = jets(t, [x[i] for i in range(len(x))], [])
         return _columns(states), _columns(guards)
 
@@ -127,7 +126,7 @@ def expansion(
         raise TraceError("the past is kept as fitted polynomials, whose series lose their digits")
 
     def make() -> TaylorProgram:
-        return code.array_series(flow(), code.trace(guards, extra), ORDER, extra)
+        return code.array_series(flow(), code.trace(guards, extra), ORDER, OPERATIONS, extra)
 
     return Expansion(code.once(("array series", key), make))
 
