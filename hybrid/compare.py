@@ -139,7 +139,7 @@ def compare(
 def able(model: Any) -> dict[str, dict[str, Any]]:
     """Those of ``METHODS`` that a model can be run with."""
     delayed = bool(model.spec.lags)
-    return {k: choice for k, choice in METHODS.items() if not (delayed and "Taylor" in k)}
+    return {k: c for k, c in METHODS.items() if not (delayed and c.get("method") == "Taylor")}
 
 
 def _run(model: Any, start: Any, t: Any, options: Any) -> Trajectory | HybridError:

@@ -11,7 +11,7 @@ from ..automaton.base import require_model
 from ..errors import OptionError
 from ..scene.lowered import Lowered, lowered
 from ..solvers.base import method_of
-from ..solvers.diffrax_backend import DEGREES, compiled_method
+from ..solvers.diffrax_backend import DEGREES, compiled_method, without_series
 from ..solvers.series import TAYLOR
 from .lane import (
     END,
@@ -169,8 +169,5 @@ def method_for(system: System, solver: str, method: str | None, scan: str | None
         raise OptionError(f"solver={solver!r}: compiled runs need solver='diffrax'")
     name = method_of(solver, method, DEGREES)
     if name == TAYLOR and system.no_series is not None:
-        raise OptionError(
-            f"{system.spec.model}: method={TAYLOR!r}: {system.no_series}; use another method "
-            f"({', '.join(n for n in DEGREES if n != TAYLOR)})"
-        )
+        raise without_series(system.spec.model, system.no_series)
     return compiled_method(name, scan)

@@ -19,7 +19,8 @@ from numpy.polynomial.chebyshev import chebvander
 from ..arrays import when
 from ..events import EPS, RESOLVED, SAMPLED, to_bernstein
 from ..segment import apply, from_values, nodes
-from ..solvers.diffrax_backend import SHORTEST, Method
+from ..solvers.diffrax_backend import Method
+from ..solvers.series import SHORTEST
 from .lane import Lane, Run
 from .roots import Zeros, counted, deflated, falling, shallow, to_powers, zeros
 from .system import System

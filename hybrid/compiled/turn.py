@@ -16,8 +16,8 @@ from jax.lax import stop_gradient
 from ..arrays import any_lane, choose, when
 from ..clock import Instant
 from ..events import CAUGHT, EPS, SHARES
-from ..solvers.diffrax_backend import SHORTEST, Method
-from ..solvers.series import Series
+from ..solvers.diffrax_backend import Method
+from ..solvers.series import SHORTEST, Series
 from .detect import Detector, Event, Rows, SeriesDetector
 from .lane import (
     CLOSE,

@@ -26,7 +26,7 @@ from ..jit import jit
 from ..scene import Field
 from ..segment import Segment, apply, from_values, integrals, nodes
 from .base import FINEST, Solver, Stepper, method_of
-from .series import ORDER, TAYLOR, Series, expansion
+from .series import ORDER, SHORTEST, TAYLOR, Series, expansion
 
 #: Degree of each method's dense output in the fraction of the step; the first is the default.
 DEGREES = {
@@ -48,9 +48,6 @@ SWEEPS = {"Dopri8": 2}
 
 #: Most attempts between two looks from Python.
 ATTEMPTS = 100_000
-
-#: A step this short against the time in the arc cannot be made.
-SHORTEST = 1e-14
 
 
 class Sampled(NamedTuple):
@@ -180,6 +177,12 @@ def compiled_method(name: str, scan: str | None = None) -> Any:
     return Series() if name == TAYLOR else Method(name, scan)
 
 
+def without_series(model: str, reason: Any) -> OptionError:
+    """What is said where Taylor series are asked for and there are none."""
+    others = ", ".join(name for name in DEGREES if name != TAYLOR)
+    return OptionError(f"{model}: method={TAYLOR!r}: {reason}; use another method ({others})")
+
+
 _TERM = diffrax.ODETerm(lambda t, y, args: y)
 
 
@@ -305,7 +308,7 @@ class DiffraxStepper(Stepper):
 
 def _compiled(method: Method, field: Field) -> Any:
     """One kept step, with its refused attempts, as a compiled function."""
-    traced, series = again(field.closed), _series(method, field)
+    motion = _motion(method, field)
 
     def step(
         parameters: Any,
@@ -318,12 +321,10 @@ def _compiled(method: Method, field: Field) -> Any:
         atol: Any,
         force: Any,
     ) -> Any:
-        def flow(s: Any, y: Any) -> Any:
-            return traced(parameters, t0 + s, y)
+        flow, expand = motion(parameters, t0)
 
         def attempt(h: Any) -> Any:
             taken = jnp.minimum(h, span)
-            expand = lambda s, y: (*series(parameters, t0 + s, y), jnp.zeros(1))  # noqa: E731
             end, kept, taken, new, path = method.attempt(flow, tau, taken, x, rtol, atol, expand)
             wanted = jnp.where(kept & (taken < h), jnp.maximum(new, h), new)
             return end, taken, wanted, path.values(), kept
@@ -340,36 +341,48 @@ def _compiled(method: Method, field: Field) -> Any:
     return jit(step)
 
 
-def _series(method: Any, field: Field) -> Any:
-    """The flow's series, where the method needs it.
+def _motion(method: Any, field: Field) -> Any:
+    """The flow in local time for given parameters and start, and what :meth:`Series.attempt` wants.
 
     Raises
     ------
     OptionError
-        If there is none.
+        If the method needs the flow's series, and there is none.
     """
-    if method.name != TAYLOR:
-        return None
+    traced = again(field.closed)
+    series: Any = _series(field) if method.name == TAYLOR else None
+
+    def motion(parameters: Any, t0: Any) -> tuple[Any, Any]:
+        def flow(s: Any, y: Any) -> Any:
+            return traced(parameters, t0 + s, y)
+
+        def expand(s: Any, y: Any) -> Any:
+            return *series(parameters, t0 + s, y), jnp.zeros(1)
+
+        return flow, expand
+
+    return motion
+
+
+def _series(field: Field) -> Any:
     nothing = lambda p, t, x: jnp.zeros(1)  # noqa: E731
     try:
         return expansion(field.code, ("flow alone", field.name), lambda: field.closed, nothing)
     except TraceError as fault:
-        raise OptionError(
-            f"{field.code.spec.model}: method={TAYLOR!r}: mode {field.name}: {fault}; "
-            f"use another method ({', '.join(n for n in DEGREES if n != TAYLOR)})"
-        ) from None
+        raise without_series(field.code.spec.model, f"mode {field.name}: {fault}") from None
 
 
 def _whole(method: Any, field: Field) -> Any:
     """Diffrax's own loop from a local time on, as far as so many attempts go."""
     if method.name == TAYLOR:
         return _all_steps(method, field)
-    traced = again(field.closed)
+    motion = _motion(method, field)
 
     def run(
         parameters: Any, t0: Any, tau: Any, end: Any, h: Any, x: Any, rtol: Any, atol: Any
     ) -> Any:
-        term = diffrax.ODETerm(lambda s, y, args: traced(parameters, t0 + s, y))
+        flow, _ = motion(parameters, t0)
+        term = diffrax.ODETerm(lambda s, y, args: flow(s, y))
         solution = diffrax.diffeqsolve(
             term,
             method.solver(rtol, atol),
@@ -389,13 +402,12 @@ def _whole(method: Any, field: Field) -> Any:
 
 def _all_steps(method: Any, field: Field) -> Any:
     """The same for Taylor series."""
-    traced, series = again(field.closed), _series(method, field)
+    motion = _motion(method, field)
 
     def run(
         parameters: Any, t0: Any, tau: Any, end: Any, h: Any, x: Any, rtol: Any, atol: Any
     ) -> Any:
-        flow = lambda s, y: traced(parameters, t0 + s, y)  # noqa: E731
-        expand = lambda s, y: (*series(parameters, t0 + s, y), jnp.zeros(1))  # noqa: E731
+        flow, expand = motion(parameters, t0)
 
         def goes_on(carry: Any) -> Any:
             tau, _, h, count = carry
@@ -410,7 +422,7 @@ def _all_steps(method: Any, field: Field) -> Any:
             after = jnp.where(taken >= left, end, tau + taken)
             return jnp.where(kept, after, tau), jnp.where(kept, there, x), new, count + 1
 
-        start = tau, x, jnp.maximum(h, end - tau), jnp.array(0)
+        start = tau, x, end - tau, jnp.array(0)
         return jax.lax.while_loop(goes_on, body, start)[:3]
 
     return jit(run, whole=field.code.scalar)
