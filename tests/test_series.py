@@ -51,7 +51,7 @@ class Solved(hy.Automaton):
 
 
 def test_small_terms_alone_prove_nothing():
-    """Airy's function backwards from 0: the polynomial of a step is held against the flow."""
+    """Airy's function from 0 on: the polynomial of a step is held against the flow."""
     ai, slope, _, _ = airy(0.0)
     run = hy.simulate(Airy(), {"y": ai, "v": slope}, (0.0, 2.0), **TAYLOR)
     assert run.final.y == pytest.approx(airy(2.0)[0], abs=1e-10)
@@ -76,6 +76,25 @@ def test_delays_are_refused():
         hy.as_function(Pyragas(), t=(0.0, 1.0), max_jumps=8, method="Taylor")
     with pytest.raises(hy.OptionError, match=message):
         hy.simulate(Pyragas(), start, (0, 1), **TAYLOR)
+
+
+class Chain(hy.Automaton):
+    """Twelve masses between springs that harden."""
+
+    q = hy.state(shape=(12,))
+    p = hy.state(shape=(12,))
+
+    @hy.mode
+    def flow(self, t, s):
+        stretch = jnp.diff(s.q, prepend=0.0, append=0.0)
+        return s.p, jnp.diff(stretch + stretch**3)
+
+
+def test_large_systems_have_series_that_are_not_the_default():
+    """Written out they are long, and take longer to compile than they save."""
+    system = system_of(code_of(Chain()))
+    assert system.no_series is None
+    assert not system.short_series
 
 
 def test_a_flow_that_needs_a_library_runs_in_pieces():
