@@ -267,6 +267,7 @@ class System:
             Where there is none.
         """
         contacts = tuple(laws for _, laws in self._resting(name))
+        key = (self.modes, name, held)
 
         def by(flags: Any) -> Held:
             flow = again(self.code.closed("flow", name))
@@ -274,11 +275,11 @@ class System:
 
         if not held:
             flow = lambda: self.code.field_closed(name, ())  # noqa: E731
-            return expansion(self.code, name, flow, partial(self._gaps, name))
+            return expansion(self.code, key, flow, partial(self._gaps, name))
         rest = lambda p, t, x, *flags: by(flags).rest(p, t, x)  # noqa: E731
         flow = lambda: self.code.trace(rest, len(contacts))  # noqa: E731
         guards = lambda p, t, x, *flags: self._loads(name, by(flags), p, t, x)  # noqa: E731
-        return expansion(self.code, ("held", name), flow, guards, len(contacts))
+        return expansion(self.code, key, flow, guards, len(contacts))
 
     def _expansions(self) -> Iterator[tuple[str, Callable[[], Expansion]]]:
         for name in self.modes:
