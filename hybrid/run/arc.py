@@ -72,7 +72,7 @@ class ArcFlow:
         self.scene, self.solver, self.plan, self.now = scene, solver, plan, now
         self.until = plan.t1 if until is None else until
         self.field, self.x, self.series = entry.field, entry.x, entry.series
-        self.orders = entry.orders
+        self.orders = self.entered = entry.orders
         kept = plan.dense or plan.samples is not None or bool(scene.spec.lags)
         self.wanted = kept or bool(self.field.guards)
         self.ends: dict[Any, float] = {}
@@ -177,13 +177,14 @@ class ArcFlow:
         return SAFETY * min(most, first) if first > 0 else None
 
     def predict(self, length: float) -> float | None:
-        """The end of a short flight after an impact, from its Taylor series (2)."""
+        """The end of a short flight onto a contact, from its Taylor series (2)."""
         if self.series is None:
             return None
         best = None
         for index, guard in enumerate(self.field.guards):
-            if guard.kind == "contact" and self.orders[index] == 1:
-                gap = [0.0, *self.series[1][index][1:]]
+            if guard.kind == "contact" and self.orders[index] <= 1:
+                gap = [0.0 if self.orders[index] else self.series[1][index][0]]
+                gap += self.series[1][index][1:]
                 zero = zero_of(gap, 4 * step_length(self.series[0]))
                 if zero is not None and zero < length:
                     best = zero if best is None else min(best, zero)
@@ -245,33 +246,36 @@ class ArcFlow:
                 else:
                     return zero.tau
         if target is not None and segment.end == target and guard.kind == "contact":
-            near = self._near_end(guard, segment, stepper)
+            near = self._near_end(index, segment, stepper)
             if near is not None:
                 return near
-        return segment.start if self._sunk(guard, segment, stepper, tolerance) else None
+        return segment.start if self._sunk(index, segment, stepper, tolerance) else None
 
     def _touches(self, guard: Guard, tau: float, segment: Segment, tolerance: float) -> bool:
         """Whether a crossing goes no deeper than the tolerance: a tangency (1)."""
         _, first, second = guard.lie(self.now.t + tau, segment(tau).tolist())
         return first * second <= 0 and first * first <= 2 * abs(second) * tolerance
 
-    def _near_end(self, guard: Guard, segment: Segment, stepper: Stepper) -> float | None:
+    def _near_end(self, index: int, segment: Segment, stepper: Stepper) -> float | None:
         """A step made onto a predicted impact ends within rounding of it, on either side."""
         t, x = self.now.t + segment.end, stepper.x.tolist()
-        value, rate, _ = guard.lie(t, x)
+        value, rate, _ = self.field.guards[index].lie(t, x)
         near = abs(value) <= -1e-6 * rate * segment.length
-        return segment.end if near or abs(value) <= self._rounding(guard, t, x) else None
+        return segment.end if near or abs(value) <= self._rounding(index, t, x) else None
 
-    def _rounding(self, guard: Guard, t: float, x: list[float]) -> float:
-        """What rounding can make of a guard that is zero."""
-        return 64 * EPS * float(self.scene.rounding(guard, self.field)(t, x)[0])
+    def _rounding(self, index: int, t: float, x: list[float]) -> float:
+        """What rounding can make of a guard that is zero, and did where the arc left it."""
+        size = float(self.scene.rounding(self.field.guards[index], self.field)(t, x)[0])
+        left = self.series is not None and self.entered[index] == 1
+        return 64 * EPS * size + (2.0 * abs(self.series[1][index][0]) if left else 0.0)
 
-    def _sunk(self, guard: Guard, segment: Segment, stepper: Stepper, tolerance: float) -> bool:
+    def _sunk(self, index: int, segment: Segment, stepper: Stepper, tolerance: float) -> bool:
         """Whether a contact's gap is negative with no zero seen: it began below rounding."""
+        guard = self.field.guards[index]
         value = self.ends.get(guard.edge, 0.0)
         if guard.kind != "contact" or value >= -tolerance:
             return False
-        return -value > self._rounding(guard, self.now.t + segment.end, stepper.x.tolist())
+        return -value > self._rounding(index, self.now.t + segment.end, stepper.x.tolist())
 
     def _land(self, stepper: Stepper, segment: Segment, fired: Fired) -> Segment | None:
         """End the step on the guard, to rounding (5); None if that is the step's start."""
@@ -287,7 +291,7 @@ class ArcFlow:
                 t, x = self.now.t + stepper.tau, stepper.x.tolist()
                 value, rate, _ = guard.lie(t, x)
                 shift = -value / rate if rate else 0.0
-                if abs(shift) <= small or abs(value) <= self._rounding(guard, t, x):
+                if abs(shift) <= small or abs(value) <= self._rounding(fired.index, t, x):
                     break
                 tau = min(stepper.tau + shift, last)
                 if tau <= least:

@@ -254,6 +254,7 @@ class Driver:
         """Record an impact and those after low flights, then begin the next arc."""
         while True:
             held = self._still_held(guard.to, after)
+            after = self._closed(guard.to, held, after)
             self.watch.saw(guard.edge)
             due = self.add_jump(guard.edge, before, after)
             contact = self.scene.contact(guard.edge)
@@ -326,6 +327,11 @@ class Driver:
                 if max(abs(gap), abs(speed)) <= size:
                     held.append(guard.edge)
         return tuple(held)
+
+    def _closed(self, mode: str, held: tuple[str, ...], x: np.ndarray) -> np.ndarray:
+        """The state with gap and speed of the contacts held at exactly zero."""
+        project = self.scene.field(self.scene.name(mode, held)).project if held else None
+        return x if project is None else np.array(project(self.t, x.tolist()))
 
     def _require_finite(self, edge: str, before: np.ndarray, after: np.ndarray) -> None:
         if not np.all(np.isfinite(after)):
@@ -440,9 +446,11 @@ def _clear(tail: Tail, field: Field, column: int) -> bool:
     shares = 4 if all(guard.affine for guard in others) else SHARES
     since = np.unique([*np.linspace(0, tail.remaining, 2 * shares), *tail.times[:shares]])
     points = [(tail.t + s, tail.state(s)) for s in since[since < tail.remaining].tolist()]
+    rounding = 64 * EPS * float(np.max(np.abs(tail.x_inf)))
     for guard in others:
         values = [guard.value(t, x) for t, x in points]
-        above, below = min(values) > 0, max(values) < 0
+        end = guard.value(tail.t + tail.remaining, tail.x_inf.tolist())
+        above, below = min(values) > 0 and end > -rounding, max(values) < 0 and end < rounding
         inside = {Crossing.FALLING: above, Crossing.RISING: below}
         if not inside.get(guard.crossing, above or below):
             return False

@@ -169,9 +169,16 @@ class _Here:
         return describe(self.scene, self.field, self.t, self.x)
 
     def closed(self, guard: Guard, order: int, sign: int) -> bool:
-        """Whether a contact is at rest: gap and gap speed zero, and the load pushes."""
-        still = guard.kind == "contact" and order >= 2 and sign < 0
-        return still and self.scene.contact(guard.edge).rests
+        """Whether a contact is at rest: gap and gap speed zero, and the load pushes.
+
+        A speed is zero, too, if it is rounding of the states that the run has seen.
+        """
+        if guard.kind != "contact" or not self.scene.contact(guard.edge).rests:
+            return False
+        if order != 1:
+            return order >= 2 and sign < 0
+        _, speed, force = guard.lie(self.t, self.x.tolist())
+        return abs(speed) <= 64 * EPS * self.reach and force < -NEAR * self.reach
 
     def fires(self, guard: Guard, order: int, sign: int, jumped: Jumped) -> bool:
         """Whether a guard fires at once; refuses a state outside the domain."""
@@ -218,9 +225,10 @@ class _Here:
         if not least:
             if abs(value) > NEAR * (1.0 + max(map(abs, x))):
                 return 0, 1 if value > 0 else -1
-            size = self.scene.rounding(guard, self.field)(t, x)[0]
-            tick = 64 * EPS * abs(t) * abs(guard.lie(t, x)[1])
-            if abs(value) > 64 * EPS * (size + self.reach) + tick:
+            size, rate = self.scene.rounding(guard, self.field)(t, x)[0], guard.lie(t, x)[1]
+            moves = guard.kind == "contact" and value > 0 and abs(rate) > 64 * EPS * self.reach
+            noise = 64 * EPS * (size + abs(t) * abs(rate) + (0.0 if moves else self.reach))
+            if abs(value) > noise:
                 return 0, 1 if value > 0 else -1
         return self.decide(guard, index, max(least, 1))
 
