@@ -75,13 +75,8 @@ class Turner:
 
     @property
     def whole(self) -> bool:
-        """Whether a program of these pieces is made one function of machine code.
-
-        Not with libraries; and not Runge-Kutta methods with several guards, where impacts that
-        accumulate at two contacts at once were lost so (``docs/notes/compiled.md``).
-        """
-        one_guard = self.system.width == 1 or isinstance(self.method, Series)
-        return self.system.code.scalar and not self.method.implicit and one_guard
+        """Whether a program of these pieces is made one function of machine code: no libraries."""
+        return self.system.code.scalar and not self.method.implicit
 
     def begin(self, run: Run, mode: Any, held: Any, x: Any, xp: Any = jnp) -> Lane:
         """A lane at the start of a run, still to be entered.
