@@ -11,6 +11,7 @@ from hybrid.zeno.cycle import limit, period
 from models.two_tanks import TwoTanks
 
 from . import systems
+from .systems import Stacked, stacked
 
 SOLVERS = pytest.mark.parametrize("solver", ["scipy", "taylor", "diffrax"])
 
@@ -312,50 +313,6 @@ def test_what_max_jumps_has_cut_off_is_explained():
     assert "accumulate at about t = 20." in run.explain()
     steady = hy.simulate(TwoTanks(w=2.0), {"x1": 8.0, "x2": 6.0}, (0, 200), max_jumps=20)
     assert "do not accumulate" in steady.explain()
-
-
-class Stacked(hy.Automaton):
-    """Two equal beads, one above the other, over a floor."""
-
-    a: float = hy.parameter(0.8)
-    b: float = hy.parameter(0.3)
-    x = hy.state()
-    y = hy.state()
-    v = hy.state()
-    w = hy.state()
-
-    @hy.mode
-    def falls(self, t, s):
-        return s.v, s.w, -9.81, -9.81
-
-    floor = hy.contact(falls, gap=lambda self, t, s: s.x, restitution="a")
-    between = hy.contact(falls, gap=lambda self, t, s: s.y - s.x, restitution="b")
-
-
-def stacked(a, b, x, y, v, w, slow=1e-10):
-    """When both rest, by exact flights, collisions and sums, until all is slower than ``slow``."""
-    gap, u, t, g = y - x, w - v, 0.0, 9.81  # u: speed of the gap between them
-    while t == 0.0 or max(abs(v), abs(u)) > slow:
-        rests = x == v == 0
-        floor = math.inf if rests else (v + math.sqrt(v * v + 2 * g * x)) / g
-        if rests:
-            meet = (u + math.sqrt(u * u + 2 * g * gap)) / g
-        else:
-            meet = -gap / u if u < 0 else math.inf
-        s = min(floor, meet)
-        t, gap = t + s, gap + u * s - (0.5 * g * s * s if rests else 0.0)
-        u -= g * s if rests else 0.0
-        if not rests:
-            x, v = x + v * s - 0.5 * g * s * s, v - g * s
-        if meet < floor:
-            v, u, gap = v + 0.5 * (1 + b) * u, -b * u, 0.0
-            continue
-        v, u, x = -a * v, u + (1 + a) * v, 0.0
-        total = 2 * v / (g * (1 - a))
-        there = gap + (u + v) * total - 0.5 * g * total * total
-        if min(gap, there) > v * v / (2 * g):  # the lower bead comes to rest before they meet
-            t, gap, u, v = t + total, there, u + v - g * total, 0.0
-    return t
 
 
 @SOLVERS

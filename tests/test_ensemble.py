@@ -229,3 +229,19 @@ def test_all_ways_give_the_same(monkeypatch):
                 assert lanes[name].values.tolist() == each[0][name].values.tolist()
             for name in ("t", "x", "v", "t_inf"):
                 np.testing.assert_allclose(lanes[name], each[0][name], atol=1e-7, equal_nan=True)
+
+
+def test_stacked_beads_come_to_rest(ensemble):
+    """Two contacts that close together, again and again: both are at rest when they should be."""
+    random, count = np.random.default_rng(5), 40
+    a, b = random.uniform(0.0, 0.9, (2, count))
+    y, v, w = random.uniform(1.001, 1.4, count), *random.uniform(-2.0, 2.0, (2, count))
+    start, numbers = {"x": 1.0, "y": y, "v": v, "w": w}, {"a": a, "b": b}
+    exact = np.array([systems.stacked(*case) for case in zip(a, b, y / y, y, v, w, strict=True)])
+
+    def modes(ends):
+        lanes = ensemble(systems.Stacked(), start, (0.0, ends), numbers, rtol=1e-10, atol=1e-12)
+        return set(lanes["mode"].values)
+
+    assert modes(exact + 1e-6) == {"falls.rest(floor, between)"}
+    assert modes(exact - 1e-6) <= {"falls", "falls.rest(floor)"}

@@ -253,7 +253,12 @@ class _Series:
         guards = jax.lax.fori_loop(0, ROUGH, again, start)[2]
         values = jnp.concatenate([guards, curve.guards]).reshape(-1, self.system.width)
         own = self.system.only(self.slot)
-        above, below = (values > 0).all(axis=0), (values < 0).all(axis=0)
+        since, change = curve.offsets[0, 0], curve.offsets[0, 1:]
+        x_inf = self._onto(since, self.x + change, 0.0)
+        end = self.system.guards(self.p, self.mode, self.held, self.t + since, x_inf)
+        rounding = 64 * EPS * jnp.max(jnp.abs(x_inf))
+        above = (values > 0).all(axis=0) & (end > -rounding)
+        below = (values < 0).all(axis=0) & (end < rounding)
         crossing = self.system.pick(self.system.crossing, self.mode)
         inside = (above & (crossing <= 0)) | (below & (crossing >= 0))
         return (own | inside).all()

@@ -240,7 +240,7 @@ class Turner:
 
         The correction is Newton's, along the second-order curve of the flow. It carries the
         derivative of the time of the event; the length of the step that led here is a number
-        like any other.
+        like any other. A guard that is zero at the arc's start is zero where it is so again.
         """
         going, p = lane.going, run.parameters
         t = lane.now + h
@@ -255,20 +255,23 @@ class Turner:
         def on_curve(s: Any) -> Any:
             return moved.x + s * (rate + 0.5 * s * bend)
 
+        zero = jnp.where((going.tau == 0) & (lane.orders > 0), stop_gradient(going.ends), 0.0)
+
         def guard(s: Any) -> Any:
-            values = self.system.guards(p, lane.mode, held, t + s, on_curve(s))
+            values = self.system.guards(p, lane.mode, held, t + s, on_curve(s)) - zero
             return jnp.where(self.system.only(going.slot), values, 0.0).sum()
 
         value, slope = jax.jvp(guard, (jnp.zeros_like(t),), (jnp.ones_like(t),))
         slope = stop_gradient(slope)
         steep = jnp.where(slope == 0, jnp.inf, slope)
-        shift, noise = -value / steep, 8 * EPS * (1.0 + jnp.abs(moved.x).max()) / jnp.abs(steep)
+        shift = jnp.maximum(-value / steep, -h)  # not before the step, however slow the gap
+        noise = 8 * EPS * (1.0 + jnp.abs(moved.x).max()) / jnp.abs(steep)
         small = jnp.abs(shift) <= 1e-6 * h + noise
         again = ~small & (going.tries < LANDINGS) & (h + shift > 0)
         again = again & (h + shift <= lane.left(run.end))
         lost = ~small & ~again & self.judged
         reach = stop_gradient(h + shift)
-        shift = jnp.where(small, shift - guard(shift) / steep, 0.0)
+        shift = jnp.where(small, jnp.maximum(shift - guard(shift) / steep, -h), 0.0)
         there = moved._replace(
             tau=going.tau + (h + shift),
             x=on_curve(shift),
@@ -346,10 +349,13 @@ class Turner:
         lane = lane._replace(going=self._settled(run, lane, lane.held, lane.going))
         going, system = lane.going, self.system
         lies, rate, order, sign = self._signs(run, lane)
+        starting = (lane.jumps == 0) & (lane.t == run.t0)
+        contacts = system.pick(system.is_contact, lane.mode) & ~lane.held
+        idle = contacts & (sign == 0) & ~starting  # two bodies that fall together
+        order = jnp.where(idle, 2, order)
         closing = system.pick(system.rests, lane.mode) & ~lane.held & (order >= 2) & (sign < 0)
         direction = system.pick(system.crossing, lane.mode)
         leaving = (direction != 0) & (sign == direction)
-        starting = (lane.jumps == 0) & (lane.t == run.t0)
         late = (order == 0) & leaving
         overdue = late & ((lane.held & ~starting) | passing)
         either = (direction == 0) & (order == 0) & (sign * jnp.sign(going.ends) < 0)
@@ -358,14 +364,11 @@ class Turner:
         at_once = overdue | ((order > 0) & leaving & ~used)
         outside = late & ~overdue
         status = jnp.where(outside.any(), OUTSIDE, going.status)
-        status = jnp.where((sign == 0).any(), UNDECIDED, status)
+        status = jnp.where(((sign == 0) & ~idle).any(), UNDECIDED, status)
         stage = jnp.where(at_once.any(), JUMP, FLOW)
         sums = (lane.speed > 0) & (lane.count >= 2) & (lane.speed <= PATIENCE * lane.tried)
         sums = sums & (stage == FLOW) & (status == RUNNING) & self.sums
-        open_contacts = system.pick(system.is_contact, lane.mode) & ~lane.held
-        entered = lane._replace(
-            orders=order, limit=flight_bound(lies, open_contacts, order == 1)
-        ).but(
+        entered = lane._replace(orders=order, limit=flight_bound(lies, contacts, order == 1)).but(
             ends=lies[0],
             largest=jnp.abs(lies[0]),
             stage=stage,
@@ -386,6 +389,10 @@ class Turner:
         last = jnp.broadcast_to(size + rate, tick[0].shape)
         noise = 64 * EPS * jnp.stack([size + tick[1], last + tick[2], last])
         known = jnp.where(lane.held, 0, lane.orders)
+        contacts = self.system.pick(self.system.is_contact, lane.mode) & ~lane.held
+        below = contacts & (lane.jumps > 0) & (lies[0] < 0)  # by less than solvers can tell
+        sunk = jnp.where(below, self.detector.tolerance(run, lane), 0.0)
+        noise = noise.at[0].set(jnp.maximum(noise[0], sunk))
         decides = (jnp.abs(lies) > noise) & (known <= jnp.arange(3)[:, None])
         order = jnp.where(decides[0], 0, jnp.where(decides[1], 1, jnp.where(decides[2], 2, 0)))
         order = jnp.where(known == 3, 3, order)
