@@ -117,7 +117,7 @@ def simulate(
     x = _start(spec, start)
     past = _past(spec, history, plan, x)
     first = spec.initial if mode is None else mode
-    if first not in scene.modes:
+    if not scene.starts(first):
         raise OptionError(f"{spec.model}: mode={mode!r}; there are {', '.join(scene.modes)}")
     driver = Driver(scene, choose(solver, method, rtol, plan.atol), plan, past)
     driver.run(first, x)

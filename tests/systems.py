@@ -321,6 +321,27 @@ class Stacked(hy.Automaton):
     between = hy.contact(falls, gap=lambda self, t, s: s.y - s.x, restitution="b")
 
 
+class Pile(hy.Automaton):
+    """Two equal beads, one above the other, over a table that shakes."""
+
+    size: float = hy.parameter(0.1)
+    omega: float = hy.parameter(12.0)
+    x = hy.state()
+    y = hy.state()
+    v = hy.state()
+    w = hy.state()
+
+    @hy.mode
+    def falls(self, t, s):
+        return s.v, s.w, -9.81, -9.81
+
+    def height(self, t):
+        return self.size * jnp.sin(self.omega * t)
+
+    table = hy.contact(falls, gap=lambda self, t, s: s.x - self.height(t), restitution=0.5)
+    between = hy.contact(falls, gap=lambda self, t, s: s.y - s.x, restitution=0.5)
+
+
 def stacked(a, b, x, y, v, w, slow=1e-10):
     """When both rest, by exact flights, collisions and sums, until all is slower than ``slow``."""
     gap, u, t, g = y - x, w - v, 0.0, 9.81  # u: speed of the gap between them

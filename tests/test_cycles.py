@@ -11,7 +11,7 @@ from hybrid.zeno.cycle import limit, period
 from models.two_tanks import TwoTanks
 
 from . import systems
-from .systems import Stacked, stacked
+from .systems import Pile, Stacked, stacked
 
 SOLVERS = pytest.mark.parametrize("solver", ["scipy", "taylor", "diffrax"])
 
@@ -346,3 +346,47 @@ def test_beads_that_barely_move_come_to_rest(solver, gap, speed):
     run = hy.simulate(Stacked(), start, until, mode="falls.rest(floor)", rtol=1e-11, solver=solver)
     assert run.mode == "falls.rest(floor, between)"
     assert run.final.y == pytest.approx(0.0, abs=1e-12)
+
+
+@SOLVERS
+def test_beads_thrown_up_together_fly_together(solver):
+    """In the air nothing presses them together and nothing parts them: they stay in contact."""
+    model, start = Pile(), [0.0, 0.0, 1.2, 1.2]
+    mode = "falls.rest(table, between)"
+    run = hy.simulate(model, start, (0, 0.15), mode=mode, rtol=1e-11, solver=solver)
+    leaves = math.asin(9.81 / (0.1 * 12.0**2)) / 12.0
+    x, v = 0.1 * math.sin(12.0 * leaves), 1.2 * math.cos(12.0 * leaves)
+    assert run.jumps.edge.tolist() == ["table.release"]
+    assert run.jumps.t[0] == pytest.approx(leaves, abs=1e-10)
+    assert run.mode == "falls.rest(between)"
+    s = 0.15 - leaves
+    assert run.final.x == run.final.y == pytest.approx(x + v * s - 0.5 * 9.81 * s * s, abs=1e-9)
+
+
+class Three(hy.Automaton):
+    """Three equal beads over a floor: where they strike in turns no time passes."""
+
+    x = hy.state(shape=(3,))
+    v = hy.state(shape=(3,))
+    a: float = hy.parameter(0.25)
+    b: float = hy.parameter(0.01)
+    c: float = hy.parameter(0.58)
+
+    @hy.mode
+    def falls(self, t, s):
+        return s.v, jnp.full(3, -9.81)
+
+    low = hy.contact(falls, gap=lambda self, t, s: s.x[0], restitution="a")
+    middle = hy.contact(falls, gap=lambda self, t, s: s.x[1] - s.x[0], restitution="b")
+    high = hy.contact(falls, gap=lambda self, t, s: s.x[2] - s.x[1], restitution="c")
+
+
+@SOLVERS
+@pytest.mark.parametrize("r", [(0.25, 0.01, 0.58), (0.02, 0.68, 0.48), (0.4, 0.4, 0.4)])
+def test_impacts_of_one_instant_that_slow_down_end(solver, r):
+    """A bead falls on others at rest: hundreds of impacts at one time are no loop."""
+    model = Three(**dict(zip("abc", r, strict=True)))
+    start = {"x": np.array([1.0, 1.22, 1.47]), "v": np.zeros(3)}
+    run = hy.simulate(model, start, (0, 9), rtol=1e-10, solver=solver)
+    assert run.mode == "falls.rest(low, middle, high)"
+    np.testing.assert_allclose(run.final.x, 0.0, atol=1e-12)

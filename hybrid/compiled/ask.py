@@ -10,6 +10,7 @@ import numpy as np
 from ..automaton.base import require_model
 from ..errors import OptionError
 from ..scene.lowered import Lowered, lowered
+from ..scene.scene import parted
 from ..solvers.base import method_of
 from ..solvers.diffrax_backend import DEGREES, compiled_method, without_series
 from ..solvers.series import TAYLOR
@@ -71,8 +72,7 @@ def place(code: Lowered, mode: str | None) -> tuple[System, int, np.ndarray]:
     """
     system = system_of(code, slides=True)
     name = code.spec.initial if mode is None else mode
-    base, _, rest = name.partition(".rest(")
-    held = rest.removesuffix(")").split(", ") if rest else []
+    base, held = parted(name)
     able = {
         m: [edge.name for edge, rests in zip(edges, row, strict=False) if rests]
         for (m, edges), row in zip(system.edges.items(), system.rests, strict=True)

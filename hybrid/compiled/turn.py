@@ -15,7 +15,7 @@ from jax.lax import stop_gradient
 
 from ..arrays import any_lane, choose, when
 from ..clock import Instant
-from ..events import CAUGHT, EPS, SHARES
+from ..events import CAUGHT, EPS, SHARES, STRUCK
 from ..solvers.diffrax_backend import Method
 from ..solvers.series import SHORTEST, Series
 from .detect import Detector, Event, Rows, SeriesDetector
@@ -315,7 +315,7 @@ class Turner:
         finite = jnp.isfinite(done.after).all() & jnp.isfinite(done.speed) & ~(done.speed < 0)
         stuck = jnp.where(going.tau > 4 * EPS * jnp.abs(lane.t), 0, lane.stuck + 1)
         status = jnp.where(lane.jumps + 1 >= run.max_jumps, MAX_JUMPS, going.status)
-        status = jnp.where(stuck >= CAUGHT, LOOP, status)
+        status = jnp.where(stuck >= jnp.where(impact, STRUCK, CAUGHT), LOOP, status)
         after = lane._replace(
             t=now.t,
             low=now.low,
@@ -350,10 +350,9 @@ class Turner:
         going, system = lane.going, self.system
         lies, rate, order, sign = self._signs(run, lane)
         starting = (lane.jumps == 0) & (lane.t == run.t0)
-        contacts = system.pick(system.is_contact, lane.mode) & ~lane.held
-        idle = contacts & (sign == 0) & ~starting  # two bodies that fall together
-        order = jnp.where(idle, 2, order)
-        closing = system.pick(system.rests, lane.mode) & ~lane.held & (order >= 2) & (sign < 0)
+        contacts, rests = (system.pick(t, lane.mode) for t in (system.is_contact, system.rests))
+        idle = (sign == 0) & rests  # no load, as of bodies that fall together
+        closing = rests & ~lane.held & (idle | ((order >= 2) & (sign < 0)))
         direction = system.pick(system.crossing, lane.mode)
         leaving = (direction != 0) & (sign == direction)
         late = (order == 0) & leaving
@@ -368,7 +367,9 @@ class Turner:
         stage = jnp.where(at_once.any(), JUMP, FLOW)
         sums = (lane.speed > 0) & (lane.count >= 2) & (lane.speed <= PATIENCE * lane.tried)
         sums = sums & (stage == FLOW) & (status == RUNNING) & self.sums
-        entered = lane._replace(orders=order, limit=flight_bound(lies, contacts, order == 1)).but(
+        entered = lane._replace(
+            orders=order, limit=flight_bound(lies, contacts & ~lane.held, order == 1)
+        ).but(
             ends=lies[0],
             largest=jnp.abs(lies[0]),
             stage=stage,

@@ -9,10 +9,8 @@ import numpy as np
 
 from ..automaton.base import require_model
 from ..errors import OptionError, OrbitError
-from ..scene import scene_of
 from ..simulation import simulate
 from ..trajectory import Status, Trajectory
-from .returns import start_mode
 from .variation import factors
 
 #: Parts of a run whose means are compared.
@@ -132,7 +130,7 @@ def lyapunov(
     if begin > first:
         before = _run(model, start, (first, begin), options)
         frame = _carry(model, before, frame)[2]
-        start, options["mode"] = before.final, start_mode(scene_of(model), before.mode)
+        start, options["mode"] = before.final, before.mode
     run = _run(model, start, (begin, last), options)
     times, growth, _ = _carry(model, run, frame)
     return _exponents(times, growth, run)

@@ -27,7 +27,6 @@ from ..run.pieces import Piece, constant
 from ..segment import from_values, nodes
 from ..trajectory import Trajectory
 from .delayed import Shift, Strand, Variation, descendants, distinct
-from .returns import start_mode
 from .shooting import LEAST, Description, Guess, Shooting, Turn
 
 #: Degree on each piece of the record, and on the finer set.
@@ -235,7 +234,7 @@ class HistoryShooting(Shooting):
         index = max(plain or long, key=lambda i: spans[i][1] - spans[i][0])
         arc, t = run.parts[index], 0.5 * sum(spans[index])
         assert isinstance(arc, Arc)
-        x, mode = arc.local(np.array((t - arc.t0) - arc.low)), start_mode(self.scene, arc.mode)
+        x, mode = arc.local(np.array((t - arc.t0) - arc.low)), arc.mode
         return Guess(t, x, mode, guess.period, run.hindsight.before(index, t))
 
     def turn(self, guess: Guess) -> Remembering:

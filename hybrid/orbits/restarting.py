@@ -13,7 +13,6 @@ from ..arcs import Arc
 from ..errors import OrbitError
 from ..trajectory import Trajectory
 from .delayed import Strand, Variation
-from .returns import start_mode
 from .section import Return, cut
 from .shooting import MOVES, Description, Guess, Shooting, Turn
 
@@ -45,7 +44,7 @@ class RestartShooting(Shooting):
         return self._landed(run, index, guess.period)
 
     def _landed(self, run: Trajectory, index: int, period: float) -> Landed:
-        row, mode = run.own_jumps[index], start_mode(self.scene, run.parts[index + 1].mode)
+        row, mode = run.own_jumps[index], run.parts[index + 1].mode
         return Landed(row.t, self._closed(row.edge, row.t, row.after), mode, period, None, row.edge)
 
     def _closed(self, edge: str, t: float, x: np.ndarray) -> np.ndarray:

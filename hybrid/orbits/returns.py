@@ -132,7 +132,7 @@ class ReturnMap:
     def _points(self, point: Point, n: int) -> Iterator[Point]:
         for _ in range(n):
             run = self._from(point)
-            last = start_mode(self.scene, run.mode)
+            last = run.mode
             history = run.hindsight.before(len(run.parts) - 1, run.t1)
             point = Point(run.t1, run.parts[-1].last, last, history)
             yield point
@@ -250,8 +250,3 @@ def _mode_after(spec: Any, edge: str) -> str | None:
     modes = {e.to for e in spec.transitions if e.name == of}
     modes |= {end.to for switching in spec.switchings for end in switching.ends if end.name == edge}
     return next(iter(modes)) if len(modes) == 1 else None
-
-
-def start_mode(scene: Any, mode: str) -> str:
-    """The mode by whose name a run can go on from an arc's mode."""
-    return mode if mode in scene.modes else mode.partition(".rest(")[0]

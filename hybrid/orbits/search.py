@@ -11,7 +11,7 @@ from ..automaton.markers import RISING
 from ..errors import HybridError, OptionError, OrbitError
 from ..scene import Scene
 from ..trajectory import Trajectory
-from .returns import ReturnMap, start_mode
+from .returns import ReturnMap
 from .shooting import MOVES, Guess, Shooting, Turn
 
 #: Turns flown before Newton's method is tried again.
@@ -42,7 +42,7 @@ def depends_on_time(scene: Scene) -> bool:
 def given(scene: Scene, guess: Any, t: float, mode: str | None) -> Guess:
     """A guess as a caller gives it: a state, or a run that goes on from its end."""
     if isinstance(guess, Trajectory):
-        last = start_mode(scene, guess.mode)
+        last = guess.mode
         history = guess if scene.spec.lags else None
         return Guess(guess.t1, guess.parts[-1].last, last, 0.0, history)
     try:

@@ -23,7 +23,6 @@ from ..histories import pieces
 from ..scene import Scene, scene_of
 from ..simulation import simulate
 from ..trajectory import Trajectory
-from .returns import start_mode
 from .variation import Factor, factors
 
 #: Most steps of Newton's method, and most halvings of one.
@@ -128,12 +127,12 @@ class Shooting:
     def after(self, run: Trajectory, period: float) -> Guess:
         """A guess where a run ends."""
         history = run.hindsight.before(len(run.parts) - 1, run.t1)
-        last = start_mode(self.scene, run.mode)
+        last = run.mode
         return Guess(run.t1, run.parts[-1].last, last, period, history)
 
     def _apart(self, run: Trajectory) -> float:
         """What the residual is more by where the ends of a turn are in different modes."""
-        same = start_mode(self.scene, run.mode) == start_mode(self.scene, run.parts[0].mode)
+        same = run.mode == run.parts[0].mode
         return 0.0 if same else APART
 
     def _scale(self, run: Trajectory) -> np.ndarray:
@@ -154,7 +153,7 @@ class Shooting:
         arc = max(plain or arcs, key=lambda arc: arc.length)
         half = 0.5 * arc.length
         t = arc.t0 + (arc.low + half) if self.timed else guess.t
-        return Guess(t, arc.local(np.array(half)), start_mode(self.scene, arc.mode), guess.period)
+        return Guess(t, arc.local(np.array(half)), arc.mode, guess.period)
 
     def refine(self, guess: Guess) -> Turn:
         """Newton's method from a guess, as far as it goes."""

@@ -12,11 +12,12 @@ import attrs
 import numpy as np
 
 from ..accumulation import Accumulation, explain
-from ..arcs import TailPart
+from ..arcs import Arc, TailPart
 from ..automaton.markers import Crossing
 from ..errors import FlowError, ZenoError
 from ..events import CLOSED, EPS, NEAR, SHARES
 from ..scene import Contact, Field, Guard, Scene, released
+from ..scene.scene import parted
 from ..segment import Segment
 from ..solvers import Solver
 from ..trajectory import Jump, Status
@@ -66,7 +67,8 @@ class Driver:
     ) -> None:
         self.model = self.scene = scene
         self.solver, self.plan, self.history = solver, plan, history
-        self.record = Recorder(plan)
+        contacts = [e.name for e in scene.spec.transitions if scene.is_contact(e.name)]
+        self.record = Recorder(plan, frozenset(contacts))
         self.status: Status | None = None
         self.watch = Watch()
         self.cycles = Cycles()
@@ -84,8 +86,7 @@ class Driver:
         if self.history is not None:
             order = self.solver.order
             self.record.memory = Memory(self.scene, self.plan, order, self.history, x)
-        base, _, rest = mode.partition(".rest(")
-        held = (rest.removesuffix(")"),) if rest else ()
+        base, held = parted(mode)
         self.enter(base, x, Jumped(held=held, starting=True))
         try:
             self.go_on()
@@ -266,7 +267,9 @@ class Driver:
             if hop is None:
                 break
             before, after, speed = hop
-        self.enter(guard.to, after, Jumped({guard.edge: 1 if speed > 0 else 2}, held))
+        known, last = {guard.edge: 1 if speed > 0 else 2}, self.record.parts[-1]
+        series = self.watch.count > 1 and isinstance(last, Arc) and last.length > 0
+        self.enter(guard.to, after, Jumped(known, held, series=series))
 
     def hop(
         self, contact: Contact, x: np.ndarray, v: float, name: str

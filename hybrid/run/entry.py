@@ -57,6 +57,9 @@ class Jumped:
     passing : dict or None
         There was no jump, but what delays see may have jumped: by edge the sign that its guard
         had; one that has changed it fires (1). See :func:`signs_at_end`.
+    series : bool
+        The jump was an impact of the contact that made the one before: they are summed, however
+        slow.
     """
 
     vanishing: dict[str, int] = attrs.Factory(dict)
@@ -64,6 +67,7 @@ class Jumped:
     used: str | None = None
     starting: bool = False
     passing: dict[str, int] | None = None
+    series: bool = False
 
 
 def enter(scene: Scene, t: float, mode: str, x: np.ndarray, jumped: Jumped, reach: float) -> Entry:
@@ -87,9 +91,9 @@ def enter(scene: Scene, t: float, mode: str, x: np.ndarray, jumped: Jumped, reac
     orders, at_once, signs = [], [], []
     for index, guard in enumerate(field.guards):
         order, sign = here.start_of(guard, index, jumped)
-        if guard.kind == "window" and sign == 0:  # it stays at an end of its window
+        if sign == 0 and here.stays(guard):
             order, sign = 0, 1
-        if here.closed(guard, order, sign):
+        if here.closed(guard, order, sign, jumped):
             more = attrs.evolve(jumped, held=(*jumped.held, guard.edge))
             return enter(scene, t, mode, x, more, reach)
         if here.fires(guard, order, sign, jumped):
@@ -168,17 +172,24 @@ class _Here:
     def where(self) -> str:
         return describe(self.scene, self.field, self.t, self.x)
 
-    def closed(self, guard: Guard, order: int, sign: int) -> bool:
-        """Whether a contact is at rest: gap and gap speed zero, and the load pushes.
+    def closed(self, guard: Guard, order: int, sign: int, jumped: Jumped) -> bool:
+        """Whether a contact is at rest: gap and gap speed zero, and nothing pulls.
 
         A speed is zero, too, if it is rounding of the states that the run has seen.
         """
         if guard.kind != "contact" or not self.scene.contact(guard.edge).rests:
             return False
         if order != 1:
-            return order >= 2 and sign < 0
+            return order >= 2 and sign <= 0
+        if jumped.series and guard.edge in jumped.vanishing:
+            return False
         _, speed, force = guard.lie(self.t, self.x.tolist())
         return abs(speed) <= 64 * EPS * self.reach and force < -NEAR * self.reach
+
+    def stays(self, guard: Guard) -> bool:
+        """Whether a guard that is zero for good fires no more: where delays see the end of a
+        window, and the load of bodies that fall together in contact."""
+        return guard.kind == "window" or (guard.kind == "release" and self.series is not None)
 
     def fires(self, guard: Guard, order: int, sign: int, jumped: Jumped) -> bool:
         """Whether a guard fires at once; refuses a state outside the domain."""

@@ -13,7 +13,7 @@ from ..accumulation import Accumulation
 from ..arcs import Arc, JumpRow, Part, TailPart
 from ..clock import Instant
 from ..errors import JumpLoopError
-from ..events import CAUGHT
+from ..events import CAUGHT, STRUCK
 from ..scene import Field
 from ..segment import Segment, from_values, nodes
 from ..trajectory import Jump
@@ -24,9 +24,12 @@ from .plan import Plan
 
 
 class Recorder:
-    """Grows as the run goes on; ``now`` and ``j`` are its hybrid time."""
+    """Grows as the run goes on; ``now`` and ``j`` are its hybrid time.
 
-    def __init__(self, plan: Plan) -> None:
+    ``impacts``: the names of the contacts.
+    """
+
+    def __init__(self, plan: Plan, impacts: frozenset[str]) -> None:
         self.plan = plan
         self.now = Instant(plan.t0)
         self.j = 0
@@ -39,6 +42,7 @@ class Recorder:
         self.memory: Memory | None = None
         self._begun: tuple[Instant, np.ndarray] | None = None
         self._open: list[Segment] = []
+        self._impacts, self._stuck = impacts, 0
         self._recent: deque[tuple[float, str]] = deque(maxlen=CAUGHT)
 
     def arc(
@@ -118,12 +122,16 @@ class Recorder:
         self.j += 1
         self._recent.append((now.t, edge))
         spent = now.t - self._recent[0][0]
-        if len(self._recent) == CAUGHT and spent <= 4 * CAUGHT * np.spacing(abs(now.t)):
-            cycle = " -> ".join(dict.fromkeys(name for _, name in self._recent))
+        if len(self._recent) < CAUGHT or spent > 4 * CAUGHT * np.spacing(abs(now.t)):
+            self._stuck = CAUGHT - 1
+            return
+        self._stuck += 1
+        edges = dict.fromkeys(name for _, name in self._recent)
+        if self._stuck >= (STRUCK if self._impacts.issuperset(edges) else CAUGHT):
             raise JumpLoopError(
-                f"{where(before)}: {CAUGHT} jumps with no time to speak of between them: {cycle}; "
-                "a reset must leave its guard, a contact needs rests=True, and a cycle of edges "
-                "has a limit only where its resets leave the state as it is"
+                f"{where(before)}: {self._stuck} jumps with no time to speak of between them: "
+                f"{' -> '.join(edges)}; a reset must leave its guard, a contact needs rests=True, "
+                "and a cycle of edges has a limit only where its resets leave the state as it is"
             )
 
     def limit_point(self, point: Accumulation, tail: Tail | CycleLimit | None) -> None:

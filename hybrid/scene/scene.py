@@ -179,6 +179,11 @@ class Scene:
         slides = [switching.mode for switching in self.spec.switchings if switching.slides]
         return (*(mode.name for mode in self.spec.modes), *rests, *slides)
 
+    def starts(self, name: str) -> bool:
+        """Whether a run may start in an arc mode: one of ``modes``, or several contacts' rest."""
+        mode, held = parted(name)
+        return all(each in self.modes for each in (mode, *(rest_name(mode, (c,)) for c in held)))
+
     def name(self, mode: str, held: Iterable[str]) -> str:
         """The arc mode of a mode with contacts held, these in declared order."""
         order = [edge.name for edge in self.spec.leaving(mode) if edge.name in set(held)]
@@ -187,9 +192,7 @@ class Scene:
     def field(self, name: str) -> Field:
         """The field of a mode, or of a resting mode ``"mode.rest(contact, ...)"``."""
         if name not in self._fields:
-            mode, _, rest = name.partition(".rest(")
-            held = tuple(rest.removesuffix(")").split(", ")) if rest else ()
-            self._fields[name] = self._make_field(name, mode, held)
+            self._fields[name] = self._make_field(name, *parted(name))
         return self._fields[name]
 
     def _make_field(self, name: str, mode: str, held: tuple[str, ...]) -> Field:
@@ -300,6 +303,12 @@ def scene_of(model: Any) -> Scene:
 def rest_name(mode: str, held: tuple[str, ...]) -> str:
     """The arc mode of contacts at rest: ``"<mode>.rest(<contact>, ...)"``."""
     return f"{mode}.rest({', '.join(held)})" if held else mode
+
+
+def parted(name: str) -> tuple[str, tuple[str, ...]]:
+    """The mode of an arc mode, and the contacts held."""
+    mode, _, rest = name.partition(".rest(")
+    return mode, tuple(rest.removesuffix(")").split(", ")) if rest else ()
 
 
 def window_edge(number: int, side: str) -> str:
