@@ -390,3 +390,21 @@ def test_impacts_of_one_instant_that_slow_down_end(solver, r):
     run = hy.simulate(model, start, (0, 9), rtol=1e-10, solver=solver)
     assert run.mode == "falls.rest(low, middle, high)"
     np.testing.assert_allclose(run.final.x, 0.0, atol=1e-12)
+
+
+PILES = [(0.27, 9.53), (0.21, 2.18), (0.23, 7.32)]  # rounding of the table's height never ends
+
+
+@SOLVERS
+@pytest.mark.parametrize(("size", "omega"), PILES)
+def test_a_pile_on_a_shaking_table(solver, size, omega):
+    """Thrown up and come to rest again and again: no bead falls through, whatever the method."""
+    model, start = Pile(size=size, omega=omega), [1.0, 1.1, 0.0, 0.0]
+    other = hy.simulate(model, start, (0, 5), rtol=1e-11, method="RK45")
+    run = hy.simulate(model, start, (0, 5), rtol=1e-11, solver=solver)
+    assert run.mode == other.mode
+    assert run.final.x == pytest.approx(other.final.x, abs=1e-8)
+    assert run.final.y == pytest.approx(other.final.y, abs=1e-8)
+    t = np.linspace(0.0, 5.0, 2001)
+    assert min(run(t).x - size * np.sin(omega * t)) > -1e-10
+    assert min(run(t).y - run(t).x) > -1e-10

@@ -352,7 +352,10 @@ class Turner:
         starting = (lane.jumps == 0) & (lane.t == run.t0)
         contacts, rests = (system.pick(t, lane.mode) for t in (system.is_contact, system.rests))
         idle = (sign == 0) & rests  # no load, as of bodies that fall together
-        closing = rests & ~lane.held & (idle | ((order >= 2) & (sign < 0)))
+        series = system.only(lane.series) & (lane.count > 1)  # summed, however slow
+        height = 8 * EPS * jnp.max(jnp.abs(going.x))  # of a flight lost in rounding
+        slow = (order == 1) & ~series & (lies[1] ** 2 <= -2.0 * height * lies[2])
+        closing = rests & ~lane.held & (idle | slow | ((order >= 2) & (sign < 0)))
         direction = system.pick(system.crossing, lane.mode)
         leaving = (direction != 0) & (sign == direction)
         late = (order == 0) & leaving

@@ -109,9 +109,13 @@ class Driver:
         if self.status is None:
             reach = 0.0 if jumped.starting else self.reach
             self.look(x)
-            self.entry = enter(self.scene, self.t, mode, x, jumped, reach)
+            self.entry = enter(self.scene, self.t, mode, x, jumped, reach, self._off(x))
             self._jumped = jumped
             self.reach = max(self.reach, float(np.max(np.abs(x))))
+
+    def _off(self, x: np.ndarray) -> float:
+        """What a state may be off, by the tolerances."""
+        return self.plan.limit + self.plan.rtol * float(np.max(np.abs(x)))
 
     def look(self, x: np.ndarray) -> None:
         """Let delays see the past from here, where what they see has come to an end."""
@@ -145,10 +149,10 @@ class Driver:
 
     def renew(self) -> None:
         """Look at the start of the present arc again, with all the rules."""
+        mode, x = self.entry.field.mode, self.entry.x
         if not self.entry.orders and self.entry.field.guards:
-            self.entry = enter(
-                self.scene, self.t, self.entry.field.mode, self.entry.x, self._known, self.reach
-            )
+            off = self._off(x)
+            self.entry = enter(self.scene, self.t, mode, x, self._known, self.reach, off)
 
     def flow_arc(self) -> None:
         """Flow an arc and carry out the jump that ends it."""
@@ -293,7 +297,8 @@ class Driver:
         rounding = 64 * EPS * (1.0 + float(np.max(np.abs(x))))
         for index, guard in enumerate(field.guards):
             here, there = guard.value(t, x.tolist()), guard.value(end, landed)
-            if index != column and (abs(here) <= rounding or here * there <= 0):
+            near = (here if guard.kind == "contact" else abs(here)) <= rounding
+            if index != column and (near or here * there <= 0):
                 return None
         speed = contact.law(end, landed, flight.u) * -flight.u
         missing = speed - field.guards[column].lie(end, landed)[1]

@@ -70,10 +70,13 @@ class Jumped:
     series: bool = False
 
 
-def enter(scene: Scene, t: float, mode: str, x: np.ndarray, jumped: Jumped, reach: float) -> Entry:
+def enter(
+    scene: Scene, t: float, mode: str, x: np.ndarray, jumped: Jumped, reach: float, off: float
+) -> Entry:
     """The start of an arc in a mode as declared.
 
-    ``reach`` is the size of the states that the run has seen: rounding is measured by it.
+    ``reach`` is the size of the states that the run has seen: rounding is measured by it; ``off``
+    what a state may be off after a jump, by the tolerances.
 
     Raises
     ------
@@ -87,7 +90,7 @@ def enter(scene: Scene, t: float, mode: str, x: np.ndarray, jumped: Jumped, reac
         _require_on_surface(scene, field, t, x)
     if field.project is not None:
         x = np.array(field.project(t, x.tolist()))
-    here = _Here(scene, field, t, x, reach, expand(field, t, x))
+    here = _Here(scene, field, t, x, reach, expand(field, t, x), 0.0 if jumped.starting else off)
     orders, at_once, signs = [], [], []
     for index, guard in enumerate(field.guards):
         order, sign = here.start_of(guard, index, jumped)
@@ -95,7 +98,7 @@ def enter(scene: Scene, t: float, mode: str, x: np.ndarray, jumped: Jumped, reac
             order, sign = 0, 1
         if here.closed(guard, order, sign, jumped):
             more = attrs.evolve(jumped, held=(*jumped.held, guard.edge))
-            return enter(scene, t, mode, x, more, reach)
+            return enter(scene, t, mode, x, more, reach, off)
         if here.fires(guard, order, sign, jumped):
             at_once.append(index)
         orders.append(order)
@@ -168,6 +171,7 @@ class _Here:
     x: np.ndarray
     reach: float
     series: Any
+    off: float = 0.0
 
     def where(self) -> str:
         return describe(self.scene, self.field, self.t, self.x)
@@ -175,7 +179,8 @@ class _Here:
     def closed(self, guard: Guard, order: int, sign: int, jumped: Jumped) -> bool:
         """Whether a contact is at rest: gap and gap speed zero, and nothing pulls.
 
-        A speed is zero, too, if it is rounding of the states that the run has seen.
+        A speed is zero, too, if it is rounding of the states that the run has seen, or the flight
+        it leads to lower than rounding of the positions.
         """
         if guard.kind != "contact" or not self.scene.contact(guard.edge).rests:
             return False
@@ -183,8 +188,11 @@ class _Here:
             return order >= 2 and sign <= 0
         if jumped.series and guard.edge in jumped.vanishing:
             return False
-        _, speed, force = guard.lie(self.t, self.x.tolist())
-        return abs(speed) <= 64 * EPS * self.reach and force < -NEAR * self.reach
+        t, x = self.t, self.x.tolist()
+        _, speed, force = guard.lie(t, x)
+        height = 8 * EPS * self.scene.rounding(guard, self.field)(t, x)[0]
+        low = max((64 * EPS * self.reach) ** 2, -2.0 * force * height)
+        return speed**2 <= low and force < -NEAR * self.reach
 
     def stays(self, guard: Guard) -> bool:
         """Whether a guard that is zero for good fires no more: where delays see the end of a
@@ -233,7 +241,7 @@ class _Here:
             raise FlowError(f"{self.where()}: the guard of {guard.edge} is {value}")
         if jumped.passing is not None and value * jumped.passing.get(guard.edge, 0) > 0:
             return 0, 1 if value > 0 else -1
-        if not least:
+        if not least and not (guard.kind == "contact" and -self.off <= value <= 0):
             if abs(value) > NEAR * (1.0 + max(map(abs, x))):
                 return 0, 1 if value > 0 else -1
             size, rate = self.scene.rounding(guard, self.field)(t, x)[0], guard.lie(t, x)[1]
