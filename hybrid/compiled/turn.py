@@ -352,9 +352,7 @@ class Turner:
         starting = (lane.jumps == 0) & (lane.t == run.t0)
         contacts, rests = (system.pick(t, lane.mode) for t in (system.is_contact, system.rests))
         idle = (sign == 0) & rests  # no load, as of bodies that fall together
-        series = system.only(lane.series) & (lane.count > 1)  # summed, however slow
-        height = 8 * EPS * jnp.max(jnp.abs(going.x))  # of a flight lost in rounding
-        slow = (order == 1) & ~series & (lies[1] ** 2 <= -2.0 * height * lies[2])
+        slow = self._slow(lane, lies, order)
         closing = rests & ~lane.held & (idle | slow | ((order >= 2) & (sign < 0)))
         direction = system.pick(system.crossing, lane.mode)
         leaving = (direction != 0) & (sign == direction)
@@ -383,6 +381,14 @@ class Turner:
         if not system.rests.any():
             return entered
         return choose(closing.any(), lane._replace(held=lane.held | closing), entered)
+
+    def _slow(self, lane: Lane, lies: Any, order: Any) -> Any:
+        """Contacts left for a flight lower than rounding of the positions: at rest, but for a
+        series of impacts, which is summed however slow they are."""
+        series = self.system.only(lane.series) & (lane.count > 1)
+        uses = self.system.pick(self.system.uses, lane.mode)
+        height = 8 * EPS * jnp.where(uses, jnp.abs(lane.going.x), 0.0).max(axis=1)
+        return (order == 1) & ~series & (lies[1] ** 2 <= -2.0 * height * lies[2])
 
     def _signs(self, run: Run, lane: Lane) -> tuple[Any, Any, Any, Any]:
         """Guards with two derivatives; the flow; the power by which each vanishes; its sign."""

@@ -114,8 +114,9 @@ class Driver:
             self.reach = max(self.reach, float(np.max(np.abs(x))))
 
     def _off(self, x: np.ndarray) -> float:
-        """What a state may be off, by the tolerances."""
-        return self.plan.limit + self.plan.rtol * float(np.max(np.abs(x)))
+        """What a state may be off, by the tolerances; little, however loose they are."""
+        size = float(np.max(np.abs(x)))
+        return min(self.plan.limit + self.plan.rtol * size, NEAR * (1.0 + size))
 
     def look(self, x: np.ndarray) -> None:
         """Let delays see the past from here, where what they see has come to an end."""
