@@ -321,25 +321,17 @@ class Stacked(hy.Automaton):
     between = hy.contact(falls, gap=lambda self, t, s: s.y - s.x, restitution="b")
 
 
-class Pile(hy.Automaton):
-    """Two equal beads, one above the other, over a table that shakes."""
+class Pile(Stacked):
+    """The same over a table that shakes."""
 
     size: float = hy.parameter(0.1)
     omega: float = hy.parameter(12.0)
-    x = hy.state()
-    y = hy.state()
-    v = hy.state()
-    w = hy.state()
 
-    @hy.mode
-    def falls(self, t, s):
-        return s.v, s.w, -9.81, -9.81
-
-    def height(self, t):
-        return self.size * jnp.sin(self.omega * t)
-
-    table = hy.contact(falls, gap=lambda self, t, s: s.x - self.height(t), restitution=0.5)
-    between = hy.contact(falls, gap=lambda self, t, s: s.y - s.x, restitution=0.5)
+    floor = hy.contact(
+        "falls",
+        gap=lambda self, t, s: s.x - self.size * jnp.sin(self.omega * t),
+        restitution="a",
+    )
 
 
 def stacked(a, b, x, y, v, w, slow=1e-10):

@@ -251,10 +251,11 @@ def test_a_pile_on_a_shaking_table(ensemble):
     """Two beads thrown up together, in contact, and at rest again: as runs of their own."""
     size, omega = np.array([0.27, 0.21, 0.23]), np.array([9.53, 2.18, 7.32])
     start, numbers = {"x": 1.0, "y": 1.1, "v": 0.0, "w": 0.0}, {"size": size, "omega": omega}
-    lanes = ensemble(systems.Pile(), start, (0.0, 5.0), numbers, rtol=1e-11, atol=1e-12)
+    model = systems.Pile(a=0.5, b=0.5)
+    lanes = ensemble(model, start, (0.0, 5.0), numbers, rtol=1e-11, atol=1e-12)
     runs = [
-        hy.simulate(systems.Pile(size=a, omega=b), start, (0, 5), solver="taylor")
-        for a, b in zip(size, omega, strict=True)
+        hy.simulate(systems.Pile(a=0.5, b=0.5, size=d, omega=w), start, (0, 5), solver="taylor")
+        for d, w in zip(size, omega, strict=True)
     ]
     assert lanes["mode"].values.tolist() == [run.mode for run in runs]
     np.testing.assert_allclose(lanes.x, [run.final.x for run in runs], atol=1e-6)
