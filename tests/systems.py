@@ -334,6 +334,14 @@ class Pile(Stacked):
     )
 
 
+#: a, b, size, omega and the height of the upper bead: thrown up and at rest again, many times.
+PILES = [
+    (0.277, 0.409, 0.268, 9.531, 1.102),
+    (0.739, 0.377, 0.211, 2.179, 1.040),
+    (0.403, 0.750, 0.228, 7.319, 1.189),
+]
+
+
 def stacked(a, b, x, y, v, w, slow=1e-10):
     """When both rest, by exact flights, collisions and sums, until all is slower than ``slow``."""
     gap, u, t, g = y - x, w - v, 0.0, 9.81  # u: speed of the gap between them

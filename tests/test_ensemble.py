@@ -249,14 +249,12 @@ def test_stacked_beads_come_to_rest(ensemble):
 
 def test_a_pile_on_a_shaking_table(ensemble):
     """Two beads thrown up together, in contact, and at rest again: as runs of their own."""
-    size, omega = np.array([0.27, 0.21, 0.23]), np.array([9.53, 2.18, 7.32])
-    start, numbers = {"x": 1.0, "y": 1.1, "v": 0.0, "w": 0.0}, {"size": size, "omega": omega}
-    model = systems.Pile(a=0.5, b=0.5)
-    lanes = ensemble(model, start, (0.0, 5.0), numbers, rtol=1e-11, atol=1e-12)
-    runs = [
-        hy.simulate(systems.Pile(a=0.5, b=0.5, size=d, omega=w), start, (0, 5), solver="taylor")
-        for d, w in zip(size, omega, strict=True)
-    ]
-    assert lanes["mode"].values.tolist() == [run.mode for run in runs]
-    np.testing.assert_allclose(lanes.x, [run.final.x for run in runs], atol=1e-6)
-    np.testing.assert_allclose(lanes.y, [run.final.y for run in runs], atol=1e-6)
+    columns = dict(zip(("a", "b", "size", "omega", "y"), np.array(systems.PILES).T, strict=True))
+    start, until = {"x": 1.0, "y": columns.pop("y"), "v": 0.0, "w": 0.0}, (0.0, 5.0)
+    lanes = ensemble(systems.Pile(), start, until, columns, rtol=1e-11, atol=1e-12)
+    for i, (a, b, size, omega, y) in enumerate(systems.PILES):
+        model = systems.Pile(a=a, b=b, size=size, omega=omega)
+        run = hy.simulate(model, {**start, "y": y}, until, solver="taylor")
+        assert lanes["mode"].values[i] == run.mode
+        assert float(lanes.x[i]) == pytest.approx(run.final.x, abs=1e-6)
+        assert float(lanes.y[i]) == pytest.approx(run.final.y, abs=1e-6)
