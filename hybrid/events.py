@@ -46,6 +46,9 @@ NEAR = 1e-6
 #: Gap and gap speed, relative to the state, below which a held contact stays closed.
 CLOSED = 1e-12
 
+#: A gap speed, against the states seen, at which a series of impacts that has no sum is over.
+NOTHING = 1e-20
+
 #: Jumps with no time between them after which a run is taken to be caught in a loop; impacts,
 #: which slow down bodies in contact that strike each other again and again.
 CAUGHT, STRUCK = 100, 10_000

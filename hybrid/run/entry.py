@@ -11,7 +11,7 @@ import numpy as np
 
 from ..automaton.markers import Crossing
 from ..errors import DomainError, FlowError, StartError
-from ..events import EPS, NEAR, fires, higher_noise, time_scale, vanishing_order
+from ..events import EPS, NEAR, NOTHING, fires, higher_noise, time_scale, vanishing_order
 from ..scene import Field, Guard, Scene
 from ..solvers.taylor_backend import step_length
 
@@ -180,19 +180,21 @@ class _Here:
         """Whether a contact is at rest: gap and gap speed zero, and nothing pulls.
 
         A speed is zero, too, if it is rounding of the states that the run has seen, or the flight
-        it leads to lower than rounding of the positions.
+        it leads to lower than rounding of the positions; in a series of impacts, which is summed,
+        if it is next to nothing.
         """
         if guard.kind != "contact" or not self.scene.contact(guard.edge).rests:
             return False
         if order != 1:
             return order >= 2 and sign <= 0
-        if jumped.series and guard.edge in jumped.vanishing:
-            return False
         t, x = self.t, self.x.tolist()
         _, speed, force = guard.lie(t, x)
-        height = 8 * EPS * self.scene.rounding(guard, self.field)(t, x)[0]
-        low = max((64 * EPS * self.reach) ** 2, -2.0 * force * height)
-        return speed**2 <= low and force < -NEAR * self.reach
+        if jumped.series and guard.edge in jumped.vanishing:
+            slow = abs(speed) <= NOTHING * self.reach
+        else:
+            height = 8 * EPS * self.scene.rounding(guard, self.field)(t, x)[0]
+            slow = speed**2 <= max((64 * EPS * self.reach) ** 2, -2.0 * force * height)
+        return slow and force < -NEAR * self.reach
 
     def stays(self, guard: Guard) -> bool:
         """Whether a guard that is zero for good fires no more: where delays see the end of a
