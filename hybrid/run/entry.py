@@ -180,19 +180,19 @@ class _Here:
         """Whether a contact is at rest: gap and gap speed zero, and nothing pulls.
 
         A speed is zero, too, if it is rounding of the states that the run has seen, or the flight
-        it leads to lower than rounding of the positions; in a series of impacts, which is summed,
-        if it is next to nothing.
+        it leads to lower than rounding of the positions, or than the gap is off zero; in a series
+        of impacts, which is summed, if it is next to nothing.
         """
         if guard.kind != "contact" or not self.scene.contact(guard.edge).rests:
             return False
         if order != 1:
             return order >= 2 and sign <= 0
         t, x = self.t, self.x.tolist()
-        _, speed, force = guard.lie(t, x)
+        gap, speed, force = guard.lie(t, x)
         if jumped.series and guard.edge in jumped.vanishing:
             slow = abs(speed) <= NOTHING * self.reach
         else:
-            height = 8 * EPS * self.scene.rounding(guard, self.field)(t, x)[0]
+            height = max(8 * EPS * self.scene.rounding(guard, self.field)(t, x)[0], abs(gap))
             slow = speed**2 <= max((64 * EPS * self.reach) ** 2, -2.0 * force * height)
         return slow and force < -NEAR * self.reach
 
