@@ -253,9 +253,8 @@ class _Series:
         guards = jax.lax.fori_loop(0, ROUGH, again, start)[2]
         values = jnp.concatenate([guards, curve.guards]).reshape(-1, self.system.width)
         own = self.system.only(self.slot)
-        since, change = curve.offsets[0, 0], curve.offsets[0, 1:]
-        x_inf = self._onto(since, self.x + change, 0.0)
-        end = self.system.guards(self.p, self.mode, self.held, self.t + since, x_inf)
+        remaining, x_inf = self._end(curve)
+        end = self.system.guards(self.p, self.mode, self.held, self.t + remaining, x_inf)
         rounding = 64 * EPS * jnp.max(jnp.abs(x_inf))
         above = (values > 0).all(axis=0) & (end > -rounding)
         below = (values < 0).all(axis=0) & (end < rounding)
@@ -292,10 +291,14 @@ class _Series:
             jnp.abs(push)
         )
 
+    def _end(self, curve: _Curve) -> tuple[Any, Any]:
+        """The time that remains to the limit, and the state there."""
+        remaining = curve.offsets[0, 0]
+        return remaining, self._onto(remaining, self.x + curve.offsets[0, 1:], 0.0)
+
     def limit(self, curve: _Curve, found: Any, t_error: Any, x_error: Any) -> Tail:
         """The limit point."""
-        remaining = curve.offsets[0, 0]
-        x_inf = self._onto(remaining, self.x + curve.offsets[0, 1:], 0.0)
+        remaining, x_inf = self._end(curve)
         return Tail(found, remaining, x_inf, t_error, x_error, curve.ratio)
 
 
