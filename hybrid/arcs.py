@@ -143,10 +143,10 @@ class TailPart:
         low = (tail.t - t) + since + tail.low
         return JumpRow(t, low, tail.contact.name, tail.before(n), tail.point(tail.r**n)[1])
 
-    def place(self, t: float, side: str) -> int:
+    def arc_at(self, t: float, side: str = "right") -> Arc:
         """The arc of the tail that covers a time, by the listed times of its impacts."""
         listed = self.tail.t + self.tail.times
-        return max(int(np.searchsorted(listed, t, side=side)) - 1, 0)  # type: ignore[call-overload]
+        return self.arc(max(int(np.searchsorted(listed, t, side=side)) - 1, 0))  # type: ignore[call-overload]
 
 
 Part = Arc | TailPart

@@ -16,6 +16,7 @@ import numpy as np
 from .arcs import Arc, Part
 from .automaton.past import DEGREE, blank
 from .histories import Before, until
+from .log import Log
 from .run.pieces import Piece, Window, constant, piece_of
 from .scene import Scene
 from .scene.taylor import flat
@@ -59,12 +60,15 @@ class Hindsight:
     """
 
     def __init__(
-        self, scene: Scene, history: Sequence[Piece] | None, memory: str, parts: Sequence[Part]
+        self, scene: Scene, history: Sequence[Piece] | None, memory: str, log: Log
     ) -> None:
-        self.scene, self.history, self.memory = scene, history, memory
-        self._parts = parts
+        self.scene, self.history, self.memory, self._log = scene, history, memory, log
         self._records: dict[int, Record] = {}
         self._scenes: dict[tuple[int, ...], Scene] = {}
+
+    @cached_property
+    def _parts(self) -> list[Part]:
+        return self._log.apart()[0]
 
     @cached_property
     def lags(self) -> list[float]:
@@ -91,7 +95,7 @@ class Hindsight:
             return [t - lag for lag in self.lags]
         arc = self._parts[part]
         if not isinstance(arc, Arc):
-            arc = arc.arc(arc.place(t, "right"))
+            arc = arc.arc_at(t)
         x = arc.local((t - arc.t0) - arc.low).tolist()
         return [t - float(lag(t, x)) for lag in self._lags]
 

@@ -140,7 +140,7 @@ def _trajectory(
     samples = None
     if plan.samples is not None:
         if plan.samples.size and plan.samples[-1] == driver.record.now.t:
-            driver.record.sampled.append(driver.record.parts[-1].last)
+            driver.record.sampled.append(driver.record.log.kept[-1].last)
         samples = np.array(driver.record.sampled).reshape(-1, spec.dimension)
         options["times"] = plan.samples[: len(samples)]
     assert driver.status is not None
@@ -151,8 +151,7 @@ def _trajectory(
     return Trajectory(
         spec,
         parameters,
-        driver.record.parts,
-        driver.record.own_jumps,
+        driver.record.log,
         driver.record.zeno,
         driver.record.grazings,
         driver.status,
@@ -160,7 +159,7 @@ def _trajectory(
         samples,
         guards,
         [pair for name in contacts for pair in scene.pairs(name)],
-        Hindsight(scene, driver.history, plan.memory, driver.record.parts),
+        Hindsight(scene, driver.history, plan.memory, driver.record.log),
     )
 
 
@@ -200,7 +199,8 @@ def _second_run(
     )
     if plan.zeno == "raise":
         plan = attrs.evolve(plan, zeno="rest")
-    has_series = all(driver.scene.field(part.mode).jets is not None for part in driver.record.parts)
+    parts, _ = driver.record.log.apart()
+    has_series = all(driver.scene.field(part.mode).jets is not None for part in parts)
     if not has_series:
         other = choose(solver, method, max(1e-2 * plan.rtol, 3e-14), 1e-2 * plan.atol)
     elif solver == "taylor":
@@ -241,7 +241,7 @@ def _errors(driver: Driver, again: Driver | None, index: int) -> tuple[float, Re
         return float("inf"), record(np.full(dimension, np.inf))
     state = np.concatenate([np.ravel(v) for v in point.state])
     other = np.concatenate([np.ravel(v) for v in again.record.zeno[index].state])
-    floor = 4 * FLOOR * np.sqrt(1.0 + len(driver.record.own_jumps))
+    floor = 4 * FLOOR * np.sqrt(1.0 + driver.record.made)
     closing = (tail.t_error, tail.x_error) if tail else (0.0, np.zeros(dimension))
     t_error = 3 * abs(point.t - again.record.zeno[index].t) + closing[0] + floor * abs(point.t)
     x_error = 3 * np.abs(state - other) + closing[1] + floor * np.abs(state)

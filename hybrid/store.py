@@ -20,6 +20,7 @@ from .automaton.record import Record
 from .automaton.spec import Spec, StateSpec
 from .errors import StoreError
 from .extras import FILES, TABLES, need
+from .log import Log
 from .segment import Segment
 from .trajectory import Jump, Status, Trajectory
 
@@ -86,9 +87,9 @@ def save(run: Trajectory, path: Any) -> None:
     padded = np.zeros((len(segments), width, n))
     for row, segment in zip(padded, segments, strict=True):
         row[: segment.degree + 1] = segment.coefficients
-    jumps = list(run._jump_rows())
+    jumps = run.jumps.table
     modes = sorted({arc.mode for arc in arcs})
-    edges = sorted({row.edge for row in jumps})
+    edges = sorted(set(jumps.edge))
     data = {
         "arc_mode": ("arc", [modes.index(arc.mode) for arc in arcs]),
         "arc_j": ("arc", [arc.j for arc in arcs]),
@@ -102,11 +103,11 @@ def save(run: Trajectory, path: Any) -> None:
         "segment_length": ("segment", np.array([s.length for s in segments], dtype=float)),
         "segment_degree": ("segment", np.array([s.degree for s in segments], dtype=np.int64)),
         "segment_coefficients": (("segment", "coefficient", "element"), padded),
-        "jump_t": ("jump", np.array([row.t for row in jumps], dtype=float)),
-        "jump_low": ("jump", np.array([row.low for row in jumps], dtype=float)),
-        "jump_edge": ("jump", np.array([edges.index(row.edge) for row in jumps], dtype=np.int64)),
-        "jump_before": (("jump", "element"), np.array([r.before for r in jumps]).reshape(-1, n)),
-        "jump_after": (("jump", "element"), np.array([r.after for r in jumps]).reshape(-1, n)),
+        "jump_t": ("jump", jumps.t),
+        "jump_low": ("jump", jumps.low),
+        "jump_edge": ("jump", np.array([edges.index(edge) for edge in jumps.edge], dtype=np.int64)),
+        "jump_before": (("jump", "element"), jumps.before),
+        "jump_after": (("jump", "element"), jumps.after),
     }
     if run.samples is not None:
         data["sample_t"] = ("sample", run.options["times"])
@@ -197,8 +198,7 @@ def load(path: Any) -> Trajectory:
     return Trajectory(
         spec,
         meta["parameters"],
-        list(arcs),
-        _by_arc(jumps, arcs, zeno),
+        Log(arcs, _by_arc(jumps, arcs, zeno)),
         zeno,
         grazings,
         Status[meta["status"]],

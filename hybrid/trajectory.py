@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import enum
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +22,7 @@ from .automaton.record import Record
 from .automaton.spec import Spec
 from .errors import OptionError
 from .extras import HTML, PLOT, need
+from .log import Log, Table
 
 if TYPE_CHECKING:
     import xarray
@@ -68,59 +69,52 @@ class Jumps(Sequence[Jump]):
     ``before`` and ``after`` are records of columns: ``run.jumps.before.v``.
     """
 
-    def __init__(self, spec: Spec, rows: Sequence[JumpRow]) -> None:
-        self._spec, self._rows = spec, rows
+    def __init__(self, spec: Spec, table: Table) -> None:
+        self._spec, self.table = spec, table
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return len(self.t)
 
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
-        row, j = self._rows[index], range(len(self))[index]
+        t, _, edge, before, after = (column[index] for column in self.table)
         record = self._spec.record
-        return Jump(row.t, j, row.edge, record(row.before), record(row.after))
+        return Jump(float(t), range(len(self))[index], edge, record(before), record(after))
 
-    @cached_property
+    @property
     def t(self) -> np.ndarray:
         """Times, shape (number of jumps,)."""
-        return np.array([row.t for row in self._rows], dtype=float)
+        return self.table.t
 
     @cached_property
     def j(self) -> np.ndarray:
         """Number of jumps before each."""
         return np.arange(len(self))
 
-    @cached_property
+    @property
     def edge(self) -> np.ndarray:
         """Names of the edges."""
-        return np.array([row.edge for row in self._rows], dtype=object)
+        return self.table.edge
 
     @cached_property
     def before(self) -> Record:
         """States before, as a record of columns."""
-        return self._spec.record(self._columns("before"))
+        return self._spec.record(self.table.before)
 
     @cached_property
     def after(self) -> Record:
         """States after, as a record of columns."""
-        return self._spec.record(self._columns("after"))
-
-    def _columns(self, side: str) -> np.ndarray:
-        rows = [getattr(row, side) for row in self._rows]
-        return np.array(rows, dtype=float).reshape(len(rows), self._spec.dimension)
+        return self._spec.record(self.table.after)
 
     @cached_property
     def gaps(self) -> np.ndarray:
         """Time between each jump and the one before it, from compensated times."""
-        t, low = self.t, np.array([row.low for row in self._rows])
-        return np.diff(t) + np.diff(low)
+        return np.diff(self.table.t) + np.diff(self.table.low)
 
     def __repr__(self) -> str:
         head = [f"{len(self)} jumps"] + [
-            f"  {row.t:.12g}  {row.edge}  {self._spec.record(row.before)} -> "
-            f"{self._spec.record(row.after)}"
-            for row in self._rows[:10]
+            f"  {jump.t:.12g}  {jump.edge}  {jump.before} -> {jump.after}" for jump in self[:10]
         ]
         return "\n".join(head + ["  ..."] * (len(self) > 10))
 
@@ -136,6 +130,9 @@ class Trajectory:
     ----------
     parameters : dict
         Values of the model's parameters.
+    log : Log
+        What was kept: ``parts``, arcs and chattering tails, and ``own_jumps``, the jumps by the
+        place of the part they led from.
     zeno : list of Accumulation
         Limit points of jumps, in order.
     samples : array, shape (number of times, n), or None
@@ -157,8 +154,7 @@ class Trajectory:
 
     spec: Spec
     parameters: dict[str, Any]
-    parts: list[Part]
-    own_jumps: dict[int, JumpRow]
+    log: Log
     zeno: list[Accumulation]
     grazings: list[Jump]
     status: Status
@@ -170,15 +166,29 @@ class Trajectory:
 
     # -- the record at a time -----------------------------------------------------------
 
+    @cached_property
+    def _apart(self) -> tuple[list[Part], dict[int, JumpRow]]:
+        return self.log.apart()
+
+    @property
+    def parts(self) -> list[Part]:
+        """Arcs and chattering tails, in order of time."""
+        return self._apart[0]
+
+    @property
+    def own_jumps(self) -> dict[int, JumpRow]:
+        """Jumps by the place of the part they led from; those within tails left out."""
+        return self._apart[1]
+
     @property
     def t0(self) -> float:
         """First time of the run."""
-        return self.parts[0].t0
+        return self.log.kept[0].t0
 
     @property
     def t1(self) -> float:
         """Last time of the run."""
-        return self.parts[-1].t1
+        return self.log.kept[-1].t1
 
     def __call__(self, t: Any, j: int | None = None, *, side: str = "right") -> Record:
         """The state at times ``t``.
@@ -256,7 +266,7 @@ class Trajectory:
         if isinstance(part, TailPart):
             if t >= part.t1:
                 return part.last
-            part = part.arc(part.place(t, side))
+            part = part.arc_at(t, side)
         return self._dense(part, np.asarray(t))
 
     def _many(self, times: np.ndarray, side: str) -> np.ndarray:
@@ -287,25 +297,17 @@ class Trajectory:
     @cached_property
     def jumps(self) -> Jumps:
         """All jumps, those of chattering tails included."""
-        return Jumps(self.spec, list(self._jump_rows()))
-
-    def _jump_rows(self) -> Iterator[JumpRow]:
-        """Jumps in order: own ones by the place of the part they lead from, tails' between."""
-        for index, part in enumerate(self.parts):
-            if isinstance(part, TailPart):
-                yield from (part.jump(n) for n in range(1, part.tail.count + 1))
-            if index in self.own_jumps:
-                yield self.own_jumps[index]
+        return Jumps(self.spec, self.log.table(self.spec.dimension))
 
     @property
     def final(self) -> Record:
         """The state at the end."""
-        return self.spec.record(self.parts[-1].last)
+        return self.spec.record(self.log.kept[-1].last)
 
     @property
     def mode(self) -> str:
         """The mode at the end."""
-        return self.parts[-1].mode
+        return self.log.kept[-1].mode
 
     # -- words, pictures, files ---------------------------------------------------------
 
@@ -397,8 +399,7 @@ class Trajectory:
 
     def __repr__(self) -> str:
         zeno = "".join(f"\n  accumulation at t = {point.t!r}" for point in self.zeno)
-        tails = sum(part.tail.count for part in self.parts if isinstance(part, TailPart))
         return (
             f"{self.spec.model}: {self.t0:g} <= t <= {self.t1:g}, "
-            f"{len(self.own_jumps) + tails} jumps listed{zeno}\n  {self.status}"
+            f"{len(self.jumps)} jumps listed{zeno}\n  {self.status}"
         )

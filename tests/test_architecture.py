@@ -17,7 +17,7 @@ LAYERS = [
     ["events", "solvers"],
     ["zeno"],
     ["compiled"],
-    ["accumulation", "arcs", "trajectory"],
+    ["accumulation", "arcs", "log", "trajectory"],
     ["run", "store", "pictures"],
     ["histories", "hindsight"],
     ["simulation", "ensembles", "function", "certificates"],

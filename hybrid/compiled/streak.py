@@ -41,7 +41,8 @@ class Record(NamedTuple):
     step : bool
         A step was made: ``values`` at the method's nodes, from ``start`` on, ``length`` long.
     jump : bool
-        A jump ended the arc: of ``slot`` at local time ``tau``, from ``before`` to ``after``.
+        A jump ended the arc: of ``slot``, at local time ``tau`` and time ``t + low``, from
+        ``before`` to ``after``.
     """
 
     step: Any
@@ -51,6 +52,8 @@ class Record(NamedTuple):
     jump: Any
     slot: Any
     tau: Any
+    t: Any
+    low: Any
     before: Any
     after: Any
 
@@ -108,6 +111,8 @@ class Streak:
             jnp.array(False),
             going.slot,
             going.tau,
+            lane.t,
+            lane.low,
             going.x,
             going.x,
         )
@@ -141,5 +146,7 @@ class Streak:
             stage=jnp.full_like(after.going.stage, FLOW),
         )
         judged = lane.but(status=jnp.full_like(lane.going.status, JUDGE))
-        jumped = record._replace(jump=plain, before=done.before, after=done.after)
+        jumped = record._replace(
+            jump=plain, t=after.t, low=after.low, before=done.before, after=done.after
+        )
         return choose(plain, entered, judged), jumped

@@ -23,6 +23,7 @@ from ..arcs import Arc
 from ..errors import OptionError, OrbitError
 from ..hindsight import Hindsight, Record
 from ..histories import Before
+from ..log import Log
 from ..run.pieces import Piece, constant
 from ..segment import from_values, nodes
 from ..trajectory import Trajectory
@@ -212,7 +213,7 @@ class HistoryShooting(Shooting):
 
     def __init__(self, model: Any, timed: bool, tol: float, options: dict[str, Any]) -> None:
         super().__init__(model, timed, tol, options)
-        self.lag = Hindsight(self.scene, [], "keep", []).longest
+        self.lag = Hindsight(self.scene, [], "keep", Log()).longest
         if not self.lag > 0.0:
             raise OptionError(
                 f"{self.scene.spec.model}: the longest lag is {self.lag:g}: there is no history "

@@ -14,6 +14,7 @@ from ..automaton.markers import RISING, Crossing
 from ..automaton.trace import caller, scalar, trace
 from ..errors import OptionError
 from ..events import fires, zeros
+from ..log import Log
 from ..scene import Guard, Scene
 from ..scene.lowered import guard_shape
 from ..trajectory import Status, Trajectory
@@ -164,5 +165,5 @@ def cut(run: Trajectory, at: Return) -> Trajectory:
     zeno = [point for point in run.zeno if point.t <= t1]
     grazings = [grazing for grazing in run.grazings if grazing.t <= t1]
     return attrs.evolve(
-        run, parts=kept, own_jumps=jumps, zeno=zeno, grazings=grazings, status=Status.REACHED_END
+        run, log=Log(kept, jumps), zeno=zeno, grazings=grazings, status=Status.REACHED_END
     )

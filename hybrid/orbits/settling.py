@@ -10,6 +10,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..arcs import Arc
+from ..log import Log
 from ..segment import nodes
 from ..trajectory import Trajectory
 from .standing import Standing, standing
@@ -168,7 +169,7 @@ def _held(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
     whole = run.t1 - run.t0
     if not isinstance(arc, Arc) or "(" not in arc.mode or arc.length < 0.25 * whole:
         return None
-    times, states = _states(attrs.evolve(run, parts=[arc]), arc.t0)
+    times, states = _states(attrs.evolve(run, log=Log([arc])), arc.t0)
     moved = _moves(run, states, scale)
     if moved > tol:
         return None

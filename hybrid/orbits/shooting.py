@@ -20,6 +20,7 @@ from ..arcs import Arc
 from ..errors import HybridError, OrbitError
 from ..hindsight import Hindsight
 from ..histories import pieces
+from ..log import Log
 from ..scene import Scene, scene_of
 from ..simulation import simulate
 from ..trajectory import Trajectory
@@ -207,7 +208,7 @@ class Shooting:
         scene = self.scene
         if scene.spec.lags:
             history = pieces(scene.spec, guess.history, guess.t, guess.x)
-            scene = Hindsight(scene, history, "keep", []).at(0, guess.t, "left")
+            scene = Hindsight(scene, history, "keep", Log()).at(0, guess.t, "left")
         mode = guess.mode or scene.spec.initial
         return np.array(scene.field(mode).rhs(guess.t, guess.x.tolist()))
 

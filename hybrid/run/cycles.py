@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-import attrs
 import numpy as np
 
 from ..clock import Instant
@@ -27,14 +26,18 @@ ZERO = 1e-6
 SAMPLES, SMOOTH = 64, 1e-2
 
 
-@attrs.frozen(eq=False)
-class Seen:
-    """A jump, and the state after it."""
+class Seen(NamedTuple):
+    """A jump out of a mode, when (in two floats), and the state after it."""
 
     edge: str
     mode: str
-    now: Instant
+    t: float
+    low: float
     x: np.ndarray
+
+    @property
+    def now(self) -> Instant:
+        return Instant(self.t, self.low)
 
 
 class Cycles:
@@ -44,17 +47,22 @@ class Cycles:
         self.seen: list[Seen] = []
         self.next = 2 * WINDOW
 
-    def saw(self, edge: str, mode: str, now: Instant, x: np.ndarray) -> bool:
-        """Note a jump out of a mode; whether it is time to look for a limit."""
+    @property
+    def room(self) -> int:
+        """Jumps until it may be time to look for a limit."""
+        return self.next - len(self.seen)
+
+    def saw(self, jumps: list[Seen]) -> bool:
+        """Note jumps, no more than there is room for; whether it is time to look for a limit."""
         seen = self.seen
-        seen.append(Seen(edge, mode, now, x))
+        seen += jumps
         if len(seen) < self.next:
             return False
         if len(seen) > MOST:
             del seen[: MOST // 2]
         self.next = len(seen) + max(4, len(seen) // 8)
-        late = seen[-WINDOW - 1].now.until(now.t)
-        early = seen[-2 * WINDOW].now.until(seen[-WINDOW - 1].now.t)
+        late = seen[-WINDOW - 1].now.until(seen[-1].t)
+        early = seen[-2 * WINDOW].now.until(seen[-WINDOW - 1].t)
         return late < SHORTER * early
 
     def forget(self) -> None:
@@ -68,7 +76,7 @@ class Cycles:
         if not length:
             return None, []
         turns = self.seen[::-1][::length][::-1]
-        times = np.array([_since(turns[0].now, turn.now) for turn in turns])
+        times = np.array([(turn.t - turns[0].t) + (turn.low - turns[0].low) for turn in turns])
         durations = np.diff(times)
         same = np.array([turn.edge == turns[-1].edge for turn in turns[:-1]])
         goes_on = same & np.append(durations[:-1] > durations[1:], True)
@@ -77,10 +85,6 @@ class Cycles:
         states = np.array([turn.x for turn in turns[begin:]])
         found = limit(edges, times[begin:] - times[begin], states, rtol, atol)
         return found, self.seen[-length * len(turns[begin:]) :][: length + 1]
-
-
-def _since(start: Instant, now: Instant) -> float:
-    return (now.t - start.t) + (now.low - start.low)
 
 
 def _canonical(edges: list[str]) -> tuple[str, ...]:
@@ -106,7 +110,7 @@ def persists(scene: Scene, first: list[Seen], found: CycleLimit, now: Seen, rtol
             fired = guard if guard.edge == seen.edge else fired
             here = guard.value(t, x.tolist())
             if guard.edge not in found.edges:
-                if not here * guard.value(now.now.t, now.x.tolist()) > 0:
+                if not here * guard.value(now.t, now.x.tolist()) > 0:
                     return False
             elif abs(here) > _allowed(guard, t, x, slack, first):
                 return False
@@ -119,7 +123,7 @@ def _steady(scene: Scene, mode: str, now: Seen, t: float, x: np.ndarray) -> bool
     """Whether a mode's flow changes along the way to the limit as a straight line does."""
     rhs, shares = scene.field(mode).rhs, np.linspace(0.0, 1.0, SAMPLES)
     states = now.x + shares[:, None] * (x - now.x)
-    times = now.now.t + shares * (t - now.now.t)
+    times = now.t + shares * (t - now.t)
     rates = np.array([rhs(s, y) for s, y in zip(times.tolist(), states.tolist(), strict=True)])
     straight = rates[0] + shares[:, None] * (rates[-1] - rates[0])
     return bool(np.abs(rates - straight).max() <= SMOOTH * np.abs(rates).max())
@@ -127,7 +131,7 @@ def _steady(scene: Scene, mode: str, now: Seen, t: float, x: np.ndarray) -> bool
 
 def _allowed(guard: Guard, t: float, x: np.ndarray, slack: np.ndarray, first: list[Seen]) -> float:
     """What a guard may be at the limit: little against its size, or what the slack makes of it."""
-    size = max(abs(guard.value(seen.now.t, seen.x.tolist())) for seen in first)
+    size = max(abs(guard.value(seen.t, seen.x.tolist())) for seen in first)
     here = guard.value(t, x.tolist())
     moved = [guard.value(t, (x + step).tolist()) - here for step in np.diag(slack)]
     return ZERO * size + sum(map(abs, moved))
@@ -168,4 +172,4 @@ def _summed(scene: Scene, found: CycleLimit, last: Seen) -> bool:
     if len(found.edges) > 1 or not scene.is_contact(last.edge):
         return False
     contact = scene.contact(last.edge)
-    return contact.law(last.now.t, last.x.tolist(), -0.0) < 1.0 - 1e-12
+    return contact.law(last.t, last.x.tolist(), -0.0) < 1.0 - 1e-12

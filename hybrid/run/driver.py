@@ -16,6 +16,7 @@ from ..arcs import Arc, TailPart
 from ..automaton.markers import Crossing
 from ..errors import FlowError, ZenoError
 from ..events import CLOSED, EPS, NEAR, SHARES
+from ..log import Flights
 from ..scene import Contact, Field, Guard, Scene, released
 from ..scene.scene import parted
 from ..segment import Segment
@@ -26,7 +27,7 @@ from ..zeno.cycle import CycleLimit
 from ..zeno.flight import fly
 from . import switch, truncate
 from .arc import ArcFlow, Flown
-from .cycles import Cycles, pass_limit
+from .cycles import Cycles, Seen, pass_limit
 from .entry import Entry, Jumped, describe, enter, signs_at_end
 from .memory import Memory
 from .pieces import Piece
@@ -51,6 +52,13 @@ class Watch:
     def reset(self) -> None:
         """Another jump came between."""
         self.contact = None
+
+    def jumped(self, guard: Guard) -> None:
+        """Count a jump that needed no judgement."""
+        if guard.kind == "contact":
+            self.saw(guard.edge)
+        else:
+            self.reset()
 
 
 class Driver:
@@ -272,7 +280,7 @@ class Driver:
             if hop is None:
                 break
             before, after, speed = hop
-        known, last = {guard.edge: 1 if speed > 0 else 2}, self.record.parts[-1]
+        known, last = {guard.edge: 1 if speed > 0 else 2}, self.record.log.kept[-1]
         series = self.watch.count > 1 and isinstance(last, Arc) and last.length > 0
         self.enter(guard.to, after, Jumped(known, held, series=series))
 
@@ -314,11 +322,32 @@ class Driver:
         memory = self.record.memory
         if memory is not None and memory.ends(self.t):
             memory.passed(self.t, before, self.entry.field)
+        now = self.record.now
         self.record.jump(edge, before, after, self.where)
         self.look(after)
-        if len(self.record.own_jumps) >= self.plan.max_jumps:
+        if self.record.made >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
-        return self.cycles.saw(edge, self.entry.field.name, self.record.now, after)
+        return self.cycles.saw([Seen(edge, self.entry.field.name, now.t, now.low, after)])
+
+    @property
+    def room(self) -> int:
+        """Jumps until the run has to be looked at."""
+        return min(self.plan.max_jumps - self.record.made, self.cycles.room)
+
+    def flown(self, flights: Flights) -> bool:
+        """Record jumps that needed no judgement, no more than there was room for."""
+        jumps, reach = flights.jumps, float(np.max(np.abs(flights.jumps.after)))
+
+        def where(k: int) -> str:
+            field = self.scene.field(flights.modes[k])
+            return describe(self.scene, field, float(jumps.t[k]), jumps.before[k])
+
+        self.record.flights(flights, where)
+        self.reach = max(self.reach, reach)
+        if self.record.made >= self.plan.max_jumps:
+            self.status = Status.MAX_JUMPS
+        columns = jumps.edge, flights.modes, jumps.t.tolist(), jumps.low.tolist(), jumps.after
+        return self.cycles.saw(list(map(Seen, *columns)))
 
     def where(self, x: np.ndarray) -> str:
         """Model, mode, time and state, for messages."""

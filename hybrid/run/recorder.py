@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
+from math import ulp
 from typing import Any
 
 import attrs
@@ -14,6 +16,7 @@ from ..arcs import Arc, JumpRow, Part, TailPart
 from ..clock import Instant
 from ..errors import JumpLoopError
 from ..events import CAUGHT, STRUCK
+from ..log import Flights, Log
 from ..scene import Field
 from ..segment import Segment, from_values, nodes
 from ..trajectory import Jump
@@ -24,7 +27,7 @@ from .plan import Plan
 
 
 class Recorder:
-    """Grows as the run goes on; ``now`` and ``j`` are its hybrid time.
+    """Grows as the run goes on; ``now`` and ``j`` are its hybrid time, ``made`` its own jumps.
 
     ``impacts``: the names of the contacts.
     """
@@ -32,9 +35,8 @@ class Recorder:
     def __init__(self, plan: Plan, impacts: frozenset[str]) -> None:
         self.plan = plan
         self.now = Instant(plan.t0)
-        self.j = 0
-        self.parts: list[Part] = []
-        self.own_jumps: dict[int, JumpRow] = {}
+        self.j = self.made = 0
+        self.log = Log()
         self.zeno: list[Accumulation] = []
         self.tails: list[Tail | CycleLimit | None] = []
         self.grazings: list[Jump] = []
@@ -88,22 +90,38 @@ class Recorder:
     def keep(self, part: Part) -> None:
         """Keep a part: whole, or only its ends and the states asked for."""
         plan = self.plan
-        if plan.samples is not None:
-            inside = plan.samples[(plan.samples >= part.t0) & (plan.samples < part.t1)]
-            for t in inside.tolist():
-                arc = part.arc(part.place(t, "right")) if isinstance(part, TailPart) else part
-                self.sampled.append(arc.local((t - arc.t0) - arc.low))
+        self._sample(part)
         if isinstance(part, TailPart) and self.memory is not None:
             self.memory.tail(part)
         if isinstance(part, Arc) and part._segments and not plan.dense:
             part = attrs.evolve(part, segments=())
-        self.parts.append(part)
+        self.log.kept.append(part)
+
+    def flights(self, flights: Flights, where: Callable[[int], str]) -> None:
+        """Add arcs in a row and the jumps after them, and move to the last; see :meth:`jump`."""
+        self._sample(flights)
+        jumps = flights.jumps
+        self.log.kept.append(flights if self.plan.dense else attrs.evolve(flights, steps=None))
+        self.now = Instant(float(jumps.t[-1]), float(jumps.low[-1]))
+        self.j += len(jumps.t)
+        self.made += len(jumps.t)
+        for k, (t, edge) in enumerate(zip(jumps.t.tolist(), jumps.edge, strict=True)):
+            self._count(t, edge, partial(where, k))
+
+    def _sample(self, part: Part | Flights) -> None:
+        """The states of a part at the times asked for."""
+        if self.plan.samples is None:
+            return
+        samples = self.plan.samples
+        for t in samples[(samples >= part.t0) & (samples < part.t1)].tolist():
+            arc = part if isinstance(part, Arc) else part.arc_at(t)
+            self.sampled.append(arc.local((t - arc.t0) - arc.low))
 
     def end_on(self, x: np.ndarray) -> None:
         """Let the last arc end on the guard itself."""
-        arc = self.parts[-1]
+        arc = self.log.kept[-1]
         assert isinstance(arc, Arc)
-        self.parts[-1] = attrs.evolve(arc, last=x, segments=arc._segments)
+        self.log.kept[-1] = attrs.evolve(arc, last=x, segments=arc._segments)
 
     def jump(
         self, edge: str, before: np.ndarray, after: np.ndarray, where: Callable[..., str]
@@ -118,18 +136,23 @@ class Recorder:
         now = self.now
         if self.memory is not None:
             self.memory.jumped(now.t, before, after)
-        self.own_jumps[len(self.parts) - 1] = JumpRow(now.t, now.low, edge, before, after)
+        self.log.jump(JumpRow(now.t, now.low, edge, before, after))
         self.j += 1
-        self._recent.append((now.t, edge))
-        spent = now.t - self._recent[0][0]
-        if len(self._recent) < CAUGHT or spent > 4 * CAUGHT * np.spacing(abs(now.t)):
+        self.made += 1
+        self._count(now.t, edge, partial(where, before))
+
+    def _count(self, t: float, edge: str, where: Callable[[], str]) -> None:
+        """Count jumps with no time between them; there must not be too many."""
+        self._recent.append((t, edge))
+        spent = t - self._recent[0][0]
+        if len(self._recent) < CAUGHT or spent > 4 * CAUGHT * ulp(t):
             self._stuck = CAUGHT - 1
             return
         self._stuck += 1
         edges = dict.fromkeys(name for _, name in self._recent)
         if self._stuck >= (STRUCK if self._impacts.issuperset(edges) else CAUGHT):
             raise JumpLoopError(
-                f"{where(before)}: {self._stuck} jumps with no time to speak of between them: "
+                f"{where()}: {self._stuck} jumps with no time to speak of between them: "
                 f"{' -> '.join(edges)}; a reset must leave its guard, a contact needs rests=True, "
                 "and a cycle of edges has a limit only where its resets leave the state as it is"
             )

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
 
 from ..compiled.lane import END, JUDGE, JUMP, RUNNING, Lane, Run
-from ..compiled.streak import Streak, Watch
+from ..compiled.streak import Record, Streak, Watch
 from ..compiled.system import system_of
 from ..compiled.turn import AHEAD
+from ..log import Flights, Steps, Table
 from ..scene import Guard
-from ..segment import Segment, from_values
 from ..solvers.base import FINEST, Solver
 from ..trajectory import Status
 from .arc import ArcFlow
@@ -41,9 +41,9 @@ class Streaks:
         system = system_of(code)
         key = ("streak", method, dense)
         self.streak: Streak = code.once(key, lambda: Streak(system, method, dense))
-        self.degree = method.degree
         self.system, self.dense = system, dense
         self.h: float | None = None
+        self.open: list[Steps] = []
         self.passed = False
 
     def takes(self) -> bool:
@@ -61,9 +61,9 @@ class Streaks:
         try:
             lane, status = self._chunks(lane)
         except KeyboardInterrupt:
-            if self.segments:
-                last = self.segments[-1]
-                self._arc(last(last.end), last.end)
+            steps = _joined(self.open)
+            if steps is not None and len(steps.arc):
+                self._arc(steps.values[-1, -1], float(steps.start[-1] + steps.length[-1]))
             raise
         self.h = float(lane.going.h)
         if self.driver.status is None and not self.passed:
@@ -72,8 +72,7 @@ class Streaks:
     def _chunks(self, lane: Lane) -> tuple[Lane, int]:
         """Chunk after chunk: each is computed while what the last one left is being kept."""
         run, watch = self._asked()
-        self.segments: list[Segment] = []
-        self.passed = False
+        self.open, self.passed = [], False
         following = self.streak.chunk(run, watch, lane)
         while True:
             lane, records = following
@@ -123,44 +122,48 @@ class Streaks:
 
     # -- what a chunk left ----------------------------------------------------------------
 
-    def _keep(self, records: Any) -> None:
-        """Add the arcs and jumps of a chunk, and the segments of the arc still going."""
-        driver, jumps = self.driver, records.jump.tolist()
-        driver.reach = max(
-            driver.reach, float(np.max(np.abs(records.after[records.jump]), initial=0))
-        )
-        if self.dense:
-            coefficients = np.einsum("ij,kjn->kin", from_values(self.degree), records.values)
-            steps = [c.tolist() for c in (records.step, records.start, records.length)]
-        slots, taus = records.slot.tolist(), records.tau.tolist()
-        for row, jump in enumerate(jumps):
-            if driver.status is not None or self.passed:
-                break
-            if self.dense and steps[0][row]:
-                segment = Segment(steps[1][row], steps[2][row], coefficients[row])
-                self.segments.append(segment)
-            if jump:
-                self._jumped(slots[row], taus[row], records.before[row], records.after[row])
+    def _keep(self, records: Record) -> None:
+        """Add the arcs and jumps of a chunk, and the steps of the arc still going."""
+        driver, begin = self.driver, 0
+        rows = np.flatnonzero(records.jump)
+        while len(rows) and driver.status is None and not self.passed:
+            count = min(len(rows), driver.room)
+            self._flown(records, begin, rows[:count])
+            begin, rows = rows[count - 1] + 1, rows[count:]
+        if self.dense and driver.status is None and not self.passed:
+            self.open.append(_steps(records, slice(begin, None)))
 
-    def _jumped(self, slot: int, tau: float, before: np.ndarray, after: np.ndarray) -> None:
-        """An arc and the jump that ended it."""
-        driver = self.driver
-        guard = driver.entry.field.guards[slot]
-        self._arc(before, tau)
-        if guard.kind == "contact":
-            driver.watch.saw(guard.edge)
-        else:
-            driver.watch.reset()
-        due = driver.add_jump(guard.edge, before, after)
-        self.passed = due and pass_limit(driver, guard.to)
-        if not self.passed:
-            driver.arrive(driver.scene.field(guard.to), after, guard)
+    def _flown(self, records: Record, begin: int, rows: np.ndarray) -> None:
+        """Add the arcs that end with the jumps of some rows; the first has the steps from begin."""
+        driver, now, first = self.driver, self.driver.record.now, self.driver.entry.x
+        modes, guards = self._fired(records.slot[rows].tolist())
+        if self.dense:
+            self.open.append(_steps(records, slice(begin, rows[-1] + 1)))
+        steps, self.open = _joined(self.open), []
+        edges = np.array([guard.edge for guard in guards], dtype=object)
+        t, low, before, after, lengths = (column[rows] for column in _columns(records))
+        jumps = Table(t, low, edges, before, after)
+        flights = Flights(driver.record.j, modes, now.t, now.low, first, lengths, jumps, steps)
+        due, to = driver.flown(flights), guards[-1].to
+        driver.arrive(driver.scene.field(to), jumps.after[-1], guards[-1])
+        self.passed = due and pass_limit(driver, to)
+
+    def _fired(self, slots: list[int]) -> tuple[list[str], list[Guard]]:
+        """The modes left and the guards that fired, by their slots."""
+        field, modes, guards = self.driver.entry.field, [], []
+        for slot in slots:
+            guard = field.guards[slot]
+            modes.append(field.name)
+            guards.append(guard)
+            self.driver.watch.jumped(guard)
+            field = self.driver.scene.field(guard.to)
+        return modes, guards
 
     def _arc(self, last: np.ndarray, tau: float) -> None:
+        """Add an arc that no jump ended."""
         driver = self.driver
-        segments, self.segments = self.segments, []
-        if segments:
-            segments[-1] = segments[-1].cut(tau - segments[-1].start)
+        steps, self.open = _joined(self.open), []
+        segments = [] if steps is None else steps.segments(np.array([tau]))
         driver.record.arc(driver.entry.field, driver.entry.x, last, tau, segments)
 
     def _stand(self, lane: Lane, status: int) -> None:
@@ -178,3 +181,19 @@ class Streaks:
         else:
             driver.renew()
             driver.flow_arc()
+
+
+def _columns(records: Record) -> tuple[np.ndarray, ...]:
+    return records.t, records.low, records.before, records.after, records.tau
+
+
+def _steps(records: Record, rows: slice) -> Steps:
+    """The steps in some rows, the first of which belongs to the first arc."""
+    made, jumps = records.step[rows], records.jump[rows]
+    columns = np.cumsum(jumps) - jumps, records.start[rows], records.length[rows]
+    return Steps(*(column[made] for column in (*columns, records.values[rows])))
+
+
+def _joined(steps: list[Steps]) -> Steps | None:
+    """The steps of arcs in a row, of which only the last piece holds more than the first arc."""
+    return Steps(*map(np.concatenate, zip(*steps, strict=True))) if steps else None

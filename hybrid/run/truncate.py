@@ -75,7 +75,7 @@ def _left_out(
     else:
         full.bounce(guard, *hop)
     full.go_on()
-    parts = full.record.parts
+    parts, _ = full.record.log.apart()
     height = _height(parts[0], field, column)
     if not full.record.zeno:
         return float("nan"), float("nan"), height

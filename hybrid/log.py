@@ -1,0 +1,195 @@
+"""What a run keeps as it goes on: parts and jumps, one by one or a compiled streak at a time.
+
+A streak leaves thousands of arcs as a few arrays. They are taken apart into :class:`Arc` and
+:class:`JumpRow` when somebody asks for these; the table of jumps needs them as arrays anyway.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
+
+import attrs
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from .arcs import Arc, JumpRow, Part, TailPart
+from .segment import Segment, from_values, nodes
+
+
+class Steps(NamedTuple):
+    """Steps of a solver as columns.
+
+    Attributes
+    ----------
+    arc : array of int
+        The arc they belong to, counted from the first of these.
+    start, length : array
+        Local start, and length.
+    values : array, shape (steps, degree + 1, n)
+        States at :func:`hybrid.segment.nodes`.
+    """
+
+    arc: np.ndarray
+    start: np.ndarray
+    length: np.ndarray
+    values: np.ndarray
+
+    def segments(self, lengths: np.ndarray) -> list[Segment]:
+        """The same as polynomials; the last of each arc is cut where the arc ends."""
+        degree = self.values.shape[1] - 1
+        coefficients = np.einsum("ij,kjn->kin", from_values(degree), self.values)
+        last = np.append(self.arc[1:] != self.arc[:-1], True)
+        kept = np.where(last, lengths[self.arc] - self.start, self.length)
+        short = kept != self.length
+        points = (kept / self.length)[short, None] * nodes(degree)
+        to_values = chebyshev.chebvander(2.0 * points - 1.0, degree)
+        coefficients[short] = from_values(degree) @ to_values @ coefficients[short]
+        columns = self.start.tolist(), kept.tolist(), coefficients
+        return [Segment(*row) for row in zip(*columns, strict=True)]
+
+
+class Table(NamedTuple):
+    """Jumps as columns: time in two floats, edge, states before and after."""
+
+    t: np.ndarray
+    low: np.ndarray
+    edge: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+    @classmethod
+    def of(cls, rows: list[JumpRow], dimension: int) -> Table:
+        """The table of single jumps."""
+        names, shape = np.array([row.edge for row in rows], dtype=object), (len(rows), dimension)
+        t, low = (np.array([getattr(row, name) for row in rows], float) for name in ("t", "low"))
+        states = (np.array([getattr(r, side) for r in rows], float) for side in ("before", "after"))
+        return cls(t, low, names, *(x.reshape(shape) for x in states))
+
+
+@attrs.frozen(eq=False)
+class Flights:
+    """Arcs in a row, each ended by a jump.
+
+    Attributes
+    ----------
+    j : int
+        Number of jumps before the first of them.
+    modes : list of str
+        Of each arc.
+    t, low : float
+        Where the first arc starts.
+    x : array, shape (n,)
+        Its state there.
+    lengths : array, shape (arcs,)
+    jumps : Table
+        The jump after each arc.
+    steps : Steps or None
+        The dense output, if it is kept.
+    """
+
+    j: int
+    modes: list[str]
+    t: float
+    low: float
+    x: np.ndarray
+    lengths: np.ndarray
+    jumps: Table
+    steps: Steps | None
+
+    @property
+    def mode(self) -> str:
+        return self.modes[-1]
+
+    @property
+    def t0(self) -> float:
+        return self.t
+
+    @property
+    def t1(self) -> float:
+        return float(self.jumps.t[-1])
+
+    @property
+    def last(self) -> np.ndarray:
+        return self.jumps.before[-1]
+
+    @cached_property
+    def arcs(self) -> list[Arc]:
+        """The arcs one by one."""
+        count = len(self.modes)
+        if self.steps is None:
+            segments, stops = [], [0] * (count + 1)
+        else:
+            segments = self.steps.segments(self.lengths)
+            stops = np.searchsorted(self.steps.arc, np.arange(count + 1)).tolist()
+        columns = zip(
+            self.modes,
+            range(self.j, self.j + count),
+            [self.t, *self.jumps.t[:-1].tolist()],
+            [self.low, *self.jumps.low[:-1].tolist()],
+            self.lengths.tolist(),
+            [self.x, *self.jumps.after[:-1]],
+            self.jumps.before,
+            (segments[a:b] for a, b in pairwise(stops)),
+            strict=True,
+        )
+        return [Arc(*row) for row in columns]
+
+    def rows(self) -> Iterator[JumpRow]:
+        """The jumps one by one."""
+        jumps = self.jumps
+        columns = jumps.t.tolist(), jumps.low.tolist(), jumps.edge, jumps.before, jumps.after
+        return (JumpRow(*row) for row in zip(*columns, strict=True))
+
+    def arc_at(self, t: float) -> Arc:
+        """The arc at a time, the later one where two meet."""
+        return self.arcs[int(np.searchsorted(self.jumps.t[:-1], t, side="right"))]
+
+
+class Log:
+    """Parts in order of time, and the jumps that led from them.
+
+    ``kept``: parts, and several at once as :class:`Flights`. ``own``: jumps by the place in
+    ``kept`` of the part they led from.
+    """
+
+    def __init__(
+        self, parts: Iterable[Part | Flights] = (), jumps: Mapping[int, JumpRow] | None = None
+    ) -> None:
+        self.kept: list[Part | Flights] = list(parts)
+        self.own: dict[int, JumpRow] = dict(jumps or {})
+
+    def jump(self, row: JumpRow) -> None:
+        """Add a jump from the last part."""
+        self.own[len(self.kept) - 1] = row
+
+    def apart(self) -> tuple[list[Part], dict[int, JumpRow]]:
+        """All parts one by one, and the jumps by the place of the part they led from."""
+        parts: list[Part] = []
+        jumps: dict[int, JumpRow] = {}
+        for place, part in enumerate(self.kept):
+            if isinstance(part, Flights):
+                jumps.update(enumerate(part.rows(), len(parts)))
+                parts.extend(part.arcs)
+            else:
+                parts.append(part)
+                if place in self.own:
+                    jumps[len(parts) - 1] = self.own[place]
+        return parts, jumps
+
+    def table(self, dimension: int) -> Table:
+        """All jumps, those of chattering tails included."""
+        tables: list[Table] = []
+        rows: list[JumpRow] = []
+        for place, part in enumerate(self.kept):
+            if isinstance(part, Flights):
+                tables += [Table.of(rows, dimension), part.jumps]
+                rows = []
+            elif isinstance(part, TailPart):
+                rows += [part.jump(n) for n in range(1, part.tail.count + 1)]
+            if place in self.own:
+                rows.append(self.own[place])
+        tables.append(Table.of(rows, dimension))
+        return Table(*map(np.concatenate, zip(*tables, strict=True)))
