@@ -207,3 +207,24 @@ def test_a_default_outside_its_bounds_is_a_fault():
             @hy.mode
             def flow(self, t, s):
                 return 0.0
+
+
+def test_an_edge_without_a_reset_leaves_the_state():
+    """``name = hy.edge(...)``: a transition and nothing else, at x = 1 after one second."""
+
+    class Passing(hy.Automaton):
+        x = hy.state()
+
+        @hy.mode(initial=True)
+        def near(self, t, s):
+            return (1.0,)
+
+        @hy.mode
+        def far(self, t, s):
+            return (2.0,)
+
+        leaves = hy.edge(near, to=far, guard=lambda self, t, s: 1.0 - s.x)
+
+    run = hy.simulate(Passing(), {"x": 0.0}, (0.0, 2.0))
+    assert run.jumps.edge.tolist() == ["leaves"]
+    assert (run.mode, run.final.x) == ("far", pytest.approx(3.0, rel=1e-13))

@@ -76,6 +76,9 @@ class Edge(_Named):
     guard: Callable[..., Any]
     crossing: Crossing
 
+    def __call__(self, reset: Callable[..., Any]) -> Edge:
+        return attrs.evolve(self, reset=reset)
+
     def __get__(self, instance: Any, owner: type | None = None) -> Any:
         return self if instance is None else self.reset.__get__(instance, owner)
 
@@ -203,6 +206,8 @@ def edge(
 ) -> Any:
     """Declare an edge: ``@hy.edge(source, to=mode, guard=...)`` over its reset.
 
+    Without a reset, ``name = hy.edge(source, to=mode, guard=...)``, the state stays as it is.
+
     Parameters
     ----------
     source, to : mode or str
@@ -212,7 +217,12 @@ def edge(
     crossing : FALLING, RISING or EITHER
         The direction in which the guard must reach zero.
     """
-    return lambda reset: Edge(reset, source, to, guard, crossing)
+    return Edge(_unchanged, source, to, guard, crossing)
+
+
+def _unchanged(self: Any, t: Any, s: Any) -> Any:
+    """The reset of an edge that is given none."""
+    return s
 
 
 def contact(
