@@ -8,7 +8,7 @@ import numpy as np
 
 from ..clock import Instant
 from ..scene import Guard, Scene
-from ..zeno.cycle import CycleLimit, limit, period
+from ..zeno.cycle import LEAST, LONGEST, CycleLimit, limit, period
 
 if TYPE_CHECKING:
     from .driver import Driver
@@ -61,9 +61,8 @@ class Cycles:
         if len(seen) > MOST:
             del seen[: MOST // 2]
         self.next = len(seen) + max(4, len(seen) // 8)
-        late = seen[-WINDOW - 1].now.until(seen[-1].t)
-        early = seen[-2 * WINDOW].now.until(seen[-WINDOW - 1].t)
-        return late < SHORTER * early
+        middle = seen[-WINDOW - 1]
+        return _between(middle, seen[-1]) < SHORTER * _between(seen[-2 * WINDOW], middle)
 
     def forget(self) -> None:
         """Start anew, after an accumulation."""
@@ -72,19 +71,30 @@ class Cycles:
 
     def limit(self, rtol: float, atol: float) -> tuple[CycleLimit | None, list[Seen]]:
         """Where the last jumps accumulate, if they do, and the jumps of the first cycle."""
-        length = period([seen.edge for seen in self.seen])
+        length = period([seen.edge for seen in self.seen[-LONGEST * (LEAST + 1) :]])
         if not length:
             return None, []
-        turns = self.seen[::-1][::length][::-1]
-        times = np.array([(turn.t - turns[0].t) + (turn.low - turns[0].low) for turn in turns])
-        durations = np.diff(times)
-        same = np.array([turn.edge == turns[-1].edge for turn in turns[:-1]])
-        goes_on = same & np.append(durations[:-1] > durations[1:], True)
-        begin = int(np.max(np.flatnonzero(~goes_on), initial=-1)) + 1
+        turns = self._turns(length)
+        times = np.array([_between(turns[0], turn) for turn in turns])
+        states = np.array([turn.x for turn in turns])
         edges = _canonical([seen.edge for seen in self.seen[-length:]])
-        states = np.array([turn.x for turn in turns[begin:]])
-        found = limit(edges, times[begin:] - times[begin], states, rtol, atol)
-        return found, self.seen[-length * len(turns[begin:]) :][: length + 1]
+        found = limit(edges, times, states, rtol, atol)
+        return found, self.seen[-length * len(turns) :][: length + 1]
+
+    def _turns(self, length: int) -> list[Seen]:
+        """Every so many jumps one, as far back as each turn was longer than the next."""
+        turns, shortest = self.seen[-1:], 0.0
+        for earlier in self.seen[-1 - length :: -length]:
+            duration = _between(earlier, turns[-1])
+            if earlier.edge != turns[0].edge or (len(turns) > 1 and not duration > shortest):
+                break
+            turns.append(earlier)
+            shortest = duration
+        return turns[::-1]
+
+
+def _between(first: Seen, last: Seen) -> float:
+    return (last.t - first.t) + (last.low - first.low)
 
 
 def _canonical(edges: list[str]) -> tuple[str, ...]:
