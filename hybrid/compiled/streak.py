@@ -23,7 +23,7 @@ from .system import System
 from .turn import Turner, flight_bound
 
 #: Records in a chunk.
-ROWS = 64
+ROWS = 128
 
 
 class Watch(NamedTuple):

@@ -10,14 +10,13 @@ import numpy as np
 from ..compiled.lane import END, JUDGE, JUMP, RUNNING, Lane, Run
 from ..compiled.streak import Record, Streak, Watch
 from ..compiled.system import system_of
-from ..compiled.turn import AHEAD
+from ..compiled.turn import AHEAD, PATIENCE
 from ..log import Flights, Steps, Table
 from ..scene import Guard
 from ..solvers.base import FINEST, Solver
 from ..trajectory import Status
 from .arc import ArcFlow
 from .cycles import pass_limit
-from .plan import PATIENCE
 
 if TYPE_CHECKING:
     from .driver import Driver
