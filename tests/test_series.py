@@ -23,7 +23,7 @@ class Airy(hy.Automaton):
     def flow(self, t, s):
         return s.v, t * s.y
 
-    low = hy.edge(flow, to=flow, guard=lambda self, t, s: s.y + 0.4, crossing="either")
+    low = hy.edge(flow, to=flow, guard=lambda self, t, s: s.y + 0.4, crossing=hy.EITHER)
 
 
 class Dragged(hy.Automaton):
@@ -104,3 +104,29 @@ def test_a_flow_that_needs_a_library_runs_in_pieces():
     lanes = hy.ensemble(Solved(), {"x": np.array([[1.0, 0.0], [0.0, 2.0]])}, (0.0, 1.0))
     decay = np.exp(-0.5)
     np.testing.assert_allclose(lanes.x, [[decay, 0.0], [0.5 * decay, 2 * decay]], atol=1e-7)
+
+
+class Cornered(hy.Automaton):
+    """A floor with corners, which come up between impacts and at them."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def fall(self, t, s):
+        return s.v, -9.8
+
+    impact = hy.contact(
+        fall, gap=lambda self, t, s: s.x - jnp.abs(jnp.sin(3.0 * t)), restitution=0.8, rests=False
+    )
+
+
+def test_corners_of_a_guard_are_seen():
+    """No series sees a corner ahead: against the series that knows it, runs and lanes."""
+    starts, until = np.array([5.0, 3.3, 2.1]), (0.0, 6.0)
+    lanes = hy.ensemble(Cornered(), {"x": starts, "v": 0.0}, until, rtol=1e-11, atol=1e-12)
+    for lane, x in enumerate(starts.tolist()):
+        exact = hy.simulate(Cornered(), {"x": x, "v": 0.0}, until, solver="taylor")
+        run = hy.simulate(Cornered(), {"x": x, "v": 0.0}, until, **TAYLOR)
+        np.testing.assert_allclose(run.jumps.t, exact.jumps.t, rtol=1e-11)
+        assert float(lanes.x[lane]) == pytest.approx(exact.final.x, abs=1e-9)

@@ -280,8 +280,9 @@ class SeriesDetector(Detector):
     def rows(self, run: Run, lane: Lane, held: Any, path: Any, h: Any) -> Rows:
         """The guards along a step."""
         powers = stop_gradient(path.guards)
-        inside = lane.going.tau > 0
-        powers = powers.at[0].set(jnp.where(inside, stop_gradient(lane.going.ends), powers[0]))
+        before = stop_gradient(lane.going.ends)
+        lost = (lane.going.tau > 0) & (before * powers[0] <= 0)  # a sign, where two steps meet
+        powers = powers.at[0].set(jnp.where(lost, before, powers[0]))
         halfway = (0.5 ** np.arange(len(powers))[:, None] * powers).sum(axis=0)
         orders = self._orders(lane)
         powers = _shifted(powers, orders)

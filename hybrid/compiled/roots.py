@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..arrays import when
+from ..events import bernstein_from_powers
 from ..segment import apply, nodes
 
 #: Most of Newton's steps towards a zero, and the relative change after which none follows: it is a
@@ -50,15 +51,6 @@ def to_powers(degree: int) -> np.ndarray:
         for i in range(k + 1):
             matrix[k, i] = (-1) ** (k - i) * comb(degree, k) * comb(k, i)
     return matrix
-
-
-def from_powers(degree: int) -> np.ndarray:
-    """Matrix from coefficients of powers to Bernstein's on [0, 1]."""
-    rows = [
-        [comb(i, k) / comb(degree, k) if k <= i else 0.0 for k in range(degree + 1)]
-        for i in range(degree + 1)
-    ]
-    return np.array(rows)
 
 
 class Zeros(NamedTuple):
@@ -99,7 +91,7 @@ def zeros(powers: Any) -> Zeros:
     plain = Zeros(once, never, never, jnp.minimum(start, end), nearest)
 
     def by_descartes() -> Zeros:
-        b = apply(from_powers(degree), powers)
+        b = apply(bernstein_from_powers(degree), powers)
         return counted(jnp.concatenate([b[:-1], end[None]]))
 
     return when(~(once | none).all(), by_descartes, plain)

@@ -17,7 +17,7 @@ from ..arrays import any_lane, choose, when
 from ..clock import Instant
 from ..events import CAUGHT, EPS, SHARES, STRUCK
 from ..solvers.diffrax_backend import Method
-from ..solvers.series import SHORTEST, Series
+from ..solvers.series import SHORTEST, Ahead, Series
 from .detect import Detector, Event, Rows, SeriesDetector
 from .lane import (
     CLOSE,
@@ -161,9 +161,15 @@ class Turner:
             def rate(s: Any, x: Any) -> Any:
                 return self.system.flow(run.parameters, lane.mode, held, t0 + s, x)
 
-            def expand(s: Any, x: Any) -> Any:
-                series = self.system.series(run.parameters, lane.mode, held, t0 + s, x)
-                return *series, self.detector.tolerance(run, lane)
+            def values(s: Any, x: Any) -> Any:
+                return self.system.guards(run.parameters, lane.mode, held, t0 + s, x)
+
+            def expand(s: Any, x: Any) -> Ahead:
+                p, mode = run.parameters, lane.mode
+                states, guards = self.system.series(p, mode, held, t0 + s, x)
+                loads = held is not None and self.system.rests.any()
+                seen = values if loads or not self.system.affine else None
+                return Ahead(states, guards, self.detector.tolerance(run, lane), seen)
 
             return self.method.attempt(rate, going.tau, h, going.x, run.rtol, run.atol, expand)
 

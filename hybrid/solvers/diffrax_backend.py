@@ -26,7 +26,7 @@ from ..jit import jit
 from ..scene import Field
 from ..segment import Segment, apply, from_values, integrals, nodes
 from .base import FINEST, Solver, Stepper, method_of
-from .series import ORDER, SHORTEST, TAYLOR, Series, expansion
+from .series import ORDER, SHORTEST, TAYLOR, Ahead, Series, expansion
 
 #: Degree of each method's dense output in the fraction of the step; the first is the default.
 DEGREES = {
@@ -357,7 +357,8 @@ def _motion(method: Any, field: Field) -> Any:
             return traced(parameters, t0 + s, y)
 
         def expand(s: Any, y: Any) -> Any:
-            return *series(parameters, t0 + s, y), jnp.zeros(1)
+            states, guards = series(parameters, t0 + s, y)
+            return Ahead(states, guards, jnp.zeros(1), None)
 
         return flow, expand
 

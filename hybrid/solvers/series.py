@@ -21,7 +21,7 @@ from jax.scipy.special import gammaln
 
 from ..arrays import when
 from ..errors import TraceError
-from ..events import EPS
+from ..events import EPS, bernstein_from_powers
 from ..scene.lowered import Lowered
 from ..scene.taylor import TaylorProgram
 from ..segment import apply, nodes
@@ -32,8 +32,20 @@ TAYLOR, ORDER = "Taylor", 12
 #: By how much a step may end off the flow's direction, as a multiple of the tolerances.
 MISSED = 10.0
 
-#: Powers of the share at the nodes.
-_AT_NODES = nodes(ORDER)[:, None] ** np.arange(ORDER + 1)
+#: What a guard's series may be off, as a share of the guard, where it stays this many times as far
+#: from zero.
+ROUGH, AWAY = 1e-3, 20.0
+
+#: Shares of a step at which a guard is held against its series.
+LOOKS = np.array([0.27, 0.55, 0.8, 1.0])
+
+
+def _powers_of(shares: np.ndarray) -> np.ndarray:
+    return shares[:, None] ** np.arange(ORDER + 1)
+
+
+#: Powers of the share at the nodes, and at the looks.
+_AT_NODES, _AT_LOOKS = _powers_of(nodes(ORDER)), _powers_of(LOOKS)
 
 #: A step this short against the time in the arc cannot be made; one this short only where its terms
 #: fall: else a singularity is nearer than its end, however little that is beside the tolerances.
@@ -138,6 +150,25 @@ def _columns(series: list[list[Any]]) -> Any:
     return barrier(jnp.concatenate(barrier(flat))).reshape(-1, len(series))
 
 
+class Ahead(NamedTuple):
+    """What is known of the flow from a point on.
+
+    Attributes
+    ----------
+    states, guards : array, shapes (ORDER + 1, n), (ORDER + 1, slots)
+        Their series.
+    open : array, shape (slots,)
+        What the tolerances leave open of each guard.
+    values : callable ``(tau, x)``, or None
+        The guards themselves; None where they are no more than sums of states.
+    """
+
+    states: Any
+    guards: Any
+    open: Any
+    values: Callable[[Any, Any], Any] | None
+
+
 class Powers(NamedTuple):
     """A step as polynomials of its share: coefficients of powers.
 
@@ -181,18 +212,22 @@ class Series:
         ----------
         flow : callable ``(tau, x)``
         expand : callable ``(tau, x)``
-            The flow's series, those of guards along it, and what may be off of each guard.
+            Gives an :class:`Ahead`.
         """
-        states, guards, open_ = expand(tau, x)
+        ahead = expand(tau, x)
         rounding = EPS * jnp.max(jnp.abs(x)) + 1e-300  # a state may be zero, and atol
         allowed = jnp.maximum(atol + rtol * jnp.abs(x), rounding)
-        bounds = jnp.concatenate([allowed, jnp.maximum(open_, jnp.min(allowed))])
-        last = jnp.concatenate([states[-2:], guards[-2:]], axis=1)
-        h, powers = _within(h, jnp.max(jnp.abs(stop_gradient(last)) / bounds, axis=1))
-        path = Powers(powers[:, None] * states, powers[:, None] * guards)
+        of_guards = jnp.maximum(ahead.open, jnp.min(allowed))
+        h, powers, of_guards = _length(
+            h, jax.tree.map(stop_gradient, ahead[:2]), allowed, of_guards
+        )
+        path = Powers(powers[:, None] * ahead.states, powers[:, None] * ahead.guards)
         end = path.states.sum(axis=0)
         slope = (np.arange(ORDER + 1)[:, None] * path.states).sum(axis=0)
         good = (jnp.abs(h * flow(tau + h, end) - slope) <= MISSED * allowed).all()
+        if ahead.values is not None:
+            missed = _missed(ahead.values, tau, h, jax.tree.map(stop_gradient, path))
+            good = good & ((missed <= MISSED * of_guards).all() | (h <= SHORT * tau))
         sizes = jnp.abs(path.states)
         falls = jnp.max(sizes[-2:]) <= 0.1 * jnp.max(sizes[1:-2])
         kept = good & (h > SHORTEST * tau) & (falls | (h > SHORT * tau)) & (h > 1e-300)
@@ -206,6 +241,33 @@ def _powers(h: Any) -> Any:
     while len(powers) <= ORDER:
         powers.append(powers[len(powers) // 2] * powers[(len(powers) + 1) // 2])
     return jax.lax.optimization_barrier(jnp.stack(powers))
+
+
+def _length(h: Any, series: Any, of_states: Any, of_guards: Any) -> tuple[Any, Any, Any]:
+    """The length of a step, its powers, and what each guard's series may be off in it.
+
+    A guard that stays away from zero need not be known well.
+    """
+    states, guards = series
+    sizes = jnp.max(jnp.abs(states[-2:]) / of_states, axis=1)
+    last = jnp.abs(guards[-2:])
+    rough = jnp.maximum(of_guards, ROUGH * jnp.abs(guards[0]))
+    h, powers = _within(h, jnp.maximum(sizes, jnp.max(last / rough, axis=1)))
+    fine = jnp.max(last / of_guards, axis=1)
+
+    def nearer() -> tuple[Any, Any, Any]:
+        b = apply(bernstein_from_powers(ORDER), stop_gradient(powers)[:, None] * guards)
+        away = (b * jnp.sign(b[0]) > AWAY * rough).all(axis=0)
+        off = jnp.where(away, rough, of_guards)
+        return *_within(h, jnp.maximum(sizes, jnp.max(last / off, axis=1))), off
+
+    return when((fine * powers[-2:] > 1.0).any(), nearer, (h, powers, of_guards))
+
+
+def _missed(guards: Any, tau: Any, h: Any, path: Powers) -> Any:
+    """How far guards are off their series within a step: a series does not see a kink ahead."""
+    states, series = (apply(_AT_LOOKS, columns) for columns in path)
+    return jnp.abs(stop_gradient(jax.vmap(guards)(tau + h * LOOKS, states)) - series).max(axis=0)
 
 
 def _within(h: Any, sizes: Any) -> tuple[Any, Any]:
