@@ -67,7 +67,7 @@ def test_a_kink_is_passed_and_a_zero_state_needs_no_atol():
     assert float(lanes.x[0]) == pytest.approx(exact.final.x, abs=1e-9)
 
 
-def test_delays_are_refused():
+def test_what_has_no_series_is_refused():
     """Named, or reached through any of the three calls."""
     start, message = {"x1": 3.0, "x2": 0.0}, "Pyragas: method='Taylor': mode flight: the past"
     with pytest.raises(hy.OptionError, match=message):
@@ -76,6 +76,8 @@ def test_delays_are_refused():
         hy.as_function(Pyragas(), t=(0.0, 1.0), max_jumps=8, method="Taylor")
     with pytest.raises(hy.OptionError, match=message):
         hy.simulate(Pyragas(), start, (0, 1), **TAYLOR)
+    with pytest.raises(hy.OptionError, match="Hilly: method='Taylor': mode fall: 'rem' of"):
+        hy.simulate(Hilly(), {"x": 3.0, "v": 0.0}, (0, 1), **TAYLOR)
 
 
 class Chain(hy.Automaton):
@@ -119,6 +121,42 @@ class Cornered(hy.Automaton):
     impact = hy.contact(
         fall, gap=lambda self, t, s: s.x - jnp.abs(jnp.sin(3.0 * t)), restitution=0.8, rests=False
     )
+
+
+class Clipped(hy.Automaton):
+    """A clipped force, which is so for less than a step on the way down."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def fall(self, t, s):
+        return s.v, -9.8 + jnp.clip(15.0 - 30.0 * s.x - 2.0 * s.v, -15.0, 15.0)
+
+    impact = hy.contact(fall, gap=lambda self, t, s: s.x, restitution=0.7)
+
+
+class Hilly(hy.Automaton):
+    """A floor whose remainder has no series."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def fall(self, t, s):
+        return s.v, -9.8
+
+    impact = hy.contact(fall, gap=lambda self, t, s: s.x - jnp.mod(t, 2.0), restitution=0.7)
+
+
+def test_two_kinks_within_a_step_are_seen():
+    """At the end of such a step nothing is amiss: against the series that knows the kinks."""
+    start, until = {"x": 3.0, "v": 1.0}, (0.0, 6.0)
+    exact = hy.simulate(Clipped(), start, until, solver="taylor")
+    run = hy.simulate(Clipped(), start, until, **TAYLOR)
+    assert run.final.x == pytest.approx(exact.final.x, abs=1e-9)
+    lanes = hy.ensemble(Clipped(), start, until, rtol=1e-11, atol=1e-12)
+    assert float(lanes.x[0]) == pytest.approx(exact.final.x, abs=1e-9)
 
 
 def test_corners_of_a_guard_are_seen():

@@ -168,6 +168,11 @@ def method_for(system: System, solver: str, method: str | None, scan: str | None
     if solver != "diffrax":
         raise OptionError(f"solver={solver!r}: compiled runs need solver='diffrax'")
     name = method_of(solver, method, DEGREES)
-    if name == TAYLOR and system.no_series is not None:
-        raise without_series(system.spec.model, system.no_series)
+    require_series(system, name)
     return compiled_method(name, scan)
+
+
+def require_series(system: System, method: str) -> None:
+    """Refuse Taylor series where there are none."""
+    if method == TAYLOR and system.no_series is not None:
+        raise without_series(system.spec.model, system.no_series)

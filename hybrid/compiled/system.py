@@ -297,6 +297,11 @@ class System:
         return None
 
     @cached_property
+    def kinked(self) -> bool:
+        """Whether a series may be left behind at a kink."""
+        return any(make().program.kinked for _, make in self._expansions())
+
+    @cached_property
     def short_series(self) -> bool:
         """Whether there are series, and short ones: others compile for longer than they save."""
         return self.no_series is None and sum(make().size for _, make in self._expansions()) <= LONG

@@ -169,7 +169,8 @@ class Turner:
                 states, guards = self.system.series(p, mode, held, t0 + s, x)
                 loads = held is not None and self.system.rests.any()
                 seen = values if loads or not self.system.affine else None
-                return Ahead(states, guards, self.detector.tolerance(run, lane), seen)
+                tolerance = self.detector.tolerance(run, lane)
+                return Ahead(states, guards, t0 + s, tolerance, seen, self.system.kinked)
 
             return self.method.attempt(rate, going.tau, h, going.x, run.rtol, run.atol, expand)
 

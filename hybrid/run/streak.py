@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 
+from ..compiled.ask import require_series
 from ..compiled.lane import END, JUDGE, JUMP, RUNNING, Lane, Run
 from ..compiled.streak import Record, Streak, Watch
 from ..compiled.system import system_of
@@ -38,6 +39,7 @@ class Streaks:
         code = driver.scene.code
         method = solver.compiled
         system = system_of(code)
+        require_series(system, method.name)
         key = ("streak", method, dense)
         self.streak: Streak = code.once(key, lambda: Streak(system, method, dense))
         self.system, self.dense = system, dense

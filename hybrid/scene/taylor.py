@@ -72,7 +72,7 @@ class TaylorProgram:
     known: a step has just ended on it).
 
     With ``operations`` (functions by name) the code is for arrays' numbers, and there are no
-    kinks: who steps has to see that a series is left behind.
+    kinks: who steps has to see that a series is left behind. ``kinked`` says whether it may be.
     """
 
     def __init__(
@@ -88,6 +88,7 @@ class TaylorProgram:
         kind = _Writer if operations is None else _ArrayWriter
         writer = kind(graph, size, [int(i) for i in flow], list(functions), order)
         self.source, self.kinks = writer.source(), len(writer.kinks)
+        self.kinked = writer.kinked
         self._code = compile(self.source, "<hybrid: generated Taylor series>", "exec")
         self._operations = OPERATIONS if operations is None else operations
         self._maker: Callable[..., Any] | None = None
@@ -121,6 +122,7 @@ class _Writer:
         self.fixed = _fixed(graph, self.nodes)
         self.steady = self._steady()
         self.kinks: list[tuple[int, int]] = []
+        self.kinked = False
         self.c: dict[int, list[str]] = {number: [] for number in self.nodes}
         self.partners: dict[str, list[str]] = {}
         self.lines: list[str] = []
@@ -239,6 +241,7 @@ class _Writer:
 
     def _side(self, a: int, b: int, op: str) -> str:
         """A comparison; its sign can be prescribed by ``sides``."""
+        self.kinked = True
         if (a, b) not in self.kinks:
             self.kinks.append((a, b))
         index = self.kinks.index((a, b))
@@ -374,6 +377,7 @@ class _ArrayWriter(_Writer):
     """The same recurrences, for JAX; a formula that switches is the one at the start."""
 
     def _side(self, a: int, b: int, op: str) -> str:
+        self.kinked = True
         return f"_{op}({self._at(a, 0)}, {self._at(b, 0)})"
 
     @staticmethod

@@ -358,7 +358,7 @@ def _motion(method: Any, field: Field) -> Any:
 
         def expand(s: Any, y: Any) -> Any:
             states, guards = series(parameters, t0 + s, y)
-            return Ahead(states, guards, jnp.zeros(1), None)
+            return Ahead(states, guards, t0 + s, jnp.zeros(1), None, series.program.kinked)
 
         return flow, expand
 
