@@ -14,7 +14,7 @@ LAYERS = [
     ["automaton"],
     ["jit", "arrays"],
     ["scene"],
-    ["events", "solvers"],
+    ["events", "roots", "solvers"],
     ["zeno"],
     ["compiled"],
     ["accumulation", "arcs", "log", "trajectory"],

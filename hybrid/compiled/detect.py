@@ -18,11 +18,11 @@ from numpy.polynomial.chebyshev import chebvander
 
 from ..arrays import when
 from ..events import EPS, RESOLVED, SAMPLED, to_bernstein
+from ..roots import Zeros, counted, deflated, falling, shallow, to_powers, zeros
 from ..segment import apply, from_values, nodes
 from ..solvers.diffrax_backend import Method
 from ..solvers.series import SHORTEST
 from .lane import Lane, Run
-from .roots import Zeros, counted, deflated, falling, shallow, to_powers, zeros
 from .system import System
 
 #: A guard this many times its last coefficients from zero has no zero in a step.

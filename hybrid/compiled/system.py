@@ -23,7 +23,7 @@ from ..errors import TraceError
 from ..events import CLOSED, EPS
 from ..scene.contact import ContactLaws, Held
 from ..scene.lowered import Lowered, guard_shape
-from ..solvers.series import Expansion, expansion
+from ..solvers.series import Expansion, Jets, expansion
 
 #: A guard's value in a slot that its mode does not have.
 FAR = 1.0
@@ -251,12 +251,13 @@ class System:
         return self._if_held(name, held, lambda h: h.rest(p, t, x), lambda: free(p, t, x))
 
     def _series(self, name: str, p: Any, held: Any, t: Any, x: Any) -> Any:
-        free = lambda: self.expansion(name, False)(p, t, x)  # noqa: E731
+        def of(held: bool, *flags: Any) -> Jets:
+            return self.expansion(name, held)(p, t, x, *flags).padded(self.kinks)
 
-        def along(h: Held) -> Any:
-            return self.expansion(name, True)(p, t, x, *(jnp.asarray(m, float) for m in h.mask))
+        def along(h: Held) -> Jets:
+            return of(True, *(jnp.asarray(m, float) for m in h.mask))
 
-        return self._if_held(name, held, along, free)
+        return self._if_held(name, held, along, lambda: of(False))
 
     def expansion(self, name: str, held: bool) -> Expansion:
         """The series of a mode's flow and guards; with contacts held, as so many flags say.
@@ -297,9 +298,9 @@ class System:
         return None
 
     @cached_property
-    def kinked(self) -> bool:
-        """Whether a series may be left behind at a kink."""
-        return any(make().program.kinked for _, make in self._expansions())
+    def kinks(self) -> int:
+        """Most kinks that end the series of a mode."""
+        return max(make().program.kinks for _, make in self._expansions())
 
     @cached_property
     def short_series(self) -> bool:

@@ -166,11 +166,11 @@ class Turner:
 
             def expand(s: Any, x: Any) -> Ahead:
                 p, mode = run.parameters, lane.mode
-                states, guards = self.system.series(p, mode, held, t0 + s, x)
+                series = self.system.series(p, mode, held, t0 + s, x)
                 loads = held is not None and self.system.rests.any()
                 seen = values if loads or not self.system.affine else None
                 tolerance = self.detector.tolerance(run, lane)
-                return Ahead(states, guards, t0 + s, tolerance, seen, self.system.kinked)
+                return Ahead(series, t0 + s, tolerance, seen)
 
             return self.method.attempt(rate, going.tau, h, going.x, run.rtol, run.atol, expand)
 

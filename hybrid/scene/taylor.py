@@ -71,8 +71,8 @@ class TaylorProgram:
     ``sides[i]`` is 0 (the branch is taken by value) or +1 / -1 (the sign of kink ``i`` is
     known: a step has just ended on it).
 
-    With ``operations`` (functions by name) the code is for arrays' numbers, and there are no
-    kinks: who steps has to see that a series is left behind. ``kinked`` says whether it may be.
+    With ``operations`` (functions by name) the code is for arrays' numbers, and the branch is
+    always taken by value.
     """
 
     def __init__(
@@ -88,7 +88,6 @@ class TaylorProgram:
         kind = _Writer if operations is None else _ArrayWriter
         writer = kind(graph, size, [int(i) for i in flow], list(functions), order)
         self.source, self.kinks = writer.source(), len(writer.kinks)
-        self.kinked = writer.kinked
         self._code = compile(self.source, "<hybrid: generated Taylor series>", "exec")
         self._operations = OPERATIONS if operations is None else operations
         self._maker: Callable[..., Any] | None = None
@@ -122,7 +121,6 @@ class _Writer:
         self.fixed = _fixed(graph, self.nodes)
         self.steady = self._steady()
         self.kinks: list[tuple[int, int]] = []
-        self.kinked = False
         self.c: dict[int, list[str]] = {number: [] for number in self.nodes}
         self.partners: dict[str, list[str]] = {}
         self.lines: list[str] = []
@@ -241,13 +239,16 @@ class _Writer:
 
     def _side(self, a: int, b: int, op: str) -> str:
         """A comparison; its sign can be prescribed by ``sides``."""
-        self.kinked = True
+        known, test = f"sides[{self._kink(a, b)}]", self._test(op, a, b)
+        return f"({known} {'>' if op in ('gt', 'ge') else '<'} 0 if {known} else {test})"
+
+    def _kink(self, a: int, b: int) -> int:
         if (a, b) not in self.kinks:
             self.kinks.append((a, b))
-        index = self.kinks.index((a, b))
-        known = f"sides[{index}]"
-        test = f"_{op}({self._at(a, 0)}, {self._at(b, 0)})"
-        return f"({known} {'>' if op in ('gt', 'ge') else '<'} 0 if {known} else {test})"
+        return self.kinks.index((a, b))
+
+    def _test(self, op: str, a: int, b: int) -> str:
+        return f"_{op}({self._at(a, 0)}, {self._at(b, 0)})"
 
     def _choice(self, op: str, node: tuple[Any, ...]) -> str:
         """abs, sign, max and min by the sign of a difference, kept under its own name."""
@@ -377,8 +378,8 @@ class _ArrayWriter(_Writer):
     """The same recurrences, for JAX; a formula that switches is the one at the start."""
 
     def _side(self, a: int, b: int, op: str) -> str:
-        self.kinked = True
-        return f"_{op}({self._at(a, 0)}, {self._at(b, 0)})"
+        self._kink(a, b)
+        return self._test(op, a, b)
 
     @staticmethod
     def _if(flag: str, a: str, b: str) -> str:

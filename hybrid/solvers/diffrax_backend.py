@@ -357,8 +357,7 @@ def _motion(method: Any, field: Field) -> Any:
             return traced(parameters, t0 + s, y)
 
         def expand(s: Any, y: Any) -> Any:
-            states, guards = series(parameters, t0 + s, y)
-            return Ahead(states, guards, t0 + s, jnp.zeros(1), None, series.program.kinked)
+            return Ahead(series(parameters, t0 + s, y), t0 + s, jnp.zeros(1), None)
 
         return flow, expand
 

@@ -22,6 +22,7 @@ from jax.scipy.special import gammaln
 from ..arrays import when
 from ..errors import TraceError
 from ..events import EPS, bernstein_from_powers
+from ..roots import counted, falling, horner
 from ..scene.lowered import Lowered
 from ..scene.taylor import TaylorProgram
 from ..segment import apply, nodes
@@ -36,17 +37,17 @@ MISSED = 10.0
 #: from zero.
 ROUGH, AWAY = 1e-3, 20.0
 
-#: Shares of a step at which its polynomials are held against the flow and the guards, where these
-#: are smooth and where they have kinks.
-SMOOTH, KINKED = np.array([0.55, 1.0]), np.array([0.27, 0.55, 0.8, 1.0])
+#: Shares of a step at which its polynomials are held against the flow and the guards.
+LOOKS = np.array([0.55, 0.99])
 
 
 def _powers_of(shares: np.ndarray) -> np.ndarray:
     return shares[:, None] ** np.arange(ORDER + 1)
 
 
-#: Powers of the share at the nodes.
-_AT_NODES = _powers_of(nodes(ORDER))
+#: Powers of the share at the nodes, and at the looks.
+_AT_NODES, _AT_LOOKS = _powers_of(nodes(ORDER)), _powers_of(LOOKS)
+_SLOPES_AT_LOOKS = np.arange(ORDER + 1) * _AT_LOOKS / LOOKS[:, None]
 
 #: A step this short against the time in the arc cannot be made; one this short only where its terms
 #: fall: else a singularity is nearer than its end, however little that is beside the tolerances.
@@ -97,6 +98,27 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
 }
 
 
+class Jets(NamedTuple):
+    """Coefficients of the powers of time, order by order.
+
+    Attributes
+    ----------
+    states, guards : array, shapes (ORDER + 1, n), (ORDER + 1, slots)
+    kinks : array, shape (ORDER + 1, kinks)
+        Of functions at whose zeros the series end.
+    """
+
+    states: Any
+    guards: Any
+    kinks: Any
+
+    def padded(self, count: int) -> Jets:
+        """With so many kinks; those added never come."""
+        more = np.zeros((ORDER + 1, count - self.kinks.shape[1]))
+        more[0] = 1.0
+        return self._replace(kinks=jnp.concatenate([self.kinks, more], axis=1))
+
+
 @attrs.frozen
 class Expansion:
     """The series of a flow, and of guards along it."""
@@ -108,12 +130,11 @@ class Expansion:
         """Length of the recurrences, written out: what they take to compile grows with it."""
         return len(self.program.source)
 
-    def __call__(self, parameters: Any, t: Any, x: Any, *extra: Any) -> tuple[Any, Any]:
-        """Coefficients of the powers of time, shapes ``(ORDER + 1, n)``, ``(ORDER + 1, slots)``."""
+    def __call__(self, parameters: Any, t: Any, x: Any, *extra: Any) -> Jets:
+        """The series at a time and state."""
         flat = [v for p in parameters for v in jnp.ravel(jnp.asarray(p))]
         jets = self.program.bind([*flat, *extra])
-        states, guards, _ = jets(t, [x[i] for i in range(len(x))], [])
-        return _columns(states), _columns(guards)
+        return Jets(*map(_columns, jets(t, [x[i] for i in range(len(x))], [])))
 
 
 def expansion(
@@ -146,6 +167,8 @@ def expansion(
 
 def _columns(series: list[list[Any]]) -> Any:
     """Lists of coefficients as the columns of one array, put there once."""
+    if not series:
+        return jnp.zeros((ORDER + 1, 0))
     flat = [jnp.asarray(c, float).reshape(1) for row in zip(*series, strict=True) for c in row]
     barrier = jax.lax.optimization_barrier
     return barrier(jnp.concatenate(barrier(flat))).reshape(-1, len(series))
@@ -156,24 +179,19 @@ class Ahead(NamedTuple):
 
     Attributes
     ----------
-    states, guards : array, shapes (ORDER + 1, n), (ORDER + 1, slots)
-        Their series.
+    series : Jets
     t
         The time here.
     open : array, shape (slots,)
         What the tolerances leave open of each guard.
     values : callable ``(tau, x)``, or None
         The guards themselves; None where they are no more than sums of states.
-    kinked : bool
-        Whether the series may be left behind.
     """
 
-    states: Any
-    guards: Any
+    series: Jets
     t: Any
     open: Any
     values: Callable[[Any, Any], Any] | None
-    kinked: bool
 
 
 class Powers(NamedTuple):
@@ -222,15 +240,14 @@ class Series:
             Gives an :class:`Ahead`.
         """
         ahead = expand(tau, x)
-        rounding = EPS * jnp.max(jnp.abs(x)) + 1e-300  # a state may be zero, and atol
-        allowed = jnp.maximum(atol + rtol * jnp.abs(x), rounding)
+        series, size = ahead.series, jnp.max(jnp.abs(x))
+        allowed = jnp.maximum(atol + rtol * jnp.abs(x), EPS * size + 1e-300)  # all may be zero
         of_guards = jnp.maximum(ahead.open, jnp.min(allowed))
-        h, powers, of_guards = _length(
-            h, jax.tree.map(stop_gradient, ahead[:2]), allowed, of_guards
-        )
-        path = Powers(powers[:, None] * ahead.states, powers[:, None] * ahead.guards)
+        h, powers, of_guards = _length(h, series, allowed, of_guards)
+        h, powers, clear = _up_to_kink(h, powers, stop_gradient(series.kinks), size)
+        path = Powers(powers[:, None] * series.states, powers[:, None] * series.guards)
         end = path.states.sum(axis=0)
-        good = _follows(path, flow, ahead, tau, h, allowed, of_guards)
+        good = clear & _follows(path, flow, ahead, tau, h, allowed, of_guards)
         sizes = jnp.abs(path.states)
         falls = jnp.max(sizes[-2:]) <= 0.1 * jnp.max(sizes[1:-2])
         kept = good & (h > SHORTEST * tau) & (falls | (h > SHORT * tau)) & (h > 1e-300)
@@ -251,20 +268,47 @@ def _length(h: Any, series: Any, of_states: Any, of_guards: Any) -> tuple[Any, A
 
     A guard that stays away from zero need not be known well.
     """
-    states, guards = series
-    sizes = jnp.max(jnp.abs(states[-2:]) / of_states, axis=1)
+    slots, kinks = series.guards.shape[1], series.kinks.shape[1]
+    guards = stop_gradient(jnp.concatenate([series.guards, series.kinks], axis=1))
+    off = jnp.concatenate([of_guards, jnp.full(kinks, jnp.max(of_states))])
+    sizes = jnp.max(jnp.abs(stop_gradient(series.states[-2:])) / of_states, axis=1)
     last = jnp.abs(guards[-2:])
-    rough = jnp.maximum(of_guards, ROUGH * jnp.abs(guards[0]))
+    rough = jnp.maximum(off, ROUGH * jnp.abs(guards[0]))
     h, powers = _within(h, jnp.maximum(sizes, jnp.max(last / rough, axis=1)))
-    fine = jnp.max(last / of_guards, axis=1)
+    fine = jnp.max(last / off, axis=1)
 
     def nearer() -> tuple[Any, Any, Any]:
         b = apply(bernstein_from_powers(ORDER), stop_gradient(powers)[:, None] * guards)
         away = (b * jnp.sign(b[0]) > AWAY * rough).all(axis=0)
-        off = jnp.where(away, rough, of_guards)
-        return *_within(h, jnp.maximum(sizes, jnp.max(last / off, axis=1))), off
+        known = jnp.where(away, rough, off)
+        return *_within(h, jnp.maximum(sizes, jnp.max(last / known, axis=1))), known
 
-    return when((fine * powers[-2:] > 1.0).any(), nearer, (h, powers, of_guards))
+    h, powers, off = when((fine * powers[-2:] > 1.0).any(), nearer, (h, powers, off))
+    return h, powers, off[:slots]
+
+
+def _up_to_kink(h: Any, powers: Any, kinks: Any, size: Any) -> tuple[Any, Any, Any]:
+    """The step cut just beyond the first kink in it, and whether that can be told.
+
+    By more than rounding, so that the next step is on the other side: ``size`` is the state's.
+    """
+    if not kinks.shape[1]:
+        return h, powers, jnp.array(True)
+    p = stop_gradient(powers)[:, None] * kinks
+    p = jnp.where(p[0] < 0, -p, p)
+    b = apply(bernstein_from_powers(ORDER), p)
+    noise = 64 * EPS * (size + jnp.abs(p).sum(axis=0))
+    crosses = b.min(axis=0) < -noise
+
+    def cut() -> tuple[Any, Any, Any]:
+        found = counted(b)
+        root = falling(found, p)
+        rate = horner(p, jnp.where(found.once, root, 0.5))[1]
+        beyond = jnp.maximum(root + jnp.clip(noise / jnp.abs(rate), 1e-13, 1e-3), 1e-9)
+        less = h * jnp.min(jnp.where(crosses, beyond, 1.0), initial=1.0)
+        return less, _powers(less), ~(crosses & found.unclear).any()
+
+    return when(crosses.any(), cut, (h, powers, jnp.array(True)))
 
 
 def _follows(
@@ -272,25 +316,22 @@ def _follows(
 ) -> Any:
     """Whether a step's polynomials have the flow's direction and are the guards, at a few places.
 
-    A series does not see a kink ahead, and small terms alone prove nothing. What changes faster
-    than time can tell is not looked at more closely than that.
+    Small terms alone prove nothing. What changes faster than time can tell is not looked at more
+    closely than that.
     """
     h, path = stop_gradient(h), jax.tree.map(stop_gradient, path)
     spacing = 64 * EPS * jnp.abs(stop_gradient(ahead.t)) / h
-    shares = KINKED if ahead.kinked else SMOOTH
-    to_values = _powers_of(shares)
-    to_slopes = np.arange(ORDER + 1) * to_values / shares[:, None]
 
     def near(true: Any, series: Any, early: Any, off: Any) -> Any:
         change = jnp.abs(series - early[0]).max(axis=0) + jnp.abs(early[1])
         return (jnp.abs(true - series) <= MISSED * off + spacing * change).all()
 
-    times, states = tau + h * shares, apply(to_values, path.states)
-    rates, slopes = h * jax.vmap(flow)(times, states), apply(to_slopes, path.states)
+    times, states = tau + h * LOOKS, apply(_AT_LOOKS, path.states)
+    rates, slopes = h * jax.vmap(flow)(times, states), apply(_SLOPES_AT_LOOKS, path.states)
     good = near(rates, slopes, path.states[1:], of_states)
     if ahead.values is None:
         return good
-    guards, series = jax.vmap(ahead.values)(times, states), apply(to_values, path.guards)
+    guards, series = jax.vmap(ahead.values)(times, states), apply(_AT_LOOKS, path.guards)
     seen = near(guards, series, path.guards, of_guards)
     return good & (seen | (h <= SHORT * tau))
 

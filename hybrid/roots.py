@@ -15,9 +15,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..arrays import when
-from ..events import bernstein_from_powers
-from ..segment import apply, nodes
+from .arrays import when
+from .events import bernstein_from_powers
+from .segment import apply, nodes
 
 #: Most of Newton's steps towards a zero, and the relative change after which none follows: it is a
 #: first guess, the landing does the rest.
