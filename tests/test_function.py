@@ -163,6 +163,29 @@ def test_reverse_mode_is_forward_mode():
         assert float(reverse[name]) == pytest.approx(float(forward[name]), rel=1e-9)
 
 
+class Field(hy.Automaton):
+    """A force that begins at a place."""
+
+    edge: float = hy.parameter(1.0)
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def fly(self, t, s):
+        return s.v, jnp.where(s.x > self.edge, -2.0, 0.0)
+
+
+def test_derivatives_pass_a_force_that_begins_at_once():
+    """x = a + v s - s^2, with s = 2 - a / v the time in the field."""
+    bounds = {"max_jumps": 1, "max_steps": 32, **TIGHT}
+    fly = hy.as_function(Field(), t=(0.0, 2.0), method="Taylor", **bounds)
+    slope = jax.jacrev(lambda a, v: fly(Field(edge=a), {"x": 0.0, "v": v}).final["x"], (0, 1))
+    a, v = 1.0, 1.5
+    s = 2.0 - a / v
+    assert float(slope(a, v)[0]) == pytest.approx(2.0 * s / v, rel=1e-9)
+    assert float(slope(a, v)[1]) == pytest.approx(s + a / v - 2.0 * s * a / v**2, rel=1e-9)
+
+
 def test_derivatives_of_a_state_in_flight():
     """The run ends in the air: x = v s - g s^2 / 2, s the time since the first impact."""
     g, r, h = 9.81, 0.7, 3.0

@@ -244,7 +244,7 @@ class Series:
         allowed = jnp.maximum(atol + rtol * jnp.abs(x), EPS * size + 1e-300)  # all may be zero
         of_guards = jnp.maximum(ahead.open, jnp.min(allowed))
         h, powers, of_guards = _length(h, series, allowed, of_guards)
-        h, powers, clear = _up_to_kink(h, powers, stop_gradient(series.kinks), size)
+        h, powers, clear = _up_to_kink(h, powers, series.kinks, stop_gradient(size))
         path = Powers(powers[:, None] * series.states, powers[:, None] * series.guards)
         end = path.states.sum(axis=0)
         good = clear & _follows(path, flow, ahead, tau, h, allowed, of_guards)
@@ -290,21 +290,26 @@ def _length(h: Any, series: Any, of_states: Any, of_guards: Any) -> tuple[Any, A
 def _up_to_kink(h: Any, powers: Any, kinks: Any, size: Any) -> tuple[Any, Any, Any]:
     """The step cut just beyond the first kink in it, and whether that can be told.
 
-    By more than rounding, so that the next step is on the other side: ``size`` is the state's.
+    By more than rounding, so that the next step is on the other side: ``size`` is the state's. The
+    length carries the derivative of the kink's time, for a force may begin there.
     """
     if not kinks.shape[1]:
         return h, powers, jnp.array(True)
-    p = stop_gradient(powers)[:, None] * kinks
+    p = powers[:, None] * kinks
     p = jnp.where(p[0] < 0, -p, p)
-    b = apply(bernstein_from_powers(ORDER), p)
-    noise = 64 * EPS * (size + jnp.abs(p).sum(axis=0))
+    fixed = stop_gradient(p)
+    b = apply(bernstein_from_powers(ORDER), fixed)
+    noise = 64 * EPS * (size + jnp.abs(fixed).sum(axis=0))
     crosses = b.min(axis=0) < -noise
 
     def cut() -> tuple[Any, Any, Any]:
         found = counted(b)
-        root = falling(found, p)
-        rate = horner(p, jnp.where(found.once, root, 0.5))[1]
-        beyond = jnp.maximum(root + jnp.clip(noise / jnp.abs(rate), 1e-13, 1e-3), 1e-9)
+        root = falling(found, fixed)
+        here = jnp.where(found.once, root, 0.5)
+        rate = horner(fixed, here)[1]
+        moved = -horner(p, here)[0] / jnp.where(rate == 0, jnp.inf, rate)
+        moved = moved + jnp.clip(noise / jnp.abs(rate), 1e-13, 1e-3)
+        beyond = jnp.maximum(root + moved, 1e-9)
         less = h * jnp.min(jnp.where(crosses, beyond, 1.0), initial=1.0)
         return less, _powers(less), ~(crosses & found.unclear).any()
 
