@@ -37,17 +37,17 @@ MISSED = 10.0
 #: from zero.
 ROUGH, AWAY = 1e-3, 20.0
 
-#: Shares of a step at which its polynomials are held against the flow and the guards.
-LOOKS = np.array([0.55, 0.99])
+#: Shares of a step at which its polynomials are held against the flow and the guards; where there
+#: may be a kink at the end, just before it as well.
+LOOKS, BEFORE = np.array([0.55, 1.0]), np.array([0.998])
 
 
 def _powers_of(shares: np.ndarray) -> np.ndarray:
     return shares[:, None] ** np.arange(ORDER + 1)
 
 
-#: Powers of the share at the nodes, and at the looks.
-_AT_NODES, _AT_LOOKS = _powers_of(nodes(ORDER)), _powers_of(LOOKS)
-_SLOPES_AT_LOOKS = np.arange(ORDER + 1) * _AT_LOOKS / LOOKS[:, None]
+#: Powers of the share at the nodes.
+_AT_NODES = _powers_of(nodes(ORDER))
 
 #: A step this short against the time in the arc cannot be made; one this short only where its terms
 #: fall: else a singularity is nearer than its end, however little that is beside the tolerances.
@@ -244,10 +244,10 @@ class Series:
         allowed = jnp.maximum(atol + rtol * jnp.abs(x), EPS * size + 1e-300)  # all may be zero
         of_guards = jnp.maximum(ahead.open, jnp.min(allowed))
         h, powers, of_guards = _length(h, series, allowed, of_guards)
-        h, powers, clear = _up_to_kink(h, powers, series.kinks, stop_gradient(size))
+        h, powers, clear, cut = _up_to_kink(h, powers, series.kinks, stop_gradient(size))
         path = Powers(powers[:, None] * series.states, powers[:, None] * series.guards)
         end = path.states.sum(axis=0)
-        good = clear & _follows(path, flow, ahead, tau, h, allowed, of_guards)
+        good = clear & _follows(path, flow, ahead, tau, h, cut, allowed, of_guards)
         sizes = jnp.abs(path.states)
         falls = jnp.max(sizes[-2:]) <= 0.1 * jnp.max(sizes[1:-2])
         kept = good & (h > SHORTEST * tau) & (falls | (h > SHORT * tau)) & (h > 1e-300)
@@ -287,14 +287,14 @@ def _length(h: Any, series: Any, of_states: Any, of_guards: Any) -> tuple[Any, A
     return h, powers, off[:slots]
 
 
-def _up_to_kink(h: Any, powers: Any, kinks: Any, size: Any) -> tuple[Any, Any, Any]:
-    """The step cut just beyond the first kink in it, and whether that can be told.
+def _up_to_kink(h: Any, powers: Any, kinks: Any, size: Any) -> tuple[Any, Any, Any, Any]:
+    """The step cut just beyond the first kink in it; whether that can be told, and whether it is.
 
     By more than rounding, so that the next step is on the other side: ``size`` is the state's. The
     length carries the derivative of the kink's time, for a force may begin there.
     """
     if not kinks.shape[1]:
-        return h, powers, jnp.array(True)
+        return h, powers, jnp.array(True), None
     p = powers[:, None] * kinks
     p = jnp.where(p[0] < 0, -p, p)
     fixed = stop_gradient(p)
@@ -302,7 +302,7 @@ def _up_to_kink(h: Any, powers: Any, kinks: Any, size: Any) -> tuple[Any, Any, A
     noise = 64 * EPS * (size + jnp.abs(fixed).sum(axis=0))
     crosses = b.min(axis=0) < -noise
 
-    def cut() -> tuple[Any, Any, Any]:
+    def cut() -> tuple[Any, Any, Any, Any]:
         found = counted(b)
         root = falling(found, fixed)
         here = jnp.where(found.once, root, 0.5)
@@ -311,32 +311,45 @@ def _up_to_kink(h: Any, powers: Any, kinks: Any, size: Any) -> tuple[Any, Any, A
         moved = moved + jnp.clip(noise / jnp.abs(rate), 1e-13, 1e-3)
         beyond = jnp.maximum(root + moved, 1e-9)
         less = h * jnp.min(jnp.where(crosses, beyond, 1.0), initial=1.0)
-        return less, _powers(less), ~(crosses & found.unclear).any()
+        return less, _powers(less), ~(crosses & found.unclear).any(), less < h
 
-    return when(crosses.any(), cut, (h, powers, jnp.array(True)))
+    return when(crosses.any(), cut, (h, powers, jnp.array(True), jnp.array(False)))
 
 
 def _follows(
-    path: Powers, flow: Any, ahead: Ahead, tau: Any, h: Any, of_states: Any, of_guards: Any
+    path: Powers,
+    flow: Any,
+    ahead: Ahead,
+    tau: Any,
+    h: Any,
+    cut: Any,
+    of_states: Any,
+    of_guards: Any,
 ) -> Any:
     """Whether a step's polynomials have the flow's direction and are the guards, at a few places.
 
     Small terms alone prove nothing. What changes faster than time can tell is not looked at more
-    closely than that.
+    closely than that. ``cut``: whether the step ends at a kink (None: there are none).
     """
+    looks = LOOKS if cut is None else np.concatenate([BEFORE, LOOKS])
+    counts = np.ones((len(looks), 1), dtype=bool)
+    counts = counts if cut is None else jnp.asarray(counts).at[-1].set(~cut)
+    to_values = _powers_of(looks)
+    to_slopes = np.arange(ORDER + 1) * to_values / looks[:, None]
     h, path = stop_gradient(h), jax.tree.map(stop_gradient, path)
     spacing = 64 * EPS * jnp.abs(stop_gradient(ahead.t)) / h
 
     def near(true: Any, series: Any, early: Any, off: Any) -> Any:
         change = jnp.abs(series - early[0]).max(axis=0) + jnp.abs(early[1])
-        return (jnp.abs(true - series) <= MISSED * off + spacing * change).all()
+        near = jnp.abs(true - series) <= MISSED * off + spacing * change
+        return (near | ~counts).all()
 
-    times, states = tau + h * LOOKS, apply(_AT_LOOKS, path.states)
-    rates, slopes = h * jax.vmap(flow)(times, states), apply(_SLOPES_AT_LOOKS, path.states)
+    times, states = tau + h * looks, apply(to_values, path.states)
+    rates, slopes = h * jax.vmap(flow)(times, states), apply(to_slopes, path.states)
     good = near(rates, slopes, path.states[1:], of_states)
     if ahead.values is None:
         return good
-    guards, series = jax.vmap(ahead.values)(times, states), apply(_AT_LOOKS, path.guards)
+    guards, series = jax.vmap(ahead.values)(times, states), apply(to_values, path.guards)
     seen = near(guards, series, path.guards, of_guards)
     return good & (seen | (h <= SHORT * tau))
 

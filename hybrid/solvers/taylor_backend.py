@@ -2,8 +2,9 @@
 
 The step is as long as the last two terms stay below rounding (Jorba & Zou, *A software
 package for the numerical integration of ODEs by means of high-order Taylor methods*,
-Experimental Mathematics 14, 2005). A step ends at a kink (``abs``, ``where``), on whose
-far side the other branch is expanded.
+Experimental Mathematics 14, 2005), and as the polynomial has the flow's direction: a force may be
+flat to rounding before it changes. A step ends at a kink (``abs``, ``where``), on whose far side
+the other branch is expanded.
 """
 
 from __future__ import annotations
@@ -14,14 +15,22 @@ from typing import Any
 import numpy as np
 
 from ..errors import FlowError, OptionError
+from ..events import EPS
 from ..scene import Field
 from ..scene.lowered import ORDER
-from ..scene.taylor import polynomial, slope
+from ..scene.taylor import polynomial, polynomial_and_slope, slope
 from ..segment import Segment, from_powers
 from .base import Solver, Stepper
 
 #: Size, relative to the state, to which the last terms of a step are held.
 ROUNDING = 1e-16
+
+#: Where, besides its end, the series of a step is held against the flow (at a kink just before
+#: that), and how far it may be off, as a multiple of rounding.
+MIDDLE, BEFORE, MISSED = 0.55, 1.0 - 1e-9, 256.0
+
+#: A step that is cut to less than this share of what its last terms allow cannot be made.
+SHORT = 1e-12
 
 
 class TaylorSolver(Solver):
@@ -63,8 +72,19 @@ class TaylorStepper(Stepper):
         series, kinks = self._series()
         h = min(step_length(series), limit - self.tau)
         h, crossed = first_kink(kinks, h, self.sides)
-        if not h > 1e-300 or (self.tau + h == self.tau and self.tau + h < limit):
-            raise FlowError("the Taylor series does not converge: the step became zero")
+        longest = h
+        t = self.t0 + self.tau
+        while h > SHORT * longest and not follows(self.field, t, series, h, crossed is not None):
+            h, crossed = 0.5 * h, None
+        if (
+            h <= SHORT * longest
+            or not h > 1e-300
+            or (self.tau + h == self.tau and self.tau + h < limit)
+        ):
+            raise FlowError(
+                "the Taylor series does not converge: the step became zero; where a flow that "
+                "jumps (sign, where) leads back to the jump from both sides, declare hy.switching"
+            )
         self._last = (self.tau, series)
         sides = [0] * len(kinks)
         if crossed is not None:
@@ -126,6 +146,30 @@ def _from_zero(c: list[float]) -> float:
             shares = [(k, ROUNDING * abs(c[k] / c[last])) for k in range(2, ORDER - 1)]
             length = min(length, max(share ** (1.0 / (last - k)) for k, share in shares))
     return length
+
+
+def follows(field: Field, t: float, series: list[list[float]], h: float, kink: bool) -> bool:
+    """Whether the polynomials of a step have the flow's direction along it, but for rounding.
+
+    ``kink``: the step ends at a kink.
+    """
+    scale = 1e-3 * max([abs(c[0]) for c in series])
+    for share in (MIDDLE, BEFORE if kink else 1.0):
+        s = share * h
+        pairs = [polynomial_and_slope(c, s) for c in series]
+        x = [value for value, _ in pairs]
+        beside = [v * (1.0 + (8 - 16 * (i % 2)) * EPS) for i, v in enumerate(x)]
+        try:
+            rates = field.rhs(t + s, x)
+            others = field.rhs((t + s) * (1.0 + 8 * EPS), beside)
+        except (ValueError, OverflowError, ZeroDivisionError):
+            return True  # which is said where the step ends
+        for c, (_, along), rate, other in zip(series, pairs, rates, others, strict=True):
+            rounding = EPS * sum([k * abs(a) * s ** (k - 1) for k, a in enumerate(c) if k])
+            own = EPS * max(abs(c[0]), abs(c[1]), scale) / h
+            if abs(rate - along) > MISSED * (own + rounding) + 8 * abs(rate - other):
+                return False
+    return True
 
 
 def first_kink(kinks: list[list[float]], h: float, sides: list[int]) -> tuple[float, int | None]:

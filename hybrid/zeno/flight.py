@@ -15,7 +15,7 @@ import numpy as np
 
 from ..scene.taylor import polynomial, polynomial_and_slope, slope
 from ..segment import Segment, from_powers
-from ..solvers.taylor_backend import first_kink, step_length
+from ..solvers.taylor_backend import first_kink, follows, step_length
 
 if TYPE_CHECKING:
     from ..scene import Field
@@ -75,6 +75,8 @@ def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight
         length = reach if zero is None else zero
         length, crossed = first_kink(kinks, length, sides) if kinks else (length, None)
         if not 0 < length < float("inf"):
+            return None
+        if not follows(field, t + start, series, length, crossed is not None):
             return None
         pieces.append((start, length, series))
         x = [polynomial(c, length) for c in series]
