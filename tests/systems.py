@@ -139,6 +139,19 @@ class Loop(hy.Automaton):
         return s
 
 
+class Rubbed(hy.Automaton):
+    """A ball that rubs along a wall: the force turns within a thousandth of the speed."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def fall(self, t, s):
+        return s.v, -9.8 - 3.0 * jnp.tanh(s.v / 1e-3)
+
+    impact = hy.contact(fall, gap=lambda self, t, s: s.x, restitution=0.8)
+
+
 class Drag(hy.Automaton):
     """A ball with quadratic drag: the flow has a kink at the top of each flight."""
 

@@ -53,6 +53,14 @@ def test_quadratic_drag_with_its_kink(solver):
     assert abs(run.zeno[0].t - 3.03185051506359) <= run.zeno[0].t_error
 
 
+def test_a_force_that_is_flat_to_rounding_before_it_turns(accurate):
+    """Small terms of a series prove nothing: against quadratures of each flight, 30 digits."""
+    run = hy.simulate(systems.Rubbed(), {"x": 1.0, "v": 0.0}, (0, 3), **accurate)
+    assert run.jumps.t[0] == pytest.approx(0.54228966404263324591, abs=1e-11)
+    assert run.zeno[0].t == pytest.approx(1.8538083920074954531, abs=1e-11)
+    assert abs(run.zeno[0].t - 1.8538083920074954531) <= run.zeno[0].t_error <= 1e-10
+
+
 def test_resting_on_one_contact_and_striking_another(solver):
     """A ball at rest on the floor slides into the wall, and stays on the floor."""
     run = hy.simulate(systems.Room(), [0.0, 1.0, 1.0, 0.0], (0, 5), rtol=1e-9, **solver)
