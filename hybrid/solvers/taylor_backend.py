@@ -151,9 +151,12 @@ def _from_zero(c: list[float]) -> float:
 def follows(field: Field, t: float, series: list[list[float]], h: float, kink: bool) -> bool:
     """Whether the polynomials of a step have the flow's direction along it, but for rounding.
 
-    ``kink``: the step ends at a kink.
+    ``kink``: the step ends at a kink. On a surface forces cancel, and leave rounding of the size of
+    nothing that is seen here: there they are taken to be of the order of one at least.
     """
-    scale = 1e-3 * max([abs(c[0]) for c in series])
+    scale, fastest = 1e-3 * max([abs(c[0]) for c in series]), max([abs(c[1]) for c in series])
+    if field.project is not None:
+        fastest = max(fastest, 1.0)
     for share in (MIDDLE, BEFORE if kink else 1.0):
         s = share * h
         pairs = [polynomial_and_slope(c, s) for c in series]
@@ -165,9 +168,9 @@ def follows(field: Field, t: float, series: list[list[float]], h: float, kink: b
         except (ValueError, OverflowError, ZeroDivisionError):
             return True  # which is said where the step ends
         for c, (_, along), rate, other in zip(series, pairs, rates, others, strict=True):
-            rounding = EPS * sum([k * abs(a) * s ** (k - 1) for k, a in enumerate(c) if k])
-            own = EPS * max(abs(c[0]), abs(c[1]), scale) / h
-            if abs(rate - along) > MISSED * (own + rounding) + 8 * abs(rate - other):
+            rounding = fastest + abs(2.0 * c[2] * s) + abs(3.0 * c[3] * s * s)
+            rounding += max(abs(c[0]), abs(c[1]), scale) / h
+            if abs(rate - along) > MISSED * EPS * rounding + 8 * abs(rate - other):
                 return False
     return True
 
