@@ -331,26 +331,29 @@ def _follows(
     Small terms alone prove nothing. What changes faster than time can tell is not looked at more
     closely than that. ``cut``: whether the step ends at a kink (None: there are none).
     """
-    looks = LOOKS if cut is None else np.concatenate([BEFORE, LOOKS])
+    looks = LOOKS if cut is None else np.concatenate([LOOKS, BEFORE])
     counts = np.ones((len(looks), 1), dtype=bool)
-    counts = counts if cut is None else jnp.asarray(counts).at[-1].set(~cut)
+    counts = counts if cut is None else jnp.asarray(counts).at[1].set(~cut)
     to_values = _powers_of(looks)
     to_slopes = np.arange(ORDER + 1) * to_values / looks[:, None]
     h, path = stop_gradient(h), jax.tree.map(stop_gradient, path)
     spacing = 64 * EPS * jnp.abs(stop_gradient(ahead.t)) / h
 
-    def near(true: Any, series: Any, early: Any, off: Any) -> Any:
+    def near(true: Any, series: Any, early: Any, off: Any, counts: Any) -> Any:
         change = jnp.abs(series - early[0]).max(axis=0) + jnp.abs(early[1])
         near = jnp.abs(true - series) <= MISSED * off + spacing * change
         return (near | ~counts).all()
 
     times, states = tau + h * looks, apply(to_values, path.states)
     rates, slopes = h * jax.vmap(flow)(times, states), apply(to_slopes, path.states)
-    good = near(rates, slopes, path.states[1:], of_states)
+    good = near(rates, slopes, path.states[1:], of_states, counts)
     if ahead.values is None:
         return good
-    guards, series = jax.vmap(ahead.values)(times, states), apply(to_values, path.guards)
-    seen = near(guards, series, path.guards, of_guards)
+    guards, series = (
+        jax.vmap(ahead.values)(times[1:], states[1:]),
+        apply(to_values[1:], path.guards),
+    )
+    seen = near(guards, series, path.guards, of_guards, counts[1:])
     return good & (seen | (h <= SHORT * tau))
 
 
