@@ -322,6 +322,9 @@ def _move(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
                 "the state or time cannot be written as scalar code; use jnp.where"
             )
         operands.append(np.array(values, dtype=np.int64).reshape(ids.shape))
+    if name == "pad" and all(min(row) >= 0 == row[2] for row in equation.params["padding_config"]):
+        widths = [row[:2] for row in equation.params["padding_config"]]
+        return np.pad(operands[0], widths, constant_values=int(operands[1]))  # spares a compilation
     with jax.ensure_compile_time_eval(), jax.enable_x64(True):
         moved_ids = equation.primitive.bind(*operands, **equation.params)
     return np.asarray(moved_ids).astype(np.int64)

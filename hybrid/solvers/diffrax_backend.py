@@ -213,12 +213,13 @@ def _table(name: str) -> _Table:
         stages[i + 1, : i + 1] = row
     interpolant = Method(name).solver(1e-6, 1e-6).interpolation_cls
 
-    def at_nodes(units: Any, points: Any) -> Any:
-        ends = {"t0": jnp.array(0.0), "t1": jnp.array(1.0), "y0": units[0], "y1": units[1]}
+    def at_nodes(units: Any, points: Any, t0: Any, t1: Any) -> Any:
+        ends = {"t0": t0, "t1": t1, "y0": units[0], "y1": units[1]}
         return jax.vmap(interpolant(k=units[2:], **ends).evaluate)(points)
 
     with jax.ensure_compile_time_eval():
-        weights = np.asarray(jit(at_nodes)(np.eye(2 + len(stages)), nodes(DEGREES[name])))
+        units, points = np.eye(2 + len(stages)), nodes(DEGREES[name])
+        weights = np.asarray(jit(at_nodes)(units, points, 0.0, 1.0))
     c = np.concatenate([[0.0], own.c])
     return _Table(c, stages, np.array(own.b_sol), np.array(own.b_error), weights)
 
