@@ -369,3 +369,20 @@ def test_all_faults_of_switchings_are_reported_together():
     ):
         assert part in text
     assert len(caught.value.faults) == 10
+
+
+class Rubbing(hy.Automaton):
+    """A block that friction stops, with the sign written into the flow."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def slides(self, t, s):
+        return s.v, -2.0 * jnp.sign(s.v) + 0.5 * jnp.sin(t)
+
+
+def test_a_sign_that_holds_from_both_sides_is_refused():
+    """The series would go through it; the message names what to declare, and where."""
+    with pytest.raises(hy.FlowError, match=r"Rubbing, mode slides, t = 0\.53.* hy\.switching"):
+        hy.simulate(Rubbing(), {"x": 0.0, "v": 1.0}, (0.0, 2.0), solver="taylor")
