@@ -86,14 +86,13 @@ class Map:
     def disagree(self) -> np.ndarray:
         """Lanes of which something is proved that was not seen, or not at that time.
 
-        A lane whose bounds lie beyond the time to which it was flown shows nothing either way, nor
-        whether it is released one held too late to see that.
+        A lane whose bounds lie beyond the time to which it was flown shows nothing either way.
         """
         held = self.lanes.held
         late = held > self.high + SLACK
         early = held + self.tail < self.low - SLACK
         other = ~self.complete & (self.high < self.lanes.end)
-        kinds = self.complete & ~self.undecided & (self.seen != self.proved)
+        kinds = self.complete & (self.seen != self.proved)
         return self.certified & (late | early | other | kinds)
 
     @property
