@@ -92,7 +92,7 @@ def test_under_vmap_each_has_its_own_fate():
 
 @pytest.mark.parametrize(
     ("derivative", "method"),
-    [(jax.jacfwd, "Dopri8"), (jax.jacrev, "Taylor")],
+    [(jax.jacfwd, "Dopri8"), (jax.jacrev, "Dopri8"), (jax.jacrev, "Taylor")],
 )
 def test_derivatives_of_the_accumulation_time(derivative, method):
     """Closed forms: dt_inf/de = 10.03..., dt_inf/dh = 1.279... for g = 9.81, e = 0.7, h = 1."""
