@@ -115,9 +115,7 @@ class Map:
     @property
     def undecided(self) -> np.ndarray:
         """Lanes that were held too late to be seen through a period of the forcing."""
-        lanes = self.lanes
-        left = lanes.end - lanes.held < 2.0 * np.pi / lanes.w
-        return self.complete & np.isnan(lanes.released) & left
+        return self.lanes.late
 
 
 @cache

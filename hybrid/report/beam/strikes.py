@@ -143,9 +143,17 @@ class Lanes:
     times: np.ndarray
     speeds: np.ndarray
 
+    @property
+    def late(self) -> np.ndarray:
+        """Lanes that were held too late to be seen through a period of the forcing."""
+        left = self.end - self.held < 2.0 * np.pi / self.w
+        return ~np.isnan(self.held) & np.isnan(self.released) & left
 
-def fly(delta: Any, gamma: Any, w: Any, start: float = 1.3) -> Lanes:
+
+def fly(delta: Any, gamma: Any, w: Any, start: float = 1.3, end: Any = None) -> Lanes:
     """Fly lanes of the given parameters from rest at ``start``, each blow by itself.
+
+    Those held too late to tell whether they are released are flown for longer than ``end``.
 
     Raises
     ------
@@ -159,7 +167,7 @@ def fly(delta: Any, gamma: Any, w: Any, start: float = 1.3) -> Lanes:
     first = {"y": start - own.obstacle, "v": 0.0, "age": 0.0, "flight": 0.0, "row": 0.0}
     first |= {"first": 0.0, "longest": 0.0, "count": 0.0, "pace": FAR, "fuse": FAR}
     first |= {"times": none, "speeds": none + FAR}  # type: ignore[dict-item]
-    end = LASTS + PERIODS * 2.0 * np.pi / w
+    end = LASTS + PERIODS * 2.0 * np.pi / w if end is None else end
     parameters = {"delta": delta, "gamma": gamma, "w": w}
     found = ensemble(model, first, (0.0, end), parameters, rtol=RTOL, atol=ATOL)
     failed = found.status.values != "reached_end"
@@ -169,7 +177,7 @@ def fly(delta: Any, gamma: Any, w: Any, start: float = 1.3) -> Lanes:
         raise ArithmeticError(f"lane {place} ({where}): {found.status.values[place]}")
     modes, speeds = found["mode"].values, found.speeds.values
     never = speeds >= FAR
-    return Lanes(
+    lanes = Lanes(
         delta,
         gamma,
         w,
@@ -181,3 +189,13 @@ def fly(delta: Any, gamma: Any, w: Any, start: float = 1.3) -> Lanes:
         np.where(never, np.nan, found.times.values),
         np.where(never, np.nan, speeds),
     )
+    late = lanes.late
+    if np.any(late):
+        longer = end[late] + PERIODS * 2.0 * np.pi / w[late]
+        again = fly(delta[late], gamma[late], w[late], start, longer)
+        names = [field.name for field in attrs.fields(Lanes)]
+        columns = {name: np.array(getattr(lanes, name)) for name in names}
+        for name, column in columns.items():
+            column[late] = getattr(again, name)
+        lanes = Lanes(**columns)
+    return lanes
