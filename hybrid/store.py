@@ -9,7 +9,11 @@ written out as the arcs that a double can tell from their limit. The layout is i
 from __future__ import annotations
 
 import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import mkstemp
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -73,6 +77,9 @@ def _numbers(parameters: dict[str, Any]) -> dict[str, Any]:
 def save(run: Trajectory, path: Any) -> None:
     """Write a trajectory to a NetCDF file.
 
+    The file appears whole or not at all: an older one of this name is lost only when the new one
+    is complete, whatever interrupts the writing.
+
     Raises
     ------
     StoreError
@@ -114,9 +121,35 @@ def save(run: Trajectory, path: Any) -> None:
         data["sample_state"] = (("sample", "element"), run.samples)
     attributes = {"format": FORMAT, "meta": json.dumps(_meta(run, modes, edges))}
     try:
-        xr.Dataset(data, attrs=attributes).to_netcdf(Path(path), engine="h5netcdf")
-    except OSError as fault:
+        with _replacing(Path(path).resolve()) as part:
+            xr.Dataset(data, attrs=attributes).to_netcdf(part, engine="h5netcdf")
+    except (OSError, RuntimeError) as fault:  # HDF5 reports a full disk as a RuntimeError
         raise StoreError(f"cannot write {path}: {fault}") from None
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """A file beside ``path`` to write to, which takes its place once it is complete."""
+    handle, name = mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+    os.close(handle)
+    part = Path(name)
+    try:
+        yield part
+        with part.open("rb+") as written:
+            os.fsync(written.fileno())
+        part.chmod(_permissions(path))
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _permissions(path: Path) -> int:
+    """Those of the file that is replaced, else those of a new file."""
+    if path.exists():
+        return path.stat().st_mode & 0o777
+    mask = os.umask(0)
+    os.umask(mask)
+    return 0o666 & ~mask
 
 
 def _meta(run: Trajectory, modes: list[str], edges: list[str]) -> dict[str, Any]:
@@ -159,7 +192,7 @@ def load(path: Any) -> Trajectory:
     Raises
     ------
     StoreError
-        If there is no such file, or it was not written by this package.
+        If there is no such file, it was not written by this package, or it is damaged.
     """
     need("hy.load", FILES)
     import xarray as xr
@@ -167,45 +200,71 @@ def load(path: Any) -> Trajectory:
     if not Path(path).exists():
         raise StoreError(f"cannot read {path}: no such file")
     try:
-        data = xr.load_dataset(Path(path), engine="h5netcdf")
-        if int(data.attrs["format"]) != FORMAT:
-            raise StoreError(f"{path}: layout {data.attrs['format']}; this version reads {FORMAT}")
-        meta = json.loads(data.attrs["meta"])
-    except (OSError, KeyError, ValueError) as fault:
-        raise StoreError(f"cannot read {path}: not a saved trajectory ({fault})") from None
+        _require_own_numbers(Path(path))
+        return _trajectory(xr.load_dataset(Path(path), engine="h5netcdf"))
+    except StoreError as fault:
+        raise StoreError(f"cannot read {path}: {fault}") from None
+    except Exception as fault:  # a damaged file may fail anywhere in HDF5, or in what reads it
+        reason = f"{type(fault).__name__}: {fault}"
+        raise StoreError(f"cannot read {path}: not a saved trajectory ({reason})") from None
+
+
+def _require_own_numbers(path: Path) -> None:
+    """Refuse a file whose numbers are elsewhere, or are more than it holds.
+
+    Raises
+    ------
+    StoreError
+    """
+    import h5py
+
+    declared = 0
+    with h5py.File(path) as file:
+        for name in file:
+            link, item = file.get(name, getlink=True), file.get(name)
+            if not isinstance(link, h5py.HardLink) or not isinstance(item, h5py.Dataset):
+                raise StoreError(f"{name} is no table of its own")
+            if item.external or item.is_virtual:
+                raise StoreError(f"the numbers of {name} are in another file")
+            is_dimension = item.is_scale and item.id.get_offset() is None
+            declared += 0 if is_dimension else item.nbytes
+    if declared > path.stat().st_size:
+        raise StoreError("it declares more numbers than it holds: it is cut short or damaged")
+
+
+def _trajectory(data: Any) -> Trajectory:
+    """A trajectory from the dataset that :func:`save` writes."""
+    if int(data.attrs["format"]) != FORMAT:
+        raise StoreError(f"layout {data.attrs['format']}; this version reads {FORMAT}")
+    meta = json.loads(data.attrs["meta"])
     states = [
         StateSpec(name, unit, doc, tuple(sh), off) for name, unit, doc, sh, off in meta["states"]
     ]
     spec = Spec(meta["model"], tuple(states), (), (), (), "")
-    arcs, modes = _arcs(data, meta["modes"]), meta["edges"]
-    jumps = {
-        index: JumpRow(
-            float(data.jump_t[index]),
-            float(data.jump_low[index]),
-            modes[int(data.jump_edge[index])],
-            before,
-            after,
-        )
-        for index, (before, after) in enumerate(
-            zip(data.jump_before.values, data.jump_after.values, strict=True)
-        )
-    }
+    arcs = _arcs(data, meta["modes"])
     zeno = [_read_accumulation(spec, point) for point in meta["zeno"]]
-    grazings = [_read_grazing(spec, *row) for row in meta["grazings"]]
     options, samples = meta["options"], None
     if "sample_t" in data:
         options["times"], samples = data.sample_t.values, data.sample_state.values
     return Trajectory(
         spec,
         meta["parameters"],
-        Log(arcs, _by_arc(jumps, arcs, zeno)),
+        Log(arcs, _by_arc(_jumps(data, meta["edges"]), arcs, zeno)),
         zeno,
-        grazings,
+        [_read_grazing(spec, *row) for row in meta["grazings"]],
         Status[meta["status"]],
         options,
         samples,
         pairs=[(i, k) for i, k in meta["pairs"]],
     )
+
+
+def _jumps(data: Any, edges: list[str]) -> dict[int, JumpRow]:
+    """The jumps by their number."""
+    t, low = data.jump_t.values.tolist(), data.jump_low.values.tolist()
+    names = [edges[int(index)] for index in data.jump_edge.values]
+    columns = zip(t, low, names, data.jump_before.values, data.jump_after.values, strict=True)
+    return {index: JumpRow(*row) for index, row in enumerate(columns)}
 
 
 def _by_arc(

@@ -1,7 +1,16 @@
 """Files and datasets give back what was run."""
 
+import contextlib
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
 import numpy as np
 import pytest
+import xarray as xr
 
 import hybrid as hy
 from models.ball_on_circle import BallOnCircle
@@ -56,3 +65,101 @@ def test_the_dataset_has_units_and_both_sides_of_a_jump():
     data = run.to_xarray()
     assert data.x.attrs["units"] == "m"
     assert np.sum(np.isclose(data.time.values, run.jumps.t[0], atol=1e-15)) == 2
+
+
+@pytest.fixture(scope="module")
+def bead():
+    return hy.simulate(BeadOnTable(r=0.6, omega=3.5), [1.5, 0.0], (0, 7), rtol=1e-10)
+
+
+SAVING = """
+import sys
+import hybrid as hy
+from models.bead_on_table import BeadOnTable
+run = hy.simulate(BeadOnTable(r=0.6, omega=3.5), [1.5, 0.0], (0, 7), rtol=1e-10)
+run.save(sys.argv[1])
+print("saved", flush=True)
+while True:
+    run.save(sys.argv[1])
+"""
+
+
+def test_a_save_that_is_killed_leaves_the_older_file(tmp_path):
+    """A process that saves again and again is killed: what is there is whole."""
+    path = tmp_path / "run.nc"
+    command = [sys.executable, "-c", SAVING, str(path)]
+    root = Path(__file__).parent.parent
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as child:
+        assert child.stdout.readline() == "saved\n"
+        time.sleep(0.05)
+        child.send_signal(signal.SIGKILL)
+    assert hy.load(path).jumps.t.size > 10
+
+
+@pytest.mark.parametrize("fault", [RuntimeError("disk full"), OSError("gone"), KeyboardInterrupt()])
+def test_a_save_that_fails_leaves_the_older_file_and_nothing_else(
+    bead, tmp_path, monkeypatch, fault
+):
+    """Half a file is never seen under the name asked for."""
+    path = tmp_path / "run.nc"
+    bead.save(path)
+    before = path.read_bytes()
+
+    def half(self, part, engine):
+        Path(part).write_bytes(before[:1000])
+        raise fault
+
+    monkeypatch.setattr(xr.Dataset, "to_netcdf", half)
+    wanted = KeyboardInterrupt if isinstance(fault, KeyboardInterrupt) else hy.StoreError
+    with pytest.raises(wanted):
+        bead.save(path)
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["run.nc"]
+
+
+def test_a_link_is_written_through(bead, tmp_path):
+    """What a symbolic link points to is replaced, not the link."""
+    (tmp_path / "real.nc").write_text("older")
+    (tmp_path / "link.nc").symlink_to(tmp_path / "real.nc")
+    bead.save(tmp_path / "link.nc")
+    assert (tmp_path / "link.nc").is_symlink()
+    assert repr(hy.load(tmp_path / "real.nc")) == repr(bead)
+
+
+def test_damaged_files_are_one_kind_of_error(bead, tmp_path):
+    """Cut short, or with bytes changed anywhere: it reads, or it is a StoreError."""
+    path, draw = tmp_path / "run.nc", np.random.default_rng(7)
+    bead.save(path)
+    whole = path.read_bytes()
+    for _ in range(60):
+        data = bytearray(whole[: draw.integers(100, len(whole))])
+        if draw.random() < 0.7:
+            data = bytearray(whole)
+        for place in draw.integers(0, min(9000, len(data)), 8):
+            data[place] = draw.integers(256)
+        path.write_bytes(data)
+        with contextlib.suppress(hy.StoreError):
+            assert hy.load(path).spec.dimension >= 0
+
+
+def test_numbers_in_another_file_are_refused(bead, tmp_path):
+    """A table whose raw data lie elsewhere is not followed."""
+    path, other = tmp_path / "run.nc", tmp_path / "other"
+    bead.save(path)
+    other.write_bytes(bytes(100_000))
+    with h5py.File(path, "a") as file:
+        shape = file["arc_t0"].shape
+        del file["arc_t0"]
+        file.create_dataset("arc_t0", shape, "f8", external=[(str(other), 0, h5py.h5f.UNLIMITED)])
+    with pytest.raises(hy.StoreError, match="arc_t0 are in another file"):
+        hy.load(path)
+
+
+def test_a_file_that_declares_more_than_it_holds_is_refused(bead, tmp_path):
+    """Before memory is asked for."""
+    path = tmp_path / "run.nc"
+    bead.save(path)
+    with h5py.File(path, "a") as file:
+        file.create_dataset("large", (10**11,), "f8")
+    with pytest.raises(hy.StoreError, match="declares more numbers than it holds"):
+        hy.load(path)
