@@ -8,20 +8,7 @@ import pytest
 
 from hybrid import solvers
 
-SOLVERS = {
-    "DOP853": {"solver": "scipy", "method": "DOP853"},
-    "RK45": {"solver": "scipy", "method": "RK45"},
-    "RK23": {"solver": "scipy", "method": "RK23"},
-    "Radau": {"solver": "scipy", "method": "Radau"},
-    "BDF": {"solver": "scipy", "method": "BDF"},
-    "LSODA": {"solver": "scipy", "method": "LSODA"},
-    "taylor": {"solver": "taylor"},
-    "Tsit5": {"solver": "diffrax", "method": "Tsit5"},
-    "Dopri8": {"solver": "diffrax", "method": "Dopri8"},
-    "Kvaerno5": {"solver": "diffrax", "method": "Kvaerno5"},
-    "Taylor": {"solver": "diffrax", "method": "Taylor"},
-    "classic": {"solver": "classic"},
-}
+from .contract.ways import MECHANISMS, SOLVERS, WAYS, expected_failure
 
 #: Those that reach rounding.
 ACCURATE = ["DOP853", "taylor", "Dopri8", "Taylor"]
@@ -37,20 +24,47 @@ def _classic_is_plugged_in():
     solvers.entry_points = found
 
 
+def pytest_configure(config):
+    """The mark of :func:`tests.contract.ways.misses`."""
+    config.addinivalue_line("markers", "misses(finding, names, raises, cases): fails today")
+
+
+def pytest_collection_modifyitems(items):
+    """What a way is known to miss fails, or the mark must go."""
+    for item in items:
+        params = item.callspec.params if hasattr(item, "callspec") else {}
+        for mark in item.iter_markers("misses"):
+            failure = expected_failure(mark, params)
+            if failure is not None:
+                item.add_marker(failure)
+
+
 def pytest_generate_tests(metafunc):
-    """Each solver for the fixtures below, but for those in the test module's ``WITHOUT``."""
+    """Each solver for the fixtures below, but for those in the test module's ``WITHOUT``.
+
+    ``way`` has those of the module's ``WAYS``, or one of each mechanism.
+    """
     own = [mark.args[0] for mark in metafunc.definition.iter_markers("parametrize")]
     own += vars(metafunc.module)
     for fixture, names in (("solver", SOLVERS), ("accurate", ACCURATE)):
         if fixture in metafunc.fixturenames and fixture not in own:
             able = [name for name in names if name not in getattr(metafunc.module, "WITHOUT", ())]
             metafunc.parametrize(fixture, able, indirect=True)
+    if "way" in metafunc.fixturenames and "way" not in own:
+        chosen = getattr(metafunc.module, "WAYS", MECHANISMS)
+        metafunc.parametrize("way", list(chosen), indirect=True)
 
 
 @pytest.fixture
 def solver(request):
     """Options that choose a solver; a new backend is one line above."""
     return SOLVERS[request.param]
+
+
+@pytest.fixture
+def way(request):
+    """A way in: ``way.run(model, start, t, ...)`` (:mod:`tests.contract.ways`)."""
+    return WAYS[request.param]
 
 
 @pytest.fixture

@@ -1,0 +1,377 @@
+"""Every way in: ``hy.simulate`` on each mechanism, ``hy.ensemble`` and ``hy.as_function``.
+
+A test over the fixture ``way`` runs once for each way of its module's ``WAYS`` (``MECHANISMS`` if
+it names none)::
+
+    WAYS = ways.ALL
+
+    def test_a_ball_bounces(way):
+        result = way.run(Ball(), {"x": 1.0, "v": 0.0}, (0.0, 3.0), rtol=1e-9)
+        assert result.t_inf == pytest.approx(2.5586, abs=1e-4)
+        if way.tells("edges"):
+            assert result.edges[0] == "impact"
+
+A result has the same fields whatever the way; one that the way cannot tell is None, and
+``way.tells(name)`` says so beforehand. Compiling costs seconds for a new class, method or ``zeno``,
+and nothing for other numbers: take parameters in place of new classes, and ``way.many`` for many
+cases of one class (one call of an ensemble). What a way answers wrongly is marked, so that mending
+it must remove the mark::
+
+    @misses("a short gust is stepped over", "ensemble", "as_function", width=[1e-3])
+    @pytest.mark.parametrize("width", [1e-1, 1e-3])
+    def test_a_gust(way, width): ...
+"""
+
+from __future__ import annotations
+
+import abc
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import attrs
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+from hybrid.automaton.record import Record
+from hybrid.compiled.ask import REASONS
+
+#: Options of ``hy.simulate`` that choose a solver; a new backend is one line here.
+SOLVERS = {
+    "DOP853": {"solver": "scipy", "method": "DOP853"},
+    "RK45": {"solver": "scipy", "method": "RK45"},
+    "RK23": {"solver": "scipy", "method": "RK23"},
+    "Radau": {"solver": "scipy", "method": "Radau"},
+    "BDF": {"solver": "scipy", "method": "BDF"},
+    "LSODA": {"solver": "scipy", "method": "LSODA"},
+    "taylor": {"solver": "taylor"},
+    "Tsit5": {"solver": "diffrax", "method": "Tsit5"},
+    "Dopri8": {"solver": "diffrax", "method": "Dopri8"},
+    "Kvaerno5": {"solver": "diffrax", "method": "Kvaerno5"},
+    "Taylor": {"solver": "diffrax", "method": "Taylor"},
+    "classic": {"solver": "classic"},
+}
+
+#: Names of ``hy.ensemble`` that are ``"refused"`` here: a start, or a state after a jump, that is
+#: out of the mode's domain or does not say what follows.
+REFUSED = ("outside", "undecided")
+
+#: How the errors of ``hy.simulate`` are named. Wrong options stay errors.
+ERRORS = {
+    hy.StartError: "refused",
+    hy.DomainError: "refused",
+    hy.FlowError: "not_finite",
+    hy.JumpLoopError: "jump_loop",
+    hy.ZenoError: "zeno_raised",
+}
+
+
+def misses(finding: str, *names: str, raises: Any = (AssertionError, IndexError), **cases: Any):
+    """Mark a test as one that these ways fail today (``xfail(strict=True)``).
+
+    Parameters
+    ----------
+    finding : str
+        What goes wrong, in words.
+    names : str
+        The ways that fail; all if none is named.
+    raises : exception types
+        How it fails; anything else is a failure of the test.
+    cases : lists, by parameter of the test
+        Values for which it fails; all where a parameter is not named.
+    """
+    return pytest.mark.misses(finding, names=names, raises=raises, cases=cases)
+
+
+def expected_failure(mark: Any, params: Mapping[str, Any]) -> Any:
+    """The strict ``xfail`` that a ``misses`` mark means for these parameters, or None."""
+    names, cases = mark.kwargs["names"], mark.kwargs["cases"]
+    if names and params.get("way") not in names:
+        return None
+    if any(params[name] not in values for name, values in cases.items()):
+        return None
+    return pytest.mark.xfail(strict=True, reason=mark.args[0], raises=mark.kwargs["raises"])
+
+
+@attrs.frozen
+class Limit:
+    """An accumulation as a lane or a function tells it, in the words of ``run.zeno``.
+
+    ``t_error`` bounds the error of the sum only, not that of the integration before it.
+    """
+
+    t: float
+    t_error: float
+    ratio: float
+    state: Any = None
+    verdict: str | None = None
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Result:
+    """What came out, the same from every way; None where the way cannot tell.
+
+    Attributes
+    ----------
+    status : str
+        One of the names of ``hy.ensemble``, or ``"refused"``, ``"zeno_raised"``.
+    said : str
+        The sentence that went with it.
+    t : float
+        Where it ended.
+    final : record
+        The state there, by attribute.
+    mode : str
+    jumps : int
+        Listed by ``simulate``, computed one by one elsewhere: the same number only where nothing
+        accumulates.
+    accumulations : int
+    zeno : list
+        ``hy.simulate`` has all of them, the others the first.
+    times, edges, before, after
+        The table of jumps: arrays, a list of names, and records of columns.
+    run : Trajectory
+        Of ``hy.simulate``, for what only it has.
+    """
+
+    status: str
+    said: str = ""
+    t: float | None = None
+    final: Any = None
+    mode: str | None = None
+    jumps: int | None = None
+    accumulations: int | None = None
+    zeno: Sequence[Any] = ()
+    times: Any = None
+    edges: list[str] | None = None
+    before: Any = None
+    after: Any = None
+    run: Any = None
+
+    @property
+    def t_inf(self) -> float:
+        """When jumps first accumulate; NaN if they do not."""
+        return float(self.zeno[0].t) if self.zeno else math.nan
+
+    @property
+    def t_error(self) -> float:
+        """The bound given with it."""
+        return float(self.zeno[0].t_error) if self.zeno else math.nan
+
+
+class Way(abc.ABC):
+    """A way in.
+
+    Attributes
+    ----------
+    name : str
+    told : frozenset
+        The fields of a result that it fills, and ``"bound"``: that ``t_error`` bounds the whole
+        error; ``"all zeno"``: that every accumulation is listed; ``"limit"``: the state at one.
+    """
+
+    told: frozenset[str]
+
+    def __init__(self, name: str, **options: Any) -> None:
+        self.name, self.options = name, options
+
+    def tells(self, *fields: str) -> bool:
+        """Whether all these are among what it can tell."""
+        return self.told.issuperset(fields)
+
+    def run(self, model: Any, start: Any, t: tuple[float, float], **options: Any) -> Result:
+        """One run; options as for ``hy.simulate``, the way's own defaults else."""
+        return self.many(model, [start], t, **options)[0]
+
+    @abc.abstractmethod
+    def many(
+        self,
+        model: Any,
+        starts: Sequence[Any],
+        t: tuple[Any, Any],
+        parameters: Mapping[str, Sequence[Any]] | None = None,
+        **options: Any,
+    ) -> list[Result]:
+        """One run for each start, with its own parameters and, if arrays, its own times."""
+
+    def __repr__(self) -> str:
+        return self.name
+
+
+def _cases(model: Any, starts: Sequence[Any], t: Any, parameters: Any) -> Any:
+    """Model, start and times of each run."""
+    given = parameters or {}
+    firsts, lasts = (np.broadcast_to(np.asarray(end, float), len(starts)) for end in t)
+    for i, start in enumerate(starts):
+        own = attrs.evolve(model, **{name: values[i] for name, values in given.items()})
+        yield own, start, (float(firsts[i]), float(lasts[i]))
+
+
+#: What every way tells, and what a table of jumps does.
+COMMON = frozenset({"status", "t", "final", "jumps", "zeno"})
+TABLE = frozenset({"times", "edges", "before", "after"})
+
+
+class Simulate(Way):
+    """``hy.simulate`` with a solver."""
+
+    told = COMMON | TABLE | {"mode", "accumulations", "run", "verdict", "bound", "limit"}
+    told |= {"all zeno"}
+
+    def many(self, model, starts, t, parameters=None, **options):
+        return [self._one(*case, **options) for case in _cases(model, starts, t, parameters)]
+
+    def _one(self, model: Any, start: Any, t: Any, **options: Any) -> Result:
+        try:
+            run = hy.simulate(model, start, t, **{**self.options, **options})
+        except tuple(ERRORS) as error:
+            return Result(status=ERRORS[type(error)], said=str(error))
+        return Result(
+            status=run.status.name.lower(),
+            said=str(run.status),
+            t=run.t1,
+            final=run.final,
+            mode=run.mode,
+            jumps=len(run.jumps),
+            accumulations=len(run.zeno),
+            zeno=run.zeno,
+            times=run.jumps.t,
+            edges=run.jumps.edge.tolist(),
+            before=run.jumps.before,
+            after=run.jumps.after,
+            run=run,
+        )
+
+
+class Ensemble(Way):
+    """``hy.ensemble``: each run is a lane; no table of jumps.
+
+    The last case is repeated until there are ``LEAST`` lanes, so that one program serves one run
+    and several.
+    """
+
+    LEAST = 16
+
+    told = COMMON | {"mode", "accumulations", "verdict"}
+
+    def many(self, model, starts, t, parameters=None, **options):
+        which = np.minimum(np.arange(max(self.LEAST, len(starts))), len(starts) - 1)
+        spread = lambda values: np.asarray(values, float)[which]  # noqa: E731
+        rows = zip(*(model.spec.values(start) for start in starts), strict=True)
+        columns = dict(zip(model.spec.names, map(spread, map(list, rows)), strict=True))
+        given = {name: spread(values) for name, values in (parameters or {}).items()}
+        ends = tuple(spread(end) if np.ndim(end) else end for end in t)
+        lanes = hy.ensemble(model, columns, ends, given, **{**self.options, **options})
+        return [self._lane(model, lanes.isel(lane=i)) for i in range(len(starts))]
+
+    def _lane(self, model: Any, lane: Any) -> Result:
+        status = str(lane.status.values)
+        zeno = []
+        if not np.isnan(lane.t_inf.values):
+            numbers = (float(lane[name]) for name in ("t_inf", "t_inf_error", "ratio"))
+            zeno.append(Limit(*numbers, verdict=str(lane.verdict.values)))
+        return Result(
+            status="refused" if status in REFUSED else status,
+            said=lane.attrs[f"status_{status}"],
+            t=float(lane["t"]),
+            final=_record(model, {name: lane[name].values for name in model.spec.names}),
+            mode=str(lane["mode"].values),
+            jumps=int(lane.jumps),
+            accumulations=int(lane.accumulations),
+            zeno=zeno,
+        )
+
+
+class AsFunction(Way):
+    """``hy.as_function`` under ``jax.jit``, compiled once for each class and set of options."""
+
+    told = COMMON | TABLE | {"limit"}
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self._compiled: dict[Any, Any] = {}
+
+    def many(self, model, starts, t, parameters=None, **options):
+        with jax.enable_x64(True):
+            function, edges = self._function(model, {"max_jumps": 256, **self.options, **options})
+            return [
+                self._outcome(model, function(*_arrays(*case)), edges)
+                for case in _cases(model, starts, t, parameters)
+            ]
+
+    def _function(self, model: Any, options: dict[str, Any]) -> Any:
+        """The compiled function, kept if the options can be compared."""
+        key = (type(model), tuple(sorted((k, repr(v)) for k, v in options.items())))
+        if callable(options.get("history")) or key not in self._compiled:
+            self._compiled[key] = self._compile(type(model), options)
+        return self._compiled[key]
+
+    def _compile(self, cls: Any, options: dict[str, Any]) -> Any:
+        model = cls()
+        edges = hy.as_function(model, t=(0.0, 1.0), **options).edges
+
+        def function(parameters: Any, start: Any, t: Any) -> Any:
+            run = hy.as_function(model, t=t, **options)
+            return run(cls(**parameters), start)
+
+        return jax.jit(function), edges
+
+    def _outcome(self, model: Any, out: Any, edges: Any) -> Result:
+        status, said = REASONS[int(out.status)]
+        count = int(out.jumps.count)
+        table = out.jumps
+        zeno = []
+        if not np.isnan(out.zeno.t):
+            numbers = (float(v) for v in (out.zeno.t, out.zeno.error, out.zeno.ratio))
+            zeno.append(Limit(*numbers, state=_record(model, out.zeno.state)))
+        return Result(
+            status="refused" if status in REFUSED else status,
+            said=said,
+            t=float(out.t),
+            final=_record(model, out.final),
+            jumps=count,
+            zeno=zeno,
+            times=np.asarray(table.t)[:count],
+            edges=[edges[i] for i in np.asarray(table.edge)[:count]],
+            before=_record(model, table.before, count),
+            after=_record(model, table.after, count),
+        )
+
+
+def _arrays(model: Any, start: Any, t: Any) -> tuple[Any, Any, Any]:
+    """A model's parameters, its start and times as JAX's arrays."""
+    parameters = {p.name: jnp.asarray(getattr(model, p.name), float) for p in model.spec.parameters}
+    values = dict(zip(model.spec.names, model.spec.values(start), strict=True))
+    array = lambda value: jnp.asarray(value, float)  # noqa: E731
+    return parameters, {k: array(v) for k, v in values.items()}, tuple(map(array, t))
+
+
+def _record(model: Any, values: Mapping[str, Any], count: int | None = None) -> Record:
+    """Numbers, or the first rows of columns, by state."""
+    rows = ... if count is None else slice(count)
+    names = model.spec.names
+    return Record(names, tuple(np.asarray(values[name])[rows] for name in names))
+
+
+#: All ways, by name. ``RK23`` is left to the fixture ``solver``: it adds no mechanism.
+WAYS: dict[str, Way] = {
+    **{name: Simulate(name, **given) for name, given in SOLVERS.items() if name != "RK23"},
+    "ensemble": Ensemble("ensemble"),
+    "ensemble Dopri8": Ensemble("ensemble Dopri8", method="Dopri8"),
+    "as_function": AsFunction("as_function"),
+}
+
+ALL = list(WAYS)
+
+#: One method of each mechanism: explicit, implicit and multistep steps, Taylor series, compiled
+#: streaks, lanes, pure functions.
+MECHANISMS = ["DOP853", "Radau", "LSODA", "taylor", "Dopri8", "ensemble", "as_function"]
+
+#: Those of them that reach rounding.
+ACCURATE = ["DOP853", "taylor", "Dopri8", "Taylor", "ensemble", "as_function"]
+
+#: The ways that have no Python to turn to.
+COMPILED = ["ensemble", "ensemble Dopri8", "as_function"]
