@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import DeclarationError, OptionError, ParameterError, TraceError
 from . import trace
 from .builder import Builder
+from .captured import Captured, captured
 from .markers import Contact, Edge, Mode, State, Switching, is_parameter
 from .past import Asking, Lags, Past, looks_back, plain
 from .spec import ContactSpec, EdgeSpec, Spec
@@ -51,6 +52,7 @@ class Automaton:
 
     spec: ClassVar[Spec]
     traces: ClassVar[Mapping[tuple[str, str], Any]]
+    _captured: ClassVar[tuple[tuple[str, Captured], ...]]
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -60,6 +62,7 @@ class Automaton:
         traced = _Traced(cls, builder.build(), builder.untraceable)
         traced.all()
         cls.spec, cls.traces = traced.spec, traced.traces
+        cls._captured = tuple(_captured(cls, cls.spec))
         builder.check_defaults()
         if builder.faults or traced.faults:
             raise DeclarationError(cls.__name__, builder.faults + traced.faults)
@@ -139,8 +142,7 @@ class _Traced:
             self._guarded(self._add, lags, each)
 
     def _guarded(self, make: Callable[..., None], lags: Lags, each: Any) -> None:
-        kind, owner = each[:2]
-        label = f"{OWNERS[kind]} {owner}" + ("" if kind == "flow" else f", {kind}")
+        label = _label(*each[:2])
         try:
             make(lags, *each)
         except Exception as fault:  # whatever the author's code raises is a fault to report
@@ -177,7 +179,8 @@ class _Traced:
         call = trace.caller(self.cls, self.spec, function, numbers)
         call = trace.vector(self.spec, call) if whole else trace.scalar(call)
         closed = trace.trace(self.spec, call, extra)
-        trace.require_wide(closed, function)
+        trace.require_wide(self.cls, closed, function)
+        trace.require_repeatable(self.cls, self.spec, call, extra, closed, function)
         self.traces[kind, owner] = closed
         for place, number in enumerate(numbers):
             name = self.spec.lags[number].name
@@ -213,6 +216,17 @@ class _Traced:
         return trace.scalar(lag)
 
 
+def _label(kind: str, owner: str) -> str:
+    """How messages name a function."""
+    return f"{OWNERS[kind]} {owner}" + ("" if kind == "flow" else f", {kind}")
+
+
+def _captured(cls: type, spec: Spec) -> Iterator[tuple[str, Captured]]:
+    """What each function of a class sees besides its arguments, with the function's label."""
+    for kind, owner, function, *_ in _functions(spec):
+        yield from ((_label(kind, owner), found) for found in captured(cls, function))
+
+
 def _functions(spec: Spec) -> Iterator[tuple[str, str, Any, bool, int]]:
     """Kind, owner, function, whether it gives a whole state, numbers it takes besides."""
     for mode in spec.modes:
@@ -244,14 +258,28 @@ def _register_pytree(cls: type) -> None:
 
 
 def require_model(model: Any) -> None:
-    """Refuse what is no instance of a model.
+    """Refuse what is no instance of a model, and one whose functions would now be others.
 
     Raises
     ------
     OptionError
+        If it is no instance of a model.
+    DeclarationError
+        If a global, a variable of an outer function or a class attribute that its functions read
+        has changed since the class was made.
     """
     if not hasattr(model, "spec"):
         what = "an instance: write Model()" if isinstance(model, type) else repr(type(model))
         raise OptionError(f"model must be an instance of a subclass of hy.Automaton, not {what}")
     if isinstance(model, type):
         raise OptionError(f"give an instance of the model: {model.__name__}()")
+    faults = []
+    for label, found in type(model)._captured:
+        change = found.change()
+        if change is not None:
+            faults.append(
+                f"{label}: {change}; functions are read once: make it a hy.parameter, or make "
+                "the class again"
+            )
+    if faults:
+        raise DeclarationError(type(model).__name__, list(dict.fromkeys(faults)))

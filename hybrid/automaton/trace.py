@@ -8,13 +8,14 @@ in declared order and ``x`` the state vector.
 
 from __future__ import annotations
 
-import types
 from collections.abc import Callable, Iterator, Sequence
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
 
 from ..errors import TraceError
+from .captured import may_vary, values
 from .past import Past, asking
 from .spec import Spec
 
@@ -123,7 +124,7 @@ def again(closed: Any) -> Traced:
     return call
 
 
-def require_wide(closed: Any, function: Callable[..., Any]) -> None:
+def require_wide(cls: type, closed: Any, function: Callable[..., Any]) -> None:
     """Refuse a trace in which a 32-bit number takes part.
 
     Raises
@@ -135,7 +136,7 @@ def require_wide(closed: Any, function: Callable[..., Any]) -> None:
     narrow = next(_narrow(closed), None)
     if narrow is None:
         return
-    name = _captured_name(function, narrow)
+    name = _captured_name(cls, function, narrow)
     what = f"the constant {name!r}" if name else f"a constant or cast of type {narrow.dtype}"
     raise TraceError(
         f"{what} has only 32 bits; make it a Python float, a numpy array or a hy.parameter"
@@ -161,9 +162,9 @@ def _is_narrow(value: Any) -> bool:
     return kind in ("float32", "float16", "bfloat16", "complex64")
 
 
-def _captured_name(function: Callable[..., Any], constant: Any) -> str | None:
+def _captured_name(cls: type, function: Callable[..., Any], constant: Any) -> str | None:
     value = getattr(constant, "shape", None) is not None and hasattr(constant, "__array__")
-    for name, held in _captured(function, set()):
+    for name, held in values(cls, function):
         if not _is_narrow(held):
             continue
         if held is constant or not value or np.array_equal(np.asarray(held), np.asarray(constant)):
@@ -171,25 +172,36 @@ def _captured_name(function: Callable[..., Any], constant: Any) -> str | None:
     return None
 
 
-def _captured(function: Any, seen: set[int]) -> Iterator[tuple[str, Any]]:
-    """Names and values that a function (and functions of its module it calls) can see."""
-    function = getattr(function, "__func__", function)
-    if not isinstance(function, types.FunctionType) or id(function) in seen:
+def require_repeatable(
+    cls: type, spec: Spec, call: Traced, extra: int, closed: Any, function: Callable[..., Any]
+) -> None:
+    """Refuse a function that gives something else when it is traced again.
+
+    Raises
+    ------
+    TraceError
+    """
+    if not may_vary(cls, function):
         return
-    seen.add(id(function))
-    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-    pairs = [(name, cell.cell_contents) for name, cell in cells]
-    pairs += [
-        (n, function.__globals__[n]) for n in _names(function.__code__) if n in function.__globals__
-    ]
-    for name, value in pairs:
-        yield name, value
-        yield from _captured(value, seen)
+    second = trace(spec, lambda *given: call(*given), extra)  # JAX remembers what it has traced
+    pairs = zip_longest(_constants(closed), _constants(second))
+    if str(closed.jaxpr) != str(second.jaxpr) or not all(_equal(*pair) for pair in pairs):
+        raise TraceError(
+            "asked twice for the same t and s it gives two answers (a random number, a clock, a "
+            "counter?); a model's functions are read once, when its class is made, and must depend "
+            "on t, s and parameters only"
+        )
 
 
-def _names(code: types.CodeType) -> set[str]:
-    names = set(code.co_names)
-    for constant in code.co_consts:
-        if isinstance(constant, types.CodeType):
-            names |= _names(constant)
-    return names
+def _equal(one: Any, other: Any) -> bool:
+    return np.array_equal(np.asarray(one), np.asarray(other))
+
+
+def _constants(closed: Any) -> Iterator[Any]:
+    """Constants and literals of a closed jaxpr, inner ones included."""
+    yield from closed.consts
+    for equation in closed.jaxpr.eqns:
+        yield from (value.val for value in equation.invars if hasattr(value, "val"))
+        for inner in equation.params.values():
+            if hasattr(inner, "jaxpr") and hasattr(inner, "consts"):
+                yield from _constants(inner)

@@ -1,0 +1,230 @@
+"""What a model's functions see besides their arguments: globals, closures, class attributes.
+
+A function is traced once, when its class is defined; what it sees then is part of the model for
+good. A value that changes later would be ignored without a word, and a value that is new at each
+call (a random number, a clock, a counter) frozen. Both are told to the author.
+"""
+
+from __future__ import annotations
+
+import dis
+import inspect
+import types
+from collections.abc import Iterator
+from typing import Any
+
+import attrs
+import numpy as np
+
+#: Packages whose functions give the same for the same arguments ...
+PURE = ("jax", "math", "cmath", "numpy", "builtins", "operator", "functools", "hybrid")
+
+#: ... but for those that have this in their names.
+RANDOM = "random"
+
+#: Types whose values cannot change.
+PLAIN = (int, float, complex, str, bytes, bool, type(None), np.generic)
+
+#: Longest text of a value, in characters, that a message shows.
+SHOWN = 40
+
+#: Depth to which lists, mappings and objects are compared.
+DEPTH = 3
+
+
+@attrs.frozen(eq=False)
+class Captured:
+    """A name in a function, and the value that it had when the class was made.
+
+    Attributes
+    ----------
+    function : function
+        The function that reads it.
+    name : str
+    owner : type or None
+        The class whose attribute it is; None for a global or a variable of an outer function.
+    value : object
+        A copy (see :func:`_copy`).
+    """
+
+    function: Any
+    name: str
+    owner: type | None
+    value: Any
+
+    def change(self) -> str | None:
+        """What has changed since, as part of a sentence; None if nothing has."""
+        now = _copy(_look_up(self.function, self.name, self.owner))
+        if _same(self.value, now):
+            return None
+        then, now = repr(self.value), repr(now)
+        if max(len(then), len(now)) > SHOWN:
+            return f"{self.name} has changed since the class was made"
+        return f"{self.name} was {then} when the class was made and is {now} now"
+
+
+class _Missing:
+    """Stands for a name that has no value (any more)."""
+
+    def __repr__(self) -> str:
+        return "undefined"
+
+
+class _Opaque:
+    """Stands for a value that is not compared."""
+
+
+MISSING, OPAQUE = _Missing(), _Opaque()
+
+
+def captured(cls: type | None, function: Any) -> Iterator[Captured]:
+    """All names outside itself that a function reads, those of functions it calls included."""
+    for read in _reads(cls, function, set()):
+        yield Captured(*read, _copy(_look_up(*read)))
+
+
+def values(cls: type | None, function: Any) -> Iterator[tuple[str, Any]]:
+    """Names and values that a function reads, as they are now."""
+    for read in _reads(cls, function, set()):
+        yield read[1], _look_up(*read)
+
+
+def may_vary(cls: type, function: Any) -> bool:
+    """Whether two calls with the same arguments might differ, as far as names tell."""
+    reads = list(_reads(cls, function, set()))
+    if any(_stores(reader) for reader in {function, *(reader for reader, _, _ in reads)}):
+        return True
+    return any(_varies(reader, _look_up(reader, name, owner)) for reader, name, owner in reads)
+
+
+def _varies(reader: types.FunctionType, value: Any) -> bool:
+    if isinstance(value, (*PLAIN, types.FunctionType, np.ndarray)):
+        return False
+    if isinstance(value, list | dict | set):  # may hold a counter
+        return True
+    module = value.__name__ if isinstance(value, types.ModuleType) else _module(value)
+    pure = module.split(".")[0] in PURE and RANDOM not in module
+    return not pure or (module == "numpy" and RANDOM in _all_names(reader.__code__))
+
+
+def _module(value: Any) -> str:
+    """The module of a function or class; of an object, or of its method, that of its class."""
+    owner = getattr(value, "__self__", None)
+    if owner is not None and not isinstance(owner, types.ModuleType):
+        return type(owner).__module__
+    module = getattr(value, "__module__", None)
+    return module if isinstance(module, str) else type(value).__module__
+
+
+def _reads(
+    cls: type | None, function: Any, seen: set[int]
+) -> Iterator[tuple[types.FunctionType, str, type | None]]:
+    """Function, name and owning class of everything read, functions that are called included."""
+    function = inspect.unwrap(getattr(function, "__func__", function))  # of jax.jit, for example
+    if not isinstance(function, types.FunctionType) or id(function) in seen:
+        return
+    seen.add(id(function))
+    found: list[tuple[str, type | None]] = [(name, None) for name in _outer_names(function)]
+    found += [(name, cls) for name in _all_names(function.__code__) if _is_attribute(cls, name)]
+    for name, owner in found:
+        yield function, name, owner
+        value = _look_up(function, name, owner)
+        inner = value.fget if isinstance(value, property) else value
+        yield from _reads(cls, inner, seen)
+
+
+def _outer_names(function: types.FunctionType) -> list[str]:
+    """Globals and variables of outer functions that a function reads."""
+    names = dict.fromkeys(function.__code__.co_freevars)
+    names.update(dict.fromkeys(n for n in _globals(function.__code__) if n in function.__globals__))
+    return list(names)
+
+
+def _is_attribute(cls: type | None, name: str) -> bool:
+    """Whether a name is an attribute that the author gave the class, its methods included."""
+    owner = next((base for base in getattr(cls, "__mro__", ()) if name in vars(base)), None)
+    if owner is None or owner.__module__.split(".")[0] in ("hybrid", "builtins"):
+        return False
+    return isinstance(
+        vars(owner)[name], (*PLAIN, np.ndarray, list, tuple, dict, types.FunctionType, property)
+    )
+
+
+def _look_up(function: types.FunctionType, name: str, owner: type | None) -> Any:
+    if owner is not None:
+        bases = (vars(base) for base in owner.__mro__)
+        return next((own[name] for own in bases if name in own), MISSING)
+    if name in function.__code__.co_freevars:
+        cell = (function.__closure__ or ())[function.__code__.co_freevars.index(name)]
+        try:
+            return cell.cell_contents
+        except ValueError:  # not assigned yet
+            return MISSING
+    return function.__globals__.get(name, MISSING)
+
+
+def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
+    yield code
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _codes(constant)
+
+
+def _globals(code: types.CodeType) -> list[str]:
+    """Names that are read as globals, not as attributes."""
+    instructions = (i for inner in _codes(code) for i in dis.get_instructions(inner))
+    return [i.argval for i in instructions if i.opname in ("LOAD_GLOBAL", "LOAD_NAME")]
+
+
+def _all_names(code: types.CodeType) -> list[str]:
+    """Names of globals and attributes."""
+    return list(dict.fromkeys(name for inner in _codes(code) for name in inner.co_names))
+
+
+def _stores(function: Any) -> bool:
+    """Whether a function changes a global or a variable of an outer function."""
+    code = getattr(function, "__code__", None)
+    if code is None:
+        return False
+    instructions = (i for inner in _codes(code) for i in dis.get_instructions(inner))
+    changed = [i.argval for i in instructions if i.opname in ("STORE_GLOBAL", "STORE_DEREF")]
+    return any(name not in code.co_cellvars for name in changed)
+
+
+def _copy(value: Any, depth: int = DEPTH) -> Any:
+    """A value that can be compared later, whatever happens to the one given."""
+    if isinstance(value, (*PLAIN, _Missing)):
+        return value
+    if isinstance(value, types.FunctionType):
+        return _code_of(value.__code__)
+    if hasattr(value, "__array__") and hasattr(value, "dtype"):
+        return OPAQUE if value.dtype == object else np.array(value)
+    if depth and isinstance(value, list | tuple):
+        return tuple(_copy(v, depth - 1) for v in value)
+    if depth and isinstance(value, dict):
+        return {k: _copy(v, depth - 1) for k, v in value.items()}
+    if depth and hasattr(value, "__dict__") and not isinstance(value, type | types.ModuleType):
+        return {k: _copy(v, depth - 1) for k, v in vars(value).items()}
+    return OPAQUE
+
+
+def _code_of(code: types.CodeType) -> tuple[Any, ...]:
+    """What a function does, wherever it stands in its file."""
+    constants = (_code_of(c) if isinstance(c, types.CodeType) else c for c in code.co_consts)
+    return code.co_code, code.co_names, *map(repr, constants)
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return one.shape == other.shape and np.array_equal(one, other, equal_nan=_is_real(one))
+    if isinstance(one, tuple) and isinstance(other, tuple):
+        return len(one) == len(other) and all(map(_same, one, other))
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_same(one[k], other[k]) for k in one)
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray) or type(one) is not type(other):
+        return False
+    return bool(one == other) or (one != one and other != other)
+
+
+def _is_real(array: np.ndarray) -> bool:
+    return bool(np.issubdtype(array.dtype, np.inexact))
