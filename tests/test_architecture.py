@@ -10,6 +10,7 @@ PACKAGE = ROOT / "hybrid"
 
 #: Lowest first: a module imports from its own layer or from those before it.
 LAYERS = [
+    ["rules"],
     ["errors", "extras", "clock", "segment"],
     ["automaton"],
     ["jit", "arrays"],
@@ -51,8 +52,8 @@ def test_imports_point_down():
 
 
 def test_importing_is_light():
-    """Neither JAX, SciPy, python-flint nor matplotlib is loaded by ``import hybrid``."""
-    heavy = ("jax", "scipy", "matplotlib", "xarray", "rich", "flint")
+    """Neither JAX, numba, SciPy, python-flint nor matplotlib is loaded by ``import hybrid``."""
+    heavy = ("jax", "numba", "llvmlite", "scipy", "matplotlib", "xarray", "rich", "flint")
     code = f"import sys, hybrid\nprint([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True

@@ -1,0 +1,300 @@
+"""Loading the rules: as machine code that is compiled once and kept, or as plain Python.
+
+The rule files of a package are copied, all of them and nothing else, into one folder of the
+user's cache whose name is a hash of their text, of this file, of numba, llvmlite, Python and the
+processor. There numba's own file cache keeps the machine code beside them. A file is a unit: it is
+compiled when it is first asked for. A change in any file makes a new folder, so that no caller is
+kept that has an old callee in it.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import hashlib
+import os
+import shutil
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from functools import cache, cached_property
+from importlib import import_module, machinery, util
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+#: Modules of a package of rules that are no rules.
+APART = ("__init__", "load")
+
+#: What an annotation of an argument means to numba.
+TYPES = {
+    "float": "float64",
+    "int": "int64",
+    "bool": "boolean",
+    "Floats": "float64[::1]",
+    "Matrix": "float64[:, ::1]",
+    "Ints": "int64[::1]",
+    "Table": "int64[:, ::1]",
+}
+
+#: Settings of numba that change the machine code.
+SETTINGS = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_OPT", "NUMBA_BOUNDSCHECK")
+
+#: Folders that are kept beside a new one, and the time in seconds (a day) for which any is kept.
+KEPT, FRESH = 4, 86400.0
+
+#: What is put below the text of a rule file. A product and a sum may be contracted to one
+#: operation; nothing may assume that there is no NaN and no infinity. What Python calls has an
+#: explicit signature, so that a wrong array is refused; what rules call is compiled with them.
+FOOTER = """
+
+from numba import njit as _njit
+
+_options = {{"fastmath": {{"contract"}}, "error_model": "numpy", "nogil": True}}
+_plain = {{name: globals()[name] for name in {functions!r}}}
+globals().update({{name: _njit(**_options)(rule) for name, rule in _plain.items()}})
+called = {{
+    name: _njit(signature, cache=True, **_options)(_plain[name])
+    for name, signature in {signatures!r}.items()
+}}
+"""
+
+
+class Library:
+    """The rules of a package.
+
+    The variable ``HYBRID_RULES`` chooses how they run: ``machine`` (what is meant if it is not
+    set), ``python``, or ``checked``, which is Python that refuses indices below zero.
+
+    Parameters
+    ----------
+    package : str
+        Name of a package that can be imported and whose modules are rule files.
+    """
+
+    def __init__(self, package: str) -> None:
+        self.package = package
+        self.unit = cache(self._unit)
+
+    def _unit(self, name: str) -> Any:
+        """The rules of one file that Python calls (those in its ``__all__``), by name."""
+        how = os.environ.get("HYBRID_RULES", "machine")
+        if how not in ("machine", "python", "checked"):
+            raise ValueError(f"HYBRID_RULES={how!r}: choose machine, python or checked")
+        if how == "machine" and _has_numba():
+            return SimpleNamespace(**self._compiled(name))
+        module = import_module(f"{self.package}.{name}")
+        plain = {rule: getattr(module, rule) for rule in module.__all__}
+        return SimpleNamespace(**{k: _plainly(f, how == "checked") for k, f in plain.items()})
+
+    @cached_property
+    def sources(self) -> dict[str, str]:
+        """The text of each rule file."""
+        found = util.find_spec(self.package)
+        if found is None or not found.submodule_search_locations:
+            raise ImportError(f"{self.package} is no package")
+        files = sorted(Path(found.submodule_search_locations[0]).glob("*.py"))
+        return {f.stem: f.read_text(encoding="utf-8") for f in files if f.stem not in APART}
+
+    @cached_property
+    def key(self) -> str:
+        """A name for everything on which the machine code depends."""
+        import llvmlite
+        import numba
+        from llvmlite import binding
+
+        parts = [self.package, Path(__file__).read_text(encoding="utf-8")]
+        parts += [text for pair in self.sources.items() for text in pair]
+        parts += [numba.__version__, llvmlite.__version__, sys.version, sys.platform]
+        parts += [binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()]
+        parts += [os.environ.get(setting, "") for setting in SETTINGS]
+        return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:24]
+
+    @cached_property
+    def folder(self) -> Path:
+        """Where the copies and their machine code are; they are written here if need be."""
+        try:
+            return self._written(cache_folder())
+        except OSError as error:
+            warnings.warn(
+                f"the rules' machine code cannot be kept ({error}): it is compiled again in each "
+                "process; set HYBRID_CACHE to a folder that can be written",
+                stacklevel=2,
+            )
+            return self._written(Path(tempfile.mkdtemp(prefix="hybrid-")))
+
+    def _written(self, base: Path) -> Path:
+        folder = base / self.key
+        if not folder.is_dir():
+            base.mkdir(parents=True, exist_ok=True)
+            tidy(base)
+            draft = Path(tempfile.mkdtemp(prefix="draft-", dir=base))
+            for name, text in {"__init__": "", **self.sources}.items():
+                (draft / f"{name}.py").write_text(text + footer(text), encoding="utf-8")
+            try:
+                os.replace(draft, folder)
+            except OSError:  # another process was first
+                shutil.rmtree(draft, ignore_errors=True)
+                if not folder.is_dir():
+                    raise
+        with tempfile.TemporaryFile(dir=folder):  # numba must be able to write here
+            os.utime(folder)
+        return folder
+
+    def _compiled(self, name: str) -> dict[str, Any]:
+        if name not in self.sources:
+            raise ImportError(f"{self.package} has no rule file {name!r}")
+        copies, mark = _package(self.folder), self.folder / f"{name}.built"
+        if mark.exists():
+            return dict(import_module(f"{copies}.{name}").called)
+        with locked(self.folder / "lock"):
+            if not mark.exists():
+                said = f"hybrid: compiling the rules {name!r}, once, into {self.folder}"
+                print(said, file=sys.stderr, flush=True)
+            called = dict(import_module(f"{copies}.{name}").called)
+            mark.touch()
+        return called
+
+
+def footer(text: str) -> str:
+    """What turns the functions of a rule file into machine code; nothing if it has none."""
+    tree = ast.parse(text)
+    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
+    if not functions:
+        return ""
+    public = _public(tree)
+    signatures = {f.name: _signature(f) for f in functions if f.name in public}
+    return FOOTER.format(functions=[f.name for f in functions], signatures=signatures)
+
+
+def _public(tree: ast.Module) -> tuple[str, ...]:
+    """What a file's ``__all__`` says."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+            return tuple(ast.literal_eval(node.value))
+    return ()
+
+
+def _signature(function: ast.FunctionDef) -> str:
+    kinds = [ast.unparse(a.annotation) for a in function.args.args if a.annotation]
+    return f"({''.join(TYPES[kind] + ', ' for kind in kinds)})"
+
+
+def cache_folder() -> Path:
+    """The folder for what can be made again: ``HYBRID_CACHE``, or the system's own."""
+    home, env = Path.home(), os.environ
+    if own := env.get("HYBRID_CACHE"):
+        return Path(own)
+    if sys.platform == "win32":
+        return Path(env.get("LOCALAPPDATA") or home / "AppData" / "Local") / "hybrid" / "cache"
+    if sys.platform == "darwin":
+        return home / "Library" / "Caches" / "hybrid"
+    return Path(env.get("XDG_CACHE_HOME") or home / ".cache") / "hybrid"
+
+
+def tidy(base: Path) -> None:
+    """Remove folders of other hashes but for the last few, and those used within a day."""
+    now = time.time()
+    with contextlib.suppress(OSError):
+        folders = [f for f in base.iterdir() if f.is_dir() and _is_ours(f)]
+        used = sorted(((f.stat().st_mtime, f) for f in folders), reverse=True)
+        for last, folder in used[KEPT:]:
+            if now - last > FRESH:
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def _is_ours(folder: Path) -> bool:
+    name = folder.name
+    return name.startswith("draft-") or (len(name) == 24 and set(name) <= set("0123456789abcdef"))
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold a file's lock, which the system takes back from a process that dies.
+
+    Where files cannot be locked nothing is lost but time: numba replaces its files whole, and two
+    processes may compile the same.
+    """
+    with path.open("a+b") as file:
+        with contextlib.suppress(OSError):
+            _lock(file.fileno())
+        yield  # closing the file gives the lock back
+
+
+def _lock(descriptor: int) -> None:
+    if sys.platform == "win32":
+        import msvcrt
+
+        os.lseek(descriptor, 0, os.SEEK_SET)
+        msvcrt.locking(descriptor, msvcrt.LK_LOCK, 1)  # tries for ten seconds, then an OSError
+    else:
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+
+
+def _package(folder: Path) -> str:
+    """Make a folder importable as a package, and say under which name."""
+    name = f"hybrid_rules_{folder.name}"
+    if name not in sys.modules:
+        spec = machinery.ModuleSpec(name, None, is_package=True)
+        spec.submodule_search_locations = [str(folder)]
+        sys.modules[name] = util.module_from_spec(spec)
+    return name
+
+
+@cache
+def _has_numba() -> bool:
+    try:
+        import numba  # noqa: F401
+    except ImportError as error:
+        warnings.warn(
+            f"numba cannot be imported ({error}): the rules run as plain Python, which is much "
+            "slower; pip install numba, or set HYBRID_RULES=python to say that this is meant",
+            stacklevel=2,
+        )
+        return False
+    return True
+
+
+def _plainly(rule: Callable[..., Any], checked: bool) -> Callable[..., Any]:
+    """A rule as Python that treats numbers as machine code does: ``1/0`` is infinite."""
+    import numpy as np
+
+    def convert(value: Any) -> Any:
+        if isinstance(value, float):
+            return np.float64(value)
+        return value.view(_checked()) if checked and isinstance(value, np.ndarray) else value
+
+    def call(*arguments: Any) -> Any:
+        with np.errstate(all="ignore"):
+            return rule(*map(convert, arguments))
+
+    return call
+
+
+@cache
+def _checked() -> Any:
+    """Arrays that refuse indices below zero, which elsewhere silently count from the end."""
+    import numpy as np
+
+    class Checked(np.ndarray):
+        def __getitem__(self, index: Any) -> Any:
+            _not_below_zero(index)
+            return super().__getitem__(index)
+
+        def __setitem__(self, index: Any, value: Any) -> None:
+            _not_below_zero(index)
+            super().__setitem__(index, value)
+
+    return Checked
+
+
+def _not_below_zero(index: Any) -> None:
+    """Raise if any number of an index, the ends of slices included, is below zero."""
+    for part in index if isinstance(index, tuple) else (index,):
+        ends = (part.start, part.stop) if isinstance(part, slice) else (part,)
+        if any(end is not None and end < 0 for end in ends):
+            raise IndexError(f"a rule asks for index {index}")

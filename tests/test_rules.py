@@ -1,0 +1,239 @@
+"""Rules: built once, loaded by others, never stale; the same as plain Python."""
+
+import ast
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from hybrid.rules import load
+
+RULES = Path(load.__file__).parent
+FILES = sorted(path for path in RULES.glob("*.py") if path.stem not in load.APART)
+
+LOW = """
+from __future__ import annotations
+
+
+def scaled(x: float) -> float:
+    return 0.5 * x
+"""
+
+HIGH = """
+from __future__ import annotations
+
+from .low import scaled
+
+__all__ = ("quotient", "total")
+
+
+def quotient(x: float, y: float) -> float:
+    return scaled(x) / y
+
+
+def total(c: Floats, shift: int) -> float:
+    s = 0.0
+    for k in range(3):
+        s += c[k + shift]
+    return s
+"""
+
+ASK = """
+import sys
+from hybrid.rules.load import Library
+unit = Library("toy").unit("high")
+print(unit.quotient(3.0, 2.0))
+"""
+
+
+@pytest.fixture
+def toy(tmp_path):
+    """A small package of rules."""
+    (tmp_path / "toy").mkdir()
+    for name, text in {"__init__": "", "low": LOW, "high": HIGH}.items():
+        (tmp_path / "toy" / f"{name}.py").write_text(text)
+    return tmp_path
+
+
+def started(folder, code=ASK, **variables):
+    """A process of its own that may import the package in a folder, with a cache there."""
+    env = {k: v for k, v in os.environ.items() if k != "HYBRID_RULES"}
+    env |= {"PYTHONPATH": f"{RULES.parent.parent}{os.pathsep}{folder}"}
+    env |= {"HYBRID_CACHE": str(folder / "cache"), **variables}
+    pipe = subprocess.PIPE
+    return subprocess.Popen(
+        [sys.executable, "-c", code], stdout=pipe, stderr=pipe, text=True, env=env
+    )
+
+
+def done(process):
+    """What a process printed, and what it said besides."""
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    return out.strip(), err.strip()
+
+
+def test_rules_are_built_once(toy):
+    """The first process compiles and says so in one line; the second loads in silence."""
+    said, line = done(started(toy))
+    assert said == "0.75"
+    assert line.startswith("hybrid: compiling the rules 'high'")
+    assert "\n" not in line
+    code = ASK + "print(unit.quotient.stats.cache_hits[next(iter(unit.quotient.stats.cache_hits))])"
+    assert done(started(toy, code)) == ("0.75\n1", "")
+
+
+def test_two_processes_at_once_build_once(toy):
+    """Both have the answer; one of them compiled."""
+    processes = [started(toy), started(toy)]
+    answers = [done(process) for process in processes]
+    assert [out for out, _ in answers] == ["0.75", "0.75"]
+    assert sum("compiling" in err for _, err in answers) == 1
+
+
+def test_a_lock_of_a_killed_process_does_not_block(toy):
+    """A process that dies while it holds the lock gives it back."""
+    (toy / "cache").mkdir()
+    code = (
+        "import sys, time; from pathlib import Path; from hybrid.rules.load import locked\n"
+        f"with locked(Path({str(toy / 'cache' / 'lock')!r})):\n"
+        "    print('held', flush=True); time.sleep(60)"
+    )
+    holder = started(toy, code)
+    assert holder.stdout.readline().strip() == "held"
+    holder.kill()
+    holder.communicate()
+    begin = time.monotonic()
+    with load.locked(toy / "cache" / "lock"):
+        assert time.monotonic() - begin < 10.0
+
+
+def test_a_changed_callee_is_not_stale(toy):
+    """A rule in another file is changed: its callers are compiled again."""
+    assert done(started(toy))[0] == "0.75"
+    (toy / "toy" / "low.py").write_text(LOW.replace("0.5", "2.5"))
+    out, err = done(started(toy))
+    assert out == "3.75"
+    assert "compiling" in err
+
+
+def test_a_cache_that_cannot_be_written_is_one_warning(toy):
+    """The rules are compiled into a temporary folder."""
+    (toy / "file").write_text("")
+    out, err = done(started(toy, HYBRID_CACHE=str(toy / "file" / "cache")))
+    assert out == "0.75"
+    assert err.count("UserWarning") == 1
+    assert "HYBRID_CACHE" in err
+
+
+def test_without_numba_rules_are_python(toy):
+    """One warning, however many units are asked for; none if plain Python is asked for."""
+    hidden = "import sys; sys.modules['numba'] = None\n" + ASK + "Library('toy').unit('high')"
+    out, err = done(started(toy, hidden))
+    assert out == "0.75"
+    assert err.count("UserWarning") == 1
+    assert "numba cannot be imported" in err
+    assert not (toy / "cache").exists()
+    assert done(started(toy, hidden, HYBRID_RULES="python")) == ("0.75", "")
+
+
+@pytest.mark.parametrize("how", ["machine", "python", "checked"])
+def test_a_number_divided_by_zero_is_infinite(toy, how):
+    """Machine code and plain Python treat numbers alike."""
+    code = ASK.replace("2.0", "0.0")
+    assert done(started(toy, code, HYBRID_RULES=how))[0] == "inf"
+
+
+def test_arrays_of_another_kind_are_refused(toy):
+    """Single precision, and every second entry of an array: not silently compiled anew."""
+    code = ASK + (
+        "import numpy as np\n"
+        "for array in (np.ones(3, np.float32), np.ones(6)[::2], np.ones((3, 1))):\n"
+        "    try: print(unit.total(array, 0))\n"
+        "    except TypeError: print('refused')"
+    )
+    assert done(started(toy, code))[0].split() == ["0.75", "refused", "refused", "refused"]
+
+
+def test_indices_below_zero_are_found(toy):
+    """Checked Python refuses what machine code silently counts from the end."""
+    code = ASK + "import numpy as np\nprint(unit.total(np.ones(3), -1))"
+    assert done(started(toy, code, HYBRID_RULES="python"))[0] == "0.75\n3.0"
+    process = started(toy, code, HYBRID_RULES="checked")
+    assert "IndexError: a rule asks for index -1" in process.communicate(timeout=120)[1]
+
+
+def test_old_folders_are_removed(tmp_path):
+    """The last few are kept, those of today, and what is not ours."""
+    names = [f"{k:024x}" for k in range(10)]
+    for k, name in enumerate(names):
+        (tmp_path / name).mkdir()
+        age = 3600.0 if k == 0 else 86400.0 * (1 + k)
+        os.utime(tmp_path / name, (time.time() - age,) * 2)
+    (tmp_path / "mine").mkdir()
+    os.utime(tmp_path / "mine", (0.0, 0.0))
+    load.tidy(tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [*names[: load.KEPT], "mine"]
+
+
+# ---------------------------------------------------------------------------------------
+# the subset
+
+#: What allocates, raises, recurses, or is not known to machine code.
+FORBIDDEN = (
+    *(ast.Raise, ast.Try, ast.With, ast.Assert, ast.ClassDef, ast.Lambda, ast.Yield, ast.YieldFrom),
+    *(ast.List, ast.Dict, ast.Set, ast.ListComp, ast.DictComp, ast.SetComp, ast.GeneratorExp),
+    *(ast.JoinedStr, ast.Global, ast.Nonlocal, ast.Delete, ast.AsyncFunctionDef, ast.Starred),
+)
+
+BUILTINS = {"abs", "bool", "float", "int", "len", "max", "min", "range"}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_rule_files_stay_in_the_subset(path):
+    """No allocation, exceptions, recursion or closures; ``math`` and other rule files only."""
+    tree = ast.parse(path.read_text())
+    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.level == 1:
+            assert node.module in {file.stem for file in FILES}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.module in ("__future__", "typing")
+        elif isinstance(node, ast.Import):
+            assert [alias.name for alias in node.names] == ["math"]
+    for function in functions:
+        assert not function.decorator_list
+        for node in ast.walk(function):
+            assert not isinstance(node, FORBIDDEN), f"line {node.lineno}"
+            assert node is function or not isinstance(node, ast.FunctionDef), "a closure"
+        assert called(function) <= BUILTINS | names(tree) | {"math"}
+    assert not loops({function.name: called(function) for function in functions})
+
+
+def called(function):
+    """Names that a function calls, or whose attribute it calls."""
+    calls = [node.func for node in ast.walk(function) if isinstance(node, ast.Call)]
+    return {ast.unparse(call).split(".")[0] for call in calls}
+
+
+def names(tree):
+    """Functions of a file, and what it imports."""
+    found = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
+    return found | {alias.name for node in imports for alias in node.names}
+
+
+def loops(calls):
+    """Functions that call themselves, through others or not."""
+    found = set()
+    for name in calls:
+        reached, frontier = set(), [name]
+        while frontier:
+            new = calls.get(frontier.pop(), set()) - reached
+            reached |= new
+            frontier += new
+        found |= {name} & reached
+    return found
