@@ -28,6 +28,7 @@ from .compiled.turn import Turner
 from .errors import OptionError, StartError
 from .extras import TABLES, need
 from .jit import jit
+from .reals import reals
 from .scene.scene import rest_name
 from .solvers.base import FINEST, tolerances
 from .solvers.series import TAYLOR
@@ -270,8 +271,8 @@ class _Lanes:
         """A value for all lanes, or one for each."""
         where = f"{self.spec.model}: {name}"
         try:
-            array = np.asarray(value, dtype=float)
-        except (TypeError, ValueError):
+            array = reals(value)
+        except ValueError:
             raise StartError(f"{where} = {value!r} is no number") from None
         if not np.all(np.isfinite(array)):
             raise StartError(f"{where}: a value is not finite")

@@ -9,11 +9,13 @@ import attrs
 import numpy as np
 
 from .automaton.base import require_model
+from .automaton.markers import name_of
 from .automaton.record import Record
 from .automaton.spec import Spec
 from .errors import HybridError, OptionError, StartError
 from .hindsight import Hindsight
 from .histories import pieces
+from .reals import real, reals
 from .run import Driver, Plan
 from .run.pieces import Piece
 from .scene import Scene, scene_of
@@ -116,8 +118,8 @@ def simulate(
     plan = attrs.evolve(plan, memory=_memory(memory))
     x = _start(spec, start)
     past = _past(spec, history, plan, x)
-    first = spec.initial if mode is None else mode
-    if not scene.starts(first):
+    first = spec.initial if mode is None else name_of(mode)
+    if not isinstance(first, str) or not scene.starts(first):
         raise OptionError(f"{spec.model}: mode={mode!r}; there are {', '.join(scene.modes)}")
     driver = Driver(scene, choose(solver, method, rtol, plan.atol), plan, past)
     driver.run(first, x)
@@ -266,7 +268,7 @@ def _plan(
     rtol, atol = tolerances(rtol, atol, spec.dimension)
     if zeno not in ZENO:
         raise OptionError(f"zeno={zeno!r}: one of {', '.join(map(repr, ZENO))}")
-    if max_jumps is not None and not (isinstance(max_jumps, int | np.integer) and max_jumps > 0):
+    if max_jumps is not None and not _is_count(max_jumps):
         raise OptionError(f"max_jumps={max_jumps!r}: a whole number greater than 0, or None")
     if progress is not None and not callable(progress):
         raise OptionError(f"progress={progress!r}: a function of the time reached, or None")
@@ -277,9 +279,14 @@ def _plan(
     return Plan(t0, t1, rtol, plain, zeno, limit, cap, dense, samples, progress)
 
 
+def _is_count(value: Any) -> bool:
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    return whole and bool(value > 0)
+
+
 def _times(t: Any) -> tuple[float, float]:
     try:
-        t0, t1 = (float(v) for v in t)
+        t0, t1 = (real(v) for v in t)
     except (TypeError, ValueError):
         raise OptionError(f"t={t!r}: give (first, last) time") from None
     if not (np.isfinite(t0) and np.isfinite(t1) and t1 > t0):
@@ -293,8 +300,8 @@ def _saving(save: Any, t0: float, t1: float) -> tuple[bool, np.ndarray | None]:
             raise OptionError(f"save={save!r}: 'dense', 'jumps' or an array of times")
         return save == "dense", None
     try:
-        times = np.atleast_1d(np.asarray(save, dtype=float))
-    except (TypeError, ValueError):
+        times = np.atleast_1d(reals(save))
+    except ValueError:
         raise OptionError(f"save={save!r}: 'dense', 'jumps' or an array of times") from None
     ordered = times.ndim == 1 and np.all(np.diff(times) > 0)
     if not ordered or not times.size or not (times[0] >= t0 and times[-1] <= t1):
@@ -306,14 +313,16 @@ def _start(spec: Spec, start: Any) -> np.ndarray:
     if isinstance(start, Mapping | Record):
         start = {name: start[name] for name in start.keys()}
     try:
+        if isinstance(start, bytes | set | frozenset):
+            raise ValueError("give the states by name, or in order")
         values = spec.values(start)
     except ValueError as fault:
         raise StartError(f"{spec.model}: start={start!r}: {fault}") from None
     parts = []
     for state, value in zip(spec.states, values, strict=True):
         try:
-            array = np.asarray(value, dtype=float)
-        except (TypeError, ValueError):
+            array = reals(value)
+        except ValueError:
             raise StartError(f"{spec.model}: start {state.name} = {value!r} is no number") from None
         if array.shape != state.shape:
             raise StartError(

@@ -11,7 +11,7 @@ PACKAGE = ROOT / "hybrid"
 #: Lowest first: a module imports from its own layer or from those before it.
 LAYERS = [
     ["rules"],
-    ["errors", "extras", "clock", "segment"],
+    ["errors", "extras", "clock", "segment", "reals"],
     ["automaton"],
     ["jit", "arrays"],
     ["scene"],

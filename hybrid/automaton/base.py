@@ -57,8 +57,9 @@ class Automaton:
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         markers = _collect(cls)
-        _make_attrs(cls, markers)
         builder = Builder(cls, markers)
+        builder.names()
+        _make_attrs(cls, markers)
         traced = _Traced(cls, builder.build(), builder.untraceable)
         traced.all()
         cls.spec, cls.traces = traced.spec, traced.traces
@@ -99,6 +100,8 @@ def _make_attrs(cls: type, markers: dict[str, Any]) -> None:
     """Make the class a frozen attrs class whose fields are its parameters."""
     fields = {name: value for name, value in markers.items() if is_parameter(value)}
     cls._hybrid_markers = dict(markers)  # type: ignore[attr-defined]
+    if "__init__" in vars(cls):
+        delattr(cls, "__init__")  # which is a fault, and said so
     for name in list(vars(cls)):
         if isinstance(vars(cls)[name], State) or name in fields:
             delattr(cls, name)

@@ -6,7 +6,10 @@ import inspect
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from ..errors import ParameterError
+from ..reals import reals
 from .markers import (
     Contact,
     Crossing,
@@ -30,6 +33,10 @@ from .spec import (
     Transition,
 )
 
+#: Attributes that a record, and a model, have of themselves.
+RECORDS = ("keys", "replace")
+MODELS = ("parameters", "spec", "traces")
+
 
 class Builder:
     """Turns the markers of one class into a spec and a list of faults."""
@@ -45,7 +52,8 @@ class Builder:
     def build(self) -> Spec:
         states, offset = [], 0
         for marker in self.of(State):
-            states.append(StateSpec(marker.name, marker.unit, marker.doc, marker.shape, offset))
+            shape = self.shape(marker)
+            states.append(StateSpec(marker.name, marker.unit, marker.doc, shape, offset))
             offset += states[-1].size
         parameters = tuple(
             ParameterSpec(name, m._default, m.metadata["unit"], m.metadata["doc"])
@@ -74,6 +82,29 @@ class Builder:
             self.initial(),
             tuple(switchings),
         )
+
+    def names(self) -> None:
+        """Names that a model or a record needs for itself."""
+        if "__init__" in vars(self.cls):
+            self.faults.append(
+                "it has an __init__ of its own: declare what it needs, r = hy.parameter(0.5)"
+            )
+        for name, marker in self.markers.items():
+            taken = RECORDS if isinstance(marker, State) else MODELS
+            if name in taken or name.startswith("_"):
+                self.faults.append(f"{name}: a name in use here; choose another")
+
+    def shape(self, marker: State) -> tuple[int, ...]:
+        """The shape of a state."""
+        given = marker.shape
+        whole = isinstance(given, tuple | list) and all(
+            isinstance(n, int) and not isinstance(n, bool) and n > 0 for n in given
+        )
+        if not whole:
+            self.faults.append(
+                f"state {marker.name}: shape={given!r}; give whole numbers greater than 0: (3,)"
+            )
+        return tuple(given) if whole else ()
 
     def check_defaults(self) -> None:
         """Each default must be a value that the model could be given."""
@@ -125,6 +156,7 @@ class Builder:
         source = self.target(where, "mode", marker.mode)
         self.signature(f"{where}, gap", marker.gap, ("t", "s"))
         law = self.restitution(where, marker.restitution, [p.name for p in parameters])
+        self.inverse_mass(where, marker.inverse_mass)
         return ContactSpec(marker.name, source, marker.gap, law, marker.rests, marker.inverse_mass)
 
     def switching(self, marker: Switching) -> SwitchingSpec:
@@ -182,6 +214,23 @@ class Builder:
             )
             return lambda self, t, s, u: 1.0
         return lambda self, t, s, u: given
+
+    def inverse_mass(self, where: str, given: Any) -> None:
+        if given is None:
+            return
+        if callable(given):
+            self.signature(f"{where}, inverse_mass", given, ("t", "s"))
+            return
+        try:
+            mass = reals(given)
+        except ValueError:
+            mass = np.array(np.nan)
+        diagonal = np.diagonal(mass) if mass.ndim == 2 and mass.shape[0] == mass.shape[1] else mass
+        if diagonal.ndim > 1 or not np.all(np.isfinite(mass)) or not np.all(diagonal > 0):
+            self.faults.append(
+                f"{where}: inverse_mass={given!r}; give a number greater than 0, a diagonal of "
+                "such numbers, a symmetric matrix or a function (self, t, s)"
+            )
 
     def target(self, where: str, what: str, given: Any, more: Sequence[str] = ()) -> str:
         name = name_of(given)

@@ -48,7 +48,7 @@ class State(_Named):
 
     unit: str = ""
     doc: str = ""
-    shape: tuple[int, ...] = ()
+    shape: Any = ()
 
 
 @attrs.define(slots=False, eq=False)
@@ -114,7 +114,7 @@ def state(unit: str = "", doc: str = "", shape: tuple[int, ...] = ()) -> Any:
     shape : tuple of int
         ``()`` for a number; the order of declaration is the order in the state vector.
     """
-    return State(unit, doc, (shape,) if isinstance(shape, int) else tuple(shape))
+    return State(unit, doc, (shape,) if isinstance(shape, int) else shape)
 
 
 def parameter(
@@ -151,14 +151,15 @@ def _bounds(positive: bool, between: tuple[float, float] | None) -> Callable[...
     import numpy as np
 
     from ..errors import ParameterError
+    from ..reals import reals
 
     def check(model: Any, field: Any, value: Any) -> None:
         if _is_traced(value):
             return
         name = f"{type(model).__name__}.{field.name}"
         try:
-            array = np.asarray(value, dtype=float)
-        except (TypeError, ValueError):
+            array = reals(value)
+        except ValueError:
             raise ParameterError(f"{name} = {value!r}: a number or an array of numbers") from None
         if not np.all(np.isfinite(array)):
             raise ParameterError(f"{name} = {value!r}: must be finite")
@@ -300,5 +301,5 @@ def is_number(value: Any) -> bool:
         return False
     try:
         return math.isfinite(float(value))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return False

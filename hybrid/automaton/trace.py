@@ -69,7 +69,7 @@ def vector(spec: Spec, call: Traced) -> Traced:
         values = spec.values(call(parameters, t, x, *extra))
         parts = []
         for state, value in zip(spec.states, values, strict=True):
-            array = jnp.asarray(value)
+            array = real_valued(jnp.asarray(value), f"{state.name}: ")
             if array.shape != state.shape:
                 raise ValueError(f"{state.name}: shape {array.shape} where {state.shape} is due")
             parts.append(array.astype(float).reshape(-1))
@@ -84,12 +84,24 @@ def scalar(call: Traced) -> Traced:
     def one(parameters: Any, t: Any, x: Any, *extra: Any) -> Any:
         import jax.numpy as jnp
 
-        value = jnp.asarray(call(parameters, t, x, *extra))
+        value = real_valued(jnp.asarray(call(parameters, t, x, *extra)), "")
         if value.shape != ():
             raise ValueError(f"a value of shape {value.shape} where one number is due")
         return value.astype(float)
 
     return one
+
+
+def real_valued(array: Any, name: str) -> Any:
+    """The array given, unless it is complex: its imaginary part would be lost.
+
+    Raises
+    ------
+    ValueError
+    """
+    if np.issubdtype(array.dtype, np.complexfloating):
+        raise ValueError(f"{name}a complex value where a real one is due")
+    return array
 
 
 def trace(spec: Spec, call: Traced, extra: int = 0, shapes: Sequence[Any] | None = None) -> Any:

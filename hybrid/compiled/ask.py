@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..automaton.base import require_model
+from ..automaton.markers import name_of
 from ..errors import OptionError
 from ..scene.lowered import Lowered, lowered
 from ..scene.scene import parted
@@ -71,7 +72,9 @@ def place(code: Lowered, mode: str | None) -> tuple[System, int, np.ndarray]:
         If there is no such mode.
     """
     system = system_of(code, slides=True)
-    name = code.spec.initial if mode is None else mode
+    name = code.spec.initial if mode is None else name_of(mode)
+    if not isinstance(name, str):
+        raise OptionError(f"{code.spec.model}: mode={mode!r}: a mode, or its name")
     base, held = parted(name)
     able = {
         m: [edge.name for edge, rests in zip(edges, row, strict=False) if rests]

@@ -62,10 +62,10 @@ def choose(solver: str, method: str | None, rtol: float, atol: Any) -> Solver:
     OptionError
         If there is none, or it has no such method.
     """
-    if solver in SOLVERS:
+    if isinstance(solver, str) and solver in SOLVERS:
         return SOLVERS[solver](method, rtol, atol)
     plugged = {point.name: point for point in entry_points(group=GROUP)}
-    if solver not in plugged:
+    if not isinstance(solver, str) or solver not in plugged:
         raise OptionError(f"solver={solver!r}: there are {', '.join([*SOLVERS, *plugged])}")
     made = plugged[solver].load()(method, rtol, atol)
     if not isinstance(made, Solver):

@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import OptionError
+from ..reals import real, reals
 from ..segment import Segment
 
 if TYPE_CHECKING:
@@ -59,14 +60,14 @@ def tolerances(rtol: Any, atol: Any, dimension: int) -> tuple[float, np.ndarray]
         If they are not that.
     """
     try:
-        relative = float(rtol)
-    except (TypeError, ValueError):
+        relative = real(rtol)
+    except ValueError:
         relative = 0.0
     if not 0 < relative < 1:
         raise OptionError(f"rtol={rtol!r}: a number between 0 and 1")
     try:
-        absolute = np.asarray(atol, dtype=float)
-    except (TypeError, ValueError):
+        absolute = reals(atol)
+    except ValueError:
         absolute = np.array(-1.0)
     if absolute.shape not in ((), (dimension,)) or not np.all(absolute >= 0):
         raise OptionError(

@@ -1,0 +1,43 @@
+"""Numbers that a caller gives: real ones, or a clear no."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+#: Kinds of numpy's types that turn into floats without being numbers, or lose what they are.
+NOT_REAL = "cmMSU"
+
+
+def reals(value: Any) -> np.ndarray:
+    """A number, sequence or array as an array of floats.
+
+    Raises
+    ------
+    ValueError
+        If it is text, a date, complex, masked, without order, or too large for a float.
+    """
+    if isinstance(value, str | bytes | set | frozenset | dict) or np.ma.is_masked(value):
+        raise ValueError("no real number")
+    array = np.asarray(value)
+    if array.dtype.kind in NOT_REAL:
+        raise ValueError("no real number")
+    try:
+        return np.asarray(array, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError("no real number") from None
+
+
+def real(value: Any) -> float:
+    """One real number as a float.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    array = reals(value)
+    if array.shape != ():
+        raise ValueError("not one number")
+    return float(array)
