@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,9 @@ ELEMENTWISE = {
 #: Operations whose results are flags or whole numbers.
 WHOLE = {"gt", "ge", "lt", "le", "eq", "ne", "and", "or", "xor", "not", "is_finite", "trunc"}
 
+#: Sums of up to so many terms are written out.
+FEW = 3
+
 #: Primitives that only move data; JAX itself moves the node numbers where numpy is not
 #: told how below.
 MOVES = {"gather", "pad", "dynamic_slice", "dynamic_update_slice", "scatter"}
@@ -43,13 +47,16 @@ class Graph:
     shows what depends on what.
 
     ``("const", value)`` and ``("input", name)`` are leaves; other arguments are node
-    numbers. Equal nodes are one node.
+    numbers. Equal nodes are one node. With ``long`` a sum of many terms is one node, ``("sum",
+    ...)``, and so is one of products, ``("dot", a, b, a, b, ...)``: a product with a matrix has as
+    many nodes as it has rows.
     """
 
-    def __init__(self, exact: bool = False) -> None:
-        self.exact = exact
+    def __init__(self, exact: bool = False, long: bool = False) -> None:
+        self.exact, self.long = exact, long
         self.nodes: list[tuple[Any, ...]] = []
         self._known: dict[tuple[Any, ...], int] = {}
+        self._moving: list[bool] = []
 
     def node(self, *key: Any) -> int:
         """The number of this node, made if it is new; constants are folded."""
@@ -59,6 +66,7 @@ class Graph:
         if key not in self._known:
             self._known[key] = len(self.nodes)
             self.nodes.append(key)
+            self._moving.append(self._moves(*key))
         return self._known[key]
 
     def const(self, value: Any) -> int:
@@ -76,12 +84,32 @@ class Graph:
         """The node of a named input."""
         return self.node("input", name)
 
+    def total(self, terms: Sequence[int]) -> int:
+        """The node of a sum."""
+        kept = [i for i in terms if self.exact or self.value(i) != 0]
+        if self.long and len(kept) > FEW:
+            return self.node("sum", *kept)
+        return reduce(partial(self.node, "add"), kept or [self.const(0.0)])
+
+    def dot(self, pairs: Sequence[tuple[int, int]]) -> int:
+        """The node of a sum of products."""
+        kept = [p for p in pairs if self.exact or 0 not in map(self.value, p)]
+        if self.long and len(kept) > FEW:
+            return self.node("dot", *itertools.chain.from_iterable(kept))
+        return self.total([self.node("mul", *pair) for pair in kept])
+
     def moves(self, number: int) -> bool:
         """Whether a node depends on the time or the state."""
-        op, *arguments = self.nodes[number]
+        return self._moving[number]
+
+    def known(self, *key: Any) -> int | None:
+        """The number of this node where there is one."""
+        return self._known.get(key)
+
+    def _moves(self, op: str, *arguments: Any) -> bool:
         if op == "input":
             return not arguments[0].startswith("p")
-        return op != "const" and any(self.moves(a) for a in arguments)
+        return op != "const" and any(self._moving[a] for a in arguments)
 
     def _simplify(self, key: tuple[Any, ...]) -> tuple[Any, ...]:
         op, arguments = key[0], key[1:]
@@ -238,6 +266,8 @@ def _reduce(op: str, start: float | bool) -> Callable[..., Ids]:
         axes = params["axes"]
         kept = [a for a in range(x.ndim) if a not in axes]
         rows = x.transpose([*kept, *axes]).reshape([x.shape[a] for a in kept] + [-1])
+        if op == "add" and graph.long:
+            return _rows(graph.total, rows)
         total = (
             np.full(rows.shape[:-1], graph.const(start)) if rows.shape[-1] == 0 else rows[..., 0]
         )
@@ -267,11 +297,22 @@ def _dot(graph: Graph, params: Any, a: Ids, b: Ids) -> Ids:
     fa = [i for i in range(a.ndim) if i not in (*ca, *ba)]
     fb = [i for i in range(b.ndim) if i not in (*cb, *bb)]
     batch = [a.shape[i] for i in ba]
+    shape = batch + [a.shape[i] for i in fa] + [b.shape[i] for i in fb]
     left = a.transpose([*ba, *fa, *ca]).reshape([*batch, math.prod(a.shape[i] for i in fa), 1, -1])
     right = b.transpose([*bb, *fb, *cb]).reshape([*batch, 1, math.prod(b.shape[i] for i in fb), -1])
+    if graph.long:
+        pairs = np.stack(np.broadcast_arrays(left, right), axis=-1)
+        return _rows(graph.dot, pairs, 2).reshape(shape)
     products = _map(graph, "mul", [left, right])
     total = _reduce("add", 0.0)(graph, {"axes": (products.ndim - 1,)}, products)
-    return total.reshape(batch + [a.shape[i] for i in fa] + [b.shape[i] for i in fb])
+    return total.reshape(shape)
+
+
+def _rows(node: Callable[[Any], int], rows: Ids, inner: int = 1) -> Ids:
+    """One node for each list along the last axis (with ``inner`` 2, along the last two)."""
+    shape = rows.shape[: rows.ndim - inner]
+    lists = rows.reshape(-1, *rows.shape[rows.ndim - inner :]).tolist()
+    return np.array([node(row) for row in lists], dtype=np.int64).reshape(shape)
 
 
 def _scan(graph: Graph, params: Any, inputs: list[Ids]) -> list[Ids]:

@@ -34,6 +34,14 @@ def _min(x: float, y: float) -> float:
     return x if x <= y or x != x else y
 
 
+def _sum(*terms: Any) -> Any:
+    return sum(terms)
+
+
+def _dot(*pairs: Any) -> Any:
+    return sum(map(operator.mul, pairs[::2], pairs[1::2]))
+
+
 def _logistic(x: float) -> float:
     return 1.0 / (1.0 + math.exp(-x)) if x >= 0 else 1.0 - 1.0 / (1.0 + math.exp(x))
 
@@ -45,6 +53,8 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
     "mul": operator.mul,
     "div": operator.truediv,
     "neg": operator.neg,
+    "sum": _sum,
+    "dot": _dot,
     "pow": math.pow,
     "rem": math.fmod,
     "gt": operator.gt,

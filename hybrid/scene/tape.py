@@ -1,0 +1,461 @@
+"""A reader of the graph: a flow, and functions along it, as arrays that a rule interprets.
+
+Nothing is compiled for a model, and nothing is written out: :mod:`hybrid.rules.jets` reads the
+operations once for each order of the Taylor series. A node of the graph is an operation; what does
+not move along the flow is computed once for the values of the parameters, which are no part of the
+tape. See ``docs/notes/tape.md``.
+
+Where a model switches formula (``abs``, ``where``, ``max``, ``floor``), the coefficients belong to
+the branch at the start. The function that decides is returned too, as a *kink*: the series hold up
+to its first zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import attrs
+import numpy as np
+
+from ..errors import TraceError
+from ..rules import jets as rule
+from ..rules import unit
+from .graph import Graph, Ids
+from .python import needed
+from .taylor import SLOPES
+
+#: Operations that the rule has under the same name.
+SAME = {
+    **{"add": rule.ADD, "sub": rule.SUB, "neg": rule.NEG, "div": rule.DIV, "gt": rule.GT},
+    **{"ge": rule.GE, "lt": rule.LT, "le": rule.LE, "eq": rule.EQ, "ne": rule.NE},
+    **{"and": rule.AND, "or": rule.OR, "xor": rule.XOR, "not": rule.NOT},
+    **{"is_finite": rule.FINITE, "select": rule.SELECT, "nearest": rule.NEAREST},
+    **{"floor": rule.FLOOR, "pow": rule.POW, "sqrt": rule.SQRT, "cbrt": rule.CBRT},
+    **{name: getattr(rule, name.upper()) for name in SLOPES},
+}
+
+#: Comparisons: those that are watched, and those that hold or fail at a point only.
+ORDERED, EQUAL = ("gt", "ge", "lt", "le"), ("eq", "ne")
+
+#: Pairs of functions that are made together: the operation, and the place in the pair.
+PAIRS = {
+    "sin": (rule.SINE, 0),
+    "cos": (rule.SINE, 1),
+    "sinh": (rule.SINH, 0),
+    "cosh": (rule.SINH, 1),
+}
+
+#: What to write where an operation has no recurrence.
+INSTEAD = {
+    "lgamma": "write Stirling's series, or a polynomial fit of it, over the range that is used"
+}
+
+
+def _choice(g: Graph, a: int, b: int, then: int, other: int) -> int:
+    return g.node("select", g.node("ge", a, b), then, other)
+
+
+def _size(g: Graph, a: int) -> int:
+    return _choice(g, a, g.const(0.0), a, g.node("neg", a))
+
+
+def _sign(g: Graph, a: int) -> int:
+    one, zero = g.const(1.0), g.const(0.0)
+    if g.moves(a):
+        return _choice(g, a, zero, one, g.const(-1.0))
+    below = g.node("select", g.node("lt", a, zero), g.const(-1.0), a)
+    return g.node("select", g.node("gt", a, zero), one, below)
+
+
+def _ceil(g: Graph, a: int) -> int:
+    return g.node("neg", g.node("floor", g.node("neg", a)))
+
+
+def _trunc(g: Graph, a: int) -> int:
+    return _choice(g, a, g.const(0.0), g.node("floor", a), _ceil(g, a))
+
+
+def _away(g: Graph, a: int) -> int:
+    whole = g.node("floor", g.node("add", _size(g, a), g.const(0.5)))
+    return g.node("mul", _sign(g, a), whole)
+
+
+def _round(g: Graph, a: int) -> int:
+    """To the nearest; halfway to the even one, which counts where nothing moves only."""
+    raised = g.node("add", a, g.const(0.5))
+    whole = g.node("floor", raised)
+    if g.moves(a):
+        return whole
+    half = g.node("floor", g.node("mul", g.const(0.5), whole))
+    odd = g.node("ne", g.node("mul", g.const(2.0), half), whole)
+    down = g.node("and", g.node("eq", raised, whole), odd)
+    less = g.node("select", down, g.const(1.0), g.const(0.0))
+    return g.node("sub", whole, less)
+
+
+def _rem(g: Graph, a: int, b: int) -> int:
+    return g.node("sub", a, g.node("mul", b, _trunc(g, g.node("div", a, b))))
+
+
+#: Names of kinks: the two sides of a comparison and whether it is one for equality, or what is
+#: rounded down and None.
+Key = tuple[Any, ...]
+
+#: Operations made of others.
+MADE: dict[str, Callable[..., int]] = {
+    "abs": _size,
+    "sign": _sign,
+    "max": lambda g, a, b: _choice(g, a, b, a, b),
+    "min": lambda g, a, b: _choice(g, a, b, b, a),
+    "ceil": _ceil,
+    "trunc": _trunc,
+    "away": _away,
+    "round": _round,
+    "rem": _rem,
+    "real": lambda g, a: a,
+}
+
+
+def rebuilt(
+    graph: Graph, roots: Sequence[int], change: Callable[[tuple[Any, ...]], int | None]
+) -> list[int]:
+    """The roots with some nodes replaced.
+
+    ``change`` gets a node whose arguments are the new ones, and gives what stands for it, or None
+    where it stays.
+    """
+    new: dict[int, int] = {}
+    for number in needed(graph, roots):
+        node = graph.nodes[number]
+        if node[0] not in ("const", "input"):
+            node = (node[0], *(new[a] for a in node[1:]))
+        other = change(node)
+        new[number] = graph.node(*node) if other is None else other
+    return [new[root] for root in roots]
+
+
+@attrs.frozen(eq=False)
+class Tape:
+    """A flow and functions along it, as arrays (see :func:`hybrid.rules.jets.jets`).
+
+    Attributes
+    ----------
+    size, rows
+        Number of states, and of rows of coefficients.
+    ops, more, flow, output
+        As the rule takes them; the first ``functions`` of ``output`` are the functions, then come
+        the kinks that are watched.
+    kinks, watched
+        The deciding functions, as the rule takes them; places of those that are watched.
+    steady
+        The operations on what does not move.
+    numbers
+        What does not move: constants at their places.
+    given
+        Places of parameters among them, and their numbers.
+    room
+        Length of the array in which equations are solved.
+    """
+
+    size: int
+    rows: int
+    ops: np.ndarray
+    more: np.ndarray
+    flow: np.ndarray
+    output: np.ndarray
+    functions: int
+    kinks: np.ndarray
+    watched: np.ndarray
+    steady: np.ndarray
+    numbers: np.ndarray
+    given: np.ndarray
+    room: int
+
+    def bind(self, parameters: Sequence[float]) -> Jets:
+        """The tape for these values of the (flattened) parameters."""
+        numbers = self.numbers.copy()
+        numbers[self.given[0]] = np.asarray(parameters, dtype=float)[self.given[1]]
+        sides, work = np.zeros(len(self.kinks), dtype=np.int64), np.zeros(self.room)
+        unit("jets").steady(self.steady, self.more, sides, numbers.reshape(-1, 1), work)
+        return Jets(self, numbers)
+
+
+@attrs.frozen(eq=False)
+class Jets:
+    """A tape with the values of the parameters."""
+
+    tape: Tape
+    numbers: np.ndarray
+
+    def __call__(self, t: float, x: Sequence[float], sides: list[int], order: int) -> Any:
+        """Coefficients 0 .. ``order`` of the states, of the functions, and of the kinks.
+
+        ``sides[i]`` is 0 (the branch of kink ``i`` is taken by value) or +1 / -1 (the sign that it
+        has from here on: a step has just ended on it). It is completed in place: a kink that is
+        zero here gets the sign that it is about to have.
+
+        Raises
+        ------
+        ValueError
+            Where the series do not exist (``sqrt`` at 0, for instance).
+        """
+        tape = self.tape
+        all_sides = np.zeros(len(tape.kinks), dtype=np.int64)
+        all_sides[tape.watched] = sides
+        c = np.empty((tape.rows, order + 1))
+        start, work = np.array(x, dtype=float), np.empty(tape.room)
+        parts = tape.ops, tape.more, tape.flow, tape.kinks, tape.output
+        status = unit("jets").jets(*parts, order, float(t), start, self.numbers, all_sides, c, work)
+        if status:
+            raise ValueError("there is no Taylor series here")
+        sides[:] = all_sides[tape.watched].tolist()
+        values = c[tape.output].tolist()
+        return c[: tape.size].tolist(), values[: tape.functions], values[tape.functions :]
+
+
+def tape(graph: Graph, size: int, flow: Ids, functions: Sequence[int], where: str) -> Tape:
+    """The tape of a flow, and of functions along it.
+
+    Parameters
+    ----------
+    size : int
+        Number of states.
+    where : str
+        Model and mode, for messages.
+
+    Raises
+    ------
+    TraceError
+        Where an operation has no recurrence.
+    """
+    roots = rebuilt(graph, [*map(int, flow), *map(int, functions)], lambda n: _made(graph, n))
+    return _Recorder(graph, size, roots[: len(flow)], roots[len(flow) :], where).tape()
+
+
+def _made(graph: Graph, node: tuple[Any, ...]) -> int | None:
+    return MADE[node[0]](graph, *node[1:]) if node[0] in MADE else None
+
+
+class _Recorder:
+    """Puts the nodes into arrays. ``place[node]`` is a row, or ``-1 - i`` for a number."""
+
+    def __init__(
+        self, graph: Graph, size: int, flow: list[int], functions: list[int], where: str
+    ) -> None:
+        self.graph, self.size, self.where = graph, size, where
+        self.flow, self.functions = flow, functions
+        self.slopes: dict[int, tuple[int, ...]] = {}
+        self.kinks: dict[Key, int] = {}
+        self._add()
+        self.place: dict[int, int] = {}
+        self.rows = size + 1
+        self.ops: list[tuple[int, ...]] = []
+        self.steady: list[tuple[int, ...]] = []
+        self.more: list[int] = []
+        self.numbers: list[float] = []
+        self.given: list[tuple[int, int]] = []
+        self.room = 1
+
+    # -- nodes that the recurrences need besides ----------------------------------------
+
+    def _add(self) -> None:
+        """Slopes of functions, and deciding functions, until no node is missing."""
+        graph, frontier, seen = self.graph, [*self.flow, *self.functions], set[int]()
+        while frontier:
+            new = [n for n in needed(graph, frontier) if n not in seen]
+            seen.update(new)
+            frontier = [root for number in new for root in self._besides(number)]
+        roots = [*self.flow, *self.functions, *(n for s in self.slopes.values() for n in s)]
+        self.nodes = needed(graph, [*roots, *self.kinks.values()])
+
+    def _besides(self, number: int) -> list[int]:
+        graph, (op, *arguments) = self.graph, self.graph.nodes[number]
+        if op in ("const", "input") or not graph.moves(number):
+            return []
+        if op in SLOPES:
+            self.slopes[number] = (SLOPES[op](graph, arguments[0], number),)
+            return [*self.slopes[number]]
+        if op in ORDERED:
+            return [self._kink(False, *arguments)]
+        if op in EQUAL:
+            return [self._kink(True, *arguments)]
+        if op == "floor":
+            near = graph.node("nearest", arguments[0])
+            cube = graph.node("mul", near, graph.node("mul", near, near))
+            return [self.kinks.setdefault((arguments[0], None), graph.node("sub", near, cube))]
+        if op == "atan2":
+            y, x = arguments
+            square = graph.node("add", graph.node("mul", x, x), graph.node("mul", y, y))
+            turn = graph.node("neg", graph.node("div", y, square))
+            self.slopes[number] = graph.node("div", x, square), turn
+            zero = graph.const(0.0)
+            besides = [self._kink(False, y, zero)] if graph.moves(y) else []
+            return [*self.slopes[number], *besides]
+        return []
+
+    def _kink(self, equal: bool, a: int, b: int) -> int:
+        return self.kinks.setdefault((a, b, equal), self.graph.node("sub", a, b))
+
+    # -- places ---------------------------------------------------------------------------
+
+    def _put_places(self) -> None:
+        """A place for each node, before any operation: some are made of what comes later."""
+        for number in self.nodes:
+            op, *rest = self.graph.nodes[number]
+            if op == "const":
+                self.place[number] = self._new(False)
+                self.numbers[-1] = float(rest[0])
+            elif op == "input":
+                self.place[number] = self._given(rest[0])
+            elif op == "part":
+                index = int(self.graph.value(rest[1]))
+                self.place[number] = self._after(self.place[rest[0]], index)
+            else:
+                count = unknowns(len(rest)) if op == "solve" else 1
+                self.place[number] = self._new(self.graph.moves(number), count)
+
+    def _given(self, name: str) -> int:
+        if name[0] != "p":
+            return self.size if name == "t" else int(name[1:])
+        self.given.append((len(self.numbers), int(name[1:])))
+        return self._new(False)
+
+    def _new(self, moves: bool, count: int = 1) -> int:
+        """A place, or the first of several."""
+        if moves:
+            self.rows += count
+            return self.rows - count
+        self.numbers += [0.0] * count
+        return count - 1 - len(self.numbers)
+
+    @staticmethod
+    def _after(place: int, count: int) -> int:
+        return place + count if place >= 0 else place - count
+
+    # -- operations -----------------------------------------------------------------------
+
+    def tape(self) -> Tape:
+        """The arrays."""
+        self._put_places()
+        self.sides = {key: i for i, key in enumerate(self.kinks)}
+        for number in self.nodes:
+            op = self.graph.nodes[number][0]
+            if op not in ("const", "input", "part", "real"):
+                self._record(number)
+        watched = [key[-1] is not True for key in self.kinks]
+        kinks = [(self.place[n], w) for n, w in zip(self.kinks.values(), watched, strict=True)]
+        output = [*map(self._row, self.functions), *(row for row, seen in kinks if seen)]
+        return Tape(
+            size=self.size,
+            rows=self.rows,
+            ops=_table(self.ops, 6),
+            more=_ints(self.more),
+            flow=_ints([self.place[i] for i in self.flow]),
+            output=_ints(output),
+            functions=len(self.functions),
+            kinks=_table(kinks, 2),
+            watched=np.flatnonzero(watched),
+            steady=_table(self.steady, 6),
+            numbers=np.array(self.numbers),
+            given=_table(self.given, 2).T,
+            room=self.room,
+        )
+
+    def _row(self, number: int) -> int:
+        """The row of what is asked for, also where it does not move."""
+        place = self.place[number]
+        if place >= 0:
+            return place
+        row = self._new(True)
+        self.ops.append((rule.COPY, row, place))
+        return row
+
+    def _record(self, number: int) -> None:
+        """Put down an operation; a steady one reads numbers as if they were rows."""
+        op, *arguments = self.graph.nodes[number]
+        moves = self.graph.moves(number)
+        places = [self.place[number], *(self.place[a] for a in arguments)]
+        out, *named = places if moves else [-1 - place for place in places]
+        written = self.ops if moves else self.steady
+        if op in PAIRS:
+            self._pair(op, number, arguments[0], written, moves)
+        elif op == "mul":
+            written.append(_product(out, *named))
+        elif op == "sum":
+            written.append((rule.SUM, out, self._list(named), len(named)))
+        elif op == "dot":
+            pairs = zip(named[::2], named[1::2], strict=True)
+            flat = [place for pair in pairs for place in sorted(pair)]
+            written.append((rule.DOT, out, self._list(flat), len(flat) // 2))
+        elif op == "solve":
+            n = unknowns(len(named))
+            written.append((rule.SOLVE, out, self._list(named), n, self.room))
+            self.room += n * n + n
+        elif op in SAME:
+            written.append((SAME[op], out, *named, *self._besides_named(number, op, arguments)))
+        elif op == "atan2":
+            slopes = [self.place[i] for i in self.slopes.get(number, ())]
+            kink = self.sides.get((arguments[0], self.graph.const(0.0), False), -1)
+            written.append((rule.ATAN2, out, *named, self._list(slopes), kink))
+        else:
+            raise TraceError(self._refused(op))
+
+    def _besides_named(self, number: int, op: str, arguments: list[int]) -> list[int]:
+        """What an operation of the rule takes besides its arguments."""
+        if number in self.slopes:
+            return [self.place[self.slopes[number][0]]]
+        if op in (*ORDERED, *EQUAL):
+            return [self.sides.get((*arguments, op in EQUAL), -1)]
+        if op == "floor":
+            return [self.sides.get((arguments[0], None), -1)]
+        return []
+
+    def _list(self, places: Sequence[int]) -> int:
+        """Where a list of arguments begins."""
+        self.more += places
+        return len(self.more) - len(places)
+
+    def _pair(
+        self, op: str, number: int, argument: int, written: list[tuple[int, ...]], moves: bool
+    ) -> None:
+        """Two functions as one operation, put down with the first of them."""
+        code, second = PAIRS[op]
+        twin = next(name for name, value in PAIRS.items() if value == (code, 1 - second))
+        other = self.graph.known(twin, argument)
+        if other is None or other not in self.place:
+            places = [self.place[number], self._new(moves)]
+        elif other < number:
+            return
+        else:
+            places = [self.place[number], self.place[other]]
+        first, last = reversed(places) if second else places
+        names = [first, self.place[argument], last]
+        written.append((code, *(names if moves else [-1 - place for place in names])))
+
+    def _refused(self, op: str) -> str:
+        instead = INSTEAD.get(op, "use another function")
+        return f"{self.where}: {op!r} has no Taylor series; {instead}, or use solver='scipy'"
+
+
+def unknowns(count: int) -> int:
+    """Of equations with so many arguments: a matrix, a right side, and a mask."""
+    return round(math.sqrt(count + 1)) - 1
+
+
+def _product(out: int, a: int, b: int) -> tuple[int, ...]:
+    if a == b and a >= 0:
+        return rule.SQUARE, out, a
+    if a < 0 or b < 0:
+        return rule.SCALE, out, max(a, b), min(a, b)
+    return rule.MUL, out, a, b
+
+
+def _ints(values: Any) -> np.ndarray:
+    return np.array(values, dtype=np.int64)
+
+
+def _table(rows: Sequence[Sequence[int]], width: int) -> np.ndarray:
+    """Rows of one width, filled with zeros."""
+    return _ints([[*row, *[0] * (width - len(row))] for row in rows]).reshape(-1, width)
