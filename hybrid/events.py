@@ -1,11 +1,10 @@
 """When a guard is reached: crossings and tangencies of a guard along one step.
 
 A guard along a step is a function of one variable. It is sampled on the step's polynomial
-and turned into Bernstein coefficients, whose sign changes bound the number of zeros from
-above (Descartes): none means no zero, one means exactly one, more means look at both
-halves. So two crossings inside one step are both found, and a guard that is zero at the
-start of the step by construction (after a jump, at a release) is divided by the power of
-the local time by which it vanishes; its next zero is found however close it is.
+and turned into Bernstein coefficients, whose zeros :mod:`hybrid.rules.zeros` finds. So two
+crossings inside one step are both found, and a guard that is zero at the start of the step by
+construction (after a jump, at a release) is divided by the power of the local time by which it
+vanishes; its next zero is found however close it is.
 
 The semantics are in ``docs/semantics.md``.
 """
@@ -13,8 +12,9 @@ The semantics are in ``docs/semantics.md``.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from fractions import Fraction
 from functools import cache
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 from math import comb
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,8 @@ import numpy as np
 
 from .automaton.markers import Crossing
 from .errors import FlowError
+from .rules import unit
+from .rules.zeros import FULL, SPARE, UNFIT
 from .segment import Segment, from_values, nodes
 
 if TYPE_CHECKING:
@@ -162,12 +164,21 @@ class _Piece:
 @cache
 def to_bernstein(degree: int) -> np.ndarray:
     """Matrix from values at the nodes to Bernstein coefficients."""
-    points = nodes(degree)
-    basis = [
-        [comb(degree, k) * p**k * (1 - p) ** (degree - k) for k in range(degree + 1)]
-        for p in points
-    ]
-    return np.linalg.inv(np.array(basis))
+    return bernstein_from_chebyshev(degree) @ from_values(degree)
+
+
+@cache
+def bernstein_from_chebyshev(degree: int) -> np.ndarray:
+    """Matrix from Chebyshev coefficients to Bernstein's on [0, 1]; its entries are exact."""
+    columns, before, now = [], [-1, 2], [1]
+    for _ in range(degree + 1):
+        shares = [Fraction(c, comb(degree, k)) for k, c in enumerate(now)]
+        columns.append(
+            [float(sum(comb(j, k) * c for k, c in enumerate(shares))) for j in range(degree + 1)]
+        )
+        doubled = [4 * high - 2 * low for high, low in zip([0, *now], [*now, 0], strict=True)]
+        before, now = now, [p - q for p, q in zip_longest(doubled, before, fillvalue=0)]
+    return np.array(columns).T
 
 
 @cache
@@ -185,102 +196,31 @@ def roots(bernstein: np.ndarray, order: int, tolerance: float) -> Iterator[tuple
 
     Yields ``(point, direction)`` in order; direction 0 is a touch within ``tolerance``.
     """
-    b = deflate(bernstein, order)
-    low, high = float(b.min()), float(b.max())
-    if (low > 0 or high < 0) and (order or low > tolerance or high < -tolerance):
-        return
-    found = list(_crossings(b.tolist(), 0.0, 1.0, 48))
-    yield from found
-    if not order and not found:
-        yield from _touches(b, tolerance)
+    work, found = _room(len(bernstein) - 1)
+    b = np.ascontiguousarray(bernstein, dtype=float)
+    count = unit("zeros").crossings(b, len(b) - 1, order, tolerance, work, found)
+    for point, direction in _listed(found, count):
+        yield point, int(direction)
 
 
-def deflate(bernstein: np.ndarray, order: int) -> np.ndarray:
-    """Coefficients of ``p(s) / s^order``; what should vanish is dropped, not tested."""
-    for _ in range(order):
-        degree = len(bernstein) - 1
-        bernstein = bernstein[1:] * degree / np.arange(1, degree + 1)
-    return bernstein
+def turning_points(series: np.ndarray) -> list[float]:
+    """Where in ``(0, 1)`` a Chebyshev series turns."""
+    work, found = _room(len(series) - 1)
+    b = bernstein_from_chebyshev(len(series) - 1) @ series
+    count = unit("zeros").turns(b, len(b) - 1, work, found)
+    return [point for point, _ in _listed(found, count)]
 
 
-def _crossings(
-    b: list[float], left: float, right: float, depth: int
-) -> Iterator[tuple[float, int]]:
-    """Sign changes in ``(left, right]`` by Descartes' rule and halving.
-
-    A zero at the right end of all counts as reached, from the sign before it.
-    """
-    signs = [1 if v > 0 else -1 for v in b if v]
-    changes = sum(p != q for p, q in pairwise(signs))
-    if changes == 0:
-        if signs and b[-1] == 0.0 and right == 1.0:
-            yield right, -signs[-1]
-    elif changes == 1 and b[0] * b[-1] < 0:
-        yield left + (right - left) * _one_root(b), signs[-1]
-    elif depth == 0:
-        if signs[0] != signs[-1]:
-            yield 0.5 * (left + right), signs[-1]
-    else:
-        first, second = _halve(b)
-        middle = 0.5 * (left + right)
-        yield from _crossings(first, left, middle, depth - 1)
-        before = [1 if v > 0 else -1 for v in first if v]
-        after = [1 if v > 0 else -1 for v in second if v]
-        if first[-1] == 0.0 and before and after and before[-1] != after[0]:
-            yield middle, after[0]
-        yield from _crossings(second, middle, right, depth - 1)
+def _room(degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Arrays for the rules on zeros: to work in, and for what is found."""
+    return np.empty((degree + SPARE, degree + 5)), np.empty((2 * degree + 4, 2))
 
 
-def _halve(b: list[float]) -> tuple[list[float], list[float]]:
-    """De Casteljau: coefficients on the left and the right half."""
-    left, right, row = [b[0]], [b[-1]], b
-    while len(row) > 1:
-        row = [0.5 * (p + q) for p, q in pairwise(row)]
-        left.append(row[0])
-        right.append(row[-1])
-    return left, right[::-1]
-
-
-def _value(b: Sequence[float], s: float) -> tuple[float, float]:
-    """Value and derivative (de Casteljau)."""
-    row, degree = list(b), len(b) - 1
-    while len(row) > 2:
-        row = [p + s * (q - p) for p, q in pairwise(row)]
-    if degree == 0:
-        return row[0], 0.0
-    return row[0] + s * (row[1] - row[0]), degree * (row[1] - row[0])
-
-
-def _one_root(b: list[float]) -> float:
-    """The zero of a polynomial with exactly one sign change: Newton within a bracket."""
-    left, right, rising = 0.0, 1.0, b[-1] > 0
-    s = b[0] / (b[0] - b[-1])
-    for _ in range(60):
-        value, rate = _value(b, s)
-        if value == 0.0:
-            return s
-        if (value > 0) == rising:
-            right = s
-        else:
-            left = s
-        new = s - value / rate if rate else left
-        if not left < new < right:
-            new = 0.5 * (left + right)
-        if abs(new - s) <= 2 * EPS * s or right - left <= EPS:
-            return new
-        s = new
-    return s
-
-
-def _touches(b: np.ndarray, tolerance: float) -> Iterator[tuple[float, int]]:
-    """Interior extrema next to zero of a polynomial that does not change sign."""
-    degree = len(b) - 1
-    slopes = (degree * np.diff(b)).tolist()
-    positive = b.max() > -b.min()
-    for point, direction in _crossings(slopes, 0.0, 1.0, 48):
-        towards = direction == (1 if positive else -1)
-        if towards and abs(_value(b.tolist(), point)[0]) <= tolerance and 0 < point < 1:
-            yield point, 0
+def _listed(found: np.ndarray, count: int) -> list[list[float]]:
+    if count in (UNFIT, FULL):
+        raise FlowError("a polynomial whose zeros are asked for is not finite")
+    rows: list[list[float]] = found[: max(count, 0)].tolist()
+    return rows
 
 
 # ---------------------------------------------------------------------------------------

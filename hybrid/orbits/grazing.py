@@ -9,6 +9,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..arcs import Arc
+from ..events import turning_points
 from ..scene import Field, Guard
 from ..segment import from_values, nodes
 from ..trajectory import Trajectory
@@ -74,13 +75,8 @@ def _turned(step: Step, bound: float) -> Iterator[tuple[float, float]]:
 
 
 def turning(series: np.ndarray) -> np.ndarray:
-    """Where a Chebyshev series has zero slope, inside (-1, 1)."""
-    slope = chebyshev.chebtrim(chebyshev.chebder(series), 1e-16 * float(np.abs(series).max()))
-    if len(slope) < 2:
-        return np.empty(0)
-    roots = chebyshev.chebroots(slope)
-    real = roots.real[np.abs(roots.imag) <= 1e-6]
-    return real[np.abs(real) < 1.0]
+    """Where a Chebyshev series turns, inside (-1, 1)."""
+    return 2.0 * np.array(turning_points(series)) - 1.0
 
 
 def near_grazing(run: Trajectory) -> list[str]:

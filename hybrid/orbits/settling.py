@@ -10,6 +10,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..arcs import Arc
+from ..events import bernstein_from_chebyshev, roots
 from ..log import Log
 from ..segment import nodes
 from ..trajectory import Trajectory
@@ -35,6 +36,9 @@ SHARES = (0.0, 0.25, 0.5, 0.75)
 
 #: Degree at which a step is searched for a crossing.
 LOOK = 16
+
+#: A zero of a Chebyshev series that was sought in another form moves by less in Newton's step.
+NEARLY = 1e-6
 
 #: Turns, or parts of the run, that are looked at.
 TURNS, PARTS = 12, 6
@@ -266,12 +270,11 @@ def _crossings(run: Trajectory) -> Returns:
 def _rising(series: np.ndarray, level: float) -> list[float]:
     """Where a Chebyshev series rises through a level, in (-1, 1]."""
     series = chebyshev.chebsub(series, [level])
-    series = chebyshev.chebtrim(series, 1e-16 * float(np.abs(series).max()))
-    roots = chebyshev.chebroots(series) if len(series) > 1 else np.empty(0)
-    real = np.sort(roots.real[np.abs(roots.imag) <= 1e-9])
-    inside = real[(real > -1.0) & (real <= 1.0)]
-    slopes = chebyshev.chebval(inside, chebyshev.chebder(series))
-    return [float(xi) for xi in inside[slopes > 0]]
+    b = bernstein_from_chebyshev(len(series) - 1) @ series
+    xi = np.array([2.0 * s - 1.0 for s, direction in roots(b, 0, 0.0) if direction > 0])
+    steps = chebyshev.chebval(xi, series) / chebyshev.chebval(xi, chebyshev.chebder(series))
+    near = np.abs(steps) <= NEARLY  # Bernstein's form has lost some digits of the highest terms
+    return np.where(near, np.minimum(xi - steps, 1.0), xi).tolist()
 
 
 def _turns(returns: Returns, scale: np.ndarray) -> Iterator[Turns]:
