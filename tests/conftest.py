@@ -29,14 +29,29 @@ def pytest_configure(config):
     config.addinivalue_line("markers", "misses(finding, names, raises, cases): fails today")
 
 
-def pytest_collection_modifyitems(items):
+def pytest_addoption(parser):
+    """A choice of ways in, for a run of a part of the contract."""
+    parser.addoption("--ways", help="only tests on these ways in, such as DOP853,taylor")
+
+
+def pytest_collection_modifyitems(config, items):
     """What a way is known to miss fails, or the mark must go."""
+    if chosen := config.getoption("--ways"):
+        others = [item for item in items if _way_of(item) not in chosen.split(",")]
+        items[:] = [item for item in items if item not in others]
+        config.hook.pytest_deselected(items=others)
     for item in items:
         params = item.callspec.params if hasattr(item, "callspec") else {}
         for mark in item.iter_markers("misses"):
             failure = expected_failure(mark, params)
             if failure is not None:
                 item.add_marker(failure)
+
+
+def _way_of(item):
+    """The way in that a test takes, if one."""
+    params = item.callspec.params if hasattr(item, "callspec") else {}
+    return next((params[name] for name in ("way", "solver", "accurate") if name in params), None)
 
 
 def pytest_generate_tests(metafunc):
