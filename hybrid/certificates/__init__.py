@@ -1,6 +1,7 @@
 """Proofs of complete chattering before a run, by interval arithmetic, never by sampling.
 
 ``question.py``: what is asked, checked, and the functions it needs, read from the trace.
+``restitution.py``, ``beside.py``: what both proofs ask of impacts, and of states beside them.
 ``setting.py``, ``theorem.py``: Theorem 1 of Akhmet and Çağ, with (C2). ``relative.py``: the lemma
 without (C2), in coordinates relative to the contact. ``result.py``: the answer.
 """
@@ -34,8 +35,8 @@ def certify(
     box : mapping of str to (low, high)
         Theorem 1: position from the obstacle to the largest height, velocity
         ``(-c, c)``. Lemma: ``"gap": (0, y)``, ``"speed": (0, w)`` (an absolute value),
-        and what the gap's acceleration depends on besides: ``"t"``, other states.
-        Elements of an array are named ``"q[0]"``.
+        and what the gap's acceleration depends on besides: ``"t"``, other states. In both,
+        bounds of states that might end the motion. Elements of an array are named ``"q[0]"``.
     mode, contact : str, optional
         Which contact; needed where there are several.
 
@@ -58,9 +59,6 @@ def certify(
     """
     from ..errors import OptionError
     from ..scene.interval import require_flint
-    from .question import ask
-    from .relative import by_lemma
-    from .theorem import by_theorem
 
     lags = getattr(model, "spec", None) and model.spec.lags
     if lags:
@@ -69,5 +67,9 @@ def certify(
             "knows no past; simulate it, and ask the accumulations of the run for their proofs"
         )
     require_flint()
+    from .question import ask
+    from .relative import by_lemma
+    from .theorem import by_theorem
+
     question = ask(model, box, mode, contact)
     return by_lemma(question) if question.relative else by_theorem(question)

@@ -63,11 +63,11 @@ class Question:
 
     @property
     def labels(self) -> dict[str, str]:
-        """The inputs of the functions (``x0``, ``t``, ``u``) to the names in the box."""
+        """The inputs of the functions (``x0``, ``t``) to the names in the box."""
         names = {f"x{i}": name for i, name in enumerate(self.spec.element_names)}
         if self.relative:
             names |= {f"x{self.position}": GAP, f"x{self.velocity}": SPEED}
-        return {**names, TIME: TIME, "u": "u"}
+        return {**names, TIME: TIME}
 
     def bounds(self, *functions: ScalarFunction) -> dict[str, Bounds]:
         """Bounds of the inputs of these functions.
@@ -109,8 +109,8 @@ class Question:
         """A point under the names of the box."""
         return {self.labels[name]: value for name, value in point.items()}
 
-    def function(self, call: Traced, extra: int = 0) -> ScalarFunction:
-        """An expression of ``(parameters, t, x, u)``, with its gradient where it has one."""
+    def function(self, call: Traced) -> ScalarFunction:
+        """An expression of ``(parameters, t, x)``, with its gradient where it has one."""
 
         def slopes(parameters: Any, *point: Any) -> Any:
             import jax
@@ -120,38 +120,55 @@ class Question:
             parts = jax.jacfwd(call, argnums=places)(parameters, *point)
             return jnp.concatenate([jnp.ravel(part) for part in parts])
 
-        value = self._program(lambda *given: call(*given)[None], extra, exact=True)
-        names = [TIME, *(f"x{i}" for i in range(self.spec.dimension)), *["u"] * extra]
+        value = self._program(lambda *given: call(*given)[None], exact=True)
+        names = [TIME, *(f"x{i}" for i in range(self.spec.dimension))]
         kept = [i for i, name in enumerate(names) if name in value.inputs]
         try:
-            gradient = self._program(slopes, extra, exact=False, kept=kept)
+            gradient = self._program(slopes, exact=False, kept=kept)
         except (TraceError, NotImplementedError):
             return ScalarFunction(value)
         if not gradient.inputs <= value.inputs:
             return ScalarFunction(value)
         return ScalarFunction(value, gradient, [names[i] for i in kept])
 
-    def _program(
-        self, call: Traced, extra: int, exact: bool, kept: Sequence[int] = (0,)
-    ) -> IntervalProgram:
+    def rates(self, flow: Traced) -> IntervalProgram:
+        """The rates of all elements of the state."""
+        return self._program(flow, exact=True, kept=range(self.spec.dimension))
+
+    def _program(self, call: Traced, exact: bool, kept: Sequence[int] = (0,)) -> IntervalProgram:
         """Some results of an expression, the parameters' values put in."""
         shapes = self.code.shapes
-        closed = trace.trace(self.spec, call, extra, shapes)
+        closed = trace.trace(self.spec, call, 0, shapes)
         graph = FixedGraph(exact)
-        inputs = self.code.inputs(graph, ["u"] * extra)[len(shapes) :]
+        inputs = self.code.inputs(graph)[len(shapes) :]
         (roots,) = graph.outputs(closed, [*graph.arguments(shapes, self.values), *inputs])
         return IntervalProgram(graph, [roots[i] for i in kept])
 
-    def law(self, place: Traced = lambda p, t, x: x) -> ScalarFunction:
-        """The restitution; its input ``u`` is the gap speed, ``place`` gives the state."""
+    def law(self, place: Traced, speed: Traced) -> ScalarFunction:
+        """The restitution; ``place`` gives the state at an impact, ``speed`` the gap's speed."""
         law = trace.again(self.code.closed("restitution", self.contact.name))
-        return self.function(lambda p, t, z, u: law(p, t, place(p, t, z), u), extra=1)
+        return self.function(lambda p, t, z: law(p, t, place(p, t, z), speed(p, t, z)))
+
+    def on_contact(self, parameters: Any, t: Any, x: Any) -> Any:
+        """A state with its position moved to where the gap is zero; for affine gaps."""
+        return solved(self.laws.gap, self.position, parameters, t, x, 0.0)
 
     def other_guards(self, place: Callable[[Traced], Traced]) -> dict[str, ScalarFunction]:
         """The guards of the mode's other edges; ``place`` puts the state into them."""
         edges = [e for e in self.spec.leaving(self.contact.source) if e is not self.contact]
         guards = {e.name: trace.again(self.code.guard_closed(e)) for e in edges}
         return {name: self.function(place(guard)) for name, guard in guards.items()}
+
+
+def solved(h: Traced, k: int, parameters: Any, t: Any, x: Any, value: Any) -> Any:
+    """A state whose element ``k`` gives ``h`` this value, where ``h`` is affine in it."""
+    import jax
+    import jax.numpy as jnp
+
+    base = x.at[k].set(0.0)
+    along = jnp.zeros_like(x).at[k].set(1.0)
+    start, slope = jax.jvp(lambda x: h(parameters, t, x), (base,), (along,))
+    return base.at[k].set((value - start) / slope)
 
 
 def ask(model: Any, box: Any, mode: str | None, contact: str | None) -> Question:

@@ -19,10 +19,12 @@ import attrs
 
 from ..scene.extrema import Bounds, Extreme, ScalarFunction, continuous, extrema
 from ..zeno.lemma import chattering, largest_speed
-from .question import GAP, SPEED, TIME, Question, Traced
-from .result import Certificate, shown
+from .beside import Beside, beside, fastest
+from .question import GAP, SPEED, TIME, Question, Traced, solved
+from .restitution import Restitution
+from .result import Certificate, Fault, shown
 from .setting import constant_slope
-from .theorem import COARSE, FINE, TRIALS, edges_fault, restitution_bounds, restitution_fault
+from .theorem import COARSE, FINE, TRIALS, edges_fault
 
 STATEMENT = "the lemma without (C2), relative to the contact"
 
@@ -35,7 +37,7 @@ def by_lemma(question: Question) -> Certificate:
     setting = Setting(
         q,
         q.function(place(q.laws.acceleration)),
-        q.law(place(_itself)),
+        _law(q, place),
         q.other_guards(place),
         () if fault else _motion(q, place),
         place,
@@ -43,8 +45,8 @@ def by_lemma(question: Question) -> Certificate:
         speed,
     )
     q.bounds(setting.acceleration, *setting.motion)
-    law = restitution_bounds(setting.law, setting.box())
-    faults = [fault, restitution_fault(law), edges_fault(setting.guards, setting.box())]
+    law = setting.restitution()
+    faults = [fault, law.fault(), edges_fault(setting.guards, setting.box())]
     faults.append(setting.regularity())
     return _answer(setting, law, next((f for f in faults if f), None))
 
@@ -56,6 +58,16 @@ def _motion(q: Question, place: Any) -> tuple[ScalarFunction, ...]:
         return q.function(lambda p, t, z: h(p, t, place(_itself)(p, t, z).at[k].set(0.0)))
 
     return rest(q.laws.gap, q.position), rest(q.laws.speed, q.velocity)
+
+
+def _law(q: Question, place: Any) -> ScalarFunction:
+    """The restitution as a function of the coordinates, on the contact where these are its own."""
+    if not q.relative:
+        return q.law(_itself, q.laws.speed)
+    state = place(_itself)
+    return q.law(
+        lambda p, t, z: state(p, t, z.at[q.position].set(0.0)), lambda p, t, z: z[q.velocity]
+    )
 
 
 def _own_bounds(q: Question) -> tuple[float, float]:
@@ -77,31 +89,37 @@ def _coordinates(q: Question) -> tuple[Any, Any]:
     """``place(h)``: a function of states as one of relative coordinates; or what prevents it."""
     i, j = q.position, q.velocity
     gap, speed = q.function(q.laws.gap), q.function(q.laws.speed)
-    slopes = constant_slope(gap, f"x{i}"), constant_slope(speed, f"x{j}")
-    single = len(q.laws.pairing.positions) == 1
-    if not single or any(b is None or b.contains(0) for b in slopes):
+    unknown = _not_affine(q, constant_slope(gap, f"x{i}"), constant_slope(speed, f"x{j}"))
+    if unknown:
         reason = (
-            "the gap is not affine in one position, so the bounds are over the box of states; "
-            "that the motion stays in it is not proved"
+            f"{unknown}, so the bounds are over the box of states; that the motion stays in it "
+            "is not proved"
         )
-        return (lambda h: h), ("undecided", reason, "prove it along a run instead")
+        repair = "simulate it: the proofs along a run are run.zeno[i].proofs"
+        return (lambda h: h), ("undecided", reason, repair)
 
     def state(parameters: Any, t: Any, z: Any) -> Any:
-        import jax
-        import jax.numpy as jnp
-
-        def solved(h: Traced, k: int, x: Any) -> Any:
-            base = x.at[k].set(0.0)
-            along = jnp.zeros_like(x).at[k].set(1.0)
-            value, slope = jax.jvp(lambda x: h(parameters, t, x), (base,), (along,))
-            return base.at[k].set((z[k] - value) / slope)
-
-        return solved(q.laws.speed, j, solved(q.laws.gap, i, z))
+        x = solved(q.laws.gap, i, parameters, t, z, z[i])
+        return solved(q.laws.speed, j, parameters, t, x, z[j])
 
     def place(h: Traced) -> Traced:
         return lambda p, t, z: h(p, t, state(p, t, z))
 
     return place, None
+
+
+def _not_affine(q: Question, gap: Any, speed: Any) -> str | None:
+    """What of gap and gap speed is not known to be affine, given their slopes; None if all is."""
+    names = q.spec.element_names
+    if len(q.laws.pairing.positions) > 1:
+        listed = ", ".join(names[k] for k in q.laws.pairing.positions)
+        return f"the gap depends on several positions ({listed})"
+    for what, slope, place in (("gap", gap, q.position), ("gap's speed", speed, q.velocity)):
+        if slope is None:
+            return f"the {what} could not be shown to be affine in {names[place]}"
+        if slope.contains(0):
+            return f"the {what} may not depend on {names[place]}"
+    return None
 
 
 @attrs.frozen(eq=False)
@@ -127,7 +145,13 @@ class Setting:
         if q.relative:
             named[f"x{q.position}"] = (0.0, self.height)
             named[f"x{q.velocity}"] = (-self.speed, self.speed)
-        return {**named, "u": (-self.speed, 0.0)}
+        return named
+
+    def restitution(self) -> Restitution:
+        """The restitution on the contact, at gap speeds that lead into it."""
+        v = f"x{self.question.velocity}"
+        box = self.box()
+        return Restitution.of(self.law, box | ({v: (-self.speed, 0.0)} if v in box else {}), v)
 
     def smaller(self, scale: float, span: float) -> Setting:
         """The same on a box with smaller gaps and speeds, and a shorter time."""
@@ -139,25 +163,22 @@ class Setting:
         smaller = attrs.evolve(self, question=attrs.evolve(q, box=box))
         return attrs.evolve(smaller, height=box[GAP][1], speed=box[SPEED][1])
 
-    def drifts(self) -> dict[str, float]:
-        """The largest rates of the other states on which the proof depends."""
-        q = self.question
+    def drifts(self) -> Beside:
+        """The largest rates of the other states on which the proof depends, and of those beside."""
+        q, flow = self.question, self.place(self.question.laws.flow)
         own, found = {q.position, q.velocity}, dict[int, float]()
         queue = [self.acceleration, self.law, *self.motion, *self.guards.values()]
         while queue:
             inputs = queue.pop().inputs
             for k in {int(n[1:]) for n in inputs if n.startswith("x")} - own - set(found):
-                rate = self.rate(k)
-                q.bounds(rate)
-                least, most = extrema(rate, self.box(), COARSE)
-                found[k] = max(-least.low, most.high)
+                rate = q.function(lambda p, t, z, k=k: flow(p, t, z)[k])
+                found[k], _ = fastest(q, rate, self.box())
                 queue.append(rate)
-        return {q.spec.element_names[k]: drift for k, drift in found.items()}
-
-    def rate(self, k: int) -> ScalarFunction:
-        """The derivative of a state along the flow."""
-        flow = self.place(self.question.laws.flow)
-        return self.question.function(lambda p, t, z: flow(p, t, z)[k])
+        known = {f"x{k}" for k in own | set(found)} | {TIME}
+        bounds = {name: ends for name, ends in self.box().items() if name in known}
+        others = beside(q, flow, bounds)
+        relied = {q.spec.element_names[k]: drift for k, drift in found.items()}
+        return attrs.evolve(others, drifts={**relied, **others.drifts})
 
     def regularity(self) -> Any:
         """Gap and gap speed, as functions of time and the rest, must not jump."""
@@ -186,23 +207,25 @@ class Trial:
     rho: tuple[float, float] | None
 
 
-def _trial(setting: Setting, law: Any, tolerance: float) -> Trial:
+def _trial(setting: Setting, law: Restitution, tolerance: float) -> Trial:
     from ..scene.balls import high, low
 
     least, most = extrema(setting.acceleration, setting.box(), tolerance)
     if most.high >= 0.0 or least.low == float("-inf"):
         return Trial(least, most, None)
-    above = chattering(1.0, -most.high, -least.low, law[1].high).rho
-    under = chattering(1.0, -most.low, -least.high, law[1].low).rho
+    assert law.ends is not None
+    above = chattering(1.0, -most.high, -least.low, law.ends[1].high).rho
+    under = chattering(1.0, -most.low, -least.high, law.ends[1].low).rho
     return Trial(least, most, (math.nextafter(low(under), 0.0), high(above)))
 
 
-def _answer(setting: Setting, law: Any, fault: Any) -> Certificate:
+def _answer(setting: Setting, law: Restitution, fault: Fault | None) -> Certificate:
     q = setting.question
     found: dict[str, Any] = {"right": 1.0}
-    if law is None:
+    if law.ends is None:
+        assert fault is not None
         return q.answer(STATEMENT, *fault, **found)
-    found["restitution"] = (law[0].low, law[1].high)
+    found["restitution"] = law.bounds
     trial = _trial(setting, law, FINE)
     found.update(m_at=q.named(trial.most.at), M_at=q.named(trial.least.at))
     if trial.rho is not None:
@@ -211,34 +234,38 @@ def _answer(setting: Setting, law: Any, fault: Any) -> Certificate:
     if fault is not None:
         return q.answer(STATEMENT, *fault, **found)
     if trial.rho is not None and trial.rho[1] < 1.0:
-        found.update(_starts(setting, law, trial))
-        if found["initial_set"] is None:
-            reason = "the box of times and other states leaves no room for the motion"
-            return q.answer(STATEMENT, "undecided", reason, "a wider box", **found)
+        starts = _starts(setting, law, trial)
+        if not isinstance(starts, dict):
+            return q.answer(STATEMENT, *starts, **found)
         reason = "the gap's acceleration and r sqrt(M / m) < 1 are proved on the box"
-        return q.answer(STATEMENT, "certified", reason, **found)
+        return q.answer(STATEMENT, "certified", reason, **found, **starts)
     return _smaller(setting, law, trial, found)
 
 
-def _starts(setting: Setting, law: Any, trial: Trial) -> dict[str, Any]:
-    """The largest speed, its times, and what they leave of the box."""
+def _starts(setting: Setting, law: Restitution, trial: Trial) -> dict[str, Any] | Fault:
+    """The largest speed, its times, and what they leave of the box; or what prevents it."""
     from ..scene.balls import high, low
 
-    q, r = setting.question, (law[0].low, law[1].high)
-    m, M, drifts = -trial.most.high, -trial.least.low, setting.drifts()
-    time = _room(q, drifts)
-    v = largest_speed(m, M, r, setting.height, setting.speed, time)
+    q, others = setting.question, setting.drifts()
+    if others.fault is not None:
+        return others.fault
+    m, M = -trial.most.high, -trial.least.low
+    time = _room(q, others.drifts)
+    v = largest_speed(m, M, law.bounds, setting.height, setting.speed, time)
     if not v > 0.0:
-        return {"initial_set": None}
-    remaining = chattering(v, m, M, r).remaining
+        endless = [name for name, drift in others.drifts.items() if drift == math.inf]
+        reason = "the box of times and other states leaves no room for the motion"
+        reason += f": the rate of {endless[0]} has no bounds on it" if endless else ""
+        return "undecided", reason, "a smaller box of it" if endless else "a wider box"
+    remaining = chattering(v, m, M, law.bounds).remaining
     assert remaining is not None
     low_, high_ = low(remaining[0]), high(remaining[1])
     start: dict[str, Any] = {GAP: 0.0, SPEED: (0.0, v)}
     for name, (a, b) in q.box.items():
         if name == TIME:
             start[name] = (a, b - high_)
-        elif name in drifts:
-            start[name] = (a + drifts[name] * high_, b - drifts[name] * high_)
+        elif name in others.drifts:
+            start[name] = others.inside(q.box, name, high_)
     return {"initial_set": start, "remaining": (low_, high_)}
 
 
@@ -254,7 +281,9 @@ def _room(q: Question, drifts: dict[str, float]) -> float:
     return min(rooms, default=float("inf"))
 
 
-def _smaller(setting: Setting, law: Any, trial: Trial, found: dict[str, Any]) -> Certificate:
+def _smaller(
+    setting: Setting, law: Restitution, trial: Trial, found: dict[str, Any]
+) -> Certificate:
     """The condition that fails, and a smaller box on which it holds."""
     q, repair = setting.question, "no smaller box was found on which the conditions hold"
     shares = [(0.5**k, 1.0) for k in range(1, TRIALS)]
@@ -264,8 +293,10 @@ def _smaller(setting: Setting, law: Any, trial: Trial, found: dict[str, Any]) ->
         smaller = setting.smaller(scale, span)
         better = _trial(smaller, law, COARSE)
         if better.rho is not None and better.rho[1] < 1.0:
-            found.update(_starts(smaller, law, better))
+            starts = _starts(smaller, law, better)
+            found.update(starts if isinstance(starts, dict) else {})
             repair = f"a smaller box: {shown(smaller.question.box)}"
+            repair += "" if isinstance(starts, dict) else f" ({starts[2]})"
             break
     at = ", ".join(f"{q.labels[n]} = {value:.12g}" for n, value in trial.most.at.items())
     if trial.most.low >= 0.0:

@@ -8,6 +8,9 @@ import attrs
 
 Bounds = tuple[float, float]
 
+#: What stands in the way of a proof: verdict, reason, repair.
+Fault = tuple[str, str, str]
+
 
 @attrs.frozen(kw_only=True)
 class Certificate:

@@ -10,6 +10,7 @@ from ..scene.extrema import Bounds, ScalarFunction
 from ..scene.interval import IntervalProgram
 from ..scene.python import needed
 from .question import TIME, Question
+from .restitution import Restitution
 
 #: A box may begin so far (relative to its place) from the wall and count as touching it.
 TOUCH = 1e-9
@@ -52,6 +53,21 @@ class Setting:
         low, high = self.question.box[self.question.spec.element_names[self.question.velocity]]
         return min(-low, high)
 
+    def room(self, far: float) -> Any:
+        """The gap at a position, as a ball."""
+        from flint import arb
+
+        from ..scene.balls import absolute
+
+        return absolute(self.slope * (arb(far) - self.wall))
+
+    def restitution(self) -> Restitution:
+        """The restitution at the wall, where the velocity leads into it."""
+        q, v = self.question, f"x{self.question.velocity}"
+        law = q.law(q.on_contact, lambda p, t, x: q.laws.speed(p, t, q.on_contact(p, t, x)))
+        inward = (-self.speed, 0.0) if self.slope > 0 else (0.0, self.speed)
+        return Restitution.of(law, {v: inward}, v)
+
 
 def setting_of(q: Question) -> Setting | str:
     """The setting, or the sentence that says why the theorem does not apply."""
@@ -70,7 +86,7 @@ def setting_of(q: Question) -> Setting | str:
         return f"Theorem 1 is for a gap of one position; this gap depends on {names} too"
     slope = constant_slope(gap, x)
     if slope is None or slope.contains(0):
-        return "Theorem 1 is for a gap x - phi; this gap is not affine"
+        return "Theorem 1 is for a gap x - phi; this gap is not affine, as far as is known"
     if speed.inputs != {v} or constant_slope(speed, v) != slope or speed.at({v: 0.0}) != 0:
         return "Theorem 1 is for x' = v; here the position's derivative is another function"
     others = acceleration.inputs - {x, v}

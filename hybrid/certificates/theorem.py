@@ -14,8 +14,10 @@ import attrs
 
 from ..scene.extrema import Bounds, Extreme, ScalarFunction, continuous, extrema
 from ..scene.parity import parity
+from .beside import beside
 from .question import Question
-from .result import Certificate
+from .restitution import Restitution
+from .result import Certificate, Fault
 from .setting import Setting, setting_of
 
 STATEMENT = "Theorem 1 (fixed obstacle, (C1), (C2))"
@@ -60,10 +62,10 @@ def by_theorem(question: Question) -> Certificate:
     trial = _trial(setting, setting.far, setting.speed, FINE)
     found: dict[str, Any] = _numbers(question, trial)
     box = setting.box(setting.far, setting.speed)
-    law = restitution_bounds(question.law(), {**box, **_impacts(setting)})
-    found["restitution"] = law and (law[0].low, law[1].high)
+    law = setting.restitution()
+    found["restitution"] = law.bounds
     faults = [
-        restitution_fault(law),
+        law.fault(),
         _parity(setting),
         edges_fault(question.other_guards(lambda h: h), box),
         _regularity(setting),
@@ -72,8 +74,8 @@ def by_theorem(question: Question) -> Certificate:
     if bad:
         return question.answer(STATEMENT, *bad, **found)
     if trial.holds:
-        return _certified(setting, trial, found)
-    return _refused(setting, trial, found)
+        return _certified(setting, trial, law, found)
+    return _refused(setting, trial, law, found)
 
 
 def _relative(q: Question) -> str:
@@ -98,7 +100,7 @@ def _trial(setting: Setting, far: float, speed: float, tolerance: float) -> Tria
         limit = absolute(setting.slope) * arb(speed)
         left = None
         if most.high < 0.0 and least.low > float("-inf"):
-            room = 2 * absolute(setting.slope * (arb(far) - setting.wall))
+            room = 2 * setting.room(far)
             above = -arb(least.low) * (room / arb(_below(most.high))).sqrt()
             under = -arb(least.high) * (room / -arb(most.low)).sqrt()
             left = low(under), high(above)
@@ -108,37 +110,6 @@ def _trial(setting: Setting, far: float, speed: float, tolerance: float) -> Tria
 def _below(high: float) -> float:
     """``m``: the float below what was proved, because (C1) is strict."""
     return math.nextafter(-high, 0.0)
-
-
-def _impacts(setting: Setting) -> dict[str, Bounds]:
-    from ..scene.balls import high
-
-    return {"u": (-high(setting.limit), 0.0)}
-
-
-Fault = tuple[str, str, str]
-
-
-def restitution_bounds(
-    law: ScalarFunction, box: dict[str, Bounds]
-) -> tuple[Extreme, Extreme] | None:
-    """Bounds of the restitution; None if it depends on more than the box bounds."""
-    return extrema(law, box) if law.inputs <= set(box) else None
-
-
-def restitution_fault(law: tuple[Extreme, Extreme] | None) -> Fault | None:
-    """The restitution must lie strictly between 0 and 1."""
-    if law is None:
-        reason = "the restitution depends on the time or on states without bounds here"
-        return "undecided", reason, "a restitution of the contact's own position and speed"
-    least, most = law
-    if least.low > 0.0 and most.high < 1.0:
-        return None
-    wrong = most.low >= 1.0 or least.high <= 0.0
-    bounds = f"[{least.low!r}, {most.high!r}]"
-    reason = f"the restitution must lie strictly between 0 and 1; it lies in {bounds}"
-    verdict = "refuted" if wrong else "undecided"
-    return verdict, reason, "choose a restitution strictly between 0 and 1"
 
 
 def _parity(setting: Setting) -> Fault | None:
@@ -201,17 +172,21 @@ def _numbers(q: Question, trial: Trial) -> dict[str, Any]:
     return found
 
 
-def _certified(setting: Setting, trial: Trial, found: dict[str, Any]) -> Certificate:
+def _certified(
+    setting: Setting, trial: Trial, law: Restitution, found: dict[str, Any]
+) -> Certificate:
     from flint import arb, ctx
 
-    from ..scene.balls import absolute, high
+    from ..scene.balls import high
     from ..scene.interval import PRECISION
 
     q = setting.question
+    start = _starts(setting, setting.far, trial, law)
+    if not isinstance(start, dict):
+        return q.answer(STATEMENT, *start, **found)
     with ctx.workprec(PRECISION):
-        room = 2 * absolute(setting.slope * (arb(setting.far) - setting.wall))
+        room = 2 * setting.room(setting.far)
         smallest = high(arb(trial.M) ** 2 * room / arb(trial.limit[0]) ** 2)
-    start = _starts(setting, setting.far)
     reason = "(C1), (C2) and the inequality hold on the box"
     largest = -trial.most.high
     return q.answer(
@@ -219,14 +194,46 @@ def _certified(setting: Setting, trial: Trial, found: dict[str, Any]) -> Certifi
     )
 
 
-def _starts(setting: Setting, far: float) -> dict[str, Any]:
+def _starts(setting: Setting, far: float, trial: Trial, law: Restitution) -> dict[str, Any] | Fault:
+    """From where the motion chatters: the height, and the states that must not end it before."""
     q = setting.question
     names = q.spec.element_names
     bounds = (min(setting.near, far), max(setting.near, far))
-    return {names[q.position]: bounds, names[q.velocity]: 0.0}
+    start: dict[str, Any] = {names[q.position]: bounds, names[q.velocity]: 0.0}
+    others = beside(q, q.laws.flow, setting.box(far, setting.speed))
+    if others.fault is not None:
+        return others.fault
+    time = _longest(setting, far, trial, law) if others.drifts else 0.0
+    for name, drift in others.drifts.items():
+        inside = others.inside(q.box, name, time)
+        if inside is None:
+            reason = f"{name} may leave its bounds, at a rate of {drift:.6g}, in the {time:.6g} "
+            reason += "that the motion may last: what becomes of it there is not known"
+            return "undecided", reason, f"other bounds of {name}, or a smaller height"
+        start[name] = inside
+    return start
 
 
-def _refused(setting: Setting, trial: Trial, found: dict[str, Any]) -> Certificate:
+def _longest(setting: Setting, far: float, trial: Trial, law: Restitution) -> float:
+    """The longest time from the height to the accumulation: the fall, and all flights.
+
+    A flight comes back with the speed with which it left, and lasts at most ``2 v / m``.
+    """
+    from flint import arb, ctx
+
+    from ..scene.balls import high
+    from ..scene.interval import PRECISION
+
+    assert law.ends is not None
+    with ctx.workprec(PRECISION):
+        room, m, r = 2 * setting.room(far), arb(trial.m), arb(law.ends[1].high)
+        speed = (arb(trial.M) * room).sqrt()
+        return high((room / m).sqrt() + 2 * r * speed / (m * (1 - r)))
+
+
+def _refused(
+    setting: Setting, trial: Trial, law: Restitution, found: dict[str, Any]
+) -> Certificate:
     q = setting.question
     far, speed = _largest_height(setting), None
     position, velocity = (q.spec.element_names[i] for i in (q.position, q.velocity))
@@ -237,7 +244,11 @@ def _refused(setting: Setting, trial: Trial, found: dict[str, Any]) -> Certifica
         repairs.append(f"|{velocity}| up to more than {speed!r}")
     if far is not None:
         repairs.append(f"{position} only as far as {far!r}")
-        found["initial_set"] = _starts(setting, far)
+        start = _starts(setting, far, _trial(setting, far, setting.speed, COARSE), law)
+        if isinstance(start, dict):
+            found["initial_set"] = start
+        else:
+            repairs[-1] += f" (and {start[2]})"
     repair = ", or ".join(repairs) or "no smaller box was found on which the conditions hold"
     return q.answer(STATEMENT, *_failure(setting, trial), repair=repair, **found)
 

@@ -32,8 +32,9 @@ TOTAL = EXACT | {
 class FixedGraph(Graph):
     """A graph in which constants stay as exact as they were written.
 
-    ``0 * a`` is 0 where ``a`` cannot fail to be finite; with ``exact=False`` everywhere,
-    which is right for a derivative: what an expression does not depend on does not count.
+    ``0 * a`` is 0 where ``a`` cannot fail to be finite; with ``exact=False`` everywhere, and
+    so are ``0 / a`` and a choice between zeros, which is right for a derivative: what an
+    expression does not depend on does not count.
     """
 
     def _simplify(self, key: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -42,6 +43,8 @@ class FixedGraph(Graph):
             return key
         values = [self.value(a) for a in arguments]
         if op == "mul" and any(v is not None and v == 0 for v in values) and self._total(arguments):
+            return ("const", 0.0, "0.0")
+        if not self.exact and _vanishes(op, values):
             return ("const", 0.0, "0.0")
         if all(v is not None for v in values) and not _exact(op, values):
             return key
@@ -59,6 +62,13 @@ class FixedGraph(Graph):
             np.array([next(ids) for _ in range(size)], dtype=np.int64).reshape(shape)
             for size, shape in zip(sizes, shapes, strict=True)
         ]
+
+
+def _vanishes(op: str, values: Sequence[Any]) -> bool:
+    """Whether a derivative that is put together from these is zero wherever there is one."""
+    if op == "div":
+        return bool(values[0] == 0)
+    return op == "select" and bool(values[1] == 0 and values[2] == 0)
 
 
 def _exact(op: str, values: Sequence[Any]) -> bool:

@@ -1,0 +1,242 @@
+"""The states beside a proof: whether one of them may end the motion before its impacts accumulate.
+
+A proof bounds what the gap's acceleration depends on. The other states move along, and a motion
+is one only as long as all of them exist: ``q' = q^2`` has no value after ``1 / q(0)``. A state is
+harmless
+
+* if it grows no faster than in proportion to itself, wherever it starts: read off the flow with
+  bounds for all but the state itself (:mod:`hybrid.scene.growth`);
+* if it has bounds in the box, its rate is bounded there, and it starts so far inside that it cannot
+  leave them in time.
+
+States that depend on each other in a circle are judged together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import attrs
+
+from ..scene.balls import Undefined
+from ..scene.extrema import Bounds, ScalarFunction, extrema
+from ..scene.growth import ANYTHING, GROWING, LOWER, UPPER, Growth, between, growth
+from ..scene.python import needed
+from .question import TIME, Question, Traced
+from .result import Fault
+
+#: Accuracy of the rates of states that must stay within their bounds.
+COARSE = 1e-6
+
+
+@attrs.frozen(eq=False)
+class Beside:
+    """What was found of the states beside a proof.
+
+    Attributes
+    ----------
+    drifts : dict of str to float
+        The largest rates of those that must not leave their bounds in the box, by name; among
+        them the time, whose rate is 1.
+    fault : tuple of str or None
+        Verdict, reason and repair, where a state may end the motion.
+    """
+
+    drifts: dict[str, float]
+    fault: Fault | None = None
+
+    def inside(self, box: Mapping[str, Bounds], name: str, time: float) -> Bounds | None:
+        """From where the bounds are not left within a time; None where there is nothing left."""
+        low, high = box[name]
+        far = math.nextafter(self.drifts[name] * time, math.inf)
+        start = low if name == TIME else math.nextafter(low + far, math.inf)
+        end = math.nextafter(high - far, -math.inf)
+        return (start, end) if start < end else None
+
+
+def beside(q: Question, flow: Traced, bounds: Mapping[str, Bounds]) -> Beside:
+    """Judge the states of which a proof has no bounds.
+
+    Parameters
+    ----------
+    flow : callable
+        The flow in the coordinates of the proof.
+    bounds : mapping of str to (low, high)
+        The inputs that the proof bounds.
+    """
+    rates, relied, known = _Rates.of(q, flow), list[str](), dict(bounds)
+    offered = {name: q.box[label] for name, label in q.labels.items() if label in q.box}
+    while True:
+        bad = rates.first_fault(known) or rates.unbounded(relied, known)
+        if bad is None:
+            return _drifts(q, flow, relied, known)
+        who, wanted, why = bad
+        new = [name for name in wanted if name in offered and name not in known]
+        if not new:
+            return Beside({}, _fault(q, who, wanted, why))
+        relied += new
+        known |= {name: offered[name] for name in new}
+
+
+def _drifts(q: Question, flow: Traced, relied: list[str], known: dict[str, Bounds]) -> Beside:
+    """The rates of the states that are within bounds, which must be bounded too."""
+    found = {}
+    for name in relied:
+        drift, why = (1.0, "") if name == TIME else fastest(q, _rate(q, flow, name), known)
+        if not math.isfinite(drift):
+            reason = f"the rate of {q.labels[name]} has no bounds on the box: {why}"
+            repair = f"bounds of {q.labels[name]} within which it has"
+            return Beside({}, ("undecided", reason, repair))
+        found[q.labels[name]] = drift
+    return Beside(found)
+
+
+def _rate(q: Question, flow: Traced, name: str) -> ScalarFunction:
+    return q.function(lambda p, t, z: flow(p, t, z)[int(name[1:])])
+
+
+def fastest(q: Question, rate: ScalarFunction, box: Mapping[str, Bounds]) -> tuple[float, str]:
+    """The largest absolute rate of a state on a box; and why, where it has no bounds."""
+    q.bounds(rate)
+    least, most = extrema(rate, box, COARSE)
+    return max(-least.low, most.high), most.reason or least.reason
+
+
+def _fault(q: Question, who: list[str], wanted: list[str], why: str) -> Fault:
+    names = ", ".join(q.labels[name] for name in who)
+    reason = f"{names} may end the motion before the impacts accumulate: {why}"
+    listed = ", ".join(f"{q.labels[name]!r}: (low, high)" for name in wanted)
+    if listed:
+        return "undecided", reason, f"add bounds within which it exists: {listed}"
+    return "undecided", reason, f"other bounds, on which the flow of {names} is defined"
+
+
+#: States, inputs without bounds on which they depend, and what is wrong with their rates.
+Doubt = tuple[list[str], list[str], str]
+
+
+@attrs.frozen(eq=False)
+class _Rates:
+    """The rates of all elements of the state, as nodes of a graph."""
+
+    graph: Any
+    roots: dict[str, int]
+    inputs: dict[str, set[str]]
+
+    @classmethod
+    def of(cls, q: Question, flow: Traced) -> _Rates:
+        program = q.rates(flow)
+        roots = {f"x{i}": root for i, root in enumerate(program.roots)}
+        return cls(program.graph, roots, {k: _inputs(program.graph, r) for k, r in roots.items()})
+
+    def first_fault(self, known: Mapping[str, Bounds]) -> Doubt | None:
+        """The states that may end the motion; None where none does."""
+        for group in self.groups(set(self.roots) - set(known)):
+            why = self.fault(group, known)
+            if why is not None:
+                inputs = set().union(*(self.inputs[name] for name in group)) - set(known)
+                return group, sorted(inputs, key=lambda name: (name not in group, name)), why
+        return None
+
+    def unbounded(self, relied: Iterable[str], known: Mapping[str, Bounds]) -> Doubt | None:
+        """A state that must stay within its bounds, and depends on what has none."""
+        for name in relied:
+            inputs = sorted(self.inputs.get(name, set()) - set(known))
+            if inputs:
+                return [name], inputs, "its rate has bounds only where all that it depends on has"
+        return None
+
+    def groups(self, free: set[str]) -> list[list[str]]:
+        """The free states, those that depend on each other in a circle together, causes first."""
+        reach = {name: self.reached(name, free) for name in free}
+        order = sorted(free, key=lambda name: (len(reach[name]), int(name[1:])))
+        found: dict[frozenset[str], list[str]] = {}
+        for name in order:
+            circle = {other for other in reach[name] if name in reach[other]} | {name}
+            found.setdefault(frozenset(circle), sorted(circle))
+        return list(found.values())
+
+    def reached(self, name: str, free: set[str]) -> set[str]:
+        """The free states that the rate of one depends on, through others too."""
+        found: set[str] = set()
+        queue = [name]
+        while queue:
+            new = (self.inputs[queue.pop()] & free) - found
+            found |= new
+            queue += new
+        return found
+
+    def fault(self, group: list[str], known: Mapping[str, Bounds]) -> str | None:
+        """Why a group may cease to exist; None where it cannot."""
+        around = {name: between(*known[name]) for name in known}
+        free = dict.fromkeys([*self.roots, TIME], ANYTHING) | around
+        if len(group) == 1:
+            return self.alone(group[0], free)
+        why = self.together(group, free)
+        return why if why is None or not self.oscillates(group, free) else None
+
+    def alone(self, name: str, free: dict[str, Growth]) -> str | None:
+        """One state: it must not run away upward where it is positive, nor downward below."""
+        above = growth(self.graph, self.roots[name], free | {name: UPPER})
+        below = growth(self.graph, self.roots[name], free | {name: LOWER})
+        return _why(above, "up") or _why(below, "down")
+
+    def together(self, group: list[str], free: dict[str, Growth]) -> str | None:
+        """States in a circle: all their rates must be bounded in proportion to them."""
+        grown = free | dict.fromkeys(group, GROWING)
+        found = [growth(self.graph, self.roots[name], grown) for name in group]
+        return next((why for rate in found for end in ENDS if (why := _why(rate, end))), None)
+
+    def oscillates(self, group: list[str], free: dict[str, Growth]) -> bool:
+        """A position and its velocity, in a potential that does not drive it away for ever.
+
+        Forces of the position alone must not push outward faster than in proportion, all others
+        not along the velocity: the energy then grows at most in proportion to itself.
+        """
+        for place, speed in (group, group[::-1]) if len(group) == 2 else ():
+            if self.graph.nodes[self.roots[place]] == ("input", speed):
+                terms = _terms(self.graph, self.roots[speed], 1)
+                return all(self.holds(*term, place, speed, free) for term in terms)
+        return False
+
+    def holds(self, node: int, sign: int, place: str, speed: str, free: dict[str, Growth]) -> bool:
+        """Whether a term of the force on a position does not drive it away."""
+        if _inputs(self.graph, node) <= {place}:
+            regions = [free | {place: half} for half in (UPPER, LOWER)]
+        else:
+            halves = [attrs.evolve(half, least=-math.inf) for half in (UPPER, LOWER)]
+            regions = [free | {place: GROWING, speed: half} for half in halves]
+        ends = ENDS if sign > 0 else ENDS[::-1]
+        pairs = zip(regions, ends, strict=True)
+        return not any(_why(growth(self.graph, node, region), end) for region, end in pairs)
+
+
+#: The exponents of growth upward and downward.
+ENDS = ("up", "down")
+
+
+def _why(rate: Any, end: str) -> str | None:
+    """What is wrong with a rate; None if it is defined, and at most linear in this direction."""
+    if isinstance(rate, Undefined):
+        return f"its rate is not defined everywhere ({rate.reason})"
+    if getattr(rate, end) > 1.0:
+        return "its rate grows faster than in proportion to it"
+    return None
+
+
+def _inputs(graph: Any, root: int) -> set[str]:
+    nodes = (graph.nodes[number] for number in needed(graph, [root]))
+    return {node[1] for node in nodes if node[0] == "input"}
+
+
+def _terms(graph: Any, node: int, sign: int) -> list[tuple[int, int]]:
+    """The terms of a sum, with their signs."""
+    op, *arguments = graph.nodes[node]
+    if op == "neg":
+        return _terms(graph, arguments[0], -sign)
+    if op in ("add", "sub"):
+        second = sign if op == "add" else -sign
+        return _terms(graph, arguments[0], sign) + _terms(graph, arguments[1], second)
+    return [(node, sign)]

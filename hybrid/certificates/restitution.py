@@ -1,0 +1,74 @@
+"""The restitution of the impacts that there are: on the contact, at speeds that lead into it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import attrs
+
+from ..scene.extrema import Bounds, Extreme, ScalarFunction, extrema
+from .result import Fault
+
+#: Shares of the box's largest speed at which it is asked what a restitution at rest hints at.
+SPEEDS = tuple(0.5**k for k in (1, 4, 10, 30, 100, 300, 900))
+
+
+@attrs.frozen(eq=False)
+class Restitution:
+    """Bounds of the restitution over the impacts of a box.
+
+    Attributes
+    ----------
+    law : ScalarFunction
+        Of a state at an impact.
+    box : dict
+        Bounds of its inputs; a velocity that leads into the contact, with 0 as one end.
+    velocity : str
+        The input that is this velocity.
+    ends : (Extreme, Extreme) or None
+        Infimum and supremum; None if the law depends on more than the box bounds.
+    """
+
+    law: ScalarFunction
+    box: dict[str, Bounds]
+    velocity: str
+    ends: tuple[Extreme, Extreme] | None
+
+    @classmethod
+    def of(cls, law: ScalarFunction, box: dict[str, Bounds], velocity: str) -> Restitution:
+        """The restitution on a box."""
+        known = law.inputs <= set(box)
+        return cls(law, box, velocity, extrema(law, box) if known else None)
+
+    @property
+    def bounds(self) -> Bounds | None:
+        """The bounds that are proved."""
+        return self.ends and (self.ends[0].low, self.ends[1].high)
+
+    def fault(self) -> Fault | None:
+        """The restitution must lie strictly between 0 and 1; refuted only by an impact."""
+        if self.ends is None:
+            reason = "the restitution depends on the time or on states without bounds here"
+            return "undecided", reason, "a restitution of the contact's own position and speed"
+        least, most = self.ends
+        if least.low > 0.0 and most.high < 1.0:
+            return None
+        wrong = (most.low >= 1.0 and self.happens(most, lambda r: bool(r >= 1))) or (
+            least.high <= 0.0 and self.happens(least, lambda r: bool(r <= 0))
+        )
+        reason = (
+            "the restitution must lie strictly between 0 and 1; at the impacts of the box it lies "
+            f"in [{least.low!r}, {most.high!r}]"
+        )
+        verdict = "refuted" if wrong else "undecided"
+        return verdict, reason, "choose a restitution strictly between 0 and 1"
+
+    def happens(self, extreme: Extreme, wrong: Callable[[Any], bool]) -> bool:
+        """Whether an impact has it: at a point of no speed there is none, so near that one."""
+        if extreme.at.get(self.velocity, 1.0) != 0.0:
+            return True
+        low, high = self.box[self.velocity]
+        points = [{**extreme.at, self.velocity: share * (low + high)} for share in SPEEDS]
+        values = [self.law.at(point) for point in points]
+        return any(value is not None and wrong(value) for value in values)
