@@ -51,7 +51,7 @@ EXPRESSIONS = {
 }
 
 #: Operations that have scalar code but no Taylor series.
-NO_SERIES = {"angles", "division"}
+NO_SERIES = {"angles"}
 
 
 def automaton(expression):

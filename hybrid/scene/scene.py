@@ -28,7 +28,7 @@ from ..automaton.spec import (
 from ..errors import TraceError
 from .lowered import Lowered, guard_shape, lowered
 from .python import Program
-from .taylor import flat
+from .taylor import Watched, flat
 
 Scalar = Callable[..., Any]
 
@@ -80,7 +80,11 @@ class Field:
         Taylor coefficients of the states, of the guards in order, and of the kinks; None
         where the model uses something that has no Taylor series.
     kinks : int
-        Number of kinks (see :mod:`.taylor`).
+        Number of kinks, and of what else is watched along a series (see :mod:`.taylor`).
+    watched : tuple of Watched
+        What they are.
+    deciding : callable ``(t, x) -> tuple``, or None
+        Their values; None where there are none.
     held : tuple of str
         Contacts held closed here.
     closed, code, parameters
@@ -95,6 +99,8 @@ class Field:
     rhs: Scalar
     jets: Scalar | None
     kinks: int
+    watched: tuple[Watched, ...]
+    deciding: Scalar | None
     guards: tuple[Guard, ...]
     closed: Any
     code: Lowered
@@ -115,8 +121,8 @@ class Field:
         for _ in range(self.kinks):
             undecided = False
             for index, c in enumerate(result[2]):
-                if c[0] == 0.0 and not sides[index]:
-                    sides[index] = next((1 if v > 0 else -1 for v in c[1:] if v), 1)
+                if c[0] == 0.0 and not sides[index] and any(c) and self.watched[index].switches:
+                    sides[index] = next(1 if v > 0 else -1 for v in c if v)
                     undecided = True
             if not undecided:
                 break
@@ -216,10 +222,12 @@ class Scene:
         rhs = program.bind(self._values)
         taylor = code.taylor(name, flow, closed)
         jets = taylor.bind(self._values) if taylor else None
-        kinks = taylor.kinks if taylor else 0
+        ends = taylor.watched if taylor else ()
+        deciding = taylor.deciding.bind(self._values) if taylor and ends else None
         project = self._projection(switching, held) if derived else None
         made = (flow, code, self.parameters)
-        return Field(name, mode, held, rhs, jets, kinks, tuple(guards), *made, project)
+        kinks = len(ends), ends, deciding
+        return Field(name, mode, held, rhs, jets, *kinks, tuple(guards), *made, project)
 
     def _projection(self, switching: SwitchingSpec | None, held: tuple[str, ...]) -> Scalar:
         code = self.code

@@ -4,7 +4,7 @@ The step is as long as the last two terms stay below rounding (Jorba & Zou, *A s
 package for the numerical integration of ODEs by means of high-order Taylor methods*,
 Experimental Mathematics 14, 2005), and as the polynomial has the flow's direction: a force may be
 flat to rounding before it changes. A step ends at a kink (``abs``, ``where``), on whose far side
-the other branch is expanded.
+the other branch is expanded (:mod:`.kinks`).
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from ..errors import FlowError, OptionError
 from ..events import EPS
 from ..scene import Field
 from ..scene.lowered import ORDER
-from ..scene.taylor import polynomial, polynomial_and_slope, slope
+from ..scene.taylor import nearest, polynomial, polynomial_and_slope
 from ..segment import Segment, from_powers
 from .base import Solver, Stepper
+from .kinks import crossed_to, first_change, holding, left_open
 
 #: Size, relative to the state, to which the last terms of a step are held.
 ROUNDING = 1e-16
@@ -29,8 +30,23 @@ ROUNDING = 1e-16
 #: that), and how far it may be off, as a multiple of rounding.
 MIDDLE, BEFORE, MISSED = 0.55, 1.0 - 1e-9, 256.0
 
+#: Roundings by which elements of a state are moved to see what rounding does.
+SHIFTS = (8, -8, 11, -11, 14, -14)
+
+#: On so short a way to a kink, against the time, rounding decides on which side of it the flow is.
+BLURRED = 32 * EPS
+
+#: Numbers next to the smallest lose digits; what they may be off is less than this.
+NOTHING = 1e-290
+
 #: A step that is cut to less than this share of what its last terms allow cannot be made.
 SHORT = 1e-12
+
+#: What is said where it cannot.
+NO_STEP = (
+    "the Taylor series does not converge: the step became zero; where a flow that "
+    "jumps (sign, where) leads back to the jump from both sides, declare hy.switching"
+)
 
 
 class TaylorSolver(Solver):
@@ -69,28 +85,34 @@ class TaylorStepper(Stepper):
         self.sides = [0] * field.kinks
 
     def step(self, limit: float) -> None:
-        series, kinks = self._series()
-        h = min(step_length(series), limit - self.tau)
-        h, crossed = first_kink(kinks, h, self.sides)
-        longest = h
-        t = self.t0 + self.tau
-        while h > SHORT * longest and not follows(self.field, t, series, h, crossed is not None):
-            h, crossed = 0.5 * h, None
-        if (
-            h <= SHORT * longest
-            or not h > 1e-300
-            or (self.tau + h == self.tau and self.tau + h < limit)
-        ):
-            raise FlowError(
-                "the Taylor series does not converge: the step became zero; where a flow that "
-                "jumps (sign, where) leads back to the jump from both sides, declare hy.switching"
-            )
+        for _ in range(2 * self.field.kinks + 1):
+            series, watched = self._series()
+            h, crossed = self._length_of_step(series, watched, limit - self.tau)
+            if crossed is None or self.tau + h > self.tau:
+                break
+            self.sides[crossed] = crossed_to(watched[crossed], self.sides[crossed])
+        if not h > 1e-300 or (self.tau + h == self.tau and self.tau + h < limit):
+            raise FlowError(NO_STEP)
         self._last = (self.tau, series)
-        sides = [0] * len(kinks)
+        sides = [0] * len(watched)
         if crossed is not None:
-            sides[crossed] = -1 if slope(kinks[crossed], h) < 0 else 1
+            sides[crossed] = crossed_to(watched[crossed], self.sides[crossed])
         self.sides = sides
         self._finish(h, limit if self.tau + h >= limit else self.tau + h)
+
+    def _length_of_step(
+        self, series: list[list[float]], watched: list[list[float]], most: float
+    ) -> tuple[float, int | None]:
+        """How long a step is, at most ``most``, and the kink that ends it."""
+        field, t = self.field, self.t0 + self.tau
+        h = longest = min(step_length(series), holding(field.watched, watched), most)
+        while h > SHORT * longest:
+            h, crossed = first_change(field.watched, watched, t, h, self.sides)
+            blurred = crossed is not None and h <= BLURRED * abs(t)
+            if blurred or follows(field, t, series, watched, h, crossed is not None):
+                return h, crossed
+            h *= 0.5
+        raise FlowError(NO_STEP)
 
     def land(self, tau: float) -> Segment:
         """The same series, cut at ``tau``."""
@@ -105,14 +127,13 @@ class TaylorStepper(Stepper):
         return Segment(start, self.tau - start, from_powers(ORDER) @ powers.T)
 
     def _series(self) -> tuple[list[list[float]], list[list[float]]]:
-        assert self.field.jets is not None
         try:
-            series, _, kinks = self.field.expand(self.t0 + self.tau, self.x.tolist(), self.sides)
+            series, _, watched = self.field.expand(self.t0 + self.tau, self.x.tolist(), self.sides)
         except (ValueError, OverflowError, ZeroDivisionError):
             raise FlowError("the flow is not finite, or has no Taylor series") from None
         if not np.all(np.isfinite(np.array(series))):
             raise FlowError("the flow is not finite")
-        return series, kinks
+        return series, watched
 
     def _finish(self, h: float, end: float) -> None:
         self._length, self.tau = h, end
@@ -148,8 +169,16 @@ def _from_zero(c: list[float]) -> float:
     return length
 
 
-def follows(field: Field, t: float, series: list[list[float]], h: float, kink: bool) -> bool:
-    """Whether the polynomials of a step have the flow's direction along it, but for rounding.
+def follows(
+    field: Field,
+    t: float,
+    series: list[list[float]],
+    watched: list[list[float]],
+    h: float,
+    kink: bool,
+) -> bool:
+    """Whether the polynomials of a step have the flow's direction along it, but for rounding, and
+    those of what is watched are its values.
 
     ``kink``: the step ends at a kink. On a surface forces cancel, and leave rounding of the size of
     nothing that is seen here: there they are taken to be of the order of one at least.
@@ -161,64 +190,37 @@ def follows(field: Field, t: float, series: list[list[float]], h: float, kink: b
         s = share * h
         pairs = [polynomial_and_slope(c, s) for c in series]
         x = [value for value, _ in pairs]
-        beside = [v * (1.0 + (8 - 16 * (i % 2)) * EPS) for i, v in enumerate(x)]
+        here, there = (t + s, x), beside(t + s, x)
         try:
-            rates = field.rhs(t + s, x)
-            others = field.rhs((t + s) * (1.0 + 8 * EPS), beside)
+            rates, others = field.rhs(*here), field.rhs(*there)
         except (ValueError, OverflowError, ZeroDivisionError):
             return True  # which is said where the step ends
         for c, (_, along), rate, other in zip(series, pairs, rates, others, strict=True):
             rounding = fastest + abs(2.0 * c[2] * s) + abs(3.0 * c[3] * s * s)
             rounding += max(abs(c[0]), abs(c[1]), scale) / h
-            if abs(rate - along) > MISSED * EPS * rounding + 8 * abs(rate - other):
+            if abs(rate - along) > MISSED * EPS * rounding + 8 * abs(rate - other) + NOTHING:
                 return False
+        if field.deciding and not _decides(field, watched, s, field.deciding(*here), there):
+            return False
     return True
 
 
-def first_kink(kinks: list[list[float]], h: float, sides: list[int]) -> tuple[float, int | None]:
-    """The first zero of a kink within a step, and which; ``(h, None)`` if there is none."""
-    chosen = None
-    for index, c in enumerate(kinks):
-        root = _first_zero(c, h, bool(sides[index]))
-        if root is not None and root < h:
-            h, chosen = root, index
-    return h, chosen
+def beside(t: float, x: list[float]) -> tuple[float, list[float]]:
+    """A time and state next to another, no two elements moved alike: what changes there by
+    rounding is not known better."""
+    return t * (1.0 + 8 * EPS), [v * (1.0 + SHIFTS[i % 6] * EPS) for i, v in enumerate(x)]
 
 
-def _first_zero(c: list[float], h: float, on_zero: bool) -> float | None:
-    """First sign change of a series in ``(0, h)``; the zero at 0 is left out if known."""
-    c = c[1:] if on_zero else c
-    if not any(c):
-        return None
-    pieces = 16
-    left, at_left = 0.0, polynomial(c, 0.0)
-    for piece in range(1, pieces + 1):
-        right = h * piece / pieces
-        at_right = polynomial(c, right)
-        if at_right == 0.0:
-            return right
-        if at_left * at_right < 0:
-            return _bisect_newton(c, left, right)
-        left, at_left = right, at_right
-    return None
-
-
-def _bisect_newton(c: list[float], left: float, right: float) -> float:
-    """The zero of a series between two points of opposite sign."""
-    rising = polynomial(c, right) > 0
-    s = 0.5 * (left + right)
-    for _ in range(100):
-        value = polynomial(c, s)
-        if value == 0 or right - left <= 4e-16 * right:
-            break
-        if (value > 0) == rising:
-            right = s
-        else:
-            left = s
-        rate = slope(c, s)
-        new = s - value / rate if rate else left
-        new = new if left < new < right else 0.5 * (left + right)
-        if abs(new - s) <= 2e-16 * abs(s):
-            return new
-        s = new
-    return s
+def _decides(
+    field: Field, watched: list[list[float]], s: float, values: Any, there: tuple[float, Any]
+) -> bool:
+    """Whether the series of what is watched have its values, but for rounding."""
+    assert field.deciding is not None
+    everything = zip(field.watched, watched, values, field.deciding(*there), strict=True)
+    for what, c, value, other in everything:
+        off, size = abs(value - polynomial(c, s)), polynomial([*map(abs, c)], s)
+        if what.kind == "step":
+            off, size = abs(off - nearest(off, what.half)), size + abs(value)
+        if off > MISSED * EPS * size + 8 * (abs(value - other) + left_open(c, s)):
+            return False
+    return True

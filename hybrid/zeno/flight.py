@@ -13,15 +13,18 @@ from typing import TYPE_CHECKING
 import attrs
 import numpy as np
 
+from ..events import EPS, bernstein_from_powers, roots
 from ..scene.taylor import polynomial, polynomial_and_slope, slope
 from ..segment import Segment, from_powers
-from ..solvers.taylor_backend import first_kink, follows, step_length
+from ..solvers.kinks import crossed_to, first_change, holding, own_length
+from ..solvers.taylor_backend import BEFORE, MIDDLE, MISSED, ROUNDING, beside, follows, step_length
 
 if TYPE_CHECKING:
-    from ..scene import Field
+    from ..scene import Field, Guard
 
-#: Most Taylor steps in a flight (kinks apart); a longer flight belongs to the solver.
-PIECES = 8
+#: Most Taylor steps in a flight (kinks apart); a longer flight belongs to the solver. Over a wall
+#: that shakes a step is a tenth of a turn, and low flights last a few turns.
+PIECES = 32
 
 
 @attrs.frozen
@@ -54,7 +57,7 @@ def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight
     """The flight that leaves a contact with gap speed ``v > 0``.
 
     Returns None where a few series do not reach its end: the flight is long against the
-    time in which the forces change, and belongs to the solver.
+    time in which the forces or the gap change, and belongs to the solver.
     """
     if field.jets is None:
         return None
@@ -63,20 +66,26 @@ def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight
     pieces: list[tuple[float, float, list[list[float]]]] = []
     while len(pieces) <= PIECES + 2 * field.kinks:
         try:
-            series, values, kinks = field.expand(t + start, x, sides)
+            series, values, watched = field.expand(t + start, x, sides)
         except (ValueError, OverflowError, ZeroDivisionError):
             return None
         if not pieces:
-            branch = [1 if (side or c[0]) > 0 else -1 for side, c in zip(sides, kinks, strict=True)]
+            branch = [
+                1 if (side or c[0]) > 0 else -1 for side, c in zip(sides, watched, strict=True)
+            ]
         g = values[column]
         g[0], g[1] = gap, speed
-        reach = step_length(series)
+        reach = min(step_length(series), own_length(g, ROUNDING), holding(field.watched, watched))
         zero = zero_of(g, reach)
-        length = reach if zero is None else zero
-        length, crossed = first_kink(kinks, length, sides) if kinks else (length, None)
+        length, crossed = reach if zero is None else zero, None
         if not 0 < length < float("inf"):
             return None
-        if not follows(field, t + start, series, length, crossed is not None):
+        if watched:
+            length, crossed = first_change(field.watched, watched, t + start, length, sides)
+        kink = crossed is not None
+        if not follows(field, t + start, series, watched, length, kink):
+            return None
+        if not _gap_follows(field.guards[column], t + start, series, g, length, kink):
             return None
         pieces.append((start, length, series))
         x = [polynomial(c, length) for c in series]
@@ -84,11 +93,33 @@ def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight
         if length == zero:
             flight = Flight(start, x, speed, tuple(pieces), tuple(branch))
             return flight if speed < 0 else None
-        sides = [0] * field.kinks
+        after = [0] * field.kinks
         if crossed is not None:
             branch.append(crossed)
-            sides[crossed] = -1 if slope(kinks[crossed], length) < 0 else 1
+            after[crossed] = crossed_to(watched[crossed], sides[crossed])
+        sides = after
     return None
+
+
+def _gap_follows(
+    guard: Guard, t: float, series: list[list[float]], g: list[float], h: float, kink: bool
+) -> bool:
+    """Whether a gap's series has the gap's acceleration along a flight, but for rounding.
+
+    Its height says nothing of it: that is less than the rounding of the state. The series of a gap
+    that is a sum of states are those of the states.
+    """
+    if guard.affine:
+        return True
+    forces = [k * (k - 1) * c for k, c in enumerate(g)][2:]
+    for share in (MIDDLE, BEFORE if kink else 1.0):
+        s = share * h
+        x = [polynomial(c, s) for c in series]
+        force, other = guard.lie(t + s, x)[2], guard.lie(*beside(t + s, x))[2]
+        allowed = MISSED * EPS * polynomial([*map(abs, forces)], s) + 8 * abs(force - other)
+        if abs(force - polynomial(forces, s)) > allowed:
+            return False
+    return True
 
 
 def rise(field: Field, column: int, t: float, x: list[float], v: float) -> float | None:
@@ -103,31 +134,35 @@ def rise(field: Field, column: int, t: float, x: list[float], v: float) -> float
     except (ValueError, OverflowError, ZeroDivisionError):
         return None
     gap = [0.0, v, *values[column][2:]]
-    end = zero_of(gap, step_length(series))
+    end = zero_of(gap, min(step_length(series), own_length(gap, ROUNDING)))
     if end is None:
         return None
-    speeds, s = [k * c for k, c in enumerate(gap)][1:], 0.5 * end
-    for _ in range(6):
-        speed, rate = polynomial_and_slope(speeds, s)
-        s = min(max(s - speed / rate, 0.0), end) if rate < 0 else s
-    return polynomial(gap, s)
+    tops = _falls([k * c for k, c in enumerate(gap)][1:], end)
+    return max((polynomial(gap, s) for s in tops), default=None)
 
 
 def zero_of(g: list[float], reach: float) -> float | None:
-    """First zero in ``(0, reach]`` of a gap's series that rises, then falls.
+    """First zero in ``(0, reach]`` at which a gap's series falls, by more than rounding.
 
-    A quadratic start and Newton's method; the zero at the start, if the series begins with
-    0, is divided out.
+    The zero at the start, if the series begins with 0, is divided out.
     """
-    c0, c1, c2 = g[0], g[1], g[2]
-    if not c2 < 0 or c0 < 0:
+    if g[0] < 0:
         return None
-    s = (-c1 - sqrt(max(c1 * c1 - 4.0 * c0 * c2, 0.0))) / (2.0 * c2)
-    if not 0 < s <= 2.0 * reach:
-        return None
-    shifted = g[1:] if c0 == 0.0 else g
+    shifted = g[1:] if g[0] == 0.0 else g
+    if g[2] < 0:
+        s = (-g[1] - sqrt(max(g[1] * g[1] - 4.0 * g[0] * g[2], 0.0))) / (2.0 * g[2])
+        most = min(2.0 * s, reach)
+        bends = [k * (k - 1) * abs(c) for k, c in enumerate(g)][3:]
+        if s > 0 and polynomial(bends, most) * most < -2.0 * g[2]:
+            return _newton(shifted, s, most)
+    length = min(reach, _last_zero(shifted))
+    return next(iter(_falls(shifted, length)), None) if length > 0 else None
+
+
+def _newton(c: list[float], s: float, most: float) -> float | None:
+    """The zero, no later than ``most``, of a series that curves down all the way to it."""
     for _ in range(12):
-        value, rate = polynomial_and_slope(shifted, s)
+        value, rate = polynomial_and_slope(c, s)
         if not rate < 0:
             return None
         step = value / rate
@@ -136,4 +171,25 @@ def zero_of(g: list[float], reach: float) -> float | None:
             break
         if not 0 < s < float("inf"):
             return None
-    return s if s <= reach and abs(step) <= 1e-14 * s else None
+    return s if s <= most and abs(step) <= 1e-14 * s else None
+
+
+def _last_zero(c: list[float]) -> float:
+    """A bound on the zeros of a polynomial (Fujiwara's)."""
+    degree = max((k for k, v in enumerate(c) if v), default=0)
+    sizes = [abs(v / c[degree]) ** (1.0 / (degree - k)) for k, v in enumerate(c[:degree])]
+    return 2.0 * max(sizes, default=0.0)
+
+
+def _falls(c: list[float], length: float) -> list[float]:
+    """Zeros in ``(0, length]`` at which a series falls below rounding, in order."""
+    terms = np.array([v * length**k for k, v in enumerate(c)])
+    noise = 16 * EPS * float(np.abs(terms).sum())
+    bends = [k * (k - 1) * v for k, v in enumerate(terms.tolist())][2:]
+    rates = [k * v for k, v in enumerate(terms.tolist())][1:]
+    found = roots(bernstein_from_powers(len(c) - 1) @ terms, 0, 0.0)
+    return [
+        s * length
+        for s, direction in found
+        if direction < 0 and polynomial(rates, s) ** 2 > 2.0 * abs(polynomial(bends, s)) * noise
+    ]

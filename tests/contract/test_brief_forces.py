@@ -1,0 +1,198 @@
+"""Forces that switch or act briefly: found exactly by Taylor series, covered by ``t_error`` else.
+
+Truth is piecewise polynomial, or an integral known in closed form.
+"""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+
+#: Frequencies from slow to a thousand switchings a unit of time.
+FREQUENCIES = [0.1, 1.0, 3.0, 7.0, 11.0, 20.0, 137.0, 1000.0]
+
+
+class Square(hy.Automaton):
+    """A square wave, its sum, and that of a second wave that switches with every other of it."""
+
+    v = hy.state()
+    u = hy.state()
+    w: float = hy.parameter(11.0)
+
+    @hy.mode
+    def flow(self, t, s):
+        return jnp.where(jnp.sin(self.w * t) > 0, 1.0, 0.0), jnp.sign(jnp.sin(0.5 * self.w * t))
+
+
+class Clock(hy.Automaton):
+    """A pulse of width ``d`` in each period ``p``, a staircase and a saw, by whole numbers."""
+
+    v = hy.state()
+    u = hy.state()
+    z = hy.state()
+    p: float = hy.parameter(0.7)
+    d: float = hy.parameter(0.1)
+
+    @hy.mode
+    def flow(self, t, s):
+        pulse = jnp.where(jnp.mod(t, self.p) < self.d, 1.0 / self.d, 0.0)
+        return pulse, jnp.floor(t / self.p), jnp.round(t / self.p) - t / self.p
+
+
+class Zone(hy.Automaton):
+    """A body that crosses a thin zone with a force of one over its width."""
+
+    x = hy.state()
+    v = hy.state()
+    w: float = hy.parameter(1e-2)
+
+    @hy.mode
+    def flow(self, t, s):
+        return 1.0, jnp.where((s.x - 0.5) ** 2 < self.w**2, 0.5 / self.w, 0.0)
+
+
+class Pulses(hy.Automaton):
+    """Smooth pulses of area 1 at 0.5: Gaussian, Lorentz's squared, and one by ``tanh``."""
+
+    a = hy.state()
+    b = hy.state()
+    c = hy.state()
+    w: float = hy.parameter(1e-2)
+
+    @hy.mode
+    def flow(self, t, s):
+        z = (t - 0.5) / self.w
+        bell = jnp.exp(-z * z) / math.sqrt(math.pi)
+        return (
+            bell / self.w,
+            2.0 / (math.pi * self.w * (1.0 + z * z) ** 2),
+            0.25 * (jnp.tanh(z + 2.0) - jnp.tanh(z - 2.0)) / (2.0 * self.w),
+        )
+
+
+class Gust(hy.Automaton):
+    """A ball that falls from 1 through a gust of force in a thin layer at 0.5."""
+
+    x = hy.state()
+    v = hy.state()
+    w: float = hy.parameter(0.01)
+    force: float = hy.parameter(200.0)
+    r: float = hy.parameter(0.3)
+
+    @hy.mode
+    def fall(self, t, s):
+        return s.v, -9.81 + jnp.where(jnp.abs(s.x - 0.5) < self.w, self.force, 0.0)
+
+    impact = hy.contact(fall, gap=lambda self, t, s: s.x, restitution="r")
+
+
+class Pushed(hy.Automaton):
+    """A ball under a force that switches in time."""
+
+    x = hy.state()
+    v = hy.state()
+    w: float = hy.parameter(7.0)
+    r: float = hy.parameter(0.6)
+
+    @hy.mode
+    def fall(self, t, s):
+        return s.v, -9.81 - 4.0 * jnp.where(jnp.sin(self.w * t) > 0, 1.0, 0.0)
+
+    impact = hy.contact(fall, gap=lambda self, t, s: s.x, restitution="r")
+
+
+def square(w, until):
+    """Times with ``sin(w t) > 0`` in ``(0, until)``."""
+    period = 2 * math.pi / w
+    whole = math.floor(until / period)
+    return whole * period / 2 + min(until - whole * period, period / 2)
+
+
+@pytest.mark.parametrize("until", [1.0, 2.5, 10.0])
+@pytest.mark.parametrize("w", FREQUENCIES)
+def test_a_square_wave_is_summed_to_rounding(w, until):
+    """Wherever the run ends; 4e-16 of the time for each of the switchings, added up."""
+    if w * until > 3000:
+        until = 3000 / w
+    run = hy.simulate(Square(w=w), [0.0, 0.0], (0.0, until), solver="taylor", save="jumps")
+    allowed = 4e-16 * until * (4 + w * until / math.pi)
+    assert abs(run.final.v - square(w, until)) <= allowed
+    assert abs(run.final.u - (2 * square(0.5 * w, until) - until)) <= allowed
+
+
+def test_no_switching_is_late():
+    """The kink of the sum lies at each k pi / w, from both sides, to 1e-12 of a unit."""
+    run = hy.simulate(Square(w=11.0), [0.0, 0.0], (0.0, 10.0), solver="taylor")
+    for k in range(1, 35):
+        t = k * math.pi / 11.0
+        before, here, after = (float(run(t + d).v) for d in (-1e-3, 0.0, 1e-3))
+        rates = [1.0, 0.0] if k % 2 else [0.0, 1.0]
+        np.testing.assert_allclose(
+            [here - before, after - here], np.array(rates) * 1e-3, atol=1e-12
+        )
+
+
+@pytest.mark.parametrize(("p", "d"), [(0.7, 0.1), (1.0, 0.25), (0.01, 0.003), (0.5, 1e-6)])
+def test_whole_numbers_switch_a_force(p, d):
+    """``mod``, ``floor`` and ``round``: rounding of the time, magnified by the force, added up."""
+    until = 3.304
+    run = hy.simulate(Clock(p=p, d=d), [0, 0, 0], (0.0, until), solver="taylor", save="jumps")
+    count = math.floor(until / p)
+    rest = until - count * p
+    assert run.final.v == pytest.approx(count + min(rest / d, 1.0), abs=4e-16 * count / d + 1e-12)
+    assert run.final.u == pytest.approx(p * count * (count - 1) / 2 + count * rest, rel=1e-12)
+    last = min(rest, p - rest)
+    assert run.final.z == pytest.approx(-(last**2) / (2 * p), abs=1e-12)
+
+
+@pytest.mark.parametrize("w", [10.0**-k for k in range(1, 10)])
+@pytest.mark.parametrize("until", [0.7, 1.2, 100.0])
+def test_a_thin_zone_is_not_stepped_over(w, until):
+    """Its edges are as exact as x is, which is 1e-16 over the width."""
+    run = hy.simulate(Zone(w=w), [0.0, 0.0], (0.0, until), solver="taylor")
+    assert run.final.v == pytest.approx(1.0, abs=4e-16 / w + 1e-12)
+
+
+@pytest.mark.parametrize("w", [10.0**-k for k in range(2, 8)])
+@pytest.mark.parametrize("start", [0.0, 1.0])
+def test_a_smooth_pulse_is_not_stepped_over(w, start):
+    """However narrow, and flat to rounding from afar; the tail of Lorentz's is 4/3 (2 w)^3 / pi."""
+    run = hy.simulate(Pulses(w=w), [start] * 3, (0.0, 1.2), solver="taylor")
+    allowed = 1e-12 + 2e-16 / w
+    assert run.final.a == pytest.approx(start + 1.0, abs=allowed)
+    assert run.final.b == pytest.approx(start + 1.0, abs=allowed + 4 * w**3)
+    assert run.final.c == pytest.approx(start + 1.0, abs=allowed)
+
+
+def gust_ends(w, force, r):
+    """When the impacts accumulate: falls by v dv = a dx, then bounces that stay below the gust."""
+    g, v, t = 9.81, 0.0, 0.0
+    for height, a in ((0.5 - w, -g), (2 * w, force - g), (0.5 - w, -g)):
+        new = -math.sqrt(v * v - 2 * a * height)
+        t, v = t + (new - v) / a, new
+    assert (r * v) ** 2 / (2 * g) < 0.5 - w
+    return t + 2 * r * -v / (g * (1 - r))
+
+
+@pytest.mark.parametrize(("w", "force"), [(0.01, 200.0), (1e-3, 2000.0), (1e-5, -3e5), (1e-7, 1e7)])
+def test_the_bound_covers_a_gust_that_was_missed(way, w, force):
+    """And no verdict is "certified" where it does not."""
+    result = way.run(Gust(w=w, force=force), {"x": 1.0, "v": 0.0}, (0.0, 1.5))
+    exact = gust_ends(w, force, 0.3)
+    if way.tells("bound"):
+        assert abs(result.t_inf - exact) <= result.t_error
+    if way.name in ("taylor", "ensemble"):
+        assert result.t_inf == pytest.approx(exact, abs=1e-6 + 1e-16 / w)
+
+
+@pytest.mark.parametrize("until", [1.9, 3.0, 8.0, 12.0, 100.0])
+def test_the_answer_does_not_depend_on_the_last_time(until):
+    """A ball pushed by a square wave, against parabolas; the bound holds, and is not idle."""
+    exact = 1.71187330548
+    run = hy.simulate(Pushed(), [1.0, 0.0], (0.0, until), solver="taylor")
+    assert run.zeno[0].t == pytest.approx(exact, abs=1e-11)
+    run = hy.simulate(Pushed(), [1.0, 0.0], (0.0, until), rtol=1e-10)
+    assert abs(run.zeno[0].t - exact) <= run.zeno[0].t_error <= 1e-5
