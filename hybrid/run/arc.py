@@ -15,13 +15,18 @@ from ..scene import Guard, Scene
 from ..scene.lowered import ORDER
 from ..segment import Segment
 from ..solvers import Solver, Stepper
-from ..solvers.taylor_backend import step_length
+from ..solvers.kinks import own_length
+from ..solvers.taylor_backend import ROUNDING, step_length
 from ..zeno.flight import zero_of
 from .entry import Entry, describe, expand
 from .plan import Plan
 
 #: A step never spans more than this many time scales of a guard that is no polynomial.
 REACH = 8.0
+
+#: A flight's end is predicted this many times as far as its series have converged: there their last
+#: terms, of order 16, are 1e-6, which is what a step that was made to end there may be off.
+FAR = 4
 
 #: An arc's first step, against that at which the method's error reaches the tolerance.
 SAFETY = 0.5
@@ -185,7 +190,9 @@ class ArcFlow:
             if guard.kind == "contact" and self.orders[index] <= 1:
                 gap = [0.0 if self.orders[index] else self.series[1][index][0]]
                 gap += self.series[1][index][1:]
-                zero = zero_of(gap, 4 * step_length(self.series[0]))
+                zero = zero_of(
+                    gap, FAR * min(step_length(self.series[0]), own_length(gap, ROUNDING))
+                )
                 if zero is not None and zero < length:
                     best = zero if best is None else min(best, zero)
         return best

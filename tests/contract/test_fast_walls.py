@@ -1,0 +1,95 @@
+"""Low flights over fast walls: a series is used inside its convergence only, the gap's own too.
+
+Truth: parabolas and the wall's closed form, with a scan finer than the wall and bisection. The
+motion is chaotic once the wall throws the body, so only the first impacts are compared with it;
+all of them must obey the law of impact and the energy that there is.
+"""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+
+WAYS = ["DOP853", "taylor", "Dopri8"]
+
+#: Amplitude and frequency of the wall: in all cases far faster than the flights.
+WALLS = [(1e-4, 4e2), (1e-4, 3e3), (1e-6, 3e4), (1e-8, 2e4), (1e-8, 1e5), (1e-9, 5e4)]
+
+
+class Shaken(hy.Automaton):
+    """A body over a wall that shakes; ``p`` is there to make the state large."""
+
+    x = hy.state()
+    v = hy.state()
+    p = hy.state()
+    a: float = hy.parameter(1e-4)
+    w: float = hy.parameter(4e2)
+    g: float = hy.parameter(9.81)
+    r: float = hy.parameter(0.7)
+
+    @hy.mode
+    def fall(self, t, s):
+        return s.v, -self.g, 0.0
+
+    impact = hy.contact(
+        fall, gap=lambda self, t, s: s.x - self.a * jnp.sin(self.w * t), restitution="r"
+    )
+
+
+def first_impacts(model, x, v, count):
+    """Times of the first impacts: steps of a fiftieth of a turn of the wall, then bisection."""
+    a, w, g, r = model.a, model.w, model.g, model.r
+    t, times = 0.0, []
+    for _ in range(count):
+        gap = lambda s: x + v * s - 0.5 * g * s * s - a * math.sin(w * (t + s))  # noqa: B023, E731
+        far = (v + math.sqrt(max(v * v + 2 * g * (x - a), 0.0))) / g
+        left = max(far - 1e-9, 0.0) if x > 10 * a else 0.1 / w
+        step = 0.02 / w
+        while gap(left + step) > 0:
+            left += step
+        right = left + step
+        for _ in range(100):
+            middle = 0.5 * (left + right)
+            left, right = (middle, right) if gap(middle) > 0 else (left, middle)
+        wall = a * w * math.cos(w * (t + left))
+        x, v = a * math.sin(w * (t + left)), v - g * left
+        v = wall - r * (v - wall)
+        t += left
+        times.append(t)
+    return times
+
+
+@pytest.mark.parametrize("p", [0.0, 101325.0])
+@pytest.mark.parametrize(("a", "w"), WALLS)
+def test_nothing_is_thrown_by_a_wall_faster_than_it_moves(way, a, w, p):
+    """Each impact obeys Newton's law, the wall is not passed, and the speed is that of the fall.
+
+    An impact adds at most ``(1 + r) a w`` to the speed, and takes ``1 - r`` of it away.
+    """
+    model = Shaken(a=a, w=w)
+    start = {"x": 0.05, "v": 0.0, "p": p}
+    result = way.run(model, start, (0.0, 0.6), max_jumps=400)
+    most = math.sqrt(2 * model.g * (0.05 + a)) + (1 + model.r) / (1 - model.r) * a * w
+    assert abs(result.final.v) <= 1.01 * most
+    hits = np.array(result.edges) == "impact"
+    wall = a * w * np.cos(w * result.times[hits])
+    before, after = (np.asarray(side.v)[hits] - wall for side in (result.before, result.after))
+    assert np.abs(result.after.v).max() <= 1.01 * most
+    # off by the rounding of the time, which the wall's acceleration makes a speed
+    np.testing.assert_allclose(after, -model.r * before, rtol=1e-9, atol=1e-15 + a * w * w * 1e-15)
+    gaps = np.asarray(result.before.x) - a * np.sin(w * result.times)
+    assert gaps.min() >= -1e-6 * a - 1e-16
+
+
+@pytest.mark.parametrize("p", [0.0, 101325.0])
+@pytest.mark.parametrize(("a", "w"), WALLS)
+def test_the_first_impacts_are_those_of_parabolas(way, a, w, p):
+    """Three of them: each magnifies what is off by the wall's acceleration over the body's."""
+    model = Shaken(a=a, w=w, r=0.5)
+    times = first_impacts(model, 0.05, 0.0, 3)
+    start = {"x": 0.05, "v": 0.0, "p": p}
+    result = way.run(model, start, (0.0, times[-1] + 1e-3), rtol=1e-12, atol=1e-15, max_jumps=50)
+    np.testing.assert_allclose(result.times[:3], times, rtol=0, atol=1e-12 * (1 + a * w * w) ** 2)
