@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from hybrid import solvers
+from hybrid.rules import unit
 
 from .contract.ways import MECHANISMS, SOLVERS, WAYS, expected_failure
 
@@ -22,6 +23,12 @@ def _classic_is_plugged_in():
     solvers.entry_points = lambda group: [*found(group=group), point]
     yield
     solvers.entry_points = found
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _rules_are_compiled():
+    """So that no test finds the line in its output that says that they are being compiled."""
+    unit("zeros")
 
 
 def pytest_configure(config):

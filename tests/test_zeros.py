@@ -4,6 +4,9 @@ The truth is reckoned in rational numbers, from the very floats that the rules a
 """
 
 import math
+import os
+import subprocess
+import sys
 from itertools import pairwise
 
 import flint
@@ -13,11 +16,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as some
 
 from hybrid.rules import unit
+from hybrid.rules.load import Library
 from hybrid.rules.zeros import SPARE, UNFIT, VANISHES
 
 EPS = 2.0**-52
 
 FALLING, RISING = -1, 1
+
+
+@pytest.fixture
+def plain(monkeypatch):
+    """The rules as plain Python that refuses indices below zero."""
+    monkeypatch.setenv("HYBRID_RULES", "checked")
+    return Library("hybrid.rules").unit("zeros")
 
 
 def room(n):
@@ -367,3 +378,72 @@ def test_random_series():
                 assert first(c, 1.7, 0, direction) == pytest.approx(
                     expected, rel=1e-15 * (4.0 / apart) ** (degree - 1)
                 )
+
+
+# ---------------------------------------------------------------------------------------
+# the ways to run them
+
+
+def test_plain_python_finds_the_same(plain):
+    """Each rule, to the rounding by which a contracted product and sum differs."""
+    rng = np.random.default_rng(11)
+    rules = unit("zeros")
+    for degree in (1, 2, 5, 12, 24):
+        for order in (0, 1, 3):
+            if order >= degree:
+                continue
+            roots = (np.arange(degree) + rng.uniform(0.2, 0.8, degree)) / degree * 1.5
+            b = np.array(with_roots(roots.tolist(), degree))
+            c = np.polynomial.polynomial.polyfromroots(roots[:8])
+            size = len(c) - 1
+            for name, arguments in {
+                "crossings": (b, degree, order, 1e-9 * np.abs(b).max()),
+                "turns": (b, degree),
+                "first": (c, size, 1.3, min(order, size), -1),
+            }.items():
+                answers = []
+                for library in (rules, plain):
+                    work, found = room(degree + 8)
+                    count = getattr(library, name)(*arguments, work, found)
+                    listed = [] if name == "first" else found[:count].tolist()
+                    answers.append([count, *np.ravel(listed)])
+                # a product of up to 24 factors in (0, 1): some digits are lost between zeros
+                assert answers[0] == pytest.approx(answers[1], rel=1e-6)
+
+
+SIMULATED = """
+import math, sys
+import numpy as np
+from numba import cuda
+from hybrid.rules import polynomials, zeros
+
+for module in (polynomials, zeros):
+    for name, rule in list(vars(module).items()):
+        if getattr(rule, "__module__", "") != module.__name__:
+            continue
+        device = cuda.jit(device=True)(rule)
+        for other in (polynomials, zeros):
+            if getattr(other, name, None) is rule:
+                setattr(other, name, device)
+
+@cuda.jit
+def lanes(b, work, found, counts):
+    i = cuda.grid(1)
+    if i < counts.shape[0]:
+        counts[i] = zeros.crossings(b[i], b.shape[1] - 1, 0, 0.0, work[i], found[i])
+
+b = np.array([[0.12, -0.28, 0.32], [0.1, 0.2, 0.3], [-0.5, 0.0, 0.5], [1.0, np.nan, 1.0]])
+work, found, counts = np.zeros((4, 10, 7)), np.zeros((4, 8, 2)), np.zeros(4, np.int64)
+lanes[1, 4](b, work, found, counts)
+print(counts.tolist(), found[0, :2, 0].round(12).tolist(), found[2, 0, 0])
+"""
+
+
+def test_a_unit_runs_in_the_simulator_of_a_gpu():
+    """Four lanes, each with a polynomial of its own."""
+    env = {**os.environ, "NUMBA_ENABLE_CUDASIM": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", SIMULATED], env=env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[2, 0, 1, -1] [0.2, 0.6] 0.5"
