@@ -193,6 +193,11 @@ def load(path: Any) -> Trajectory:
     ------
     StoreError
         If there is no such file, it was not written by this package, or it is damaged.
+
+    Notes
+    -----
+    The file is read by HDF5, some versions of which crash on a file that was made to do so: load
+    files of strangers in a process that may end.
     """
     need("hy.load", FILES)
     import xarray as xr
