@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from functools import cache
-from itertools import pairwise, zip_longest
+from itertools import zip_longest
 from math import comb
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +28,7 @@ from .rules.zeros import FULL, SPARE, UNFIT
 from .segment import Segment, from_values, nodes
 
 if TYPE_CHECKING:
-    from .scene import Guard
+    from .scene import Guard, Kink
 
 #: Degree at which a guard that is no polynomial is sampled, piece by piece.
 SAMPLED = 12
@@ -41,6 +41,14 @@ RESOLVED = 1e-6
 
 #: Most pieces at first, and most halvings of one.
 PIECES, DEPTH = 4096, 12
+
+#: A deciding function that has changed its sign for good at this share of a step is taken to
+#: cross; one that comes back sooner touches. Far above rounding, far below what a step resolves.
+WIDEST = 1e-4
+
+#: A guard that ends (``sqrt`` at 0) has reached zero there if it is this small beside what it was:
+#: the nearest place that rounding can tell is 1e-16 from the end, its fourth root 1e-4.
+ENDED = 1e-4
 
 #: A guard nearer to zero than this share of the state is looked at more closely.
 NEAR = 1e-6
@@ -59,6 +67,25 @@ EPS = float(np.finfo(float).eps)
 
 
 @attrs.frozen
+class Cut:
+    """A place along a step at which a guard changes its formula (see :class:`.scene.Kink`).
+
+    Attributes
+    ----------
+    before, after : float
+        Fractions of the step on its two sides, as near as rounding tells them apart; ``before``
+        is negative where the step begins on it.
+    side : int
+        Sign that the deciding function takes.
+    """
+
+    kink: Kink
+    before: float
+    after: float
+    side: int
+
+
+@attrs.frozen
 class Zero:
     """A zero of a guard along a step.
 
@@ -68,10 +95,13 @@ class Zero:
         Local time in the arc.
     direction : int
         ``-1`` falling, ``+1`` rising, ``0`` touching without crossing.
+    cut : Cut or None
+        The guard has not been zero: it has jumped here, or ends. With direction 0 it may have.
     """
 
     tau: float
     direction: int
+    cut: Cut | None = None
 
 
 def zeros(
@@ -98,35 +128,151 @@ def zeros(
         that no sign is lost where two steps meet; and its largest size so far in the arc,
         for it cannot touch zero before it has left it. Updated here.
     """
+    cuts: list[Cut] = []
+    for kink in guard.kinks:
+        new = list(_new_cuts(kink, segment, t0, scale, ends, cuts))
+        cuts = _apart(sorted([*cuts, *new], key=lambda cut: cut.before))
+    yield from _between(guard, segment, t0, order, scale, tolerance, ends, cuts)
+
+
+def _new_cuts(
+    kink: Kink,
+    segment: Segment,
+    t0: float,
+    scale: float,
+    ends: dict[Any, float],
+    cuts: list[Cut],
+) -> Iterator[Cut]:
+    """Where a deciding function changes its sign, from start to end of a step."""
+    first = kink.value(t0 + segment.start, segment(segment.start).tolist())
+    if first == 0.0 and not ends.get(kink.edge):
+        cut = _straddle(kink, segment, t0, 0.0, 0)
+        if cut is not None:
+            yield cut
+    for zero in _between(kink, segment, t0, 0, scale, 0.0, ends, cuts):
+        if zero.direction and zero.cut is None:
+            share = (zero.tau - segment.start) / segment.length
+            cut = _straddle(kink, segment, t0, share, zero.direction)
+            if cut is not None:
+                yield cut
+
+
+def _straddle(kink: Kink, segment: Segment, t0: float, share: float, side: int) -> Cut | None:
+    """The cut at a zero of a deciding function; None where it does not change its sign.
+
+    ``side`` 0: the zero is where the arc starts; its side is the sign just after.
+    """
+
+    def sign(fraction: float) -> float:
+        tau = segment.start + fraction * segment.length
+        value = kink.value(t0 + tau, segment(tau).tolist())
+        return float(np.sign(value))
+
+    width = float(np.spacing(abs(t0) + segment.end)) / segment.length + EPS
+    widest = max(WIDEST, 64 * width)
+    while width < widest:
+        before, after = share - width, share + width
+        there = sign(after)
+        left = before <= 0 or sign(before) == -side
+        if left and there and (not side or there == side):
+            # as far again: of a wave that decides (floor), the zero itself is rounded
+            return Cut(kink, min(before - width, share), after + width, int(there))
+        width *= 2.0
+    return None
+
+
+def _apart(cuts: list[Cut]) -> list[Cut]:
+    """Cuts in order; of those that lie on each other the first stands for all."""
+    kept: list[Cut] = []
+    for cut in cuts:
+        if kept and cut.before <= kept[-1].after:
+            kept[-1] = attrs.evolve(kept[-1], after=max(kept[-1].after, cut.after))
+        else:
+            kept.append(cut)
+    return kept
+
+
+def _between(
+    guard: Guard | Kink,
+    segment: Segment,
+    t0: float,
+    order: int,
+    scale: float,
+    tolerance: float,
+    ends: dict[Any, float],
+    cuts: list[Cut],
+) -> Iterator[Zero]:
+    """Zeros between the cuts, and at them those of a guard that jumps over zero."""
     polynomial = guard.affine and segment.degree <= SAMPLED
     if polynomial:
         degree, pieces = max(segment.degree, order, 1), 1
     else:
         degree, pieces = SAMPLED, max(1, int(np.ceil(min(segment.length / scale, PIECES))))
-    for left, right in pairwise([k / pieces for k in range(pieces + 1)]):
-        piece = _Piece(guard, segment, t0, degree, tolerance, ends)
-        depth = 0 if polynomial else DEPTH
-        for fraction, direction in piece.zeros(left, right, order if left == 0.0 else 0, depth):
-            yield Zero(segment.start + fraction * segment.length, direction)
+    depth = 0 if polynomial else DEPTH
+    piece = _Piece(guard, segment, t0, degree, tolerance, ends, not cuts)
+    for cut, left, right in _spans(pieces, cuts):
+        starts = left == 0.0 or (cut is not None and cut.before <= 0 and guard.edge not in ends)
+        if cut is not None and not starts:
+            yield Zero(segment.start + left * segment.length, piece.over(cut), cut)
+        if left < right:
+            for fraction, direction in piece.zeros(left, right, order if starts else 0, depth):
+                yield Zero(segment.start + fraction * segment.length, direction)
+
+
+def _spans(pieces: int, cuts: list[Cut]) -> Iterator[tuple[Cut | None, float, float]]:
+    """Parts of a step between its pieces' ends and the cuts; each with the cut before it."""
+    bounds = [k / pieces for k in range(1, pieces + 1)]
+    left: float = 0.0
+    pending: Cut | None = None
+    for cut in [*cuts, None]:
+        stop = 1.0 if cut is None else cut.before
+        for right in [*(b for b in bounds if left < b < stop), stop]:
+            if pending is not None or left < right:
+                yield pending, left, right
+            pending, left = None, max(left, right)
+        if cut is not None:
+            pending, left = cut, cut.after
 
 
 @attrs.frozen
 class _Piece:
-    """A part of a step over which a guard is sampled."""
+    """A step along which a guard is sampled, part by part."""
 
-    guard: Guard
+    guard: Guard | Kink
     segment: Segment
     t0: float
     degree: int
     tolerance: float
     ends: dict[Any, float]
+    whole: bool
+
+    def over(self, cut: Cut) -> int:
+        """The direction in which a guard passes over zero at a cut; 0 where it does not.
+
+        A corner on zero, and a guard that is zero from there on, have reached it.
+        """
+        edge, seen = self.guard.edge, ("largest", self.guard.edge)
+        old = self.ends[edge]
+        tau = self.segment.start + cut.after * self.segment.length
+        new = self.guard.value(self.t0 + tau, self.segment(tau).tolist())
+        self.ends[edge] = new
+        largest = max(abs(old), self.ends.get(seen, 0.0))
+        self.ends[seen] = max(largest, abs(new)) if np.isfinite(new) else largest
+        if old == 0.0:
+            return 0
+        if np.isfinite(new) and new * old > 0:
+            return -int(np.sign(old)) if min(abs(old), abs(new)) <= 64 * EPS * largest else 0
+        if not np.isfinite(new) and abs(old) > ENDED * largest:
+            raise FlowError(f"the guard of {edge} ends before it is zero: beyond it is not finite")
+        return -int(np.sign(old))
 
     def zeros(
         self, left: float, right: float, order: int, depth: int
     ) -> Iterator[tuple[float, int]]:
         """Zeros between two fractions of the step; halved until the guard is resolved."""
         width = right - left
-        values = self.sample(left + width * nodes(self.degree))
+        fractions = left + width * nodes(self.degree)
+        values = self.sample(fractions)
         if depth and not self.resolved(values):
             middle = 0.5 * (left + right)
             yield from self.zeros(left, middle, order, depth - 1)
@@ -139,13 +285,40 @@ class _Piece:
         away = max(self.ends.get(seen, 0.0), abs(float(values[0]))) > self.tolerance
         self.ends[edge] = float(values[-1])
         self.ends[seen] = max(self.ends.get(seen, 0.0), float(np.abs(values).max()))
+        rough = not (self.guard.affine or order or self.resolved(values))
         for root, direction in roots(bernstein, order, self.tolerance):
-            if direction or away:
+            if direction and rough:
+                yield self.refined(left + width * root, direction, fractions, values), direction
+            elif direction or away:
                 yield left + width * root, direction
+
+    def refined(
+        self, root: float, direction: int, fractions: np.ndarray, values: np.ndarray
+    ) -> float:
+        """A zero of a guard too rough for a polynomial, from the guard itself, by halving."""
+        changes = np.flatnonzero(direction * values[:-1] < 0)
+        changes = changes[direction * values[changes + 1] > 0]
+        if not len(changes):
+            return root
+        nearest = changes[np.argmin(np.abs(fractions[changes] - root))]
+        low, high = fractions[nearest], fractions[nearest + 1]
+        once = attrs.evolve(self, whole=False)
+        while high - low > 2 * EPS * high:
+            middle = 0.5 * (low + high)
+            if middle in (low, high):
+                break
+            if direction * once.sample(np.array([middle]))[0] > 0:
+                high = middle
+            else:
+                low = middle
+        return float(high)
 
     def sample(self, fractions: np.ndarray) -> np.ndarray:
         start, length, value = self.segment.start, self.segment.length, self.guard.value
-        states = self.segment.at(fractions).tolist()
+        if self.whole:  # its parts are the same in every step
+            states = self.segment.at(fractions).tolist()
+        else:
+            states = self.segment(start + length * fractions).tolist()
         times = (self.t0 + start + length * fractions).tolist()
         values = np.array([value(t, x) for t, x in zip(times, states, strict=True)])
         if not np.all(np.isfinite(values)):

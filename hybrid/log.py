@@ -40,13 +40,15 @@ class Steps(NamedTuple):
     def segments(self, lengths: np.ndarray) -> list[Segment]:
         """The same as polynomials; the last of each arc is cut where the arc ends."""
         degree = self.values.shape[1] - 1
-        coefficients = np.einsum("ij,kjn->kin", from_values(degree), self.values)
+        first = self.values[:, :1]
+        coefficients = np.einsum("ij,kjn->kin", from_values(degree), self.values - first)
         last = np.append(self.arc[1:] != self.arc[:-1], True)
         kept = np.where(last, lengths[self.arc] - self.start, self.length)
         short = kept != self.length
         points = (kept / self.length)[short, None] * nodes(degree)
         to_values = chebyshev.chebvander(2.0 * points - 1.0, degree)
         coefficients[short] = from_values(degree) @ to_values @ coefficients[short]
+        coefficients[:, 0] += first[:, 0]  # last: a state that stays the same stays so exactly
         columns = self.start.tolist(), kept.tolist(), coefficients
         return [Segment(*row) for row in zip(*columns, strict=True)]
 

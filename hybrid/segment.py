@@ -52,7 +52,14 @@ class Segment:
             return self
         points = length / self.length * nodes(self.degree)
         values = chebyshev.chebvander(2.0 * points - 1.0, self.degree) @ self.coefficients
-        return Segment(self.start, length, from_values(self.degree) @ values)
+        return interpolated(self.start, length, values)
+
+
+def interpolated(start: float, length: float, values: np.ndarray) -> Segment:
+    """The segment through states at :func:`nodes`; a state that stays the same stays so exactly."""
+    coefficients = from_values(len(values) - 1) @ (values - values[0])
+    coefficients[0] += values[0]
+    return Segment(start, length, coefficients)
 
 
 def _basis(xi: Any, degree: int) -> np.ndarray:

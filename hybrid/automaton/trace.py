@@ -87,6 +87,11 @@ def scalar(call: Traced) -> Traced:
         value = real_valued(jnp.asarray(call(parameters, t, x, *extra)), "")
         if value.shape != ():
             raise ValueError(f"a value of shape {value.shape} where one number is due")
+        if value.dtype == bool:
+            raise ValueError(
+                "a guard is a number, not a truth value: write the difference whose zero is the "
+                "event (s.x - 1.0), or jnp.where(condition, 1.0, -1.0)"
+            )
         return value.astype(float)
 
     return one

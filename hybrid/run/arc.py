@@ -10,15 +10,15 @@ import numpy as np
 
 from ..clock import Instant
 from ..errors import FlowError, OptionError
-from ..events import EPS, SHARES, fires, time_scale, zeros
-from ..scene import Guard, Scene
+from ..events import EPS, SHARES, Cut, Zero, fires, time_scale, zeros
+from ..scene import Guard, Kink, Scene, released
 from ..scene.lowered import ORDER
 from ..segment import Segment
 from ..solvers import Solver, Stepper
 from ..solvers.kinks import own_length
 from ..solvers.taylor_backend import ROUNDING, step_length
 from ..zeno.flight import zero_of
-from .entry import Entry, describe, expand
+from .entry import MOVES, Entry, beyond_kinks, describe, expand, opened
 from .plan import Plan
 
 #: A step never spans more than this many time scales of a guard that is no polynomial.
@@ -32,12 +32,18 @@ FAR = 4
 SAFETY = 0.5
 
 
+#: Events this near in time, in spacings of floats, are at one time; those looked at for that lie
+#: this near in the step, as landing may move the first by as much.
+TIE, BESIDE = 4.0, 1e-6
+
+
 @attrs.frozen
 class Fired:
-    """A guard that fires, and the local time."""
+    """A guard that fires, and the local time; ``cut``: where it jumps over zero."""
 
     index: int
     tau: float
+    cut: Cut | None = None
 
 
 @attrs.frozen(eq=False)
@@ -52,6 +58,8 @@ class Flown:
         Tangencies on the way.
     interrupted : bool
         By the keyboard: the arc goes as far as it was flown.
+    carried : bool
+        The guard that fired has not been zero: it was carried over it by a jump of its own.
     """
 
     fired: int | None
@@ -60,6 +68,7 @@ class Flown:
     segments: list[Segment]
     grazes: list[tuple[float, int, np.ndarray]]
     interrupted: bool = False
+    carried: bool = False
 
 
 class ArcFlow:
@@ -102,11 +111,12 @@ class ArcFlow:
                 raise
             last = segments[-1]
             return Flown(None, last.end, last(last.end), segments, self.grazes, True)
-        return Flown(fired, stepper.tau, stepper.x, segments, self.grazes)
+        index, carried = (None, False) if fired is None else (fired.index, fired.cut is not None)
+        return Flown(index, stepper.tau, stepper.x, segments, self.grazes, carried=carried)
 
     def _steps(
         self, stepper: Stepper, length: float, target: float | None, segments: list[Segment]
-    ) -> int | None:
+    ) -> Fired | None:
         """Add step after step to ``segments``; the guard that fires, None if none does."""
         fired = None
         while fired is None and stepper.tau < length:
@@ -117,19 +127,22 @@ class ArcFlow:
             self._step(stepper, limit)
             segment = stepper.segment()
             try:
-                fired = self._first_event(segment, stepper, scales, target)
+                found = self._events(segment, stepper, scales, target)
             except FlowError as fault:
                 raise FlowError(f"{self._where(start, x)}: {fault}") from None
-            if fired is not None:
-                landed = self._land(stepper, segment, fired) if fired.tau > start else None
+            if found:
+                landed = self._land(stepper, segment, found[0]) if found[0].tau > start else None
                 if landed is None:
                     stepper.tau, stepper.x = start, x
-                    break
-                segment = landed
-                stepper.tau = landed.end
+                else:
+                    stepper.tau = landed.end
+                    segments.append(landed)
+                fired = self._first_declared(found, stepper, segment.length)
+                segments += self._past(fired, stepper, length)
+                break
             segments.append(segment)
             self.orders = [0] * len(self.orders)
-        return None if fired is None else fired.index
+        return fired
 
     def _where(self, tau: float = 0.0, x: np.ndarray | None = None) -> str:
         return describe(self.scene, self.field, self.now.t + tau, self.x if x is None else x)
@@ -143,7 +156,8 @@ class ArcFlow:
             sizes = np.abs(np.array(self.series[0])[:, 1:] * powers).max(axis=1)
             first = min(first or target, target)
         try:
-            return self.solver.begin(self.field, self.now.t, self.x, length, first, sizes)
+            t, x = beyond_kinks(self.field, self.field.changes, self.now.t, self.x)
+            return self.solver.begin(self.field, t, x, length, first, sizes)
         except FlowError as fault:
             raise FlowError(f"{self._where()}: {fault}") from None
         except OptionError:
@@ -211,22 +225,41 @@ class ArcFlow:
             scales.append(float("inf") if guard.affine else own)
         return scales
 
-    def _first_event(
+    def _events(
         self, segment: Segment, stepper: Stepper, scales: list[float], target: float | None
-    ) -> Fired | None:
-        """The first guard that fires in a step: earliest, then in declared order (1, 4)."""
-        best: Fired | None = None
+    ) -> list[Fired]:
+        """The guards that fire in a step, each at its first time, in order of time (1)."""
         grazes: list[tuple[float, int]] = []
+        found = []
         for index in range(len(self.field.guards)):
-            tau = self._guard_event(index, segment, stepper, scales, target, grazes)
-            if tau is None:
-                continue
-            tie = 4 * np.spacing(self.now.t + tau)
-            if best is None or tau < best.tau - tie:
-                best = Fired(index, tau)
+            fired = self._guard_event(index, segment, stepper, scales, target, grazes)
+            if fired is not None:
+                found.append(fired)
+        found.sort(key=lambda each: each.tau)
         for tau, index in sorted(grazes):
-            if best is None or tau < best.tau:
+            if not found or tau < found[0].tau:
                 self.grazes.append((tau, index, segment(tau)))
+        return found
+
+    def _first_declared(self, found: list[Fired], stepper: Stepper, length: float) -> Fired:
+        """Of the guards that are zero where the first has fired, the one declared first (4).
+
+        It is judged there: at the event's time and state, in spacings of that time and in what
+        rounding makes of each guard. Only guards that fire next to it in the step are looked at.
+        """
+        first, t, x = found[0], self.now.t + stepper.tau, stepper.x.tolist()
+        spacing = TIE * float(np.spacing(abs(t)))
+        best = first
+        for other in found[1:]:
+            if other.index > best.index or other.tau - first.tau > spacing + BESIDE * length:
+                continue
+            if other.cut is not None:
+                width = (other.cut.after - other.cut.before) * length
+                same = other.tau - first.tau <= spacing + width
+            else:
+                value, rate, _ = self.field.guards[other.index].lie(t, x)
+                same = abs(value) <= spacing * abs(rate) + self._rounding(other.index, t, x)
+            best = other if same else best
         return best
 
     def _guard_event(
@@ -237,7 +270,7 @@ class ArcFlow:
         scales: list[float],
         target: float | None,
         grazes: list[tuple[float, int]],
-    ) -> float | None:
+    ) -> Fired | None:
         guard = self.field.guards[index]
         tolerance = self.plan.limit + self.plan.rtol * max(
             (abs(float(stepper.x[i])) for i in guard.uses), default=0.0
@@ -245,18 +278,70 @@ class ArcFlow:
         scale = scales[index] if scales else float("inf")
         order, t0 = self.orders[index], self.now.t
         for zero in zeros(guard, segment, t0, order, scale, tolerance, self.ends):
-            if zero.direction == 0:
+            if zero.cut is not None:
+                if self._over(guard, zero, zero.cut, segment):
+                    return Fired(index, zero.tau, zero.cut)
+            elif zero.direction == 0:
                 grazes.append((zero.tau, index))
             elif fires(guard.crossing, zero.direction):
                 if self._touches(guard, zero.tau, segment, tolerance):
                     grazes.append((zero.tau, index))
                 else:
-                    return zero.tau
+                    return Fired(index, zero.tau)
         if target is not None and segment.end == target and guard.kind == "contact":
             near = self._near_end(index, segment, stepper)
             if near is not None:
-                return near
-        return segment.start if self._sunk(index, segment, stepper, tolerance) else None
+                return Fired(index, near)
+        sunk = self._sunk(index, segment, stepper, tolerance)
+        return Fired(index, segment.start) if sunk else None
+
+    def _over(self, guard: Guard, zero: Zero, cut: Cut, segment: Segment) -> bool:
+        """Whether a guard fires where it changes its formula (1).
+
+        A load that becomes zero still holds. One that does not change may belong to an obstacle
+        that moves off, or starts to: then the contact ends as well.
+        """
+        if zero.tau >= self.now.until(self.until):
+            return False
+        if guard.kind != "release":
+            return fires(guard.crossing, zero.direction)
+        before = segment.start + max(cut.before, 0.0) * segment.length
+        x = segment(before)
+        if self.field.project is not None:
+            x = np.array(self.field.project(self.now.t + before, x.tolist()))
+        after = self.now.t + zero.tau
+        size = float(self.scene.rounding(guard, self.field)(after, x.tolist())[0])
+        pulls = guard.value(after, segment(zero.tau).tolist()) < -64 * EPS * size
+        return pulls or opened(self.scene, self.field.mode, released(guard.edge), after, x)
+
+    def _past(self, fired: Fired, stepper: Stepper, length: float) -> list[Segment]:
+        """From just before a place at which a guard jumps to just after it.
+
+        What the flow does from there on is left to the arc that follows; the step is of rounding's
+        size. A segment only where the arc would have none.
+        """
+        if fired.cut is None:
+            return []
+        start, x = stepper.tau, stepper.x
+        if self.field.project is not None:
+            x = np.array(self.field.project(self.now.t + start, x.tolist()))
+        flow = np.array(self.field.rhs(self.now.t + start, x.tolist()))
+        shift = 0.0
+        while self._before(fired.cut, start + shift, x + shift * flow) and start + shift < length:
+            shift = 2.0 * shift or float(np.spacing(abs(self.now.t) + start))
+        stepper.tau, stepper.x = start + shift, x + shift * flow
+        if start > 0.0 or shift == 0.0:
+            return []
+        straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, stepper.x])
+        return [Segment(start, shift, straight)]
+
+    def _before(self, cut: Cut, tau: float, x: np.ndarray) -> bool:
+        """Whether a deciding function has not yet the sign that it takes at a cut.
+
+        Beyond an end there is nothing: one stays before it.
+        """
+        side = cut.kink.value(self.now.t + tau, x.tolist()) * cut.side
+        return not side > 0 and cut.kink.change != "ends"
 
     def _touches(self, guard: Guard, tau: float, segment: Segment, tolerance: float) -> bool:
         """Whether a crossing goes no deeper than the tolerance: a tangency (1)."""
@@ -286,9 +371,9 @@ class ArcFlow:
 
     def _land(self, stepper: Stepper, segment: Segment, fired: Fired) -> Segment | None:
         """End the step on the guard, to rounding (5); None if that is the step's start."""
-        guard, tau = self.field.guards[fired.index], fired.tau
+        tau = fired.tau
         small, least = 1e-6 * segment.length, segment.start + 1e-13 * segment.length
-        last, shift = self.now.until(self.until), 0.0
+        last, end, shift = self.now.until(self.until), segment.end, 0.0
         try:
             if segment.end - tau > small:
                 if tau <= least:
@@ -296,9 +381,11 @@ class ArcFlow:
                 segment = stepper.land(tau)
             for _ in range(4):
                 t, x = self.now.t + stepper.tau, stepper.x.tolist()
-                value, rate, _ = guard.lie(t, x)
-                shift = -value / rate if rate else 0.0
-                if abs(shift) <= small or abs(value) <= self._rounding(fired.index, t, x):
+                shift, exact = self._missing(fired, t, x)
+                if abs(shift) <= small or exact:
+                    break
+                if not segment.start - small <= stepper.tau + shift <= end + small:
+                    shift = 0.0  # the guard is flat here: its zero is where the step shows it
                     break
                 tau = min(stepper.tau + shift, last)
                 if tau <= least:
@@ -309,6 +396,39 @@ class ArcFlow:
         if not abs(shift) <= small or stepper.tau + shift > last:
             return segment
         flow = np.array(self.field.rhs(self.now.t + stepper.tau, stepper.x.tolist()))
+        if fired.cut is not None:
+            shift = self._short_of(fired.cut, stepper, shift, flow)
         stepper.x = stepper.x + shift * flow
         stepper.tau += shift
         return segment.cut(stepper.tau - segment.start)
+
+    def _short_of(self, cut: Cut, stepper: Stepper, shift: float, flow: np.ndarray) -> float:
+        """A shift that ends just before a guard jumps: dense output up to there is the arc's."""
+        back = 2.0 * float(np.spacing(abs(self.now.t) + stepper.tau))
+        for _ in range(MOVES):
+            there = stepper.x + (shift - back) * flow
+            if (
+                cut.kink.value(self.now.t + stepper.tau + shift - back, there.tolist()) * cut.side
+                < 0
+            ):
+                break
+            back *= 2.0
+        return shift - back
+
+    def _missing(self, fired: Fired, t: float, x: list[float]) -> tuple[float, bool]:
+        """Time to the zero of a guard that fires, or to where it jumps; whether this is it."""
+        if fired.cut is None:
+            value, rate, _ = self.field.guards[fired.index].lie(t, x)
+            exact = abs(value) <= self._rounding(fired.index, t, x)
+        else:
+            value, rate = self._kink_rate(fired.cut.kink, t, x)
+            exact = value == 0.0
+        return (-value / rate if rate else 0.0), exact
+
+    def _kink_rate(self, kink: Kink, t: float, x: list[float]) -> tuple[float, float]:
+        """A deciding function and its rate along the flow, by a small difference."""
+        step = 1e-7 * (self.now.until(self.until) or 1.0)
+        flow = self.field.rhs(t, x)
+        value = kink.value(t, x)
+        ahead = kink.value(t + step, [v + step * f for v, f in zip(x, flow, strict=True)])
+        return value, (ahead - value) / step

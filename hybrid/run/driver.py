@@ -28,7 +28,7 @@ from ..zeno.flight import fly
 from . import switch, truncate
 from .arc import ArcFlow, Flown
 from .cycles import Cycles, Seen, pass_limit
-from .entry import Entry, Jumped, describe, enter, signs_at_end
+from .entry import Entry, Jumped, describe, enter, opened, signs_at_end
 from .memory import Memory
 from .pieces import Piece
 from .plan import PATIENCE, Plan
@@ -108,7 +108,7 @@ class Driver:
                 guard = self.entry.field.guards[self.entry.at_once[0]]
                 if guard.kind != "window":
                     self.record.arc(self.entry.field, self.entry.x, self.entry.x, 0.0, [])
-                self.jump(guard, self.entry.x)
+                self.jump(guard, self.entry.x, self._overdue(guard))
             else:
                 self.flow()
 
@@ -183,13 +183,15 @@ class Driver:
             self.record.extend(entry.field, entry.x, flown.x, flown.length, flown.segments)
             self.pass_window(fired, flown.x)
             return
-        x = self.record.arc(entry.field, entry.x, flown.x, flown.length, flown.segments)
+        x = self.record.arc(
+            entry.field, entry.x, flown.x, flown.length, flown.segments, flown.carried
+        )
         if self.plan.progress is not None:
             self.plan.progress(self.t)
         if fired is None:
             self.status = Status.INTERRUPTED if flown.interrupted else Status.REACHED_END
         else:
-            self.jump(fired, x)
+            self.jump(fired, x, flown.carried)
 
     def _passes(self, fired: Guard | None, flown: Flown) -> bool:
         """Whether an arc has come to the end of what delays see, and goes on."""
@@ -209,12 +211,12 @@ class Driver:
 
     # -- jumps --------------------------------------------------------------------------
 
-    def jump(self, guard: Guard, x: np.ndarray) -> None:
-        """Carry out the jump of a guard that fired."""
+    def jump(self, guard: Guard, x: np.ndarray, carried: bool = False) -> None:
+        """Carry out the jump of a guard that fired; ``carried``: without having been zero."""
         if guard.kind == "contact":
             self._impact(guard, x)
         elif guard.kind == "release":
-            self._release(guard, x)
+            self._release(guard, x, carried)
         elif guard.kind == "switch":
             switch.meet(self, guard, x)
         elif guard.kind == "leave":
@@ -222,9 +224,9 @@ class Driver:
         elif guard.kind == "window":
             self.pass_window(guard, x)
         else:
-            self._reset(guard, x)
+            self._reset(guard, x, carried)
 
-    def _reset(self, guard: Guard, before: np.ndarray) -> None:
+    def _reset(self, guard: Guard, before: np.ndarray, carried: bool) -> None:
         t = self.t
         after = np.array(self.scene.reset(guard.edge)(t, before.tolist()))
         self._require_finite(guard.edge, before, after)
@@ -233,22 +235,25 @@ class Driver:
         self.watch.reset()
         if self.add_jump(guard.edge, before, after) and pass_limit(self, guard.to):
             return
-        known = {guard.edge: 1} if stays and not self._carried(guard) else {}
+        known = {guard.edge: 1} if stays and not carried else {}
         self.enter(guard.to, after, Jumped(known, held, used=guard.edge))
 
-    def _carried(self, guard: Guard) -> bool:
-        """Whether a guard has fired without being zero: carried over it by what delays see."""
+    def _overdue(self, guard: Guard) -> bool:
+        """Whether a guard fires at once without being zero: carried over it by what delays see."""
         index = self.entry.field.column(guard.edge)
         return index in self.entry.at_once and self.entry.orders[index] == 0
 
-    def _release(self, guard: Guard, x: np.ndarray) -> None:
+    def _release(self, guard: Guard, x: np.ndarray, carried: bool) -> None:
         contact, field = released(guard.edge), self.entry.field
-        overdue = bool(self.entry.at_once)  # the load was negative, not zero, on entering
+        overdue = carried or bool(self.entry.at_once)  # the load is negative, not zero
         self.record.released(contact)
         self.watch.reset()
         self.add_jump(guard.edge, x, x)
         held = tuple(name for name in field.held if name != contact)
-        self.enter(field.mode, x, Jumped({contact: 2 if overdue else 3}, held))
+        known = {contact: 2 if overdue else 3}
+        if carried and opened(self.scene, field.mode, contact, self.t, x):
+            known = {}
+        self.enter(field.mode, x, Jumped(known, held))
 
     def _impact(self, guard: Guard, x: np.ndarray) -> None:
         contact = self.scene.contact(guard.edge)

@@ -12,8 +12,12 @@ import numpy as np
 from ..automaton.markers import Crossing
 from ..errors import DomainError, FlowError, StartError
 from ..events import EPS, NEAR, NOTHING, fires, higher_noise, time_scale, vanishing_order
-from ..scene import Field, Guard, Scene
+from ..scene import Field, Guard, Kink, Scene
 from ..solvers.taylor_backend import step_length
+
+#: Doublings of a step of rounding's size in which a deciding function that is zero must leave it:
+#: it is a difference of numbers that may move at very different rates.
+MOVES = 27
 
 
 @attrs.frozen(eq=False)
@@ -140,6 +144,40 @@ def heading(
     return here.decide(field.guards[index], index, 1)
 
 
+def opened(scene: Scene, mode: str, contact: str, t: float, x: np.ndarray) -> bool:
+    """Whether the gap or gap speed of a contact that was held is off zero by more than rounding."""
+    field = scene.field(mode)
+    guard = field.guards[field.column(contact)]
+    sizes = scene.rounding(guard, field)(t, x.tolist())
+    gap, speed, force = guard.lie(t, x.tolist())
+    late = 64 * float(np.spacing(abs(t)))  # the place at which it opens is known no better
+    far = abs(gap) > 64 * EPS * sizes[0] + late * abs(speed)
+    return far or abs(speed) > 64 * EPS * sizes[1] + late * abs(force)
+
+
+def beyond_kinks(
+    field: Field, kinks: Sequence[Kink], t: float, x: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """The first time and state along a flow at which no deciding function is zero any more.
+
+    Where one is, a function has the formula of either side; what counts is the side on which the
+    flow goes on. A function that stays zero decides nothing.
+    """
+    there, least = (t, x), 0.0
+    for kink in kinks:
+        if kink.value(t, x.tolist()) != 0.0:
+            continue
+        flow, step = np.array(field.rhs(t, x.tolist())), max(float(np.spacing(abs(t))), least)
+        times = [abs(x[i] / flow[i]) for i in kink.uses if flow[i]]
+        step = max(step, EPS * float(min(times, default=0.0)))
+        for _ in range(MOVES):
+            if kink.value(t + step, (x + step * flow).tolist()) != 0.0:
+                there, least = (t + step, x + step * flow), step
+                break
+            step *= 2.0
+    return there
+
+
 def _require_on_surface(scene: Scene, field: Field, t: float, x: np.ndarray) -> None:
     """Refuse to start to slide off the surface."""
     switching = scene.spec.sliding(field.mode)
@@ -237,7 +275,9 @@ class _Here:
         )
 
     def start_of(self, guard: Guard, index: int, jumped: Jumped) -> tuple[int, int]:
-        t, x, least = self.t, self.x.tolist(), jumped.vanishing.get(guard.edge, 0)
+        least = jumped.vanishing.get(guard.edge, 0)
+        t, state = beyond_kinks(self.field, guard.kinks, self.t, self.x)
+        x = state.tolist()
         value = guard.value(t, x)
         if not np.isfinite(value):
             raise FlowError(f"{self.where()}: the guard of {guard.edge} is {value}")
@@ -254,7 +294,8 @@ class _Here:
         return self.decide(guard, index, max(least, 1))
 
     def decide(self, guard: Guard, index: int, least: int) -> tuple[int, int]:
-        t, x = self.t, self.x.tolist()
+        t, state = beyond_kinks(self.field, guard.kinks, self.t, self.x)
+        x = state.tolist()
         sizes = self.scene.rounding(guard, self.field)(t, x)
         if self.series is None:
             _, first, second = guard.lie(t, x)

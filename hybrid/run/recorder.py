@@ -48,10 +48,21 @@ class Recorder:
         self._recent: deque[tuple[float, str]] = deque(maxlen=CAUGHT)
 
     def arc(
-        self, field: Field, first: np.ndarray, last: np.ndarray, length: float, segments: Any
+        self,
+        field: Field,
+        first: np.ndarray,
+        last: np.ndarray,
+        length: float,
+        segments: Any,
+        carried: bool = False,
     ) -> np.ndarray:
-        """Add an arc and move to its end; returns the state there, on the contacts held."""
-        last, segments = self._flown(field, last, length, segments)
+        """Add an arc and move to its end; returns the state there, on the contacts held.
+
+        ``carried``: it ends where a guard has jumped over zero; what a contact does from there on
+        is not the arc's.
+        """
+        held, segments = self._flown(field, last, length, segments)
+        last = last if carried else held
         now, end, project = self.now, self.now.after(length), field.project
         if self._begun is not None:
             (now, first), self._begun = self._begun, None

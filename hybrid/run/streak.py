@@ -43,6 +43,7 @@ class Streaks:
         key = ("streak", method, dense)
         self.streak: Streak = code.once(key, lambda: Streak(system, method, dense))
         self.system, self.dense = system, dense
+        self.smooth = not driver.scene.guards_jump
         self.h: float | None = None
         self.open: list[Steps] = []
         self.passed = False
@@ -52,7 +53,7 @@ class Streaks:
         entry = self.driver.entry
         if not (self.dense or entry.field.guards):
             return False
-        declared = entry.field.name in self.system.modes
+        declared = self.smooth and entry.field.name in self.system.modes
         plain = declared and max(entry.orders, default=0) <= ORDERS
         return plain and self.plan.zeno != "truncate"
 

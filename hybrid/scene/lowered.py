@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
@@ -24,6 +25,18 @@ ORDER = 16
 
 #: Stands for the time among places in the state vector.
 TIME = -1
+
+#: What becomes of a value where an operation changes its formula: it may jump, or bends only, or
+#: has no value beyond.
+CHANGES = {
+    **dict.fromkeys(("gt", "ge", "lt", "le", "sign", "floor", "ceil", "trunc"), "jumps"),
+    **dict.fromkeys(("round", "away", "rem"), "jumps"),
+    **dict.fromkeys(("abs", "max", "min"), "bends"),
+    **dict.fromkeys(("sqrt", "log", "log1p", "acosh", "asin", "acos", "atanh"), "ends"),
+}
+
+#: Of two operations that change at one place the one that says more.
+_SEVERITY = ("ends", "jumps", "bends")
 
 #: For each element of a flow: elements, and lags with elements, that it depends on.
 Reach = list[tuple[set[int], set[tuple[int, int]]]]
@@ -454,7 +467,68 @@ def lowered(cls: Any, shapes: tuple[tuple[int, ...], ...]) -> Lowered:
 
 
 def guard_shape(code: Lowered, closed: Any) -> tuple[bool, tuple[int, ...]]:
+    """Whether a guard is affine in ``t`` and ``x``, and the elements it is made of."""
     graph = Graph()
     (output,) = graph.outputs(closed, code.inputs(graph))
     root = int(output.reshape(()))
     return _degree(graph, root) <= 1, tuple(sorted(_states_in(graph, root) - {TIME}))
+
+
+def deciders(
+    code: Lowered, closeds: Sequence[Any]
+) -> list[tuple[Program, bool, tuple[int, ...], str]]:
+    """Functions at whose zeros guards change their formula, arguments first.
+
+    Returns
+    -------
+    list of (program, affine, elements, change)
+        ``change``: how the guard changes there, see :data:`CHANGES`.
+    """
+    graph = Graph()
+    inputs = code.inputs(graph)
+    roots = [int(i) for c in closeds for i in graph.outputs(c, inputs)[0].reshape(-1)]
+    found: dict[int, str] = {}
+    for number in needed(graph, roots):
+        op, *arguments = graph.nodes[number]
+        if op in CHANGES:
+            decider = _decider(graph, op, arguments)
+            ends = CHANGES[op] == "ends" and not _never_negative(graph, decider)
+            if _states_in(graph, decider) and (ends or CHANGES[op] != "ends"):
+                found[decider] = min(found.get(decider, "jumps"), CHANGES[op], key=_SEVERITY.index)
+    return [
+        (
+            Program(graph, ["t", "x"], code.spec.dimension, np.array(number)),
+            _degree(graph, number) <= 1,
+            tuple(sorted(_states_in(graph, number) - {TIME})),
+            change,
+        )
+        for number, change in found.items()
+    ]
+
+
+def _never_negative(graph: Graph, number: int) -> bool:
+    """Whether a node is a sum or product of squares and the like, as a distance is."""
+    op, *arguments = graph.nodes[number]
+    if op == "const":
+        return bool(arguments[0] >= 0)
+    if op == "mul" and arguments[0] == arguments[1]:
+        return True
+    if op in ("add", "mul", "div", "max", "real"):
+        return all(_never_negative(graph, a) for a in arguments)
+    return op in ("abs", "exp", "exp2", "sqrt", "cosh", "logistic")
+
+
+def _decider(graph: Graph, op: str, arguments: list[int]) -> int:
+    """The function whose zeros are the places at which an operation changes its formula."""
+    a, *rest = arguments
+    if op in ("gt", "ge", "lt", "le", "max", "min"):
+        return graph.node("sub", a, rest[0])
+    if op in ("floor", "ceil", "trunc", "round", "away", "rem"):
+        turns = graph.node("div", a, rest[0]) if rest else a
+        wave = "cos" if op in ("round", "away") else "sin"
+        return graph.node(wave, graph.node("mul", graph.const(math.pi), turns))
+    if op in ("log1p", "acosh"):
+        return graph.node("add" if op == "log1p" else "sub", a, graph.const(1.0))
+    if op in ("asin", "acos", "atanh"):
+        return graph.node("sub", graph.const(1.0), graph.node("mul", a, a))
+    return a

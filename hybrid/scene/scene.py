@@ -26,11 +26,35 @@ from ..automaton.spec import (
     Transition,
 )
 from ..errors import TraceError
-from .lowered import Lowered, guard_shape, lowered
+from .lowered import Lowered, deciders, guard_shape, lowered
 from .python import Program
 from .taylor import Watched, flat
 
 Scalar = Callable[..., Any]
+
+
+@attrs.frozen(eq=False)
+class Kink:
+    """A function at whose zeros a guard changes its formula (``where``, ``abs``, ``floor``).
+
+    Attributes
+    ----------
+    edge : object
+        A name of its own, by which its signs are remembered along an arc.
+    value : callable ``(t, x)``
+    affine : bool
+        Affine in ``t`` and ``x``.
+    uses : tuple of int
+        Elements of the state that it depends on.
+    change : "jumps", "bends" or "ends"
+        What the guard may do there; beyond an end it has no value.
+    """
+
+    edge: Any
+    value: Scalar
+    affine: bool
+    uses: tuple[int, ...]
+    change: str
 
 
 @attrs.frozen(eq=False)
@@ -55,6 +79,8 @@ class Guard:
         Elements of the state that the guard depends on.
     closed
         The guard's jaxpr.
+    kinks : tuple of Kink
+        Where it changes its formula; of a load also where its contact's gap and gap speed do.
     """
 
     edge: str
@@ -66,6 +92,12 @@ class Guard:
     affine: bool
     uses: tuple[int, ...]
     closed: Any
+    kinks: tuple[Kink, ...] = ()
+
+    @property
+    def jumps(self) -> bool:
+        """Whether it may change its sign without a zero."""
+        return any(kink.change != "bends" for kink in self.kinks)
 
 
 @attrs.frozen(eq=False)
@@ -91,6 +123,8 @@ class Field:
         The flow's jaxpr, what else is generated for the class, and the parameters' values.
     project : callable ``(t, x)`` or None
         Back onto the held contacts' gaps, or onto the surface on which the state slides.
+    changes : tuple of Kink
+        Where the flow changes its formula.
     """
 
     name: str
@@ -106,6 +140,7 @@ class Field:
     code: Lowered
     parameters: tuple[Any, ...]
     project: Scalar | None = None
+    changes: tuple[Kink, ...] = ()
 
     def column(self, edge: str) -> int:
         """Place of an edge's guard among the guards."""
@@ -225,9 +260,18 @@ class Scene:
         ends = taylor.watched if taylor else ()
         deciding = taylor.deciding.bind(self._values) if taylor and ends else None
         project = self._projection(switching, held) if derived else None
-        made = (flow, code, self.parameters)
         kinks = len(ends), ends, deciding
-        return Field(name, mode, held, rhs, jets, *kinks, tuple(guards), *made, project)
+        made = (flow, code, self.parameters)
+        changes = self._kinks(("flow", name), [flow])
+        own = name, mode, held, rhs, jets
+        return Field(*own, *kinks, tuple(guards), *made, project=project, changes=changes)
+
+    @cached_property
+    def guards_jump(self) -> bool:
+        """Whether a guard that an author wrote may change its sign without a zero."""
+        return any(
+            guard.jumps for mode in self.spec.modes for guard in self.field(mode.name).guards
+        )
 
     def _projection(self, switching: SwitchingSpec | None, held: tuple[str, ...]) -> Scalar:
         code = self.code
@@ -240,7 +284,25 @@ class Scene:
         value = code.program(("guard", key), lambda: closed)
         affine, uses = code.once(("shape", key), lambda: guard_shape(code, closed))
         bound = value.bind(self._values), lie.bind(self._values)
-        return Guard(edge.name, kind, edge.to, edge.crossing, *bound, affine, uses, closed)
+        kinks = self._kinks(key, [closed, *self._moving_gap(edge.name, kind)])
+        named = edge.name, kind, edge.to, edge.crossing
+        return Guard(*named, *bound, affine, uses, closed, kinks)
+
+    def _moving_gap(self, edge: str, kind: str) -> list[Any]:
+        """Gap, gap speed and free acceleration of a held contact, which end its rest too."""
+        if kind != "release":
+            return []
+        name = released(edge)
+        mode = self.code.contact_spec(name).source
+        gap, flow = self.code.closed("gap", name), self.code.closed("flow", mode)
+        return [self.code.lie_closed((name, mode), gap, flow)]
+
+    def _kinks(self, key: Any, closeds: list[Any]) -> tuple[Kink, ...]:
+        found = self.code.once(("kinks", key), lambda: deciders(self.code, closeds))
+        return tuple(
+            Kink((*key, number), self.bind(program), *shape)
+            for number, (program, *shape) in enumerate(found)
+        )
 
     def rounding(self, guard: Guard, field: Field) -> Scalar:
         """Sizes whose rounding the guard and its first two derivatives carry."""

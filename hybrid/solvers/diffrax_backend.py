@@ -24,7 +24,7 @@ from ..automaton.trace import again
 from ..errors import FlowError, OptionError, TraceError
 from ..jit import jit
 from ..scene import Field
-from ..segment import Segment, apply, from_values, integrals, nodes
+from ..segment import Segment, apply, from_values, integrals, interpolated, nodes
 from .base import FINEST, Solver, Stepper, method_of
 from .series import ORDER, SHORTEST, TAYLOR, Ahead, Series, expansion
 
@@ -56,9 +56,10 @@ class Sampled(NamedTuple):
     states: Any
 
     def at(self, share: Any) -> Any:
-        """The state at a share of the step."""
-        degree = len(self.states) - 1
-        return chebyshev(share, degree) @ (jnp.asarray(from_values(degree)) @ self.states)
+        """The state at a share of the step; one that stays the same stays so exactly."""
+        degree, first = len(self.states) - 1, self.states[0]
+        moved = jnp.asarray(from_values(degree)) @ (self.states - first)
+        return first + chebyshev(share, degree) @ moved
 
     def values(self) -> Any:
         """The states at the nodes."""
@@ -145,7 +146,8 @@ class Method:
         count = len(table.c)
         rates = jax.lax.fori_loop(0, count, stage, jnp.zeros((count, len(x))))
         end, error = x + apply(table.end[None], rates)[0], apply(table.error[None], rates)[0]
-        return end, error, apply(table.nodes, jnp.concatenate([x[None], end[None], rates]))
+        moved = apply(table.nodes[:, 1:], jnp.concatenate([(end - x)[None], rates]))
+        return end, error, x + moved
 
     def _implicit(
         self, flow: Any, tau: Any, h: Any, x: Any, rtol: Any, atol: Any
@@ -287,7 +289,7 @@ class DiffraxStepper(Stepper):
     def segment(self) -> Segment:
         """The method's own interpolant."""
         start, values = self._last
-        return Segment(start, self.tau - start, from_values(self.method.degree) @ values)
+        return interpolated(start, self.tau - start, values)
 
     def _towards(self, limit: float, force: bool) -> None:
         span, start = limit - self.tau, self.tau

@@ -16,7 +16,7 @@ from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, Radau
 
 from ..errors import FlowError
 from ..scene import Field
-from ..segment import Segment, from_powers, from_values, nodes
+from ..segment import Segment, from_powers, interpolated, nodes
 from .base import FINEST, Solver, Stepper, method_of
 
 METHODS: dict[str, Any] = {
@@ -197,7 +197,7 @@ class SampledStepper(_OdeStepper):
         dense = self.solver.dense_output()
         start, length = float(dense.t_old), float(dense.t - dense.t_old)
         values = dense(start + length * nodes(self.degree)).T + self.origin
-        self._last = Segment(start, length, from_values(self.degree) @ values)
+        self._last = interpolated(start, length, values)
         return self._last
 
     def land(self, tau: float) -> Segment:

@@ -1,0 +1,188 @@
+"""A guard that jumps over zero fires there; one that has no value beyond is never passed."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+
+WAYS = ["DOP853", "Radau", "LSODA", "taylor", "Dopri8"]
+
+
+class Flag(hy.Automaton):
+    """A state that grows at a pace and is set back where a flag falls; ``low`` is the flag's value
+    beyond."""
+
+    x = hy.state()
+    n = hy.state()
+    at = hy.parameter(1.234)
+    low = hy.parameter(-1.0)
+    pace = hy.parameter(1.0)
+
+    @hy.mode
+    def on(self, t, s):
+        return self.pace, 0.0
+
+    @hy.edge(on, to=on, guard=lambda self, t, s: jnp.where(s.x < self.at, 1.0, self.low))
+    def back(self, t, s):
+        return s.replace(x=0.0, n=s.n + 1)
+
+
+class Rising(hy.Automaton):
+    """The same with a flag that rises, of the time's sine."""
+
+    n = hy.state()
+    w = hy.parameter(3.0)
+
+    @hy.mode(initial=True)
+    def low(self, t, s):
+        return (0.0,)
+
+    @hy.mode
+    def high(self, t, s):
+        return (0.0,)
+
+    @hy.edge(
+        low,
+        to=high,
+        guard=lambda self, t, s: jnp.sign(jnp.sin(self.w * t + 0.5) - 0.9) - 0.5,
+        crossing=hy.RISING,
+    )
+    def up(self, t, s):
+        return s.replace(n=s.n + 1)
+
+
+class Root(hy.Automaton):
+    """A tank that runs dry; its guard, the square root of the level, exists above zero only."""
+
+    x = hy.state()
+    n = hy.state()
+    pace = hy.parameter(1.0)
+    off = hy.parameter(0.0)
+
+    @hy.mode
+    def runs(self, t, s):
+        return -self.pace, 0.0
+
+    @hy.edge(runs, to=runs, guard=lambda self, t, s: jnp.sqrt(s.x) + self.off)
+    def filled(self, t, s):
+        return s.replace(x=1.0, n=s.n + 1)
+
+
+class Logarithm(hy.Automaton):
+    """A guard ``x log x``, zero at the end of where it exists; and ``log x`` that is not."""
+
+    x = hy.state()
+    n = hy.state()
+    share = hy.parameter(1.0)
+
+    @hy.mode
+    def runs(self, t, s):
+        return -1.0, 0.0
+
+    @hy.edge(
+        runs,
+        to=runs,
+        guard=lambda self, t, s: (self.share * s.x + 1 - self.share) * jnp.log(s.x),
+        crossing=hy.RISING,
+    )
+    def filled(self, t, s):
+        return s.replace(x=0.5, n=s.n + 1)
+
+
+class Corner(hy.Automaton):
+    """A ball over a floor that is written as a distance, g = 2."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -2.0
+
+    floor = hy.contact(flight, gap=lambda self, t, s: jnp.abs(s.x), restitution=0.5)
+
+
+@pytest.mark.parametrize("at", [1.234, 0.3, 2.0])
+@pytest.mark.parametrize("low", [-1.0, -1e-9, 0.0])
+def test_a_flag_fires_where_it_falls(way, at, low):
+    """Every time that x passes ``at``: below zero, or onto it, by however little."""
+    result = way.run(Flag(at=at, low=low), {"x": 0.0, "n": 0.0}, (0.0, 3.1 * at), rtol=1e-9)
+    assert result.final.n == 3.0
+    assert result.final.x == pytest.approx(0.1 * at, abs=1e-9)
+    if way.tells("times"):
+        np.testing.assert_allclose(result.times, at * np.arange(1, 4), rtol=1e-12)
+
+
+@pytest.mark.parametrize("pace", [1e-3, 1e3])
+def test_a_flag_fires_whatever_the_units_of_time(way, pace):
+    """The same motion, slower and faster."""
+    result = way.run(Flag(pace=pace), {"x": 0.0, "n": 0.0}, (0.0, 3.0 / pace), rtol=1e-9)
+    assert result.final.n == 2.0
+    assert result.final.x == pytest.approx(3.0 - 2 * 1.234, rel=1e-9)
+
+
+def test_a_flag_that_changes_and_stays_positive_does_not_fire(way):
+    """From 1 to 0.5."""
+    result = way.run(Flag(low=0.5), {"x": 0.0, "n": 0.0}, (0.0, 3.0), rtol=1e-9)
+    assert (result.final.n, result.final.x) == (0.0, pytest.approx(3.0, abs=1e-12))
+
+
+@pytest.mark.parametrize("w", [3.0, 0.9])
+def test_a_sign_fires_where_it_rises(way, w):
+    """The first time at which the sine is above 0.9."""
+    result = way.run(Rising(w=w), {"n": 0.0}, (0.0, 3.0 / w), rtol=1e-9)
+    assert result.final.n == 1.0
+    if way.tells("times"):
+        assert result.times[0] == pytest.approx((np.arcsin(0.9) - 0.5) / w, rel=1e-12)
+
+
+@pytest.mark.parametrize("pace", [1.0, 0.21])
+def test_a_root_fires_where_it_ends(way, pace):
+    """The level reaches zero: there the guard is zero, and beyond it has no value."""
+    result = way.run(Root(pace=pace), {"x": 1.0, "n": 0.0}, (0.0, 3.5 / pace), rtol=1e-9)
+    assert result.final.n == 3.0
+    assert result.final.x == pytest.approx(0.5, abs=1e-9)
+
+
+def test_a_guard_that_ends_before_it_is_zero_is_refused(way):
+    """``1 + sqrt(x)`` at x = 0: neither fired nor passed."""
+    result = way.run(Root(off=1.0), {"x": 1.0, "n": 0.0}, (0.0, 3.5), rtol=1e-9)
+    assert result.status == "not_finite"
+    assert "not finite" in result.said
+
+
+def test_a_logarithm_fires_where_its_product_ends(way):
+    """``x log x`` rises to zero at x = 0."""
+    result = way.run(Logarithm(), {"x": 0.5, "n": 0.0}, (0.0, 1.2), rtol=1e-9)
+    assert result.final.n == 2.0
+    assert result.final.x == pytest.approx(0.3, abs=1e-6)  # where x log x is rounding of 1
+
+
+def test_a_logarithm_that_ends_is_refused(way):
+    """``log x`` falls to minus infinity and ends."""
+    result = way.run(Logarithm(share=0.0), {"x": 0.5, "n": 0.0}, (0.0, 1.2), rtol=1e-9)
+    assert result.status == "not_finite"
+
+
+def test_a_distance_is_a_gap(way):
+    """From both sides ``|x|`` reaches zero at 0: the ball bounces, as over the gap ``x``."""
+    result = way.run(Corner(), {"x": 1.0, "v": 0.0}, (0.0, 5.0), rtol=1e-9)
+    assert result.final.x == pytest.approx(0.0, abs=1e-12)
+    assert result.t_inf == pytest.approx(3.0, abs=1e-8)
+
+
+def test_a_truth_value_is_no_guard():
+    """It is refused where the class is defined, in words that say what to write."""
+    with pytest.raises(hy.DeclarationError, match="a number, not a truth value"):
+
+        class Boolean(hy.Automaton):
+            x = hy.state()
+
+            @hy.mode
+            def on(self, t, s):
+                return (1.0,)
+
+            @hy.edge(on, to=on, guard=lambda self, t, s: s.x < 1.0)
+            def back(self, t, s):
+                return s
