@@ -98,6 +98,11 @@ class System:
         return self.table(lambda edge: isinstance(edge, ContactSpec) and edge.rests, False)
 
     @cached_property
+    def bounds(self) -> np.ndarray:
+        """Whether a slot's guard bounds its mode (3)."""
+        return self.table(self.code.bounds, True)
+
+    @cached_property
     def uses(self) -> np.ndarray:
         """Elements of the state that a guard is made of; shape ``(modes, width, n)``."""
         table = np.zeros((len(self.modes), self.width, self.spec.dimension), dtype=bool)

@@ -259,7 +259,8 @@ class _Series:
         above = (values > 0).all(axis=0) & (end > -rounding)
         below = (values < 0).all(axis=0) & (end < rounding)
         crossing = self.system.pick(self.system.crossing, self.mode)
-        inside = (above & (crossing <= 0)) | (below & (crossing >= 0))
+        passed = ~self.system.pick(self.system.bounds, self.mode)
+        inside = (above & ((crossing <= 0) | passed)) | (below & ((crossing >= 0) | passed))
         return (own | inside).all()
 
     def _holds(self, curve: _Curve, allowed: Any) -> Any:

@@ -369,7 +369,7 @@ class Turner:
         overdue = overdue | (either & passing)
         used = system.only(going.slot)
         at_once = overdue | ((order > 0) & leaving & ~used)
-        outside = late & ~overdue
+        outside = late & ~overdue & system.pick(system.bounds, lane.mode)
         status = jnp.where(outside.any(), OUTSIDE, going.status)
         status = jnp.where(((sign == 0) & ~idle).any(), UNDECIDED, status)
         stage = jnp.where(at_once.any(), JUMP, FLOW)

@@ -39,10 +39,11 @@ TIE, BESIDE = 4.0, 1e-6
 
 @attrs.frozen
 class Fired:
-    """A guard that fires, and the local time; ``cut``: where it jumps over zero."""
+    """A guard that fires, the local time, and its direction; ``cut``: where it jumps over zero."""
 
     index: int
     tau: float
+    direction: int = -1
     cut: Cut | None = None
 
 
@@ -60,6 +61,8 @@ class Flown:
         By the keyboard: the arc goes as far as it was flown.
     carried : bool
         The guard that fired has not been zero: it was carried over it by a jump of its own.
+    tied : dict
+        By edge the sign before its zero, of guards that are zero at the same time.
     """
 
     fired: int | None
@@ -69,6 +72,7 @@ class Flown:
     grazes: list[tuple[float, int, np.ndarray]]
     interrupted: bool = False
     carried: bool = False
+    tied: dict[str, int] = attrs.Factory(dict)
 
 
 class ArcFlow:
@@ -91,6 +95,7 @@ class ArcFlow:
         self.wanted = kept or bool(self.field.guards)
         self.ends: dict[Any, float] = {}
         self.grazes: list[tuple[float, int, np.ndarray]] = []
+        self.tied: dict[str, int] = {}
 
     def run(self) -> Flown:
         """Flow until a guard fires or the run ends."""
@@ -112,7 +117,8 @@ class ArcFlow:
             last = segments[-1]
             return Flown(None, last.end, last(last.end), segments, self.grazes, True)
         index, carried = (None, False) if fired is None else (fired.index, fired.cut is not None)
-        return Flown(index, stepper.tau, stepper.x, segments, self.grazes, carried=carried)
+        made = stepper.tau, stepper.x, segments, self.grazes
+        return Flown(index, *made, carried=carried, tied=self.tied)
 
     def _steps(
         self, stepper: Stepper, length: float, target: float | None, segments: list[Segment]
@@ -249,9 +255,9 @@ class ArcFlow:
         """
         first, t, x = found[0], self.now.t + stepper.tau, stepper.x.tolist()
         spacing = TIE * float(np.spacing(abs(t)))
-        best = first
+        tied = [first]
         for other in found[1:]:
-            if other.index > best.index or other.tau - first.tau > spacing + BESIDE * length:
+            if other.tau - first.tau > spacing + BESIDE * length:
                 continue
             if other.cut is not None:
                 width = (other.cut.after - other.cut.before) * length
@@ -259,8 +265,11 @@ class ArcFlow:
             else:
                 value, rate, _ = self.field.guards[other.index].lie(t, x)
                 same = abs(value) <= spacing * abs(rate) + self._rounding(other.index, t, x)
-            best = other if same else best
-        return best
+            if same:
+                tied.append(other)
+        guards = self.field.guards
+        self.tied = {guards[each.index].edge: -each.direction for each in tied}
+        return min(tied, key=lambda each: each.index)
 
     def _guard_event(
         self,
@@ -280,14 +289,14 @@ class ArcFlow:
         for zero in zeros(guard, segment, t0, order, scale, tolerance, self.ends):
             if zero.cut is not None:
                 if self._over(guard, zero, zero.cut, segment):
-                    return Fired(index, zero.tau, zero.cut)
+                    return Fired(index, zero.tau, zero.direction, zero.cut)
             elif zero.direction == 0:
                 grazes.append((zero.tau, index))
             elif fires(guard.crossing, zero.direction):
                 if self._touches(guard, zero.tau, segment, tolerance):
                     grazes.append((zero.tau, index))
                 else:
-                    return Fired(index, zero.tau)
+                    return Fired(index, zero.tau, zero.direction)
         if target is not None and segment.end == target and guard.kind == "contact":
             near = self._near_end(index, segment, stepper)
             if near is not None:

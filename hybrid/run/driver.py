@@ -82,6 +82,8 @@ class Driver:
         self.cycles = Cycles()
         self.reach = 0.0
         self._known = self._jumped = Jumped()
+        self._tied: dict[str, int] = {}
+        self._spent: frozenset[str] = frozenset()
         self.streaks = _streaks(self)
 
     @property
@@ -117,6 +119,7 @@ class Driver:
         if self.status is None:
             reach = 0.0 if jumped.starting else self.reach
             self.look(x)
+            jumped = attrs.evolve(jumped, tied=self._tied, spent=self._spent)
             self.entry = enter(self.scene, self.t, mode, x, jumped, reach, self._off(x))
             self._jumped = jumped
             self.reach = max(self.reach, float(np.max(np.abs(x))))
@@ -146,6 +149,7 @@ class Driver:
 
     def flow(self) -> None:
         """Flow an arc, or as many as need no judgement, and carry out the jump that ends it."""
+        self._spent = frozenset()
         if self.streaks is not None and self.streaks.takes():
             self.streaks.fly()
         else:
@@ -188,6 +192,7 @@ class Driver:
         )
         if self.plan.progress is not None:
             self.plan.progress(self.t)
+        self._tied = flown.tied
         if fired is None:
             self.status = Status.INTERRUPTED if flown.interrupted else Status.REACHED_END
         else:
@@ -213,6 +218,8 @@ class Driver:
 
     def jump(self, guard: Guard, x: np.ndarray, carried: bool = False) -> None:
         """Carry out the jump of a guard that fired; ``carried``: without having been zero."""
+        self._tied = {edge: sign for edge, sign in self._tied.items() if edge != guard.edge}
+        self._spent |= {guard.edge}
         if guard.kind == "contact":
             self._impact(guard, x)
         elif guard.kind == "release":
@@ -494,7 +501,7 @@ def _clear(tail: Tail, field: Field, column: int) -> bool:
         values = [guard.value(t, x) for t, x in points]
         end = guard.value(tail.t + tail.remaining, tail.x_inf.tolist())
         above, below = min(values) > 0 and end > -rounding, max(values) < 0 and end < rounding
-        inside = {Crossing.FALLING: above, Crossing.RISING: below}
+        inside = {Crossing.FALLING: above, Crossing.RISING: below} if guard.bounds else {}
         if not inside.get(guard.crossing, above or below):
             return False
     return True

@@ -61,6 +61,10 @@ class Jumped:
     passing : dict or None
         There was no jump, but what delays see may have jumped: by edge the sign that its guard
         had; one that has changed it fires (1). See :func:`signs_at_end`.
+    tied : dict
+        By edge the sign that its guard had before the time of the jump, at which it was zero, too.
+    spent : frozenset of str
+        Edges taken at the time of the jump; one that bounds nothing is not taken twice.
     series : bool
         The jump was an impact of the contact that made the one before: they are summed, however
         slow.
@@ -71,6 +75,8 @@ class Jumped:
     used: str | None = None
     starting: bool = False
     passing: dict[str, int] | None = None
+    tied: dict[str, int] = attrs.Factory(dict)
+    spent: frozenset[str] = frozenset()
     series: bool = False
 
 
@@ -257,8 +263,10 @@ class _Here:
             self.require_inside(guard, sign, jumped.starting)
             return False
         if guard.crossing is Crossing.EITHER:
-            return jumped.passing is not None and jumped.passing.get(guard.edge, 0) == -sign
+            before = jumped.tied if jumped.passing is None else jumped.passing
+            return before.get(guard.edge, 0) == -sign
         used = guard.kind == "edge" and guard.edge == jumped.used
+        used = used or (not guard.bounds and guard.edge in jumped.spent)
         leaves = not used and fires(guard.crossing, sign)
         if guard.kind == "switch" and not leaves and guard.edge not in jumped.vanishing:
             self.require_way(guard, sign, jumped.starting)
@@ -315,7 +323,7 @@ class _Here:
 
     def require_inside(self, guard: Guard, sign: int, starting: bool) -> None:
         wanted = {Crossing.FALLING: 1, Crossing.RISING: -1}.get(guard.crossing)
-        if wanted is None or sign == wanted:
+        if wanted is None or sign == wanted or not guard.bounds:
             return
         value = guard.value(self.t, self.x.tolist())
         side = "positive" if wanted > 0 else "negative"

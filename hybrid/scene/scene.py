@@ -81,6 +81,8 @@ class Guard:
         The guard's jaxpr.
     kinks : tuple of Kink
         Where it changes its formula; of a load also where its contact's gap and gap speed do.
+    bounds : bool
+        Whether it bounds its mode; an event that the flow passes does not.
     """
 
     edge: str
@@ -93,6 +95,7 @@ class Guard:
     uses: tuple[int, ...]
     closed: Any
     kinks: tuple[Kink, ...] = ()
+    bounds: bool = True
 
     @property
     def jumps(self) -> bool:
@@ -286,7 +289,8 @@ class Scene:
         bound = value.bind(self._values), lie.bind(self._values)
         kinks = self._kinks(key, [closed, *self._moving_gap(edge.name, kind)])
         named = edge.name, kind, edge.to, edge.crossing
-        return Guard(*named, *bound, affine, uses, closed, kinks)
+        bounds = kind != "edge" or code.bounds(edge)
+        return Guard(*named, *bound, affine, uses, closed, kinks, bounds)
 
     def _moving_gap(self, edge: str, kind: str) -> list[Any]:
         """Gap, gap speed and free acceleration of a held contact, which end its rest too."""

@@ -1,0 +1,137 @@
+"""An edge back into its own mode that leaves its guard where it is bounds nothing."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+
+WAYS = ["DOP853", "Radau", "taylor", "Dopri8"]
+
+PHASES = [0.0, 0.4, 1.0, 2.0, np.pi, 4.0, 5.0, 6.2]
+
+
+class Circle(hy.Automaton):
+    """A point on a circle that counts how often x passes 0.3: rising, falling, and both."""
+
+    x = hy.state()
+    v = hy.state()
+    up = hy.state()
+    down = hy.state()
+    both = hy.state()
+    level = hy.parameter(0.3)
+
+    @hy.mode
+    def turns(self, t, s):
+        return s.v, -s.x, 0.0, 0.0, 0.0
+
+    @hy.edge(turns, to=turns, guard=lambda self, t, s: s.x - self.level, crossing=hy.RISING)
+    def rises(self, t, s):
+        return s.replace(up=s.up + 1)
+
+    @hy.edge(turns, to=turns, guard=lambda self, t, s: s.x - self.level)
+    def falls(self, t, s):
+        return s.replace(down=s.down + 1)
+
+    @hy.edge(turns, to=turns, guard=lambda self, t, s: s.x - self.level, crossing=hy.EITHER)
+    def passes(self, t, s):
+        return s.replace(both=s.both + 1)
+
+
+class Clock(hy.Automaton):
+    """A pendulum that is pushed on where it passes 0 upwards, between walls, with an alarm."""
+
+    x = hy.state()
+    v = hy.state()
+    n = hy.state()
+    push = hy.parameter(0.5)
+    wall = hy.parameter(4.0)
+    alarm = hy.parameter(5.0)
+
+    @hy.mode
+    def swings(self, t, s):
+        return s.v, -s.x, 0.0
+
+    @hy.edge(swings, to=swings, guard=lambda self, t, s: s.x, crossing=hy.RISING)
+    def pushed(self, t, s):
+        return s.replace(v=s.v + self.push)
+
+    @hy.edge(swings, to=swings, guard=lambda self, t, s: self.wall - s.x)
+    def struck(self, t, s):
+        return s.replace(v=-0.5 * s.v)
+
+    @hy.edge(swings, to=swings, guard=lambda self, t, s: self.alarm - t)
+    def rings(self, t, s):
+        return s.replace(n=s.n + 1)
+
+
+def passages(phase, t1, level=0.3):
+    """How often ``cos(t + phase)`` passes a level, rising and falling, on (0, t1]."""
+    times = np.linspace(0.0, t1, 200_001)
+    signs = np.sign(np.cos(times + phase) - level)
+    return int(np.sum(np.diff(signs) > 0)), int(np.sum(np.diff(signs) < 0))
+
+
+def test_events_are_passed_and_fire_at_every_crossing(way):
+    """From every phase of the circle, inside and beyond, each counts its own crossings."""
+    starts = [[np.cos(p), -np.sin(p), 0.0, 0.0, 0.0] for p in PHASES]
+    for phase, result in zip(
+        PHASES, way.many(Circle(), starts, (0.0, 20.0), rtol=1e-9), strict=True
+    ):
+        up, down = passages(phase, 20.0)
+        assert (result.final.up, result.final.down, result.final.both) == (up, down, up + down)
+        assert result.final.x == pytest.approx(np.cos(20.0 + phase), abs=1e-6)
+
+
+def test_a_kick_onwards_is_an_event(way):
+    """Begun beyond the guard and after the alarm: pushed at each passage upwards."""
+    result = way.run(Clock(), [1.0, 0.0, 0.0], (6.0, 6.0 + 4 * np.pi), rtol=1e-9)
+    assert result.final.n == 0.0
+    # two passages, at the speeds 1 and 1.5: amplitude 2 afterwards, a quarter turn after 0
+    assert np.hypot(result.final.x, result.final.v) == pytest.approx(2.0, abs=1e-6)
+
+
+def test_an_alarm_rings_once(way):
+    """A guard of time alone fires at its time and is passed."""
+    result = way.run(Clock(push=0.0), [1.0, 0.0, 0.0], (0.0, 20.0), rtol=1e-9)
+    assert result.final.n == 1.0
+    assert result.final.x == pytest.approx(np.cos(20.0), abs=1e-6)
+
+
+def test_a_wall_written_as_an_edge_still_bounds(way):
+    """Its reset leaves the guard where it is, but turns the motion round."""
+    result = way.run(Clock(wall=0.5), [1.0, 0.0, 0.0], (0.0, 1.0), rtol=1e-9)
+    assert result.status == "refused"
+
+
+class Tossed(hy.Automaton):
+    """A ball over a floor, watched by an event at a height; tossed beyond it by another edge."""
+
+    x = hy.state()
+    v = hy.state()
+    n = hy.state()
+    high = hy.parameter(0.5)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -2.0, 0.0
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+
+    @hy.edge(flight, to=flight, guard=lambda self, t, s: self.high - s.x)
+    def seen(self, t, s):
+        return s.replace(n=s.n + 1)
+
+    @hy.edge(flight, to=flight, guard=lambda self, t, s: jnp.sin(t - 4.0), crossing=hy.RISING)
+    def tossed(self, t, s):
+        return s.replace(x=s.x + 1.0)
+
+
+def test_a_jump_may_lead_beyond_an_event_and_impacts_accumulate_under_it(way):
+    """From 1 beyond 0.5 onto the floor, at rest at 3; lifted beyond at 4, at rest again at 7."""
+    result = way.run(Tossed(), [1.0, 0.0, 0.0], (0.0, 8.0), rtol=1e-9)
+    assert result.final.n == 0.0
+    assert result.final.x == pytest.approx(0.0, abs=1e-9)
+    assert result.t_inf == pytest.approx(3.0, abs=1e-8)
+    if way.tells("all zeno"):
+        np.testing.assert_allclose([point.t for point in result.zeno], [3.0, 7.0], atol=1e-8)
