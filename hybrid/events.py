@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from functools import cache
 from itertools import zip_longest
-from math import comb
+from math import comb, isfinite
 from typing import TYPE_CHECKING, Any
 
 import attrs
@@ -374,6 +374,33 @@ def roots(bernstein: np.ndarray, order: int, tolerance: float) -> Iterator[tuple
     count = unit("zeros").crossings(b, len(b) - 1, order, tolerance, work, found)
     for point, direction in _listed(found, count):
         yield point, int(direction)
+
+
+def series_zeros(c: Sequence[float], reach: float, tolerance: float) -> list[tuple[float, int]]:
+    """Zeros in ``(0, reach]`` of the sum of ``c[k] s^k``, as :func:`roots` gives them."""
+    work, found = _room(len(c) - 1)
+    powers = np.array(c, dtype=float)
+    count = unit("zeros").series(powers, len(c) - 1, reach, 0, tolerance, work, found)
+    return [(point, int(direction)) for point, direction in _listed(found, count)]
+
+
+def first_zero(
+    c: Sequence[float], reach: float, order: int, direction: int, noise: float = 0.0
+) -> float | None:
+    """The first zero in ``(0, reach]`` of a series that vanishes at 0 to the given order.
+
+    Parameters
+    ----------
+    direction : int
+        As for :class:`Zero`; 0 for either.
+    noise : float
+        Rounding of its terms, in spacings; it must go further than that behind the zero.
+    """
+    work, found = _room(len(c) - 1)
+    powers = np.array(c, dtype=float)
+    rule = unit("zeros").first
+    zero = float(rule(powers, len(c) - 1, reach, order, direction, noise, work, found))
+    return zero if isfinite(zero) else None
 
 
 def turning_points(series: np.ndarray) -> list[float]:

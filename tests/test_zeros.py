@@ -44,10 +44,17 @@ def crossings(b, order=0, tolerance=0.0):
     return [tuple(row) for row in found[:count].tolist()] if count >= 0 else count
 
 
-def first(c, reach=1.0, order=0, direction=0):
+def first(c, reach=1.0, order=0, direction=0, noise=0.0):
     c = np.array(c, dtype=float)
     work, found = room(len(c) - 1)
-    return unit("zeros").first(c, len(c) - 1, reach, order, direction, work, found)
+    return unit("zeros").first(c, len(c) - 1, reach, order, direction, noise, work, found)
+
+
+def series(c, reach, tolerance=-1.0):
+    c = np.array(c, dtype=float)
+    work, found = room(len(c) - 1)
+    count = unit("zeros").series(c, len(c) - 1, reach, 0, tolerance, work, found)
+    return [tuple(row) for row in found[:count].tolist()] if count >= 0 else count
 
 
 def turns(b):
@@ -112,7 +119,7 @@ def rounding(b, s):
 
 def check(b):
     """Hold what is found against the exact polynomial of the floats given."""
-    p, found = from_bernstein(b), crossings(b)
+    p, found = from_bernstein(b), [row for row in crossings(b) if row[1]]
     points = [s for s, _ in found]
     assert points == sorted(points)
     assert all(0.0 < s <= 1.0 for s in points)
@@ -337,6 +344,28 @@ def test_the_first_zero_of_a_series(reach):
     assert first([2.0], reach) == math.inf
 
 
+@pytest.mark.parametrize("reach", [3.5, 1e4, math.inf])
+def test_all_zeros_of_a_series(reach):
+    """Crossings and touches, in order, however far one may look."""
+    c = np.polynomial.polynomial.polyfromroots([1.0, 2.0, 2.0, 3.0])
+    assert [d for _, d in series(c - [1e-12, 0, 0, 0, 0], reach, 1e-9)] == [FALLING, 0, RISING]
+    # lowering it by 1e-12 moves zeros where its slope is 2 by half of that
+    assert series(c - [1e-12, 0, 0, 0, 0], reach) == [
+        (pytest.approx(1.0, abs=1e-12), FALLING),
+        (pytest.approx(3.0, abs=1e-12), RISING),
+    ]
+    assert series([1.0, math.nan], reach) == UNFIT
+    assert series([0.0, 0.0], reach) == VANISHES
+
+
+def test_a_zero_behind_which_there_is_only_rounding():
+    """A dip of 1e-16 below zero is passed over; one of 1e-12 is not."""
+    dip, deeper = [1.0 - 1e-16, -2.0, 1.0], [1.0 - 1e-12, -2.0, 1.0]
+    assert first(dip, 3.0, direction=FALLING) == pytest.approx(1.0, abs=1e-7)
+    assert first(dip, 3.0, direction=FALLING, noise=16.0) == math.inf
+    assert first(deeper, 3.0, direction=FALLING, noise=16.0) == pytest.approx(1.0 - 1e-6, abs=1e-9)
+
+
 def test_a_zero_at_the_reach_counts():
     """And one a spacing beyond it does not."""
     assert first([-0.5, 1.0], 0.5) == 0.5
@@ -399,7 +428,8 @@ def test_plain_python_finds_the_same(plain):
             for name, arguments in {
                 "crossings": (b, degree, order, 1e-9 * np.abs(b).max()),
                 "turns": (b, degree),
-                "first": (c, size, 1.3, min(order, size), -1),
+                "first": (c, size, 1.3, min(order, size), -1, 16.0),
+                "series": (c, size, 1.3, min(order, size), 1e-9),
             }.items():
                 answers = []
                 for library in (rules, plain):

@@ -26,7 +26,7 @@ from .polynomials import (
     weigh,
 )
 
-__all__ = ("crossings", "first", "turns")
+__all__ = ("crossings", "first", "series", "turns")
 
 #: Status codes: a coefficient is not finite; the work array is too small; all are zero.
 UNFIT, FULL, VANISHES = -1, -2, -3
@@ -38,6 +38,9 @@ STACK, SPARE = 2, 8
 #: Steps of Newton's method after which the bracket is halved every second time, and most steps:
 #: a bracket from 0 to 1 has an exponent after 11 halvings, and 53 digits after 53 more.
 PATIENCE, MOST = 8, 160
+
+#: A tolerance for touching that nothing meets.
+NEVER = -1.0
 
 #: Two neighbouring floats, relative to them; the smallest normal float.
 EPS, TINY = 2.0**-52, 2.0**-1022
@@ -71,15 +74,7 @@ def crossings(
     scale = prepared(b, degree, order, work)
     if scale <= 0.0:
         return int(scale)
-    n = degree - order
-    near = tolerance * scale if order == 0 else 0.0
-    if stays_away(work, 0, n, near):
-        return 0
-    push(work, 0, n)
-    count = isolate(work, n, 0, found, 0, n + 2)
-    if count >= 0 and order == 0:
-        count = touches(work, n, near, found, count)
-    return count
+    return every(work, degree - order, tolerance * scale if order == 0 else NEVER, found)
 
 
 def turns(b: Floats, degree: int, work: Matrix, found: Matrix) -> int:
@@ -90,10 +85,16 @@ def turns(b: Floats, degree: int, work: Matrix, found: Matrix) -> int:
     return turning(work, degree, found, 0)
 
 
-def first(
-    c: Floats, degree: int, reach: float, order: int, direction: int, work: Matrix, found: Matrix
-) -> float:
-    """The first zero in ``(0, reach]`` of the sum of ``c[k] s^k``; infinity if there is none.
+def series(
+    c: Floats,
+    degree: int,
+    reach: float,
+    order: int,
+    tolerance: float,
+    work: Matrix,
+    found: Matrix,
+) -> int:
+    """All zeros in ``(0, reach]`` of the sum of ``c[k] s^k``, in order, as :func:`crossings`.
 
     Parameters
     ----------
@@ -101,28 +102,58 @@ def first(
         May be infinite: no zero is further than a bound that the coefficients give.
     order : int
         The power by which it vanishes at 0; what is below is not looked at.
+    tolerance : float
+        As in :func:`crossings`; below zero nothing is listed as touching.
+    """
+    last = last_power(c, order, degree)
+    if last < order:
+        return last
+    n = last - order
+    if outweighs(c, order, last, reach, tolerance):
+        return 0
+    if not from_powers(c, order, last, reach, work, 0):
+        reach = min(reach, power_bound(c, order, last))
+        if not from_powers(c, order, last, reach, work, 0):
+            return UNFIT
+    count = every(work, n, tolerance if order == 0 else NEVER, found)
+    for k in range(count):
+        s = reach * found[k, 0]
+        crosses = found[k, 0] < 1.0 and found[k, 1] != 0.0
+        found[k, 0] = polished(c, order, last, s, reach) if crosses else s
+    return count
+
+
+def first(
+    c: Floats,
+    degree: int,
+    reach: float,
+    order: int,
+    direction: int,
+    noise: float,
+    work: Matrix,
+    found: Matrix,
+) -> float:
+    """The first zero in ``(0, reach]`` of the sum of ``c[k] s^k``; infinity if there is none.
+
+    Parameters
+    ----------
     direction : int
         1 for one that it rises through, -1 to fall, 0 for either.
+    noise : float
+        Rounding of the terms, in spacings: zeros behind which it goes no further are left out.
 
     Returns
     -------
     float
         NaN where a coefficient or the work array is unfit.
     """
-    n = last_power(c, order, degree)
-    if n < order:
-        return math.inf if n == VANISHES else math.nan
-    if no_zero(c, order, n, reach):
-        return math.inf
-    if not from_powers(c, order, n, reach, work, STACK):
-        reach = min(reach, power_bound(c, order, n))
-        if not from_powers(c, order, n, reach, work, STACK):
-            return math.nan
-    whole(work, n - order)
-    count = isolate(work, n - order, direction, found, 0, 1)
-    if count <= 0:
-        return math.inf if count == 0 else math.nan
-    return reach if found[0, 0] == 1.0 else polished(c, order, n, reach * found[0, 0], reach)
+    count = series(c, degree, reach, order, NEVER, work, found)
+    if count < 0:
+        return math.inf if count == VANISHES else math.nan
+    for k in range(count):
+        if direction * found[k, 1] >= 0.0 and passes(c, order, degree, found[k, 0], noise):
+            return found[k, 0]
+    return math.inf
 
 
 # ---------------------------------------------------------------------------------------
@@ -159,12 +190,12 @@ def last_power(c: Floats, low: int, degree: int) -> int:
     return last
 
 
-def no_zero(c: Floats, low: int, degree: int, reach: float) -> bool:
+def outweighs(c: Floats, low: int, degree: int, reach: float, tolerance: float) -> bool:
     """Whether the first term outweighs all others as far as ``reach``: the cheapest test."""
     rest = 0.0
     for k in range(degree, low, -1):
         rest = (rest + abs(c[k])) * reach
-    return abs(c[low]) > rest * (1.0 + 64.0 * EPS)
+    return abs(c[low]) > rest * (1.0 + 64.0 * EPS) + max(tolerance, 0.0)
 
 
 def stays_away(work: Matrix, row: int, n: int, tolerance: float) -> bool:
@@ -174,14 +205,7 @@ def stays_away(work: Matrix, row: int, n: int, tolerance: float) -> bool:
     for k in range(1, n + 1):
         low = min(low, work[row, k])
         high = max(high, work[row, k])
-    return low > tolerance or high < -tolerance
-
-
-def push(work: Matrix, row: int, n: int) -> None:
-    """Lay a copy of a polynomial on the empty stack."""
-    for k in range(n + 1):
-        work[STACK, k] = work[row, k]
-    whole(work, n)
+    return low > max(tolerance, 0.0) or high < -max(tolerance, 0.0)
 
 
 def whole(work: Matrix, n: int) -> None:
@@ -195,10 +219,21 @@ def whole(work: Matrix, n: int) -> None:
 # isolating
 
 
-def isolate(work: Matrix, n: int, direction: int, found: Matrix, count: int, most: int) -> int:
+def every(work: Matrix, n: int, tolerance: float, found: Matrix) -> int:
+    """Zeros in (0, 1] of the polynomial in the first row, and where it touches zero."""
+    if stays_away(work, 0, n, tolerance):
+        return 0
+    for k in range(n + 1):
+        work[STACK, k] = work[0, k]
+    whole(work, n)
+    count = isolate(work, n, found, 0)
+    return touches(work, n, tolerance, found, count) if count >= 0 and tolerance >= 0.0 else count
+
+
+def isolate(work: Matrix, n: int, found: Matrix, count: int) -> int:
     """Crossings of what lies on the stack, behind those found; how many there are then."""
     top = STACK
-    while top >= STACK and count < most:
+    while top >= STACK:
         changes, sign, last = signs(work, top, n)
         left = work[top, n + 1]
         middle = left + 0.5 * work[top, n + 2]
@@ -209,14 +244,14 @@ def isolate(work: Matrix, n: int, direction: int, found: Matrix, count: int, mos
             top = split(work, top, n, middle)
             continue
         if work[top, 0] == 0.0 and work[top, n + 3] * sign < 0.0:
-            count = noted(found, count, left, sign, direction)
+            count = noted(found, count, left, sign)
         if changes >= 2 and sign != last:
-            count = noted(found, count, middle, last, direction)
+            count = noted(found, count, middle, last)
         if changes == 1:
             s = one_zero(work, top, n, last)
-            count = noted(found, count, left + work[top, n + 2] * s, last, direction)
+            count = noted(found, count, left + work[top, n + 2] * s, last)
         if right == 1.0 and work[top, n] == 0.0 and last != 0.0:
-            count = noted(found, count, 1.0, -last, direction)
+            count = noted(found, count, 1.0, -last)
         top -= 1
     return count
 
@@ -264,9 +299,9 @@ def split(work: Matrix, top: int, n: int, middle: float) -> int:
     return top
 
 
-def noted(found: Matrix, count: int, point: float, sign: float, direction: int) -> int:
-    """List a zero, if it is in the direction asked for (0: any)."""
-    if direction * sign < 0.0 or count >= found.shape[0]:
+def noted(found: Matrix, count: int, point: float, sign: float) -> int:
+    """List a zero."""
+    if count >= found.shape[0]:
         return count
     found[count, 0] = point
     found[count, 1] = sign
@@ -326,6 +361,20 @@ def polished(c: Floats, low: int, degree: int, s: float, reach: float) -> float:
     return new if abs(new - s) <= POLISH * s and new <= reach else s
 
 
+def passes(c: Floats, low: int, degree: int, s: float, noise: float) -> bool:
+    """Whether a series goes beyond a zero by more than the rounding of its terms there."""
+    value = 0.0
+    slope = 0.0
+    bend = 0.0
+    size = 0.0
+    for k in range(degree, low - 1, -1):
+        bend = bend * s + slope
+        slope = slope * s + value
+        value = value * s + c[k]
+        size = size * s + abs(c[k])
+    return noise == 0.0 or abs(slope) > 2.0 * math.sqrt(abs(bend)) * math.sqrt(noise * EPS * size)
+
+
 # ---------------------------------------------------------------------------------------
 # turning points
 
@@ -337,7 +386,7 @@ def turning(work: Matrix, n: int, found: Matrix, count: int) -> int:
     if n < 1:
         return count
     whole(work, n - 1)
-    total = isolate(work, n - 1, 0, found, count, found.shape[0])
+    total = isolate(work, n - 1, found, count)
     if total > count and found[total - 1, 0] == 1.0:
         total -= 1
     return total

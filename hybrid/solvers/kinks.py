@@ -15,9 +15,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..events import EPS, bernstein_from_powers, roots
+from ..events import EPS, series_zeros
 from ..scene.lowered import ORDER
-from ..scene.taylor import Watched, polynomial, polynomial_and_slope, slope
+from ..scene.taylor import Watched, polynomial, slope
 
 #: Size, relative to the largest, of the last terms of a kink's series over which it may be used:
 #: what they leave open is counted as rounding is.
@@ -136,11 +136,9 @@ def _first_zero(c: Sequence[float], t: float, h: float, side: int) -> tuple[floa
         return None, False
     if hidden != crossing:
         return APPROACH * hidden, False
-    s = _polished(p, crossing)
-    off = EPS * polynomial([*map(abs, p)], s) + left_open(p, s)
-    if not _close(s, t) and off > EXACT * EPS * max(abs(t), s) * abs(slope(p, s)):
-        return APPROACH * s, False
-    return s, True
+    off = EPS * polynomial([*map(abs, p)], crossing) + left_open(p, crossing)
+    exact = off <= EXACT * EPS * max(abs(t), crossing) * abs(slope(p, crossing))
+    return (crossing, True) if exact or _close(crossing, t) else (APPROACH * crossing, False)
 
 
 def _close(s: float, t: float) -> bool:
@@ -153,29 +151,14 @@ def _zeros(p: Sequence[float], own: int, h: float) -> list[tuple[float, bool]]:
 
     It does not where it comes so near that rounding hides what it does.
     """
-    terms = [own * v * h**k for k, v in enumerate(p)]
-    noise = BLURRED * sum(map(abs, terms)) + left_open(p, h)
-    b = bernstein_from_powers(len(p) - 1) @ terms
-    if b.min() > noise:
-        return []
-    return [(s * h, direction < 0) for s, direction in roots(b, 0, noise) if direction <= 0]
+    noise = BLURRED * polynomial([*map(abs, p)], h) + left_open(p, h)
+    zeros = series_zeros([own * v for v in p], h, noise)
+    return [(s, direction < 0) for s, direction in zeros if direction <= 0]
 
 
 def left_open(c: Sequence[float], s: float) -> float:
     """What is left of a series behind its last terms, by their size: they fall."""
     return (abs(c[-2]) + abs(c[-1]) * s) * s ** (len(c) - 2)
-
-
-def _polished(p: Sequence[float], s: float) -> float:
-    """A zero of a series by Newton's method, which stays next to where it begins."""
-    first = s
-    for _ in range(3):
-        value, rate = polynomial_and_slope(p, s)
-        new = s - value / rate if rate else s
-        if not abs(new - first) <= 1e-6 * first:
-            return first
-        s = new
-    return s
 
 
 def crossed_to(c: Sequence[float], side: int) -> int:

@@ -7,14 +7,13 @@ of height 1e-18 over a wall at 2 is as accurate as any other (``docs/notes/chatt
 
 from __future__ import annotations
 
-from math import sqrt
 from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
 
-from ..events import EPS, bernstein_from_powers, roots
-from ..scene.taylor import polynomial, polynomial_and_slope, slope
+from ..events import EPS, first_zero, series_zeros
+from ..scene.taylor import polynomial, slope
 from ..segment import Segment, from_powers
 from ..solvers.kinks import crossed_to, first_change, holding, own_length
 from ..solvers.taylor_backend import BEFORE, MIDDLE, MISSED, ROUNDING, beside, follows, step_length
@@ -25,6 +24,9 @@ if TYPE_CHECKING:
 #: Most Taylor steps in a flight (kinks apart); a longer flight belongs to the solver. Over a wall
 #: that shakes a step is a tenth of a turn, and low flights last a few turns.
 PIECES = 32
+
+#: Rounding of a gap's series, in spacings of its terms: as many as it has.
+ROUNDED = 16.0
 
 
 @attrs.frozen
@@ -137,7 +139,8 @@ def rise(field: Field, column: int, t: float, x: list[float], v: float) -> float
     end = zero_of(gap, min(step_length(series), own_length(gap, ROUNDING)))
     if end is None:
         return None
-    tops = _falls([k * c for k, c in enumerate(gap)][1:], end)
+    speeds = [k * c for k, c in enumerate(gap)][1:]
+    tops = [s for s, direction in series_zeros(speeds, end, -1.0) if direction < 0]
     return max((polynomial(gap, s) for s in tops), default=None)
 
 
@@ -146,50 +149,4 @@ def zero_of(g: list[float], reach: float) -> float | None:
 
     The zero at the start, if the series begins with 0, is divided out.
     """
-    if g[0] < 0:
-        return None
-    shifted = g[1:] if g[0] == 0.0 else g
-    if g[2] < 0:
-        s = (-g[1] - sqrt(max(g[1] * g[1] - 4.0 * g[0] * g[2], 0.0))) / (2.0 * g[2])
-        most = min(2.0 * s, reach)
-        bends = [k * (k - 1) * abs(c) for k, c in enumerate(g)][3:]
-        if s > 0 and polynomial(bends, most) * most < -2.0 * g[2]:
-            return _newton(shifted, s, most)
-    length = min(reach, _last_zero(shifted))
-    return next(iter(_falls(shifted, length)), None) if length > 0 else None
-
-
-def _newton(c: list[float], s: float, most: float) -> float | None:
-    """The zero, no later than ``most``, of a series that curves down all the way to it."""
-    for _ in range(12):
-        value, rate = polynomial_and_slope(c, s)
-        if not rate < 0:
-            return None
-        step = value / rate
-        s -= step
-        if abs(step) <= 4e-16 * s:
-            break
-        if not 0 < s < float("inf"):
-            return None
-    return s if s <= most and abs(step) <= 1e-14 * s else None
-
-
-def _last_zero(c: list[float]) -> float:
-    """A bound on the zeros of a polynomial (Fujiwara's)."""
-    degree = max((k for k, v in enumerate(c) if v), default=0)
-    sizes = [abs(v / c[degree]) ** (1.0 / (degree - k)) for k, v in enumerate(c[:degree])]
-    return 2.0 * max(sizes, default=0.0)
-
-
-def _falls(c: list[float], length: float) -> list[float]:
-    """Zeros in ``(0, length]`` at which a series falls below rounding, in order."""
-    terms = np.array([v * length**k for k, v in enumerate(c)])
-    noise = 16 * EPS * float(np.abs(terms).sum())
-    bends = [k * (k - 1) * v for k, v in enumerate(terms.tolist())][2:]
-    rates = [k * v for k, v in enumerate(terms.tolist())][1:]
-    found = roots(bernstein_from_powers(len(c) - 1) @ terms, 0, 0.0)
-    return [
-        s * length
-        for s, direction in found
-        if direction < 0 and polynomial(rates, s) ** 2 > 2.0 * abs(polynomial(bends, s)) * noise
-    ]
+    return None if g[0] < 0 else first_zero(g, reach, 1 if g[0] == 0.0 else 0, -1, ROUNDED)
