@@ -340,10 +340,12 @@ class Trajectory:
 
         Notes
         -----
-        An orbit is taken for one if three distances between turns in a row are below 10
-        ``rtol``, or five in a row have shrunk to less than a thousandth of its size. A rest is
-        for ever where neither flow nor guards depend on time, the state does not change at all,
-        and delays have seen nothing else for the longest lag.
+        An orbit is taken for one if its turns have been closer than 10 ``rtol`` for a quarter of
+        the run, or have come so close, or are coming closer, at an even rate that leaves less
+        than a thousandth of its size to go. Moves of less than 100 ``atol`` count as none. A
+        rest is for ever where neither flow nor guards, nor the gaps that are held, depend on
+        time, the state does not change at all, and delays have seen nothing else for the
+        longest lag; where it may end, the reason says so.
         """
         from .orbits.settling import settles
 

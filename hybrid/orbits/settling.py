@@ -14,7 +14,7 @@ from ..events import bernstein_from_chebyshev, roots
 from ..log import Log
 from ..segment import nodes
 from ..trajectory import Trajectory
-from .standing import Standing, standing
+from .standing import Standing, size_of, standing
 
 #: Distances below this many times ``rtol``, three turns in a row, are those of a closed orbit.
 CLOSE = 10.0
@@ -25,8 +25,23 @@ STILL = 100.0
 #: Longest orbit, in returns, that is looked for.
 LONGEST = 16
 
-#: Turns whose distances must all shrink, and what they must have come to.
+#: Least number of turns that is looked at, and what they must be sure to come to: the distance to
+#: the orbit that they tend to, against its size.
 SHRINKING, NEAR = 5, 1e-3
+
+#: Distances must have fallen by this factor at least, and are looked at back to that factor. A slow
+#: passage, or a beat, falls by much too, but not at an even rate.
+FALL, FAR = 10.0, 1e4
+
+#: How unevenly: the turns for one half of the fall (of its logarithm), against those for the other.
+#: Distances like 1/k^2, those of the slowest passage, give 3.2 over a factor of 100, 1.8 over 10.
+EVEN, TURN = 1.4, 2.0
+
+#: Distances are compared by the largest of so many: those of complex multipliers rise and fall.
+WAVE = 3
+
+#: A closed orbit must have been one for this share of the run, or been approached evenly.
+SHARE = 0.25
 
 #: Distances of this ratio are much the same.
 ALIKE = 10.0
@@ -40,8 +55,11 @@ LOOK = 16
 #: A zero of a Chebyshev series that was sought in another form moves by less in Newton's step.
 NEARLY = 1e-6
 
-#: Turns, or parts of the run, that are looked at.
+#: Turns of which a mean rate is made, and parts of the run that are compared.
 TURNS, PARTS = 12, 6
+
+#: Digits of a period that are ever shown.
+DIGITS = 12
 
 
 @attrs.frozen
@@ -107,17 +125,29 @@ def settles(run: Trajectory) -> Settled:
     if stands is not None and stands.but is None:
         return _for_ever(run, stands)
     found = _held(run, scale, tol) or _still(run, scale, tol) or _turning(run, scale, tol)
-    if stands is None or stands.but is None or found.kind == "periodic":
-        return found
-    return attrs.evolve(found, reason=f"{found.reason}; not known to be for ever: {stands.but}")
+    but = _doubt(found, stands)
+    return attrs.evolve(found, reason=f"{found.reason}; {but}") if but else found
+
+
+def _doubt(found: Settled, stands: Standing | None) -> str | None:
+    """The clause on a rest that may not last; None where there is nothing to say."""
+    if found.kind == "periodic" or (stands is None and found.kind == "none"):
+        return None
+    if stands is None:
+        return "not known to be for ever: its model is not at hand"
+    if stands.still or (found.kind == "rest" and stands.doubtful):
+        return f"not known to be for ever: {stands.but}"
+    return None
 
 
 def _turning(run: Trajectory, scale: np.ndarray, tol: float) -> Settled:
     """An orbit, or nothing."""
     tried = [turns for returns in _returns(run) for turns in _turns(returns, scale)]
     for turns in tried:
-        if _closed(turns.distances, tol) or _shrinks(turns.distances):
-            return _periodic(run, _shortest(turns, tried), tol)
+        if _settled(turns, run, tol):
+            shortest = _shortest(turns, tried)
+            if shortest is turns or _settled(shortest, run, tol):
+                return _periodic(run, shortest, tol)
     return _none(run, tried)
 
 
@@ -146,8 +176,12 @@ def _states(run: Trajectory, since: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _moves(run: Trajectory, states: np.ndarray, scale: np.ndarray) -> float:
-    """How far the states lie apart, beyond what the tolerance makes of it."""
+    """How far the states lie apart, beyond what the tolerance makes of it.
+
+    It makes nothing of a run whose states are all below it: ``atol`` is then in other units.
+    """
     slack = STILL * np.asarray(run.options.get("atol", 1e-10), dtype=float)
+    slack = slack if np.any(size_of(run) > slack) else 0.0 * slack
     return float(np.max(np.maximum(np.ptp(states, axis=0) - slack, 0.0) / scale))
 
 
@@ -184,7 +218,12 @@ def _held(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
         if not 2.0 * late > early:
             return None
         said += f": the load stays at {min(loads):.6g} or more"
-    return Settled("rest", f"{said}; the state does not change", distance=moved)
+    changes = (
+        "does not change"
+        if not np.any(np.ptp(states, axis=0))
+        else ("changes by no more than the tolerances tell")
+    )
+    return Settled("rest", f"{said}; the state {changes}", distance=moved)
 
 
 def _loads(run: Trajectory, times: np.ndarray, states: np.ndarray) -> list[float]:
@@ -209,11 +248,15 @@ def _still(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
         states = np.array([np.concatenate([np.ravel(v) for v in run(t)]) for t in _even(run)])
         part = np.repeat(np.arange(PARTS), len(states) // PARTS)
     moves = np.array([_moves(run, states[part == k], scale) for k in range(PARTS)])
-    if not (np.all(moves <= tol) or _shrinks(moves)):
-        return None
     each, (first, last) = (run.t1 - middle) / PARTS, (float(moves[0]), float(moves[-1]))
-    said = f"tends to a point: the moves in times of {each:.6g} fall from {first:.3g} to {last:.3g}"
-    return Settled("rest", f"{said} of its size", None, 0, last, _rate(moves, tol))
+    said = f"tends to a point: the moves in times of {each:.6g}"
+    if np.all(moves <= tol):
+        said += " are no more than the tolerances tell"
+    elif _falls(moves) and _beyond(moves) <= NEAR:
+        said += f" fall from {first:.3g} to {last:.3g} of its size"
+    else:
+        return None
+    return Settled("rest", said, None, 0, last, _rate(moves, tol))
 
 
 def _even(run: Trajectory) -> np.ndarray:
@@ -289,20 +332,52 @@ def _turns(returns: Returns, scale: np.ndarray) -> Iterator[Turns]:
             continue
         later = np.abs(lasts[length:] - lasts[:-length]) / lasts[length:]
         each = np.maximum(apart[length:], later)
-        count = min(len(each) // length, TURNS)
+        count = len(each) // length
         yield Turns(returns, length, each[-count * length :].reshape(count, length).max(axis=1))
 
 
-def _closed(distances: np.ndarray, tol: float) -> bool:
-    """Whether the last three distances are those of a closed orbit."""
-    return len(distances) >= 3 and bool(np.all(distances[-3:] <= tol))
+def _settled(turns: Turns, run: Trajectory, tol: float) -> bool:
+    """Whether turns have come to an orbit, or tend to one at a rate that leaves no doubt."""
+    distances = _highest(turns.distances, WAVE)
+    if distances[-1] > tol:
+        return _falls(distances) and _beyond(distances) <= NEAR
+    arrived = int(np.flatnonzero(np.append(True, distances[:-1] > tol))[-1])
+    closed = (len(distances) - arrived + WAVE) * turns.period
+    return closed >= SHARE * (run.t1 - run.t0) or _falls(distances[: arrived + 1])
 
 
-def _shrinks(distances: np.ndarray) -> bool:
-    """Whether the last distances all shrink, to little."""
-    last = distances[-SHRINKING:]
-    small = len(last) == SHRINKING and last[-1] <= NEAR
-    return bool(small and np.all(np.diff(last) < 0) and last[-1] <= 0.9 * last[0])
+def _highest(values: np.ndarray, count: int) -> np.ndarray:
+    """The largest of each value and those before it, so many in all."""
+    if len(values) < count:
+        return values[-1:]
+    highest: np.ndarray = np.lib.stride_tricks.sliding_window_view(values, count).max(axis=1)
+    return highest
+
+
+def _falls(distances: np.ndarray) -> bool:
+    """Whether distances fall by much, at an even rate.
+
+    A passage along what is almost an orbit becomes slower and slower, a beat comes to its turning
+    point faster and faster.
+    """
+    last = float(distances[-1])
+    if last > distances.min() or not distances.max() >= FALL * last:
+        return False
+    top = min(float(distances.max()), FAR * last)
+    start = int(np.flatnonzero(distances >= top)[-1])
+    half = int(np.flatnonzero(distances >= np.sqrt(top * last))[-1])
+    before, after = half - start, len(distances) - 1 - half
+    return after <= EVEN * before + TURN and before <= EVEN * after + TURN
+
+
+def _beyond(distances: np.ndarray) -> float:
+    """How far all turns to come lead, if they go on as they did of late."""
+    last = float(distances[-1])
+    start = int(np.flatnonzero(distances >= FALL * last)[-1])
+    if not last:
+        return 0.0
+    rate = (last / float(distances[start])) ** (1.0 / (len(distances) - 1 - start))
+    return last / (1.0 - rate)
 
 
 def _shortest(turns: Turns, tried: list[Turns]) -> Turns:
@@ -318,7 +393,8 @@ def _shortest(turns: Turns, tried: list[Turns]) -> Turns:
 
 def _rate(distances: np.ndarray, tol: float) -> float | None:
     """Mean factor from one distance to the next, where they are more than rounding."""
-    ratios = [after / before for before, after in pairwise(distances) if after > 1e-2 * tol]
+    recent = distances[-TURNS:]
+    ratios = [after / before for before, after in pairwise(recent) if after > 1e-2 * tol]
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else None
 
 
@@ -330,11 +406,13 @@ def _periodic(run: Trajectory, turns: Turns, tol: float) -> Settled:
     distances, rate = turns.distances, _rate(turns.distances, tol)
     counted = "infinitely many jumps" if limits else f"{jumps} jump{'s' * (jumps != 1)}"
     how = f"the last turns are {distances[-3:].max():.3g} of its size apart at most"
-    if rate is not None and not _closed(distances, tol):
+    far = float(distances[-3:].max())
+    if rate is not None and far > tol:
         how = f"the distance between turns shrinks by {rate:.3g} each turn, to {distances[-1]:.3g}"
-    said = (
-        f"periodic with {counted} a period, T = {turns.period:.12g} (returns to {turns.returns.to})"
-    )
+        far = _beyond(_highest(distances, WAVE))
+    digits = int(np.clip(-np.log10(max(far, 10.0**-DIGITS)), 1, DIGITS))
+    said = f"periodic with {counted} a period, T = {turns.period:.{digits}g}"
+    said += f" (returns to {turns.returns.to})"
     return Settled("periodic", f"{said}; {how}", turns.period, jumps, float(distances[-1]), rate)
 
 

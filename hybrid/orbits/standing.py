@@ -1,8 +1,11 @@
 """Rest that nothing can end: what a run shows at its end, and what its model says of the rest.
 
-Where the state does not change, neither flow nor guards depend on time, and all that delays see has
-stood still for the longest lag, the next instant finds everything as this one did. If then no guard
-is zero, and what holds the state pushes, nothing changes any more.
+Where the state does not change, neither flow nor guards nor the gaps that are held depend on time,
+and all that delays see has stood still for the longest lag, the next instant finds everything as
+this one did. If then no guard is zero, and what holds the state pushes, nothing changes any more.
+
+A position that a contact holds stands still because its gap, which is zero, depends on it and on
+what stands still: its rate is rounding, whatever its size. All other rates must be zero.
 """
 
 from __future__ import annotations
@@ -16,11 +19,16 @@ from ..scene import Field
 from ..segment import nodes
 from ..trajectory import Trajectory
 
-#: Differences below this, against the size of the run, are rounding.
+#: Differences below this, against the size of an element along the run, are rounding.
 ROUNDING = 1e-14
 
-#: A guard nearer to zero than this, against the largest that it was, is not away from it.
+#: A guard nearer to zero than this, against the terms it is made of (a load: against the largest
+#: that it was), is not away from it: what integration loses may have brought it there.
 AWAY = 1e-6
+
+#: Parts of the last half of a run in which the rates of what moves are compared, and times in each.
+#: Noise grows in all of them once in 720 times, and by no power of ten from the first to the last.
+PARTS, TIMES, MUCH = 6, 4, 10.0
 
 #: Places along a step at which loads are looked at.
 LOOK = nodes(8)
@@ -38,50 +46,84 @@ class Standing:
         Of the contacts that are held: the smallest load at the end, and on the way there.
     but : str or None
         Why that may not be for ever.
+    still : bool
+        Whether it stands still.
+    doubtful : bool
+        Whether what moves grows, or might lift what a contact holds.
     """
 
     since: float
     load: float | None
     least: float | None
     but: str | None
+    still: bool = True
+    doubtful: bool = True
 
 
 def standing(run: Trajectory) -> Standing | None:
-    """How a run stands still at its end; None if it moves, or if its model is not known."""
+    """How a run stands still at its end; None if its model, or how it ended, is not known."""
     arc, sight = run.parts[-1], run.hindsight
     if sight is None or not isinstance(arc, Arc) or not arc.segments:
         return None
     part = len(run.parts) - 1
     field: Field = sight.at(part, arc.t1, "left").field(arc.mode)
-    if not _motionless(run, arc, field):
-        return None
+    moves = _moves(run, arc, field)
+    if moves is not None:
+        return Standing(arc.t1, None, None, moves[0], still=False, doubtful=moves[1])
     lag = sight.longest
     record = sight.record(part) if sight.lags else Record([])
     seen = sorted({element for each in field.code.seen for element in each})
     begun = arc.t0 if part or not sight.lags else -np.inf
-    since = max(arc.t0, max(begun, _stands(record, arc, seen, _size(run))) + lag)
-    loads = _loads(sight, part, arc)
-    load, least = (min(loads[-1]), float(np.min(loads))) if loads else (None, None)
+    since = max(arc.t0, max(begun, _stands(record, arc, seen, size_of(run))) + lag)
+    loads = np.array(_loads(sight, part, arc))
+    load, least = (float(loads[-1].min()), float(loads.min())) if loads.size else (None, None)
     return Standing(since, load, least, _but(run, arc, field, since, lag, loads))
 
 
-def _size(run: Trajectory) -> np.ndarray:
+def size_of(run: Trajectory) -> np.ndarray:
     """Largest size of each element over the run."""
     states = [state for arc in run.arcs for state in (arc.first, arc.last)]
     return np.abs(states).max(axis=0)
 
 
-def _motionless(run: Trajectory, arc: Arc, field: Field) -> bool:
-    """Whether the flow is zero: what a contact holds to rounding, all else exactly."""
-    rate = np.abs(field.rhs(arc.t1, arc.last.tolist()))
-    held = np.zeros(len(rate), dtype=bool)
+def _moves(run: Trajectory, arc: Arc, field: Field) -> tuple[str, bool] | None:
+    """What moves, and whether that may end a rest; None where nothing does."""
     for contact in field.held:
-        pairs = field.code.pairing(contact)
-        if len(pairs.positions) == 1:
-            held[[*pairs.positions, *pairs.velocities]] = True
-    terms = np.abs(np.array(arc.first)) + np.abs(field.rhs(arc.t0, arc.first.tolist()))
-    allowed = ROUNDING * (1.0 + np.nan_to_num(terms) + _size(run)).max()
-    return bool(np.all(rate <= np.where(held, allowed, 0.0)))
+        if field.code.timed(field.code.closed("gap", contact)):
+            return f"the gap of {contact}, which is held, depends on time", True
+    free = [i for i in range(len(arc.last)) if i not in _held(field)]
+    rate = np.abs(field.rhs(arc.t1, arc.last.tolist()))[free]
+    if not np.any(rate != 0.0):
+        return None
+    names = [run.spec.element_names[i] for i, each in zip(free, rate, strict=True) if each != 0.0]
+    grows = _grow(run, arc, free)
+    said = "still grow" if any(grows) else "still change"
+    if any(grows):
+        names = [run.spec.element_names[i] for i, each in zip(free, grows, strict=True) if each]
+    said = f"{', '.join(names)} {said}{'s' * (len(names) == 1)}"
+    return said, bool(field.held) or any(grows)
+
+
+def _held(field: Field) -> set[int]:
+    """Places of positions that a contact alone holds, and of their velocities."""
+    pairs = [field.code.pairing(contact) for contact in field.held]
+    single = [pair for pair in pairs if len(pair.positions) == 1]
+    return {int(place) for pair in single for place in (*pair.positions, *pair.velocities)}
+
+
+def _grow(run: Trajectory, arc: Arc, places: list[int]) -> list[bool]:
+    """Whether the rates of some elements grow all through the last half of a run."""
+    first = max(arc.t0, 0.5 * (run.t0 + run.t1))
+    times = np.linspace(first, arc.t1, PARTS * TIMES)
+    states = arc.local(np.clip((times - arc.t0) - arc.low, 0.0, arc.length))
+    part = len(run.parts) - 1
+    rates = [
+        np.abs(run.hindsight.at(part, t).field(arc.mode).rhs(t, x.tolist()))[places]
+        for t, x in zip(times.tolist(), states, strict=True)
+    ]
+    largest = np.array(rates).reshape(PARTS, TIMES, len(places)).max(axis=1)
+    always = np.all(np.diff(largest, axis=0) > 0, axis=0)
+    return [bool(each) for each in always | (largest[-1] > MUCH * largest[0])]
 
 
 def _stands(record: Record, arc: Arc, seen: list[int], size: np.ndarray) -> float:
@@ -110,7 +152,7 @@ def _loads(sight: Hindsight, part: int, arc: Arc) -> list[list[float]]:
 
 
 def _but(
-    run: Trajectory, arc: Arc, field: Field, since: float, lag: float, loads: list[list[float]]
+    run: Trajectory, arc: Arc, field: Field, since: float, lag: float, loads: np.ndarray
 ) -> str | None:
     """Why a run that stands still may move again; None if it cannot."""
     code, x = field.code, arc.last.tolist()
@@ -118,12 +160,14 @@ def _but(
         return "a lag depends on time or state"
     if code.timed(field.closed):
         return f"the flow in {arc.mode} depends on time"
+    largest = iter(loads.max(axis=0)) if loads.size else iter(())
+    scene = run.hindsight.at(len(run.parts) - 1, arc.t1, "left")
     for guard in field.guards:
         if code.timed(guard.closed):
             return f"the guard of {guard.edge} depends on time"
-        near = AWAY * (np.max(loads) if guard.kind == "release" else 1.0 + np.abs(x).max())
-        value = guard.value(arc.t1, x)
-        if not (value > near if guard.kind == "release" else abs(value) > near):
+        value, load = guard.value(arc.t1, x), guard.kind == "release"
+        size = next(largest) if load else float(scene.rounding(guard, field)(arc.t1, x)[0])
+        if not (value if load else abs(value)) > AWAY * size:
             return f"the guard of {guard.edge} is {value:.6g} there, which is too near to zero"
     if since > arc.t1:
         return f"what is seen of the past changes until t = {since:.9g}, a lag of {lag:.6g} on"
