@@ -112,6 +112,7 @@ def zeros(
     scale: float,
     tolerance: float,
     ends: dict[Any, float],
+    noise: float = 0.0,
 ) -> Iterator[Zero]:
     """Zeros of a guard in ``(start, end]`` of a step, in order of time.
 
@@ -127,12 +128,15 @@ def zeros(
         By edge: the guard at the end of the last step, on which this one must build, so
         that no sign is lost where two steps meet; and its largest size so far in the arc,
         for it cannot touch zero before it has left it. Updated here.
+    noise : float
+        What rounding makes of a guard that was zero where the arc began: it has not left zero, and
+        does not cross it, before it has been larger.
     """
     cuts: list[Cut] = []
     for kink in guard.kinks:
         new = list(_new_cuts(kink, segment, t0, scale, ends, cuts))
         cuts = _apart(sorted([*cuts, *new], key=lambda cut: cut.before))
-    yield from _between(guard, segment, t0, order, scale, tolerance, ends, cuts)
+    yield from _between(guard, segment, t0, order, scale, tolerance, ends, cuts, noise)
 
 
 def _new_cuts(
@@ -201,6 +205,7 @@ def _between(
     tolerance: float,
     ends: dict[Any, float],
     cuts: list[Cut],
+    noise: float = 0.0,
 ) -> Iterator[Zero]:
     """Zeros between the cuts, and at them those of a guard that jumps over zero."""
     polynomial = guard.affine and segment.degree <= SAMPLED
@@ -209,7 +214,7 @@ def _between(
     else:
         degree, pieces = SAMPLED, max(1, int(np.ceil(min(segment.length / scale, PIECES))))
     depth = 0 if polynomial else DEPTH
-    piece = _Piece(guard, segment, t0, degree, tolerance, ends, not cuts)
+    piece = _Piece(guard, segment, t0, degree, tolerance, ends, noise, not cuts)
     for cut, left, right in _spans(pieces, cuts):
         starts = left == 0.0 or (cut is not None and cut.before <= 0 and guard.edge not in ends)
         if cut is not None and not starts:
@@ -244,6 +249,7 @@ class _Piece:
     degree: int
     tolerance: float
     ends: dict[Any, float]
+    noise: float
     whole: bool
 
     def over(self, cut: Cut) -> int:
@@ -282,11 +288,15 @@ class _Piece:
         values[0] = self.ends.get(edge, values[0])
         bernstein = to_bernstein(self.degree) @ values
         bernstein[0], bernstein[-1] = values[0], values[-1]
-        away = max(self.ends.get(seen, 0.0), abs(float(values[0]))) > self.tolerance
+        before = max(self.ends.get(seen, 0.0), abs(float(values[0])))
+        away = before > self.tolerance
         self.ends[edge] = float(values[-1])
         self.ends[seen] = max(self.ends.get(seen, 0.0), float(np.abs(values).max()))
         rough = not (self.guard.affine or order or self.resolved(values))
         for root, direction in roots(bernstein, order, self.tolerance):
+            inside = np.abs(values[nodes(self.degree) < root])
+            if direction and max(before, inside.max(initial=0.0)) <= self.noise:
+                continue
             if direction and rough:
                 yield self.refined(left + width * root, direction, fractions, values), direction
             elif direction or away:
@@ -327,7 +337,8 @@ class _Piece:
 
     def resolved(self, values: np.ndarray) -> bool:
         series = np.abs(from_values(self.degree) @ values)
-        return bool(series[-3:].max() <= RESOLVED * series.max() + 1e-3 * self.tolerance)
+        allowed = RESOLVED * series.max() + 1e-3 * self.tolerance + self.noise
+        return bool(series[-3:].max() <= allowed)
 
 
 # ---------------------------------------------------------------------------------------

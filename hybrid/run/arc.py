@@ -96,6 +96,7 @@ class ArcFlow:
         self.ends: dict[Any, float] = {}
         self.grazes: list[tuple[float, int, np.ndarray]] = []
         self.tied: dict[str, int] = {}
+        self.left: set[int] = set()
 
     def run(self) -> Flown:
         """Flow until a guard fires or the run ends."""
@@ -286,7 +287,8 @@ class ArcFlow:
         )
         scale = scales[index] if scales else float("inf")
         order, t0 = self.orders[index], self.now.t
-        for zero in zeros(guard, segment, t0, order, scale, tolerance, self.ends):
+        noise = self._leaving(index, stepper)
+        for zero in zeros(guard, segment, t0, order, scale, tolerance, self.ends, noise):
             if zero.cut is not None:
                 if self._over(guard, zero, zero.cut, segment):
                     return Fired(index, zero.tau, zero.direction, zero.cut)
@@ -303,6 +305,20 @@ class ArcFlow:
                 return Fired(index, near)
         sunk = self._sunk(index, segment, stepper, tolerance)
         return Fired(index, segment.start) if sunk else None
+
+    def _leaving(self, index: int, stepper: Stepper) -> float:
+        """What a guard that was zero where the arc began must exceed to have left zero (2).
+
+        The rounding of the time counts: far from t = 0 it moves a gap, over an obstacle that moves,
+        by more than a method of low order does in its first steps.
+        """
+        if not self.entered[index] or index in self.left:
+            return 0.0
+        noise = self._rounding(index, self.now.t + stepper.tau, stepper.x.tolist())
+        if self.ends.get(("largest", self.field.guards[index].edge), 0.0) > noise:
+            self.left.add(index)
+            return 0.0
+        return noise
 
     def _over(self, guard: Guard, zero: Zero, cut: Cut, segment: Segment) -> bool:
         """Whether a guard fires where it changes its formula (1).

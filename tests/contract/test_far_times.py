@@ -1,0 +1,48 @@
+"""Far from t = 0, where floats lie apart, every method gives the same impacts."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+
+WAYS = ["DOP853", "Radau", "BDF", "LSODA", "Dopri8"]
+
+#: Walls: frequency, amplitude, restitution; chosen before anything was run.
+WALLS = [(4.512, 0.49, 0.5), (1.0, 0.3, 0.8), (20.0, 0.02, 0.6), (9.0, 0.1, 0.9)]
+
+
+class Shaken(hy.Automaton):
+    """A body with drag over a wall that shakes."""
+
+    x = hy.state()
+    v = hy.state()
+    w = hy.parameter(4.512)
+    a = hy.parameter(0.49)
+    r = hy.parameter(0.5)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -1.0 - 0.1 * s.v
+
+    wall = hy.contact(
+        flight, gap=lambda self, t, s: s.x + 0.4 - self.a * jnp.sin(self.w * t), restitution="r"
+    )
+
+
+@pytest.mark.parametrize(("w", "a", "r"), WALLS)
+@pytest.mark.parametrize("t0", [0.0, 1e3, 1e4, 1e5, 1e6])
+def test_impacts_are_the_same_far_from_zero(way, t0, w, a, r):
+    """As the Taylor series has them, whatever the spacing of floats: none is repeated."""
+    model, start = Shaken(w=w, a=a, r=r), {"x": 1.5, "v": 0.0}
+    exact = hy.simulate(model, start, (t0, t0 + 4.0), solver="taylor", max_jumps=200)
+    result = way.run(model, start, (t0, t0 + 4.0), rtol=1e-9, max_jumps=200)
+    assert result.status == exact.status.name.lower()
+    assert result.accumulations == len(exact.zeno)
+    # the first flights: each impact multiplies the error; of low order it is up to 1e-6
+    count = min(3, len(exact.jumps))
+    np.testing.assert_allclose(result.times[:count] - t0, exact.jumps.t[:count] - t0, atol=2e-6)
+    speeds = exact.jumps.after.v[:count]
+    np.testing.assert_allclose(result.after.v[:count], speeds, atol=2e-5)
+    if not len(exact.zeno):
+        assert result.jumps == len(exact.jumps)
