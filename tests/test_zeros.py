@@ -127,9 +127,8 @@ def check(b):
         assert abs(to_float(p(rational(s)))) <= rounding(b, s) + 8 * EPS * s * slope(p, s)
     inner = [d for s, d in found if s < 1.0 or b[-1]]
     assert all(one == -other for one, other in pairwise(inner)), "directions alternate"
-    ends = [v for v in b if v]
     if b[0] and b[-1]:
-        assert len(found) % 2 == (ends[0] * ends[-1] < 0), "parity"
+        assert len(found) % 2 == ((b[0] < 0) != (b[-1] < 0)), "parity"
     roots = real_roots(p)
     for before, root, after in zip([0.0, *roots], roots, [*roots[1:], 1.0], strict=False):
         certain(b, p, root, min(root - before, after - root) / 2, found)
@@ -140,15 +139,20 @@ def slope(p, s):
 
 
 def certain(b, p, root, gap, found):
-    """Exactly one is found between the nearest points at which rounding leaves the sign."""
+    """What is found between the nearest points at which rounding leaves the sign agrees with it.
+
+    That is one, in its direction; pairs beside it are where rounding does not leave the sign, as
+    each of them is held to be.
+    """
     width = 4 * EPS * root
     while width < gap:
         left, right = root - width, root + width
         values = [to_float(p(rational(s))) for s in (left, right)]
         if all(abs(v) > rounding(b, s) for v, s in zip(values, (left, right), strict=True)):
-            within = [d for s, d in found if left <= s <= right]
-            expected = [] if values[0] * values[1] > 0 else [math.copysign(1.0, values[1])]
-            assert within == expected, (root, width)
+            crosses = (values[0] < 0) != (values[1] < 0)
+            assert sum(d for s, d in found if left <= s <= right) == (
+                math.copysign(1.0, values[1]) if crosses else 0.0
+            ), (root, width)
             return
         width *= 2.0
 
