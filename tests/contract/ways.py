@@ -13,9 +13,9 @@ it names none)::
 
 A result has the same fields whatever the way; one that the way cannot tell is None, and
 ``way.tells(name)`` says so beforehand. Compiling costs seconds for a new class, method or ``zeno``,
-and nothing for other numbers: take parameters in place of new classes, and ``way.many`` for many
-cases of one class (one call of an ensemble). What a way answers wrongly is marked, so that mending
-it must remove the mark::
+and nothing for other numbers (but for tolerances, of ``as_function``): take parameters in place of
+new classes, and ``way.many`` for many cases of one class (one call of an ensemble).
+What a way answers wrongly is marked, so that mending it must remove the mark::
 
     @misses("a short gust is stepped over", "ensemble", "as_function", width=[1e-3])
     @pytest.mark.parametrize("width", [1e-1, 1e-3])
@@ -26,18 +26,19 @@ from __future__ import annotations
 
 import abc
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, cached_property
 from typing import Any
 
 import attrs
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import hybrid as hy
 from hybrid.automaton.record import Record
 from hybrid.compiled.ask import REASONS
+from hybrid.jit import jit
 
 #: Options of ``hy.simulate`` that choose a solver; a new backend is one line here.
 SOLVERS = {
@@ -110,7 +111,7 @@ class Limit:
     verdict: str | None = None
 
 
-@attrs.frozen(eq=False, kw_only=True)
+@attrs.frozen(eq=False, kw_only=True, slots=False)
 class Result:
     """What came out, the same from every way; None where the way cannot tell.
 
@@ -132,7 +133,8 @@ class Result:
     zeno : list
         ``hy.simulate`` has all of them, the others the first.
     times, edges, before, after
-        The table of jumps: arrays, a list of names, and records of columns.
+        The table of jumps: arrays, a list of names, and records of columns. It is made when it is
+        first asked for.
     run : Trajectory
         Of ``hy.simulate``, for what only it has.
     """
@@ -145,11 +147,17 @@ class Result:
     jumps: int | None = None
     accumulations: int | None = None
     zeno: Sequence[Any] = ()
-    times: Any = None
-    edges: list[str] | None = None
-    before: Any = None
-    after: Any = None
     run: Any = None
+    table: Callable[[], Sequence[Any]] = lambda: (None,) * 4
+
+    @cached_property
+    def _columns(self) -> Sequence[Any]:
+        return self.table()
+
+    times = property(lambda self: self._columns[0])
+    edges = property(lambda self: self._columns[1])
+    before = property(lambda self: self._columns[2])
+    after = property(lambda self: self._columns[3])
 
     @property
     def t_inf(self) -> float:
@@ -238,36 +246,48 @@ class Simulate(Way):
             jumps=len(run.jumps),
             accumulations=len(run.zeno),
             zeno=run.zeno,
-            times=run.jumps.t,
-            edges=run.jumps.edge.tolist(),
-            before=run.jumps.before,
-            after=run.jumps.after,
             run=run,
+            table=lambda: (
+                run.jumps.t,
+                run.jumps.edge.tolist(),
+                run.jumps.before,
+                run.jumps.after,
+            ),
         )
 
 
 class Ensemble(Way):
-    """``hy.ensemble``: each run is a lane; no table of jumps.
+    """``hy.ensemble``: each run is a lane.
 
-    The last case is repeated until there are ``LEAST`` lanes, so that one program serves one run
-    and several.
+    To the cases are added runs of almost no length until there are ``LEAST`` lanes, so that one
+    program serves one run and several. The table of jumps is found by ensembles that end after 1,
+    2, 3, ... jumps, and cannot tell the states before them nor the edges.
     """
+
+    told = COMMON | {"mode", "accumulations", "verdict", "times", "after"}
 
     LEAST = 16
 
-    told = COMMON | {"mode", "accumulations", "verdict"}
-
     def many(self, model, starts, t, parameters=None, **options):
-        which = np.minimum(np.arange(max(self.LEAST, len(starts))), len(starts) - 1)
+        count = len(starts)
+        which = np.minimum(np.arange(max(self.LEAST, count)), count - 1)
         spread = lambda values: np.asarray(values, float)[which]  # noqa: E731
         rows = zip(*(model.spec.values(start) for start in starts), strict=True)
         columns = dict(zip(model.spec.names, map(spread, map(list, rows)), strict=True))
         given = {name: spread(values) for name, values in (parameters or {}).items()}
-        ends = tuple(spread(end) if np.ndim(end) else end for end in t)
-        lanes = hy.ensemble(model, columns, ends, given, **{**self.options, **options})
-        return [self._lane(model, lanes.isel(lane=i)) for i in range(len(starts))]
+        first, last = (spread(np.broadcast_to(end, count)) for end in t)
+        last[count:] = first[count:] + 1e-6 * (last - first)[count:]
+        ends = first, last
+        chosen = {**self.options, **options}
+        after = cache(
+            lambda jumps: hy.ensemble(
+                model, columns, ends, given, **(chosen | ({"max_jumps": jumps} if jumps else {}))
+            )
+        )
+        return [self._lane(model, after, i) for i in range(len(starts))]
 
-    def _lane(self, model: Any, lane: Any) -> Result:
+    def _lane(self, model: Any, after: Any, i: int) -> Result:
+        lane = after(None).isel(lane=i)
         status = str(lane.status.values)
         zeno = []
         if not np.isnan(lane.t_inf.values):
@@ -282,11 +302,20 @@ class Ensemble(Way):
             jumps=int(lane.jumps),
             accumulations=int(lane.accumulations),
             zeno=zeno,
+            table=lambda: self._table(model, after, i, int(lane.jumps)),
         )
+
+    def _table(self, model: Any, after: Any, i: int, jumps: int) -> Sequence[Any]:
+        ends = [after(1 + n).isel(lane=i) for n in range(jumps)]
+        states = {name: np.array([end[name].values for end in ends]) for name in model.spec.names}
+        return np.array([float(end["t"]) for end in ends]), None, None, _record(model, states)
 
 
 class AsFunction(Way):
-    """``hy.as_function`` under ``jax.jit``, compiled once for each class and set of options."""
+    """``hy.as_function``, compiled once for each class and set of options.
+
+    Compiled with the settings of ``hy.ensemble``, in half of the time that ``jax.jit`` takes.
+    """
 
     told = COMMON | TABLE | {"limit"}
 
@@ -317,12 +346,11 @@ class AsFunction(Way):
             run = hy.as_function(model, t=t, **options)
             return run(cls(**parameters), start)
 
-        return jax.jit(function), edges
+        return jit(function), edges
 
     def _outcome(self, model: Any, out: Any, edges: Any) -> Result:
         status, said = REASONS[int(out.status)]
         count = int(out.jumps.count)
-        table = out.jumps
         zeno = []
         if not np.isnan(out.zeno.t):
             numbers = (float(v) for v in (out.zeno.t, out.zeno.error, out.zeno.ratio))
@@ -334,19 +362,21 @@ class AsFunction(Way):
             final=_record(model, out.final),
             jumps=count,
             zeno=zeno,
-            times=np.asarray(table.t)[:count],
-            edges=[edges[i] for i in np.asarray(table.edge)[:count]],
-            before=_record(model, table.before, count),
-            after=_record(model, table.after, count),
+            table=lambda: (
+                np.asarray(out.jumps.t)[:count],
+                [edges[i] for i in np.asarray(out.jumps.edge)[:count]],
+                _record(model, out.jumps.before, count),
+                _record(model, out.jumps.after, count),
+            ),
         )
 
 
 def _arrays(model: Any, start: Any, t: Any) -> tuple[Any, Any, Any]:
-    """A model's parameters, its start and times as JAX's arrays."""
-    parameters = {p.name: jnp.asarray(getattr(model, p.name), float) for p in model.spec.parameters}
-    values = dict(zip(model.spec.names, model.spec.values(start), strict=True))
-    array = lambda value: jnp.asarray(value, float)  # noqa: E731
-    return parameters, {k: array(v) for k, v in values.items()}, tuple(map(array, t))
+    """A model's parameters, its start and times as arrays."""
+    array = lambda value: np.asarray(value, float)  # noqa: E731
+    parameters = {p.name: array(getattr(model, p.name)) for p in model.spec.parameters}
+    values = dict(zip(model.spec.names, map(array, model.spec.values(start)), strict=True))
+    return parameters, values, tuple(map(array, t))
 
 
 def _record(model: Any, values: Mapping[str, Any], count: int | None = None) -> Record:
@@ -356,9 +386,9 @@ def _record(model: Any, values: Mapping[str, Any], count: int | None = None) -> 
     return Record(names, tuple(np.asarray(values[name])[rows] for name in names))
 
 
-#: All ways, by name. ``RK23`` is left to the fixture ``solver``: it adds no mechanism.
+#: All ways, by name.
 WAYS: dict[str, Way] = {
-    **{name: Simulate(name, **given) for name, given in SOLVERS.items() if name != "RK23"},
+    **{name: Simulate(name, **given) for name, given in SOLVERS.items()},
     "ensemble": Ensemble("ensemble"),
     "ensemble Dopri8": Ensemble("ensemble Dopri8", method="Dopri8"),
     "as_function": AsFunction("as_function"),
@@ -373,5 +403,8 @@ MECHANISMS = ["DOP853", "Radau", "LSODA", "taylor", "Dopri8", "ensemble", "as_fu
 #: Those of them that reach rounding.
 ACCURATE = ["DOP853", "taylor", "Dopri8", "Taylor", "ensemble", "as_function"]
 
-#: The ways that have no Python to turn to.
-COMPILED = ["ensemble", "ensemble Dopri8", "as_function"]
+#: The ways that have no Python to turn to; ``as_function`` steps with Dopri8.
+COMPILED = ["ensemble", "as_function"]
+
+#: Every solver, and these.
+SOLVERS_AND_COMPILED = [*SOLVERS, *COMPILED]
