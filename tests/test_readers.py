@@ -1,4 +1,4 @@
-"""The readers of the trace agree with JAX, and with the differential equation."""
+"""The scalar code of the trace agrees with JAX."""
 
 import jax
 import jax.numpy as jnp
@@ -8,8 +8,8 @@ import pytest
 import hybrid as hy
 from hybrid.automaton import trace
 from hybrid.errors import TraceError
-from hybrid.scene.lowered import ORDER, Lowered
-from hybrid.scene.taylor import flat, polynomial
+from hybrid.scene.lowered import Lowered
+from hybrid.scene.taylor import flat
 
 #: Flows of (x, y) that use what the models of this field use, and what jax.numpy makes of it.
 EXPRESSIONS = {
@@ -50,9 +50,6 @@ EXPRESSIONS = {
     "angles": lambda t, x, y: jnp.arctan2(x, y + 3) + jnp.hypot(x, y) + jnp.deg2rad(x),
 }
 
-#: Operations that have scalar code but no Taylor series.
-NO_SERIES = {"angles"}
-
 
 def automaton(expression):
     class Model(hy.Automaton):
@@ -80,28 +77,6 @@ def test_generated_code_equals_the_trace_on_random_inputs(name):
         with trace.wide():
             expected = np.asarray(closed((np.float64(0.7),), np.float64(t), x))
         np.testing.assert_allclose(rhs(t, x.tolist()), expected, rtol=1e-13, atol=1e-14)
-
-
-@pytest.mark.parametrize("name", [name for name in EXPRESSIONS if name not in NO_SERIES])
-def test_taylor_series_solve_the_equation(name):
-    """x'(s) from the series equals the flow at x(s), for a short s, on the start's branch."""
-    cls = automaton(EXPRESSIONS[name])
-    code = Lowered(cls, ((),))
-    rhs, program = (
-        code.flow("flow").bind([0.7]),
-        code.taylor("flow", code.closed("flow", "flow"), []),
-    )
-    jets = program.bind([0.7])
-    draw = np.random.default_rng(1)
-    for _ in range(10):
-        t, x = float(draw.uniform(-1, 1)), draw.uniform(-1, 1, 2).tolist()
-        series, _, kinks = jets(t, x, [0] * program.kinks)
-        s = 1e-3
-        if any(c[0] * polynomial(c, s) <= 0 for c in kinks):
-            continue
-        state = [polynomial(c, s) for c in series]
-        slope = [sum(k * c[k] * s ** (k - 1) for k in range(1, ORDER + 1)) for c in series]
-        np.testing.assert_allclose(slope, rhs(t + s, state), rtol=1e-11, atol=1e-12)
 
 
 def test_an_unsupported_primitive_is_named():

@@ -22,7 +22,7 @@ from numpy.polynomial.chebyshev import chebvander
 
 from ..arrays import chebyshev, when
 from ..events import EPS
-from ..scene.contact import solve
+from ..scene.python import solve
 from ..segment import from_values, integrals, nodes
 from ..zeno.accumulate import CAUTION, FLOOR, PROBES, ROUNDING, SAMPLES, SMOOTH, shift
 from .lane import Run

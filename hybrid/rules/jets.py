@@ -57,8 +57,8 @@ def jets(
     flow
         The derivative of each state; the states are the first rows, then comes the time.
     kinks
-        Rows of the functions that decide which formula holds, each behind those that it depends
-        on; then 1 where its zeros along the flow matter, 0 where one matters that is here.
+        Rows of what is watched, each behind those that it depends on; then 1 where another formula
+        holds beyond a zero of it, else 0.
     output
         Rows that are asked for, besides the states.
     sides
@@ -115,12 +115,12 @@ def _decided(kinks: Table, order: int, sides: Ints, c: Matrix) -> bool:
     """
     for i in range(kinks.shape[0]):
         row = kinks[i, 0]
-        if c[row, 0] == 0.0 and sides[i] == 0:
+        if kinks[i, 1] == 1 and c[row, 0] == 0.0 and sides[i] == 0:
             k = 1
             while k < order and c[row, k] == 0.0:
                 k += 1
-            if c[row, k] != 0.0 or kinks[i, 1] == 1:
-                sides[i] = 1 if c[row, k] >= 0.0 else -1
+            if c[row, k] != 0.0:
+                sides[i] = 1 if c[row, k] > 0.0 else -1
                 return True
     return False
 
@@ -343,19 +343,15 @@ def _piece(ops: Table, j: int, s: Floats, sides: Ints, c: Matrix, k: int) -> Non
         chosen = ops[j, 3] if _at(c, s, a, 0) != 0.0 else ops[j, 4]
         c[out, k] = _at(c, s, chosen, k)
         return
-    whole = _floor(c[a, 0] + 0.5)
-    even = whole == 2.0 * _floor(0.5 * whole)
-    kink = ops[j, 3]
-    if op == NEAREST:  # the distance from the nearest whole number, turned about at odd ones
-        value = c[a, 0] - whole if k == 0 else c[a, k]
-        c[out, k] = value if even else -value
+    whole, kink = _floor(c[a, 0] + 0.5), ops[j, 3]
+    if op == NEAREST:  # the distance from the nearest whole number
+        c[out, k] = c[a, 0] - whole if k == 0 else c[a, k]
     elif k > 0:
         c[out, k] = 0.0
     elif kink < 0 or sides[kink] == 0:
         c[out, 0] = _floor(c[a, 0])
     else:
-        above = (sides[kink] > 0) == even
-        c[out, 0] = whole if above else whole - 1.0
+        c[out, 0] = whole if sides[kink] > 0 else whole - 1.0
 
 
 def _floor(a: float) -> float:

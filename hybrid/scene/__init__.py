@@ -1,5 +1,6 @@
 """The spec, lowered for one run: only the modes, guards and outputs that the run needs."""
 
-from .scene import Contact, Field, Guard, Kink, Scene, released, scene_of, window_edge
+from .lowered import window_edge
+from .scene import Contact, Field, Guard, Kink, Scene, released, scene_of
 
 __all__ = ["Contact", "Field", "Guard", "Kink", "Scene", "released", "scene_of", "window_edge"]

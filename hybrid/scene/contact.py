@@ -22,6 +22,7 @@ import numpy as np
 from ..automaton.spec import ContactSpec, Spec
 from ..automaton.trace import Traced, again, caller
 from ..errors import DeclarationError
+from .python import solve
 
 
 @attrs.frozen
@@ -164,21 +165,6 @@ class Held:
         matrix = [[n @ d for d in directions] for n in speeds]
         steps = self._solve(matrix, [c.speed(parameters, t, x) for c in self.contacts])
         return x - sum(s * d for s, d in zip(steps, directions, strict=True))
-
-
-def solve(matrix: list[list[Any]], right: list[Any]) -> list[Any]:
-    """A few linear equations by elimination, written out (the matrix is definite)."""
-    rows = [[*row, value] for row, value in zip(matrix, right, strict=True)]
-    size = len(rows)
-    for k in range(size):
-        for i in range(k + 1, size):
-            factor = rows[i][k] / rows[k][k]
-            rows[i] = [p - factor * q for p, q in zip(rows[i], rows[k], strict=True)]
-    solution: list[Any] = [0.0] * size
-    for i in reversed(range(size)):
-        known = sum(rows[i][k] * solution[k] for k in range(i + 1, size))
-        solution[i] = (rows[i][-1] - known) / rows[i][i]
-    return solution
 
 
 def laws(cls: Any, spec: Spec, contact: ContactSpec, pairing: Pairing) -> ContactLaws:

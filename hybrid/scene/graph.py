@@ -150,10 +150,12 @@ def _identity(
 
 def fold(op: str, values: Sequence[Any]) -> Any:
     """The value of an operation on constants; None where it is not a finite number."""
-    from .python import OPERATIONS
+    from .python import LONG, OPERATIONS
 
+    if op in ("solve", "part"):
+        return None
     try:
-        result = OPERATIONS[op](*values)
+        result = (OPERATIONS.get(op) or LONG[op])(*values)
     except (ValueError, OverflowError, ZeroDivisionError):
         return None
     if isinstance(result, bool | int):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -16,9 +16,12 @@ from ..automaton.past import DEGREE, blank
 from ..automaton.spec import ContactSpec, EdgeSpec, LeaveSpec, SideSpec, Transition
 from ..errors import TraceError
 from . import contact as contacts
+from .derivatives import unknowns
 from .graph import Graph
+from .mode import ModeGraph
 from .python import Program, needed
 from .sliding import Sliding
+from .tape import Tape
 from .taylor import TaylorProgram, flat
 
 #: Order of the Taylor series of flows and gaps.
@@ -163,11 +166,6 @@ class Lowered:
         key = ("load closed", names, index)
         return self.once(key, lambda: self.trace(self.held(names).load(index)))
 
-    def project(self, names: tuple[str, ...]) -> Program:
-        """Projection onto the gaps of the contacts held."""
-        closed = lambda: self.trace(self.held(names).project)  # noqa: E731
-        return self.program(("project", names), closed)
-
     def sliding(self, name: str) -> Sliding:
         """The laws of sliding on a switching's surface."""
         switching = self.spec.switching(name)
@@ -192,20 +190,20 @@ class Lowered:
             return self.once(key, lambda: self.trace(self.sliding(name).field))
         return self.rest_closed(held) if held else self.closed("flow", mode)
 
-    def taylor(self, key: Any, flow: Any, functions: Sequence[Any]) -> TaylorProgram | None:
-        """Taylor code of a flow and of functions along it; None where there is none."""
+    def mode(self, name: str) -> ModeGraph:
+        """The graph of a mode, or of sliding."""
+        return self.once(("mode", name), lambda: ModeGraph(self, name))  # type: ignore[no-any-return]
 
-        def make() -> TaylorProgram | None:
-            graph = Graph()
-            inputs = self.inputs(graph)
-            (states,) = graph.outputs(flow, inputs)
-            values = [int(graph.outputs(f, inputs)[0].reshape(())) for f in functions]
+    def tape(self, mode: str, held: bool) -> Tape | TraceError:
+        """The tape of a mode, free or along contacts; why there is none where there is none."""
+
+        def make() -> Tape | TraceError:
             try:
-                return TaylorProgram(graph, self.spec.dimension, states, values, ORDER)
-            except TraceError:
-                return None
+                return self.mode(mode).tape(held)
+            except TraceError as fault:
+                return fault
 
-        return self.once(("taylor", key), make)
+        return self.once(("tape", mode, held), make)  # type: ignore[no-any-return]
 
     def array_series(
         self,
@@ -386,6 +384,19 @@ class Lowered:
                 return True
         return False
 
+    def guards_closed(self, mode: str) -> dict[str, Callable[[], Any]]:
+        """The jaxprs of a mode's guards, by name: of its edges, and of the ends of windows."""
+        edges = {e.name: partial(self.guard_closed, e) for e in self.spec.leaving(mode)}
+        moving = [k for k, moves in enumerate(self.moving) if moves]
+        windows = {(k, side): partial(self.window_closed, k, side) for k in moving for side in "ab"}
+        return edges | {window_edge(*key): closed for key, closed in windows.items()}
+
+    def mass_closed(self, name: str) -> Any:
+        """The jaxpr of a contact's inverse mass matrix; None where it is 1."""
+        if self.contact_spec(name).inverse_mass is None:
+            return None
+        return self.once(("mass", name), lambda: self.trace(self.laws(name).mass))
+
     def lie_closed(self, key: Any, guard: Any, flow: Any) -> Any:
         """The jaxpr of the guard and its first two derivatives along the flow."""
 
@@ -398,32 +409,6 @@ class Lowered:
             return jnp.stack(parts)
 
         return self.once(("lie closed", key), lambda: self.trace(triple))
-
-    def lie_program(self, key: Any, guard: Any, flow: Any) -> Program:
-        """The guard and its first two derivatives along the flow."""
-        return self.program(("lie", key), lambda: self.lie_closed(key, guard, flow))
-
-    def rounding_program(self, key: Any, guard: Any, flow: Any) -> Program:
-        """Sums of the absolute terms of which the guard and its derivatives are made."""
-
-        def sizes(parameters: Any, t: Any, x: Any) -> Any:
-            import jax
-            import jax.numpy as jnp
-
-            g, f = trace.again(guard), trace.again(flow)
-            first = contacts.lie(g, f)
-
-            def terms(h: Any, rates: Any) -> Any:
-                by_t, by_x = jax.grad(h, argnums=(1, 2))(parameters, t, x)
-                return jnp.abs(by_t) * rates[0] + jnp.abs(by_x) @ rates[1]
-
-            moving = (1.0, jnp.abs(f(parameters, t, x)))
-            here = (jnp.abs(t), jnp.abs(x))
-            offset = jnp.abs(g(parameters, t, jnp.zeros_like(x)))
-            size = terms(g, here) + jnp.where(jnp.isfinite(offset), offset, 0.0)
-            return jnp.stack([size, terms(g, moving), terms(first, moving)])
-
-        return self.program(("rounding", key), lambda: self.trace(sizes))
 
     def pairing(self, name: str) -> contacts.Pairing:
         """Positions of a contact's gap and their velocities."""
@@ -461,11 +446,10 @@ class Lowered:
 
         return self.once(("laws", name), make)
 
-    def law_program(self, name: str, what: str) -> Program:
-        def closed() -> Any:
-            return self.trace(getattr(self.laws(name), what))
 
-        return self.program((what, name), closed)
+def window_edge(number: int, side: str) -> str:
+    """Name of the guard by which a lag that moves comes to an end, a or b, of its window."""
+    return f"past({number}).{side}"
 
 
 def _count(shape: tuple[int, ...]) -> int:
@@ -492,7 +476,15 @@ def _degree(graph: Graph, root: int) -> float:
             degree[number] = 0
         elif node[0] == "input":
             degree[number] = 1
-        elif node[0] in ("add", "sub", "neg", "real"):
+        elif node[0] in ("add", "sub", "neg", "real", "sum"):
+            degree[number] = max(below)
+        elif node[0] == "dot":
+            degree[number] = max(map(sum, zip(below[::2], below[1::2], strict=True)))
+        elif node[0] == "select" and below[0] == 0:
+            degree[number] = max(below[1:])
+        elif node[0] == "part":
+            degree[number] = below[0]
+        elif node[0] == "solve" and max(below[: -2 * unknowns(len(below))]) == 0:
             degree[number] = max(below)
         elif node[0] == "mul":
             degree[number] = sum(below)
@@ -515,26 +507,27 @@ def lowered(cls: Any, shapes: tuple[tuple[int, ...], ...]) -> Lowered:
 
 
 def guard_shape(code: Lowered, closed: Any) -> tuple[bool, tuple[int, ...]]:
-    """Whether a guard is affine in ``t`` and ``x``, and the elements it is made of."""
+    """Whether a guard is affine, and the elements of the state that it is made of."""
     graph = Graph()
     (output,) = graph.outputs(closed, code.inputs(graph))
-    root = int(output.reshape(()))
+    return node_shape(graph, int(output.reshape(())))
+
+
+def node_shape(graph: Graph, root: int) -> tuple[bool, tuple[int, ...]]:
+    """The same of a node."""
     return _degree(graph, root) <= 1, tuple(sorted(_states_in(graph, root) - {TIME}))
 
 
 def deciders(
-    code: Lowered, closeds: Sequence[Any]
+    graph: Graph, size: int, roots: Sequence[int]
 ) -> list[tuple[Program, bool, tuple[int, ...], str]]:
-    """Functions at whose zeros guards change their formula, arguments first.
+    """Functions at whose zeros nodes change their formula, arguments first.
 
     Returns
     -------
     list of (program, affine, elements, change)
         ``change``: how the guard changes there, see :data:`CHANGES`.
     """
-    graph = Graph()
-    inputs = code.inputs(graph)
-    roots = [int(i) for c in closeds for i in graph.outputs(c, inputs)[0].reshape(-1)]
     found: dict[int, str] = {}
     for number in needed(graph, roots):
         op, *arguments = graph.nodes[number]
@@ -544,12 +537,7 @@ def deciders(
             if _states_in(graph, decider) and (ends or CHANGES[op] != "ends"):
                 found[decider] = min(found.get(decider, "jumps"), CHANGES[op], key=_SEVERITY.index)
     return [
-        (
-            Program(graph, ["t", "x"], code.spec.dimension, np.array(number)),
-            _degree(graph, number) <= 1,
-            tuple(sorted(_states_in(graph, number) - {TIME})),
-            change,
-        )
+        (Program(graph, ["t", "x"], size, np.array(number)), *node_shape(graph, number), change)
         for number, change in found.items()
     ]
 

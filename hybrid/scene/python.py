@@ -42,6 +42,41 @@ def _dot(*pairs: Any) -> Any:
     return sum(map(operator.mul, pairs[::2], pairs[1::2]))
 
 
+def _solve(*numbers: Any) -> list[Any]:
+    """Linear equations among the unknowns that the mask at the end counts; the others are 0."""
+    n = round(math.sqrt(len(numbers) + 1)) - 1
+    held = [i for i in range(n) if numbers[n * n + n + i]]
+    found = solve(
+        [[numbers[i * n + j] for j in held] for i in held], [numbers[n * n + i] for i in held]
+    )
+    solution = [0.0] * n
+    for i, value in zip(held, found, strict=True):
+        solution[i] = value
+    return solution
+
+
+def _solve_or_nan(*numbers: Any) -> list[Any]:
+    try:
+        return _solve(*numbers)
+    except ZeroDivisionError:
+        return [math.nan] * len(numbers)
+
+
+def solve(matrix: list[list[Any]], right: list[Any]) -> list[Any]:
+    """A few linear equations by elimination, written out (the matrix is definite)."""
+    rows = [[*row, value] for row, value in zip(matrix, right, strict=True)]
+    size = len(rows)
+    for k in range(size):
+        for i in range(k + 1, size):
+            factor = rows[i][k] / rows[k][k]
+            rows[i] = [p - factor * q for p, q in zip(rows[i], rows[k], strict=True)]
+    solution: list[Any] = [0.0] * size
+    for i in reversed(range(size)):
+        known = sum(rows[i][k] * solution[k] for k in range(i + 1, size))
+        solution[i] = (rows[i][-1] - known) / rows[i][i]
+    return solution
+
+
 def _logistic(x: float) -> float:
     return 1.0 / (1.0 + math.exp(-x)) if x >= 0 else 1.0 - 1.0 / (1.0 + math.exp(x))
 
@@ -53,8 +88,6 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
     "mul": operator.mul,
     "div": operator.truediv,
     "neg": operator.neg,
-    "sum": _sum,
-    "dot": _dot,
     "pow": math.pow,
     "rem": math.fmod,
     "gt": operator.gt,
@@ -90,6 +123,14 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
     },
 }
 
+#: Those of a graph of a mode besides, of many numbers.
+LONG: dict[str, Callable[..., Any]] = {
+    "sum": _sum,
+    "dot": _dot,
+    "solve": _solve,
+    "part": operator.getitem,
+}
+
 #: Operations written in place; ``{0}``, ``{1}``, ``{2}`` are the arguments.
 TEMPLATES = {
     "add": "({0} + {1})",
@@ -112,6 +153,7 @@ TEMPLATES = {
 #: The same operations on numpy scalars, where the plain ones would raise.
 _FORGIVING: dict[str, Callable[..., Any]] = {
     **OPERATIONS,
+    **LONG,
     **{n: getattr(np, n) for n in ("sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh")},
     **{n: getattr(np, n) for n in ("tanh", "exp2", "expm1", "log1p", "cbrt", "floor", "ceil")},
     "asin": np.arcsin,
@@ -128,6 +170,7 @@ _FORGIVING: dict[str, Callable[..., Any]] = {
     "sign": np.sign,
     "logistic": lambda x: 1.0 / (1.0 + np.exp(-x)),
     "real": np.float64,
+    "solve": _solve_or_nan,
     "lgamma": lambda x: math.lgamma(x) if math.isfinite(x) and x > 0 else np.float64("nan"),
     "trunc": lambda x: int(x) if np.isfinite(x) else 0,
 }
@@ -186,7 +229,7 @@ class Program:
                 return _plain(forgiving[0](*map(_numpy, arguments)))
 
         if self._maker is None:
-            self._maker = self._make(OPERATIONS)
+            self._maker = self._make(OPERATIONS | LONG)
         try:
             return self._maker(fallback, *parameters)
         except (ValueError, OverflowError, ZeroDivisionError):

@@ -8,7 +8,7 @@ Nothing is made for a mode that a run does not enter.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import attrs
@@ -26,9 +26,11 @@ from ..automaton.spec import (
     Transition,
 )
 from ..errors import TraceError
-from .lowered import Lowered, deciders, guard_shape, lowered
+from .lowered import ORDER, Lowered, deciders, lowered, node_shape
+from .mode import RELEASE, ModeGraph
 from .python import Program
-from .taylor import Watched, flat
+from .tape import Jets, Tape, Watched
+from .taylor import flat
 
 Scalar = Callable[..., Any]
 
@@ -77,8 +79,8 @@ class Guard:
         Affine in ``t`` and ``x``: a polynomial wherever the state is one.
     uses : tuple of int
         Elements of the state that the guard depends on.
-    closed
-        The guard's jaxpr.
+    trace : callable
+        Gives the guard's jaxpr.
     kinks : tuple of Kink
         Where it changes its formula; of a load also where its contact's gap and gap speed do.
     bounds : bool
@@ -93,9 +95,14 @@ class Guard:
     lie: Scalar
     affine: bool
     uses: tuple[int, ...]
-    closed: Any
+    trace: Callable[[], Any]
     kinks: tuple[Kink, ...] = ()
     bounds: bool = True
+
+    @property
+    def closed(self) -> Any:
+        """The guard's jaxpr."""
+        return self.trace()
 
     @property
     def jumps(self) -> bool:
@@ -103,7 +110,7 @@ class Guard:
         return any(kink.change != "bends" for kink in self.kinks)
 
 
-@attrs.frozen(eq=False)
+@attrs.frozen(eq=False, slots=False)
 class Field:
     """What a solver flows in one mode (or resting mode), and what is watched there.
 
@@ -111,19 +118,18 @@ class Field:
     ----------
     rhs : callable ``(t, x) -> tuple``
         Time derivatives.
-    jets : callable ``(t, x, sides)`` or None
-        Taylor coefficients of the states, of the guards in order, and of the kinks; None
-        where the model uses something that has no Taylor series.
-    kinks : int
-        Number of kinks, and of what else is watched along a series (see :mod:`.taylor`).
-    watched : tuple of Watched
-        What they are.
+    jets : Jets or None
+        Taylor series of the states, of the guards in order, and of what is watched; None where
+        the model uses something that has no Taylor series.
     deciding : callable ``(t, x) -> tuple``, or None
-        Their values; None where there are none.
+        The values of what is watched (of steps without what is taken off); None where there is
+        nothing.
+    refused : str
+        Why there are no series, where there are none.
     held : tuple of str
         Contacts held closed here.
-    closed, code, parameters
-        The flow's jaxpr, what else is generated for the class, and the parameters' values.
+    trace, code, parameters
+        What gives the flow's jaxpr, what else is made for the class, and the parameters' values.
     project : callable ``(t, x)`` or None
         Back onto the held contacts' gaps, or onto the surface on which the state slides.
     changes : tuple of Kink
@@ -134,38 +140,42 @@ class Field:
     mode: str
     held: tuple[str, ...]
     rhs: Scalar
-    jets: Scalar | None
-    kinks: int
-    watched: tuple[Watched, ...]
+    jets: Jets | None
     deciding: Scalar | None
     guards: tuple[Guard, ...]
-    closed: Any
+    trace: Callable[[], Any]
     code: Lowered
     parameters: tuple[Any, ...]
     project: Scalar | None = None
+    refused: str = ""
     changes: tuple[Kink, ...] = ()
+
+    @property
+    def closed(self) -> Any:
+        """The flow's jaxpr."""
+        return self.trace()
 
     def column(self, edge: str) -> int:
         """Place of an edge's guard among the guards."""
         return next(i for i, guard in enumerate(self.guards) if guard.edge == edge)
 
-    def expand(self, t: float, x: list[float], sides: list[int]) -> Any:
-        """``jets``, on the branch that the flow takes where a kink is zero here.
+    @cached_property
+    def watched(self) -> tuple[Watched, ...]:
+        """Kinks, and what else is watched along a series (see :mod:`.tape`)."""
+        return self.jets.watched if self.jets else ()
 
-        ``sides`` is completed in place: the sign each such kink is about to have.
+    @property
+    def kinks(self) -> int:
+        """Number of those."""
+        return len(self.watched)
+
+    def expand(self, t: float, x: list[float], sides: list[int]) -> Any:
+        """The series of states, guards and what is watched, as lists of coefficients.
+
+        See :class:`.tape.Jets`.
         """
         assert self.jets is not None
-        result = self.jets(t, x, sides)
-        for _ in range(self.kinks):
-            undecided = False
-            for index, c in enumerate(result[2]):
-                if c[0] == 0.0 and not sides[index] and any(c) and self.watched[index].switches:
-                    sides[index] = next(1 if v > 0 else -1 for v in c if v)
-                    undecided = True
-            if not undecided:
-                break
-            result = self.jets(t, x, sides)
-        return result
+        return self.jets(t, x, sides, ORDER)
 
 
 @attrs.frozen(eq=False)
@@ -241,33 +251,26 @@ class Scene:
 
     def _make_field(self, name: str, mode: str, held: tuple[str, ...]) -> Field:
         code, switching = self.code, self.spec.sliding(mode)
-        flow = code.field_closed(mode, held)
+        numbers = self._numbers(mode, held)
+        if held or switching is not None:
+            along = code.mode(mode)
+            rhs = along.program(("flow", bool(held)), lambda: along.flow(bool(held))).bind(numbers)
+            project = self._projection(switching, mode, held)
+        else:
+            rhs, project = code.flow(mode).bind(self._values), None
         edges = [edge for edge in self.spec.leaving(mode) if edge.name not in held]
-        watched = [(edge, _kind(edge), code.guard_closed(edge)) for edge in edges]
-        for index, contact in enumerate(held):
-            load = code.load_closed(held, index)
-            watched.append((_unwritten(f"{contact}.release", name, mode), "release", load))
-        for number in [k for k, moves in enumerate(code.moving) if moves]:
-            for side in ("a", "b"):
-                closed = code.window_closed(number, side)
-                watched.append(
-                    (_unwritten(window_edge(number, side), mode, mode), "window", closed)
-                )
-        guards = [self._guard(*each, flow, name) for each in watched]
-        closed = [guard.closed for guard in guards]
-        derived = bool(held) or switching is not None
-        program = code.program(("field", name), lambda: flow, exact=not derived)
-        rhs = program.bind(self._values)
-        taylor = code.taylor(name, flow, closed)
-        jets = taylor.bind(self._values) if taylor else None
-        ends = taylor.watched if taylor else ()
-        deciding = taylor.deciding.bind(self._values) if taylor and ends else None
-        project = self._projection(switching, held) if derived else None
-        kinks = len(ends), ends, deciding
-        made = (flow, code, self.parameters)
-        changes = self._kinks(("flow", name), [flow])
-        own = name, mode, held, rhs, jets
-        return Field(*own, *kinks, tuple(guards), *made, project=project, changes=changes)
+        watched: list[tuple[Transition, str]] = [(edge, _kind(edge)) for edge in edges]
+        watched += [(_unwritten(f"{c}{RELEASE}", name, mode), "release") for c in held]
+        windows = list(code.guards_closed(mode))[len(self.spec.leaving(mode)) :]
+        watched += [(_unwritten(window, mode, mode), "window") for window in windows]
+        guards = tuple(self._guard(*each, mode, held) for each in watched)
+        series = self._series(mode, held, [guard.edge for guard in guards])
+        trace = lambda: code.field_closed(mode, held)  # noqa: E731
+        jets, refused = (series, "") if isinstance(series, Jets) else (None, series)
+        deciding = self._deciding(jets, mode, held) if jets and jets.watched else None
+        changes = self._kinks(mode, held, "flow", lambda g: g.flow(bool(held)))
+        made = trace, code, self.parameters, project, refused, changes
+        return Field(name, mode, held, rhs, jets, deciding, guards, *made)
 
     @cached_property
     def guards_jump(self) -> bool:
@@ -276,49 +279,82 @@ class Scene:
             guard.jumps for mode in self.spec.modes for guard in self.field(mode.name).guards
         )
 
-    def _projection(self, switching: SwitchingSpec | None, held: tuple[str, ...]) -> Scalar:
-        code = self.code
-        program = code.project(held) if switching is None else code.onto(switching.name)
-        return program.bind(self._values)
-
-    def _guard(self, edge: Transition, kind: str, closed: Any, flow: Any, where: str) -> Guard:
-        code, key = self.code, (edge.name, where)
-        lie = code.lie_program(key, closed, flow)
-        value = code.program(("guard", key), lambda: closed)
-        affine, uses = code.once(("shape", key), lambda: guard_shape(code, closed))
-        bound = value.bind(self._values), lie.bind(self._values)
-        kinks = self._kinks(key, [closed, *self._moving_gap(edge.name, kind)])
-        named = edge.name, kind, edge.to, edge.crossing
-        bounds = kind != "edge" or code.bounds(edge)
-        return Guard(*named, *bound, affine, uses, closed, kinks, bounds)
-
-    def _moving_gap(self, edge: str, kind: str) -> list[Any]:
-        """Gap, gap speed and free acceleration of a held contact, which end its rest too."""
-        if kind != "release":
-            return []
-        name = released(edge)
-        mode = self.code.contact_spec(name).source
-        gap, flow = self.code.closed("gap", name), self.code.closed("flow", mode)
-        return [self.code.lie_closed((name, mode), gap, flow)]
-
-    def _kinks(self, key: Any, closeds: list[Any]) -> tuple[Kink, ...]:
-        found = self.code.once(("kinks", key), lambda: deciders(self.code, closeds))
+    def _kinks(
+        self,
+        mode: str,
+        held: tuple[str, ...],
+        what: str,
+        nodes: Callable[[ModeGraph], list[int]],
+    ) -> tuple[Kink, ...]:
+        """Where some nodes of a mode's graph change their formula."""
+        key, graph = (what, mode, bool(held)), self.code.mode(mode)
+        make = lambda: deciders(graph.graph, len(graph.x), nodes(graph))  # noqa: E731
+        found, numbers = self.code.once(("kinks", key), make), self._numbers(mode, held)
         return tuple(
-            Kink((*key, number), self.bind(program), *shape)
+            Kink((*key, number), self.bind(program, numbers), *shape)
             for number, (program, *shape) in enumerate(found)
         )
 
+    def _numbers(self, mode: str, held: tuple[str, ...]) -> tuple[float, ...]:
+        """Values of the parameters, and of a mode's mask: which of its contacts are held."""
+        return (*self._values, *(float(name in held) for name in self.code.mode(mode).resting))
+
+    def _series(self, mode: str, held: tuple[str, ...], guards: list[str]) -> Jets | str:
+        """The series of the flow and of some of the guards; why there are none."""
+        tape = self.code.tape(mode, bool(held))
+        if not isinstance(tape, Tape):
+            return str(tape)
+        order = self.code.mode(mode).watched(bool(held))
+        return tape.bind(self._numbers(mode, held), [order.index(guard) for guard in guards])
+
+    def _deciding(self, jets: Jets, mode: str, held: tuple[str, ...]) -> Scalar:
+        nodes = [what.node for what in jets.watched]
+        program = self.code.mode(mode).program(("watched", bool(held)), lambda: nodes)
+        return program.bind(self._numbers(mode, held))
+
+    def _projection(
+        self, switching: SwitchingSpec | None, mode: str, held: tuple[str, ...]
+    ) -> Scalar:
+        if switching is not None:
+            return self.code.onto(switching.name).bind(self._values)
+        return self.code.mode(mode).projection(held, self._numbers(mode, held))
+
+    def _guard(self, edge: Transition, kind: str, mode: str, held: tuple[str, ...]) -> Guard:
+        code, graph, name = self.code, self.code.mode(mode), edge.name
+        numbers = self._numbers(mode, held)
+        if kind == "release":
+            value = graph.program(("load", name), lambda: [graph.guard(name)])
+            place = held.index(released(name))
+            trace = lambda: code.load_closed(held, place)  # noqa: E731
+            first = value.bind(numbers)
+            here = lambda t, x: first(t, x)[0]  # noqa: E731
+        else:
+            trace = graph.closed[name]
+            here = code.program(("guard", name, mode), trace).bind(self._values)
+        lie = graph.program(("lie", name, bool(held)), lambda: graph.lie(name, bool(held)))
+        shape = lambda: node_shape(graph.graph, graph.guard(name))  # noqa: E731
+        affine, uses = code.once(("shape", name, mode), shape)
+        kinks = self._kinks(mode, held, name, lambda g: g.deciding(name))
+        bounds = kind != "edge" or code.bounds(edge)
+        made = here, lie.bind(numbers), affine, uses, trace, kinks, bounds
+        return Guard(name, kind, edge.to, edge.crossing, *made)
+
     def rounding(self, guard: Guard, field: Field) -> Scalar:
         """Sizes whose rounding the guard and its first two derivatives carry."""
-        code = self.code
-        flow = code.field_closed(field.mode, field.held)
-        return self.bind(code.rounding_program((guard.edge, field.name), guard.closed, flow))
+        graph, held = self.code.mode(field.mode), bool(field.held)
+        program = graph.program(("sizes", guard.edge, held), lambda: graph.sizes(guard.edge, held))
+        return self.bind(program, self._numbers(field.mode, field.held))
 
-    def bind(self, program: Program) -> Scalar:
-        """A program of the class's code as a function, for these values of the parameters."""
-        if program not in self._bound:
-            self._bound[program] = program.bind(self._values)
-        return self._bound[program]
+    def bind(self, program: Program, numbers: tuple[float, ...] | None = None) -> Scalar:
+        """A program of the class's code as a function, for these values of the parameters.
+
+        ``numbers`` are the values with a mode's mask.
+        """
+        given = self._values if numbers is None else numbers
+        key = program, given[len(self._values) :]
+        if key not in self._bound:
+            self._bound[key] = program.bind(given)
+        return self._bound[key]
 
     def reset(self, edge: str) -> Scalar:
         """The reset of an edge (not of a contact)."""
@@ -338,9 +374,13 @@ class Scene:
         """The derived laws of a contact."""
         if name not in self._contacts:
             code, spec = self.code, self.code.contact_spec(name)
+            graph = code.mode(spec.source)
+            numbers = self._numbers(spec.source, ())
             laws = {
-                what: code.law_program(name, what).bind(self._values)
-                for what in ("impact", "land", "push")
+                make.__name__: graph.program((make.__name__, name), partial(make, name)).bind(
+                    numbers
+                )
+                for make in (graph.impact, graph.land, graph.push)
             }
             law = code.program(("law", name), lambda: code.closed("restitution", name), ["u"])
             self._contacts[name] = Contact(
@@ -383,11 +423,6 @@ def parted(name: str) -> tuple[str, tuple[str, ...]]:
     """The mode of an arc mode, and the contacts held."""
     mode, _, rest = name.partition(".rest(")
     return mode, tuple(rest.removesuffix(")").split(", ")) if rest else ()
-
-
-def window_edge(number: int, side: str) -> str:
-    """Name of the guard by which a lag that moves comes to an end, a or b, of its window."""
-    return f"past({number}).{side}"
 
 
 def _unwritten(name: str, source: str, to: str) -> EdgeSpec:

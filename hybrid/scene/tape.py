@@ -7,7 +7,8 @@ tape. See ``docs/notes/tape.md``.
 
 Where a model switches formula (``abs``, ``where``, ``max``, ``floor``), the coefficients belong to
 the branch at the start. The function that decides is returned too, as a *kink*: the series hold up
-to its first zero.
+to its first zero. So are the arguments of functions that are flat to rounding almost everywhere
+(``exp``, ``tanh``), whose coefficients show nothing of a pulse to come.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 from ..errors import TraceError
 from ..rules import jets as rule
 from ..rules import unit
+from .derivatives import unknowns
 from .graph import Graph, Ids
 from .python import needed
 from .taylor import SLOPES
@@ -62,11 +64,10 @@ def _size(g: Graph, a: int) -> int:
 
 
 def _sign(g: Graph, a: int) -> int:
-    one, zero = g.const(1.0), g.const(0.0)
-    if g.moves(a):
-        return _choice(g, a, zero, one, g.const(-1.0))
+    """Where it stays zero it is zero."""
+    zero = g.const(0.0)
     below = g.node("select", g.node("lt", a, zero), g.const(-1.0), a)
-    return g.node("select", g.node("gt", a, zero), one, below)
+    return g.node("select", g.node("gt", a, zero), g.const(1.0), below)
 
 
 def _ceil(g: Graph, a: int) -> int:
@@ -99,9 +100,50 @@ def _rem(g: Graph, a: int, b: int) -> int:
     return g.node("sub", a, g.node("mul", b, _trunc(g, g.node("div", a, b))))
 
 
-#: Names of kinks: the two sides of a comparison and whether it is one for equality, or what is
-#: rounded down and None.
-Key = tuple[Any, ...]
+#: Where, by its argument, a function is more than rounding: beyond, ``tanh`` is constant; below,
+#: ``exp(a)`` is nothing beside any number that occurs with it (``exp(-200)`` is 1e-87).
+BANDS = {
+    "exp": (-200.0, math.inf),
+    "exp2": (-300.0, math.inf),
+    "expm1": (-40.0, math.inf),
+    "logistic": (-200.0, 40.0),
+    "tanh": (-20.0, 20.0),
+    "erf": (-6.0, 6.0),
+    "erfc": (-6.0, 15.0),
+    "sinh": (-200.0, 200.0),
+    "cosh": (-200.0, 200.0),
+}
+
+#: Operations with poles, far from which they may be next to nothing: which argument of theirs is
+#: zero there.
+POLES = {"div": 1, "pow": 0}
+
+
+@attrs.frozen
+class Watched:
+    """What ends the series of a step besides their own last terms.
+
+    Attributes
+    ----------
+    kind : "kink", "step", "band", "pole" or "point"
+        A function at whose zero the formula switches; one that does so at each of its whole
+        numbers, of which the nearest is taken off; the argument of a function that is more than
+        rounding between ``low`` and ``high`` only; what a quotient or power has a pole at; a
+        function at whose zero alone a formula holds, which is not watched along the flow.
+    node : int
+        The function (of steps without what is taken off) is a node of the graph.
+    """
+
+    kind: str
+    node: int
+    low: float = -math.inf
+    high: float = math.inf
+
+    @property
+    def switches(self) -> bool:
+        """Whether the formula of the flow is another where it passes zero."""
+        return self.kind in ("kink", "step", "point")
+
 
 #: Operations made of others.
 MADE: dict[str, Callable[..., int]] = {
@@ -145,10 +187,9 @@ class Tape:
     size, rows
         Number of states, and of rows of coefficients.
     ops, more, flow, output
-        As the rule takes them; the first ``functions`` of ``output`` are the functions, then come
-        the kinks that are watched.
+        As the rule takes them; ``output`` are the functions.
     kinks, watched
-        The deciding functions, as the rule takes them; places of those that are watched.
+        What decides and what else is watched, as the rule takes it; what it is.
     steady
         The operations on what does not move.
     numbers
@@ -165,21 +206,22 @@ class Tape:
     more: np.ndarray
     flow: np.ndarray
     output: np.ndarray
-    functions: int
     kinks: np.ndarray
-    watched: np.ndarray
+    watched: tuple[Watched, ...]
     steady: np.ndarray
     numbers: np.ndarray
     given: np.ndarray
     room: int
 
-    def bind(self, parameters: Sequence[float]) -> Jets:
-        """The tape for these values of the (flattened) parameters."""
+    def bind(self, parameters: Sequence[float], functions: Sequence[int] | None = None) -> Jets:
+        """The tape for these values of the (flattened) parameters, for some of its functions."""
         numbers = self.numbers.copy()
         numbers[self.given[0]] = np.asarray(parameters, dtype=float)[self.given[1]]
         sides, work = np.zeros(len(self.kinks), dtype=np.int64), np.zeros(self.room)
         unit("jets").steady(self.steady, self.more, sides, numbers.reshape(-1, 1), work)
-        return Jets(self, numbers)
+        output = self.output if functions is None else self.output[[*functions]]
+        places = _ints([i for i, what in enumerate(self.watched) if what.kind != "point"])
+        return Jets(self, numbers, output, places)
 
 
 @attrs.frozen(eq=False)
@@ -188,9 +230,16 @@ class Jets:
 
     tape: Tape
     numbers: np.ndarray
+    output: np.ndarray
+    places: np.ndarray
+
+    @property
+    def watched(self) -> tuple[Watched, ...]:
+        """What is watched along the series."""
+        return tuple(self.tape.watched[i] for i in self.places)
 
     def __call__(self, t: float, x: Sequence[float], sides: list[int], order: int) -> Any:
-        """Coefficients 0 .. ``order`` of the states, of the functions, and of the kinks.
+        """Coefficients 0 .. ``order`` of the states, of the functions, and of what is watched.
 
         ``sides[i]`` is 0 (the branch of kink ``i`` is taken by value) or +1 / -1 (the sign that it
         has from here on: a step has just ended on it). It is completed in place: a kink that is
@@ -203,16 +252,22 @@ class Jets:
         """
         tape = self.tape
         all_sides = np.zeros(len(tape.kinks), dtype=np.int64)
-        all_sides[tape.watched] = sides
+        all_sides[self.places] = sides
         c = np.empty((tape.rows, order + 1))
         start, work = np.array(x, dtype=float), np.empty(tape.room)
-        parts = tape.ops, tape.more, tape.flow, tape.kinks, tape.output
+        parts = tape.ops, tape.more, tape.flow, tape.kinks, self.output
         status = unit("jets").jets(*parts, order, float(t), start, self.numbers, all_sides, c, work)
         if status:
             raise ValueError("there is no Taylor series here")
-        sides[:] = all_sides[tape.watched].tolist()
-        values = c[tape.output].tolist()
-        return c[: tape.size].tolist(), values[: tape.functions], values[tape.functions :]
+        sides[:] = all_sides[self.places].tolist()
+        watched = c[tape.kinks[self.places, 0]]
+        watched[np.isnan(watched).any(axis=1)] = self._still(order)
+        return c[: tape.size].tolist(), c[self.output].tolist(), watched.tolist()
+
+    @staticmethod
+    def _still(order: int) -> np.ndarray:
+        """A series at which nothing happens: of what is watched on a branch that is not taken."""
+        return np.eye(1, order + 1)[0]
 
 
 def tape(graph: Graph, size: int, flow: Ids, functions: Sequence[int], where: str) -> Tape:
@@ -247,7 +302,7 @@ class _Recorder:
         self.graph, self.size, self.where = graph, size, where
         self.flow, self.functions = flow, functions
         self.slopes: dict[int, tuple[int, ...]] = {}
-        self.kinks: dict[Key, int] = {}
+        self.watched: dict[Watched, int] = {}
         self._add()
         self.place: dict[int, int] = {}
         self.rows = size + 1
@@ -268,7 +323,11 @@ class _Recorder:
             seen.update(new)
             frontier = [root for number in new for root in self._besides(number)]
         roots = [*self.flow, *self.functions, *(n for s in self.slopes.values() for n in s)]
-        self.nodes = needed(graph, [*roots, *self.kinks.values()])
+        self.nodes = needed(graph, [*roots, *map(self._root, self.watched)])
+
+    def _root(self, what: Watched) -> int:
+        """The node whose series is that of what is watched."""
+        return self.graph.node("nearest", what.node) if what.kind == "step" else what.node
 
     def _besides(self, number: int) -> list[int]:
         graph, (op, *arguments) = self.graph, self.graph.nodes[number]
@@ -276,27 +335,34 @@ class _Recorder:
             return []
         if op in SLOPES:
             self.slopes[number] = (SLOPES[op](graph, arguments[0], number),)
-            return [*self.slopes[number]]
-        if op in ORDERED:
-            return [self._kink(False, *arguments)]
-        if op in EQUAL:
-            return [self._kink(True, *arguments)]
-        if op == "floor":
-            near = graph.node("nearest", arguments[0])
-            cube = graph.node("mul", near, graph.node("mul", near, near))
-            return [self.kinks.setdefault((arguments[0], None), graph.node("sub", near, cube))]
-        if op == "atan2":
+        elif op == "atan2":
             y, x = arguments
             square = graph.node("add", graph.node("mul", x, x), graph.node("mul", y, y))
             turn = graph.node("neg", graph.node("div", y, square))
             self.slopes[number] = graph.node("div", x, square), turn
-            zero = graph.const(0.0)
-            besides = [self._kink(False, y, zero)] if graph.moves(y) else []
-            return [*self.slopes[number], *besides]
-        return []
+        what = self._seen(op, arguments)
+        if what is not None and graph.moves(what.node):
+            self.watched.setdefault(what, len(self.watched))
+            return [self._root(what), *self.slopes.get(number, ())]
+        return [*self.slopes.get(number, ())]
 
-    def _kink(self, equal: bool, a: int, b: int) -> int:
-        return self.kinks.setdefault((a, b, equal), self.graph.node("sub", a, b))
+    def _seen(self, op: str, arguments: list[int]) -> Watched | None:
+        """What an operation asks to be watched."""
+        if op in (*ORDERED, *EQUAL):
+            difference = self.graph.node("sub", *arguments)
+            return Watched("kink" if op in ORDERED else "point", difference)
+        if op == "atan2":
+            return Watched("kink", arguments[0])
+        if op == "floor":
+            return Watched("step", arguments[0])
+        if op in BANDS:
+            return Watched("band", arguments[0], *BANDS[op])
+        return Watched("pole", arguments[POLES[op]]) if op in POLES else None
+
+    def _side(self, op: str, arguments: list[int]) -> int:
+        """The place of an operation's kink; -1 where nothing moves."""
+        what = self._seen(op, arguments)
+        return -1 if what is None else self.watched.get(what, -1)
 
     # -- places ---------------------------------------------------------------------------
 
@@ -339,14 +405,12 @@ class _Recorder:
     def tape(self) -> Tape:
         """The arrays."""
         self._put_places()
-        self.sides = {key: i for i, key in enumerate(self.kinks)}
         for number in self.nodes:
             op = self.graph.nodes[number][0]
             if op not in ("const", "input", "part", "real"):
                 self._record(number)
-        watched = [key[-1] is not True for key in self.kinks]
-        kinks = [(self.place[n], w) for n, w in zip(self.kinks.values(), watched, strict=True)]
-        output = [*map(self._row, self.functions), *(row for row, seen in kinks if seen)]
+        kinks = [(self.place[self._root(what)], what.switches) for what in self.watched]
+        output = [*map(self._row, self.functions)]
         return Tape(
             size=self.size,
             rows=self.rows,
@@ -354,9 +418,8 @@ class _Recorder:
             more=_ints(self.more),
             flow=_ints([self.place[i] for i in self.flow]),
             output=_ints(output),
-            functions=len(self.functions),
             kinks=_table(kinks, 2),
-            watched=np.flatnonzero(watched),
+            watched=tuple(self.watched),
             steady=_table(self.steady, 6),
             numbers=np.array(self.numbers),
             given=_table(self.given, 2).T,
@@ -397,7 +460,7 @@ class _Recorder:
             written.append((SAME[op], out, *named, *self._besides_named(number, op, arguments)))
         elif op == "atan2":
             slopes = [self.place[i] for i in self.slopes.get(number, ())]
-            kink = self.sides.get((arguments[0], self.graph.const(0.0), False), -1)
+            kink = self._side(op, arguments)
             written.append((rule.ATAN2, out, *named, self._list(slopes), kink))
         else:
             raise TraceError(self._refused(op))
@@ -406,11 +469,7 @@ class _Recorder:
         """What an operation of the rule takes besides its arguments."""
         if number in self.slopes:
             return [self.place[self.slopes[number][0]]]
-        if op in (*ORDERED, *EQUAL):
-            return [self.sides.get((*arguments, op in EQUAL), -1)]
-        if op == "floor":
-            return [self.sides.get((arguments[0], None), -1)]
-        return []
+        return [self._side(op, arguments)] if op in (*ORDERED, *EQUAL, "floor") else []
 
     def _list(self, places: Sequence[int]) -> int:
         """Where a list of arguments begins."""
@@ -437,11 +496,6 @@ class _Recorder:
     def _refused(self, op: str) -> str:
         instead = INSTEAD.get(op, "use another function")
         return f"{self.where}: {op!r} has no Taylor series; {instead}, or use solver='scipy'"
-
-
-def unknowns(count: int) -> int:
-    """Of equations with so many arguments: a matrix, a right side, and a mask."""
-    return round(math.sqrt(count + 1)) - 1
 
 
 def _product(out: int, a: int, b: int) -> tuple[int, ...]:

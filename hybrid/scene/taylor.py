@@ -1,30 +1,22 @@
-"""A reader of the trace: Taylor coefficients of a flow, and of gaps along it.
+"""A reader of the trace: Taylor coefficients of a flow, as array code written out order by order.
 
-The solution of ``x' = f(t, x)`` through a state is ``x(t + s) = sum_k x_k s^k``; with
-``f_k`` the coefficients of ``f`` along it, ``x_{k+1} = f_k / (k + 1)``. Every arithmetic
-operation has a recurrence for its k-th coefficient (Griewank & Walther, *Evaluating
-Derivatives*, 2008, chapter 13). The generated code is those recurrences written out, order
-by order, as scalar Python.
-
-Where a model switches formula (``abs``, ``where``, ``max``, ``floor``), the coefficients belong to
-the branch at the start. The function that decides is returned too, as a *kink*: the series
-holds up to the kink's first zero. So are the arguments of functions that are flat to rounding
-almost everywhere (``exp``, ``tanh``), whose coefficients show nothing of a pulse to come.
+The same recurrences as those of :mod:`.tape` (``docs/notes/tape.md``), for compiled runs. Where a
+model switches formula (``abs``, ``where``, ``max``), the coefficients belong to the branch at the
+start. The function that decides is returned too, as a *kink*: the series holds up to its first
+zero.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
 from typing import Any
 
-import attrs
 import numpy as np
 
 from ..errors import TraceError
 from .graph import Graph, Ids
-from .python import OPERATIONS, Program, _fixed, _index, literal, needed
+from .python import _fixed, _index, literal, needed
 
 #: y = phi(a) with y' = slope(a, y) a': the expression of the slope as a graph.
 SLOPES: dict[str, Callable[[Graph, int, int], int]] = {
@@ -53,72 +45,6 @@ KINKED = {"gt", "ge", "lt", "le"}
 LOGIC = {"and", "or", "xor", "not", "eq", "ne", "is_finite"}
 
 
-#: Operations that jump where their argument passes a whole number, and those at halves.
-STEPPED, HALVES = {"floor", "ceil", "trunc", "round", "away"}, {"round", "away"}
-
-#: Where, by its argument, a function is more than rounding: beyond, ``tanh`` is constant; below,
-#: ``exp(a)`` is nothing beside any number that occurs with it (``exp(-200)`` is 1e-87).
-BANDS = {
-    "exp": (-200.0, math.inf),
-    "exp2": (-300.0, math.inf),
-    "expm1": (-40.0, math.inf),
-    "logistic": (-200.0, 40.0),
-    "tanh": (-20.0, 20.0),
-    "erf": (-6.0, 6.0),
-    "erfc": (-6.0, 15.0),
-    "sinh": (-200.0, 200.0),
-    "cosh": (-200.0, 200.0),
-}
-
-#: Operations with poles, far from which they may be next to nothing: where an argument of theirs
-#: is zero, and which.
-POLES = {"div": 2, "pow": 1}
-
-
-@attrs.frozen
-class Watched:
-    """What ends the series of a step besides their own last terms.
-
-    Attributes
-    ----------
-    kind : "kink", "step", "band" or "pole"
-        A function at whose zero the formula switches; one that does so at each of its whole
-        numbers, of which the nearest is taken off; the argument of a function that is more than
-        rounding between ``low`` and ``high`` only; what a quotient or power has a pole at.
-    node, other : int
-        The function, or what the other is taken off, or divides, is a node of the graph.
-    half : bool
-        Of the steps: they are at halves.
-    """
-
-    kind: str
-    node: int
-    other: int | None = None
-    half: bool = False
-    low: float = -math.inf
-    high: float = math.inf
-
-    @property
-    def switches(self) -> bool:
-        """Whether the formula of the flow is another where it passes zero."""
-        return self.kind in ("kink", "step")
-
-
-def nearest(a: float, half: bool) -> float:
-    """The whole (half) number next to a number."""
-    return round(a - 0.5) + 0.5 if half else float(round(a))
-
-
-def stepped(call: Callable[[float], Any], a: float, side: int, half: bool) -> float:
-    """A function that jumps at whole (half) numbers, on the given side of the one next to ``a``."""
-    return float(call(nearest(a, half) + 0.5 * side if side else a))
-
-
-def remainder(a: float, b: float, side: int) -> float:
-    """``a - trunc(a / b) b``, with ``a / b`` on the given side of the whole number next to it."""
-    return a - math.trunc(nearest(a / b, False) + 0.5 * side) * b if side else math.fmod(a, b)
-
-
 def _one(g: Graph, a: int, sign: str) -> int:
     return g.node(sign, g.const(1.0), g.node("mul", a, a))
 
@@ -135,13 +61,9 @@ def _bell(g: Graph, a: int, factor: float) -> int:
 class TaylorProgram:
     """Generated code for the Taylor coefficients of a flow and of functions along it.
 
-    The bound function is ``jets(t, x, sides)`` and returns ``(states, values, watched)``: for
-    each state, each function and each of ``watched`` the list of its coefficients 0 .. ``order``.
-    ``sides[i]`` is 0 (the branch is taken by value) or +1 / -1 (the sign of kink ``i`` is
-    known: a step has just ended on it).
-
-    With ``operations`` (functions by name) the code is for arrays' numbers, the branch is
-    always taken by value, and nothing but kinks is watched.
+    The bound function is ``jets(t, x)`` and returns ``(states, values, kinks)``: for each state,
+    each function and each kink the list of its coefficients 0 .. ``order``. ``operations`` are
+    functions by name. The branch is taken by value.
     """
 
     def __init__(
@@ -151,39 +73,20 @@ class TaylorProgram:
         flow: Ids,
         functions: Sequence[int],
         order: int,
-        operations: Mapping[str, Any] | None = None,
+        operations: Mapping[str, Any],
     ) -> None:
         self.order = order
-        kind = _Writer if operations is None else _ArrayWriter
-        writer = kind(graph, size, [int(i) for i in flow], list(functions), order)
-        self.source, self.watched = writer.source(), tuple(writer.watched)
-        self.kinks = len(self.watched)
-        self._deciding = graph, size
+        writer = _Writer(graph, size, [int(i) for i in flow], list(functions), order)
+        self.source, self.kinks = writer.source(), len(writer.kinks)
         self._code = compile(self.source, "<hybrid: generated Taylor series>", "exec")
-        self._operations = OPERATIONS if operations is None else operations
+        self._operations = operations
         self._maker: Callable[..., Any] | None = None
 
-    @cached_property
-    def deciding(self) -> Program:
-        """The functions watched as scalar code (of steps without what is taken off)."""
-        graph, size = self._deciding
-        kinds = {"kink": "sub", "step": "div"}
-        nodes = [
-            w.node if w.other is None else graph.node(kinds[w.kind], w.node, w.other)
-            for w in self.watched
-        ]
-        return Program(graph, ["t", "x"], size, np.array(nodes, dtype=np.int64))
-
     def bind(self, parameters: Sequence[Any]) -> Callable[..., Any]:
-        """The function for these values of the (flattened) parameters.
-
-        It raises ``ValueError``, ``OverflowError`` or ``ZeroDivisionError`` where the
-        series does not exist (``sqrt`` at 0, for instance).
-        """
+        """The function for these values of the (flattened) parameters."""
         if self._maker is None:
             scope: dict[str, Any] = {f"_{name}": call for name, call in self._operations.items()}
-            scope.update(_inf=math.inf, _nan=math.nan, _stepped=stepped, _remainder=remainder)
-            scope.update(_off=lambda a, half: a - nearest(a, half))
+            scope.update(_inf=math.inf, _nan=math.nan)
             exec(self._code, scope)
             self._maker = scope["_make"]
         return self._maker(*parameters)
@@ -203,7 +106,7 @@ class _Writer:
         self.nodes = needed(graph, everything)
         self.fixed = _fixed(graph, self.nodes)
         self.steady = self._steady()
-        self.watched: list[Watched] = []
+        self.kinks: list[tuple[int, int]] = []
         self.c: dict[int, list[str]] = {number: [] for number in self.nodes}
         self.partners: dict[str, list[str]] = {}
         self.lines: list[str] = []
@@ -257,35 +160,29 @@ class _Writer:
                 states[i].append(name)
                 if f"x{i}" in named and named[f"x{i}"] in self.c:
                     self.c[named[f"x{i}"]].append(name)
-        watched = [self._watched_series(w) for w in self.watched]
-        result = [states, [self._series(n) for n in self.functions], watched]
+        kinks = [self._kink_series(a, b) for a, b in self.kinks]
+        result = [states, [self._series(n) for n in self.functions], kinks]
         parts = ["[" + ", ".join(f"[{', '.join(row)}]" for row in block) + "]" for block in result]
         inputs = [n[1] for n in self.graph.nodes if n[0] == "input" and n[1][0] == "p"]
         count = 1 + max(map(_index, inputs), default=-1)
         head = "".join(f"p{i}, " for i in range(count))
         unpack = "".join(f"x{i}, " for i in range(self.size)) + "= x"
         body = [unpack, *self.lines, f"return {', '.join(parts)}"]
-        lines = [f"def _make({head}*_rest):", "    def jets(t, x, sides):"]
+        lines = [f"def _make({head}*_rest):", "    def jets(t, x):"]
         lines += [f"        {line}" for line in body]
         return "\n".join([*lines, "    return jets", ""])
 
     def _close_order(self, begun: int) -> None:
-        """What follows the lines of an order, which start at ``begun``."""
+        """Each coefficient is computed once: XLA would write it out wherever it is used."""
+        names = ", ".join(line.partition(" = ")[0] for line in self.lines[begun:])
+        if names:
+            self.lines.append(f"{names}, = _barrier(({names},))")
 
     def _series(self, number: int) -> list[str]:
         return [self._at(number, k) for k in range(self.order + 1)]
 
-    def _watched_series(self, w: Watched) -> list[str]:
-        series = self._series(w.node)
-        if w.other is None:
-            terms = series
-        elif w.kind == "kink":
-            terms = [f"{a} - {b}" for a, b in zip(series, self._series(w.other), strict=True)]
-        else:
-            terms = [f"{a} / {self._at(w.other, 0)}" for a in series]
-        if w.kind == "step":
-            terms[0] = f"_off({terms[0]}, {w.half})"
-        return terms
+    def _kink_series(self, a: int, b: int) -> list[str]:
+        return [f"{self._at(a, k)} - {self._at(b, k)}" for k in range(self.order + 1)]
 
     def _at(self, number: int, k: int) -> str:
         if k and number in self.steady:
@@ -320,47 +217,19 @@ class _Writer:
         op, arguments = node[0], [self._at(a, 0) for a in node[1:]]
         if op in KINKED and not all(a in self.steady for a in node[1:]):
             return self._side(node[1], node[2], op)
-        if number in self.steady:
-            return f"_{op}({', '.join(arguments)})"
-        if op in ("abs", "max", "min", "sign"):
+        if op in ("abs", "max", "min", "sign") and number not in self.steady:
             return self._choice(op, node)
-        if op in STEPPED:
-            return self._stepped(op, node[1], None)
-        if op == "rem":
-            return self._stepped(op, node[1], node[2])
-        self._watch_flat(node)
+        if op in ("floor", "ceil", "trunc", "rem", "round", "away") and number not in self.steady:
+            raise TraceError(
+                f"{op!r} of something that moves has no Taylor series in compiled runs; "
+                "declare an edge where it jumps"
+            )
         return f"_{op}({', '.join(arguments)})"
 
-    def _stepped(self, op: str, a: int, b: int | None) -> str:
-        """A function that jumps where its argument, or a quotient, passes a whole number."""
-        if b is not None and b not in self.steady:
-            raise TraceError(f"{op!r} by something that moves has no Taylor series")
-        half = op in HALVES
-        side = f"sides[{self._watch(Watched('step', a, b, half))}]"
-        if b is not None:
-            return f"_remainder({self._at(a, 0)}, {self._at(b, 0)}, {side})"
-        return f"_stepped(_{op}, {self._at(a, 0)}, {side}, {half})"
-
-    def _watch_flat(self, node: tuple[Any, ...]) -> None:
-        """Watch a function that may be flat to rounding, and rise and fall again."""
-        op = node[0]
-        if op in BANDS:
-            low, high = BANDS[op]
-            self._watch(Watched("band", node[1], low=low, high=high))
-        elif op in POLES and node[POLES[op]] not in self.steady:
-            self._watch(Watched("pole", node[POLES[op]]))
-
-    def _watch(self, what: Watched) -> int:
-        if what not in self.watched:
-            self.watched.append(what)
-        return self.watched.index(what)
-
     def _side(self, a: int, b: int, op: str) -> str:
-        """A comparison; its sign can be prescribed by ``sides``."""
-        known, test = f"sides[{self._watch(Watched('kink', a, b))}]", self._test(op, a, b)
-        return f"({known} {'>' if op in ('gt', 'ge') else '<'} 0 if {known} else {test})"
-
-    def _test(self, op: str, a: int, b: int) -> str:
+        """A comparison, whose sides meet at a kink."""
+        if (a, b) not in self.kinks:
+            self.kinks.append((a, b))
         return f"_{op}({self._at(a, 0)}, {self._at(b, 0)})"
 
     def _choice(self, op: str, node: tuple[Any, ...]) -> str:
@@ -384,7 +253,7 @@ class _Writer:
 
     @staticmethod
     def _if(flag: str, a: str, b: str) -> str:
-        return f"({a} if {flag} else {b})"
+        return f"_select({flag}, {a}, {b})"
 
     # -- order k ------------------------------------------------------------------------
 
@@ -411,9 +280,7 @@ class _Writer:
             return self._power(number, op, args, k)
         if op in SLOPES:
             return self._chain(args[0], self.slope[number], k)
-        if op == "rem":
-            return self._at(args[0], k)
-        if op in KINKED | LOGIC | STEPPED:
+        if op in KINKED | LOGIC:
             return "0.0"
         raise TraceError(f"no Taylor series for the operation {op!r}")
 
@@ -487,33 +354,6 @@ class _Writer:
             if "0.0" not in (self._at(a, i), self._at(y, k - i))
         ]
         return f"({' + '.join(terms)}) / ({k} * {self._at(a, 0)})" if terms else "0.0"
-
-
-class _ArrayWriter(_Writer):
-    """The same recurrences, for JAX; a formula that switches is the one at the start."""
-
-    def _side(self, a: int, b: int, op: str) -> str:
-        self._watch(Watched("kink", a, b))
-        return self._test(op, a, b)
-
-    def _stepped(self, op: str, a: int, b: int | None) -> str:
-        raise TraceError(
-            f"{op!r} of something that moves has no Taylor series in compiled runs; "
-            "declare an edge where it jumps"
-        )
-
-    def _watch_flat(self, node: tuple[Any, ...]) -> None:
-        """Pulses to come are not looked for."""
-
-    @staticmethod
-    def _if(flag: str, a: str, b: str) -> str:
-        return f"_select({flag}, {a}, {b})"
-
-    def _close_order(self, begun: int) -> None:
-        """Each coefficient is computed once: XLA would write it out wherever it is used."""
-        names = ", ".join(line.partition(" = ")[0] for line in self.lines[begun:])
-        if names:
-            self.lines.append(f"{names}, = _barrier(({names},))")
 
 
 def polynomial(coefficients: Sequence[float], s: float) -> float:

@@ -17,7 +17,8 @@ from collections.abc import Sequence
 
 from ..events import EPS, series_zeros
 from ..scene.lowered import ORDER
-from ..scene.taylor import Watched, polynomial, slope
+from ..scene.tape import Watched
+from ..scene.taylor import polynomial, slope
 
 #: Size, relative to the largest, of the last terms of a kink's series over which it may be used:
 #: what they leave open is counted as rounding is.

@@ -1,6 +1,6 @@
 """Taylor series as a method of compiled runs: the solution's own polynomial, a step at a time.
 
-The recurrences are those of :mod:`hybrid.scene.taylor`, written for JAX. A step is as long as
+The recurrences are those of :mod:`hybrid.scene.taylor`. A step is as long as
 the last two terms stay within the tolerances (Jorba & Zou, *A software package for the numerical
 integration of ODEs by means of high-order Taylor methods*, Experimental Mathematics 14, 2005);
 it is kept if the polynomial has the flow's direction along it. Its dense output is as accurate as
@@ -134,7 +134,7 @@ class Expansion:
         """The series at a time and state."""
         flat = [v for p in parameters for v in jnp.ravel(jnp.asarray(p))]
         jets = self.program.bind([*flat, *extra])
-        return Jets(*map(_columns, jets(t, [x[i] for i in range(len(x))], [])))
+        return Jets(*map(_columns, jets(t, [x[i] for i in range(len(x))])))
 
 
 def expansion(

@@ -1,4 +1,4 @@
-"""Taylor series of the flow, one a step, from the generated recurrences.
+"""Taylor series of the flow, one a step, from its tape.
 
 The step is as long as the last two terms stay below rounding (Jorba & Zou, *A software
 package for the numerical integration of ODEs by means of high-order Taylor methods*,
@@ -18,7 +18,7 @@ from ..errors import FlowError, OptionError
 from ..events import EPS
 from ..scene import Field
 from ..scene.lowered import ORDER
-from ..scene.taylor import nearest, polynomial, polynomial_and_slope
+from ..scene.taylor import polynomial, polynomial_and_slope
 from ..segment import Segment, from_powers
 from .base import Solver, Stepper
 from .kinks import crossed_to, first_change, holding, left_open
@@ -69,10 +69,7 @@ class TaylorSolver(Solver):
         sizes: np.ndarray | None = None,
     ) -> Stepper:
         if field.jets is None:
-            raise OptionError(
-                f"solver='taylor': mode {field.name} uses a function that has no Taylor "
-                "series; use solver='scipy'"
-            )
+            raise OptionError(f"solver='taylor': {field.refused}")
         return TaylorStepper(field, t0, x0)
 
 
@@ -220,7 +217,7 @@ def _decides(
     for what, c, value, other in everything:
         off, size = abs(value - polynomial(c, s)), polynomial([*map(abs, c)], s)
         if what.kind == "step":
-            off, size = abs(off - nearest(off, what.half)), size + abs(value)
+            off, size = abs(off - round(off)), size + abs(value)
         if off > MISSED * EPS * size + 8 * (abs(value - other) + left_open(c, s)):
             return False
     return True

@@ -1,0 +1,198 @@
+"""Derivatives on the graph itself: along a direction, and gradients.
+
+They are nodes of the same graph, so that what derivatives share with functions, and with each
+other, is there once, and nothing is traced again. The rules are JAX's: the slope of ``abs`` at 0 is
+1, that of ``max`` at a tie is shared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from ..errors import TraceError
+from .graph import WHOLE, Graph
+from .python import needed
+from .taylor import SLOPES
+
+#: Operations whose derivative is 0 wherever there is one.
+FLAT = WHOLE | {"floor", "ceil", "round", "away", "sign", "const", "input", "part", "solve"}
+
+
+def _ratio(g: Graph, a: int, b: int) -> list[int]:
+    y = g.node("div", a, b)
+    return [g.node("div", g.const(1.0), b), g.node("neg", g.node("div", y, b))]
+
+
+def _extreme(op: str) -> Callable[..., list[int]]:
+    def slopes(g: Graph, a: int, b: int) -> list[int]:
+        chosen, zero, one = g.node(op, a, b), g.const(0.0), g.const(1.0)
+        is_a, is_b = g.node("eq", a, chosen), g.node("eq", b, chosen)
+        share = g.node("select", is_b, g.const(0.5), one)
+        other = g.node("select", is_a, g.const(0.5), one)
+        return [g.node("select", is_a, share, zero), g.node("select", is_b, other, zero)]
+
+    return slopes
+
+
+def _size(g: Graph, a: int) -> list[int]:
+    return [g.node("select", g.node("ge", a, g.const(0.0)), g.const(1.0), g.const(-1.0))]
+
+
+def _power(g: Graph, a: int, p: int) -> list[int]:
+    lower = g.node("pow", a, g.node("sub", p, g.const(1.0)))
+    return [g.node("mul", p, lower), g.const(0.0)]  # an exponent that moves is written otherwise
+
+
+def _angle(g: Graph, y: int, x: int) -> list[int]:
+    square = g.node("add", g.node("mul", x, x), g.node("mul", y, y))
+    return [g.node("div", x, square), g.node("neg", g.node("div", y, square))]
+
+
+#: The slope of an operation along each of its arguments.
+LOCAL: dict[str, Callable[..., list[int]]] = {
+    "add": lambda g, a, b: [g.const(1.0)] * 2,
+    "sub": lambda g, a, b: [g.const(1.0), g.const(-1.0)],
+    "neg": lambda g, a: [g.const(-1.0)],
+    "real": lambda g, a: [g.const(1.0)],
+    "mul": lambda g, a, b: [b, a],
+    "div": _ratio,
+    "sin": lambda g, a: [g.node("cos", a)],
+    "cos": lambda g, a: [g.node("neg", g.node("sin", a))],
+    "sinh": lambda g, a: [g.node("cosh", a)],
+    "cosh": lambda g, a: [g.node("sinh", a)],
+    "sqrt": lambda g, a: [g.node("div", g.const(0.5), g.node("sqrt", a))],
+    "cbrt": lambda g, a: [g.node("div", g.node("cbrt", a), g.node("mul", g.const(3.0), a))],
+    "pow": _power,
+    "abs": _size,
+    "max": _extreme("max"),
+    "min": _extreme("min"),
+    "atan2": _angle,
+    "rem": lambda g, a, b: [
+        g.const(1.0),
+        g.node("neg", g.node("real", g.node("trunc", g.node("div", a, b)))),
+    ],
+    "sum": lambda g, *a: [g.const(1.0)] * len(a),
+    "dot": lambda g, *a: [a[i ^ 1] for i in range(len(a))],
+}
+
+
+def times(g: Graph, a: int, b: int) -> int:
+    """A product; signs are kept as signs."""
+    if g.value(a) == -1.0:
+        return g.node("neg", b)
+    return g.node("neg", a) if g.value(b) == -1.0 else g.node("mul", a, b)
+
+
+def _slopes(g: Graph, number: int) -> list[int]:
+    op, *arguments = g.nodes[number]
+    if op in SLOPES:
+        return [SLOPES[op](g, arguments[0], number)]
+    if op not in LOCAL:
+        raise TraceError(f"the derivative of {op!r} cannot be written as scalar code")
+    return LOCAL[op](g, *arguments)
+
+
+def along(g: Graph, root: int, rates: Mapping[int, int]) -> int:
+    """The derivative of a node along the direction in which inputs change at ``rates``."""
+    zero = g.const(0.0)
+    tangents = dict(rates)
+    for number in needed(g, [root]):
+        if number not in tangents:
+            tangents[number] = _tangent(g, number, tangents, zero)
+    return tangents[root]
+
+
+def _tangent(g: Graph, number: int, tangents: dict[int, int], zero: int) -> int:
+    op, *arguments = g.nodes[number]
+    if op == "part":
+        change = tangents[arguments[0]]
+        return zero if change == zero else g.node("part", change, arguments[1])
+    if op in ("const", "input") or all(tangents[a] == zero for a in arguments):
+        return zero
+    if op == "select":
+        return g.node("select", arguments[0], *(tangents[a] for a in arguments[1:]))
+    if op == "solve":
+        matrix, right, mask = equations(arguments)
+        forces = parts(g, number, len(right))
+        turns = [[tangents[a] for a in row] for row in matrix]
+        moved = [g.dot([*zip(row, forces, strict=True)]) for row in turns]
+        pairs = zip(right, moved, strict=True)
+        return solved(g, matrix, [g.node("sub", tangents[b], m) for b, m in pairs], mask)
+    if op in FLAT:
+        return zero
+    slopes = zip(_slopes(g, number), arguments, strict=True)
+    return g.total([times(g, slope, tangents[a]) for slope, a in slopes if tangents[a] != zero])
+
+
+def gradient(g: Graph, root: int, inputs: Sequence[int]) -> list[int]:
+    """The derivatives of a node with respect to inputs."""
+    zero = g.const(0.0)
+    adjoints: dict[int, list[int]] = {root: [g.const(1.0)]}
+    shares: dict[int, dict[int, list[int]]] = {}
+    for number in reversed(needed(g, [root])):
+        op, *arguments = g.nodes[number]
+        if op == "solve":
+            _backward(g, number, shares.get(number, {}), adjoints)
+            continue
+        size = g.total(adjoints.get(number, []))
+        if size == zero or op in ("const", "input"):
+            continue
+        if op == "part":
+            own = shares.setdefault(arguments[0], {})
+            own.setdefault(int(g.value(arguments[1])), []).append(size)
+        elif op == "select":
+            which, a, b = arguments
+            adjoints.setdefault(a, []).append(g.node("select", which, size, zero))
+            adjoints.setdefault(b, []).append(g.node("select", which, zero, size))
+        elif op not in FLAT:
+            for slope, argument in zip(_slopes(g, number), arguments, strict=True):
+                if g.moves(argument):
+                    adjoints.setdefault(argument, []).append(times(g, slope, size))
+    return [g.total(adjoints.get(i, [])) for i in inputs]
+
+
+def _backward(
+    g: Graph, number: int, shares: dict[int, list[int]], adjoints: dict[int, list[int]]
+) -> None:
+    """Through equations: ``A' m = s`` for the share ``s`` of each unknown."""
+    matrix, right, mask = equations(g.nodes[number][1:])
+    n = len(right)
+    columns = [[row[i] for row in matrix] for i in range(n)]
+    sizes = [g.total(shares.get(i, [])) for i in range(n)]
+    if all(g.value(size) == 0 for size in sizes):
+        return
+    back = parts(g, solved(g, columns, sizes, mask), n)
+    forces = parts(g, number, n)
+    for i in range(n):
+        adjoints.setdefault(right[i], []).append(back[i])
+        for j in range(n):
+            if g.moves(matrix[i][j]):
+                change = g.node("neg", g.node("mul", back[i], forces[j]))
+                adjoints.setdefault(matrix[i][j], []).append(change)
+
+
+def solved(
+    g: Graph, matrix: Sequence[Sequence[int]], right: Sequence[int], mask: Sequence[int]
+) -> int:
+    """The node of linear equations among the unknowns that the mask counts; the others are 0."""
+    return g.node("solve", *(a for row in matrix for a in row), *right, *mask)
+
+
+def parts(g: Graph, number: int, count: int) -> list[int]:
+    """The unknowns of equations."""
+    return [g.node("part", number, g.const(i)) for i in range(count)]
+
+
+def equations(arguments: Sequence[int]) -> tuple[list[list[int]], list[int], list[int]]:
+    """Matrix, right side and mask among the arguments of equations."""
+    n = unknowns(len(arguments))
+    matrix = [list(arguments[i * n : i * n + n]) for i in range(n)]
+    return matrix, list(arguments[n * n : n * n + n]), list(arguments[n * n + n :])
+
+
+def unknowns(count: int) -> int:
+    """Of equations with so many arguments."""
+    n = 0
+    while n * n + 2 * n < count:
+        n += 1
+    return n

@@ -1,0 +1,332 @@
+"""One graph of a mode: its flow, its guards, its contacts, and a mask of those that are held.
+
+What follows from a gap and a flow is in :mod:`.contact`. Here it is made of nodes, once for a mode,
+whatever contacts are held: their forces are the unknowns of one node of linear equations, and which
+of them count is a number of each contact, an input behind the parameters. So the cost of a mode
+grows as a power of its contacts, and not with their subsets.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import attrs
+import numpy as np
+
+from ..automaton.spec import ContactSpec
+from .contact import Pairing
+from .derivatives import along, gradient, parts, solved, times
+from .graph import Graph
+from .python import Program, solve
+from .tape import Tape, rebuilt, tape
+
+if TYPE_CHECKING:
+    from .lowered import Lowered
+
+Scalar = Callable[..., Any]
+
+#: How a guard is named that is the load of a contact.
+RELEASE = ".release"
+
+
+@attrs.frozen
+class Normal:
+    """A contact: gap, its rates along the free flow, and how an impulse acts.
+
+    Attributes
+    ----------
+    normal, push : list of node
+        Gradient of the gap at its positions; the impulse's direction at their velocities.
+    weight
+        Change of the gap's speed by such an impulse.
+    """
+
+    pairing: Pairing
+    gap: int
+    speed: int
+    acceleration: int
+    normal: list[int]
+    push: list[int]
+    weight: int
+
+
+class ModeGraph:
+    """The graph of a mode of a class, or of sliding."""
+
+    def __init__(self, code: Lowered, mode: str) -> None:
+        self.code, self.mode, self.spec = code, mode, code.spec
+        self.graph = Graph(long=True)
+        resting = [e for e in self.spec.leaving(mode) if isinstance(e, ContactSpec) and e.rests]
+        self.resting = [edge.name for edge in resting]
+        count = sum(int(np.prod(shape, dtype=int)) for shape in code.shapes)
+        masks = [f"p{count + i}" for i in range(len(self.resting))]
+        self.inputs = code.inputs(self.graph, masks)
+        self.mask = [int(i) for i in self.inputs[len(code.shapes) + 2 :]]
+        self.own = self.inputs[: len(code.shapes) + 2]
+        self.t, self.x = int(self.own[-2]), [int(i) for i in self.own[-1]]
+        self.closed = code.guards_closed(mode)
+        self._contacts: dict[str, Normal] = {}
+        self._guards: dict[str, int] = {}
+
+    def values(self, closed: Any, *extra: int) -> list[int]:
+        """Nodes of what a trace gives."""
+        given = [np.array(i) for i in extra]
+        (outputs,) = self.graph.outputs(closed, [*self.own, *given])
+        return [int(i) for i in outputs.reshape(-1)]
+
+    @cached_property
+    def free(self) -> list[int]:
+        """The flow where no contact is held."""
+        return self.values(self.code.field_closed(self.mode, ()))
+
+    def rate(self, node: int, flow: Sequence[int]) -> int:
+        """The derivative of a node along a flow."""
+        one = self.graph.const(1.0)
+        return along(self.graph, node, {self.t: one, **dict(zip(self.x, flow, strict=True))})
+
+    # -- contacts -------------------------------------------------------------------------
+
+    def contact(self, name: str) -> Normal:
+        """The nodes of a contact."""
+        if name not in self._contacts:
+            self._contacts[name] = self._contact(name)
+        return self._contacts[name]
+
+    def _contact(self, name: str) -> Normal:
+        graph, pairing = self.graph, self.code.pairing(name)
+        (gap,) = self.values(self.code.closed("gap", name))
+        speed = self.rate(gap, self.free)
+        normal = gradient(graph, gap, [self.x[i] for i in pairing.positions])
+        push, mass = normal, self.code.mass_closed(name)
+        if mass is not None:
+            rows = np.array(self.values(mass)).reshape(len(normal), -1).tolist()
+            push = [graph.dot([*zip(row, normal, strict=True)]) for row in rows]
+        weight = graph.dot([*zip(normal, push, strict=True)])
+        return Normal(pairing, gap, speed, self.rate(speed, self.free), normal, push, weight)
+
+    def impact(self, name: str) -> list[int]:
+        """The state after an impact, then the gap's speed after it."""
+        graph, contact = self.graph, self.contact(name)
+        (share,) = self.values(self.code.closed("restitution", name), contact.speed)
+        after = graph.node("mul", share, graph.node("abs", contact.speed))
+        change = graph.node("sub", after, contact.speed)
+        return [*self._pushed(contact, graph.node("div", change, contact.weight)), after]
+
+    def _pushed(self, contact: Normal, size: int) -> list[int]:
+        moved, graph = [*self.x], self.graph
+        for place, push in zip(contact.pairing.velocities, contact.push, strict=True):
+            moved[place] = graph.node("add", moved[place], times(graph, push, size))
+        return moved
+
+    def push(self, name: str) -> list[int]:
+        """Change of the state that changes the gap's speed by one."""
+        contact, graph = self.contact(name), self.graph
+        change = [graph.const(0.0)] * len(self.x)
+        for place, push in zip(contact.pairing.velocities, contact.push, strict=True):
+            change[place] = graph.node("div", push, contact.weight)
+        return change
+
+    def land(self, name: str) -> list[int]:
+        """The state moved onto ``gap = 0`` along the gap's gradient."""
+        contact, graph, moved = self.contact(name), self.graph, [*self.x]
+        square = graph.dot([*zip(contact.normal, contact.normal, strict=True)])
+        share = graph.node("div", contact.gap, square)
+        for place, normal in zip(contact.pairing.positions, contact.normal, strict=True):
+            moved[place] = graph.node("sub", moved[place], times(graph, normal, share))
+        return moved
+
+    # -- contacts held --------------------------------------------------------------------
+
+    def acts(self, one: Normal, other: Normal) -> int:
+        """Change of a gap's speed by an impulse of another contact."""
+        pushed = dict(zip(other.pairing.velocities, other.push, strict=True))
+        felt = zip(one.pairing.velocities, one.normal, strict=True)
+        return self.graph.dot([(n, pushed[place]) for place, n in felt if place in pushed])
+
+    @cached_property
+    def forces(self) -> dict[str, int]:
+        """Multipliers that hold the gaps' accelerations at zero; 0 for those that are not held."""
+        contacts = {name: self.contact(name) for name in self.resting}
+        matrix = {
+            (i, j): self.acts(contacts[i], contacts[j]) for i in self.resting for j in self.resting
+        }
+        linked = {pair: self.graph.value(a) != 0 for pair, a in matrix.items()}
+        found: dict[str, int] = {}
+        for group in _groups(self.resting, linked):
+            wanted = [self.graph.node("neg", contacts[i].acceleration) for i in group]
+            rows = [[matrix[i, j] for j in group] for i in group]
+            mask = [self.mask[self.resting.index(i)] for i in group]
+            if len(group) == 1:
+                alone = self.graph.node("div", wanted[0], rows[0][0])
+                found[group[0]] = self._if_held(mask[0], alone)
+            else:
+                equations = solved(self.graph, rows, wanted, mask)
+                found.update(zip(group, parts(self.graph, equations, len(group)), strict=True))
+        return found
+
+    def _if_held(self, mask: int, value: int) -> int:
+        """A number that is 0 where its contact is not held; the only one of a mode always is."""
+        if len(self.resting) == 1:
+            return value
+        return self.graph.node("select", mask, value, self.graph.const(0.0))
+
+    @cached_property
+    def along_contacts(self) -> list[int]:
+        """The flow along the contacts held."""
+        graph, forces = self.graph, self.forces
+        changes: list[list[int]] = [[] for _ in self.x]
+        for name, mask in zip(self.resting, self.mask, strict=True):
+            contact = self.contact(name)
+            for place, push in zip(contact.pairing.velocities, contact.push, strict=True):
+                changes[place].append(self._if_held(mask, times(graph, forces[name], push)))
+        pairs = zip(self.free, changes, strict=True)
+        return [graph.node("add", f, graph.total(c)) for f, c in pairs]
+
+    def flow(self, held: bool) -> list[int]:
+        """The flow, free or along contacts."""
+        return self.along_contacts if held else self.free
+
+    def guard(self, name: str) -> int:
+        """The node of a guard: an edge's, a window's end, or the load of a contact."""
+        if name not in self._guards:
+            self._guards[name] = self._guard(name)
+        return self._guards[name]
+
+    def _guard(self, name: str) -> int:
+        contact = name.removesuffix(RELEASE)
+        if contact != name:
+            return times(self.graph, self.forces[contact], self.contact(contact).weight)
+        (value,) = self.values(self.closed[name]())
+        return value
+
+    def deciding(self, name: str) -> list[int]:
+        """Nodes by whose formula a guard changes: of a load also gap, gap speed and free
+        acceleration of its contact, which end its rest too."""
+        held = name.removesuffix(RELEASE)
+        if held == name:
+            return [self.guard(name)]
+        contact = self.contact(held)
+        return [self.guard(name), contact.gap, contact.speed, contact.acceleration]
+
+    # -- what is made of it ---------------------------------------------------------------
+
+    def program(self, key: Any, make: Callable[[], Sequence[int]]) -> Program:
+        """Scalar code of some nodes; the mask is behind the parameters."""
+        return self.code.once(("mode", self.mode, key), lambda: self._program(make()))  # type: ignore[no-any-return]
+
+    def _program(self, nodes: Sequence[int]) -> Program:
+        return Program(self.graph, ["t", "x"], len(self.x), np.array(nodes))
+
+    def lie(self, name: str, held: bool) -> list[int]:
+        """A guard and its first two derivatives along the flow."""
+        first = self.rate(self.guard(name), self.flow(held))
+        return [self.guard(name), first, self.rate(first, self.flow(held))]
+
+    def sizes(self, name: str, held: bool) -> list[int]:
+        """Sums of the absolute terms of which a guard and its derivatives are made."""
+        graph, guard = self.graph, self.guard(name)
+        zeros = dict.fromkeys(self.x, graph.const(0.0))
+        (offset,) = rebuilt(graph, [guard], lambda n: zeros.get(graph.known(*n) or -1))
+        known = graph.node("is_finite", offset)
+        absolute = graph.node("select", known, graph.node("abs", offset), graph.const(0.0))
+        moving = [graph.const(1.0), *self.flow(held)]
+        size = graph.node("add", self._terms(guard, [self.t, *self.x]), absolute)
+        first = self.rate(guard, self.flow(held))
+        return [size, self._terms(guard, moving), self._terms(first, moving)]
+
+    def _terms(self, node: int, changes: Sequence[int]) -> int:
+        graph = self.graph
+        slopes = gradient(graph, node, [self.t, *self.x])
+        pairs = zip(slopes, changes, strict=True)
+        return graph.dot([(graph.node("abs", a), graph.node("abs", b)) for a, b in pairs])
+
+    def tape(self, held: bool) -> Tape:
+        """The tape of the flow, and of all guards in the order of :meth:`watched`.
+
+        Raises
+        ------
+        TraceError
+            Where an operation has no recurrence.
+        """
+        guards = [self.guard(name) for name in self.watched(held)]
+        where = f"{self.spec.model}, mode {self.mode}"
+        return tape(self.graph, len(self.x), np.array(self.flow(held)), guards, where)
+
+    def watched(self, held: bool) -> list[str]:
+        """Names of the guards: all that are declared, and with contacts held their loads."""
+        return [*self.closed, *(f"{name}{RELEASE}" for name in self.resting if held)]
+
+    def projection(self, held: Sequence[str], numbers: Sequence[float]) -> Scalar:
+        """The state moved onto all gaps 0 (two Newton steps) and all gap speeds 0.
+
+        Parameters
+        ----------
+        numbers
+            Values of parameters and mask.
+        """
+        contacts = [self.contact(name) for name in self.resting]
+        rows = [[c.gap, c.speed, *c.normal, *c.push] for c in contacts]
+        geometry = self.program("geometry", lambda: [i for row in rows for i in row]).bind(numbers)
+        ends = np.cumsum([len(row) for row in rows]).tolist()
+        places = [slice(end - len(row), end) for end, row in zip(ends, rows, strict=True)]
+        known = dict(zip(self.resting, zip(contacts, places, strict=True), strict=True))
+        chosen = [known[name] for name in held]
+
+        def project(t: float, x: Sequence[float]) -> tuple[float, ...]:
+            for of_speed in (False, False, True):
+                values = geometry(t, x)
+                here = [Placed.of(contact, values[place]) for contact, place in chosen]
+                x = _onto_zero(here, x, of_speed)
+            return tuple(x)
+
+        return project
+
+
+@attrs.frozen
+class Placed:
+    """The numbers of a contact at a state, at their places in the state."""
+
+    gap: float
+    speed: float
+    gradient: dict[int, float]
+    felt: dict[int, float]
+    push: dict[int, float]
+
+    @classmethod
+    def of(cls, contact: Normal, values: Sequence[float]) -> Placed:
+        """From the values of gap, speed, normal and push."""
+        pairing, n = contact.pairing, len(contact.normal)
+        normal, push = values[2 : 2 + n], values[2 + n :]
+        gradient = dict(zip(pairing.positions, normal, strict=True))
+        felt = dict(zip(pairing.velocities, normal, strict=True))
+        pushed = dict(zip(pairing.velocities, push, strict=True))
+        return cls(values[0], values[1], gradient, felt, pushed)
+
+
+def _onto_zero(contacts: Sequence[Placed], x: Sequence[float], of_speed: bool) -> list[float]:
+    """The state with the gaps (their speeds) taken away to first order."""
+    feels = [c.felt if of_speed else c.gradient for c in contacts]
+    moves = [c.push if of_speed else c.gradient for c in contacts]
+    matrix = [[sum(n * d[i] for i, n in f.items() if i in d) for d in moves] for f in feels]
+    try:
+        steps = solve(matrix, [c.speed if of_speed else c.gap for c in contacts])
+    except ZeroDivisionError:
+        return [math.nan] * len(x)
+    changes = [
+        [s * d[i] for s, d in zip(steps, moves, strict=True) if i in d] for i in range(len(x))
+    ]
+    return [value - sum(change) for value, change in zip(x, changes, strict=True)]
+
+
+def _groups(names: Sequence[str], linked: Mapping[tuple[str, str], bool]) -> list[list[str]]:
+    """Contacts whose forces depend on each other, in declared order."""
+    groups: list[list[str]] = []
+    for name in names:
+        meets = [g for g in groups if any(linked[name, i] or linked[i, name] for i in g)]
+        joined = {i for group in meets for i in group} | {name}
+        groups = [group for group in groups if group not in meets]
+        groups.append([i for i in names if i in joined])
+    return groups

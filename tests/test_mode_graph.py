@@ -1,0 +1,196 @@
+"""One graph of a mode: derivatives on it are JAX's, and any contacts of it may be held."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+from hybrid.automaton import trace
+from hybrid.scene.contact import lie
+from hybrid.scene.scene import rest_name, scene_of
+from models.ball_on_circle import BallOnCircle
+from models.coupled import Coupled
+from models.relay import Relay
+
+from .systems import Drag, Pile, Rubbed
+from .test_readers import EXPRESSIONS, automaton
+
+
+class Watched(hy.Automaton):
+    """A guard that is made of many operations, along a flow that is."""
+
+    x = hy.state()
+    y = hy.state()
+    p = hy.parameter(0.7)
+
+    @hy.mode
+    def flow(self, t, s):
+        return self.p * jnp.sin(s.y) + jnp.tanh(t), jnp.sqrt(4 + s.x) - s.x**self.p * s.y
+
+    @hy.edge(
+        flow,
+        to="flow",
+        guard=lambda self, t, s: (
+            jnp.maximum(jnp.abs(s.x), s.y)
+            + jnp.arctan2(s.x, s.y + 4)
+            + jnp.where(s.x > 0, jnp.cbrt(s.x + 3), jnp.cos(s.x) / (2 + t))
+        ),
+    )
+    def over(self, t, s):
+        return s
+
+
+def sizes(g, f):
+    """Sums of absolute terms, by JAX."""
+
+    def terms(h, rates, *at):
+        by_t, by_x = jax.grad(h, argnums=(1, 2))(*at)
+        return jnp.abs(by_t) * rates[0] + jnp.abs(by_x) @ rates[1]
+
+    def made(p, t, x):
+        moving, here = (1.0, jnp.abs(f(p, t, x))), (jnp.abs(t), jnp.abs(x))
+        offset = jnp.abs(g(p, t, jnp.zeros_like(x)))
+        own = terms(g, here, p, t, x) + jnp.where(jnp.isfinite(offset), offset, 0.0)
+        return jnp.stack([own, terms(g, moving, p, t, x), terms(lie(g, f), moving, p, t, x)])
+
+    return made
+
+
+FIELDS = [
+    (Watched, "flow"),
+    (Drag, "flight"),
+    (Rubbed, "fall.rest(impact)"),
+    (BallOnCircle, None),
+    (Coupled, None),
+    (Relay, None),
+    (Pile, "falls.rest(floor, between)"),
+]
+
+
+@pytest.mark.parametrize(("cls", "name"), FIELDS, ids=lambda v: getattr(v, "__name__", v))
+def test_flows_guards_and_their_derivatives_are_those_of_jax(cls, name):
+    """At random states, to the rounding of a few hundred operations; loads, rests and sliding."""
+    scene, draw = scene_of(cls()), np.random.default_rng(0)
+    field = scene.field(name or scene.modes[-1])
+    flow = trace.again(field.closed)
+    close = {"rtol": 1e-11, "atol": 1e-12}
+    for _ in range(2):
+        t, x = float(draw.uniform(0, 2)), draw.uniform(0.1, 1.5, scene.spec.dimension)
+        with trace.wide():
+            at = scene.parameters, np.float64(t), x
+            np.testing.assert_allclose(field.rhs(t, x.tolist()), flow(*at), **close)
+            for guard in field.guards:
+                g = trace.again(guard.closed)
+                first = lie(g, flow)
+                expected = [g(*at), first(*at), lie(first, flow)(*at)]
+                np.testing.assert_allclose(guard.lie(t, x.tolist()), expected, **close)
+                np.testing.assert_allclose(guard.value(t, x.tolist()), g(*at), **close)
+                found = scene.rounding(guard, field)(t, x.tolist())
+                np.testing.assert_allclose(found, sizes(g, flow)(*at), **close)
+            if field.held:
+                onto = scene.code.held(field.held).project(*at)
+                np.testing.assert_allclose(field.project(t, x.tolist()), onto, **close)
+
+
+@pytest.mark.parametrize("name", ["roots", "inverse hyperbolic", "clipping", "piecewise", "angles"])
+def test_derivatives_of_operations_are_those_of_jax(name):
+    """The second derivative along the flow, of a guard that is the flow itself; ties too."""
+    expression = EXPRESSIONS[name]
+
+    class Guarded(automaton(expression)):
+        @hy.edge("flow", to="flow", guard=lambda self, t, s: expression(t, s.x, s.y))
+        def edge(self, t, s):
+            return s
+
+    scene, draw = scene_of(Guarded()), np.random.default_rng(3)
+    field = scene.field("flow")
+    flow, g = trace.again(field.closed), trace.again(field.guards[0].closed)
+    ties = [np.array([0.0, 0.0]), np.array([0.2, 0.2]), np.array([0.5, 0.0])]
+    for x in [*draw.uniform(-1, 1, (5, 2)), *ties]:
+        t = float(draw.uniform(-1, 1))
+        with trace.wide():
+            at = scene.parameters, np.float64(t), x
+            first = lie(g, flow)
+            expected = [g(*at), first(*at), lie(first, flow)(*at)]
+        np.testing.assert_allclose(field.guards[0].lie(t, x.tolist()), expected, rtol=1e-11)
+
+
+def column(n, e):
+    """Beads above each other, the lowest above a floor."""
+
+    class Column(hy.Automaton):
+        q = hy.state(shape=(n,))
+        v = hy.state(shape=(n,))
+
+        @hy.mode
+        def falls(self, t, s):
+            return s.v, -9.81 + 0.0 * s.q
+
+        floor = hy.contact(falls, gap=lambda self, t, s: s.q[0], restitution=e)
+        for i in range(1, n):
+            vars()[f"c{i}"] = hy.contact(
+                falls, gap=lambda self, t, s, i=i: s.q[i] - s.q[i - 1], restitution=e
+            )
+        del i
+
+    return Column
+
+
+@pytest.mark.parametrize("options", [{"solver": "scipy"}, {"solver": "taylor"}], ids=str)
+@pytest.mark.parametrize("n", [3, 10])
+def test_touching_beads_that_lose_nothing_strike_each_once_and_fly_up_together(n, options):
+    """n (n + 1) / 2 impacts at one instant turn all speeds about: energy is kept."""
+    run = hy.simulate(column(n, 1.0)(), {"q": [0.05] * n, "v": [0.0] * n}, (0.0, 0.15), **options)
+    assert len(run.jumps) == n * (n + 1) // 2
+    fall = (2 * 0.05 / 9.81) ** 0.5
+    assert all(jump.t == pytest.approx(fall, rel=1e-14) for jump in run.jumps)
+    s = 0.15 - fall
+    speed = 9.81 * fall - 9.81 * s
+    np.testing.assert_allclose(run.final.v, speed, rtol=1e-9)
+    np.testing.assert_allclose(run.final.q, 9.81 * fall * s - 9.81 * s * s / 2, rtol=1e-9)
+
+
+def test_touching_beads_that_lose_half_come_to_rest():
+    """Five of them: on the floor and on each other, before the second fall would have ended."""
+    start = {"q": [0.05] * 5, "v": [0.0] * 5}
+    run = hy.simulate(column(5, 0.5)(), start, (0.0, 0.15), solver="taylor")
+    np.testing.assert_allclose(run.final.q, 0.0, atol=1e-12)
+    np.testing.assert_allclose(run.final.v, 0.0, atol=1e-12)
+    assert run.arcs[-1].mode == rest_name("falls", ("floor", "c1", "c2", "c3", "c4"))
+
+
+def test_the_graph_of_a_mode_grows_as_a_power_of_its_contacts():
+    """Three times the beads: less than nine times the nodes of flow, loads and their rates."""
+
+    def nodes(n):
+        graph = scene_of(column(n, 0.5)()).code.mode("falls")
+        for name in graph.watched(True):
+            graph.lie(name, True)
+        return len(graph.graph.nodes)
+
+    assert nodes(12) < 9 * nodes(4)
+
+
+def test_any_contacts_of_a_mode_are_held_by_the_same_tape_and_code():
+    """The beads held stay on each other, the others fall; nothing is made for a subset."""
+    n = 6
+    scene = scene_of(column(n, 0.5)())
+    code = scene.code
+    scene.field("falls.rest(floor)").expand(0.0, [0.0] * 2 * n, [])
+    made = dict(code._programs)
+    names = [edge.name for edge in scene.spec.leaving("falls")]
+    for held in (names[:1], names[1:3], names[::2], names):
+        field = scene.field(rest_name("falls", tuple(held)))
+        x = [0.1 * i for i in range(n)] + [0.0] * n
+        series, guards, _ = field.expand(0.0, x, [])
+        speeds = [row[1] for row in series[n:]]
+        assert list(field.rhs(0.0, x)[n:]) == pytest.approx(speeds, abs=1e-13)
+        for i, name in enumerate(names):
+            below = speeds[i - 1] if i else 0.0
+            if name in held:
+                assert speeds[i] == pytest.approx(below, abs=1e-13)
+        loads = guards[n - len(held) :]
+        assert all(load[0] >= -1e-12 for load in loads)
+    kinds = {key[0] for key in code._programs if key not in made}
+    assert not kinds & {"tape", "rest closed", "load closed", "lie closed", "field"}
