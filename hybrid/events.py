@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
+from numpy.polynomial import chebyshev
 
 from .automaton.markers import Crossing
 from .errors import FlowError
@@ -62,6 +63,9 @@ NOTHING = 1e-20
 #: Jumps with no time between them after which a run is taken to be caught in a loop; impacts,
 #: which slow down bodies in contact that strike each other again and again.
 CAUGHT, STRUCK = 100, 10_000
+
+#: Where, between its start and a zero, a guard is looked at for having left zero.
+SHARES_OF_FLIGHT = np.array([0.25, 0.5, 0.75])
 
 EPS = float(np.finfo(float).eps)
 
@@ -294,13 +298,19 @@ class _Piece:
         self.ends[seen] = max(self.ends.get(seen, 0.0), float(np.abs(values).max()))
         rough = not (self.guard.affine or order or self.resolved(values))
         for root, direction in roots(bernstein, order, self.tolerance):
-            inside = np.abs(values[nodes(self.degree) < root])
-            if direction and max(before, inside.max(initial=0.0)) <= self.noise:
+            if direction and before <= self.noise and not self.leaves(values, root):
                 continue
             if direction and rough:
                 yield self.refined(left + width * root, direction, fractions, values), direction
             elif direction or away:
                 yield left + width * root, direction
+
+    def leaves(self, values: np.ndarray, root: float) -> bool:
+        """Whether a guard is larger than rounding somewhere before a zero of its polynomial."""
+        series = from_values(self.degree) @ values
+        between = chebyshev.chebval(2.0 * root * SHARES_OF_FLIGHT - 1.0, series)
+        largest = max(np.abs(between).max(), np.abs(values[nodes(self.degree) < root]).max())
+        return bool(largest > self.noise)
 
     def refined(
         self, root: float, direction: int, fractions: np.ndarray, values: np.ndarray

@@ -46,8 +46,8 @@ AHEAD = 1.1
 #: Attempts to step onto a guard.
 LANDINGS = 4
 
-#: Nearer than this share of a step to its start, a guard fires there.
-AT_ONCE = 1e-13
+#: Nearer than this many spacings of the time to a step's start, a guard fires there.
+AT_ONCE = 4
 
 #: Impacts are summed anew only after their speed has fallen to this share.
 PATIENCE = 0.3
@@ -133,8 +133,8 @@ class Turner:
         moved = self._settled(run, lane, held, self._seen(moved, rows))
         looks = kept & ~landing
         event = self.detector.event(run, lane, rows, moved.x, h, curved, looks)
-        result = self._decided(going, kept, moved, refused, event, h)
-        cut = event.fires & (event.share > AT_ONCE) & self.method.dense
+        result = self._decided(lane.now, going, kept, moved, refused, event, h)
+        cut = event.fires & ~_at_once(lane.now, event, h) & self.method.dense
         aimed, there, length = self._cut(lane, moved, path, h, event, cut)
         landed = lambda: self._landed(run, aimed, held, there, length)  # noqa: E731
         return when(landing | cut, landed, result), step
@@ -203,12 +203,12 @@ class Turner:
         return moved._replace(largest=jnp.maximum(moved.largest, rows.largest))
 
     def _decided(
-        self, going: Going, kept: Any, moved: Going, refused: Going, event: Event, h: Any
+        self, now: Any, going: Going, kept: Any, moved: Going, refused: Going, event: Event, h: Any
     ) -> Going:
         """After an attempt: gone on, refused, to be repeated onto a guard or shorter."""
         stays = ~kept | event.fires | event.halve | event.unsure
         result = choose(stays, refused, moved)
-        aim = jnp.where(event.share <= AT_ONCE, JUMP, LAND)
+        aim = jnp.where(_at_once(now, event, h), JUMP, LAND)
         return result._replace(
             h=jnp.where(event.fires | event.halve, going.h, result.h),
             cap=jnp.where(event.halve | ~stays, event.cap, going.cap),
@@ -416,6 +416,11 @@ class Turner:
         value = jnp.where(order == 0, lies[0], jnp.where(order == 1, lies[1], lies[2]))
         sign = jnp.where(decides.any(axis=0), jnp.sign(value), 0.0)
         return lies, flow, order, jnp.where(known == 3, 1.0, sign)
+
+
+def _at_once(now: Any, event: Event, h: Any) -> Any:
+    """Whether a guard fires where a step of length ``h`` from a time starts."""
+    return event.share * h <= AT_ONCE * EPS * jnp.abs(now)
 
 
 def _first_step(run: Run, x: Any, rate: Any) -> Any:

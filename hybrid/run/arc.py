@@ -106,6 +106,7 @@ class ArcFlow:
     def _run(self) -> Flown:
         length = self.now.until(self.until)
         target = self.predict(length)
+        self._begin_guards()
         stepper = self._begin(length, target)
         if not self.wanted:
             return self._finish(stepper, length)
@@ -120,6 +121,14 @@ class ArcFlow:
         index, carried = (None, False) if fired is None else (fired.index, fired.cut is not None)
         made = stepper.tau, stepper.x, segments, self.grazes
         return Flown(index, *made, carried=carried, tied=self.tied)
+
+    def _begin_guards(self) -> None:
+        """Note the guards that are not zero here: dense output shows its start to rounding of a
+        whole step only, in which a guard that is nearer to zero would lose its sign."""
+        t, x = self.now.t, self.x.tolist()
+        for guard, order in zip(self.field.guards, self.orders, strict=True):
+            if not order and not guard.kinks:
+                self.ends[guard.edge] = guard.value(t, x)
 
     def _steps(
         self, stepper: Stepper, length: float, target: float | None, segments: list[Segment]
@@ -138,18 +147,52 @@ class ArcFlow:
             except FlowError as fault:
                 raise FlowError(f"{self._where(start, x)}: {fault}") from None
             if found:
-                landed = self._land(stepper, segment, found[0]) if found[0].tau > start else None
-                if landed is None:
-                    stepper.tau, stepper.x = start, x
-                else:
-                    stepper.tau = landed.end
-                    segments.append(landed)
-                fired = self._first_declared(found, stepper, segment.length)
-                segments += self._past(fired, stepper, length)
+                fired, last = self._ended(found, stepper, segment, x)
+                segments += [*last, *self._past(fired, stepper, length)]
                 break
             segments.append(segment)
             self.orders = [0] * len(self.orders)
         return fired
+
+    def _ended(
+        self, found: list[Fired], stepper: Stepper, segment: Segment, x: np.ndarray
+    ) -> tuple[Fired, list[Segment]]:
+        """End a step, which began at ``x``, on the first of the guards that fire in it.
+
+        Where two are next to each other the step's polynomial may show them in the wrong order: it
+        ends on the one that has already fired where the other does.
+        """
+        landed, first = None, found[0]
+        for attempt in range(len(found)):
+            landed = None
+            if first.tau > segment.start:
+                landed = self._land(stepper, segment, first, again=attempt > 0)
+            if landed is None:
+                stepper.tau, stepper.x = segment.start, x
+                break
+            stepper.tau = landed.end
+            earlier = self._earlier(found, first, stepper, segment.length)
+            if earlier is None:
+                break
+            first = earlier
+        found = [first, *(each for each in found if each.index != first.index)]
+        fired = self._first_declared(found, stepper, segment.length)
+        return fired, [] if landed is None else [landed]
+
+    def _earlier(
+        self, found: list[Fired], first: Fired, stepper: Stepper, length: float
+    ) -> Fired | None:
+        """Of the guards that fire next to one in a step, that which has fired the longest ago."""
+        t, x, best = self.now.t + stepper.tau, stepper.x.tolist(), None
+        for other in found:
+            if other.index == first.index or other.cut or other.tau - first.tau > BESIDE * length:
+                continue
+            value, rate, _ = self.field.guards[other.index].lie(t, x)
+            ago = value / rate if rate * other.direction > 0 else 0.0
+            noise = TIE * float(np.spacing(abs(t))) * abs(rate) + self._rounding(other.index, t, x)
+            if abs(value) > noise and ago > (0.0 if best is None else stepper.tau - best.tau):
+                best = attrs.evolve(other, tau=stepper.tau - ago)
+        return best
 
     def _where(self, tau: float = 0.0, x: np.ndarray | None = None) -> str:
         return describe(self.scene, self.field, self.now.t + tau, self.x if x is None else x)
@@ -394,13 +437,19 @@ class ArcFlow:
             return False
         return -value > self._rounding(index, self.now.t + segment.end, stepper.x.tolist())
 
-    def _land(self, stepper: Stepper, segment: Segment, fired: Fired) -> Segment | None:
-        """End the step on the guard, to rounding (5); None if that is the step's start."""
+    def _land(
+        self, stepper: Stepper, segment: Segment, fired: Fired, again: bool = False
+    ) -> Segment | None:
+        """End the step on the guard, to rounding (5); None if that is the step's start.
+
+        ``again``: the step has been ended before.
+        """
         tau = fired.tau
-        small, least = 1e-6 * segment.length, segment.start + 1e-13 * segment.length
+        start, small = segment.start, 1e-6 * segment.length
+        least = start + TIE * float(np.spacing(abs(self.now.t) + start))
         last, end, shift = self.now.until(self.until), segment.end, 0.0
         try:
-            if segment.end - tau > small:
+            if again or segment.end - tau > small:
                 if tau <= least:
                     return None
                 segment = stepper.land(tau)

@@ -80,7 +80,7 @@ class Driver:
         self.status: Status | None = None
         self.watch = Watch()
         self.cycles = Cycles()
-        self.reach = 0.0
+        self.seen = np.zeros(scene.spec.dimension)
         self._known = self._jumped = Jumped()
         self._tied: dict[str, int] = {}
         self._spent: frozenset[str] = frozenset()
@@ -117,12 +117,11 @@ class Driver:
     def enter(self, mode: str, x: np.ndarray, jumped: Jumped) -> None:
         """Begin an arc, unless the run has ended."""
         if self.status is None:
-            reach = 0.0 if jumped.starting else self.reach
             self.look(x)
             jumped = attrs.evolve(jumped, tied=self._tied, spent=self._spent)
-            self.entry = enter(self.scene, self.t, mode, x, jumped, reach, self._off(x))
+            self.entry = enter(self.scene, self.t, mode, x, jumped, self.seen, self._off(x))
             self._jumped = jumped
-            self.reach = max(self.reach, float(np.max(np.abs(x))))
+            self.seen = np.maximum(self.seen, np.abs(x))
 
     def _off(self, x: np.ndarray) -> float:
         """What a state may be off, by the tolerances; little, however loose they are."""
@@ -149,8 +148,8 @@ class Driver:
 
     def flow(self) -> None:
         """Flow an arc, or as many as need no judgement, and carry out the jump that ends it."""
-        self._spent = frozenset()
         if self.streaks is not None and self.streaks.takes():
+            self._spent = frozenset()
             self.streaks.fly()
         else:
             self.flow_arc()
@@ -165,7 +164,7 @@ class Driver:
         mode, x = self.entry.field.mode, self.entry.x
         if not self.entry.orders and self.entry.field.guards:
             off = self._off(x)
-            self.entry = enter(self.scene, self.t, mode, x, self._known, self.reach, off)
+            self.entry = enter(self.scene, self.t, mode, x, self._known, self.seen, off)
 
     def flow_arc(self) -> None:
         """Flow an arc and carry out the jump that ends it."""
@@ -193,6 +192,8 @@ class Driver:
         if self.plan.progress is not None:
             self.plan.progress(self.t)
         self._tied = flown.tied
+        if flown.length > 0:
+            self._spent = frozenset()
         if fired is None:
             self.status = Status.INTERRUPTED if flown.interrupted else Status.REACHED_END
         else:
@@ -348,14 +349,14 @@ class Driver:
 
     def flown(self, flights: Flights) -> bool:
         """Record jumps that needed no judgement, no more than there was room for."""
-        jumps, reach = flights.jumps, float(np.max(np.abs(flights.jumps.after)))
+        jumps = flights.jumps
 
         def where(k: int) -> str:
             field = self.scene.field(flights.modes[k])
             return describe(self.scene, field, float(jumps.t[k]), jumps.before[k])
 
         self.record.flights(flights, where)
-        self.reach = max(self.reach, reach)
+        self.seen = np.maximum(self.seen, np.abs(jumps.after).max(axis=0))
         if self.record.made >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
         columns = jumps.edge, flights.modes, jumps.t.tolist(), jumps.low.tolist(), jumps.after

@@ -81,12 +81,13 @@ class Jumped:
 
 
 def enter(
-    scene: Scene, t: float, mode: str, x: np.ndarray, jumped: Jumped, reach: float, off: float
+    scene: Scene, t: float, mode: str, x: np.ndarray, jumped: Jumped, seen: np.ndarray, off: float
 ) -> Entry:
     """The start of an arc in a mode as declared.
 
-    ``reach`` is the size of the states that the run has seen: rounding is measured by it; ``off``
-    what a state may be off after a jump, by the tolerances.
+    ``seen`` are the sizes of the states that the run has seen: rounding is measured by them, that
+    of an edge's guard by those of the states it is made of; ``off`` what a state may be off after a
+    jump, by the tolerances.
 
     Raises
     ------
@@ -100,7 +101,7 @@ def enter(
         _require_on_surface(scene, field, t, x)
     if field.project is not None:
         x = np.array(field.project(t, x.tolist()))
-    here = _Here(scene, field, t, x, reach, expand(field, t, x), 0.0 if jumped.starting else off)
+    here = _Here(scene, field, t, x, seen, expand(field, t, x), 0.0 if jumped.starting else off)
     orders, at_once, signs = [], [], []
     for index, guard in enumerate(field.guards):
         order, sign = here.start_of(guard, index, jumped)
@@ -108,7 +109,7 @@ def enter(
             order, sign = 0, 1
         if here.closed(guard, order, sign, jumped):
             more = attrs.evolve(jumped, held=(*jumped.held, guard.edge))
-            return enter(scene, t, mode, x, more, reach, off)
+            return enter(scene, t, mode, x, more, seen, off)
         if here.fires(guard, order, sign, jumped):
             at_once.append(index)
         orders.append(order)
@@ -141,12 +142,12 @@ def expand(field: Field, t: float, x: np.ndarray) -> Any:
 
 
 def heading(
-    scene: Scene, t: float, mode: str, x: np.ndarray, edge: str, reach: float
+    scene: Scene, t: float, mode: str, x: np.ndarray, edge: str, seen: np.ndarray
 ) -> tuple[int, int]:
     """From a zero of an edge's guard: the order by which it vanishes along a mode's flow, and
     the sign that it takes; sign 0 where no derivative decides."""
     field = scene.field(mode)
-    here, index = _Here(scene, field, t, x, reach, expand(field, t, x)), field.column(edge)
+    here, index = _Here(scene, field, t, x, seen, expand(field, t, x)), field.column(edge)
     return here.decide(field.guards[index], index, 1)
 
 
@@ -191,7 +192,7 @@ def _require_on_surface(scene: Scene, field: Field, t: float, x: np.ndarray) -> 
         return
     side = scene.field(switching.positive)
     index = side.column(switching.name)
-    here = _Here(scene, side, t, x, 0.0, None)
+    here = _Here(scene, side, t, x, np.zeros(0), None)
     if here.start_of(side.guards[index], index, Jumped())[0] == 0:
         value = side.guards[index].value(t, x.tolist())
         raise StartError(
@@ -213,9 +214,14 @@ class _Here:
     field: Field
     t: float
     x: np.ndarray
-    reach: float
+    seen: np.ndarray
     series: Any
     off: float = 0.0
+
+    @property
+    def reach(self) -> float:
+        """The size of the largest state that the run has seen."""
+        return float(np.max(self.seen, initial=0.0))
 
     def where(self) -> str:
         return describe(self.scene, self.field, self.t, self.x)
@@ -274,7 +280,7 @@ class _Here:
 
     def require_way(self, guard: Guard, sign: int, starting: bool) -> None:
         """Refuse to choose where both flows lead away from the surface of a switching."""
-        _, other = heading(self.scene, self.t, guard.to, self.x, guard.edge, self.reach)
+        _, other = heading(self.scene, self.t, guard.to, self.x, guard.edge, self.seen)
         if other != -sign:
             return
         raise (StartError if starting else DomainError)(
@@ -296,7 +302,11 @@ class _Here:
                 return 0, 1 if value > 0 else -1
             size, rate = self.scene.rounding(guard, self.field)(t, x)[0], guard.lie(t, x)[1]
             moves = guard.kind == "contact" and value > 0 and abs(rate) > 64 * EPS * self.reach
-            noise = 64 * EPS * (size + abs(t) * abs(rate) + (0.0 if moves else self.reach))
+            if guard.kind == "edge" and len(self.seen):
+                reach = max((float(self.seen[i]) for i in guard.uses), default=0.0)
+            else:
+                reach = 0.0 if moves else self.reach
+            noise = 64 * EPS * (size + abs(t) * abs(rate) + reach)
             if abs(value) > noise:
                 return 0, 1 if value > 0 else -1
         return self.decide(guard, index, max(least, 1))

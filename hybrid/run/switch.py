@@ -59,8 +59,8 @@ def onward(driver: Driver, guard: Guard, x: np.ndarray) -> str:
             "surfaces at once is not known yet: declare an edge from "
             f'"{mode}" with this surface as its guard'
         )
-    order, _ = heading(scene, at, mode, x, name, driver.reach)
-    other, sign = heading(scene, at, guard.to, x, name, driver.reach)
+    order, _ = heading(scene, at, mode, x, name, driver.seen)
+    other, sign = heading(scene, at, guard.to, x, name, driver.seen)
     inside = 1 if guard.to == switching.positive else -1
     if sign == inside:
         return guard.to

@@ -135,3 +135,47 @@ def test_a_jump_may_lead_beyond_an_event_and_impacts_accumulate_under_it(way):
     assert result.t_inf == pytest.approx(3.0, abs=1e-8)
     if way.tells("all zeno"):
         np.testing.assert_allclose([point.t for point in result.zeno], [3.0, 7.0], atol=1e-8)
+
+
+class Burst(hy.Automaton):
+    """Three events next to each other, of a state and of time, and a number that is large."""
+
+    x = hy.state()
+    n = hy.state()
+    large = hy.state()
+    first = hy.parameter(1e-14)
+    apart = hy.parameter(2e-15)
+    of_time = hy.parameter(0.0)
+
+    def passed(self, t, s, k):
+        place = self.of_time * t + (1.0 - self.of_time) * s.x
+        return self.first + k * self.apart - place
+
+    @hy.mode
+    def runs(self, t, s):
+        return 1.0, 0.0, 0.0
+
+    @hy.edge(runs, to=runs, guard=lambda self, t, s: self.passed(t, s, 0))
+    def one(self, t, s):
+        return s.replace(n=10 * s.n + 1)
+
+    @hy.edge(runs, to=runs, guard=lambda self, t, s: self.passed(t, s, 1))
+    def two(self, t, s):
+        return s.replace(n=10 * s.n + 2)
+
+    @hy.edge(runs, to=runs, guard=lambda self, t, s: self.passed(t, s, 2))
+    def three(self, t, s):
+        return s.replace(n=10 * s.n + 3)
+
+
+@pytest.mark.parametrize("of_time", [0.0, 1.0])
+@pytest.mark.parametrize(("first", "apart"), [(1e-14, 2e-15), (1e-15, 1e-15), (3e-17, 1e-18)])
+def test_events_next_to_each_other_fire_once_each_at_their_times(way, first, apart, of_time):
+    """However near to each other: what is far from zero beside them has no part in it."""
+    model = Burst(first=first, apart=apart, of_time=of_time)
+    result = way.run(model, [0.0, 0.0, 1e3], (0.0, 1.0), rtol=1e-9)
+    assert result.final.n == 123.0
+    if way.tells("times"):
+        # what is read off a step of length one is known to the rounding of one
+        atol = 1e-16 if way.name in ("Radau", "Dopri8") else 0.0
+        np.testing.assert_allclose(result.times, first + apart * np.arange(3), 1e-12, atol)
