@@ -8,6 +8,7 @@ import pytest
 import hybrid as hy
 from hybrid.automaton import trace
 from hybrid.scene.contact import lie
+from hybrid.scene.lowered import ORDER
 from hybrid.scene.scene import rest_name, scene_of
 from models.ball_on_circle import BallOnCircle
 from models.coupled import Coupled
@@ -15,6 +16,7 @@ from models.relay import Relay
 
 from .systems import Drag, Pile, Rubbed
 from .test_readers import EXPRESSIONS, automaton
+from .test_tape import PLAIN
 
 
 class Watched(hy.Automaton):
@@ -41,6 +43,31 @@ class Watched(hy.Automaton):
         return s
 
 
+class Wedged(hy.Automaton):
+    """A particle outside a ball and above a sheet that moves: their normals feel each other."""
+
+    q = hy.state(shape=(3,))
+    v = hy.state(shape=(3,))
+    m = hy.parameter(1.3)
+
+    @hy.mode
+    def fly(self, t, s):
+        return s.v, jnp.array([0.1 * jnp.sin(t), -0.2 * s.v[0], -9.81]) - 0.1 * s.q
+
+    ball = hy.contact(
+        fly,
+        gap=lambda self, t, s: jnp.sum(s.q**2) - 1.0,
+        restitution=0.5,
+        inverse_mass=lambda self, t, s: self.m,
+    )
+    sheet = hy.contact(
+        fly,
+        gap=lambda self, t, s: s.q[2] - 0.3 * jnp.sin(t) + 0.2 * s.q[0] * s.q[1],
+        restitution=0.5,
+        inverse_mass=lambda self, t, s: self.m * jnp.ones(3),
+    )
+
+
 def sizes(g, f):
     """Sums of absolute terms, by JAX."""
 
@@ -65,6 +92,7 @@ FIELDS = [
     (Coupled, None),
     (Relay, None),
     (Pile, "falls.rest(floor, between)"),
+    (Wedged, "fly.rest(ball, sheet)"),
 ]
 
 
@@ -91,6 +119,23 @@ def test_flows_guards_and_their_derivatives_are_those_of_jax(cls, name):
             if field.held:
                 onto = scene.code.held(field.held).project(*at)
                 np.testing.assert_allclose(field.project(t, x.tolist()), onto, **close)
+
+
+@pytest.mark.parametrize("held", [("ball",), ("sheet",), ("ball", "sheet")], ids=str)
+def test_series_along_contacts_are_those_of_their_equations_written_out(held):
+    """Of states and loads, where the equations move; whichever of the contacts are held."""
+    scene, draw = scene_of(Wedged()), np.random.default_rng(5)
+    field = scene.field(rest_name("fly", held))
+    loads = [trace.again(guard.closed) for guard in field.guards]
+    stacked = scene.code.trace(lambda *at: jnp.stack([load(*at) for load in (*loads, *loads)]))
+    written = scene.code.array_series(field.closed, stacked, ORDER, PLAIN).bind([1.3])
+    for _ in range(3):
+        t, x = float(draw.uniform(0, 2)), draw.uniform(0.3, 1.0, 6).tolist()
+        states, guards, _ = field.expand(t, x, [0] * field.kinks)
+        expected = written(t, x)
+        for ours, theirs in zip([*states, *guards], [*expected[0], *expected[1]], strict=False):
+            size = np.abs(theirs).max()
+            np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-13 * size)
 
 
 @pytest.mark.parametrize("name", ["roots", "inverse hyperbolic", "clipping", "piecewise", "angles"])
