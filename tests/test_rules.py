@@ -121,9 +121,12 @@ def test_a_changed_callee_is_not_stale(toy):
 
 
 def test_a_cache_that_cannot_be_written_is_one_warning(toy):
-    """The rules are compiled into a temporary folder."""
+    """The rules are compiled into a temporary folder, which goes with the process."""
     (toy / "file").write_text("")
-    out, err = done(started(toy, HYBRID_CACHE=str(toy / "file" / "cache")))
+    (toy / "tmp").mkdir()
+    nowhere = {"HYBRID_CACHE": str(toy / "file" / "cache"), "TMPDIR": str(toy / "tmp")}
+    out, err = done(started(toy, **nowhere))
+    assert not list((toy / "tmp").glob("hybrid-*"))
     assert out == "0.75"
     assert err.count("UserWarning") == 1
     assert "HYBRID_CACHE" in err

@@ -10,6 +10,7 @@ kept that has an old callee in it.
 from __future__ import annotations
 
 import ast
+import atexit
 import contextlib
 import hashlib
 import os
@@ -117,13 +118,15 @@ class Library:
         """Where the copies and their machine code are; they are written here if need be."""
         try:
             return self._written(cache_folder())
-        except OSError as error:
+        except (OSError, RuntimeError) as error:  # the latter where there is no home
             warnings.warn(
                 f"the rules' machine code cannot be kept ({error}): it is compiled again in each "
                 "process; set HYBRID_CACHE to a folder that can be written",
                 stacklevel=2,
             )
-            return self._written(Path(tempfile.mkdtemp(prefix="hybrid-")))
+            own_folder = Path(tempfile.mkdtemp(prefix="hybrid-"))
+            atexit.register(shutil.rmtree, own_folder, ignore_errors=True)
+            return self._written(own_folder)
 
     def _written(self, base: Path) -> Path:
         folder = base / self.key
@@ -184,14 +187,15 @@ def _signature(function: ast.FunctionDef) -> str:
 
 def cache_folder() -> Path:
     """The folder for what can be made again: ``HYBRID_CACHE``, or the system's own."""
-    home, env = Path.home(), os.environ
+    env = os.environ
     if own := env.get("HYBRID_CACHE"):
         return Path(own)
     if sys.platform == "win32":
-        return Path(env.get("LOCALAPPDATA") or home / "AppData" / "Local") / "hybrid" / "cache"
+        base = env.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
+        return Path(base) / "hybrid" / "cache"
     if sys.platform == "darwin":
-        return home / "Library" / "Caches" / "hybrid"
-    return Path(env.get("XDG_CACHE_HOME") or home / ".cache") / "hybrid"
+        return Path.home() / "Library" / "Caches" / "hybrid"
+    return Path(env.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hybrid"
 
 
 def tidy(base: Path) -> None:
@@ -238,10 +242,9 @@ def _lock(descriptor: int) -> None:
 def _package(folder: Path) -> str:
     """Make a folder importable as a package, and say under which name."""
     name = f"hybrid_rules_{folder.name}"
-    if name not in sys.modules:
-        spec = machinery.ModuleSpec(name, None, is_package=True)
-        spec.submodule_search_locations = [str(folder)]
-        sys.modules[name] = util.module_from_spec(spec)
+    spec = machinery.ModuleSpec(name, None, is_package=True)
+    spec.submodule_search_locations = [str(folder)]
+    sys.modules.setdefault(name, util.module_from_spec(spec))
     return name
 
 
