@@ -8,8 +8,9 @@ from typing import Any
 import attrs
 import numpy as np
 
+from ..automaton.markers import Crossing
 from ..clock import Instant
-from ..errors import FlowError, OptionError
+from ..errors import DomainError, FlowError, OptionError
 from ..events import EPS, SHARES, Cut, Zero, fires, time_scale, zeros
 from ..scene import Guard, Kink, Scene, released
 from ..scene.lowered import ORDER
@@ -27,6 +28,9 @@ REACH = 8.0
 #: A flight's end is predicted this many times as far as its series have converged: there their last
 #: terms, of order 16, are 1e-6, which is what a step that was made to end there may be off.
 FAR = 4
+
+#: Most steps onto a guard: Newton's method from half as far again as the zero, to rounding.
+LANDINGS = 10
 
 #: An arc's first step, against that at which the method's error reaches the tolerance.
 SAFETY = 0.5
@@ -90,6 +94,7 @@ class ArcFlow:
         self.scene, self.solver, self.plan, self.now = scene, solver, plan, now
         self.until = plan.t1 if until is None else until
         self.field, self.x, self.series = entry.field, entry.x, entry.series
+        self.signs = entry.signs
         self.orders = self.entered = entry.orders
         kept = plan.dense or plan.samples is not None or bool(scene.spec.lags)
         self.wanted = kept or bool(self.field.guards)
@@ -246,20 +251,31 @@ class ArcFlow:
         return SAFETY * min(most, first) if first > 0 else None
 
     def predict(self, length: float) -> float | None:
-        """The end of a short flight onto a contact, from its Taylor series (2)."""
+        """The end of a short flight onto a contact, or back onto a guard, from its series (2)."""
         if self.series is None:
             return None
         best = None
-        for index, guard in enumerate(self.field.guards):
-            if guard.kind == "contact" and self.orders[index] <= 1:
-                gap = [0.0 if self.orders[index] else self.series[1][index][0]]
-                gap += self.series[1][index][1:]
+        for index in range(len(self.field.guards)):
+            if self._predicts(index):
+                gap = [self._side(index) * c for c in self.series[1][index]]
+                gap[0] = 0.0 if self.entered[index] else gap[0]
                 zero = zero_of(
                     gap, FAR * min(step_length(self.series[0]), own_length(gap, ROUNDING))
                 )
                 if zero is not None and zero < length:
                     best = zero if best is None else min(best, zero)
         return best
+
+    def _predicts(self, index: int) -> bool:
+        """Whether a guard's flight may be short: a contact's, or one that begins at its zero."""
+        guard, order = self.field.guards[index], self.entered[index]
+        if guard.kind in ("edge", "switch"):
+            return order == 1 and guard.crossing is not Crossing.EITHER
+        return guard.kind == "contact" and order <= 1
+
+    def _side(self, index: int) -> float:
+        """The sign that a guard has inside."""
+        return -1.0 if self.field.guards[index].crossing is Crossing.RISING else 1.0
 
     def _scales(self, tau: float, x: np.ndarray) -> list[float]:
         """Times over which guards that are no polynomials are smooth."""
@@ -325,9 +341,7 @@ class ArcFlow:
         grazes: list[tuple[float, int]],
     ) -> Fired | None:
         guard = self.field.guards[index]
-        tolerance = self.plan.limit + self.plan.rtol * max(
-            (abs(float(stepper.x[i])) for i in guard.uses), default=0.0
-        )
+        tolerance = self._tolerance(guard, stepper.x)
         scale = scales[index] if scales else float("inf")
         order, t0 = self.orders[index], self.now.t
         noise = self._leaving(index, stepper)
@@ -342,7 +356,7 @@ class ArcFlow:
                     grazes.append((zero.tau, index))
                 else:
                     return Fired(index, zero.tau, zero.direction)
-        if target is not None and segment.end == target and guard.kind == "contact":
+        if target is not None and segment.end == target and self._predicts(index):
             near = self._near_end(index, segment, stepper)
             if near is not None:
                 return Fired(index, near)
@@ -420,7 +434,7 @@ class ArcFlow:
         """A step made onto a predicted impact ends within rounding of it, on either side."""
         t, x = self.now.t + segment.end, stepper.x.tolist()
         value, rate, _ = self.field.guards[index].lie(t, x)
-        near = abs(value) <= -1e-6 * rate * segment.length
+        near = abs(value) <= -1e-6 * self._side(index) * rate * segment.length
         return segment.end if near or abs(value) <= self._rounding(index, t, x) else None
 
     def _rounding(self, index: int, t: float, x: list[float]) -> float:
@@ -430,12 +444,52 @@ class ArcFlow:
         return 64 * EPS * size + (2.0 * abs(self.series[1][index][0]) if left else 0.0)
 
     def _sunk(self, index: int, segment: Segment, stepper: Stepper, tolerance: float) -> bool:
-        """Whether a contact's gap is negative with no zero seen: it began below rounding."""
+        """Whether a guard has left the domain with no zero seen: it began below rounding.
+
+        Raises
+        ------
+        DomainError
+            If it had been inside by more than that.
+        """
         guard = self.field.guards[index]
-        value = self.ends.get(guard.edge, 0.0)
-        if guard.kind != "contact" or value >= -tolerance:
+        outside = _outside(guard, self.ends.get(guard.edge, 0.0))
+        if outside <= tolerance or guard.kind not in ("contact", "edge", "switch"):
             return False
-        return -value > self._rounding(index, self.now.t + segment.end, stepper.x.tolist())
+        t, x = self.now.t + segment.end, stepper.x.tolist()
+        if outside <= self._rounding(index, t, x):
+            return False
+        if guard.kind != "contact" and not self._inside(index):
+            return False
+        if guard.kind != "contact" and not self.orders[index]:
+            raise DomainError(lost(self._where(segment.end, stepper.x), guard, t, x))
+        return True
+
+    def _inside(self, index: int) -> bool:
+        """Whether a guard bounds the domain, and began inside or about to be."""
+        guard = self.field.guards[index]
+        return guard.bounds and bool(self.signs) and _outside(guard, self.signs[index]) < 0
+
+    def outside(self, tau: float, x: np.ndarray) -> list[int]:
+        """Guards of edges that are beyond zero at a state, by more than can be told from zero."""
+        t, state, found = self.now.t + tau, x.tolist(), []
+        for index, guard in enumerate(self.field.guards):
+            if guard.kind in ("edge", "switch"):
+                least = max(self._tolerance(guard, x), self._rounding(index, t, state))
+                if _outside(guard, guard.value(t, state)) > least:
+                    found.append(index)
+        return found
+
+    def require_inside(self, tau: float, x: np.ndarray) -> None:
+        """Refuse a state that has left the domain with no zero of a guard seen."""
+        for index in self.outside(tau, x):
+            if self._inside(index):
+                t, guard = self.now.t + tau, self.field.guards[index]
+                raise DomainError(lost(self._where(tau, x), guard, t, x.tolist()))
+
+    def _tolerance(self, guard: Guard, x: np.ndarray) -> float:
+        """What the tolerances leave open of a guard."""
+        size = max((abs(float(x[i])) for i in guard.uses), default=0.0)
+        return self.plan.limit + self.plan.rtol * size
 
     def _land(
         self, stepper: Stepper, segment: Segment, fired: Fired, again: bool = False
@@ -445,7 +499,8 @@ class ArcFlow:
         ``again``: the step has been ended before.
         """
         tau = fired.tau
-        start, small = segment.start, 1e-6 * segment.length
+        start, longest = segment.start, 1e-6 * segment.length
+        small = 1e-6 * (tau - start)
         least = start + TIE * float(np.spacing(abs(self.now.t) + start))
         last, end, shift = self.now.until(self.until), segment.end, 0.0
         try:
@@ -453,12 +508,12 @@ class ArcFlow:
                 if tau <= least:
                     return None
                 segment = stepper.land(tau)
-            for _ in range(4):
+            for _ in range(LANDINGS):
                 t, x = self.now.t + stepper.tau, stepper.x.tolist()
                 shift, exact = self._missing(fired, t, x)
                 if abs(shift) <= small or exact:
                     break
-                if not segment.start - small <= stepper.tau + shift <= end + small:
+                if not segment.start - longest <= stepper.tau + shift <= end + longest:
                     shift = 0.0  # the guard is flat here: its zero is where the step shows it
                     break
                 tau = min(stepper.tau + shift, last)
@@ -506,3 +561,17 @@ class ArcFlow:
         value = kink.value(t, x)
         ahead = kink.value(t + step, [v + step * f for v, f in zip(x, flow, strict=True)])
         return value, (ahead - value) / step
+
+
+def _outside(guard: Guard, value: float) -> float:
+    """How far a guard is outside the domain; below zero inside, and where it has no inside."""
+    return {Crossing.FALLING: -value, Crossing.RISING: value}.get(guard.crossing, -float("inf"))
+
+
+def lost(where: str, guard: Guard, t: float, x: list[float]) -> str:
+    """What is said of a state outside the domain that no zero of a guard has led to."""
+    return (
+        f"{where}: the run is outside the mode's domain: the guard of {guard.edge} is "
+        f"{guard.value(t, x):.6g} and was not seen to reach zero; a guard must be continuous, and "
+        "where flights become as low as the solver's error smaller tolerances may help"
+    )
