@@ -57,6 +57,9 @@ class Accumulation:
         Limit of the ratio of successive gaps in time.
     edges : tuple of str
         The cycle of edges.
+    limits : tuple of (str, Record)
+        Where resets move the state: the jumps of a turn in order, and the limit of the state after
+        each; the last is ``state``. Empty where all are the same.
     mode : str or None
         The mode entered after it.
     t_release : float or None
@@ -75,6 +78,7 @@ class Accumulation:
     _enclosure: tuple[float, float] | None = attrs.field(default=None, alias="enclosure")
     t_release: float | None = None
     truncation: Truncation | None = None
+    limits: tuple[tuple[str, Record], ...] = ()
     _errors: Any = attrs.field(default=None, alias="errors", repr=False)
     _proofs: Any = attrs.field(default=None, alias="proofs", repr=False)
 

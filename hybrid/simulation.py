@@ -23,6 +23,7 @@ from .solvers import choose
 from .solvers.base import FINEST, tolerances
 from .trajectory import Status, Trajectory
 from .zeno.accumulate import FLOOR
+from .zeno.cycle import CycleLimit
 
 #: Relative change of the start of the second run, by which errors are measured.
 NUDGE = 8e-15
@@ -245,6 +246,9 @@ def _errors(driver: Driver, again: Driver | None, index: int) -> tuple[float, Re
     other = np.concatenate([np.ravel(v) for v in again.record.zeno[index].state])
     floor = 4 * FLOOR * np.sqrt(1.0 + driver.record.made)
     closing = (tail.t_error, tail.x_error) if tail else (0.0, np.zeros(dimension))
+    second = again.record.tails[index]
+    if isinstance(second, CycleLimit):  # extrapolated too, from as few jumps
+        closing = closing[0] + second.t_error, closing[1] + second.x_error
     t_error = 3 * abs(point.t - again.record.zeno[index].t) + closing[0] + floor * abs(point.t)
     x_error = 3 * np.abs(state - other) + closing[1] + floor * np.abs(state)
     return float(t_error), record(x_error)

@@ -407,3 +407,35 @@ def test_a_pile_on_a_shaking_table(solver, case):
     t = np.linspace(0.0, 5.0, 2001)
     assert min(run(t).x - size * np.sin(omega * t)) > -1e-10
     assert min(run(t).y - run(t).x) > -1e-10
+
+
+@pytest.mark.parametrize(("ratio", "found"), [(0.05, True), (0.12, True), (0.2, False)])
+def test_a_fast_cycle_needs_few_turns(ratio, found):
+    """Five closings, a few of them in a row: enough if each turn is an eighth of the one before."""
+    k = np.arange(5.0)
+    times, states = (1.0 - ratio**k) / (1.0 - ratio), np.column_stack([ratio**k, 1.0 + ratio**k])
+    point = limit(("e",), times, states, 1e-8, 0.0)
+    assert (point is not None) == found
+    if point is not None:
+        exact = 1.0 / (1.0 - ratio) - times[-1]
+        assert abs(point.remaining - exact) <= point.t_error < 1e-13
+        assert point.x_inf == pytest.approx([0.0, 1.0], abs=1e-14)
+
+
+@pytest.mark.parametrize(("ratio", "count"), [(0.05, 10), (0.5, 20)])
+def test_a_state_that_only_changes_sign_has_no_limit(ratio, count):
+    """Its sum has a value in between; at every other jump it has a limit."""
+    k = np.arange(float(count))
+    times, states = (1.0 - ratio**k) / (1.0 - ratio), ((-1.0) ** k)[:, None]
+    assert limit(("e",), times, states, 1e-8, 0.0) is None
+    point = limit(("e",), times[1::2], states[1::2], 1e-8, 0.0)
+    assert point is not None
+    assert point.x_inf == pytest.approx([-1.0], abs=1e-12)
+
+
+def test_a_count_has_no_limit():
+    """Nor what grows as long as the cycle goes on."""
+    k = np.arange(40.0)
+    times = 1.0 - 0.5**k
+    assert limit(("e",), times, k[:, None], 1e-8, 0.0) is None
+    assert limit(("e",), times, np.sqrt(k)[:, None], 1e-8, 0.0) is None

@@ -185,10 +185,9 @@ class Spec:
         """The mode of that name."""
         return next(mode for mode in self.modes if mode.name == name)
 
-    def mode_after(self, cycle: tuple[str, ...]) -> str | None:
+    def mode_after(self, cycle: tuple[str, ...]) -> ModeSpec | None:
         """The mode that its author has named for the limit of a cycle of edges."""
-        named = (m.name for m in self.modes if m.limit_of and set(m.limit_of) == set(cycle))
-        return next(named, None)
+        return next((m for m in self.modes if m.limit_of and set(m.limit_of) == set(cycle)), None)
 
     def switching(self, name: str) -> SwitchingSpec:
         """The switching of that name."""

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
+import attrs
 import numpy as np
 
 from ..clock import Instant
-from ..scene import Guard, Scene
-from ..zeno.cycle import LEAST, LONGEST, CycleLimit, limit, period
+from ..events import EPS
+from ..scene import Field, Guard, Scene
+from ..zeno.cycle import FAST, FEW, LONGEST, CycleLimit, accelerated, limit, period
 
 if TYPE_CHECKING:
     from .driver import Driver
+    from .plan import Plan
 
-#: Jumps in the windows that are compared, and by how much the later must be shorter.
+#: Jumps, at least, in the windows that are compared, and by how much the later must be shorter.
 WINDOW, SHORTER = 12, 0.97
+
+#: Such a window, and the time from look to look, against the jumps seen: looking stays cheap.
+SHARE = 8
 
 #: Most jumps that are remembered.
 MOST = 1 << 14
@@ -22,17 +29,31 @@ MOST = 1 << 14
 #: What guards, and what resets change, may be at the limit, against their size in the cycle.
 ZERO = 1e-6
 
+#: Jumps after which it is seen that no time passes: a few turns of the longest cycle.
+STILL = FEW * LONGEST
+
+#: Spacings of floats by which a jump may be late or early, and still be said to be at one time.
+TICKS = 4
+
+#: Flights longer than this share of the longest are taken to have left their guard: a flight lower
+#: than rounding is shorter than the square root of rounding, and so much shorter.
+SHORT = 1e-3
+
 #: Points on the way to the limit at which flows are looked at, and how straight they must be.
 SAMPLES, SMOOTH = 64, 1e-2
 
 
 class Seen(NamedTuple):
-    """A jump out of a mode, when (in two floats), and the state after it."""
+    """A jump out of a mode, when (in two floats), and the state after it.
+
+    ``clock`` is the time without flights that never left their guard (:func:`idle`).
+    """
 
     edge: str
     mode: str
     t: float
     low: float
+    clock: float
     x: np.ndarray
 
     @property
@@ -40,98 +61,268 @@ class Seen(NamedTuple):
         return Instant(self.t, self.low)
 
 
+def idle(scene: Scene, field: Field, guard: Guard, t: float, x: np.ndarray, s: float) -> bool:
+    """Whether a flight of length ``s`` stayed within rounding of the guard that ended it.
+
+    What ends it is then rounding too, and its length says nothing. (In the low flights of a
+    contact the gap is a coordinate of its own.)
+    """
+    if guard.kind not in ("edge", "switch"):
+        return False
+    value, rate, bend = guard.lie(t, x.tolist())
+    height = abs(value) + abs(rate) * s + 0.5 * abs(bend) * s * s
+    return bool(height <= 64 * EPS * scene.rounding(guard, field)(t, x.tolist())[0])
+
+
+@attrs.frozen(eq=False)
+class Turn:
+    """The last turn of a cycle, and where its jumps lead at the limit.
+
+    Attributes
+    ----------
+    seen : list of Seen
+        The jumps, with the last one of the turn before.
+    first : list of Seen
+        Those of the first turn that was looked at: the sizes that the cycle began with.
+    limits, errors : list of array
+        The limits of the states after these jumps, and bounds on their errors.
+    """
+
+    seen: list[Seen]
+    first: list[Seen]
+    limits: list[np.ndarray]
+    errors: list[np.ndarray]
+
+    def slack(self, k: int, rtol: float) -> np.ndarray:
+        """What a state next to the k-th limit may be off it."""
+        moved = np.ptp(np.array([seen.x for seen in self.first]), axis=0)
+        return ZERO * moved + 10 * self.errors[k] + 10 * rtol * np.abs(self.limits[k])
+
+    def stays(self, rtol: float) -> bool:
+        """Whether no reset moves the state at the limit."""
+        slack, last = self.slack(-1, rtol), self.limits[-1]
+        return all(np.all(np.abs(x - last) <= slack) for x in self.limits)
+
+
 class Cycles:
-    """The jumps of a run since its last accumulation."""
+    """The jumps of a run since its last accumulation.
+
+    Attributes
+    ----------
+    longest : float
+        The longest flight of the run.
+    spent : float
+        Time spent in flights that never left their guard.
+    """
 
     def __init__(self) -> None:
         self.seen: list[Seen] = []
         self.next = 2 * WINDOW
+        self.stands = self.asked = False
+        self.longest = self.spent = 0.0
 
-    @property
-    def room(self) -> int:
-        """Jumps until it may be time to look for a limit."""
-        return self.next - len(self.seen)
+    def clock(
+        self, scene: Scene, field: Field, guard: Guard, t: float, x: np.ndarray, s: float
+    ) -> float:
+        """The time without idle flights, after one more flight, of length ``s``."""
+        if s > SHORT * self.longest:
+            self.longest = max(s, self.longest)
+        elif s > 0 and idle(scene, field, guard, t, x, s):
+            self.spent += s
+        return t + s - self.spent
+
+    def room(self, times: np.ndarray) -> int:
+        """Of jumps at these times, how many there are before it may be time to look for a limit."""
+        if self.asked:
+            return min(len(times), 1)
+        count = min(len(times), self.next - len(self.seen))
+        known = [seen.t for seen in self.seen[-STILL:]]
+        together = np.concatenate([known, times[:count]])
+        number = np.arange(len(together))
+        short = np.diff(together, prepend=-np.inf) <= SHORT * self.longest
+        run = number - np.maximum.accumulate(np.where(short, -1, number))
+        looks = (run > 0) & (run % STILL == 0)
+        for length in range(1, LONGEST + 1):
+            turns = together[length:] - together[:-length]
+            if len(turns) > 2 * length:
+                falls = turns[length:] <= FAST * turns[:-length]
+                looks[FEW * length :] |= falls[length:] & falls[:-length]
+        found = np.flatnonzero(looks[len(known) :])
+        return int(found[0]) + 1 if len(found) else count
 
     def saw(self, jumps: list[Seen]) -> bool:
         """Note jumps, no more than there is room for; whether it is time to look for a limit."""
         seen = self.seen
         seen += jumps
+        due = self._falls() or self._stops() or self.asked
+        self.asked = False
         if len(seen) < self.next:
-            return False
+            return due
         if len(seen) > MOST:
             del seen[: MOST // 2]
-        self.next = len(seen) + max(4, len(seen) // 8)
-        middle = seen[-WINDOW - 1]
-        return _between(middle, seen[-1]) < SHORTER * _between(seen[-2 * WINDOW], middle)
+        window = max(WINDOW, (len(seen) - 1) // SHARE)
+        self.next = len(seen) + max(4, len(seen) // SHARE)
+        first, middle = seen[max(0, len(seen) - 1 - 2 * window)], seen[-window - 1]
+        return due or _between(middle, seen[-1]) < SHORTER * _between(first, middle)
+
+    def _falls(self) -> bool:
+        """Whether the last turns of a cycle fall so fast that there will not be many."""
+        seen = self.seen
+        for length in range(1, min(LONGEST, (len(seen) - 1) // FEW) + 1):
+            last = seen[-1 : -2 - FEW * length : -length]
+            if all(jump.edge == last[0].edge for jump in last):
+                turns = [_between(b, a) for a, b in pairwise(last)]
+                if all(0 < a <= FAST * b for a, b in pairwise(turns)):
+                    return True
+        return False
+
+    def _stops(self) -> bool:
+        """Whether some jumps have taken no time: said once, while they do."""
+        stood, self.stands = self.stands, False
+        if len(self.seen) >= STILL:
+            first, last = self.seen[-STILL], self.seen[-1]
+            self.stands = last.clock - first.clock <= _tick(STILL, last.t)
+        return self.stands and not stood
+
+    def again(self) -> None:
+        """Look for a limit at the next jump again."""
+        self.asked, self.stands = True, False
 
     def forget(self) -> None:
         """Start anew, after an accumulation."""
         self.seen.clear()
-        self.next = 2 * WINDOW
+        self.next, self.stands = 2 * WINDOW, False
 
-    def limit(self, rtol: float, atol: float) -> tuple[CycleLimit | None, list[Seen]]:
-        """Where the last jumps accumulate, if they do, and the jumps of the first cycle."""
-        length = period([seen.edge for seen in self.seen[-LONGEST * (LEAST + 1) :]])
-        if not length:
-            return None, []
-        turns = self._turns(length)
-        times = np.array([_between(turns[0], turn) for turn in turns])
-        states = np.array([turn.x for turn in turns])
-        edges = _canonical([seen.edge for seen in self.seen[-length:]])
-        found = limit(edges, times, states, rtol, atol)
-        return found, self.seen[-length * len(turns) :][: length + 1]
+    @property
+    def period(self) -> int:
+        """Jumps in a turn of the edges, as far as the last few turns show; 0 for none."""
+        return period([seen.edge for seen in self.seen[-LONGEST * (FEW + 1) :]], FEW)
 
-    def _turns(self, length: int) -> list[Seen]:
-        """Every so many jumps one, as far back as each turn was longer than the next."""
-        turns, shortest = self.seen[-1:], 0.0
-        for earlier in self.seen[-1 - length :: -length]:
-            duration = _between(earlier, turns[-1])
-            if earlier.edge != turns[0].edge or (len(turns) > 1 and not duration > shortest):
+    def limit(self, rtol: float, atol: float) -> tuple[CycleLimit, Turn] | None:
+        """Where the last jumps accumulate, if they do, and the turn that leads there.
+
+        The states may come round after several turns of the edges: a reset may change a sign.
+        """
+        shortest = self.period
+        for length in range(shortest, LONGEST + 1, shortest) if shortest else ():
+            times, states = _columns(_shrinking(self._closings(length)))
+            found = limit(self._cycle(shortest), times, states, rtol, atol)
+            turn = None if found is None else self._turn(length, found)
+            if found is not None and turn is not None:
+                return attrs.evolve(found, ratio=found.ratio ** (shortest / length)), turn
+        return None
+
+    def reached(self, rtol: float, atol: float) -> tuple[CycleLimit, Turn] | None:
+        """The limit at which the last jumps stand, if they do: no time passes, states come round.
+
+        Its ratio is that of the last turns that took time; 0 where these had not been seen to
+        shrink.
+        """
+        shortest, now = self.period, self.seen[-1]
+        for length in range(shortest, LONGEST + 1, shortest) if shortest else ():
+            closings = self._closings(length)
+            if len(closings) > FEW:
+                turn = self._standing(length)
+                slack = [rtol * np.abs(x) + atol for x in turn.limits]
+                if all(np.all(e <= s) for e, s in zip(turn.errors, slack, strict=True)):
+                    times = np.diff([seen.clock for seen in closings])
+                    times = times[times > _tick(length, now.t)]
+                    shrinks = len(times) > 1 and times[-1] < SHORTER * times[-2]
+                    ratio = (times[-1] / times[-2]) ** (shortest / length) if shrinks else 0.0
+                    error = _between(self.seen[-STILL:][0], now) + _tick(STILL, now.t)
+                    last = float(ratio), error, turn.errors[-1], FEW + 1
+                    return CycleLimit(self._cycle(shortest), 0.0, now.x, *last), turn
+        return None
+
+    def _cycle(self, length: int) -> tuple[str, ...]:
+        """The edges of a turn, from the same one on whichever comes last."""
+        edges = [seen.edge for seen in self.seen[-length:]]
+        return min(tuple(edges[k:] + edges[:k]) for k in range(length))
+
+    def _closings(self, length: int, back: int = 0) -> list[Seen]:
+        """Every so many jumps one, as far back as they are the same, up to some jumps ago."""
+        last, closings = self.seen[-1 - back], []
+        for seen in self.seen[-1 - back :: -length]:
+            if (seen.edge, seen.mode) != (last.edge, last.mode):
                 break
-            turns.append(earlier)
-            shortest = duration
-        return turns[::-1]
+            closings.append(seen)
+        return closings[::-1]
+
+    def _turn(self, length: int, found: CycleLimit) -> Turn | None:
+        """The last turn of a cycle whose limit was found, with each jump's own limit."""
+        limits, errors = [found.x_inf], [found.x_error]
+        for back in range(length - 1, 0, -1):
+            closings = self._closings(length, back)[-found.turns :]
+            if len(closings) <= FEW:
+                return None
+            x_inf, error, _ = accelerated(_columns(closings)[1], found.ratio == 1.0)
+            limits.append(x_inf)
+            errors.append(error)
+        first = self.seen[-1 - length * (found.turns - 1) :][: length + 1]
+        last = self.seen[-1 - length :]
+        return Turn(last, first, [*limits, found.x_inf], [*errors, found.x_error])
+
+    def _standing(self, length: int) -> Turn:
+        """The last turn of a cycle that stands, with what each jump's states still move."""
+        last = self.seen[-1 - length :]
+        phases = [self._closings(length, back)[-FEW:] for back in range(length, -1, -1)]
+        errors = [np.ptp(_columns(phase)[1], axis=0) for phase in phases]
+        return Turn(last, last, [seen.x for seen in last], errors)
+
+
+def _tick(count: int, t: float) -> float:
+    """What rounding makes of the time of so many jumps."""
+    return TICKS * count * float(np.spacing(abs(t)))
 
 
 def _between(first: Seen, last: Seen) -> float:
     return (last.t - first.t) + (last.low - first.low)
 
 
-def _canonical(edges: list[str]) -> tuple[str, ...]:
-    """A cycle, from the same edge on whichever comes last."""
-    return min(tuple(edges[k:] + edges[:k]) for k in range(len(edges)))
+def _columns(turns: list[Seen]) -> tuple[np.ndarray, np.ndarray]:
+    """Times since the first, and states."""
+    times = [_between(turns[0], turn) for turn in turns]
+    return np.array(times), np.array([turn.x for turn in turns])
 
 
-def persists(scene: Scene, first: list[Seen], found: CycleLimit, now: Seen, rtol: float) -> bool:
+def _shrinking(closings: list[Seen]) -> list[Seen]:
+    """The last closings, as far back as each turn was longer than the next."""
+    turns = np.diff(_columns(closings)[0])
+    longer = np.flatnonzero(~(turns[:-1] > turns[1:]))
+    return closings[int(longer[-1]) + 1 if len(longer) else 0 :]
+
+
+def persists(scene: Scene, turn: Turn, t: float, cycle: tuple[str, ...], rtol: float) -> bool:
     """Whether the cause of a cycle is there at its limit.
 
-    Every guard of the cycle is zero there, every reset leaves the state where it is, no other
-    guard of its modes has changed sign on the way, and the flows there change no faster than
-    along a straight line.
+    For each jump of a turn, at the limit of the state that the one before leads to: its guard is
+    zero, its reset leads to the limit after it, no other guard of the mode has changed sign on the
+    way, and the flow there changes no faster than along a straight line.
     """
-    t, x = now.now.after(found.remaining).t, found.x_inf
-    if not all(_steady(scene, seen.mode, now, t, x) for seen in first):
-        return False
-    states = np.array([seen.x for seen in first])
-    slack = ZERO * np.ptp(states, axis=0) + 10 * found.x_error + 10 * rtol * np.abs(x)
-    for seen in first:
-        fired = None
-        for guard in scene.field(seen.mode).guards:
-            fired = guard if guard.edge == seen.edge else fired
-            here = guard.value(t, x.tolist())
-            if guard.edge not in found.edges:
-                if not here * guard.value(now.t, now.x.tolist()) > 0:
-                    return False
-            elif abs(here) > _allowed(guard, t, x, slack, first):
+    for k, jump in enumerate(turn.seen[1:]):
+        field, now, x = scene.field(jump.mode), turn.seen[k], turn.limits[k]
+        slack, fired = turn.slack(k, rtol), None
+        if not _steady(field, now, t, x):
+            return False
+        for guard in field.guards:
+            here, before = guard.value(t, x.tolist()), guard.value(now.t, now.x.tolist())
+            if guard.edge == jump.edge:
+                fired = guard
+            elif here * before > 0:
+                continue
+            if guard.edge not in cycle or abs(here) > _allowed(guard, t, x, slack, turn.first):
                 return False
-        if fired is None or np.any(np.abs(_after(scene, fired, t, x) - x) > slack):
+        if fired is None:
+            return False
+        off = np.abs(_after(scene, fired, t, x) - turn.limits[k + 1])
+        if np.any(off > slack + turn.slack(k + 1, rtol)):
             return False
     return True
 
 
-def _steady(scene: Scene, mode: str, now: Seen, t: float, x: np.ndarray) -> bool:
+def _steady(field: Field, now: Seen, t: float, x: np.ndarray) -> bool:
     """Whether a mode's flow changes along the way to the limit as a straight line does."""
-    rhs, shares = scene.field(mode).rhs, np.linspace(0.0, 1.0, SAMPLES)
+    rhs, shares = field.rhs, np.linspace(0.0, 1.0, SAMPLES)
     states = now.x + shares[:, None] * (x - now.x)
     times = now.t + shares * (t - now.t)
     rates = np.array([rhs(s, y) for s, y in zip(times.tolist(), states.tolist(), strict=True)])
@@ -141,7 +332,10 @@ def _steady(scene: Scene, mode: str, now: Seen, t: float, x: np.ndarray) -> bool
 
 def _allowed(guard: Guard, t: float, x: np.ndarray, slack: np.ndarray, first: list[Seen]) -> float:
     """What a guard may be at the limit: little against its size, or what the slack makes of it."""
-    size = max(abs(guard.value(seen.t, seen.x.tolist())) for seen in first)
+    size, length = 0.0, _between(first[0], first[-1])
+    for seen in first:
+        value, rate, _ = guard.lie(seen.t, seen.x.tolist())
+        size = max(size, abs(value), abs(rate) * length)
     here = guard.value(t, x.tolist())
     moved = [guard.value(t, (x + step).tolist()) - here for step in np.diag(slack)]
     return ZERO * size + sum(map(abs, moved))
@@ -162,24 +356,50 @@ def pass_limit(driver: Driver, mode: str) -> bool:
 
     ``mode`` is where the last jump leads.
     """
-    plan = driver.plan
-    if plan.zeno == "truncate" or driver.status is not None:
+    plan, cycles = driver.plan, driver.cycles
+    if plan.zeno == "truncate" or driver.status is not None or _summed(driver.scene, cycles):
         return False
-    found, first = driver.cycles.limit(plan.closing * plan.rtol, plan.closing * plan.limit)
-    if found is None or driver.record.now.after(found.remaining).until(driver.known) < 0:
+    sought = _sought(cycles, plan)
+    if sought is None or driver.record.now.after(sought[0].remaining).until(driver.known) < 0:
         return False
-    last = driver.cycles.seen[-1]
-    if _summed(driver.scene, found, last):
+    found, turn = sought
+    after = driver.scene.spec.mode_after(found.edges)
+    if found.ratio == 0.0 and after is None:
         return False
-    if not persists(driver.scene, first, found, last, plan.rtol):
+    t = driver.record.now.after(found.remaining).t
+    if not persists(driver.scene, turn, t, found.edges, plan.rtol):
         return False
-    driver.pass_cycle(found, last.x, mode)
+    if not turn.stays(plan.rtol):
+        if cycles.seen[-1].edge != (after.limit_of if after else found.edges)[-1]:
+            cycles.again()
+            return False
+        found = attrs.evolve(found, limits=_named(turn))
+    driver.pass_cycle(found, cycles.seen[-1].x, mode)
     return True
 
 
-def _summed(scene: Scene, found: CycleLimit, last: Seen) -> bool:
+def _sought(cycles: Cycles, plan: Plan) -> tuple[CycleLimit, Turn] | None:
+    """The limit of the last jumps, as well as it is wanted, or as the little time left shows it."""
+    rtol, atol = plan.closing * plan.rtol, plan.closing * plan.limit
+    if cycles.stands:
+        return cycles.reached(rtol, atol)
+    sought = cycles.limit(rtol, atol)
+    if sought is None and plan.closing < 1.0:
+        sought = cycles.limit(plan.rtol, plan.limit)
+        if sought is not None and sought[0].remaining > rtol * cycles.longest:
+            return None
+    return sought
+
+
+def _named(turn: Turn) -> tuple[tuple[str, np.ndarray], ...]:
+    """The jumps of a turn, and the limits of the states after them."""
+    edges = [seen.edge for seen in turn.seen[1:]]
+    return tuple(zip(edges, turn.limits[1:], strict=True))
+
+
+def _summed(scene: Scene, cycles: Cycles) -> bool:
     """Whether a cycle is left to the chatter map: impacts of one contact that damps them all."""
-    if len(found.edges) > 1 or not scene.is_contact(last.edge):
+    last = cycles.seen[-1]
+    if cycles.period != 1 or not scene.is_contact(last.edge):
         return False
-    contact = scene.contact(last.edge)
-    return contact.law(last.t, last.x.tolist(), -0.0) < 1.0 - 1e-12
+    return scene.contact(last.edge).law(last.t, last.x.tolist(), -0.0) < 1.0 - 1e-12

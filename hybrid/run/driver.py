@@ -335,17 +335,20 @@ class Driver:
         memory = self.record.memory
         if memory is not None and memory.ends(self.t):
             memory.passed(self.t, before, self.entry.field)
-        now = self.record.now
-        self.record.jump(edge, before, after, self.where)
+        now, field, last = self.record.now, self.entry.field, self.record.log.kept[-1]
+        guard = next((guard for guard in field.guards if guard.edge == edge), None)
+        clock = now.t - self.cycles.spent
+        if isinstance(last, Arc) and guard is not None:
+            clock = self.cycles.clock(self.scene, field, guard, last.t0, last.first, last.length)
+        self.record.jump(edge, before, after, self.where, clock)
         self.look(after)
         if self.record.made >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
-        return self.cycles.saw([Seen(edge, self.entry.field.name, now.t, now.low, after)])
+        return self.cycles.saw([Seen(edge, field.name, now.t, now.low, clock, after)])
 
-    @property
-    def room(self) -> int:
-        """Jumps until the run has to be looked at."""
-        return min(self.plan.max_jumps - self.record.made, self.cycles.room)
+    def room(self, times: np.ndarray) -> int:
+        """Of jumps at these times, how many there are before the run has to be looked at."""
+        return min(self.plan.max_jumps - self.record.made, self.cycles.room(times))
 
     def flown(self, flights: Flights) -> bool:
         """Record jumps that needed no judgement, no more than there was room for."""
@@ -355,12 +358,26 @@ class Driver:
             field = self.scene.field(flights.modes[k])
             return describe(self.scene, field, float(jumps.t[k]), jumps.before[k])
 
-        self.record.flights(flights, where)
+        clocks = self._clocks(flights)
+        self.record.flights(flights, where, clocks)
         self.seen = np.maximum(self.seen, np.abs(jumps.after).max(axis=0))
         if self.record.made >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
-        columns = jumps.edge, flights.modes, jumps.t.tolist(), jumps.low.tolist(), jumps.after
-        return self.cycles.saw(list(map(Seen, *columns)))
+        times = jumps.t.tolist(), jumps.low.tolist(), clocks
+        return self.cycles.saw(list(map(Seen, jumps.edge, flights.modes, *times, jumps.after)))
+
+    def _clocks(self, flights: Flights) -> list[float]:
+        """The time without idle flights, at each of some jumps."""
+        jumps, clocks = flights.jumps, []
+        times, states = [flights.t, *jumps.t.tolist()], [flights.x, *jumps.after]
+        lengths = flights.lengths.tolist()
+        for mode, edge, *start in zip(
+            flights.modes, jumps.edge, times, states, lengths, strict=False
+        ):
+            field = self.scene.field(mode)
+            guard = field.guards[field.column(edge)]
+            clocks.append(self.cycles.clock(self.scene, field, guard, *start))
+        return clocks
 
     def where(self, x: np.ndarray) -> str:
         """Model, mode, time and state, for messages."""
@@ -434,7 +451,7 @@ class Driver:
         """
         record, held = self.record, self._still_held(mode, x)
         straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, found.x_inf])
-        segments = [Segment(0.0, found.remaining, straight)]
+        segments = [Segment(0.0, found.remaining, straight)] if found.remaining else []
         field = self.scene.field(self.scene.name(mode, held))
         record.arc(field, x, found.x_inf, found.remaining, segments)
         record.j += 1
@@ -447,7 +464,7 @@ class Driver:
         spec = self.scene.spec
         named = spec.mode_after(cycle)
         if named is not None:
-            return named, ()
+            return named.name, ()
         contacts = [e for e in spec.transitions if e.name in cycle and getattr(e, "rests", False)]
         if len(contacts) < len(set(cycle)) or len({e.to for e in contacts}) > 1:
             return None
@@ -467,6 +484,9 @@ class Driver:
         point = Accumulation(self.t, state, ratio, edges, "estimated", rest, record.j)
         if isinstance(limit, Tail):
             point._proofs = limit.prove
+        else:
+            named = ((edge, self.scene.spec.record(x)) for edge, x in limit.limits)
+            point.limits = tuple(named)
         record.limit_point(point, limit)
         self.watch.reset()
         self.cycles.forget()

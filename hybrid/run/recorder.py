@@ -108,7 +108,7 @@ class Recorder:
             part = attrs.evolve(part, segments=())
         self.log.kept.append(part)
 
-    def flights(self, flights: Flights, where: Callable[[int], str]) -> None:
+    def flights(self, flights: Flights, where: Callable[[int], str], clocks: list[float]) -> None:
         """Add arcs in a row and the jumps after them, and move to the last; see :meth:`jump`."""
         self._sample(flights)
         jumps = flights.jumps
@@ -116,8 +116,8 @@ class Recorder:
         self.now = Instant(float(jumps.t[-1]), float(jumps.low[-1]))
         self.j += len(jumps.t)
         self.made += len(jumps.t)
-        for k, (t, edge) in enumerate(zip(jumps.t.tolist(), jumps.edge, strict=True)):
-            self._count(t, edge, partial(where, k))
+        for k, (clock, edge) in enumerate(zip(clocks, jumps.edge, strict=True)):
+            self._count(clock, edge, partial(where, k))
 
     def _sample(self, part: Part | Flights) -> None:
         """The states of a part at the times asked for."""
@@ -135,9 +135,16 @@ class Recorder:
         self.log.kept[-1] = attrs.evolve(arc, last=x, segments=arc._segments)
 
     def jump(
-        self, edge: str, before: np.ndarray, after: np.ndarray, where: Callable[..., str]
+        self,
+        edge: str,
+        before: np.ndarray,
+        after: np.ndarray,
+        where: Callable[..., str],
+        clock: float,
     ) -> None:
         """Add a jump from the last arc; ``where(state)`` says where, for messages.
+
+        ``clock`` is the time without flights that never left their guard.
 
         Raises
         ------
@@ -150,7 +157,7 @@ class Recorder:
         self.log.jump(JumpRow(now.t, now.low, edge, before, after))
         self.j += 1
         self.made += 1
-        self._count(now.t, edge, partial(where, before))
+        self._count(clock, edge, partial(where, before))
 
     def _count(self, t: float, edge: str, where: Callable[[], str]) -> None:
         """Count jumps with no time between them; there must not be too many."""
@@ -165,7 +172,7 @@ class Recorder:
             raise JumpLoopError(
                 f"{where()}: {self._stuck} jumps with no time to speak of between them: "
                 f"{' -> '.join(edges)}; a reset must leave its guard, a contact needs rests=True, "
-                "and a cycle of edges has a limit only where its resets leave the state as it is"
+                "and a cycle of edges has a limit only where its resets lead back to where it began"
             )
 
     def limit_point(self, point: Accumulation, tail: Tail | CycleLimit | None) -> None:

@@ -129,7 +129,7 @@ class Streaks:
         driver, begin = self.driver, 0
         rows = np.flatnonzero(records.jump)
         while len(rows) and driver.status is None and not self.passed:
-            count = min(len(rows), driver.room)
+            count = driver.room(records.t[rows])
             self._flown(records, begin, rows[:count])
             begin, rows = rows[count - 1] + 1, rows[count:]
         if self.dense and driver.status is None and not self.passed:
@@ -173,6 +173,7 @@ class Streaks:
         driver, going = self.driver, lane.going
         x, tau = np.asarray(going.x), float(going.tau)
         if status == END:
+            self._require_inside(tau, x)
             self._arc(x, tau)
             driver.status = Status.REACHED_END
         elif status == JUDGE and int(going.stage) == JUMP:
@@ -183,6 +184,17 @@ class Streaks:
         else:
             driver.renew()
             driver.flow_arc()
+
+    def _require_inside(self, tau: float, x: np.ndarray) -> None:
+        """Look at the end of the run at what no chunk was asked: is it inside the domain?"""
+        driver = self.driver
+
+        def arc() -> ArcFlow:
+            return ArcFlow(driver.scene, driver.solver, self.plan, driver.entry, driver.record.now)
+
+        if arc().outside(tau, x):
+            driver.renew()
+            arc().require_inside(tau, x)
 
 
 def _columns(records: Record) -> tuple[np.ndarray, ...]:

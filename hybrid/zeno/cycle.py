@@ -13,9 +13,14 @@ of which may say no.
    transformation (for those that fall like powers) give estimates from fewer and more terms. What
    changes between the last ones bounds the error. Weniger, *Nonlinear sequence transformations*,
    Computer Physics Reports 10 (1989).
-3. *The cause.* Shrinking gaps are a suspicion only. At the limit every guard of the cycle must be
-   zero and every reset must leave the state where it is; :mod:`hybrid.run.driver` asks that of the
-   model.
+3. *The cause.* Shrinking gaps are a suspicion only. At the limit the guard of each jump must be
+   zero where the jump before it leads, and the resets of a turn must lead back to where it began;
+   :mod:`hybrid.run.cycles` asks that of the model.
+
+A cycle that shrinks to an eighth or less a turn is at rounding after a few turns, too few for the
+first two steps. There each duration is a small part of the one before, so that Aitken's formula,
+which is exact for one geometric sequence, is asked after three turns already; what it changes from
+one turn to the next is an error that only grows smaller.
 """
 
 from __future__ import annotations
@@ -28,6 +33,10 @@ import numpy as np
 #: Cycles that show a cycle; cycles that do where durations fall like a power; longest period.
 LEAST, MOST, LONGEST = 6, 48, 8
 
+#: Share to which durations fall at least, from turn to turn, that needs only so many of them: what
+#: such a sequence hides behind its first ratio falls faster still, and shows at once.
+FAST, FEW = 0.125, 3
+
 #: Power of the cycle's number by which durations must fall, at least.
 RAABE = 1.1
 
@@ -39,6 +48,10 @@ TERMS, THIN = 12, 0.7
 
 #: Largest share of the time since the first cycle that may be left to the limit.
 LEFT = 1e-3
+
+#: Share of its largest distance to the limit at which a state must have arrived. (The sum of a
+#: sequence that only changes sign has a value, but no limit.)
+NEARER = 0.5
 
 #: What is left, against what the last estimates changed.
 CAUTION = 8.0
@@ -63,6 +76,11 @@ class CycleLimit:
     t_error : float
     x_error : array
         Bounds on the error of the acceleration (not of what came before it).
+    turns : int
+        Closings of the cycle that were used.
+    limits : tuple of (edge, array)
+        Where resets move the state: the jumps of a turn, and the limits of the states after them;
+        the last is ``x_inf``.
     """
 
     edges: tuple[str, ...]
@@ -71,12 +89,17 @@ class CycleLimit:
     ratio: float
     t_error: float
     x_error: np.ndarray
+    turns: int
+    limits: tuple[tuple[str, np.ndarray], ...] = ()
 
 
-def period(edges: Sequence[str]) -> int:
-    """Edges in the shortest cycle of which the last ones are repetitions; 0 if there is none."""
+def period(edges: Sequence[str], turns: int = LEAST) -> int:
+    """Edges in the shortest cycle of which the last ones are repetitions; 0 if there is none.
+
+    The turns before the last, which it repeats, must be as many as ``turns``.
+    """
     for length in range(1, LONGEST + 1):
-        needed = length * (LEAST + 1)
+        needed = length * (turns + 1)
         if len(edges) < needed:
             return 0
         last = list(edges[-needed:])
@@ -100,24 +123,43 @@ def limit(
         What the jumps are known to: the limit need not be known better.
     """
     durations = np.diff(times)
-    if len(durations) < LEAST or not (np.all(durations > 0) and np.all(np.diff(durations) < 0)):
+    if not (np.all(durations > 0) and np.all(np.diff(durations) < 0)):
         return None
-    growth = _raabe(durations)
+    turns = _fast(durations)
+    if turns >= FEW:
+        times, states, growth = times[-turns - 1 :], states[-turns - 1 :], 0.0
+    elif len(durations) >= LEAST:
+        growth = _raabe(durations)
+    else:
+        return None
     if not growth < 1.0 / RAABE:
         return None
     power = growth > POWER
-    columns = np.column_stack([times, states])
-    with np.errstate(all="ignore"):  # steps that vanish to rounding: no estimate is best there
-        now, error = np.array([_accelerated(column, power) for column in columns.T]).T
-    elapsed, remaining = float(times[-1]), float(now[0] - times[-1])
-    scale = np.abs(now) + np.ptp(columns, axis=0)
-    error = error + ROUNDING * len(times) * scale
+    now, error, scale = accelerated(np.column_stack([times, states]), power)
+    elapsed, remaining = float(durations.sum()), float(now[0] - times[-1])
     settled = np.all(error <= max(rtol, 1e-13) * np.maximum(scale, scale[0]) + atol)
     near = remaining <= LEFT * elapsed or (power and len(times) >= MOST)
-    if not (remaining > 0 and settled and near):
+    if not (remaining > 0 and settled and near and np.all(np.isfinite(now))):
+        return None
+    off = np.abs(states - now[1:])
+    if np.any(off[-1] > NEARER * off.max(axis=0) + error[1:]):
         return None
     ratio = 1.0 if power else float(durations[-1] / durations[-2])
-    return CycleLimit(edges, remaining, now[1:], ratio, float(error[0]), error[1:])
+    return CycleLimit(edges, remaining, now[1:], ratio, float(error[0]), error[1:], len(times))
+
+
+def accelerated(columns: np.ndarray, power: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Limits of sequences, one a column; bounds on their errors; their sizes."""
+    with np.errstate(all="ignore"):  # steps that vanish to rounding: no estimate is best there
+        now, error = np.array([_accelerated(column, power) for column in columns.T]).T
+    scale = np.abs(now) + np.ptp(columns, axis=0)
+    return now, error + ROUNDING * len(columns) * scale, scale
+
+
+def _fast(durations: np.ndarray) -> int:
+    """How many of the last durations are each a small part of the one before."""
+    slow = np.flatnonzero(durations[1:] > FAST * durations[:-1])
+    return len(durations) - (int(slow[-1]) + 1 if len(slow) else 0)
 
 
 def _raabe(durations: np.ndarray) -> float:
@@ -129,6 +171,9 @@ def _raabe(durations: np.ndarray) -> float:
 
 def _accelerated(sequence: np.ndarray, power: bool) -> tuple[float, float]:
     """The limit of a sequence, and a bound on its error."""
+    if len(sequence) <= LEAST:
+        before, now = _aitken(sequence[:-1]), _aitken(sequence)
+        return now, CAUTION * abs(now - before)
     tables = [_levin(sequence)] if power else [_epsilon(sequence[-MOST:]), _levin(sequence)]
     best = (float(sequence[-1]), float("inf"))
     for estimates in tables:
@@ -137,6 +182,13 @@ def _accelerated(sequence: np.ndarray, power: bool) -> tuple[float, float]:
             if CAUTION * max(two) < best[1]:
                 best = (value, CAUTION * float(max(two)))
     return best
+
+
+def _aitken(sequence: np.ndarray) -> float:
+    """Aitken's formula on the last three: the limit, if the steps are a geometric sequence."""
+    before, last = np.diff(sequence[-3:])
+    still = abs(last) <= ROUNDING * len(sequence) * abs(sequence[-1])
+    return float(sequence[-1] + (0.0 if still else last * last / (before - last)))
 
 
 def _epsilon(sequence: np.ndarray) -> list[float]:
