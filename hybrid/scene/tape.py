@@ -252,22 +252,24 @@ class Jets:
         """
         tape = self.tape
         all_sides = np.zeros(len(tape.kinks), dtype=np.int64)
-        all_sides[self.places] = sides
+        if sides:
+            all_sides[self.places] = sides
         c = np.empty((tape.rows, order + 1))
         start, work = np.array(x, dtype=float), np.empty(tape.room)
         parts = tape.ops, tape.more, tape.flow, tape.kinks, self.output
         status = unit("jets").jets(*parts, order, float(t), start, self.numbers, all_sides, c, work)
         if status:
             raise ValueError("there is no Taylor series here")
-        sides[:] = all_sides[self.places].tolist()
-        watched = c[tape.kinks[self.places, 0]]
-        watched[np.isnan(watched).any(axis=1)] = self._still(order)
-        return c[: tape.size].tolist(), c[self.output].tolist(), watched.tolist()
+        sides[:] = all_sides[self.places].tolist() if sides else []
+        watched = self._watched(c) if sides else []
+        return c[: tape.size].tolist(), c[self.output].tolist(), watched
 
-    @staticmethod
-    def _still(order: int) -> np.ndarray:
-        """A series at which nothing happens: of what is watched on a branch that is not taken."""
-        return np.eye(1, order + 1)[0]
+    def _watched(self, c: np.ndarray) -> list[list[float]]:
+        """The series of what is watched; on a branch that is not taken nothing happens."""
+        watched = c[self.tape.kinks[self.places, 0]]
+        if np.isnan(watched).any():
+            watched[np.isnan(watched).any(axis=1)] = np.eye(1, c.shape[1])[0]
+        return watched.tolist()  # type: ignore[no-any-return]
 
 
 def tape(graph: Graph, size: int, flow: Ids, functions: Sequence[int], where: str) -> Tape:
