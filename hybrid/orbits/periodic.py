@@ -12,7 +12,7 @@ from numpy.polynomial import chebyshev
 
 from ..automaton.base import require_model
 from ..automaton.record import Record
-from ..errors import OptionError
+from ..errors import OptionError, OrbitError
 from ..scene import Scene, scene_of
 from ..trajectory import Trajectory
 from .delayed import require_constant
@@ -25,6 +25,10 @@ from .variation import Factor
 
 #: A multiplier nearer than this to the unit circle is not said to lie inside or outside.
 NEUTRAL = 1e-6
+
+#: By how much the tolerances of a second run are finer, the finest that methods take, how many
+#: times a drift must exceed what that changes, and what rounding alone may make of a turn.
+FINER, FINEST, SURE, ROUNDING = 30.0, 3e-14, 10.0, 3e-13
 
 
 @attrs.frozen
@@ -103,6 +107,12 @@ class PeriodicOrbit:
         lines += [f"  {stick.mode:12} for {stick.t1 - stick.t0:.9g}" for stick in self.sticks]
         lines += [f"  {name:12} {a:.12g} to {b:.12g}" for name, (a, b) in self.extrema.items()]
         lines += [f"  {sentence}" for sentence in self.grazing]
+        if _besides(self.multipliers, self.autonomous):
+            lines.append(
+                f"  a multiplier is 1{' besides that along the orbit' * self.autonomous}: not "
+                "distinguishable from a motion that drifts by "
+                f"{self.residual:.2g} of its size a turn"
+            )
         return "\n".join([*lines, f"  closed to     {self.residual:.2g} of its size"])
 
     __repr__ = __str__
@@ -140,7 +150,8 @@ def periodic_orbit(
     settle : int
         Turns that are flown before Newton's method begins: towards a stable orbit.
     t_max : float
-        The longest time a return may take.
+        The longest time a return may take. It is sought in short times first, so that the
+        model's unit of time does not matter as long as a turn takes less.
     tol : float
         How well the orbit must close, relative to its size, to be an orbit.
     options
@@ -155,7 +166,9 @@ def periodic_orbit(
     OptionError
         If the model depends on time and no period is given.
     OrbitError
-        If no orbit is found: the message says how far it came.
+        If no orbit is found: the message says how far it came. Also if what was found has a
+        multiplier of 1 besides that along the orbit, and drifts by more than the integration
+        may have lost.
 
     Warns
     -----
@@ -207,7 +220,9 @@ def _describe(shooting: Shooting, turn: Turn) -> PeriodicOrbit:
     scene, run, autonomous = shooting.scene, turn.run, not shooting.timed
     found = shooting.describe(turn)
     values = found.multipliers
-    others = np.delete(values, np.argmin(np.abs(values - 1.0))) if autonomous else values
+    others = _others(values, autonomous)
+    if _besides(values, autonomous) and not scene.spec.lags:
+        _require_closed(shooting, turn)
     return PeriodicOrbit(
         period=turn.guess.period,
         extrema=extrema(run),
@@ -224,6 +239,39 @@ def _describe(shooting: Shooting, turn: Turn) -> PeriodicOrbit:
         grazing=tuple(near_grazing(run)),
         errors=found.errors,
     )
+
+
+def _others(multipliers: np.ndarray, autonomous: bool) -> np.ndarray:
+    """The multipliers without that of a change along the orbit."""
+    if not autonomous:
+        return multipliers
+    return np.delete(multipliers, np.argmin(np.abs(multipliers - 1.0)))
+
+
+def _besides(multipliers: np.ndarray, autonomous: bool) -> bool:
+    """Whether a multiplier is 1 that need not be: nothing then brings a turn back to the orbit."""
+    return bool(np.any(np.abs(_others(multipliers, autonomous) - 1.0) < NEUTRAL))
+
+
+def _require_closed(shooting: Shooting, turn: Turn) -> None:
+    """Refuse a turn that drifts, where no change of its start would make it close.
+
+    Raises
+    ------
+    OrbitError
+    """
+    options = dict(shooting.options)
+    rtol, atol = options["rtol"], np.asarray(options["atol"], dtype=float)
+    options |= {"rtol": min(rtol, max(rtol / FINER, FINEST)), "atol": atol / FINER}
+    finer = type(shooting)(shooting.model, shooting.timed, shooting.tol, options).turn(turn.guess)
+    miss, error = np.abs(finer.miss) / turn.scale, np.abs(finer.miss - turn.miss) / turn.scale
+    if np.max(miss) > max(SURE * np.max(error), ROUNDING):
+        raise OrbitError(
+            f"{shooting.scene.spec.model}: the run of {turn.guess.period:.9g} from "
+            f"{shooting.scene.spec.record(turn.guess.x)} is no periodic orbit: it drifts by "
+            f"{np.max(miss):.2g} of its size a turn, which the integration tells from 0, and with "
+            "a multiplier that is 1 to 1e-6 no orbit near it closes better; give a guess elsewhere"
+        )
 
 
 def extrema(run: Trajectory) -> dict[str, tuple[float, float]]:

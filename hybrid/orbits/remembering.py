@@ -253,6 +253,9 @@ class HistoryShooting(Shooting):
         residual = float(np.max(np.abs(miss) / scale)) + self._apart(run)
         return Remembering(guess, run, miss, scale, residual, frame)
 
+    def _measure(self, turn: Turn) -> np.ndarray:
+        return turn.scale
+
     def _step(self, turn: Turn) -> tuple[np.ndarray, float]:
         """Changes of the record and of the period."""
         assert isinstance(turn, Remembering)

@@ -78,6 +78,9 @@ class RestartShooting(Shooting):
             raise OrbitError(f"{run.spec.model}: the run has no jump {guess.edge} again")
         return min(rows, key=lambda i: abs(rows[i].t - guess.t - guess.period))
 
+    def _measure(self, turn: Turn) -> np.ndarray:
+        return turn.scale
+
     def _step(self, turn: Turn) -> tuple[np.ndarray, float]:
         """Changes of the state after the jump, and of its time."""
         matrix = self._carried(turn).matrix - np.eye(len(turn.scale))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from typing import Any
 
 import attrs
@@ -15,13 +16,14 @@ from ..errors import OptionError, OrbitError
 from ..scene import scene_of
 from ..simulation import simulate
 from ..trajectory import Status, Trajectory
-from .section import Edge, Period, Section, Surface, cut, section_of
+from .section import Edge, Period, Return, Section, Surface, cut, section_of
 
-#: The first window in which a return is sought, of the longest; windows double.
-SHARE = 64.0
+#: The first window in which a return is sought, of the longest, and how they grow: the time in
+#: which a model lives is not known, and no more than a few times too much is flown.
+SHARE, WIDER = 4.0**-20, 4.0
 
-#: A window against the return time seen last.
-MARGIN = 1.25
+#: A window against the return time seen last, and least in spacings of the time.
+MARGIN, LEAST = 1.25, 64.0
 
 
 @attrs.frozen(eq=False)
@@ -148,18 +150,35 @@ class ReturnMap:
         if isinstance(self.section, Period):
             run = self._simulate(start, point, self.section.period)
             return self._returned(run, self.section.period)
-        window = self.t_max / SHARE if self._took is None else MARGIN * self._took
+        run, (found,) = self._flown(start, point, 1)
+        run = self._land(cut(run, found), start, point)
+        self._took = run.t1 - run.t0
+        return run
+
+    def _flown(self, start: Any, point: Point, count: int) -> tuple[Trajectory, list[Return]]:
+        """A run in windows that grow until it has returned so often, and where."""
+        assert not isinstance(self.section, Period)
+        window = MARGIN * self._took if self._took else SHARE * self.t_max
         while True:
-            window = min(window, self.t_max)
+            window = min(max(window, LEAST * float(np.spacing(abs(point.t)))), self.t_max)
             run = self._simulate(start, point, window)
-            found = self.section.first(run)
-            if found is not None:
-                run = self._land(cut(run, found), start, point)
-                self._took = run.t1 - run.t0
-                return run
+            found = list(islice(self.section.returns(run), count))
+            if len(found) == count:
+                return run, found
             if window == self.t_max or run.status is not Status.REACHED_END:
-                return self._returned(run, None)
-            window *= 2.0
+                self._returned(run, None)
+            window *= WIDER
+
+    def lap(self, state: Any, t: float = 0.0) -> tuple[Trajectory, float]:
+        """A run from a return to the next, without a start on the section; and how long it takes.
+
+        What is returned goes from a state to its second return.
+        """
+        point = self._point(state, t)
+        run, (first, second) = self._flown(self.scene.spec.record(point.state), point, 2)
+        begun = cut(run, first).t1
+        run = cut(run, second)
+        return run, run.t1 - begun
 
     def _simulate(self, start: Any, point: Point, length: float) -> Trajectory:
         times = (point.t, point.t + length)

@@ -23,6 +23,13 @@ DIVISORS = (2, 3, 4, 5)
 #: What the turn after an orbit may fail to close by.
 LASTS = 1e-6
 
+#: A turn that moves so many times farther than it fails to close, and farther than rounding in its
+#: states, is no equilibrium, however small it is beside the state.
+OPEN, NOISE = 1e3, 1e-12
+
+#: A time that is short against any other, of the longest; and in spacings of the time.
+SHORT, LEAST = 4.0**-20, 64.0
+
 
 def depends_on_time(scene: Scene) -> bool:
     """Whether any flow, guard, reset or law of a model depends on time explicitly.
@@ -78,9 +85,10 @@ class Search:
                 f"Newton's method came to {self.shooting.scene.spec.record(turn.guess.x)}, whose "
                 f"run of {turn.guess.period:.9g} closes to {turn.residual:.2g} of its size"
             )
+        later = f"After {ROUNDS[-1]} more turns: {reached[-1]}. "
         raise OrbitError(
             f"{self.shooting.scene.spec.model}: no periodic orbit was found. From the guess: "
-            f"{reached[0]}. After {ROUNDS[-1]} more turns: {reached[-1]}. Give a guess nearer to "
+            f"{reached[0]}. {later if reached[-1] != reached[0] else ''}Give a guess nearer to "
             "the orbit, another section or period, or settle= a number of turns"
         )
 
@@ -88,15 +96,28 @@ class Search:
         """A guess with the time that its turn takes."""
         if self.period is not None:
             return attrs.evolve(guess, period=self.period)
-        shooting, across = self.shooting, self.section is None
+        shooting = self.shooting
         mode = guess.mode or shooting.scene.spec.initial
-        section = _plane(shooting, guess) if across else self.section
+        if self.section is None:
+            section = _plane(shooting, guess, self._entered(guess, mode))
+        else:
+            section = self.section
         back = ReturnMap(shooting.model, section, mode, self.t_max, RISING, shooting.options)
-        if not across:
+        if self.section is None:
+            run = back.run(guess.x, guess.t, guess.history)
+            return attrs.evolve(guess, period=run.t1 - run.t0)
+        if shooting.scene.spec.lags:
             guess = shooting.after(back.run(guess.x, guess.t, guess.history), 0.0)
             back.mode = guess.mode
-        run = back.run(guess.x, guess.t, guess.history)
-        return attrs.evolve(guess, period=run.t1 - run.t0)
+            run = back.run(guess.x, guess.t, guess.history)
+            return attrs.evolve(guess, period=run.t1 - run.t0)
+        run, period = back.lap(guess.x, guess.t)
+        return shooting.inside(run, run.t1 - period, period)
+
+    def _entered(self, guess: Guess, mode: str) -> str:
+        """The mode in which time passes first: that of the guess, or one that it is left for."""
+        short = max(SHORT * self.t_max, LEAST * float(np.spacing(abs(guess.t))))
+        return str(self.shooting.fly(attrs.evolve(guess, mode=mode), short).mode)
 
     def advanced(self, guess: Guess, turns: int) -> Guess:
         """Where a number of turns lead."""
@@ -107,8 +128,9 @@ class Search:
     def moving(self, turn: Turn) -> Turn:
         """Refuse an equilibrium for a periodic orbit."""
         shooting, guess = self.shooting, turn.guess
-        rate = shooting.flow(guess) / turn.scale[: len(guess.x)]
-        if shooting.timed or np.max(np.abs(rate)) * guess.period > MOVES:
+        rate = np.abs(shooting.flow(guess)) / turn.scale[: len(guess.x)]
+        moves = float(np.max(rate)) * guess.period
+        if shooting.timed or moves > MOVES or moves > max(OPEN * turn.residual, NOISE):
             return turn
         raise OrbitError(
             f"{shooting.scene.spec.model}: the search ended at an equilibrium, "
@@ -131,20 +153,21 @@ class Search:
 
     def shortest(self, turn: Turn) -> Turn:
         """An orbit that goes round several times, once."""
+        spread = self.shooting.spread(turn.run)
         for part in () if self.shooting.timed else DIVISORS:
             guess = attrs.evolve(turn.guess, period=turn.guess.period / part)
             apart = np.abs(self.shooting.again(turn, guess.period) - guess.x)
-            if np.max(apart / turn.scale[: len(guess.x)]) <= MOVES:
+            if np.max(apart / spread) <= MOVES:
                 once = self.shooting.refine(guess)
                 if once.residual <= self.shooting.tol:
                     return self.shortest(once)
         return turn
 
 
-def _plane(shooting: Shooting, guess: Guess) -> Any:
+def _plane(shooting: Shooting, guess: Guess, mode: str) -> Any:
     """The plane through a state, across the flow there; coordinates against their own size."""
     scene = shooting.scene
-    flow = shooting.flow(guess)
+    flow = shooting.flow(attrs.evolve(guess, mode=mode))
     if not np.any(flow):
         raise OrbitError(
             f"{scene.spec.model}: the guess {scene.spec.record(guess.x)} is an equilibrium; "
@@ -152,11 +175,10 @@ def _plane(shooting: Shooting, guess: Guess) -> Any:
         )
     sizes = np.abs(flow) + np.abs(guess.x) + 1e-300
     normal = flow / sizes**2
-    level = float(normal @ guess.x)
 
     def plane(self: Any, t: Any, s: Any) -> Any:
         import jax.numpy as jnp
 
-        return jnp.concatenate([jnp.ravel(v) for v in s]) @ normal - level
+        return (jnp.concatenate([jnp.ravel(v) for v in s]) - guess.x) @ normal
 
     return plane

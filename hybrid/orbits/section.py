@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import attrs
-import numpy as np
 
 from ..arcs import Arc, Part
 from ..automaton.markers import RISING, Crossing
-from ..automaton.trace import caller, scalar, trace
+from ..automaton.trace import again, caller, scalar, trace
 from ..errors import OptionError
 from ..events import fires, zeros
 from ..log import Log
 from ..scene import Guard, Scene
 from ..scene.lowered import guard_shape
+from ..scene.scene import Scalar
 from ..trajectory import Status, Trajectory
 
-#: A surface on which a run starts is zero there, relative to the state.
+#: A surface on which a run starts is zero there, relative to the terms that it is made of.
 STARTS = 1e-8
 
 
@@ -50,13 +50,12 @@ class Edge:
     def __str__(self) -> str:
         return f"the jump {self.name!r}"
 
-    def first(self, run: Trajectory) -> Return | None:
-        """The run's first jump of that name that is no part of a summed series."""
+    def returns(self, run: Trajectory) -> Iterator[Return]:
+        """The run's jumps of that name that are no part of a summed series."""
         for index, row in sorted(run.own_jumps.items()):
             part = run.parts[index]
             if row.edge == self.name and isinstance(part, Arc) and index + 1 < len(run.parts):
-                return Return(index, part.length)
-        return None
+                yield Return(index, part.length)
 
 
 @attrs.frozen(eq=False)
@@ -65,29 +64,28 @@ class Surface:
 
     scene: Scene
     guard: Guard
+    size: Scalar
 
     def __str__(self) -> str:
         return "the surface"
 
-    def first(self, run: Trajectory) -> Return | None:
-        """The first crossing after the start (not within a summed series of impacts)."""
+    def returns(self, run: Trajectory) -> Iterator[Return]:
+        """The crossings after the start (not within a summed series of impacts)."""
         for index, part in enumerate(run.parts):
-            tau = self._first_of(part, index == 0) if isinstance(part, Arc) else None
-            if tau is not None:
-                return Return(index, tau)
-        return None
+            if isinstance(part, Arc):
+                for tau in self._of(part, starts=part.t0 <= run.t0):
+                    yield Return(index, tau)
 
-    def _first_of(self, arc: Arc, starts: bool) -> float | None:
-        size = STARTS * (1.0 + float(np.abs(arc.first).max()))
+    def _of(self, arc: Arc, starts: bool) -> Iterator[float]:
+        size = STARTS * self.size(arc.t0, arc.first.tolist())
         here = self.guard.value(arc.t0, arc.first.tolist())
         order, ends = int(starts and abs(here) <= size), dict[Any, float]()
         for segment in arc.segments:
             scale, t = float("inf"), arc.t0 + arc.low
             for zero in zeros(self.guard, segment, t, order, scale, 0.0, ends):
                 if fires(self.guard.crossing, zero.direction):
-                    return zero.tau
+                    yield zero.tau
             order = 0
-        return None
 
 
 Section = Period | Edge | Surface
@@ -142,7 +140,27 @@ def _surface(model: Any, scene: Scene, function: Callable[..., Any], crossing: C
     value = scene.bind(code.program(("section", function), lambda: closed))
     affine, uses = guard_shape(code, closed)
     name, free = "section", lambda *_: (0.0, 0.0, 0.0)
-    return Surface(scene, Guard(name, "edge", "", crossing, value, free, affine, uses, closed))
+    guard = Guard(name, "edge", "", crossing, value, free, affine, uses, closed)
+    sizes = code.program(
+        ("section", "size", function), lambda: trace(spec, _terms(closed), 0, code.shapes)
+    )
+    return Surface(scene, guard, scene.bind(sizes))
+
+
+def _terms(closed: Any) -> Callable[..., Any]:
+    """The sum of the absolute terms of a function of time and state, to first order."""
+    function = again(closed)
+
+    def terms(parameters: Any, t: Any, x: Any) -> Any:
+        import jax
+        import jax.numpy as jnp
+
+        by_t, by_x = jax.grad(function, argnums=(1, 2))(parameters, t, x)
+        offset = jnp.abs(function(parameters, t, jnp.zeros_like(x)))
+        varies = jnp.abs(by_t * t) + jnp.abs(by_x) @ jnp.abs(x)
+        return varies + jnp.where(jnp.isfinite(offset), offset, 0.0)
+
+    return terms
 
 
 def cut(run: Trajectory, at: Return) -> Trajectory:

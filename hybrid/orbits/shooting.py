@@ -41,6 +41,9 @@ APART = 1.0
 #: An orbit that moves less than this, against its size, in a period, is an equilibrium.
 MOVES = 1e-6
 
+#: An element that moves less than this, against its size, is measured as if it did so much.
+HARDLY = 1e-9
+
 #: Shortest arc of a plain mode, against the period, in which an orbit is begun.
 LEAST = 1e-2
 
@@ -131,6 +134,18 @@ class Shooting:
         last = run.mode
         return Guess(run.t1, run.parts[-1].last, last, period, history)
 
+    def inside(self, run: Trajectory, since: float, period: float) -> Guess:
+        """A guess in the middle of the longest arc of a run from a time on.
+
+        On a section, or just after a jump, something may be about to fire.
+        """
+        arcs = [arc for arc in run.parts if isinstance(arc, Arc) and arc.t1 > since]
+        lasts = [arc.t1 - max(arc.t0, since) for arc in arcs]
+        arc = arcs[int(np.argmax(lasts))]
+        t = arc.t1 - 0.5 * max(lasts)
+        tau = min(max((t - arc.t0) - arc.low, 0.0), arc.length)
+        return Guess(t, arc.local(np.array(tau)), arc.mode, period)
+
     def _apart(self, run: Trajectory) -> float:
         """What the residual is more by where the ends of a turn are in different modes."""
         same = run.mode == run.parts[0].mode
@@ -142,6 +157,13 @@ class Shooting:
         atol = np.broadcast_to(np.asarray(self.options["atol"], dtype=float), ends[0].shape)
         sizes: np.ndarray = np.abs(np.array(ends + inside)).max(axis=0)
         return np.maximum(sizes, np.maximum(FLOOR * atol, 1e-300))
+
+    def spread(self, run: Trajectory) -> np.ndarray:
+        """How far each element goes along a run; that of one that hardly moves, from its size."""
+        ends = [state for arc in run.arcs for state in (arc.first, arc.last)]
+        inside = [s(s.start + 0.5 * s.length) for a in run.arcs for s in a.segments]
+        goes: np.ndarray = np.ptp(np.array(ends + inside), axis=0)
+        return np.maximum(goes, HARDLY * self._scale(run))
 
     def centred(self, guess: Guess) -> Guess:
         """The same turn, begun in the middle of its longest arc: of a plain mode if there is one.
@@ -169,7 +191,8 @@ class Shooting:
     def _improved(self, turn: Turn) -> Turn | None:
         """A step of Newton's method, shortened until it gains; None where it does not."""
         step, stretch = self._step(turn)
-        size = max(float(np.max(np.abs(step) / turn.scale)), abs(stretch) / turn.guess.period)
+        far = float(np.max(np.abs(step) / self._measure(turn)))
+        size = max(far, abs(stretch) / turn.guess.period)
         share = min(1.0, REACH / size) if size else 1.0
         for halving in range(1 if turn.residual <= self.tol else HALVINGS):
             part = share * 0.5**halving
@@ -188,7 +211,7 @@ class Shooting:
 
     def _step(self, turn: Turn) -> tuple[np.ndarray, float]:
         """Changes of the state and of the period."""
-        guess, run, scale = turn.guess, turn.run, turn.scale
+        guess, run, scale = turn.guess, turn.run, self._measure(turn)
         matrix = self.variation(run)[0] - np.eye(len(scale))
         system = matrix * scale / scale[:, None]
         right = -turn.miss / scale
@@ -202,6 +225,10 @@ class Shooting:
         found = np.linalg.lstsq(system, right, rcond=1e-12)[0]
         step: np.ndarray = found[: len(scale)] * scale
         return step, 0.0 if self.timed else float(found[-1]) * guess.period
+
+    def _measure(self, turn: Turn) -> np.ndarray:
+        """What a change of the unknowns is measured by: how far they go, wherever that is."""
+        return self.spread(turn.run)
 
     def flow(self, guess: Guess) -> np.ndarray:
         """The flow at a guess."""
