@@ -106,7 +106,7 @@ def as_function(
         Bounds on the jumps that are computed one by one, and on attempted steps. Memory in
         reverse mode grows with both.
     method, rtol, atol, mode
-        As for :func:`hybrid.simulate` with ``solver="diffrax"``.
+        As for :func:`hybrid.simulate` with ``solver="diffrax"``: Dopri8 if no method is named.
     zeno : "rest", "stop" or "ignore"
         What happens where impacts accumulate; ignored, they are computed one by one.
     outputs : tuple of "final", "jumps", "zeno"
