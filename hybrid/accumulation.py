@@ -103,10 +103,13 @@ class Accumulation:
     def verdict(self) -> str:
         """How the accumulation is known.
 
-        ``"certified"`` where it is proved from an impact on, ``"estimated"`` where the series
-        was summed and seen to converge, ``"truncated"`` where ``zeno="truncate"`` cut it off.
+        ``"certified"`` where it is proved from an impact on that was flown, and what the
+        integration lost before that impact is bounded (``t_error`` is finite); ``"estimated"``
+        where the series was summed and seen to converge; ``"truncated"`` where
+        ``zeno="truncate"`` cut it off.
         """
-        return "certified" if self.proofs else self._verdict
+        certain = bool(self.proofs) and isfinite(self.t_error)
+        return "certified" if certain else self._verdict
 
     @property
     def enclosure(self) -> tuple[float, float] | None:
@@ -179,7 +182,7 @@ def explain(point: Accumulation) -> str:
     chatters = len(point.edges) == 1 and point.ratio < 1.0
     how = "summed by the chatter map" if chatters else "found by sequence acceleration"
     how = f"was {how} ({point.verdict})"
-    if point.proofs:
+    if point.verdict == "certified":
         first, best = point.proofs[0], point.narrowest
         how += (
             f". It is proved from the impact at t = {first.t:.9g} on: from its gap speed of "

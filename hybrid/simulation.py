@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import attrs
 import numpy as np
 
+from .accumulation import Accumulation
 from .automaton.base import require_model
 from .automaton.markers import name_of
 from .automaton.record import Record
@@ -19,14 +21,21 @@ from .reals import real, reals
 from .run import Driver, Plan
 from .run.pieces import Piece
 from .scene import Scene, scene_of
-from .solvers import choose
+from .solvers import Solver, choose
 from .solvers.base import FINEST, tolerances
 from .trajectory import Status, Trajectory
 from .zeno.accumulate import FLOOR
 from .zeno.cycle import CycleLimit
 
-#: Relative change of the start of the second run, by which errors are measured.
+#: Relative change of the start of the third run, by which grown rounding is measured.
 NUDGE = 8e-15
+
+#: Steps of the second run, and for each jump: it takes a tenth of that where nothing acts briefly.
+STEPS, STEPS_EACH = 2000, 40
+
+#: Rounding of the time in a run, against the states, from which on it is measured by a third run:
+#: where no force acts briefly it is some roundings.
+BLURRED = 1e-13
 
 #: Jumps after which a run stops if it is given no ``max_jumps``.
 MAX_JUMPS = 1_000_000
@@ -167,57 +176,79 @@ def _trajectory(
 
 
 def _give_errors(driver: Driver, solver: str, method: str | None, mode: str, x: np.ndarray) -> None:
-    """Let each accumulation measure its error when asked: by one second run for all.
-
-    The second run uses Taylor series, accurate to rounding (a run that used them is compared
-    with DOP853 at its smallest tolerance; a model without Taylor series with its own method
-    at a hundredth of its tolerance).
-    """
-    held: list[Driver | None] = []
-
-    def second() -> Driver | None:
-        if not held:
-            held.append(_second_run(driver, solver, method, mode, x))
-        return held[0]
-
-    def errors(index: int) -> tuple[float, Record]:
-        return _errors(driver, second(), index)
-
+    """Let each accumulation measure its error when asked: by a second and a third run for all."""
+    again = _Again(driver, solver, method, mode, x)
     for index, point in enumerate(driver.record.zeno):
-        point._errors = lambda index=index: errors(index)
+        point._errors = lambda index=index: again.errors(index)
 
 
-def _second_run(
-    driver: Driver, solver: str, method: str | None, mode: str, x: np.ndarray
-) -> Driver | None:
-    count = len(driver.record.zeno)
-    plan = attrs.evolve(
-        driver.plan,
-        dense=False,
-        samples=None,
-        progress=None,
-        accumulations=count,
-        closing=1e-2,
-        patience=4,
-    )
-    if plan.zeno == "raise":
-        plan = attrs.evolve(plan, zeno="rest")
-    parts, _ = driver.record.log.apart()
-    has_series = all(driver.scene.field(part.mode).jets is not None for part in parts)
-    if not has_series:
-        other = choose(solver, method, max(1e-2 * plan.rtol, 3e-14), 1e-2 * plan.atol)
-    elif solver == "taylor":
-        other = choose("scipy", "DOP853", FINEST, 1e-4 * plan.atol)
-    else:
-        other = choose("taylor", None, plan.rtol, plan.atol)
-    again = Driver(driver.model, other, plan, driver.history)
-    try:
-        again.run(mode, _nudged(driver, mode, x))
-    except HybridError:
-        return None
-    if again.status is Status.INTERRUPTED:
-        raise KeyboardInterrupt
-    return again
+class _Again:
+    """The runs with which a run is compared, each made once, when it is first needed.
+
+    They are watched: each step is shown to have seen all of the flow. The second run uses Taylor
+    series, accurate to rounding; a model without them its own method at a hundredth of its
+    tolerance; and a run that used Taylor series itself is compared with DOP853 at its smallest
+    tolerance, unless forces act so briefly that the rounding of the time matters. The third run
+    is the same from beside the start, moved by what the rounding of the time does: how far it goes
+    from the run that is not moved shows what rounding grows to. (One run for both would be moved
+    towards the errors of the first as often as away from them.)
+    """
+
+    def __init__(
+        self, driver: Driver, solver: str, method: str | None, mode: str, x: np.ndarray
+    ) -> None:
+        self.driver, self.own = driver, (solver, method)
+        self.mode, self.x = mode, x
+        self._made: dict[tuple[str, bool], Driver] = {}
+
+    def errors(self, index: int) -> tuple[float, Record]:
+        """Bounds on the errors of an accumulation's time and state."""
+        driver = self.driver
+        parts, _ = driver.record.log.apart()
+        series = all(driver.scene.field(part.mode).jets is not None for part in parts)
+        name = "series" if series else "own"
+        moved = self._run(name, True)
+        if self.own[0] == "taylor" and moved.watchful.blurred <= BLURRED:
+            finest = self._run("finest")
+            if _shows(finest, index, driver.record.zeno[index]):
+                return _errors(driver, index, [(driver, finest), (driver, moved)])
+        second = self._run(name)
+        return _errors(driver, index, [(driver, second), (second, moved)])
+
+    def _run(self, name: str, moved: bool = False) -> Driver:
+        """A run, as far as it gets: what it does not get to has no bound."""
+        if (name, moved) not in self._made:
+            driver, x = self.driver, self.x
+            again = Driver(driver.model, self._solver(name), self._plan(moved), driver.history)
+            with suppress(HybridError):
+                again.run(self.mode, _nudged(driver, self.mode, x) if moved else x)
+            if again.status is Status.INTERRUPTED:
+                raise KeyboardInterrupt
+            self._made[name, moved] = again
+        return self._made[name, moved]
+
+    def _solver(self, name: str) -> Solver:
+        plan = self.driver.plan
+        if name == "series":
+            return choose("taylor", None, plan.rtol, plan.atol)
+        if name == "finest":
+            return choose("scipy", "DOP853", FINEST, 1e-4 * plan.atol)
+        return choose(*self.own, max(1e-2 * plan.rtol, 3e-14), 1e-2 * plan.atol)
+
+    def _plan(self, moved: bool) -> Plan:
+        driver = self.driver
+        return attrs.evolve(
+            driver.plan,
+            dense=False,
+            samples=None,
+            progress=None,
+            accumulations=len(driver.record.zeno),
+            closing=1e-2,
+            patience=4,
+            watchful=STEPS + STEPS_EACH * driver.record.made,
+            shaken=moved,
+            zeno="rest" if driver.plan.zeno == "raise" else driver.plan.zeno,
+        )
 
 
 def _nudged(driver: Driver, mode: str, x: np.ndarray) -> np.ndarray:
@@ -232,26 +263,34 @@ def _nudged(driver: Driver, mode: str, x: np.ndarray) -> np.ndarray:
     return x * (1.0 + NUDGE * (-1.0) ** np.arange(len(x)))
 
 
-def _errors(driver: Driver, again: Driver | None, index: int) -> tuple[float, Record]:
-    point, tail, record = (
-        driver.record.zeno[index],
-        driver.record.tails[index],
-        driver.scene.spec.record,
-    )
+def _errors(driver: Driver, index: int, pairs: list[tuple[Driver, Driver]]) -> tuple[float, Record]:
+    """Bounds from the distances between runs; infinite where they do not show the same."""
+    point, record = driver.record.zeno[index], driver.scene.spec.record
     dimension = driver.scene.spec.dimension
-    same = again is not None and len(again.record.zeno) > index
-    if not same or again is None or again.record.zeno[index].edges != point.edges:
+    if not all(_shows(run, index, point) for pair in pairs for run in pair):
         return float("inf"), record(np.full(dimension, np.inf))
-    state = np.concatenate([np.ravel(v) for v in point.state])
-    other = np.concatenate([np.ravel(v) for v in again.record.zeno[index].state])
     floor = 4 * FLOOR * np.sqrt(1.0 + driver.record.made)
-    closing = (tail.t_error, tail.x_error) if tail else (0.0, np.zeros(dimension))
-    second = again.record.tails[index]
-    if isinstance(second, CycleLimit):  # extrapolated too, from as few jumps
-        closing = closing[0] + second.t_error, closing[1] + second.x_error
-    t_error = 3 * abs(point.t - again.record.zeno[index].t) + closing[0] + floor * abs(point.t)
-    x_error = 3 * np.abs(state - other) + closing[1] + floor * np.abs(state)
+    t_error, x_error = floor * abs(point.t), floor * np.abs(_vector(point))
+    second = pairs[0][1].record.tails[index]
+    extrapolated = [second] if isinstance(second, CycleLimit) else []  # from as few jumps
+    for limit in [driver.record.tails[index], *extrapolated]:
+        if limit is not None:
+            t_error, x_error = t_error + limit.t_error, x_error + limit.x_error
+    for pair in pairs:
+        one, other = (run.record.zeno[index] for run in pair)
+        t_error = t_error + 3 * abs(one.t - other.t)
+        x_error = x_error + 3 * np.abs(_vector(one) - _vector(other))
     return float(t_error), record(x_error)
+
+
+def _shows(run: Driver, index: int, point: Accumulation) -> bool:
+    """Whether a run has come to the same accumulation."""
+    zeno = run.record.zeno
+    return index < len(zeno) and zeno[index].edges == point.edges
+
+
+def _vector(point: Accumulation) -> np.ndarray:
+    return np.concatenate([np.ravel(value) for value in point.state])
 
 
 # ---------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from ..clock import Instant
 from ..events import EPS
 from ..scene import Field, Guard, Scene
 from ..zeno.cycle import FAST, FEW, LONGEST, CycleLimit, accelerated, limit, period
+from ..zeno.narrow import damps
 
 if TYPE_CHECKING:
     from .driver import Driver
@@ -363,6 +364,8 @@ def pass_limit(driver: Driver, mode: str) -> bool:
     if sought is None or driver.record.now.after(sought[0].remaining).until(driver.known) < 0:
         return False
     found, turn = sought
+    if not _tire(driver, found):
+        return False
     after = driver.scene.spec.mode_after(found.edges)
     if found.ratio == 0.0 and after is None:
         return False
@@ -403,3 +406,15 @@ def _summed(scene: Scene, cycles: Cycles) -> bool:
     if cycles.period != 1 or not scene.is_contact(last.edge):
         return False
     return scene.contact(last.edge).law(last.t, last.x.tolist(), -0.0) < 1.0 - 1e-12
+
+
+def _tire(driver: Driver, found: CycleLimit) -> bool:
+    """Whether each contact of a cycle damps slow impacts as well, down to rest."""
+    scene, turn = driver.scene, driver.cycles.seen[-len(found.edges) :]
+    for seen in turn:
+        if scene.is_contact(seen.edge):
+            guard = scene.field(seen.mode).guards[scene.field(seen.mode).column(seen.edge)]
+            speed = abs(guard.lie(seen.t, seen.x.tolist())[1])
+            if not damps(scene.contact(seen.edge), seen.t, seen.x.tolist(), speed):
+                return False
+    return True

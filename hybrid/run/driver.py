@@ -18,13 +18,16 @@ from ..errors import FlowError, ZenoError
 from ..events import CLOSED, EPS, NEAR, SHARES
 from ..log import Flights
 from ..scene import Contact, Field, Guard, Scene, released
+from ..scene.defect import follows
 from ..scene.scene import parted
 from ..segment import Segment
 from ..solvers import Solver
+from ..solvers.watchful import Watchful
 from ..trajectory import Jump, Status
 from ..zeno.accumulate import Tail, close
 from ..zeno.cycle import CycleLimit
 from ..zeno.flight import fly
+from ..zeno.narrow import seen
 from . import switch, truncate
 from .arc import ArcFlow, Flown
 from .cycles import Cycles, Seen, pass_limit
@@ -75,6 +78,8 @@ class Driver:
     ) -> None:
         self.model = self.scene = scene
         self.solver, self.plan, self.history = solver, plan, history
+        self.watchful = Watchful(solver, plan.watchful, plan.shaken)
+        self.wary = plan.watchful is not None
         contacts = [e.name for e in scene.spec.transitions if scene.is_contact(e.name)]
         self.record = Recorder(plan, frozenset(contacts))
         self.status: Status | None = None
@@ -148,7 +153,7 @@ class Driver:
 
     def flow(self) -> None:
         """Flow an arc, or as many as need no judgement, and carry out the jump that ends it."""
-        if self.streaks is not None and self.streaks.takes():
+        if self.streaks is not None and not self.wary and self.streaks.takes():
             self._spent = frozenset()
             self.streaks.fly()
         else:
@@ -169,7 +174,8 @@ class Driver:
     def flow_arc(self) -> None:
         """Flow an arc and carry out the jump that ends it."""
         entry, now, memory = self.entry, self.record.now, self.record.memory
-        flown = ArcFlow(self.scene, self.solver, self.plan, entry, now, self.horizon).run()
+        solver = self.watchful if self.wary else self.solver
+        flown = ArcFlow(self.scene, solver, self.plan, entry, now, self.horizon).run()
         if memory is not None:
             flown = attrs.evolve(flown, segments=memory.refined(entry.field, now, flown.segments))
             other = memory.confirm(now, flown.length, flown.segments)
@@ -314,6 +320,8 @@ class Driver:
         flight = fly(field, column, t, x.tolist(), v)
         if flight is None or self.record.now.after(flight.time).until(self.known) < 0:
             return None
+        if self.wary and not follows(field, t, flight.segments()):
+            return None
         end = t + flight.time
         landed = contact.land(end, flight.x)
         rounding = 64 * EPS * (1.0 + float(np.max(np.abs(x))))
@@ -428,11 +436,18 @@ class Driver:
         return True
 
     def tail(self, contact: Contact, x: np.ndarray, v: float, field: Field) -> Tail | None:
-        """The sum of all impacts from here on; None where there is none (yet)."""
+        """The sum of all impacts from here on; None where there is none (yet).
+
+        Where something may hide on the way to the limit, steps are watched until a sum is found.
+        """
         column, now, plan = field.column(contact.name), self.record.now, self.plan
         rtol, atol = plan.closing * plan.rtol, plan.closing * plan.limit
         tail = close(field, contact, column, now.t, now.low, x, v, rtol, atol)
-        return tail if tail is not None and _clear(tail, field, column) else None
+        if tail is None or not _clear(tail, field, column):
+            return None
+        whole = seen(tail, plan.closing)
+        self.wary = plan.watchful is not None or not whole
+        return tail if whole else None
 
     def _pass_limit(self, tail: Tail) -> None:
         """Go over an accumulation point, into what follows it."""

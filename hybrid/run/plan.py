@@ -30,6 +30,11 @@ class Plan:
         Stop at this accumulation (a second run, to measure errors).
     closing, patience : float, int
         Tolerance of a tail against the run's, and impacts before the first try at one.
+    watchful : int or None
+        Hold every step against the flow all along it, at most so many
+        (:mod:`hybrid.solvers.watchful`).
+    shaken : bool
+        Move the states of such a run by what the rounding of the time does.
     """
 
     t0: float
@@ -46,6 +51,8 @@ class Plan:
     accumulations: int | None = None
     closing: float = 1.0
     patience: int = 2
+    watchful: int | None = None
+    shaken: bool = False
 
     @property
     def limit(self) -> float:

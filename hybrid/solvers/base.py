@@ -77,8 +77,15 @@ def tolerances(rtol: Any, atol: Any, dimension: int) -> tuple[float, np.ndarray]
 
 
 class Stepper(abc.ABC):
-    """Steps along one arc."""
+    """Steps along one arc.
 
+    Attributes
+    ----------
+    repeats : bool
+        Whether :meth:`land` makes the step anew, so that steps may go on from there.
+    """
+
+    repeats = False
     tau: float
     x: np.ndarray
 
@@ -111,12 +118,16 @@ class Solver(abc.ABC):
     compiled : object or None
         The method as a pure function (:class:`.diffrax_backend.Method`), where whole streaks
         of arcs can be compiled with it.
+    rtol, atol
+        What a step may lose; rounding, of a method that knows no tolerances.
     """
 
     name: str
     method: str
     order: int
     compiled: Any = None
+    rtol: float = FINEST
+    atol: Any = 0.0
 
     @abc.abstractmethod
     def begin(

@@ -252,6 +252,8 @@ class DiffraxSolver(Solver):
 class DiffraxStepper(Stepper):
     """Steps along one arc, each a call of a compiled function."""
 
+    repeats = True
+
     def __init__(
         self, solver: DiffraxSolver, field: Field, t0: float, x0: np.ndarray, first: float
     ) -> None:

@@ -147,6 +147,8 @@ class _OdeStepper(Stepper):
 class RungeKuttaStepper(_OdeStepper):
     """DOP853, RK45, RK23: the interpolant's coefficients are read off."""
 
+    repeats = True
+
     def step(self, limit: float) -> None:
         self._before = (self.solver.t, self.solver.y, self.solver.f)
         self._towards(limit)
@@ -159,6 +161,7 @@ class RungeKuttaStepper(_OdeStepper):
         self._towards(tau)
         if self.tau < tau:  # refused, though a longer step was accepted: take its interpolant
             self.tau, self.x = tau, self._last(tau)
+            solver.t, solver.y, solver.f = tau, self.x, solver.fun(tau, self.x)
             return self._last.cut(tau - self._last.start)
         return self.segment()
 

@@ -76,6 +76,8 @@ class TaylorSolver(Solver):
 class TaylorStepper(Stepper):
     """Steps along one arc by Taylor series."""
 
+    repeats = True
+
     def __init__(self, field: Field, t0: float, x0: np.ndarray) -> None:
         self.field, self.t0 = field, t0
         self.tau, self.x = 0.0, x0
@@ -113,6 +115,8 @@ class TaylorStepper(Stepper):
 
     def land(self, tau: float) -> Segment:
         """The same series, cut at ``tau``."""
+        if tau < self.tau:
+            self.sides = [0] * self.field.kinks  # those beyond a kink that the step ended at
         self.tau = self._last[0]
         self._finish(tau - self.tau, tau)
         return self.segment()

@@ -28,6 +28,7 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from ..scene.defect import follows
 from ..scene.taylor import polynomial
 from ..segment import from_values, nodes
 from .flight import Flight, fly
@@ -56,6 +57,9 @@ CAUTION = 8.0
 
 #: Impacts of a tail from which a proof is tried, and shares of all that are listed.
 STAGES, SHARES_LISTED = (0, 3, 10, 30, 60, 100, 160, 250, 400, 1000, 4000), (0.25, 0.5, 0.75)
+
+#: Most impacts that are flown to find one from which a proof succeeds: half a second of them.
+FLOWN = 400
 
 #: Rounding of one flight, relative, as seen in the change from turn to turn.
 ROUNDING = 3e-15
@@ -142,18 +146,46 @@ class Tail:
         return [polynomial(c, s - start) for c in series]
 
     def prove(self) -> list[Proof]:
-        """Proofs from some of the impacts on, in order of time."""
-        from .enclose import prove
+        """Proofs in order of time: the first from an impact that was flown, narrower ones later.
 
+        The tail's first impact was flown by the run. Where no box around it can be enclosed, the
+        flights that follow are flown here one after the other, each held against the flow all
+        along it, until one can. Without a proof from one of these there is none: what follows
+        is known from the curve, which a proof must not rest on. Once the accumulation is proved,
+        later impacts, from the curve, narrow the bounds down.
+        """
+        first, stage = self._flown_proof()
+        if first is None:
+            return []
         late = (int(share * self.count) for share in SHARES_LISTED)
         stages = sorted({*(n for n in STAGES if n <= self.count), *late})
-        points = [self.point(self.r**n) for n in stages]
-        found = [
-            prove(self.field, self.contact.name, self.t + since, x, v)
-            for since, x, v in points
-            if v > 0
-        ]
-        return [proof for proof in found if proof is not None]
+        points = [self.point(self.r**n) for n in stages if n > stage]
+        found = [self._prove(self.t + since, x, v) for since, x, v in points if v > 0]
+        within = [p for p in found if p is not None and first.low <= p.low <= p.high <= first.high]
+        return [first, *within]
+
+    def _flown_proof(self) -> tuple[Proof | None, int]:
+        """The proof from the earliest impact flown from which there is one, and which."""
+        t, x, v = self.t, self.x.tolist(), self.v
+        for n in range(FLOWN + 1):
+            if n in STAGES:
+                proof = self._prove(t, np.array(x), v)
+                if proof is not None:
+                    return proof, n
+            flight = fly(self.field, self.column, t, x, v)
+            if flight is None or not follows(self.field, t, flight.segments()):
+                break
+            t += flight.time
+            v, moved = _impact(self.contact, t, flight)
+            if not v > 0:
+                break
+            x = on_contact(self.field, self.contact, self.column, t, moved.tolist(), v)
+        return None, 0
+
+    def _prove(self, t: float, x: np.ndarray, v: float) -> Proof | None:
+        from .enclose import prove
+
+        return prove(self.field, self.contact.name, t, x, v)
 
     def flight(self, n: int) -> Flight | None:
         """The flight after impact ``n`` of the tail, from the curve."""
@@ -296,13 +328,9 @@ class _Curve:
         if flight is None or flight.branch != (self._branch or flight.branch):
             return None
         self._branch = flight.branch
-        end = t + flight.time
-        after = self.contact.law(end, flight.x, flight.u) * -flight.u
+        after, moved = _impact(self.contact, t + flight.time, flight)
         if not after > 0:
             return None
-        landed = self.contact.land(end, flight.x)
-        push = np.array(self.contact.push(end, landed))
-        moved = np.array(landed) + push * (after - flight.u)
         return [flight.time, *(moved - np.array(x)), log(after / (self.r * v))]
 
     def _on_contact(self, t: float, x: list[float], v: float) -> list[float]:
@@ -336,6 +364,14 @@ class _Curve:
             float(error[0]),
             error[1:],
         )
+
+
+def _impact(contact: Contact, t: float, flight: Flight) -> tuple[float, np.ndarray]:
+    """Gap speed and state after the impact that ends a flight."""
+    after = contact.law(t, flight.x, flight.u) * -flight.u
+    landed = contact.land(t, flight.x)
+    push = np.array(contact.push(t, landed))
+    return after, np.array(landed) + push * (after - flight.u)
 
 
 def on_contact(

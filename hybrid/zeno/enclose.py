@@ -22,6 +22,7 @@ import numpy as np
 from ..automaton import trace
 from ..scene.contact import lie
 from ..scene.fixed import FixedGraph, hides_derivatives
+from ..scene.parity import parity
 from ..scene.python import needed
 from ..scene.taylor import flat
 from .lemma import Chattering, chattering
@@ -107,7 +108,7 @@ def _prove(question: _Question, parameters: Any, t: float, x: np.ndarray, v: flo
         bounds = _Bounds(question, parameters, t, x, box)
         if not bounds.pushes:
             return None
-        says = chattering(v, bounds.m, bounds.M, bounds.r)
+        says = chattering(v, bounds.m, bounds.M, bounds.r, bounds.even)
         if not says.contracts:
             return None
         needed = bounds.needed(says)
@@ -150,10 +151,14 @@ class _Question:
         slopes, the other guards.
     pair : (int, int) or None
         The one position and velocity on which, with the time, gap and gap speed depend.
+    even : bool
+        Whether nothing else, not the time either, makes the gap's acceleration, and that evenly in
+        the velocity.
     """
 
     program: Any
     pair: tuple[int, int] | None
+    even: bool
 
 
 class _Bounds:
@@ -181,6 +186,8 @@ class _Bounds:
         force, self.r, *values = [e.value for e in rest]
         self.m, self.M = (-force).lower(), (-force).upper()
         self.flow, self.push = values[:n], values[n : 2 * n]
+        one_way = bool(self.slopes) and bool(abs(self.slopes[1]).lower() > 0)
+        self.even = question.even and one_way
         self.others = any(bool(guard.contains(0)) for guard in values[2 * n :])
 
     @property
@@ -247,7 +254,20 @@ def _question(field: Field, contact: str) -> _Question | None:
     slopes = nodes(_slopes(code, gap, flow, pair)) if pair else []
     guards = [node for closed in others for node in nodes(closed)]
     roots = [*lies, *law, *nodes(flow), *nodes(push), *slopes, *guards]
-    return _Question(IntervalProgram(graph, roots), pair)
+    return _Question(IntervalProgram(graph, roots), pair, _even(graph, lies, pair))
+
+
+def _even(graph: FixedGraph, lies: list[int], pair: tuple[int, int] | None) -> bool:
+    """Whether a gap before one position is accelerated evenly in its speed, by these two alone."""
+    if pair is None:
+        return False
+    inputs = (graph.nodes[n] for n in needed(graph, lies))
+    names = {node[1] for node in inputs if node[0] == "input" and node[1][0] != "p"}
+    position, velocity = (f"x{i}" for i in pair)
+    if not names <= {position, velocity}:
+        return False
+    odd = parity(graph, lies[1], {velocity}) == "odd"
+    return odd and parity(graph, lies[2], {velocity}) == "even"
 
 
 def _pair(field: Field, contact: str, graph: FixedGraph, lies: list[int]) -> Any:

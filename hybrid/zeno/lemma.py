@@ -3,7 +3,8 @@
 While a gap's acceleration stays in ``[-M, -m]`` with ``m > 0``, a flight that leaves the
 contact with gap speed ``v`` comes back with a speed in ``[v sqrt(m/M), v sqrt(M/m)]``. With
 restitution ``r`` and ``rho = r sqrt(M/m) < 1`` the speeds contract, the flights' lengths
-sum, and the sum is enclosed.
+sum, and the sum is enclosed. Where the acceleration depends on the gap and evenly on its speed
+alone, it comes back with the speed ``v`` itself, and ``rho = r``.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Chattering:
     remaining: tuple[Any, Any] | None
 
 
-def chattering(v: Any, m: Any, M: Any, r: Any) -> Chattering:
+def chattering(v: Any, m: Any, M: Any, r: Any, even: bool = False) -> Chattering:
     """The lemma's numbers, every one rounded to its safe side.
 
     Parameters
@@ -52,19 +53,21 @@ def chattering(v: Any, m: Any, M: Any, r: Any) -> Chattering:
         that it does is the caller's to check, with ``height``, ``speed``, ``remaining``.
     r : float, ``(low, high)`` or arb
         Restitution in that box.
+    even : bool
+        The acceleration depends on the gap and the square of its speed alone.
 
     Returns
     -------
     Chattering
     """
-    from flint import ctx
+    from flint import arb, ctx
 
     from ..scene.interval import PRECISION
 
     with ctx.workprec(PRECISION):
         (least, most), (weak, strong) = _ends(v), _ends(r)
         m, M = _ends(m)[0], _ends(M)[1]
-        growth = (M / m).sqrt().upper()
+        growth = arb(1) if even else (M / m).sqrt().upper()
         rho = (strong * growth).upper()
         contracts = bool(m > 0 and least > 0 and weak >= 0 and rho < 1)
         remaining = None

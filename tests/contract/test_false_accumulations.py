@@ -1,0 +1,232 @@
+"""What acts briefly on the way to a limit, and losses that stop: no false limit, no false proof.
+
+A ball on a floor, ``g = 2``, ``r = 0.7``, thrown up with speed 1: without anything else its impacts
+accumulate at ``10/3``. A pulse of force kicks it on the way; the exact motion is made of parabolas.
+"""
+
+import math
+
+import jax.numpy as jnp
+import pytest
+
+import hybrid as hy
+
+from .ways import misses
+
+pytest.importorskip("flint")
+
+WAYS = ["DOP853", "taylor", "Dopri8", "ensemble", "as_function"]
+
+#: Ways in whose answers are the driver's: the others sum with no look between their flights.
+LANES = ("ensemble", "as_function")
+
+START = [0.0, 1.0]
+
+
+class Ball(hy.Automaton):
+    """A ball that is kicked at ``at``, for about the time ``width``, by a speed of ``kick``."""
+
+    x = hy.state()
+    v = hy.state()
+    at: float = hy.parameter(3.28333)
+    width: float = hy.parameter(1e-4)
+    kick: float = hy.parameter(1.0)
+    g: float = hy.parameter(2.0)
+    r: float = hy.parameter(0.7)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -self.g + self.kick / self.width * self.shape((t - self.at) / self.width)
+
+    def shape(self, s):
+        return jnp.exp(-(s**2)) / math.sqrt(math.pi)
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution="r")
+
+
+class Boxed(Ball):
+    """A pulse that switches on and off."""
+
+    def shape(self, s):
+        return jnp.where(jnp.abs(s) < 1.0, 0.5, 0.0)
+
+
+class Pointed(Ball):
+    """A pulse that is a triangle."""
+
+    def shape(self, s):
+        return jnp.maximum(1.0 - jnp.abs(s), 0.0)
+
+
+class Bell(Ball):
+    """A pulse that falls off like an exponential."""
+
+    def shape(self, s):
+        return 0.5 * (1.0 - jnp.tanh(s) ** 2)
+
+
+def limit(at, kick, g=2.0, r=0.7, v=1.0):
+    """When the impacts accumulate: parabolas, the kick on one of them."""
+    t = 0.0
+    while t + 2 * v / g < at:
+        t, v = t + 2 * v / g, r * v
+    s = at - t
+    x, u = v * s - g * s * s / 2, v - g * s + kick
+    rest = (u + math.sqrt(u * u + 2 * g * x)) / g
+    return t + s + rest - 2 * r * (u - g * rest) / g / (1 - r)
+
+
+def honest(result, exact, way):
+    """An accumulation that is claimed is the true one, within the bound; one is claimed."""
+    (point,) = result.zeno[:1]
+    assert abs(point.t - exact) <= point.t_error
+    if way.tells("bound") and point.verdict == "certified":
+        assert point.t_error < math.inf
+        low, high = point.enclosure
+        assert low <= exact <= high
+
+
+KICKS = [
+    (3.28333, 1e-4, 1.8),
+    (3.28333, 1e-6, 0.3),
+    (3.3, 1e-5, 1e-3),
+    (3.1, 3e-3, 0.05),
+    (2.9, 1e-7, 0.4),
+    (3.33, 1e-6, 1e-2),
+]
+
+
+@misses("a sum does not look between its flights", *LANES)
+@pytest.mark.parametrize(("at", "width", "kick"), KICKS)
+def test_a_pulse_on_the_way_to_the_limit_is_seen(way, at, width, kick):
+    """However narrow it is, and however near to the limit; the answer is that of parabolas."""
+    result = way.run(Ball(at=at, width=width, kick=kick), START, (0.0, 60.0), rtol=1e-9)
+    exact = limit(at, kick)
+    honest(result, exact, way)
+    if way.name != "Dopri8":  # whose compiled streaks look for sums later, perhaps past the pulse
+        assert result.t_inf == pytest.approx(exact, abs=1e-5)  # a step's tolerance and the kick's
+        assert result.zeno[0].verdict == "certified"
+
+
+@pytest.mark.parametrize("solver", ["scipy", "taylor"])
+@pytest.mark.parametrize("cls", [Boxed, Pointed, Bell])
+@pytest.mark.parametrize(("at", "width", "kick"), [KICKS[1], (3.2, 1e-5, 0.1)])
+def test_pulses_of_other_shapes(cls, solver, at, width, kick):
+    """Switched, with a kink, with long tails."""
+    run = hy.simulate(cls(at=at, width=width, kick=kick), START, (0, 60), solver=solver, rtol=1e-9)
+    point, exact = run.zeno[0], limit(at, kick)
+    assert abs(point.t - exact) <= point.t_error
+    assert point.verdict == "estimated" or point.enclosure[0] <= exact <= point.enclosure[1]
+
+
+class Lossy(hy.Automaton):
+    """A ball whose restitution has a bump of height ``more`` about the speed ``about``."""
+
+    x = hy.state()
+    v = hy.state()
+    about: float = hy.parameter(1e-5)
+    width: float = hy.parameter(2e-6)
+    more: float = hy.parameter(0.5)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -2.0
+
+    def law(self, t, s, u):
+        return 0.6 + self.more * jnp.exp(-(((jnp.abs(u) - self.about) / self.width) ** 2))
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=law)
+
+
+def iterated(about, width, more):
+    """The sum of the flights, one after the other."""
+    flights, v = [], 1.0
+    while v > 1e-20:
+        flights.append(v)
+        v *= 0.6 + more * math.exp(-(((v - about) / width) ** 2))
+    return math.fsum(flights)
+
+
+@misses("a sum does not ask for the restitution of slow impacts", *LANES, about=[1e-5, 1e-3, 1e-8])
+@pytest.mark.parametrize(
+    ("about", "width", "more"),
+    [(1e-5, 2e-6, 0.5), (1e-3, 2e-4, 0.3), (1e-8, 3e-9, -0.4), (1e-6, 4e-7, 0.1)],
+)
+def test_a_restitution_that_changes_on_the_way(way, about, width, more):
+    """Impacts that lose less, or nothing, at some speed far below the first."""
+    model = Lossy(about=about, width=width, more=more)
+    result = way.run(model, START, (0.0, 5.0), rtol=1e-8)
+    honest(result, iterated(about, width, more), way)
+
+
+class Tireless(Lossy):
+    """Impacts slower than ``about`` lose nothing, or gain."""
+
+    def law(self, t, s, u):
+        return jnp.where(jnp.abs(u) < self.about, self.more, 0.6)
+
+    impact = hy.contact("flight", gap=lambda self, t, s: s.x, restitution=law)
+
+
+@pytest.mark.parametrize("more", [1.0, 1.3])
+@pytest.mark.parametrize("about", [1e-3, 1e-6, 1e-7, 1e-9, 1e-12])
+def test_what_never_tires_never_rests(way, about, more):
+    """The impacts go on for ever: none is said to be the last."""
+    model = Tireless(about=about, more=more)
+    result = way.run(model, START, (0.0, 5.0), max_jumps=300)
+    assert not result.zeno
+    assert result.status in ("max_jumps", "jump_loop", "too_many_jumps")
+
+
+@pytest.mark.parametrize("about", [0.0, 1e-12, 1e-5])
+def test_a_ball_that_loses_nothing(about):
+    """Restitution 1 exactly, for all impacts or for slow ones only."""
+    run = hy.simulate(Tireless(about=2.0, more=1.0), START, (0, 5), max_jumps=300)
+    assert not run.zeno
+    run = hy.simulate(Lossy(about=about, width=1e-13, more=0.4), START, (0, 5), max_jumps=300)
+    assert not run.zeno or run.zeno[0].t_error >= abs(run.zeno[0].t - iterated(about, 1e-13, 0.4))
+
+
+class Gusty(hy.Automaton):
+    """A ball that falls through a thin zone of wind onto a floor."""
+
+    x = hy.state()
+    v = hy.state()
+    force: float = hy.parameter(200.0)
+    thin: float = hy.parameter(0.01)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -9.81 + jnp.where(jnp.abs(s.x - 0.5) < self.thin, self.force, 0.0)
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.3)
+
+
+def blown(force, thin, r=0.3, g=9.81):
+    """The energy argument: three falls, then hops that do not reach the zone."""
+    heights, u, t = [0.5 - thin, 2 * thin, 0.5 - thin], 0.0, 0.0
+    for height, a in zip(heights, (g, g - force, g), strict=True):
+        after = math.sqrt(u * u + 2 * a * height)
+        t, u = t + 2 * height / (u + after), after
+    assert (r * u) ** 2 / (2 * g) < 0.5 - thin
+    return t + 2 * r * u / g / (1 - r)
+
+
+@pytest.mark.parametrize("solver", ["scipy", "taylor"])
+@pytest.mark.parametrize(
+    ("force", "thin"), [(200.0, 0.01), (2e3, 1e-3), (400.0, 5e-3), (-3e4, 1e-4)]
+)
+def test_a_gust_before_the_first_impact(solver, force, thin):
+    """A step that passes over it is told by the error, if not seen."""
+    model = Gusty(force=force, thin=thin)
+    point = hy.simulate(model, [1.0, 0.0], (0, 5), solver=solver).zeno[0]
+    assert abs(point.t - blown(force, thin)) <= point.t_error
+
+
+@pytest.mark.parametrize("solver", ["scipy", "taylor"])
+def test_the_end_of_the_run_does_not_matter(solver):
+    """The accumulation, its bound and its verdict are those of the motion, whatever ``t1``."""
+    model = Ball(at=3.1, width=1e-4, kick=0.2)
+    runs = [hy.simulate(model, START, (0, end), solver=solver, rtol=1e-9) for end in (9, 17, 400)]
+    assert len({run.zeno[0].t for run in runs}) == 1
+    assert len({(run.zeno[0].t_error, run.zeno[0].verdict) for run in runs}) == 1
