@@ -257,7 +257,9 @@ class Scene:
             rhs = along.program(("flow", bool(held)), lambda: along.flow(bool(held))).bind(numbers)
             project = self._projection(switching, mode, held)
         else:
-            rhs, project = code.flow(mode).bind(self._values), None
+            closed = lambda: code.closed("flow", mode)  # noqa: E731
+            program = code.program(("field", mode), closed, exact=True)
+            rhs, project = program.bind(self._values), None
         edges = [edge for edge in self.spec.leaving(mode) if edge.name not in held]
         watched: list[tuple[Transition, str]] = [(edge, _kind(edge)) for edge in edges]
         watched += [(_unwritten(f"{c}{RELEASE}", name, mode), "release") for c in held]
