@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import OptionError
+from ..errors import FlowError, OptionError
 from ..reals import real, reals
 from ..segment import Segment
 
@@ -35,6 +35,47 @@ if TYPE_CHECKING:
 
 #: No step can be held to less, relative to the state.
 FINEST = 2.3e-14
+
+
+#: A flow is taken to swing ever faster up to a time that is never reached where, this many times
+#: in a row, twice as many steps have gone less than this share as far as those before them, counted
+#: from so many steps on, and at the last step's length more than so many are left. One that falls
+#: with a power p > 1 of the time left has shares 2^(-1/(p-1)): 1/2 for sin(1/x).
+ROWS, SHARE, COUNTED, LEFT = 4, 0.8, 512, 1e6
+
+
+class Pace:
+    """Watches the steps of an arc for such that become ever shorter: a force ``sin(1/x)`` near 0.
+
+    The time gone in steps 512 to 1023, in 1024 to 2047, and so on grows where steps are of one
+    length, and is the same where they are as short as one over their number. Where it falls like a
+    geometric series the sum of all steps is finite.
+    """
+
+    def __init__(self) -> None:
+        self.count, self.due, self.falls = 0, COUNTED, 0
+        self.begun, self.gone = 0.0, 0.0
+
+    def step(self, start: float, end: float, length: float) -> None:
+        """Count a step of an arc of the given length.
+
+        Raises
+        ------
+        FlowError
+            Where they become ever shorter.
+        """
+        self.count += 1
+        if self.count < self.due:
+            return
+        gone = end - self.begun
+        self.falls = self.falls + 1 if self.due > COUNTED and gone < SHARE * self.gone else 0
+        self.begun, self.gone, self.due = end, gone, 2 * self.due
+        if self.falls >= ROWS and length - end > LEFT * (end - start):
+            raise FlowError(
+                f"the steps become ever shorter: {self.count} in this arc, the last of "
+                f"{end - start:.3g} with {length - end:.3g} to go; the flow swings faster and "
+                "faster towards a time, or a state, that it cannot pass"
+            )
 
 
 def method_of(solver: str, method: str | None, known: Iterable[str]) -> str:

@@ -20,7 +20,7 @@ from ..scene import Field
 from ..scene.lowered import ORDER
 from ..scene.taylor import polynomial, polynomial_and_slope
 from ..segment import Segment, from_powers
-from .base import Solver, Stepper
+from .base import Pace, Solver, Stepper
 from .kinks import crossed_to, first_change, holding, left_open
 
 #: Size, relative to the state, to which the last terms of a step are held.
@@ -70,7 +70,7 @@ class TaylorSolver(Solver):
     ) -> Stepper:
         if field.jets is None:
             raise OptionError(f"solver='taylor': {field.refused}")
-        return TaylorStepper(field, t0, x0)
+        return TaylorStepper(field, t0, x0, length)
 
 
 class TaylorStepper(Stepper):
@@ -78,8 +78,8 @@ class TaylorStepper(Stepper):
 
     repeats = True
 
-    def __init__(self, field: Field, t0: float, x0: np.ndarray) -> None:
-        self.field, self.t0 = field, t0
+    def __init__(self, field: Field, t0: float, x0: np.ndarray, length: float) -> None:
+        self.field, self.t0, self.length, self.pace = field, t0, length, Pace()
         self.tau, self.x = 0.0, x0
         self.sides = [0] * field.kinks
 
@@ -98,6 +98,7 @@ class TaylorStepper(Stepper):
             sides[crossed] = crossed_to(watched[crossed], self.sides[crossed])
         self.sides = sides
         self._finish(h, limit if self.tau + h >= limit else self.tau + h)
+        self.pace.step(self._last[0], self.tau, self.length)
 
     def _length_of_step(
         self, series: list[list[float]], watched: list[list[float]], most: float

@@ -196,3 +196,37 @@ def test_the_answer_does_not_depend_on_the_last_time(until):
     assert run.zeno[0].t == pytest.approx(exact, abs=1e-11)
     run = hy.simulate(Pushed(), [1.0, 0.0], (0.0, until), rtol=1e-10)
     assert abs(run.zeno[0].t - exact) <= run.zeno[0].t_error <= 1e-5
+
+
+class Restless(hy.Automaton):
+    """A force that swings without end before x = 0 is reached."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        return -1.0 + 0.1 * s.v, jnp.sin(1.0 / s.x)
+
+
+@pytest.mark.parametrize("save", ["dense", "jumps"])
+def test_a_force_that_swings_without_end_is_an_error(save):
+    """Not a run without end: after 8192 steps, which is a second."""
+    with pytest.raises(hy.FlowError, match="the steps become ever shorter: 8192 in this arc"):
+        hy.simulate(Restless(), [1.0, 0.0], (0.0, 2.0), solver="taylor", save=save)
+
+
+def test_steps_that_become_shorter_for_a_time_are_no_error():
+    """A swing that quickens a thousandfold, and one that does so for ever, end."""
+
+    class Chirp(hy.Automaton):
+        v = hy.state()
+        k: float = hy.parameter(1.0)
+
+        @hy.mode
+        def flow(self, t, s):
+            return jnp.cos(500.0 * jnp.tanh(5.0 * t) + self.k * t * t)
+
+    for k, until in ((1.0, 3.0), (2000.0, 2.0)):
+        run = hy.simulate(Chirp(k=k), [0.0], (0.0, until), solver="taylor", save="jumps")
+        assert run.t1 == until
