@@ -488,8 +488,13 @@ def fires(crossing: Crossing, direction: int) -> bool:
 def time_scale(series: Sequence[float], size: float) -> float:
     """A time over which a guard is close to a cubic, from its Taylor series.
 
-    ``size`` is that of the numbers the guard is made of: the guard itself may be small.
+    No term from the fourth on is larger there than all before it. ``size`` is that of the numbers
+    the guard is made of: what is rounding beside it counts for nothing.
     """
-    size = max(size, *map(abs, series[:4])) or 1.0
-    bounds = [(size / abs(c)) ** (1.0 / k) for k, c in enumerate(series) if k >= 4 and c]
-    return min(bounds, default=float("inf"))
+    first = [max(abs(series[0]), 64 * EPS * size), *map(abs, series[1:4])]
+    bounds = [
+        max(((low / abs(c)) ** (1.0 / (k - j)) for j, low in enumerate(first) if low), default=0.0)
+        for k, c in enumerate(series)
+        if k >= 4 and c
+    ]
+    return min((bound for bound in bounds if bound), default=float("inf"))

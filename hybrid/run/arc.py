@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import isfinite
 from typing import Any
 
@@ -345,17 +346,10 @@ class ArcFlow:
         scale = scales[index] if scales else float("inf")
         order, t0 = self.orders[index], self.now.t
         noise = self._leaving(index, stepper)
-        for zero in zeros(guard, segment, t0, order, scale, tolerance, self.ends, noise):
-            if zero.cut is not None:
-                if self._over(guard, zero, zero.cut, segment):
-                    return Fired(index, zero.tau, zero.direction, zero.cut)
-            elif zero.direction == 0:
-                grazes.append((zero.tau, index))
-            elif fires(guard.crossing, zero.direction):
-                if self._touches(guard, zero.tau, segment, tolerance):
-                    grazes.append((zero.tau, index))
-                else:
-                    return Fired(index, zero.tau, zero.direction)
+        found = zeros(guard, segment, t0, order, scale, tolerance, self.ends, noise)
+        fired = self._first_zero(index, found, segment, tolerance, grazes)
+        if fired is not None:
+            return fired
         if target is not None and segment.end == target and self._predicts(index):
             near = self._near_end(index, segment, stepper)
             if near is not None:
@@ -376,6 +370,38 @@ class ArcFlow:
             self.left.add(index)
             return 0.0
         return noise
+
+    def _first_zero(
+        self,
+        index: int,
+        found: Iterable[Zero],
+        segment: Segment,
+        tolerance: float,
+        grazes: list[tuple[float, int]],
+    ) -> Fired | None:
+        """The first of a guard's zeros in a step at which it fires; tangencies are added (1).
+
+        One that seems to turn round within the tolerance, and is deeper at the end, is none.
+        """
+        guard = self.field.guards[index]
+        shallow: Zero | None = None
+        for zero in found:
+            if zero.cut is not None:
+                if self._over(guard, zero, zero.cut, segment):
+                    return Fired(index, zero.tau, zero.direction, zero.cut)
+            elif zero.direction == 0:
+                grazes.append((zero.tau, index))
+            elif not fires(guard.crossing, zero.direction):
+                shallow = None
+            elif self._touches(guard, zero.tau, segment, tolerance):
+                grazes.append((zero.tau, index))
+                shallow = zero if shallow is None else None  # the way back
+            else:
+                return Fired(index, zero.tau, zero.direction)
+        if shallow is None or abs(self.ends[guard.edge]) <= tolerance:
+            return None
+        grazes.remove((shallow.tau, index))
+        return Fired(index, shallow.tau, shallow.direction)
 
     def _over(self, guard: Guard, zero: Zero, cut: Cut, segment: Segment) -> bool:
         """Whether a guard fires where it changes its formula (1).

@@ -16,7 +16,10 @@ import hybrid as hy
 WAYS = ["DOP853", "taylor", "Dopri8"]
 
 #: Amplitude and frequency of the wall: in all cases far faster than the flights.
-WALLS = [(1e-4, 4e2), (1e-4, 3e3), (1e-6, 3e4), (1e-8, 2e4), (1e-8, 1e5), (1e-9, 5e4)]
+WALLS = [
+    *((1e-4, 4e2), (1e-4, 3e3), (1e-6, 3e4), (1e-8, 2e4), (1e-8, 1e5), (1e-9, 5e4)),
+    *((1e-9, 2e5), (1e-10, 3e5)),
+]
 
 
 class Shaken(hy.Automaton):
@@ -74,14 +77,32 @@ def test_nothing_is_thrown_by_a_wall_faster_than_it_moves(way, a, w, p):
     result = way.run(model, start, (0.0, 0.6), max_jumps=400)
     most = math.sqrt(2 * model.g * (0.05 + a)) + (1 + model.r) / (1 - model.r) * a * w
     assert abs(result.final.v) <= 1.01 * most
+    assert np.abs(result.after.v).max() <= 1.01 * most
+    _holds(model, result)
+
+
+def _holds(model, result):
+    """Newton's law at each impact, but for what the rounding of its time is to the wall's speed."""
+    a, w = model.a, model.w
     hits = np.array(result.edges) == "impact"
     wall = a * w * np.cos(w * result.times[hits])
     before, after = (np.asarray(side.v)[hits] - wall for side in (result.before, result.after))
-    assert np.abs(result.after.v).max() <= 1.01 * most
-    # off by the rounding of the time, which the wall's acceleration makes a speed
-    np.testing.assert_allclose(after, -model.r * before, rtol=1e-9, atol=1e-15 + a * w * w * 1e-15)
+    assert np.all(before < 1e-12)
+    np.testing.assert_allclose(after, -model.r * before, rtol=1e-9, atol=1e-15 + a * w * w * 1e-14)
     gaps = np.asarray(result.before.x) - a * np.sin(w * result.times)
     assert gaps.min() >= -1e-6 * a - 1e-16
+
+
+@pytest.mark.parametrize(("a", "w"), [(1e-8, 2e4), (1e-9, 5e4), (1e-10, 3e5)])
+def test_what_is_left_of_a_fall_stays_on_the_wall(way, a, w):
+    """Thrown up at 1 from it: after a series of twenty, impacts at the wall's speeds."""
+    model = Shaken(a=a, w=w, g=2.0)
+    result = way.run(model, {"x": 0.0, "v": 1.0, "p": 0.0}, (0.0, 3.6), max_jumps=200)
+    late = result.times > 3.3333
+    most = (1 + model.r) / (1 - model.r) * a * w
+    assert late.any()
+    assert np.abs(result.after.v[late]).max() <= 2.0 * most
+    _holds(model, result)
 
 
 @pytest.mark.parametrize("p", [0.0, 101325.0])
@@ -93,3 +114,28 @@ def test_the_first_impacts_are_those_of_parabolas(way, a, w, p):
     start = {"x": 0.05, "v": 0.0, "p": p}
     result = way.run(model, start, (0.0, times[-1] + 1e-3), rtol=1e-12, atol=1e-15, max_jumps=50)
     np.testing.assert_allclose(result.times[:3], times, rtol=0, atol=1e-12 * (1 + a * w * w) ** 2)
+
+
+class Bowl(hy.Automaton):
+    """A guard that is zero at 1, level a little later, and falls again."""
+
+    x = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        return 1.0
+
+    through = hy.edge(
+        flow,
+        to=flow,
+        guard=lambda self, t, s: (1.001 - s.x) ** 3 - 1e-9,
+        crossing=hy.EITHER,
+    )
+
+
+@pytest.mark.parametrize("until", [1.5, 3.0, 50.0])
+def test_a_crossing_that_seems_to_turn_round_is_one(solver, until):
+    """A guard that is flatter than the tolerance where it is zero, and deep at the step's end."""
+    run = hy.simulate(Bowl(), {"x": 0.0}, (0.0, until), **solver)
+    assert len(run.jumps) == 1
+    assert run.jumps.t[0] == pytest.approx(1.0, abs=1e-6)
