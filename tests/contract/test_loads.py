@@ -6,8 +6,6 @@ import pytest
 
 import hybrid as hy
 
-from .ways import misses
-
 WAYS = ["DOP853", "Radau", "LSODA", "taylor", "Dopri8"]
 
 #: Solvers integrate constant forces exactly; the flight begins within rounding of the release.
@@ -175,11 +173,6 @@ def test_a_floor_that_falls_away_does_not_pull(way, kind):
     assert result.final.v == pytest.approx(-2.0, abs=EXACT)
 
 
-@misses(
-    "the derivative of a maximum at its corner is in the series with half of each side",
-    "taylor",
-    raises=AttributeError,
-)
 def test_a_floor_that_sinks_slower_than_the_body_falls_holds_it(way):
     """A floor that accelerates downwards by 1 < 2: the body stays on it."""
     result = way.run(Falling(a=1.0), REST, (0.0, 2.0), rtol=1e-9)
