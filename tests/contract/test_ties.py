@@ -5,7 +5,7 @@ import pytest
 
 import hybrid as hy
 
-WAYS = ["DOP853", "Radau", "taylor", "Dopri8"]
+WAYS = ["DOP853", "Radau", "taylor", "Dopri8", "ensemble", "as_function"]
 
 
 class Race(hy.Automaton):
