@@ -6,12 +6,16 @@ Chebyshev coefficients, so that evaluation, root finding and saving know one for
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
+
+#: Sets of places whose matrices are kept: far more than solvers ask for again and again, and few
+#: enough (some megabytes) where each step is looked at in places of its own.
+PLACES = 1024
 
 
 @attrs.frozen(eq=False)
@@ -118,6 +122,6 @@ def apply(matrix: np.ndarray, values: Any) -> Any:
     return (matrix[:, :, None] * values[None]).sum(axis=1)
 
 
-@cache
+@lru_cache(maxsize=PLACES)
 def _values_matrix(fractions: bytes, degree: int) -> np.ndarray:
     return chebyshev.chebvander(2.0 * np.frombuffer(fractions) - 1.0, degree)

@@ -9,12 +9,12 @@ from typing import Any
 import attrs
 import numpy as np
 
-from .accumulation import Accumulation
+from .accumulation import Accumulation, explain
 from .automaton.base import require_model
 from .automaton.markers import name_of
 from .automaton.record import Record
 from .automaton.spec import Spec
-from .errors import HybridError, OptionError, StartError
+from .errors import HybridError, OptionError, StartError, ZenoError
 from .hindsight import Hindsight
 from .histories import pieces
 from .reals import real, reals
@@ -134,6 +134,8 @@ def simulate(
     driver = Driver(scene, choose(solver, method, rtol, plan.atol), plan, past)
     driver.run(first, x)
     _give_errors(driver, solver, method, first, x)
+    if zeno == "raise" and driver.record.zeno:
+        raise ZenoError(f"{spec.model}: {explain(driver.record.zeno[0])}")
     options = {
         "solver": driver.solver.name,
         "method": driver.solver.method,

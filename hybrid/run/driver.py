@@ -11,10 +11,10 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..accumulation import Accumulation, explain
+from ..accumulation import Accumulation
 from ..arcs import Arc, TailPart
 from ..automaton.markers import Crossing
-from ..errors import FlowError, ZenoError
+from ..errors import FlowError
 from ..events import CLOSED, EPS, NEAR, SHARES
 from ..log import Flights
 from ..scene import Contact, Field, Guard, Scene, released
@@ -505,10 +505,8 @@ class Driver:
         record.limit_point(point, limit)
         self.watch.reset()
         self.cycles.forget()
-        if zeno == "raise":
-            raise ZenoError(f"{self.scene.spec.model}: {explain(point)}")
         if rest is None:
-            self.status = Status.ZENO_STOPPED if zeno == "stop" else Status.NO_REST
+            self.status = Status.NO_REST if zeno == "rest" else Status.ZENO_STOPPED
         elif len(record.zeno) == self.plan.accumulations:
             self.status = Status.ZENO_STOPPED
         if after:
