@@ -326,6 +326,7 @@ class ArcFlow:
             else:
                 value, rate, _ = self.field.guards[other.index].lie(t, x)
                 same = abs(value) <= spacing * abs(rate) + self._rounding(other.index, t, x)
+                same = same or value * other.direction > 0  # the landing's rounding has passed it
             if same:
                 tied.append(other)
         guards = self.field.guards

@@ -266,6 +266,8 @@ class _Here:
             derived = guard.kind in ("release", "leave")
             if derived and fires(guard.crossing, sign) and not jumped.starting:
                 return True
+            if jumped.tied.get(guard.edge, 0) == -sign and fires(guard.crossing, sign):
+                return True  # tied with the event before, whose landing has passed it by rounding
             self.require_inside(guard, sign, jumped.starting)
             return False
         if guard.crossing is Crossing.EITHER:

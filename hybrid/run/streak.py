@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 
+from ..automaton.markers import Crossing
 from ..compiled.ask import require_series
 from ..compiled.lane import END, JUDGE, JUMP, RUNNING, Lane, Run
 from ..compiled.streak import Record, Streak, Watch
@@ -54,6 +55,7 @@ class Streaks:
         if not (self.dense or entry.field.guards):
             return False
         declared = self.smooth and entry.field.name in self.system.modes
+        declared = declared and not _may_tie(entry.field.guards)
         plain = declared and max(entry.orders, default=0) <= ORDERS
         return plain and self.plan.zeno != "truncate"
 
@@ -195,6 +197,11 @@ class Streaks:
         if arc().outside(tau, x):
             driver.renew()
             arc().require_inside(tau, x)
+
+
+def _may_tie(guards: tuple[Guard, ...]) -> bool:
+    """Whether a guard that fires either way has others beside it: array code passes it in a tie."""
+    return len(guards) > 1 and any(guard.crossing is Crossing.EITHER for guard in guards)
 
 
 def _columns(records: Record) -> tuple[np.ndarray, ...]:
