@@ -415,6 +415,7 @@ def _tire(driver: Driver, found: CycleLimit) -> bool:
         if scene.is_contact(seen.edge):
             guard = scene.field(seen.mode).guards[scene.field(seen.mode).column(seen.edge)]
             speed = abs(guard.lie(seen.t, seen.x.tolist())[1])
-            if not damps(scene.contact(seen.edge), seen.t, seen.x.tolist(), speed):
+            contact, x = scene.contact(seen.edge), seen.x.tolist()
+            if not damps(contact, seen.t, x, speed, found.ratio):
                 return False
     return True

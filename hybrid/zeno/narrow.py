@@ -14,7 +14,7 @@ from __future__ import annotations
 from functools import cached_property
 from importlib.util import find_spec
 from itertools import pairwise
-from math import exp, log, nextafter
+from math import exp, inf, log, nextafter
 from typing import TYPE_CHECKING, Any
 
 import attrs
@@ -126,18 +126,28 @@ def _flown(tail: Tail) -> tuple[np.ndarray, np.ndarray] | None:
     return growth, laws
 
 
-def damps(contact: Contact, t: float, x: list[float], speed: float) -> bool:
-    """Whether every impact slower than ``speed`` loses something, as far as floats can tell.
+def damps(contact: Contact, t: float, x: list[float], speed: float, ratio: float) -> bool:
+    """Whether impacts slower than ``speed`` lose so much that their series has a sum.
 
     What is lost may fade with the speed, below :data:`LOST` where it is not told from nothing; it
-    must not stop all at once.
+    must not stop all at once. Where it fades, flights that have shortened by a constant ``ratio``
+    will not go on to; and as ``dn = -dv / (v lost(v))`` impacts have a speed about ``v``, each for
+    a time like ``v``, their times have a sum only if ``v / lost(v)`` falls with ``v``.
     """
+    fades = 1.0 - contact.law(t, x, -0.0) < LOSS
+    if fades and ratio < 1.0:
+        return False
     fall = min((SLOWEST / speed) ** (1.0 / STEPS), 1.0) if speed > 0 else 1.0
-    before = 1.0
+    before, pace = 1.0, inf
     for k in range(STEPS + 1):
-        lost = 1.0 - contact.law(t, x, -speed * fall**k)
+        u = speed * fall**k
+        lost = 1.0 - contact.law(t, x, -u)
         if lost < -8.0 * EPS or (lost < LOST and before > LOST / fall**2):
             return False
+        if fades and lost >= LOST:
+            if u >= pace * lost:
+                return False
+            pace = u / lost
         before = lost
     return True
 

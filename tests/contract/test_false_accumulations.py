@@ -178,13 +178,26 @@ def test_what_never_tires_never_rests(way, about, more):
     assert result.status in ("max_jumps", "jump_loop", "too_many_jumps")
 
 
-@pytest.mark.parametrize("about", [0.0, 1e-12, 1e-5])
-def test_a_ball_that_loses_nothing(about):
-    """Restitution 1 exactly, for all impacts or for slow ones only."""
-    run = hy.simulate(Tireless(about=2.0, more=1.0), START, (0, 5), max_jumps=300)
-    assert not run.zeno
+def test_a_ball_that_loses_nothing():
+    """Restitution 1 exactly, for all impacts."""
+    assert not hy.simulate(Tireless(about=2.0, more=1.0), START, (0, 5), max_jumps=300).zeno
+
+
+@pytest.mark.parametrize("about", [1e-12, 1e-5])
+def test_a_restitution_of_one_at_a_single_speed(about):
+    """Which the impacts pass by, or nearly so."""
     run = hy.simulate(Lossy(about=about, width=1e-13, more=0.4), START, (0, 5), max_jumps=300)
     assert not run.zeno or run.zeno[0].t_error >= abs(run.zeno[0].t - iterated(about, 1e-13, 0.4))
+
+
+@pytest.mark.parametrize("solver", ["scipy", "taylor"])
+@pytest.mark.parametrize("width", [1e-3, 1e-6, 1e-10, 1e-13])
+def test_a_loss_that_fades_like_the_square_of_the_speed(width, solver):
+    """Slow impacts lose ``0.4 (u / width)^2``: their times are like ``n^(-1/2)``, without a sum."""
+    run = hy.simulate(
+        Lossy(about=0.0, width=width, more=0.4), START, (0, 5), solver=solver, max_jumps=300
+    )
+    assert not run.zeno
 
 
 class Gusty(hy.Automaton):
