@@ -7,6 +7,7 @@ from a start a little beside the first.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any
@@ -177,9 +178,18 @@ def _differences(a: Trajectory, b: Trajectory) -> dict[str, float]:
 
 
 def _rests(run: Trajectory) -> list[str]:
-    """Modes in order, repetitions left out: how many impacts a tail lists does not matter."""
-    modes = [arc.mode for arc in run.arcs]
-    return modes[:1] + [new for old, new in pairwise(modes) if new != old]
+    """Modes in order, repetitions left out.
+
+    Of arcs that lead to an accumulation only which modes they have: how many turns of a cycle, or
+    impacts of a tail, are listed before its limit does not matter.
+    """
+    stretches: list[list[str]] = [[] for _ in range(len(run.zeno) + 1)]
+    limits = [point.j for point in run.zeno]
+    for arc in run.arcs:
+        stretches[bisect_right(limits, arc.j)].append(arc.mode)
+    *series, last = stretches
+    modes = [name for stretch in series for name in sorted(set(stretch))]
+    return modes + last[:1] + [new for old, new in pairwise(last) if new != old]
 
 
 def _states(a: Trajectory, b: Trajectory, count: int) -> float:

@@ -193,7 +193,8 @@ def test_without_a_mode_to_go_on_in_the_run_stops():
     assert run.status is hy.Status.NO_REST
     assert "limit_of=" in str(run.status)
     assert run.t1 == pytest.approx(20.0, abs=1e-10)
-    with pytest.raises(hy.ZenoError, match="to_first, to_second accumulate at t_inf = 20"):
+    said = r"to_first, to_second accumulate at t_inf = (20\.0|19\.99999999999)"
+    with pytest.raises(hy.ZenoError, match=said):
         hy.simulate(TwoTanks(), start, (0, 30), zeno="raise")
     assert hy.simulate(TwoTanks(), start, (0, 30), zeno="stop").status is hy.Status.ZENO_STOPPED
 
