@@ -447,9 +447,10 @@ class ArcFlow:
     def _before(self, cut: Cut, tau: float, x: np.ndarray) -> bool:
         """Whether a deciding function has not yet the sign that it takes at a cut.
 
-        Beyond an end there is nothing: one stays before it.
+        Beyond an end there is nothing: one stays before it. The time is that of the arc which
+        follows: a spacing more or less may be on the other side.
         """
-        side = cut.kink.value(self.now.t + tau, x.tolist()) * cut.side
+        side = cut.kink.value(self.now.after(tau).t, x.tolist()) * cut.side
         return not side > 0 and cut.kink.change != "ends"
 
     def _touches(self, guard: Guard, tau: float, segment: Segment, tolerance: float) -> bool:
@@ -480,7 +481,7 @@ class ArcFlow:
         """
         guard = self.field.guards[index]
         outside = _outside(guard, self.ends.get(guard.edge, 0.0))
-        if outside <= tolerance or guard.kind not in ("contact", "edge", "switch"):
+        if outside <= tolerance or guard.kind not in ("contact", "edge", "switch", "release"):
             return False
         t, x = self.now.t + segment.end, stepper.x.tolist()
         if outside <= self._rounding(index, t, x):
