@@ -6,7 +6,7 @@ import pytest
 
 import hybrid as hy
 
-from .ways import COMPILED, misses
+from .ways import COMPILED, SOLVERS, misses
 
 WAYS = ["DOP853", "Radau", "LSODA", "taylor", "Dopri8", "ensemble", "as_function"]
 
@@ -116,6 +116,20 @@ def test_a_force_that_is_switched_on_releases(way, on):
     if way.tells("edges"):
         assert len(result.edges) == 1
         on_time(result, "floor.release" if way.tells("run") else "floor", on)
+
+
+@pytest.mark.parametrize("name", ["DOP853", "taylor"])
+@pytest.mark.parametrize("first", [0.0, 1e3])
+def test_a_release_at_a_jump_of_the_load_lasts(name, first):
+    """From rest after impacts, at 60 random instants: times in two floats and in one may differ."""
+    draw = np.random.default_rng(5)
+    for _ in range(60):
+        on = first + draw.uniform(2.5, 6.0)
+        start = {"x": draw.uniform(0.1, 0.5), "v": 0.0}
+        solver, rtol = SOLVERS[name], 10.0 ** draw.uniform(-12, -6)
+        run = hy.simulate(Switched(on=on), start, (first, on + 1.0), rtol=rtol, **solver)
+        assert run.mode == "free"
+        assert run.final.v == pytest.approx(3.0, abs=1e-5)  # 3 for one second, and the tolerance
 
 
 @misses("a load that jumps below zero does not release", *COMPILED)
