@@ -119,15 +119,15 @@ def test_a_force_that_is_switched_on_releases(way, on):
 
 
 @pytest.mark.parametrize("name", ["DOP853", "taylor"])
-@pytest.mark.parametrize("first", [0.0, 1e3])
-def test_a_release_at_a_jump_of_the_load_lasts(name, first):
-    """From rest after impacts, at 60 random instants: times in two floats and in one may differ."""
+def test_a_release_at_a_jump_of_the_load_lasts(name):
+    """From rest after impacts, at random instants: times in two floats and in one may differ."""
     draw = np.random.default_rng(5)
-    for _ in range(60):
-        on = first + draw.uniform(2.5, 6.0)
+    for _ in range(100):
+        w = draw.uniform(0.5, 1.2)
+        on = 7 * np.pi / 6 / w
         start = {"x": draw.uniform(0.1, 0.5), "v": 0.0}
         solver, rtol = SOLVERS[name], 10.0 ** draw.uniform(-12, -6)
-        run = hy.simulate(Switched(on=on), start, (first, on + 1.0), rtol=rtol, **solver)
+        run = hy.simulate(Square(w=w), start, (0.0, on + 1.0), rtol=rtol, **solver)
         assert run.mode == "free"
         assert run.final.v == pytest.approx(3.0, abs=1e-5)  # 3 for one second, and the tolerance
 
