@@ -1,9 +1,14 @@
 """Fixtures: every rule is held on every solver."""
 
+import contextlib
+import ctypes
+import gc
 import json
+import resource
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
+import jax
 import pytest
 
 from hybrid import solvers
@@ -13,6 +18,30 @@ from .contract.ways import MECHANISMS, SOLVERS, WAYS, expected_failure
 
 #: Those that reach rounding.
 ACCURATE = ["DOP853", "taylor", "Dopri8", "Taylor"]
+
+#: Bytes of memory from which on a worker gives back what it no longer needs: two workers of the
+#: suite then fit where there are 8 GB.
+ENOUGH = 2 << 30
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _memory_is_given_back():
+    """Compiled programs of a module's classes, some 100 MB for each, do not pile up."""
+    yield
+    if _resident() > ENOUGH:
+        jax.clear_caches()
+        gc.collect()
+        with contextlib.suppress(OSError, AttributeError):  # where the C library is another
+            ctypes.CDLL("libc.so.6").malloc_trim(0)
+
+
+def _resident():
+    """Bytes of memory that this process holds; 0 where the system does not say."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return 0
+    return pages * resource.getpagesize()
 
 
 @pytest.fixture(autouse=True, scope="session")
