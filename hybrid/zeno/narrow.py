@@ -35,8 +35,9 @@ if TYPE_CHECKING:
 #: against its size: balls overestimate by a little that shrinks with the box.
 EXCESS = 0.02
 
-#: How often a tail is halved, at most, and points in each part of it.
-HALVINGS, POINTS = 5, 5
+#: How often a tail is halved, at most, and points in each part of it. Three or four halvings leave
+#: one flight, five more a thirty-second of it, over which balls of position and speed are as small.
+HALVINGS, POINTS = 9, 5
 
 #: How much wider a box is than the points in it, on either side.
 WIDER = 0.25
@@ -158,11 +159,16 @@ def damps(contact: Contact, t: float, x: list[float], speed: float, ratio: float
 
 @attrs.frozen(eq=False)
 class _Stretch:
-    """A stretch of a tail: the impacts from ``y(first)`` to ``y(last)``, ``first > last``."""
+    """A stretch of a tail: the impacts from ``y(first)`` to ``y(last)``, ``first > last``.
+
+    ``begin``, ``end``: the shares of each flight after them that it is about.
+    """
 
     tail: Tail
     first: float
     last: float
+    begin: float = 0.0
+    end: float = 1.0
 
     @cached_property
     def points(self) -> list[tuple[float, list[float], float]]:
@@ -173,9 +179,11 @@ class _Stretch:
             later, landed, after = tail.point(tail.r * w)
             t, end, u = tail.t + since, tail.t + later, -after / tail.r
             before = on_contact(field, tail.contact, tail.column, end, landed.tolist(), u)
-            bend = np.array(field.rhs(t, x.tolist())) - np.array(field.rhs(end, before))
-            middle = 0.5 * (x + np.array(before)) + 0.125 * (later - since) * bend
-            found += [(t, x.tolist(), u), (0.5 * (t + end), middle.tolist(), u), (end, before, u)]
+            ends = x, np.array(before)
+            rates = np.array(field.rhs(t, x.tolist())), np.array(field.rhs(end, before))
+            for share in (self.begin, 0.5 * (self.begin + self.end), self.end):
+                state = _between(ends, rates, later - since, share)
+                found.append((t + share * (end - t), state.tolist(), u))
         return found
 
     @cached_property
@@ -205,10 +213,26 @@ class _Stretch:
         return inputs | {"t": self.times, "u": (min(speeds), max(speeds) if self.last else 0.0)}
 
     def halves(self) -> list[_Stretch]:
-        """Two stretches, of about half the time each."""
+        """Two stretches of about half the time each; of a single flight, its two parts."""
+        if self.last >= self.tail.r * self.first:
+            middle = 0.5 * (self.begin + self.end)
+            parts = [self.begin, middle, self.end]
+            return [attrs.evolve(self, begin=a, end=b) for a, b in pairwise(parts)]
         middle = 0.5 * (self.first + self.last)
         ends = [self.first, middle, self.last]
         return [_Stretch(self.tail, a, b) for a, b in pairwise(ends)]
+
+
+def _between(
+    ends: tuple[np.ndarray, np.ndarray],
+    rates: tuple[np.ndarray, np.ndarray],
+    length: float,
+    s: float,
+) -> np.ndarray:
+    """The cubic through two states with their rates, at a share of the time between them."""
+    chord = ends[1] - ends[0]
+    early, late = (length * rate - chord for rate in rates)
+    return np.asarray(ends[0] + s * chord + s * (1.0 - s) * ((1.0 - s) * early - s * late))
 
 
 def _bounded(tail: Tail, excess: float) -> bool:
