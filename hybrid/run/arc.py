@@ -362,9 +362,10 @@ class ArcFlow:
         """What a guard that was zero where the arc began must exceed to have left zero (2).
 
         The rounding of the time counts: far from t = 0 it moves a gap, over an obstacle that moves,
-        by more than a method of low order does in its first steps.
+        by more than a method of low order does in its first steps. After a release it leaves zero
+        by a higher power, which is divided out: its flight may be lower than rounding.
         """
-        if not self.entered[index] or index in self.left:
+        if self.entered[index] != 1 or index in self.left:
             return 0.0
         noise = self._rounding(index, self.now.t + stepper.tau, stepper.x.tolist())
         if self.ends.get(("largest", self.field.guards[index].edge), 0.0) > noise:

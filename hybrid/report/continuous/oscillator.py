@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import attrs
@@ -69,8 +70,10 @@ def turns(run: Trajectory, of: Any, looks: int = LOOKS) -> list[Turn]:
         values = of(arc.local(grid))
         if before * values[0] < 0.0:
             found.append(Turn(arc.t0, arc.first, True))
-        for i in np.flatnonzero(values[:-1] * values[1:] < 0.0):
-            place = _root(arc, of, grid[i], grid[i + 1])
+        for i, k in pairwise(np.flatnonzero(values)):  # a look may be exactly at a zero
+            if values[i] * values[k] > 0.0:
+                continue
+            place = _root(arc, of, grid[i], grid[k])
             found.append(Turn(arc.t0 + place, arc.local(place), False))
         before = float(values[-1]) or before
     return found
