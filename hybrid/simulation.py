@@ -30,7 +30,8 @@ from .zeno.cycle import CycleLimit
 #: Relative change of the start of the third run, by which grown rounding is measured.
 NUDGE = 8e-15
 
-#: Steps of the second run, and for each jump: it takes a tenth of that where nothing acts briefly.
+#: Steps of the second run, and for each jump, beside as many as the first made one by one: it takes
+#: a tenth of that where nothing acts briefly.
 STEPS, STEPS_EACH = 2000, 40
 
 #: Rounding of the time in a run, against the states, from which on it is measured by a third run:
@@ -247,7 +248,7 @@ class _Again:
             accumulations=len(driver.record.zeno),
             closing=1e-2,
             patience=4,
-            watchful=STEPS + STEPS_EACH * driver.record.made,
+            watchful=STEPS + STEPS_EACH * driver.record.made + driver.steps,
             shaken=moved,
             zeno="rest" if driver.plan.zeno == "raise" else driver.plan.zeno,
         )

@@ -86,6 +86,7 @@ class Driver:
         self.watch = Watch()
         self.cycles = Cycles()
         self.seen = np.zeros(scene.spec.dimension)
+        self.steps = 0
         self._known = self._jumped = Jumped()
         self._tied: dict[str, int] = {}
         self._spent: frozenset[str] = frozenset()
@@ -176,6 +177,7 @@ class Driver:
         entry, now, memory = self.entry, self.record.now, self.record.memory
         solver = self.watchful if self.wary else self.solver
         flown = ArcFlow(self.scene, solver, self.plan, entry, now, self.horizon).run()
+        self.steps += len(flown.segments)
         if memory is not None:
             flown = attrs.evolve(flown, segments=memory.refined(entry.field, now, flown.segments))
             other = memory.confirm(now, flown.length, flown.segments)
