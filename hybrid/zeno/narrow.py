@@ -237,7 +237,7 @@ def _between(
 
 def _bounded(tail: Tail, excess: float) -> bool:
     """Whether acceleration and restitution in boxes along the tail are what they are at points."""
-    if find_spec("flint") is None:
+    if find_spec("flint") is None or _cornered(tail):
         return True
     field, name = tail.field, tail.contact.name
     program = field.code.once(("narrow", field.name, name), lambda: _program(field, name))
@@ -249,6 +249,16 @@ def _bounded(tail: Tail, excess: float) -> bool:
                 return False
             stretches += [(left - 1, half) for half in stretch.halves()]
     return True
+
+
+def _cornered(tail: Tail) -> bool:
+    """Whether the gap has a corner where the impacts are, as a distance ``|x|`` has at zero.
+
+    Balls about such a place do not know the side on which the flights are.
+    """
+    t, x = tail.t + tail.remaining, tail.x_inf.tolist()
+    zero = 64 * EPS * max(map(abs, x))
+    return any(abs(k.value(t, x)) <= zero for k in tail.field.guards[tail.column].kinks)
 
 
 def _fits(program: Any, stretch: _Stretch, excess: float) -> bool:
