@@ -1,6 +1,7 @@
 """Cycles of jumps that accumulate, and cycles that only look like it."""
 
 import math
+import re
 
 import jax.numpy as jnp
 import numpy as np
@@ -193,9 +194,16 @@ def test_without_a_mode_to_go_on_in_the_run_stops():
     assert run.status is hy.Status.NO_REST
     assert "limit_of=" in str(run.status)
     assert run.t1 == pytest.approx(20.0, abs=1e-10)
-    said = r"to_first, to_second accumulate at t_inf = (20\.0|19\.99999999999)"
-    with pytest.raises(hy.ZenoError, match=said):
+    with pytest.raises(hy.ZenoError) as raised:
         hy.simulate(TwoTanks(), start, (0, 30), zeno="raise")
+    before, t_inf, after = re.split(r"(?<=t_inf = )([-+.e\d]+)", str(raised.value))
+    assert before == "TwoTanks: Jumps of to_first, to_second accumulate at t_inf = "
+    assert float(t_inf) == pytest.approx(20.0, abs=1e-10)  # a hundredth of the tolerance, 1e-8
+    assert after == (
+        " with ratio 0.64; the limit was found by sequence acceleration (estimated). The run ended "
+        "there (zeno='rest' goes on at rest, 'stop' ends the run, 'truncate' cuts the series, "
+        "'raise' makes it an error)."
+    )
     assert hy.simulate(TwoTanks(), start, (0, 30), zeno="stop").status is hy.Status.ZENO_STOPPED
 
 
