@@ -15,6 +15,7 @@ import xarray as xr
 import hybrid as hy
 from models.ball_on_circle import BallOnCircle
 from models.bead_on_table import BeadOnTable
+from models.two_tanks import TwoTanks
 
 
 def test_a_saved_trajectory_is_the_same_trajectory(tmp_path):
@@ -35,6 +36,27 @@ def test_a_saved_trajectory_is_the_same_trajectory(tmp_path):
     assert repr(again) == repr(run)
     assert f"{len(run.jumps)} jumps listed" in repr(run)
     assert again.parameters["omega"] == 3.5
+
+
+class Refilled(TwoTanks):
+    """The tanks are filled again where their levels have sunk to 4."""
+
+    @hy.edge("shares", to="fills_first", guard=lambda self, t, s: s.x1 - 4.0)
+    def refill(self, t, s):
+        return s.replace(x1=8.0, x2=6.0)
+
+
+def test_jumps_after_the_limit_of_a_cycle_lead_from_their_own_arcs(tmp_path):
+    """No jump leads over a limit: arc j + 1 follows jump j there too, as run and as loaded."""
+    run = hy.simulate(Refilled(), {"x1": 8.0, "x2": 6.0}, (0, 60))
+    run.save(tmp_path / "run.nc")
+    assert len(run.zeno) == 2
+    for each in (run, hy.load(tmp_path / "run.nc")):
+        jump = next(jump for jump in each.jumps if jump.edge == "refill")
+        assert each(jump.t, jump.j).x1 == jump.before.x1
+        assert each(jump.t, jump.j + 1).x1 == jump.after.x1 == 8.0
+        assert [each.arcs[part].mode for part in each.own_jumps].count("shares") == 1
+        assert each.arcs[-1].j == len(each.jumps)
 
 
 def test_states_with_a_shape(tmp_path):

@@ -471,7 +471,6 @@ class Driver:
         segments = [Segment(0.0, found.remaining, straight)] if found.remaining else []
         field = self.scene.field(self.scene.name(mode, held))
         record.arc(field, x, found.x_inf, found.remaining, segments)
-        record.j += 1
         self._go_on_from(found, found.edges, found.ratio, self._after(found.edges, held))
 
     def _after(
