@@ -183,6 +183,7 @@ def _accumulation(spec: Spec, point: Accumulation) -> dict[str, Any]:
         "enclosure": point.enclosure,
         "t_release": point.t_release,
         "truncation": None if cut is None else [cut.impacts, cut.t_inf, cut.gap, cut.height],
+        "limits": [[edge, _stack(spec, x).tolist()] for edge, x in point.limits],
     }
 
 
@@ -312,6 +313,7 @@ def _read_accumulation(spec: Spec, point: dict[str, Any]) -> Accumulation:
         tuple(enclosure) if enclosure else None,
         point["t_release"],
         Truncation(*cut) if cut else None,
+        tuple((edge, spec.record(np.array(x))) for edge, x in point.get("limits", ())),
         errors=(point["t_error"], error),
     )
 

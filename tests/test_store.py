@@ -1,6 +1,7 @@
 """Files and datasets give back what was run."""
 
 import contextlib
+import json
 import signal
 import subprocess
 import sys
@@ -16,6 +17,8 @@ import hybrid as hy
 from models.ball_on_circle import BallOnCircle
 from models.bead_on_table import BeadOnTable
 from models.two_tanks import TwoTanks
+
+from .contract.test_cycles import Wheel
 
 
 def test_a_saved_trajectory_is_the_same_trajectory(tmp_path):
@@ -57,6 +60,21 @@ def test_jumps_after_the_limit_of_a_cycle_lead_from_their_own_arcs(tmp_path):
         assert each(jump.t, jump.j + 1).x1 == jump.after.x1 == 8.0
         assert [each.arcs[part].mode for part in each.own_jumps].count("shares") == 1
         assert each.arcs[-1].j == len(each.jumps)
+
+
+def test_the_limits_of_a_cycle_are_saved(tmp_path):
+    """Each jump's own limit; a file without them, as they once were, is read all the same."""
+    run = hy.simulate(Wheel(a=0.4), {"q": 0.0, "w": 0.3}, (0.0, 10.0))
+    run.save(tmp_path / "run.nc")
+    assert len(run.zeno[0].limits) == 2
+    assert hy.load(tmp_path / "run.nc").zeno[0].limits == run.zeno[0].limits
+    with h5py.File(tmp_path / "run.nc", "r+") as file:
+        meta = json.loads(file.attrs["meta"])
+        del meta["zeno"][0]["limits"]
+        file.attrs["meta"] = json.dumps(meta)
+    older = hy.load(tmp_path / "run.nc").zeno[0]
+    assert older.limits == ()
+    assert older.t == run.zeno[0].t
 
 
 def test_states_with_a_shape(tmp_path):
