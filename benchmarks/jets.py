@@ -143,9 +143,8 @@ def rule_alone(jets, x):
     tape = jets.tape
     sides, work = np.zeros(len(tape.kinks), dtype=np.int64), np.empty(tape.room)
     c, start = np.empty((tape.rows, ORDER + 1)), np.array(x)
-    given = tape.ops, tape.more, tape.flow, tape.kinks, jets.output, ORDER, 0.3, start
-    rule = unit("jets").jets
-    return timed(lambda: rule(*given, jets.numbers, sides, c, work))
+    rule, programs = unit("jets").jets, jets.alone
+    return timed(lambda: rule(programs, 0, ORDER, 0.3, start, sides, c, work))
 
 
 def row(cls, modes, held):

@@ -10,9 +10,13 @@ from __future__ import annotations
 
 import math
 
-from .arrays import Floats, Ints, Matrix, Table
+from .arrays import Floats, Ints, Matrix, Programs, Table
 
 __all__ = ("jets", "steady")
+
+# Columns of the index of programs: where its operations, kinks, outputs and flow begin. Behind each
+# is where they end.
+OPS, KINKS, OUTPUT, FLOW = 0, 2, 4, 6
 
 # Operations, as the first number of each row of ``ops``; then come the row that is written, and
 # the arguments. They are in groups, each with its own function below.
@@ -35,15 +39,11 @@ WHOLE = 4503599627370496.0
 
 
 def jets(
-    ops: Table,
-    more: Ints,
-    flow: Ints,
-    kinks: Table,
-    output: Ints,
+    p: Programs,
+    program: int,
     order: int,
     t: float,
     x: Floats,
-    s: Floats,
     sides: Ints,
     c: Matrix,
     work: Floats,
@@ -52,15 +52,6 @@ def jets(
 
     Parameters
     ----------
-    ops, more
-        The operations, and lists of arguments that they point to.
-    flow
-        The derivative of each state; the states are the first rows, then comes the time.
-    kinks
-        Rows of what is watched, each behind those that it depends on; then 1 where another formula
-        holds beyond a zero of it, else 0.
-    output
-        Rows that are asked for, besides the states.
     sides
         For each kink the sign that it has from here on, or 0 where its value tells. A kink that is
         zero here gets the sign that it is about to have.
@@ -70,34 +61,36 @@ def jets(
     Returns
     -------
     status : int
-        0, or -1 where a coefficient of a state or of an ``output`` does not exist.
+        0, or -1 where a coefficient of a state or of an output does not exist.
     """
     n = x.shape[0]
+    first, last = p.index[program, OPS], p.index[program, OPS + 1]
+    flow = p.index[program, FLOW]
     for i in range(n):
         c[i, 0] = x[i]
     c[n, 0] = t
     for k in range(1, order + 1):
         c[n, k] = 1.0 if k == 1 else 0.0
-    for _ in range(kinks.shape[0] + 1):
+    for _ in range(p.index[program, KINKS + 1] - p.index[program, KINKS] + 1):
         for k in range(order + 1):
-            _read(ops, more, s, sides, c, work, k)
+            _read(p.ops, first, last, p.more, p.numbers, sides, c, work, k)
             if k < order:
                 for i in range(n):
-                    c[i, k + 1] = _at(c, s, flow[i], k) / (k + 1)
-        if not _decided(kinks, order, sides, c):
+                    c[i, k + 1] = _at(c, p.numbers, p.flow[flow + i], k) / (k + 1)
+        if not _decided(p, program, order, sides, c):
             break
     for i in range(n):
         if _missing(c, i, order):
             return -1
-    for i in range(output.shape[0]):
-        if _missing(c, output[i], order):
+    for i in range(p.index[program, OUTPUT], p.index[program, OUTPUT + 1]):
+        if _missing(c, p.output[i], order):
             return -1
     return 0
 
 
 def steady(ops: Table, more: Ints, sides: Ints, s: Matrix, work: Floats) -> int:
     """The numbers that do not move, from those that are given: the same operations, at order 0."""
-    _read(ops, more, work, sides, s, work, 0)
+    _read(ops, 0, ops.shape[0], more, work, sides, s, work, 0)
     return 0
 
 
@@ -108,26 +101,37 @@ def _missing(c: Matrix, row: int, order: int) -> bool:
     return math.isnan(c[row, k])
 
 
-def _decided(kinks: Table, order: int, sides: Ints, c: Matrix) -> bool:
+def _decided(p: Programs, program: int, order: int, sides: Ints, c: Matrix) -> bool:
     """Give the first kink that is zero here the sign of its first coefficient, if there is one.
 
     Only the first: what comes behind may depend on it.
     """
-    for i in range(kinks.shape[0]):
-        row = kinks[i, 0]
-        if kinks[i, 1] == 1 and c[row, 0] == 0.0 and sides[i] == 0:
+    first = p.index[program, KINKS]
+    for i in range(p.index[program, KINKS + 1] - first):
+        row = p.kinks[first + i, 0]
+        if p.kinks[first + i, 1] == 1 and c[row, 0] == 0.0 and sides[i] == 0:
             k = 1
             while k < order and c[row, k] == 0.0:
                 k += 1
-            if c[row, k] != 0.0:
+            if k <= order and c[row, k] != 0.0:
                 sides[i] = 1 if c[row, k] > 0.0 else -1
                 return True
     return False
 
 
-def _read(ops: Table, more: Ints, s: Floats, sides: Ints, c: Matrix, work: Floats, k: int) -> None:
-    """All operations, at order ``k``."""
-    for j in range(ops.shape[0]):
+def _read(
+    ops: Table,
+    first: int,
+    last: int,
+    more: Ints,
+    s: Floats,
+    sides: Ints,
+    c: Matrix,
+    work: Floats,
+    k: int,
+) -> None:
+    """All operations of a program, at order ``k``."""
+    for j in range(first, last):
         op = ops[j, 0]
         if op <= DIV:
             _arithmetic(ops, j, s, c, k)

@@ -48,18 +48,24 @@ KEPT, FRESH = 4, 86400.0
 
 #: What is put below the text of a rule file. A product and a sum may be contracted to one
 #: operation; nothing may assume that there is no NaN and no infinity. What Python calls has an
-#: explicit signature, so that a wrong array is refused; what rules call is compiled with them.
+#: explicit signature, so that a wrong array is refused, and is kept: other files call it as it is.
+#: What only rules of its own file call is compiled into them.
 FOOTER = """
 
 from numba import njit as _njit
 
+from {loader} import signature as _signature
+
 _options = {{"fastmath": {{"contract"}}, "error_model": "numpy", "nogil": True}}
 _plain = {{name: globals()[name] for name in {functions!r}}}
-globals().update({{name: _njit(**_options)(rule) for name, rule in _plain.items()}})
-called = {{
-    name: _njit(signature, cache=True, **_options)(_plain[name])
-    for name, signature in {signatures!r}.items()
-}}
+globals().update(
+    {{name: _njit(forceinline=True, **_options)(rule) for name, rule in _plain.items()}}
+)
+called = {{}}
+for _name, _kinds in {arguments!r}.items():
+    _types = _signature(_kinds, {package!r})
+    called[_name] = _njit(_types, cache=True, **_options)(_plain[_name])
+globals().update(called)
 """
 
 
@@ -135,7 +141,8 @@ class Library:
             tidy(base)
             draft = Path(tempfile.mkdtemp(prefix="draft-", dir=base))
             for name, text in {"__init__": "", **self.sources}.items():
-                (draft / f"{name}.py").write_text(text + footer(text), encoding="utf-8")
+                whole = text + footer(text, self.package)
+                (draft / f"{name}.py").write_text(whole, encoding="utf-8")
             try:
                 os.replace(draft, folder)
             except OSError:  # another process was first
@@ -161,15 +168,19 @@ class Library:
         return called
 
 
-def footer(text: str) -> str:
+def footer(text: str, package: str) -> str:
     """What turns the functions of a rule file into machine code; nothing if it has none."""
     tree = ast.parse(text)
     functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
     if not functions:
         return ""
     public = _public(tree)
-    signatures = {f.name: _signature(f) for f in functions if f.name in public}
-    return FOOTER.format(functions=[f.name for f in functions], signatures=signatures)
+    return FOOTER.format(
+        loader=__name__,
+        package=package,
+        functions=[f.name for f in functions],
+        arguments={f.name: _annotations(f) for f in functions if f.name in public},
+    )
 
 
 def _public(tree: ast.Module) -> tuple[str, ...]:
@@ -180,9 +191,26 @@ def _public(tree: ast.Module) -> tuple[str, ...]:
     return ()
 
 
-def _signature(function: ast.FunctionDef) -> str:
-    kinds = [ast.unparse(a.annotation) for a in function.args.args if a.annotation]
-    return f"({''.join(TYPES[kind] + ', ' for kind in kinds)})"
+def _annotations(function: ast.FunctionDef) -> list[str]:
+    return [ast.unparse(a.annotation) for a in function.args.args if a.annotation]
+
+
+def signature(kinds: list[str], package: str) -> tuple[Any, ...]:
+    """The types of arguments, from their annotations.
+
+    An annotation is a name in :data:`TYPES`, or that of a tuple of such with names, a class in the
+    file ``arrays`` of the package.
+    """
+    import numba
+
+    def of(kind: str) -> Any:
+        if kind in TYPES:
+            return numba.core.sigutils.normalize_signature(f"({TYPES[kind]},)")[0][0]
+        named = getattr(import_module(f"{package}.arrays"), kind)
+        parts = [of(part.__forward_arg__) for part in named.__annotations__.values()]
+        return numba.types.NamedTuple(parts, named)
+
+    return tuple(map(of, kinds))
 
 
 def cache_folder() -> Path:
@@ -269,6 +297,8 @@ def _plainly(rule: Callable[..., Any], checked: bool) -> Callable[..., Any]:
     def convert(value: Any) -> Any:
         if isinstance(value, float):
             return np.float64(value)
+        if isinstance(value, tuple):
+            return type(value)(*map(convert, value))
         return value.view(_checked()) if checked and isinstance(value, np.ndarray) else value
 
     def call(*arguments: Any) -> Any:

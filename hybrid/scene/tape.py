@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import cached_property, partial
 from typing import Any
 
 import attrs
@@ -23,6 +24,7 @@ import numpy as np
 from ..errors import TraceError
 from ..rules import jets as rule
 from ..rules import unit
+from ..rules.arrays import Programs
 from .derivatives import unknowns
 from .graph import Graph, Ids
 from .python import needed
@@ -40,6 +42,13 @@ SAME = {
 
 #: Comparisons: those that are watched, and those that hold or fail at a point only.
 ORDERED, EQUAL = ("gt", "ge", "lt", "le"), ("eq", "ne")
+
+#: Of each operation's columns: which name rows or numbers, and which a list of such.
+NAMED, LISTED = np.zeros((2, rule.ATAN2 + 1, 6), dtype=bool)
+NAMED[:, 2:4] = True
+NAMED[rule.SELECT, 4], NAMED[rule.FLOOR, 3] = True, False
+NAMED[[rule.SUM, rule.DOT, rule.SOLVE], 2:4] = False
+LISTED[[rule.SUM, rule.DOT, rule.SOLVE], 2] = LISTED[rule.ATAN2, 4] = True
 
 #: Pairs of functions that are made together: the operation, and the place in the pair.
 PAIRS = {
@@ -119,6 +128,10 @@ BANDS = {
 POLES = {"div": 1, "pow": 0}
 
 
+#: Kinds of what is watched, in the order of their numbers in a rule.
+KINDS = ("kink", "step", "band", "pole", "point")
+
+
 @attrs.frozen
 class Watched:
     """What ends the series of a step besides their own last terms.
@@ -138,6 +151,11 @@ class Watched:
     node: int
     low: float = -math.inf
     high: float = math.inf
+
+    @property
+    def code(self) -> int:
+        """The kind, as a rule has it."""
+        return KINDS.index(self.kind)
 
     @property
     def switches(self) -> bool:
@@ -220,23 +238,31 @@ class Tape:
         sides, work = np.zeros(len(self.kinks), dtype=np.int64), np.zeros(self.room)
         unit("jets").steady(self.steady, self.more, sides, numbers.reshape(-1, 1), work)
         output = self.output if functions is None else self.output[[*functions]]
-        places = _ints([i for i, what in enumerate(self.watched) if what.kind != "point"])
-        return Jets(self, numbers, output, places)
+        return Jets(self, numbers, output)
 
 
-@attrs.frozen(eq=False)
+@attrs.frozen(eq=False, slots=False)
 class Jets:
-    """A tape with the values of the parameters."""
+    """A tape with the values of the parameters, for some of its functions: a program."""
 
     tape: Tape
     numbers: np.ndarray
     output: np.ndarray
-    places: np.ndarray
 
-    @property
+    @cached_property
+    def places(self) -> np.ndarray:
+        """Which of all that is watched is watched along the series."""
+        return _ints([i for i, what in enumerate(self.tape.watched) if what.kind != "point"])
+
+    @cached_property
     def watched(self) -> tuple[Watched, ...]:
         """What is watched along the series."""
         return tuple(self.tape.watched[i] for i in self.places)
+
+    @cached_property
+    def alone(self) -> Programs:
+        """This program, and no other."""
+        return linked([self])
 
     def __call__(self, t: float, x: Sequence[float], sides: list[int], order: int) -> Any:
         """Coefficients 0 .. ``order`` of the states, of the functions, and of what is watched.
@@ -256,9 +282,7 @@ class Jets:
             all_sides[self.places] = sides
         c = np.empty((tape.rows, order + 1))
         start, work = np.array(x, dtype=float), np.empty(tape.room)
-        parts = tape.ops, tape.more, tape.flow, tape.kinks, self.output
-        status = unit("jets").jets(*parts, order, float(t), start, self.numbers, all_sides, c, work)
-        if status:
+        if unit("jets").jets(self.alone, 0, order, float(t), start, all_sides, c, work):
             raise ValueError("there is no Taylor series here")
         sides[:] = all_sides[self.places].tolist() if sides else []
         watched = self._watched(c) if sides else []
@@ -270,6 +294,36 @@ class Jets:
         if np.isnan(watched).any():
             watched[np.isnan(watched).any(axis=1)] = np.eye(1, c.shape[1])[0]
         return watched.tolist()  # type: ignore[no-any-return]
+
+
+def linked(parts: Sequence[Jets]) -> Programs:
+    """Programs one behind the other: places of numbers and of lists are counted on."""
+    index, columns = [], [[array[:0] for array in _arrays(part)] for part in parts[:1]]
+    ends = [0] * len(Programs._fields)
+    for part in parts:
+        ops, more, numbers, kinks, bands, output, flow = _arrays(part)
+        move = partial(_moved, by=ends[2])
+        named, listed = NAMED[ops[:, 0]], LISTED[ops[:, 0]]
+        ops = np.where(named, move(ops), ops + ends[1] * listed)
+        arrays = [ops, move(more), numbers, kinks, bands, output, move(flow)]
+        after = [end + len(array) for end, array in zip(ends, arrays, strict=False)]
+        index.append([place for i in (0, 3, 5, 6) for place in (ends[i], after[i])])
+        columns.append(arrays)
+        ends = after
+    joined = (np.concatenate(column) for column in zip(*columns, strict=True))
+    return Programs(_table(index, 8), *joined)
+
+
+def _arrays(part: Jets) -> list[np.ndarray]:
+    """The arrays of a program alone, in the order of :class:`.Programs`."""
+    tape = part.tape
+    bands = np.array([(what.low, what.high) for what in tape.watched]).reshape(-1, 2)
+    return [tape.ops, tape.more, part.numbers, tape.kinks, bands, part.output, tape.flow]
+
+
+def _moved(places: np.ndarray, by: int) -> np.ndarray:
+    """Places of numbers, which are below zero, counted on."""
+    return np.where(places < 0, places - by, places)
 
 
 def tape(graph: Graph, size: int, flow: Ids, functions: Sequence[int], where: str) -> Tape:
@@ -411,7 +465,7 @@ class _Recorder:
             op = self.graph.nodes[number][0]
             if op not in ("const", "input", "part", "real"):
                 self._record(number)
-        kinks = [(self.place[self._root(what)], what.switches) for what in self.watched]
+        kinks = [(self.place[self._root(w)], w.switches, w.code) for w in self.watched]
         output = [*map(self._row, self.functions)]
         return Tape(
             size=self.size,
@@ -420,7 +474,7 @@ class _Recorder:
             more=_ints(self.more),
             flow=_ints([self.place[i] for i in self.flow]),
             output=_ints(output),
-            kinks=_table(kinks, 2),
+            kinks=_table(kinks, 3),
             watched=tuple(self.watched),
             steady=_table(self.steady, 6),
             numbers=np.array(self.numbers),
