@@ -175,12 +175,13 @@ def test_a_logarithm_that_ends_is_refused(way):
 
 
 @misses("a gap with a corner at zero is passed", *COMPILED)
-@misses("after some impacts a low flight is lost, and the ball falls through", "LSODA")
-def test_a_distance_is_a_gap(way):
-    """From both sides ``|x|`` reaches zero at 0: the ball bounces, as over the gap ``x``."""
-    result = way.run(Corner(), {"x": 1.0, "v": 0.0}, (0.0, 5.0), rtol=1e-9)
+@pytest.mark.parametrize("since", [0.0, 1e6])
+def test_a_distance_is_a_gap(way, since):
+    """From both sides ``|x|`` reaches zero at 0: the ball bounces, as over the gap ``x``; also far
+    from ``t = 0``, where rounding of the time is a large share of a low flight."""
+    result = way.run(Corner(), {"x": 1.0, "v": 0.0}, (since, since + 5.0), rtol=1e-9)
     assert result.final.x == pytest.approx(0.0, abs=1e-12)
-    assert result.t_inf == pytest.approx(3.0, abs=1e-8)
+    assert result.t_inf - since == pytest.approx(3.0, abs=1e-8)
 
 
 def test_a_truth_value_is_no_guard():
