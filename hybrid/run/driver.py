@@ -247,12 +247,20 @@ class Driver:
         after = np.array(self.scene.reset(guard.edge)(t, before.tolist()))
         self._require_finite(guard.edge, before, after)
         stays = guard.value(t, after.tolist()) == guard.value(t, before.tolist())
+        stays = stays and not self._has_jumped(guard, before)
         held = self._still_held(guard.to, after)
         self.watch.reset()
         if self.add_jump(guard.edge, before, after) and pass_limit(self, guard.to):
             return
         known = {guard.edge: 1} if stays and not carried else {}
         self.enter(guard.to, after, Jumped(known, held, used=guard.edge))
+
+    def _has_jumped(self, guard: Guard, x: np.ndarray) -> bool:
+        """Whether a guard that fired is not zero: it may jump up from zero there, as a saw does."""
+        if not guard.jumps:
+            return False
+        size = self.scene.rounding(guard, self.entry.field)(self.t, x.tolist())[0]
+        return bool(abs(guard.value(self.t, x.tolist())) > NEAR * size)
 
     def _overdue(self, guard: Guard) -> bool:
         """Whether a guard fires at once without being zero: carried over it by what delays see."""

@@ -105,6 +105,31 @@ class Corner(hy.Automaton):
     floor = hy.contact(flight, gap=lambda self, t, s: jnp.abs(s.x), restitution=0.5)
 
 
+class Saw(hy.Automaton):
+    """A guard that falls to zero at each whole number, and jumps back up."""
+
+    x = hy.state()
+    n = hy.state()
+
+    @hy.mode
+    def on(self, t, s):
+        return 1.0, 0.0
+
+    @hy.edge(on, to=on, guard=lambda self, t, s: 1.0 - jnp.mod(s.x, 1.0))
+    def tick(self, t, s):
+        return s.replace(n=s.n + 1)
+
+
+@misses("a guard that jumps over zero is passed", *COMPILED)
+@pytest.mark.parametrize("since", [0.0, 1e6])
+def test_a_saw_fires_at_each_tooth(way, since):
+    """Where it fires it has jumped already, and is not zero when the next arc begins."""
+    result = way.run(Saw(), {"x": 0.3, "n": 0.0}, (since, since + 5.0), rtol=1e-9)
+    assert result.final.n == 5.0
+    if way.tells("times"):
+        np.testing.assert_allclose(result.times - since, np.arange(5) + 0.7, rtol=1e-9)
+
+
 @misses("a guard that jumps over zero is passed", *COMPILED)
 @pytest.mark.parametrize("at", [1.234, 0.3, 2.0])
 @pytest.mark.parametrize("low", [-1.0, -1e-9, 0.0])
