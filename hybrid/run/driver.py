@@ -252,7 +252,7 @@ class Driver:
         self.watch.reset()
         if self.add_jump(guard.edge, before, after) and pass_limit(self, guard.to):
             return
-        known = {guard.edge: 1} if stays and not carried else {}
+        known = {guard.edge: 1} if stays and not carried and not self.forgets else {}
         self.enter(guard.to, after, Jumped(known, held, used=guard.edge))
 
     def _has_jumped(self, guard: Guard, x: np.ndarray) -> bool:
@@ -261,6 +261,11 @@ class Driver:
             return False
         size = self.scene.rounding(guard, self.entry.field)(self.t, x.tolist())[0]
         return bool(abs(guard.value(self.t, x.tolist())) > NEAR * size)
+
+    @property
+    def forgets(self) -> bool:
+        """Whether a jump changes what delays see, and with it flows and guards at once."""
+        return self.record.memory is not None and self.plan.memory == "restart"
 
     def _overdue(self, guard: Guard) -> bool:
         """Whether a guard fires at once without being zero: carried over it by what delays see."""
@@ -274,7 +279,7 @@ class Driver:
         self.watch.reset()
         self.add_jump(guard.edge, x, x)
         held = tuple(name for name in field.held if name != contact)
-        known = {contact: 2 if overdue else 3}
+        known = {contact: 2 if overdue or self.forgets else 3}
         if carried and opened(self.scene, field.mode, contact, self.t, x):
             known = {}
         self.enter(field.mode, x, Jumped(known, held))
