@@ -31,7 +31,7 @@ from ..zeno.narrow import seen
 from . import switch, truncate
 from .arc import ArcFlow, Flown
 from .cycles import Cycles, Seen, pass_limit
-from .entry import Entry, Jumped, describe, enter, opened, signs_at_end
+from .entry import Entry, Jumped, beyond_kinks, describe, enter, opened, signs_at_end
 from .memory import Memory
 from .pieces import Piece
 from .plan import PATIENCE, Plan
@@ -90,6 +90,7 @@ class Driver:
         self._known = self._jumped = Jumped()
         self._tied: dict[str, int] = {}
         self._spent: frozenset[str] = frozenset()
+        self._struck: set[str] = set()
         self.streaks = _streaks(self)
 
     @property
@@ -288,6 +289,7 @@ class Driver:
         contact = self.scene.contact(guard.edge)
         before = np.array(contact.land(self.t, x.tolist()))
         self.record.end_on(before)
+        self._require_one_speed(guard, before)
         *state, speed = contact.impact(self.t, before.tolist())
         after = np.array(state)
         self._require_finite(guard.edge, before, after)
@@ -297,6 +299,23 @@ class Driver:
                 f"{speed:.6g} after the impact; it must not be negative"
             )
         self.bounce(guard, before, after, speed)
+
+    def _require_one_speed(self, guard: Guard, x: np.ndarray) -> None:
+        """Refuse a gap whose formula at zero is not that of the side from which it is reached.
+
+        The first impact of a contact shows it; in low ones rounding has a say in the side.
+        """
+        if not guard.kinks or guard.edge in self._struck:
+            return
+        self._struck.add(guard.edge)
+        there, beside = beyond_kinks(self.entry.field, guard.kinks, self.t, x, -1.0)
+        came, here = guard.lie(there, beside.tolist())[1], guard.lie(self.t, x.tolist())[1]
+        if not abs(here - came) <= NEAR * abs(came):
+            raise FlowError(
+                f"{self.where(x)}: the gap of {guard.edge} changes its formula where it is zero: "
+                f"its speed there is {here:.6g}, and was {came:.6g} just before; write the formula "
+                "that holds where the gap is positive"
+            )
 
     def bounce(self, guard: Guard, before: np.ndarray, after: np.ndarray, speed: float) -> None:
         """Record an impact and those after low flights, then begin the next arc."""
@@ -329,7 +348,9 @@ class Driver:
         """
         field, t = self.scene.field(name), self.t
         column = field.column(contact.name)
-        fall = -field.guards[column].lie(t, x.tolist())[2]
+        guard = field.guards[column]
+        after, ahead = beyond_kinks(field, (*guard.kinks, *field.changes), t, x)
+        fall = -guard.lie(after, ahead.tolist())[2]
         if not 0 < v * v <= NEAR * fall * (1.0 + float(np.max(np.abs(x)))):
             return None
         flight = fly(field, column, t, x.tolist(), v)

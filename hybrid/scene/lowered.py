@@ -552,21 +552,21 @@ def deciders(
     ]
 
 
-def choosers(graph: Graph, root: int) -> list[int]:
-    """Functions by whose sign a node takes one formula or another, arguments first."""
-    nodes = [graph.nodes[number] for number in needed(graph, [root])]
+def choosers(graph: Graph, roots: Sequence[int]) -> list[int]:
+    """Functions by whose sign nodes take one formula or another, arguments first."""
+    nodes = [graph.nodes[number] for number in needed(graph, roots)]
     found = [_decider(graph, op, rest) for op, *rest in nodes if op in CHOICES]
     return list(dict.fromkeys(number for number in found if graph.moves(number)))
 
 
-def one_sided(graph: Graph, root: int, signs: Mapping[int, int]) -> list[int]:
-    """A node with the formula that it has where some functions have these signs.
+def one_sided(graph: Graph, roots: Sequence[int], signs: Mapping[int, int]) -> list[int]:
+    """Nodes with the formulas that they have where some functions have these signs.
 
-    ``signs`` are of :func:`choosers`, in their order. Behind the node follow these functions
+    ``signs`` are of :func:`choosers`, in their order. Behind the nodes follow these functions
     themselves, with the formulas that they have there.
     """
-    nodes = [root, *signs]
-    for place, sign in enumerate(signs.values(), start=1):
+    nodes = [*roots, *signs]
+    for place, sign in enumerate(signs.values(), start=len(roots)):
         decider = nodes[place]
 
         def chosen(node: tuple[Any, ...], decider: int = decider, sign: int = sign) -> int | None:

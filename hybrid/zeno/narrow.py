@@ -274,10 +274,10 @@ def _near(ball: Any, values: np.ndarray, room: float) -> bool:
 class _Look:
     """What is looked at in a field, as balls: the gap's acceleration, and last the restitution.
 
-    Where the gap has a corner at the impacts, as a distance ``|x|`` has at zero, it has here the
-    formula of the side on which the flights are: balls about the corner do not know it. In between
-    stand then the accelerations of the functions that decide. They, too, must be what they are
-    at points, so that none of them changes its sign between these.
+    Where gap or flow change their formula at the impacts, as a distance ``|x|`` does at zero, they
+    have here that of the side on which the flights are: balls about the place do not know it. In
+    between stand then the accelerations of the functions that decide. They, too, must be what they
+    are at points, so that none of them changes its sign between these.
     """
 
     program: Any
@@ -303,7 +303,7 @@ def _look(tail: Tail) -> _Look:
 
 
 class _Gap:
-    """The gap of a contact along a field, and the functions that decide on its formula."""
+    """The gap of a contact along a field, and the functions that decide on their formulas."""
 
     def __init__(self, field: Field, contact: str) -> None:
         from ..scene.fixed import FixedGraph
@@ -317,7 +317,7 @@ class _Gap:
         self.flow = self._nodes(flow, inputs)
         (self.gap,) = self._nodes(code.closed("gap", contact), inputs)
         (self.law,) = self._nodes(law, [*inputs, extra])
-        self.choosers = choosers(self.graph, self.gap)
+        self.choosers = choosers(self.graph, [self.gap, *self.flow])
         self.deciding = IntervalProgram(self.graph, self.choosers) if self.choosers else None
 
     def _nodes(self, closed: Any, inputs: list[Any]) -> list[int]:
@@ -329,25 +329,26 @@ class _Gap:
         if self.deciding is None:
             return {}
         given = _named("p", flat(tail.field.parameters))
-        # of each flight the middle, without that of no length at the limit
-        middles = [(t, x) for t, x, _ in _Stretch(tail, 1.0, 0.0).points[4::3]]
+        flown = [(t, x) for t, x, _ in _Stretch(tail, 1.0, 0.0).points]
         found = []
-        for t, x in [(tail.t + tail.remaining, tail.x_inf.tolist()), *middles]:
+        for t, x in [(tail.t + tail.remaining, tail.x_inf.tolist()), *flown]:
             each = self.deciding.enclose({**given, **_named("x", x), "t": t})
             found.append([float(e.value.mid()) if e.defined else np.nan for e in each])
-        last, *flown = np.array(found)
         rounding = 64 * EPS * max(np.abs(tail.x_inf).max(), np.abs(tail.x).max())
-        ways = np.where(np.abs(last) <= rounding, np.sign(flown).sum(axis=0) / len(flown), 0.0)
-        return {n: int(s) for n, s in zip(self.choosers, ways, strict=True) if abs(s) == 1.0}
+        last, *others = np.where(np.abs(found) <= rounding, 0.0, np.sign(found))
+        ways = np.min(others, axis=0) + np.max(others, axis=0)  # +-1 where no two are opposite
+        columns = zip(self.choosers, last, ways, strict=True)
+        return {n: int(way) for n, end, way in columns if end == 0.0 and abs(way) == 1.0}
 
     def program(self, signs: dict[int, int]) -> Any:
         """What is looked at where deciding functions have these signs, as balls."""
         from ..scene.interval import IntervalProgram
 
-        rates = dict(zip(self.states, self.flow, strict=True)) | {self.time: self.graph.const(1.0)}
-        gap, *deciding = one_sided(self.graph, self.gap, signs)
-        roots = [along(self.graph, along(self.graph, n, rates), rates) for n in [gap, *deciding]]
-        return IntervalProgram(self.graph, [*roots, self.law])
+        graph, count = self.graph, 1 + len(self.flow)
+        nodes = one_sided(graph, [self.gap, *self.flow], signs)
+        rates = dict(zip(self.states, nodes[1:count], strict=True)) | {self.time: graph.const(1.0)}
+        roots = [along(graph, along(graph, n, rates), rates) for n in [nodes[0], *nodes[count:]]]
+        return IntervalProgram(graph, [*roots, self.law])
 
 
 def _named(letter: str, values: Iterable[float]) -> dict[str, float]:
