@@ -191,8 +191,8 @@ class _Again:
     They are watched: each step is shown to have seen all of the flow. The second run uses Taylor
     series, accurate to rounding; a model without them its own method at a hundredth of its
     tolerance; and a run that used Taylor series itself is compared with DOP853 at its smallest
-    tolerance, unless forces act so briefly that the rounding of the time matters. The third run
-    is the same from beside the start, moved by what the rounding of the time does: how far it goes
+    tolerance, unless forces act so briefly that rounding matters to them. The third run is the
+    same from beside the start, moved by what rounding does to such forces: how far it goes
     from the run that is not moved shows what rounding grows to. (One run for both would be moved
     towards the errors of the first as often as away from them.)
     """

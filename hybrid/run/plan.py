@@ -34,7 +34,7 @@ class Plan:
         Hold every step against the flow all along it, at most so many
         (:mod:`hybrid.solvers.watchful`).
     shaken : bool
-        Move the states of such a run by what the rounding of the time does.
+        Move the states of such a run by what rounding does to forces that act briefly.
     """
 
     t0: float

@@ -24,6 +24,12 @@ CUTS = 60
 #: The next step, against one that had to be cut.
 GROWTH = 4.0
 
+#: A state that turns on its way moves by rounding in this share of the step.
+TURN = float(np.sqrt(EPS))
+
+#: Roundings by which the end of a step that ends where forces jump may be off.
+OFF = 32.0
+
 
 class Watchful(Solver):
     """Another solver, whose steps are held against the flow.
@@ -34,7 +40,8 @@ class Watchful(Solver):
         Steps in all. With this a step that cannot be shown to have seen all of its flow, and one
         step too many, is a :class:`FlowError`. Without, steps go on unwatched from there.
     shaken : bool
-        Move the state after each step by what the rounding of the time may have done to it.
+        Move the state after each step by what the rounding of the time, and of where the step ends,
+        may have done to it.
 
     Attributes
     ----------
@@ -129,9 +136,9 @@ class WatchfulStepper(Stepper):
         self.solver.give_up("a step cannot be shown to have seen all of the flow")
 
     def _blur(self, segment: Segment) -> None:
-        """Add up what the rounding of the time does.
+        """Add up what rounding does to forces.
 
-        Forces that depend on the time are known at times a spacing of floats away; where they act
+        Those that depend on the time are known at times a spacing of floats away; where they act
         briefly, or jump at an end of the step, that shows. Always to the same side: what is lost
         in a step need not be won back in the next.
         """
@@ -141,11 +148,25 @@ class WatchfulStepper(Stepper):
         t, rhs = self.t0 + segment.end, self.field.rhs
         x, spacing = segment(segment.start + 0.5 * segment.length), 2.0 * float(np.spacing(abs(t)))
         late, early = rhs(t + spacing, x.tolist()), rhs(t - segment.length - spacing, x.tolist())
-        moved = spacing * np.abs(np.subtract(late, early))
+        moved = spacing * np.abs(np.subtract(late, early)) + self._beyond(segment)
         size = np.maximum(np.abs(x), np.abs(self.inner.x)) + 1e-300
         solver.blurred += float(np.max(moved / size))
         if solver.shaken:
             self.inner.x = self.inner.x + moved
+
+    def _beyond(self, segment: Segment) -> np.ndarray:
+        """What comes of it that the place at which a step ends is rounded.
+
+        The flow gets there that much earlier or later: forces that jump there act on the way.
+        """
+        t, x, rhs = self.t0 + segment.end, self.inner.x, self.field.rhs
+        rates = np.array(rhs(t, x.tolist()))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            late = float(np.nanmax(2 * EPS * np.abs(x) / np.abs(rates), initial=0.0))
+        late = min(late, TURN * segment.length)
+        way = OFF * (late + float(np.spacing(abs(t)))) * rates
+        jump = np.abs(np.subtract(rhs(t, (x + way).tolist()), rhs(t, (x - way).tolist())))
+        return late * np.where(np.isfinite(jump), jump, 0.0)  # a flow may end there
 
     def _share(self, segment: Segment) -> float:
         t = self.t0 + segment.start

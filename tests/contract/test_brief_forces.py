@@ -191,6 +191,14 @@ def test_the_bound_covers_a_gust_that_was_missed(way, w, force):
         assert result.t_inf == pytest.approx(exact, abs=1e-6 + 1e-16 / w)
 
 
+@pytest.mark.parametrize("w", [10.0**-k for k in range(1, 9)])
+@pytest.mark.parametrize("share", [0.7, 1.0, 1.9, -3.0])
+def test_the_bound_covers_the_rounding_of_a_thin_zone(w, share):
+    """Where its edges are is known to the rounding of x, which is 1e-16 over the width."""
+    run = hy.simulate(Gust(w=w, force=share / w), [1.0, 0.0], (0.0, 1.5), solver="taylor")
+    assert abs(run.zeno[0].t - gust_ends(w, share / w, 0.3)) <= run.zeno[0].t_error
+
+
 @pytest.mark.parametrize("until", [1.9, 3.0, 8.0, 12.0, 100.0])
 def test_the_answer_does_not_depend_on_the_last_time(until):
     """A ball pushed by a square wave, against parabolas; the bound holds, and is not idle."""
