@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from functools import cache
 from itertools import zip_longest
-from math import comb, isfinite
+from math import comb
 from typing import TYPE_CHECKING, Any
 
 import attrs
@@ -259,30 +259,22 @@ class _Piece:
     def over(self, cut: Cut) -> int:
         """The direction in which a guard passes over zero at a cut; 0 where it does not.
 
-        A corner on zero, and a guard that is zero from there on, have reached it: up to rounding,
-        to which belongs what the guard changes by while the time passes the cut.
+        A corner on zero, and a guard that is zero from there on, have reached it.
         """
         edge, seen = self.guard.edge, ("largest", self.guard.edge)
-        old, new = self.ends[edge], self.at(cut.after)
+        old = self.ends[edge]
+        tau = self.segment.start + cut.after * self.segment.length
+        new = self.guard.value(self.t0 + tau, self.segment(tau).tolist())
         self.ends[edge] = new
         largest = max(abs(old), self.ends.get(seen, 0.0))
         self.ends[seen] = max(largest, abs(new)) if np.isfinite(new) else largest
         if old == 0.0:
             return 0
         if np.isfinite(new) and new * old > 0:
-            width = cut.after - cut.before
-            least = abs(new) - abs(new - self.at(cut.after + width))
-            if cut.before > 0:  # else the step begins beyond it
-                least = min(least, abs(old) - abs(old - self.at(cut.before - width)))
-            return -int(np.sign(old)) if least <= 64 * EPS * largest else 0
+            return -int(np.sign(old)) if min(abs(old), abs(new)) <= 64 * EPS * largest else 0
         if not np.isfinite(new) and abs(old) > ENDED * largest:
             raise FlowError(f"the guard of {edge} ends before it is zero: beyond it is not finite")
         return -int(np.sign(old))
-
-    def at(self, fraction: float) -> float:
-        """The guard at a fraction of the step."""
-        tau = self.segment.start + fraction * self.segment.length
-        return self.guard.value(self.t0 + tau, self.segment(tau).tolist())
 
     def zeros(
         self, left: float, right: float, order: int, depth: int
@@ -398,7 +390,7 @@ def roots(bernstein: np.ndarray, order: int, tolerance: float) -> Iterator[tuple
 
     Yields ``(point, direction)`` in order; direction 0 is a touch within ``tolerance``.
     """
-    work, found = _room(len(bernstein) - 1)
+    work, found = room(len(bernstein) - 1)
     b = np.ascontiguousarray(bernstein, dtype=float)
     count = unit("zeros").crossings(b, len(b) - 1, order, tolerance, work, found)
     for point, direction in _listed(found, count):
@@ -407,40 +399,21 @@ def roots(bernstein: np.ndarray, order: int, tolerance: float) -> Iterator[tuple
 
 def series_zeros(c: Sequence[float], reach: float, tolerance: float) -> list[tuple[float, int]]:
     """Zeros in ``(0, reach]`` of the sum of ``c[k] s^k``, as :func:`roots` gives them."""
-    work, found = _room(len(c) - 1)
+    work, found = room(len(c) - 1)
     powers = np.array(c, dtype=float)
     count = unit("zeros").series(powers, len(c) - 1, reach, 0, tolerance, work, found)
     return [(point, int(direction)) for point, direction in _listed(found, count)]
 
 
-def first_zero(
-    c: Sequence[float], reach: float, order: int, direction: int, noise: float = 0.0
-) -> float | None:
-    """The first zero in ``(0, reach]`` of a series that vanishes at 0 to the given order.
-
-    Parameters
-    ----------
-    direction : int
-        As for :class:`Zero`; 0 for either.
-    noise : float
-        Rounding of its terms, in spacings; it must go further than that behind the zero.
-    """
-    work, found = _room(len(c) - 1)
-    powers = np.array(c, dtype=float)
-    rule = unit("zeros").first
-    zero = float(rule(powers, len(c) - 1, reach, order, direction, noise, work, found))
-    return zero if isfinite(zero) else None
-
-
 def turning_points(series: np.ndarray) -> list[float]:
     """Where in ``(0, 1)`` a Chebyshev series turns."""
-    work, found = _room(len(series) - 1)
+    work, found = room(len(series) - 1)
     b = bernstein_from_chebyshev(len(series) - 1) @ series
     count = unit("zeros").turns(b, len(b) - 1, work, found)
     return [point for point, _ in _listed(found, count)]
 
 
-def _room(degree: int) -> tuple[np.ndarray, np.ndarray]:
+def room(degree: int) -> tuple[np.ndarray, np.ndarray]:
     """Arrays for the rules on zeros: to work in, and for what is found."""
     return np.empty((degree + SPARE, degree + 5)), np.empty((2 * degree + 4, 2))
 

@@ -26,14 +26,16 @@ class Programs(NamedTuple):
     numbers : Floats
         What does not move.
     kinks : Table
-        What is watched: its row; 1 where another formula holds beyond a zero of it, else 0; and
-        its kind (:mod:`.kinks`).
+        What is watched: its row; 1 where another formula holds beyond a zero of it, else 0; its
+        kind; and the row of the function that it was made of (:mod:`.kinks`).
     bands : Matrix
         Between which values of its argument what is watched is more than rounding.
     output : Ints
         Rows that are asked for, besides the states.
     flow : Ints
         The derivative of each state; none in a program that is for values only.
+    affine : Ints
+        For each output 1 if it is affine in time and state, else 0.
     """
 
     index: Table
@@ -44,3 +46,4 @@ class Programs(NamedTuple):
     bands: Matrix
     output: Ints
     flow: Ints
+    affine: Ints

@@ -17,6 +17,16 @@ def power_value(c: Floats, low: int, degree: int, s: float) -> tuple[float, floa
     return value, slope
 
 
+def power_size(c: Floats, low: int, degree: int, s: float) -> float:
+    """The sum of the sizes of the terms ``c[k] s^k``, from ``c[low]`` up to ``c[degree]``."""
+    size = 0.0
+    for k in range(degree, low - 1, -1):
+        size = size * s + abs(c[k])
+    for _ in range(low):
+        size *= s
+    return size
+
+
 def power_bound(c: Floats, low: int, degree: int) -> float:
     """A bound on the zeros of the sum of ``c[low + k] s^k`` (Fujiwara's); ``c[degree]`` not 0."""
     largest = 0.0

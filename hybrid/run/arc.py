@@ -17,9 +17,7 @@ from ..scene import Guard, Kink, Scene, released
 from ..scene.lowered import ORDER
 from ..segment import Segment
 from ..solvers import Solver, Stepper
-from ..solvers.kinks import own_length
-from ..solvers.taylor_backend import ROUNDING, step_length
-from ..zeno.flight import zero_of
+from ..zeno.flight import falls
 from .entry import MOVES, Entry, beyond_kinks, describe, expand, opened
 from .plan import Plan
 
@@ -260,9 +258,7 @@ class ArcFlow:
             if self._predicts(index):
                 gap = [self._side(index) * c for c in self.series[1][index]]
                 gap[0] = 0.0 if self.entered[index] else gap[0]
-                zero = zero_of(
-                    gap, FAR * min(step_length(self.series[0]), own_length(gap, ROUNDING))
-                )
+                zero = falls(self.series[0], gap, FAR)
                 if zero is not None and zero < length:
                     best = zero if best is None else min(best, zero)
         return best

@@ -12,8 +12,8 @@ import numpy as np
 from ..automaton.markers import Crossing
 from ..errors import DomainError, FlowError, StartError
 from ..events import EPS, NEAR, NOTHING, fires, higher_noise, time_scale, vanishing_order
+from ..rules import unit
 from ..scene import Field, Guard, Kink, Scene
-from ..solvers.taylor_backend import step_length
 
 #: Doublings of a step of rounding's size in which a deciding function that is zero must leave it:
 #: it is a difference of numbers that may move at very different rates.
@@ -163,12 +163,12 @@ def opened(scene: Scene, mode: str, contact: str, t: float, x: np.ndarray) -> bo
 
 
 def beyond_kinks(
-    field: Field, kinks: Sequence[Kink], t: float, x: np.ndarray, way: float = 1.0
+    field: Field, kinks: Sequence[Kink], t: float, x: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """The first time and state along a flow at which no deciding function is zero any more.
 
     Where one is, a function has the formula of either side; what counts is the side on which the
-    flow goes on (``way`` -1: from which it has come). A function that stays zero decides nothing.
+    flow goes on. A function that stays zero decides nothing.
     """
     there, least = (t, x), 0.0
     for kink in kinks:
@@ -178,9 +178,8 @@ def beyond_kinks(
         times = [abs(x[i] / flow[i]) for i in kink.uses if flow[i]]
         step = max(step, EPS * float(min(times, default=0.0)))
         for _ in range(MOVES):
-            beside = t + way * step, x + way * step * flow
-            if kink.value(beside[0], beside[1].tolist()) != 0.0:
-                there, least = beside, step
+            if kink.value(t + step, (x + step * flow).tolist()) != 0.0:
+                there, least = (t + step, x + step * flow), step
                 break
             step *= 2.0
     return there
@@ -331,7 +330,8 @@ class _Here:
         """A time in which the terms of a guard's series are comparable."""
         own = time_scale(series, 0.0)
         if self.series is not None:
-            own = min(own, step_length(self.series[0]))
+            states = np.array(self.series[0])
+            own = min(own, unit("lengths").step_length(states, len(states)))
         return own if isfinite(own) else 1.0
 
     def require_inside(self, guard: Guard, sign: int, starting: bool) -> None:

@@ -196,3 +196,32 @@ def unknowns(count: int) -> int:
     while n * n + 2 * n < count:
         n += 1
     return n
+
+
+def degree(graph: Graph, root: int) -> float:
+    """Degree of a polynomial in ``t`` and ``x``; infinite where a node is none."""
+    found: dict[int, float] = {}
+    for number in needed(graph, [root]):
+        node = graph.nodes[number]
+        below = [found[a] for a in node[1:]] if node[0] not in ("const", "input") else []
+        if node[0] == "const" or (node[0] == "input" and node[1][0] == "p"):
+            found[number] = 0
+        elif node[0] == "input":
+            found[number] = 1
+        elif node[0] in ("add", "sub", "neg", "real", "sum"):
+            found[number] = max(below)
+        elif node[0] == "dot":
+            found[number] = max(map(sum, zip(below[::2], below[1::2], strict=True)))
+        elif node[0] == "select" and below[0] == 0:
+            found[number] = max(below[1:])
+        elif node[0] == "part":
+            found[number] = below[0]
+        elif node[0] == "solve" and max(below[: -2 * unknowns(len(below))]) == 0:
+            found[number] = max(below)
+        elif node[0] == "mul":
+            found[number] = sum(below)
+        elif node[0] == "div" and below[1] == 0:
+            found[number] = below[0]
+        else:
+            found[number] = 0 if max(below) == 0 else float("inf")
+    return found[root]

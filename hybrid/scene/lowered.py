@@ -16,12 +16,12 @@ from ..automaton.past import DEGREE, blank
 from ..automaton.spec import ContactSpec, EdgeSpec, LeaveSpec, SideSpec, Transition
 from ..errors import TraceError
 from . import contact as contacts
-from .derivatives import unknowns
+from .derivatives import degree
 from .graph import Graph
 from .mode import ModeGraph
 from .python import Program, needed
 from .sliding import Sliding
-from .tape import Tape, rebuilt
+from .tape import Tape
 from .taylor import TaylorProgram, flat
 
 #: Order of the Taylor series of flows and gaps.
@@ -37,16 +37,6 @@ CHANGES = {
     **dict.fromkeys(("round", "away", "rem"), "jumps"),
     **dict.fromkeys(("abs", "max", "min"), "bends"),
     **dict.fromkeys(("sqrt", "log", "log1p", "acosh", "asin", "acos", "atanh"), "ends"),
-}
-
-#: What an operation is where the function that decides is above zero, or below.
-CHOICES: dict[str, Callable[..., int]] = {
-    "abs": lambda graph, above, a: a if above else graph.node("neg", a),
-    "sign": lambda graph, above, a: graph.const(1.0 if above else -1.0),
-    "max": lambda graph, above, a, b: a if above else b,
-    "min": lambda graph, above, a, b: b if above else a,
-    **dict.fromkeys(("gt", "ge"), lambda graph, above, *rest: graph.const(above)),
-    **dict.fromkeys(("lt", "le"), lambda graph, above, *rest: graph.const(not above)),
 }
 
 #: Points at which it is asked whether a reset turns a guard's motion round: what it does at half of
@@ -476,35 +466,6 @@ def _states_in(graph: Graph, root: int) -> set[int]:
     return places | ({TIME} if "t" in names else set())
 
 
-def _degree(graph: Graph, root: int) -> float:
-    """Degree of a polynomial in ``t`` and ``x``; infinite where it is none."""
-    degree: dict[int, float] = {}
-    for number in needed(graph, [root]):
-        node = graph.nodes[number]
-        below = [degree[a] for a in node[1:]] if node[0] not in ("const", "input") else []
-        if node[0] == "const" or (node[0] == "input" and node[1][0] == "p"):
-            degree[number] = 0
-        elif node[0] == "input":
-            degree[number] = 1
-        elif node[0] in ("add", "sub", "neg", "real", "sum"):
-            degree[number] = max(below)
-        elif node[0] == "dot":
-            degree[number] = max(map(sum, zip(below[::2], below[1::2], strict=True)))
-        elif node[0] == "select" and below[0] == 0:
-            degree[number] = max(below[1:])
-        elif node[0] == "part":
-            degree[number] = below[0]
-        elif node[0] == "solve" and max(below[: -2 * unknowns(len(below))]) == 0:
-            degree[number] = max(below)
-        elif node[0] == "mul":
-            degree[number] = sum(below)
-        elif node[0] == "div" and below[1] == 0:
-            degree[number] = below[0]
-        else:
-            degree[number] = 0 if max(below) == 0 else float("inf")
-    return degree[root]
-
-
 def lowered(cls: Any, shapes: tuple[tuple[int, ...], ...]) -> Lowered:
     """The generated code of a class, kept on the class."""
     store = cls.__dict__.get("_hybrid_lowered")
@@ -525,7 +486,7 @@ def guard_shape(code: Lowered, closed: Any) -> tuple[bool, tuple[int, ...]]:
 
 def node_shape(graph: Graph, root: int) -> tuple[bool, tuple[int, ...]]:
     """The same of a node."""
-    return _degree(graph, root) <= 1, tuple(sorted(_states_in(graph, root) - {TIME}))
+    return degree(graph, root) <= 1, tuple(sorted(_states_in(graph, root) - {TIME}))
 
 
 def deciders(
@@ -550,32 +511,6 @@ def deciders(
         (Program(graph, ["t", "x"], size, np.array(number)), *node_shape(graph, number), change)
         for number, change in found.items()
     ]
-
-
-def choosers(graph: Graph, roots: Sequence[int]) -> list[int]:
-    """Functions by whose sign nodes take one formula or another, arguments first."""
-    nodes = [graph.nodes[number] for number in needed(graph, roots)]
-    found = [_decider(graph, op, rest) for op, *rest in nodes if op in CHOICES]
-    return list(dict.fromkeys(number for number in found if graph.moves(number)))
-
-
-def one_sided(graph: Graph, roots: Sequence[int], signs: Mapping[int, int]) -> list[int]:
-    """Nodes with the formulas that they have where some functions have these signs.
-
-    ``signs`` are of :func:`choosers`, in their order. Behind the nodes follow these functions
-    themselves, with the formulas that they have there.
-    """
-    nodes = [*roots, *signs]
-    for place, sign in enumerate(signs.values(), start=len(roots)):
-        decider = nodes[place]
-
-        def chosen(node: tuple[Any, ...], decider: int = decider, sign: int = sign) -> int | None:
-            op, *rest = node
-            own = op in CHOICES and _decider(graph, op, rest) == decider
-            return CHOICES[op](graph, sign > 0, *rest) if own else None
-
-        nodes = rebuilt(graph, nodes, chosen)
-    return nodes
 
 
 def _never_negative(graph: Graph, number: int) -> bool:

@@ -29,7 +29,7 @@ from ..errors import TraceError
 from .lowered import ORDER, Lowered, deciders, lowered, node_shape
 from .mode import RELEASE, ModeGraph
 from .python import Program
-from .tape import Jets, Tape, Watched
+from .tape import Jets, Tape
 from .taylor import flat
 
 Scalar = Callable[..., Any]
@@ -121,9 +121,6 @@ class Field:
     jets : Jets or None
         Taylor series of the states, of the guards in order, and of what is watched; None where
         the model uses something that has no Taylor series.
-    deciding : callable ``(t, x) -> tuple``, or None
-        The values of what is watched (of steps without what is taken off); None where there is
-        nothing.
     refused : str
         Why there are no series, where there are none.
     held : tuple of str
@@ -141,7 +138,6 @@ class Field:
     held: tuple[str, ...]
     rhs: Scalar
     jets: Jets | None
-    deciding: Scalar | None
     guards: tuple[Guard, ...]
     trace: Callable[[], Any]
     code: Lowered
@@ -160,14 +156,9 @@ class Field:
         return next(i for i, guard in enumerate(self.guards) if guard.edge == edge)
 
     @cached_property
-    def watched(self) -> tuple[Watched, ...]:
-        """Kinks, and what else is watched along a series (see :mod:`.tape`)."""
-        return self.jets.watched if self.jets else ()
-
-    @property
     def kinks(self) -> int:
-        """Number of those."""
-        return len(self.watched)
+        """Number of kinks, and of what else is watched along a series (see :mod:`.tape`)."""
+        return len(self.jets.watched) if self.jets else 0
 
     def expand(self, t: float, x: list[float], sides: list[int]) -> Any:
         """The series of states, guards and what is watched, as lists of coefficients.
@@ -269,10 +260,9 @@ class Scene:
         series = self._series(mode, held, [guard.edge for guard in guards])
         trace = lambda: code.field_closed(mode, held)  # noqa: E731
         jets, refused = (series, "") if isinstance(series, Jets) else (None, series)
-        deciding = self._deciding(jets, mode, held) if jets and jets.watched else None
         changes = self._kinks(mode, held, "flow", lambda g: g.flow(bool(held)))
         made = trace, code, self.parameters, project, refused, changes
-        return Field(name, mode, held, rhs, jets, deciding, guards, *made)
+        return Field(name, mode, held, rhs, jets, guards, *made)
 
     @cached_property
     def guards_jump(self) -> bool:
@@ -308,11 +298,6 @@ class Scene:
             return str(tape)
         order = self.code.mode(mode).watched(bool(held))
         return tape.bind(self._numbers(mode, held), [order.index(guard) for guard in guards])
-
-    def _deciding(self, jets: Jets, mode: str, held: tuple[str, ...]) -> Scalar:
-        nodes = [what.node for what in jets.watched]
-        program = self.code.mode(mode).program(("watched", bool(held)), lambda: nodes)
-        return program.bind(self._numbers(mode, held))
 
     def _projection(
         self, switching: SwitchingSpec | None, mode: str, held: tuple[str, ...]

@@ -25,7 +25,7 @@ from ..errors import TraceError
 from ..rules import jets as rule
 from ..rules import unit
 from ..rules.arrays import Programs
-from .derivatives import unknowns
+from .derivatives import degree, unknowns
 from .graph import Graph, Ids
 from .python import needed
 from .taylor import SLOPES
@@ -204,7 +204,7 @@ class Tape:
     ----------
     size, rows
         Number of states, and of rows of coefficients.
-    ops, more, flow, output
+    ops, more, flow, output, affine
         As the rule takes them; ``output`` are the functions.
     kinks, watched
         What decides and what else is watched, as the rule takes it; what it is.
@@ -215,7 +215,8 @@ class Tape:
     given
         Places of parameters among them, and their numbers.
     room
-        Length of the array in which equations are solved.
+        Length of the array in which equations are solved, and behind them a state and the sides of
+        all kinks are put aside.
     """
 
     size: int
@@ -224,6 +225,7 @@ class Tape:
     more: np.ndarray
     flow: np.ndarray
     output: np.ndarray
+    affine: np.ndarray
     kinks: np.ndarray
     watched: tuple[Watched, ...]
     steady: np.ndarray
@@ -237,8 +239,8 @@ class Tape:
         numbers[self.given[0]] = np.asarray(parameters, dtype=float)[self.given[1]]
         sides, work = np.zeros(len(self.kinks), dtype=np.int64), np.zeros(self.room)
         unit("jets").steady(self.steady, self.more, sides, numbers.reshape(-1, 1), work)
-        output = self.output if functions is None else self.output[[*functions]]
-        return Jets(self, numbers, output)
+        chosen = np.arange(len(self.output)) if functions is None else _ints([*functions])
+        return Jets(self, numbers, self.output[chosen], self.affine[chosen])
 
 
 @attrs.frozen(eq=False, slots=False)
@@ -248,6 +250,7 @@ class Jets:
     tape: Tape
     numbers: np.ndarray
     output: np.ndarray
+    affine: np.ndarray
 
     @cached_property
     def places(self) -> np.ndarray:
@@ -301,11 +304,11 @@ def linked(parts: Sequence[Jets]) -> Programs:
     index, columns = [], [[array[:0] for array in _arrays(part)] for part in parts[:1]]
     ends = [0] * len(Programs._fields)
     for part in parts:
-        ops, more, numbers, kinks, bands, output, flow = _arrays(part)
+        ops, more, numbers, kinks, bands, output, flow, affine = _arrays(part)
         move = partial(_moved, by=ends[2])
         named, listed = NAMED[ops[:, 0]], LISTED[ops[:, 0]]
         ops = np.where(named, move(ops), ops + ends[1] * listed)
-        arrays = [ops, move(more), numbers, kinks, bands, output, move(flow)]
+        arrays = [ops, move(more), numbers, kinks, bands, output, move(flow), affine]
         after = [end + len(array) for end, array in zip(ends, arrays, strict=False)]
         index.append([place for i in (0, 3, 5, 6) for place in (ends[i], after[i])])
         columns.append(arrays)
@@ -318,7 +321,8 @@ def _arrays(part: Jets) -> list[np.ndarray]:
     """The arrays of a program alone, in the order of :class:`.Programs`."""
     tape = part.tape
     bands = np.array([(what.low, what.high) for what in tape.watched]).reshape(-1, 2)
-    return [tape.ops, tape.more, part.numbers, tape.kinks, bands, part.output, tape.flow]
+    given = [tape.ops, tape.more, part.numbers, tape.kinks, bands]
+    return [*given, part.output, tape.flow, part.affine]
 
 
 def _moved(places: np.ndarray, by: int) -> np.ndarray:
@@ -465,7 +469,10 @@ class _Recorder:
             op = self.graph.nodes[number][0]
             if op not in ("const", "input", "part", "real"):
                 self._record(number)
-        kinks = [(self.place[self._root(w)], w.switches, w.code) for w in self.watched]
+        kinks = [
+            (self.place[self._root(w)], w.switches, w.code, self.place[w.node])
+            for w in self.watched
+        ]
         output = [*map(self._row, self.functions)]
         return Tape(
             size=self.size,
@@ -474,12 +481,13 @@ class _Recorder:
             more=_ints(self.more),
             flow=_ints([self.place[i] for i in self.flow]),
             output=_ints(output),
-            kinks=_table(kinks, 3),
+            affine=_ints([degree(self.graph, number) <= 1 for number in self.functions]),
+            kinks=_table(kinks, 4),
             watched=tuple(self.watched),
             steady=_table(self.steady, 6),
             numbers=np.array(self.numbers),
             given=_table(self.given, 2).T,
-            room=self.room,
+            room=self.room + self.size + len(kinks),
         )
 
     def _row(self, number: int) -> int:

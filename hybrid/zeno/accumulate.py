@@ -143,7 +143,7 @@ class Tail:
             return self.x_inf.tolist()
         s = min(max(since - float(self.times[n]), 0.0), flight.time)
         start, _, series = next(p for p in reversed(flight.pieces) if p[0] <= s)
-        return [polynomial(c, s - start) for c in series]
+        return [polynomial(c, s - start) for c in series.tolist()]
 
     def prove(self) -> list[Proof]:
         """Proofs in order of time: the first from an impact that was flown, narrower ones later.

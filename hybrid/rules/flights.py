@@ -1,0 +1,209 @@
+"""One flight between two impacts of a contact, from Taylor series.
+
+The gap is carried as a coordinate of its own: it starts at exactly zero with the speed
+that the impact gave it, and only its higher coefficients come from the state. So a flight
+of height 1e-18 over a wall at 2 is as accurate as any other (``docs/notes/chatter.md``).
+"""
+
+from __future__ import annotations
+
+import math
+
+from .arrays import Floats, Ints, Matrix, Programs
+from .checks import bends, follows
+from .jets import KINKS, OUTPUT
+from .kinks import (
+    KIND,
+    NOT_FINITE,
+    POINT,
+    ROW,
+    count,
+    expanded,
+    first_change,
+    holding,
+    states,
+    turn,
+)
+from .lengths import ROUNDING, own_length, step_length, zero_of
+from .polynomials import power_value
+
+__all__ = ("fly",)
+
+#: Most Taylor steps in a flight (kinks apart, each of which may be crossed twice); a longer flight
+#: belongs to the solver. Over a wall that shakes a step is a tenth of a turn, and low flights last
+#: a few turns.
+PIECES = 32
+
+#: Status codes besides those of :mod:`.kinks`: a step has no length, or no end; its series is not
+#: that of the flow, or of the gap; the flight is too long; the gap does not fall where it is zero.
+NO_LENGTH, LEAVES, TOO_LONG, RISES = -3, -4, -5, -6
+
+#: A piece at whose end the gap is zero.
+LANDS = 1
+
+
+def fly(
+    p: Programs,
+    program: int,
+    column: int,
+    held: bool,
+    t: float,
+    x: Floats,
+    v: float,
+    starts: Floats,
+    lengths: Floats,
+    series: Matrix,
+    branch: Ints,
+    end: Floats,
+    c: Matrix,
+    aside: Matrix,
+    work: Floats,
+    rows: Matrix,
+    found: Matrix,
+    sides: Ints,
+) -> tuple[int, float, float, int, int]:
+    """The flight that leaves a contact with gap speed ``v > 0``.
+
+    Parameters
+    ----------
+    column : int
+        The place of the gap among the program's outputs.
+    held : bool
+        As :func:`.checks.follows` takes it.
+    starts, lengths, series
+        Get the pieces of the flight: when each begins, from 0, how long it is, and the series of
+        the state, a row for each element. :func:`most_pieces` says how many there may be.
+    branch
+        Gets the sign of each kink where the flight begins (0 of a point, which is not watched), and
+        the kinks that it crosses, in order: a place for each kink and each piece.
+    end
+        Gets the state at the end.
+    c, aside, work, rows, found, sides
+        To work in, as :func:`.steps.step` takes them; ``aside`` has three columns.
+
+    Returns
+    -------
+    status, time, speed, pieces, crossed
+        0, or below zero where a few series do not reach the end: the flight is long against the
+        time in which the forces or the gap change, and belongs to the solver. How long it takes,
+        the gap speed at its end, and how many pieces there are and kinks that it crosses.
+    """
+    time, gap, speed = 0.0, 0.0, v
+    crossings, kinks = 0, count(p, program)
+    most = min(most_pieces(kinks), starts.shape[0], branch.shape[0] - kinks)
+    for i in range(x.shape[0]):
+        end[i] = x[i]
+    for i in range(kinks):
+        sides[i] = 0
+    for piece in range(most):
+        status = expanded(p, program, t + time, end, sides, c, work)
+        if status < 0:
+            return status, time, speed, piece, crossings
+        if piece == 0:
+            _begin(p, program, sides, c, branch)
+        status, h, crossed, gap, speed = _piece(
+            p, program, column, held, t + time, gap, speed, c, aside, work, rows, found, sides
+        )
+        if status < 0:
+            return status, time, speed, piece, crossings
+        _keep(piece, time, h, c, starts, lengths, series, end)
+        time += h
+        if status == LANDS:
+            return 0 if speed < 0.0 else RISES, time, speed, piece + 1, crossings
+        if crossed >= 0:
+            branch[kinks + crossings] = crossed
+            crossings += 1
+        turn(p, program, crossed, c, sides)
+    return TOO_LONG, time, speed, most, crossings
+
+
+def most_pieces(kinks: int) -> int:
+    """How many pieces a flight may have."""
+    return PIECES + 2 * kinks + 1
+
+
+def _begin(p: Programs, program: int, sides: Ints, c: Matrix, branch: Ints) -> None:
+    """On which sides of its kinks a flight begins."""
+    first = p.index[program, KINKS]
+    for i in range(count(p, program)):
+        own = sides[i] if sides[i] != 0 else c[p.kinks[first + i, ROW], 0]
+        branch[i] = 1 if own > 0 else -1
+        if p.kinks[first + i, KIND] == POINT:
+            branch[i] = 0
+
+
+def _piece(
+    p: Programs,
+    program: int,
+    column: int,
+    held: bool,
+    t: float,
+    gap: float,
+    speed: float,
+    c: Matrix,
+    aside: Matrix,
+    work: Floats,
+    rows: Matrix,
+    found: Matrix,
+    sides: Ints,
+) -> tuple[int, float, int, float, float]:
+    """A step of a flight: its status, how long it is, the kink that ends it, and the gap and its
+    speed there."""
+    place = p.index[program, OUTPUT] + column
+    row = p.output[place]
+    reach, zero = _reach(p, program, row, gap, speed, c, rows, found)
+    h = min(reach, zero)
+    if not 0.0 < h < math.inf:
+        return NO_LENGTH, h, -1, gap, speed
+    h, crossed = first_change(p, program, t, h, sides, c, rows, found)
+    if math.isnan(h):
+        return NOT_FINITE, h, -1, gap, speed
+    kink = crossed >= 0
+    if not follows(p, program, held, t, h, kink, sides, c, aside, work):
+        return LEAVES, h, -1, gap, speed
+    lands = h == zero
+    of_states = p.affine[place] == 1  # its series is theirs
+    if not (of_states or bends(p, program, row, t, h, kink or lands, sides, c, aside, work)):
+        return LEAVES, h, -1, gap, speed
+    rest, slope = power_value(c[row], 2, c.shape[1] - 1, h)
+    gap += (speed + rest * h) * h
+    speed += (2.0 * rest + slope * h) * h
+    return LANDS if lands else 0, h, crossed, gap, speed
+
+
+def _reach(
+    p: Programs,
+    program: int,
+    row: int,
+    gap: float,
+    speed: float,
+    c: Matrix,
+    rows: Matrix,
+    found: Matrix,
+) -> tuple[float, float]:
+    """How far the series hold, and where the gap, as a coordinate of its own, falls to zero."""
+    reach = min(step_length(c, states(p, program)), holding(p, program, c))
+    height, rate = c[row, 0], c[row, 1]  # of an element of the state, it may be
+    c[row, 0], c[row, 1] = gap, speed
+    reach = min(reach, own_length(c[row], ROUNDING))
+    zero = zero_of(c[row], reach, rows, found)
+    c[row, 0], c[row, 1] = height, rate
+    return reach, zero
+
+
+def _keep(
+    piece: int,
+    time: float,
+    h: float,
+    c: Matrix,
+    starts: Floats,
+    lengths: Floats,
+    series: Matrix,
+    x: Floats,
+) -> None:
+    """Put down a piece, and the state at its end into ``x``."""
+    starts[piece], lengths[piece] = time, h
+    for i in range(x.shape[0]):
+        x[i], _ = power_value(c[i], 0, c.shape[1] - 1, h)
+        for k in range(c.shape[1]):
+            series[piece * x.shape[0] + i, k] = c[i, k]

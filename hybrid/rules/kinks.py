@@ -1,0 +1,272 @@
+"""How far the series of a step hold, where the formula of the flow may change on the way.
+
+A kink is a function with a series of its own, at whose zero another branch of the flow begins.
+Its zeros are counted as those of a guard, within the length over which its own series has
+converged. A zero that rounding hides or blurs from afar, at the edges of a thin zone, is approached
+first and looked for again from nearby.
+
+A function that is flat to rounding (``exp`` of a large negative number) says nothing of the
+pulse that its argument leads to. So the argument is watched as a kink is where the function is
+flat, and changes by little in a step where it is not. A denominator changes by no more than itself:
+so far there is no pole, not beside the axis of time either, where a quotient is a pulse.
+"""
+
+from __future__ import annotations
+
+import math
+
+from .arrays import Floats, Ints, Matrix, Programs
+from .jets import FLOW, KINKS, jets
+from .lengths import own_length
+from .polynomials import power_size, power_value
+from .zeros import EPS, VANISHES, series
+
+__all__ = ("expanded", "first_change", "holding", "turn")
+
+#: Kinds of what is watched (:data:`hybrid.scene.tape.KINDS`). A point is not, along a flow.
+STEP, BAND, POLE, POINT = 1, 2, 3, 4
+
+#: Columns of the table of kinks: the row of what is watched; whether the formula is another beyond
+#: its zero; its kind; the row of the function itself, of which a step has the nearest whole number
+#: taken off.
+ROW, SWITCHES, KIND, WHOLE = 0, 1, 2, 3
+
+#: Status codes: there are no series, or they are not finite.
+NO_SERIES, NOT_FINITE = -1, -2
+
+#: Size, relative to the largest, of the last terms of a kink's series over which it may be used:
+#: what they leave open is counted as rounding is.
+CONVERGED = 1e-3
+
+#: By how much the argument of a step function may change in a step: the whole number next to it
+#: is then the only one passed; and that of ``exp``, as a share of the order: up to that the last
+#: terms of its series are as large as all that follow, and half of it leaves room for a square.
+HALF, CHANGE = 0.5, 0.5
+
+#: Rounding of a kink's polynomial in Bernstein form, as a multiple of the sum of its terms.
+BLURRED = 16.0 * EPS
+
+#: Share of the way to a zero that is blurred which is made before it is looked for again.
+APPROACH = 0.9
+
+#: Share of the way to a zero on which it is asked whether another is hidden.
+BEFORE = 0.999
+
+#: A zero is as exact as the time is if it is off by no more than so many of its roundings.
+EXACT = 16.0
+
+#: Where a function comes near zero and rounding hides whether it passes, what is hidden is narrower
+#: than 1e-7 of the way there: nearer than this share of the time nothing is left of it.
+HIDDEN = 1e-9
+
+
+def states(p: Programs, program: int) -> int:
+    """How many elements the state of a program has."""
+    return p.index[program, FLOW + 1] - p.index[program, FLOW]
+
+
+def count(p: Programs, program: int) -> int:
+    """How many kinks a program has, points among them."""
+    return p.index[program, KINKS + 1] - p.index[program, KINKS]
+
+
+def expanded(
+    p: Programs, program: int, t: float, x: Floats, sides: Ints, c: Matrix, work: Floats
+) -> int:
+    """The series from ``(t, x)``, of as many coefficients as ``c`` has columns, or why there are
+    none.
+
+    On a branch that is not taken nothing happens: what is watched there, and is not a number, is
+    constant. ``sides`` and ``work`` are as :func:`.jets.jets` takes them.
+    """
+    order = c.shape[1] - 1
+    first = p.index[program, KINKS]
+    for i in range(count(p, program)):
+        if p.kinks[first + i, KIND] == POINT:
+            sides[i] = 0
+    if jets(p, program, order, t, x, sides, c, work) < 0:
+        return NO_SERIES
+    for i in range(x.shape[0]):
+        for k in range(order + 1):
+            if not math.isfinite(c[i, k]):
+                return NOT_FINITE
+    for j in range(first, p.index[program, KINKS + 1]):
+        if p.kinks[j, KIND] != POINT:
+            _let_stand(c[p.kinks[j, ROW]])
+    return 0
+
+
+def _let_stand(c: Floats) -> None:
+    """A series of which a coefficient is missing becomes that of the constant 1."""
+    missing = False
+    for k in range(c.shape[0]):
+        missing = missing or math.isnan(c[k])
+    if missing:
+        for k in range(c.shape[0]):
+            c[k] = 1.0 if k == 0 else 0.0
+
+
+def holding(p: Programs, program: int, c: Matrix) -> float:
+    """Length over which the series of what is watched have converged, and change by little."""
+    change = CHANGE * (c.shape[1] - 1)
+    length = math.inf
+    for j in range(p.index[program, KINKS], p.index[program, KINKS + 1]):
+        kind, row = p.kinks[j, KIND], p.kinks[j, ROW]
+        most = math.inf
+        if kind == STEP:
+            most = HALF
+        elif kind == POLE:
+            most = abs(c[row, 0])
+        elif kind == BAND and p.bands[j, 0] - change < c[row, 0] < p.bands[j, 1] + change:
+            most = change
+        if kind != POINT:
+            length = min(length, own_length(c[row], CONVERGED))
+        if most < math.inf:
+            length = _changing(c[row], length, most)
+    return length
+
+
+def _changing(c: Floats, length: float, most: float) -> float:
+    """The length, or the shorter one in which a series cannot change by more than ``most``."""
+    order = c.shape[0] - 1
+    for k in range(1, order + 1):
+        if c[k] != 0.0:
+            length = min(length, (most / abs(c[k])) ** (1.0 / k))
+    while power_size(c, 1, order, length) > most:
+        length *= 0.9
+    return length
+
+
+def first_change(
+    p: Programs,
+    program: int,
+    t: float,
+    h: float,
+    sides: Ints,
+    c: Matrix,
+    rows: Matrix,
+    found: Matrix,
+) -> tuple[float, int]:
+    """How far a step may go on the branch on which it begins, and the kink that ends it.
+
+    -1: no kink is reached there, though one may be near. Not a number: a series that is watched is
+    not finite.
+    """
+    chosen = -1
+    first = p.index[program, KINKS]
+    for i in range(count(p, program)):
+        row = p.kinks[first + i, ROW]
+        start = c[row, 0]
+        level = _level(p, first + i, start, CHANGE * (c.shape[1] - 1))
+        if not math.isnan(level):
+            c[row, 0] = start - level
+            begin = 1 if sides[i] != 0 else 0
+            zero, reached = _first_zero(c[row, begin:], t, h, sides[i], rows, found)
+            c[row, 0] = start
+            if math.isnan(zero):
+                return math.nan, -1
+            if zero < h:
+                h = zero
+                chosen = i if reached and p.kinks[first + i, SWITCHES] == 1 else -1
+    return h, chosen
+
+
+def _level(p: Programs, kink: int, value: float, change: float) -> float:
+    """The value at which what is watched changes something; NaN if it is not ahead."""
+    kind = p.kinks[kink, KIND]
+    if kind in (POLE, POINT):
+        return math.nan
+    if kind != BAND:
+        return 0.0
+    if value <= p.bands[kink, 0] - change:
+        return p.bands[kink, 0]
+    return p.bands[kink, 1] if value >= p.bands[kink, 1] + change else math.nan
+
+
+def _first_zero(
+    c: Floats, t: float, h: float, side: int, rows: Matrix, found: Matrix
+) -> tuple[float, bool]:
+    """The first zero of a series in ``(0, h]`` at which it leaves its side, and whether it is that.
+
+    With ``side`` known the zero at 0 has been divided out. Infinity if there is none; a point on
+    the way to where rounding hides or blurs a zero comes with False.
+    """
+    order = c.shape[0] - 1
+    rest = power_size(c, 1, order, h)
+    if abs(c[0]) > rest * (1.0 + BLURRED) + left_open(c, h) or rest == 0.0:
+        return math.inf, False
+    own = side if side != 0 else 1 if c[0] > 0.0 else -1
+    listed = _zeros(c, own, h, rows, found)
+    crossing = _crossing(listed, found, own)
+    if crossing < math.inf and own * c[0] > 0.0:
+        listed = _zeros(c, own, BEFORE * crossing, rows, found)
+    if listed < 0:
+        return math.nan, False
+    hidden = _hidden(listed, found, own, t, crossing)
+    if hidden == math.inf:
+        return math.inf, False
+    if hidden != crossing or not (_close(crossing, t) or _exact(c, t, crossing)):
+        return APPROACH * hidden, False
+    return crossing, True
+
+
+def _zeros(c: Floats, own: int, h: float, rows: Matrix, found: Matrix) -> int:
+    """List where a series comes to zero in ``(0, h]``, also where it comes so near that rounding
+    hides what it does; how many, or a status code."""
+    order = c.shape[0] - 1
+    noise = BLURRED * power_size(c, 0, order, h) + left_open(c, h)
+    listed = series(c, order, h, 0, noise, rows, found)
+    return 0 if listed == VANISHES else listed
+
+
+def _crossing(listed: int, found: Matrix, own: int) -> float:
+    """The first of the zeros listed at which a series leaves its side; infinity without one."""
+    for k in range(listed):
+        if own * found[k, 1] < 0.0:
+            return found[k, 0]
+    return math.inf
+
+
+def _hidden(listed: int, found: Matrix, own: int, t: float, crossing: float) -> float:
+    """The first of the zeros listed near which something may be hidden, or the crossing."""
+    for k in range(listed):
+        if own * found[k, 1] <= 0.0 and not _close(found[k, 0], t):
+            return found[k, 0]
+    return crossing
+
+
+def _close(s: float, t: float) -> bool:
+    """Whether nothing is hidden at a distance of time."""
+    return (1.0 - APPROACH) * s <= HIDDEN * max(abs(t), s)
+
+
+def _exact(c: Floats, t: float, s: float) -> bool:
+    """Whether a zero is known as exactly as the time is."""
+    order = c.shape[0] - 1
+    _, slope = power_value(c, 0, order, s)
+    off = EPS * power_size(c, 0, order, s) + left_open(c, s)
+    return off <= EXACT * EPS * max(abs(t), s) * abs(slope)
+
+
+def left_open(c: Floats, s: float) -> float:
+    """What is left of a series behind its last terms, by their size: they fall."""
+    order = c.shape[0] - 1
+    return (abs(c[order - 1]) + abs(c[order]) * s) * s ** (order - 1)
+
+
+def crossed_to(c: Matrix, row: int, side: int) -> int:
+    """The side of a kink that follows a zero at which it has left its own."""
+    if side != 0:
+        return -side
+    return -1 if c[row, 0] > 0.0 else 1
+
+
+def turn(p: Programs, program: int, crossed: int, c: Matrix, sides: Ints) -> int:
+    """Sides for what follows a step that has ended on a kink (-1: on none); the side crossed to."""
+    side = 0
+    if crossed >= 0:
+        row = p.kinks[p.index[program, KINKS] + crossed, ROW]
+        side = crossed_to(c, row, sides[crossed])
+    for i in range(sides.shape[0]):
+        sides[i] = side if i == crossed else 0
+    return side

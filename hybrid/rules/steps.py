@@ -1,0 +1,122 @@
+"""One step along a flow by its Taylor series.
+
+It is as long as the last two terms stay below rounding, and as the polynomial has the flow's
+direction: a force may be flat to rounding before it changes. It ends at a kink (``abs``,
+``where``), on whose far side the other branch is expanded (:mod:`.kinks`).
+"""
+
+from __future__ import annotations
+
+import math
+
+from .arrays import Floats, Ints, Matrix, Programs
+from .checks import arrives, follows
+from .jets import KINKS
+from .kinks import NOT_FINITE, ROW, count, crossed_to, expanded, first_change, holding, states
+from .lengths import step_length
+from .zeros import EPS
+
+__all__ = ("step",)
+
+#: Status code besides those of :mod:`.kinks`: no step can be made.
+NO_STEP = -3
+
+#: On so short a way to a kink, against the time, rounding decides on which side of it the flow is.
+BLURRED = 32.0 * EPS
+
+#: A step that is cut to less than this share of what its last terms allow cannot be made.
+SHORT = 1e-12
+
+#: No step is shorter: numbers next to the smallest have too few digits.
+LEAST = 1e-300
+
+
+def step(
+    p: Programs,
+    program: int,
+    held: bool,
+    t: float,
+    tau: float,
+    x: Floats,
+    most: float,
+    sides: Ints,
+    c: Matrix,
+    aside: Matrix,
+    work: Floats,
+    rows: Matrix,
+    found: Matrix,
+    end: Floats,
+) -> tuple[int, float, int]:
+    """A step from ``(t, x)``, no longer than ``most``.
+
+    Parameters
+    ----------
+    held : bool
+        As :func:`.checks.follows` takes it.
+    tau
+        The time since the arc began, to which a step adds something.
+    sides
+        As :func:`.jets.jets` takes them; they are left as the step began with them, for
+        :func:`.kinks.turn`.
+    c
+        Gets the series: as many rows as the program has, and a column for each coefficient.
+    aside, work
+        To work in: as many rows as ``c``, and two columns; room for equations, and behind it a
+        place for each element of the state and each kink.
+    rows, found
+        As :mod:`.zeros` takes them.
+    end
+        Gets the state at the end of the step; it may be ``x``.
+
+    Returns
+    -------
+    status, length, kink
+        0, or why there is no step; its length; the kink that it ends on, or -1.
+    """
+    h = 0.0
+    crossed = -1
+    for _ in range(2 * count(p, program) + 1):
+        status = expanded(p, program, t, x, sides, c, work)
+        if status == 0:
+            status, h, crossed = _length(
+                p, program, held, t, most, sides, c, aside, work, rows, found
+            )
+        if status < 0:
+            return status, 0.0, -1
+        if crossed < 0 or tau + h > tau:
+            break
+        row = p.kinks[p.index[program, KINKS] + crossed, ROW]
+        sides[crossed] = crossed_to(c, row, sides[crossed])
+    if not h > LEAST or (tau + h == tau and h < most):
+        return NO_STEP, 0.0, -1
+    if not arrives(p, program, t, h, sides, c, aside, work, end):
+        return NOT_FINITE, 0.0, -1
+    return 0, h, crossed
+
+
+def _length(
+    p: Programs,
+    program: int,
+    held: bool,
+    t: float,
+    most: float,
+    sides: Ints,
+    c: Matrix,
+    aside: Matrix,
+    work: Floats,
+    rows: Matrix,
+    found: Matrix,
+) -> tuple[int, float, int]:
+    """How long a step is, at most ``most``, and the kink that ends it; a status before them."""
+    longest = min(step_length(c, states(p, program)), holding(p, program, c), most)
+    h = longest
+    while h > SHORT * longest:
+        h, crossed = first_change(p, program, t, h, sides, c, rows, found)
+        if math.isnan(h):
+            return NOT_FINITE, h, -1
+        if crossed >= 0 and h <= BLURRED * abs(t):
+            return 0, h, crossed
+        if follows(p, program, held, t, h, crossed >= 0, sides, c, aside, work):
+            return 0, h, crossed
+        h *= 0.5
+    return NO_STEP, 0.0, -1
