@@ -7,14 +7,14 @@ from a start a little beside the first.
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Mapping
-from itertools import pairwise
-from typing import Any
+from itertools import zip_longest
+from typing import Any, NamedTuple
 
 import attrs
 import numpy as np
 
+from .arcs import Arc, JumpRow
 from .errors import HybridError
 from .simulation import simulate
 from .trajectory import Trajectory
@@ -163,41 +163,64 @@ def _growth(model: Any, run: Trajectory, t: Any, options: Any) -> dict[str, floa
 
 
 def _differences(a: Trajectory, b: Trajectory) -> dict[str, float]:
-    """Each quantity's largest difference between two runs."""
-    count = min(len(a.jumps), len(b.jumps))
-    times = np.abs(a.jumps.t[:count] - b.jumps.t[:count])
+    """Each quantity's largest difference between two runs.
+
+    Arcs and jumps are paired in order, from the start and from each accumulation on.
+    """
+    empty: list[_Step] = []
+    stretches = list(zip_longest(_stretches(a), _stretches(b), fillvalue=empty))
+    pairs = [pair for ours, theirs in stretches for pair in zip(ours, theirs, strict=False)]
+    jumps = [(p.jump, q.jump) for p, q in pairs if p.jump and q.jump]
+    cycles = [set(p.edges) & set(q.edges) for p, q in zip(a.zeno, b.zeno, strict=False)]
+    cycles += [set()] * (len(stretches) - len(cycles))
+    left = [_left(*each) for each in zip(stretches, cycles, strict=False)]
     return {
-        "edges": float(np.sum(a.jumps.edge[:count] != b.jumps.edge[:count])),
-        "modes": _unequal(_rests(a), _rests(b)),
+        "edges": float(sum(left) + sum(p.edge != q.edge for p, q in jumps)),
+        "modes": float(sum(p.arc.mode != q.arc.mode for p, q in pairs)),
         "verdicts": _unequal([z.verdict for z in a.zeno], [z.verdict for z in b.zeno]),
-        "times": float(times.max(initial=0.0)),
-        "states": _states(a, b, count),
+        "times": max([abs(p.t - q.t) for p, q in jumps], default=0.0),
+        "states": _states(a, b, [(p, q) for p, q in pairs if p.jump and q.jump]),
         "t_inf": _largest([z.t for z in a.zeno], [z.t for z in b.zeno]),
         "releases": _largest([z.t_release for z in a.zeno], [z.t_release for z in b.zeno]),
     }
 
 
-def _rests(run: Trajectory) -> list[str]:
-    """Modes in order, repetitions left out.
+class _Step(NamedTuple):
+    """An arc, and the jump after it; None where it led to a limit, or to the end of the run."""
 
-    Of arcs that lead to an accumulation only which modes they have: how many turns of a cycle, or
-    impacts of a tail, are listed before its limit does not matter.
+    arc: Arc
+    jump: JumpRow | None
+
+
+def _stretches(run: Trajectory) -> list[list[_Step]]:
+    """Arcs from one limit to the next, which lies between two arcs of the same ``j``."""
+    table = run.jumps.table
+    found: list[list[_Step]] = [[]]
+    for arc, after in zip_longest(run.arcs, run.arcs[1:]):
+        limit = after is not None and after.j == arc.j
+        jumped = not limit and arc.j < len(table.t)
+        row = JumpRow(*(column[arc.j] for column in table)) if jumped else None
+        found[-1].append(_Step(arc, row))
+        found += [[]] if limit else []
+    return found
+
+
+def _left(stretch: tuple[list[_Step], list[_Step]], cycle: set[str]) -> int:
+    """Jumps beyond those that two runs share in a stretch.
+
+    On the way to an accumulation those of its cycle do not count: how many turns a run goes through
+    before it goes over to the limit is its own affair.
     """
-    stretches: list[list[str]] = [[] for _ in range(len(run.zeno) + 1)]
-    limits = [point.j for point in run.zeno]
-    for arc in run.arcs:
-        stretches[bisect_right(limits, arc.j)].append(arc.mode)
-    *series, last = stretches
-    modes = [name for stretch in series for name in sorted(set(stretch))]
-    return modes + last[:1] + [new for old, new in pairwise(last) if new != old]
+    edges = [[step.jump.edge for step in steps if step.jump] for steps in stretch]
+    return sum(edge not in cycle for edge in max(edges, key=len)[min(map(len, edges)) :])
 
 
-def _states(a: Trajectory, b: Trajectory, count: int) -> float:
+def _states(a: Trajectory, b: Trajectory, jumped: list[tuple[_Step, _Step]]) -> float:
     """States in the middle of the arcs and after the jumps, and at the end."""
     largest = _gap(a.arcs[-1].last, b.arcs[-1].last)
-    for index in range(count):
-        after = [np.concatenate([np.ravel(v) for v in r.jumps[index].after]) for r in (a, b)]
-        middle = [r.arcs[index].local(0.5 * r.arcs[index].length) for r in (a, b)]
+    for steps in jumped:
+        after = [step.jump.after for step in steps if step.jump]
+        middle = [step.arc.local(0.5 * step.arc.length) for step in steps]
         largest = max(largest, _gap(*after), _gap(*middle))
     return largest
 

@@ -259,22 +259,30 @@ class _Piece:
     def over(self, cut: Cut) -> int:
         """The direction in which a guard passes over zero at a cut; 0 where it does not.
 
-        A corner on zero, and a guard that is zero from there on, have reached it.
+        A corner on zero, and a guard that is zero from there on, have reached it: up to rounding,
+        to which belongs what the guard changes by while the time passes the cut.
         """
         edge, seen = self.guard.edge, ("largest", self.guard.edge)
-        old = self.ends[edge]
-        tau = self.segment.start + cut.after * self.segment.length
-        new = self.guard.value(self.t0 + tau, self.segment(tau).tolist())
+        old, new = self.ends[edge], self.at(cut.after)
         self.ends[edge] = new
         largest = max(abs(old), self.ends.get(seen, 0.0))
         self.ends[seen] = max(largest, abs(new)) if np.isfinite(new) else largest
         if old == 0.0:
             return 0
         if np.isfinite(new) and new * old > 0:
-            return -int(np.sign(old)) if min(abs(old), abs(new)) <= 64 * EPS * largest else 0
+            width = cut.after - cut.before
+            least = abs(new) - abs(new - self.at(cut.after + width))
+            if cut.before > 0:  # else the step begins beyond it
+                least = min(least, abs(old) - abs(old - self.at(cut.before - width)))
+            return -int(np.sign(old)) if least <= 64 * EPS * largest else 0
         if not np.isfinite(new) and abs(old) > ENDED * largest:
             raise FlowError(f"the guard of {edge} ends before it is zero: beyond it is not finite")
         return -int(np.sign(old))
+
+    def at(self, fraction: float) -> float:
+        """The guard at a fraction of the step."""
+        tau = self.segment.start + fraction * self.segment.length
+        return self.guard.value(self.t0 + tau, self.segment(tau).tolist())
 
     def zeros(
         self, left: float, right: float, order: int, depth: int

@@ -1,11 +1,14 @@
 """All solvers agree on every model of the gallery, up to what the tolerance explains."""
 
+import attrs
 import pytest
 from typer.testing import CliRunner
 
+import hybrid as hy
 from hybrid import gallery
 from hybrid.cli import app
-from hybrid.compare import CLOSE, able, compare
+from hybrid.compare import CLOSE, SAME, able, compare
+from models.two_tanks import TwoTanks
 
 from . import systems
 
@@ -32,6 +35,67 @@ def test_what_the_tolerance_does_not_explain_is_seen():
     assert compare(
         entry.cls(), entry.start, entry.until, methods={"a": exact, "b": exact}
     ).explained
+
+
+class Ticks(TwoTanks):
+    """Two tanks; once a level is at a mark there is a jump that changes nothing."""
+
+    mark: float = hy.parameter(4.5)
+
+    @hy.edge("shares", to="shares", guard=lambda self, t, s: s.x1 - self.mark)
+    def tick(self, t, s):
+        return s
+
+
+def passed_off(monkeypatch, change):
+    """Two runs of the tanks side by side, the second of them changed and passed off as the same."""
+
+    def run(model, start, t, changed=False, **options):
+        return (
+            change(model, start, t, options) if changed else hy.simulate(model, start, t, **options)
+        )
+
+    monkeypatch.setattr("hybrid.compare.simulate", run)
+    methods = {"one": {"solver": "taylor"}, "other": {"solver": "scipy", "changed": True}}
+    found = compare(Ticks(), {"x1": 8.0, "x2": 6.0}, (0, 30), methods=methods)
+    return {d.quantity: d.size for d in found.differences}
+
+
+def test_turns_of_a_cycle_are_compared_as_far_as_both_went_through_them(monkeypatch):
+    """One run lists more turns before it goes over to the limit: that is no difference."""
+    runs = []
+
+    def same(model, start, t, options):
+        runs.append(hy.simulate(model, start, t, **options))
+        return runs[-1]
+
+    sizes = passed_off(monkeypatch, same)
+    series = hy.simulate(Ticks(), {"x1": 8.0, "x2": 6.0}, (0, 30), solver="taylor")
+    assert len(series.jumps) > len(runs[0].jumps)
+    assert [sizes[name] for name in SAME] == [0.0] * 3
+    assert sizes["times"] < 1e-10
+
+
+def test_a_jump_that_only_one_run_has_is_seen(monkeypatch):
+    """The last of a run, which moves no state and no time."""
+    model = Ticks(mark=3.0)
+    sizes = passed_off(monkeypatch, lambda _, *a: hy.simulate(model, *a[:2], **a[2]))
+    assert [sizes[name] for name in SAME] == [1.0, 0.0, 0.0]
+
+
+def test_the_order_of_modes_before_a_limit_is_compared(monkeypatch):
+    """Two arcs of a cycle change places, of the same modes in all."""
+
+    def changed(model, start, t, options):
+        run = hy.simulate(model, start, t, **options)
+        third, fourth = run.log.kept[2:4]
+        run.log.kept[2:4] = (
+            attrs.evolve(third, mode=fourth.mode, segments=third.segments),
+            attrs.evolve(fourth, mode=third.mode, segments=fourth.segments),
+        )
+        return run
+
+    assert passed_off(monkeypatch, changed)["modes"] == 2.0
 
 
 def test_a_method_that_fails_is_named():

@@ -50,7 +50,8 @@ REASONS = {
     LOOP: ("jump_loop", "jumps follow each other with no time between them"),
     FORGOTTEN: (
         "forgotten",
-        "a lag looks further back than the record (raise segments), at the present or ahead",
+        "a lag looks further back than the record (raise segments), at the present or ahead, or "
+        "where the history is not finite",
     ),
 }
 

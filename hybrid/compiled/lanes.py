@@ -166,6 +166,15 @@ class Journey:
         )
         return trip._replace(lane=lane, memory=memory._replace(passing=jnp.array(True)))
 
+    def _known(self, after: Lane, released: Any) -> Any:
+        """The powers by which guards vanish after a jump: one that restarts what delays see
+        changes flows and guards at once."""
+        assert self.past is not None
+        if not self.past.restarts:
+            return after.orders
+        contact = self.system.pick(self.system.is_contact, after.mode)
+        return jnp.where(contact, jnp.where(released, 2, after.orders), 0)
+
     @staticmethod
     def _remembers(memory: Memory, status: Any) -> Any:
         return jnp.where(memory.full & (status == RUNNING), FORGOTTEN, status)
@@ -210,6 +219,7 @@ class Journey:
         if self.past is not None:
             memory = self.past.jumped(run, memory, after.t, done.before, done.after)
             after = after.but(status=self._remembers(memory, after.going.status))
+            after = after._replace(orders=self._known(after, lane.held & ~done.held))
         if log is not None:
             slot, row = lane.going.slot, lane.jumps
             released = (lane.held & self.system.only(slot)).any()

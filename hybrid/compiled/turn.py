@@ -312,10 +312,10 @@ class Turner:
         contact = self.system.pick(self.system.is_contact, lane.mode, going.slot)
         release = contact & (lane.held & fired).any()
         impact = contact & ~release
-        order = jnp.where(release, jnp.where(going.tau == 0, 2, 3), 1)
+        carried = (going.tau == 0) & (lane.orders == 0)  # over zero, by what delays see
+        order = jnp.where(release, jnp.where(carried, 2, 3), 1)
         order = jnp.where(impact & ~(done.speed > 0), 2, order)
         same_mode = done.mode == lane.mode
-        carried = (going.tau == 0) & (lane.orders == 0)  # over zero, by what delays see
         known = same_mode & (contact | (done.stays & ~carried))
         least = jnp.where(fired & known, order, 0)
         again = impact & (lane.series == going.slot)
@@ -364,12 +364,13 @@ class Turner:
         direction = system.pick(system.crossing, lane.mode)
         leaving = (direction != 0) & (sign == direction)
         late = (order == 0) & leaving
-        overdue = late & ((lane.held & ~starting) | passing)
-        either = (direction == 0) & (order == 0) & (sign * jnp.sign(going.ends) < 0)
-        overdue = overdue | (either & passing)
+        bounds = system.pick(system.bounds, lane.mode)
+        turned = (order == 0) & (sign * jnp.sign(going.ends) < 0)
+        carried = (late & (bounds | turned)) | ((direction == 0) & turned)
+        overdue = (late & lane.held & ~starting) | (carried & passing)
         used = system.only(going.slot)
         at_once = overdue | ((order > 0) & leaving & ~used)
-        outside = late & ~overdue & system.pick(system.bounds, lane.mode)
+        outside = late & ~overdue & bounds
         status = jnp.where(outside.any(), OUTSIDE, going.status)
         status = jnp.where(((sign == 0) & ~idle).any(), UNDECIDED, status)
         stage = jnp.where(at_once.any(), JUMP, FLOW)

@@ -49,14 +49,15 @@ KEPT, FRESH = 4, 86400.0
 #: What is put below the text of a rule file. A product and a sum may be contracted to one
 #: operation; nothing may assume that there is no NaN and no infinity. What Python calls has an
 #: explicit signature, so that a wrong array is refused, and is kept: other files call it as it is.
-#: What only rules of its own file call is compiled into them.
+#: What only rules of its own file call is compiled into them. Nothing is allocated, so that arrays
+#: need not be counted: that took more than half of the time of a jet.
 FOOTER = """
 
 from numba import njit as _njit
 
 from {loader} import signature as _signature
 
-_options = {{"fastmath": {{"contract"}}, "error_model": "numpy", "nogil": True}}
+_options = {{"fastmath": {{"contract"}}, "error_model": "numpy", "nogil": True, "_nrt": False}}
 _plain = {{name: globals()[name] for name in {functions!r}}}
 globals().update(
     {{name: _njit(forceinline=True, **_options)(rule) for name, rule in _plain.items()}}

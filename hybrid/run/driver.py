@@ -31,7 +31,7 @@ from ..zeno.narrow import seen
 from . import switch, truncate
 from .arc import ArcFlow, Flown
 from .cycles import Cycles, Seen, pass_limit
-from .entry import Entry, Jumped, describe, enter, opened, signs_at_end
+from .entry import Entry, Jumped, beyond_kinks, describe, enter, opened, signs_at_end
 from .memory import Memory
 from .pieces import Piece
 from .plan import PATIENCE, Plan
@@ -90,6 +90,7 @@ class Driver:
         self._known = self._jumped = Jumped()
         self._tied: dict[str, int] = {}
         self._spent: frozenset[str] = frozenset()
+        self._struck: set[str] = set()
         self.streaks = _streaks(self)
 
     @property
@@ -247,12 +248,25 @@ class Driver:
         after = np.array(self.scene.reset(guard.edge)(t, before.tolist()))
         self._require_finite(guard.edge, before, after)
         stays = guard.value(t, after.tolist()) == guard.value(t, before.tolist())
+        stays = stays and not self._has_jumped(guard, before)
         held = self._still_held(guard.to, after)
         self.watch.reset()
         if self.add_jump(guard.edge, before, after) and pass_limit(self, guard.to):
             return
-        known = {guard.edge: 1} if stays and not carried else {}
+        known = {guard.edge: 1} if stays and not carried and not self.forgets else {}
         self.enter(guard.to, after, Jumped(known, held, used=guard.edge))
+
+    def _has_jumped(self, guard: Guard, x: np.ndarray) -> bool:
+        """Whether a guard that fired is not zero: it may jump up from zero there, as a saw does."""
+        if not guard.jumps:
+            return False
+        size = self.scene.rounding(guard, self.entry.field)(self.t, x.tolist())[0]
+        return bool(abs(guard.value(self.t, x.tolist())) > NEAR * size)
+
+    @property
+    def forgets(self) -> bool:
+        """Whether a jump changes what delays see, and with it flows and guards at once."""
+        return self.record.memory is not None and self.plan.memory == "restart"
 
     def _overdue(self, guard: Guard) -> bool:
         """Whether a guard fires at once without being zero: carried over it by what delays see."""
@@ -266,7 +280,7 @@ class Driver:
         self.watch.reset()
         self.add_jump(guard.edge, x, x)
         held = tuple(name for name in field.held if name != contact)
-        known = {contact: 2 if overdue else 3}
+        known = {contact: 2 if overdue or self.forgets else 3}
         if carried and opened(self.scene, field.mode, contact, self.t, x):
             known = {}
         self.enter(field.mode, x, Jumped(known, held))
@@ -275,6 +289,7 @@ class Driver:
         contact = self.scene.contact(guard.edge)
         before = np.array(contact.land(self.t, x.tolist()))
         self.record.end_on(before)
+        self._require_one_speed(guard, before)
         *state, speed = contact.impact(self.t, before.tolist())
         after = np.array(state)
         self._require_finite(guard.edge, before, after)
@@ -284,6 +299,23 @@ class Driver:
                 f"{speed:.6g} after the impact; it must not be negative"
             )
         self.bounce(guard, before, after, speed)
+
+    def _require_one_speed(self, guard: Guard, x: np.ndarray) -> None:
+        """Refuse a gap whose formula at zero is not that of the side from which it is reached.
+
+        The first impact of a contact shows it; in low ones rounding has a say in the side.
+        """
+        if not guard.kinks or guard.edge in self._struck:
+            return
+        self._struck.add(guard.edge)
+        there, beside = beyond_kinks(self.entry.field, guard.kinks, self.t, x, -1.0)
+        came, here = guard.lie(there, beside.tolist())[1], guard.lie(self.t, x.tolist())[1]
+        if not abs(here - came) <= NEAR * abs(came):
+            raise FlowError(
+                f"{self.where(x)}: the gap of {guard.edge} changes its formula where it is zero: "
+                f"its speed there is {here:.6g}, and was {came:.6g} just before; write the formula "
+                "that holds where the gap is positive"
+            )
 
     def bounce(self, guard: Guard, before: np.ndarray, after: np.ndarray, speed: float) -> None:
         """Record an impact and those after low flights, then begin the next arc."""
@@ -316,7 +348,9 @@ class Driver:
         """
         field, t = self.scene.field(name), self.t
         column = field.column(contact.name)
-        fall = -field.guards[column].lie(t, x.tolist())[2]
+        guard = field.guards[column]
+        after, ahead = beyond_kinks(field, (*guard.kinks, *field.changes), t, x)
+        fall = -guard.lie(after, ahead.tolist())[2]
         if not 0 < v * v <= NEAR * fall * (1.0 + float(np.max(np.abs(x)))):
             return None
         flight = fly(field, column, t, x.tolist(), v)

@@ -163,12 +163,12 @@ def opened(scene: Scene, mode: str, contact: str, t: float, x: np.ndarray) -> bo
 
 
 def beyond_kinks(
-    field: Field, kinks: Sequence[Kink], t: float, x: np.ndarray
+    field: Field, kinks: Sequence[Kink], t: float, x: np.ndarray, way: float = 1.0
 ) -> tuple[float, np.ndarray]:
     """The first time and state along a flow at which no deciding function is zero any more.
 
     Where one is, a function has the formula of either side; what counts is the side on which the
-    flow goes on. A function that stays zero decides nothing.
+    flow goes on (``way`` -1: from which it has come). A function that stays zero decides nothing.
     """
     there, least = (t, x), 0.0
     for kink in kinks:
@@ -178,8 +178,9 @@ def beyond_kinks(
         times = [abs(x[i] / flow[i]) for i in kink.uses if flow[i]]
         step = max(step, EPS * float(min(times, default=0.0)))
         for _ in range(MOVES):
-            if kink.value(t + step, (x + step * flow).tolist()) != 0.0:
-                there, least = (t + step, x + step * flow), step
+            beside = t + way * step, x + way * step * flow
+            if kink.value(beside[0], beside[1].tolist()) != 0.0:
+                there, least = beside, step
                 break
             step *= 2.0
     return there

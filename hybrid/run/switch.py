@@ -34,7 +34,8 @@ def meet(driver: Driver, guard: Guard, x: np.ndarray) -> None:
 
 def leave(driver: Driver, guard: Guard, x: np.ndarray) -> None:
     """Sliding ends: the surface function and its rate vanish in the mode that follows."""
-    switching, overdue = guard.edge.rpartition(".")[0], bool(driver.entry.at_once)
+    switching = guard.edge.rpartition(".")[0]
+    overdue = bool(driver.entry.at_once) or driver.forgets
     driver.watch.reset()
     driver.add_jump(guard.edge, x, x)
     driver.enter(guard.to, x, Jumped({switching: 1 if overdue else 2}))

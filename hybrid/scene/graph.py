@@ -120,6 +120,10 @@ class Graph:
             folded = fold(op, values)
             if folded is not None:
                 return ("const", folded, repr(folded))
+        if op == "sqrt":  # of a square: its corner at zero is then known to be one
+            inner, *factors = self.nodes[arguments[0]]
+            if inner == "mul" and factors[0] == factors[1]:
+                return ("abs", factors[0])
         return _identity(op, arguments, values, self.exact) or key
 
     def outputs(self, closed: Any, inputs: Sequence[Ids]) -> list[Ids]:

@@ -21,7 +21,7 @@ from .graph import Graph
 from .mode import ModeGraph
 from .python import Program, needed
 from .sliding import Sliding
-from .tape import Tape
+from .tape import Tape, rebuilt
 from .taylor import TaylorProgram, flat
 
 #: Order of the Taylor series of flows and gaps.
@@ -37,6 +37,16 @@ CHANGES = {
     **dict.fromkeys(("round", "away", "rem"), "jumps"),
     **dict.fromkeys(("abs", "max", "min"), "bends"),
     **dict.fromkeys(("sqrt", "log", "log1p", "acosh", "asin", "acos", "atanh"), "ends"),
+}
+
+#: What an operation is where the function that decides is above zero, or below.
+CHOICES: dict[str, Callable[..., int]] = {
+    "abs": lambda graph, above, a: a if above else graph.node("neg", a),
+    "sign": lambda graph, above, a: graph.const(1.0 if above else -1.0),
+    "max": lambda graph, above, a, b: a if above else b,
+    "min": lambda graph, above, a, b: b if above else a,
+    **dict.fromkeys(("gt", "ge"), lambda graph, above, *rest: graph.const(above)),
+    **dict.fromkeys(("lt", "le"), lambda graph, above, *rest: graph.const(not above)),
 }
 
 #: Points at which it is asked whether a reset turns a guard's motion round: what it does at half of
@@ -511,6 +521,32 @@ def deciders(
         (Program(graph, ["t", "x"], size, np.array(number)), *node_shape(graph, number), change)
         for number, change in found.items()
     ]
+
+
+def choosers(graph: Graph, roots: Sequence[int]) -> list[int]:
+    """Functions by whose sign nodes take one formula or another, arguments first."""
+    nodes = [graph.nodes[number] for number in needed(graph, roots)]
+    found = [_decider(graph, op, rest) for op, *rest in nodes if op in CHOICES]
+    return list(dict.fromkeys(number for number in found if graph.moves(number)))
+
+
+def one_sided(graph: Graph, roots: Sequence[int], signs: Mapping[int, int]) -> list[int]:
+    """Nodes with the formulas that they have where some functions have these signs.
+
+    ``signs`` are of :func:`choosers`, in their order. Behind the nodes follow these functions
+    themselves, with the formulas that they have there.
+    """
+    nodes = [*roots, *signs]
+    for place, sign in enumerate(signs.values(), start=len(roots)):
+        decider = nodes[place]
+
+        def chosen(node: tuple[Any, ...], decider: int = decider, sign: int = sign) -> int | None:
+            op, *rest = node
+            own = op in CHOICES and _decider(graph, op, rest) == decider
+            return CHOICES[op](graph, sign > 0, *rest) if own else None
+
+        nodes = rebuilt(graph, nodes, chosen)
+    return nodes
 
 
 def _never_negative(graph: Graph, number: int) -> bool:

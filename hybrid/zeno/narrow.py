@@ -11,6 +11,7 @@ table, a restitution that changes at some speed) is looked for here, before the 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from functools import cached_property
 from importlib.util import find_spec
 from itertools import pairwise
@@ -22,6 +23,8 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..scene.defect import EPS
+from ..scene.derivatives import along
+from ..scene.lowered import choosers, one_sided
 from ..scene.python import needed
 from ..scene.taylor import flat
 from ..segment import from_values, nodes
@@ -201,9 +204,7 @@ class _Stretch:
         low, high = states.min(axis=0), states.max(axis=0)
         room = WIDER * (high - low)
         speeds = [u for _, _, u in self.points]
-        inputs: dict[str, Any] = {
-            f"p{i}": value for i, value in enumerate(flat(self.tail.field.parameters))
-        }
+        inputs: dict[str, Any] = _named("p", flat(self.tail.field.parameters))
         inputs |= {
             f"x{i}": (nextafter(a, -np.inf), nextafter(b, np.inf))
             for i, (a, b) in enumerate(
@@ -237,57 +238,118 @@ def _between(
 
 def _bounded(tail: Tail, excess: float) -> bool:
     """Whether acceleration and restitution in boxes along the tail are what they are at points."""
-    if find_spec("flint") is None or _cornered(tail):
+    if find_spec("flint") is None:
         return True
-    field, name = tail.field, tail.contact.name
-    program = field.code.once(("narrow", field.name, name), lambda: _program(field, name))
-    stretches = [(HALVINGS, _Stretch(tail, 1.0, 0.0))]
+    look, stretches = _look(tail), [(HALVINGS, _Stretch(tail, 1.0, 0.0))]
     while stretches:
         left, stretch = stretches.pop()
-        if not _fits(program, stretch, excess):
+        if not _fits(look, stretch, excess):
             if not left:
                 return False
             stretches += [(left - 1, half) for half in stretch.halves()]
     return True
 
 
-def _cornered(tail: Tail) -> bool:
-    """Whether the gap has a corner where the impacts are, as a distance ``|x|`` has at zero.
+def _fits(look: _Look, stretch: _Stretch, excess: float) -> bool:
+    from ..scene.balls import high
 
-    Balls about such a place do not know the side on which the flights are.
-    """
-    t, x = tail.t + tail.remaining, tail.x_inf.tolist()
-    zero = 64 * EPS * max(map(abs, x))
-    return any(abs(k.value(t, x)) <= zero for k in tail.field.guards[tail.column].kinks)
+    found = look.program.enclose(stretch.box())
+    if not all(each.defined for each in found):
+        return False
+    values = np.array([look.at(*point) for point in stretch.points]).T
+    (push, *_, law), most = [each.value for each in found], np.abs(values).max(axis=1)
+    room = np.ptp(values, axis=1) + excess * np.append(most[:-1], 1.0)
+    near = all(_near(e.value, v, r) for e, v, r in zip(found, values, room.tolist(), strict=True))
+    return near and high(push) < 0 and high(law) <= 1.0 - LOSS
 
 
-def _fits(program: Any, stretch: _Stretch, excess: float) -> bool:
+def _near(ball: Any, values: np.ndarray, room: float) -> bool:
+    """Whether a ball goes no further than values at points, but for some room."""
     from ..scene.balls import high, low
 
-    tail = stretch.tail
-    guard, law = tail.field.guards[tail.column], tail.contact.law
-    push, loss = program.enclose(stretch.box())
-    if not (push.defined and loss.defined):
-        return False
-    pushes = [guard.lie(t, x)[2] for t, x, _ in stretch.points]
-    laws = [law(t, x, u) for t, x, u in stretch.points]
-    least, most = low(push.value), high(push.value)
-    room = max(pushes) - min(pushes) + excess * max(map(abs, pushes))
-    near = min(pushes) - room <= least and most <= max(pushes) + room and most < 0
-    room = max(laws) - min(laws) + excess
-    least, most = low(loss.value), high(loss.value)
-    return near and min(laws) - room <= least and most <= min(max(laws) + room, 1.0 - LOSS)
+    return bool(min(values) - room <= low(ball) and high(ball) <= max(values) + room)
 
 
-def _program(field: Field, contact: str) -> Any:
-    """The gap's acceleration and the restitution, as balls."""
-    from ..scene.fixed import FixedGraph
-    from ..scene.interval import IntervalProgram
+@attrs.frozen(eq=False)
+class _Look:
+    """What is looked at in a field, as balls: the gap's acceleration, and last the restitution.
 
-    code, graph = field.code, FixedGraph(exact=True)
-    flow, gap = code.field_closed(field.mode, field.held), code.closed("gap", contact)
-    inputs = code.inputs(graph)
-    (lies,) = graph.outputs(code.lie_closed((contact, field.name), gap, flow), inputs)
-    law = code.closed("restitution", contact)
-    (found,) = graph.outputs(law, [*inputs, np.array(graph.input("u"))])
-    return IntervalProgram(graph, [int(lies.reshape(-1)[2]), int(found.reshape(()))])
+    Where gap or flow change their formula at the impacts, as a distance ``|x|`` does at zero, they
+    have here that of the side on which the flights are: balls about the place do not know it. In
+    between stand then the accelerations of the functions that decide. They, too, must be what they
+    are at points, so that none of them changes its sign between these.
+    """
+
+    program: Any
+    at: Callable[[float, list[float], float], list[float]]
+
+
+def _look(tail: Tail) -> _Look:
+    field, contact, code = tail.field, tail.contact, tail.field.code
+    gap = code.once(("gap", field.name, contact.name), lambda: _Gap(field, contact.name))
+    signs = gap.signs(tail)
+    key = ("narrow", field.name, contact.name, *signs.items())
+    program = code.once(key, lambda: gap.program(signs))
+    lie, law = field.guards[tail.column].lie, contact.law
+    if not signs:
+        return _Look(program, lambda t, x, u: [lie(t, x)[2], law(t, x, u)])
+    parameters = _named("p", flat(field.parameters))
+
+    def at(t: float, x: list[float], u: float) -> list[float]:
+        found = program.enclose({**parameters, **_named("x", x), "t": t, "u": u})
+        return [float(each.value.mid()) for each in found]
+
+    return _Look(program, at)
+
+
+class _Gap:
+    """The gap of a contact along a field, and the functions that decide on their formulas."""
+
+    def __init__(self, field: Field, contact: str) -> None:
+        from ..scene.fixed import FixedGraph
+        from ..scene.interval import IntervalProgram
+
+        code, self.graph = field.code, FixedGraph(exact=True)
+        inputs = code.inputs(self.graph)
+        self.time, self.states = int(inputs[-2]), [int(i) for i in inputs[-1]]
+        flow = code.field_closed(field.mode, field.held)
+        law, extra = code.closed("restitution", contact), np.array(self.graph.input("u"))
+        self.flow = self._nodes(flow, inputs)
+        (self.gap,) = self._nodes(code.closed("gap", contact), inputs)
+        (self.law,) = self._nodes(law, [*inputs, extra])
+        self.choosers = choosers(self.graph, [self.gap, *self.flow])
+        self.deciding = IntervalProgram(self.graph, self.choosers) if self.choosers else None
+
+    def _nodes(self, closed: Any, inputs: list[Any]) -> list[int]:
+        (found,) = self.graph.outputs(closed, inputs)
+        return [int(i) for i in found.reshape(-1)]
+
+    def signs(self, tail: Tail) -> dict[int, int]:
+        """Deciding functions that are zero at the limit, and their signs in all flights."""
+        if self.deciding is None:
+            return {}
+        given = _named("p", flat(tail.field.parameters))
+        flown = [(t, x) for t, x, _ in _Stretch(tail, 1.0, 0.0).points]
+        found = []
+        for t, x in [(tail.t + tail.remaining, tail.x_inf.tolist()), *flown]:
+            each = self.deciding.enclose({**given, **_named("x", x), "t": t})
+            found.append([float(e.value.mid()) if e.defined else np.nan for e in each])
+        rounding = 64 * EPS * max(np.abs(tail.x_inf).max(), np.abs(tail.x).max())
+        last, *others = np.where(np.abs(found) <= rounding, 0.0, np.sign(found))
+        ways = np.min(others, axis=0) + np.max(others, axis=0)  # +-1 where no two are opposite
+        columns = zip(self.choosers, last, ways, strict=True)
+        return {n: int(way) for n, end, way in columns if end == 0.0 and abs(way) == 1.0}
+
+    def program(self, signs: dict[int, int]) -> Any:
+        """What is looked at where deciding functions have these signs, as balls."""
+        from ..scene.interval import IntervalProgram
+
+        graph, count = self.graph, 1 + len(self.flow)
+        nodes = one_sided(graph, [self.gap, *self.flow], signs)
+        rates = dict(zip(self.states, nodes[1:count], strict=True)) | {self.time: graph.const(1.0)}
+        roots = [along(graph, along(graph, n, rates), rates) for n in [nodes[0], *nodes[count:]]]
+        return IntervalProgram(graph, [*roots, self.law])
+
+
+def _named(letter: str, values: Iterable[float]) -> dict[str, float]:
+    return {f"{letter}{i}": value for i, value in enumerate(values)}

@@ -108,6 +108,56 @@ def test_a_pulse_on_the_way_to_the_limit_is_seen(way, at, width, kick):
         assert result.zeno[0].verdict == "certified"
 
 
+class Distant(Ball):
+    """The same ball over a gap that is written as a distance."""
+
+    impact = hy.contact("flight", gap=lambda self, t, s: jnp.abs(s.x), restitution="r")
+
+
+class Sided(Ball):
+    """The same with a choice, and the ball below its table."""
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, self.g - self.kick / self.width * self.shape((t - self.at) / self.width)
+
+    impact = hy.contact(
+        flight, gap=lambda self, t, s: jnp.where(s.x > 0, s.x, -s.x), restitution="r"
+    )
+
+
+class Floating(Ball):
+    """The same over a plain gap; below the table there would be another force."""
+
+    @hy.mode
+    def flight(self, t, s):
+        force = -self.g + self.kick / self.width * self.shape((t - self.at) / self.width)
+        return s.v, jnp.where(s.x >= 0, 1.0, 0.5) * force
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution="r")
+
+
+@pytest.mark.parametrize("solver", ["scipy", "taylor"])
+@pytest.mark.parametrize(("at", "width", "kick"), KICKS)
+@pytest.mark.parametrize(("cls", "v"), [(Distant, 1.0), (Sided, -1.0), (Floating, 1.0)])
+def test_a_pulse_where_a_formula_changes_at_the_impacts(cls, v, solver, at, width, kick):
+    """Balls about an impact are on both sides of it; the flights are not, and are looked at."""
+    model = cls(at=at, width=width, kick=kick)
+    run = hy.simulate(model, [0.0, v], (0, 20), solver=solver, rtol=1e-9)
+    point, exact = run.zeno[0], limit(at, kick)
+    assert abs(point.t - exact) <= point.t_error < 1e-6
+    assert abs(point.t - exact) < 1e-7
+
+
+@pytest.mark.parametrize("solver", ["scipy", "taylor"])
+@pytest.mark.parametrize(("cls", "v"), [(Distant, 1.0), (Sided, -1.0), (Floating, 1.0)])
+def test_a_formula_that_changes_at_the_impacts_is_summed(cls, v, solver):
+    """Where no pulse acts, from the first impacts on."""
+    run = hy.simulate(cls(kick=0.0), [0.0, v], (0, 20), solver=solver, rtol=1e-9)
+    assert abs(run.zeno[0].t - 10 / 3) <= run.zeno[0].t_error < 1e-8  # rtol, a few times
+    assert len(run.own_jumps) < 5
+
+
 @pytest.mark.parametrize("solver", ["scipy", "taylor"])
 @pytest.mark.parametrize("cls", [Boxed, Pointed, Bell])
 @pytest.mark.parametrize(("at", "width", "kick"), [KICKS[1], (3.2, 1e-5, 0.1)])

@@ -22,18 +22,6 @@ OPTIONS = {"rtol": 1e-10, "atol": 1e-12}
 KEPT = {"Radau": 1e-6, "LSODA": 1e-5, "ensemble": 1e-7, "as_function": 1e-7}
 
 
-#: Models that are run by the compiled ways here; the others' programs take longest to compile, and
-#: some of them run in ``tests/test_ensemble.py`` and ``tests/test_delay_lanes.py``.
-COMPILES = [
-    "ball_on_circle",
-    "bead_on_table",
-    "bouncing_ball",
-    "dry_friction",
-    "relay",
-    "two_tanks",
-]
-
-
 @cache
 def exact(name):
     """Runs in Taylor series, accurate to rounding."""
@@ -58,8 +46,6 @@ def spans(entry):
 @pytest.mark.parametrize("name", gallery.names())
 def test_a_model_ends_where_its_exact_run_does(way, name):
     """State, mode and first accumulation at four times along the run."""
-    if way.name in COMPILED and name not in COMPILES:
-        pytest.skip("not brought to the compiled ways yet")
     entry = gallery.known(name)
     ends = np.array([t1 for _, t1 in spans(entry)])
     given = {"history": entry.history} if entry.cls.spec.lags else {}

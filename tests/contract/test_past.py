@@ -1,5 +1,10 @@
-"""Rule 9 of docs/semantics.md, on every solver: what is seen of a record that jumps."""
+"""Rule 9 of docs/semantics.md, on every way in: what is seen of a record that jumps."""
 
+import math
+import re
+
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import hybrid as hy
@@ -7,8 +12,21 @@ from models.delay_bounce import HISTORY, DelayBounce
 from models.delay_jump import DelayJump
 from models.pyragas import Pyragas
 
-#: Methods that know no delays.
-WITHOUT = {"Taylor"}
+from .. import delayed
+from .ways import COMPILED, SOLVERS_AND_COMPILED
+
+#: All but a method that knows no delays.
+WAYS = [name for name in SOLVERS_AND_COMPILED if name != "Taylor"]
+
+#: Tolerances at which every way keeps about eight digits.
+TIGHT = {"rtol": 1e-9, "atol": 1e-11}
+
+#: BDF and LSODA restart at order one at each breaking point, RK23 is of order 3.
+LOOSE = {"BDF": 1e-6, "LSODA": 1e-6, "RK23": 1e-7}
+
+
+def tolerance(way, tight=1e-8):
+    return LOOSE.get(way.name, tight)
 
 
 class Seen(hy.Automaton):
@@ -41,104 +59,361 @@ class Seen(hy.Automaton):
         return s.replace(z=past(1.0).y)
 
 
-def test_a_breaking_point_is_no_jump(solver):
+def fired(way, result, edges):
+    """These edges and no others, by name where the way tells."""
+    assert result.status == "reached_end"
+    assert result.jumps == len(edges)
+    if way.tells("edges"):
+        assert result.edges == edges
+
+
+def test_a_breaking_point_is_no_jump(way):
     """One arc from the jump on, through breaking points at 1, 3/2, 2, ...; exact polynomials."""
-    run = hy.simulate(DelayJump(), {"y": 1.0}, (0.0, 3.0), rtol=1e-7, atol=1e-9, **solver)
-    assert [arc.t0 for arc in run.arcs] == [0.0, 0.5]
-    assert run(0.5, side="left").y == pytest.approx(0.5, abs=1e-6)
-    assert run(1.5).y == pytest.approx(13 / 8, abs=1e-5)
-    assert run.final.y == pytest.approx(-11 / 12, abs=1e-4)
+    ends = np.array([1.5, 3.0])
+    options = {"rtol": 1e-7, "atol": 1e-9}
+    middle, result = way.many(DelayJump(), [{"y": 1.0}] * 2, (0.0, ends), **options)
+    fired(way, result, ["kick"])
+    assert middle.final.y == pytest.approx(13 / 8, abs=1e-5)
+    assert result.final.y == pytest.approx(-11 / 12, abs=1e-4)
+    if way.tells("before"):
+        assert result.before.y[0] == pytest.approx(0.5, abs=1e-6)
+    if way.tells("run"):
+        assert [arc.t0 for arc in result.run.arcs] == [0.0, 0.5]
+        assert result.run(0.5, side="left").y == pytest.approx(0.5, abs=1e-6)
+        assert result.run(1.5).y == pytest.approx(13 / 8, abs=1e-5)
 
 
-def test_a_guard_that_comes_to_zero_there_sees_left_values(solver):
+def test_a_guard_that_comes_to_zero_there_sees_left_values(way):
     """Its jump ends the arc before the breaking point."""
-    run = hy.simulate(Seen(level=9.0, look=1.5), {"y": 1.0, "z": 0.0}, (0.0, 3.0), **solver)
-    assert list(run.jumps.edge) == ["kick", "comes"]
-    assert run.jumps.t[1] == 1.5
-    assert run.final.z == pytest.approx(1.0, abs=1e-12)
+    result = way.run(Seen(level=9.0, look=1.5), {"y": 1.0, "z": 0.0}, (0.0, 3.0))
+    fired(way, result, ["kick", "comes"])
+    assert result.times[1] == 1.5
+    assert result.final.z == pytest.approx(1.0, abs=1e-12)
 
 
-def test_a_guard_carried_over_zero_fires_there_and_sees_right_values(solver):
+def test_a_guard_carried_over_zero_fires_there_and_sees_right_values(way):
     """By a jump of what it sees."""
-    run = hy.simulate(Seen(), {"y": 1.0, "z": 0.0}, (0.0, 3.0), **solver)
-    assert list(run.jumps.edge) == ["kick", "carried"]
-    assert run.jumps.t[1] == 1.5
-    assert run.final.z == pytest.approx(3.0, abs=1e-12)
+    result = way.run(Seen(), {"y": 1.0, "z": 0.0}, (0.0, 3.0))
+    fired(way, result, ["kick", "carried"])
+    assert result.times[1] == 1.5
+    assert result.final.z == pytest.approx(3.0, abs=1e-12)
 
 
-def test_what_a_restarted_memory_shows(solver):
+def test_a_history_that_does_not_lead_to_the_start_is_a_jump(way):
+    """Seen a lag later: from 0 before it to 3 at the start, which carries a guard at 1."""
+    before = {"y": 0.0, "z": 0.0}
+    result = way.run(Seen(), {"y": 3.0, "z": 0.0}, (0.0, 3.0), history=before)
+    fired(way, result, ["kick", "carried"])
+    assert result.times[1] == 1.0
+    assert result.final.z == pytest.approx(3.0, abs=1e-12)
+
+
+def test_what_a_restarted_memory_shows(way):
     """The state after the jump, and not the jump: nothing is carried a lag later."""
-    start = {"y": 1.0, "z": 0.0}
-    run = hy.simulate(Seen(level=4.0), start, (0.0, 3.0), memory="restart", **solver)
-    assert list(run.jumps.edge) == ["kick"]
-    run = hy.simulate(Seen(level=4.0, look=0.75), start, (0.0, 3.0), memory="restart", **solver)
-    assert run.final.z == pytest.approx(3.0, abs=1e-12)
+    start, options = {"y": 1.0, "z": 0.0}, {"memory": "restart"}
+    result = way.run(Seen(level=4.0), start, (0.0, 3.0), **options)
+    fired(way, result, ["kick"])
+    result = way.run(Seen(level=4.0, look=0.75), start, (0.0, 3.0), **options)
+    assert result.final.z == pytest.approx(3.0, abs=1e-12)
 
 
-def test_a_load_carried_below_zero_releases_there(solver):
-    """At ``t0 + tau``, where the history did not lead to the start."""
-    start = {"y": 0.05, "v": 0.0}
-    run = hy.simulate(DelayBounce(), start, (0.0, 2.0), history=HISTORY, **solver)
-    assert run.zeno[0].t_release == pytest.approx(1.0, abs=1e-15)
-    assert run(1.1).y > 0.0
-
-
-def test_an_accumulation_is_seen_and_passed(solver):
-    """A rest begins, and ends by what is seen of the flights before it."""
-    run = hy.simulate(
-        Pyragas(C=60.0, r=0.2), {"x1": 2.5, "x2": 0.0}, (0.0, 4.0), rtol=1e-6, atol=1e-8, **solver
-    )
-    times = [t for point in run.zeno for t in (point.t, point.t_release)]
-    known = [2.450940744376058, 2.659592992729097, 3.489179517880435, 3.873441893315749]
-    assert times == pytest.approx(known, abs=2e-2)
-
-
-class Ahead(hy.Automaton):
-    """A lag that is negative unless the parameter says otherwise."""
+class Lifted(hy.Automaton):
+    """``y`` jumps from 1 to 3 at 1/2, which carries a guard below zero; its reset raises it."""
 
     y = hy.state()
-    lag: float = hy.parameter(-1.0)
+    z = hy.state()
+    lift: float = hy.parameter(3.0)
+
+    @hy.mode
+    def waits(self, t, s):
+        return 0.0, 0.0
+
+    @hy.edge(waits, to=waits, guard=lambda self, t, s: t - 0.5, crossing=hy.EITHER)
+    def kick(self, t, s):
+        return s.replace(y=3.0)
+
+    @hy.edge(waits, to=waits, guard=lambda self, t, s, past: 2.0 - past(1.0).y + s.z)
+    def carried(self, t, s):
+        return s.replace(z=s.z + self.lift)
+
+
+def test_the_reset_of_a_guard_carried_below_zero_must_raise_it(way):
+    """By more than it has fallen, or the state is outside the domain."""
+    models = {"lift": [3.0, 0.5]}
+    raised, outside = way.many(Lifted(), [{"y": 1.0, "z": 0.0}] * 2, (0.0, 3.0), models)
+    fired(way, raised, ["kick", "carried"])
+    assert raised.final.z == 3.0
+    assert outside.status == "refused"
+
+
+class Late(hy.Automaton):
+    """``y`` jumps from 1 to 3 at 1/2, which a guard without an inside sees a lag later."""
+
+    y = hy.state()
+    z = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        return 0.0, 0.0
+
+    @hy.edge(flow, to=flow, guard=lambda self, t, s: t - 0.5, crossing=hy.EITHER)
+    def kick(self, t, s):
+        return s.replace(y=s.y + 2.0)
+
+    @hy.edge(flow, to=flow, guard=lambda self, t, s, past: past(1.0).y - 2.0, crossing=hy.EITHER)
+    def seen(self, t, s, past):
+        return s.replace(z=past(1.0).y)
+
+
+def test_an_edge_carried_over_zero_may_leave_its_guard_as_it_is(way):
+    """The guard is not zero after the jump: the run goes on on its other side."""
+    result = way.run(Late(), {"y": 1.0, "z": 0.0}, (0.0, 4.0))
+    fired(way, result, ["kick", "seen"])
+    assert result.final.z == pytest.approx(3.0, abs=1e-12)  # rounding of a window
+
+
+def test_a_load_carried_below_zero_releases_there(way):
+    """At ``t0 + tau``, where the history did not lead to the start."""
+    start, ends = {"y": 0.05, "v": 0.0}, np.array([0.9, 1.1, 2.0])
+    held, lifted, result = way.many(DelayBounce(), [start] * 3, (0.0, ends), history=HISTORY)
+    assert held.final.y == 0.0
+    assert lifted.final.y > 0.0
+    assert np.abs(result.times - 1.0).min() <= 1e-15
+    if way.tells("edges"):
+        releases = np.array(result.edges) == "impact.release"
+        assert result.times[releases][0] == pytest.approx(1.0, abs=1e-15)
+    if way.tells("run"):
+        assert result.zeno[0].t_release == pytest.approx(1.0, abs=1e-15)
+        assert result.run(1.1).y > 0.0
+
+
+def test_an_accumulation_is_seen_and_passed(way):
+    """A rest begins, and ends by what is seen of the flights before it."""
+    model, start = Pyragas(C=60.0, r=0.2), {"x1": 2.5, "x2": 0.0}
+    known = [2.450940744376058, 2.659592992729097, 3.489179517880435, 3.873441893315749]
+    result = way.run(model, start, (0.0, 4.0), rtol=1e-6, atol=1e-8)
+    if way.tells("all zeno"):
+        times = [t for point in result.zeno for t in (point.t, point.t_release)]
+        assert times == pytest.approx(known, abs=2e-2)
+    assert result.t_inf == pytest.approx(known[0], abs=2e-2)
+    for release in known[1::2]:
+        assert np.abs(result.times - release).min() <= 2e-2
+    if way.tells("accumulations"):
+        assert result.accumulations == 2
+
+
+class Watched(hy.Automaton):
+    """A ball dropped from 1/2 that comes to rest at 3, and the sum of what is seen of it."""
+
+    y = hy.state()
+    v = hy.state()
+    w = hy.state(doc="sum of what is seen")
+
+    of_speed: float = hy.parameter(0.0)
+    tau: float = hy.parameter(0.7)
+
+    @hy.mode
+    def flight(self, t, s, past):
+        seen = past(self.tau)
+        return s.v, -1.0, (1.0 - self.of_speed) * seen.y + self.of_speed * seen.v
+
+    ground = hy.contact(flight, gap=lambda self, t, s: s.y, restitution=0.5)
+
+
+#: What is seen of it from 0 to 5: the sum of its heights, or of its speeds, as parabolas have it.
+WATCHED = {
+    # at 1/2 before 0; the first fall, then flights of 2/3 u^3 for u = 1/2, 1/4, ...
+    ("keep", 0.0): 0.7 * 0.5 + 1 / 3 + 2 / 3 * (1 / 8) / (1 - 1 / 8),
+    ("keep", 1.0): -0.5,
+    # for a lag after each impact its height, 0, and its speed; then what was a lag ago
+    ("restart", 0.0): 0.35 + (0.15 - 0.0045) + (0.0225 - 0.0045),
+    ("restart", 1.0): -0.045 + 0.35 + (0.15 - 0.045) + (1 / 8) / (1 - 1 / 4),
+}
+
+
+@pytest.mark.parametrize("memory", ["keep", "restart"])
+def test_all_of_an_accumulation_is_seen_a_lag_later(way, memory):
+    """Infinitely many flights, then rest; each jump of the record is one, the limit too."""
+    start, asked = {"y": 0.5, "v": 0.0, "w": 0.0}, {"of_speed": [0.0, 1.0]}
+    results = way.many(Watched(), [start] * 2, (0.0, 5.0), asked, memory=memory, **TIGHT)
+    for of_speed, result in zip(asked["of_speed"], results, strict=True):
+        assert result.t_inf == pytest.approx(3.0, abs=tolerance(way))
+        assert result.final.w == pytest.approx(WATCHED[memory, of_speed], abs=tolerance(way))
+        if way.tells("run"):
+            ends = [arc.t0 + arc.low + s.end for arc in result.run.arcs for s in arc.segments]
+            assert np.abs(np.array(ends) - 3.7).min() <= 10 * tolerance(way)
+
+
+class Echoes(hy.Automaton):
+    """``y' = -y(t - lag) - y(t - other)``, raised by 2 at 1/2."""
+
+    y = hy.state()
+    lag: float = hy.parameter(1.0)
+    other: float = hy.parameter(0.3)
 
     @hy.mode
     def flow(self, t, s, past):
-        return -past(self.lag).y
+        return -past(self.lag).y - past(self.other).y
+
+    @hy.edge(flow, to=flow, guard=lambda self, t, s: 0.5 - t)
+    def raised(self, t, s):
+        return s.replace(y=s.y + 2.0)
 
 
-def test_a_negative_lag_is_an_error(solver):
-    """Said with the model, the time, and which lag it is."""
-    with pytest.raises(hy.FlowError, match=r"Ahead, t = 0.0, .*: the lag lag is -1.0"):
-        hy.simulate(Ahead(), {"y": 1.0}, (0.0, 1.0), **solver)
+def echo(t, a=1.0, b=0.3):
+    """What the two lags make of a unit jump at 0 out of nothing: a polynomial for each path."""
+    paths = [(j, k) for j in range(12) for k in range(40) if t >= j * a + k * b]
+    return sum(
+        math.comb(j + k, j) * (j * a + k * b - t) ** (j + k) / math.factorial(j + k)
+        for j, k in paths
+    )
 
 
-def test_dense_output_is_fit_to_be_seen(solver):
+def test_breaking_points_are_followed_through_all_lags(way):
+    """Jumps at 0 and 1/2 return after 0.3, 0.6, 0.9, 1, 1.2, 1.3, ..., smoother each time."""
+    ends = np.array([0.25, 0.9, 1.7, 3.0])
+    asked = {"history": {"y": 0.0}, **TIGHT}
+    for t, result in zip(
+        ends, way.many(Echoes(), [{"y": 1.0}] * 4, (0.0, ends), **asked), strict=True
+    ):
+        exact = echo(t) + 2.0 * echo(t - 0.5)
+        assert result.final.y == pytest.approx(exact, abs=10 * tolerance(way))
+
+
+def test_a_negative_lag_is_an_error(way):
+    """Said with the model, the time, and which lag it is, by the ways that have words for it."""
+    result = way.run(Echoes(lag=-1.0), {"y": 1.0}, (0.0, 1.0))
+    assert result.status == ("forgotten" if way.name in COMPILED else "not_finite")
+    if way.tells("run"):
+        assert re.search(r"Echoes, t = 0.0, .*: the lag lag is -1.0", result.said)
+
+
+def test_a_history_that_is_not_finite_where_it_is_seen_is_an_error(way):
+    """It has no value before -1/2, where it is seen from the start on."""
+    history = {"y": lambda t: jnp.where(t < -0.5, jnp.nan, 1.0)}
+    result = way.run(Echoes(), {"y": 1.0}, (0.0, 1.0), history=history)
+    assert result.status == ("forgotten" if way.name in COMPILED else "not_finite")
+    assert "not finite" in result.said
+
+
+class Moving(hy.Automaton):
+    """A lag that grows: what is seen moves at half the speed."""
+
+    y = hy.state()
+
+    @hy.mode
+    def flow(self, t, s, past):
+        return past(1.0 + 0.5 * t).y
+
+
+def test_a_lag_that_moves_is_followed_or_refused(way):
+    """``y' = y(t / 2 - 1)`` with 1 before 0: ``3 + (t^2 - 4) / 4`` from 2 to 6."""
+    if way.name in COMPILED:
+        with pytest.raises(hy.OptionError, match=r"depends on time or state.*use hy\.simulate"):
+            way.run(Moving(), {"y": 1.0}, (0.0, 4.0))
+        return
+    result = way.run(Moving(), {"y": 1.0}, (0.0, 4.0), **TIGHT)
+    assert result.final.y == pytest.approx(6.0, abs=10 * tolerance(way))
+
+
+class Slider(delayed.Slider):
+    """A relay against a delayed drive, and the sum of what is seen of it."""
+
+    w = hy.state()
+
+    @hy.mode(initial=True)
+    def above(self, t, s, past):
+        return past(1.0).d - 1.0, 1.0, past(1.0).d
+
+    @hy.mode
+    def below(self, t, s, past):
+        return past(1.0).d + 1.0, 1.0, past(1.0).d
+
+
+@pytest.mark.parametrize(
+    ("memory", "seen", "x"),
+    [
+        ("keep", 1.5**2 / 2, 0.125),
+        # 0 until 1/4, 1/4 for a lag, then d(t - 1); 2 for a lag from 2 on, where sliding ends
+        ("restart", 0.25 + (1.0 - 0.25**2) / 2 + 2 * 0.5, 0.5),
+    ],
+)
+def test_sliding_begins_and_ends_as_jumps_of_the_record_do(way, memory, seen, x):
+    """From 1/4 it slides until the drive, which is ``t``, is seen to be 1, at 2."""
+    start = {"x": 0.25, "d": 0.0, "w": 0.0}
+    result = way.run(Slider(), start, (0.0, 2.5), memory=memory, **TIGHT)
+    fired(way, result, ["zero", "zero.positive"])
+    np.testing.assert_allclose(result.times, [0.25, 2.0], atol=tolerance(way))
+    assert result.final.x == pytest.approx(x, abs=10 * tolerance(way))
+    assert result.final.w == pytest.approx(seen, abs=10 * tolerance(way))
+
+
+class Pushed(hy.Automaton):
+    """A body at rest that is pushed up by what ``u`` was: ``t``, or ``2 sin t``."""
+
+    u = hy.state()
+    y = hy.state()
+    v = hy.state()
+    turns: float = hy.parameter(0.0)
+    tau: float = hy.parameter(1.0)
+
+    @hy.mode
+    def flight(self, t, s, past):
+        rate = (1.0 - self.turns) + self.turns * 2.0 * jnp.cos(t)
+        return rate, s.v, past(self.tau).u - 1.0
+
+    ground = hy.contact(flight, gap=lambda self, t, s: s.y, restitution=0.5)
+
+
+def test_a_release_is_a_jump_of_the_record(way):
+    """Restarted, it sees what pushes now: at 2 that is 2, at ``7 pi / 6`` it is -1.
+
+    With its memory kept it sees ``t - 1`` throughout.
+    """
+    start, ends = {"u": 0.0, "y": 0.0, "v": 0.0}, np.array([2.5, 5.0])
+    asked = {"turns": [0.0, 1.0], "tau": [1.0, np.pi]}
+    thrown, held = way.many(Pushed(), [start] * 2, (0.0, ends), asked, memory="restart", **TIGHT)
+    fired(way, thrown, ["ground.release"])
+    assert thrown.times[0] == pytest.approx(2.0, abs=tolerance(way))
+    assert thrown.final.y == pytest.approx(0.125, abs=10 * tolerance(way))
+    fired(way, held, ["ground.release"])
+    assert held.times[0] == pytest.approx(7 * np.pi / 6, abs=tolerance(way))
+    assert (held.final.y, held.final.v) == (0.0, 0.0)
+    if way.tells("mode"):
+        assert held.mode == "flight.rest(ground)"
+    kept = way.run(Pushed(), start, (0.0, 2.5), **TIGHT)
+    assert kept.final.y == pytest.approx(0.5**3 / 6, abs=10 * tolerance(way))
+
+
+class Counted(hy.Automaton):
+    """``y = t`` is counted where it is seen to pass 2."""
+
+    y = hy.state()
+    n = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        return 1.0, 0.0
+
+    @hy.edge(flow, to=flow, guard=lambda self, t, s, past: 2.0 - past(1.0).y)
+    def passed(self, t, s):
+        return s.replace(n=s.n + 1.0)
+
+
+@pytest.mark.parametrize("memory", ["keep", "restart"])
+def test_a_guard_that_its_own_jump_carries_on_is_passed(way, memory):
+    """At 3; restarted, it sees 3 for a lag and then what it would have seen: once is all."""
+    result = way.run(Counted(), {"y": 0.0, "n": 0.0}, (0.0, 6.0), memory=memory)
+    fired(way, result, ["passed"])
+    assert result.times[0] == pytest.approx(3.0, abs=1e-9)
+    assert result.final.n == 1.0
+
+
+def test_dense_output_is_fit_to_be_seen(way):
     """At its tolerance, where steps are exact and no reason to be short: polynomials."""
-    options = {"rtol": 1e-7, "atol": 1e-7}
-    run = hy.simulate(DelayJump(), {"y": 1.0}, (0.0, 10.0), **options, **solver)
-    assert run.final.y == pytest.approx(0.09445695934262015, abs=3e-5)
-    assert run(4.75).y == pytest.approx(0.1156982421875, abs=3e-5)
-
-
-def test_an_edge_carried_over_zero_may_leave_its_guard_as_it_is(solver):
-    """The guard is not zero after the jump: the run goes on on its other side."""
-
-    class Late(hy.Automaton):
-        y = hy.state()
-        z = hy.state()
-
-        @hy.mode
-        def flow(self, t, s):
-            return 0.0, 0.0
-
-        @hy.edge(flow, to=flow, guard=lambda self, t, s: t - 0.5, crossing=hy.EITHER)
-        def kick(self, t, s):
-            return s.replace(y=s.y + 2.0)
-
-        @hy.edge(
-            flow, to=flow, guard=lambda self, t, s, past: past(1.0).y - 2.0, crossing=hy.EITHER
-        )
-        def seen(self, t, s, past):
-            return s.replace(z=past(1.0).y)
-
-    run = hy.simulate(Late(), {"y": 1.0, "z": 0.0}, (0.0, 4.0), **solver)
-    assert run.jumps.edge.tolist() == ["kick", "seen"]
-    assert run.final.z == pytest.approx(3.0, abs=1e-12)  # rounding of a window
+    ends, options = np.array([4.75, 10.0]), {"rtol": 1e-7, "atol": 1e-7}
+    middle, result = way.many(DelayJump(), [{"y": 1.0}] * 2, (0.0, ends), **options)
+    assert result.final.y == pytest.approx(0.09445695934262015, abs=3e-5)
+    assert middle.final.y == pytest.approx(0.1156982421875, abs=3e-5)
+    if way.tells("run"):
+        assert result.run(4.75).y == pytest.approx(0.1156982421875, abs=3e-5)

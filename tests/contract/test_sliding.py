@@ -1,0 +1,259 @@
+"""Rule 8 of docs/semantics.md, on every way in: cross a surface, slide, or refuse to choose."""
+
+import numpy as np
+import pytest
+
+import hybrid as hy
+
+from ..switched import Pursuit, Quadrants, Rings, Timed
+from .ways import COMPILED, SOLVERS, SOLVERS_AND_COMPILED, misses
+
+WAYS = SOLVERS_AND_COMPILED
+
+TIGHT = {"rtol": 1e-9, "atol": 1e-11}
+
+#: BDF and LSODA keep about this many digits at rtol 1e-9 (low order), RK23 is of order 3.
+LOOSE = {"BDF": 2e-7, "LSODA": 2e-7, "RK23": 1e-7}
+
+
+def tolerance(way, tight=1e-8):
+    return LOOSE.get(way.name, tight)
+
+
+class Sides(hy.Automaton):
+    """On the sides of ``y = 0`` it goes at ``p + pt t`` and ``n + nt t``; ``x`` right, and left."""
+
+    y = hy.state()
+    x = hy.state()
+    p: float = hy.parameter(-1.0)
+    n: float = hy.parameter(1.0)
+    pt: float = hy.parameter(0.0)
+    nt: float = hy.parameter(0.0)
+    at: float = hy.parameter(9.0, doc="when it is set onto the surface")
+
+    @hy.mode(initial=True)
+    def positive(self, t, s):
+        return self.p + self.pt * t, 1.0
+
+    @hy.mode
+    def negative(self, t, s):
+        return self.n + self.nt * t, -1.0
+
+    surface = hy.switching(positive, negative, surface=lambda self, t, s: s.y)
+
+    @hy.edge(positive, to=positive, guard=lambda self, t, s: self.at - t)
+    def put(self, t, s):
+        return s.replace(y=0.0)
+
+
+class Strict(Sides):
+    """Nothing may slide."""
+
+    surface = hy.switching("positive", "negative", surface=lambda self, t, s: s.y, slides=False)
+
+
+def went(way, result, edges, mode):
+    """These jumps and no others, and where the run is then."""
+    assert result.status == "reached_end"
+    assert result.jumps == len(edges)
+    if way.tells("edges"):
+        assert result.edges == edges
+    if way.tells("mode"):
+        assert result.mode == mode
+
+
+#: Side of the start, rates of both flows, and what follows: mode, and rates of y and x in it.
+REACHED = [
+    (+1, -1.0, -1.0, "negative", -1.0, -1.0),
+    (-1, +1.0, +1.0, "positive", +1.0, +1.0),
+    (+1, -1.0, +2.0, "slide(surface)", 0.0, 1 / 3),
+    (-1, -2.0, +1.0, "slide(surface)", 0.0, -1 / 3),
+    (+1, -1.0, +1e-3, "slide(surface)", 0.0, (1e-3 - 1.0) / (1e-3 + 1.0)),
+]
+
+
+def test_a_flow_that_reaches_the_surface_crosses_it_or_slides(way):
+    """Both flows say which; the field there is the convex combination that stays on it."""
+    for side, p, n, mode, up, right in REACHED:
+        name = "positive" if side > 0 else "negative"
+        start = {"y": float(side), "x": 0.0}
+        result = way.run(Sides(p=p, n=n), start, (0.0, 3.0), mode=name, **TIGHT)
+        went(way, result, ["surface"], mode)
+        assert result.times[0] == pytest.approx(1.0, abs=tolerance(way))
+        assert result.final.y == pytest.approx(2.0 * up, abs=tolerance(way))
+        assert result.final.x == pytest.approx(side + 2.0 * right, abs=tolerance(way))
+        assert result.final.y == 0.0 or mode != "slide(surface)"
+
+
+def test_states_before_and_after_are_equal_and_on_the_surface(way):
+    """Where sliding begins: exactly."""
+    result = way.run(Sides(), {"y": 1.0, "x": 0.3}, (0.0, 3.0))
+    assert result.after.y[0] == 0.0
+    if way.tells("before"):
+        assert result.before.y[0] == 0.0
+        assert result.before.x[0] == result.after.x[0]
+
+
+#: Rates and their slopes at a start on the surface, and the mode that follows.
+STARTS = [
+    (+1.0, +1.0, 0.0, 0.0, "positive"),
+    (-1.0, -1.0, 0.0, 0.0, "negative"),
+    (-1.0, +1.0, 0.0, 0.0, "slide(surface)"),
+    (0.0, +1.0, +1.0, 0.0, "positive"),
+    (-1.0, 0.0, 0.0, -1.0, "negative"),
+    (0.0, +1.0, -1.0, 0.0, "slide(surface)"),
+    (-1.0, 0.0, 0.0, +1.0, "slide(surface)"),
+]
+
+
+#: Its status is "undecided": no second derivative along the other flow is looked at.
+UNDECIDED = "a lane is refused where the first derivative along the other flow is zero"
+
+
+@misses(UNDECIDED, *COMPILED, p=[0.0], named=["negative"])
+@misses(UNDECIDED, *COMPILED, n=[0.0], named=["positive"])
+@pytest.mark.parametrize("named", ["positive", "negative"])
+@pytest.mark.parametrize(("p", "n", "pt", "nt", "mode"), STARTS)
+def test_a_start_on_the_surface_is_decided_by_the_same_table(way, p, n, pt, nt, mode, named):
+    """Whichever of the two modes is named; a rate that is zero by the one after it."""
+    model = Sides(p=p, n=n, pt=pt, nt=nt)
+    result = way.run(model, {"y": 0.0, "x": 0.0}, (0.0, 1.0), mode=named, **TIGHT)
+    went(way, result, ["surface"] if named != mode else [], mode)
+    up = {"positive": p + pt / 2, "negative": n + nt / 2}.get(mode, 0.0)
+    assert result.final.y == pytest.approx(up, abs=tolerance(way))
+
+
+@pytest.mark.parametrize("way", SOLVERS, indirect=True)
+@pytest.mark.parametrize("named", ["positive", "negative"])
+def test_two_ways_out_are_refused(way, named):
+    """What follows is not unique."""
+    result = way.run(Sides(p=1.0, n=-1.0), {"y": 0.0, "x": 0.0}, (0.0, 1.0), mode=named)
+    assert result.status == "refused"
+    assert "both lead away" in result.said
+
+
+@pytest.mark.parametrize("way", COMPILED, indirect=True)
+@pytest.mark.parametrize(("named", "way_out"), [("positive", 1.0), ("negative", -1.0)])
+def test_of_two_ways_out_lanes_take_that_of_the_mode_named(way, named, way_out):
+    """As the page says of them."""
+    result = way.run(Sides(p=1.0, n=-1.0), {"y": 0.0, "x": 0.0}, (0.0, 1.0), mode=named)
+    assert (result.jumps, result.final.y) == (0, pytest.approx(way_out, abs=1e-12))
+
+
+@pytest.mark.parametrize("named", ["positive", "negative"])
+@pytest.mark.parametrize(("p", "n", "pt", "nt"), [(0, 0, -1, 1), (0, 0, 0, 0)])
+def test_what_no_derivative_decides_is_refused(way, p, n, pt, nt, named):
+    """Nor does ``a = b = 0`` say how fast it would slide."""
+    model = Sides(p=float(p), n=float(n), pt=float(pt), nt=float(nt))
+    result = way.run(model, {"y": 0.0, "x": 0.0}, (0.0, 1.0), mode=named)
+    assert result.status == "refused"
+
+
+@misses(
+    "an event that bounds nothing, followed by another jump at once, fires again in the sliding "
+    "mode, and again: a lane ends as a jump loop",
+    *COMPILED,
+    mode=["slide(surface)"],
+)
+@pytest.mark.parametrize(
+    ("p", "n", "mode"),
+    [(1.0, 1.0, "positive"), (-1.0, -1.0, "negative"), (-1.0, 1.0, "slide(surface)")],
+)
+def test_a_reset_onto_the_surface_is_decided_by_it_too(way, p, n, mode):
+    """At 1/2, from far above."""
+    result = way.run(Sides(p=p, n=n, at=0.5), {"y": 9.0, "x": 0.0}, (0.0, 1.0), **TIGHT)
+    went(way, result, ["put"] + ["surface"] * (mode != "positive"), mode)
+    up = {"positive": p, "negative": n}.get(mode, 0.0)
+    assert result.final.y == pytest.approx(up / 2, abs=tolerance(way))
+
+
+def test_sliding_can_be_forbidden(way):
+    """A flow that would slide is refused, one that crosses is not."""
+    start = {"y": 1.0, "x": 0.0}
+    assert way.run(Strict(), start, (0.0, 3.0)).status == "refused"
+    went(way, way.run(Strict(n=-1.0), start, (0.0, 3.0)), ["surface"], "negative")
+
+
+#: Slopes of the rates from -1 and 1, and how sliding ends.
+ENDS = [(+0.5, 0.0, "positive", 1.0), (0.0, -0.5, "negative", -1.0)]
+
+
+@pytest.mark.parametrize(("pt", "nt", "side", "sign"), ENDS)
+def test_sliding_ends_where_one_flow_leads_away(way, pt, nt, side, sign):
+    """At 2, where its rate is zero; beyond it the surface function grows like a square."""
+    result = way.run(Sides(pt=pt, nt=nt), {"y": 0.25, "x": 0.0}, (0.0, 4.0), **TIGHT)
+    went(way, result, ["surface", f"surface.{side}"], side)
+    assert result.times[1] == pytest.approx(2.0, abs=10 * tolerance(way))
+    assert result.final.y == pytest.approx(sign, abs=10 * tolerance(way))
+
+
+def test_the_surfaces_own_motion_counts(way):
+    """``x = 2 sin t`` is followed while ``2 |cos t| < 1``, until ``2 pi / 3``."""
+    result = way.run(Pursuit(), {"x": 2.0}, (1.0, 3.0), mode="above", **TIGHT)
+    went(way, result, ["target", "target.positive"], "above")
+    end = 2 * np.pi / 3
+    assert result.times[1] == pytest.approx(end, abs=10 * tolerance(way))
+    assert result.final.x == pytest.approx(2 * np.sin(end) - (3.0 - end), abs=10 * tolerance(way))
+    middle = way.run(Pursuit(), {"x": 2.0}, (1.0, 1.9), mode="above", **TIGHT)
+    assert middle.final.x == pytest.approx(2 * np.sin(1.9), abs=1e-13)
+
+
+def test_a_state_stays_on_a_curved_surface(way):
+    """Angular speed 3/2 on the unit circle, which is held to rounding."""
+    result = way.run(Rings(), {"x": 2.0, "y": 0.0}, (0.0, 20.0), **TIGHT)
+    angle = np.log(2) + 1.5 * (20.0 - np.log(2))
+    assert result.final.x**2 + result.final.y**2 == pytest.approx(1.0, abs=1e-12)
+    # errors of steps add up over 30 radians
+    assert result.final.x == pytest.approx(np.cos(angle), abs=30 * tolerance(way))
+
+
+class Relieved(Timed):
+    """An edge of ``down`` rings at 2 on the clock; one of the sliding mode itself at ``due``."""
+
+    due: float = hy.parameter(9.0)
+
+    @hy.edge("slide(relay)", to="off", guard=lambda self, t, s: self.due - s.clock)
+    def relief(self, t, s):
+        return s.replace(x=s.x + 7.0)
+
+
+def test_edges_of_both_modes_are_watched_while_sliding(way):
+    """The alarm leaves one of the two modes; it fires at 2 though neither flows alone."""
+    result = way.run(Relieved(), [0.5, 0.0], (0.0, 3.0), **TIGHT)
+    went(way, result, ["relay", "alarm"], "off")
+    np.testing.assert_allclose(result.times, [0.5, 2.0], rtol=0, atol=tolerance(way))
+    assert result.final.x == pytest.approx(3.0, abs=10 * tolerance(way))
+
+
+@pytest.mark.parametrize("due", [1.5, 2.0])
+def test_edges_of_the_sliding_mode_come_first(way, due):
+    """Before the alarm, and in a tie with it."""
+    result = way.run(Relieved(due=due), [0.5, 0.0], (0.0, 3.0), **TIGHT)
+    went(way, result, ["relay", "relief"], "off")
+    assert result.final.x == pytest.approx(7.0 + 3.0 * (3.0 - due), abs=10 * tolerance(way))
+
+
+@pytest.mark.parametrize(("clock", "due"), [(1.4, 1.5), (1.8, 9.0)])
+def test_guards_bound_where_a_state_may_slide(way, clock, due):
+    """That of the sliding mode, and that of a mode of the switching, negative at the surface."""
+    assert way.run(Relieved(due=due), [0.5, clock], (0.0, 3.0)).status == "refused"
+
+
+def test_a_second_surface_is_refused_while_sliding(way):
+    """Sliding north along x = 0 into y = 0."""
+    result = way.run(Quadrants(), {"x": 0.5, "y": 1.0}, (0.0, 2.0))
+    assert result.status == "refused"
+
+
+def test_a_start_to_slide_must_be_on_the_surface_and_held_there(way):
+    """Lanes start in no sliding mode, and say which there are."""
+    start = {"y": 0.0, "x": 0.0}
+    if way.name in COMPILED:
+        with pytest.raises(hy.OptionError, match=r"there are positive, negative$"):
+            way.run(Sides(), start, (0.0, 1.0), mode="slide(surface)")
+        return
+    slides = way.run(Sides(), start, (0.0, 1.0), mode="slide(surface)")
+    went(way, slides, [], "slide(surface)")
+    for model, y in ((Sides(), 0.2), (Sides(p=1.0), 0.0), (Sides(n=-1.0), 0.0)):
+        refused = way.run(model, {"y": y, "x": 0.0}, (0.0, 1.0), mode="slide(surface)")
+        assert refused.status == "refused"
