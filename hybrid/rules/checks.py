@@ -60,13 +60,15 @@ def follows(
     work
         As :func:`look` takes it.
     """
+    first = place(p, program, work)
+    point = work[first : first + states(p, program)]
     scale, fastest = 0.0, 1.0 if held else 0.0
     for i in range(states(p, program)):
         scale = max(scale, SMALLEST * abs(c[i, 0]))
         fastest = max(fastest, abs(c[i, 1]))
     for share in (MIDDLE, BEFORE if kink else 1.0):
         s = share * h
-        point = placed(p, program, s, c, work)
+        along(c, s, point)
         look(p, program, 0, t + s, point, False, sides, aside, work)
         _set_apart(p, program, aside)
         look(p, program, 0, beside(t + s, point), point, False, sides, aside, work)
@@ -96,9 +98,11 @@ def bends(
     with ``ends``, which says that it ends at a kink or an impact, a point just before that.
     ``aside`` has three columns.
     """
+    first = place(p, program, work)
+    point = work[first : first + states(p, program)]
     for share in (MIDDLE, BEFORE if ends else 1.0):
         s = share * h
-        point = placed(p, program, s, c, work)
+        along(c, s, point)
         look(p, program, 2, t + s, point, True, sides, aside, work)
         here = 2.0 * aside[row, 2]
         look(p, program, 2, beside(t + s, point), point, True, sides, aside, work)
@@ -121,7 +125,9 @@ def arrives(
     end: Floats,
 ) -> bool:
     """Put the state at the end of a step into ``end``; whether the flow is finite there."""
-    point = placed(p, program, h, c, work)
+    first = place(p, program, work)
+    point = work[first : first + states(p, program)]
+    along(c, h, point)
     look(p, program, 0, t + h, point, False, sides, aside, work)
     finite = True
     for i in range(point.shape[0]):
@@ -130,14 +136,15 @@ def arrives(
     return finite
 
 
-def placed(p: Programs, program: int, s: float, c: Matrix, work: Floats) -> Floats:
-    """The state on a step, in its place in ``work``: at the end, before the sides of kinks."""
-    size = states(p, program)
-    last = work.shape[0] - count(p, program)
-    point = work[last - size : last]
-    for i in range(size):
+def place(p: Programs, program: int, work: Floats) -> int:
+    """Where a state has its place in ``work``: at the end, before the sides of kinks."""
+    return work.shape[0] - count(p, program) - states(p, program)
+
+
+def along(c: Matrix, s: float, point: Floats) -> None:
+    """The state on a step."""
+    for i in range(point.shape[0]):
         point[i], _ = power_value(c[i], 0, c.shape[1] - 1, s)
-    return point
 
 
 def beside(t: float, point: Floats) -> float:
