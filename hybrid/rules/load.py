@@ -58,10 +58,10 @@ from numba import njit as _njit
 from {loader} import signature as _signature
 
 _options = {{"fastmath": {{"contract"}}, "error_model": "numpy", "nogil": True, "_nrt": False}}
+_options["no_cfunc_wrapper"] = True
+_inner = {{"forceinline": True, "no_cpython_wrapper": True, **_options}}
 _plain = {{name: globals()[name] for name in {functions!r}}}
-globals().update(
-    {{name: _njit(forceinline=True, **_options)(rule) for name, rule in _plain.items()}}
-)
+globals().update({{name: _njit(**_inner)(rule) for name, rule in _plain.items()}})
 called = {{}}
 for _name, _kinds in {arguments!r}.items():
     _types = _signature(_kinds, {package!r})
