@@ -47,3 +47,96 @@ class Programs(NamedTuple):
     output: Ints
     flow: Ints
     affine: Ints
+
+
+class Automaton(NamedTuple):
+    """An automaton as data.
+
+    Attributes
+    ----------
+    programs : Programs
+    fields, guards : Table
+        Columns as in :mod:`.arcs`.
+    uses : Ints
+        Elements of the state of which guards are made.
+    """
+
+    programs: Programs
+    fields: Table
+    guards: Table
+    uses: Ints
+
+
+class Now(NamedTuple):
+    """A state of a run; places in the first two as in :mod:`.arcs`.
+
+    Attributes
+    ----------
+    floats, ints : Floats, Ints
+    x, end, seen : Floats
+        The state where the present arc begins, that at its end, and the sizes of all so far.
+    orders : Ints
+        By which power of the time each guard vanishes where the arc begins.
+    """
+
+    floats: Floats
+    ints: Ints
+    x: Floats
+    end: Floats
+    seen: Floats
+    orders: Ints
+
+
+class Room(NamedTuple):
+    """Arrays to work in.
+
+    Attributes
+    ----------
+    c, aside : Matrix
+        Series of a step, and a few coefficients beside it: as many rows as a program has.
+    work : Floats
+        For the equations of contact forces.
+    rows, found : Matrix
+        As :mod:`.zeros` takes them.
+    sides, still : Ints
+        The sides of kinks, and zeros.
+    there : Floats
+        A state.
+    """
+
+    c: Matrix
+    aside: Matrix
+    work: Floats
+    rows: Matrix
+    found: Matrix
+    sides: Ints
+    still: Ints
+    there: Floats
+
+
+class Left(NamedTuple):
+    """What a call leaves: jumps, and the steps of the arcs before them.
+
+    Attributes
+    ----------
+    when : Matrix
+        For each jump its time in two floats, and the length of the arc before it.
+    fired : Ints
+        The guard.
+    before, after : Matrix
+        The states.
+    owner : Ints
+        For each step the arc, counted from the first.
+    spans : Matrix
+        Local start, and length.
+    series : Matrix
+        Coefficients, a row for each element of the state; no rows where nobody asks for them.
+    """
+
+    when: Matrix
+    fired: Ints
+    before: Matrix
+    after: Matrix
+    owner: Ints
+    spans: Matrix
+    series: Matrix

@@ -132,6 +132,14 @@ class Cycles:
             self.spent += s
         return t + s - self.spent
 
+    def plain(self, lengths: np.ndarray) -> bool:
+        """Whether no flight of several in a row is so short that it may be idle; noted if so."""
+        longest = np.maximum.accumulate(np.append(self.longest, lengths))
+        if not np.all(lengths > SHORT * longest[:-1]):
+            return False
+        self.longest = float(longest[-1])
+        return True
+
     def room(self, times: np.ndarray) -> int:
         """Of jumps at these times, how many there are before it may be time to look for a limit."""
         if self.asked:

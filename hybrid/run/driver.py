@@ -32,36 +32,12 @@ from . import switch, truncate
 from .arc import ArcFlow, Flown
 from .cycles import Cycles, Seen, pass_limit
 from .entry import Entry, Jumped, beyond_kinks, describe, enter, opened, signs_at_end
+from .machine import Machine
 from .memory import Memory
 from .pieces import Piece
 from .plan import PATIENCE, Plan
 from .recorder import Recorder
-
-
-class Watch:
-    """A series of impacts of one contact, with no other jump between."""
-
-    def __init__(self) -> None:
-        self.contact: str | None = None
-        self.count = 0
-        self.tried = float("inf")
-
-    def saw(self, edge: str) -> None:
-        """Count an impact; start anew where it is another contact's."""
-        if edge != self.contact:
-            self.contact, self.count, self.tried = edge, 0, float("inf")
-        self.count += 1
-
-    def reset(self) -> None:
-        """Another jump came between."""
-        self.contact = None
-
-    def jumped(self, guard: Guard) -> None:
-        """Count a jump that needed no judgement."""
-        if guard.kind == "contact":
-            self.saw(guard.edge)
-        else:
-            self.reset()
+from .watch import Watch
 
 
 class Driver:
@@ -87,7 +63,7 @@ class Driver:
         self.cycles = Cycles()
         self.seen = np.zeros(scene.spec.dimension)
         self.steps = 0
-        self._known = self._jumped = Jumped()
+        self._jumped = Jumped()
         self._tied: dict[str, int] = {}
         self._spent: frozenset[str] = frozenset()
         self._struck: set[str] = set()
@@ -156,22 +132,36 @@ class Driver:
     def flow(self) -> None:
         """Flow an arc, or as many as need no judgement, and carry out the jump that ends it."""
         if self.streaks is not None and not self.wary and self.streaks.takes():
-            self._spent = frozenset()
+            self._spent, self._tied = frozenset(), {}
             self.streaks.fly()
         else:
             self.flow_arc()
 
-    def arrive(self, field: Field, x: np.ndarray, guard: Guard) -> None:
+    def arrive(self, field: Field, x: np.ndarray, guard: Guard, before: np.ndarray) -> None:
         """Begin an arc after a jump that needed no judgement (see :meth:`renew`)."""
-        self.entry = Entry(field, x, None, [], [])
-        self._known = Jumped({guard.edge: 1} if guard.kind == "contact" else {})
+        self.entry, self._came = Entry(field, x, None, [], []), (guard, before)
+
+    def look_again(self) -> None:
+        """Fly the present arc with all the rules, unless a guard fires before any flow."""
+        self.renew()
+        if not self.entry.at_once:
+            self.flow_arc()
 
     def renew(self) -> None:
         """Look at the start of the present arc again, with all the rules."""
-        mode, x = self.entry.field.mode, self.entry.x
-        if not self.entry.orders and self.entry.field.guards:
-            off = self._off(x)
-            self.entry = enter(self.scene, self.t, mode, x, self._known, self.seen, off)
+        entry = self.entry
+        if entry.orders or not entry.field.guards:
+            return
+        guard, before = self._came
+        if guard.kind == "contact":
+            jumped = Jumped({guard.edge: 1}, series=self.watch.count > 1)
+        else:
+            stays = _stays(guard, self.t, before, entry.x)
+            known = {guard.edge: 1} if stays else {}
+            jumped = Jumped(known, used=guard.edge, spent=frozenset({guard.edge}))
+        off = self._off(entry.x)
+        mode, x = entry.field.mode, entry.x
+        self.entry = enter(self.scene, self.t, mode, x, jumped, self.seen, off)
 
     def flow_arc(self) -> None:
         """Flow an arc and carry out the jump that ends it."""
@@ -247,8 +237,7 @@ class Driver:
         t = self.t
         after = np.array(self.scene.reset(guard.edge)(t, before.tolist()))
         self._require_finite(guard.edge, before, after)
-        stays = guard.value(t, after.tolist()) == guard.value(t, before.tolist())
-        stays = stays and not self._has_jumped(guard, before)
+        stays = _stays(guard, t, before, after) and not self._has_jumped(guard, before)
         held = self._still_held(guard.to, after)
         self.watch.reset()
         if self.add_jump(guard.edge, before, after) and pass_limit(self, guard.to):
@@ -407,11 +396,13 @@ class Driver:
         self.seen = np.maximum(self.seen, np.abs(jumps.after).max(axis=0))
         if self.record.made >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
-        times = jumps.t.tolist(), jumps.low.tolist(), clocks
+        times = jumps.t.tolist(), jumps.low.tolist(), clocks.tolist()
         return self.cycles.saw(list(map(Seen, jumps.edge, flights.modes, *times, jumps.after)))
 
-    def _clocks(self, flights: Flights) -> list[float]:
+    def _clocks(self, flights: Flights) -> np.ndarray:
         """The time without idle flights, at each of some jumps."""
+        if self.cycles.plain(flights.lengths):
+            return flights.jumps.t - self.cycles.spent
         jumps, clocks = flights.jumps, []
         times, states = [flights.t, *jumps.t.tolist()], [flights.x, *jumps.after]
         lengths = flights.lengths.tolist()
@@ -421,7 +412,7 @@ class Driver:
             field = self.scene.field(mode)
             guard = field.guards[field.column(edge)]
             clocks.append(self.cycles.clock(self.scene, field, guard, *start))
-        return clocks
+        return np.array(clocks)
 
     def where(self, x: np.ndarray) -> str:
         """Model, mode, time and state, for messages."""
@@ -548,9 +539,18 @@ class Driver:
             self.enter(after[0], limit.x_inf, Jumped(held=after[1]))
 
 
+def _stays(guard: Guard, t: float, before: np.ndarray, after: np.ndarray) -> bool:
+    """Whether a reset leaves its guard where it is."""
+    return bool(guard.value(t, after.tolist()) == guard.value(t, before.tolist()))
+
+
 def _streaks(driver: Driver) -> Any:
-    """Compiled streaks, where the solver can."""
-    if driver.solver.compiled is None or driver.scene.spec.lags:
+    """What flies whole streaks of plain arcs, where the solver can."""
+    if driver.scene.spec.lags:
+        return None
+    if driver.solver.whole:
+        return Machine(driver)
+    if driver.solver.compiled is None:
         return None
     from .streak import Streaks
 

@@ -108,7 +108,7 @@ class Recorder:
             part = attrs.evolve(part, segments=())
         self.log.kept.append(part)
 
-    def flights(self, flights: Flights, where: Callable[[int], str], clocks: list[float]) -> None:
+    def flights(self, flights: Flights, where: Callable[[int], str], clocks: np.ndarray) -> None:
         """Add arcs in a row and the jumps after them, and move to the last; see :meth:`jump`."""
         self._sample(flights)
         jumps = flights.jumps
@@ -116,7 +116,9 @@ class Recorder:
         self.now = Instant(float(jumps.t[-1]), float(jumps.low[-1]))
         self.j += len(jumps.t)
         self.made += len(jumps.t)
-        for k, (clock, edge) in enumerate(zip(clocks, jumps.edge, strict=True)):
+        if self._pass(clocks, jumps.edge):
+            return
+        for k, (clock, edge) in enumerate(zip(clocks.tolist(), jumps.edge, strict=True)):
             self._count(clock, edge, partial(where, k))
 
     def _sample(self, part: Part | Flights) -> None:
@@ -158,6 +160,17 @@ class Recorder:
         self.j += 1
         self.made += 1
         self._count(clock, edge, partial(where, before))
+
+    def _pass(self, clocks: np.ndarray, edges: np.ndarray) -> bool:
+        """Count jumps, where there is time between all of them."""
+        known = np.append([t for t, _ in self._recent], clocks)
+        spent = known[CAUGHT - 1 :] - known[: 1 - CAUGHT]
+        if np.any(spent <= 4 * CAUGHT * np.spacing(known[CAUGHT - 1 :])):
+            return False
+        last = slice(-CAUGHT, None)
+        self._recent.extend(zip(clocks[last].tolist(), edges[last], strict=True))
+        self._stuck = CAUGHT - 1
+        return True
 
     def _count(self, t: float, edge: str, where: Callable[[], str]) -> None:
         """Count jumps with no time between them; there must not be too many."""

@@ -149,7 +149,7 @@ class Streaks:
         jumps = Table(t, low, edges, before, after)
         flights = Flights(driver.record.j, modes, now.t, now.low, first, lengths, jumps, steps)
         due, to = driver.flown(flights), guards[-1].to
-        driver.arrive(driver.scene.field(to), jumps.after[-1], guards[-1])
+        driver.arrive(driver.scene.field(to), jumps.after[-1], guards[-1], jumps.before[-1])
         self.passed = due and pass_limit(driver, to)
 
     def _fired(self, slots: list[int]) -> tuple[list[str], list[Guard]]:
@@ -184,8 +184,7 @@ class Streaks:
             driver.watch.tried = float(lane.tried)
             driver.jump(guard, x)
         else:
-            driver.renew()
-            driver.flow_arc()
+            driver.look_again()
 
     def _require_inside(self, tau: float, x: np.ndarray) -> None:
         """Look at the end of the run at what no chunk was asked: is it inside the domain?"""

@@ -26,6 +26,7 @@ from ..automaton.spec import (
     Transition,
 )
 from ..errors import TraceError
+from .automaton import Tables
 from .lowered import ORDER, Lowered, deciders, lowered, node_shape
 from .mode import RELEASE, ModeGraph
 from .python import Program
@@ -242,7 +243,7 @@ class Scene:
 
     def _make_field(self, name: str, mode: str, held: tuple[str, ...]) -> Field:
         code, switching = self.code, self.spec.sliding(mode)
-        numbers = self._numbers(mode, held)
+        numbers = self.numbers(mode, held)
         if held or switching is not None:
             along = code.mode(mode)
             rhs = along.program(("flow", bool(held)), lambda: along.flow(bool(held))).bind(numbers)
@@ -265,6 +266,11 @@ class Scene:
         return Field(name, mode, held, rhs, jets, guards, *made)
 
     @cached_property
+    def tables(self) -> Tables:
+        """The fields as the rules' own loop takes them."""
+        return Tables(self)
+
+    @cached_property
     def guards_jump(self) -> bool:
         """Whether a guard that an author wrote may change its sign without a zero."""
         return any(
@@ -281,13 +287,13 @@ class Scene:
         """Where some nodes of a mode's graph change their formula."""
         key, graph = (what, mode, bool(held)), self.code.mode(mode)
         make = lambda: deciders(graph.graph, len(graph.x), nodes(graph))  # noqa: E731
-        found, numbers = self.code.once(("kinks", key), make), self._numbers(mode, held)
+        found, numbers = self.code.once(("kinks", key), make), self.numbers(mode, held)
         return tuple(
             Kink((*key, number), self.bind(program, numbers), *shape)
             for number, (program, *shape) in enumerate(found)
         )
 
-    def _numbers(self, mode: str, held: tuple[str, ...]) -> tuple[float, ...]:
+    def numbers(self, mode: str, held: tuple[str, ...]) -> tuple[float, ...]:
         """Values of the parameters, and of a mode's mask: which of its contacts are held."""
         return (*self._values, *(float(name in held) for name in self.code.mode(mode).resting))
 
@@ -297,18 +303,18 @@ class Scene:
         if not isinstance(tape, Tape):
             return str(tape)
         order = self.code.mode(mode).watched(bool(held))
-        return tape.bind(self._numbers(mode, held), [order.index(guard) for guard in guards])
+        return tape.bind(self.numbers(mode, held), [order.index(guard) for guard in guards])
 
     def _projection(
         self, switching: SwitchingSpec | None, mode: str, held: tuple[str, ...]
     ) -> Scalar:
         if switching is not None:
             return self.code.onto(switching.name).bind(self._values)
-        return self.code.mode(mode).projection(held, self._numbers(mode, held))
+        return self.code.mode(mode).projection(held, self.numbers(mode, held))
 
     def _guard(self, edge: Transition, kind: str, mode: str, held: tuple[str, ...]) -> Guard:
         code, graph, name = self.code, self.code.mode(mode), edge.name
-        numbers = self._numbers(mode, held)
+        numbers = self.numbers(mode, held)
         if kind == "release":
             value = graph.program(("load", name), lambda: [graph.guard(name)])
             place = held.index(released(name))
@@ -330,7 +336,7 @@ class Scene:
         """Sizes whose rounding the guard and its first two derivatives carry."""
         graph, held = self.code.mode(field.mode), bool(field.held)
         program = graph.program(("sizes", guard.edge, held), lambda: graph.sizes(guard.edge, held))
-        return self.bind(program, self._numbers(field.mode, field.held))
+        return self.bind(program, self.numbers(field.mode, field.held))
 
     def bind(self, program: Program, numbers: tuple[float, ...] | None = None) -> Scalar:
         """A program of the class's code as a function, for these values of the parameters.
@@ -362,7 +368,7 @@ class Scene:
         if name not in self._contacts:
             code, spec = self.code, self.code.contact_spec(name)
             graph = code.mode(spec.source)
-            numbers = self._numbers(spec.source, ())
+            numbers = self.numbers(spec.source, ())
             laws = {
                 make.__name__: graph.program((make.__name__, name), partial(make, name)).bind(
                     numbers

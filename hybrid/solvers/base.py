@@ -159,6 +159,8 @@ class Solver(abc.ABC):
     compiled : object or None
         The method as a pure function (:class:`.diffrax_backend.Method`), where whole streaks
         of arcs can be compiled with it.
+    whole : bool
+        Whether the rules' own loop makes these steps, so that it can fly whole arcs.
     rtol, atol
         What a step may lose; rounding, of a method that knows no tolerances.
     """
@@ -167,6 +169,7 @@ class Solver(abc.ABC):
     method: str
     order: int
     compiled: Any = None
+    whole: bool = False
     rtol: float = FINEST
     atol: Any = 0.0
 

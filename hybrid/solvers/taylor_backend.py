@@ -55,6 +55,7 @@ class TaylorSolver(Solver):
 
     name = method = "taylor"
     order = ORDER
+    whole = True
 
     def __init__(self, method: str | None, rtol: float, atol: Any) -> None:
         if method not in (None, "taylor"):

@@ -1,0 +1,191 @@
+"""The Python side of the rules' own loop: arcs that are plain are flown as machine code.
+
+:mod:`hybrid.rules.advance` goes on as far as nothing needs judgement. What it leaves is kept here,
+and the driver judges what comes next.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..log import Flights, Steps, Table
+from ..rules import unit
+from ..rules.arcs import (
+    COUNT,
+    END,
+    ENTERED,
+    FIELD,
+    FIRED,
+    FULL,
+    JUMP,
+    JUMPS,
+    LOW,
+    SERIES,
+    STEPS,
+    TAU,
+    TRIED,
+    T,
+)
+from ..rules.arrays import Left, Now
+from ..scene.lowered import ORDER
+from ..segment import nodes
+from ..trajectory import Status
+from .cycles import pass_limit
+from .plan import PATIENCE
+from .watch import Watch
+
+if TYPE_CHECKING:
+    from .driver import Driver
+
+#: Jumps and steps for which there is room at first; how many times more there is after each call
+#: that has filled it, and at most: the keyboard is heard between calls.
+JUMPS_KEPT, STEPS_KEPT, MORE, MOST = 64, 512, 4, 1 << 15
+
+
+class Machine:
+    """Flies a driver's plain arcs by the rules' own loop, with Taylor series.
+
+    ``fly`` goes on from the driver's entry as far as nothing needs judgement, and leaves the
+    driver with an entry, a jump done, or its status set.
+    """
+
+    def __init__(self, driver: Driver) -> None:
+        self.driver, self.plan, self.tables = driver, driver.plan, driver.scene.tables
+        self.dense = self.plan.dense or self.plan.samples is not None
+        n, plan = driver.scene.spec.dimension, self.plan
+        self.run = np.array([plan.t1, plan.limit, plan.rtol, PATIENCE, float(plan.patience)])
+        self.floats, self.ints = np.zeros(4), np.zeros(7, dtype=np.int64)
+        self.states = np.zeros((3, n))
+        self.size: tuple[int, ...] = (JUMPS_KEPT, STEPS_KEPT)
+        self.passed = False
+
+    def takes(self) -> bool:
+        """Whether the arc that begins at the driver's entry may be plain."""
+        entry = self.driver.entry
+        number = self.tables.number(entry.field)
+        plain = self.plan.zeno != "truncate" and max(entry.orders, default=0) <= 1
+        return plain and self.tables.plain(number)
+
+    def fly(self) -> None:
+        """Go on until something needs judgement, or the run ends."""
+        driver, now, room = self.driver, self._begin(), self.tables.room(ORDER)
+        advance, self.passed = unit("advance").advance, False
+        while True:
+            left = self._left()
+            status = advance(self.tables.automaton, self.run, now, room, left)
+            self._keep(left)
+            if driver.status is not None or self.passed:
+                return
+            driver.watch = Watch(*self._series())
+            if status != FULL or self._stuck():
+                self._stand(left, status)
+                return
+            if self.plan.progress is not None:
+                self.plan.progress(driver.t)
+
+    def _series(self) -> tuple[str | None, int, float]:
+        """The series of impacts that goes on: the contact, how many, and the speed last tried."""
+        guard, count = int(self.ints[SERIES]), int(self.ints[COUNT])
+        contact = self.tables.guards[guard].edge if guard >= 0 else None
+        return contact, count, float(self.floats[TRIED])
+
+    def _stuck(self) -> bool:
+        """Make more room for the next call; whether one arc needs more than there may be."""
+        most = min(self.size) >= MOST and not self.ints[JUMPS]
+        self.size = tuple(min(MORE * size, MOST) for size in self.size)
+        return most
+
+    def _begin(self) -> Now:
+        """The state of the driver's entry."""
+        driver, entry = self.driver, self.driver.entry
+        now, guards = driver.record.now, entry.field.guards
+        field = self.tables.number(entry.field)
+        first, contact = self.tables.first(field), driver.watch.contact
+        series = [g for g, guard in enumerate(guards, first) if guard.edge == contact]
+        self.floats[[T, LOW, TAU, TRIED]] = now.t, now.low, 0.0, driver.watch.tried
+        self.ints[[FIELD, FIRED, ENTERED]] = field, -1, 1
+        self.ints[[SERIES, COUNT]] = series[0] if series else -1, driver.watch.count
+        self.states[0], self.states[2] = entry.x, driver.seen
+        orders = np.zeros(self.tables.widest, dtype=np.int64)
+        orders[: len(entry.orders)] = entry.orders
+        x, end, seen = self.states
+        return Now(self.floats, self.ints, x, end, seen, orders)
+
+    def _left(self) -> Left:
+        """Arrays for what a call leaves, and the counts at zero."""
+        n, (jumps, steps) = self.states.shape[1], self.size
+        jumps = min(jumps, self.plan.max_jumps - self.driver.record.made)
+        self.ints[[JUMPS, STEPS]] = 0
+        return Left(
+            np.empty((jumps, 3)),
+            np.empty(jumps, dtype=np.int64),
+            np.empty((jumps, n)),
+            np.empty((jumps, n)),
+            np.empty(steps, dtype=np.int64),
+            np.empty((steps, 2)),
+            np.empty((steps * n if self.dense else 0, ORDER + 1)),
+        )
+
+    # -- what a call left -------------------------------------------------------------------
+
+    def _keep(self, left: Left) -> None:
+        """Add the arcs that ended with a jump."""
+        driver, begin, made = self.driver, 0, int(self.ints[JUMPS])
+        while begin < made and driver.status is None and not self.passed:
+            end = begin + driver.room(left.when[begin:made, 0])
+            self._flown(left, begin, end)
+            begin = end
+
+    def _flown(self, left: Left, begin: int, end: int) -> None:
+        """Add the arcs that end with some of the jumps."""
+        driver, tables, now = self.driver, self.tables, self.driver.record.now
+        fired = left.fired[begin:end].tolist()
+        edges = np.array([tables.guards[g].edge for g in fired], dtype=object)
+        t, low, lengths = left.when[begin:end].T
+        jumps = Table(t, low, edges, left.before[begin:end], left.after[begin:end])
+        modes, steps = [tables.modes[g] for g in fired], self._steps(left, begin, end)
+        first = driver.entry.x
+        flights = Flights(driver.record.j, modes, now.t, now.low, first, lengths, jumps, steps)
+        driver.steps += int(np.count_nonzero(self._between(left, begin, end)))
+        due, guard = driver.flown(flights), tables.guards[fired[-1]]
+        driver.arrive(driver.scene.field(guard.to), jumps.after[-1], guard, jumps.before[-1])
+        self.passed = due and pass_limit(driver, guard.to)
+
+    def _between(self, left: Left, begin: int, end: int) -> np.ndarray:
+        """Which steps belong to some of the arcs."""
+        owner = left.owner[: self.ints[STEPS]]
+        return (owner >= begin) & (owner < end)
+
+    def _steps(self, left: Left, begin: int, end: int) -> Steps | None:
+        """The steps of some of the arcs, as states at the nodes of each."""
+        if not self.dense:
+            return None
+        chosen, n = self._between(left, begin, end), self.states.shape[1]
+        start, length = left.spans[: len(chosen)][chosen].T
+        series = left.series[: n * len(chosen)].reshape(len(chosen), n, ORDER + 1)[chosen]
+        powers = np.arange(ORDER + 1)
+        scaled = series * length[:, None, None] ** powers
+        values = np.einsum("sik,jk->sji", scaled, nodes(ORDER)[:, None] ** powers)
+        return Steps(left.owner[: len(chosen)][chosen] - begin, start, length, values)
+
+    def _arc(self, left: Left, made: int) -> np.ndarray:
+        """Add an arc that no jump of the loop has ended; returns the state at its end."""
+        driver, tau = self.driver, float(self.floats[TAU])
+        steps, end = self._steps(left, made, made + 1), self.states[1].copy()
+        segments = [] if steps is None else steps.segments(np.array([tau]))
+        driver.steps += len(segments)
+        return driver.record.arc(driver.entry.field, driver.entry.x, end, tau, segments)
+
+    def _stand(self, left: Left, status: int) -> None:
+        """Where the loop stopped: at the end, at a jump to judge, or at an arc to fly anew."""
+        driver = self.driver
+        if status == END:
+            self._arc(left, int(self.ints[JUMPS]))
+            driver.status = Status.REACHED_END
+        elif status == JUMP:
+            guard = self.tables.guards[int(self.ints[FIRED])]
+            driver.jump(guard, self._arc(left, int(self.ints[JUMPS])))
+        else:
+            driver.look_again()

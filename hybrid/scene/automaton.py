@@ -1,0 +1,148 @@
+"""An automaton as the arrays that the rules' own loop takes (:mod:`hybrid.rules.advance`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..automaton.markers import Crossing
+from ..errors import TraceError
+from ..rules.arcs import CONTACT, EDGE, GUARDS, GUARDS_END, PLAIN, TO, USES_END
+from ..rules.arrays import Automaton, Room
+from ..rules.zeros import SPARE
+from .tape import Jets, Tape, linked, tape
+
+if TYPE_CHECKING:
+    from .mode import ModeGraph
+    from .scene import Field, Guard, Scene
+
+Nodes = Callable[[], Sequence[int]]
+
+#: Kinds of guards as the rules number them; others are judged by the driver.
+NUMBERED = {"edge": EDGE, "contact": CONTACT}
+OTHER = 1 + max(NUMBERED.values())
+
+#: Directions in which a guard fires.
+DIRECTIONS = {Crossing.FALLING: -1, Crossing.RISING: 1, Crossing.EITHER: 0}
+
+
+class Tables:
+    """The fields of a scene that have been asked for, as rows of tables.
+
+    ``names`` and ``guards`` are the fields and guards, in the order of their numbers, and ``modes``
+    the field that each guard is watched in.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.names: list[str] = []
+        self.guards: list[Guard] = []
+        self.modes: list[str] = []
+        self._programs: list[Jets] = []
+        self._fields: list[list[int]] = []
+        self._rows: list[list[int]] = []
+        self._uses: list[int] = []
+        self._made: Automaton | None = None
+
+    def plain(self, number: int) -> bool:
+        """Whether the rules' own loop may fly the arcs of a field."""
+        return bool(self._fields[number][PLAIN])
+
+    def first(self, number: int) -> int:
+        """The number of the first guard of a field."""
+        return self._fields[number][GUARDS]
+
+    @property
+    def widest(self) -> int:
+        """The number of guards of the field that has the most."""
+        return max(row[GUARDS_END] - row[GUARDS] for row in self._fields)
+
+    def number(self, field: Field) -> int:
+        """The number of a field, which is added if it is new."""
+        if field.name not in self.names:
+            self._add(field)
+        return self.names.index(field.name)
+
+    @property
+    def automaton(self) -> Automaton:
+        """The automaton, as far as its fields have been asked for."""
+        if self._made is None:
+            fields, uses = (np.array(rows, dtype=np.int64) for rows in (self._fields, self._uses))
+            guards = np.array(self._rows, dtype=np.int64).reshape(-1, USES_END + 1)
+            self._made = Automaton(linked(self._programs), fields, guards, uses)
+        return self._made
+
+    def room(self, order: int) -> Room:
+        """Arrays to work in, for one run."""
+        tapes = [part.tape for part in self._programs]
+        rows, kinks = max(t.rows for t in tapes), max(len(t.kinks) for t in tapes)
+        return Room(
+            np.empty((rows, order + 1)),
+            np.empty((rows, 3)),
+            np.empty(max(t.room for t in tapes)),
+            np.empty((order + SPARE, order + 5)),
+            np.empty((2 * order + 4, 2)),
+            np.zeros(kinks, dtype=np.int64),
+            np.zeros(kinks, dtype=np.int64),
+            np.empty(self.scene.spec.dimension),
+        )
+
+    def _add(self, field: Field) -> None:
+        jets, first = field.jets, len(self._rows)
+        plain = field.project is None and not any(guard.kinks for guard in field.guards)
+        plain = plain and jets is not None
+        self.names.append(field.name)
+        program = self._program(jets) if plain and jets else -1
+        self._rows += [self._row(field, guard) for guard in field.guards] if plain else []
+        self.guards += field.guards if plain else ()
+        self.modes += [field.name] * (len(self._rows) - first)
+        self._fields.append([program, first, len(self._rows), int(plain)])
+        for row, guard in zip(self._rows, self.guards, strict=True):
+            row[TO] = self.names.index(guard.to) if guard.to in self.names else -1
+        self._made = None
+
+    def _row(self, field: Field, guard: Guard) -> list[int]:
+        """A guard's row; its columns are named in :mod:`hybrid.rules.arcs`."""
+        code, uses = self.scene.code, len(self._uses)
+        self._uses += guard.uses
+        graph, name = code.mode(field.mode), guard.edge
+        programs = [-1, -1]
+        if guard.kind == "contact":
+            programs = [
+                self._of_values(field, ("impact", name), lambda: graph.impact(name)),
+                self._of_values(field, ("land", name), lambda: graph.land(name)),
+            ]
+        elif guard.kind == "edge":
+            reset = ("reset", name)
+            programs[0] = self._of_values(field, reset, lambda: graph.values(code.closed(*reset)))
+        sizes = self._of_values(field, ("sizes", name), lambda: graph.sizes(name, False))
+        kind, crossing = NUMBERED.get(guard.kind, OTHER), DIRECTIONS[guard.crossing]
+        shape = [int(guard.bounds), int(guard.affine), -1]
+        return [kind, crossing, *shape, *programs, sizes, uses, len(self._uses)]
+
+    def _of_values(
+        self, field: Field, key: tuple[str, str], nodes: Callable[[], Sequence[int]]
+    ) -> int:
+        """The number of a program for values only; -1 where an operation has none."""
+        code = self.scene.code
+        found = code.once(
+            ("values", field.mode, key), lambda: _values(code.mode(field.mode), nodes)
+        )
+        if not isinstance(found, Tape):
+            return -1
+        return self._program(found.bind(self.scene.numbers(field.mode, ())))
+
+    def _program(self, part: Jets) -> int:
+        self._programs.append(part)
+        return len(self._programs) - 1
+
+
+def _values(mode: ModeGraph, nodes: Nodes) -> Tape | TraceError:
+    """The tape of some functions alone; why there is none where there is none."""
+    where = f"{mode.spec.model}, mode {mode.mode}"
+    try:
+        return tape(mode.graph, len(mode.x), np.array([], dtype=np.int64), nodes(), where)
+    except TraceError as fault:
+        return fault
