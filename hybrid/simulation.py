@@ -15,6 +15,7 @@ from .automaton.markers import name_of
 from .automaton.record import Record
 from .automaton.spec import Spec
 from .errors import HybridError, OptionError, StartError, ZenoError
+from .events import NEAR
 from .hindsight import Hindsight
 from .histories import pieces
 from .reals import real, reals
@@ -261,7 +262,7 @@ def _nudged(driver: Driver, mode: str, x: np.ndarray) -> np.ndarray:
     """
     guards = driver.scene.field(mode).guards
     values = [guard.value(driver.plan.t0, x.tolist()) for guard in guards]
-    if any(abs(value) <= 1e-6 * (1.0 + float(np.max(np.abs(x)))) for value in values):
+    if any(abs(value) <= NEAR * float(np.max(np.abs(x))) for value in values):
         return x
     return x * (1.0 + NUDGE * (-1.0) ** np.arange(len(x)))
 

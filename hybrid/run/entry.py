@@ -117,13 +117,12 @@ def enter(
     return Entry(field, x, here.series, orders, at_once, signs)
 
 
-def signs_at_end(entry: Entry, t: float, x: np.ndarray) -> dict[str, int]:
+def signs_at_end(entry: Entry, t: float, x: np.ndarray, reach: float) -> dict[str, int]:
     """By edge the sign of its guard at the end of a flight in which none has fired.
 
-    A guard that is next to zero there is still on the side on which it was.
+    A guard next to zero there, against the states seen, is still on the side on which it was.
     """
-    state, signs = x.tolist(), {}
-    near = NEAR * (1.0 + float(np.max(np.abs(x))))
+    state, signs, near = x.tolist(), {}, NEAR * reach
     for index, guard in enumerate(entry.field.guards):
         value = guard.value(t, state)
         here = 1 if value > 0 else -1 if value < 0 else 0
@@ -301,7 +300,7 @@ class _Here:
         if jumped.passing is not None and value * jumped.passing.get(guard.edge, 0) > 0:
             return 0, 1 if value > 0 else -1
         if not least and not (guard.kind == "contact" and -self.off <= value <= 0):
-            if abs(value) > NEAR * (1.0 + max(map(abs, x))):
+            if abs(value) > NEAR * max(self.reach, *map(abs, x)):
                 return 0, 1 if value > 0 else -1
             size, rate = self.scene.rounding(guard, self.field)(t, x)[0], guard.lie(t, x)[1]
             moves = guard.kind == "contact" and value > 0 and abs(rate) > 64 * EPS * self.reach
