@@ -527,7 +527,7 @@ class Driver:
         state = self.scene.spec.record(limit.x_inf)
         point = Accumulation(self.t, state, ratio, edges, "estimated", rest, record.j)
         if isinstance(limit, Tail):
-            point._proofs = limit.prove
+            point._proofs, point._since = limit.prove, self.cycles.first_of(limit.contact.name)
         else:
             named = ((edge, self.scene.spec.record(x)) for edge, x in limit.limits)
             point.limits = tuple(named)
