@@ -19,13 +19,13 @@ from .events import NEAR
 from .hindsight import Hindsight
 from .histories import pieces
 from .reals import real, reals
+from .rules.sums import FLOOR
 from .run import Driver, Plan
 from .run.pieces import Piece
 from .scene import Scene, scene_of
 from .solvers import Solver, choose
 from .solvers.base import FINEST, tolerances
 from .trajectory import Status, Trajectory
-from .zeno.accumulate import FLOOR
 from .zeno.cycle import CycleLimit
 
 #: Relative change of the start of the third run, by which grown rounding is measured.
