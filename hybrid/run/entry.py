@@ -239,12 +239,13 @@ class _Here:
             return order >= 2 and sign <= 0
         t, x = self.t, self.x.tolist()
         gap, speed, force = guard.lie(t, x)
+        sizes = self.scene.rounding(guard, self.field)(t, x)
         if jumped.series and guard.edge in jumped.vanishing:
             slow = abs(speed) <= NOTHING * self.reach
         else:
-            height = max(8 * EPS * self.scene.rounding(guard, self.field)(t, x)[0], abs(gap))
+            height = max(8 * EPS * sizes[0], abs(gap))
             slow = speed**2 <= max((64 * EPS * self.reach) ** 2, -2.0 * force * height)
-        return slow and force < -NEAR * self.reach
+        return slow and force < -NEAR * sizes[2]
 
     def stays(self, guard: Guard) -> bool:
         """Whether a guard that is zero for good fires no more: where delays see the end of a
@@ -307,7 +308,7 @@ class _Here:
             if guard.kind == "edge" and len(self.seen):
                 reach = max((float(self.seen[i]) for i in guard.uses), default=0.0)
             else:
-                reach = 0.0 if moves else self.reach
+                reach = 0.0 if moves or guard.kind == "release" else self.reach
             noise = 64 * EPS * (size + abs(t) * abs(rate) + reach)
             if abs(value) > noise:
                 return 0, 1 if value > 0 else -1
