@@ -43,6 +43,9 @@ LOOSE = 1e3
 #: state over the step: a polynomial of degree 16 has slopes of up to 256 times its values.
 ROUNDING = 1024 * EPS
 
+#: Bits of a double.
+DOUBLE = 53
+
 
 @attrs.frozen(eq=False)
 class _Piece:
@@ -71,6 +74,7 @@ class Defect:
         (found,) = graph.outputs(closed, code.inputs(graph))
         self.graph, self.roots = graph, [int(i) for i in found.reshape(-1)]
         self.program = IntervalProgram(graph, self.roots)
+        self.rounded = IntervalProgram(graph, self.roots, DOUBLE)
 
     def share(
         self, field: Field, t: float, length: float, coefficients: np.ndarray, lost: Any = 0.0
@@ -96,6 +100,26 @@ class Defect:
         reach = lambda: self._reach(given, t, length, coefficients, rates, speck)  # noqa: E731
         share = float(with_terms(reach, PRECISION))
         return 1.0 if (1.0 - share) * length <= 64 * EPS * max(length, abs(t)) else share
+
+    def left_open(self, field: Field, t: float, x: np.ndarray, off: np.ndarray) -> np.ndarray:
+        """How far apart rates may be where time and states are known to their rounding only.
+
+        That of the operations included. Where a formula may change, the rates of both are meant;
+        where one ends, nothing is.
+
+        Parameters
+        ----------
+        off : array
+            By how much each state may be off.
+        """
+        from flint import arb
+
+        box: dict[str, Any] = {f"p{i}": value for i, value in enumerate(flat(field.parameters))}
+        box["t"] = arb(t, 2.0 * float(np.spacing(abs(t))))
+        pairs = enumerate(zip(x.tolist(), off.tolist(), strict=True))
+        box |= {f"x{i}": arb(value, radius) for i, (value, radius) in pairs}
+        found = self.rounded.enclose(box)
+        return np.array([2.0 * float(f.value.rad()) if f.defined else 0.0 for f in found])
 
     def _reach(
         self,

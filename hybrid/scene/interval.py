@@ -82,6 +82,8 @@ class IntervalProgram:
         Its inputs are named ``p0, p1, ..., t, x0, x1, ...`` (and extra names).
     roots : sequence of int
         The nodes to be enclosed.
+    precision : int
+        Bits of the balls' midpoints.
 
     Notes
     -----
@@ -89,9 +91,9 @@ class IntervalProgram:
     shrinks, and overestimates on wide boxes. :func:`.extrema.extrema` subdivides.
     """
 
-    def __init__(self, graph: Graph, roots: Iterable[int]) -> None:
+    def __init__(self, graph: Graph, roots: Iterable[int], precision: int = PRECISION) -> None:
         require_flint()
-        self.graph = graph
+        self.graph, self.precision = graph, precision
         self.roots = [int(root) for root in roots]
         order = needed(graph, self.roots)
         place = {number: place for place, number in enumerate(order)}
@@ -133,7 +135,7 @@ class IntervalProgram:
         """An :class:`Enclosure` for each root, over bounds of the inputs by name."""
         from flint import ctx
 
-        with ctx.workprec(PRECISION):
+        with ctx.workprec(self.precision):
             values, jumps = self._evaluate({name: ball(box[name]) for name in self.inputs})
         return [Enclosure(_finite(values[place]), not jumps[place]) for place in self._places]
 

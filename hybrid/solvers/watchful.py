@@ -24,11 +24,13 @@ CUTS = 60
 #: The next step, against one that had to be cut.
 GROWTH = 4.0
 
-#: A state that turns on its way moves by rounding in this share of the step.
-TURN = float(np.sqrt(EPS))
+#: Parts of half a step in which the flow's rounding is looked at, and most where it grows towards
+#: the end: they are then shorter than the rounding of any time.
+PARTS, HALVINGS = 2, 64
 
-#: Roundings by which the end of a step that ends where forces jump may be off.
-OFF = 32.0
+#: What rounding leaves open of a step, against its states, where no force acts briefly: a few
+#: roundings, and as many more as the flow's exponent in a step of a series may be.
+ORDINARY = 64 * EPS
 
 
 class Watchful(Solver):
@@ -40,8 +42,7 @@ class Watchful(Solver):
         Steps in all. With this a step that cannot be shown to have seen all of its flow, and one
         step too many, is a :class:`FlowError`. Without, steps go on unwatched from there.
     shaken : bool
-        Move the state after each step by what the rounding of the time, and of where the step ends,
-        may have done to it.
+        Move the state after each step by what rounding may have done to the forces.
 
     Attributes
     ----------
@@ -136,37 +137,47 @@ class WatchfulStepper(Stepper):
         self.solver.give_up("a step cannot be shown to have seen all of the flow")
 
     def _blur(self, segment: Segment) -> None:
-        """Add up what rounding does to forces.
+        """Add up what rounding leaves open of the flow, in the run that is to be moved by it.
 
-        Those that depend on the time are known at times a spacing of floats away; where they act
-        briefly, or jump at an end of the step, that shows. Always to the same side: what is lost
-        in a step need not be won back in the next.
+        Always to the same side: what is lost in a step need not be won back in the next. What
+        forces ask for to change their formula is moved only where it is brief forces that move it,
+        and on its way: it would else be asked again from before the place of change.
         """
         solver = self.solver
-        if solver.most is None:
+        if not solver.shaken:
             return
-        t, rhs = self.t0 + segment.end, self.field.rhs
-        x, spacing = segment(segment.start + 0.5 * segment.length), 2.0 * float(np.spacing(abs(t)))
-        late, early = rhs(t + spacing, x.tolist()), rhs(t - segment.length - spacing, x.tolist())
-        moved = spacing * np.abs(np.subtract(late, early)) + self._beyond(segment)
-        size = np.maximum(np.abs(x), np.abs(self.inner.x)) + 1e-300
-        solver.blurred += float(np.max(moved / size))
-        if solver.shaken:
-            self.inner.x = self.inner.x + moved
+        sizes = np.abs(segment.coefficients).sum(axis=0)
+        moved = self._left_open(segment, sizes, segment.start, 1.0)
+        moved = moved + self._left_open(segment, sizes, segment.end, -1.0)
+        shares = moved / np.maximum(sizes, 1e-3 * sizes.max() + 1e-300)
+        solver.blurred += float(shares[shares > ORDINARY].sum())
+        sides = np.ones_like(sizes)
+        asked = list({i for kink in self.field.changes for i in kink.uses})
+        way = np.sign(self.inner.x - segment(segment.start))
+        sides[asked] = np.where(shares > ORDINARY, way, 0.0)[asked]
+        self.inner.x = self.inner.x + sides * moved
 
-    def _beyond(self, segment: Segment) -> np.ndarray:
-        """What comes of it that the place at which a step ends is rounded.
+    def _left_open(
+        self, segment: Segment, sizes: np.ndarray, end: float, side: float
+    ) -> np.ndarray:
+        """The integral of what rounding leaves open, over the half of a step at one of its ends.
 
-        The flow gets there that much earlier or later: forces that jump there act on the way.
+        It is large where a force acts in a narrow zone, and where the flow jumps at the end of the
+        step: there for the time in which rounding decides on the side. So parts are halved towards
+        the end, until what is left matters no more than all before.
         """
-        t, x, rhs = self.t0 + segment.end, self.inner.x, self.field.rhs
-        rates = np.array(rhs(t, x.tolist()))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            late = float(np.nanmax(2 * EPS * np.abs(x) / np.abs(rates), initial=0.0))
-        late = min(late, TURN * segment.length)
-        way = OFF * (late + float(np.spacing(abs(t)))) * rates
-        jump = np.abs(np.subtract(rhs(t, (x + way).tolist()), rhs(t, (x - way).tolist())))
-        return late * np.where(np.isfinite(jump), jump, 0.0)  # a flow may end there
+        field, defect = self.field, self.defect
+
+        def rates(tau: float) -> np.ndarray:
+            return defect.left_open(field, self.t0 + tau, segment(tau), EPS * sizes)
+
+        s, last, total = 0.5 * segment.length, rates(end), np.zeros_like(sizes)
+        for part in range(HALVINGS):
+            if part >= PARTS and np.all(s * last <= total):
+                break
+            s *= 0.5
+            total += s * rates(end + side * s)
+        return total + s * last
 
     def _share(self, segment: Segment) -> float:
         t = self.t0 + segment.start
