@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 from importlib.util import find_spec
-from math import inf, isfinite, nextafter
+from math import inf, nextafter
 from typing import TYPE_CHECKING, Any
 
 import attrs
@@ -16,6 +16,10 @@ from .zeno.cycle import period
 
 if TYPE_CHECKING:
     from .zeno.enclose import Proof
+
+#: What ``t`` may be off, against the time from the first impact of the series on: an error that is
+#: no small part of it comes from another series than the one that happens.
+THERE = 1e-3
 
 #: Gaps that fall by less than this from one to the next are not said to shrink.
 SHRINKS = 1.0 - 1e-9
@@ -81,6 +85,7 @@ class Accumulation:
     limits: tuple[tuple[str, Record], ...] = ()
     _errors: Any = attrs.field(default=None, alias="errors", repr=False)
     _proofs: Any = attrs.field(default=None, alias="proofs", repr=False)
+    _since: float = attrs.field(default=inf, alias="since", repr=False)
 
     @cached_property
     def proofs(self) -> list[Proof]:
@@ -103,13 +108,17 @@ class Accumulation:
     def verdict(self) -> str:
         """How the accumulation is known.
 
-        ``"certified"`` where it is proved from an impact on that was flown, and what the
-        integration lost before that impact is bounded (``t_error`` is finite); ``"estimated"``
-        where the series was summed and seen to converge; ``"truncated"`` where
-        ``zeno="truncate"`` cut it off.
+        ``"certified"`` where it is proved from an impact on that was flown, and the runs with
+        which this one is compared show it at the same place (``t_error`` is small against the
+        time from the first impact of the series on); ``"estimated"`` where the series was
+        summed and seen to converge; ``"truncated"`` where ``zeno="truncate"`` cut it off.
         """
-        certain = bool(self.proofs) and isfinite(self.t_error)
-        return "certified" if certain else self._verdict
+        return "certified" if self._proved else self._verdict
+
+    @property
+    def _proved(self) -> bool:
+        """Whether there is a proof, of a series that happens where it was found."""
+        return bool(self.proofs) and self.t_error <= THERE * (self.t - self._since)
 
     @property
     def enclosure(self) -> tuple[float, float] | None:
@@ -118,7 +127,7 @@ class Accumulation:
         The proof takes the impact's state as it is given; what the integration before it has
         lost is measured, not proved, and is what ``t_error`` bounds.
         """
-        if not self.proofs or not isfinite(self.t_error):
+        if not self._proved:
             return self._enclosure
         low, high = self.narrowest.low - self.t_error, self.narrowest.high + self.t_error
         return nextafter(low, -inf), nextafter(high, inf)

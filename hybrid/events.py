@@ -54,7 +54,7 @@ ENDED = 1e-4
 #: A guard nearer to zero than this share of the state is looked at more closely.
 NEAR = 1e-6
 
-#: Gap and gap speed, relative to the state, below which a held contact stays closed.
+#: Gap and gap speed, relative to the states seen, below which a held contact stays closed.
 CLOSED = 1e-12
 
 #: A gap speed, against the states seen, at which a series of impacts that has no sum is over.

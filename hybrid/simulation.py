@@ -15,16 +15,17 @@ from .automaton.markers import name_of
 from .automaton.record import Record
 from .automaton.spec import Spec
 from .errors import HybridError, OptionError, StartError, ZenoError
+from .events import NEAR
 from .hindsight import Hindsight
 from .histories import pieces
 from .reals import real, reals
+from .rules.sums import FLOOR
 from .run import Driver, Plan
 from .run.pieces import Piece
 from .scene import Scene, scene_of
 from .solvers import Solver, choose
 from .solvers.base import FINEST, tolerances
 from .trajectory import Status, Trajectory
-from .zeno.accumulate import FLOOR
 from .zeno.cycle import CycleLimit
 
 #: Relative change of the start of the third run, by which grown rounding is measured.
@@ -261,7 +262,7 @@ def _nudged(driver: Driver, mode: str, x: np.ndarray) -> np.ndarray:
     """
     guards = driver.scene.field(mode).guards
     values = [guard.value(driver.plan.t0, x.tolist()) for guard in guards]
-    if any(abs(value) <= 1e-6 * (1.0 + float(np.max(np.abs(x)))) for value in values):
+    if any(abs(value) <= NEAR * float(np.max(np.abs(x))) for value in values):
         return x
     return x * (1.0 + NUDGE * (-1.0) ** np.arange(len(x)))
 

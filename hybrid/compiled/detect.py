@@ -160,6 +160,9 @@ class Detector:
         ``looks``: whether anybody wants to know.
         """
         tolerance, noise = self.tolerance(run, lane), self._noise(lane, rows, end, h)
+        # loads are accelerations: in units of time in which they are small, states measure nothing
+        tolerance = jnp.where(lane.held, jnp.minimum(tolerance, run.rtol * rows.largest), tolerance)
+        noise = jnp.where(lane.held, jnp.minimum(noise, SEEN * EPS * rows.largest), noise)
         close = jnp.tile(tolerance, self.pieces) if self.judged else 0.0
         near = looks & (rows.zeros.lowest <= close).any()
 
@@ -249,9 +252,8 @@ class Detector:
         roots = falling(rows.zeros, powers)
         touches = shallow(powers, self._orders(lane), roots, allowed)
         shares = jnp.where(touches, jnp.inf, self.starts + roots / self.pieces)
-        contacts = self.system.pick(self.system.is_contact, lane.mode) & ~lane.held
         quiet = ~(jnp.isfinite(roots) | unclear).reshape(slots).any(axis=0)
-        sunk = contacts & (rows.ends < -tolerance) & quiet
+        sunk = self._sunk(lane, rows.ends, tolerance) & quiet
         by_slot = jnp.where(sunk, 0.0, shares.reshape(slots).min(axis=0))
         first = jnp.min(by_slot)
         before = self.starts <= first
@@ -266,6 +268,16 @@ class Detector:
             unsure = (((touches | grazes) & before).any() | sunk.any()) & ~halve
         fires = jnp.isfinite(first) & ~halve & ~unsure
         return Event(fires, jnp.argmax(tied), first, halve, unsure, jnp.asarray(jnp.inf))
+
+    def _sunk(self, lane: Lane, ends: Any, tolerance: Any) -> Any:
+        """Which guards are outside at a step's end, and so were zero in it: those of contacts, and
+        of edges that bound and were zero where the arc began."""
+        pick, mode = self.system.pick, lane.mode
+        inside = -pick(self.system.crossing, mode)
+        began = (lane.orders > 0) & (lane.going.tau == 0) & pick(self.system.bounds, mode)
+        return (
+            ~lane.held & (pick(self.system.is_contact, mode) | began) & (inside * ends < -tolerance)
+        )
 
     def _tie(self, lane: Lane, rows: Rows, noise: Any, by_slot: Any, h: Any) -> Any:
         """For each slot the share of the step within which its zero and the first are at one time.

@@ -367,12 +367,13 @@ class System:
         slide = switching.mode if switching.mode in self.modes else edge.to
         side, away = ("positive", 1) if edge.to == switching.positive else ("negative", -1)
         modes = self.modes.index(edge.to), self.modes.index(slide)
-        rate = self.code.sliding(edge.name).rate(side)
+        back = "negative" if side == "positive" else "positive"
+        rate, other = (self.code.sliding(edge.name).rate(name) for name in (side, back))
 
         def jump(p: Any, held: Any, t: Any, x: Any) -> Jumped:
             leads = away * rate(p, t, x)
             crosses = leads > 0
-            small = 64 * EPS * (1.0 + jnp.max(jnp.abs(x)))
+            small = 64 * EPS * jnp.abs(other(p, t, x))
             sure = (jnp.abs(leads) > small) & (crosses | (slide != edge.to)) & (not sliding)
             return Jumped(x, x, jnp.where(crosses, *modes), held, jnp.array(1.0), sure, sure)
 

@@ -1,4 +1,4 @@
-"""The sum of infinitely many impacts, as array code (compare :mod:`hybrid.zeno.accumulate`).
+"""The sum of infinitely many impacts, as array code (compare :mod:`hybrid.rules.sums`).
 
 The curve ``y(w)`` and its equations are the same (``docs/notes/chatter.md``). The flights are
 not expanded in Taylor series but collocated, all at once: on Chebyshev points of each flight
@@ -22,9 +22,9 @@ from numpy.polynomial.chebyshev import chebvander
 
 from ..arrays import chebyshev, when
 from ..events import EPS
+from ..rules.sums import CAUTION, FLOOR, PROBES, ROUNDING, SAMPLES, SMOOTH
 from ..scene.python import solve
 from ..segment import from_values, integrals, nodes
-from ..zeno.accumulate import CAUTION, FLOOR, PROBES, ROUNDING, SAMPLES, SMOOTH, shift
 from .lane import Run
 from .system import System
 
@@ -166,7 +166,7 @@ class _Series:
         steps, flights, lengths, forces, guards = jax.vmap(self._flight)(
             starts[:, :-1], speeds, curve.flights, curve.lengths, curve.ratio * speeds
         )
-        matrix = (shift(curve.ratio, DEGREE, jnp) @ jnp.asarray(_TO_CURVE))[1:, :-1]
+        matrix = (_differences(curve.ratio) @ jnp.asarray(_TO_CURVE))[1:, :-1]
         values = jnp.stack(solve(list(map(list, matrix)), list(steps[:DEGREE])))
         values = jnp.concatenate([values, jnp.zeros_like(values[:1])])
         end = self._onto(values[0, 0], self.x + values[0, 1:-1], 0.0)
@@ -308,3 +308,14 @@ def _next(spectrum: Any) -> Any:
     last = spectrum[-2:].max(axis=0)
     before = jnp.maximum(spectrum[-4:-2].max(axis=0), 1e-300)
     return last * jnp.minimum(last / before, 1.0)
+
+
+def _differences(r: Any) -> Any:
+    """``T_k(2 r w - 1) - T_k(2 w - 1)`` at the points, accurate for ``r`` close to 1."""
+    w = nodes(DEGREE)
+    a, b, step = 2.0 * r * w - 1.0, 2.0 * w - 1.0, 2.0 * (r - 1.0) * w
+    columns, values = [jnp.zeros_like(w), step], [jnp.ones_like(w), b]
+    for k in range(1, DEGREE):
+        columns.append(2.0 * (a * columns[k] + step * values[k]) - columns[k - 1])
+        values.append(2.0 * b * values[k] - values[k - 1])
+    return jnp.stack(columns, axis=1)

@@ -398,16 +398,26 @@ class Turner:
         height = 8 * EPS * jnp.where(uses, jnp.abs(lane.going.x), 0.0).max(axis=1)
         return (order == 1) & ~series & (lies[1] ** 2 <= -2.0 * height * lies[2])
 
+    def _pull(self, run: Run, lane: Lane) -> Any:
+        """What loads are as large as: they are accelerations, in any unit of time."""
+        if not self.system.rests.any():
+            return 0.0
+        free = self.system.flow(run.parameters, lane.mode, None, lane.t, lane.going.x)
+        return jnp.max(jnp.abs(free))
+
     def _signs(self, run: Run, lane: Lane) -> tuple[Any, Any, Any, Any]:
         """Guards with two derivatives; the flow; the power by which each vanishes; its sign."""
         t, x = lane.t, lane.going.x
         lies, flow = self.system.lies(run.parameters, lane.mode, lane.held, t, x)
-        rate, size = jnp.max(jnp.abs(flow)), 1.0 + jnp.max(jnp.abs(x))
+        rate, uses = jnp.max(jnp.abs(flow)), self.system.pick(self.system.uses, lane.mode)
+        own = jnp.where(uses, jnp.abs(x), 0.0).max(axis=1)
         tick = jnp.abs(t) * jnp.abs(lies)
-        last = jnp.broadcast_to(size + rate, tick[0].shape)
-        noise = 64 * EPS * jnp.stack([size + tick[1], last + tick[2], last])
-        known = jnp.where(lane.held, 0, lane.orders)
         contacts = self.system.pick(self.system.is_contact, lane.mode) & ~lane.held
+        size = jnp.where(lane.held, self._pull(run, lane), own)
+        closed = contacts & ~(lies[0] > 0)  # no gap is outside by less than this
+        first = jnp.where(closed, 1.0 + jnp.max(jnp.abs(x)), size)
+        noise = 64 * EPS * jnp.stack([first + tick[1], size + rate + tick[2], size + rate])
+        known = jnp.where(lane.held, 0, lane.orders)
         below = contacts & (lane.jumps > 0) & (lies[0] < 0)  # by less than solvers can tell
         sunk = jnp.where(below, self.detector.tolerance(run, lane), 0.0)
         noise = noise.at[0].set(jnp.maximum(noise[0], sunk))

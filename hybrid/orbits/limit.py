@@ -1,7 +1,7 @@
 """The first variation through an accumulation of impacts.
 
 Let ``F`` take time and state after an impact to those after the next, and ``L`` to those of
-their limit: ``L = L o F``. Along the curve ``y(w)`` of impacts (:mod:`hybrid.zeno.accumulate`) the
+their limit: ``L = L o F``. Along the curve ``y(w)`` of impacts (:mod:`hybrid.rules.sums`) the
 derivative ``G(w) = DL(y(w))`` satisfies ::
 
     G(w) = G(r w) DF(y(w)),        G(0) known,

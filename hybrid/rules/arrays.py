@@ -140,3 +140,37 @@ class Left(NamedTuple):
     owner: Ints
     spans: Matrix
     series: Matrix
+
+
+class Sums(NamedTuple):
+    """What :mod:`.sums` writes into, for ``n`` states; nothing need be in it.
+
+    Attributes
+    ----------
+    lines : Matrix
+        Rows of numbers of the time, of the states, and of the gap speed: ``n + 2`` columns.
+    small : Matrix
+        Rows of as many numbers as the curve has points.
+    times : Floats
+        The gap's acceleration, and where the curve is, at some times.
+    ints : Ints
+        Which flights are known, and the branch of the first.
+    starts, lengths, series, branch, end, c, aside, work, rows, found, sides
+        Of flights, see :func:`.flights.fly`.
+    """
+
+    lines: Matrix
+    small: Matrix
+    times: Floats
+    ints: Ints
+    starts: Floats
+    lengths: Floats
+    series: Matrix
+    branch: Ints
+    end: Floats
+    c: Matrix
+    aside: Matrix
+    work: Floats
+    rows: Matrix
+    found: Matrix
+    sides: Ints

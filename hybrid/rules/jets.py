@@ -12,7 +12,7 @@ import math
 
 from .arrays import Floats, Ints, Matrix, Programs, Table
 
-__all__ = ("jets", "steady")
+__all__ = ("jets", "steady", "values")
 
 # Columns of the index of programs: where its operations, kinks, outputs and flow begin. Behind each
 # is where they end.
@@ -29,7 +29,7 @@ POW, SQRT, CBRT = 25, 26, 27
 SINE, SINH = 28, 29
 EXP, EXP2, EXPM1, LOG, LOG1P, TAN, TANH, LOGISTIC = 30, 31, 32, 33, 34, 35, 36, 37
 ASIN, ACOS, ATAN, ASINH, ACOSH, ATANH, ERF, ERFC = 38, 39, 40, 41, 42, 43, 44, 45
-ATAN2 = 46
+ATAN2, LGAMMA = 46, 47
 
 #: Beyond this the exponential is more than a double can be.
 LARGEST = 709.782712893384
@@ -86,6 +86,32 @@ def jets(
         if _missing(c, p.output[i], order):
             return -1
     return 0
+
+
+def values(
+    p: Programs,
+    program: int,
+    t: float,
+    x: Floats,
+    sides: Ints,
+    c: Matrix,
+    work: Floats,
+    out: Floats,
+) -> int:
+    """The values of a program's outputs at ``(t, x)``, where every kink is decided by its value.
+
+    Returns
+    -------
+    status : int
+        As that of :func:`jets`.
+    """
+    for i in range(sides.shape[0]):
+        sides[i] = 0
+    status = jets(p, program, 0, t, x, sides, c, work)
+    first = p.index[program, OUTPUT]
+    for i in range(p.index[program, OUTPUT + 1] - first):
+        out[i] = c[p.output[first + i], 0]
+    return status
 
 
 def steady(ops: Table, more: Ints, sides: Ints, s: Matrix, work: Floats) -> int:
@@ -149,8 +175,10 @@ def _read(
             _pair(ops, j, c, k)
         elif op <= ERFC:
             _chain(ops, j, c, k)
-        else:
+        elif op == ATAN2:
             _angle(ops, j, more, s, sides, c, k)
+        else:
+            c[ops[j, 1], k] = _lgamma(c[ops[j, 2], 0]) if k == 0 else math.nan
 
 
 def _at(c: Matrix, s: Floats, r: int, k: int) -> float:
@@ -496,6 +524,11 @@ def _inverse(op: int, a: float) -> float:
     if op == ACOS:
         return math.acos(a)
     return math.atanh(a) if abs(a) < 1.0 else math.nan
+
+
+def _lgamma(a: float) -> float:
+    """The logarithm of the gamma function, which has no recurrence."""
+    return math.lgamma(a) if a > 0.0 else math.nan
 
 
 def _angle(ops: Table, j: int, more: Ints, s: Floats, sides: Ints, c: Matrix, k: int) -> None:

@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache, cached_property
 from importlib import import_module, machinery, util
 from pathlib import Path
@@ -49,8 +49,10 @@ KEPT, FRESH = 4, 86400.0
 #: What is put below the text of a rule file. A product and a sum may be contracted to one
 #: operation; nothing may assume that there is no NaN and no infinity. What Python calls has an
 #: explicit signature, so that a wrong array is refused, and is kept: other files call it as it is.
-#: What only rules of its own file call is compiled into them. Nothing is allocated, so that arrays
-#: need not be counted: that took more than half of the time of a jet.
+#: What only rules of its own file call is compiled into them; before that, as text, where it calls
+#: other files: their machine code would be joined to that of each such rule, and optimised anew.
+#: Nothing is allocated, so that arrays need not be counted: that took more than half of the time of
+#: a jet.
 FOOTER = """
 
 from numba import njit as _njit
@@ -61,7 +63,9 @@ _options = {{"fastmath": {{"contract"}}, "error_model": "numpy", "nogil": True, 
 _options["no_cfunc_wrapper"] = True
 _inner = {{"forceinline": True, "no_cpython_wrapper": True, **_options}}
 _plain = {{name: globals()[name] for name in {functions!r}}}
-globals().update({{name: _njit(**_inner)(rule) for name, rule in _plain.items()}})
+_how = {{name: "always" if name in {reaching!r} else "never" for name in _plain}}
+_rules = {{name: _njit(inline=_how[name], **_inner)(_plain[name]) for name in _plain}}
+globals().update(_rules)
 called = {{}}
 for _name, _kinds in {arguments!r}.items():
     _types = _signature(_kinds, {package!r})
@@ -142,7 +146,7 @@ class Library:
             tidy(base)
             draft = Path(tempfile.mkdtemp(prefix="draft-", dir=base))
             for name, text in {"__init__": "", **self.sources}.items():
-                whole = text + footer(text, self.package)
+                whole = text + footer(text, self.package, self.sources)
                 (draft / f"{name}.py").write_text(whole, encoding="utf-8")
             try:
                 os.replace(draft, folder)
@@ -169,8 +173,11 @@ class Library:
         return called
 
 
-def footer(text: str, package: str) -> str:
-    """What turns the functions of a rule file into machine code; nothing if it has none."""
+def footer(text: str, package: str, sources: Mapping[str, str]) -> str:
+    """What turns the functions of a rule file into machine code; nothing if it has none.
+
+    ``sources``: the text of all rule files.
+    """
     tree = ast.parse(text)
     functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
     if not functions:
@@ -180,8 +187,26 @@ def footer(text: str, package: str) -> str:
         loader=__name__,
         package=package,
         functions=[f.name for f in functions],
+        reaching=sorted(_reaching(tree, sources)),
         arguments={f.name: _annotations(f) for f in functions if f.name in public},
     )
+
+
+def _reaching(tree: ast.Module, sources: Mapping[str, str]) -> set[str]:
+    """Functions that call public ones of other files, themselves or by others of their own."""
+    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom) and node.level]
+    public = {
+        node.module: _public(ast.parse(sources.get(str(node.module), ""))) for node in imports
+    }
+    found = {a.name for node in imports for a in node.names if a.name in public[node.module]}
+    names = {
+        function.name: {node.id for node in ast.walk(function) if isinstance(node, ast.Name)}
+        for function in tree.body
+        if isinstance(function, ast.FunctionDef)
+    }
+    while new := {name for name, used in names.items() if used & found} - found:
+        found |= new
+    return found & set(names)
 
 
 def _public(tree: ast.Module) -> tuple[str, ...]:

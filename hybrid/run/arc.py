@@ -339,7 +339,7 @@ class ArcFlow:
         grazes: list[tuple[float, int]],
     ) -> Fired | None:
         guard = self.field.guards[index]
-        tolerance = self._tolerance(guard, stepper.x)
+        tolerance = self._tolerance(guard, self.now.t + stepper.tau, stepper.x)
         scale = scales[index] if scales else float("inf")
         order, t0 = self.orders[index], self.now.t
         noise = self._leaving(index, stepper)
@@ -499,7 +499,7 @@ class ArcFlow:
         t, state, found = self.now.t + tau, x.tolist(), []
         for index, guard in enumerate(self.field.guards):
             if guard.kind in ("edge", "switch"):
-                least = max(self._tolerance(guard, x), self._rounding(index, t, state))
+                least = max(self._tolerance(guard, t, x), self._rounding(index, t, state))
                 if _outside(guard, guard.value(t, state)) > least:
                     found.append(index)
         return found
@@ -511,10 +511,17 @@ class ArcFlow:
                 t, guard = self.now.t + tau, self.field.guards[index]
                 raise DomainError(lost(self._where(tau, x), guard, t, x.tolist()))
 
-    def _tolerance(self, guard: Guard, x: np.ndarray) -> float:
-        """What the tolerances leave open of a guard."""
+    def _tolerance(self, guard: Guard, t: float, x: np.ndarray) -> float:
+        """What the tolerances leave open of a guard.
+
+        A load is an acceleration, in units in which it may be far smaller than the states.
+        """
         size = max((abs(float(x[i])) for i in guard.uses), default=0.0)
-        return self.plan.limit + self.plan.rtol * size
+        open_ = self.plan.limit + self.plan.rtol * size
+        if guard.kind != "release":
+            return open_
+        own = float(self.scene.rounding(guard, self.field)(t, x.tolist())[0])
+        return min(open_, self.plan.rtol * own)
 
     def _land(
         self, stepper: Stepper, segment: Segment, fired: Fired, again: bool = False

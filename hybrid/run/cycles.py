@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from typing import TYPE_CHECKING, NamedTuple
 
 import attrs
@@ -192,6 +192,10 @@ class Cycles:
             first, last = self.seen[-STILL], self.seen[-1]
             self.stands = last.clock - first.clock <= _tick(STILL, last.t)
         return self.stands and not stood
+
+    def first_of(self, edge: str) -> float:
+        """When the last jumps, all of this edge, began."""
+        return min(seen.t for seen in takewhile(lambda seen: seen.edge == edge, self.seen[::-1]))
 
     def again(self) -> None:
         """Look for a limit at the next jump again."""

@@ -109,7 +109,11 @@ class Driver:
     def _off(self, x: np.ndarray) -> float:
         """What a state may be off, by the tolerances; little, however loose they are."""
         size = float(np.max(np.abs(x)))
-        return min(self.plan.limit + self.plan.rtol * size, NEAR * (1.0 + size))
+        return min(self.plan.limit + self.plan.rtol * size, NEAR * self._reach(x))
+
+    def _reach(self, x: np.ndarray) -> float:
+        """The size of the largest state that the run has seen, this one among them."""
+        return float(np.max(np.maximum(self.seen, np.abs(x))))
 
     def look(self, x: np.ndarray) -> None:
         """Let delays see the past from here, where what they see has come to an end."""
@@ -210,7 +214,7 @@ class Driver:
         assert memory is not None
         if self.plan.progress is not None:
             self.plan.progress(t)
-        signs = signs_at_end(self.entry, t, x)
+        signs = signs_at_end(self.entry, t, x, self._reach(x))
         memory.passed(t, x, field, fired.edge if fired else None)
         self.enter(field.mode, x, Jumped(held=field.held, passing=signs))
 
@@ -340,7 +344,7 @@ class Driver:
         guard = field.guards[column]
         after, ahead = beyond_kinks(field, (*guard.kinks, *field.changes), t, x)
         fall = -guard.lie(after, ahead.tolist())[2]
-        if not 0 < v * v <= NEAR * fall * (1.0 + float(np.max(np.abs(x)))):
+        if not 0 < v * v <= NEAR * fall * self._reach(x):
             return None
         flight = fly(field, column, t, x.tolist(), v)
         if flight is None or self.record.now.after(flight.time).until(self.known) < 0:
@@ -349,7 +353,7 @@ class Driver:
             return None
         end = t + flight.time
         landed = contact.land(end, flight.x)
-        rounding = 64 * EPS * (1.0 + float(np.max(np.abs(x))))
+        rounding = 64 * EPS * self._reach(x)
         for index, guard in enumerate(field.guards):
             here, there = guard.value(t, x.tolist()), guard.value(end, landed)
             near = (here if guard.kind == "contact" else abs(here)) <= rounding
@@ -422,8 +426,7 @@ class Driver:
         """The contacts held at present that a jump has left closed: gap and speed zero."""
         if mode != self.entry.field.mode or not self.entry.field.held:
             return ()
-        size = CLOSED * (1.0 + float(np.max(np.abs(x))))
-        held = []
+        size, held = CLOSED * self._reach(x), []
         for guard in self.scene.field(mode).guards:
             if guard.edge in self.entry.field.held:
                 gap, speed, _ = guard.lie(self.t, x.tolist())
@@ -524,7 +527,7 @@ class Driver:
         state = self.scene.spec.record(limit.x_inf)
         point = Accumulation(self.t, state, ratio, edges, "estimated", rest, record.j)
         if isinstance(limit, Tail):
-            point._proofs = limit.prove
+            point._proofs, point._since = limit.prove, self.cycles.first_of(limit.contact.name)
         else:
             named = ((edge, self.scene.spec.record(x)) for edge, x in limit.limits)
             point.limits = tuple(named)

@@ -117,13 +117,12 @@ def enter(
     return Entry(field, x, here.series, orders, at_once, signs)
 
 
-def signs_at_end(entry: Entry, t: float, x: np.ndarray) -> dict[str, int]:
+def signs_at_end(entry: Entry, t: float, x: np.ndarray, reach: float) -> dict[str, int]:
     """By edge the sign of its guard at the end of a flight in which none has fired.
 
-    A guard that is next to zero there is still on the side on which it was.
+    A guard next to zero there, against the states seen, is still on the side on which it was.
     """
-    state, signs = x.tolist(), {}
-    near = NEAR * (1.0 + float(np.max(np.abs(x))))
+    state, signs, near = x.tolist(), {}, NEAR * reach
     for index, guard in enumerate(entry.field.guards):
         value = guard.value(t, state)
         here = 1 if value > 0 else -1 if value < 0 else 0
@@ -240,12 +239,13 @@ class _Here:
             return order >= 2 and sign <= 0
         t, x = self.t, self.x.tolist()
         gap, speed, force = guard.lie(t, x)
+        sizes = self.scene.rounding(guard, self.field)(t, x)
         if jumped.series and guard.edge in jumped.vanishing:
             slow = abs(speed) <= NOTHING * self.reach
         else:
-            height = max(8 * EPS * self.scene.rounding(guard, self.field)(t, x)[0], abs(gap))
+            height = max(8 * EPS * sizes[0], abs(gap))
             slow = speed**2 <= max((64 * EPS * self.reach) ** 2, -2.0 * force * height)
-        return slow and force < -NEAR * self.reach
+        return slow and force < -NEAR * sizes[2]
 
     def stays(self, guard: Guard) -> bool:
         """Whether a guard that is zero for good fires no more: where delays see the end of a
@@ -301,14 +301,14 @@ class _Here:
         if jumped.passing is not None and value * jumped.passing.get(guard.edge, 0) > 0:
             return 0, 1 if value > 0 else -1
         if not least and not (guard.kind == "contact" and -self.off <= value <= 0):
-            if abs(value) > NEAR * (1.0 + max(map(abs, x))):
+            if abs(value) > NEAR * max(self.reach, *map(abs, x)):
                 return 0, 1 if value > 0 else -1
             size, rate = self.scene.rounding(guard, self.field)(t, x)[0], guard.lie(t, x)[1]
             moves = guard.kind == "contact" and value > 0 and abs(rate) > 64 * EPS * self.reach
             if guard.kind == "edge" and len(self.seen):
                 reach = max((float(self.seen[i]) for i in guard.uses), default=0.0)
             else:
-                reach = 0.0 if moves else self.reach
+                reach = 0.0 if moves or guard.kind == "release" else self.reach
             noise = 64 * EPS * (size + abs(t) * abs(rate) + reach)
             if abs(value) > noise:
                 return 0, 1 if value > 0 else -1

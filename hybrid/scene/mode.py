@@ -138,6 +138,16 @@ class ModeGraph:
             moved[place] = graph.node("sub", moved[place], times(graph, normal, share))
         return moved
 
+    def turn(self, name: str, held: bool) -> list[int]:
+        """An impulse's change of the state, as :meth:`push`; then the gap's speed, and its
+        acceleration along the flow."""
+        return [*self.push(name), *self.lie(name, held)[1:]]
+
+    def law(self, name: str) -> list[int]:
+        """The restitution; the speed that it is asked for is one state more."""
+        speed = self.graph.input(f"x{len(self.x)}")
+        return self.values(self.code.closed("restitution", name), speed)
+
     # -- contacts held --------------------------------------------------------------------
 
     def acts(self, one: Normal, other: Normal) -> int:
@@ -254,6 +264,13 @@ class ModeGraph:
         guards = [self.guard(name) for name in self.watched(held)]
         where = f"{self.spec.model}, mode {self.mode}"
         return tape(self.graph, len(self.x), np.array(self.flow(held)), guards, where)
+
+    def contact_tapes(self, name: str, held: bool) -> list[Tape]:
+        """What happens at a contact, for values: :meth:`land`, :meth:`turn`, :meth:`law`."""
+        where, size = f"{self.spec.model}, contact {name}", len(self.x)
+        turn = self.turn(name, held)
+        parts = [(size, self.land(name)), (size, turn), (size + 1, self.law(name))]
+        return [tape(self.graph, n, np.array([]), nodes, where) for n, nodes in parts]
 
     def watched(self, held: bool) -> list[str]:
         """Names of the guards: all that are declared, and with contacts held their loads."""

@@ -128,6 +128,8 @@ class Field:
         Contacts held closed here.
     trace, code, parameters
         What gives the flow's jaxpr, what else is made for the class, and the parameters' values.
+    numbers : tuple of float
+        The same as one list, and behind them the mask: which contacts are held.
     project : callable ``(t, x)`` or None
         Back onto the held contacts' gaps, or onto the surface on which the state slides.
     changes : tuple of Kink
@@ -143,6 +145,7 @@ class Field:
     trace: Callable[[], Any]
     code: Lowered
     parameters: tuple[Any, ...]
+    numbers: tuple[float, ...]
     project: Scalar | None = None
     refused: str = ""
     changes: tuple[Kink, ...] = ()
@@ -168,6 +171,21 @@ class Field:
         """
         assert self.jets is not None
         return self.jets(t, x, sides, ORDER)
+
+    def at_contact(self, name: str) -> list[Jets]:
+        """What happens at a contact of the mode, for values (:meth:`.ModeGraph.contact_tapes`)."""
+        tapes = self.code.contact_tapes(self.mode, name, bool(self.held))
+        return [tape.bind(self.numbers) for tape in tapes]
+
+    def once(self, key: Any, make: Callable[[], Any]) -> Any:
+        """What ``make`` returns, made only the first time."""
+        if key not in self._made:
+            self._made[key] = make()
+        return self._made[key]
+
+    @cached_property
+    def _made(self) -> dict[Any, Any]:
+        return {}
 
 
 @attrs.frozen(eq=False)
@@ -262,7 +280,7 @@ class Scene:
         trace = lambda: code.field_closed(mode, held)  # noqa: E731
         jets, refused = (series, "") if isinstance(series, Jets) else (None, series)
         changes = self._kinks(mode, held, "flow", lambda g: g.flow(bool(held)))
-        made = trace, code, self.parameters, project, refused, changes
+        made = trace, code, self.parameters, numbers, project, refused, changes
         return Field(name, mode, held, rhs, jets, guards, *made)
 
     @cached_property

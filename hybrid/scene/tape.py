@@ -44,7 +44,7 @@ SAME = {
 ORDERED, EQUAL = ("gt", "ge", "lt", "le"), ("eq", "ne")
 
 #: Of each operation's columns: which name rows or numbers, and which a list of such.
-NAMED, LISTED = np.zeros((2, rule.ATAN2 + 1, 6), dtype=bool)
+NAMED, LISTED = np.zeros((2, rule.LGAMMA + 1, 6), dtype=bool)
 NAMED[:, 2:4] = True
 NAMED[rule.SELECT, 4], NAMED[rule.FLOOR, 3] = True, False
 NAMED[[rule.SUM, rule.DOT, rule.SOLVE], 2:4] = False
@@ -337,6 +337,8 @@ def tape(graph: Graph, size: int, flow: Ids, functions: Sequence[int], where: st
     ----------
     size : int
         Number of states.
+    flow : list of node
+        Empty for functions whose values alone are asked for.
     where : str
         Model and mode, for messages.
 
@@ -526,6 +528,8 @@ class _Recorder:
             slopes = [self.place[i] for i in self.slopes.get(number, ())]
             kink = self._side(op, arguments)
             written.append((rule.ATAN2, out, *named, self._list(slopes), kink))
+        elif op == "lgamma" and not (moves and self.flow):
+            written.append((rule.LGAMMA, out, *named))
         else:
             raise TraceError(self._refused(op))
 

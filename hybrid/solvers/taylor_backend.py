@@ -96,7 +96,8 @@ class TaylorStepper(Stepper):
         )
         if status < 0:
             raise FlowError(REFUSED[status])
-        unit("kinks").turn(programs, 0, crossed, self.room.c, sides)
+        if len(sides):
+            unit("kinks").turn(programs, 0, crossed, self.room.c, sides)
         self._start, self._made = start, h
         self.tau, self.x = (limit if start + h >= limit else start + h), end
         self.pace.step(start, self.tau, self.length)

@@ -1,68 +1,37 @@
-"""The sum of infinitely many impacts: the chatter map, closed.
-
-Let ``F`` take the state after an impact (with gap speed ``v``) to the state after the next.
-Near a point of rest the impacts that tend to it lie on a curve ``y(w)``, on which the map
-is multiplication: ``F(y(w)) = y(r w)`` with ``r`` the restitution at rest, ``y(0)`` the
-point of rest, and the impacts at hand ``y(1), y(r), y(r^2), ...``. The curve is analytic
-where flow, gap and restitution are. With ``D(w) = F(y(w)) - y(w)`` for time and state, and
-``E(w) = log(v'/(r v))`` for the gap speed, the curve solves two linear equations::
-
-    y(r w) - y(w) = D(w),    log v = log w + l(w),    l(r w) - l(w) = E(w).
-
-The curve is held by its values at a few points of ``[0, 1]``. ``D`` and ``E`` there are
-computed by one Taylor flight each; the equations are solved, which moves the curve; and so
-on by turns, each of which gains an order and takes one point more. Where moving the curve
-changes nothing (a fixed wall, forces that depend on nothing but the gap and the speed
-squared), the points are doubled instead and the old ones kept. What the last turn changed
-bounds what is left. This is the map of Nordmark & Piiroinen (Nonlinear Dynamics 58,
-2009) to any order; see ``docs/notes/chatter.md``.
-"""
+"""The sum of infinitely many impacts as part of a run: see :mod:`hybrid.rules.sums`."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from math import exp, log
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from ..events import room
+from ..rules import unit
+from ..rules.arrays import Programs, Sums
+from ..rules.flights import most_pieces
+from ..rules.sums import BRANCH, DEGREE, ERROR, FIT, GRID, LAST, LIMIT, LINES, SAMPLES, STATE
 from ..scene.defect import follows
+from ..scene.lowered import ORDER
+from ..scene.tape import Tape, linked
 from ..scene.taylor import polynomial
-from ..segment import from_values, nodes
 from .flight import Flight, fly
 
 if TYPE_CHECKING:
     from ..scene import Contact, Field
     from .enclose import Proof
 
-#: Most points on the curve.
-DEGREE = 16
-
-#: Rounding floor of an accumulation, relative.
-FLOOR = 4e-15
-
-#: Logarithms of the speed's ratio below which the forces are taken to be even in the speed.
-IDLE = 1e-13
-
-#: Points off the nodes at which a curve is put to the test.
-PROBES = (0.3, 0.1, 0.03, 0.01, 1e-3)
-
-#: Times along a tail at which the forces are looked at, and how smooth they must be.
-SAMPLES, SMOOTH = 64, 1e-5
-
-#: What is left after a turn, against what the turn changed: it shrinks, but not evenly.
-CAUTION = 8.0
-
 #: Impacts of a tail from which a proof is tried, and shares of all that are listed.
 STAGES, SHARES_LISTED = (0, 3, 10, 30, 60, 100, 160, 250, 400, 1000, 4000), (0.25, 0.5, 0.75)
 
 #: Most impacts that are flown to find one from which a proof succeeds: half a second of them.
 FLOWN = 400
-
-#: Rounding of one flight, relative, as seen in the change from turn to turn.
-ROUNDING = 3e-15
 
 
 @attrs.frozen(eq=False)
@@ -209,160 +178,83 @@ def close(
     None means that the series does not converge well enough from here: the impacts are too
     strong, or do not accumulate at all. The tolerances are of the result.
     """
-    guess = _Curve(field, contact, column, t, x, v)
-    share = max(1e-3 * rtol, FLOOR)
-    degree, before = 1, None
-    history: list[float] = []
-    while degree <= DEGREE:
-        if not guess.improve(degree):
+    if field.jets is None:
+        return None
+    chatter = field.once(("sum", contact.name), lambda: _Chatter.of(field, contact))
+    with chatter.lent() as given:
+        start = t, np.array(x, dtype=float), v, rtol, atol
+        degree, r = unit("sums").close(
+            chatter.programs, column, field.project is not None, chatter.local, *start, given
+        )
+        if not degree:
             return None
-        if before is not None:
-            change, rounding = np.abs(guess.limit - before), guess.rounding()
-            allowed = share * guess.scale() + rounding + 1e-3 * atol * (np.arange(1 + len(x)) > 0)
-            worst = float(np.max(change / np.maximum(allowed, 1e-300)))
-            if guess.steady and history:
-                left = min(1.0, worst / history[-1])  # doubling squares what is left, or better
-                change, worst = left * change, left * worst
-            if worst <= 1.0:
-                error = CAUTION * change + FLOOR * guess.scale() + rounding
-                return guess.tail(low, error) if guess.holds(allowed[0]) else None
-            history.append(worst)
-            if not guess.steady and not _hopeful(history, DEGREE - degree):
-                return None
-        before = guess.limit
-        degree = 2 * degree if guess.steady else degree + 1
-    return None
+        lines = given.lines.copy()
+    remaining, x_inf, error = float(lines[LIMIT, 0]), lines[STATE, : len(x)], lines[ERROR, :-1]
+    found = r, lines[: degree + 1], remaining, x_inf, float(error[0]), error[1:]
+    return Tail(field, contact, column, t, low, x, v, *found)
 
 
-def _hopeful(history: list[float], left: int) -> bool:
-    """Whether the changes shrink fast enough (over two turns: odd orders may vanish)."""
-    if len(history) < 3 or not history[-3] > 0:
-        return True
-    rate = (history[-1] / history[-3]) ** 0.5
-    return history[-1] * rate**left < 1.0
+@attrs.frozen(eq=False)
+class _Chatter:
+    """The map of a contact in a field as programs, and room for its sum.
 
+    Attributes
+    ----------
+    tapes : list of Tape
+        Those of the programs: the flow, and what happens at the contact.
+    local : bool
+        Whether all flights see the same forces.
+    free : list of Sums
+        Room that no sum is using: threads share the programs, and not the room.
+    """
 
-class _Curve:
-    """The curve ``y(w)`` while it is improved."""
+    programs: Programs
+    tapes: list[Tape]
+    local: bool
+    free: list[Sums]
 
-    def __init__(
-        self, field: Field, contact: Contact, column: int, t: float, x: np.ndarray, v: float
-    ) -> None:
-        self.field, self.contact, self.column = field, contact, column
-        self.t, self.x, self.v = t, x, v
-        self.curve = np.zeros((1, 2 + len(x)))
-        self.limit = np.zeros(1 + len(x))
-        self.steady = contact.local and not field.held
-        self._known: dict[float, list[float]] = {}
-        self._branch: tuple[int, ...] | None = None
-        self.r = contact.law(t, x.tolist(), -0.0)
+    @classmethod
+    def of(cls, field: Field, contact: Contact) -> _Chatter:
+        """From the flow and what happens at the contact."""
+        assert field.jets is not None
+        parts = [field.jets, *field.at_contact(contact.name)]
+        local = contact.local and not field.held
+        return cls(linked(parts), [part.tape for part in parts], local, [])
 
-    def improve(self, degree: int) -> bool:
-        """One turn with that many points; False where a flight is not to be had."""
-        if not 0.0 < self.r < 1.0 - 1e-12:
-            return False
-        steps = []
-        for w in nodes(degree)[:0:-1].tolist():
-            step = self._look_up(w, degree)
-            if step is None:
-                return False
-            steps.append(step)
-        equations = (shift(self.r, degree) @ from_values(degree))[1:, :-1]
-        values = np.linalg.solve(equations, np.array(steps[::-1]))
-        values = np.concatenate([values, np.zeros((1, values.shape[1]))])
-        if not np.all(np.isfinite(values)) or not values[0, 0] > 0:
-            return False
-        self.curve, self.limit = from_values(degree) @ values, values[0, :-1]
-        t_inf, x_inf = self.t + self.limit[0], (self.x + self.limit[1:]).tolist()
-        self.r = self.contact.law(t_inf, x_inf, -0.0)
-        return self.field.guards[self.column].lie(t_inf, x_inf)[2] < 0
+    @contextmanager
+    def lent(self) -> Iterator[Sums]:
+        """Room for one sum."""
+        try:
+            given = self.free.pop()
+        except IndexError:
+            given = self._new()
+        try:
+            yield given
+        finally:
+            self.free.append(given)
 
-    def _look_up(self, w: float, degree: int) -> list[float] | None:
-        """``D`` and ``E`` at a point; known ones are kept while the curve's place is idle."""
-        key = round(w, 12)
-        if key in self._known and (self.steady or w == 1.0):
-            return self._known[key]
-        step = self._step(w)
-        if step is not None:
-            self._known[key] = step
-            self.steady = self.steady and abs(step[-1]) <= IDLE
-        return step
-
-    def holds(self, allowed: float) -> bool:
-        """Whether the curve is one between its points too, and far down towards its limit.
-
-        Flights at other points must be on the same branch and fulfil the equation; and the
-        gap's acceleration at rest must be smooth along the curve, in steps of time.
-        """
-        for w in PROBES:
-            step = self._step(w)
-            if step is None:
-                return False
-            here, there = chebyshev.chebval(2.0 * np.array([w, self.r * w]) - 1.0, self.curve[:, 0])
-            if abs(step[0] - (there - here)) > allowed + CAUTION * ROUNDING * step[0]:
-                return False
-        return self.steady or self._smooth()
-
-    def _smooth(self) -> bool:
-        """Whether forces vary along the tail as a polynomial of its degree does."""
-        grid = np.linspace(0.0, 1.0, 4 * SAMPLES)
-        offsets = chebyshev.chebval(2.0 * grid - 1.0, self.curve[:, 0])
-        since = np.linspace(0.0, self.limit[0], SAMPLES)
-        w = np.interp(since, offsets[::-1], grid[::-1])
-        states = self.x + chebyshev.chebval(2.0 * w - 1.0, self.curve[:, 1:-1]).T
-        times = self.t + chebyshev.chebval(2.0 * w - 1.0, self.curve[:, 0])
-        guard = self.field.guards[self.column]
-        pairs = zip(times.tolist(), states.tolist(), strict=True)
-        push = np.array([guard.lie(t, self._on_contact(t, x, 0.0))[2] for t, x in pairs])
-        basis = chebyshev.chebvander(2.0 * w - 1.0, min(len(self.curve) + 2, DEGREE))
-        fitted = basis @ np.linalg.lstsq(basis, push, rcond=None)[0]
-        return bool(np.max(np.abs(push - fitted)) <= SMOOTH * np.max(np.abs(push)))
-
-    def _step(self, w: float) -> list[float] | None:
-        """``D`` and ``E`` at one point of the curve, by one flight and impact."""
-        offset = np.asarray(chebyshev.chebval(2.0 * w - 1.0, self.curve))
-        v = self.v * w * exp(float(offset[-1]))
-        t = self.t + float(offset[0])
-        x = self._on_contact(t, (self.x + offset[1:-1]).tolist(), v)
-        flight = fly(self.field, self.column, t, x, v)
-        if flight is None or flight.branch != (self._branch or flight.branch):
-            return None
-        self._branch = flight.branch
-        after, moved = _impact(self.contact, t + flight.time, flight)
-        if not after > 0:
-            return None
-        return [flight.time, *(moved - np.array(x)), log(after / (self.r * v))]
-
-    def _on_contact(self, t: float, x: list[float], v: float) -> list[float]:
-        return on_contact(self.field, self.contact, self.column, t, x, v)
-
-    def scale(self) -> np.ndarray:
-        """Size of time and of each element of the state, over the tail."""
-        return np.abs(self.limit) + np.abs(np.array([self.t, *self.x]))
-
-    def rounding(self) -> np.ndarray:
-        """Rounding of one flight, added up over the ``1 / (1 - r)`` flights that count."""
-        size = self.scale()
-        size[0] = self.limit[0]
-        return ROUNDING / (1.0 - self.r) * size
-
-    def tail(self, low: float, error: np.ndarray) -> Tail:
-        return Tail(
-            self.field,
-            self.contact,
-            self.column,
-            self.t,
-            low,
-            self.x,
-            self.v,
-            self.r,
-            self.curve,
-            float(self.limit[0]),
-            np.array(
-                self._on_contact(self.t + self.limit[0], (self.x + self.limit[1:]).tolist(), 0.0)
-            ),
-            float(error[0]),
-            error[1:],
+    def _new(self) -> Sums:
+        n, high = self.tapes[0].size, ORDER + 1
+        shapes = [(tape.rows, len(tape.kinks), tape.room) for tape in self.tapes]
+        rows, kinks, unknowns = (max(each) for each in zip(*shapes, strict=True))
+        most = most_pieces(kinks)
+        points, zeros = DEGREE + 1, room(ORDER)
+        return Sums(
+            lines=np.zeros((LINES, n + 2)),
+            small=np.zeros((FIT + SAMPLES, points)),
+            times=np.zeros(GRID + LAST + 1),
+            ints=np.zeros(BRANCH + kinks + most, dtype=np.int64),
+            starts=np.zeros(most),
+            lengths=np.zeros(most),
+            series=np.zeros((n * most, high)),
+            branch=np.zeros(kinks + most, dtype=np.int64),
+            end=np.zeros(n),
+            c=np.zeros((rows, high)),
+            aside=np.zeros((rows, 3)),
+            work=np.zeros(unknowns),
+            rows=zeros[0],
+            found=zeros[1],
+            sides=np.zeros(kinks, dtype=np.int64),
         )
 
 
@@ -381,17 +273,3 @@ def on_contact(
     x = contact.land(t, x)
     missing = v - field.guards[column].lie(t, x)[1]
     return [p + missing * q for p, q in zip(x, contact.push(t, x), strict=True)]
-
-
-def shift(r: Any, degree: int, xp: Any = np) -> Any:
-    """``T_k(2 r w - 1) - T_k(2 w - 1)`` at the nodes, accurate for ``r`` close to 1.
-
-    ``xp`` is the array namespace.
-    """
-    w = nodes(degree)
-    a, b, step = 2.0 * r * w - 1.0, 2.0 * w - 1.0, 2.0 * (r - 1.0) * w
-    columns, values = [xp.zeros_like(w), step], [xp.ones_like(w), b]
-    for k in range(1, degree):
-        columns.append(2.0 * (a * columns[k] + step * values[k]) - columns[k - 1])
-        values.append(2.0 * b * values[k] - values[k - 1])
-    return xp.stack(columns[: degree + 1], axis=1)

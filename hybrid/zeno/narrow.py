@@ -22,13 +22,14 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from ..rules.sums import FLOOR, LOSS
 from ..scene.defect import EPS
 from ..scene.derivatives import along
 from ..scene.lowered import choosers, one_sided
 from ..scene.python import needed
 from ..scene.taylor import flat
 from ..segment import from_values, nodes
-from .accumulate import FLOOR, Tail, on_contact
+from .accumulate import Tail, on_contact
 from .flight import fly
 
 if TYPE_CHECKING:
@@ -55,9 +56,8 @@ DEGREE = 12
 #: What the restitution may be off, in what that does to the limit, against the sum's own error.
 CAUTION = 64.0
 
-#: Least loss at the impacts of a sum, and what of a loss that fades is not told from none: some
-#: hundred roundings of the restitution.
-LOSS, LOST = 1e-12, 1e-13
+#: What of a loss that fades is not told from none: some hundred roundings of the restitution.
+LOST = 1e-13
 
 
 def seen(tail: Tail, closing: float = 1.0) -> bool:

@@ -108,6 +108,19 @@ def test_a_pulse_on_the_way_to_the_limit_is_seen(way, at, width, kick):
         assert result.zeno[0].verdict == "certified"
 
 
+@pytest.mark.parametrize("cls", [Boxed, Pointed])
+@pytest.mark.parametrize(("at", "width", "kick"), KICKS)
+def test_a_series_that_does_not_happen_is_not_certified(cls, at, width, kick):
+    """DOP853 may pass over a pulse: what follows in its run is proved, and is another series."""
+    model = cls(at=at, width=width, kick=kick)
+    point = hy.simulate(model, START, (0, 60), method="DOP853", rtol=1e-9).zeno[0]
+    exact = limit(at, kick)
+    assert abs(point.t - exact) <= point.t_error
+    if abs(point.t - exact) > 1e-3:
+        assert point.verdict == "estimated"
+        assert point.enclosure is None
+
+
 class Distant(Ball):
     """The same ball over a gap that is written as a distance."""
 

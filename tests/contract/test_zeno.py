@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+import hybrid as hy
 from models.bead_on_table import BeadOnTable
 from models.bouncing_ball import BouncingBall
 
 from .. import systems
-from .ways import ACCURATE, SOLVERS_AND_COMPILED, misses
+from .ways import ACCURATE, COMPILED, SOLVERS, SOLVERS_AND_COMPILED, misses
 
 WAYS = SOLVERS_AND_COMPILED
 
@@ -194,3 +195,47 @@ def test_a_body_set_at_rest_on_a_moving_table_does_not_sink(way):
         ended = way.many(model, [start] * 60, (-np.pi / 10, times[4::5]))
         heights, times = np.array([result.final.x for result in ended]), times[4::5]
     assert np.min(heights - np.sin(5.0 * times)) >= -1e-12
+
+
+#: A ball whose impacts accumulate, and when.
+DROPPED = BouncingBall(), {"x": 1.0, "v": 0.0}, (0.0, 3.0)
+T_INF = 2.55863396558580846
+
+
+def test_a_run_stops_where_it_is_asked_to(way):
+    """At the accumulation, on the floor."""
+    result = way.run(*DROPPED, zeno="stop")
+    assert result.status == "zeno_stopped"
+    assert result.t_inf == pytest.approx(T_INF, abs=1e-6)
+    assert result.t == pytest.approx(result.t_inf, abs=1e-15)  # the start of the last arc, rounded
+    assert result.final.x == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("way", SOLVERS, indirect=True)
+def test_a_series_is_cut_or_an_error_where_that_is_asked(way):
+    """Held after three impacts, with what that leaves out; or refused."""
+    cut = way.run(*DROPPED, zeno="truncate", max_jumps=3)
+    exact = np.sqrt(2 / 9.81) * np.array([1.0, 1 + 2 * 0.7, 1 + 2 * (0.7 + 0.49)])
+    np.testing.assert_allclose(cut.times[:3], exact, atol=1e-6)
+    assert cut.zeno[0].t == pytest.approx(exact[2], abs=1e-6)
+    assert cut.final.x == 0.0
+    assert cut.zeno[0].truncation.t_inf == pytest.approx(T_INF, abs=1e-6)
+    assert way.run(*DROPPED, zeno="raise").status == "zeno_raised"
+
+
+@pytest.mark.parametrize("way", COMPILED, indirect=True)
+@pytest.mark.parametrize("zeno", ["truncate", "raise"])
+def test_lanes_refuse_what_they_cannot_do_at_an_accumulation(way, zeno):
+    """They say what can."""
+    with pytest.raises(hy.OptionError, match=r"'truncate' and 'raise' use hy\.simulate"):
+        way.run(*DROPPED, zeno=zeno)
+
+
+@pytest.mark.parametrize("way", COMPILED, indirect=True)
+def test_impacts_of_lanes_are_simulated_one_by_one_where_that_is_asked(way):
+    """Ten of them, at the times of parabolas, and no limit."""
+    result = way.run(*DROPPED, zeno="ignore", max_jumps=10)
+    assert result.status == "max_jumps"
+    exact = np.sqrt(2 / 9.81) * (1 + 2 * np.cumsum(0.7 ** np.arange(10)) - 2)
+    np.testing.assert_allclose(result.times, exact, rtol=1e-9)
+    assert not result.zeno

@@ -1,0 +1,444 @@
+"""The sum of infinitely many impacts: the chatter map, closed.
+
+Let ``F`` take the state after an impact (with gap speed ``v``) to the state after the next.
+Near a point of rest the impacts that tend to it lie on a curve ``y(w)``, on which the map
+is multiplication: ``F(y(w)) = y(r w)`` with ``r`` the restitution at rest, ``y(0)`` the
+point of rest, and the impacts at hand ``y(1), y(r), y(r^2), ...``. The curve is analytic
+where flow, gap and restitution are. With ``D(w) = F(y(w)) - y(w)`` for time and state, and
+``E(w) = log(v'/(r v))`` for the gap speed, the curve solves two linear equations::
+
+    y(r w) - y(w) = D(w),    log v = log w + l(w),    l(r w) - l(w) = E(w).
+
+The curve is held by its values at a few points of ``[0, 1]``. ``D`` and ``E`` there are
+computed by one Taylor flight each; the equations are solved, which moves the curve; and so
+on by turns, each of which gains an order and takes one point more. Where moving the curve
+changes nothing (a fixed wall, forces that depend on nothing but the gap and the speed
+squared), the points are doubled instead and the old ones kept. What the last turn changed
+bounds what is left. This is the map of Nordmark & Piiroinen (Nonlinear Dynamics 58,
+2009) to any order; see ``docs/notes/chatter.md``.
+
+A model is given as four programs: the flow with its guards, and what happens at the contact.
+"""
+
+from __future__ import annotations
+
+import math
+
+from .arrays import Floats, Ints, Matrix, Programs, Sums
+from .chebyshev import differences, evaluate, from_values, nodes, value
+from .flights import fly
+from .jets import KINKS, values
+from .linear import solve, unfitted
+
+__all__ = ("close",)
+
+# Rows of ``lines``: Chebyshev coefficients of the curve; flights and impacts from its points; right
+# sides, then values there. Of time and states at the limit: since the first impact; what the last
+# turn has changed, and at last bounds on the error; the limit before; what may change. The start of
+# a flight since the first impact, the state there, and what a program gives.
+CURVE, KNOWN, STEPS = 0, 17, 34
+LIMIT, ERROR, BEFORE, ALLOWED, HERE, STATE, READ, LINES = 51, 52, 53, 54, 55, 56, 57, 58
+
+# Rows of ``small``: from values to coefficients; equations; the points; Chebyshev polynomials at
+# one of them; what each turn has changed, against what may change; the gap's acceleration.
+TO, EQUATIONS, POINTS, LINE, HISTORY, FIT = 0, 17, 34, 35, 36, 37
+
+# Places in ``times`` of where the curve is; in ``ints`` of how many kinks the first flight has
+# crossed (-1 if none was flown), and of its branch.
+GRID, FIRST, BRANCH = 64, 17, 18
+
+#: Programs: the flow; the state moved onto the contact; change of the state that changes the gap's
+#: speed by one, then gap speed and acceleration; the restitution.
+FLOW, LAND, TURN, LAW = 0, 1, 2, 3
+
+#: Most points on the curve.
+DEGREE = 16
+
+#: Rounding floor of an accumulation, relative.
+FLOOR = 4e-15
+
+#: Share of the tolerances that a sum may be off: it is a small part of a run's error.
+SHARE = 1e-3
+
+#: Logarithms of the speed's ratio below which the forces are taken to be even in the speed.
+IDLE = 1e-13
+
+#: Least loss at the impacts of a sum: ten thousand roundings of the restitution.
+LOSS = 1e-12
+
+#: The speed of an impact at rest. The formula of a restitution may have a pole at zero, where it
+#: has a limit: ``min(r, |u|^(-1/4))``. The square of this is the smallest normal float.
+SLOW = 2.0**-511
+
+#: Points off the nodes at which a curve is put to the test.
+PROBES = (0.3, 0.1, 0.03, 0.01, 1e-3)
+
+#: Times along a tail at which the forces are looked at, and how smooth they must be; degrees that
+#: they may have beyond those of the curve.
+SAMPLES, SMOOTH, MORE = 64, 1e-5, 2
+
+#: The last of the points of the curve between which its place at a time is interpolated: there are
+#: four of them for each time.
+LAST = 255
+
+#: What is left after a turn, against what the turn changed: it shrinks, but not evenly.
+CAUTION = 8.0
+
+#: Rounding of one flight, relative, as seen in the change from turn to turn.
+ROUNDING = 3e-15
+
+#: The smallest that anything is compared with, and the largest logarithm of a speed's growth.
+TINY, GROWTH = 1e-300, 700.0
+
+
+def close(
+    p: Programs,
+    column: int,
+    held: bool,
+    local: bool,
+    t: float,
+    x: Floats,
+    v: float,
+    rtol: float,
+    atol: float,
+    room: Sums,
+) -> tuple[int, float]:
+    """Sum the impacts that follow an impact with speed ``v``.
+
+    Parameters
+    ----------
+    column : int
+        Place of the gap among the guards.
+    held : bool
+        As :func:`.flights.fly` takes it.
+    local : bool
+        Whether all flights see the same forces, whenever they are.
+    rtol, atol : float
+        Tolerances of the run.
+
+    Returns
+    -------
+    degree : int
+        Of the curve; 0 where it cannot yet be done: the series does not converge well enough from
+        here, as the impacts are too strong, or do not accumulate at all.
+    r : float
+        The restitution at rest.
+    """
+    lines, history, n = room.lines, room.small[HISTORY], x.shape[0]
+    begin(lines, room.ints)
+    steady, tested, degree, turns = local, False, 1, 0
+    r = at_rest(p, t, x, room)
+    while degree <= DEGREE and r > 0.0:
+        fine, steady = flown(p, column, held, steady, tested, degree, t, x, v, r, room)
+        if not fine:
+            break
+        if tested:
+            fits = steady or smooth(p, degree, t, x, room)
+            return degree if fits and finished(p, t, x, r, room) else 0, r
+        if not solved(degree, n, r, lines, room.small):
+            break
+        r = at_limit(p, t, x, room)
+        if turns > 0:
+            history[turns - 1] = compared(t, x, r, rtol, atol, lines)
+            if steady and turns > 1:
+                history[turns - 1] *= doubled(history, turns, lines)
+            tested = history[turns - 1] <= 1.0
+            if not (tested or steady or hopeful(history, turns, DEGREE - degree)):
+                break
+        if not tested:
+            for j in range(n + 1):
+                lines[BEFORE, j] = lines[LIMIT, j]
+            turns += 1
+            degree = 2 * degree if steady else degree + 1
+    return 0, r
+
+
+def begin(lines: Matrix, ints: Ints) -> None:
+    """Forget what is in the room."""
+    ints[FIRST] = -1
+    for i in range(DEGREE + 1):
+        ints[i] = 0
+        for j in range(lines.shape[1]):
+            lines[i, j] = 0.0
+
+
+# ---------------------------------------------------------------------------------------
+# what happens at the contact
+
+
+def restitution(p: Programs, t: float, x: Floats, u: float, room: Sums) -> float:
+    """The restitution of an impact with speed ``u``."""
+    n, asked = x.shape[0], room.lines[READ]
+    for j in range(n):
+        asked[j] = x[j]
+    asked[n] = u
+    values(p, LAW, t, asked[: n + 1], room.sides, room.c, room.work, asked)
+    return asked[0]
+
+
+def touch(p: Programs, t: float, x: Floats, room: Sums) -> None:
+    """Move a state onto the contact, and read there how it turns."""
+    read = room.lines[READ]
+    values(p, LAND, t, x, room.sides, room.c, room.work, read)
+    for j in range(x.shape[0]):
+        x[j] = read[j]
+    values(p, TURN, t, x, room.sides, room.c, room.work, read)
+
+
+def turned(x: Floats, change: float, read: Floats) -> None:
+    """Change the gap speed of a state, once it is read how it turns."""
+    for j in range(x.shape[0]):
+        x[j] += change * read[j]
+
+
+def at_rest(p: Programs, t: float, x: Floats, room: Sums) -> float:
+    """The restitution at rest; NaN where its series has no sum."""
+    r = restitution(p, t, x, -SLOW, room)
+    return r if 0.0 < r < 1.0 - LOSS else math.nan
+
+
+def at_limit(p: Programs, t: float, x: Floats, room: Sums) -> float:
+    """The restitution at the limit; NaN where nothing pushes the contact together there."""
+    n, lines = x.shape[0], room.lines
+    state, end = lines[STATE, :n], t + lines[LIMIT, 0]
+    for j in range(n):
+        state[j] = x[j] + lines[LIMIT, j + 1]
+    values(p, TURN, end, state, room.sides, room.c, room.work, lines[READ])
+    return at_rest(p, end, state, room) if lines[READ, n + 1] < 0.0 else math.nan
+
+
+# ---------------------------------------------------------------------------------------
+# flights from the curve
+
+
+def flown(
+    p: Programs,
+    column: int,
+    held: bool,
+    steady: bool,
+    tested: bool,
+    degree: int,
+    t: float,
+    x: Floats,
+    v: float,
+    r: float,
+    room: Sums,
+) -> tuple[bool, bool]:
+    """Make the flights from the curve's points, or those of the test.
+
+    Known are kept while the curve's place is idle; its start stays where it is.
+
+    Returns
+    -------
+    fine : bool
+        False where a flight is not to be had, or does not pass the test.
+    steady : bool
+        Whether moving the curve has changed nothing.
+    """
+    lines, points, known = room.lines, room.small[POINTS], room.ints
+    nodes(degree, points)
+    for i in range(len(PROBES) if tested else degree, 0, -1):
+        w = PROBES[len(PROBES) - i] if tested else points[i]
+        place = 0 if tested else i * DEGREE // degree
+        if known[place] == 0 or not (steady or i == degree):
+            if not flight(p, column, held, degree, t, x, v, w, place, room):
+                return False, steady
+            if tested and not follows(degree, r, w, lines):
+                return False, steady
+            steady = steady and (tested or abs(bend(lines, place, r)) <= IDLE)
+        if not tested:
+            known[place] = 1
+            for j in range(x.shape[0] + 1):
+                lines[STEPS + i - 1, j] = lines[KNOWN + place, j]
+            lines[STEPS + i - 1, x.shape[0] + 1] = bend(lines, place, r)
+    return True, steady
+
+
+def flight(
+    p: Programs,
+    column: int,
+    held: bool,
+    degree: int,
+    t: float,
+    x: Floats,
+    v: float,
+    w: float,
+    place: int,
+    room: Sums,
+) -> bool:
+    """Make a flight and an impact from a point of the curve.
+
+    Known are then its length, what is added to the state, and by what the gap speed is multiplied.
+    """
+    n, lines = x.shape[0], room.lines
+    evaluate(lines, degree, w, room.small[LINE], lines[HERE])
+    begins, speed, state = t + lines[HERE, 0], v * w * grown(lines[HERE, n + 1]), lines[STATE, :n]
+    for j in range(n):
+        state[j] = x[j] + lines[HERE, j + 1]
+    touch(p, begins, state, room)
+    turned(state, speed - lines[READ, n], lines[READ])
+    status, length, u, _, crossed = fly(
+        p, FLOW, column, held, begins, state, speed, room.starts, room.lengths, room.series,
+        room.branch, room.end, room.c, room.aside, room.work, room.rows, room.found, room.sides,
+    )  # fmt: skip
+    signs = p.index[FLOW, KINKS + 1] - p.index[FLOW, KINKS]
+    if status < 0 or not same_branch(signs, crossed, room.branch, room.ints):
+        return False
+    after = -u * restitution(p, begins + length, room.end, u, room)
+    if not after > 0.0:
+        return False
+    touch(p, begins + length, room.end, room)
+    turned(room.end, after - u, lines[READ])
+    lines[KNOWN + place, 0] = length
+    for j in range(n):
+        lines[KNOWN + place, j + 1] = room.end[j] - state[j]
+    lines[KNOWN + place, n + 1] = after / speed
+    return True
+
+
+def grown(bend: float) -> float:
+    """The factor of a logarithm; NaN where it is none that a speed could have."""
+    return math.exp(bend) if abs(bend) < GROWTH else math.nan
+
+
+def same_branch(signs: int, crossed: int, branch: Ints, ints: Ints) -> bool:
+    """Whether a flight is on the branch of the first one, which is put down."""
+    if ints[FIRST] < 0:
+        ints[FIRST] = crossed
+        for i in range(signs + crossed):
+            ints[BRANCH + i] = branch[i]
+    same = ints[FIRST] == crossed
+    for i in range(signs + crossed):
+        same = same and ints[BRANCH + i] == branch[i]
+    return same
+
+
+def follows(degree: int, r: float, w: float, lines: Matrix) -> bool:
+    """Whether a flight of the test fulfils the curve's equation."""
+    length = lines[KNOWN, 0]
+    change = value(lines, degree, 0, r * w) - value(lines, degree, 0, w)
+    return abs(length - change) <= lines[ALLOWED, 0] + CAUTION * ROUNDING * length
+
+
+def bend(lines: Matrix, place: int, r: float) -> float:
+    """``E`` of a flight: how the speed shrinks, against the ratio at rest."""
+    ratio = lines[KNOWN + place, lines.shape[1] - 1] / r
+    return math.log(ratio) if 0.0 < ratio < math.inf else math.nan
+
+
+# ---------------------------------------------------------------------------------------
+# the curve through them
+
+
+def solved(degree: int, n: int, r: float, lines: Matrix, small: Matrix) -> bool:
+    """Solve for the values of the curve at its points, and put its coefficients down."""
+    from_values(degree, small)
+    for i in range(1, degree + 1):
+        differences(degree, r, small[POINTS, i], small[LINE])
+        for j in range(degree):
+            total = 0.0
+            for k in range(1, degree + 1):
+                total += small[LINE, k] * small[TO + k, j]
+            small[EQUATIONS + i - 1, j] = total
+    if not solve(small[EQUATIONS:], degree, lines[STEPS:], n + 2):
+        return False
+    finite = True
+    for j in range(n + 2):
+        for k in range(degree + 1):
+            total = 0.0
+            for i in range(degree):
+                total += small[TO + k, i] * lines[STEPS + i, j]
+            lines[CURVE + k, j] = total
+            finite = finite and math.isfinite(total)
+        lines[LIMIT, j] = lines[STEPS, j]
+    return finite and lines[LIMIT, 0] > 0.0
+
+
+def scale(t: float, x: Floats, j: int, lines: Matrix) -> float:
+    """Size of time (0) or of an element of the state, over the tail."""
+    return abs(lines[LIMIT, j]) + abs(t if j == 0 else x[j - 1])
+
+
+def rounding(t: float, x: Floats, j: int, r: float, lines: Matrix) -> float:
+    """Rounding of one flight, added up over the ``1 / (1 - r)`` flights that count."""
+    size = lines[LIMIT, 0] if j == 0 else scale(t, x, j, lines)
+    return ROUNDING / (1.0 - r) * size
+
+
+def compared(t: float, x: Floats, r: float, rtol: float, atol: float, lines: Matrix) -> float:
+    """What the last turn has changed, against what may change."""
+    worst = 0.0
+    for j in range(x.shape[0] + 1):
+        allowed = max(SHARE * rtol, FLOOR) * scale(t, x, j, lines) + rounding(t, x, j, r, lines)
+        lines[ALLOWED, j] = allowed + (SHARE * atol if j > 0 else 0.0)
+        lines[ERROR, j] = abs(lines[LIMIT, j] - lines[BEFORE, j])
+        worst = max(worst, lines[ERROR, j] / max(lines[ALLOWED, j], TINY))
+    return worst
+
+
+def doubled(history: Floats, turns: int, lines: Matrix) -> float:
+    """Doubling the points squares what is left, or better: its share of the last change."""
+    left = min(1.0, history[turns - 1] / history[turns - 2])
+    for j in range(lines.shape[1]):
+        lines[ERROR, j] *= left
+    return left
+
+
+def hopeful(history: Floats, turns: int, left: int) -> bool:
+    """Whether the changes shrink fast enough (over two turns: odd orders may vanish)."""
+    if turns < 3 or not history[turns - 3] > 0.0:
+        return True
+    rate = math.sqrt(history[turns - 1] / history[turns - 3])
+    return rate < 1.0 and history[turns - 1] * rate**left < 1.0
+
+
+# ---------------------------------------------------------------------------------------
+# the end
+
+
+def finished(p: Programs, t: float, x: Floats, r: float, room: Sums) -> bool:
+    """Put down bounds on the error, and the state at the limit."""
+    n, lines = x.shape[0], room.lines
+    for j in range(n + 1):
+        least = FLOOR * scale(t, x, j, lines) + rounding(t, x, j, r, lines)
+        lines[ERROR, j] = CAUTION * lines[ERROR, j] + least
+    state = lines[STATE, :n]
+    for j in range(n):
+        state[j] = x[j] + lines[LIMIT, j + 1]
+    touch(p, t + lines[LIMIT, 0], state, room)
+    turned(state, -lines[READ, n], lines[READ])
+    return True
+
+
+def smooth(p: Programs, degree: int, t: float, x: Floats, room: Sums) -> bool:
+    """Whether forces vary along the tail, in steps of time, as a polynomial of its degree does."""
+    n, lines, line, times, place = x.shape[0], room.lines, room.small[LINE], room.times, LAST
+    for m in range(LAST + 1):
+        times[GRID + m] = value(lines, degree, 0, m / LAST)
+    columns = min(degree + 1 + MORE, DEGREE) + 1
+    state, most = lines[STATE, :n], 0.0
+    for i in range(SAMPLES):
+        since = lines[LIMIT, 0] * i / (SAMPLES - 1)
+        while place > 1 and times[GRID + place - 1] < since:
+            place -= 1
+        w = (place - within(since, times[GRID + place], times[GRID + place - 1])) / LAST
+        evaluate(lines, columns - 1, w, line, lines[HERE])
+        for j in range(n):
+            state[j] = x[j] + lines[HERE, j + 1]
+        touch(p, t + lines[HERE, 0], state, room)
+        turned(state, -lines[READ, n], lines[READ])
+        values(p, TURN, t + lines[HERE, 0], state, room.sides, room.c, room.work, lines[READ])
+        times[i] = lines[READ, n + 1]
+        most = max(most, abs(times[i]))
+        for k in range(columns):
+            room.small[FIT + i, k] = line[k]
+    unfitted(room.small[FIT:], SAMPLES, columns, times)
+    fits = True
+    for i in range(SAMPLES):
+        fits = fits and abs(times[i]) <= SMOOTH * most
+    return fits
+
+
+def within(s: float, low: float, high: float) -> float:
+    """Where a number lies between two others, as a share of the way."""
+    return min(max((s - low) / (high - low), 0.0), 1.0) if high > low else 0.0

@@ -1,0 +1,97 @@
+"""Results do not depend on the unit of length: every threshold is relative to what a run has seen.
+
+Each scene is run in units from 1e-15 to 1e12, with an absolute tolerance in the same units.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+
+WAYS = ["DOP853", "Radau", "taylor"]
+
+UNITS = [1e-15, 1e-12, 1e-6, 1.0, 1e6, 1e9, 1e12]
+
+
+class Kicked(hy.Automaton):
+    """A ball at rest on a floor is kicked up at t = 4; g = 2, r = 1/2."""
+
+    x = hy.state()
+    v = hy.state()
+    unit: float = hy.parameter(1.0)
+    kick: float = hy.parameter(1e-3)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -2.0 * self.unit
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+
+    @hy.edge(flight, to=flight, guard=lambda self, t, s: 4.0 - t)
+    def up(self, t, s):
+        return s.replace(v=s.v + self.kick * self.unit)
+
+
+class Sunk(Kicked):
+    """It is put below the floor on its way down, by a thousandth of the height it fell from."""
+
+    @hy.edge("flight", to="flight", guard=lambda self, t, s: 0.5 - t)
+    def up(self, t, s):
+        return s.replace(x=-1e-3 * self.unit)
+
+
+class Pile(hy.Automaton):
+    """A ball on another on a table that shakes."""
+
+    low = hy.state()
+    high = hy.state()
+    v = hy.state()
+    w = hy.state()
+    unit: float = hy.parameter(1.0)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, s.w, -9.8 * self.unit, -9.8 * self.unit
+
+    table = hy.contact(
+        flight, gap=lambda self, t, s: s.low - self.unit * jnp.sin(4.0 * t), restitution=0.5
+    )
+    between = hy.contact(flight, gap=lambda self, t, s: s.high - s.low, restitution=0.5)
+
+
+def run(way, cls, start, until, unit, **numbers):
+    start = dict(zip([s.name for s in cls.spec.states], unit * np.array(start), strict=True))
+    return way.run(cls(unit=unit, **numbers), start, (0.0, until), rtol=1e-9, atol=1e-11 * unit)
+
+
+@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize(("height", "kick"), [(1.0, 1e-3), (1e-6, 1e-3), (1.0, 1e-10)])
+def test_a_ball_at_rest_that_is_kicked_flies(way, unit, height, kick):
+    """At rest from ``3 sqrt(h)`` on, and again from ``4 + 2 kick``, slow beside its fall or not."""
+    result = run(way, Kicked, [height, 0.0], 6.0, unit, kick=kick)
+    found = [point.t for point in result.zeno]
+    assert found == pytest.approx([3 * height**0.5, 4 + 2 * kick], abs=1e-8)
+    assert result.final.x == 0.0
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_a_jump_below_the_floor_is_refused(way, unit):
+    """However small the number is by which it is below."""
+    result = way.run(Sunk(unit=unit), {"x": unit, "v": 0.0}, (0.0, 3.0), rtol=1e-9)
+    assert result.status == "refused"
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_a_pile_comes_to_rest_and_flies_again(way, unit):
+    """The first rests and the last states are those of the unit 1.
+
+    (How many rests are listed before both balls rest is up to rounding.)
+    """
+    start = [1.5, 2.0, 0.0, 0.0]
+    result, own = (run(way, Pile, start, 2.75, u) for u in (unit, 1.0))
+    assert result.mode == own.mode == "flight"
+    times = [[p.t for p in r.zeno[:2]] for r in (result, own)]
+    np.testing.assert_allclose(*times, rtol=1e-8)
+    states = [np.array(list(r.final)) for r in (result, own)]
+    np.testing.assert_allclose(states[0] / unit, states[1], rtol=1e-6)
