@@ -98,7 +98,7 @@ def simulate(
     mode : str, optional
         Mode at the start; the model's initial mode if omitted.
     progress : callable ``(t)``, optional
-        Called after each arc with the time reached.
+        Called with the time reached, after each arc, or after some that are flown in a row.
 
     Returns
     -------

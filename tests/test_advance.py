@@ -153,3 +153,25 @@ def test_the_loop_stops_at_the_last_jump_permitted(most):
     run = taylor((model, start, (0.0, 300.0)), max_jumps=most)
     assert run.status is hy.Status.MAX_JUMPS
     assert len(run.jumps) == most
+
+
+def test_progress_is_told():
+    """With times that go on, up to the last jump, however many jumps a call makes."""
+    told = []
+    model, start, _ = SCENES["duffing"]
+    run = hy.simulate(model, start, (0.0, 300.0), solver="taylor", progress=told.append)
+    assert told == sorted(told)
+    assert told[0] < 200.0 < run.jumps.t[-1] <= told[-1]
+
+
+def test_the_keyboard_stops_the_loop():
+    """What was kept until then is there."""
+
+    def stop(t):
+        raise KeyboardInterrupt
+
+    model, start, _ = SCENES["duffing"]
+    run = hy.simulate(model, start, (0.0, 3000.0), solver="taylor", progress=stop)
+    assert run.status is hy.Status.INTERRUPTED
+    assert 1 <= len(run.jumps) <= machine.JUMPS_KEPT
+    assert run.t1 == run.jumps.t[-1]

@@ -76,14 +76,14 @@ class Machine:
             left = self._left()
             status = advance(self.tables.automaton, self.run, now, room, left)
             self._keep(left)
+            if self.plan.progress is not None:
+                self.plan.progress(driver.t)
             if driver.status is not None or self.passed:
                 return
             driver.watch = Watch(*self._series())
             if status != FULL or self._stuck():
                 self._stand(left, status)
                 return
-            if self.plan.progress is not None:
-                self.plan.progress(driver.t)
 
     def _series(self) -> tuple[str | None, int, float]:
         """The series of impacts that goes on: the contact, how many, and the speed last tried."""
