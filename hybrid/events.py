@@ -51,9 +51,6 @@ WIDEST = 1e-4
 #: the nearest place that rounding can tell is 1e-16 from the end, its fourth root 1e-4.
 ENDED = 1e-4
 
-#: A guard nearer to zero than this share of the state is looked at more closely.
-NEAR = 1e-6
-
 #: Gap and gap speed, relative to the states seen, below which a held contact stays closed.
 CLOSED = 1e-12
 

@@ -15,10 +15,10 @@ from .automaton.markers import name_of
 from .automaton.record import Record
 from .automaton.spec import Spec
 from .errors import HybridError, OptionError, StartError, ZenoError
-from .events import NEAR
 from .hindsight import Hindsight
 from .histories import pieces
 from .reals import real, reals
+from .rules.arcs import NEAR
 from .rules.sums import FLOOR
 from .run import Driver, Plan
 from .run.pieces import Piece

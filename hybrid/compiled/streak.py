@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..arrays import choose, when
-from ..events import NEAR
 from ..jit import jit
+from ..rules.arcs import NEAR
 from ..solvers.diffrax_backend import ATTEMPTS, Method
 from .lane import FLOW, JUDGE, JUMP, RUNNING, Lane, Run, Step
 from .system import System

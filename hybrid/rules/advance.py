@@ -129,7 +129,7 @@ def impact(
     if jets(a.programs, flow, 2, t, behind, room.still, room.aside, room.work) < 0:
         return False
     fall = -2.0 * room.aside[row_of(a, now.ints[FIELD], guard), 2]
-    return speed * speed > NEAR * fall * (1.0 + largest(behind))
+    return speed * speed > NEAR * fall * max(largest(now.seen), largest(behind))
 
 
 def unchanged(a: Automaton, now: Now, room: Room, t: float, before: Floats, behind: Floats) -> bool:

@@ -11,12 +11,13 @@ from __future__ import annotations
 import math
 
 from .arrays import Automaton, Floats, Left, Matrix, Now, Room
+from .checks import MIDDLE, MISSED
 from .jets import OUTPUT, jets
 from .kinks import turn
-from .lengths import own_length
+from .lengths import ROUNDING, own_length
 from .polynomials import power_value
 from .steps import step
-from .zeros import NEVER, series
+from .zeros import EPS, NEVER, series
 
 #: Columns of the table of fields: its program, where its guards begin and end, and whether its arcs
 #: may be plain.
@@ -44,9 +45,6 @@ END, FULL, LOOK, JUMP = 1, 2, 3, 4
 #: A guard has fired, and the state is on it.
 LANDED = 0
 
-#: Two neighbouring floats, relative to them.
-EPS = 2.0**-52
-
 #: A guard nearer to zero than this share of the state is looked at more closely.
 NEAR = 1e-6
 
@@ -62,13 +60,6 @@ LANDINGS = 10
 
 #: A shift onto a guard that is so small beside the way to it is made along a straight line.
 SMALL = 1e-6
-
-#: Size, relative to the state, to which the last terms of a guard's series are held.
-ROUNDING = 1e-16
-
-#: Where, besides its end, a guard's series is held against the guard, and how far it may be off, in
-#: spacings of its terms.
-MIDDLE, MISSED = 0.55, 256.0
 
 
 def arc(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
@@ -196,7 +187,7 @@ def away(a: Automaton, now: Now, room: Room, guard: int) -> bool:
     """Whether another guard is further from zero than rounding, and inside the domain."""
     t, row = now.floats[T], row_of(a, now.ints[FIELD], guard)
     value, rate = room.c[row, 0], room.c[row, 1]
-    if not abs(value) > NEAR * largest(now.x):
+    if not abs(value) > NEAR * max(largest(now.seen), largest(now.x)):
         noise = size_of(a, guard, 0, t, now.x, room) + abs(t) * abs(rate) + largest(now.seen)
         if not abs(value) > ROUNDED * EPS * noise:
             return False

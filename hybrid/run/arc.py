@@ -13,6 +13,7 @@ from ..automaton.markers import Crossing
 from ..clock import Instant
 from ..errors import DomainError, FlowError, OptionError
 from ..events import EPS, SHARES, Cut, Zero, fires, time_scale, zeros
+from ..rules.arcs import BESIDE, LANDINGS, TIE
 from ..scene import Guard, Kink, Scene, released
 from ..scene.lowered import ORDER
 from ..segment import Segment
@@ -28,16 +29,8 @@ REACH = 8.0
 #: terms, of order 16, are 1e-6, which is what a step that was made to end there may be off.
 FAR = 4
 
-#: Most steps onto a guard: Newton's method from half as far again as the zero, to rounding.
-LANDINGS = 10
-
 #: An arc's first step, against that at which the method's error reaches the tolerance.
 SAFETY = 0.5
-
-
-#: Events this near in time, in spacings of floats, are at one time; those looked at for that lie
-#: this near in the step, as landing may move the first by as much.
-TIE, BESIDE = 4.0, 1e-6
 
 
 @attrs.frozen

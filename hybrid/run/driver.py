@@ -15,8 +15,9 @@ from ..accumulation import Accumulation
 from ..arcs import Arc, TailPart
 from ..automaton.markers import Crossing
 from ..errors import FlowError
-from ..events import CLOSED, EPS, NEAR, SHARES
+from ..events import CLOSED, EPS, SHARES
 from ..log import Flights
+from ..rules.arcs import NEAR
 from ..scene import Contact, Field, Guard, Scene, released
 from ..scene.defect import follows
 from ..scene.scene import parted
