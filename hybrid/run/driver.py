@@ -158,12 +158,13 @@ class Driver:
         if entry.orders or not entry.field.guards:
             return
         guard, before = self._came
+        self._spent = frozenset({guard.edge})
         if guard.kind == "contact":
-            jumped = Jumped({guard.edge: 1}, series=self.watch.count > 1)
+            jumped = Jumped({guard.edge: 1}, series=self.watch.count > 1, spent=self._spent)
         else:
             stays = _stays(guard, self.t, before, entry.x)
             known = {guard.edge: 1} if stays else {}
-            jumped = Jumped(known, used=guard.edge, spent=frozenset({guard.edge}))
+            jumped = Jumped(known, used=guard.edge, spent=self._spent)
         off = self._off(entry.x)
         mode, x = entry.field.mode, entry.x
         self.entry = enter(self.scene, self.t, mode, x, jumped, self.seen, off)
