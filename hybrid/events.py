@@ -43,6 +43,10 @@ RESOLVED = 1e-6
 #: Most pieces at first, and most halvings of one.
 PIECES, DEPTH = 4096, 12
 
+#: Most halvings in a step. To come down to a narrow place takes DEPTH of them; a guard that is
+#: resolved nowhere is rounding, and halving it tells no more.
+HALVINGS = 128
+
 #: A deciding function that has changed its sign for good at this share of a step is taken to
 #: cross; one that comes back sooner touches. Far above rounding, far below what a step resolves.
 WIDEST = 1e-4
@@ -240,9 +244,9 @@ def _spans(pieces: int, cuts: list[Cut]) -> Iterator[tuple[Cut | None, float, fl
             pending, left = cut, cut.after
 
 
-@attrs.frozen
+@attrs.define
 class _Piece:
-    """A step along which a guard is sampled, part by part."""
+    """A step along which a guard is sampled, part by part; ``halvings`` are left."""
 
     guard: Guard | Kink
     segment: Segment
@@ -252,6 +256,7 @@ class _Piece:
     ends: dict[Any, float]
     noise: float
     whole: bool
+    halvings: int = HALVINGS
 
     def over(self, cut: Cut) -> int:
         """The direction in which a guard passes over zero at a cut; 0 where it does not.
@@ -288,7 +293,8 @@ class _Piece:
         width = right - left
         fractions = left + width * nodes(self.degree)
         values = self.sample(fractions)
-        if depth and not self.resolved(values):
+        if depth and self.halvings and not self.resolved(values):
+            self.halvings -= 1
             middle = 0.5 * (left + right)
             yield from self.zeros(left, middle, order, depth - 1)
             yield from self.zeros(middle, right, 0, depth - 1)

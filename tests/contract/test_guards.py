@@ -255,10 +255,21 @@ def test_a_gap_whose_two_sides_differ_where_it_is_zero_is_refused(gap, solver):
         hy.simulate(Uneven(), [1.0, 0.0], (0, 5), solver=solver)
 
 
-@pytest.mark.xfail(strict=True, reason="in low flights rounding takes the wrong side of the corner")
-@pytest.mark.parametrize("solver", ["scipy", "taylor"])
-@pytest.mark.parametrize("cls", [Shaken, Rubbed])
-def test_a_distance_from_what_moves_or_with_friction_is_a_gap(cls, solver):
+WRONG_SIDE = pytest.mark.xfail(
+    strict=True, reason="in low flights rounding takes the wrong side of the corner"
+)
+
+
+@pytest.mark.parametrize(
+    ("cls", "by"),
+    [
+        pytest.param(Shaken, "scipy", marks=WRONG_SIDE),
+        pytest.param(Shaken, "taylor", marks=WRONG_SIDE),
+        pytest.param(Rubbed, "scipy", marks=WRONG_SIDE),
+        (Rubbed, "taylor"),
+    ],
+)
+def test_a_distance_from_what_moves_or_with_friction_is_a_gap(cls, by):
     """As over the gap without its corner, which is never negative."""
 
     class Plain(cls):
@@ -268,7 +279,8 @@ def test_a_distance_from_what_moves_or_with_friction_is_a_gap(cls, solver):
             restitution=0.5,
         )
 
-    one, other = (hy.simulate(c(), [1.0, 0.0], (0, 5), solver=solver) for c in (cls, Plain))
+    given = {"solver": by, "max_jumps": 100}  # the plain gap takes a few, and a sum
+    one, other = (hy.simulate(c(), [1.0, 0.0], (0, 5), **given) for c in (cls, Plain))
     assert one.zeno[0].t == pytest.approx(other.zeno[0].t, abs=1e-7)
     assert one.zeno[0].t_error < 1e-7
 
