@@ -171,14 +171,17 @@ class Streaks:
         driver.record.arc(driver.entry.field, driver.entry.x, last, tau, segments)
 
     def _stand(self, lane: Lane, status: int) -> None:
-        """Where the lane stopped: the end, a jump to judge, or an arc to fly anew."""
+        """Where the lane stopped: the end, a jump to judge, or an arc to fly anew.
+
+        A jump after no flight is none: the guard was zero before, and what it did went unseen.
+        """
         driver, going = self.driver, lane.going
         x, tau = np.asarray(going.x), float(going.tau)
         if status == END:
             self._require_inside(tau, x)
             self._arc(x, tau)
             driver.status = Status.REACHED_END
-        elif status == JUDGE and int(going.stage) == JUMP:
+        elif status == JUDGE and int(going.stage) == JUMP and tau > 0:
             guard: Guard = driver.entry.field.guards[int(going.slot)]
             self._arc(x, tau)
             driver.watch.tried = float(lane.tried)
