@@ -19,9 +19,9 @@ from .polynomials import power_value
 from .steps import step
 from .zeros import EPS, NEVER, series
 
-#: Columns of the table of fields: its program, where its guards begin and end, and whether its arcs
-#: may be plain.
-PROGRAM, GUARDS, GUARDS_END, PLAIN = 0, 1, 2, 3
+#: Columns of the table of fields: its program, where its guards begin and end, whether its arcs may
+#: be plain, and whether contacts are held in it.
+PROGRAM, GUARDS, GUARDS_END, PLAIN, HELD = 0, 1, 2, 3, 4
 
 #: Columns of the table of guards. ``TO`` is a field, -1 where it is not known yet; ``RESET``,
 #: ``LAND`` and ``SIZES`` are programs, -1 where there is none; ``USES`` is where the elements of
@@ -86,7 +86,7 @@ def arc(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
         status, h, crossed = step(
             a.programs,
             program,
-            False,
+            a.fields[field, HELD] == 1,
             t,
             tau,
             now.end,

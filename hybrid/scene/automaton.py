@@ -91,14 +91,15 @@ class Tables:
 
     def _add(self, field: Field) -> None:
         jets, first = field.jets, len(self._rows)
-        plain = field.project is None and not any(guard.kinks for guard in field.guards)
+        slides = field.project is not None and not field.held
+        plain = not slides and not any(guard.kinks for guard in field.guards)
         plain = plain and jets is not None
         self.names.append(field.name)
         program = self._program(jets) if plain and jets else -1
         self._rows += [self._row(field, guard) for guard in field.guards] if plain else []
         self.guards += field.guards if plain else ()
         self.modes += [field.name] * (len(self._rows) - first)
-        self._fields.append([program, first, len(self._rows), int(plain)])
+        self._fields.append([program, first, len(self._rows), int(plain), int(bool(field.held))])
         for row, guard in zip(self._rows, self.guards, strict=True):
             row[TO] = self.names.index(guard.to) if guard.to in self.names else -1
         self._made = None
@@ -108,31 +109,27 @@ class Tables:
         code, uses = self.scene.code, len(self._uses)
         self._uses += guard.uses
         graph, name = code.mode(field.mode), guard.edge
-        programs = [-1, -1]
-        if guard.kind == "contact":
+        programs, held = [-1, -1], bool(field.held)
+        if guard.kind == "contact" and not held:
             programs = [
                 self._of_values(field, ("impact", name), lambda: graph.impact(name)),
                 self._of_values(field, ("land", name), lambda: graph.land(name)),
             ]
-        elif guard.kind == "edge":
+        elif guard.kind == "edge" and not held:  # what stays held after a jump is judged
             reset = ("reset", name)
             programs[0] = self._of_values(field, reset, lambda: graph.values(code.closed(*reset)))
-        sizes = self._of_values(field, ("sizes", name), lambda: graph.sizes(name, False))
+        sizes = self._of_values(field, ("sizes", name, held), lambda: graph.sizes(name, held))
         kind, crossing = NUMBERED.get(guard.kind, OTHER), DIRECTIONS[guard.crossing]
         shape = [int(guard.bounds), int(guard.affine), -1]
         return [kind, crossing, *shape, *programs, sizes, uses, len(self._uses)]
 
-    def _of_values(
-        self, field: Field, key: tuple[str, str], nodes: Callable[[], Sequence[int]]
-    ) -> int:
+    def _of_values(self, field: Field, key: tuple[object, ...], nodes: Nodes) -> int:
         """The number of a program for values only; -1 where an operation has none."""
-        code = self.scene.code
-        found = code.once(
-            ("values", field.mode, key), lambda: _values(code.mode(field.mode), nodes)
-        )
+        code, mode = self.scene.code, field.mode
+        found = code.once(("values", mode, key), lambda: _values(code.mode(mode), nodes))
         if not isinstance(found, Tape):
             return -1
-        return self._program(found.bind(self.scene.numbers(field.mode, ())))
+        return self._program(found.bind(self.scene.numbers(mode, field.held)))
 
     def _program(self, part: Jets) -> int:
         self._programs.append(part)
