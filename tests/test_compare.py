@@ -8,6 +8,7 @@ import hybrid as hy
 from hybrid import gallery
 from hybrid.cli import app
 from hybrid.compare import CLOSE, SAME, able, compare
+from hybrid.solvers.taylor_backend import TaylorSolver
 from models.two_tanks import TwoTanks
 
 from . import systems
@@ -64,6 +65,9 @@ def passed_off(monkeypatch, change):
 def test_turns_of_a_cycle_are_compared_as_far_as_both_went_through_them(monkeypatch):
     """One run lists more turns before it goes over to the limit: that is no difference."""
     runs = []
+    monkeypatch.setattr(
+        TaylorSolver, "whole", False
+    )  # its rounding hides the limit a little longer
 
     def same(model, start, t, options):
         runs.append(hy.simulate(model, start, t, **options))
