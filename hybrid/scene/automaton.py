@@ -31,13 +31,13 @@ DIRECTIONS = {Crossing.FALLING: -1, Crossing.RISING: 1, Crossing.EITHER: 0}
 class Tables:
     """The fields of a scene that have been asked for, as rows of tables.
 
-    ``names`` and ``guards`` are the fields and guards, in the order of their numbers, and ``modes``
-    the field that each guard is watched in.
+    ``numbers`` are those of the fields by name; ``guards`` are in the order of their own, and
+    ``modes`` the field that each is watched in.
     """
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.names: list[str] = []
+        self.numbers: dict[str, int] = {}
         self.guards: list[Guard] = []
         self.modes: list[str] = []
         self._programs: list[Jets] = []
@@ -61,9 +61,9 @@ class Tables:
 
     def number(self, field: Field) -> int:
         """The number of a field, which is added if it is new."""
-        if field.name not in self.names:
+        if field.name not in self.numbers:
             self._add(field)
-        return self.names.index(field.name)
+        return self.numbers[field.name]
 
     @property
     def automaton(self) -> Automaton:
@@ -94,14 +94,15 @@ class Tables:
         slides = field.project is not None and not field.held
         plain = not slides and not any(guard.kinks for guard in field.guards)
         plain = plain and jets is not None
-        self.names.append(field.name)
+        number = self.numbers[field.name] = len(self._fields)
         program = self._program(jets) if plain and jets else -1
         self._rows += [self._row(field, guard) for guard in field.guards] if plain else []
         self.guards += field.guards if plain else ()
         self.modes += [field.name] * (len(self._rows) - first)
         self._fields.append([program, first, len(self._rows), int(plain), int(bool(field.held))])
         for row, guard in zip(self._rows, self.guards, strict=True):
-            row[TO] = self.names.index(guard.to) if guard.to in self.names else -1
+            if guard.to == field.name:
+                row[TO] = number
         self._made = None
 
     def _row(self, field: Field, guard: Guard) -> list[int]:
@@ -120,7 +121,7 @@ class Tables:
             programs[0] = self._of_values(field, reset, lambda: graph.values(code.closed(*reset)))
         sizes = self._of_values(field, ("sizes", name, held), lambda: graph.sizes(name, held))
         kind, crossing = NUMBERED.get(guard.kind, OTHER), DIRECTIONS[guard.crossing]
-        shape = [int(guard.bounds), int(guard.affine), -1]
+        shape = [int(guard.bounds), int(guard.affine), self.numbers.get(guard.to, -1)]
         return [kind, crossing, *shape, *programs, sizes, uses, len(self._uses)]
 
     def _of_values(self, field: Field, key: tuple[object, ...], nodes: Nodes) -> int:
