@@ -122,7 +122,10 @@ def test_the_rate_of_the_last_interval(claim):
 def test_before_and_after(claim):
     """Runs agree to rounding up to the last permitted impact, and exactly at rest."""
     before, after = claim("coincide").numbers
-    assert float(before.ours) < 1e-14
+    # Each run rounds x = 2 once in a flight, to 2.2e-16. At the slowest impact of one that takes
+    # two steps (r = 1/8, speed 0.17, acceleration 9) that moves the landing by 1.3e-15 and the
+    # speed by 1.2e-14, in either run.
+    assert float(before.ours) < 2.4e-14
     assert after.ours == 0.0
 
 

@@ -82,6 +82,9 @@ def turns(run: Trajectory, of: Any, looks: int = LOOKS) -> list[Turn]:
 def _root(arc: Arc, of: Any, low: float, high: float) -> float:
     from scipy.optimize import brentq
 
+    ends = [float(of(arc.local(s))) for s in (low, high)]
+    if ends[0] * ends[1] >= 0.0:  # one look is at the zero, and rounds to either side of it
+        return float((low, high)[int(np.argmin(np.abs(ends)))])
     return float(brentq(lambda s: float(of(arc.local(s))), low, high, xtol=1e-14))
 
 
