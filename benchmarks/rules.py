@@ -2,8 +2,10 @@
 
     python benchmarks/rules.py
 
-Seconds to compile each unit into an empty cache and to load it in another process (from starting
-Python; and of that what numba's import takes); then microseconds a call, as machine code, as plain
+Seconds to compile each unit, with what it calls, into an empty cache and to load it in another
+process (from starting Python; and of that what numba's import takes); to compile what a run of any
+solver needs, and all rules, with the time of processors beside that of the clock, as callees are
+compiled beside each other; then microseconds a call, as machine code, as plain
 Python, and of numpy's eigenvalue solver, with the largest error against the exact zeros.
 """
 
@@ -45,6 +47,20 @@ def started(code, folder):
     env = {**os.environ, "HYBRID_CACHE": folder, "PYTHONPATH": str(ROOT)}
     subprocess.run([sys.executable, "-c", code], env=env, check=True, stderr=subprocess.DEVNULL)
     return time.perf_counter() - begin
+
+
+def processors():
+    """Seconds that processors have spent for processes that have ended."""
+    times = os.times()
+    return times.children_user + times.children_system
+
+
+def cold(what, code):
+    """Compile into an empty cache; say what that took."""
+    spent = processors()
+    with tempfile.TemporaryDirectory() as folder:
+        clock = started(code, folder)
+    print(f"{what}, cold: {clock:.1f} s, of processors {processors() - spent:.1f} s", flush=True)
 
 
 def best(call, share=0.2):
@@ -98,6 +114,9 @@ def main():
             cold = started(code.format(name), folder)
             warm = min(started(code.format(name), folder) for _ in range(3))
         print(f"{name}: compiled in {cold:.1f} s, loaded in {warm:.2f} s")
+
+    cold("zeros and jets", "from hybrid.rules import unit; unit('zeros'), unit('jets')")
+    cold("everything", "from hybrid.rules import library; assert library.build()")
 
     rules = library.unit("zeros").crossings
     os.environ["HYBRID_RULES"] = "python"

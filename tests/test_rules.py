@@ -1,6 +1,7 @@
 """Rules: built once, loaded by others, never stale; the same as plain Python."""
 
 import ast
+import gc
 import os
 import subprocess
 import sys
@@ -92,6 +93,73 @@ def test_two_processes_at_once_build_once(toy):
     answers = [done(process) for process in processes]
     assert [out for out, _ in answers] == ["0.75", "0.75"]
     assert sum("compiling" in err for _, err in answers) == 1
+
+
+TOP = """
+from __future__ import annotations
+
+from .high import quotient
+
+__all__ = ("halved",)
+
+
+def halved(x: float) -> float:
+    return quotient(x, 2.0)
+"""
+
+ASK_TOP = """
+from hybrid.rules.load import Library
+unit = Library("toy").unit("top")
+print(unit.halved(6.0))
+"""
+
+
+def test_what_a_unit_calls_is_compiled_in_a_process_of_its_own(toy):
+    """One line is said; the file that is called is a unit of its own afterwards."""
+    (toy / "toy" / "top.py").write_text(TOP)
+    code = ASK_TOP + (
+        "import os, sys\n"
+        "called = next(f for n, f in sys.modules.items() if n.endswith('.high')).quotient\n"
+        "print(os.cpu_count() == 1 or sum(called.stats.cache_hits.values()))"
+    )
+    said, line = done(started(toy, code))
+    assert said.split()[0] == "1.5"
+    assert said.split()[1] in ("1", "True")
+    assert line.startswith("hybrid: compiling the rules 'top'")
+    assert "\n" not in line
+    assert done(started(toy)) == ("0.75", "") or os.cpu_count() == 1
+
+
+def test_an_error_in_a_process_beside_is_raised(toy):
+    """A rule that cannot be compiled says why, and leaves nothing that looks compiled."""
+    (toy / "toy" / "top.py").write_text(TOP)
+    (toy / "toy" / "high.py").write_text(HIGH.replace("scaled(x) / y", "scaled(x) / y.nothing"))
+    process = started(toy, ASK_TOP)
+    assert "nothing" in process.communicate(timeout=120)[1]
+    assert process.returncode != 0
+    assert not list((toy / "cache").rglob("*.built"))
+
+
+def test_everything_is_built_at_once(toy):
+    """Each unit is then loaded without a word."""
+    (toy / "toy" / "top.py").write_text(TOP)
+    code = "from hybrid.rules.load import Library\nprint(Library('toy').build())"
+    assert done(started(toy, code)) == ("True", "")
+    assert done(started(toy, ASK_TOP)) == ("1.5", "")
+    assert done(started(toy)) == ("0.75", "")
+    (toy / "toy" / "top.py").write_text(TOP.replace("2.0", "x.nothing"))
+    assert done(started(toy, code))[0] == "False"
+
+
+def test_garbage_is_collected_again():
+    """After compiling, and after what cannot be compiled."""
+    assert gc.isenabled()
+    with load.uncollected():
+        assert not gc.isenabled()
+    assert gc.isenabled()
+    with pytest.raises(ValueError, match="no"), load.uncollected():
+        raise ValueError("no")
+    assert gc.isenabled()
 
 
 def test_a_lock_of_a_killed_process_does_not_block(toy):

@@ -5,5 +5,7 @@
 
 from .load import Library
 
+library = Library(__name__)
+
 #: ``unit("zeros").first(...)``: the rules of one file by name, compiled when first asked for.
-unit = Library(__name__).unit
+unit = library.unit

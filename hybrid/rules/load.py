@@ -3,8 +3,9 @@
 The rule files of a package are copied, all of them and nothing else, into one folder of the
 user's cache whose name is a hash of their text, of this file, of numba, llvmlite, Python and the
 processor. There numba's own file cache keeps the machine code beside them. A file is a unit: it is
-compiled when it is first asked for. A change in any file makes a new folder, so that no caller is
-kept that has an old callee in it.
+compiled when it is first asked for, after the files that it calls, which are compiled in processes
+beside each other. A change in any file makes a new folder, so that no caller is kept that has an
+old callee in it.
 """
 
 from __future__ import annotations
@@ -12,22 +13,26 @@ from __future__ import annotations
 import ast
 import atexit
 import contextlib
+import gc
 import hashlib
 import os
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from functools import cache, cached_property
+from graphlib import TopologicalSorter
 from importlib import import_module, machinery, util
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 #: Modules of a package of rules that are no rules.
-APART = ("__init__", "load")
+APART = ("__init__", "__main__", "load")
 
 #: What an annotation of an argument means to numba.
 TYPES = {
@@ -45,6 +50,9 @@ SETTINGS = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_OPT", "NUMBA_BOUNDSCH
 
 #: Folders that are kept beside a new one, and the time in seconds (a day) for which any is kept.
 KEPT, FRESH = 4, 86400.0
+
+#: A process that compiles one unit and whatever it calls that is not compiled yet.
+BESIDE = "from {loader} import Library; Library({package!r}).unit({name!r})"
 
 #: What is put below the text of a rule file. A product and a sum may be contracted to one
 #: operation; nothing may assume that there is no NaN and no infinity. What Python calls has an
@@ -164,13 +172,66 @@ class Library:
         copies, mark = _package(self.folder), self.folder / f"{name}.built"
         if mark.exists():
             return dict(import_module(f"{copies}.{name}").called)
-        with locked(self.folder / "lock"):
+        with locked(self.folder / f"{name}.lock"):
             if not mark.exists():
                 said = f"hybrid: compiling the rules {name!r}, once, into {self.folder}"
                 print(said, file=sys.stderr, flush=True)
-            called = dict(import_module(f"{copies}.{name}").called)
+                if os.cpu_count() != 1:  # to start processes would only cost
+                    self._build_callees(name)  # what fails is compiled again here, and says why
+            with uncollected():
+                called = dict(import_module(f"{copies}.{name}").called)
             mark.touch()
         return called
+
+    def build(self) -> bool:
+        """Compile every unit that is not compiled yet; whether that went well."""
+        return self._in_processes({file: self._imported(file) for file in self.sources})
+
+    def _build_callees(self, name: str) -> bool:
+        """Compile the files that a unit calls."""
+        calls: dict[str, set[str]] = {}
+        left = self._imported(name)
+        while left:
+            file = left.pop()
+            calls[file] = self._imported(file)
+            left |= calls[file] - set(calls)
+        return self._in_processes(calls)
+
+    def _imported(self, name: str) -> set[str]:
+        """Files from which a file imports."""
+        return {node.module or "" for node in _imports(ast.parse(self.sources[name]))}
+
+    def _in_processes(self, calls: dict[str, set[str]]) -> bool:
+        """Compile files, callees first, as many at once as processors; whether that went well.
+
+        ``calls``: for each the files from which it imports. Where one fails, the rest is left.
+        """
+        units = {file for file in calls if _public(ast.parse(self.sources[file]))}
+
+        def done_with(file: str) -> bool:
+            built = self.folder / f"{file}.built"
+            return file not in units or built.exists() or self._beside(file)
+
+        order = TopologicalSorter(calls)
+        order.prepare()
+        running: dict[Future[bool], str] = {}
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            while order.is_active():
+                running |= {pool.submit(done_with, file): file for file in order.get_ready()}
+                for done in wait(running, return_when=FIRST_COMPLETED).done:
+                    if not done.result():
+                        pool.shutdown(cancel_futures=True)
+                        return False
+                    order.done(running.pop(done))
+        return True
+
+    def _beside(self, name: str) -> bool:
+        """Compile a unit in a process of its own; whether that went well."""
+        code = BESIDE.format(loader=__name__, package=self.package, name=name)
+        env = {**os.environ, "HYBRID_CACHE": str(self.folder.parent)}
+        env["PYTHONPATH"] = os.pathsep.join(map(os.path.abspath, sys.path))
+        done = subprocess.run([sys.executable, "-P", "-c", code], env=env, capture_output=True)
+        return done.returncode == 0
 
 
 def footer(text: str, package: str, sources: Mapping[str, str]) -> str:
@@ -194,7 +255,7 @@ def footer(text: str, package: str, sources: Mapping[str, str]) -> str:
 
 def _reaching(tree: ast.Module, sources: Mapping[str, str]) -> set[str]:
     """Functions that call public ones of other files, themselves or by others of their own."""
-    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom) and node.level]
+    imports = _imports(tree)
     public = {
         node.module: _public(ast.parse(sources.get(str(node.module), ""))) for node in imports
     }
@@ -207,6 +268,11 @@ def _reaching(tree: ast.Module, sources: Mapping[str, str]) -> set[str]:
     while new := {name for name, used in names.items() if used & found} - found:
         found |= new
     return found & set(names)
+
+
+def _imports(tree: ast.Module) -> list[ast.ImportFrom]:
+    """What a file imports from others of its package."""
+    return [node for node in tree.body if isinstance(node, ast.ImportFrom) and node.level]
 
 
 def _public(tree: ast.Module) -> tuple[str, ...]:
@@ -279,6 +345,22 @@ def locked(path: Path) -> Iterator[None]:
         with contextlib.suppress(OSError):
             _lock(file.fileno())
         yield  # closing the file gives the lock back
+
+
+@contextlib.contextmanager
+def uncollected() -> Iterator[None]:
+    """Leave garbage where it is: numba makes millions of objects that stay.
+
+    To look through them again and again takes a fifth of the time where one process compiles the
+    longest unit and all that it calls; it then needs 0.8 GB instead of 0.6.
+    """
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
 
 
 def _lock(descriptor: int) -> None:
