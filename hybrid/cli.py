@@ -70,8 +70,12 @@ def run(
     method: Annotated[
         str | None, typer.Option(help="A method of the solver: DOP853, RK45 ...")
     ] = None,
-    rtol: Annotated[float, typer.Option(help="Relative tolerance.")] = 1e-8,
-    atol: Annotated[float, typer.Option(help="Absolute tolerance.")] = 1e-10,
+    rtol: Annotated[
+        float | None, typer.Option(help="Relative tolerance; the solver's own if omitted.")
+    ] = None,
+    atol: Annotated[
+        float | None, typer.Option(help="Absolute tolerance; the solver's own if omitted.")
+    ] = None,
     zeno: Annotated[str, typer.Option(help="rest, stop, truncate or raise.")] = "rest",
     mode: Annotated[str | None, typer.Option(help="Mode at the start.")] = None,
     max_jumps: Annotated[
@@ -131,8 +135,8 @@ def compare(
     until: Until = None,
     history: Before = None,
     memory: MemoryKind = "keep",
-    rtol: Annotated[float, typer.Option(help="Relative tolerance.")] = 1e-9,
-    atol: Annotated[float, typer.Option(help="Absolute tolerance.")] = 1e-11,
+    rtol: Annotated[float, typer.Option(help="Relative tolerance, of all alike.")] = 1e-9,
+    atol: Annotated[float, typer.Option(help="Absolute tolerance, of all alike.")] = 1e-11,
 ) -> None:
     """Run a model with all solvers side by side: what differs, and what explains it."""
     from .compare import compare as run_all

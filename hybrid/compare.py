@@ -108,6 +108,9 @@ def compare(
 
     Parameters
     ----------
+    rtol, atol : float
+        Tolerances of a step, the same for all: what they explain of a difference is measured by
+        them.
     methods : dict, optional
         Options of :func:`hybrid.simulate` by label; the first is the reference. All of the
         package's if omitted.

@@ -30,7 +30,7 @@ from .extras import TABLES, need
 from .jit import jit
 from .reals import reals
 from .scene.scene import rest_name
-from .solvers.base import FINEST, tolerances
+from .solvers.base import FINEST, Solver, tolerances
 from .solvers.series import TAYLOR
 
 if TYPE_CHECKING:
@@ -52,8 +52,8 @@ def ensemble(
     *,
     solver: str = "diffrax",
     method: str | None = None,
-    rtol: float = 1e-8,
-    atol: float = 1e-10,
+    rtol: float | None = None,
+    atol: Any = None,
     zeno: str = "rest",
     max_jumps: int | None = None,
     max_steps: int = 1_000_000,
@@ -78,8 +78,9 @@ def ensemble(
     solver, method
         ``"diffrax"``, and one of its methods; if omitted Taylor, with delays and for large systems
         Dopri8.
-    rtol, atol : float
-        Tolerances of a step; ``atol`` may be an array, one for each element of the state.
+    rtol, atol : float, optional
+        Tolerances of a step, the same for all lanes: 1e-8 and 1e-10 if omitted; ``atol`` may be an
+        array, one for each element of the state.
     zeno : "rest", "stop" or "ignore"
         What happens where impacts accumulate; ignored, they are simulated one by one, as many as
         ``max_jumps`` permits: without it a lane that accumulates goes on to ``max_steps``.
@@ -126,7 +127,7 @@ def ensemble(
     check_zeno(zeno)
     system, number, held = place(code, mode)
     bounds = np.iinfo(np.int64).max // 2 if max_jumps is None else max_jumps, max_steps
-    allowed = tolerances(rtol, atol, code.spec.dimension)
+    allowed = tolerances(rtol, atol, code.spec.dimension, Solver.own_rtol)
     lanes = _Lanes(code.spec, model, start, t, dict(parameters or {}), allowed, bounds)
     if method is None and system.short_series:
         method = TAYLOR

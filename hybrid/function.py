@@ -15,7 +15,7 @@ from .compiled.lane import MAX_JUMPS, MAX_STEPS, RUNNING, Run
 from .compiled.lanes import Journey, Trip, empty_log, ended
 from .compiled.turn import Turner
 from .errors import OptionError
-from .solvers.base import FINEST, tolerances
+from .solvers.base import FINEST, Solver, tolerances
 
 #: Turns between two looks at whether all is done; also what a reverse pass recomputes at once.
 BLOCK = 32
@@ -81,8 +81,8 @@ def as_function(
     max_steps: int = 4096,
     solver: str = "diffrax",
     method: str | None = None,
-    rtol: float = 1e-8,
-    atol: float = 1e-10,
+    rtol: float | None = None,
+    atol: Any = None,
     zeno: str = "rest",
     mode: str | None = None,
     outputs: tuple[str, ...] = OUTPUTS,
@@ -106,7 +106,8 @@ def as_function(
         Bounds on the jumps that are computed one by one, and on attempted steps. Memory in
         reverse mode grows with both.
     method, rtol, atol, mode
-        As for :func:`hybrid.simulate` with ``solver="diffrax"``: Dopri8 if no method is named.
+        As for :func:`hybrid.simulate` with ``solver="diffrax"``: Dopri8 if no method is named, and
+        the tolerances 1e-8 and 1e-10.
     zeno : "rest", "stop" or "ignore"
         What happens where impacts accumulate; ignored, they are computed one by one.
     outputs : tuple of "final", "jumps", "zeno"
@@ -136,7 +137,7 @@ def as_function(
     unknown = [name for name in outputs if name not in OUTPUTS]
     if unknown:
         raise OptionError(f"outputs: {unknown[0]!r} is none of {', '.join(OUTPUTS)}")
-    allowed = tolerances(rtol, atol, code.spec.dimension)
+    allowed = tolerances(rtol, atol, code.spec.dimension, Solver.own_rtol)
     system, number, held = place(code, mode)
     steps = method_for(system, solver, method, "bounded")
     past, constants = past_of(system, steps, segments, history, memory)

@@ -23,7 +23,7 @@ from .rules.sums import FLOOR
 from .run import Driver, Plan
 from .run.pieces import Piece
 from .scene import Scene, scene_of
-from .solvers import Solver, choose
+from .solvers import Solver, choose, own_rtol
 from .solvers.base import FINEST, tolerances
 from .trajectory import Status, Trajectory
 from .zeno.cycle import CycleLimit
@@ -52,8 +52,8 @@ def simulate(
     *,
     solver: str = "scipy",
     method: str | None = None,
-    rtol: float = 1e-8,
-    atol: float = 1e-10,
+    rtol: float | None = None,
+    atol: Any = None,
     zeno: str = "rest",
     max_jumps: int | None = None,
     save: Any = "dense",
@@ -77,9 +77,11 @@ def simulate(
         A method of the solver. SciPy's are DOP853 (default), RK45, RK23, Radau, BDF, LSODA;
         Diffrax's Dopri8 (default), Tsit5, Dopri5, Bosh3, Heun, Midpoint, Ralston, and Kvaerno3,
         Kvaerno4, Kvaerno5 for stiff flows, and Taylor (series; no delays).
-    rtol, atol : float
-        Tolerances of the solver for each step; ``atol`` may be an array, one for each
-        element of the state.
+    rtol, atol : float, optional
+        Tolerances of the solver for each step, in shares of each element of the state and in its
+        own unit; ``atol`` may be an array, one for each element. Each solver's own if omitted:
+        1e-8 and 1e-10; of "taylor", which is accurate to rounding, 1e-14 and 1e-16.
+        ``run.options`` says which they were.
     zeno : "rest", "stop", "truncate" or "raise"
         What happens where jumps accumulate: go on in the resting mode; end the run; permit
         at most ``max_jumps`` (or ``[1/r]``) impacts, then hold the contact; raise.
@@ -126,14 +128,15 @@ def simulate(
     require_model(model)
     scene = scene_of(model)
     spec = scene.spec
-    plan = _plan(spec, t, rtol, atol, zeno, max_jumps, save, progress)
+    allowed = tolerances(rtol, atol, spec.dimension, own_rtol(solver))
+    plan = _plan(t, allowed, zeno, max_jumps, save, progress)
     plan = attrs.evolve(plan, memory=_memory(memory))
     x = _start(spec, start)
     past = _past(spec, history, plan, x)
     first = spec.initial if mode is None else name_of(mode)
     if not isinstance(first, str) or not scene.starts(first):
         raise OptionError(f"{spec.model}: mode={mode!r}; there are {', '.join(scene.modes)}")
-    driver = Driver(scene, choose(solver, method, rtol, plan.atol), plan, past)
+    driver = Driver(scene, choose(solver, method, plan.rtol, plan.atol), plan, past)
     driver.run(first, x)
     _give_errors(driver, solver, method, first, x)
     if zeno == "raise" and driver.record.zeno:
@@ -141,7 +144,7 @@ def simulate(
     options = {
         "solver": driver.solver.name,
         "method": driver.solver.method,
-        "rtol": rtol,
+        "rtol": plan.rtol,
         "atol": plan.atol,
         "zeno": zeno,
         "save": save if isinstance(save, str) else "times",
@@ -302,17 +305,15 @@ def _vector(point: Accumulation) -> np.ndarray:
 
 
 def _plan(
-    spec: Spec,
     t: Any,
-    rtol: float,
-    atol: Any,
+    allowed: tuple[float, np.ndarray],
     zeno: str,
     max_jumps: int | None,
     save: Any,
     progress: Any,
 ) -> Plan:
     t0, t1 = _times(t)
-    rtol, atol = tolerances(rtol, atol, spec.dimension)
+    rtol, atol = allowed
     if zeno not in ZENO:
         raise OptionError(f"zeno={zeno!r}: one of {', '.join(map(repr, ZENO))}")
     if max_jumps is not None and not _is_count(max_jumps):

@@ -342,7 +342,8 @@ class Trajectory:
         -----
         An orbit is taken for one if its turns have been closer than 10 ``rtol`` for a quarter of
         the run, or have come so close, or are coming closer, at an even rate that leaves less
-        than a thousandth of its size to go. Moves of less than 100 ``atol`` count as none. A
+        than a thousandth of its size to go. Moves of less than 100 ``atol`` count as none. (With
+        Taylor series and no tolerances given, 1e-8 and 1e-10 are meant, as on other solvers.) A
         rest is for ever where neither flow nor guards, nor the gaps that are held, depend on
         time, the state does not change at all, and delays have seen nothing else for the
         longest lag; where it may end, the reason says so.

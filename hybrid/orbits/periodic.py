@@ -19,6 +19,7 @@ from .delayed import require_constant
 from .grazing import near_grazing, turning
 from .remembering import HistoryShooting
 from .restarting import RestartShooting
+from .returns import with_tolerances
 from .search import Search, depends_on_time, given
 from .shooting import Shooting, Turn
 from .variation import Factor
@@ -190,7 +191,7 @@ def periodic_orbit(
     """
     require_model(model)
     scene = scene_of(model)
-    options = {"rtol": 1e-12, "atol": 1e-13, **options, "save": "dense"}
+    options = {**with_tolerances(options, 1e-12, 1e-13), "save": "dense"}
     timed = depends_on_time(scene)
     if period is None and isinstance(section, int | float):
         period = float(section)

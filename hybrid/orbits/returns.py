@@ -65,6 +65,12 @@ class Iterates(Sequence[Record]):
         return getattr(self._spec.record(self.states), name)
 
 
+def with_tolerances(options: dict[str, Any], rtol: float, atol: float) -> dict[str, Any]:
+    """Options of a run, with these tolerances where the caller has given none."""
+    given = {name: value for name, value in options.items() if value is not None}
+    return {"rtol": rtol, "atol": atol, **given}
+
+
 class ReturnMap:
     """The map from a state to the one where its run next meets a section; see :func:`return_map`.
 
@@ -81,7 +87,7 @@ class ReturnMap:
         options: dict[str, Any],
     ) -> None:
         self.model, self.mode, self.t_max = model, mode, t_max
-        self.options = {"rtol": 1e-11, "atol": 1e-12, **options}
+        self.options = with_tolerances(options, 1e-11, 1e-12)
         self.scene = scene_of(model)
         self.section: Section = section_of(model, self.scene, section, crossing)
         if mode is None and isinstance(self.section, Edge):

@@ -13,6 +13,8 @@ from ..arcs import Arc
 from ..events import bernstein_from_chebyshev, roots
 from ..log import Log
 from ..segment import nodes
+from ..solvers import Solver
+from ..solvers.taylor_backend import TaylorSolver
 from ..trajectory import Trajectory
 from .standing import Standing, size_of, standing
 
@@ -119,7 +121,7 @@ class Turns:
 
 def settles(run: Trajectory) -> Settled:
     """See :meth:`hybrid.Trajectory.settles`."""
-    tol = CLOSE * max(float(run.options.get("rtol", 1e-8)), 1e-13)
+    tol = CLOSE * max(_tolerances(run)[0], 1e-13)
     scale = _scale(run)
     stands = standing(run)
     if stands is not None and stands.but is None:
@@ -127,6 +129,21 @@ def settles(run: Trajectory) -> Settled:
     found = _held(run, scale, tol) or _still(run, scale, tol) or _turning(run, scale, tol)
     but = _doubt(found, stands)
     return attrs.evolve(found, reason=f"{found.reason}; {but}") if but else found
+
+
+def _tolerances(run: Trajectory) -> tuple[float, np.ndarray]:
+    """Up to what the caller means states to be the same: the run's tolerances.
+
+    Those at which Taylor series run where none are given say how accurate they are, not what is
+    meant: there it is what is meant on the other solvers.
+    """
+    usual = Solver.own_rtol, Solver.own_rtol / 100
+    rtol, atol = (run.options.get(name, u) for name, u in zip(("rtol", "atol"), usual, strict=True))
+    if run.options.get("solver") == "taylor":
+        own = TaylorSolver.own_rtol
+        rtol = usual[0] if rtol <= own else rtol
+        atol = usual[1] if np.all(np.asarray(atol) <= own / 100) else atol
+    return float(rtol), np.asarray(atol, dtype=float)
 
 
 def _doubt(found: Settled, stands: Standing | None) -> str | None:
@@ -180,7 +197,7 @@ def _moves(run: Trajectory, states: np.ndarray, scale: np.ndarray) -> float:
 
     It makes nothing of a run whose states are all below it: ``atol`` is then in other units.
     """
-    slack = STILL * np.asarray(run.options.get("atol", 1e-10), dtype=float)
+    slack = STILL * _tolerances(run)[1]
     slack = slack if np.any(size_of(run) > slack) else 0.0 * slack
     return float(np.max(np.maximum(np.ptp(states, axis=0) - slack, 0.0) / scale))
 

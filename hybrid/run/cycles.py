@@ -40,6 +40,11 @@ TICKS = 4
 #: than rounding is shorter than the square root of rounding, and so much shorter.
 SHORT = 1e-3
 
+#: Where so small a share of the longest flight is left, the way over a guard may be its square,
+#: 1e-12 of the state: rounding knows the last flights to 2e-4 then, and the limit to ``DROWNED``.
+#: Later turns show less of it: it is taken as it is known there, whatever the tolerances.
+LITTLE, DROWNED = 1e-6, EPS / 1e-6
+
 #: Points on the way to the limit at which flows are looked at, and how straight they must be.
 SAMPLES, SMOOTH = 64, 1e-2
 
@@ -398,12 +403,12 @@ def _sought(cycles: Cycles, plan: Plan) -> tuple[CycleLimit, Turn] | None:
     rtol, atol = plan.closing * plan.rtol, plan.closing * plan.limit
     if cycles.stands:
         return cycles.reached(rtol, atol)
-    sought = cycles.limit(rtol, atol)
-    if sought is None and plan.closing < 1.0:
-        sought = cycles.limit(plan.rtol, plan.limit)
-        if sought is not None and sought[0].remaining > rtol * cycles.longest:
-            return None
-    return sought
+    own = [(plan.rtol, plan.limit, rtol)] if plan.closing < 1.0 else []
+    for *known, left in [(rtol, atol, np.inf), *own, (DROWNED, 0.0, LITTLE)]:
+        sought = cycles.limit(*known)
+        if sought is not None and sought[0].remaining <= left * cycles.longest:
+            return sought
+    return None
 
 
 def _named(turn: Turn) -> tuple[tuple[str, np.ndarray], ...]:

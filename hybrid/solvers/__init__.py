@@ -25,33 +25,53 @@ from typing import Any
 from ..errors import OptionError
 from .base import Solver, Stepper
 
-#: Entry points of this group are callables ``(method, rtol, atol) -> Solver``.
+#: What makes a solver from a method and its tolerances: its class, as a rule.
+Maker = Callable[[str | None, float, Any], Solver]
+
+#: Entry points of this group are such callables.
 GROUP = "hybrid.solvers"
 
 
-def _scipy(method: str | None, rtol: float, atol: Any) -> Solver:
+def _scipy() -> Maker:
     from .scipy_backend import SciPySolver
 
-    return SciPySolver(method, rtol, atol)
+    return SciPySolver
 
 
-def _taylor(method: str | None, rtol: float, atol: Any) -> Solver:
+def _taylor() -> Maker:
     from .taylor_backend import TaylorSolver
 
-    return TaylorSolver(method, rtol, atol)
+    return TaylorSolver
 
 
-def _diffrax(method: str | None, rtol: float, atol: Any) -> Solver:
+def _diffrax() -> Maker:
     from .diffrax_backend import DiffraxSolver
 
-    return DiffraxSolver(method, rtol, atol)
+    return DiffraxSolver
 
 
-SOLVERS: dict[str, Callable[[str | None, float, Any], Solver]] = {
+SOLVERS: dict[str, Callable[[], Maker]] = {
     "scipy": _scipy,
     "diffrax": _diffrax,
     "taylor": _taylor,
 }
+
+
+def maker(solver: str) -> Maker:
+    """What makes the solver of that name.
+
+    Raises
+    ------
+    OptionError
+        If there is none.
+    """
+    if isinstance(solver, str) and solver in SOLVERS:
+        return SOLVERS[solver]()
+    plugged = {point.name: point for point in entry_points(group=GROUP)}
+    if not isinstance(solver, str) or solver not in plugged:
+        raise OptionError(f"solver={solver!r}: there are {', '.join([*SOLVERS, *plugged])}")
+    made: Maker = plugged[solver].load()
+    return made
 
 
 def choose(solver: str, method: str | None, rtol: float, atol: Any) -> Solver:
@@ -62,18 +82,26 @@ def choose(solver: str, method: str | None, rtol: float, atol: Any) -> Solver:
     OptionError
         If there is none, or it has no such method.
     """
-    if isinstance(solver, str) and solver in SOLVERS:
-        return SOLVERS[solver](method, rtol, atol)
-    plugged = {point.name: point for point in entry_points(group=GROUP)}
-    if not isinstance(solver, str) or solver not in plugged:
-        raise OptionError(f"solver={solver!r}: there are {', '.join([*SOLVERS, *plugged])}")
-    made = plugged[solver].load()(method, rtol, atol)
+    make = maker(solver)
+    made = make(method, rtol, atol)
     if not isinstance(made, Solver):
+        point = f"{make.__module__}:{getattr(make, '__qualname__', make)}"
         raise OptionError(
-            f"solver={solver!r}: its entry point {plugged[solver].value} made {made!r}, "
+            f"solver={solver!r}: its entry point {point} made {made!r}, "
             "which is no hybrid.solvers.Solver"
         )
     return made
 
 
-__all__ = ["SOLVERS", "Solver", "Stepper", "choose"]
+def own_rtol(solver: str) -> float:
+    """The relative tolerance of the solver of that name, where none is given.
+
+    Raises
+    ------
+    OptionError
+        If there is no such solver.
+    """
+    return float(getattr(maker(solver), "own_rtol", Solver.own_rtol))
+
+
+__all__ = ["SOLVERS", "Solver", "Stepper", "choose", "own_rtol"]

@@ -92,8 +92,10 @@ def method_of(solver: str, method: str | None, known: Iterable[str]) -> str:
     return method or names[0]
 
 
-def tolerances(rtol: Any, atol: Any, dimension: int) -> tuple[float, np.ndarray]:
+def tolerances(rtol: Any, atol: Any, dimension: int, own: float) -> tuple[float, np.ndarray]:
     """Tolerances of a step: a number, and a number or one for each element of the state.
+
+    Where none is given ``rtol`` is the solver's ``own``, and ``atol`` a hundredth of that.
 
     Raises
     ------
@@ -101,13 +103,13 @@ def tolerances(rtol: Any, atol: Any, dimension: int) -> tuple[float, np.ndarray]
         If they are not that.
     """
     try:
-        relative = real(rtol)
+        relative = own if rtol is None else real(rtol)
     except ValueError:
         relative = 0.0
     if not 0 < relative < 1:
         raise OptionError(f"rtol={rtol!r}: a number between 0 and 1")
     try:
-        absolute = reals(atol)
+        absolute = np.array(own / 100) if atol is None else reals(atol)
     except ValueError:
         absolute = np.array(-1.0)
     if absolute.shape not in ((), (dimension,)) or not np.all(absolute >= 0):
@@ -163,7 +165,12 @@ class Solver(abc.ABC):
         Whether the rules' own loop makes these steps, so that it can fly whole arcs.
     rtol, atol
         What a step may lose; rounding, of a method that knows no tolerances.
+    own_rtol : float
+        The relative tolerance where the caller gives none; the absolute one is then a hundredth
+        of it. Of the class, for it is asked before one is made.
     """
+
+    own_rtol = 1e-8
 
     name: str
     method: str

@@ -57,6 +57,9 @@ class TaylorSolver(Solver):
     order = ORDER
     whole = True
 
+    #: Its steps lose some roundings each: what is weighed against the tolerances is known as well.
+    own_rtol = 1e-14
+
     def __init__(self, method: str | None, rtol: float, atol: Any) -> None:
         if method not in (None, "taylor"):
             raise OptionError(f"method={method!r}: solver 'taylor' has one method; leave it out")
