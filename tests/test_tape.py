@@ -335,3 +335,18 @@ def test_what_does_not_move_is_computed_once():
     series = _at(recorded.bind([2.5]), 0.0, [1.0])[0][0]
     assert series[1] == round(math.exp(2.5)) + math.sin(2.5)
     assert _at(recorded.bind([0.0]), 0.0, [1.0])[0][0][1] == 0.0
+
+
+def test_programs_may_be_added_to_those_that_are_joined():
+    """One after the other, or all at once; what was given out before stays as it is."""
+    parts = [_jets(EXPRESSIONS[name])[1] for name in ("angles", "matrices", "special", "piecewise")]
+    together = reader.Linked()
+    assert [together.add(part) for part in parts[:2]] == [0, 1]
+    before = together.programs()
+    kept = [array.copy() for array in before]
+    assert [together.add(part) for part in parts[2:]] == [2, 3]
+    for grown, whole in zip(together.programs(), reader.linked(parts), strict=True):
+        assert grown.dtype == whole.dtype
+        np.testing.assert_array_equal(grown, whole)
+    for array, copy in zip(before, kept, strict=True):
+        np.testing.assert_array_equal(array, copy)

@@ -12,7 +12,7 @@ from ..errors import TraceError
 from ..rules.arcs import CONTACT, EDGE, GUARDS, GUARDS_END, PLAIN, TO, USES_END
 from ..rules.arrays import Automaton, Room
 from ..rules.zeros import SPARE
-from .tape import Jets, Tape, linked, tape
+from .tape import Jets, Linked, Tape, tape
 
 if TYPE_CHECKING:
     from .mode import ModeGraph
@@ -40,7 +40,8 @@ class Tables:
         self.numbers: dict[str, int] = {}
         self.guards: list[Guard] = []
         self.modes: list[str] = []
-        self._programs: list[Jets] = []
+        self._programs = Linked()
+        self._most = np.zeros(3, dtype=int)  # rows, kinks and room of the largest program
         self._fields: list[list[int]] = []
         self._rows: list[list[int]] = []
         self._uses: list[int] = []
@@ -71,17 +72,16 @@ class Tables:
         if self._made is None:
             fields, uses = (np.array(rows, dtype=np.int64) for rows in (self._fields, self._uses))
             guards = np.array(self._rows, dtype=np.int64).reshape(-1, USES_END + 1)
-            self._made = Automaton(linked(self._programs), fields, guards, uses)
+            self._made = Automaton(self._programs.programs(), fields, guards, uses)
         return self._made
 
     def room(self, order: int) -> Room:
         """Arrays to work in, for one run."""
-        tapes = [part.tape for part in self._programs]
-        rows, kinks = max(t.rows for t in tapes), max(len(t.kinks) for t in tapes)
+        rows, kinks, room = self._most
         return Room(
             np.empty((rows, order + 1)),
             np.empty((rows, 3)),
-            np.empty(max(t.room for t in tapes)),
+            np.empty(room),
             np.empty((order + SPARE, order + 5)),
             np.empty((2 * order + 4, 2)),
             np.zeros(kinks, dtype=np.int64),
@@ -133,8 +133,9 @@ class Tables:
         return self._program(found.bind(self.scene.numbers(mode, field.held)))
 
     def _program(self, part: Jets) -> int:
-        self._programs.append(part)
-        return len(self._programs) - 1
+        tape = part.tape
+        self._most = np.maximum(self._most, (tape.rows, len(tape.kinks), tape.room))
+        return self._programs.add(part)
 
 
 def _values(mode: ModeGraph, nodes: Nodes) -> Tape | TraceError:

@@ -299,22 +299,40 @@ class Jets:
         return watched.tolist()  # type: ignore[no-any-return]
 
 
-def linked(parts: Sequence[Jets]) -> Programs:
-    """Programs one behind the other: places of numbers and of lists are counted on."""
-    index, columns = [], [[array[:0] for array in _arrays(part)] for part in parts[:1]]
-    ends = [0] * len(Programs._fields)
-    for part in parts:
+class Linked:
+    """Programs one behind the other, to which more are added."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._ends = [0] * (len(Programs._fields) - 1)
+        self._parts: list[list[np.ndarray]] = [[] for _ in Programs._fields]
+
+    def add(self, part: Jets) -> int:
+        """Put a program behind the others, whose number is returned."""
         ops, more, numbers, kinks, bands, output, flow, affine = _arrays(part)
-        move = partial(_moved, by=ends[2])
+        ends, move = self._ends, partial(_moved, by=self._ends[2])
         named, listed = NAMED[ops[:, 0]], LISTED[ops[:, 0]]
         ops = np.where(named, move(ops), ops + ends[1] * listed)
         arrays = [ops, move(more), numbers, kinks, bands, output, move(flow), affine]
-        after = [end + len(array) for end, array in zip(ends, arrays, strict=False)]
-        index.append([place for i in (0, 3, 5, 6) for place in (ends[i], after[i])])
-        columns.append(arrays)
-        ends = after
-    joined = (np.concatenate(column) for column in zip(*columns, strict=True))
-    return Programs(_table(index, 8), *joined)
+        self._ends = [end + len(array) for end, array in zip(ends, arrays, strict=True)]
+        index = [place for i in (0, 3, 5, 6) for place in (ends[i], self._ends[i])]
+        for column, array in zip(self._parts, [_table([index], 8), *arrays], strict=True):
+            column.append(array)
+        self.count += 1
+        return self.count - 1
+
+    def programs(self) -> Programs:
+        """All so far; what was joined before is joined to what came after it."""
+        self._parts = [[np.concatenate(column)] for column in self._parts]
+        return Programs(*(column[0] for column in self._parts))
+
+
+def linked(parts: Sequence[Jets]) -> Programs:
+    """Programs one behind the other: places of numbers and of lists are counted on."""
+    together = Linked()
+    for part in parts:
+        together.add(part)
+    return together.programs()
 
 
 def _arrays(part: Jets) -> list[np.ndarray]:
