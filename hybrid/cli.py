@@ -76,6 +76,10 @@ def run(
     atol: Annotated[
         float | None, typer.Option(help="Absolute tolerance; the solver's own if omitted.")
     ] = None,
+    max_step: Annotated[float | None, typer.Option(help="The longest step, in time.")] = None,
+    first_step: Annotated[
+        float | None, typer.Option(help="The first step after the start and after each jump.")
+    ] = None,
     zeno: Annotated[str, typer.Option(help="rest, stop, truncate or raise.")] = "rest",
     mode: Annotated[str | None, typer.Option(help="Mode at the start.")] = None,
     max_jumps: Annotated[
@@ -107,6 +111,8 @@ def run(
             method=method,
             rtol=rtol,
             atol=atol,
+            max_step=max_step,
+            first_step=first_step,
             zeno=zeno,
             mode=mode,
             max_jumps=max_jumps,

@@ -54,6 +54,8 @@ def simulate(
     method: str | None = None,
     rtol: float | None = None,
     atol: Any = None,
+    max_step: float | None = None,
+    first_step: float | None = None,
     zeno: str = "rest",
     max_jumps: int | None = None,
     save: Any = "dense",
@@ -82,6 +84,13 @@ def simulate(
         own unit; ``atol`` may be an array, one for each element. Each solver's own if omitted:
         1e-8 and 1e-10; of "taylor", which is accurate to rounding, 1e-14 and 1e-16.
         ``run.options`` says which they were.
+    max_step : float, optional
+        The longest step, in time; as long as the tolerances allow if omitted. It is for what is so
+        brief that steps pass over it. Plain arcs are then not compiled with ``solver="diffrax"``.
+    first_step : float, optional
+        The first step that is tried wherever the solver starts: at ``t[0]``, after each jump, and
+        with delays where a jump, or the start, arrives. It is made shorter where the tolerances
+        or the next jump ask for that. Chosen from the flow's series if omitted.
     zeno : "rest", "stop", "truncate" or "raise"
         What happens where jumps accumulate: go on in the resting mode; end the run; permit
         at most ``max_jumps`` (or ``[1/r]``) impacts, then hold the contact; raise.
@@ -130,15 +139,16 @@ def simulate(
     spec = scene.spec
     allowed = tolerances(rtol, atol, spec.dimension, own_rtol(solver))
     plan = _plan(t, allowed, zeno, max_jumps, save, progress)
-    plan = attrs.evolve(plan, memory=_memory(memory))
+    longest, first = _longest("max_step", max_step, plan), _longest("first_step", first_step, plan)
+    plan = attrs.evolve(plan, memory=_memory(memory), max_step=longest, first_step=first)
     x = _start(spec, start)
     past = _past(spec, history, plan, x)
-    first = spec.initial if mode is None else name_of(mode)
-    if not isinstance(first, str) or not scene.starts(first):
+    begins = spec.initial if mode is None else name_of(mode)
+    if not isinstance(begins, str) or not scene.starts(begins):
         raise OptionError(f"{spec.model}: mode={mode!r}; there are {', '.join(scene.modes)}")
-    driver = Driver(scene, choose(solver, method, plan.rtol, plan.atol), plan, past)
-    driver.run(first, x)
-    _give_errors(driver, solver, method, first, x)
+    driver = Driver(scene, _chosen(plan, solver, method), plan, past)
+    driver.run(begins, x)
+    _give_errors(driver, solver, method, begins, x)
     if zeno == "raise" and driver.record.zeno:
         raise ZenoError(f"{spec.model}: {explain(driver.record.zeno[0])}")
     options = {
@@ -237,10 +247,12 @@ class _Again:
     def _solver(self, name: str) -> Solver:
         plan = self.driver.plan
         if name == "series":
-            return choose("taylor", None, plan.rtol, plan.atol)
+            return _chosen(plan, "taylor", None)
         if name == "finest":
-            return choose("scipy", "DOP853", FINEST, 1e-4 * plan.atol)
-        return choose(*self.own, max(1e-2 * plan.rtol, 3e-14), 1e-2 * plan.atol)
+            plan = attrs.evolve(plan, rtol=FINEST, atol=1e-4 * plan.atol)
+            return _chosen(plan, "scipy", "DOP853")
+        finer = {"rtol": max(1e-2 * plan.rtol, 3e-14), "atol": 1e-2 * plan.atol}
+        return _chosen(attrs.evolve(plan, **finer), *self.own)
 
     def _plan(self, moved: bool) -> Plan:
         driver = self.driver
@@ -325,6 +337,26 @@ def _plan(
     limit = MAX_JUMPS if max_jumps is None or zeno == "truncate" else max_jumps
     plain = float(atol) if atol.shape == () else atol
     return Plan(t0, t1, rtol, plain, zeno, limit, cap, dense, samples, progress)
+
+
+def _chosen(plan: Plan, solver: str, method: str | None) -> Solver:
+    return choose(solver, method, plan.rtol, plan.atol, plan.max_step)
+
+
+def _longest(name: str, value: Any, plan: Plan) -> float:
+    """The length to which the caller bounds steps; infinite where he does not."""
+    if value is None:
+        return float("inf")
+    try:
+        length = real(value)
+    except ValueError:
+        length = 0.0
+    if not 0 < length < float("inf"):
+        raise OptionError(f"{name}={value!r}: a finite time greater than 0, or None")
+    least = float(np.spacing(max(abs(plan.t0), abs(plan.t1))))
+    if length < least:
+        raise OptionError(f"{name}={value!r}: times here are {least:.2g} apart; give a longer one")
+    return length
 
 
 def _is_count(value: Any) -> bool:

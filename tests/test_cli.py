@@ -33,6 +33,16 @@ def test_a_model_by_name_with_its_oracle():
     assert "2.55863396558581" in result.output
 
 
+def test_steps_may_be_bounded(tmp_path):
+    """From the command line as from Python."""
+    out = tmp_path / "out.nc"
+    result = call("run", "bouncing_ball", "--max-step", 0.01, "--first-step", 1e-4, "--save", out)
+    assert result.exit_code == 0, result.output
+    first, *others = (s.length for s in hy.load(out).parts[0].segments)
+    assert (first, max(others)) == pytest.approx((1e-4, 0.01))
+    assert "max_step=-1.0" in call("run", "bouncing_ball", "--max-step", -1).output
+
+
 def test_list_names_every_model():
     """One line each."""
     result = call("list")

@@ -2,6 +2,7 @@
 
 import math
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -67,3 +68,96 @@ def test_tolerances_that_are_none_are_the_defaults_of_maps_and_orbits():
     state = {"x": 0.0, "v": 3.0}
     default = hy.return_map(BouncingBall(), "impact", t_max=5.0)(state)
     assert hy.return_map(BouncingBall(), "impact", **given)(state).v == default.v
+
+
+class Gust(hy.Automaton):
+    """A body that a gust of one width in ``at`` pushes against a wall."""
+
+    x = hy.state()
+    v = hy.state()
+    width: float = hy.parameter(0.01)
+
+    @hy.mode
+    def flight(self, t, s):
+        gust = jnp.exp(-(((t - 5.0) / self.width) ** 2)) / self.width
+        return s.v, -gust
+
+    wall = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+
+
+LOW = [{"method": "RK45"}, {"method": "Radau"}, {"method": "LSODA"}, {"method": "BDF"}]
+WAYS = [{}, *LOW, {"solver": "taylor"}, {"solver": "classic"}, {"solver": "diffrax"}]
+
+
+def lengths(run):
+    """Of all steps."""
+    return np.array([s.length for arc in run.parts for s in arc.segments])
+
+
+@pytest.mark.parametrize("options", WAYS, ids=str)
+def test_no_step_is_longer_than_max_step(options):
+    """But for what landing on a guard adds, a millionth of the step."""
+    run = hy.simulate(Gust(), {"x": 1.0, "v": 0.0}, (0.0, 9.0), max_step=0.05, **options)
+    assert np.all(lengths(run) <= 0.05 * (1 + 1e-6))
+    assert len(lengths(run)) >= 180
+
+
+@pytest.mark.parametrize("options", WAYS, ids=str)
+def test_steps_are_bounded_where_nobody_looks_at_them(options):
+    """No guard, no dense output: a pulse is seen that is a thousandth of the run."""
+    run = hy.simulate(Free(), {"x": 1.0}, (0.0, 9.0), save="jumps", max_step=0.01, **options)
+    # BDF and LSODA, of low order after the pulse begins, lose most
+    assert run.final.x == pytest.approx(1.0 + math.sqrt(math.pi) * 0.01, abs=1e-5)
+    assert run.t1 == 9.0
+
+
+class Free(hy.Automaton):
+    """A state that moves in a pulse only."""
+
+    x = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        return jnp.exp(-(((t - 5.0) / 0.01) ** 2))
+
+
+@pytest.mark.parametrize("options", [{}, {"method": "LSODA"}, {"solver": "classic"}], ids=str)
+def test_max_step_shows_a_gust_that_is_stepped_over(options):
+    """A hundredth of a second in ten, which steps pass over without a sign."""
+    start, span = {"x": 1.0, "v": 0.0}, (0.0, 5.5)
+    assert hy.simulate(Gust(), start, span, **options).final.x == 1.0
+    run = hy.simulate(Gust(), start, span, max_step=0.01, **options)
+    # from the middle of the gust on, at the speed that its area gives; LSODA loses 1e-6 a step
+    assert run.final.x == pytest.approx(1.0 - math.sqrt(math.pi) * 0.5, abs=1e-5)
+
+
+@pytest.mark.parametrize("options", WAYS, ids=str)
+def test_the_first_step_holds_after_each_jump(options):
+    """Each arc is begun with it, or with less."""
+    run = hy.simulate(Gust(width=1.0), {"x": 1.0, "v": 0.0}, (0.0, 9.0), first_step=1e-3, **options)
+    firsts = [arc.segments[0].length for arc in run.parts if arc.segments]
+    assert len(firsts) > 1
+    assert max(firsts) <= 1e-3 * (1 + 1e-6)
+    assert max(lengths(run)) > 1e-2
+
+
+@pytest.mark.parametrize("name", ["max_step", "first_step"])
+@pytest.mark.parametrize("value", [0, -1.0, math.inf, math.nan, "0.1", [0.1]])
+@pytest.mark.parametrize("solver", ["scipy", "taylor"])
+def test_a_step_that_is_no_length_is_refused(solver, name, value):
+    """The option and the value are named."""
+    with pytest.raises(hy.OptionError, match=rf"{name}=.*a finite time greater than 0"):
+        hy.simulate(BouncingBall(), START, SPAN, solver=solver, **{name: value})
+
+
+def test_a_step_below_the_spacing_of_times_is_refused():
+    """It would never come to the end."""
+    with pytest.raises(hy.OptionError, match="times here are"):
+        hy.simulate(BouncingBall(), START, (1e6, 1e6 + 1), max_step=1e-12)
+
+
+@pytest.mark.parametrize("solver", ["scipy", "taylor"])
+def test_an_accumulation_is_found_and_bounded_with_short_steps(solver):
+    """The runs that measure its error included."""
+    run = hy.simulate(BouncingBall(), START, SPAN, solver=solver, max_step=1e-2)
+    assert abs(run.zeno[0].t - 2.5586339655858085) <= run.zeno[0].t_error < 1e-9

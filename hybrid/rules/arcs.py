@@ -31,12 +31,13 @@ KIND, CROSSING, BOUNDS, AFFINE, TO, RESET, LAND, SIZES, USES, USES_END = range(1
 #: Kinds of guards whose jumps are made here.
 EDGE, CONTACT = 0, 1
 
-#: Places in the numbers of a run: last time, tolerances, series of impacts.
-LAST, ABSOLUTE, RELATIVE, SHARE, PATIENT = 0, 1, 2, 3, 4
+#: Places in the numbers of a run: last time, tolerances, series of impacts, and the longest steps:
+#: the first of an arc, and the others.
+LAST, ABSOLUTE, RELATIVE, SHARE, PATIENT, FIRST_STEP, MAX_STEP = 0, 1, 2, 3, 4, 5, 6
 
 #: Places in a state's floats and integers.
 T, LOW, TAU, TRIED = 0, 1, 2, 3
-FIELD, FIRED, SERIES, COUNT, ENTERED, JUMPS, STEPS = 0, 1, 2, 3, 4, 5, 6
+FIELD, FIRED, SERIES, COUNT, ENTERED, JUMPS, STEPS, EXPANSIONS = 0, 1, 2, 3, 4, 5, 6, 7
 
 #: Why a call comes back: the run is at its end; the arrays are full; an arc has to be looked at
 #: with all the rules; a jump has.
@@ -90,7 +91,7 @@ def arc(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
             t,
             tau,
             now.end,
-            length - tau,
+            min(length - tau, run[FIRST_STEP] if made == 0 else run[MAX_STEP]),
             room.sides,
             room.c,
             room.aside,
@@ -99,6 +100,7 @@ def arc(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
             room.found,
             now.end,
         )
+        now.ints[EXPANSIONS] += 1
         if status < 0 or (made == 0 and not starts(a, now, room)):
             return LOOK
         shown = resolved(a, now, room, t, h)

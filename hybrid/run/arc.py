@@ -137,6 +137,7 @@ class ArcFlow:
             scales = self._scales(start, x)
             limit = target if target is not None and target > start else length
             limit = min(limit, length, start + REACH * min(scales, default=float("inf")))
+            limit = min(limit, start + self.plan.longest(start))
             self._step(stepper, limit)
             segment = stepper.segment()
             try:
@@ -215,6 +216,8 @@ class ArcFlow:
     def _finish(self, stepper: Stepper, length: float) -> Flown:
         """To the end, where nothing is watched and nothing kept."""
         try:
+            while (most := self.plan.longest(stepper.tau)) < length - stepper.tau:
+                stepper.step(stepper.tau + most)
             stepper.finish(length)
         except FlowError as fault:
             raise FlowError(f"{self._where(stepper.tau, stepper.x)}: {fault}") from None
@@ -228,7 +231,9 @@ class ArcFlow:
             raise FlowError(f"{self._where(tau, x)}: {fault}") from None
 
     def first_step(self, length: float) -> float | None:
-        """Where the first term that the method neglects reaches the tolerance."""
+        """Where the first term that the method neglects reaches the tolerance, or what is asked."""
+        if self.plan.first_step < float("inf"):
+            return min(self.plan.longest(0.0), length)
         if self.series is None:
             return None
         k = min(self.solver.order + 1, ORDER)

@@ -555,7 +555,7 @@ def _streaks(driver: Driver) -> Any:
         return None
     if driver.solver.whole:
         return Machine(driver)
-    if driver.solver.compiled is None:
+    if driver.solver.compiled is None or driver.plan.bounded:
         return None
     from .streak import Streaks
 

@@ -55,8 +55,10 @@ class Machine:
         self.driver, self.plan, self.tables = driver, driver.plan, driver.scene.tables
         self.dense = self.plan.dense or self.plan.samples is not None
         n, plan = driver.scene.spec.dimension, self.plan
-        self.run = np.array([plan.t1, plan.limit, plan.rtol, PATIENCE, float(plan.patience)])
-        self.floats, self.ints = np.zeros(4), np.zeros(7, dtype=np.int64)
+        series = PATIENCE, float(plan.patience)
+        steps = plan.longest(0.0), plan.max_step
+        self.run = np.array([plan.t1, plan.limit, plan.rtol, *series, *steps])
+        self.floats, self.ints = np.zeros(4), np.zeros(8, dtype=np.int64)
         self.states = np.zeros((3, n))
         self.size: tuple[int, ...] = (JUMPS_KEPT, STEPS_KEPT)
         self.passed = False

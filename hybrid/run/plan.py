@@ -35,6 +35,8 @@ class Plan:
         (:mod:`hybrid.solvers.watchful`).
     shaken : bool
         Move the states of such a run by what rounding does to forces that act briefly.
+    max_step, first_step : float
+        The longest step, and the longest first one of an arc; infinite where they are not limited.
     """
 
     t0: float
@@ -53,8 +55,19 @@ class Plan:
     patience: int = 2
     watchful: int | None = None
     shaken: bool = False
+    max_step: float = np.inf
+    first_step: float = np.inf
 
     @property
     def limit(self) -> float:
         """The largest absolute tolerance."""
         return float(np.max(self.atol))
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the caller bounds the steps."""
+        return min(self.max_step, self.first_step) < np.inf
+
+    def longest(self, tau: float) -> float:
+        """The longest step from a local time of an arc."""
+        return self.max_step if tau else min(self.max_step, self.first_step)

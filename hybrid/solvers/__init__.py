@@ -74,7 +74,9 @@ def maker(solver: str) -> Maker:
     return made
 
 
-def choose(solver: str, method: str | None, rtol: float, atol: Any) -> Solver:
+def choose(
+    solver: str, method: str | None, rtol: float, atol: Any, max_step: float = float("inf")
+) -> Solver:
     """The solver of that name.
 
     Raises
@@ -90,6 +92,7 @@ def choose(solver: str, method: str | None, rtol: float, atol: Any) -> Solver:
             f"solver={solver!r}: its entry point {point} made {made!r}, "
             "which is no hybrid.solvers.Solver"
         )
+    made.max_step = max_step
     return made
 
 

@@ -163,6 +163,9 @@ class Solver(abc.ABC):
         of arcs can be compiled with it.
     whole : bool
         Whether the rules' own loop makes these steps, so that it can fly whole arcs.
+    max_step : float
+        The longest step. Those that can stop at the limit of a step are given one: it is for those
+        that cannot.
     rtol, atol
         What a step may lose; rounding, of a method that knows no tolerances.
     own_rtol : float
@@ -177,6 +180,7 @@ class Solver(abc.ABC):
     order: int
     compiled: Any = None
     whole: bool = False
+    max_step: float = float("inf")
     rtol: float = FINEST
     atol: Any = 0.0
 

@@ -98,7 +98,8 @@ class SciPySolver(Solver):
     ) -> Any:
         atol = self.atol if atol is None else atol
         cls = METHODS[self.method]
-        return cls(flow, 0.0, x0, length, rtol=self.rtol, atol=atol, first_step=first)
+        options = {"first_step": first, "max_step": self.max_step}
+        return cls(flow, 0.0, x0, length, rtol=self.rtol, atol=atol, **options)
 
 
 def _restart(solver: Any, flow: Any, x0: np.ndarray, length: float, first: float | None) -> None:
