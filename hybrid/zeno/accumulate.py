@@ -76,7 +76,8 @@ class Tail:
 
     def point(self, w: float) -> tuple[float, np.ndarray, float]:
         """Time since ``y(1)``, state and gap speed after the impact ``y(w)``."""
-        offset = chebyshev.chebval(2.0 * w - 1.0, self.curve)
+        line, offset = np.empty(len(self.curve)), np.empty(self.curve.shape[1])
+        unit("chebyshev").evaluate(self.curve, len(line) - 1, w, line, offset)
         since, x, v = float(offset[0]), self.x + offset[1:-1], self.v * w * exp(float(offset[-1]))
         moved = on_contact(self.field, self.contact, self.column, self.t + since, x.tolist(), v)
         return since, np.array(moved), v

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable
 from functools import cached_property
 from importlib.util import find_spec
 from itertools import pairwise
-from math import exp, inf, log, nextafter
+from math import exp, inf, log
 from typing import TYPE_CHECKING, Any
 
 import attrs
@@ -176,27 +176,34 @@ class _Stretch:
     @cached_property
     def points(self) -> list[tuple[float, list[float], float]]:
         """Times, states and gap speeds before impacts, at points of the flights."""
-        tail, field, found = self.tail, self.tail.field, []
-        for w in np.linspace(self.last, self.first, POINTS).tolist():
-            since, x, _ = tail.point(w)
-            later, landed, after = tail.point(tail.r * w)
-            t, end, u = tail.t + since, tail.t + later, -after / tail.r
-            before = on_contact(field, tail.contact, tail.column, end, landed.tolist(), u)
-            ends = x, np.array(before)
-            rates = np.array(field.rhs(t, x.tolist())), np.array(field.rhs(end, before))
-            for share in (self.begin, 0.5 * (self.begin + self.end), self.end):
-                state = _between(ends, rates, later - since, share)
-                found.append((t + share * (end - t), state.tolist(), u))
-        return found
+        begins, lengths, speeds, *ends = map(np.array, zip(*self._flights, strict=True))
+        shares = np.array([self.begin, 0.5 * (self.begin + self.end), self.end])[:, None]
+        times, states = begins + shares * lengths, _between(ends, lengths[:, None], shares)
+        columns = times.reshape(-1), states.reshape(times.size, -1), np.tile(speeds, len(shares))
+        return list(zip(*(column.tolist() for column in columns), strict=True))
 
     @cached_property
+    def _flights(self) -> list[tuple[Any, ...]]:
+        """The flights at whose points the stretch is looked at."""
+        return [self._flight(w) for w in np.linspace(self.last, self.first, POINTS).tolist()]
+
+    def _flight(self, w: float) -> tuple[Any, ...]:
+        """Of the flight from ``y(w)``: when it begins, how long it takes, the gap speed at its end.
+
+        Then the state and its rate where it begins, and where it ends.
+        """
+        tail, rhs = self.tail, self.tail.field.rhs
+        since, begin, _ = tail.point(w)
+        later, landed, after = tail.point(tail.r * w)
+        t, end, u = tail.t + since, tail.t + later, -after / tail.r
+        before = on_contact(tail.field, tail.contact, tail.column, end, landed.tolist(), u)
+        return t, later - since, u, begin, rhs(t, begin.tolist()), before, rhs(end, before)
+
+    @property
     def times(self) -> tuple[float, float]:
         """First and last time; a flight more than the stretch itself."""
-        tail = self.tail
-        ends = chebyshev.chebval(
-            2.0 * np.array([self.first, tail.r * self.last]) - 1.0, tail.curve[:, 0]
-        )
-        return tail.t + float(ends[0]), tail.t + float(ends[1])
+        last, *_, first = self._flights
+        return first[0], last[0] + last[1]
 
     def box(self) -> dict[str, Any]:
         """Bounds of parameters, time, states, and gap speeds before impacts."""
@@ -205,12 +212,8 @@ class _Stretch:
         room = WIDER * (high - low)
         speeds = [u for _, _, u in self.points]
         inputs: dict[str, Any] = _named("p", flat(self.tail.field.parameters))
-        inputs |= {
-            f"x{i}": (nextafter(a, -np.inf), nextafter(b, np.inf))
-            for i, (a, b) in enumerate(
-                zip((low - room).tolist(), (high + room).tolist(), strict=True)
-            )
-        }
+        ends = np.nextafter(low - room, -inf).tolist(), np.nextafter(high + room, inf).tolist()
+        inputs |= _named("x", zip(*ends, strict=True))
         return inputs | {"t": self.times, "u": (min(speeds), max(speeds) if self.last else 0.0)}
 
     def halves(self) -> list[_Stretch]:
@@ -224,16 +227,12 @@ class _Stretch:
         return [_Stretch(self.tail, a, b) for a, b in pairwise(ends)]
 
 
-def _between(
-    ends: tuple[np.ndarray, np.ndarray],
-    rates: tuple[np.ndarray, np.ndarray],
-    length: float,
-    s: float,
-) -> np.ndarray:
-    """The cubic through two states with their rates, at a share of the time between them."""
-    chord = ends[1] - ends[0]
-    early, late = (length * rate - chord for rate in rates)
-    return np.asarray(ends[0] + s * chord + s * (1.0 - s) * ((1.0 - s) * early - s * late))
+def _between(ends: list[np.ndarray], lengths: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Cubics through states and their rates at both ends of flights, at shares of their times."""
+    begin, early, end, late = ends
+    s, chord = shares[..., None], end - begin
+    early, late = lengths * early - chord, lengths * late - chord
+    return np.asarray(begin + s * chord + s * (1.0 - s) * ((1.0 - s) * early - s * late))
 
 
 def _bounded(tail: Tail, excess: float) -> bool:
@@ -251,23 +250,18 @@ def _bounded(tail: Tail, excess: float) -> bool:
 
 
 def _fits(look: _Look, stretch: _Stretch, excess: float) -> bool:
-    from ..scene.balls import high
+    from ..scene.balls import high, low
 
     found = look.program.enclose(stretch.box())
     if not all(each.defined for each in found):
         return False
-    values = np.array([look.at(*point) for point in stretch.points]).T
-    (push, *_, law), most = [each.value for each in found], np.abs(values).max(axis=1)
-    room = np.ptp(values, axis=1) + excess * np.append(most[:-1], 1.0)
-    near = all(_near(e.value, v, r) for e, v, r in zip(found, values, room.tolist(), strict=True))
-    return near and high(push) < 0 and high(law) <= 1.0 - LOSS
-
-
-def _near(ball: Any, values: np.ndarray, room: float) -> bool:
-    """Whether a ball goes no further than values at points, but for some room."""
-    from ..scene.balls import high, low
-
-    return bool(min(values) - room <= low(ball) and high(ball) <= max(values) + room)
+    balls = [each.value for each in found]
+    values = np.array([look.at(*point) for point in stretch.points])
+    least, most = values.min(axis=0), values.max(axis=0)
+    room = most - least + excess * np.append(np.maximum(-least, most)[:-1], 1.0)
+    ends = zip(balls, (least - room).tolist(), (most + room).tolist(), strict=True)
+    near = all(a <= low(ball) and high(ball) <= b for ball, a, b in ends)
+    return near and high(balls[0]) < 0 and high(balls[-1]) <= 1.0 - LOSS
 
 
 @attrs.frozen(eq=False)
@@ -351,5 +345,5 @@ class _Gap:
         return IntervalProgram(graph, [*roots, self.law])
 
 
-def _named(letter: str, values: Iterable[float]) -> dict[str, float]:
+def _named(letter: str, values: Iterable[Any]) -> dict[str, Any]:
     return {f"{letter}{i}": value for i, value in enumerate(values)}
