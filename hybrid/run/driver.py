@@ -32,7 +32,7 @@ from ..zeno.narrow import seen
 from . import switch, truncate
 from .arc import ArcFlow, Flown
 from .cycles import Cycles, Seen, pass_limit
-from .entry import Entry, Jumped, beyond_kinks, describe, enter, opened, signs_at_end
+from .entry import Entry, Jumped, before_impact, beyond_kinks, describe, enter, opened, signs_at_end
 from .machine import Machine
 from .memory import Memory
 from .pieces import Piece
@@ -136,7 +136,8 @@ class Driver:
 
     def flow(self) -> None:
         """Flow an arc, or as many as need no judgement, and carry out the jump that ends it."""
-        if self.streaks is not None and not self.wary and self.streaks.takes():
+        plain = self.entry.field is self.scene.field(self.entry.field.name)
+        if plain and self.streaks is not None and not self.wary and self.streaks.takes():
             self._spent, self._tied = frozenset(), {}
             self.streaks.fly()
         else:
@@ -298,14 +299,18 @@ class Driver:
     def _require_one_speed(self, guard: Guard, x: np.ndarray) -> None:
         """Refuse a gap whose formula at zero is not that of the side from which it is reached.
 
-        The first impact of a contact shows it; in low ones rounding has a say in the side.
+        The first impact of a contact shows it. Where the gap has a corner at zero, as a distance
+        has, that is asked again wherever a flight may have come from the other side.
         """
-        if not guard.kinks or guard.edge in self._struck:
+        field, t = self.entry.field, self.t
+        there = self.scene.field(field.name, (guard.edge,))
+        if not guard.kinks or (there is field and guard.edge in self._struck):
             return
         self._struck.add(guard.edge)
-        there, beside = beyond_kinks(self.entry.field, guard.kinks, self.t, x, -1.0)
-        came, here = guard.lie(there, beside.tolist())[1], guard.lie(self.t, x.tolist())[1]
-        if not abs(here - came) <= NEAR * abs(came):
+        back, beside = before_impact(self.scene, field, guard, t, x)
+        came = guard.lie(back, beside.tolist())[1]
+        _, here, bend = there.guards[field.column(guard.edge)].lie(t, x.tolist())
+        if not abs(here - came) <= NEAR * abs(came) + 2.0 * abs(bend) * (t - back):
             raise FlowError(
                 f"{self.where(x)}: the gap of {guard.edge} changes its formula where it is zero: "
                 f"its speed there is {here:.6g}, and was {came:.6g} just before; write the formula "
@@ -341,7 +346,7 @@ class Driver:
         Returns the states before and after the next impact and the gap's speed; None where
         the flight is higher, or another guard comes near.
         """
-        field, t = self.scene.field(name), self.t
+        field, t = self.scene.field(name, (contact.name,)), self.t
         column = field.column(contact.name)
         guard = field.guards[column]
         after, ahead = beyond_kinks(field, (*guard.kinks, *field.changes), t, x)
@@ -452,7 +457,8 @@ class Driver:
         self, contact: Contact, x: np.ndarray, v: float, mode: str, held: tuple[str, ...]
     ) -> bool:
         """Sum the impacts from here on, or cut them off; False if the run goes on as it was."""
-        field, watch = self.scene.field(self.scene.name(mode, held)), self.watch
+        name, watch = self.scene.name(mode, held), self.watch
+        field = self.scene.field(name, (contact.name,))
         if self.plan.zeno == "truncate":
             return truncate.hold(self, contact, x, field)
         if watch.count < self.plan.patience or not 0 < v <= PATIENCE * watch.tried:

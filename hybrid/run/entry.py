@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from math import isfinite
 from typing import Any
 
@@ -97,7 +97,8 @@ def enter(
     FlowError
         If a guard is not finite.
     """
-    field = scene.field(scene.name(mode, jumped.held))
+    name = scene.name(mode, jumped.held)
+    field = _from_corners(scene, scene.field(name), t, x, jumped.vanishing)
     if jumped.starting:
         _require_on_surface(scene, field, t, x)
     if field.project is not None:
@@ -116,6 +117,20 @@ def enter(
         orders.append(order)
         signs.append(sign)
     return Entry(field, x, here.series, orders, at_once, signs)
+
+
+def _from_corners(
+    scene: Scene, field: Field, t: float, x: np.ndarray, known: Collection[str]
+) -> Field:
+    """The field of what begins here: a gap with a corner that is zero, as is known or to rounding,
+    has the formula of there."""
+    state, touching = x.tolist(), []
+    for guard in field.guards:
+        if guard.kind == "contact" and guard.kinks:
+            noise = 64 * EPS * scene.rounding(guard, field)(t, state)[0]
+            if guard.edge in known or abs(guard.value(t, state)) <= noise:
+                touching.append(guard.edge)
+    return scene.field(field.name, touching)
 
 
 def signs_at_end(entry: Entry, t: float, x: np.ndarray, reach: float) -> dict[str, int]:
@@ -163,27 +178,60 @@ def opened(scene: Scene, mode: str, contact: str, t: float, x: np.ndarray) -> bo
 
 
 def beyond_kinks(
-    field: Field, kinks: Sequence[Kink], t: float, x: np.ndarray, way: float = 1.0
+    field: Field, kinks: Sequence[Kink], t: float, x: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """The first time and state along a flow at which no deciding function is zero any more.
 
     Where one is, a function has the formula of either side; what counts is the side on which the
-    flow goes on (``way`` -1: from which it has come). A function that stays zero decides nothing.
+    flow goes on. A function that stays zero decides nothing.
     """
     there, least = (t, x), 0.0
     for kink in kinks:
-        if kink.value(t, x.tolist()) != 0.0:
-            continue
-        flow, step = np.array(field.rhs(t, x.tolist())), max(float(np.spacing(abs(t))), least)
-        times = [abs(x[i] / flow[i]) for i in kink.uses if flow[i]]
-        step = max(step, EPS * float(min(times, default=0.0)))
-        for _ in range(MOVES):
-            beside = t + way * step, x + way * step * flow
-            if kink.value(beside[0], beside[1].tolist()) != 0.0:
-                there, least = beside, step
-                break
-            step *= 2.0
+        zero = lambda t, x, kink=kink: kink.value(t, x) == 0.0  # noqa: E731
+        if zero(t, x.tolist()):
+            step = _leaves(field, zero, kink.uses, t, x, least)
+            if step:
+                there, least = _along(field, t, x, step), step
     return there
+
+
+def before_impact(
+    scene: Scene, field: Field, guard: Guard, t: float, x: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """The last time and state on the way to a contact at which its gap is not zero to rounding,
+    nor what decides on its formula."""
+    noise = 64 * EPS * scene.rounding(guard, field)(t, x.tolist())[0]
+
+    def zero(t: float, x: list[float]) -> bool:
+        near = abs(guard.value(t, x)) <= noise
+        return near or any(kink.value(t, x) == 0.0 for kink in guard.kinks)
+
+    return _along(field, t, x, -_leaves(field, zero, guard.uses, t, x, 0.0, -1.0))
+
+
+def _along(field: Field, t: float, x: np.ndarray, step: float) -> tuple[float, np.ndarray]:
+    return t + step, x + step * np.array(field.rhs(t, x.tolist()))
+
+
+def _leaves(
+    field: Field,
+    zero: Callable[[float, list[float]], bool],
+    uses: Sequence[int],
+    t: float,
+    x: np.ndarray,
+    least: float,
+    way: float = 1.0,
+) -> float:
+    """The first of some doubled steps, from ``least`` on, that leaves a zero; 0 if none does."""
+    flow = field.rhs(t, x.tolist())
+    times = [abs(float(x[i]) / flow[i]) for i in uses if flow[i]]
+    step = max(float(np.spacing(abs(t))), least, EPS * min(times, default=0.0))
+    for _ in range(MOVES):
+        beside = _along(field, t, x, way * step)
+        if not zero(beside[0], beside[1].tolist()):
+            return step
+        step *= 2.0
+    return 0.0
 
 
 def _require_on_surface(scene: Scene, field: Field, t: float, x: np.ndarray) -> None:

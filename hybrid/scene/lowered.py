@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import random
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
@@ -20,8 +19,9 @@ from .derivatives import degree
 from .graph import Graph
 from .mode import ModeGraph
 from .python import Program, needed
+from .sides import decider_of
 from .sliding import Sliding
-from .tape import Tape, rebuilt
+from .tape import Tape
 from .taylor import TaylorProgram, flat
 
 #: Order of the Taylor series of flows and gaps.
@@ -37,16 +37,6 @@ CHANGES = {
     **dict.fromkeys(("round", "away", "rem"), "jumps"),
     **dict.fromkeys(("abs", "max", "min"), "bends"),
     **dict.fromkeys(("sqrt", "log", "log1p", "acosh", "asin", "acos", "atanh"), "ends"),
-}
-
-#: What an operation is where the function that decides is above zero, or below.
-CHOICES: dict[str, Callable[..., int]] = {
-    "abs": lambda graph, above, a: a if above else graph.node("neg", a),
-    "sign": lambda graph, above, a: graph.const(1.0 if above else -1.0),
-    "max": lambda graph, above, a, b: a if above else b,
-    "min": lambda graph, above, a, b: b if above else a,
-    **dict.fromkeys(("gt", "ge"), lambda graph, above, *rest: graph.const(above)),
-    **dict.fromkeys(("lt", "le"), lambda graph, above, *rest: graph.const(not above)),
 }
 
 #: Points at which it is asked whether a reset turns a guard's motion round: what it does at half of
@@ -204,16 +194,18 @@ class Lowered:
         """The graph of a mode, or of sliding."""
         return self.once(("mode", name), lambda: ModeGraph(self, name))  # type: ignore[no-any-return]
 
-    def tape(self, mode: str, held: bool) -> Tape | TraceError:
-        """The tape of a mode, free or along contacts; why there is none where there is none."""
+    def tape(
+        self, mode: str, held: bool, touching: frozenset[str] = frozenset()
+    ) -> Tape | TraceError:
+        """The tape of a mode (:meth:`.ModeGraph.tape`); why there is none where there is none."""
 
         def make() -> Tape | TraceError:
             try:
-                return self.mode(mode).tape(held)
+                return self.mode(mode).tape(held, touching)
             except TraceError as fault:
                 return fault
 
-        return self.once(("tape", mode, held), make)  # type: ignore[no-any-return]
+        return self.once(("tape", mode, held, touching), make)  # type: ignore[no-any-return]
 
     def contact_tapes(self, mode: str, name: str, held: bool) -> list[Tape]:
         """See :meth:`.ModeGraph.contact_tapes`."""
@@ -310,7 +302,7 @@ class Lowered:
         def moves(place: int) -> bool:
             for _ in range(3):
                 x = [draw.uniform(0.5, 1.5) for _ in range(self.spec.dimension)]
-                values = [*x, *((v or 0.7) * draw.uniform(0.7, 1.3) for v in self._defaults())]
+                values = [*x, *((v or 0.7) * draw.uniform(0.7, 1.3) for v in self.defaults())]
                 both = [values, [v + (k == place) for k, v in enumerate(values)]]
                 here, there = (rhs.bind(v[len(x) :])(0.3, v[: len(x)])[i] for v in both)
                 if not abs(there - here) <= 1e-9 * (1.0 + abs(here)):
@@ -322,7 +314,7 @@ class Lowered:
             {(k, e) for k, e in asks if moves(first + k * size + 2 + e)},
         )
 
-    def _defaults(self) -> list[float]:
+    def defaults(self) -> list[float]:
         """Values of the parameters, and of windows that show 1 everywhere."""
         shown = blank(self.spec.lags, self.spec.dimension, 1.0)
         return flat([*(p.default for p in self.spec.parameters), *shown])
@@ -389,7 +381,7 @@ class Lowered:
     def _turns(self, edge: EdgeSpec, closed: Any) -> bool:
         """Whether a reset turns its guard's motion round at one of a few random points."""
         program = self.program(("turns", edge.name), lambda: closed)
-        pairs, draw = program.bind(self._defaults()), random.Random(0)
+        pairs, draw = program.bind(self.defaults()), random.Random(0)
         direction = {Crossing.FALLING: -1, Crossing.RISING: 1}.get(edge.crossing, 0)
         for _ in range(POINTS):
             x = [draw.uniform(-1.5, 1.5) for _ in range(self.spec.dimension)]
@@ -439,7 +431,7 @@ class Lowered:
 
     def _unit(self, mode: str) -> Callable[[int, int], bool]:
         """Whether a component of the flow has slope one in an element, at random points."""
-        rhs = self.flow(mode).bind(self._defaults())
+        rhs = self.flow(mode).bind(self.defaults())
         draw = random.Random(0)
 
         def unit(i: int, j: int) -> bool:
@@ -518,7 +510,7 @@ def deciders(
     for number in needed(graph, roots):
         op, *arguments = graph.nodes[number]
         if op in CHANGES:
-            decider = _decider(graph, op, arguments)
+            decider = decider_of(graph, op, arguments)
             ends = CHANGES[op] == "ends" and not _never_negative(graph, decider)
             if _states_in(graph, decider) and (ends or CHANGES[op] != "ends"):
                 found[decider] = min(found.get(decider, "jumps"), CHANGES[op], key=_SEVERITY.index)
@@ -526,32 +518,6 @@ def deciders(
         (Program(graph, ["t", "x"], size, np.array(number)), *node_shape(graph, number), change)
         for number, change in found.items()
     ]
-
-
-def choosers(graph: Graph, roots: Sequence[int]) -> list[int]:
-    """Functions by whose sign nodes take one formula or another, arguments first."""
-    nodes = [graph.nodes[number] for number in needed(graph, roots)]
-    found = [_decider(graph, op, rest) for op, *rest in nodes if op in CHOICES]
-    return list(dict.fromkeys(number for number in found if graph.moves(number)))
-
-
-def one_sided(graph: Graph, roots: Sequence[int], signs: Mapping[int, int]) -> list[int]:
-    """Nodes with the formulas that they have where some functions have these signs.
-
-    ``signs`` are of :func:`choosers`, in their order. Behind the nodes follow these functions
-    themselves, with the formulas that they have there.
-    """
-    nodes = [*roots, *signs]
-    for place, sign in enumerate(signs.values(), start=len(roots)):
-        decider = nodes[place]
-
-        def chosen(node: tuple[Any, ...], decider: int = decider, sign: int = sign) -> int | None:
-            op, *rest = node
-            own = op in CHOICES and _decider(graph, op, rest) == decider
-            return CHOICES[op](graph, sign > 0, *rest) if own else None
-
-        nodes = rebuilt(graph, nodes, chosen)
-    return nodes
 
 
 def _never_negative(graph: Graph, number: int) -> bool:
@@ -564,19 +530,3 @@ def _never_negative(graph: Graph, number: int) -> bool:
     if op in ("add", "mul", "div", "max", "real"):
         return all(_never_negative(graph, a) for a in arguments)
     return op in ("abs", "exp", "exp2", "sqrt", "cosh", "logistic")
-
-
-def _decider(graph: Graph, op: str, arguments: list[int]) -> int:
-    """The function whose zeros are the places at which an operation changes its formula."""
-    a, *rest = arguments
-    if op in ("gt", "ge", "lt", "le", "max", "min"):
-        return graph.node("sub", a, rest[0])
-    if op in ("floor", "ceil", "trunc", "round", "away", "rem"):
-        turns = graph.node("div", a, rest[0]) if rest else a
-        wave = "cos" if op in ("round", "away") else "sin"
-        return graph.node(wave, graph.node("mul", graph.const(math.pi), turns))
-    if op in ("log1p", "acosh"):
-        return graph.node("add" if op == "log1p" else "sub", a, graph.const(1.0))
-    if op in ("asin", "acos", "atanh"):
-        return graph.node("sub", graph.const(1.0), graph.node("mul", a, a))
-    return a

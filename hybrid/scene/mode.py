@@ -9,7 +9,7 @@ grows as a power of its contacts, and not with their subsets.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ from .contact import Pairing
 from .derivatives import along, gradient, parts, solved, times
 from .graph import Graph
 from .python import Program, solve
+from .sides import on_zero
 from .tape import Tape, rebuilt, tape
 
 if TYPE_CHECKING:
@@ -97,7 +98,8 @@ class ModeGraph:
 
     def _contact(self, name: str) -> Normal:
         graph, pairing = self.graph, self.code.pairing(name)
-        (gap,) = self.values(self.code.closed("gap", name))
+        numbers = [*self.code.defaults(), *(0.0 for _ in self.mask)]
+        gap = on_zero(graph, len(self.x), self.guard(name), numbers)
         speed = self.rate(gap, self.free)
         normal = gradient(graph, gap, [self.x[i] for i in pairing.positions])
         push, mass = normal, self.code.mass_closed(name)
@@ -106,6 +108,10 @@ class ModeGraph:
             push = [graph.dot([*zip(row, normal, strict=True)]) for row in rows]
         weight = graph.dot([*zip(normal, push, strict=True)])
         return Normal(pairing, gap, speed, self.rate(speed, self.free), normal, push, weight)
+
+    def cornered(self, name: str) -> bool:
+        """Whether the gap of a contact has a corner where it is zero, as a distance has."""
+        return self.contact(name).gap != self.guard(name)
 
     def impact(self, name: str) -> list[int]:
         """The state after an impact, then the gap's speed after it."""
@@ -141,7 +147,7 @@ class ModeGraph:
     def turn(self, name: str, held: bool) -> list[int]:
         """An impulse's change of the state, as :meth:`push`; then the gap's speed, and its
         acceleration along the flow."""
-        return [*self.push(name), *self.lie(name, held)[1:]]
+        return [*self.push(name), *self.lie_on(name, held)[1:]]
 
     def law(self, name: str) -> list[int]:
         """The restitution; the speed that it is asked for is one state more."""
@@ -232,8 +238,15 @@ class ModeGraph:
 
     def lie(self, name: str, held: bool) -> list[int]:
         """A guard and its first two derivatives along the flow."""
-        first = self.rate(self.guard(name), self.flow(held))
-        return [self.guard(name), first, self.rate(first, self.flow(held))]
+        return self._lie(self.guard(name), held)
+
+    def lie_on(self, name: str, held: bool) -> list[int]:
+        """The same of a gap with the formula that it has where it is zero."""
+        return self._lie(self.contact(name).gap, held)
+
+    def _lie(self, node: int, held: bool) -> list[int]:
+        first = self.rate(node, self.flow(held))
+        return [node, first, self.rate(first, self.flow(held))]
 
     def sizes(self, name: str, held: bool) -> list[int]:
         """Sums of the absolute terms of which a guard and its derivatives are made."""
@@ -253,15 +266,20 @@ class ModeGraph:
         pairs = zip(slopes, changes, strict=True)
         return graph.dot([(graph.node("abs", a), graph.node("abs", b)) for a, b in pairs])
 
-    def tape(self, held: bool) -> Tape:
+    def tape(self, held: bool, touching: Collection[str] = ()) -> Tape:
         """The tape of the flow, and of all guards in the order of :meth:`watched`.
+
+        ``touching``: contacts whose gaps have the formula that they have where they are zero.
 
         Raises
         ------
         TraceError
             Where an operation has no recurrence.
         """
-        guards = [self.guard(name) for name in self.watched(held)]
+        guards = [
+            self.contact(name).gap if name in touching else self.guard(name)
+            for name in self.watched(held)
+        ]
         where = f"{self.spec.model}, mode {self.mode}"
         return tape(self.graph, len(self.x), np.array(self.flow(held)), guards, where)
 

@@ -253,11 +253,19 @@ class Scene:
         order = [edge.name for edge in self.spec.leaving(mode) if edge.name in set(held)]
         return rest_name(mode, tuple(order))
 
-    def field(self, name: str) -> Field:
-        """The field of a mode, or of a resting mode ``"mode.rest(contact, ...)"``."""
+    def field(self, name: str, touching: Iterable[str] = ()) -> Field:
+        """The field of a mode, or of a resting mode ``"mode.rest(contact, ...)"``.
+
+        ``touching``: contacts from which a flight begins. A gap that has a corner at zero, as a
+        distance has, has the formula of there all along it: on which side of the corner rounding
+        has put the state says nothing.
+        """
         if name not in self._fields:
             self._fields[name] = self._make_field(name, *parted(name))
-        return self._fields[name]
+        field = self._fields[name]
+        graph = self.code.mode(field.mode)
+        corners = frozenset(contact for contact in touching if graph.cornered(contact))
+        return field.once(corners, lambda: self._touching(field, corners)) if corners else field  # type: ignore[no-any-return]
 
     def _make_field(self, name: str, mode: str, held: tuple[str, ...]) -> Field:
         code, switching = self.code, self.spec.sliding(mode)
@@ -282,6 +290,27 @@ class Scene:
         changes = self._kinks(mode, held, "flow", lambda g: g.flow(bool(held)))
         made = trace, code, self.parameters, numbers, project, refused, changes
         return Field(name, mode, held, rhs, jets, guards, *made)
+
+    def _touching(self, field: Field, corners: frozenset[str]) -> Field:
+        guards = tuple(
+            self._on_zero(field, guard) if guard.edge in corners else guard
+            for guard in field.guards
+        )
+        series = self._series(field.mode, field.held, [guard.edge for guard in guards], corners)
+        jets = series if isinstance(series, Jets) else None
+        return attrs.evolve(field, jets=jets, guards=guards)
+
+    def _on_zero(self, field: Field, guard: Guard) -> Guard:
+        """The guard of a contact with the formula that its gap has at zero."""
+        name, mode, held = guard.edge, field.mode, bool(field.held)
+        graph = self.code.mode(mode)
+        gap = graph.program(("gap on", name), lambda: [graph.contact(name).gap])
+        lie = graph.program(("lie on", name, held), lambda: graph.lie_on(name, held))
+        first, rates = gap.bind(field.numbers), lie.bind(field.numbers)
+        affine, _ = node_shape(graph.graph, graph.contact(name).gap)
+        kinks = self._kinks(mode, field.held, f"{name} on", lambda g: [g.contact(name).gap])
+        value = lambda t, x: first(t, x)[0]  # noqa: E731
+        return attrs.evolve(guard, value=value, lie=rates, affine=affine, kinks=kinks)
 
     @cached_property
     def tables(self) -> Tables:
@@ -315,9 +344,15 @@ class Scene:
         """Values of the parameters, and of a mode's mask: which of its contacts are held."""
         return (*self._values, *(float(name in held) for name in self.code.mode(mode).resting))
 
-    def _series(self, mode: str, held: tuple[str, ...], guards: list[str]) -> Jets | str:
+    def _series(
+        self,
+        mode: str,
+        held: tuple[str, ...],
+        guards: list[str],
+        touching: frozenset[str] = frozenset(),
+    ) -> Jets | str:
         """The series of the flow and of some of the guards; why there are none."""
-        tape = self.code.tape(mode, bool(held))
+        tape = self.code.tape(mode, bool(held), touching)
         if not isinstance(tape, Tape):
             return str(tape)
         order = self.code.mode(mode).watched(bool(held))

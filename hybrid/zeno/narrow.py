@@ -25,8 +25,8 @@ from numpy.polynomial import chebyshev
 from ..rules.sums import FLOOR, LOSS
 from ..scene.defect import EPS
 from ..scene.derivatives import along
-from ..scene.lowered import choosers, one_sided
 from ..scene.python import needed
+from ..scene.sides import choosers, on_zero, one_sided
 from ..scene.taylor import flat
 from ..segment import from_values, nodes
 from .accumulate import Tail, on_contact
@@ -268,8 +268,8 @@ def _fits(look: _Look, stretch: _Stretch, excess: float) -> bool:
 class _Look:
     """What is looked at in a field, as balls: the gap's acceleration, and last the restitution.
 
-    Where gap or flow change their formula at the impacts, as a distance ``|x|`` does at zero, they
-    have here that of the side on which the flights are: balls about the place do not know it. In
+    Where gap or flow change their formula at the impacts, they have here that of the side on which
+    the flights are (of a distance ``|x|`` that at zero): balls about the place do not know it. In
     between stand then the accelerations of the functions that decide. They, too, must be what they
     are at points, so that none of them changes its sign between these.
     """
@@ -309,7 +309,8 @@ class _Gap:
         flow = code.field_closed(field.mode, field.held)
         law, extra = code.closed("restitution", contact), np.array(self.graph.input("u"))
         self.flow = self._nodes(flow, inputs)
-        (self.gap,) = self._nodes(code.closed("gap", contact), inputs)
+        (gap,) = self._nodes(code.closed("gap", contact), inputs)
+        self.gap = on_zero(self.graph, len(self.states), gap, code.defaults())
         (self.law,) = self._nodes(law, [*inputs, extra])
         self.choosers = choosers(self.graph, [self.gap, *self.flow])
         self.deciding = IntervalProgram(self.graph, self.choosers) if self.choosers else None

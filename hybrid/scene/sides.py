@@ -1,0 +1,119 @@
+"""Formulas that change where a function is zero: the function, and the formula on each side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from random import Random
+from typing import Any
+
+import numpy as np
+
+from .graph import Graph
+from .python import Program, needed
+from .tape import rebuilt
+
+#: What an operation is where the function that decides is above zero, or below.
+CHOICES: dict[str, Callable[..., int]] = {
+    "abs": lambda graph, above, a: a if above else graph.node("neg", a),
+    "sign": lambda graph, above, a: graph.const(1.0 if above else -1.0),
+    "max": lambda graph, above, a, b: a if above else b,
+    "min": lambda graph, above, a, b: b if above else a,
+    **dict.fromkeys(("gt", "ge"), lambda graph, above, *rest: graph.const(above)),
+    **dict.fromkeys(("lt", "le"), lambda graph, above, *rest: graph.const(not above)),
+}
+
+#: Operations that have the formula of below zero where the function that decides is zero.
+BELOW = {"gt", "le"}
+
+#: Random points at which the ratio of two functions is taken: what is one number there is one.
+POINTS = 20
+
+
+def choosers(graph: Graph, roots: Sequence[int]) -> list[int]:
+    """Functions by whose sign nodes take one formula or another, arguments first."""
+    nodes = [graph.nodes[number] for number in needed(graph, roots)]
+    found = [decider_of(graph, op, rest) for op, *rest in nodes if op in CHOICES]
+    return list(dict.fromkeys(number for number in found if graph.moves(number)))
+
+
+def one_sided(graph: Graph, roots: Sequence[int], signs: Mapping[int, int]) -> list[int]:
+    """Nodes with the formulas that they have where some functions have these signs.
+
+    ``signs`` are of :func:`choosers`, in their order. Behind the nodes follow these functions
+    themselves, with the formulas that they have there.
+    """
+    nodes = [*roots, *signs]
+    for place, sign in enumerate(signs.values(), start=len(roots)):
+        decider = nodes[place]
+
+        def chosen(node: tuple[Any, ...], decider: int = decider, sign: int = sign) -> int | None:
+            op, *rest = node
+            own = op in CHOICES and decider_of(graph, op, rest) == decider
+            return CHOICES[op](graph, sign > 0, *rest) if own else None
+
+        nodes = rebuilt(graph, nodes, chosen)
+    return nodes
+
+
+def decider_of(graph: Graph, op: str, arguments: list[int]) -> int:
+    """The function whose zeros are the places at which an operation changes its formula."""
+    a, *rest = arguments
+    if op in ("gt", "ge", "lt", "le", "max", "min"):
+        return graph.node("sub", a, rest[0])
+    if op in ("floor", "ceil", "trunc", "round", "away", "rem"):
+        turns = graph.node("div", a, rest[0]) if rest else a
+        wave = "cos" if op in ("round", "away") else "sin"
+        return graph.node(wave, graph.node("mul", graph.const(math.pi), turns))
+    if op in ("log1p", "acosh"):
+        return graph.node("add" if op == "log1p" else "sub", a, graph.const(1.0))
+    if op in ("asin", "acos", "atanh"):
+        return graph.node("sub", graph.const(1.0), graph.node("mul", a, a))
+    return a
+
+
+def on_zero(graph: Graph, size: int, gap: int, numbers: Sequence[float]) -> int:
+    """A gap with the formula that it has where it is zero, if it has a corner there.
+
+    It has one, as a distance ``|u|`` has, where its formulas are multiples of the function that
+    decides between them, and positive on either side of its zero.
+
+    Parameters
+    ----------
+    size : int
+        Number of states.
+    numbers
+        Any values of the parameters.
+    """
+    for decider, side in _belongs(graph, gap).items():
+        formulas = [one_sided(graph, [gap], {decider: sign})[0] for sign in (1, -1)]
+        values = Program(graph, ["t", "x"], size, np.array([decider, *formulas])).bind(numbers)
+        above, below = _ratios(values, size)
+        if above > 0 > below:
+            gap = formulas[0] if side > 0 else formulas[1]
+    return gap
+
+
+def _belongs(graph: Graph, root: int) -> dict[int, int]:
+    """For each function of :func:`choosers` the sign of the side to which its zero belongs.
+
+    Not of one whose zero belongs to either, as that of ``u > 0`` and ``u >= 0`` in one node.
+    """
+    sides: dict[int, set[int]] = {}
+    for op, *rest in (graph.nodes[number] for number in needed(graph, [root])):
+        if op in CHOICES:
+            sides.setdefault(decider_of(graph, op, rest), set()).add(-1 if op in BELOW else 1)
+    return {n: min(sides[n]) for n in choosers(graph, [root]) if len(sides[n]) == 1}
+
+
+def _ratios(values: Callable[..., tuple[float, ...]], size: int) -> tuple[float, float]:
+    """The constant ratios of two functions to a first one; not a number where they are none."""
+    draw, found = Random(0), set()
+    for _ in range(POINTS):
+        x = [draw.uniform(-1.5, 1.5) for _ in range(size)]
+        own, *others = values(draw.uniform(0.0, 1.5), x)
+        if not own or not all(map(math.isfinite, others)):
+            return math.nan, math.nan
+        found.add(tuple(float(f"{other / own:.9g}") for other in others))
+    above, below = found.pop()
+    return (math.nan, math.nan) if found else (above, below)
