@@ -17,7 +17,7 @@ from hybrid.scene.lowered import ORDER
 from hybrid.scene.scene import scene_of
 from hybrid.scene.tape import KINDS, linked
 from hybrid.solvers import taylor_backend
-from hybrid.solvers.taylor_backend import Room, TaylorStepper
+from hybrid.solvers.taylor_backend import TaylorStepper
 from hybrid.zeno import flight
 from hybrid.zeno.flight import falls, fly
 
@@ -56,8 +56,8 @@ def start(field, x, t=0.0):
 
 def stepped(unit, field, x, t=0.0, most=10.0, tau=0.0):
     """Status, length and kink of one step, the arrays it worked in, and the state at its end."""
-    room, end = Room.of(field.jets), np.full(2, np.nan)
-    *arrays, sides = room
+    room, end = field.jets.room(ORDER), np.full(2, np.nan)
+    *arrays, sides, _, _ = room
     made = unit("steps").step(
         *(field.jets.alone, 0, False, t, tau, np.array(x, dtype=float), most, sides),
         *(*arrays, end),
@@ -155,7 +155,7 @@ def test_why_there_is_no_step(unit):
 def test_the_state_may_be_stepped_in_place(unit):
     """``end`` may be the array of the state itself."""
     one = field(lambda x, y: jnp.where(x < 0.5, 1.0, 1.0 + x))
-    *arrays, sides = Room.of(one.jets)
+    *arrays, sides, _, _ = one.jets.room(ORDER)
     x = np.array([0.1, 0.2])
     made = unit("steps").step(one.jets.alone, 0, False, 0.0, 0.0, x, 0.2, sides, *arrays, x)
     other, _, end = stepped(unit, one, [0.1, 0.2], most=0.2)
@@ -172,7 +172,7 @@ def test_a_program_steps_alike_among_others(unit):
     work = np.empty(max(part.jets.tape.room for part in (first, second)))
     c, aside = np.empty((rows, ORDER + 1)), np.empty((rows, 2))
     sides, there = np.zeros(9, dtype=np.int64), np.empty(2)
-    _, _, _, *room, _ = Room.of(second.jets)
+    _, _, _, *room, _, _, _ = second.jets.room(ORDER)
     made = unit("steps").step(
         *(both, 1, False, 0.0, 0.0, np.array([0.3, 0.4]), 10.0, sides, c, aside, work),
         *(*room, there),
@@ -303,7 +303,7 @@ def test_a_long_flight_belongs_to_the_solver(unit):
     """Many turns of a forced oscillator: the arrays for its pieces are not written beyond."""
     one = falling(ForcedOscillator, "flight")
     assert fly(one, 0, 0.0, [0.0, 1e9], 1e9) is None
-    room, most = Room.of(one.jets), 2
+    room, most = one.jets.room(ORDER)[:6], 2
     starts, lengths, end = np.full(most + 1, -1.0), np.full(most + 1, -1.0), np.empty(2)
     series, branch = np.full((2 * most + 2, ORDER + 1), -1.0), np.zeros(9, dtype=np.int64)
     made = unit("flights").fly(

@@ -11,11 +11,9 @@ from ..automaton.markers import Crossing
 from ..errors import TraceError
 from ..rules.arcs import CONTACT, EDGE, GUARDS, GUARDS_END, PLAIN, TO, USES_END
 from ..rules.arrays import Automaton, Room
-from ..rules.zeros import SPARE
-from .tape import Jets, Linked, Tape, tape
+from .tape import Jets, Linked, room
 
 if TYPE_CHECKING:
-    from .mode import ModeGraph
     from .scene import Field, Guard, Scene
 
 Nodes = Callable[[], Sequence[int]]
@@ -41,7 +39,7 @@ class Tables:
         self.guards: list[Guard] = []
         self.modes: list[str] = []
         self._programs = Linked()
-        self._most = np.zeros(3, dtype=int)  # rows, kinks and room of the largest program
+        self._most = np.zeros(3, dtype=int)  # what the largest program needs
         self._fields: list[list[int]] = []
         self._rows: list[list[int]] = []
         self._uses: list[int] = []
@@ -77,17 +75,7 @@ class Tables:
 
     def room(self, order: int) -> Room:
         """Arrays to work in, for one run."""
-        rows, kinks, room = self._most
-        return Room(
-            np.empty((rows, order + 1)),
-            np.empty((rows, 3)),
-            np.empty(room),
-            np.empty((order + SPARE, order + 5)),
-            np.empty((2 * order + 4, 2)),
-            np.zeros(kinks, dtype=np.int64),
-            np.zeros(kinks, dtype=np.int64),
-            np.empty(self.scene.spec.dimension),
-        )
+        return room(self._most, self.scene.spec.dimension, order)
 
     def _add(self, field: Field) -> None:
         jets, first = field.jets, len(self._rows)
@@ -126,22 +114,12 @@ class Tables:
 
     def _of_values(self, field: Field, key: tuple[object, ...], nodes: Nodes) -> int:
         """The number of a program for values only; -1 where an operation has none."""
-        code, mode = self.scene.code, field.mode
-        found = code.once(("values", mode, key), lambda: _values(code.mode(mode), nodes))
-        if not isinstance(found, Tape):
+        try:
+            found = self.scene.code.mode(field.mode).of_values(key, nodes)
+        except TraceError:
             return -1
-        return self._program(found.bind(self.scene.numbers(mode, field.held)))
+        return self._program(found.bind(self.scene.numbers(field.mode, field.held)))
 
     def _program(self, part: Jets) -> int:
-        tape = part.tape
-        self._most = np.maximum(self._most, (tape.rows, len(tape.kinks), tape.room))
+        self._most = np.maximum(self._most, part.tape.needs)
         return self._programs.add(part)
-
-
-def _values(mode: ModeGraph, nodes: Nodes) -> Tape | TraceError:
-    """The tape of some functions alone; why there is none where there is none."""
-    where = f"{mode.spec.model}, mode {mode.mode}"
-    try:
-        return tape(mode.graph, len(mode.x), np.array([], dtype=np.int64), nodes(), where)
-    except TraceError as fault:
-        return fault

@@ -207,11 +207,6 @@ class Lowered:
 
         return self.once(("tape", mode, held, touching), make)  # type: ignore[no-any-return]
 
-    def contact_tapes(self, mode: str, name: str, held: bool) -> list[Tape]:
-        """See :meth:`.ModeGraph.contact_tapes`."""
-        make = lambda: self.mode(mode).contact_tapes(name, held)  # noqa: E731
-        return self.once(("contact tapes", mode, name, held), make)  # type: ignore[no-any-return]
-
     def array_series(
         self,
         flow: Any,

@@ -283,12 +283,27 @@ class ModeGraph:
         where = f"{self.spec.model}, mode {self.mode}"
         return tape(self.graph, len(self.x), np.array(self.flow(held)), guards, where)
 
+    def of_values(
+        self, key: tuple[Any, ...], nodes: Callable[[], Sequence[int]], more: int = 0
+    ) -> Tape:
+        """The tape of functions alone, of the state and of some numbers behind it.
+
+        Raises
+        ------
+        TraceError
+            Where an operation has none.
+        """
+        where, size = f"{self.spec.model}, mode {self.mode}", len(self.x) + more
+        make = lambda: tape(self.graph, size, np.array([]), nodes(), where)  # noqa: E731
+        return self.code.once(("values", self.mode, *key), make)  # type: ignore[no-any-return]
+
     def contact_tapes(self, name: str, held: bool) -> list[Tape]:
         """What happens at a contact, for values: :meth:`land`, :meth:`turn`, :meth:`law`."""
-        where, size = f"{self.spec.model}, contact {name}", len(self.x)
-        turn = self.turn(name, held)
-        parts = [(size, self.land(name)), (size, turn), (size + 1, self.law(name))]
-        return [tape(self.graph, n, np.array([]), nodes, where) for n, nodes in parts]
+        return [
+            self.of_values(("land", name), lambda: self.land(name)),
+            self.of_values(("turn", name, held), lambda: self.turn(name, held)),
+            self.of_values(("law", name), lambda: self.law(name), 1),
+        ]
 
     def watched(self, held: bool) -> list[str]:
         """Names of the guards: all that are declared, and with contacts held their loads."""

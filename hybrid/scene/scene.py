@@ -174,7 +174,7 @@ class Field:
 
     def at_contact(self, name: str) -> list[Jets]:
         """What happens at a contact of the mode, for values (:meth:`.ModeGraph.contact_tapes`)."""
-        tapes = self.code.contact_tapes(self.mode, name, bool(self.held))
+        tapes = self.code.mode(self.mode).contact_tapes(name, bool(self.held))
         return [tape.bind(self.numbers) for tape in tapes]
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:

@@ -14,7 +14,7 @@ to its first zero. So are the arguments of functions that are flat to rounding a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property, partial
 from typing import Any
 
@@ -24,7 +24,8 @@ import numpy as np
 from ..errors import TraceError
 from ..rules import jets as rule
 from ..rules import unit
-from ..rules.arrays import Programs
+from ..rules.arrays import Programs, Room
+from ..rules.zeros import SPARE
 from .derivatives import degree, unknowns
 from .graph import Graph, Ids
 from .python import needed
@@ -233,6 +234,11 @@ class Tape:
     given: np.ndarray
     room: int
 
+    @property
+    def needs(self) -> tuple[int, int, int]:
+        """Rows, kinks, and the length of the array beside them, for :func:`room`."""
+        return self.rows, len(self.kinks), self.room
+
     def bind(self, parameters: Sequence[float], functions: Sequence[int] | None = None) -> Jets:
         """The tape for these values of the (flattened) parameters, for some of its functions."""
         numbers = self.numbers.copy()
@@ -267,6 +273,10 @@ class Jets:
         """This program, and no other."""
         return linked([self])
 
+    def room(self, order: int) -> Room:
+        """Arrays to work in, for this program alone."""
+        return room(self.tape.needs, self.tape.size, order)
+
     def __call__(self, t: float, x: Sequence[float], sides: list[int], order: int) -> Any:
         """Coefficients 0 .. ``order`` of the states, of the functions, and of what is watched.
 
@@ -297,6 +307,21 @@ class Jets:
         if np.isnan(watched).any():
             watched[np.isnan(watched).any(axis=1)] = np.eye(1, c.shape[1])[0]
         return watched.tolist()  # type: ignore[no-any-return]
+
+
+def room(needs: Iterable[int], states: int, order: int) -> Room:
+    """Arrays to work in for programs, none of which needs more than :attr:`Tape.needs` says."""
+    rows, kinks, beside = needs
+    return Room(
+        np.empty((rows, order + 1)),
+        np.empty((rows, 3)),
+        np.empty(beside),
+        np.empty((order + SPARE, order + 5)),
+        np.empty((2 * order + 4, 2)),
+        np.zeros(kinks, dtype=np.int64),
+        np.zeros(kinks, dtype=np.int64),
+        np.empty(states),
+    )
 
 
 class Linked:

@@ -6,18 +6,16 @@ kink (``abs``, ``where``).
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ..errors import FlowError, OptionError
-from ..events import room
 from ..rules import unit
 from ..rules.kinks import NO_SERIES, NOT_FINITE
 from ..rules.steps import NO_STEP
 from ..scene import Field
 from ..scene.lowered import ORDER
-from ..scene.tape import Jets
 from ..segment import Segment, from_powers
 from .base import Pace, Solver, Stepper
 
@@ -30,24 +28,6 @@ REFUSED = {
         "jumps (sign, where) leads back to the jump from both sides, declare hy.switching"
     ),
 }
-
-
-class Room(NamedTuple):
-    """Arrays in which the rules for steps and flights work (:func:`hybrid.rules.steps.step`)."""
-
-    c: np.ndarray
-    aside: np.ndarray
-    work: np.ndarray
-    rows: np.ndarray
-    found: np.ndarray
-    sides: np.ndarray
-
-    @classmethod
-    def of(cls, jets: Jets) -> Room:
-        """Such as a program needs."""
-        tape, sides = jets.tape, np.zeros(len(jets.tape.kinks), dtype=np.int64)
-        c, aside = np.empty((tape.rows, ORDER + 1)), np.empty((tape.rows, 3))
-        return cls(c, aside, np.empty(tape.room), *room(ORDER), sides)
 
 
 class TaylorSolver(Solver):
@@ -88,10 +68,11 @@ class TaylorStepper(Stepper):
         self.jets, self.held = field.jets, field.project is not None
         self.t0, self.length, self.pace = t0, length, Pace()
         self.tau, self.x = 0.0, x0
-        self.room = Room.of(field.jets)
+        self.room = field.jets.room(ORDER)
 
     def step(self, limit: float) -> None:
-        programs, (*arrays, sides), start = self.jets.alone, self.room, self.tau
+        programs, start = self.jets.alone, self.tau
+        *arrays, sides, _, _ = self.room
         x, end = np.array(self.x, dtype=float), np.empty(len(self.x))
         status, h, crossed = unit("steps").step(
             *(programs, 0, self.held, self.t0 + start, start, x, limit - start, sides),
@@ -107,7 +88,7 @@ class TaylorStepper(Stepper):
 
     def land(self, tau: float) -> Segment:
         """The same series, cut at ``tau``."""
-        c, aside, work, _, _, sides = self.room
+        c, aside, work, _, _, sides, _, _ = self.room
         if tau < self.tau:
             sides[:] = 0  # those beyond a kink that the step ended at
         self._made, t, end = tau - self._start, self.t0 + self._start, np.empty(len(self.x))

@@ -12,14 +12,13 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from ..events import room
 from ..rules import unit
 from ..rules.arrays import Programs, Sums
 from ..rules.flights import most_pieces
 from ..rules.sums import BRANCH, DEGREE, ERROR, FIT, GRID, LAST, LIMIT, LINES, SAMPLES, STATE
 from ..scene.defect import follows
 from ..scene.lowered import ORDER
-from ..scene.tape import Tape, linked
+from ..scene.tape import Tape, linked, room
 from ..scene.taylor import polynomial
 from .flight import Flight, fly
 
@@ -235,11 +234,10 @@ class _Chatter:
             self.free.append(given)
 
     def _new(self) -> Sums:
-        n, high = self.tapes[0].size, ORDER + 1
-        shapes = [(tape.rows, len(tape.kinks), tape.room) for tape in self.tapes]
-        rows, kinks, unknowns = (max(each) for each in zip(*shapes, strict=True))
+        n, points = self.tapes[0].size, DEGREE + 1
+        work = room(np.max([tape.needs for tape in self.tapes], axis=0), n, ORDER)
+        kinks = len(work.sides)
         most = most_pieces(kinks)
-        points, zeros = DEGREE + 1, room(ORDER)
         return Sums(
             lines=np.zeros((LINES, n + 2)),
             small=np.zeros((FIT + SAMPLES, points)),
@@ -247,15 +245,15 @@ class _Chatter:
             ints=np.zeros(BRANCH + kinks + most, dtype=np.int64),
             starts=np.zeros(most),
             lengths=np.zeros(most),
-            series=np.zeros((n * most, high)),
+            series=np.zeros((n * most, ORDER + 1)),
             branch=np.zeros(kinks + most, dtype=np.int64),
             end=np.zeros(n),
-            c=np.zeros((rows, high)),
-            aside=np.zeros((rows, 3)),
-            work=np.zeros(unknowns),
-            rows=zeros[0],
-            found=zeros[1],
-            sides=np.zeros(kinks, dtype=np.int64),
+            c=work.c,
+            aside=work.aside,
+            work=work.work,
+            rows=work.rows,
+            found=work.found,
+            sides=work.sides,
         )
 
 

@@ -16,7 +16,6 @@ from ..rules.flights import most_pieces
 from ..scene.lowered import ORDER
 from ..scene.taylor import polynomial
 from ..segment import Segment, from_powers
-from ..solvers.taylor_backend import Room
 
 if TYPE_CHECKING:
     from ..scene import Field
@@ -54,14 +53,14 @@ def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight
     """
     if field.jets is None:
         return None
-    work, size = Room.of(field.jets), len(x)
+    work, size = field.jets.room(ORDER), len(x)
     kinks = len(work.sides)
     most = most_pieces(kinks)
     starts, lengths, end = np.empty(most), np.empty(most), np.empty(size)
     series, branch = np.empty((most * size, ORDER + 1)), np.empty(kinks + most, dtype=np.int64)
     status, time, u, pieces, crossed = unit("flights").fly(
         *(field.jets.alone, 0, column, field.project is not None, t, np.array(x, dtype=float), v),
-        *(starts, lengths, series, branch, end, *work),
+        *(starts, lengths, series, branch, end, *work[:6]),
     )
     if status < 0:
         return None
