@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from .function import as_function
     from .orbits import lyapunov, periodic_orbit, return_map
     from .simulation import simulate
+    from .stats import Stats
     from .store import load
     from .trajectory import Status, Trajectory
 
@@ -62,6 +63,7 @@ _LAZY = {
     "ensemble": "ensembles",
     "simulate": "simulation",
     "load": "store",
+    "Stats": "stats",
     "Status": "trajectory",
     "Trajectory": "trajectory",
 }
@@ -92,6 +94,7 @@ __all__ = [
     "OrbitError",
     "ParameterError",
     "StartError",
+    "Stats",
     "Status",
     "StoreError",
     "TraceError",

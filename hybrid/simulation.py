@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from time import perf_counter
 from typing import Any
 
 import attrs
@@ -25,6 +26,7 @@ from .run.pieces import Piece
 from .scene import Scene, scene_of
 from .solvers import Solver, choose, own_rtol
 from .solvers.base import FINEST, tolerances
+from .stats import Stats, versions
 from .trajectory import Status, Trajectory
 from .zeno.cycle import CycleLimit
 
@@ -134,6 +136,7 @@ def simulate(
     >>> run.zeno[0].t
     2.5586339655858...
     """
+    begun = perf_counter()
     require_model(model)
     scene = scene_of(model)
     spec = scene.spec
@@ -156,10 +159,18 @@ def simulate(
         "method": driver.solver.method,
         "rtol": plan.rtol,
         "atol": plan.atol,
+        "max_step": max_step,
+        "first_step": first_step,
         "zeno": zeno,
+        "max_jumps": max_jumps,
         "save": save if isinstance(save, str) else "times",
+        "memory": memory,
+        "mode": begins,
     }
-    return _trajectory(model, scene, driver, plan, options)
+    counts = driver.steps, driver.solver.rejected, driver.solver.evaluations
+    run = _trajectory(model, scene, driver, plan, options)
+    run.stats = Stats(*counts, perf_counter() - begun)
+    return run
 
 
 def _trajectory(
@@ -189,6 +200,7 @@ def _trajectory(
         guards,
         [pair for name in contacts for pair in scene.pairs(name)],
         Hindsight(scene, driver.history, plan.memory, driver.record.log),
+        versions=versions(),
     )
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from tempfile import mkstemp
 from typing import TYPE_CHECKING, Any
 
+import attrs
 import numpy as np
 
 from .accumulation import Accumulation, Truncation
@@ -26,6 +27,7 @@ from .errors import StoreError
 from .extras import FILES, TABLES, need
 from .log import Log
 from .segment import Segment
+from .stats import Stats
 from .trajectory import Jump, Status, Trajectory
 
 if TYPE_CHECKING:
@@ -159,6 +161,8 @@ def _meta(run: Trajectory, modes: list[str], edges: list[str]) -> dict[str, Any]
         "states": [[s.name, s.unit, s.doc, list(s.shape), s.offset] for s in run.spec.states],
         "parameters": _numbers(run.parameters),
         "options": {k: np.asarray(v).tolist() for k, v in options.items()},
+        "stats": None if run.stats is None else attrs.asdict(run.stats),
+        "versions": run.versions,
         "status": run.status.name,
         "pairs": [list(pair) for pair in run.pairs],
         "modes": modes,
@@ -262,7 +266,19 @@ def _trajectory(data: Any) -> Trajectory:
         options,
         samples,
         pairs=[(i, k) for i, k in meta["pairs"]],
+        stats=_stats(meta.get("stats")),
+        versions={str(k): str(v) for k, v in meta.get("versions", {}).items()},
     )
+
+
+def _stats(saved: dict[str, Any] | None) -> Stats | None:
+    """What the run has cost; None where the file is from before that was kept."""
+    if saved is None:
+        return None
+    rejected, evaluations = (
+        None if saved[name] is None else int(saved[name]) for name in ("rejected", "evaluations")
+    )
+    return Stats(int(saved["steps"]), rejected, evaluations, float(saved["seconds"]))
 
 
 def _jumps(data: Any, edges: list[str]) -> dict[int, JumpRow]:

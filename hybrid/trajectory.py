@@ -23,6 +23,7 @@ from .automaton.spec import Spec
 from .errors import OptionError
 from .extras import HTML, PLOT, need
 from .log import Log, Table
+from .stats import Stats
 
 if TYPE_CHECKING:
     import xarray
@@ -142,7 +143,10 @@ class Trajectory:
     status : Status
         An enumeration whose text is a sentence.
     options : dict
-        What the run was asked for.
+        What the run was made with: the options of :func:`hybrid.simulate` by name. Where no method,
+        tolerances or mode were given, those that were taken. ``save`` is ``"times"``, and ``times``
+        has them, where the states at some times were asked for. What was before the start of a
+        model with delays is not among them.
     surfaces : dict
         The guards by edge, for pictures; empty in a run that was loaded.
     pairs : list of (int, int)
@@ -150,6 +154,10 @@ class Trajectory:
     hindsight : Hindsight or None
         How the model looked at each time of the run (:mod:`hybrid.hindsight`); None in a run that
         was loaded.
+    stats : Stats or None
+        Steps, and what they took; None in a run from a file that does not say.
+    versions : dict
+        Of this package, Python, and what computes; empty in a run from a file that does not say.
     """
 
     spec: Spec
@@ -163,6 +171,8 @@ class Trajectory:
     surfaces: dict[str, Any] = attrs.Factory(dict)
     pairs: list[tuple[int, int]] = attrs.Factory(list)
     hindsight: Any = None
+    stats: Stats | None = None
+    versions: dict[str, str] = attrs.Factory(dict)
 
     # -- the record at a time -----------------------------------------------------------
 

@@ -18,7 +18,7 @@ LAYERS = [
     ["events", "roots", "solvers"],
     ["zeno"],
     ["compiled"],
-    ["accumulation", "arcs", "log", "trajectory"],
+    ["accumulation", "arcs", "log", "stats", "trajectory"],
     ["run", "store", "pictures"],
     ["histories", "hindsight"],
     ["simulation", "ensembles", "function", "certificates"],

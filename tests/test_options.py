@@ -1,10 +1,13 @@
 """The options of ``hy.simulate``, and what a run keeps of them."""
 
+import json
 import math
 
+import h5py
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import hybrid as hy
 from hybrid.solvers import Solver
@@ -161,3 +164,108 @@ def test_an_accumulation_is_found_and_bounded_with_short_steps(solver):
     """The runs that measure its error included."""
     run = hy.simulate(BouncingBall(), START, SPAN, solver=solver, max_step=1e-2)
     assert abs(run.zeno[0].t - 2.5586339655858085) <= run.zeno[0].t_error < 1e-9
+
+
+COUNTED = [{}, {"method": "RK45"}, {"method": "RK23"}]
+
+
+class Fast(hy.Automaton):
+    """A swing whose steps are rejected now and then."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        return s.v, -s.x * (1.0 + 50.0 * jnp.sin(t) ** 8)
+
+
+@pytest.mark.parametrize("options", COUNTED, ids=str)
+def test_steps_and_evaluations_are_those_of_scipy(options):
+    """``solve_ivp``'s own count, from the same first step."""
+    method = {"method": "DOP853", **options}["method"]
+    span, first = (0.0, 20.0), 1e-3
+    run = hy.simulate(
+        Fast(), [1.0, 0.0], span, save="jumps", first_step=first, rtol=1e-6, atol=1e-9, **options
+    )
+    flow = lambda t, x: [x[1], -x[0] * (1.0 + 50.0 * math.sin(t) ** 8)]  # noqa: E731
+    bare = solve_ivp(flow, span, [1.0, 0.0], method, first_step=first, rtol=1e-6, atol=1e-9)
+    assert run.stats.steps == len(bare.t) - 1
+    assert run.stats.rejected > 0
+    # SciPy asks for the flow once more where it starts
+    assert abs(run.stats.evaluations - bare.nfev) <= 1
+
+
+@pytest.mark.parametrize("options", WAYS, ids=str)
+def test_the_steps_are_those_of_the_dense_output(options):
+    """What cannot be known is None, and never a guess."""
+    run = hy.simulate(Gust(width=1.0), {"x": 1.0, "v": 0.0}, (0.0, 9.0), **options)
+    stats = run.stats
+    assert stats.steps == len(lengths(run)) > 10
+    solver = options.get("solver", "scipy")
+    silent = solver in ("diffrax", "classic")
+    assert (stats.rejected is None) == (silent or options in LOW[1:])
+    assert (stats.evaluations is None) == silent
+    assert stats.evaluations is None or stats.evaluations >= stats.steps
+    assert 0.0 < stats.seconds < 600.0
+    assert str(stats).count("\n") == 0
+    assert f"{stats.steps:,} steps" in str(stats)
+
+
+@pytest.mark.parametrize("options", WAYS, ids=str)
+def test_steps_are_counted_where_nothing_is_kept(options):
+    """As many as with dense output."""
+    kept, bare = (
+        hy.simulate(Free(), {"x": 1.0}, (0.0, 9.0), save=save, max_step=0.1, **options).stats
+        for save in ("dense", "jumps")
+    )
+    # a step that ends within rounding of the end of the run may leave one more
+    assert abs(bare.steps - kept.steps) <= 1
+    assert kept.steps >= 90
+
+
+def test_expansions_of_the_rules_own_loop_are_counted():
+    """One for each step, and for the few that are tried and flown anew."""
+    run = hy.simulate(Gust(width=3.0), {"x": 1.0, "v": 0.0}, (0.0, 9.0), solver="taylor")
+    assert run.stats.steps <= run.stats.evaluations <= 2 * run.stats.steps
+    assert run.stats.rejected == 0
+
+
+def test_a_run_keeps_what_it_was_made_with(tmp_path):
+    """Options, versions and cost, in the file as well."""
+    asked = {"max_step": 0.1, "first_step": 1e-3, "max_jumps": 9, "zeno": "stop", "memory": "keep"}
+    run = hy.simulate(BouncingBall(), START, SPAN, **asked)
+    rest = {"solver": "scipy", "method": "DOP853", "rtol": 1e-8, "atol": 1e-10}
+    assert run.options == {**asked, **rest, "save": "dense", "mode": "flight"}
+    assert run.versions["numpy"] == np.__version__
+    assert run.versions["hybrid"] == hy.__version__
+    assert {"python", "scipy", "jax", "diffrax", "numba"} <= set(run.versions)
+    run.save(tmp_path / "run.nc")
+    again = hy.load(tmp_path / "run.nc")
+    assert again.options == run.options
+    assert again.versions == run.versions
+    assert again.stats == run.stats
+
+
+def test_a_file_that_does_not_say_what_it_was_made_with_is_read(tmp_path):
+    """As they once were."""
+    run = hy.simulate(BouncingBall(), START, SPAN)
+    run.save(tmp_path / "run.nc")
+    with h5py.File(tmp_path / "run.nc", "r+") as file:
+        meta = json.loads(file.attrs["meta"])
+        del meta["stats"], meta["versions"], meta["options"]["max_step"]
+        file.attrs["meta"] = json.dumps(meta)
+    older = hy.load(tmp_path / "run.nc")
+    assert (older.stats, older.versions) == (None, {})
+    assert older.zeno[0].t == run.zeno[0].t
+
+
+@pytest.mark.parametrize("stats", [[], {}, {"steps": "many"}, 7])
+def test_a_file_whose_cost_is_damaged_is_refused(tmp_path, stats):
+    """With the package's own error."""
+    hy.simulate(BouncingBall(), START, SPAN).save(tmp_path / "run.nc")
+    with h5py.File(tmp_path / "run.nc", "r+") as file:
+        meta = json.loads(file.attrs["meta"])
+        file.attrs["meta"] = json.dumps({**meta, "stats": stats})
+    with pytest.raises(hy.StoreError, match="cannot read"):
+        hy.load(tmp_path / "run.nc")

@@ -17,7 +17,7 @@ from hybrid.scene.lowered import ORDER
 from hybrid.scene.scene import scene_of
 from hybrid.scene.tape import KINDS, linked
 from hybrid.solvers import taylor_backend
-from hybrid.solvers.taylor_backend import TaylorStepper
+from hybrid.solvers.taylor_backend import TaylorSolver, TaylorStepper
 from hybrid.zeno import flight
 from hybrid.zeno.flight import falls, fly
 
@@ -51,7 +51,7 @@ def field(expression):
 
 
 def start(field, x, t=0.0):
-    return TaylorStepper(field, t, np.array(x, dtype=float), 1e3)
+    return TaylorStepper(TaylorSolver(None, 0, 0), field, t, np.array(x, dtype=float), 1e3)
 
 
 def stepped(unit, field, x, t=0.0, most=10.0, tau=0.0):
@@ -131,7 +131,8 @@ def test_a_pulse_that_is_flat_to_rounding_from_afar_is_not_passed(width):
         def flow(self, t, s):
             return scale * jnp.exp(-(((t - 0.5) / width) ** 2))
 
-    stepper = TaylorStepper(scene_of(Pulse()).field("flow"), 0.0, np.zeros(1), 1.0)
+    solver, field = TaylorSolver(None, 0, 0), scene_of(Pulse()).field("flow")
+    stepper = TaylorStepper(solver, field, 0.0, np.zeros(1), 1.0)
     while stepper.tau < 1.0:
         stepper.step(1.0)
     assert stepper.x[0] == pytest.approx(1.0, abs=1e-13 + 4 * EPS / width)

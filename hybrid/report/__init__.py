@@ -8,7 +8,6 @@ in that run; only the paper's own words and numbers are typed in.
 
 from __future__ import annotations
 
-import platform
 import time
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -17,6 +16,7 @@ from pathlib import Path
 
 from ..errors import OptionError
 from ..extras import REPORT, need
+from ..stats import versions
 from .claims import Section
 
 #: The sections of the paper, in order.
@@ -71,8 +71,5 @@ def report(
 
 
 def _versions() -> str:
-    from .. import __version__
-
-    names = ("numpy", "scipy", "jax", "diffrax", "python-flint", "plotly")
-    used = [f"hybrid {__version__}", f"Python {platform.python_version()}"]
-    return ", ".join([*used, *(f"{name} {version(name)}" for name in names)])
+    used = {**versions(), "plotly": version("plotly")}
+    return ", ".join(f"{name} {number}" for name, number in used.items())

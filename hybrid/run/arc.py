@@ -59,6 +59,8 @@ class Flown:
         The guard that fired has not been zero: it was carried over it by a jump of its own.
     tied : dict
         By edge the sign before its zero, of guards that are zero at the same time.
+    steps : int
+        Steps made.
     """
 
     fired: int | None
@@ -69,6 +71,7 @@ class Flown:
     interrupted: bool = False
     carried: bool = False
     tied: dict[str, int] = attrs.Factory(dict)
+    steps: int = 0
 
 
 class ArcFlow:
@@ -94,6 +97,7 @@ class ArcFlow:
         self.grazes: list[tuple[float, int, np.ndarray]] = []
         self.tied: dict[str, int] = {}
         self.left: set[int] = set()
+        self.made = 0
 
     def run(self) -> Flown:
         """Flow until a guard fires or the run ends."""
@@ -114,10 +118,11 @@ class ArcFlow:
             if not segments:
                 raise
             last = segments[-1]
-            return Flown(None, last.end, last(last.end), segments, self.grazes, True)
+            end = last.end, last(last.end)
+            return Flown(None, *end, segments, self.grazes, True, steps=self.made)
         index, carried = (None, False) if fired is None else (fired.index, fired.cut is not None)
         made = stepper.tau, stepper.x, segments, self.grazes
-        return Flown(index, *made, carried=carried, tied=self.tied)
+        return Flown(index, *made, carried=carried, tied=self.tied, steps=self.made)
 
     def _begin_guards(self) -> None:
         """Note the guards that are not zero here: dense output shows its start to rounding of a
@@ -218,10 +223,11 @@ class ArcFlow:
         try:
             while (most := self.plan.longest(stepper.tau)) < length - stepper.tau:
                 stepper.step(stepper.tau + most)
-            stepper.finish(length)
+                self.made += 1
+            self.made += stepper.finish(length)
         except FlowError as fault:
             raise FlowError(f"{self._where(stepper.tau, stepper.x)}: {fault}") from None
-        return Flown(None, stepper.tau, stepper.x, [], [])
+        return Flown(None, stepper.tau, stepper.x, [], [], steps=self.made)
 
     def _step(self, stepper: Stepper, limit: float) -> None:
         tau, x = stepper.tau, stepper.x
@@ -229,6 +235,7 @@ class ArcFlow:
             stepper.step(limit)
         except FlowError as fault:
             raise FlowError(f"{self._where(tau, x)}: {fault}") from None
+        self.made += 1
 
     def first_step(self, length: float) -> float | None:
         """Where the first term that the method neglects reaches the tolerance, or what is asked."""

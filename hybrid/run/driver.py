@@ -175,7 +175,7 @@ class Driver:
         entry, now, memory = self.entry, self.record.now, self.record.memory
         solver = self.watchful if self.wary else self.solver
         flown = ArcFlow(self.scene, solver, self.plan, entry, now, self.horizon).run()
-        self.steps += len(flown.segments)
+        self.steps += flown.steps
         if memory is not None:
             flown = attrs.evolve(flown, segments=memory.refined(entry.field, now, flown.segments))
             other = memory.confirm(now, flown.length, flown.segments)

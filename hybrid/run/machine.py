@@ -16,6 +16,7 @@ from ..rules.arcs import (
     COUNT,
     END,
     ENTERED,
+    EXPANSIONS,
     FIELD,
     FIRED,
     FULL,
@@ -77,6 +78,7 @@ class Machine:
         while True:
             left = self._left()
             status = advance(self.tables.automaton, self.run, now, room, left)
+            self._count()
             self._keep(left)
             if self.plan.progress is not None:
                 self.plan.progress(driver.t)
@@ -86,6 +88,11 @@ class Machine:
             if status != FULL or self._stuck():
                 self._stand(left, status)
                 return
+
+    def _count(self) -> None:
+        """Add the expansions of a call."""
+        solver = self.driver.solver
+        solver.evaluations = (solver.evaluations or 0) + int(self.ints[EXPANSIONS])
 
     def _series(self) -> tuple[str | None, int, float]:
         """The series of impacts that goes on: the contact, how many, and the speed last tried."""
@@ -119,7 +126,7 @@ class Machine:
         """Arrays for what a call leaves, and the counts at zero."""
         n, (jumps, steps) = self.states.shape[1], self.size
         jumps = min(jumps, self.plan.max_jumps - self.driver.record.made)
-        self.ints[[JUMPS, STEPS]] = 0
+        self.ints[[JUMPS, STEPS, EXPANSIONS]] = 0
         return Left(
             np.empty((jumps, 3)),
             np.empty(jumps, dtype=np.int64),
@@ -177,7 +184,7 @@ class Machine:
         driver, tau = self.driver, float(self.floats[TAU])
         steps, end = self._steps(left, made, made + 1), self.states[1].copy()
         segments = [] if steps is None else steps.segments(np.array([tau]))
-        driver.steps += len(segments)
+        driver.steps += int(np.count_nonzero(self._between(left, made, made + 1)))
         return driver.record.arc(driver.entry.field, driver.entry.x, end, tau, segments)
 
     def _stand(self, left: Left, status: int) -> None:

@@ -75,6 +75,7 @@ class Streaks:
 
     def _chunks(self, lane: Lane) -> tuple[Lane, int]:
         """Chunk after chunk: each is computed while what the last one left is being kept."""
+        self.driver.solver.rejected = None  # records have no row for those
         run, watch = self._asked()
         self.open, self.passed = [], False
         following = self.streak.chunk(run, watch, lane)
@@ -129,6 +130,7 @@ class Streaks:
     def _keep(self, records: Record) -> None:
         """Add the arcs and jumps of a chunk, and the steps of the arc still going."""
         driver, begin = self.driver, 0
+        driver.steps += int(np.count_nonzero(records.step))
         rows = np.flatnonzero(records.jump)
         while len(rows) and driver.status is None and not self.passed:
             count = driver.room(records.t[rows])

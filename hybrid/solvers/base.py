@@ -13,7 +13,8 @@ Contract (held by ``tests/contract``)
 * ``land(tau)`` replaces the last step by one that ends at ``tau``, inside it, as
   accurately as the method can, and returns its segment. The arc ends there: ``step`` is
   not called again.
-* ``finish(length)`` makes all steps to the end at once, where nobody looks at them.
+* ``finish(length)`` makes all steps to the end at once, where nobody looks at them, and returns
+  how many.
 * A flow that is not finite, or a step that cannot be made, raises
   :class:`~hybrid.errors.FlowError` with the time and state; the driver adds the mode.
 """
@@ -136,10 +137,13 @@ class Stepper(abc.ABC):
     def step(self, limit: float) -> None:
         """One accepted step, not beyond local time ``limit``."""
 
-    def finish(self, length: float) -> None:
-        """All steps to the end of the arc; nobody asks for their segments."""
+    def finish(self, length: float) -> int:
+        """All steps to the end of the arc, and how many; nobody asks for their segments."""
+        steps = 0
         while self.tau < length:
             self.step(length)
+            steps += 1
+        return steps
 
     @abc.abstractmethod
     def segment(self) -> Segment:
@@ -163,6 +167,9 @@ class Solver(abc.ABC):
         of arcs can be compiled with it.
     whole : bool
         Whether the rules' own loop makes these steps, so that it can fly whole arcs.
+    rejected, evaluations : int or None
+        Attempts at a step that failed, and evaluations of the flow (:class:`hybrid.Stats`), of one
+        that counts them.
     max_step : float
         The longest step. Those that can stop at the limit of a step are given one: it is for those
         that cannot.
@@ -180,6 +187,8 @@ class Solver(abc.ABC):
     order: int
     compiled: Any = None
     whole: bool = False
+    rejected: int | None = None
+    evaluations: int | None = None
     max_step: float = float("inf")
     rtol: float = FINEST
     atol: Any = 0.0

@@ -236,6 +236,7 @@ class DiffraxSolver(Solver):
         self.compiled = compiled_method(self.method)
         self.order = self.compiled.order
         self.rtol, self.atol = max(rtol, FINEST), atol
+        self.rejected = 0
 
     def begin(
         self,
@@ -257,7 +258,7 @@ class DiffraxStepper(Stepper):
     def __init__(
         self, solver: DiffraxSolver, field: Field, t0: float, x0: np.ndarray, first: float
     ) -> None:
-        self.field, self.method = field, solver.compiled
+        self.field, self.method, self.counts = field, solver.compiled, solver
         self.tau, self.x, self.h = 0.0, x0, first
         self.fixed = (field.parameters, t0)
         self.tolerances = (solver.rtol, np.broadcast_to(solver.atol, x0.shape).astype(float))
@@ -276,17 +277,27 @@ class DiffraxStepper(Stepper):
         self.h = h
         return self.segment()
 
-    def finish(self, length: float) -> None:
+    def finish(self, length: float) -> int:
         """Diffrax's own loop, so many attempts at a time."""
+        made = 0
         key = ("diffrax whole", self.field.name, self.method)
         whole = self.field.code.once(key, lambda: _whole(self.method, self.field))
         while self.tau < length:
             state = (self.tau, length, self.h, self.x)
-            tau, x, h = whole(*self.fixed, *state, *self.tolerances)
+            tau, x, h, steps, rejected = whole(*self.fixed, *state, *self.tolerances)
+            self._count(rejected)
             if not (self.tau < float(tau) and np.all(np.isfinite(x))):
                 self.step(length)  # which says what is wrong
+                made += 1
             else:
                 self.tau, self.x, self.h = float(tau), np.asarray(x), float(h)
+                made += int(steps)
+        return made
+
+    def _count(self, rejected: Any) -> None:
+        """Count attempts that failed, unless compiled streaks have left some out."""
+        if self.counts.rejected is not None:
+            self.counts.rejected += int(rejected)
 
     def segment(self) -> Segment:
         """The method's own interpolant."""
@@ -295,9 +306,10 @@ class DiffraxStepper(Stepper):
 
     def _towards(self, limit: float, force: bool) -> None:
         span, start = limit - self.tau, self.tau
-        x, h, new, values = self._call(
+        x, h, new, values, rejected = self._call(
             *self.fixed, start, self.h, span, self.x, *self.tolerances, force
         )
+        self._count(rejected)
         self.x, h, self.h = np.asarray(x), float(h), float(new)
         self.tau = limit if h >= span else start + h
         self._last = (start, np.asarray(values))
@@ -335,13 +347,16 @@ def _compiled(method: Method, field: Field) -> Any:
             return end, taken, wanted, path.values(), kept
 
         def refused(carry: Any) -> Any:
-            _, taken, _, _, kept = carry
+            _, taken, _, _, kept, _ = carry
             return ~kept & ~force & (taken > SHORTEST * tau) & (taken > 1e-300)
 
-        last = jax.lax.while_loop(refused, lambda carry: attempt(carry[2]), attempt(h))
-        end, taken, new, values, kept = last
+        def again(carry: Any) -> Any:
+            return *attempt(carry[2]), carry[-1] + 1
+
+        last = jax.lax.while_loop(refused, again, (*attempt(h), 0))
+        end, taken, new, values, kept, rejected = last
         taken = jnp.where(kept | force, taken, 0.0)
-        return end, taken, new, values
+        return end, taken, new, values, rejected
 
     return jit(step)
 
@@ -399,8 +414,9 @@ def _whole(method: Any, field: Field) -> Any:
             max_steps=ATTEMPTS,
             throw=False,
         )
-        reached = solution.ts[-1]
-        return reached, solution.ys[-1], (reached - tau) / solution.stats["num_steps"]
+        reached, stats = solution.ts[-1], solution.stats
+        counts = stats["num_accepted_steps"], stats["num_rejected_steps"]
+        return reached, solution.ys[-1], (reached - tau) / stats["num_steps"], *counts
 
     return jit(run)
 
@@ -415,19 +431,21 @@ def _all_steps(method: Any, field: Field) -> Any:
         flow, expand = motion(parameters, t0)
 
         def goes_on(carry: Any) -> Any:
-            tau, _, h, count = carry
+            tau, _, h, count, _ = carry
             return (tau < end) & (h > SHORTEST * tau) & (count < ATTEMPTS)
 
         def body(carry: Any) -> Any:
-            tau, x, h, count = carry
+            tau, x, h, count, made = carry
             left = end - tau
             there, kept, taken, new, _ = method.attempt(
                 flow, tau, jnp.minimum(h, left), x, rtol, atol, expand
             )
             after = jnp.where(taken >= left, end, tau + taken)
-            return jnp.where(kept, after, tau), jnp.where(kept, there, x), new, count + 1
+            moved = jnp.where(kept, after, tau), jnp.where(kept, there, x), new
+            return *moved, count + 1, made + kept
 
-        start = tau, x, end - tau, jnp.array(0)
-        return jax.lax.while_loop(goes_on, body, start)[:3]
+        start = tau, x, end - tau, jnp.array(0), jnp.array(0)
+        tau, x, h, count, made = jax.lax.while_loop(goes_on, body, start)
+        return tau, x, h, made, count - made
 
     return jit(run, whole=field.code.scalar)

@@ -29,6 +29,9 @@ METHODS: dict[str, Any] = {
 }
 ORDERS = {"DOP853": 8, "RK45": 5, "RK23": 3, "Radau": 5, "BDF": 2, "LSODA": 2}
 
+#: Those that are started afresh, and count the steps that they reject.
+RUNGE_KUTTA = ("DOP853", "RK45", "RK23")
+
 #: Degree of the dense output of the methods whose polynomial is sampled.
 DEGREES = {"Radau": 3, "BDF": 5, "LSODA": 12}
 
@@ -37,11 +40,14 @@ class SciPySolver(Solver):
     """One of SciPy's methods: DOP853 (default), RK45, RK23, Radau, BDF, LSODA."""
 
     name = "scipy"
+    evaluations: int
 
     def __init__(self, method: str | None, rtol: float, atol: Any) -> None:
         self.method = method_of(self.name, method, METHODS)
         self.order = ORDERS[self.method]
         self.rtol, self.atol = max(rtol, FINEST), atol
+        self.evaluations = 0
+        self.rejected = 0 if self.method in RUNGE_KUTTA else None
         self._kept: dict[int, Any] = {}
 
     def begin(
@@ -56,9 +62,10 @@ class SciPySolver(Solver):
         rhs = field.rhs
 
         def flow(tau: float, x: np.ndarray) -> Any:
+            self.evaluations += 1
             return rhs(t0 + tau, x.tolist())
 
-        if self.method not in ("DOP853", "RK45", "RK23"):
+        if self.method not in RUNGE_KUTTA:
             return self._sampled(flow, x0, length, first_step, sizes)
         solver = self._kept.pop(len(x0), None)
         if solver is None:
@@ -66,7 +73,7 @@ class SciPySolver(Solver):
         else:
             _restart(solver, flow, x0, length, first_step)
         self._kept[len(x0)] = solver
-        return RungeKuttaStepper(solver)
+        return RungeKuttaStepper(solver, self)
 
     def _sampled(
         self,
@@ -150,6 +157,10 @@ class RungeKuttaStepper(_OdeStepper):
 
     repeats = True
 
+    def __init__(self, solver: Any, counts: SciPySolver) -> None:
+        super().__init__(solver)
+        self.counts = counts
+
     def step(self, limit: float) -> None:
         self._before = (self.solver.t, self.solver.y, self.solver.f)
         self._towards(limit)
@@ -168,7 +179,10 @@ class RungeKuttaStepper(_OdeStepper):
 
     def _towards(self, limit: float) -> None:
         self.solver.t_bound, self.solver.status = limit, "running"
+        before = self.counts.evaluations
         self._advance()
+        attempts = (self.counts.evaluations - before) // self.solver.n_stages
+        self.counts.rejected += attempts - 1
 
     def segment(self) -> Segment:
         """The method's own interpolant."""

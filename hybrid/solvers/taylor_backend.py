@@ -36,6 +36,7 @@ class TaylorSolver(Solver):
     name = method = "taylor"
     order = ORDER
     whole = True
+    evaluations: int
 
     #: Its steps lose some roundings each: what is weighed against the tolerances is known as well.
     own_rtol = 1e-14
@@ -43,6 +44,7 @@ class TaylorSolver(Solver):
     def __init__(self, method: str | None, rtol: float, atol: Any) -> None:
         if method not in (None, "taylor"):
             raise OptionError(f"method={method!r}: solver 'taylor' has one method; leave it out")
+        self.rejected = self.evaluations = 0
 
     def begin(
         self,
@@ -55,7 +57,7 @@ class TaylorSolver(Solver):
     ) -> Stepper:
         if field.jets is None:
             raise OptionError(f"solver='taylor': {field.refused}")
-        return TaylorStepper(field, t0, x0, length)
+        return TaylorStepper(self, field, t0, x0, length)
 
 
 class TaylorStepper(Stepper):
@@ -63,8 +65,11 @@ class TaylorStepper(Stepper):
 
     repeats = True
 
-    def __init__(self, field: Field, t0: float, x0: np.ndarray, length: float) -> None:
+    def __init__(
+        self, solver: TaylorSolver, field: Field, t0: float, x0: np.ndarray, length: float
+    ) -> None:
         assert field.jets is not None
+        self.solver = solver
         self.jets, self.held = field.jets, field.project is not None
         self.t0, self.length, self.pace = t0, length, Pace()
         self.tau, self.x = 0.0, x0
@@ -78,6 +83,7 @@ class TaylorStepper(Stepper):
             *(programs, 0, self.held, self.t0 + start, start, x, limit - start, sides),
             *(*arrays, end),
         )
+        self.solver.evaluations += 1
         if status < 0:
             raise FlowError(REFUSED[status])
         if len(sides):
