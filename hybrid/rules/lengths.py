@@ -74,10 +74,13 @@ def own_length(c: Floats, share: float) -> float:
 def _reach(c: Floats, low: int, last: int, share: float) -> float:
     """Where a term is as large as a share of the largest of those from ``low`` on, the last two
     left out; -1 where these are all zero."""
-    reach = -1.0
+    reach, least = -1.0, 0.0  # shares of terms, against the last, that are not above it reach less
     for k in range(low, c.shape[0] - 2):
-        if c[k] != 0.0:
-            reach = max(reach, (share * abs(c[k] / c[last])) ** (1.0 / (last - k)))
+        size = share * abs(c[k] / c[last])
+        if c[k] != 0.0 and not (least > 0.0 and size <= least):
+            reach = max(reach, size ** (1.0 / (last - k)))
+            least = size
+        least /= reach
     return reach
 
 
