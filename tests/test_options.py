@@ -247,6 +247,17 @@ def test_a_run_keeps_what_it_was_made_with(tmp_path):
     assert again.stats == run.stats
 
 
+@pytest.mark.parametrize("options", [{}, {"atol": [1e-9, 1e-7]}, {"solver": "taylor"}], ids=str)
+def test_the_options_of_a_run_make_it_again(tmp_path, options):
+    """As they are kept, and as they are read from its file."""
+    run = hy.simulate(BouncingBall(), START, SPAN, max_step=0.1, **options)
+    run.save(tmp_path / "run.nc")
+    for known in (run.options, hy.load(tmp_path / "run.nc").options):
+        again = hy.simulate(BouncingBall(), START, SPAN, **known)
+        assert again.final == run.final
+        assert np.all(again.jumps.t == run.jumps.t)
+
+
 def test_a_file_that_does_not_say_what_it_was_made_with_is_read(tmp_path):
     """As they once were."""
     run = hy.simulate(BouncingBall(), START, SPAN)
