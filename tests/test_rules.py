@@ -140,6 +140,17 @@ def test_an_error_in_a_process_beside_is_raised(toy):
     assert not list((toy / "cache").rglob("*.built"))
 
 
+def test_without_processes_one_compiles_all(toy):
+    """Where none can be started, and in a temporary folder, all is compiled all the same."""
+    (toy / "toy" / "top.py").write_text(TOP)
+    hidden = "import sys; sys.executable = '/nowhere/python'\n"
+    out, err = done(started(toy, hidden + ASK_TOP))
+    assert (out, err.count("compiling")) == ("1.5", 1)
+    (toy / "file").write_text("")
+    out, err = done(started(toy, ASK_TOP, HYBRID_CACHE=str(toy / "file" / "cache")))
+    assert (out, err.count("compiling"), err.count("UserWarning")) == ("1.5", 1, 1)
+
+
 def test_everything_is_built_at_once(toy):
     """Each unit is then loaded without a word."""
     (toy / "toy" / "top.py").write_text(TOP)

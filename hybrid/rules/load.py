@@ -230,8 +230,10 @@ class Library:
         code = BESIDE.format(loader=__name__, package=self.package, name=name)
         env = {**os.environ, "HYBRID_CACHE": str(self.folder.parent)}
         env["PYTHONPATH"] = os.pathsep.join(map(os.path.abspath, sys.path))
-        done = subprocess.run([sys.executable, "-P", "-c", code], env=env, capture_output=True)
-        return done.returncode == 0
+        command = [sys.executable or "python", "-P", "-c", code]
+        with contextlib.suppress(OSError):  # there may be no such program, or no room for it
+            return not subprocess.run(command, env=env, capture_output=True).returncode
+        return False
 
 
 def footer(text: str, package: str, sources: Mapping[str, str]) -> str:
