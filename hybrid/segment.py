@@ -105,6 +105,12 @@ def from_powers(degree: int) -> np.ndarray:
 
 
 @cache
+def to_powers(degree: int) -> np.ndarray:
+    """The way back."""
+    return np.linalg.inv(from_powers(degree))
+
+
+@cache
 def integrals(degree: int) -> np.ndarray:
     """Matrix from values at :func:`nodes` to integrals from 0 to each node."""
     columns = []

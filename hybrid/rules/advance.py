@@ -128,13 +128,15 @@ def impact(
     flow = a.fields[now.ints[FIELD], PROGRAM]
     if jets(a.programs, flow, 2, t, behind, room.still, room.aside, room.work) < 0:
         return False
-    fall = -2.0 * room.aside[row_of(a, now.ints[FIELD], guard), 2]
+    fall = -2.0 * room.aside[row_of(a, flow, now.ints[FIELD], guard), 2]
     return speed * speed > NEAR * fall * max(largest(now.seen), largest(behind))
 
 
 def unchanged(a: Automaton, now: Now, room: Room, t: float, before: Floats, behind: Floats) -> bool:
     """Whether a reset leaves its guard where it is."""
-    program, row = a.fields[now.ints[FIELD], PROGRAM], row_of(a, now.ints[FIELD], now.ints[FIRED])
+    field = now.ints[FIELD]
+    program = a.fields[field, PROGRAM]
+    row = row_of(a, program, field, now.ints[FIRED])
     jets(a.programs, program, 0, t, before, room.still, room.aside, room.work)
     here = room.aside[row, 0]
     jets(a.programs, program, 0, t, behind, room.still, room.aside, room.work)

@@ -77,6 +77,8 @@ class Now(NamedTuple):
         The state where the present arc begins, that at its end, and the sizes of all so far.
     orders : Ints
         By which power of the time each guard vanishes where the arc begins.
+    signs : Ints
+        The sign that each guard has where the last step ended.
     """
 
     floats: Floats
@@ -85,6 +87,7 @@ class Now(NamedTuple):
     end: Floats
     seen: Floats
     orders: Ints
+    signs: Ints
 
 
 class Room(NamedTuple):

@@ -50,6 +50,9 @@ def jets(
 ) -> int:
     """The coefficients of all rows up to an order, along the flow from ``(t, x)``.
 
+    Of a program for values only the coefficients of the states from the first order on are given:
+    the rows are expanded along any motion.
+
     Parameters
     ----------
     sides
@@ -65,7 +68,7 @@ def jets(
     """
     n = x.shape[0]
     first, last = p.index[program, OPS], p.index[program, OPS + 1]
-    flow = p.index[program, FLOW]
+    flow, flows = p.index[program, FLOW], p.index[program, FLOW + 1] > p.index[program, FLOW]
     for i in range(n):
         c[i, 0] = x[i]
     c[n, 0] = t
@@ -74,7 +77,7 @@ def jets(
     for _ in range(p.index[program, KINKS + 1] - p.index[program, KINKS] + 1):
         for k in range(order + 1):
             _read(p.ops, first, last, p.more, p.numbers, sides, c, work, k)
-            if k < order:
+            if k < order and flows:
                 for i in range(n):
                     c[i, k + 1] = _at(c, p.numbers, p.flow[flow + i], k) / (k + 1)
         if not _decided(p, program, order, sides, c):

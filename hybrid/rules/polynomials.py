@@ -27,6 +27,14 @@ def power_size(c: Floats, low: int, degree: int, s: float) -> float:
     return size
 
 
+def shift(c: Floats, s: float) -> None:
+    """The same polynomial, by powers of the distance from ``s``."""
+    degree = c.shape[0] - 1
+    for i in range(degree):
+        for k in range(degree - 1, i - 1, -1):
+            c[k] += s * c[k + 1]
+
+
 def power_bound(c: Floats, low: int, degree: int) -> float:
     """A bound on the zeros of the sum of ``c[low + k] s^k`` (Fujiwara's); ``c[degree]`` not 0."""
     largest = 0.0

@@ -559,7 +559,7 @@ def _streaks(driver: Driver) -> Any:
     """What flies whole streaks of plain arcs, where the solver can."""
     if driver.scene.spec.lags:
         return None
-    if driver.solver.whole:
+    if driver.solver.whole or driver.solver.asked:
         return Machine(driver)
     if driver.solver.compiled is None or driver.plan.bounded:
         return None

@@ -1,7 +1,8 @@
 """The Python side of the rules' own loop: arcs that are plain are flown as machine code.
 
-:mod:`hybrid.rules.advance` goes on as far as nothing needs judgement. What it leaves is kept here,
-and the driver judges what comes next.
+:mod:`hybrid.rules.advance` goes on as far as nothing needs judgement. Steps that it cannot make
+itself, those of another solver, are made here when it asks for them. What it leaves is kept, and
+the driver judges what comes next.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 from ..log import Flights, Steps, Table
 from ..rules import unit
 from ..rules.arcs import (
+    BEGINS,
     COUNT,
     END,
     ENTERED,
@@ -22,18 +24,24 @@ from ..rules.arcs import (
     FULL,
     JUMP,
     JUMPS,
+    LAND_ON,
     LOW,
+    MADE,
+    NEXT,
+    PHASE,
     SERIES,
+    STEP,
     STEPS,
     TAU,
     TRIED,
     T,
 )
-from ..rules.arrays import Left, Now
+from ..rules.arrays import Left, Now, Room
 from ..scene.lowered import ORDER
 from ..segment import nodes
 from ..trajectory import Status
 from .cycles import pass_limit
+from .outside import Outside
 from .plan import PATIENCE
 from .watch import Watch
 
@@ -46,20 +54,24 @@ JUMPS_KEPT, STEPS_KEPT, MORE, MOST = 64, 512, 4, 1 << 15
 
 
 class Machine:
-    """Flies a driver's plain arcs by the rules' own loop, with Taylor series.
+    """Flies a driver's plain arcs by the rules' own loop: with Taylor series, or with another
+    solver's steps.
 
     ``fly`` goes on from the driver's entry as far as nothing needs judgement, and leaves the
     driver with an entry, a jump done, or its status set.
     """
 
     def __init__(self, driver: Driver) -> None:
-        self.driver, self.plan, self.tables = driver, driver.plan, driver.scene.tables
-        self.dense = self.plan.dense or self.plan.samples is not None
-        n, plan = driver.scene.spec.dimension, self.plan
-        series = PATIENCE, float(plan.patience)
-        steps = plan.longest(0.0), plan.max_step
-        self.run = np.array([plan.t1, plan.limit, plan.rtol, *series, *steps])
-        self.floats, self.ints = np.zeros(4), np.zeros(8, dtype=np.int64)
+        scene, solver, plan = driver.scene, driver.solver, driver.plan
+        self.driver, self.plan = driver, plan
+        self.tables = scene.tables if solver.whole else scene.watched
+        self.outside = None if solver.whole else Outside(driver, self.tables.fields)
+        self.dense = plan.dense or plan.samples is not None
+        n, order = scene.spec.dimension, 0 if solver.whole else solver.order
+        series, steps = (PATIENCE, plan.patience), (plan.longest(0.0), plan.max_step)
+        last = order, *np.broadcast_to(plan.atol, n)
+        self.run = np.array([plan.t1, plan.limit, plan.rtol, *series, *steps, *last], dtype=float)
+        self.floats, self.ints = np.zeros(8), np.zeros(13, dtype=np.int64)
         self.states = np.zeros((3, n))
         self.size: tuple[int, ...] = (JUMPS_KEPT, STEPS_KEPT)
         self.passed = False
@@ -74,11 +86,11 @@ class Machine:
     def fly(self) -> None:
         """Go on until something needs judgement, or the run ends."""
         driver, now, room = self.driver, self._begin(), self.tables.room(ORDER)
-        advance, self.passed = unit("advance").advance, False
+        self.passed = False
         while True:
             left = self._left()
-            status = advance(self.tables.automaton, self.run, now, room, left)
-            self._count()
+            status = self._advance(now, room, left)
+            self._expanded()
             self._keep(left)
             if self.plan.progress is not None:
                 self.plan.progress(driver.t)
@@ -89,10 +101,28 @@ class Machine:
                 self._stand(left, status)
                 return
 
-    def _count(self) -> None:
-        """Add the expansions of a call."""
+    def _expanded(self) -> None:
+        """Add the expansions of a call, which are what Taylor's steps evaluate."""
         solver = self.driver.solver
-        solver.evaluations = (solver.evaluations or 0) + int(self.ints[EXPANSIONS])
+        if self.outside is None:
+            solver.evaluations = (solver.evaluations or 0) + int(self.ints[EXPANSIONS])
+
+    def _advance(self, now: Now, room: Room, left: Left) -> int:
+        """Call the loop, and make the steps that it asks for."""
+        advance, automaton = unit("advance").advance, self.tables.automaton
+        try:
+            while True:
+                status: int = advance(automaton, self.run, now, room, left)
+                if status not in (STEP, LAND_ON):
+                    return status
+                assert self.outside is not None
+                (self.outside.step if status == STEP else self.outside.land)(now, room)
+        except KeyboardInterrupt:
+            self._keep(left)
+            if self.driver.status is None and not self.passed and self.ints[MADE]:
+                self.floats[TAU] = self.floats[NEXT]
+                self._arc(left, int(self.ints[JUMPS]))
+            raise
 
     def _series(self) -> tuple[str | None, int, float]:
         """The series of impacts that goes on: the contact, how many, and the speed last tried."""
@@ -114,17 +144,20 @@ class Machine:
         first, contact = self.tables.first(field), driver.watch.contact
         series = [g for g, guard in enumerate(guards, first) if guard.edge == contact]
         self.floats[[T, LOW, TAU, TRIED]] = now.t, now.low, 0.0, driver.watch.tried
-        self.ints[[FIELD, FIRED, ENTERED]] = field, -1, 1
+        self.ints[[FIELD, FIRED, ENTERED, PHASE]] = field, -1, 1, BEGINS
         self.ints[[SERIES, COUNT]] = series[0] if series else -1, driver.watch.count
         self.states[0], self.states[2] = entry.x, driver.seen
         orders = np.zeros(self.tables.widest, dtype=np.int64)
         orders[: len(entry.orders)] = entry.orders
         x, end, seen = self.states
-        return Now(self.floats, self.ints, x, end, seen, orders)
+        return Now(self.floats, self.ints, x, end, seen, orders, np.zeros_like(orders))
 
     def _left(self) -> Left:
         """Arrays for what a call leaves, and the counts at zero."""
         n, (jumps, steps) = self.states.shape[1], self.size
+        if self.outside is not None:
+            self.outside.made.clear()
+            jumps, steps = 1 if self.plan.progress is not None else jumps, 0
         jumps = min(jumps, self.plan.max_jumps - self.driver.record.made)
         self.ints[[JUMPS, STEPS, EXPANSIONS]] = 0
         return Left(
@@ -157,7 +190,7 @@ class Machine:
         modes, steps = [tables.modes[g] for g in fired], self._steps(left, begin, end)
         first = driver.entry.x
         flights = Flights(driver.record.j, modes, now.t, now.low, first, lengths, jumps, steps)
-        driver.steps += int(np.count_nonzero(self._between(left, begin, end)))
+        driver.steps += self._count(left, begin, end)
         due, guard = driver.flown(flights), tables.guards[fired[-1]]
         driver.arrive(driver.scene.field(guard.to), jumps.after[-1], guard, jumps.before[-1])
         self.passed = due and pass_limit(driver, guard.to)
@@ -167,10 +200,18 @@ class Machine:
         owner = left.owner[: self.ints[STEPS]]
         return (owner >= begin) & (owner < end)
 
+    def _count(self, left: Left, begin: int, end: int) -> int:
+        """How many steps belong to some of the arcs."""
+        if self.outside is not None:
+            return self.outside.count(begin, end)
+        return int(np.count_nonzero(self._between(left, begin, end)))
+
     def _steps(self, left: Left, begin: int, end: int) -> Steps | None:
         """The steps of some of the arcs, as states at the nodes of each."""
         if not self.dense:
             return None
+        if self.outside is not None:
+            return self.outside.steps(begin, end)
         chosen, n = self._between(left, begin, end), self.states.shape[1]
         start, length = left.spans[: len(chosen)][chosen].T
         series = left.series[: n * len(chosen)].reshape(len(chosen), n, ORDER + 1)[chosen]
@@ -184,7 +225,7 @@ class Machine:
         driver, tau = self.driver, float(self.floats[TAU])
         steps, end = self._steps(left, made, made + 1), self.states[1].copy()
         segments = [] if steps is None else steps.segments(np.array([tau]))
-        driver.steps += int(np.count_nonzero(self._between(left, made, made + 1)))
+        driver.steps += self._count(left, made, made + 1)
         return driver.record.arc(driver.entry.field, driver.entry.x, end, tau, segments)
 
     def _stand(self, left: Left, status: int) -> None:

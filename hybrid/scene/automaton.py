@@ -29,13 +29,14 @@ DIRECTIONS = {Crossing.FALLING: -1, Crossing.RISING: 1, Crossing.EITHER: 0}
 class Tables:
     """The fields of a scene that have been asked for, as rows of tables.
 
-    ``numbers`` are those of the fields by name; ``guards`` are in the order of their own, and
-    ``modes`` the field that each is watched in.
+    ``fields`` are as numbered, ``numbers`` those by name; ``guards`` are in the order of their own,
+    and ``modes`` the field that each is watched in. ``others``: steps are those of another solver.
     """
 
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
+    def __init__(self, scene: Scene, others: bool = False) -> None:
+        self.scene, self.others = scene, others
         self.numbers: dict[str, int] = {}
+        self.fields: list[Field] = []
         self.guards: list[Guard] = []
         self.modes: list[str] = []
         self._programs = Linked()
@@ -82,12 +83,16 @@ class Tables:
         slides = field.project is not None and not field.held
         plain = not slides and not any(guard.kinks for guard in field.guards)
         plain = plain and jets is not None
-        number = self.numbers[field.name] = len(self._fields)
+        watch = self._watch(field) if plain and self.others else -1
+        plain = plain and (not self.others or watch >= 0)
+        number = self.numbers[field.name] = len(self.fields)
+        self.fields.append(field)
         program = self._program(jets) if plain and jets else -1
         self._rows += [self._row(field, guard) for guard in field.guards] if plain else []
         self.guards += field.guards if plain else ()
         self.modes += [field.name] * (len(self._rows) - first)
-        self._fields.append([program, first, len(self._rows), int(plain), int(bool(field.held))])
+        held = int(bool(field.held))
+        self._fields.append([program, first, len(self._rows), int(plain), held, watch])
         for row, guard in zip(self._rows, self.guards, strict=True):
             if guard.to == field.name:
                 row[TO] = number
@@ -111,6 +116,17 @@ class Tables:
         kind, crossing = NUMBERED.get(guard.kind, OTHER), DIRECTIONS[guard.crossing]
         shape = [int(guard.bounds), int(guard.affine), self.numbers.get(guard.to, -1)]
         return [kind, crossing, *shape, *programs, sizes, uses, len(self._uses)]
+
+    def _watch(self, field: Field) -> int:
+        """The number of a program of a field's guards alone.
+
+        -1 where another solver's steps are judged one by one: where the flow changes its formula,
+        where nothing is watched, and where there is no such program.
+        """
+        if field.kinks or not field.guards:
+            return -1
+        graph, edges = self.scene.code.mode(field.mode), [guard.edge for guard in field.guards]
+        return self._of_values(field, ("guards", *edges), lambda: list(map(graph.guard, edges)))
 
     def _of_values(self, field: Field, key: tuple[object, ...], nodes: Nodes) -> int:
         """The number of a program for values only; -1 where an operation has none."""

@@ -27,6 +27,7 @@ from ..automaton.spec import (
 )
 from ..errors import TraceError
 from .automaton import Tables
+from .derivatives import gradient
 from .lowered import ORDER, Lowered, deciders, lowered, node_shape
 from .mode import RELEASE, ModeGraph
 from .python import Program
@@ -34,6 +35,9 @@ from .tape import Jets, Tape
 from .taylor import flat
 
 Scalar = Callable[..., Any]
+
+#: Most states whose Jacobian is written out: for a thousand terms Python takes a tenth of a second.
+WRITTEN = 32
 
 
 @attrs.frozen(eq=False)
@@ -163,6 +167,20 @@ class Field:
     def kinks(self) -> int:
         """Number of kinks, and of what else is watched along a series (see :mod:`.tape`)."""
         return len(self.jets.watched) if self.jets else 0
+
+    @cached_property
+    def jacobian(self) -> Scalar | None:
+        """The derivatives of the flow by the state, row by row; None where there are none, or so
+        many that differences of the flow cost less than to write them out."""
+        graph, held = self.code.mode(self.mode), bool(self.held)
+        if len(graph.x) > WRITTEN:
+            return None
+        rows = lambda: [gradient(graph.graph, f, graph.x) for f in graph.flow(held)]  # noqa: E731
+        try:
+            program = graph.program(("jacobian", held), lambda: [i for row in rows() for i in row])
+        except TraceError:
+            return None
+        return program.bind(self.numbers)
 
     def expand(self, t: float, x: list[float], sides: list[int]) -> Any:
         """The series of states, guards and what is watched, as lists of coefficients.
@@ -314,8 +332,13 @@ class Scene:
 
     @cached_property
     def tables(self) -> Tables:
-        """The fields as the rules' own loop takes them."""
+        """The fields as the rules' own loop takes them, with steps of its own."""
         return Tables(self)
+
+    @cached_property
+    def watched(self) -> Tables:
+        """The same, with another solver's steps."""
+        return Tables(self, others=True)
 
     @cached_property
     def guards_jump(self) -> bool:

@@ -29,7 +29,7 @@ import numpy as np
 
 from ..errors import FlowError, OptionError
 from ..reals import real, reals
-from ..segment import Segment
+from ..segment import Segment, to_powers
 
 if TYPE_CHECKING:
     from ..scene import Field
@@ -153,6 +153,12 @@ class Stepper(abc.ABC):
     def land(self, tau: float) -> Segment:
         """The last step again, ending at ``tau``; sets ``self.x``."""
 
+    def powers(self) -> tuple[float, float, np.ndarray]:
+        """The last step's interpolant: where it begins, how long it is, and its coefficients by
+        powers of the fraction of the step, a row for each element of the state."""
+        segment = self.segment()
+        return segment.start, segment.length, (to_powers(segment.degree) @ segment.coefficients).T
+
 
 class Solver(abc.ABC):
     """A method with its tolerances.
@@ -173,6 +179,8 @@ class Solver(abc.ABC):
     max_step : float
         The longest step. Those that can stop at the limit of a step are given one: it is for those
         that cannot.
+    asked : bool
+        Whether that loop may ask its steppers for steps: they have :meth:`Stepper.powers`.
     rtol, atol
         What a step may lose; rounding, of a method that knows no tolerances.
     own_rtol : float
@@ -190,6 +198,7 @@ class Solver(abc.ABC):
     rejected: int | None = None
     evaluations: int | None = None
     max_step: float = float("inf")
+    asked: bool = False
     rtol: float = FINEST
     atol: Any = 0.0
 

@@ -12,9 +12,9 @@ from math import isfinite
 from typing import Any
 
 import numpy as np
-from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, Radau
+from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, OdeSolver, Radau
 
-from ..errors import FlowError
+from ..errors import FlowError, OptionError
 from ..scene import Field
 from ..segment import Segment, from_powers, interpolated, nodes
 from .base import FINEST, Solver, Stepper, method_of
@@ -30,24 +30,35 @@ METHODS: dict[str, Any] = {
 ORDERS = {"DOP853": 8, "RK45": 5, "RK23": 3, "Radau": 5, "BDF": 2, "LSODA": 2}
 
 #: Those that are started afresh, and count the steps that they reject.
-RUNGE_KUTTA = ("DOP853", "RK45", "RK23")
+RUNGE_KUTTA = (DOP853, RK45, RK23)
 
 #: Degree of the dense output of the methods whose polynomial is sampled.
 DEGREES = {"Radau": 3, "BDF": 5, "LSODA": 12}
 
+#: The same of a class of the user's, and its order as far as an arc's first step is chosen by it.
+DEGREE, LOWEST = 8, 1
+
 
 class SciPySolver(Solver):
-    """One of SciPy's methods: DOP853 (default), RK45, RK23, Radau, BDF, LSODA."""
+    """One of SciPy's methods: DOP853 (default), RK45, RK23, Radau, BDF, LSODA.
+
+    Or a class of the user's, made and asked for steps as ``scipy.integrate.solve_ivp`` does.
+    """
 
     name = "scipy"
     evaluations: int
+    asked = True
 
-    def __init__(self, method: str | None, rtol: float, atol: Any) -> None:
-        self.method = method_of(self.name, method, METHODS)
-        self.order = ORDERS[self.method]
+    def __init__(self, method: Any, rtol: float, atol: Any) -> None:
+        if isinstance(method, type) and issubclass(method, OdeSolver):
+            self.method, self.cls = method.__name__, method
+        else:
+            self.method = method_of(self.name, method, METHODS)
+            self.cls = METHODS[self.method]
+        self.order = ORDERS[self.method] if self.cls in METHODS.values() else LOWEST
         self.rtol, self.atol = max(rtol, FINEST), atol
         self.evaluations = 0
-        self.rejected = 0 if self.method in RUNGE_KUTTA else None
+        self.rejected = 0 if self.cls in RUNGE_KUTTA else None
         self._kept: dict[int, Any] = {}
 
     def begin(
@@ -65,11 +76,11 @@ class SciPySolver(Solver):
             self.evaluations += 1
             return rhs(t0 + tau, x.tolist())
 
-        if self.method not in RUNGE_KUTTA:
-            return self._sampled(flow, x0, length, first_step, sizes)
+        if self.cls not in RUNGE_KUTTA:
+            return self._sampled(flow, _jacobian(field, t0), x0, length, first_step, sizes)
         solver = self._kept.pop(len(x0), None)
         if solver is None:
-            solver = self._construct(flow, x0, length, first_step)
+            solver = self._construct(flow, x0, length, first_step, self.atol)
         else:
             _restart(solver, flow, x0, length, first_step)
         self._kept[len(x0)] = solver
@@ -78,6 +89,7 @@ class SciPySolver(Solver):
     def _sampled(
         self,
         flow: Any,
+        slopes: Any,
         x0: np.ndarray,
         length: float,
         first: float | None,
@@ -88,25 +100,48 @@ class SciPySolver(Solver):
         A short flight is integrated as the way gone from ``x0``, with tolerances relative
         to its extent: at order one, the absolute ones would lose it altogether.
         """
+        known = self.cls in METHODS.values()
+        degree = DEGREES[self.method] if known else DEGREE
+        given = {"jac": slopes} if known and slopes is not None else {}
         if sizes is None:
-            solver = self._construct(flow, x0, length, first)
-            return SampledStepper(solver, self.method, np.zeros_like(x0))
+            solver = self._construct(flow, x0, length, first, self.atol, **given)
+            return SampledStepper(solver, degree, np.zeros_like(x0))
 
         def moved(tau: float, way: np.ndarray) -> Any:
             return flow(tau, x0 + way)
 
+        if given:
+            given["jac"] = lambda tau, way: slopes(tau, x0 + way)
         atol = np.minimum(self.atol, self.rtol * np.maximum(sizes, 1e-300))
         first = min(first or length, 1e-2 * length)
-        solver = self._construct(moved, np.zeros_like(x0), length, first, atol)
-        return SampledStepper(solver, self.method, x0)
+        solver = self._construct(moved, np.zeros_like(x0), length, first, atol, **given)
+        return SampledStepper(solver, degree, x0)
 
     def _construct(
-        self, flow: Any, x0: np.ndarray, length: float, first: float | None, atol: Any = None
+        self, flow: Any, x0: np.ndarray, length: float, first: float | None, atol: Any, **given: Any
     ) -> Any:
-        atol = self.atol if atol is None else atol
-        cls = METHODS[self.method]
-        options = {"first_step": first, "max_step": self.max_step}
-        return cls(flow, 0.0, x0, length, rtol=self.rtol, atol=atol, **options)
+        options = {"rtol": self.rtol, "atol": atol, "first_step": first, **given}
+        if self.max_step < np.inf:
+            options["max_step"] = self.max_step
+        try:
+            return self.cls(flow, 0.0, x0, length, **options)
+        except TypeError as fault:
+            raise OptionError(
+                f"method={self.method}: it is made as by scipy.integrate.solve_ivp, from "
+                f"(fun, t0, y0, t_bound) and {', '.join(options)}: {fault}"
+            ) from None
+
+
+def _jacobian(field: Field, t0: float) -> Any:
+    """The flow's derivatives by the state, in local time; None where there are none."""
+    slopes = field.jacobian
+    if slopes is None:
+        return None
+
+    def jacobian(tau: float, x: np.ndarray) -> np.ndarray:
+        return np.array(slopes(t0 + tau, x.tolist())).reshape(len(x), len(x))
+
+    return jacobian
 
 
 def _restart(solver: Any, flow: Any, x0: np.ndarray, length: float, first: float | None) -> None:
@@ -156,6 +191,7 @@ class RungeKuttaStepper(_OdeStepper):
     """DOP853, RK45, RK23: the interpolant's coefficients are read off."""
 
     repeats = True
+    _made: tuple[float, float, np.ndarray] | None = None
 
     def __init__(self, solver: Any, counts: SciPySolver) -> None:
         super().__init__(solver)
@@ -167,61 +203,75 @@ class RungeKuttaStepper(_OdeStepper):
 
     def land(self, tau: float) -> Segment:
         """Step again from where the last step began, onto ``tau``."""
-        solver = self.solver
+        solver, (start, length, powers) = self.solver, self.powers()
         solver.t, solver.y, solver.f = self._before
         solver.h_abs = tau - solver.t
         self._towards(tau)
         if self.tau < tau:  # refused, though a longer step was accepted: take its interpolant
-            self.tau, self.x = tau, self._last(tau)
+            share = (tau - start) / length
+            self._made = start, tau - start, powers * share ** np.arange(powers.shape[1])
+            self.tau, self.x = tau, self._made[2].sum(axis=1)
             solver.t, solver.y, solver.f = tau, self.x, solver.fun(tau, self.x)
-            return self._last.cut(tau - self._last.start)
         return self.segment()
 
     def _towards(self, limit: float) -> None:
         self.solver.t_bound, self.solver.status = limit, "running"
+        self._made = None
         before = self.counts.evaluations
         self._advance()
         attempts = (self.counts.evaluations - before) // self.solver.n_stages
         self.counts.rejected += attempts - 1
 
-    def segment(self) -> Segment:
+    def powers(self) -> tuple[float, float, np.ndarray]:
         """The method's own interpolant."""
-        dense = self.solver.dense_output()
-        if isinstance(self.solver, DOP853):
-            powers = dense.F.T @ _DOP853_BASIS
-        else:
-            powers = np.empty((len(dense.y_old), dense.Q.shape[1] + 1))
-            np.multiply(dense.h, dense.Q, out=powers[:, 1:])
-        powers[:, 0] = dense.y_old
-        coefficients = from_powers(powers.shape[1] - 1) @ powers.T
-        self._last = Segment(float(dense.t_old), float(dense.h), coefficients)
-        return self._last
+        if self._made is None:
+            dense = self.solver.dense_output()
+            if isinstance(self.solver, DOP853):
+                powers = dense.F.T @ _DOP853_BASIS
+            else:
+                powers = np.empty((len(dense.y_old), dense.Q.shape[1] + 1))
+                np.multiply(dense.h, dense.Q, out=powers[:, 1:])
+            powers[:, 0] = dense.y_old
+            self._made = float(dense.t_old), float(dense.h), powers
+        return self._made
+
+    def segment(self) -> Segment:
+        """The same as a segment."""
+        start, length, powers = self.powers()
+        return Segment(start, length, from_powers(powers.shape[1] - 1) @ powers.T)
 
 
 class SampledStepper(_OdeStepper):
-    """Radau, BDF, LSODA: the interpolant, a polynomial, is sampled."""
+    """Radau, BDF, LSODA, and classes of others: the interpolant, a polynomial, is sampled."""
 
-    def __init__(self, solver: Any, method: str, origin: np.ndarray) -> None:
+    _whole: Segment | None = None
+    _last: Segment | None = None
+
+    def __init__(self, solver: Any, degree: int, origin: np.ndarray) -> None:
         super().__init__(solver)
-        self.degree, self.origin = DEGREES[method], origin
+        self.degree, self.origin = degree, origin
         self.x = solver.y + origin
 
     def step(self, limit: float) -> None:
         self._advance()
         self.x = self.solver.y + self.origin
+        self._whole = self._last = None
 
     def segment(self) -> Segment:
         """The method's own interpolant, sampled."""
-        dense = self.solver.dense_output()
-        start, length = float(dense.t_old), float(dense.t - dense.t_old)
-        values = dense(start + length * nodes(self.degree)).T + self.origin
-        self._last = interpolated(start, length, values)
+        if self._last is None:
+            dense = self.solver.dense_output()
+            start, length = float(dense.t_old), float(dense.t - dense.t_old)
+            values = dense(start + length * nodes(self.degree)).T + self.origin
+            self._whole = self._last = interpolated(start, length, values)
         return self._last
 
     def land(self, tau: float) -> Segment:
         """The interpolant at ``tau``: these methods cannot repeat a step."""
-        self.tau, self.x = tau, self._last(tau)
-        return self._last.cut(tau - self._last.start)
+        whole = self._whole or self.segment()
+        self.tau, self.x = tau, whole(tau)
+        self._last = whole.cut(tau - whole.start)
+        return self._last
 
 
 def _dop853_basis() -> np.ndarray:

@@ -1,0 +1,99 @@
+"""Another solver's steps, made when the rules' own loop asks for them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import FlowError
+from ..log import Steps
+from ..rules.arcs import AIM, FIELD, FIRST, JUMPS, LOW, MADE, NEXT, SAFETY, TAU, TO_TAU, T
+from ..rules.arrays import Now, Room
+from ..scene import Field
+from ..segment import nodes
+from ..solvers import Stepper
+from .entry import describe
+
+if TYPE_CHECKING:
+    from .driver import Driver
+
+
+class Outside:
+    """Makes steps, and keeps those of the arcs that a call of the loop has flown.
+
+    Attributes
+    ----------
+    made : list of (arc, start, length, coefficients)
+        The arc as counted by the loop, and the polynomial by powers of the fraction of the step.
+    """
+
+    stepper: Stepper
+
+    def __init__(self, driver: Driver, fields: list[Field]) -> None:
+        self.driver, self.fields = driver, fields
+        self.made: list[tuple[int, float, float, np.ndarray]] = []
+
+    def step(self, now: Now, room: Room) -> None:
+        """Make a step; at the start of an arc, begin it."""
+        with self._told(now):
+            if not now.ints[MADE]:
+                self._begin(now, room)
+            self.stepper.step(float(now.floats[TO_TAU]))
+        self.made.append((int(now.ints[JUMPS]), *self._shown(now, room)))
+
+    def land(self, now: Now, room: Room) -> None:
+        """End the last step where a guard is zero."""
+        with self._told(now):
+            self.stepper.land(float(now.floats[TO_TAU]))
+        self.made[-1] = (int(now.ints[JUMPS]), *self._shown(now, room))
+        now.floats[TO_TAU] = self.stepper.tau
+
+    def _begin(self, now: Now, room: Room) -> None:
+        plan = self.driver.plan
+        length = (plan.t1 - float(now.floats[T])) - float(now.floats[LOW])
+        first, aim, sizes = float(now.floats[FIRST]), float(now.floats[AIM]), None
+        first = min(first, SAFETY * length)
+        if plan.first_step < np.inf:
+            first = min(plan.longest(0.0), length)
+        if aim < length:
+            series = room.c[: len(now.x), 1:]
+            sizes = np.abs(series * aim ** np.arange(1, series.shape[1] + 1)).max(axis=1)
+            first = min(first or aim, aim)
+        field, t, x = self.fields[now.ints[FIELD]], float(now.floats[T]), now.x.copy()
+        self.stepper = self.driver.solver.begin(field, t, x, length, first or None, sizes)
+
+    def _shown(self, now: Now, room: Room) -> tuple[float, float, np.ndarray]:
+        """Tell the loop of the step: its end, the state there, and its polynomial."""
+        start, length, powers = self.stepper.powers()
+        n, count = powers.shape
+        room.c[:n, :count] = powers / length ** np.arange(count)
+        room.c[:n, count:] = 0.0
+        now.end[:], now.floats[NEXT] = self.stepper.x, self.stepper.tau
+        return start, length, powers
+
+    @contextmanager
+    def _told(self, now: Now) -> Iterator[None]:
+        """Say where a step that cannot be made begins."""
+        try:
+            yield
+        except FlowError as fault:
+            field, t = self.fields[now.ints[FIELD]], float(now.floats[T] + now.floats[TAU])
+            where = describe(self.driver.scene, field, t, now.end)
+            raise FlowError(f"{where}: {fault}") from None
+
+    def count(self, begin: int, end: int) -> int:
+        """How many steps some of the arcs have."""
+        return sum(begin <= step[0] < end for step in self.made)
+
+    def steps(self, begin: int, end: int) -> Steps:
+        """The steps of some of the arcs."""
+        chosen = [step for step in self.made if begin <= step[0] < end]
+        arcs, start, length, powers = zip(*chosen, strict=True)
+        series = np.array(powers)
+        degree = series.shape[2] - 1
+        at_nodes = nodes(degree)[:, None] ** np.arange(degree + 1)
+        values = np.einsum("sik,jk->sji", series, at_nodes)
+        return Steps(np.array(arcs) - begin, np.array(start), np.array(length), values)
