@@ -53,7 +53,7 @@ def simulate(
     t: tuple[float, float],
     *,
     solver: str = "scipy",
-    method: str | None = None,
+    method: Any = None,
     rtol: float | None = None,
     atol: Any = None,
     max_step: float | None = None,
@@ -77,10 +77,11 @@ def simulate(
         First and last time.
     solver : "scipy", "diffrax" or "taylor"
         Or the name of a solver that is plugged in (``docs/extending.md``).
-    method : str, optional
-        A method of the solver. SciPy's are DOP853 (default), RK45, RK23, Radau, BDF, LSODA;
-        Diffrax's Dopri8 (default), Tsit5, Dopri5, Bosh3, Heun, Midpoint, Ralston, and Kvaerno3,
-        Kvaerno4, Kvaerno5 for stiff flows, and Taylor (series; no delays).
+    method : str or class, optional
+        A method of the solver. SciPy's are DOP853 (default), RK45, RK23, Radau, BDF, LSODA, or a
+        subclass of ``scipy.integrate.OdeSolver``; Diffrax's Dopri8 (default), Tsit5, Dopri5, Bosh3,
+        Heun, Midpoint, Ralston, and Kvaerno3, Kvaerno4, Kvaerno5 for stiff flows, and Taylor
+        (series; no delays).
     rtol, atol : float, optional
         Tolerances of the solver for each step, in shares of each element of the state and in its
         own unit; ``atol`` may be an array, one for each element. Each solver's own if omitted:
@@ -204,7 +205,7 @@ def _trajectory(
     )
 
 
-def _give_errors(driver: Driver, solver: str, method: str | None, mode: str, x: np.ndarray) -> None:
+def _give_errors(driver: Driver, solver: str, method: Any, mode: str, x: np.ndarray) -> None:
     """Let each accumulation measure its error when asked: by a second and a third run for all."""
     again = _Again(driver, solver, method, mode, x)
     for index, point in enumerate(driver.record.zeno):
@@ -224,7 +225,7 @@ class _Again:
     """
 
     def __init__(
-        self, driver: Driver, solver: str, method: str | None, mode: str, x: np.ndarray
+        self, driver: Driver, solver: str, method: Any, mode: str, x: np.ndarray
     ) -> None:
         self.driver, self.own = driver, (solver, method)
         self.mode, self.x = mode, x

@@ -46,9 +46,9 @@ LAST, ABSOLUTE, RELATIVE, SHARE, PATIENT, FIRST_STEP, MAX_STEP, ORDER, TOLERANCE
 T, LOW, TAU, TRIED, NEXT, TO_TAU, AIM, FIRST = range(8)
 
 #: Places in a state's integers: the field and the guard last used; the series of impacts; whether
-#: the driver has looked at the arc's start; jumps and steps kept, and expansions made; what comes
-#: next in the arc; its steps so far; the guard that fires; the kink at which the step ends; landings
-#: tried.
+#: the driver has looked at the arc's start; jumps and steps kept, and expansions made; then what
+#: comes next in the arc, its steps so far, the guard that fires, the kink at which the step ends,
+#: and landings tried.
 FIELD, FIRED, SERIES, COUNT, ENTERED, JUMPS, STEPS, EXPANSIONS = range(8)
 PHASE, MADE, EVENT, CROSSED, TRIES = range(8, 13)
 
@@ -327,7 +327,7 @@ def expanded(a: Automaton, field: int, t: float, n: int, room: Room) -> bool:
 
 
 def keeps(a: Automaton, now: Now, room: Room, t: float) -> bool:
-    """Whether the guards have the signs at the end of a step that its polynomial gives them there."""
+    """Whether the guards have at the end of a step the signs that its polynomial gives them."""
     field = now.ints[FIELD]
     program, first = a.fields[field, PROGRAM], a.fields[field, GUARDS]
     if jets(a.programs, program, 0, t, now.end, room.still, room.aside, room.work) < 0:

@@ -198,7 +198,7 @@ class Solver(abc.ABC):
     rejected: int | None = None
     evaluations: int | None = None
     max_step: float = float("inf")
-    asked: bool = False
+    asked: bool = True
     rtol: float = FINEST
     atol: Any = 0.0
 

@@ -230,6 +230,7 @@ class DiffraxSolver(Solver):
     """One of Diffrax's methods: Dopri8 (default), Tsit5, Dopri5, Bosh3, Kvaerno5, ..."""
 
     name = "diffrax"
+    asked = False
 
     def __init__(self, method: str | None, rtol: float, atol: Any) -> None:
         self.method = method_of(self.name, method, DEGREES)

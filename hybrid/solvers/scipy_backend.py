@@ -47,7 +47,6 @@ class SciPySolver(Solver):
 
     name = "scipy"
     evaluations: int
-    asked = True
 
     def __init__(self, method: Any, rtol: float, atol: Any) -> None:
         if isinstance(method, type) and issubclass(method, OdeSolver):

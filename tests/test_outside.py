@@ -1,0 +1,137 @@
+"""Steps of other solvers in the rules' own loop, and methods that are the user's own classes."""
+
+import numpy as np
+import pytest
+from scipy.integrate import RK45, DenseOutput, OdeSolver
+
+import hybrid as hy
+from hybrid.gallery import find
+from hybrid.scene import scene_of
+from hybrid.solvers.scipy_backend import SciPySolver
+from models.hard_spring import HardSpring
+from tests.contract.test_units import Pile
+from tests.test_advance import SCENES
+
+#: Example 1's accumulation, from 40 digits.
+T_INF = 1.32961738383844857732
+
+
+def both(monkeypatch, scene, **options):
+    """A run with the loop, and one by one."""
+    model, start, span = scene
+    run = hy.simulate(model, start, span, **options)
+    monkeypatch.setattr(SciPySolver, "asked", False)
+    return run, hy.simulate(model, start, span, **options)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Radau", "LSODA"])
+@pytest.mark.parametrize("name", ["thermostat", "sections", "hard_spring", "bead_on_table"])
+def test_the_loop_gives_the_run_of_the_rules_one_by_one(name, method, monkeypatch):
+    """Edges in order, times to what the tolerances leave open, modes, accumulations."""
+    run, slow = both(monkeypatch, SCENES[name], method=method, rtol=1e-9, atol=1e-11)
+    assert [arc.mode for arc in run.arcs] == [arc.mode for arc in slow.arcs]
+    assert list(run.jumps.edge) == list(slow.jumps.edge)
+    np.testing.assert_allclose(run.jumps.t, slow.jumps.t, rtol=0, atol=1e-5)  # LSODA's own errors
+    assert [point.edges for point in run.zeno] == [point.edges for point in slow.zeno]
+
+
+def test_dense_output_is_the_methods_own(monkeypatch):
+    """Between the ends of the steps too: the polynomials are those that the method gives."""
+    run, slow = both(monkeypatch, SCENES["thermostat"], rtol=1e-9, atol=1e-11)
+    at = np.linspace(0.1, 39.9, 400)
+    far = np.array([np.abs(slow.jumps.t - t).min() > 1e-6 for t in at])
+    x, y = (np.stack([np.ravel(v) for v in r(at[far])]) for r in (run, slow))
+    np.testing.assert_allclose(x, y, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e-3, 1.0, 1e3, 1e6, 1e9, 1e12])
+@pytest.mark.parametrize("method", ["Radau", "RK23", "BDF"])
+def test_nothing_falls_through_what_a_step_shows_to_rounding(unit, method):
+    """A step that ends on a guard may show it on one side, and the next one on the other."""
+    start = dict(
+        zip([s.name for s in Pile.spec.states], [1.5 * unit, 2.0 * unit, 0, 0], strict=True)
+    )
+    given = {"method": method, "rtol": 1e-9, "atol": 1e-11 * unit}
+    run = hy.simulate(Pile(unit=unit), start, (0.0, 2.75), **given)
+    for arc in run.arcs:
+        low, high = arc.last[:2] / unit
+        table = np.sin(4.0 * (arc.t0 + arc.length))
+        assert low > table - 1e-6  # the tolerance, and what it grows to
+        assert high > low - 1e-6
+
+
+class Line(DenseOutput):
+    """Hermite's cubic."""
+
+    def __init__(self, t0, t1, ends, rates):
+        super().__init__(t0, t1)
+        self.ends, self.rates = ends, rates
+
+    def _call_impl(self, t):
+        h = self.t - self.t_old
+        s = (np.asarray(t) - self.t_old) / h
+        terms = [(1 + 2 * s) * (1 - s) ** 2, s * s * (3 - 2 * s), h * s * (1 - s) ** 2]
+        terms.append(h * s * s * (s - 1))
+        return sum(
+            np.multiply.outer(c, f) for c, f in zip((*self.ends, *self.rates), terms, strict=True)
+        )
+
+
+class Classical(OdeSolver):
+    """The classical Runge-Kutta method of order 4, with steps of one length."""
+
+    def __init__(self, fun, t0, y0, t_bound, rtol, atol, first_step=None, vectorized=False):
+        super().__init__(fun, t0, y0, t_bound, vectorized)
+        self.h = 0.3 * rtol**0.25
+
+    def _step_impl(self):
+        h, t, y, f = min(self.h, self.t_bound - self.t), self.t, self.y, self.fun
+        a = f(t, y)
+        b = f(t + h / 2, y + h / 2 * a)
+        c = f(t + h / 2, y + h / 2 * b)
+        d = f(t + h, y + h * c)
+        self.began, self.t, self.y = (y, a), t + h, y + h / 6 * (a + 2 * b + 2 * c + d)
+        return True, None
+
+    def _dense_output_impl(self):
+        (y, a), end = self.began, self.fun(self.t, self.y)
+        return Line(self.t_old, self.t, (y, self.y), (a, end))
+
+
+class Mine(RK45):
+    """A method of SciPy's, as a class."""
+
+
+@pytest.mark.parametrize("method", [Classical, Mine])
+def test_a_method_may_be_a_class(method):
+    """It steps; events, jumps and the sum are ours, and the error is measured."""
+    run = hy.simulate(HardSpring(), [2.1, 0.0], (0.0, 5.0), method=method, rtol=1e-9, atol=1e-11)
+    (point,) = run.zeno
+    assert abs(point.t - T_INF) <= point.t_error < 1e-6
+    assert run.options["method"] == method.__name__
+    assert run.arcs[-1].mode == "flight.rest(impact)"
+
+
+def test_a_class_that_cannot_be_made_is_refused():
+    """The error names the class, and how it is made."""
+
+    class Strange(OdeSolver):
+        def __init__(self):
+            pass
+
+    with pytest.raises(hy.OptionError, match=r"Strange.*t_bound"):
+        hy.simulate(HardSpring(), [2.1, 0.0], (0.0, 1.0), method=Strange)
+
+
+@pytest.mark.parametrize("name", ["hard_spring", "coupled", "moon_holmes"])
+def test_the_jacobian_is_the_flows(name):
+    """Against differences of the flow."""
+    scene = scene_of(find(name).cls())
+    field, n = scene.field(scene.spec.initial), scene.spec.dimension
+    x = np.random.default_rng(0).uniform(0.5, 1.5, n)
+    slopes = np.array(field.jacobian(0.3, x.tolist())).reshape(n, n)
+    step = 1e-6
+    for j in range(n):
+        e = step * np.eye(n)[j]
+        ends = [np.array(field.rhs(0.3, (x + s * e).tolist())) for s in (1, -1)]
+        np.testing.assert_allclose(slopes[:, j], (ends[0] - ends[1]) / (2 * step), atol=1e-7)
