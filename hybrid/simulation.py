@@ -224,9 +224,7 @@ class _Again:
     towards the errors of the first as often as away from them.)
     """
 
-    def __init__(
-        self, driver: Driver, solver: str, method: Any, mode: str, x: np.ndarray
-    ) -> None:
+    def __init__(self, driver: Driver, solver: str, method: Any, mode: str, x: np.ndarray) -> None:
         self.driver, self.own = driver, (solver, method)
         self.mode, self.x = mode, x
         self._made: dict[tuple[str, bool], Driver] = {}
