@@ -130,6 +130,14 @@ def test_what_a_unit_calls_is_compiled_in_a_process_of_its_own(toy):
     assert done(started(toy)) == ("0.75", "") or os.cpu_count() == 1
 
 
+def test_units_that_are_needed_together_are_compiled_together(toy):
+    """The one that was not asked for is loaded without a word."""
+    (toy / "toy" / "top.py").write_text(TOP)
+    code = "from hybrid.rules.load import Library\nLibrary('toy', [('high', 'top')]).unit('high')"
+    assert done(started(toy, code))[1].startswith("hybrid: compiling the rules 'high'")
+    assert done(started(toy, ASK_TOP)) == ("1.5", "") or os.cpu_count() == 1
+
+
 def test_an_error_in_a_process_beside_is_raised(toy):
     """A rule that cannot be compiled says why, and leaves nothing that looks compiled."""
     (toy / "toy" / "top.py").write_text(TOP)

@@ -5,7 +5,8 @@
 
 from .load import Library
 
-library = Library(__name__)
+#: A run of any solver needs the first two; where contacts are, the loop and the sum.
+library = Library(__name__, together=(("zeros", "jets"), ("advance", "sums")))
 
 #: ``unit("zeros").first(...)``: the rules of one file by name, compiled when first asked for.
 unit = library.unit

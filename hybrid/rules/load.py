@@ -3,9 +3,9 @@
 The rule files of a package are copied, all of them and nothing else, into one folder of the
 user's cache whose name is a hash of their text, of this file, of numba, llvmlite, Python and the
 processor. There numba's own file cache keeps the machine code beside them. A file is a unit: it is
-compiled when it is first asked for, after the files that it calls, which are compiled in processes
-beside each other. A change in any file makes a new folder, so that no caller is kept that has an
-old callee in it.
+compiled when it is first asked for, with the files that it calls and those that are needed together
+with it, in processes beside each other. A change in any file makes a new folder, so that no caller
+is kept that has an old callee in it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from functools import cache, cached_property
 from graphlib import TopologicalSorter
@@ -51,8 +51,8 @@ SETTINGS = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_OPT", "NUMBA_BOUNDSCH
 #: Folders that are kept beside a new one, and the time in seconds (a day) for which any is kept.
 KEPT, FRESH = 4, 86400.0
 
-#: A process that compiles one unit and whatever it calls that is not compiled yet.
-BESIDE = "from {loader} import Library; Library({package!r}).unit({name!r})"
+#: A process that compiles one unit.
+BESIDE = "from {loader} import Library; Library({package!r}).compile({name!r})"
 
 #: What is put below the text of a rule file. A product and a sum may be contracted to one
 #: operation; nothing may assume that there is no NaN and no infinity. What Python calls has an
@@ -92,10 +92,12 @@ class Library:
     ----------
     package : str
         Name of a package that can be imported and whose modules are rule files.
+    together : sequence of sequence of str
+        Units of which none is needed without the others: they are compiled together.
     """
 
-    def __init__(self, package: str) -> None:
-        self.package = package
+    def __init__(self, package: str, together: Sequence[Sequence[str]] = ()) -> None:
+        self.package, self.together = package, together
         self.unit = cache(self._unit)
 
     def _unit(self, name: str) -> Any:
@@ -169,55 +171,71 @@ class Library:
     def _compiled(self, name: str) -> dict[str, Any]:
         if name not in self.sources:
             raise ImportError(f"{self.package} has no rule file {name!r}")
-        copies, mark = _package(self.folder), self.folder / f"{name}.built"
-        if mark.exists():
-            return dict(import_module(f"{copies}.{name}").called)
-        with locked(self.folder / f"{name}.lock"):
-            if not mark.exists():
-                said = f"hybrid: compiling the rules {name!r}, once, into {self.folder}"
-                print(said, file=sys.stderr, flush=True)
-                if os.cpu_count() != 1:  # to start processes would only cost
-                    self._build_callees(name)  # what fails is compiled again here, and says why
-            with uncollected():
-                called = dict(import_module(f"{copies}.{name}").called)
-            mark.touch()
-        return called
+        if not self._mark(name).exists():
+            with locked(self.folder / "lock"):
+                self._build_for(name)
+        return self._imported(name)
+
+    def _build_for(self, name: str) -> None:
+        """Compile a unit, and what is needed together with it, unless another process has."""
+        if self._mark(name).exists():
+            return
+        said = f"hybrid: compiling the rules {name!r}, once, into {self.folder}"
+        print(said, file=sys.stderr, flush=True)
+        names = next((group for group in self.together if name in group), (name,))
+        calls = self._calls(names)
+        if os.cpu_count() != 1 and len(self._units(calls)) > 1:
+            self._in_processes(calls)
+        self.compile(name)  # what failed fails here again, and says why
 
     def build(self) -> bool:
         """Compile every unit that is not compiled yet; whether that went well."""
-        return self._in_processes({file: self._imported(file) for file in self.sources})
+        with locked(self.folder / "lock"):
+            return self._in_processes(self._calls(self.sources))
 
-    def _build_callees(self, name: str) -> bool:
-        """Compile the files that a unit calls."""
+    def compile(self, name: str) -> None:
+        """Compile a unit, and what it calls that is not compiled, in this process."""
+        with uncollected():
+            self._imported(name)
+        self._mark(name).touch()
+
+    def _mark(self, name: str) -> Path:
+        """The file that says that a unit is compiled."""
+        return self.folder / f"{name}.built"
+
+    def _imported(self, name: str) -> dict[str, Any]:
+        return dict(import_module(f"{_package(self.folder)}.{name}").called)
+
+    def _units(self, names: Iterable[str]) -> set[str]:
+        """Which of these files are units that are not compiled."""
+        public = {name for name in names if _public(ast.parse(self.sources[name]))}
+        return {name for name in public if not self._mark(name).exists()}
+
+    def _calls(self, names: Iterable[str]) -> dict[str, set[str]]:
+        """For files, and all that they import from, those that they import from."""
         calls: dict[str, set[str]] = {}
-        left = self._imported(name)
+        left = set(names)
         while left:
-            file = left.pop()
-            calls[file] = self._imported(file)
-            left |= calls[file] - set(calls)
-        return self._in_processes(calls)
-
-    def _imported(self, name: str) -> set[str]:
-        """Files from which a file imports."""
-        return {node.module or "" for node in _imports(ast.parse(self.sources[name]))}
+            name = left.pop()
+            calls[name] = {node.module or "" for node in _imports(ast.parse(self.sources[name]))}
+            left |= calls[name] - set(calls)
+        return calls
 
     def _in_processes(self, calls: dict[str, set[str]]) -> bool:
         """Compile files, callees first, as many at once as processors; whether that went well.
 
         ``calls``: for each the files from which it imports. Where one fails, the rest is left.
         """
-        units = {file for file in calls if _public(ast.parse(self.sources[file]))}
+        units, order = self._units(calls), TopologicalSorter(calls)
 
-        def done_with(file: str) -> bool:
-            built = self.folder / f"{file}.built"
-            return file not in units or built.exists() or self._beside(file)
+        def compiled(name: str) -> bool:
+            return name not in units or self._beside(name)
 
-        order = TopologicalSorter(calls)
         order.prepare()
         running: dict[Future[bool], str] = {}
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             while order.is_active():
-                running |= {pool.submit(done_with, file): file for file in order.get_ready()}
+                running |= {pool.submit(compiled, name): name for name in order.get_ready()}
                 for done in wait(running, return_when=FIRST_COMPLETED).done:
                     if not done.result():
                         pool.shutdown(cancel_futures=True)
