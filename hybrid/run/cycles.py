@@ -13,6 +13,7 @@ from ..events import EPS
 from ..scene import Field, Guard, Scene
 from ..zeno.cycle import FAST, FEW, LONGEST, CycleLimit, accelerated, limit, period
 from ..zeno.narrow import damps
+from .instant import collapse
 
 if TYPE_CHECKING:
     from .driver import Driver
@@ -377,6 +378,10 @@ def pass_limit(driver: Driver, mode: str) -> bool:
     plan, cycles = driver.plan, driver.cycles
     if plan.zeno == "truncate" or driver.status is not None or _summed(driver.scene, cycles):
         return False
+    slower = _at_once(driver, mode) if cycles.stands else None
+    if slower is not None:
+        driver.pass_cycle(slower, cycles.seen[-1].x, mode)
+        return True
     sought = _sought(cycles, plan)
     if sought is None or driver.record.now.after(sought[0].remaining).until(driver.known) < 0:
         return False
@@ -396,6 +401,15 @@ def pass_limit(driver: Driver, mode: str) -> bool:
         found = attrs.evolve(found, limits=_named(turn))
     driver.pass_cycle(found, cycles.seen[-1].x, mode)
     return True
+
+
+def _at_once(driver: Driver, mode: str) -> CycleLimit | None:
+    """The limit of impacts that stand, and slow down for ever at one instant."""
+    if driver.record.memory is not None:  # what delays see may change with each of them
+        return None
+    recent = driver.cycles.seen[-STILL:]
+    spent = _between(recent[0], recent[-1]) + _tick(STILL, recent[-1].t)
+    return collapse(driver.scene, mode, recent, spent)
 
 
 def _sought(cycles: Cycles, plan: Plan) -> tuple[CycleLimit, Turn] | None:

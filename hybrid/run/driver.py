@@ -507,6 +507,8 @@ class Driver:
         segments = [Segment(0.0, found.remaining, straight)] if found.remaining else []
         field = self.scene.field(self.scene.name(mode, held))
         record.arc(field, x, found.x_inf, found.remaining, segments)
+        if not found.remaining:  # impacts at one instant may have opened others
+            held = self._still_held(mode, found.x_inf)
         self._go_on_from(found, found.edges, found.ratio, self._after(found.edges, held))
 
     def _after(

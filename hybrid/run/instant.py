@@ -1,0 +1,123 @@
+"""Impacts at one instant, at contacts that touch: their maps, and the limit where they never end.
+
+See :mod:`hybrid.zeno.instant`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import attrs
+import numpy as np
+
+from ..events import EPS
+from ..rules.arcs import NEAR
+from ..scene import Guard, Scene
+from ..zeno.cycle import CycleLimit
+from ..zeno.instant import impulses, shrinking
+
+if TYPE_CHECKING:
+    from .cycles import Seen
+
+#: Shares of the largest gap speed at which a restitution must be the same, and down to rest.
+SPEEDS = (1.0, 0.3, 1e-3, 1e-9, 0.0)
+
+#: By how little restitutions may differ that are one: a few roundings.
+ONE = 64 * EPS
+
+#: The time in which hidden flights end, against that of a gap which rounding leaves open at the
+#: speed with which they began, over all turns.
+CAUTION = 8.0
+
+
+@attrs.frozen(eq=False)
+class Touching:
+    """Contacts that touch at a time and state, and what impacts there do.
+
+    Attributes
+    ----------
+    guards : list of Guard
+    pushes : array, shape (contacts, states)
+        For each the change of the state that changes its gap speed by 1.
+    gain : array, shape (contacts, contacts)
+        Changes of gap speeds by these.
+    speeds, laws : list of float
+        Gap speeds, zero where they are to rounding, and restitutions.
+    open : float
+        What rounding leaves open of the gaps: flights so low may be hidden in the instant.
+    """
+
+    guards: list[Guard]
+    pushes: np.ndarray
+    gain: np.ndarray
+    speeds: list[float]
+    laws: list[float]
+    open: float
+
+
+def collapse(scene: Scene, mode: str, recent: Sequence[Seen], t_error: float) -> CycleLimit | None:
+    """The limit of impacts that take no time and come round, ever slower; None where there is none.
+
+    ``recent``: jumps that took no time, of which the last has led into the mode.
+    """
+    t, x = recent[-1].t, recent[-1].x
+    if not all(scene.is_contact(seen.edge) for seen in recent):
+        return None
+    found = touching(scene, mode, t, x)
+    turn = None if found is None else shrinking(found.gain, found.laws, found.speeds)
+    if found is None or turn is None:
+        return None
+    struck = list(turn.struck)
+    x_inf = x + impulses(found.gain, struck, found.speeds) @ found.pushes[struck]
+    error = np.full(len(x), 64 * EPS * max(np.abs(seen.x).max() for seen in recent))
+    edges = tuple(found.guards[i].edge for i in struck)
+    fast = float(np.abs(_speeds([found.guards[i] for i in struck], t, recent[0].x)).max())
+    late = CAUTION * found.open / (fast * (1.0 - turn.ratio)) if fast else np.inf
+    return CycleLimit(edges, 0.0, x_inf, turn.ratio, t_error + late, error, len(recent))
+
+
+def touching(scene: Scene, mode: str, t: float, x: np.ndarray) -> Touching | None:
+    """The contacts of a mode that touch.
+
+    None where impacts do something else than change gap speeds by shares that do not depend on the
+    speeds: something else is watched that they change, or a restitution depends on the speed.
+    """
+    field, state = scene.field(mode), x.tolist()
+    contacts = [guard for guard in field.guards if guard.kind == "contact"]
+    near = [guard.edge for guard in contacts if _closed(scene, mode, guard, t, state)]
+    guards = [guard for guard in scene.field(mode, near).guards if guard.edge in near]
+    pushes = np.array([scene.contact(name).push(t, state) for name in near]).reshape(len(near), -1)
+    noise = [64 * EPS * scene.rounding(guard, field)(t, state)[1] for guard in guards]
+    now = _speeds(guards, t, x)
+    speeds = np.where(np.abs(now) <= noise, 0.0, now)
+    top = float(np.max(np.abs(speeds), initial=0.0))
+    laws = [_law(scene, name, t, state, top) for name in near]
+    changed = set(np.flatnonzero(np.any(pushes != 0.0, axis=0)).tolist())
+    others = [guard for guard in field.guards if guard.kind != "contact"]
+    if not top or None in laws or any(changed & set(guard.uses) for guard in others):
+        return None
+    size = max(top, float(np.abs(x[list(changed)]).max()))  # less would drown in rounding
+    there, back = ([_speeds(guards, t, x + way * push) for push in pushes] for way in (size, -size))
+    gain = (np.array(there) - np.array(back)).T / (2.0 * size)
+    bends = np.abs(np.array(there) + np.array(back) - 2.0 * now).max()
+    if bends > NEAR * size:
+        return None
+    known = [law for law in laws if law is not None]
+    low = max(64 * EPS * scene.rounding(guard, field)(t, state)[0] for guard in guards)
+    return Touching(guards, pushes, gain, speeds.tolist(), known, low)
+
+
+def _closed(scene: Scene, mode: str, guard: Guard, t: float, x: list[float]) -> bool:
+    size = scene.rounding(guard, scene.field(mode))(t, x)[0]
+    return bool(abs(guard.value(t, x)) <= 64 * EPS * size)
+
+
+def _speeds(guards: Sequence[Guard], t: float, x: np.ndarray) -> np.ndarray:
+    return np.array([guard.lie(t, x.tolist())[1] for guard in guards])
+
+
+def _law(scene: Scene, name: str, t: float, x: list[float], top: float) -> float | None:
+    """A contact's restitution; None where it depends on the speed."""
+    laws = [scene.contact(name).law(t, x, -share * top) for share in SPEEDS]
+    return laws[-1] if max(laws) - min(laws) <= ONE else None
