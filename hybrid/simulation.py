@@ -54,6 +54,7 @@ def simulate(
     *,
     solver: str = "scipy",
     method: Any = None,
+    controller: Any = None,
     rtol: float | None = None,
     atol: Any = None,
     max_step: float | None = None,
@@ -77,11 +78,15 @@ def simulate(
         First and last time.
     solver : "scipy", "diffrax" or "taylor"
         Or the name of a solver that is plugged in (``docs/extending.md``).
-    method : str or class, optional
+    method : str, class or object, optional
         A method of the solver. SciPy's are DOP853 (default), RK45, RK23, Radau, BDF, LSODA, or a
         subclass of ``scipy.integrate.OdeSolver``; Diffrax's Dopri8 (default), Tsit5, Dopri5, Bosh3,
         Heun, Midpoint, Ralston, and Kvaerno3, Kvaerno4, Kvaerno5 for stiff flows, and Taylor
-        (series; no delays).
+        (series; no delays), or any ``diffrax.AbstractSolver`` of one ``ODETerm``.
+    controller : diffrax.AbstractStepSizeController, optional
+        With ``solver="diffrax"``: what chooses the steps, in times from the start of each arc;
+        Diffrax's ``PIDController`` with the tolerances if omitted. Steps of an object, or with a
+        controller, are made one by one; those of a method by name run compiled, many in a row.
     rtol, atol : float, optional
         Tolerances of the solver for each step, in shares of each element of the state and in its
         own unit; ``atol`` may be an array, one for each element. Each solver's own if omitted:
@@ -150,7 +155,7 @@ def simulate(
     begins = spec.initial if mode is None else name_of(mode)
     if not isinstance(begins, str) or not scene.starts(begins):
         raise OptionError(f"{spec.model}: mode={mode!r}; there are {', '.join(scene.modes)}")
-    driver = Driver(scene, _chosen(plan, solver, method), plan, past)
+    driver = Driver(scene, _chosen(plan, solver, method, controller), plan, past)
     driver.run(begins, x)
     _give_errors(driver, solver, method, begins, x)
     if zeno == "raise" and driver.record.zeno:
@@ -158,6 +163,7 @@ def simulate(
     options = {
         "solver": driver.solver.name,
         "method": driver.solver.method,
+        "controller": None if controller is None else type(controller).__name__,
         "rtol": plan.rtol,
         "atol": plan.atol,
         "max_step": max_step,
@@ -350,8 +356,8 @@ def _plan(
     return Plan(t0, t1, rtol, plain, zeno, limit, cap, dense, samples, progress)
 
 
-def _chosen(plan: Plan, solver: str, method: str | None) -> Solver:
-    return choose(solver, method, plan.rtol, plan.atol, plan.max_step)
+def _chosen(plan: Plan, solver: str, method: Any, controller: Any = None) -> Solver:
+    return choose(solver, method, plan.rtol, plan.atol, plan.max_step, controller)
 
 
 def _longest(name: str, value: Any, plan: Plan) -> float:

@@ -26,7 +26,7 @@ from ..errors import OptionError
 from .base import Solver, Stepper
 
 #: What makes a solver from a method and its tolerances: its class, as a rule.
-Maker = Callable[[str | None, float, Any], Solver]
+Maker = Callable[..., Solver]
 
 #: Entry points of this group are such callables.
 GROUP = "hybrid.solvers"
@@ -45,9 +45,9 @@ def _taylor() -> Maker:
 
 
 def _diffrax() -> Maker:
-    from .diffrax_backend import DiffraxSolver
+    from .diffrax_objects import solver_of
 
-    return DiffraxSolver
+    return solver_of
 
 
 SOLVERS: dict[str, Callable[[], Maker]] = {
@@ -75,9 +75,14 @@ def maker(solver: str) -> Maker:
 
 
 def choose(
-    solver: str, method: str | None, rtol: float, atol: Any, max_step: float = float("inf")
+    solver: str,
+    method: Any,
+    rtol: float,
+    atol: Any,
+    max_step: float = float("inf"),
+    controller: Any = None,
 ) -> Solver:
-    """The solver of that name.
+    """The solver of that name; ``controller`` is a step size controller of Diffrax.
 
     Raises
     ------
@@ -85,7 +90,9 @@ def choose(
         If there is none, or it has no such method.
     """
     make = maker(solver)
-    made = make(method, rtol, atol)
+    if controller is not None and solver != "diffrax":
+        raise OptionError(f"solver={solver!r}: controller= is for solver='diffrax'")
+    made = make(method, rtol, atol) if controller is None else make(method, rtol, atol, controller)
     if not isinstance(made, Solver):
         point = f"{make.__module__}:{getattr(make, '__qualname__', make)}"
         raise OptionError(
