@@ -163,7 +163,6 @@ def simulate(
     options = {
         "solver": driver.solver.name,
         "method": driver.solver.method,
-        "controller": None if controller is None else type(controller).__name__,
         "rtol": plan.rtol,
         "atol": plan.atol,
         "max_step": max_step,
@@ -174,6 +173,8 @@ def simulate(
         "memory": memory,
         "mode": begins,
     }
+    if controller is not None:
+        options["controller"] = type(controller).__name__
     counts = driver.steps, driver.solver.rejected, driver.solver.evaluations
     run = _trajectory(model, scene, driver, plan, options)
     run.stats = Stats(*counts, perf_counter() - begun)
