@@ -90,7 +90,8 @@ def simulate(
     rtol, atol : float, optional
         Tolerances of the solver for each step, in shares of each element of the state and in its
         own unit; ``atol`` may be an array, one for each element. Each solver's own if omitted:
-        1e-8 and 1e-10; of "taylor", which is accurate to rounding, 1e-14 and 1e-16.
+        1e-8 and 1e-10; of "taylor", which is accurate to rounding, 1e-14 and 1e-16 where the
+        model looks into no past.
         ``run.options`` says which they were.
     max_step : float, optional
         The longest step, in time; as long as the tolerances allow if omitted. It is for what is so
@@ -146,7 +147,10 @@ def simulate(
     require_model(model)
     scene = scene_of(model)
     spec = scene.spec
-    allowed = tolerances(rtol, atol, spec.dimension, own_rtol(solver))
+    own = own_rtol(solver)
+    if spec.lags:  # a history of the caller's may be off by far more than rounding
+        own = max(own, Solver.own_rtol)
+    allowed = tolerances(rtol, atol, spec.dimension, own)
     plan = _plan(t, allowed, zeno, max_jumps, save, progress)
     longest, first = _longest("max_step", max_step, plan), _longest("first_step", first_step, plan)
     plan = attrs.evolve(plan, memory=_memory(memory), max_step=longest, first_step=first)

@@ -46,6 +46,27 @@ def test_a_plugged_in_solver_declares_its_own(monkeypatch):
     assert Solver.own_rtol == 1e-8
 
 
+class Delayed(hy.Automaton):
+    """Wright's equation."""
+
+    y = hy.state()
+
+    @hy.mode
+    def flow(self, t, s, past):
+        return -1.5 * past(1.0).y * (1.0 + s.y)
+
+
+def test_a_history_that_is_off_by_rounding_is_no_fault():
+    """The time's, at t = 1000, is 1e-13, and fifty times that in the history."""
+    history = lambda t: np.cos(50.0 * t)  # noqa: E731
+    start = {"y": float(history(1000.0))}
+    run = hy.simulate(Delayed(), start, (1000.0, 1002.0), history=history, solver="taylor")
+    assert run.options["rtol"] == 1e-8
+    other = hy.simulate(Delayed(), start, (1000.0, 1002.0), history=history, rtol=1e-10)
+    # a run at 1e-8 beside one at 1e-10, over two delays
+    assert run.final.y == pytest.approx(other.final.y, abs=1e-8)
+
+
 @pytest.mark.parametrize("solver", ["scipy", "taylor"])
 @pytest.mark.parametrize("value", [0, 0.0, -1e-8, 1.0, math.inf, math.nan, "1e-8"])
 def test_a_relative_tolerance_that_is_none_is_refused(solver, value):
