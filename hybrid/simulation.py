@@ -19,7 +19,7 @@ from .errors import HybridError, OptionError, StartError, ZenoError
 from .hindsight import Hindsight
 from .histories import pieces
 from .reals import real, reals
-from .rules.arcs import NEAR
+from .rules.guards import NEAR
 from .rules.sums import FLOOR
 from .run import Driver, Plan
 from .run.pieces import Piece

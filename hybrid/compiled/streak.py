@@ -16,7 +16,7 @@ import numpy as np
 
 from ..arrays import choose, when
 from ..jit import jit
-from ..rules.arcs import NEAR
+from ..rules.guards import NEAR
 from ..solvers.diffrax_backend import ATTEMPTS, Method
 from .lane import FLOW, JUDGE, JUMP, RUNNING, Lane, Run, Step
 from .system import System

@@ -7,7 +7,11 @@ from __future__ import annotations
 
 import math
 
-from .arcs import (
+from .arcs import arc, copied
+from .arrays import Automaton, Floats, Left, Now, Room
+from .guards import NEAR, largest, row_of
+from .jets import OUTPUT, jets
+from .places import (
     CONTACT,
     COUNT,
     EDGE,
@@ -21,7 +25,6 @@ from .arcs import (
     LAND,
     LANDED,
     LOW,
-    NEAR,
     PATIENT,
     PROGRAM,
     RESET,
@@ -31,19 +34,13 @@ from .arcs import (
     TO,
     TRIED,
     T,
-    arc,
-    copied,
-    largest,
-    row_of,
 )
-from .arrays import Automaton, Floats, Left, Now, Room
-from .jets import OUTPUT, jets
 
 __all__ = ("advance",)
 
 
 def advance(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
-    """Go on from ``now``; returns what the driver is asked for (see :mod:`.arcs`)."""
+    """Go on from ``now``; returns what the driver is asked for (see :mod:`.places`)."""
     status = LANDED
     while status == LANDED:
         if now.ints[JUMPS] == left.fired.shape[0]:

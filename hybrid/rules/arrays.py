@@ -56,7 +56,7 @@ class Automaton(NamedTuple):
     ----------
     programs : Programs
     fields, guards : Table
-        Columns as in :mod:`.arcs`.
+        Columns as in :mod:`.places`.
     uses : Ints
         Elements of the state of which guards are made.
     """
@@ -68,7 +68,7 @@ class Automaton(NamedTuple):
 
 
 class Now(NamedTuple):
-    """A state of a run; places in the first two as in :mod:`.arcs`.
+    """A state of a run; places in the first two as in :mod:`.places`.
 
     Attributes
     ----------

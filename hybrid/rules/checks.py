@@ -106,7 +106,7 @@ def bends(
         look(p, program, 2, t + s, point, True, sides, aside, work)
         here = 2.0 * aside[row, 2]
         look(p, program, 2, beside(t + s, point), point, True, sides, aside, work)
-        bend, size = _second(c[row], s)
+        bend, size = second(c[row], s)
         allowed = MISSED * EPS * size + SHOWN * abs(here - 2.0 * aside[row, 2])
         if abs(here - bend) > allowed:
             return False
@@ -241,7 +241,7 @@ def _decides(p: Programs, program: int, s: float, c: Matrix, aside: Matrix) -> b
     return True
 
 
-def _second(c: Floats, s: float) -> tuple[float, float]:
+def second(c: Floats, s: float) -> tuple[float, float]:
     """The second derivative of a series, and the sum of the sizes of its terms."""
     value = 0.0
     size = 0.0

@@ -13,7 +13,8 @@ from ..automaton.markers import Crossing
 from ..clock import Instant
 from ..errors import DomainError, FlowError, OptionError
 from ..events import EPS, SHARES, Cut, Zero, fires, time_scale, zeros
-from ..rules.arcs import BESIDE, LANDINGS, TIE
+from ..rules.arcs import LANDINGS
+from ..rules.guards import BESIDE, TIE
 from ..scene import Guard, Kink, Scene, released
 from ..scene.lowered import ORDER
 from ..segment import Segment

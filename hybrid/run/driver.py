@@ -17,7 +17,7 @@ from ..automaton.markers import Crossing
 from ..errors import FlowError
 from ..events import CLOSED, EPS, SHARES
 from ..log import Flights
-from ..rules.arcs import NEAR
+from ..rules.guards import NEAR
 from ..scene import Contact, Field, Guard, Scene, released
 from ..scene.defect import follows
 from ..scene.scene import parted

@@ -13,7 +13,7 @@ from ..automaton.markers import Crossing
 from ..errors import DomainError, FlowError, StartError
 from ..events import EPS, NOTHING, fires, higher_noise, time_scale, vanishing_order
 from ..rules import unit
-from ..rules.arcs import NEAR
+from ..rules.guards import NEAR
 from ..scene import Field, Guard, Kink, Scene
 
 #: Doublings of a step of rounding's size in which a deciding function that is zero must leave it:

@@ -12,7 +12,7 @@ import attrs
 import numpy as np
 
 from ..events import EPS
-from ..rules.arcs import NEAR
+from ..rules.guards import NEAR
 from ..scene import Guard, Scene
 from ..zeno.cycle import CycleLimit
 from ..zeno.instant import impulses, shrinking

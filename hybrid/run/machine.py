@@ -13,7 +13,8 @@ import numpy as np
 
 from ..log import Flights, Steps, Table
 from ..rules import unit
-from ..rules.arcs import (
+from ..rules.arrays import Left, Now, Room
+from ..rules.places import (
     BEGINS,
     COUNT,
     END,
@@ -36,7 +37,6 @@ from ..rules.arcs import (
     TRIED,
     T,
 )
-from ..rules.arrays import Left, Now, Room
 from ..scene.lowered import ORDER
 from ..segment import nodes
 from ..trajectory import Status

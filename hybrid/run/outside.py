@@ -10,8 +10,20 @@ import numpy as np
 
 from ..errors import FlowError
 from ..log import Steps
-from ..rules.arcs import AIM, FIELD, FIRST, JUMPS, LOW, MADE, NEXT, SAFETY, TAU, TO_TAU, T
+from ..rules.arcs import SAFETY
 from ..rules.arrays import Now, Room
+from ..rules.places import (
+    AIM,
+    FIELD,
+    FIRST,
+    JUMPS,
+    LOW,
+    MADE,
+    NEXT,
+    TAU,
+    TO_TAU,
+    T,
+)
 from ..scene import Field
 from ..segment import nodes
 from ..solvers import Stepper

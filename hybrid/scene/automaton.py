@@ -9,8 +9,16 @@ import numpy as np
 
 from ..automaton.markers import Crossing
 from ..errors import TraceError
-from ..rules.arcs import CONTACT, EDGE, GUARDS, GUARDS_END, PLAIN, TO, USES_END
 from ..rules.arrays import Automaton, Room
+from ..rules.places import (
+    CONTACT,
+    EDGE,
+    GUARDS,
+    GUARDS_END,
+    PLAIN,
+    TO,
+    USES_END,
+)
 from .tape import Jets, Linked, room
 
 if TYPE_CHECKING:
@@ -99,7 +107,7 @@ class Tables:
         self._made = None
 
     def _row(self, field: Field, guard: Guard) -> list[int]:
-        """A guard's row; its columns are named in :mod:`hybrid.rules.arcs`."""
+        """A guard's row; its columns are named in :mod:`hybrid.rules.places`."""
         code, uses = self.scene.code, len(self._uses)
         self._uses += guard.uses
         graph, name = code.mode(field.mode), guard.edge
