@@ -8,6 +8,7 @@ from typing import Any
 import attrs
 import numpy as np
 
+from .clock import Instant
 from .errors import OptionError
 from .segment import Segment
 from .zeno.accumulate import Tail
@@ -47,7 +48,7 @@ class Arc:
 
     @property
     def t1(self) -> float:
-        return self.t0 + (self.low + self.length)
+        return Instant(self.t0, self.low).after(self.length).t  # as the jump there has it
 
     @property
     def segments(self) -> Sequence[Segment]:
@@ -113,7 +114,7 @@ class TailPart:
 
     @property
     def t1(self) -> float:
-        return self.tail.t + (self.tail.low + self.tail.remaining)
+        return Instant(self.tail.t, self.tail.low).after(self.tail.remaining).t
 
     @property
     def last(self) -> np.ndarray:

@@ -44,6 +44,17 @@ def test_dense_output_is_the_methods_own(monkeypatch):
     np.testing.assert_allclose(x, y, rtol=0, atol=1e-7)
 
 
+@pytest.mark.parametrize("options", [{}, {"solver": "taylor"}, {"method": "Radau"}], ids=str)
+@pytest.mark.parametrize("name", ["thermostat", "sections"])
+def test_the_state_at_a_jump_is_the_jumps(name, options):
+    """At its own time, to the last bit: an arc ends when the jump is, however times round."""
+    model, start, span = SCENES[name]
+    run = hy.simulate(model, start, span, **options)
+    for jump in run.jumps:
+        assert run(jump.t, jump.j) == jump.before
+        assert run(jump.t, jump.j + 1) == jump.after
+
+
 @pytest.mark.parametrize("unit", [1e-9, 1e-3, 1.0, 1e3, 1e6, 1e9, 1e12])
 @pytest.mark.parametrize("method", ["Radau", "RK23", "BDF"])
 def test_nothing_falls_through_what_a_step_shows_to_rounding(unit, method):

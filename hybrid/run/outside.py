@@ -38,15 +38,16 @@ class Outside:
 
     Attributes
     ----------
-    made : list of (arc, start, length, coefficients)
-        The arc as counted by the loop, and the polynomial by powers of the fraction of the step.
+    made : list of (arc, start, length, coefficients, state)
+        The arc as counted by the loop, the polynomial by powers of the fraction of the step, and
+        the state at its end.
     """
 
     stepper: Stepper
 
     def __init__(self, driver: Driver, fields: list[Field]) -> None:
         self.driver, self.fields = driver, fields
-        self.made: list[tuple[int, float, float, np.ndarray]] = []
+        self.made: list[tuple[int, float, float, np.ndarray, np.ndarray]] = []
 
     def step(self, now: Now, room: Room) -> None:
         """Make a step; at the start of an arc, begin it."""
@@ -77,14 +78,14 @@ class Outside:
         field, t, x = self.fields[now.ints[FIELD]], float(now.floats[T]), now.x.copy()
         self.stepper = self.driver.solver.begin(field, t, x, length, first or None, sizes)
 
-    def _shown(self, now: Now, room: Room) -> tuple[float, float, np.ndarray]:
+    def _shown(self, now: Now, room: Room) -> tuple[float, float, np.ndarray, np.ndarray]:
         """Tell the loop of the step: its end, the state there, and its polynomial."""
         start, length, powers = self.stepper.powers()
         n, count = powers.shape
         room.c[:n, :count] = powers / length ** np.arange(count)
         room.c[:n, count:] = 0.0
         now.end[:], now.floats[NEXT] = self.stepper.x, self.stepper.tau
-        return start, length, powers
+        return start, length, powers, self.stepper.x
 
     @contextmanager
     def _told(self, now: Now) -> Iterator[None]:
@@ -103,9 +104,10 @@ class Outside:
     def steps(self, begin: int, end: int) -> Steps:
         """The steps of some of the arcs."""
         chosen = [step for step in self.made if begin <= step[0] < end]
-        arcs, start, length, powers = zip(*chosen, strict=True)
+        arcs, start, length, powers, ends = zip(*chosen, strict=True)
         series = np.array(powers)
         degree = series.shape[2] - 1
         at_nodes = nodes(degree)[:, None] ** np.arange(degree + 1)
         values = np.einsum("sik,jk->sji", series, at_nodes)
+        values[:, -1] = ends
         return Steps(np.array(arcs) - begin, np.array(start), np.array(length), values)
