@@ -7,7 +7,7 @@ from scipy.integrate import RK45, DenseOutput, OdeSolver
 import hybrid as hy
 from hybrid.gallery import find
 from hybrid.scene import scene_of
-from hybrid.solvers.scipy_backend import SciPySolver
+from hybrid.solvers.scipy_backend import RungeKuttaStepper, SciPySolver
 from models.hard_spring import HardSpring
 from tests.contract.test_units import Pile
 from tests.test_advance import SCENES
@@ -69,6 +69,27 @@ def test_nothing_falls_through_what_a_step_shows_to_rounding(unit, method):
         table = np.sin(4.0 * (arc.t0 + arc.length))
         assert low > table - 1e-6  # the tolerance, and what it grows to
         assert high > low - 1e-6
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 40])
+@pytest.mark.parametrize("name", ["step", "land"])
+def test_the_keyboard_stops_between_steps(name, count, monkeypatch):
+    """What was flown until then is kept, to a state of the run."""
+    own, made = getattr(RungeKuttaStepper, name), []
+
+    def stop(self, tau):
+        made.append(tau)
+        if len(made) == count:
+            raise KeyboardInterrupt
+        return own(self, tau)
+
+    model, start, _ = SCENES["duffing"]
+    monkeypatch.setattr(RungeKuttaStepper, name, stop)
+    run = hy.simulate(model, start, (0.0, 300.0))
+    assert run.status is hy.Status.INTERRUPTED
+    whole = hy.simulate(model, start, (0.0, run.t1 + 1e-9))
+    assert len(whole.jumps) == len(run.jumps)
+    np.testing.assert_allclose(list(run.final), list(whole(run.t1, side="left")), atol=1e-12)
 
 
 class Line(DenseOutput):

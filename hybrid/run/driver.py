@@ -86,6 +86,8 @@ class Driver:
             self.go_on()
         except KeyboardInterrupt:
             self.status = Status.INTERRUPTED
+            if not self.record.log.kept:  # before the first step: nothing but the start
+                self.record.arc(self.entry.field, self.entry.x, self.entry.x, 0.0, [])
 
     def go_on(self) -> None:
         """Arc after arc until something ends the run."""

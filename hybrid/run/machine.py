@@ -26,6 +26,7 @@ from ..rules.places import (
     JUMP,
     JUMPS,
     LAND_ON,
+    LANDS,
     LOW,
     MADE,
     NEXT,
@@ -111,18 +112,28 @@ class Machine:
         """Call the loop, and make the steps that it asks for."""
         advance, automaton = unit("advance").advance, self.tables.automaton
         try:
-            while True:
-                status: int = advance(automaton, self.run, now, room, left)
-                if status not in (STEP, LAND_ON):
-                    return status
-                assert self.outside is not None
-                (self.outside.step if status == STEP else self.outside.land)(now, room)
+            with np.errstate(all="ignore"):  # what is not finite is reported, not warned of
+                while True:
+                    status: int = advance(automaton, self.run, now, room, left)
+                    if status not in (STEP, LAND_ON):
+                        return status
+                    assert self.outside is not None
+                    (self.outside.step if status == STEP else self.outside.land)(now, room)
         except KeyboardInterrupt:
-            self._keep(left)
-            if self.driver.status is None and not self.passed and self.ints[MADE]:
-                self.floats[TAU] = self.floats[NEXT]
-                self._arc(left, int(self.ints[JUMPS]))
+            self._interrupted(now, left)
             raise
+
+    def _interrupted(self, now: Now, left: Left) -> None:
+        """Keep the arcs that have ended, and of the present one the steps that have been made."""
+        self._keep(left)
+        if self.driver.status is not None or self.passed or self.outside is None:
+            return
+        if self.ints[PHASE] == LANDS:
+            self.outside.undo(now)
+        elif self.ints[MADE]:
+            self.floats[TAU] = self.floats[NEXT]
+        if self.ints[MADE]:
+            self._arc(left, int(self.ints[JUMPS]))
 
     def _series(self) -> tuple[str | None, int, float]:
         """The series of impacts that goes on: the contact, how many, and the speed last tried."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import FlowError
+from ..errors import FlowError, OptionError
 from ..log import Steps
 from ..rules.arcs import SAFETY
 from ..rules.arrays import Now, Room
@@ -64,6 +64,11 @@ class Outside:
         self.made[-1] = (int(now.ints[JUMPS]), *self._shown(now, room))
         now.floats[TO_TAU] = self.stepper.tau
 
+    def undo(self, now: Now) -> None:
+        """Take back the last step, beyond a guard on which it has not landed."""
+        *_, powers, _ = self.made.pop()
+        now.end[:] = powers[:, 0]
+
     def _begin(self, now: Now, room: Room) -> None:
         plan = self.driver.plan
         length = (plan.t1 - float(now.floats[T])) - float(now.floats[LOW])
@@ -92,10 +97,14 @@ class Outside:
         """Say where a step that cannot be made begins."""
         try:
             yield
-        except FlowError as fault:
+        except OptionError:
+            raise
+        except (FlowError, ValueError) as fault:
             field, t = self.fields[now.ints[FIELD]], float(now.floats[T] + now.floats[TAU])
-            where = describe(self.driver.scene, field, t, now.end)
-            raise FlowError(f"{where}: {fault}") from None
+            where, about = describe(self.driver.scene, field, t, now.end), str(fault)
+            if not isinstance(fault, FlowError):  # SciPy's linear algebra meets inf or nan
+                about = f"the flow is not finite ({fault})"
+            raise FlowError(f"{where}: {about}") from None
 
     def count(self, begin: int, end: int) -> int:
         """How many steps some of the arcs have."""
