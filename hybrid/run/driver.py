@@ -6,6 +6,7 @@ The rules are those of ``docs/semantics.md``; numbers in brackets are its rules.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import attrs
@@ -40,6 +41,9 @@ from .plan import PATIENCE, Plan
 from .recorder import Recorder
 from .watch import Watch
 
+#: Jumps after which a run is taken to be long: worth the seconds in which a streak is compiled.
+HOT = 64
+
 
 class Driver:
     """One run."""
@@ -68,7 +72,10 @@ class Driver:
         self._tied: dict[str, int] = {}
         self._spent: frozenset[str] = frozenset()
         self._struck: set[str] = set()
-        self.streaks = _streaks(self)
+        own = not scene.spec.lags and (solver.whole or solver.asked)
+        self.loop = Machine(self) if own else None
+        self.compiles = not (scene.spec.lags or solver.compiled is None or plan.bounded)
+        self.hot = self.loop is None
 
     @property
     def t(self) -> float:
@@ -139,11 +146,24 @@ class Driver:
     def flow(self) -> None:
         """Flow an arc, or as many as need no judgement, and carry out the jump that ends it."""
         plain = self.entry.field is self.scene.field(self.entry.field.name)
-        if plain and self.streaks is not None and not self.wary and self.streaks.takes():
+        flyer = self.flyer if plain and not self.wary else None
+        if flyer is not None and flyer.takes():
             self._spent, self._tied = frozenset(), {}
-            self.streaks.fly()
+            flyer.fly()
         else:
             self.flow_arc()
+
+    @property
+    def flyer(self) -> Any:
+        """What flies plain arcs: the rules' own loop, or of a long run whole streaks, compiled."""
+        hot = self.hot or self.record.made >= HOT
+        return self._streaks if self.compiles and hot else self.loop
+
+    @cached_property
+    def _streaks(self) -> Any:
+        from .streak import Streaks
+
+        return Streaks(self, self.solver)
 
     def arrive(self, field: Field, x: np.ndarray, guard: Guard, before: np.ndarray) -> None:
         """Begin an arc after a jump that needed no judgement (see :meth:`renew`)."""
@@ -557,19 +577,6 @@ class Driver:
 def _stays(guard: Guard, t: float, before: np.ndarray, after: np.ndarray) -> bool:
     """Whether a reset leaves its guard where it is."""
     return bool(guard.value(t, after.tolist()) == guard.value(t, before.tolist()))
-
-
-def _streaks(driver: Driver) -> Any:
-    """What flies whole streaks of plain arcs, where the solver can."""
-    if driver.scene.spec.lags:
-        return None
-    if driver.solver.whole or driver.solver.asked:
-        return Machine(driver)
-    if driver.solver.compiled is None or driver.plan.bounded:
-        return None
-    from .streak import Streaks
-
-    return Streaks(driver, driver.solver)
 
 
 def _clear(tail: Tail, field: Field, column: int) -> bool:

@@ -53,6 +53,10 @@ if TYPE_CHECKING:
 #: that has filled it, and at most: the keyboard is heard between calls.
 JUMPS_KEPT, STEPS_KEPT, MORE, MOST = 64, 512, 4, 1 << 15
 
+#: Steps in a call after which a run is left to compiled streaks, where the solver has such, the
+#: present arc from its start: they take about as long as compiling one.
+LONG = 2048
+
 
 class Machine:
     """Flies a driver's plain arcs by the rules' own loop: with Taylor series, or with another
@@ -98,6 +102,9 @@ class Machine:
             if driver.status is not None or self.passed:
                 return
             driver.watch = Watch(*self._series())
+            if status in (FULL, STEP) and driver.flyer is not self:
+                driver.renew()
+                return
             if status != FULL or self._stuck():
                 self._stand(left, status)
                 return
@@ -118,6 +125,9 @@ class Machine:
                     if status not in (STEP, LAND_ON):
                         return status
                     assert self.outside is not None
+                    if self.driver.compiles and len(self.outside.made) > LONG:
+                        self.driver.hot = True
+                        return STEP
                     (self.outside.step if status == STEP else self.outside.land)(now, room)
         except KeyboardInterrupt:
             self._interrupted(now, left)

@@ -180,7 +180,8 @@ class Solver(abc.ABC):
         The longest step. Those that can stop at the limit of a step are given one: it is for those
         that cannot.
     asked : bool
-        Whether that loop may ask its steppers for steps: they have :meth:`Stepper.powers`.
+        Whether that loop may ask its steppers for steps: they have :meth:`Stepper.powers`. A long
+        run goes on in compiled streaks, where there are such.
     rtol, atol
         What a step may lose; rounding, of a method that knows no tolerances.
     own_rtol : float

@@ -230,11 +230,11 @@ class DiffraxSolver(Solver):
     """One of Diffrax's methods: Dopri8 (default), Tsit5, Dopri5, Bosh3, Kvaerno5, ..."""
 
     name = "diffrax"
-    asked = False
 
     def __init__(self, method: str | None, rtol: float, atol: Any) -> None:
         self.method = method_of(self.name, method, DEGREES)
         self.compiled = compiled_method(self.method)
+        self.asked = self.method != TAYLOR and not self.compiled.implicit
         self.order = self.compiled.order
         self.rtol, self.atol = max(rtol, FINEST), atol
         self.rejected = 0
