@@ -12,7 +12,6 @@ import pytest
 import hybrid as hy
 from tests.test_cycles import Twisting
 
-from .ways import misses
 
 #: Lanes and functions, which know no cycles, are in ``test_cycles_in_lanes.py``.
 WAYS = ["DOP853", "Radau", "taylor", "Dopri8"]
@@ -273,12 +272,6 @@ def collapses(r, x, v):
 # resets that move the state
 
 
-@misses(
-    "flights as low as the solver's error are lost before the limit is told; it says so",
-    "Dopri8",
-    raises=ValueError,
-    numbers=[STEEP],
-)
 @pytest.mark.parametrize(
     "numbers",
     [
