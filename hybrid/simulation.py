@@ -86,7 +86,7 @@ def simulate(
     controller : diffrax.AbstractStepSizeController, optional
         With ``solver="diffrax"``: what chooses the steps, in times from the start of each arc;
         Diffrax's ``PIDController`` with the tolerances if omitted. Steps of an object, or with a
-        controller, are made one by one; those of a method by name run compiled, many in a row.
+        controller, are made one by one; long runs of a method by name are compiled as a whole.
     rtol, atol : float, optional
         Tolerances of the solver for each step, in shares of each element of the state and in its
         own unit; ``atol`` may be an array, one for each element. Each solver's own if omitted:

@@ -13,7 +13,7 @@ from ..automaton.markers import Crossing
 from ..clock import Instant
 from ..errors import DomainError, FlowError, OptionError
 from ..events import EPS, SHARES, Cut, Zero, fires, time_scale, zeros
-from ..rules.arcs import LANDINGS
+from ..rules.arcs import FAR, LANDINGS, SAFETY
 from ..rules.guards import BESIDE, TIE
 from ..scene import Guard, Kink, Scene, released
 from ..scene.lowered import ORDER
@@ -25,13 +25,6 @@ from .plan import Plan
 
 #: A step never spans more than this many time scales of a guard that is no polynomial.
 REACH = 8.0
-
-#: A flight's end is predicted this many times as far as its series have converged: there their last
-#: terms, of order 16, are 1e-6, which is what a step that was made to end there may be off.
-FAR = 4
-
-#: An arc's first step, against that at which the method's error reaches the tolerance.
-SAFETY = 0.5
 
 
 @attrs.frozen

@@ -70,8 +70,8 @@ class Machine:
         scene, solver, plan = driver.scene, driver.solver, driver.plan
         self.driver, self.plan = driver, plan
         self.tables = scene.tables if solver.whole else scene.watched
-        self.outside = None if solver.whole else Outside(driver, self.tables.fields)
         self.dense = plan.dense or plan.samples is not None
+        self.outside = None if solver.whole else Outside(driver, self.tables.fields, self.dense)
         n, order = scene.spec.dimension, 0 if solver.whole else solver.order
         series, steps = (PATIENCE, plan.patience), (plan.longest(0.0), plan.max_step)
         last = order, *np.broadcast_to(plan.atol, n)
@@ -125,7 +125,7 @@ class Machine:
                     if status not in (STEP, LAND_ON):
                         return status
                     assert self.outside is not None
-                    if self.driver.compiles and len(self.outside.made) > LONG:
+                    if self.driver.compiles and len(self.outside.arcs) > LONG:
                         self.driver.hot = True
                         return STEP
                     (self.outside.step if status == STEP else self.outside.land)(now, room)
@@ -177,7 +177,7 @@ class Machine:
         """Arrays for what a call leaves, and the counts at zero."""
         n, (jumps, steps) = self.states.shape[1], self.size
         if self.outside is not None:
-            self.outside.made.clear()
+            self.outside.begin()
             jumps, steps = 1 if self.plan.progress is not None else jumps, 0
         jumps = min(jumps, self.plan.max_jumps - self.driver.record.made)
         self.ints[[JUMPS, STEPS, EXPANSIONS]] = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -38,38 +39,50 @@ class Outside:
 
     Attributes
     ----------
-    made : list of (arc, start, length, coefficients, state)
-        The arc as counted by the loop, the polynomial by powers of the fraction of the step, and
-        the state at its end.
+    arcs : list of int
+        For each step its arc, as counted by the loop.
+    made : list of (start, length, coefficients, state)
+        If dense output is kept, for each step the polynomial by powers of its fraction, and the
+        state at its end.
     """
 
     stepper: Stepper
 
-    def __init__(self, driver: Driver, fields: list[Field]) -> None:
-        self.driver, self.fields = driver, fields
-        self.made: list[tuple[int, float, float, np.ndarray, np.ndarray]] = []
+    def __init__(self, driver: Driver, fields: list[Field], dense: bool) -> None:
+        self.driver, self.fields, self.dense = driver, fields, dense
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget the steps so far."""
+        self.arcs: list[int] = []
+        self.made: list[tuple[float, float, np.ndarray, np.ndarray]] = []
 
     def step(self, now: Now, room: Room) -> None:
         """Make a step; at the start of an arc, begin it."""
         with self._told(now):
             if not now.ints[MADE]:
-                self._begin(now, room)
+                self._begin_arc(now, room)
             self.stepper.step(float(now.floats[TO_TAU]))
-        self.made.append((int(now.ints[JUMPS]), *self._shown(now, room)))
+        self.arcs.append(int(now.ints[JUMPS]))
+        self._show(now, room)
 
     def land(self, now: Now, room: Room) -> None:
         """End the last step where a guard is zero."""
         with self._told(now):
             self.stepper.land(float(now.floats[TO_TAU]))
-        self.made[-1] = (int(now.ints[JUMPS]), *self._shown(now, room))
+        if self.dense:
+            self.made.pop()
+        self._show(now, room)
         now.floats[TO_TAU] = self.stepper.tau
 
     def undo(self, now: Now) -> None:
         """Take back the last step, beyond a guard on which it has not landed."""
-        *_, powers, _ = self.made.pop()
-        now.end[:] = powers[:, 0]
+        now.end[:] = self.stepper.powers()[2][:, 0]
+        self.arcs.pop()
+        if self.dense:
+            self.made.pop()
 
-    def _begin(self, now: Now, room: Room) -> None:
+    def _begin_arc(self, now: Now, room: Room) -> None:
         plan = self.driver.plan
         length = (plan.t1 - float(now.floats[T])) - float(now.floats[LOW])
         first, aim, sizes = float(now.floats[FIRST]), float(now.floats[AIM]), None
@@ -83,14 +96,15 @@ class Outside:
         field, t, x = self.fields[now.ints[FIELD]], float(now.floats[T]), now.x.copy()
         self.stepper = self.driver.solver.begin(field, t, x, length, first or None, sizes)
 
-    def _shown(self, now: Now, room: Room) -> tuple[float, float, np.ndarray, np.ndarray]:
+    def _show(self, now: Now, room: Room) -> None:
         """Tell the loop of the step: its end, the state there, and its polynomial."""
         start, length, powers = self.stepper.powers()
         n, count = powers.shape
         room.c[:n, :count] = powers / length ** np.arange(count)
         room.c[:n, count:] = 0.0
         now.end[:], now.floats[NEXT] = self.stepper.x, self.stepper.tau
-        return start, length, powers, self.stepper.x
+        if self.dense:
+            self.made.append((start, length, powers, self.stepper.x))
 
     @contextmanager
     def _told(self, now: Now) -> Iterator[None]:
@@ -108,15 +122,17 @@ class Outside:
 
     def count(self, begin: int, end: int) -> int:
         """How many steps some of the arcs have."""
-        return sum(begin <= step[0] < end for step in self.made)
+        return bisect_left(self.arcs, end) - bisect_left(self.arcs, begin)
 
     def steps(self, begin: int, end: int) -> Steps:
         """The steps of some of the arcs."""
-        chosen = [step for step in self.made if begin <= step[0] < end]
-        arcs, start, length, powers, ends = zip(*chosen, strict=True)
+        first = bisect_left(self.arcs, begin)
+        chosen = slice(first, first + self.count(begin, end))
+        start, length, powers, ends = zip(*self.made[chosen], strict=True)
         series = np.array(powers)
         degree = series.shape[2] - 1
         at_nodes = nodes(degree)[:, None] ** np.arange(degree + 1)
         values = np.einsum("sik,jk->sji", series, at_nodes)
         values[:, -1] = ends
-        return Steps(np.array(arcs) - begin, np.array(start), np.array(length), values)
+        arcs = np.array(self.arcs[chosen]) - begin
+        return Steps(arcs, np.array(start), np.array(length), values)

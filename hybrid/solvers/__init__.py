@@ -5,8 +5,8 @@
     of the method itself. Radau for stiff flows. BDF and LSODA restart at order one after
     each jump.
 ``diffrax``
-    Diffrax's methods, compiled: plain arcs, with their events and jumps, run as one program.
-    Dopri8 is the default; Kvaerno5 for stiff flows.
+    Diffrax's methods, each step compiled; in long runs plain arcs, with their events and jumps, run
+    as one program. Dopri8 is the default; Kvaerno5 for stiff flows.
 ``taylor``
     Taylor series of order 16 made from the trace: accurate to rounding whatever the
     tolerance, for flows that are not stiff. It is also what a run's error bounds are

@@ -319,9 +319,14 @@ class DiffraxStepper(Stepper):
 
     def _reason(self) -> str:
         tau, x = self._before
-        if not np.all(np.isfinite(self.field.rhs(self.fixed[1] + tau, x.tolist()))):
-            return "the flow is not finite"
-        return "the solver gave up: the step became too small, or the flow is not finite"
+        return gave_up(self.field, self.fixed[1] + tau, x)
+
+
+def gave_up(field: Field, t: float, x: np.ndarray) -> str:
+    """Why there is no step from a state."""
+    if not np.all(np.isfinite(field.rhs(t, x.tolist()))):
+        return "the flow is not finite"
+    return "the solver gave up: the step became too small, or the flow is not finite"
 
 
 def _compiled(method: Method, field: Field) -> Any:

@@ -21,13 +21,14 @@ from ..jit import jit
 from ..scene import Field
 from ..segment import Segment, interpolated, nodes
 from .base import FINEST, Solver, Stepper
-from .diffrax_backend import DiffraxSolver
+from .diffrax_backend import DiffraxSolver, gave_up
 from .series import SHORTEST, TAYLOR
 
 #: Degree at which dense output is sampled, of whatever form it is: none of Diffrax's has a higher.
 DEGREE = 8
 
-#: A step that is longer than this share of what the flow allows is cut so often, where it fails.
+#: Most attempts at a step: each that is refused is cut to a fifth or more by Diffrax's controllers,
+#: so that the smallest of floats is reached before.
 ATTEMPTS = 200
 
 
@@ -186,9 +187,7 @@ class ObjectStepper(Stepper):
 
     def _reason(self) -> str:
         tau, x, _ = self._before
-        if not np.all(np.isfinite(self.field.rhs(self.fixed[-1] + tau, x.tolist()))):
-            return "the flow is not finite"
-        return "the solver gave up: the step became too small, or the flow is not finite"
+        return gave_up(self.field, self.fixed[-1] + tau, x)
 
 
 class Compiled:
