@@ -24,12 +24,14 @@ class Arc:
         The mode, ``"<mode>.rest(<contact>)"`` at rest, ``"slide(<switching>)"`` sliding.
     j : int
         Number of jumps before it.
-    t0, t1 : float
-        Where it starts and ends.
+    t0 : float
+        Where it starts.
     low : float
         What ``t0`` lacks to the time of the jump (compensated sum): ``t0 + low``.
     length : float
         Duration; exact where ``t1 - t0`` would round to zero.
+    t1 : float
+        Where it ends: as the jump there has it, or the run's last time.
     first, last : array
         States at its ends.
     segments : sequence of Segment
@@ -41,14 +43,11 @@ class Arc:
     t0: float
     low: float
     length: float
+    t1: float
     first: np.ndarray
     last: np.ndarray
     _segments: Any = attrs.field(alias="segments")
     project: Callable[..., Any] | None = None
-
-    @property
-    def t1(self) -> float:
-        return Instant(self.t0, self.low).after(self.length).t  # as the jump there has it
 
     @property
     def segments(self) -> Sequence[Segment]:
@@ -135,7 +134,8 @@ class TailPart:
             segments = flight.segments()
         t = tail.t + since
         low = (tail.t - t) + since + tail.low
-        return Arc(self.mode, self.j + n, t, low, length, x, end, segments)
+        t1 = Instant(t, low).after(length).t
+        return Arc(self.mode, self.j + n, t, low, length, t1, x, end, segments)
 
     def jump(self, n: int) -> JumpRow:
         """The tail's impact ``n`` (1, 2, ...)."""

@@ -132,6 +132,7 @@ class Flights:
             [self.t, *self.jumps.t[:-1].tolist()],
             [self.low, *self.jumps.low[:-1].tolist()],
             self.lengths.tolist(),
+            self.jumps.t.tolist(),
             [self.x, *self.jumps.after[:-1]],
             self.jumps.before,
             (segments[a:b] for a, b in pairwise(stops)),

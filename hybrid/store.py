@@ -105,6 +105,7 @@ def save(run: Trajectory, path: Any) -> None:
         "arc_t0": ("arc", [arc.t0 for arc in arcs]),
         "arc_low": ("arc", [arc.low for arc in arcs]),
         "arc_length": ("arc", [arc.length for arc in arcs]),
+        "arc_t1": ("arc", [arc.t1 for arc in arcs]),
         "arc_first": (("arc", "element"), [arc.first for arc in arcs]),
         "arc_last": (("arc", "element"), [arc.last for arc in arcs]),
         "arc_segments": ("arc", [len(arc.segments) for arc in arcs]),
@@ -310,8 +311,9 @@ def _arcs(data: Any, modes: list[str]) -> list[Arc]:
         )
         mode, j = modes[int(data.arc_mode.values[i])], int(data.arc_j.values[i])
         t0, low, length = (float(data[f"arc_{name}"].values[i]) for name in ("t0", "low", "length"))
+        t1 = float(data.arc_t1.values[i]) if "arc_t1" in data else t0 + (low + length)
         first, last = data.arc_first.values[i], data.arc_last.values[i]
-        arcs.append(Arc(mode, j, t0, low, length, first, last, segments))
+        arcs.append(Arc(mode, j, t0, low, length, t1, first, last, segments))
     return arcs
 
 

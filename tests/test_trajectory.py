@@ -57,6 +57,19 @@ def test_arcs_are_joined_by_jumps(run):
     assert arcs[-1].mode == "flight.rest(impact)"
 
 
+@pytest.mark.parametrize("solver", ["scipy", "taylor", "diffrax"])
+def test_a_run_ends_at_the_very_time_asked_for(solver):
+    """Where durations round, and where the last one is far longer than the last time is late."""
+    rng = np.random.default_rng(7)
+    for t0 in [0.0, *rng.uniform(-20, 5, 12)]:
+        t1 = t0 + float(rng.uniform(4, 20))
+        times = np.array([t0, 0.5 * (t0 + t1), t1])
+        start = {"x": 1.0, "v": 0.0}
+        run = hy.simulate(BouncingBall(), start, (t0, t1), solver=solver, save=times)
+        assert run.t1 == run.arcs[-1].t1 == t1
+        assert len(run(times).x) == 3
+
+
 def test_the_trajectory_obeys_its_flow_guard_and_reset(run):
     """Residuals of the dense output: x' = v, v' = -g, gap >= 0."""
     times = np.linspace(0.01, 2.4, 200)

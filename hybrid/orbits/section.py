@@ -11,6 +11,7 @@ import attrs
 from ..arcs import Arc, Part
 from ..automaton.markers import RISING, Crossing
 from ..automaton.trace import again, caller, scalar, trace
+from ..clock import Instant
 from ..errors import OptionError
 from ..events import fires, zeros
 from ..log import Log
@@ -171,14 +172,16 @@ def cut(run: Trajectory, at: Return) -> Trajectory:
     jumps = {index: row for index, row in run.own_jumps.items() if index < at.part}
     if isinstance(part, Arc) and at.tau >= part.length and jump is not None:
         after = run.parts[at.part + 1]
-        end = Arc(after.mode, part.j + 1, jump.t, jump.low, 0.0, jump.after, jump.after, ())
+        end = Arc(after.mode, part.j + 1, jump.t, jump.low, 0.0, jump.t, jump.after, jump.after, ())
         kept, jumps[at.part] = [*kept, part, end], jump
     else:
         assert isinstance(part, Arc)
         segments = part.segments
         last = bisect_right([segment.start for segment in segments], at.tau) - 1
         shorter = [*segments[:last], segments[last].cut(at.tau - segments[last].start)]
-        kept.append(attrs.evolve(part, length=at.tau, last=part.local(at.tau), segments=shorter))
+        t1 = Instant(part.t0, part.low).after(at.tau).t
+        ends = {"length": at.tau, "t1": t1, "last": part.local(at.tau)}
+        kept.append(attrs.evolve(part, **ends, segments=shorter))
     t1 = kept[-1].t1
     zeno = [point for point in run.zeno if point.t <= t1]
     grazings = [grazing for grazing in run.grazings if grazing.t <= t1]

@@ -63,14 +63,20 @@ class Recorder:
         """
         held, segments = self._flown(field, last, length, segments)
         last = last if carried else held
-        now, end, project = self.now, self.now.after(length), field.project
+        now, end, project = self.now, self._end(length), field.project
         if self._begun is not None:
             (now, first), self._begun = self._begun, None
             segments, self._open = [*self._open, *_later(segments, now, self.now)], []
             length = (end.t - now.t) + (end.low - now.low)
-        self.keep(Arc(field.name, self.j, now.t, now.low, length, first, last, segments, project))
+        row = field.name, self.j, now.t, now.low, length, end.t, first, last, segments, project
+        self.keep(Arc(*row))
         self.now = end
         return last
+
+    def _end(self, length: float) -> Instant:
+        """Where an arc ends: at the run's last time, to the last bit, if it was to flow so far."""
+        last = self.plan.t1
+        return Instant(last) if length == self.now.until(last) else self.now.after(length)
 
     def extend(
         self, field: Field, first: np.ndarray, last: np.ndarray, length: float, segments: Any
