@@ -59,7 +59,7 @@ def stepped(unit, field, x, t=0.0, most=10.0, tau=0.0):
     room, end = field.jets.room(ORDER), np.full(2, np.nan)
     *arrays, sides, _, _ = room
     made = unit("steps").step(
-        *(field.jets.alone, 0, False, t, tau, np.array(x, dtype=float), most, sides),
+        *(field.jets.alone, 0, False, t, tau, np.array(x, dtype=float), most, np.zeros(3), sides),
         *(*arrays, end),
     )
     return made, room, end
@@ -157,8 +157,8 @@ def test_the_state_may_be_stepped_in_place(unit):
     """``end`` may be the array of the state itself."""
     one = field(lambda x, y: jnp.where(x < 0.5, 1.0, 1.0 + x))
     *arrays, sides, _, _ = one.jets.room(ORDER)
-    x = np.array([0.1, 0.2])
-    made = unit("steps").step(one.jets.alone, 0, False, 0.0, 0.0, x, 0.2, sides, *arrays, x)
+    x, program = np.array([0.1, 0.2]), (one.jets.alone, 0, False)
+    made = unit("steps").step(*program, 0.0, 0.0, x, 0.2, np.zeros(3), sides, *arrays, x)
     other, _, end = stepped(unit, one, [0.1, 0.2], most=0.2)
     assert made == other
     assert x.tolist() == end.tolist()
@@ -175,8 +175,8 @@ def test_a_program_steps_alike_among_others(unit):
     sides, there = np.zeros(9, dtype=np.int64), np.empty(2)
     _, _, _, *room, _, _, _ = second.jets.room(ORDER)
     made = unit("steps").step(
-        *(both, 1, False, 0.0, 0.0, np.array([0.3, 0.4]), 10.0, sides, c, aside, work),
-        *(*room, there),
+        *(both, 1, False, 0.0, 0.0, np.array([0.3, 0.4]), 10.0, np.zeros(3)),
+        *(sides, c, aside, work, *room, there),
     )
     assert made == alone
     assert there.tolist() == end.tolist()

@@ -1,4 +1,4 @@
-"""Over what length series are exact to rounding, and the first zero of a gap in it.
+"""Over what length series are exact to rounding or a tolerance, and a gap's first zero in it.
 
 The last two terms say how fast a series converges (Jorba & Zou, *A software package for the
 numerical integration of ODEs by means of high-order Taylor methods*, Experimental Mathematics 14,
@@ -12,7 +12,7 @@ import math
 from .arrays import Floats, Matrix
 from .zeros import first
 
-__all__ = ("falls", "own_length", "step_length")
+__all__ = ("falls", "own_length", "step_length", "tolerated_length")
 
 #: Size, relative to the state, to which the last terms of a step are held.
 ROUNDING = 1e-16
@@ -33,20 +33,46 @@ def falls(c: Matrix, size: int, gap: Floats, far: float, rows: Matrix, found: Ma
 
 def step_length(c: Matrix, size: int) -> float:
     """Length at which the last two terms of every element of the state fall to rounding."""
-    order = c.shape[1] - 1
+    least = _least(c, size)
+    length = math.inf
+    for i in range(size):
+        length = _within(c[i], least, 0.0, 0.0, length)
+    return length
+
+
+def tolerated_length(c: Matrix, size: int, loss: Floats) -> float:
+    """Length at which they fall to what a step may lose: a share of the element, in the first place
+    of ``loss``, and a number for each, behind it; to rounding where that is more."""
+    least = _least(c, size)
+    length = math.inf
+    for i in range(size):
+        length = _within(c[i], least, loss[0], loss[1 + i], length)
+    return length
+
+
+def _least(c: Matrix, size: int) -> float:
+    """As what an element of the state counts at least."""
     largest = 0.0
     for i in range(size):
         largest = max(largest, abs(c[i, 0]))
-    length = math.inf
-    for i in range(size):
-        own = ROUNDING * max(abs(c[i, 0]), abs(c[i, 1]), SMALLEST * largest)
-        if own == 0.0:
-            length = min(length, _from_zero(c[i]))
-            continue
-        for k in range(order, order - 2, -1):
-            last = abs(c[i, k])
-            if last != 0.0 and last * length**k > own:
-                length = (own / last) ** (1.0 / k)
+    return SMALLEST * largest
+
+
+def _within(c: Floats, least: float, relative: float, absolute: float, length: float) -> float:
+    """The length, or the shorter one at which the last two terms of an element are small enough.
+
+    An element that is next to zero is measured by how far it goes.
+    """
+    order = c.shape[0] - 1
+    own = ROUNDING * max(abs(c[0]), abs(c[1]), least)
+    own = max(own, absolute + relative * abs(c[0]))
+    if own == 0.0:
+        return min(length, _from_zero(c))
+    for k in range(order, order - 2, -1):
+        last = abs(c[k])
+        if last != 0.0 and last * length**k > own:
+            reach = (own / last) ** (1.0 / k)
+            length = min(length, max(reach, (relative * abs(c[1]) / last) ** (1.0 / (k - 1))))
     return length
 
 

@@ -15,8 +15,8 @@ EDGE, CONTACT = 0, 1
 
 #: Places in the numbers of a run: last time, tolerances, series of impacts; the longest steps, the
 #: first of an arc and the others; the order of another solver (0 where steps are made here), and
-#: from the last one on its tolerance for each element.
-LAST, ABSOLUTE, RELATIVE, SHARE, PATIENT, FIRST_STEP, MAX_STEP, ORDER, TOLERANCES = range(9)
+#: what a step may lose: a share, and from the last place on a number for each element.
+LAST, ABSOLUTE, RELATIVE, SHARE, PATIENT, FIRST_STEP, MAX_STEP, ORDER, LOSS, TOLERANCES = range(10)
 
 #: Places in a state's floats: the time in two; the local time; the speed at which a sum was tried
 #: last; the local time at which a step ends; where the solver is to step to, or to land; where the

@@ -1,7 +1,7 @@
 """One step along a flow by its Taylor series.
 
-It is as long as the last two terms stay below rounding, and as the polynomial has the flow's
-direction: a force may be flat to rounding before it changes. It ends at a kink (``abs``,
+It is as long as the last two terms stay below rounding, or a tolerance, and as the polynomial has
+the flow's direction: a force may be flat to rounding before it changes. It ends at a kink (``abs``,
 ``where``), on whose far side the other branch is expanded (:mod:`.kinks`).
 """
 
@@ -13,7 +13,7 @@ from .arrays import Floats, Ints, Matrix, Programs
 from .checks import arrives, follows
 from .jets import KINKS
 from .kinks import NOT_FINITE, ROW, count, crossed_to, expanded, first_change, holding, states
-from .lengths import step_length
+from .lengths import tolerated_length
 from .zeros import EPS
 
 __all__ = ("step",)
@@ -39,6 +39,7 @@ def step(
     tau: float,
     x: Floats,
     most: float,
+    loss: Floats,
     sides: Ints,
     c: Matrix,
     aside: Matrix,
@@ -55,6 +56,8 @@ def step(
         As :func:`.checks.follows` takes it.
     tau
         The time since the arc began, to which a step adds something.
+    loss
+        As :func:`.lengths.tolerated_length` takes it.
     sides
         As :func:`.jets.jets` takes them; they are left as the step began with them, for
         :func:`.kinks.turn`.
@@ -79,7 +82,7 @@ def step(
         status = expanded(p, program, t, x, sides, c, work)
         if status == 0:
             status, h, crossed = _length(
-                p, program, held, t, most, sides, c, aside, work, rows, found
+                p, program, held, t, most, loss, sides, c, aside, work, rows, found
             )
         if status < 0:
             return status, 0.0, -1
@@ -100,6 +103,7 @@ def _length(
     held: bool,
     t: float,
     most: float,
+    loss: Floats,
     sides: Ints,
     c: Matrix,
     aside: Matrix,
@@ -108,7 +112,7 @@ def _length(
     found: Matrix,
 ) -> tuple[int, float, int]:
     """How long a step is, at most ``most``, and the kink that ends it; a status before them."""
-    longest = min(step_length(c, states(p, program)), holding(p, program, c), most)
+    longest = min(tolerated_length(c, states(p, program), loss), holding(p, program, c), most)
     h = longest
     while h > SHORT * longest:
         h, crossed = first_change(p, program, t, h, sides, c, rows, found)

@@ -72,9 +72,10 @@ class Machine:
         self.tables = scene.tables if solver.whole else scene.watched
         self.dense = plan.dense or plan.samples is not None
         self.outside = None if solver.whole else Outside(driver, self.tables.fields, self.dense)
-        n, order = scene.spec.dimension, 0 if solver.whole else solver.order
+        n, self.order = scene.spec.dimension, solver.order if solver.whole else ORDER
         series, steps = (PATIENCE, plan.patience), (plan.longest(0.0), plan.max_step)
-        last = order, *np.broadcast_to(plan.atol, n)
+        other = solver.order, 0.0, *np.broadcast_to(plan.atol, n)
+        last = (0, *solver.loss(n)) if solver.whole else other
         self.run = np.array([plan.t1, plan.limit, plan.rtol, *series, *steps, *last], dtype=float)
         self.floats, self.ints = np.zeros(8), np.zeros(13, dtype=np.int64)
         self.states = np.zeros((3, n))
@@ -90,7 +91,7 @@ class Machine:
 
     def fly(self) -> None:
         """Go on until something needs judgement, or the run ends."""
-        driver, now, room = self.driver, self._begin(), self.tables.room(ORDER)
+        driver, now, room = self.driver, self._begin(), self.tables.room(self.order)
         self.passed = False
         while True:
             left = self._left()
@@ -188,7 +189,7 @@ class Machine:
             np.empty((jumps, n)),
             np.empty(steps, dtype=np.int64),
             np.empty((steps, 2)),
-            np.empty((steps * n if self.dense else 0, ORDER + 1)),
+            np.empty((steps * n if self.dense else 0, self.order + 1)),
         )
 
     # -- what a call left -------------------------------------------------------------------
@@ -235,10 +236,10 @@ class Machine:
             return self.outside.steps(begin, end)
         chosen, n = self._between(left, begin, end), self.states.shape[1]
         start, length = left.spans[: len(chosen)][chosen].T
-        series = left.series[: n * len(chosen)].reshape(len(chosen), n, ORDER + 1)[chosen]
-        powers = np.arange(ORDER + 1)
+        series = left.series[: n * len(chosen)].reshape(len(chosen), n, self.order + 1)[chosen]
+        powers = np.arange(self.order + 1)
         scaled = series * length[:, None, None] ** powers
-        values = np.einsum("sik,jk->sji", scaled, nodes(ORDER)[:, None] ** powers)
+        values = np.einsum("sik,jk->sji", scaled, nodes(self.order)[:, None] ** powers)
         return Steps(left.owner[: len(chosen)][chosen] - begin, start, length, values)
 
     def _arc(self, left: Left, made: int) -> np.ndarray:

@@ -203,6 +203,11 @@ class Solver(abc.ABC):
     rtol: float = FINEST
     atol: Any = 0.0
 
+    def loss(self, dimension: int) -> np.ndarray:
+        """What a step of the rules' own may lose beyond rounding: a share of each element of the
+        state, and a number for each (:func:`hybrid.rules.lengths.tolerated_length`)."""
+        return np.zeros(1 + dimension)
+
     @abc.abstractmethod
     def begin(
         self,

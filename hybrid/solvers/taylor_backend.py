@@ -73,14 +73,15 @@ class TaylorStepper(Stepper):
         self.jets, self.held = field.jets, field.project is not None
         self.t0, self.length, self.pace = t0, length, Pace()
         self.tau, self.x = 0.0, x0
-        self.room = field.jets.room(ORDER)
+        self.order, self.loss = solver.order, solver.loss(len(x0))
+        self.room = field.jets.room(self.order)
 
     def step(self, limit: float) -> None:
         programs, start = self.jets.alone, self.tau
         *arrays, sides, _, _ = self.room
         x, end = np.array(self.x, dtype=float), np.empty(len(self.x))
         status, h, crossed = unit("steps").step(
-            *(programs, 0, self.held, self.t0 + start, start, x, limit - start, sides),
+            *(programs, 0, self.held, self.t0 + start, start, x, limit - start, self.loss, sides),
             *(*arrays, end),
         )
         self.solver.evaluations += 1
@@ -107,5 +108,5 @@ class TaylorStepper(Stepper):
     def segment(self) -> Segment:
         """The last step's series, in Chebyshev form."""
         series = self.room.c[: len(self.x)]
-        powers = series * (self._made ** np.arange(ORDER + 1))
-        return Segment(self._start, self.tau - self._start, from_powers(ORDER) @ powers.T)
+        powers = series * (self._made ** np.arange(self.order + 1))
+        return Segment(self._start, self.tau - self._start, from_powers(self.order) @ powers.T)
