@@ -179,9 +179,8 @@ def cut(run: Trajectory, at: Return) -> Trajectory:
         segments = part.segments
         last = bisect_right([segment.start for segment in segments], at.tau) - 1
         shorter = [*segments[:last], segments[last].cut(at.tau - segments[last].start)]
-        t1 = Instant(part.t0, part.low).after(at.tau).t
-        ends = {"length": at.tau, "t1": t1, "last": part.local(at.tau)}
-        kept.append(attrs.evolve(part, **ends, segments=shorter))
+        t1, last_state = Instant(part.t0, part.low).after(at.tau).t, part.local(at.tau)
+        kept.append(attrs.evolve(part, length=at.tau, t1=t1, last=last_state, segments=shorter))
     t1 = kept[-1].t1
     zeno = [point for point in run.zeno if point.t <= t1]
     grazings = [grazing for grazing in run.grazings if grazing.t <= t1]
