@@ -111,19 +111,20 @@ class Driver:
         """Begin an arc, unless the run has ended."""
         if self.status is None:
             self.look(x)
-            jumped = attrs.evolve(jumped, tied=self._tied, spent=self._spent)
+            if self._tied or self._spent:
+                jumped = attrs.evolve(jumped, tied=self._tied, spent=self._spent)
             self.entry = enter(self.scene, self.t, mode, x, jumped, self.seen, self._off(x))
             self._jumped = jumped
             self.seen = np.maximum(self.seen, np.abs(x))
 
     def _off(self, x: np.ndarray) -> float:
         """What a state may be off, by the tolerances; little, however loose they are."""
-        size = float(np.max(np.abs(x)))
+        size = float(np.abs(x).max())
         return min(self.plan.limit + self.plan.rtol * size, NEAR * self._reach(x))
 
     def _reach(self, x: np.ndarray) -> float:
         """The size of the largest state that the run has seen, this one among them."""
-        return float(np.max(np.maximum(self.seen, np.abs(x))))
+        return float(np.maximum(self.seen, np.abs(x)).max())
 
     def look(self, x: np.ndarray) -> None:
         """Let delays see the past from here, where what they see has come to an end."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from functools import cached_property
 from math import isfinite
 from typing import Any
 
@@ -27,8 +28,8 @@ class Entry:
 
     Attributes
     ----------
-    series : tuple or None
-        Taylor series of states and guards here.
+    here : object or None
+        What was known of the guards when they were looked at; None where nobody has.
     orders : list of int
         For each guard the power of the local time by which it vanishes here.
     at_once : list of int
@@ -39,10 +40,15 @@ class Entry:
 
     field: Field
     x: np.ndarray
-    series: Any
+    here: _Here | None
     orders: list[int]
     at_once: list[int]
     signs: list[int] = attrs.Factory(list)
+
+    @property
+    def series(self) -> Any:
+        """Taylor series of states and guards here; None where there is none."""
+        return None if self.here is None else self.here.series
 
 
 @attrs.frozen
@@ -103,7 +109,7 @@ def enter(
         _require_on_surface(scene, field, t, x)
     if field.project is not None:
         x = np.array(field.project(t, x.tolist()))
-    here = _Here(scene, field, t, x, seen, expand(field, t, x), 0.0 if jumped.starting else off)
+    here = _Here(scene, field, t, x, seen, 0.0 if jumped.starting else off)
     orders, at_once, signs = [], [], []
     for index, guard in enumerate(field.guards):
         order, sign = here.start_of(guard, index, jumped)
@@ -116,7 +122,7 @@ def enter(
             at_once.append(index)
         orders.append(order)
         signs.append(sign)
-    return Entry(field, x, here.series, orders, at_once, signs)
+    return Entry(field, x, here, orders, at_once, signs)
 
 
 def _from_corners(
@@ -162,7 +168,7 @@ def heading(
     """From a zero of an edge's guard: the order by which it vanishes along a mode's flow, and
     the sign that it takes; sign 0 where no derivative decides."""
     field = scene.field(mode)
-    here, index = _Here(scene, field, t, x, seen, expand(field, t, x)), field.column(edge)
+    here, index = _Here(scene, field, t, x, seen), field.column(edge)
     return here.decide(field.guards[index], index, 1)
 
 
@@ -241,7 +247,7 @@ def _require_on_surface(scene: Scene, field: Field, t: float, x: np.ndarray) -> 
         return
     side = scene.field(switching.positive)
     index = side.column(switching.name)
-    here = _Here(scene, side, t, x, np.zeros(0), None)
+    here = _Here(scene, side, t, x, np.zeros(0), expands=False)
     if here.start_of(side.guards[index], index, Jumped())[0] == 0:
         value = side.guards[index].value(t, x.tolist())
         raise StartError(
@@ -255,19 +261,24 @@ def describe(scene: Scene, field: Field, t: float, x: np.ndarray) -> str:
     return f"{scene.spec.model}, mode {field.name}, t = {t!r}, {scene.spec.record(x)}"
 
 
-@attrs.frozen
+@attrs.frozen(eq=False, slots=False)
 class _Here:
-    """A state in a field, and the guards there."""
+    """A state in a field, and the guards there; ``expands``: their series may be asked for."""
 
     scene: Scene
     field: Field
     t: float
     x: np.ndarray
     seen: np.ndarray
-    series: Any
     off: float = 0.0
+    expands: bool = True
 
-    @property
+    @cached_property
+    def series(self) -> Any:
+        """Taylor series of states and guards; None where there is none."""
+        return expand(self.field, self.t, self.x) if self.expands else None
+
+    @cached_property
     def reach(self) -> float:
         """The size of the largest state that the run has seen."""
         return float(np.max(self.seen, initial=0.0))
@@ -345,7 +356,7 @@ class _Here:
         t, state = beyond_kinks(self.field, guard.kinks, self.t, self.x)
         x = state.tolist()
         value = guard.value(t, x)
-        if not np.isfinite(value):
+        if not isfinite(value):
             raise FlowError(f"{self.where()}: the guard of {guard.edge} is {value}")
         if jumped.passing is not None and value * jumped.passing.get(guard.edge, 0) > 0:
             return 0, 1 if value > 0 else -1

@@ -320,55 +320,68 @@ class ModeGraph:
         contacts = [self.contact(name) for name in self.resting]
         rows = [[c.gap, c.speed, *c.normal, *c.push] for c in contacts]
         geometry = self.program("geometry", lambda: [i for row in rows for i in row]).bind(numbers)
-        ends = np.cumsum([len(row) for row in rows]).tolist()
-        places = [slice(end - len(row), end) for end, row in zip(ends, rows, strict=True)]
-        known = dict(zip(self.resting, zip(contacts, places, strict=True), strict=True))
+        begins = np.cumsum([0, *(len(row) for row in rows)]).tolist()
+        known = dict(zip(self.resting, zip(contacts, begins, strict=False), strict=True))
         chosen = [known[name] for name in held]
+        onto = [Onto.of(chosen, of_speed) for of_speed in (False, False, True)]
 
         def project(t: float, x: Sequence[float]) -> tuple[float, ...]:
-            for of_speed in (False, False, True):
-                values = geometry(t, x)
-                here = [Placed.of(contact, values[place]) for contact, place in chosen]
-                x = _onto_zero(here, x, of_speed)
+            known, values = None, ()
+            for step in onto:
+                if x != known:
+                    known, values = x, geometry(t, x)
+                x = step(values, x)
             return tuple(x)
 
         return project
 
 
 @attrs.frozen
-class Placed:
-    """The numbers of a contact at a state, at their places in the state."""
+class Onto:
+    """A step onto contacts: their gaps, or gap speeds, taken away to first order.
 
-    gap: float
-    speed: float
-    gradient: dict[int, float]
-    felt: dict[int, float]
-    push: dict[int, float]
+    All are places in the list of what is known of the contacts at a state.
+
+    Attributes
+    ----------
+    off : list
+        Gaps, or gap speeds.
+    products : list
+        For each two contacts the pairs whose products add up to what a move along the second
+        changes of the first.
+    moves : list
+        For each element of the state that moves: the contacts along which it does, and how.
+    """
+
+    off: list[int]
+    products: list[list[list[tuple[int, int]]]]
+    moves: dict[int, list[tuple[int, int]]]
 
     @classmethod
-    def of(cls, contact: Normal, values: Sequence[float]) -> Placed:
-        """From the values of gap, speed, normal and push."""
-        pairing, n = contact.pairing, len(contact.normal)
-        normal, push = values[2 : 2 + n], values[2 + n :]
-        gradient = dict(zip(pairing.positions, normal, strict=True))
-        felt = dict(zip(pairing.velocities, normal, strict=True))
-        pushed = dict(zip(pairing.velocities, push, strict=True))
-        return cls(values[0], values[1], gradient, felt, pushed)
+    def of(cls, contacts: Sequence[tuple[Normal, int]], of_speed: bool) -> Onto:
+        """From contacts, and where their gap, gap speed, normal and push begin."""
+        feels, moves = [], []
+        for contact, begin in contacts:
+            pairing, count = contact.pairing, len(contact.normal)
+            places = pairing.velocities if of_speed else pairing.positions
+            normal, push = begin + 2, begin + 2 + (count if of_speed else 0)
+            feels.append({place: normal + i for i, place in enumerate(places)})
+            moves.append({place: push + i for i, place in enumerate(places)})
+        products = [[[(n, d[i]) for i, n in f.items() if i in d] for d in moves] for f in feels]
+        elements = {i: [(k, d[i]) for k, d in enumerate(moves) if i in d] for d in moves for i in d}
+        return cls([begin + of_speed for _, begin in contacts], products, elements)
 
-
-def _onto_zero(contacts: Sequence[Placed], x: Sequence[float], of_speed: bool) -> list[float]:
-    """The state with the gaps (their speeds) taken away to first order."""
-    feels = [c.felt if of_speed else c.gradient for c in contacts]
-    moves = [c.push if of_speed else c.gradient for c in contacts]
-    matrix = [[sum(n * d[i] for i, n in f.items() if i in d) for d in moves] for f in feels]
-    try:
-        steps = solve(matrix, [c.speed if of_speed else c.gap for c in contacts])
-    except ZeroDivisionError:
-        return [math.nan] * len(x)
-    changes = [
-        [s * d[i] for s, d in zip(steps, moves, strict=True) if i in d] for i in range(len(x))
-    ]
-    return [value - sum(change) for value, change in zip(x, changes, strict=True)]
+    def __call__(self, values: Sequence[float], x: Sequence[float]) -> list[float]:
+        """The state moved."""
+        matrix = [[sum(values[a] * values[b] for a, b in p) for p in row] for row in self.products]
+        try:
+            steps = solve(matrix, [values[place] for place in self.off])
+        except ZeroDivisionError:
+            return [math.nan] * len(x)
+        moved = [*x]
+        for i, terms in self.moves.items():
+            moved[i] -= sum(steps[k] * values[place] for k, place in terms)
+        return moved
 
 
 def _groups(names: Sequence[str], linked: Mapping[tuple[str, str], bool]) -> list[list[str]]:
