@@ -27,17 +27,19 @@ import math
 from .arrays import Floats, Ints, Matrix, Programs, Sums
 from .chebyshev import differences, evaluate, from_values, nodes, value
 from .flights import fly
-from .jets import KINKS, values
+from .jets import KINKS, jets, values
 from .linear import solve, unfitted
 
-__all__ = ("close",)
+__all__ = ("close", "shown")
 
 # Rows of ``lines``: Chebyshev coefficients of the curve; flights and impacts from its points; right
 # sides, then values there. Of time and states at the limit: since the first impact; what the last
 # turn has changed, and at last bounds on the error; the limit before; what may change. The start of
-# a flight since the first impact, the state there, and what a program gives.
+# a flight since the first impact, the state there, and what a program gives. Of a flight that is
+# shown: where it has left the contact, where it strikes it, and the rates behind each.
 CURVE, KNOWN, STEPS = 0, 17, 34
-LIMIT, ERROR, BEFORE, ALLOWED, HERE, STATE, READ, LINES = 51, 52, 53, 54, 55, 56, 57, 58
+LIMIT, ERROR, BEFORE, ALLOWED, HERE, STATE, READ = 51, 52, 53, 54, 55, 56, 57
+LEFT, STRUCK, LINES = 58, 60, 62
 
 # Rows of ``small``: from values to coefficients; equations; the points; Chebyshev polynomials at
 # one of them; what each turn has changed, against what may change; the gap's acceleration.
@@ -53,6 +55,11 @@ FLOW, LAND, TURN, LAW = 0, 1, 2, 3
 
 #: Most points on the curve.
 DEGREE = 16
+
+#: Flights of a stretch of a tail at which it is looked, and points of each; then come two rows, of
+#: the least and the most of each column.
+FLIGHTS, POINTS_EACH = 5, 3
+SHOWN = FLIGHTS * POINTS_EACH
 
 #: Rounding floor of an accumulation, relative.
 FLOOR = 4e-15
@@ -324,6 +331,76 @@ def bend(lines: Matrix, place: int, r: float) -> float:
     """``E`` of a flight: how the speed shrinks, against the ratio at rest."""
     ratio = lines[KNOWN + place, lines.shape[1] - 1] / r
     return math.log(ratio) if 0.0 < ratio < math.inf else math.nan
+
+
+def shown(
+    p: Programs,
+    curve: Matrix,
+    t: float,
+    x: Floats,
+    v: float,
+    r: float,
+    first: float,
+    last: float,
+    begin: float,
+    end: float,
+    room: Sums,
+    out: Matrix,
+) -> int:
+    """Points of the flights from ``y(first)`` to ``y(last)`` of a tail, between two shares of each.
+
+    A row of ``out`` is the time, the state, the gap speed at the end of the flight, and the times
+    at which this begins and ends. The state is a cubic through those at its ends and their rates.
+    """
+    n, lines, leaves, lands = x.shape[0], room.lines, 0.0, 0.0
+    for i in range(SHOWN):
+        share = begin + (end - begin) * (i % POINTS_EACH) / (POINTS_EACH - 1)
+        if i % POINTS_EACH == 0:
+            w = last + (first - last) * (i // POINTS_EACH) / (FLIGHTS - 1)
+            leaves = end_of_flight(p, curve, t, x, v, w, 1.0, LEFT, room)
+            lands = end_of_flight(p, curve, t, x, v, r * w, -1.0 / r, STRUCK, room)
+        length = lands - leaves
+        for j in range(n):
+            chord = lines[STRUCK, j] - lines[LEFT, j]
+            early, late = length * lines[LEFT + 1, j] - chord, length * lines[STRUCK + 1, j] - chord
+            bow = share * (1.0 - share) * ((1.0 - share) * early - share * late)
+            out[i, j + 1] = lines[LEFT, j] + share * chord + bow
+        out[i, 0], out[i, n + 1] = leaves + share * length, lines[STRUCK, n]
+        out[i, n + 2], out[i, n + 3] = leaves, lands
+        for j in range(n + 4):
+            out[SHOWN, j] = out[i, j] if i == 0 else min(out[SHOWN, j], out[i, j])
+            out[SHOWN + 1, j] = out[i, j] if i == 0 else max(out[SHOWN + 1, j], out[i, j])
+    return 0
+
+
+def end_of_flight(
+    p: Programs,
+    curve: Matrix,
+    t: float,
+    x: Floats,
+    v: float,
+    w: float,
+    share: float,
+    place: int,
+    room: Sums,
+) -> float:
+    """One end of a flight, next to the impact ``y(w)``: put down are the state, and behind it the
+    gap speed, a share of that after the impact; in the next line the rates. Returns the time."""
+    n, lines = x.shape[0], room.lines
+    evaluate(curve, curve.shape[0] - 1, w, room.small[LINE], lines[HERE])
+    when, state = t + lines[HERE, 0], lines[place, :n]
+    speed = share * v * w * grown(lines[HERE, n + 1])
+    for j in range(n):
+        state[j] = x[j] + lines[HERE, j + 1]
+    touch(p, when, state, room)
+    turned(state, speed - lines[READ, n], lines[READ])
+    for i in range(room.sides.shape[0]):
+        room.sides[i] = 0
+    jets(p, FLOW, 1, when, state, room.sides, room.aside, room.work)
+    for j in range(n):
+        lines[place + 1, j] = room.aside[j, 1]
+    lines[place, n] = speed
+    return when
 
 
 # ---------------------------------------------------------------------------------------

@@ -37,8 +37,11 @@ def span(least: Any, most: Any) -> Any:
     """
     if least == most:
         return least
-    with ctx.workprec(29):
+    precision, ctx.prec = ctx.prec, 29
+    try:
         around = arb(0, ((most - least) / 2).upper())
+    finally:
+        ctx.prec = precision
     width = around + around.rad()
     return most - width if most == 0 else least + width
 

@@ -214,7 +214,9 @@ def _select(args: list[Any], jumps: list[bool]) -> tuple[Any, bool]:
 
 
 def _finite(value: Any) -> Any:
-    if isinstance(value, bool | None) or hasattr(value, "reason") or value.is_finite():
+    if value is None or value is True or value is False:
+        return value
+    if hasattr(value, "reason") or value.is_finite():
         return value
     from .balls import Undefined
 

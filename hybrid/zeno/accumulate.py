@@ -15,7 +15,19 @@ from numpy.polynomial import chebyshev
 from ..rules import unit
 from ..rules.arrays import Programs, Sums
 from ..rules.flights import most_pieces
-from ..rules.sums import BRANCH, DEGREE, ERROR, FIT, GRID, LAST, LIMIT, LINES, SAMPLES, STATE
+from ..rules.sums import (
+    BRANCH,
+    DEGREE,
+    ERROR,
+    FIT,
+    GRID,
+    LAST,
+    LIMIT,
+    LINES,
+    SAMPLES,
+    SHOWN,
+    STATE,
+)
 from ..scene.defect import follows
 from ..scene.lowered import ORDER
 from ..scene.tape import Tape, linked, room
@@ -156,6 +168,18 @@ class Tail:
 
         return prove(self.field, self.contact.name, t, x, v)
 
+    def shown(self, first: float, last: float, begin: float, end: float) -> np.ndarray:
+        """Points of the flights from ``y(first)`` to ``y(last)``, between two shares of each.
+
+        Rows are time, state, gap speed at the end of the flight, and the times at which this begins
+        and ends; the last two are the least and the most of each column.
+        """
+        chatter, out = _chatter(self.field, self.contact), np.empty((SHOWN + 2, len(self.x) + 4))
+        tail = self.curve, self.t, self.x, self.v, self.r
+        with chatter.lent() as given:
+            unit("sums").shown(chatter.programs, *tail, first, last, begin, end, given, out)
+        return out
+
     def flight(self, n: int) -> Flight | None:
         """The flight after impact ``n`` of the tail, from the curve."""
         since, x, v = self.point(self.r**n)
@@ -180,7 +204,7 @@ def close(
     """
     if field.jets is None:
         return None
-    chatter = field.once(("sum", contact.name), lambda: _Chatter.of(field, contact))
+    chatter = _chatter(field, contact)
     with chatter.lent() as given:
         start = t, np.array(x, dtype=float), v, rtol, atol
         degree, r = unit("sums").close(
@@ -192,6 +216,11 @@ def close(
     remaining, x_inf, error = float(lines[LIMIT, 0]), lines[STATE, : len(x)], lines[ERROR, :-1]
     found = r, lines[: degree + 1], remaining, x_inf, float(error[0]), error[1:]
     return Tail(field, contact, column, t, low, x, v, *found)
+
+
+def _chatter(field: Field, contact: Contact) -> _Chatter:
+    """The map of a contact in a field, made once."""
+    return field.once(("sum", contact.name), lambda: _Chatter.of(field, contact))  # type: ignore[no-any-return]
 
 
 @attrs.frozen(eq=False)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable
 from functools import cached_property
 from importlib.util import find_spec
 from itertools import pairwise
-from math import exp, inf, log
+from math import exp, inf, log, nextafter
 from typing import TYPE_CHECKING, Any
 
 import attrs
@@ -29,7 +29,7 @@ from ..scene.python import needed
 from ..scene.sides import choosers, on_zero, one_sided
 from ..scene.taylor import flat
 from ..segment import from_values, nodes
-from .accumulate import Tail, on_contact
+from .accumulate import Tail
 from .flight import fly
 
 if TYPE_CHECKING:
@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 #: against its size: balls overestimate by a little that shrinks with the box.
 EXCESS = 0.02
 
-#: How often a tail is halved, at most, and points in each part of it. Three or four halvings leave
-#: one flight, five more a thirty-second of it, over which balls of position and speed are as small.
-HALVINGS, POINTS = 9, 5
+#: How often a tail is halved, at most. Three or four halvings leave one flight, five more a
+#: thirty-second of it, over which balls of position and speed are as small.
+HALVINGS = 9
 
 #: How much wider a box is than the points in it, on either side.
 WIDER = 0.25
@@ -174,47 +174,22 @@ class _Stretch:
     end: float = 1.0
 
     @cached_property
-    def points(self) -> list[tuple[float, list[float], float]]:
-        """Times, states and gap speeds before impacts, at points of the flights."""
-        begins, lengths, speeds, *ends = map(np.array, zip(*self._flights, strict=True))
-        shares = np.array([self.begin, 0.5 * (self.begin + self.end), self.end])[:, None]
-        times, states = begins + shares * lengths, _between(ends, lengths[:, None], shares)
-        columns = times.reshape(-1), states.reshape(times.size, -1), np.tile(speeds, len(shares))
-        return list(zip(*(column.tolist() for column in columns), strict=True))
+    def _shown(self) -> list[list[float]]:
+        return self.tail.shown(self.first, self.last, self.begin, self.end).tolist()
 
     @cached_property
-    def _flights(self) -> list[tuple[Any, ...]]:
-        """The flights at whose points the stretch is looked at."""
-        return [self._flight(w) for w in np.linspace(self.last, self.first, POINTS).tolist()]
-
-    def _flight(self, w: float) -> tuple[Any, ...]:
-        """Of the flight from ``y(w)``: when it begins, how long it takes, the gap speed at its end.
-
-        Then the state and its rate where it begins, and where it ends.
-        """
-        tail, rhs = self.tail, self.tail.field.rhs
-        since, begin, _ = tail.point(w)
-        later, landed, after = tail.point(tail.r * w)
-        t, end, u = tail.t + since, tail.t + later, -after / tail.r
-        before = on_contact(tail.field, tail.contact, tail.column, end, landed.tolist(), u)
-        return t, later - since, u, begin, rhs(t, begin.tolist()), before, rhs(end, before)
-
-    @property
-    def times(self) -> tuple[float, float]:
-        """First and last time; a flight more than the stretch itself."""
-        last, *_, first = self._flights
-        return first[0], last[0] + last[1]
+    def points(self) -> list[tuple[float, list[float], float]]:
+        """Times, states and gap speeds before impacts, at points of the flights."""
+        return [(t, x, u) for t, *x, u, _, _ in self._shown[:-2]]
 
     def box(self) -> dict[str, Any]:
-        """Bounds of parameters, time, states, and gap speeds before impacts."""
-        states = np.array([x for _, x, _ in self.points])
-        low, high = states.min(axis=0), states.max(axis=0)
-        room = WIDER * (high - low)
-        speeds = [u for _, _, u in self.points]
-        inputs: dict[str, Any] = _named("p", flat(self.tail.field.parameters))
-        ends = np.nextafter(low - room, -inf).tolist(), np.nextafter(high + room, inf).tolist()
-        inputs |= _named("x", zip(*ends, strict=True))
-        return inputs | {"t": self.times, "u": (min(speeds), max(speeds) if self.last else 0.0)}
+        """Bounds of time (a flight more than the stretch itself), states, and gap speeds before
+        impacts."""
+        (_, *low, slow, begin, _), (_, *high, fast, _, end) = self._shown[-2:]
+        rooms = [WIDER * (b - a) for a, b in zip(low, high, strict=True)]
+        ends = zip(low, high, rooms, strict=True)
+        inputs = _named("x", ((nextafter(a - s, -inf), nextafter(b + s, inf)) for a, b, s in ends))
+        return inputs | {"t": (begin, end), "u": (slow, fast if self.last else 0.0)}
 
     def halves(self) -> list[_Stretch]:
         """Two stretches of about half the time each; of a single flight, its two parts."""
@@ -225,14 +200,6 @@ class _Stretch:
         middle = 0.5 * (self.first + self.last)
         ends = [self.first, middle, self.last]
         return [_Stretch(self.tail, a, b) for a, b in pairwise(ends)]
-
-
-def _between(ends: list[np.ndarray], lengths: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """Cubics through states and their rates at both ends of flights, at shares of their times."""
-    begin, early, end, late = ends
-    s, chord = shares[..., None], end - begin
-    early, late = lengths * early - chord, lengths * late - chord
-    return np.asarray(begin + s * chord + s * (1.0 - s) * ((1.0 - s) * early - s * late))
 
 
 def _bounded(tail: Tail, excess: float) -> bool:
@@ -250,9 +217,7 @@ def _bounded(tail: Tail, excess: float) -> bool:
 
 
 def _fits(look: _Look, stretch: _Stretch, excess: float) -> bool:
-    from ..scene.balls import high, low
-
-    found = look.program.enclose(stretch.box())
+    found = look.program.enclose(look.given | stretch.box())
     if not all(each.defined for each in found):
         return False
     balls = [each.value for each in found]
@@ -260,8 +225,8 @@ def _fits(look: _Look, stretch: _Stretch, excess: float) -> bool:
     least, most = values.min(axis=0), values.max(axis=0)
     room = most - least + excess * np.append(np.maximum(-least, most)[:-1], 1.0)
     ends = zip(balls, (least - room).tolist(), (most + room).tolist(), strict=True)
-    near = all(a <= low(ball) and high(ball) <= b for ball, a, b in ends)
-    return near and high(balls[0]) < 0 and high(balls[-1]) <= 1.0 - LOSS
+    near = all(a <= ball and ball <= b for ball, a, b in ends)
+    return near and bool(balls[0] < 0) and bool(balls[-1] <= 1.0 - LOSS)
 
 
 @attrs.frozen(eq=False)
@@ -275,6 +240,7 @@ class _Look:
     """
 
     program: Any
+    given: dict[str, float]
     at: Callable[[float, list[float], float], list[float]]
 
 
@@ -285,15 +251,15 @@ def _look(tail: Tail) -> _Look:
     key = ("narrow", field.name, contact.name, *signs.items())
     program = code.once(key, lambda: gap.program(signs))
     lie, law = field.guards[tail.column].lie, contact.law
+    given = field.once("parameters by name", lambda: _named("p", flat(field.parameters)))
     if not signs:
-        return _Look(program, lambda t, x, u: [lie(t, x)[2], law(t, x, u)])
-    parameters = _named("p", flat(field.parameters))
+        return _Look(program, given, lambda t, x, u: [lie(t, x)[2], law(t, x, u)])
 
     def at(t: float, x: list[float], u: float) -> list[float]:
-        found = program.enclose({**parameters, **_named("x", x), "t": t, "u": u})
+        found = program.enclose({**given, **_named("x", x), "t": t, "u": u})
         return [float(each.value.mid()) for each in found]
 
-    return _Look(program, at)
+    return _Look(program, given, at)
 
 
 class _Gap:
