@@ -152,6 +152,8 @@ class Cycles:
             return min(len(times), 1)
         count = min(len(times), self.next - len(self.seen))
         known = [seen.t for seen in self.seen[-STILL:]]
+        if len(known) + count <= FEW:  # not one turn more than there must be
+            return count
         together = np.concatenate([known, times[:count]])
         number = np.arange(len(together))
         short = np.diff(together, prepend=-np.inf) <= SHORT * self.longest

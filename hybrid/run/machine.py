@@ -74,8 +74,8 @@ class Machine:
         self.outside = None if solver.whole else Outside(driver, self.tables.fields, self.dense)
         n, self.order = scene.spec.dimension, solver.order if solver.whole else ORDER
         series, steps = (PATIENCE, plan.patience), (plan.longest(0.0), plan.max_step)
-        other = solver.order, 0.0, *np.broadcast_to(plan.atol, n)
-        last = (0, *solver.loss(n)) if solver.whole else other
+        atol = [plan.atol] * n if isinstance(plan.atol, float) else plan.atol
+        last = (0, *solver.loss(n)) if solver.whole else (solver.order, 0.0, *atol)
         self.run = np.array([plan.t1, plan.limit, plan.rtol, *series, *steps, *last], dtype=float)
         self.floats, self.ints = np.zeros(8), np.zeros(13, dtype=np.int64)
         self.states = np.zeros((3, n))
@@ -165,14 +165,16 @@ class Machine:
         field = self.tables.number(entry.field)
         first, contact = self.tables.first(field), driver.watch.contact
         series = [g for g, guard in enumerate(guards, first) if guard.edge == contact]
-        self.floats[[T, LOW, TAU, TRIED]] = now.t, now.low, 0.0, driver.watch.tried
-        self.ints[[FIELD, FIRED, ENTERED, PHASE]] = field, -1, 1, BEGINS
-        self.ints[[SERIES, COUNT]] = series[0] if series else -1, driver.watch.count
+        floats, ints = self.floats, self.ints
+        floats[T], floats[LOW], floats[TAU] = now.t, now.low, 0.0
+        ints[FIELD], ints[FIRED], ints[ENTERED], ints[PHASE] = field, -1, 1, BEGINS
+        ints[SERIES], ints[COUNT] = series[0] if series else -1, driver.watch.count
+        floats[TRIED] = driver.watch.tried
         self.states[0], self.states[2] = entry.x, driver.seen
         orders = np.zeros(self.tables.widest, dtype=np.int64)
         orders[: len(entry.orders)] = entry.orders
         x, end, seen = self.states
-        return Now(self.floats, self.ints, x, end, seen, orders, np.zeros_like(orders))
+        return Now(floats, ints, x, end, seen, orders, np.zeros_like(orders))
 
     def _left(self) -> Left:
         """Arrays for what a call leaves, and the counts at zero."""
@@ -181,7 +183,7 @@ class Machine:
             self.outside.begin()
             jumps, steps = 1 if self.plan.progress is not None else jumps, 0
         jumps = min(jumps, self.plan.max_jumps - self.driver.record.made)
-        self.ints[[JUMPS, STEPS, EXPANSIONS]] = 0
+        self.ints[JUMPS] = self.ints[STEPS] = self.ints[EXPANSIONS] = 0
         return Left(
             np.empty((jumps, 3)),
             np.empty(jumps, dtype=np.int64),

@@ -118,11 +118,13 @@ class Recorder:
         """Add arcs in a row and the jumps after them, and move to the last; see :meth:`jump`."""
         self._sample(flights)
         jumps = flights.jumps
-        self.log.kept.append(flights if self.plan.dense else attrs.evolve(flights, steps=None))
+        if flights.steps is not None and not self.plan.dense:
+            flights = attrs.evolve(flights, steps=None)
+        self.log.kept.append(flights)
         self.now = Instant(float(jumps.t[-1]), float(jumps.low[-1]))
         self.j += len(jumps.t)
         self.made += len(jumps.t)
-        if self._pass(clocks, jumps.edge):
+        if len(clocks) >= CAUGHT and self._pass(clocks, jumps.edge):
             return
         for k, (clock, edge) in enumerate(zip(clocks.tolist(), jumps.edge, strict=True)):
             self._count(clock, edge, partial(where, k))
