@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from flint import arb, ctx
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import hybrid as hy
@@ -18,6 +18,7 @@ from hybrid.scene.graph import ELEMENTWISE, Graph
 from hybrid.scene.interval import IntervalProgram, Undecided, ball
 from hybrid.scene.lowered import Lowered
 from hybrid.scene.python import _FORGIVING, OPERATIONS
+from hybrid.scene.ranges import RANGES
 from tests.test_readers import EXPRESSIONS, automaton
 
 FLAGS = {"and", "or", "xor", "not"}
@@ -71,6 +72,40 @@ def test_every_operation_encloses_its_values(op, data):
     value = plain(op, [point for _, point in pairs])
     assert value == value, f"{op}{pairs} is not defined, but {enclosure} was returned"
     assert holds(enclosure, value), f"{op}{pairs} = {value} is not in {enclosure}"
+
+
+@pytest.mark.parametrize("op", RANGES)
+@settings(max_examples=300, deadline=None)
+@given(st.data())
+def test_ranges_of_doubles_hold_the_values_of_an_operation(op, data):
+    """Bounds in doubles hold what balls of many bits say of a point in the box."""
+    drawn = [data.draw(interval_and_point()) for _ in range(2 if op in TWO else 1)]
+    found = RANGES[op](*(box for box, _ in drawn))
+    assume(found is not None)
+    with ctx.workprec(200):
+        exact = BALLS[op](*(arb(point) for _, point in drawn))
+        assert found[0] <= exact <= found[1]
+
+
+@pytest.mark.parametrize(("function", "op"), [(math.sin, "sin"), (math.cos, "cos")])
+def test_ranges_of_waves_hold_their_turns(function, op):
+    """Whatever half turns lie in an interval, their values 1 and -1 lie in the bounds."""
+    for begin in np.arange(-10.0, 10.0, 0.37).tolist():
+        for width in (0.0, 0.01, 1.0, 2.0, 3.5, 5.0, 7.0):
+            least, most = RANGES[op]((begin, begin + width))
+            values = [function(v) for v in np.linspace(begin, begin + width, 400).tolist()]
+            assert 0.0 <= min(values) - least <= 1e-4  # an extremum between two of 400 points
+            assert 0.0 <= most - max(values) <= 1e-4
+
+
+def test_a_range_is_left_to_balls_where_it_says_nothing():
+    """Of a formula that is switched, of one beyond its domain, of an overflow nothing is said."""
+    graph = Graph()
+    x = graph.input("x0")
+    ways = [graph.node("floor", x), graph.node("sqrt", x), graph.node("exp", x)]
+    boxes = [(0.0, 0.5), (-1.0, 1.0), (0.0, 1e3)]
+    for way, box in zip(ways, boxes, strict=True):
+        assert IntervalProgram(graph, [way]).ranges({"x0": box}) is None
 
 
 def test_every_operation_of_a_graph_has_a_rule():

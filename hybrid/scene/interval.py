@@ -7,7 +7,8 @@ parameters are the floats that they are.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from math import inf
 from typing import Any
 
 import attrs
@@ -15,6 +16,7 @@ import attrs
 from ..extras import PROOFS, need
 from .graph import Graph
 from .python import needed
+from .ranges import RANGES, Range, unknown
 
 #: Bits of the balls' midpoints: rounding stays far below a double's.
 PRECISION = 96
@@ -139,6 +141,23 @@ class IntervalProgram:
             values, jumps = self._evaluate({name: ball(box[name]) for name in self.inputs})
         return [Enclosure(_finite(values[place]), not jumps[place]) for place in self._places]
 
+    def ranges(self, box: Mapping[str, Any]) -> list[Range] | None:
+        """Bounds of the roots in doubles, which cost less; None where they say nothing."""
+        values: list[Range] = []
+        try:
+            for step in self._steps:
+                if step.op == "input":
+                    given = box[step.given]
+                    found: Range | None = given if isinstance(given, tuple) else (given, given)
+                else:
+                    found = step.range(*[values[p] for p in step.places])
+                if found is None or not -inf < found[0] <= found[1] < inf:
+                    return None
+                values.append(found)
+        except (ValueError, OverflowError):
+            return None
+        return [values[place] for place in self._places]
+
     def _evaluate(self, inputs: Mapping[str, Any]) -> tuple[list[Any], list[bool]]:
         values: list[Any] = []
         jumps: list[bool] = []
@@ -160,7 +179,7 @@ class IntervalProgram:
 
 @attrs.frozen
 class _Step:
-    """A node made ready: its rule, the test whether it jumps, the places of its arguments."""
+    """A node made ready: its rules, the test whether it jumps, the places of its arguments."""
 
     op: str
     places: tuple[int, ...] = ()
@@ -168,21 +187,26 @@ class _Step:
     rule: Any = None
     jumps: Any = None
     strict: bool = True
+    range: Callable[..., Range | None] = unknown
 
 
 def _step(node: tuple[Any, ...], place: Mapping[int, int]) -> _Step:
     from .balls import BALLS, JUMPS, LIMITS, number
 
     op, *arguments = node
-    if op in ("input", "const"):
-        return _Step(op, given=arguments[0] if op == "input" else number(arguments[0]))
+    if op == "input":
+        return _Step(op, given=arguments[0])
+    if op == "const":
+        value = arguments[0]
+        return _Step(op, given=number(value), range=lambda: (value, value))
     if len(arguments) == 2 and arguments[0] == arguments[1]:
         if op in SAME:
             result = number(SAME[op])
             return _Step(op, (place[arguments[0]],), rule=lambda a: result)
         op, arguments = ("square", arguments[:1]) if op == "mul" else (op, arguments)
     places = tuple(place[a] for a in arguments)
-    return _Step(op, places, None, BALLS.get(op), JUMPS.get(op), op not in LIMITS)
+    quick = RANGES.get(op, unknown)
+    return _Step(op, places, None, BALLS.get(op), JUMPS.get(op), op not in LIMITS, quick)
 
 
 def _apply(step: _Step, args: list[Any]) -> tuple[Any, bool]:

@@ -217,16 +217,24 @@ def _bounded(tail: Tail, excess: float) -> bool:
 
 
 def _fits(look: _Look, stretch: _Stretch, excess: float) -> bool:
-    found = look.program.enclose(look.given | stretch.box())
-    if not all(each.defined for each in found):
-        return False
-    balls = [each.value for each in found]
+    box = look.given | stretch.box()
     values = np.array([look.at(*point) for point in stretch.points])
-    least, most = values.min(axis=0), values.max(axis=0)
-    room = most - least + excess * np.append(np.maximum(-least, most)[:-1], 1.0)
-    ends = zip(balls, (least - room).tolist(), (most + room).tolist(), strict=True)
-    near = all(a <= ball and ball <= b for ball, a, b in ends)
-    return near and bool(balls[0] < 0) and bool(balls[-1] <= 1.0 - LOSS)
+    low, high = values.min(axis=0).tolist(), values.max(axis=0).tolist()
+    sizes = [*map(max, [-a for a in low[:-1]], high), 1.0]
+    rooms = [b - a + excess * size for a, b, size in zip(low, high, sizes, strict=True)]
+    least = [a - room for a, room in zip(low, rooms, strict=True)]
+    most = [b + room for b, room in zip(high, rooms, strict=True)]
+    most[0], most[-1] = min(most[0], nextafter(0.0, -inf)), min(most[-1], 1.0 - LOSS)
+    ranges = look.program.ranges(box)
+    if ranges and all(map(_within, *zip(*ranges, strict=True), least, most)):
+        return True
+    found = look.program.enclose(box)
+    balls = [each.value for each in found]
+    return all(each.defined for each in found) and all(map(_within, balls, balls, least, most))
+
+
+def _within(low: Any, high: Any, least: float, most: float) -> bool:
+    return bool(least <= low) and bool(high <= most)
 
 
 @attrs.frozen(eq=False)
