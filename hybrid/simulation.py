@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from math import isfinite
 from time import perf_counter
 from typing import Any
 
@@ -197,8 +198,7 @@ def _trajectory(
         options["times"] = plan.samples[: len(samples)]
     assert driver.status is not None
     parameters = {p.name: getattr(model, p.name) for p in spec.parameters}
-    watched = (g for m in spec.modes for g in scene.field(m.name).guards)
-    guards = {g.edge: g for g in watched if g.kind != "window"}
+    guards = scene.guards
     contacts = [name for name, guard in guards.items() if guard.kind == "contact"]
     return Trajectory(
         spec,
@@ -209,7 +209,7 @@ def _trajectory(
         driver.status,
         options,
         samples,
-        guards,
+        dict(guards),
         [pair for name in contacts for pair in scene.pairs(name)],
         Hindsight(scene, driver.history, plan.memory, driver.record.log),
         versions=versions(),
@@ -391,7 +391,7 @@ def _times(t: Any) -> tuple[float, float]:
         t0, t1 = (real(v) for v in t)
     except (TypeError, ValueError):
         raise OptionError(f"t={t!r}: give (first, last) time") from None
-    if not (np.isfinite(t0) and np.isfinite(t1) and t1 > t0):
+    if not (isfinite(t0) and isfinite(t1) and t1 > t0):
         raise OptionError(f"t={t!r}: two finite times, the first before the last")
     return t0, t1
 
@@ -430,7 +430,7 @@ def _start(spec: Spec, start: Any) -> np.ndarray:
             raise StartError(
                 f"{spec.model}: start {state.name} has shape {array.shape}; {state.shape} is due"
             )
-        if not np.all(np.isfinite(array)):
+        if not np.isfinite(array).all():
             raise StartError(f"{spec.model}: start {state.name} = {value!r} is not finite")
         parts.append(array.reshape(-1))
     return np.concatenate(parts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import attrs
@@ -162,12 +163,12 @@ class Spec:
         """Shapes of the windows of the past, which follow the parameters in every trace."""
         return window_shapes(self.lags, self.dimension)
 
-    @property
+    @cached_property
     def dimension(self) -> int:
         """Length of the state vector."""
         return sum(state.size for state in self.states)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the states."""
         return tuple(state.name for state in self.states)

@@ -140,10 +140,12 @@ class Cycles:
 
     def plain(self, lengths: np.ndarray) -> bool:
         """Whether no flight of several in a row is so short that it may be idle; noted if so."""
-        longest = np.maximum.accumulate(np.append(self.longest, lengths))
-        if not np.all(lengths > SHORT * longest[:-1]):
-            return False
-        self.longest = float(longest[-1])
+        longest = self.longest
+        for length in lengths.tolist():
+            if not length > SHORT * longest:
+                return False
+            longest = max(longest, length)
+        self.longest = longest
         return True
 
     def room(self, times: np.ndarray) -> int:

@@ -61,8 +61,7 @@ class Driver:
         self.solver, self.plan, self.history = solver, plan, history
         self.watchful = Watchful(solver, plan.watchful, plan.shaken)
         self.wary = plan.watchful is not None
-        contacts = [e.name for e in scene.spec.transitions if scene.is_contact(e.name)]
-        self.record = Recorder(plan, frozenset(contacts))
+        self.record = Recorder(plan, scene.contacts)
         self.status: Status | None = None
         self.watch = Watch()
         self.cycles = Cycles()

@@ -66,6 +66,8 @@ def solve(matrix: list[list[Any]], right: list[Any]) -> list[Any]:
     """A few linear equations by elimination, written out (the matrix is definite)."""
     rows = [[*row, value] for row, value in zip(matrix, right, strict=True)]
     size = len(rows)
+    if size == 1:
+        return [rows[0][1] / rows[0][0]]
     for k in range(size):
         for i in range(k + 1, size):
             factor = rows[i][k] / rows[k][k]

@@ -7,7 +7,7 @@ Nothing is made for a mode that a run does not enter.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import cached_property, lru_cache, partial
 from typing import Any
 
@@ -266,12 +266,14 @@ class Scene:
         mode, held = parted(name)
         return all(each in self.modes for each in (mode, *(rest_name(mode, (c,)) for c in held)))
 
-    def name(self, mode: str, held: Iterable[str]) -> str:
+    def name(self, mode: str, held: Collection[str]) -> str:
         """The arc mode of a mode with contacts held, these in declared order."""
+        if not held:
+            return mode
         order = [edge.name for edge in self.spec.leaving(mode) if edge.name in set(held)]
         return rest_name(mode, tuple(order))
 
-    def field(self, name: str, touching: Iterable[str] = ()) -> Field:
+    def field(self, name: str, touching: Collection[str] = ()) -> Field:
         """The field of a mode, or of a resting mode ``"mode.rest(contact, ...)"``.
 
         ``touching``: contacts from which a flight begins. A gap that has a corner at zero, as a
@@ -281,6 +283,8 @@ class Scene:
         if name not in self._fields:
             self._fields[name] = self._make_field(name, *parted(name))
         field = self._fields[name]
+        if not touching:
+            return field
         graph = self.code.mode(field.mode)
         corners = frozenset(contact for contact in touching if graph.cornered(contact))
         return field.once(corners, lambda: self._touching(field, corners)) if corners else field  # type: ignore[no-any-return]
@@ -432,7 +436,18 @@ class Scene:
 
     def is_contact(self, edge: str) -> bool:
         """Whether an edge's name is that of a contact."""
-        return any(isinstance(e, ContactSpec) and e.name == edge for e in self.spec.transitions)
+        return edge in self.contacts
+
+    @cached_property
+    def contacts(self) -> frozenset[str]:
+        """Names of the contacts."""
+        return frozenset(e.name for e in self.spec.transitions if isinstance(e, ContactSpec))
+
+    @cached_property
+    def guards(self) -> dict[str, Guard]:
+        """The guards of the modes by edge, ends of windows left out."""
+        watched = (guard for mode in self.spec.modes for guard in self.field(mode.name).guards)
+        return {guard.edge: guard for guard in watched if guard.kind != "window"}
 
     def pairs(self, contact: str) -> list[tuple[int, int]]:
         """Places of a contact's positions and of their velocities."""
@@ -478,9 +493,10 @@ def _scene(cls: Any, shapes: tuple[tuple[int, ...], ...], values: tuple[float, .
 def scene_of(model: Any) -> Scene:
     """The scene of a model; models of equal parameters share one."""
     cls: Any = type(model)
-    windows = blank(cls.spec.lags, cls.spec.dimension)
-    shapes = tuple(tuple(v.shape) for v in model.parameters)
-    return _scene(cls, shapes, tuple(flat([*model.parameters, *windows])))
+    windows = blank(cls.spec.lags, cls.spec.dimension) if cls.spec.lags else []
+    parameters = model.parameters
+    shapes = tuple(v.shape for v in parameters)
+    return _scene(cls, shapes, tuple(flat([*parameters, *windows])))
 
 
 def rest_name(mode: str, held: tuple[str, ...]) -> str:

@@ -383,4 +383,4 @@ def polynomial_and_slope(coefficients: Sequence[float], s: float) -> tuple[float
 
 def flat(parameters: Sequence[Any]) -> list[float]:
     """All elements of the parameters as one list of floats."""
-    return [float(v) for p in parameters for v in np.asarray(p, dtype=float).reshape(-1)]
+    return [v for p in parameters for v in np.asarray(p, dtype=float).ravel().tolist()]
