@@ -21,6 +21,7 @@ from ..segment import Segment
 from ..solvers import Solver, Stepper
 from ..zeno.flight import falls
 from .entry import MOVES, Entry, beyond_kinks, describe, expand, opened
+from .pace import Pace
 from .plan import Plan
 
 #: A step never spans more than this many time scales of a guard that is no polynomial.
@@ -100,6 +101,7 @@ class ArcFlow:
 
     def _run(self) -> Flown:
         length = self.now.until(self.until)
+        self.pace = Pace(self.field, self.now.t, length)
         target = self.predict(length)
         self._begin_guards()
         stepper = self._begin(length, target)
@@ -217,8 +219,9 @@ class ArcFlow:
         try:
             while (most := self.plan.longest(stepper.tau)) < length - stepper.tau:
                 stepper.step(stepper.tau + most)
-                self.made += 1
-            self.made += stepper.finish(length)
+                self._count(stepper, 1)
+            while stepper.tau < length:
+                self._count(stepper, stepper.finish(length))
         except FlowError as fault:
             raise FlowError(f"{self._where(stepper.tau, stepper.x)}: {fault}") from None
         return Flown(None, stepper.tau, stepper.x, [], [], steps=self.made)
@@ -227,9 +230,13 @@ class ArcFlow:
         tau, x = stepper.tau, stepper.x
         try:
             stepper.step(limit)
+            self._count(stepper, 1)
         except FlowError as fault:
             raise FlowError(f"{self._where(tau, x)}: {fault}") from None
-        self.made += 1
+
+    def _count(self, stepper: Stepper, steps: int) -> None:
+        self.made += steps
+        self.pace.steps(stepper.tau, stepper.x, steps)
 
     def first_step(self, length: float) -> float | None:
         """Where the first term that the method neglects reaches the tolerance, or what is asked."""

@@ -29,6 +29,7 @@ from ..scene import Field
 from ..segment import nodes
 from ..solvers import Stepper
 from .entry import describe
+from .pace import Pace
 
 if TYPE_CHECKING:
     from .driver import Driver
@@ -47,6 +48,7 @@ class Outside:
     """
 
     stepper: Stepper
+    pace: Pace
 
     def __init__(self, driver: Driver, fields: list[Field], dense: bool) -> None:
         self.driver, self.fields, self.dense = driver, fields, dense
@@ -63,6 +65,7 @@ class Outside:
             if not now.ints[MADE]:
                 self._begin_arc(now, room)
             self.stepper.step(float(now.floats[TO_TAU]))
+            self.pace.steps(self.stepper.tau, self.stepper.x)
         self.arcs.append(int(now.ints[JUMPS]))
         self._show(now, room)
 
@@ -95,6 +98,7 @@ class Outside:
             first = min(first or aim, aim)
         field, t, x = self.fields[now.ints[FIELD]], float(now.floats[T]), now.x.copy()
         self.stepper = self.driver.solver.begin(field, t, x, length, first or None, sizes)
+        self.pace = Pace(field, t, length)
 
     def _show(self, now: Now, room: Room) -> None:
         """Tell the loop of the step: its end, the state there, and its polynomial."""

@@ -13,8 +13,8 @@ Contract (held by ``tests/contract``)
 * ``land(tau)`` replaces the last step by one that ends at ``tau``, inside it, as
   accurately as the method can, and returns its segment. The arc ends there: ``step`` is
   not called again.
-* ``finish(length)`` makes all steps to the end at once, where nobody looks at them, and returns
-  how many.
+* ``finish(length)`` makes one step or many towards the end, where nobody looks at them, and
+  returns how many.
 * A flow that is not finite, or a step that cannot be made, raises
   :class:`~hybrid.errors.FlowError` with the time and state; the driver adds the mode.
 """
@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import FlowError, OptionError
+from ..errors import OptionError
 from ..reals import real, reals
 from ..segment import Segment, to_powers
 
@@ -38,45 +38,11 @@ if TYPE_CHECKING:
 FINEST = 2.3e-14
 
 
-#: A flow is taken to swing ever faster up to a time that is never reached where, this many times
-#: in a row, twice as many steps have gone less than this share as far as those before them, counted
-#: from so many steps on, and at the last step's length more than so many are left. One that falls
-#: with a power p > 1 of the time left has shares 2^(-1/(p-1)): 1/2 for sin(1/x).
-ROWS, SHARE, COUNTED, LEFT = 4, 0.8, 512, 1e6
-
-
-class Pace:
-    """Watches the steps of an arc for such that become ever shorter: a force ``sin(1/x)`` near 0.
-
-    The time gone in steps 512 to 1023, in 1024 to 2047, and so on grows where steps are of one
-    length, and is the same where they are as short as one over their number. Where it falls like a
-    geometric series the sum of all steps is finite.
-    """
-
-    def __init__(self) -> None:
-        self.count, self.due, self.falls = 0, COUNTED, 0
-        self.begun, self.gone = 0.0, 0.0
-
-    def step(self, start: float, end: float, length: float) -> None:
-        """Count a step of an arc of the given length.
-
-        Raises
-        ------
-        FlowError
-            Where they become ever shorter.
-        """
-        self.count += 1
-        if self.count < self.due:
-            return
-        gone = end - self.begun
-        self.falls = self.falls + 1 if self.due > COUNTED and gone < SHARE * self.gone else 0
-        self.begun, self.gone, self.due = end, gone, 2 * self.due
-        if self.falls >= ROWS and length - end > LEFT * (end - start):
-            raise FlowError(
-                f"the steps become ever shorter: {self.count} in this arc, the last of "
-                f"{end - start:.3g} with {length - end:.3g} to go; the flow swings faster and "
-                "faster towards a time, or a state, that it cannot pass"
-            )
+#: What is said where steps get stuck at a jump of the flow.
+LEADS_BACK = (
+    "where a flow that jumps (sign, where) leads back to the jump from both sides, declare "
+    "hy.switching"
+)
 
 
 def method_of(solver: str, method: str | None, known: Iterable[str]) -> str:
@@ -138,12 +104,9 @@ class Stepper(abc.ABC):
         """One accepted step, not beyond local time ``limit``."""
 
     def finish(self, length: float) -> int:
-        """All steps to the end of the arc, and how many; nobody asks for their segments."""
-        steps = 0
-        while self.tau < length:
-            self.step(length)
-            steps += 1
-        return steps
+        """As many steps at once as suit it, and how many; nobody asks for their segments."""
+        self.step(length)
+        return 1
 
     @abc.abstractmethod
     def segment(self) -> Segment:

@@ -280,20 +280,16 @@ class DiffraxStepper(Stepper):
 
     def finish(self, length: float) -> int:
         """Diffrax's own loop, so many attempts at a time."""
-        made = 0
         key = ("diffrax whole", self.field.name, self.method)
         whole = self.field.code.once(key, lambda: _whole(self.method, self.field))
-        while self.tau < length:
-            state = (self.tau, length, self.h, self.x)
-            tau, x, h, steps, rejected = whole(*self.fixed, *state, *self.tolerances)
-            self._count(rejected)
-            if not (self.tau < float(tau) and np.all(np.isfinite(x))):
-                self.step(length)  # which says what is wrong
-                made += 1
-            else:
-                self.tau, self.x, self.h = float(tau), np.asarray(x), float(h)
-                made += int(steps)
-        return made
+        state = (self.tau, length, self.h, self.x)
+        tau, x, h, steps, rejected = whole(*self.fixed, *state, *self.tolerances)
+        self._count(rejected)
+        if not (self.tau < float(tau) and np.all(np.isfinite(x))):
+            self.step(length)  # which says what is wrong
+            return 1
+        self.tau, self.x, self.h = float(tau), np.asarray(x), float(h)
+        return int(steps)
 
     def _count(self, rejected: Any) -> None:
         """Count attempts that failed, unless compiled streaks have left some out."""

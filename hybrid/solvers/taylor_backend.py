@@ -17,16 +17,13 @@ from ..rules.steps import NO_STEP
 from ..scene import Field
 from ..scene.lowered import ORDER
 from ..segment import Segment, from_powers
-from .base import Pace, Solver, Stepper
+from .base import LEADS_BACK, Solver, Stepper
 
 #: What is said where there is no step.
 REFUSED = {
     NO_SERIES: "the flow is not finite, or has no Taylor series",
     NOT_FINITE: "the flow is not finite",
-    NO_STEP: (
-        "the Taylor series does not converge: the step became zero; where a flow that "
-        "jumps (sign, where) leads back to the jump from both sides, declare hy.switching"
-    ),
+    NO_STEP: f"the Taylor series does not converge: the step became zero; {LEADS_BACK}",
 }
 
 
@@ -71,7 +68,7 @@ class TaylorStepper(Stepper):
         assert field.jets is not None
         self.solver = solver
         self.jets, self.held = field.jets, field.project is not None
-        self.t0, self.length, self.pace = t0, length, Pace()
+        self.t0, self.length = t0, length
         self.tau, self.x = 0.0, x0
         self.order, self.loss = solver.order, solver.loss(len(x0))
         self.room = field.jets.room(self.order)
@@ -91,7 +88,6 @@ class TaylorStepper(Stepper):
             unit("kinks").turn(programs, 0, crossed, self.room.c, sides)
         self._start, self._made = start, h
         self.tau, self.x = (limit if start + h >= limit else start + h), end
-        self.pace.step(start, self.tau, self.length)
 
     def land(self, tau: float) -> Segment:
         """The same series, cut at ``tau``."""

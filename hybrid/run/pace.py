@@ -1,0 +1,83 @@
+"""Steps that will not get to the end: ever shorter, or back and forth over a jump of the flow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import FlowError
+from ..scene import Field, Kink
+from ..solvers.base import LEADS_BACK
+
+#: A flow is taken to swing ever faster up to a time that is never reached where, this many times
+#: in a row, twice as many steps have gone less than this share as far as those before them, counted
+#: from so many steps on, and at the last step's length more than so many are left. One that falls
+#: with a power p > 1 of the time left has shares 2^(-1/(p-1)): 1/2 for sin(1/x).
+ROWS, SHARE, COUNTED, LEFT = 4, 0.8, 512, 1e6
+
+#: A method that goes back and forth over a jump of the flow is never further from it than a few of
+#: its steps.
+FEW = 4.0
+
+
+class Pace:
+    """Watches the steps of an arc.
+
+    For such that become ever shorter, as under a force ``sin(1/x)`` near 0: the time gone in steps
+    512 to 1023, in 1024 to 2047, and so on grows where steps are of one length, and is the same
+    where they are as short as one over their number. Where it falls like a geometric series the sum
+    of all steps is finite. And for such as go back and forth over a place where the flow jumps,
+    to which it leads back from both sides: there they stay as short as the tolerances.
+    """
+
+    def __init__(self, field: Field, t0: float, length: float) -> None:
+        self.field, self.t0, self.length = field, t0, length
+        self.count, self.due, self.falls = 0, COUNTED, 0
+        self.begun, self.gone, self.end = (0, 0.0), 0.0, 0.0
+
+    def steps(self, end: float, x: np.ndarray, count: int = 1) -> None:
+        """Count steps, of which the last has ended at a local time in a state.
+
+        Raises
+        ------
+        FlowError
+            Where they do not get to the end.
+        """
+        last, self.end, self.count = (end - self.end) / count, end, self.count + count
+        if self.count < self.due:
+            return
+        made, gone = self.count - self.begun[0], end - self.begun[1]
+        self.falls = self.falls + 1 if self.due > COUNTED and gone < SHARE * self.gone else 0
+        self.begun, self.gone, self.due = (self.count, end), gone, 2 * self.count
+        left, mean = self.length - end, gone / made
+        if left > LEFT * mean and any(self._leads_back(k, end, x, mean) for k in self._jumps()):
+            raise FlowError(f"after {self.count} steps the last are of {mean:.3g}: {LEADS_BACK}")
+        if self.falls >= ROWS and left > LEFT * last:
+            raise FlowError(
+                f"the steps become ever shorter: {self.count} in this arc, the last of "
+                f"{last:.3g} with {left:.3g} to go; the flow swings faster and "
+                "faster towards a time, or a state, that it cannot pass"
+            )
+
+    def _jumps(self) -> list[Kink]:
+        return [kink for kink in self.field.changes if kink.change == "jumps"]
+
+    def _leads_back(self, kink: Kink, tau: float, x: np.ndarray, h: float) -> bool:
+        """Whether the flow leads back, from both sides, to a jump of it that is next to a state."""
+        t, flow = self.t0 + tau, self._flow(self.t0 + tau, x)
+        value, rate = self._moves(kink, t, x, flow, h)
+        if not abs(value) <= FEW * h * abs(rate):
+            return False
+        zero = -value / rate if rate else 0.0
+        beside = [(t + zero + s, x + (zero + s) * flow) for s in (-h, h)]
+        sides = [np.sign(self._moves(kink, *there, self._flow(*there), h)) for there in beside]
+        return all(side == -way != 0.0 for side, way in sides) and sides[0][0] != sides[1][0]
+
+    def _flow(self, t: float, x: np.ndarray) -> np.ndarray:
+        return np.array(self.field.rhs(t, x.tolist()))
+
+    def _moves(
+        self, kink: Kink, t: float, x: np.ndarray, flow: np.ndarray, h: float
+    ) -> tuple[float, float]:
+        """What decides on the formula, and its rate along a flow."""
+        value, ahead = kink.value(t, x.tolist()), kink.value(t + h, (x + h * flow).tolist())
+        return value, (ahead - value) / h

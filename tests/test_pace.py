@@ -1,0 +1,64 @@
+"""Steps that do not get to the end are told apart from those that are many."""
+
+from contextlib import nullcontext
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+from hybrid.run.pace import COUNTED, Pace
+from hybrid.scene import scene_of
+
+SOLVERS = [
+    {"solver": "taylor"},
+    {"solver": "scipy", "method": "DOP853"},
+    {"solver": "scipy", "method": "LSODA"},
+    {"solver": "diffrax", "method": "Tsit5"},
+]
+
+
+class Stuck(hy.Automaton):
+    """Dry friction written as a flow that jumps: from both sides it leads back to ``v = 0``."""
+
+    x = hy.state()
+    v = hy.state()
+    scale = hy.parameter(1.0)
+
+    @hy.mode(initial=True)
+    def moving(self, t, s):
+        return s.v, -s.x - 0.1 * self.scale * jnp.sign(s.v)
+
+    wall = hy.contact(moving, gap=lambda self, t, s: s.x + 5.0 * self.scale, restitution=0.5)
+
+
+class Stiff(hy.Automaton):
+    """A stop as a stiff spring, whose force begins at zero, and a flow that jumps on."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode(initial=True)
+    def moving(self, t, s):
+        return s.v, -1.0 + 1e12 * jnp.maximum(-s.x, 0.0) + 0.5 * jnp.sign(s.v)
+
+
+@pytest.mark.parametrize("save", ["dense", "jumps"])
+@pytest.mark.parametrize("options", SOLVERS, ids=lambda o: o.get("method", o["solver"]))
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+def test_a_flow_that_leads_back_to_its_jump_ends_in_an_error(options, save, scale):
+    """No solver goes on for ever in steps as short as its tolerance; the remedy is named."""
+    start, options = {"x": scale, "v": 0.0}, {**options, "atol": 1e-10 * scale, "save": save}
+    with pytest.raises(hy.FlowError, match=r"Stuck, mode moving, t = 15\.7.*declare hy\.switching"):
+        hy.simulate(Stuck(scale=scale), start, (0.0, 1e3), rtol=1e-8, **options)
+
+
+@pytest.mark.parametrize(("model", "stuck"), [(Stuck(), True), (Stiff(), False)])
+def test_short_steps_alone_are_no_error(model, stuck):
+    """Next to a corner of a force, or over a jump to which one side does not lead, all is well."""
+    field = scene_of(model).field("moving")
+    for v in (-1e-12, 0.0, 1e-12):
+        pace = Pace(field, 0.0, 1.0)
+        with pytest.raises(hy.FlowError) if stuck else nullcontext():
+            for k in range(4 * COUNTED):
+                pace.steps(1e-10 * (k + 1), np.array([1e-12, v]))
