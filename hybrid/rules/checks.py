@@ -71,11 +71,10 @@ def follows(
         along(c, s, point)
         look(p, program, 0, t + s, point, False, sides, aside, work)
         _set_apart(p, program, aside)
-        look(p, program, 0, beside(t + s, point), point, False, sides, aside, work)
-        if not _directs(p, program, s, h, scale, fastest, c, aside):
-            return False
-        if not _decides(p, program, s, c, aside):
-            return False
+        if not _agrees(p, program, s, h, scale, fastest, c, aside):
+            look(p, program, 0, beside(t + s, point), point, False, sides, aside, work)
+            if not _agrees(p, program, s, h, scale, fastest, c, aside):
+                return False
     return True
 
 
@@ -196,6 +195,22 @@ def _rate(p: Programs, program: int, i: int, aside: Matrix, column: int) -> floa
     """The flow of an element of the state: the value of a row, or a number."""
     row = p.flow[p.index[program, FLOW] + i]
     return aside[row, column] if row >= 0 else p.numbers[-1 - row]
+
+
+def _agrees(
+    p: Programs,
+    program: int,
+    s: float,
+    h: float,
+    scale: float,
+    fastest: float,
+    c: Matrix,
+    aside: Matrix,
+) -> bool:
+    """Whether both hold; what rounding shows beside the point is nothing before that is read."""
+    if not _directs(p, program, s, h, scale, fastest, c, aside):
+        return False
+    return _decides(p, program, s, c, aside)
 
 
 def _directs(
