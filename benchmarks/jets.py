@@ -1,9 +1,10 @@
 """Taylor jets of a model that is a tape, beside the same recurrences written out as Python.
 
 ``first`` is from the traces of the class to the first jet at order 16 (rules loaded, nothing of
-the model made), ``jet`` one jet as the driver gets it, ``rule`` the rule alone. Written out,
-``first`` has the generation and compilation of the source in it, and where contacts are held the
-tracing of their forces. ``apart`` is the largest difference of a coefficient, relative to the
+the model made), ``jet`` one jet as the driver gets it, ``rule`` the rule alone; ``code`` is that
+with the program's own machine code, and what it takes to compile (too long ones are not). Written
+out, ``first`` has the generation and compilation of the source in it, and where contacts are held
+the tracing of their forces. ``apart`` is the largest difference of a coefficient, relative to the
 largest of its row.
 
     python benchmarks/jets.py
@@ -16,6 +17,7 @@ import numpy as np
 
 import hybrid as hy
 from hybrid.rules import unit
+from hybrid.scene import native
 from hybrid.scene.lowered import ORDER, Lowered
 from hybrid.scene.python import OPERATIONS
 
@@ -138,13 +140,22 @@ def written(cls, modes, held):
     return time.perf_counter() - begin, jets, x
 
 
-def rule_alone(jets, x):
+def rule_alone(jets, x, programs):
     """Time of the rule, without what is put around it."""
     tape = jets.tape
     sides, work = np.zeros(len(tape.kinks), dtype=np.int64), np.empty(tape.room)
     c, start = np.empty((tape.rows, ORDER + 1)), np.array(x)
-    rule, programs = unit("jets").jets, jets.alone
+    rule = unit("jets").jets
     return timed(lambda: rule(programs, 0, ORDER, 0.3, start, sides, c, work))
+
+
+def coded(jets, x):
+    """Time to compile the program, and of the rule with its code; NaN where it is too long."""
+    programs = jets.alone._replace(code=np.zeros(1, dtype=np.int64))
+    begin = time.perf_counter()
+    native.compile_all(programs)
+    took = time.perf_counter() - begin
+    return (took, rule_alone(jets, x, programs)) if programs.code[0] else (np.nan, np.nan)
 
 
 def row(cls, modes, held):
@@ -156,7 +167,10 @@ def row(cls, modes, held):
     plain = timed(lambda: out(0.3, x))
     ours, theirs = np.array(jets(0.3, x, sides, ORDER)[0]), np.array(out(0.3, x)[0])
     apart = np.max(np.abs(ours - theirs) / np.abs(ours).max(axis=1, keepdims=True))
-    return 1e3 * first, 1e6 * jet, 1e6 * rule_alone(jets, x), 1e3 * other, 1e6 * plain, apart
+    alone = 1e6 * rule_alone(jets, x, jets.alone)
+    compiled, code = coded(jets, x)
+    tape = 1e3 * first, 1e6 * jet, alone, 1e3 * compiled, 1e6 * code
+    return *tape, 1e3 * other, 1e6 * plain, apart
 
 
 def main():
@@ -168,8 +182,9 @@ def main():
         f"{BEADS} contacts held": (column(BEADS), ["falls"], True),
     }
     unit("jets").jets  # noqa: B018  the rules are loaded once for a process
-    heads = "first ms", "jet us", "rule us", "first ms", "jet us", "apart"
-    print(f"{'':>18} {'tape':>32} {'written out':>21}")
+    native.operation()
+    heads = "first ms", "jet us", "rule us", "code ms", "code us", "first ms", "jet us", "apart"
+    print(f"{'':>18} {'tape':>54} {'written out':>21}")
     print(f"{'':>18}" + "".join(f" {head:>10}" for head in heads))
     for name, model in models.items():
         print(f"{name:>18}" + "".join(f" {value:10.3g}" for value in row(*model)), flush=True)

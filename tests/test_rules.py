@@ -181,6 +181,35 @@ def test_garbage_is_collected_again():
     assert gc.isenabled()
 
 
+ONE = """
+from __future__ import annotations
+
+__all__ = ("one",)
+
+EXACT = True
+
+TEXT = True
+
+
+def one(x: float, y: float) -> float:
+    return x * y + y
+"""
+
+
+def test_a_rule_may_be_kept_in_the_language_of_llvm(toy):
+    """It is put down once, and where the file says that it is exact nothing may be contracted."""
+    (toy / "toy" / "one.py").write_text(ONE)
+    code = (
+        "from hybrid.rules.load import Library\n"
+        "text = Library('toy').text('one')\n"
+        "print('define' in text, 'fmul double' in text, 'contract' in text)"
+    )
+    said, line = done(started(toy, code))
+    assert said == "True True False"
+    assert "compiling" in line
+    assert done(started(toy, code)) == (said, "")
+
+
 def test_a_lock_of_a_killed_process_does_not_block(toy):
     """A process that dies while it holds the lock gives it back."""
     (toy / "cache").mkdir()

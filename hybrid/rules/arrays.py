@@ -36,6 +36,8 @@ class Programs(NamedTuple):
         The derivative of each state; none in a program that is for values only.
     affine : Ints
         For each output 1 if it is affine in time and state, else 0.
+    code : Ints
+        For each program the address of its own machine code (:mod:`hybrid.scene.native`), or 0.
     """
 
     index: Table
@@ -47,6 +49,7 @@ class Programs(NamedTuple):
     output: Ints
     flow: Ints
     affine: Ints
+    code: Ints
 
 
 class Automaton(NamedTuple):

@@ -1,9 +1,6 @@
 """Taylor jets of a model that is a tape: its operations are read once for each order.
 
-The coefficients of what moves are the rows of ``c``, lowest order first; what does not move is a
-number in ``s``. An operation names them by one number: a row, or ``-1 - i`` for ``s[i]``. The
-recurrences are those of ``docs/notes/tape.md``. A coefficient that does not exist is NaN, and stays
-so wherever it is used.
+Rows, numbers and the operations on them are those of :mod:`.operations`.
 """
 
 from __future__ import annotations
@@ -11,31 +8,16 @@ from __future__ import annotations
 import math
 
 from .arrays import Floats, Ints, Matrix, Programs, Table
+from .operations import integrate, operate
 
 __all__ = ("jets", "steady", "values")
+
+#: A product and a sum are never one operation: a program's own machine code gives the same bits.
+EXACT = True
 
 # Columns of the index of programs: where its operations, kinks, outputs and flow begin. Behind each
 # is where they end.
 OPS, KINKS, OUTPUT, FLOW = 0, 2, 4, 6
-
-# Operations, as the first number of each row of ``ops``; then come the row that is written, and
-# the arguments. They are in groups, each with its own function below.
-COPY, ADD, SUB, NEG, MUL, SQUARE, SCALE, DIV = 0, 1, 2, 3, 4, 5, 6, 7
-SUM, DOT, SOLVE = 8, 9, 10
-GT, GE, LT, LE, EQ, NE = 11, 12, 13, 14, 15, 16
-AND, OR, XOR, NOT, FINITE = 17, 18, 19, 20, 21
-SELECT, NEAREST, FLOOR = 22, 23, 24
-POW, SQRT, CBRT = 25, 26, 27
-SINE, SINH = 28, 29
-EXP, EXP2, EXPM1, LOG, LOG1P, TAN, TANH, LOGISTIC = 30, 31, 32, 33, 34, 35, 36, 37
-ASIN, ACOS, ATAN, ASINH, ACOSH, ATANH, ERF, ERFC = 38, 39, 40, 41, 42, 43, 44, 45
-ATAN2, LGAMMA = 46, 47
-
-#: Beyond this the exponential is more than a double can be.
-LARGEST = 709.782712893384
-
-#: From here on every double is a whole number.
-WHOLE = 4503599627370496.0
 
 
 def jets(
@@ -67,19 +49,16 @@ def jets(
         0, or -1 where a coefficient of a state or of an output does not exist.
     """
     n = x.shape[0]
-    first, last = p.index[program, OPS], p.index[program, OPS + 1]
-    flow, flows = p.index[program, FLOW], p.index[program, FLOW + 1] > p.index[program, FLOW]
     for i in range(n):
         c[i, 0] = x[i]
     c[n, 0] = t
     for k in range(1, order + 1):
         c[n, k] = 1.0 if k == 1 else 0.0
     for _ in range(p.index[program, KINKS + 1] - p.index[program, KINKS] + 1):
-        for k in range(order + 1):
-            _read(p.ops, first, last, p.more, p.numbers, sides, c, work, k)
-            if k < order and flows:
-                for i in range(n):
-                    c[i, k + 1] = _at(c, p.numbers, p.flow[flow + i], k) / (k + 1)
+        if p.code[program] != 0:
+            run_code(p.code[program], order, p.more, p.numbers, sides, c, work)
+        else:
+            _recur(p, program, order, sides, c, work)
         if not _decided(p, program, order, sides, c):
             break
     for i in range(n):
@@ -123,6 +102,26 @@ def steady(ops: Table, more: Ints, sides: Ints, s: Matrix, work: Floats) -> int:
     return 0
 
 
+def run_code(
+    address: int, order: int, more: Ints, s: Floats, sides: Ints, c: Matrix, work: Floats
+) -> None:
+    """Do as :func:`_recur` by a program's own machine code, which plain Python never has.
+
+    The loader puts a call of the address in the place of this text.
+    """
+
+
+def _recur(p: Programs, program: int, order: int, sides: Ints, c: Matrix, work: Floats) -> None:
+    """All rows, order by order: what the flow is at one gives the states at the next."""
+    first, last = p.index[program, OPS], p.index[program, OPS + 1]
+    flow = p.index[program, FLOW]
+    for k in range(order + 1):
+        _read(p.ops, first, last, p.more, p.numbers, sides, c, work, k)
+        if k < order:
+            for i in range(p.index[program, FLOW + 1] - flow):
+                integrate(i, p.flow[flow + i], p.numbers, c, k)
+
+
 def _missing(c: Matrix, row: int, order: int) -> bool:
     k = 0
     while k < order and not math.isnan(c[row, k]):
@@ -161,390 +160,17 @@ def _read(
 ) -> None:
     """All operations of a program, at order ``k``."""
     for j in range(first, last):
-        op = ops[j, 0]
-        if op <= DIV:
-            _arithmetic(ops, j, s, c, k)
-        elif op <= DOT:
-            _total(ops, j, more, s, c, k)
-        elif op == SOLVE:
-            _solve(ops, j, more, s, c, work, k)
-        elif op <= FINITE:
-            _flag(ops, j, s, sides, c, k)
-        elif op <= FLOOR:
-            _piece(ops, j, s, sides, c, k)
-        elif op <= CBRT:
-            c[ops[j, 1], k] = _power(ops, j, s, c, k)
-        elif op <= SINH:
-            _pair(ops, j, c, k)
-        elif op <= ERFC:
-            _chain(ops, j, c, k)
-        elif op == ATAN2:
-            _angle(ops, j, more, s, sides, c, k)
-        else:
-            c[ops[j, 1], k] = _lgamma(c[ops[j, 2], 0]) if k == 0 else math.nan
-
-
-def _at(c: Matrix, s: Floats, r: int, k: int) -> float:
-    """A coefficient of an argument."""
-    if r >= 0:
-        return c[r, k]
-    return s[-1 - r] if k == 0 else 0.0
-
-
-def _ratio(a: float, b: float) -> float:
-    return a / b if b != 0.0 else math.nan
-
-
-# -- arithmetic ------------------------------------------------------------------------------
-
-
-def _arithmetic(ops: Table, j: int, s: Floats, c: Matrix, k: int) -> None:
-    op, out, a, b = ops[j, 0], ops[j, 1], ops[j, 2], ops[j, 3]
-    if op == ADD:
-        c[out, k] = _at(c, s, a, k) + _at(c, s, b, k)
-    elif op == SUB:
-        c[out, k] = _at(c, s, a, k) - _at(c, s, b, k)
-    elif op == MUL:
-        c[out, k] = _product(c, a, b, 0, k)
-    elif op == SCALE:
-        c[out, k] = _at(c, s, b, 0) * c[a, k]
-    elif op == SQUARE:
-        c[out, k] = _square(c, a, k)
-    elif op == DIV:
-        c[out, k] = _quotient(c, s, out, a, b, k)
-    elif op == NEG:
-        c[out, k] = -_at(c, s, a, k)
-    else:
-        c[out, k] = _at(c, s, a, k)
-
-
-def _product(c: Matrix, a: int, b: int, first: int, k: int) -> float:
-    """The sum of ``a_i b_{k-i}`` from ``i = first``."""
-    total = 0.0
-    for i in range(first, k + 1):
-        total += c[a, i] * c[b, k - i]
-    return total
-
-
-def _square(c: Matrix, a: int, k: int) -> float:
-    total = 0.0
-    for i in range((k + 1) // 2):
-        total += c[a, i] * c[a, k - i]
-    total *= 2.0
-    if k % 2 == 0:
-        total += c[a, k // 2] * c[a, k // 2]
-    return total
-
-
-def _quotient(c: Matrix, s: Floats, y: int, a: int, b: int, k: int) -> float:
-    """``y = a / b`` by ``b y = a``."""
-    if b < 0:
-        return _ratio(_at(c, s, a, k), s[-1 - b])
-    return _ratio(_at(c, s, a, k) - _product(c, b, y, 1, k), c[b, 0])
-
-
-def _total(ops: Table, j: int, more: Ints, s: Floats, c: Matrix, k: int) -> None:
-    """A sum of many, or of products of many pairs."""
-    op, out, first, count = ops[j, 0], ops[j, 1], ops[j, 2], ops[j, 3]
-    total = 0.0
-    if op == SUM:
-        for i in range(first, first + count):
-            total += _at(c, s, more[i], k)
-    else:
-        for i in range(first, first + 2 * count, 2):
-            total += _times(c, s, more[i], more[i + 1], 0, k)
-    c[out, k] = total
-
-
-def _times(c: Matrix, s: Floats, a: int, b: int, first: int, k: int) -> float:
-    """The sum of ``a_i b_{k-i}`` from ``i = first``; if one is steady, ``a`` is."""
-    if a >= 0:
-        return _product(c, a, b, first, k)
-    return s[-1 - a] * _at(c, s, b, k) if first == 0 else 0.0
-
-
-# -- equations of contact forces -------------------------------------------------------------
-
-
-def _solve(ops: Table, j: int, more: Ints, s: Floats, c: Matrix, work: Floats, k: int) -> None:
-    """``A y = b`` among those that count; the others are 0.
-
-    ``more`` has the matrix, the right side, and what counts: it is 0 where an unknown is none. The
-    matrix is factorised at order 0 and used at every order: ``A_0 y_k = b_k - sum A_i y_{k-i}``.
-    """
-    out, first, n, room = ops[j, 1], ops[j, 2], ops[j, 3], ops[j, 4]
-    mask = first + n * n + n
-    if k == 0:
-        for i in range(n):
-            for m in range(n):
-                work[room + i * n + m] = _at(c, s, more[first + i * n + m], 0)
-        _factorise(work, room, n, more, mask, c, s)
-    for i in range(n):
-        c[out + i, k] = 0.0
-    for i in range(n):
-        if _at(c, s, more[mask + i], 0) != 0.0:
-            total = _at(c, s, more[first + n * n + i], k)
-            for m in range(n):
-                a = more[first + i * n + m]
-                if a >= 0 and k > 0:
-                    total -= _product(c, a, out + m, 1, k)
-            work[room + n * n + i] = total
-    _substitute(work, room, n, more, mask, c, s, out, k)
-
-
-def _factorise(
-    work: Floats, room: int, n: int, more: Ints, mask: int, c: Matrix, s: Floats
-) -> None:
-    """Lower and upper triangle in place; the matrix is definite, so that no rows are exchanged."""
-    for p in range(n):
-        if _at(c, s, more[mask + p], 0) == 0.0:
-            continue
-        for i in range(p + 1, n):
-            if _at(c, s, more[mask + i], 0) == 0.0:
-                continue
-            factor = _ratio(work[room + i * n + p], work[room + p * n + p])
-            work[room + i * n + p] = factor
-            for m in range(p + 1, n):
-                work[room + i * n + m] -= factor * work[room + p * n + m]
-
-
-def _substitute(
-    work: Floats,
-    room: int,
-    n: int,
-    more: Ints,
-    mask: int,
-    c: Matrix,
-    s: Floats,
-    out: int,
-    k: int,
-) -> None:
-    right = room + n * n
-    for i in range(n):
-        if _at(c, s, more[mask + i], 0) != 0.0:
-            for p in range(i):
-                if _at(c, s, more[mask + p], 0) != 0.0:
-                    work[right + i] -= work[room + i * n + p] * work[right + p]
-    for i in range(n - 1, -1, -1):
-        if _at(c, s, more[mask + i], 0) != 0.0:
-            total = work[right + i]
-            for p in range(i + 1, n):
-                if _at(c, s, more[mask + p], 0) != 0.0:
-                    total -= work[room + i * n + p] * c[out + p, k]
-            c[out + i, k] = _ratio(total, work[room + i * n + i])
-
-
-# -- what switches ---------------------------------------------------------------------------
-
-
-def _flag(ops: Table, j: int, s: Floats, sides: Ints, c: Matrix, k: int) -> None:
-    """Comparisons and logic: 1 or 0, which does not move."""
-    if k > 0:
-        c[ops[j, 1], k] = 0.0
-        return
-    op, a, b = ops[j, 0], _at(c, s, ops[j, 2], 0), _at(c, s, ops[j, 3], 0)
-    kink = ops[j, 4]
-    if op <= NE and kink >= 0 and sides[kink] != 0:
-        a, b = float(sides[kink]), 0.0
-    if op == GT:
-        flag = a > b
-    elif op == GE:
-        flag = a >= b
-    elif op == LT:
-        flag = a < b
-    elif op == LE:
-        flag = a <= b
-    elif op == EQ:
-        flag = a == b
-    elif op == NE:
-        flag = a != b
-    elif op == AND:
-        flag = a != 0.0 and b != 0.0
-    elif op == OR:
-        flag = a != 0.0 or b != 0.0
-    elif op == XOR:
-        flag = (a != 0.0) != (b != 0.0)
-    elif op == NOT:
-        flag = a == 0.0
-    else:
-        flag = math.isfinite(a)
-    c[ops[j, 1], 0] = 1.0 if flag else 0.0
-
-
-def _piece(ops: Table, j: int, s: Floats, sides: Ints, c: Matrix, k: int) -> None:
-    """A choice by a flag; whole numbers below something that moves."""
-    op, out, a = ops[j, 0], ops[j, 1], ops[j, 2]
-    if op == SELECT:
-        chosen = ops[j, 3] if _at(c, s, a, 0) != 0.0 else ops[j, 4]
-        c[out, k] = _at(c, s, chosen, k)
-        return
-    whole, kink = _floor(c[a, 0] + 0.5), ops[j, 3]
-    if op == NEAREST:  # the distance from the nearest whole number
-        c[out, k] = c[a, 0] - whole if k == 0 else c[a, k]
-    elif k > 0:
-        c[out, k] = 0.0
-    elif kink < 0 or sides[kink] == 0:
-        c[out, 0] = _floor(c[a, 0])
-    else:
-        c[out, 0] = whole if sides[kink] > 0 else whole - 1.0
-
-
-def _floor(a: float) -> float:
-    """The whole number below; from ``WHOLE`` on every double is one."""
-    return float(math.floor(a)) if abs(a) < WHOLE else a
-
-
-def _is_whole(a: float) -> bool:
-    return a == _floor(a)
-
-
-# -- powers and functions --------------------------------------------------------------------
-
-
-def _power(ops: Table, j: int, s: Floats, c: Matrix, k: int) -> float:
-    """``y = a^p`` by ``a y' = p a' y``, the power divided out by which ``a`` vanishes."""
-    op, y, a = ops[j, 0], ops[j, 1], ops[j, 2]
-    p = 0.5 if op == SQRT else 1.0 / 3.0 if op == CBRT else _at(c, s, ops[j, 3], 0)
-    if p == 0.0:
-        return 1.0 if k == 0 else 0.0
-    zeros = 0
-    while zeros <= k and c[a, zeros] == 0.0:
-        zeros += 1
-    if zeros > k:
-        return 0.0 if p >= 1.0 or (p > 0.0 and k == 0) else math.nan
-    begin = p * zeros
-    if zeros > 0 and (not p >= 1.0 or not _is_whole(begin)):
-        return math.nan
-    if begin > k:
-        return 0.0
-    i = k - int(begin) if zeros > 0 else k
-    if i == 0:
-        return _root(op, c[a, zeros], p)
-    total = 0.0
-    for m in range(1, i + 1):
-        total += (p * m - (i - m)) * c[a, zeros + m] * c[y, k - m]
-    return _ratio(total, i * c[a, zeros])
-
-
-def _root(op: int, a: float, p: float) -> float:
-    """``a^p``, where ``a`` is not 0."""
-    if op == SQRT:
-        return math.sqrt(a) if a >= 0.0 else math.nan
-    if op == CBRT:
-        return _cube_root(a)
-    if a < 0.0 and not _is_whole(p):
-        return math.nan
-    if p * math.log(abs(a)) > LARGEST:
-        return math.inf if a > 0.0 or p == 2.0 * _floor(0.5 * p) else -math.inf
-    return math.pow(a, p)
-
-
-def _cube_root(a: float) -> float:
-    """By a power, and a step of Newton's."""
-    if not math.isfinite(a):
-        return a
-    y = math.copysign(math.pow(abs(a), 1.0 / 3.0), a)
-    return y - (y - a / y / y) / 3.0
-
-
-def _pair(ops: Table, j: int, c: Matrix, k: int) -> None:
-    """Sine and cosine, or the hyperbolic ones, each from the other."""
-    op, out, a, other = ops[j, 0], ops[j, 1], ops[j, 2], ops[j, 3]
-    if k > 0:
-        c[out, k] = _along(c, a, other, k)
-        turn = _along(c, a, out, k)
-        c[other, k] = -turn if op == SINE else turn
-    elif op == SINE:
-        inside = math.isfinite(c[a, 0])
-        c[out, 0] = math.sin(c[a, 0]) if inside else math.nan
-        c[other, 0] = math.cos(c[a, 0]) if inside else math.nan
-    elif abs(c[a, 0]) < LARGEST:
-        c[out, 0] = math.sinh(c[a, 0])
-        c[other, 0] = math.cosh(c[a, 0])
-    else:
-        c[out, 0] = math.copysign(math.inf, c[a, 0])
-        c[other, 0] = math.inf
-
-
-def _along(c: Matrix, a: int, slope: int, k: int) -> float:
-    """The coefficient of ``y`` where ``y' = slope a'``."""
-    total = 0.0
-    for i in range(1, k + 1):
-        total += i * c[a, i] * c[slope, k - i]
-    return total / k
-
-
-def _chain(ops: Table, j: int, c: Matrix, k: int) -> None:
-    """A function of one number, whose slope along it is a row."""
-    op, out, a = ops[j, 0], ops[j, 1], ops[j, 2]
-    if k > 0:
-        c[out, k] = _along(c, a, ops[j, 3], k)
-    elif op <= LOGISTIC:
-        c[out, 0] = _growing(op, c[a, 0])
-    else:
-        c[out, 0] = _inverse(op, c[a, 0])
-
-
-def _growing(op: int, a: float) -> float:
-    """Exponentials, logarithms, and tangents."""
-    if op == EXP:
-        return _exp(a)
-    if op == EXP2:
-        return math.pow(2.0, a) if a < 1024.0 else math.inf if a >= 1024.0 else math.nan
-    if op == EXPM1:
-        return math.expm1(a) if a <= LARGEST else _exp(a)
-    if op == LOG:
-        return math.log(a) if a > 0.0 else math.nan
-    if op == LOG1P:
-        return math.log1p(a) if a > -1.0 else math.nan
-    if op == TAN:
-        return math.tan(a) if math.isfinite(a) else math.nan
-    if op == TANH:
-        return math.tanh(a)
-    return 1.0 / (1.0 + _exp(-a)) if a >= 0.0 else 1.0 - 1.0 / (1.0 + _exp(a))
-
-
-def _exp(a: float) -> float:
-    return math.inf if a > LARGEST else math.exp(a)
-
-
-def _inverse(op: int, a: float) -> float:
-    """Inverse functions, and the integral of the bell."""
-    if op == ATAN:
-        return math.atan(a)
-    if op == ASINH:
-        return math.asinh(a)
-    if op == ERF:
-        return math.erf(a)
-    if op == ERFC:
-        return math.erfc(a)
-    if op == ACOSH:
-        return math.acosh(a) if a >= 1.0 else math.nan
-    if not -1.0 <= a <= 1.0:
-        return math.nan
-    if op == ASIN:
-        return math.asin(a)
-    if op == ACOS:
-        return math.acos(a)
-    return math.atanh(a) if abs(a) < 1.0 else math.nan
-
-
-def _lgamma(a: float) -> float:
-    """The logarithm of the gamma function, which has no recurrence."""
-    return math.lgamma(a) if a > 0.0 else math.nan
-
-
-def _angle(ops: Table, j: int, more: Ints, s: Floats, sides: Ints, c: Matrix, k: int) -> None:
-    """``atan2(y, x)``, by its slopes along ``y`` and ``x``; left of 0 it jumps where y is 0."""
-    out, y, x, first, kink = ops[j, 1], ops[j, 2], ops[j, 3], ops[j, 4], ops[j, 5]
-    if k > 0:
-        total = 0.0
-        for i in range(1, k + 1):
-            total += i * _at(c, s, y, i) * _at(c, s, more[first], k - i)
-            total += i * _at(c, s, x, i) * _at(c, s, more[first + 1], k - i)
-        c[out, k] = total / k
-        return
-    at_y = _at(c, s, y, 0)
-    if kink >= 0 and sides[kink] != 0:
-        at_y = math.copysign(at_y, float(sides[kink]))
-    c[out, 0] = math.atan2(at_y, _at(c, s, x, 0))
+        operate(
+            ops[j, 0],
+            ops[j, 1],
+            ops[j, 2],
+            ops[j, 3],
+            ops[j, 4],
+            ops[j, 5],
+            more,
+            s,
+            sides,
+            c,
+            work,
+            k,
+        )

@@ -55,8 +55,9 @@ KEPT, FRESH = 4, 86400.0
 BESIDE = "from {loader} import Library; Library({package!r}).compile({name!r})"
 
 #: What is put below the text of a rule file. A product and a sum may be contracted to one
-#: operation; nothing may assume that there is no NaN and no infinity. What Python calls has an
-#: explicit signature, so that a wrong array is refused, and is kept: other files call it as it is.
+#: operation where the file does not say ``EXACT = True``; nothing may assume that there is no NaN
+#: and no infinity. What Python calls has an explicit signature, so that a wrong array is refused,
+#: and is kept: other files call it as it is.
 #: What only rules of its own file call is compiled into them; before that, as text, where it calls
 #: other files: their machine code would be joined to that of each such rule, and optimised anew.
 #: Nothing is allocated, so that arrays need not be counted: that took more than half of the time of
@@ -65,19 +66,21 @@ FOOTER = """
 
 from numba import njit as _njit
 
+from {loader} import outside as _outside
 from {loader} import signature as _signature
 
-_options = {{"fastmath": {{"contract"}}, "error_model": "numpy", "nogil": True, "_nrt": False}}
+_options = {{"fastmath": {fast!r}, "error_model": "numpy", "nogil": True, "_nrt": False}}
 _options["no_cfunc_wrapper"] = True
 _inner = {{"forceinline": True, "no_cpython_wrapper": True, **_options}}
 _plain = {{name: globals()[name] for name in {functions!r}}}
 _how = {{name: "always" if name in {reaching!r} else "never" for name in _plain}}
 _rules = {{name: _njit(inline=_how[name], **_inner)(_plain[name]) for name in _plain}}
+_rules |= _outside(_rules)
 globals().update(_rules)
 called = {{}}
 for _name, _kinds in {arguments!r}.items():
     _types = _signature(_kinds, {package!r})
-    called[_name] = _njit(_types, cache=True, **_options)(_plain[_name])
+    called[_name] = _njit(_types, cache={kept!r}, **_options)(_plain[_name])
 globals().update(called)
 """
 
@@ -100,12 +103,24 @@ class Library:
         self.package, self.together = package, together
         self.unit = cache(self._unit)
 
-    def _unit(self, name: str) -> Any:
-        """The rules of one file that Python calls (those in its ``__all__``), by name."""
+    def how(self) -> str:
+        """How rules run: ``machine``, ``python`` or ``checked``."""
         how = os.environ.get("HYBRID_RULES", "machine")
         if how not in ("machine", "python", "checked"):
             raise ValueError(f"HYBRID_RULES={how!r}: choose machine, python or checked")
-        if how == "machine" and _has_numba():
+        return how if how != "machine" or _has_numba() else "python"
+
+    def text(self, name: str) -> str:
+        """What a unit that says ``TEXT = True`` is in LLVM's language."""
+        if not self._mark(name).exists():
+            with locked(self.folder / "lock"):
+                self._build_for(name)
+        return (self.folder / f"{name}.ll").read_text(encoding="utf-8")
+
+    def _unit(self, name: str) -> Any:
+        """The rules of one file that Python calls (those in its ``__all__``), by name."""
+        how = self.how()
+        if how == "machine":
             return SimpleNamespace(**self._compiled(name))
         module = import_module(f"{self.package}.{name}")
         plain = {rule: getattr(module, rule) for rule in module.__all__}
@@ -186,7 +201,8 @@ class Library:
         calls = self._calls(names)
         if os.cpu_count() != 1 and len(self._units(calls)) > 1:
             self._in_processes(calls)
-        self.compile(name)  # what failed fails here again, and says why
+        if not self._mark(name).exists():
+            self.compile(name)  # what failed fails here again, and says why
 
     def build(self) -> bool:
         """Compile every unit that is not compiled yet; whether that went well."""
@@ -196,8 +212,17 @@ class Library:
     def compile(self, name: str) -> None:
         """Compile a unit, and what it calls that is not compiled, in this process."""
         with uncollected():
-            self._imported(name)
+            called = self._imported(name)
+        if _said(ast.parse(self.sources[name]), "TEXT"):
+            self._put_down(name, called)
         self._mark(name).touch()
+
+    def _put_down(self, name: str, called: dict[str, Any]) -> None:
+        """Keep the text of a rule."""
+        (rule,) = called.values()
+        written = self.folder / f"{name}.{os.getpid()}"
+        written.write_text(rule.inspect_llvm(rule.signatures[0]), encoding="utf-8")
+        os.replace(written, self.folder / f"{name}.ll")
 
     def _mark(self, name: str) -> Path:
         """The file that says that a unit is compiled."""
@@ -267,6 +292,8 @@ def footer(text: str, package: str, sources: Mapping[str, str]) -> str:
     return FOOTER.format(
         loader=__name__,
         package=package,
+        fast=False if _said(tree, "EXACT") else {"contract"},
+        kept=not _said(tree, "TEXT"),
         functions=[f.name for f in functions],
         reaching=sorted(_reaching(tree, sources)),
         arguments={f.name: _annotations(f) for f in functions if f.name in public},
@@ -297,10 +324,15 @@ def _imports(tree: ast.Module) -> list[ast.ImportFrom]:
 
 def _public(tree: ast.Module) -> tuple[str, ...]:
     """What a file's ``__all__`` says."""
+    return tuple(_said(tree, "__all__") or ())
+
+
+def _said(tree: ast.Module, name: str) -> Any:
+    """The value of a name that a file gives itself."""
     for node in tree.body:
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
-            return tuple(ast.literal_eval(node.value))
-    return ()
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name:
+            return ast.literal_eval(node.value)
+    return None
 
 
 def _annotations(function: ast.FunctionDef) -> list[str]:
@@ -323,6 +355,41 @@ def signature(kinds: list[str], package: str) -> tuple[Any, ...]:
         return numba.types.NamedTuple(parts, named)
 
     return tuple(map(of, kinds))
+
+
+def outside(names: Iterable[str]) -> dict[str, Any]:
+    """Those of some rules that machine code has in another way than by their text."""
+    return {"run_code": _run_code()} if "run_code" in names else {}
+
+
+def _run_code() -> Any:
+    """The rule that calls machine code at an address, with a number and the data of arrays.
+
+    Behind the number it gets the length of the matrix's rows. An argument that were a function
+    would be slow: 100 us for a call from Python.
+    """
+    from llvmlite import ir
+    from numba import types
+    from numba.core.imputils import impl_ret_untracked
+    from numba.extending import intrinsic
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        address, order, *values = arguments
+        pairs = zip(signature.args[2:], values, strict=True)
+        arrays = [context.make_array(kind)(context, builder, value) for kind, value in pairs]
+        columns = builder.extract_value(arrays[3].shape, 1)
+        given = [order, columns, *(array.data for array in arrays)]
+        called = ir.FunctionType(ir.VoidType(), [value.type for value in given])
+        builder.call(builder.inttoptr(address, called.as_pointer()), given)
+        return impl_ret_untracked(context, builder, types.none, context.get_dummy_value())
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def run_code(
+        typing: Any, address: Any, order: Any, more: Any, s: Any, sides: Any, c: Any, work: Any
+    ) -> Any:
+        return types.none(address, order, more, s, sides, c, work), codegen
+
+    return run_code
 
 
 def cache_folder() -> Path:

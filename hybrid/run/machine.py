@@ -112,9 +112,10 @@ class Machine:
 
     def _expanded(self) -> None:
         """Add the expansions of a call, which are what Taylor's steps evaluate."""
-        solver = self.driver.solver
+        solver, made = self.driver.solver, int(self.ints[EXPANSIONS])
         if self.outside is None:
-            solver.evaluations = (solver.evaluations or 0) + int(self.ints[EXPANSIONS])
+            solver.evaluations = (solver.evaluations or 0) + made
+            self.tables.flown(made)
 
     def _advance(self, now: Now, room: Room, left: Left) -> int:
         """Call the loop, and make the steps that it asks for."""

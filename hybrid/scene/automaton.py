@@ -19,10 +19,15 @@ from ..rules.places import (
     TO,
     USES_END,
 )
+from .native import Native
 from .tape import Jets, Linked, room
 
 if TYPE_CHECKING:
     from .scene import Field, Guard, Scene
+
+#: Steps of runs after which programs are compiled: those of a small flow take as long as compiling
+#: it does, 0.1 s.
+HOT = 1 << 16
 
 Nodes = Callable[[], Sequence[int]]
 
@@ -53,6 +58,7 @@ class Tables:
         self._rows: list[list[int]] = []
         self._uses: list[int] = []
         self._made: Automaton | None = None
+        self._steps, self._native = 0, Native()
 
     def plain(self, number: int) -> bool:
         """Whether the rules' own loop may fly the arcs of a field."""
@@ -81,6 +87,12 @@ class Tables:
             guards = np.array(self._rows, dtype=np.int64).reshape(-1, USES_END + 1)
             self._made = Automaton(self._programs.programs(), fields, guards, uses)
         return self._made
+
+    def flown(self, steps: int) -> None:
+        """Count steps that runs have made; where they are many, go on compiling the programs."""
+        self._steps += steps
+        if self._steps > HOT:
+            self._native.go_on(self.automaton.programs)
 
     def room(self, order: int) -> Room:
         """Arrays to work in, for one run."""

@@ -22,7 +22,7 @@ import attrs
 import numpy as np
 
 from ..errors import TraceError
-from ..rules import jets as rule
+from ..rules import operations as rule
 from ..rules import unit
 from ..rules.arrays import Programs, Room
 from ..rules.zeros import SPARE
@@ -334,11 +334,11 @@ class Linked:
 
     def add(self, part: Jets) -> int:
         """Put a program behind the others, whose number is returned."""
-        ops, more, numbers, kinks, bands, output, flow, affine = _arrays(part)
+        ops, more, numbers, kinks, bands, output, flow, affine, code = _arrays(part)
         ends, move = self._ends, partial(_moved, by=self._ends[2])
         named, listed = NAMED[ops[:, 0]], LISTED[ops[:, 0]]
         ops = np.where(named, move(ops), ops + ends[1] * listed)
-        arrays = [ops, move(more), numbers, kinks, bands, output, move(flow), affine]
+        arrays = [ops, move(more), numbers, kinks, bands, output, move(flow), affine, code]
         self._ends = [end + len(array) for end, array in zip(ends, arrays, strict=True)]
         index = [place for i in (0, 3, 5, 6) for place in (ends[i], self._ends[i])]
         for column, array in zip(self._parts, [_table([index], 8), *arrays], strict=True):
@@ -365,7 +365,7 @@ def _arrays(part: Jets) -> list[np.ndarray]:
     tape = part.tape
     bands = np.array([(what.low, what.high) for what in tape.watched]).reshape(-1, 2)
     given = [tape.ops, tape.more, part.numbers, tape.kinks, bands]
-    return [*given, part.output, tape.flow, part.affine]
+    return [*given, part.output, tape.flow, part.affine, _ints([0])]
 
 
 def _moved(places: np.ndarray, by: int) -> np.ndarray:

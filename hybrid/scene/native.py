@@ -1,0 +1,240 @@
+"""Programs as machine code of their own, for runs that are long.
+
+A rule reads a program operation by operation (:mod:`hybrid.rules.jets`). Here the text of one
+operation, as LLVM has it from numba, is put in once for each of the program's with its numbers: all
+that they decide falls away, and the lengths of loops are left. Nothing is contracted and nothing is
+reckoned in another order, so that the code gives the bits that the rule gives
+(``docs/notes/tape.md``).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..rules import library
+from ..rules.arrays import Programs
+from ..rules.jets import FLOW, OPS
+from ..rules.operations import INTEGRAL
+
+#: A longer program is left to the rule: an operation takes 5 to 10 ms to compile, so that a process
+#: that ends never waits for a second.
+LONGEST = 64
+
+#: What an operation is given, by numba's names: its row, the arrays, and what makes up an array. As
+#: no index is below zero, of all lengths that of the matrix's rows alone is looked at.
+NUMBERS = tuple(f"arg.{name}" for name in ("op", "out", "a", "b", "d", "e"))
+ARRAYS = ("more", "s", "sides", "c", "work")
+PARTS = {"0": "null", "1": "null", "2": "0", "3": "8", "5.0": "0", "6.0": "8"}
+GIVEN = {
+    **dict.fromkeys(("retptr", "excinfo"), "%unused"),
+    **{f"arg.{name}.{part}": value for name in ARRAYS for part, value in PARTS.items()},
+    **{f"arg.{name}.4": f"%{name}" for name in ARRAYS},
+    **{"arg.c.5.1": "%columns", "arg.c.6.0": "%stride", "arg.c.6.1": "8"},
+}
+
+#: How the name begins of what Python calls, beside the rule itself.
+WRAPPER = "_ZN7cpython"
+
+#: The code of a program: for each order all its operations, then the next order of the states.
+PROGRAM = """
+declare i32 @{operation}({types})
+
+define void @program(i64 %order, i64 %columns, {arrays}) {{
+entry:
+  %unused = alloca i64
+  %stride = mul i64 %columns, 8
+{first}
+  %none = icmp slt i64 %order, 1
+  br i1 %none, label %done, label %second
+second:
+{flow}
+  br label %loop
+loop:
+  %k = phi i64 [1, %second], [%next, %more.orders]
+{ops}
+  %on = icmp slt i64 %k, %order
+  br i1 %on, label %more.orders, label %done
+more.orders:
+{flows}
+  %next = add nuw nsw i64 %k, 1
+  br label %loop
+done:
+  ret void
+}}
+"""
+
+
+class Operation(NamedTuple):
+    """One operation in LLVM's language.
+
+    Attributes
+    ----------
+    name : str
+    code : bytes
+    arguments : list of (type, name)
+        As numba has arranged them; an array is several.
+    """
+
+    name: str
+    code: bytes
+    arguments: list[tuple[str, str]]
+
+
+class Native:
+    """Has programs compiled behind a run, one after another.
+
+    One at a time, so that a process that ends waits for one at most.
+    """
+
+    def __init__(self) -> None:
+        self.asked = 0
+        self._going: Future[int] | None = None
+
+    def go_on(self, programs: Programs) -> None:
+        """Take up the code that is done, and ask for that of the next program."""
+        if self._going is not None and self._going.done():
+            programs.code[self.asked - 1] = self._going.result()
+            self._going = None
+        if self._going is None and self.asked < len(programs.code):
+            self._going = _thread().submit(address, *_content(programs, self.asked))
+            self.asked += 1
+
+
+def compile_all(programs: Programs, numbers: Iterable[int] | None = None) -> None:
+    """Compile programs now: all, or those with some numbers."""
+    for number in range(len(programs.code)) if numbers is None else numbers:
+        programs.code[number] = address(*_content(programs, number))
+
+
+@cache
+def _thread() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(1, "hybrid-native")
+
+
+def _content(programs: Programs, number: int) -> tuple[bytes, bytes]:
+    """The operations of a program, and the places of its flow."""
+    index = programs.index[number]
+    ops, flow = (slice(*index[begin : begin + 2]) for begin in (OPS, FLOW))
+    return programs.ops[ops].tobytes(), programs.flow[flow].tobytes()
+
+
+@cache
+def address(ops: bytes, flow: bytes) -> int:
+    """Where the code of a program is, as long as the process lasts; 0: it is left to the rule."""
+    rows = np.frombuffer(ops, dtype=np.int64).reshape(-1, 6).tolist()
+    fit = len(rows) <= LONGEST and library.how() == "machine"
+    rule = operation() if fit else None
+    if rule is None:
+        return 0
+    text = _text(rule, rows, np.frombuffer(flow, dtype=np.int64).tolist())
+    try:
+        engine = _compiled(rule, text)
+    except RuntimeError as error:
+        warnings.warn(f"LLVM makes no code of a model ({error})", stacklevel=2)
+        return 0
+    _KEPT.append(engine)
+    return int(engine.get_function_address("program")) if engine else 0
+
+
+#: Owners of the code.
+_KEPT: list[Any] = []
+
+
+# -- text ------------------------------------------------------------------------------------
+
+
+def _text(operation: Operation, rows: Sequence[Sequence[int]], flow: Sequence[int]) -> str:
+    """A program in LLVM's language."""
+    growth = [(INTEGRAL, i, place, 0, 0, 0) for i, place in enumerate(flow)]
+    return PROGRAM.format(
+        operation=operation.name,
+        types=", ".join(kind for kind, _ in operation.arguments),
+        arrays=", ".join(f"ptr noalias %{name}" for name in ARRAYS),
+        first=_calls(operation, rows, "0"),
+        flow=_calls(operation, growth, "0"),
+        ops=_calls(operation, rows, "%k"),
+        flows=_calls(operation, growth, "%k"),
+    )
+
+
+def _calls(operation: Operation, rows: Sequence[Sequence[int]], k: str) -> str:
+    """Operations at one order."""
+    lines = []
+    for row in rows:
+        values = {**GIVEN, **dict(zip(NUMBERS, row, strict=True)), "arg.k": k}
+        given = ", ".join(f"{kind} {values[name]}" for kind, name in operation.arguments)
+        lines.append(f"  call i32 @{operation.name}({given})")
+    return "\n".join(lines)
+
+
+# -- compiling -------------------------------------------------------------------------------
+
+
+@cache
+def operation() -> Operation | None:
+    """The operation, as the loader of the rules keeps it; None where numba has it otherwise."""
+    module = binding().parse_assembly(library.text("operation"))
+    own = [f for f in module.functions if not f.is_declaration and not f.name.startswith(WRAPPER)]
+    if len(own) != 1:
+        return None
+    arguments = [(str(argument.type), argument.name) for argument in own[0].arguments]
+    if {name for _, name in arguments} - {*GIVEN, *NUMBERS, "arg.k"}:
+        return None
+    for function in module.functions:
+        if not function.is_declaration and function.name != own[0].name:
+            function.linkage = "internal"
+    own[0].add_function_attribute("alwaysinline")
+    return Operation(own[0].name, module.as_bitcode(), arguments)
+
+
+@cache
+def binding() -> Any:
+    """LLVM, ready to make code for this machine."""
+    from llvmlite import binding
+
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    return binding
+
+
+def _compiled(operation: Operation, text: str) -> Any:
+    """What owns the code of a program; None where it calls a function that is not there."""
+    llvm = binding()
+    module = llvm.parse_assembly(text)
+    module.link_in(llvm.parse_bitcode(operation.code))
+    for function in module.functions:
+        if not function.is_declaration and function.name != "program":
+            function.linkage = "internal"
+    cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    machine = llvm.Target.from_default_triple().create_target_machine(
+        cpu, features, opt=1, jit=True
+    )
+    _optimise(module, machine)
+    called = [
+        f.name for f in module.functions if f.is_declaration and not f.name.startswith("llvm.")
+    ]
+    if any(llvm.address_of_symbol(name) is None for name in called):
+        return None
+    engine = llvm.create_mcjit_compiler(module, machine)
+    engine.finalize_object()
+    return engine
+
+
+def _optimise(module: Any, machine: Any) -> None:
+    """Put the operations in, and simplify what is left; no loop is unrolled or made of vectors."""
+    llvm = binding()
+    options = llvm.create_pipeline_tuning_options(speed_level=1)
+    options.loop_unrolling = options.loop_interleaving = False
+    options.loop_vectorization = options.slp_vectorization = False
+    builder = llvm.create_pass_builder(machine, options)
+    first = llvm.create_new_module_pass_manager()
+    first.add_always_inliner_pass()
+    first.add_global_dead_code_eliminate_pass()
+    first.run(module, builder)
+    builder.getModulePassManager().run(module, builder)

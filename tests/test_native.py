@@ -1,0 +1,136 @@
+"""Programs as machine code of their own give what the rule gives, to the last bit."""
+
+import time
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+from hybrid.rules import unit
+from hybrid.scene import automaton as tables
+from hybrid.scene import native
+from hybrid.scene.lowered import ORDER
+from hybrid.scene.scene import rest_name, scene_of
+from hybrid.scene.tape import linked
+
+from .test_advance import Duffing
+from .test_readers import EXPRESSIONS
+from .test_tape import CLASSES, _jets, _modes
+
+#: Programs for values that are longer take most of the time to compile and have nothing new.
+SHORT = 20
+
+
+def _read(programs, number, rows, state, sides, order):
+    """All rows of a program along a motion, and the sides of its kinks."""
+    t, x, motion = state
+    c, work = np.full((rows, order + 1), 0.5), np.empty(programs.ops.size + 64)
+    c[: len(x)] = motion[:, : order + 1]
+    sides = sides.copy()
+    status = unit("jets").jets(programs, number, order, t, x, sides, c, work)
+    return status, c, sides
+
+
+def _bits(c):
+    """All of a number but the sign of what is none, which no operation looks at."""
+    return np.where(np.isnan(c), np.nan, c).tobytes()
+
+
+def _held(programs, number, size, draw, orders=(0, 1, 2, 5, ORDER)):
+    """Hold the code of a program to the rule, at random states."""
+    begin, end = programs.index[number][:2]
+    assert begin == end or programs.code[number]
+    rows, kinks = 2 + programs.ops[:, 1].max(initial=size), programs.kinks.shape[0]
+    for order in orders:
+        x = draw.choice([draw.normal(size=size), np.zeros(size), np.arange(1.0, size + 1.0)])
+        state = float(draw.uniform(-1, 2)), x, draw.normal(size=(size, ORDER + 1))
+        sides = draw.integers(-1, 2, size=kinks)
+        made = _read(programs, number, rows + 64, state, sides, order)
+        other = programs._replace(code=np.zeros_like(programs.code))
+        expected = _read(other, number, rows + 64, state, sides, order)
+        assert made[0] == expected[0]
+        assert _bits(made[1]) == _bits(expected[1])
+        assert made[2].tolist() == expected[2].tolist()
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
+def test_every_program_of_a_model_gives_the_bits_of_the_rule(cls):
+    """Flows with their guards, contacts held, landings, impulses, at many orders."""
+    scene, draw = scene_of(cls()), np.random.default_rng(0)
+    own = tables.Tables(scene)
+    for name in _modes(scene):
+        own.number(scene.field(name))
+    programs = own.automaton.programs
+    for number, (begin, end, *_, flow, last) in enumerate(programs.index):
+        if flow < last or end - begin < SHORT:
+            native.compile_all(programs, [number])
+            _held(programs, number, scene.spec.dimension, draw)
+
+
+@pytest.mark.parametrize("name", EXPRESSIONS)
+def test_every_operation_gives_the_bits_of_the_rule(name):
+    """Functions, powers, vectors and matrices, and kinks on all their sides."""
+    programs, draw = linked([_jets(EXPRESSIONS[name])[1]]), np.random.default_rng(0)
+    native.compile_all(programs)
+    for _ in range(4):
+        _held(programs, 0, 2, draw)
+
+
+@pytest.mark.parametrize("save", ["jumps", "dense"])
+def test_a_long_run_is_the_same_with_its_own_machine_code_and_without(save, monkeypatch):
+    """Jump by jump to the last bit, whenever the code is done."""
+    start, span, options = {"x": 0.3, "v": 0.0}, (0.0, 300.0), {"solver": "taylor", "save": save}
+    expected = hy.simulate(Duffing(), start, span, **options)
+    scene = scene_of(Duffing())
+    monkeypatch.setattr(tables, "HOT", 0)
+    monkeypatch.setattr(scene, "tables", tables.Tables(scene))
+    made = hy.simulate(Duffing(), start, span, **options)
+    native.compile_all(scene.tables.automaton.programs)
+    own = hy.simulate(Duffing(), start, span, **options)
+    assert len(expected.jumps) > 100
+    for run in (made, own):
+        assert run.jumps.t.tobytes() == expected.jumps.t.tobytes()
+        assert run.jumps.table.after.tobytes() == expected.jumps.table.after.tobytes()
+
+
+def test_programs_are_compiled_behind_a_long_run():
+    """One after another; while that goes on the rule reads them."""
+    own = tables.Tables(scene_of(Duffing()))
+    own.number(own.scene.field("flight"))
+    programs = own.automaton.programs
+    own.flown(tables.HOT)
+    assert not programs.code.any()
+    until = time.monotonic() + 60.0
+    while not programs.code.all() and time.monotonic() < until:
+        own.flown(1)
+        time.sleep(0.01)
+    assert programs.code.all()
+
+
+def test_what_has_been_compiled_is_kept_when_a_field_is_added():
+    """The programs are joined anew; other values of parameters have the same code."""
+    own = tables.Tables(scene_of(Duffing()))
+    own.number(own.scene.field("flight"))
+    native.compile_all(own.automaton.programs)
+    code = own.automaton.programs.code.tolist()
+    own.number(own.scene.field(rest_name("flight", ("impact",))))
+    assert own.automaton.programs.code[: len(code)].tolist() == code
+    other = tables.Tables(scene_of(Duffing(r=0.5)))
+    other.number(other.scene.field("flight"))
+    native.compile_all(other.automaton.programs)
+    assert other.automaton.programs.code.tolist() == code
+
+
+def test_long_programs_and_plain_python_have_no_code(monkeypatch):
+    """They are left to the rule."""
+    programs = linked([_jets(lambda t, x, y: x * y + jnp.sin(t))[1]])
+    monkeypatch.setattr(native, "LONGEST", 2)
+    native.compile_all(programs)
+    assert not programs.code.any()
+    native.address.cache_clear()
+    monkeypatch.setattr(native, "LONGEST", 64)
+    monkeypatch.setenv("HYBRID_RULES", "checked")
+    native.compile_all(programs)
+    assert not programs.code.any()
+    native.address.cache_clear()
