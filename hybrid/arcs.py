@@ -49,6 +49,11 @@ class Arc:
     _segments: Any = attrs.field(alias="segments")
     project: Callable[..., Any] | None = None
 
+    def ending(self, x: np.ndarray) -> Arc:
+        """The same with another state at its end."""
+        row = self.mode, self.j, self.t0, self.low, self.length, self.t1, self.first, x
+        return Arc(*row, self._segments, self.project)
+
     @property
     def segments(self) -> Sequence[Segment]:
         return self._segments() if callable(self._segments) else self._segments

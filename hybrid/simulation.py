@@ -152,9 +152,8 @@ def simulate(
     if spec.lags:  # a history of the caller's may be off by far more than rounding
         own = max(own, Solver.own_rtol)
     allowed = tolerances(rtol, atol, spec.dimension, own)
-    plan = _plan(t, allowed, zeno, max_jumps, save, progress)
-    longest, first = _longest("max_step", max_step, plan), _longest("first_step", first_step, plan)
-    plan = attrs.evolve(plan, memory=_memory(memory), max_step=longest, first_step=first)
+    steps = {"max_step": max_step, "first_step": first_step}
+    plan = _plan(t, allowed, zeno, max_jumps, save, progress, memory, steps)
     x = _start(spec, start)
     past = _past(spec, history, plan, x)
     begins = spec.initial if mode is None else name_of(mode)
@@ -345,6 +344,8 @@ def _plan(
     max_jumps: int | None,
     save: Any,
     progress: Any,
+    memory: str,
+    steps: dict[str, Any],
 ) -> Plan:
     t0, t1 = _times(t)
     rtol, atol = allowed
@@ -358,14 +359,16 @@ def _plan(
     cap = max_jumps if zeno == "truncate" else None
     limit = MAX_JUMPS if max_jumps is None or zeno == "truncate" else max_jumps
     plain = float(atol) if atol.shape == () else atol
-    return Plan(t0, t1, rtol, plain, zeno, limit, cap, dense, samples, progress)
+    given = t0, t1, rtol, plain, zeno, limit, cap, dense, samples, progress
+    longest, first = (_longest(*each, t0, t1) for each in steps.items())
+    return Plan(*given, _memory(memory), max_step=longest, first_step=first)
 
 
 def _chosen(plan: Plan, solver: str, method: Any, controller: Any = None) -> Solver:
     return choose(solver, method, plan.rtol, plan.atol, plan.max_step, controller)
 
 
-def _longest(name: str, value: Any, plan: Plan) -> float:
+def _longest(name: str, value: Any, t0: float, t1: float) -> float:
     """The length to which the caller bounds steps; infinite where he does not."""
     if value is None:
         return float("inf")
@@ -375,7 +378,7 @@ def _longest(name: str, value: Any, plan: Plan) -> float:
         length = 0.0
     if not 0 < length < float("inf"):
         raise OptionError(f"{name}={value!r}: a finite time greater than 0, or None")
-    least = float(np.spacing(max(abs(plan.t0), abs(plan.t1))))
+    least = float(np.spacing(max(abs(t0), abs(t1))))
     if length < least:
         raise OptionError(f"{name}={value!r}: times here are {least:.2g} apart; give a longer one")
     return length

@@ -54,7 +54,10 @@ class Captured:
 
     def change(self) -> str | None:
         """What has changed since, as part of a sentence; None if nothing has."""
-        now = _copy(_look_up(self.function, self.name, self.owner))
+        now = _look_up(self.function, self.name, self.owner)
+        if now is self.value or (self.value is OPAQUE and isinstance(now, types.ModuleType)):
+            return None
+        now = _copy(now)
         if _same(self.value, now):
             return None
         then, now = repr(self.value), repr(now)

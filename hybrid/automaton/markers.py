@@ -161,11 +161,11 @@ def _bounds(positive: bool, between: tuple[float, float] | None) -> Callable[...
             array = reals(value)
         except ValueError:
             raise ParameterError(f"{name} = {value!r}: a number or an array of numbers") from None
-        if not np.all(np.isfinite(array)):
+        if not np.isfinite(array).all():
             raise ParameterError(f"{name} = {value!r}: must be finite")
-        if positive and not np.all(array > 0):
+        if positive and not (array > 0).all():
             raise ParameterError(f"{name} = {value!r}: must be positive")
-        if between is not None and not np.all((array >= between[0]) & (array <= between[1])):
+        if between is not None and not ((array >= between[0]) & (array <= between[1])).all():
             raise ParameterError(f"{name} = {value!r}: must lie in [{between[0]}, {between[1]}]")
 
     return check
@@ -173,7 +173,7 @@ def _bounds(positive: bool, between: tuple[float, float] | None) -> Callable[...
 
 def _is_traced(value: Any) -> bool:
     """Whether a value is known only when JAX runs: nothing can be checked of it."""
-    jax = sys.modules.get("jax")
+    jax = None if isinstance(value, float | int) else sys.modules.get("jax")
     return jax is not None and isinstance(value, jax.core.Tracer)
 
 

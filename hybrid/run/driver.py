@@ -110,8 +110,7 @@ class Driver:
         """Begin an arc, unless the run has ended."""
         if self.status is None:
             self.look(x)
-            if self._tied or self._spent:
-                jumped = attrs.evolve(jumped, tied=self._tied, spent=self._spent)
+            jumped.tied, jumped.spent = self._tied, self._spent
             self.entry = enter(self.scene, self.t, mode, x, jumped, self.seen, self._off(x))
             self._jumped = jumped
             self.seen = np.maximum(self.seen, np.abs(x))

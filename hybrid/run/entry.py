@@ -51,7 +51,7 @@ class Entry:
         return None if self.here is None else self.here.series
 
 
-@attrs.frozen
+@attrs.define
 class Jumped:
     """What is known of a state from the jump that led to it.
 

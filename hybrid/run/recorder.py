@@ -142,7 +142,7 @@ class Recorder:
         """Let the last arc end on the guard itself."""
         arc = self.log.kept[-1]
         assert isinstance(arc, Arc)
-        self.log.kept[-1] = attrs.evolve(arc, last=x, segments=arc._segments)
+        self.log.kept[-1] = arc.ending(x)
 
     def jump(
         self,
