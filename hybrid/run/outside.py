@@ -26,6 +26,7 @@ from ..rules.places import (
     T,
 )
 from ..scene import Field
+from ..scene.lowered import ORDER
 from ..segment import nodes
 from ..solvers import Stepper
 from .entry import describe
@@ -33,6 +34,9 @@ from .pace import Pace
 
 if TYPE_CHECKING:
     from .driver import Driver
+
+#: Powers of the time in a step's polynomial: no method has more.
+POWERS = np.arange(ORDER + 1)
 
 
 class Outside:
@@ -72,10 +76,10 @@ class Outside:
     def land(self, now: Now, room: Room) -> None:
         """End the last step where a guard is zero."""
         with self._told(now):
-            self.stepper.land(float(now.floats[TO_TAU]))
+            self.stepper.arrive(float(now.floats[TO_TAU]))
         if self.dense:
             self.made.pop()
-        self._show(now, room)
+        self._keep(now)
         now.floats[TO_TAU] = self.stepper.tau
 
     def undo(self, now: Now) -> None:
@@ -102,13 +106,17 @@ class Outside:
 
     def _show(self, now: Now, room: Room) -> None:
         """Tell the loop of the step: its end, the state there, and its polynomial."""
-        start, length, powers = self.stepper.powers()
+        _, length, powers = self.stepper.powers()
         n, count = powers.shape
-        room.c[:n, :count] = powers / length ** np.arange(count)
+        room.c[:n, :count] = powers / length ** POWERS[:count]
         room.c[:n, count:] = 0.0
+        self._keep(now)
+
+    def _keep(self, now: Now) -> None:
+        """Tell the loop where the step ends; keep its polynomial, if dense output is kept."""
         now.end[:], now.floats[NEXT] = self.stepper.x, self.stepper.tau
         if self.dense:
-            self.made.append((start, length, powers, self.stepper.x))
+            self.made.append((*self.stepper.powers(), self.stepper.x))
 
     @contextmanager
     def _told(self, now: Now) -> Iterator[None]:

@@ -116,6 +116,10 @@ class Stepper(abc.ABC):
     def land(self, tau: float) -> Segment:
         """The last step again, ending at ``tau``; sets ``self.x``."""
 
+    def arrive(self, tau: float) -> None:
+        """As :meth:`land`, where nobody asks for the segment."""
+        self.land(tau)
+
     def powers(self) -> tuple[float, float, np.ndarray]:
         """The last step's interpolant: where it begins, how long it is, and its coefficients by
         powers of the fraction of the step, a row for each element of the state."""

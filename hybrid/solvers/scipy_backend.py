@@ -71,9 +71,9 @@ class SciPySolver(Solver):
     ) -> Stepper:
         rhs = field.rhs
 
-        def flow(tau: float, x: np.ndarray) -> Any:
+        def flow(tau: float, x: np.ndarray) -> np.ndarray:
             self.evaluations += 1
-            return rhs(t0 + tau, x.tolist())
+            return np.array(rhs(t0 + tau, x.tolist()), dtype=float)
 
         if self.cls not in RUNGE_KUTTA:
             return self._sampled(flow, _jacobian(field, t0), x0, length, first_step, sizes)
@@ -146,12 +146,9 @@ def _jacobian(field: Field, t0: float) -> Any:
 def _restart(solver: Any, flow: Any, x0: np.ndarray, length: float, first: float | None) -> None:
     """Put a Runge-Kutta solver at the start of a new arc."""
 
-    def fun(tau: float, x: np.ndarray) -> np.ndarray:
-        return np.array(flow(tau, x), dtype=float)
-
-    solver.fun = fun
+    solver.fun = flow
     solver.t, solver.t_old, solver.y = 0.0, None, x0
-    solver.f = fun(0.0, x0)
+    solver.f = flow(0.0, x0)
     solver.t_bound, solver.status = length, "running"
     if first is None:
         first = min(length, 1e-3)
@@ -201,6 +198,10 @@ class RungeKuttaStepper(_OdeStepper):
         self._towards(limit)
 
     def land(self, tau: float) -> Segment:
+        self.arrive(tau)
+        return self.segment()
+
+    def arrive(self, tau: float) -> None:
         """Step again from where the last step began, onto ``tau``."""
         solver, (start, length, powers) = self.solver, self.powers()
         solver.t, solver.y, solver.f = self._before
@@ -211,7 +212,6 @@ class RungeKuttaStepper(_OdeStepper):
             self._made = start, tau - start, powers * share ** np.arange(powers.shape[1])
             self.tau, self.x = tau, self._made[2].sum(axis=1)
             solver.t, solver.y, solver.f = tau, self.x, solver.fun(tau, self.x)
-        return self.segment()
 
     def _towards(self, limit: float) -> None:
         self.solver.t_bound, self.solver.status = limit, "running"
