@@ -18,6 +18,8 @@ def reals(value: Any) -> np.ndarray:
     ValueError
         If it is text, a date, complex, masked, without order, or too large for a float.
     """
+    if isinstance(value, float):
+        return np.asarray(value, dtype=float)
     if isinstance(value, str | bytes | set | frozenset | dict) or np.ma.is_masked(value):
         raise ValueError("no real number")
     array = np.asarray(value)

@@ -415,7 +415,7 @@ def _saving(save: Any, t0: float, t1: float) -> tuple[bool, np.ndarray | None]:
 
 
 def _start(spec: Spec, start: Any) -> np.ndarray:
-    if isinstance(start, Mapping | Record):
+    if isinstance(start, Mapping | Record) and not isinstance(start, dict):
         start = {name: start[name] for name in start.keys()}
     try:
         if isinstance(start, bytes | set | frozenset):

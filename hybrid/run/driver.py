@@ -468,7 +468,7 @@ class Driver:
         return x if project is None else np.array(project(self.t, x.tolist()))
 
     def _require_finite(self, edge: str, before: np.ndarray, after: np.ndarray) -> None:
-        if not np.all(np.isfinite(after)):
+        if not np.isfinite(after).all():
             state = self.scene.spec.record(after)
             raise FlowError(f"{self.where(before)}: the reset of {edge} gives {state}")
 

@@ -239,6 +239,7 @@ class Scene:
         self._bound: dict[Any, Scalar] = {}
         self._fields: dict[str, Field] = {}
         self._contacts: dict[str, Contact] = {}
+        self._names: dict[tuple[str, frozenset[str]], str] = {}
 
     @cached_property
     def parameters(self) -> tuple[Any, ...]:
@@ -270,8 +271,11 @@ class Scene:
         """The arc mode of a mode with contacts held, these in declared order."""
         if not held:
             return mode
-        order = [edge.name for edge in self.spec.leaving(mode) if edge.name in set(held)]
-        return rest_name(mode, tuple(order))
+        key = mode, frozenset(held)
+        if key not in self._names:
+            order = (edge.name for edge in self.spec.leaving(mode) if edge.name in key[1])
+            self._names[key] = rest_name(mode, tuple(order))
+        return self._names[key]
 
     def field(self, name: str, touching: Collection[str] = ()) -> Field:
         """The field of a mode, or of a resting mode ``"mode.rest(contact, ...)"``.
