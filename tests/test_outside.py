@@ -72,7 +72,7 @@ def test_nothing_falls_through_what_a_step_shows_to_rounding(unit, method):
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 40])
-@pytest.mark.parametrize("name", ["step", "land"])
+@pytest.mark.parametrize("name", ["step", "arrive"])
 def test_the_keyboard_stops_between_steps(name, count, monkeypatch):
     """What was flown until then is kept, to a state of the run."""
     own, made = getattr(RungeKuttaStepper, name), []
