@@ -175,7 +175,7 @@ class Machine:
         orders = np.zeros(self.tables.widest, dtype=np.int64)
         orders[: len(entry.orders)] = entry.orders
         x, end, seen = self.states
-        return Now(floats, ints, x, end, seen, orders, np.zeros_like(orders))
+        return Now(floats, ints, x, end, seen, orders, np.zeros(len(orders), dtype=np.int64))
 
     def _left(self) -> Left:
         """Arrays for what a call leaves, and the counts at zero."""

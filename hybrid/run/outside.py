@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,18 +63,22 @@ class Outside:
 
     def step(self, now: Now, room: Room) -> None:
         """Make a step; at the start of an arc, begin it."""
-        with self._told(now):
+        try:
             if not now.ints[MADE]:
                 self._begin_arc(now, room)
             self.stepper.step(float(now.floats[TO_TAU]))
             self.pace.steps(self.stepper.tau, self.stepper.x)
+        except (FlowError, ValueError) as fault:
+            raise self._told(now, fault) from None
         self.arcs.append(int(now.ints[JUMPS]))
         self._show(now, room)
 
     def land(self, now: Now, room: Room) -> None:
         """End the last step where a guard is zero."""
-        with self._told(now):
+        try:
             self.stepper.arrive(float(now.floats[TO_TAU]))
+        except (FlowError, ValueError) as fault:
+            raise self._told(now, fault) from None
         if self.dense:
             self.made.pop()
         self._keep(now)
@@ -118,19 +120,15 @@ class Outside:
         if self.dense:
             self.made.append((*self.stepper.powers(), self.stepper.x))
 
-    @contextmanager
-    def _told(self, now: Now) -> Iterator[None]:
-        """Say where a step that cannot be made begins."""
-        try:
-            yield
-        except OptionError:
-            raise
-        except (FlowError, ValueError) as fault:
-            field, t = self.fields[now.ints[FIELD]], float(now.floats[T] + now.floats[TAU])
-            where, about = describe(self.driver.scene, field, t, now.end), str(fault)
-            if not isinstance(fault, FlowError):  # SciPy's linear algebra meets inf or nan
-                about = f"the flow is not finite ({fault})"
-            raise FlowError(f"{where}: {about}") from None
+    def _told(self, now: Now, fault: Exception) -> Exception:
+        """A fault that says where the step begins that cannot be made."""
+        if isinstance(fault, OptionError):
+            return fault
+        field, t = self.fields[now.ints[FIELD]], float(now.floats[T] + now.floats[TAU])
+        where, about = describe(self.driver.scene, field, t, now.end), str(fault)
+        if not isinstance(fault, FlowError):  # SciPy's linear algebra meets inf or nan
+            about = f"the flow is not finite ({fault})"
+        return FlowError(f"{where}: {about}")
 
     def count(self, begin: int, end: int) -> int:
         """How many steps some of the arcs have."""

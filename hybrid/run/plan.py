@@ -61,7 +61,7 @@ class Plan:
     @property
     def limit(self) -> float:
         """The largest absolute tolerance."""
-        return float(np.max(self.atol))
+        return self.atol if isinstance(self.atol, float) else float(np.max(self.atol))
 
     @property
     def bounded(self) -> bool:

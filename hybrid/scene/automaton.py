@@ -14,7 +14,6 @@ from ..rules.places import (
     CONTACT,
     EDGE,
     GUARDS,
-    GUARDS_END,
     PLAIN,
     TO,
     USES_END,
@@ -43,7 +42,8 @@ class Tables:
     """The fields of a scene that have been asked for, as rows of tables.
 
     ``fields`` are as numbered, ``numbers`` those by name; ``guards`` are in the order of their own,
-    and ``modes`` the field that each is watched in. ``others``: steps are those of another solver.
+    and ``modes`` the field that each is watched in. ``widest``: guards of the field that has the
+    most. ``others``: steps are those of another solver.
     """
 
     def __init__(self, scene: Scene, others: bool = False) -> None:
@@ -54,6 +54,7 @@ class Tables:
         self.modes: list[str] = []
         self._programs = Linked()
         self._most = np.zeros(3, dtype=int)  # what the largest program needs
+        self.widest = 0
         self._fields: list[list[int]] = []
         self._rows: list[list[int]] = []
         self._uses: list[int] = []
@@ -67,11 +68,6 @@ class Tables:
     def first(self, number: int) -> int:
         """The number of the first guard of a field."""
         return self._fields[number][GUARDS]
-
-    @property
-    def widest(self) -> int:
-        """The number of guards of the field that has the most."""
-        return max(row[GUARDS_END] - row[GUARDS] for row in self._fields)
 
     def number(self, field: Field) -> int:
         """The number of a field, which is added if it is new."""
@@ -111,8 +107,9 @@ class Tables:
         self._rows += [self._row(field, guard) for guard in field.guards] if plain else []
         self.guards += field.guards if plain else ()
         self.modes += [field.name] * (len(self._rows) - first)
-        held = int(bool(field.held))
-        self._fields.append([program, first, len(self._rows), int(plain), held, watch])
+        held, count = int(bool(field.held)), len(self._rows) - first
+        self.widest = max(self.widest, count)
+        self._fields.append([program, first, first + count, int(plain), held, watch])
         for row, guard in zip(self._rows, self.guards, strict=True):
             if guard.to == field.name:
                 row[TO] = number

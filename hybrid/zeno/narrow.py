@@ -160,7 +160,7 @@ def damps(contact: Contact, t: float, x: list[float], speed: float, ratio: float
 # boxes
 
 
-@attrs.frozen(eq=False)
+@attrs.frozen(eq=False, slots=False)
 class _Stretch:
     """A stretch of a tail: the impacts from ``y(first)`` to ``y(last)``, ``first > last``.
 
