@@ -323,14 +323,16 @@ class ModeGraph:
         begins = np.cumsum([0, *(len(row) for row in rows)]).tolist()
         known = dict(zip(self.resting, zip(contacts, begins, strict=False), strict=True))
         chosen = [known[name] for name in held]
-        onto = [Onto.of(chosen, of_speed) for of_speed in (False, False, True)]
+        of_gap, of_speed = (Onto.of(chosen, of_speed) for of_speed in (False, True))
+        onto = of_gap, of_gap, of_speed
 
         def project(t: float, x: Sequence[float]) -> tuple[float, ...]:
-            known, values = None, ()
+            known, values, made = None, (), None
             for step in onto:
                 if x != known:
-                    known, values = x, geometry(t, x)
-                x = step(values, x)
+                    known, values, made = x, geometry(t, x), None
+                if step is not made:  # the same step from the same state leads no further
+                    x, made = step(values, x), step
             return tuple(x)
 
         return project

@@ -69,6 +69,8 @@ def tolerances(rtol: Any, atol: Any, dimension: int, own: float) -> tuple[float,
     OptionError
         If they are not that.
     """
+    if rtol is None and atol is None:
+        return own, np.array(own / 100)
     try:
         relative = own if rtol is None else real(rtol)
     except ValueError:

@@ -5,8 +5,9 @@ table, a restitution that changes at some speed) is looked for here, before the 
 
 - the restitution at every impact of the tail, down to speed zero, against that of the flights;
 - with python-flint the gap's acceleration and the restitution in boxes that hold the motion from
-  the first impact to the limit, in ball arithmetic, which no pulse escapes however narrow it is.
-  What the balls allow must be what is there at points of the tail, but for :data:`EXCESS`.
+  the first impact to the limit: their bounds in doubles rounded outwards, and where these do not
+  decide in ball arithmetic. No pulse escapes them, however narrow it is. What they allow must be
+  what is there at points of the tail, but for :data:`EXCESS`.
 """
 
 from __future__ import annotations
