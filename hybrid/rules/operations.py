@@ -157,7 +157,7 @@ def _times(c: Matrix, s: Floats, a: int, b: int, first: int, k: int) -> float:
     return s[-1 - a] * at(c, s, b, k) if first == 0 else 0.0
 
 
-# -- equations of contact forces -------------------------------------------------------------
+# -- equations --------------------------------------------------------------------------------
 
 
 def _solve(
@@ -175,6 +175,7 @@ def _solve(
 
     ``more`` has the matrix, the right side, and what counts: it is 0 where an unknown is none. The
     matrix is factorised at order 0 and used at every order: ``A_0 y_k = b_k - sum A_i y_{k-i}``.
+    In ``work`` stand the factors, a right side, and which equation has come to each place.
     """
     mask = first + n * n + n
     if k == 0:
@@ -186,9 +187,10 @@ def _solve(
         c[out + i, k] = 0.0
     for i in range(n):
         if at(c, s, more[mask + i], 0) != 0.0:
-            total = at(c, s, more[first + n * n + i], k)
+            equation = int(work[room + n * n + n + i])
+            total = at(c, s, more[first + n * n + equation], k)
             for m in range(n):
-                a = more[first + i * n + m]
+                a = more[first + equation * n + m]
                 if a >= 0 and k > 0:
                     total -= _product(c, a, out + m, 1, k)
             work[room + n * n + i] = total
@@ -198,10 +200,21 @@ def _solve(
 def _factorise(
     work: Floats, room: int, n: int, more: Ints, mask: int, c: Matrix, s: Floats
 ) -> None:
-    """Lower and upper triangle in place; the matrix is definite, so that no rows are exchanged."""
+    """Lower and upper triangle in place; the row with a column's largest number comes first."""
+    order = room + n * n + n
+    for p in range(n):
+        work[order + p] = p
     for p in range(n):
         if at(c, s, more[mask + p], 0) == 0.0:
             continue
+        best = p
+        for i in range(p + 1, n):
+            counts = at(c, s, more[mask + i], 0) != 0.0
+            if counts and abs(work[room + i * n + p]) > abs(work[room + best * n + p]):
+                best = i
+        if best != p:
+            _exchange(work, room + p * n, room + best * n, n)
+            _exchange(work, order + p, order + best, 1)
         for i in range(p + 1, n):
             if at(c, s, more[mask + i], 0) == 0.0:
                 continue
@@ -209,6 +222,13 @@ def _factorise(
             work[room + i * n + p] = factor
             for m in range(p + 1, n):
                 work[room + i * n + m] -= factor * work[room + p * n + m]
+
+
+def _exchange(work: Floats, first: int, second: int, count: int) -> None:
+    for i in range(count):
+        value = work[first + i]
+        work[first + i] = work[second + i]
+        work[second + i] = value
 
 
 def _substitute(

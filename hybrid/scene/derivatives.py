@@ -15,7 +15,18 @@ from .python import needed
 from .taylor import SLOPES
 
 #: Operations whose derivative is 0 wherever there is one.
-FLAT = WHOLE | {"floor", "ceil", "round", "away", "sign", "const", "input", "part", "solve"}
+FLAT = WHOLE | {
+    "floor",
+    "ceil",
+    "round",
+    "away",
+    "sign",
+    "const",
+    "input",
+    "part",
+    "solve",
+    "foreign",
+}
 
 
 def _ratio(g: Graph, a: int, b: int) -> list[int]:
@@ -118,10 +129,19 @@ def _tangent(g: Graph, number: int, tangents: dict[int, int], zero: int) -> int:
         moved = [g.dot([*zip(row, forces, strict=True)]) for row in turns]
         pairs = zip(right, moved, strict=True)
         return solved(g, matrix, [g.node("sub", tangents[b], m) for b, m in pairs], mask)
+    if op == "foreign":
+        return _rates(g, arguments, tangents)
     if op in FLAT:
         return zero
     slopes = zip(_slopes(g, number), arguments, strict=True)
     return g.total([times(g, slope, tangents[a]) for slope, a in slopes if tangents[a] != zero])
+
+
+def _rates(g: Graph, arguments: Sequence[int], tangents: Mapping[int, int]) -> int:
+    """The rates of what is called: another call, whose parts are theirs."""
+    number, *own = arguments
+    function = g.foreign[int(g.value(number))]
+    return g.called(function.rates, [*own, *(tangents[a] for a in own)])
 
 
 def gradient(g: Graph, root: int, inputs: Sequence[int]) -> list[int]:
@@ -133,6 +153,9 @@ def gradient(g: Graph, root: int, inputs: Sequence[int]) -> list[int]:
         op, *arguments = g.nodes[number]
         if op == "solve":
             _backward(g, number, shares.get(number, {}), adjoints)
+            continue
+        if op == "foreign":
+            _through(g, arguments, shares.get(number, {}), adjoints)
             continue
         size = g.total(adjoints.get(number, []))
         if size == zero or op in ("const", "input"):
@@ -169,6 +192,20 @@ def _backward(
             if g.moves(matrix[i][j]):
                 change = g.node("neg", g.node("mul", back[i], forces[j]))
                 adjoints.setdefault(matrix[i][j], []).append(change)
+
+
+def _through(
+    g: Graph, arguments: Sequence[int], shares: dict[int, list[int]], adjoints: dict[int, list[int]]
+) -> None:
+    """Through what is called: by the derivatives of its results."""
+    number, *own = arguments
+    sizes = {i: g.total(share) for i, share in shares.items()}
+    slopes = g.called(g.foreign[int(g.value(number))].slopes, own)
+    for place, argument in enumerate(own):
+        if g.moves(argument):
+            for i, size in sizes.items():
+                slope = g.node("part", slopes, g.const(i * len(own) + place))
+                adjoints.setdefault(argument, []).append(times(g, slope, size))
 
 
 def solved(

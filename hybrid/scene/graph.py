@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import TraceError
+from .foreign import Foreign, of_primitive
 
 Ids = np.ndarray
 
@@ -29,8 +30,18 @@ ELEMENTWISE = {
     *("and", "or", "xor", "not", "is_finite"),
 }
 
+#: Primitives that are such on numbers: those that order -0.0, 0.0 and NaN as well among them.
+OTHER_NAMES = {"add_any": "add", "lt_to": "lt", "le_to": "le"}
+
 #: Operations whose results are flags or whole numbers.
 WHOLE = {"gt", "ge", "lt", "le", "eq", "ne", "and", "or", "xor", "not", "is_finite", "trunc"}
+
+#: Linear algebra that is written as arithmetic on the elements (:mod:`.matrices`).
+MATRICES = ("custom_linear_solve", "triangular_solve", "cholesky")
+
+#: Most whole numbers among which a choice is written out, as that of a place in a table; of two
+#: together as many as of each. Places are found by halves, in steps that share their conditions.
+CHOICES = 64
 
 #: Sums of up to so many terms are written out.
 FEW = 3
@@ -50,6 +61,10 @@ class Graph:
     numbers. Equal nodes are one node. With ``long`` a sum of many terms is one node, ``("sum",
     ...)``, and so is one of products, ``("dot", a, b, a, b, ...)``: a product with a matrix has as
     many nodes as it has rows.
+
+    What cannot be written as scalar code is called: ``("foreign", number, *arguments)`` with its
+    number in ``foreign``, whose results are its parts. ``library``: whether JAX asks a library for
+    some of what has been read (and not only written out here).
     """
 
     def __init__(self, exact: bool = False, long: bool = False) -> None:
@@ -57,6 +72,9 @@ class Graph:
         self.nodes: list[tuple[Any, ...]] = []
         self._known: dict[tuple[Any, ...], int] = {}
         self._moving: list[bool] = []
+        self._leaves: list[int] = []
+        self.foreign: list[Foreign] = []
+        self.library = False
 
     def node(self, *key: Any) -> int:
         """The number of this node, made if it is new; constants are folded."""
@@ -67,6 +85,7 @@ class Graph:
             self._known[key] = len(self.nodes)
             self.nodes.append(key)
             self._moving.append(self._moves(*key))
+            self._leaves.append(self._count(*key))
         return self._known[key]
 
     def const(self, value: Any) -> int:
@@ -102,6 +121,38 @@ class Graph:
         """Whether a node depends on the time or the state."""
         return self._moving[number]
 
+    def leaves(self, number: int) -> int:
+        """Among how many whole numbers and flags a node chooses; 0 where it is something else."""
+        return self._leaves[number]
+
+    def called(self, function: Foreign, arguments: Sequence[int]) -> int:
+        """The node of a function that is called; its parts are the results."""
+        if function not in self.foreign:
+            self.foreign.append(function)
+        number = self.const(self.foreign.index(function))
+        return self.node("foreign", number, *arguments)
+
+    def name_of(self, number: int) -> str:
+        """The name of a function that is called, whose number is that of a constant's node."""
+        return self.foreign[int(self.value(number))].name
+
+    def require_written(self, roots: Sequence[int], what: str) -> None:
+        """Refuse what calls a function.
+
+        Raises
+        ------
+        TraceError
+        """
+        from .python import needed
+
+        for op, *arguments in map(self.nodes.__getitem__, needed(self, roots)):
+            if op == "foreign":
+                raise TraceError(
+                    f"{what}: the primitive {self.name_of(arguments[0])!r} cannot be written as "
+                    "scalar code, as only a flow need not be; "
+                    "write this part with arithmetic, jnp.where or a loop of fixed length"
+                )
+
     def known(self, *key: Any) -> int | None:
         """The number of this node where there is one."""
         return self._known.get(key)
@@ -110,6 +161,13 @@ class Graph:
         if op == "input":
             return not arguments[0].startswith("p")
         return op != "const" and any(self._moving[a] for a in arguments)
+
+    def _count(self, op: str, *arguments: Any) -> int:
+        if op == "const":
+            return int(isinstance(arguments[0], bool | int))
+        if op != "select" or not all(self._leaves[a] for a in arguments[1:]):
+            return 0
+        return sum(self._leaves[a] for a in arguments[1:])
 
     def _simplify(self, key: tuple[Any, ...]) -> tuple[Any, ...]:
         op, arguments = key[0], key[1:]
@@ -156,7 +214,7 @@ def fold(op: str, values: Sequence[Any]) -> Any:
     """The value of an operation on constants; None where it is not a finite number."""
     from .python import LONG, OPERATIONS
 
-    if op in ("solve", "part"):
+    if op in ("solve", "part", "foreign"):
         return None
     try:
         result = (OPERATIONS.get(op) or LONG[op])(*values)
@@ -197,7 +255,9 @@ def _constant(graph: Graph, value: Any) -> Ids:
 def _apply(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
     name, params = equation.primitive.name, equation.params
     inner = params.get("jaxpr") or params.get("call_jaxpr")
-    name = {"add_any": "add"}.get(name, name)
+    name = OTHER_NAMES.get(name, name)
+    if name in ("div", "rem") and np.issubdtype(equation.outvars[0].aval.dtype, np.integer):
+        return [_each(partial(_whole, graph, name), *inputs)]
     if name in ELEMENTWISE:
         return [_map(graph, name, inputs)]
     if name in RULES:
@@ -214,22 +274,117 @@ def _apply(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
     if inner is not None and name not in ("while", "scan"):
         closed_consts = getattr(inner, "consts", [])
         return _evaluate(graph, getattr(inner, "jaxpr", inner), closed_consts, inputs)
-    if name in MOVES:
+    if name in MOVES and _placed(graph, name, inputs):
         return [_move(graph, equation, inputs)]
-    if name == "scatter-add":
+    if name == "scatter-add" and _placed(graph, name, inputs):
         return [_scatter_add(graph, equation, inputs)]
-    raise TraceError(
-        f"the primitive {name!r} cannot be written as scalar code; "
-        "write this part with arithmetic, jnp.where or a loop of fixed length"
-    )
+    if name in MATRICES:
+        return _matrices(graph, name, params, inputs)
+    return _called(graph, equation, inputs)
+
+
+def _matrices(graph: Graph, name: str, params: Any, inputs: list[Ids]) -> list[Ids]:
+    from . import matrices
+
+    graph.library = True
+    if name == "custom_linear_solve":
+        return matrices.linear_solve(graph, params, inputs)
+    return [getattr(matrices, name)(graph, params, *inputs)]
+
+
+def _called(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
+    """The results of what cannot be written out."""
+    graph.library = True
+    avals = [var.aval for var in equation.outvars]
+    if not all(_is_real(atom.aval) for atom in (*equation.invars, *equation.outvars)):
+        raise TraceError(
+            f"the primitive {equation.primitive.name!r} of what is no real number (a random key, a "
+            "complex number) cannot be written as scalar code; write this part with arithmetic"
+        )
+    nodes = [i for ids in inputs for i in ids.reshape(-1).tolist()]
+    values = [graph.value(i) for i in nodes]
+    function = of_primitive(equation, values)
+    arguments = [i for i, value in zip(nodes, values, strict=True) if value is None]
+    count = sum(math.prod(aval.shape) for aval in avals)
+    if arguments:
+        call = graph.called(function, arguments)
+        found = [graph.node("part", call, graph.const(i)) for i in range(count)]
+    else:
+        found = [graph.const(value) for value in function()]
+    ends = np.cumsum([math.prod(aval.shape) for aval in avals])[:-1]
+    pieces = zip(np.split(np.array(found, dtype=np.int64), ends), avals, strict=True)
+    return [_typed(graph, ids.reshape(aval.shape), aval.dtype) for ids, aval in pieces]
+
+
+def _is_real(aval: Any) -> bool:
+    kind = getattr(aval, "dtype", None)
+    return isinstance(kind, np.dtype) and kind.kind in "fiub"
+
+
+def _typed(graph: Graph, numbers: Ids, kind: Any) -> Ids:
+    """Numbers as flags, or as whole numbers, where they stand for such."""
+    if kind.kind == "b":
+        return _map(graph, "ne", [numbers, _constant(graph, 0.0)])
+    return _map(graph, "trunc", [numbers]) if np.issubdtype(kind, np.integer) else numbers
 
 
 def _map(graph: Graph, op: str, inputs: list[Ids]) -> Ids:
+    return _each(partial(_node, graph, partial(graph.node, op)), *inputs)
+
+
+def _each(make: Callable[..., int], *inputs: Ids) -> Ids:
+    """What is made of each element."""
     arrays = np.broadcast_arrays(*inputs)
-    flat = [
-        graph.node(op, *map(int, row)) for row in zip(*(a.reshape(-1) for a in arrays), strict=True)
-    ]
-    return np.array(flat, dtype=np.int64).reshape(arrays[0].shape)
+    rows = zip(*(a.reshape(-1).tolist() for a in arrays), strict=True)
+    return np.array([make(*row) for row in rows], dtype=np.int64).reshape(arrays[0].shape)
+
+
+def _whole(graph: Graph, op: str, *arguments: int) -> int:
+    """A quotient of whole numbers, or what is left of it."""
+
+    def make(a: int, b: int) -> int:
+        x, y = graph.value(a), graph.value(b)
+        if x is None or not y:
+            return graph.node("trunc", graph.node(op, a, b))
+        quotient = abs(x) // abs(y) * (1 if x * y >= 0 else -1)
+        return graph.const(quotient if op == "div" else x - y * quotient)
+
+    return _node(graph, make, *arguments)
+
+
+def _node(graph: Graph, make: Callable[..., int], *arguments: int) -> int:
+    """What is made of some nodes; of choices among whole numbers a choice among the results."""
+    condition = _choosing(graph, arguments)
+    if condition is None:
+        return make(*arguments)
+    cases = [[_taken(graph, condition, way, a) for a in arguments] for way in (1, 0)]
+    yes, no = (_node(graph, make, *case) for case in cases)
+    return yes if yes == no else graph.node("select", condition, yes, no)
+
+
+def _choosing(graph: Graph, numbers: Sequence[int]) -> int | None:
+    """The first condition of choices among whole numbers; None where they are no such, or many."""
+    counts = [graph.leaves(number) for number in numbers]
+    if not _few(counts):
+        return None
+    several = (n for n, count in zip(numbers, counts, strict=True) if count > 1)
+    return next((graph.nodes[n][1] for n in several), None)
+
+
+def _few(counts: Sequence[int]) -> bool:
+    """Whether there are choices among whole numbers only, not too many of them together."""
+    return 0 < math.prod(counts) <= CHOICES**2 and max(counts, default=1) <= CHOICES
+
+
+def _taken(graph: Graph, condition: int, way: int, number: int) -> int:
+    """A choice where a condition holds (1), or does not (0)."""
+    if graph.leaves(number) <= 1:
+        return number
+    _, which, *cases = graph.nodes[number]
+    yes, no = (_taken(graph, condition, way, case) for case in cases)
+    if which == condition:
+        return yes if way else no
+    return yes if yes == no else graph.node("select", which, yes, no)
 
 
 def _integer_pow(graph: Graph, params: Any, x: Ids) -> Ids:
@@ -346,29 +501,43 @@ def _cond(graph: Graph, params: Any, inputs: list[Ids]) -> list[Ids]:
     return [_select(graph, {}, which, *results) for results in zip(*cases, strict=True)]
 
 
+#: Of the inputs of a primitive, those that are moved, where it is not the first alone.
+MOVED = {
+    "pad": (0, 1),
+    "dynamic_update_slice": (0, 1),
+    "scatter": (0, 2),
+    "scatter-add": (0, 2),
+}
+
+
+def _places(name: str, inputs: list[Ids]) -> list[int]:
+    """Nodes of the positions that a primitive moves numbers from or to."""
+    moved = MOVED.get(name, (0,))
+    return [i for k, ids in enumerate(inputs) if k not in moved for i in ids.reshape(-1).tolist()]
+
+
+def _placed(graph: Graph, name: str, inputs: list[Ids]) -> bool:
+    """Whether all positions are known, or are one of a few."""
+    counts = [graph.leaves(i) for i in _places(name, inputs)]
+    return _few(counts) and (name != "scatter-add" or max(counts, default=1) == 1)
+
+
 def _move(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
-    """Let JAX move the node numbers; positions must be known when tracing."""
+    """Let JAX move the node numbers."""
     import jax
 
     name = equation.primitive.name
-    moved = {
-        "pad": (0, 1),
-        "dynamic_update_slice": (0, 1),
-        "scatter": (0, 2),
-        "scatter-add": (0, 2),
-    }
+    condition = _choosing(graph, _places(name, inputs))
+    if condition is not None:
+        way = [[_each(partial(_taken, graph, condition, w), ids) for ids in inputs] for w in (1, 0)]
+        cases = [_move(graph, equation, taken) for taken in way]
+        return _map(graph, "select", [np.array(condition), *cases])
     operands: list[Any] = []
     for place, ids in enumerate(inputs):
-        if place in moved.get(name, (0,)):
+        if place in MOVED.get(name, (0,)):
             operands.append(ids.astype(float) if name.startswith("scatter") else ids)
-            continue
-        values = [graph.value(int(i)) for i in ids.reshape(-1)]
-        if any(v is None for v in values):
-            raise TraceError(
-                f"the primitive {name!r} with a position that depends on "
-                "the state or time cannot be written as scalar code; use jnp.where"
-            )
-        operands.append(np.array(values, dtype=np.int64).reshape(ids.shape))
+        else:
+            operands.append(_each(graph.value, ids))
     if name == "pad" and all(min(row) >= 0 == row[2] for row in equation.params["padding_config"]):
         widths = [row[:2] for row in equation.params["padding_config"]]
         return np.pad(operands[0], widths, constant_values=int(operands[1]))  # spares a compilation

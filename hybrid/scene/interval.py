@@ -13,6 +13,7 @@ from typing import Any
 
 import attrs
 
+from ..errors import TraceError
 from ..extras import PROOFS, need
 from .graph import Graph
 from .python import needed
@@ -99,7 +100,7 @@ class IntervalProgram:
         self.roots = [int(root) for root in roots]
         order = needed(graph, self.roots)
         place = {number: place for place, number in enumerate(order)}
-        self._steps = [_step(graph.nodes[number], place) for number in order]
+        self._steps = [_step(graph, graph.nodes[number], place) for number in order]
         self._places = [place[root] for root in self.roots]
         self.inputs = {step.given for step in self._steps if step.op == "input"}
 
@@ -190,7 +191,7 @@ class _Step:
     range: Callable[..., Range | None] = unknown
 
 
-def _step(node: tuple[Any, ...], place: Mapping[int, int]) -> _Step:
+def _step(graph: Graph, node: tuple[Any, ...], place: Mapping[int, int]) -> _Step:
     from .balls import BALLS, JUMPS, LIMITS, number
 
     op, *arguments = node
@@ -204,6 +205,11 @@ def _step(node: tuple[Any, ...], place: Mapping[int, int]) -> _Step:
             result = number(SAME[op])
             return _Step(op, (place[arguments[0]],), rule=lambda a: result)
         op, arguments = ("square", arguments[:1]) if op == "mul" else (op, arguments)
+    if op not in BALLS and op != "select":
+        what = f"the operation {op!r}"
+        if op == "foreign":
+            what = f"the primitive {graph.name_of(arguments[0])!r}"
+        raise TraceError(f"nothing can be proved: there is no enclosure of {what}")
     places = tuple(place[a] for a in arguments)
     quick = RANGES.get(op, unknown)
     return _Step(op, places, None, BALLS.get(op), JUMPS.get(op), op not in LIMITS, quick)

@@ -102,8 +102,12 @@ class Lowered:
         closed: Callable[[], Any],
         extra: Sequence[str] = (),
         exact: bool = False,
+        written: bool = False,
     ) -> Program:
-        """Scalar code of a closed jaxpr; ``exact`` for what the author wrote."""
+        """Scalar code of a closed jaxpr; ``exact`` for what the author wrote.
+
+        ``written``: refuse what can only be called.
+        """
 
         def make() -> Program:
             graph = Graph(exact)
@@ -112,6 +116,9 @@ class Lowered:
             except TraceError as fault:
                 what = " ".join(map(str, key))
                 raise TraceError(f"{self.spec.model}, {what}: {fault}") from None
+            if written:
+                what = f"{self.spec.model}, {' '.join(map(str, key))}"
+                graph.require_written(outputs.reshape(-1).tolist(), what)
             return Program(graph, ["t", "x", *extra], self.spec.dimension, outputs)
 
         return self.once(key, make)
@@ -138,14 +145,13 @@ class Lowered:
     @cached_property
     def scalar(self) -> bool:
         """Whether no function of the class needs a library: each can be written as scalar code."""
-        extra = {"restitution": ["u"]}
+        extra, graph = {"restitution": ["u"]}, Graph()
         try:
             for (kind, _), closed in self.cls.traces.items():
-                graph = Graph()
                 graph.outputs(closed, self.inputs(graph, extra.get(kind, [])))
         except TraceError:
             return False
-        return True
+        return not graph.library
 
     # -- modes --------------------------------------------------------------------------
 
@@ -236,7 +242,7 @@ class Lowered:
     def lag(self, number: int) -> Program:
         """A lag as scalar code."""
         name = self.spec.lags[number].name
-        return self.program(("lag", name), lambda: self.closed("lag", name))
+        return self.program(("lag", name), lambda: self.closed("lag", name), written=True)
 
     @cached_property
     def moving(self) -> tuple[bool, ...]:

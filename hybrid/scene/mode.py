@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import attrs
 import numpy as np
 
-from ..automaton.spec import ContactSpec
+from ..automaton.spec import ContactSpec, LeaveSpec
 from .contact import Pairing
 from .derivatives import along, gradient, parts, solved, times
 from .graph import Graph
@@ -69,6 +69,7 @@ class ModeGraph:
         self.own = self.inputs[: len(code.shapes) + 2]
         self.t, self.x = int(self.own[-2]), [int(i) for i in self.own[-1]]
         self.closed = code.guards_closed(mode)
+        self.derived = {e.name for e in self.spec.leaving(mode) if isinstance(e, LeaveSpec)}
         self._contacts: dict[str, Normal] = {}
         self._guards: dict[str, int] = {}
 
@@ -152,7 +153,9 @@ class ModeGraph:
     def law(self, name: str) -> list[int]:
         """The restitution; the speed that it is asked for is one state more."""
         speed = self.graph.input(f"x{len(self.x)}")
-        return self.values(self.code.closed("restitution", name), speed)
+        law = self.values(self.code.closed("restitution", name), speed)
+        self.graph.require_written(law, f"{self.spec.model}, the restitution of {name}")
+        return law
 
     # -- contacts held --------------------------------------------------------------------
 
@@ -216,6 +219,8 @@ class ModeGraph:
         if contact != name:
             return times(self.graph, self.forces[contact], self.contact(contact).weight)
         (value,) = self.values(self.closed[name]())
+        if name not in self.derived:
+            self.graph.require_written([value], f"{self.spec.model}, the guard of {name}")
         return value
 
     def deciding(self, name: str) -> list[int]:

@@ -46,9 +46,8 @@ def _solve(*numbers: Any) -> list[Any]:
     """Linear equations among the unknowns that the mask at the end counts; the others are 0."""
     n = round(math.sqrt(len(numbers) + 1)) - 1
     held = [i for i in range(n) if numbers[n * n + n + i]]
-    found = solve(
-        [[numbers[i * n + j] for j in held] for i in held], [numbers[n * n + i] for i in held]
-    )
+    rows = [[numbers[i * n + j] for j in held] for i in held]
+    found = solve(rows, [numbers[n * n + i] for i in held], exchange=True)
     solution = [0.0] * n
     for i, value in zip(held, found, strict=True):
         solution[i] = value
@@ -62,13 +61,20 @@ def _solve_or_nan(*numbers: Any) -> list[Any]:
         return [math.nan] * len(numbers)
 
 
-def solve(matrix: list[list[Any]], right: list[Any]) -> list[Any]:
-    """A few linear equations by elimination, written out (the matrix is definite)."""
+def solve(matrix: list[list[Any]], right: list[Any], exchange: bool = False) -> list[Any]:
+    """A few linear equations by elimination, written out.
+
+    With ``exchange`` the row with the largest number of a column comes first; without, the matrix
+    is definite, and its numbers may be arrays of JAX.
+    """
     rows = [[*row, value] for row, value in zip(matrix, right, strict=True)]
     size = len(rows)
     if size == 1:
         return [rows[0][1] / rows[0][0]]
     for k in range(size):
+        if exchange:
+            best = max(range(k, size), key=lambda i: abs(rows[i][k]))
+            rows[k], rows[best] = rows[best], rows[k]
         for i in range(k + 1, size):
             factor = rows[i][k] / rows[k][k]
             rows[i] = [p - factor * q for p, q in zip(rows[i], rows[k], strict=True)]
@@ -215,7 +221,7 @@ class Program:
     """
 
     def __init__(self, graph: Graph, inputs: Sequence[str], size: int, outputs: Ids) -> None:
-        self.source = _source(graph, inputs, size, outputs)
+        self.source, self._foreign = _source(graph, inputs, size, outputs), graph.foreign
         self._code = compile(self.source, "<hybrid: generated>", "exec")
         self._maker: Scalar | None = None
 
@@ -239,9 +245,12 @@ class Program:
 
     def _make(self, operations: Any) -> Scalar:
         scope = {f"_{name}": function for name, function in operations.items()}
-        scope.update(_inf=math.inf, _nan=math.nan)
+        scope.update(_inf=math.inf, _nan=math.nan, _foreign=self._called)
         exec(self._code, scope)
         return scope["_make"]
+
+    def _called(self, number: int, *arguments: float) -> list[float]:
+        return self._foreign[number](*arguments)
 
 
 def _never(*arguments: Any) -> Any:

@@ -435,7 +435,8 @@ class Scene:
 
     def reset(self, edge: str) -> Scalar:
         """The reset of an edge (not of a contact)."""
-        program = self.code.program(("reset", edge), lambda: self.code.closed("reset", edge))
+        closed = lambda: self.code.closed("reset", edge)  # noqa: E731
+        program = self.code.program(("reset", edge), closed, written=True)
         return self.bind(program)
 
     def is_contact(self, edge: str) -> bool:
@@ -470,7 +471,9 @@ class Scene:
                 )
                 for make in (graph.impact, graph.land, graph.push)
             }
-            law = code.program(("law", name), lambda: code.closed("restitution", name), ["u"])
+            law = code.program(
+                ("law", name), lambda: code.closed("restitution", name), ["u"], written=True
+            )
             self._contacts[name] = Contact(
                 name,
                 spec.source,

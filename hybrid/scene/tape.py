@@ -61,7 +61,8 @@ PAIRS = {
 
 #: What to write where an operation has no recurrence.
 INSTEAD = {
-    "lgamma": "write Stirling's series, or a polynomial fit of it, over the range that is used"
+    "lgamma": "write Stirling's series, or a polynomial fit of it, over the range that is used",
+    "foreign": "write this part with arithmetic, jnp.where or a loop of fixed length",
 }
 
 
@@ -564,7 +565,7 @@ class _Recorder:
         elif op == "solve":
             n = unknowns(len(named))
             written.append((rule.SOLVE, out, self._list(named), n, self.room))
-            self.room += n * n + n
+            self.room += n * n + 2 * n
         elif op in SAME:
             written.append((SAME[op], out, *named, *self._besides_named(number, op, arguments)))
         elif op == "atan2":
@@ -574,7 +575,7 @@ class _Recorder:
         elif op == "lgamma" and not (moves and self.flow):
             written.append((rule.LGAMMA, out, *named))
         else:
-            raise TraceError(self._refused(op))
+            raise TraceError(self._refused(op, arguments))
 
     def _besides_named(self, number: int, op: str, arguments: list[int]) -> list[int]:
         """What an operation of the rule takes besides its arguments."""
@@ -604,9 +605,14 @@ class _Recorder:
         names = [first, self.place[argument], last]
         written.append((code, *(names if moves else [-1 - place for place in names])))
 
-    def _refused(self, op: str) -> str:
-        instead = INSTEAD.get(op, "use another function")
-        return f"{self.where}: {op!r} has no Taylor series; {instead}, or use solver='scipy'"
+    def _refused(self, op: str, arguments: Sequence[int]) -> str:
+        instead, what = INSTEAD.get(op, "use another function"), repr(op)
+        if op == "foreign":
+            what = f"the primitive {self.graph.name_of(arguments[0])!r}"
+        return (
+            f"{self.where}: {what} has no Taylor series; {instead}, or use solver='scipy' or "
+            "solver='diffrax'"
+        )
 
 
 def _product(out: int, a: int, b: int) -> tuple[int, ...]:

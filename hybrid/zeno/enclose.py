@@ -20,6 +20,7 @@ import attrs
 import numpy as np
 
 from ..automaton import trace
+from ..errors import TraceError
 from ..scene.contact import lie
 from ..scene.fixed import FixedGraph, hides_derivatives
 from ..scene.parity import parity
@@ -231,7 +232,7 @@ SLOPES = 5
 def _question(field: Field, contact: str) -> _Question | None:
     """Gap, its two derivatives, restitution, flow, push, slopes, and the other guards, as balls.
 
-    None where the flow or the gap holds a derivative back.
+    None where the flow or the gap holds a derivative back, or there are no balls of an operation.
     """
     from ..scene.interval import IntervalProgram
 
@@ -254,7 +255,10 @@ def _question(field: Field, contact: str) -> _Question | None:
     slopes = nodes(_slopes(code, gap, flow, pair)) if pair else []
     guards = [node for closed in others for node in nodes(closed)]
     roots = [*lies, *law, *nodes(flow), *nodes(push), *slopes, *guards]
-    return _Question(IntervalProgram(graph, roots), pair, _even(graph, lies, pair))
+    try:
+        return _Question(IntervalProgram(graph, roots), pair, _even(graph, lies, pair))
+    except TraceError:
+        return None
 
 
 def _even(graph: FixedGraph, lies: list[int], pair: tuple[int, int] | None) -> bool:

@@ -23,6 +23,7 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from ..errors import TraceError
 from ..rules.sums import FLOOR, LOSS
 from ..scene.defect import EPS
 from ..scene.derivatives import along
@@ -207,7 +208,10 @@ def _bounded(tail: Tail, excess: float) -> bool:
     """Whether acceleration and restitution in boxes along the tail are what they are at points."""
     if find_spec("flint") is None:
         return True
-    look, stretches = _look(tail), [(HALVINGS, _Stretch(tail, 1.0, 0.0))]
+    try:
+        look, stretches = _look(tail), [(HALVINGS, _Stretch(tail, 1.0, 0.0))]
+    except TraceError:  # an operation of which there are no balls
+        return True
     while stretches:
         left, stretch = stretches.pop()
         if not _fits(look, stretch, excess):

@@ -1,0 +1,155 @@
+"""Linear algebra in a trace as arithmetic on the elements, where matrices are small.
+
+A library finds the solution of ``A y = b`` by factors of ``A``; what depends on time and state, and
+how, is seen in the equations themselves. Two or three of them are solved by determinants, more are
+a node of their own (``docs/notes/tape.md``), and so are those of contact forces. The factors are
+nodes that nothing needs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+
+from .derivatives import parts, solved
+from .graph import Graph, Ids
+
+#: Most unknowns found by determinants: of four, the products are more than elimination makes.
+BY_DETERMINANTS = 3
+
+
+def linear_solve(graph: Graph, params: Any, inputs: list[Ids]) -> list[Ids]:
+    """The unknowns of ``A y = b``, where ``A`` is given by what it makes of a vector."""
+    counts = params["const_lengths"]
+    matvec, own = params["jaxprs"].matvec, inputs[: counts.matvec]
+    rights = inputs[sum(counts) :]
+    matrix = _matrix(graph, matvec, own, [r.shape for r in rights])
+    found = _solved(graph, matrix, np.concatenate([r.reshape(-1) for r in rights]))
+    ends = np.cumsum([r.size for r in rights])[:-1]
+    return [f.reshape(r.shape) for f, r in zip(np.split(found, ends), rights, strict=True)]
+
+
+def _matrix(graph: Graph, matvec: Any, own: list[Ids], shapes: list[tuple[int, ...]]) -> Ids:
+    """Nodes of a linear function's matrix, from what it makes of each unit vector.
+
+    It is read by itself, with its matrices as inputs: a graph that is not exact leaves of sums with
+    0 and products with 1 the elements that the vectors pick.
+    """
+    alone, names = Graph(), [i for ids in own for i in ids.reshape(-1).tolist()]
+    given = iter([alone.input(f"a{k}") for k in range(len(names))])
+    inputs = [np.array([next(given) for _ in range(i.size)], int).reshape(i.shape) for i in own]
+    sizes = [math.prod(shape) for shape in shapes]
+    columns = []
+    for unit in np.eye(sum(sizes)):
+        vectors = np.array([alone.const(v) for v in unit.tolist()])
+        pieces = np.split(vectors, np.cumsum(sizes)[:-1])
+        vector = [piece.reshape(shape) for piece, shape in zip(pieces, shapes, strict=True)]
+        results = alone.outputs(matvec, [*inputs, *vector])
+        columns.append(np.concatenate([ids.reshape(-1) for ids in results]))
+    known = dict(enumerate(names))
+    translated = [[_there(graph, alone, known, i) for i in column] for column in columns]
+    return np.array(translated).T
+
+
+def _there(graph: Graph, alone: Graph, known: dict[int, int], number: int) -> int:
+    """A node of the matrix's own graph as one of the graph of a flow."""
+    op, *arguments = alone.nodes[number]
+    if op == "input":
+        return known[int(arguments[0][1:])]
+    if op == "const":
+        return graph.const(arguments[0])
+    return graph.node(op, *(_there(graph, alone, known, a) for a in arguments))
+
+
+def _solved(graph: Graph, matrix: Ids, right: Ids) -> Ids:
+    """The unknowns, those that have no equation in common apart."""
+    found = np.zeros(len(right), dtype=np.int64)
+    for group in _groups(np.vectorize(lambda i: graph.value(i) != 0)(matrix)):
+        rows, values = matrix[np.ix_(group, group)].tolist(), right[group].tolist()
+        found[group] = _together(graph, rows, values)
+    return found
+
+
+def _groups(linked: np.ndarray) -> Iterable[list[int]]:
+    left = set(range(len(linked)))
+    while left:
+        group, new = set[int](), {min(left)}
+        while new:
+            group |= new
+            new = {int(j) for i in new for j in np.flatnonzero(linked[i] | linked[:, i])} - group
+        left -= group
+        yield sorted(group)
+
+
+def _together(graph: Graph, matrix: list[list[int]], right: list[int]) -> list[int]:
+    n = len(right)
+    if n > BY_DETERMINANTS:
+        equations = solved(graph, matrix, right, [graph.const(1.0)] * n)
+        return parts(graph, equations, n)
+    whole = _determinant(graph, matrix)
+    replaced = [
+        [[*row[:j], b, *row[j + 1 :]] for row, b in zip(matrix, right, strict=True)]
+        for j in range(n)
+    ]
+    return [graph.node("div", _determinant(graph, each), whole) for each in replaced]
+
+
+def _determinant(graph: Graph, matrix: list[list[int]]) -> int:
+    """The sum of the products of a number of each row and column, with the permutations' signs."""
+    size = range(len(matrix))
+    even: list[int] = []
+    odd: list[int] = []
+    for order in permutations(size):
+        factors = [matrix[i][j] for i, j in enumerate(order)]
+        product = factors[0]
+        for factor in factors[1:]:
+            product = graph.node("mul", product, factor)
+        turned = sum(order[i] > order[j] for i in size for j in size if i < j)
+        if graph.value(product) != 0:
+            (odd if turned % 2 else even).append(product)
+    total = graph.total(even)
+    return graph.node("sub", total, graph.total(odd)) if odd else total
+
+
+def triangular_solve(graph: Graph, params: Any, a: Ids, b: Ids) -> Ids:
+    """``A X = B``, or ``X A = B``, with a triangular matrix, row after row."""
+    if not params["left_side"]:
+        turned = {**params, "left_side": True, "transpose_a": not params["transpose_a"]}
+        return triangular_solve(graph, turned, a, b.swapaxes(-1, -2)).swapaxes(-1, -2)
+    lower = bool(params["lower"])
+    if params["transpose_a"]:
+        a, lower = a.swapaxes(-1, -2), not lower
+    result = np.zeros(b.shape, dtype=np.int64)
+    for place in np.ndindex(b.shape[:-2]):
+        for column in range(b.shape[-1]):
+            at = (*place, slice(None), column)
+            result[at] = _substituted(graph, a[place], b[at], lower, bool(params["unit_diagonal"]))
+    return result
+
+
+def _substituted(graph: Graph, a: Ids, b: Ids, lower: bool, unit: bool) -> list[int]:
+    found: dict[int, int] = {}
+    size = range(len(b))
+    for i in size if lower else reversed(size):
+        known = graph.dot([(int(a[i, j]), y) for j, y in found.items()])
+        value = graph.node("sub", int(b[i]), known)
+        found[i] = value if unit else graph.node("div", value, int(a[i, i]))
+    return [found[i] for i in size]
+
+
+def cholesky(graph: Graph, params: Any, a: Ids) -> Ids:
+    """The lower triangle ``L`` of a definite matrix ``L L^T``; what is above it is 0."""
+    result = np.full(a.shape, graph.const(0.0))
+    for place in np.ndindex(a.shape[:-2]):
+        lower = result[place]
+        for i in range(a.shape[-1]):
+            for j in range(i + 1):
+                pairs = [(int(lower[i, k]), int(lower[j, k])) for k in range(j)]
+                left = graph.node("sub", int(a[(*place, i, j)]), graph.dot(pairs))
+                root = int(lower[j, j])
+                lower[i, j] = graph.node("sqrt", left) if i == j else graph.node("div", left, root)
+    return result
