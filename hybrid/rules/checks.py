@@ -117,21 +117,26 @@ def arrives(
     program: int,
     t: float,
     h: float,
+    seen: bool,
     sides: Ints,
     c: Matrix,
     aside: Matrix,
     work: Floats,
     end: Floats,
 ) -> bool:
-    """Put the state at the end of a step into ``end``; whether the flow is finite there."""
+    """Put the state at the end of a step into ``end``; whether the flow is finite there.
+
+    With ``seen`` it is what :func:`follows` has found there, and kept in the second column.
+    """
     first = place(p, program, work)
     point = work[first : first + states(p, program)]
     along(c, h, point)
-    look(p, program, 0, t + h, point, False, sides, aside, work)
+    if not seen:
+        look(p, program, 0, t + h, point, False, sides, aside, work)
     finite = True
     for i in range(point.shape[0]):
         end[i] = point[i]
-        finite = finite and math.isfinite(_rate(p, program, i, aside, 0))
+        finite = finite and math.isfinite(_rate(p, program, i, aside, 1 if seen else 0))
     return finite
 
 

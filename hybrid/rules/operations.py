@@ -374,9 +374,13 @@ def _cube_root(a: float) -> float:
 def _pair(op: int, out: int, a: int, other: int, c: Matrix, k: int) -> None:
     """Sine and cosine, or the hyperbolic ones, each from the other."""
     if k > 0:
-        c[out, k] = _along(c, a, other, k)
-        turn = _along(c, a, out, k)
-        c[other, k] = -turn if op == SINE else turn
+        total, turn = 0.0, 0.0
+        for i in range(1, k + 1):
+            slope = i * c[a, i]
+            total += slope * c[other, k - i]
+            turn += slope * c[out, k - i]
+        c[out, k] = total / k
+        c[other, k] = -turn / k if op == SINE else turn / k
     elif op == SINE:
         inside = math.isfinite(c[a, 0])
         c[out, 0] = math.sin(c[a, 0]) if inside else math.nan

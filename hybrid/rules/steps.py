@@ -92,7 +92,7 @@ def step(
         sides[crossed] = crossed_to(c, row, sides[crossed])
     if not h > LEAST or (tau + h == tau and h < most):
         return NO_STEP, 0.0, -1
-    if not arrives(p, program, t, h, sides, c, aside, work, end):
+    if not arrives(p, program, t, h, crossed < 0, sides, c, aside, work, end):
         return NOT_FINITE, 0.0, -1
     return 0, h, crossed
 

@@ -95,8 +95,8 @@ class TaylorStepper(Stepper):
         if tau < self.tau:
             sides[:] = 0  # those beyond a kink that the step ended at
         self._made, t, end = tau - self._start, self.t0 + self._start, np.empty(len(self.x))
-        programs = self.jets.alone
-        if not unit("checks").arrives(programs, 0, t, self._made, sides, c, aside, work, end):
+        where = self.jets.alone, 0, t, self._made, False
+        if not unit("checks").arrives(*where, sides, c, aside, work, end):
             raise FlowError(REFUSED[NOT_FINITE])
         self.tau, self.x = tau, end
         return self.segment()
