@@ -1,6 +1,7 @@
 """Programs as machine code of their own give what the rule gives, to the last bit."""
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,10 +23,14 @@ from .test_tape import CLASSES, _jets, _modes
 SHORT = 20
 
 
+#: Numbers beside the series: more than the equations of any of the models take.
+ROOM = 4096
+
+
 def _read(programs, number, rows, state, sides, order):
     """All rows of a program along a motion, and the sides of its kinks."""
     t, x, motion = state
-    c, work = np.full((rows, order + 1), 0.5), np.empty(programs.ops.size + 64)
+    c, work = np.full((rows, order + 1), 0.5), np.empty(ROOM)
     c[: len(x)] = motion[:, : order + 1]
     sides = sides.copy()
     status = unit("jets").jets(programs, number, order, t, x, sides, c, work)
@@ -80,6 +85,7 @@ def test_every_operation_gives_the_bits_of_the_rule(name):
 @pytest.mark.parametrize("save", ["jumps", "dense"])
 def test_a_long_run_is_the_same_with_its_own_machine_code_and_without(save, monkeypatch):
     """Jump by jump to the last bit, whenever the code is done."""
+    monkeypatch.setattr(native, "_MADE", {})
     start, span, options = {"x": 0.3, "v": 0.0}, (0.0, 300.0), {"solver": "taylor", "save": save}
     expected = hy.simulate(Duffing(), start, span, **options)
     scene = scene_of(Duffing())
@@ -94,8 +100,9 @@ def test_a_long_run_is_the_same_with_its_own_machine_code_and_without(save, monk
         assert run.jumps.table.after.tobytes() == expected.jumps.table.after.tobytes()
 
 
-def test_programs_are_compiled_behind_a_long_run():
+def test_programs_are_compiled_behind_a_long_run(monkeypatch):
     """One after another; while that goes on the rule reads them."""
+    monkeypatch.setattr(native, "_MADE", {})
     own = tables.Tables(scene_of(Duffing()))
     own.number(own.scene.field("flight"))
     programs = own.automaton.programs
@@ -109,28 +116,48 @@ def test_programs_are_compiled_behind_a_long_run():
 
 
 def test_what_has_been_compiled_is_kept_when_a_field_is_added():
-    """The programs are joined anew; other values of parameters have the same code."""
+    """The programs are joined anew."""
     own = tables.Tables(scene_of(Duffing()))
     own.number(own.scene.field("flight"))
     native.compile_all(own.automaton.programs)
     code = own.automaton.programs.code.tolist()
     own.number(own.scene.field(rest_name("flight", ("impact",))))
     assert own.automaton.programs.code[: len(code)].tolist() == code
-    other = tables.Tables(scene_of(Duffing(r=0.5)))
+
+
+def test_other_values_of_parameters_have_the_code_that_there_is():
+    """Nothing is compiled, and nothing asked for."""
+    one, other = (tables.Tables(scene_of(Duffing(r=r))) for r in (0.6, 0.5))
+    one.number(one.scene.field("flight"))
+    native.compile_all(one.automaton.programs)
     other.number(other.scene.field("flight"))
-    native.compile_all(other.automaton.programs)
-    assert other.automaton.programs.code.tolist() == code
+    assert other.automaton.programs.code.all()
+    assert other.automaton.programs.code.tolist() == one.automaton.programs.code.tolist()
 
 
 def test_long_programs_and_plain_python_have_no_code(monkeypatch):
     """They are left to the rule."""
     programs = linked([_jets(lambda t, x, y: x * y + jnp.sin(t))[1]])
+    monkeypatch.setattr(native, "_MADE", {})
     monkeypatch.setattr(native, "LONGEST", 2)
     native.compile_all(programs)
     assert not programs.code.any()
-    native.address.cache_clear()
+    monkeypatch.setattr(native, "_MADE", {})
     monkeypatch.setattr(native, "LONGEST", 64)
+    native.compile_all(programs)
+    assert programs.code.all()
     monkeypatch.setenv("HYBRID_RULES", "checked")
     native.compile_all(programs)
     assert not programs.code.any()
-    native.address.cache_clear()
+    native.recall(programs, 0)
+    assert not programs.code.any()
+
+
+def test_two_threads_that_ask_at_once_have_the_same_code(monkeypatch):
+    """What the other has made is let go: nobody may have its address."""
+    monkeypatch.setattr(native, "_MADE", {})
+    programs = linked([_jets(lambda t, x, y: x * y - jnp.cos(t))[1]])
+    content = programs.ops.tobytes(), programs.flow.tobytes()
+    with ThreadPoolExecutor(4) as pool:
+        found = set(pool.map(lambda _: native.address(*content), range(4)))
+    assert found == {native.address(*content)}

@@ -18,7 +18,7 @@ from ..rules.places import (
     TO,
     USES_END,
 )
-from .native import Native
+from .native import Native, recall
 from .tape import Jets, Linked, room
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class Tables:
         self._rows: list[list[int]] = []
         self._uses: list[int] = []
         self._made: Automaton | None = None
-        self._steps, self._native = 0, Native()
+        self._steps, self._recalled, self._native = 0, 0, Native()
 
     def plain(self, number: int) -> bool:
         """Whether the rules' own loop may fly the arcs of a field."""
@@ -81,7 +81,10 @@ class Tables:
         if self._made is None:
             fields, uses = (np.array(rows, dtype=np.int64) for rows in (self._fields, self._uses))
             guards = np.array(self._rows, dtype=np.int64).reshape(-1, USES_END + 1)
-            self._made = Automaton(self._programs.programs(), fields, guards, uses)
+            programs = self._programs.programs()
+            recall(programs, self._recalled)
+            self._recalled = len(programs.code)
+            self._made = Automaton(programs, fields, guards, uses)
         return self._made
 
     def flown(self, steps: int) -> None:

@@ -94,15 +94,19 @@ class Native:
 
     def __init__(self) -> None:
         self.asked = 0
-        self._going: Future[int] | None = None
+        self._going: tuple[int, Future[int]] | None = None
 
     def go_on(self, programs: Programs) -> None:
         """Take up the code that is done, and ask for that of the next program."""
-        if self._going is not None and self._going.done():
-            programs.code[self.asked - 1] = self._going.result()
+        if (going := self._going) is not None:
+            number, code = going
+            if not code.done():
+                return
+            programs.code[number] = code.result()
             self._going = None
-        if self._going is None and self.asked < len(programs.code):
-            self._going = _thread().submit(address, *_content(programs, self.asked))
+        if self.asked < len(programs.code):
+            code = _thread().submit(address, *_content(programs, self.asked))
+            self._going = self.asked, code
             self.asked += 1
 
 
@@ -110,6 +114,13 @@ def compile_all(programs: Programs, numbers: Iterable[int] | None = None) -> Non
     """Compile programs now: all, or those with some numbers."""
     for number in range(len(programs.code)) if numbers is None else numbers:
         programs.code[number] = address(*_content(programs, number))
+
+
+def recall(programs: Programs, first: int) -> None:
+    """Take up code that there is, of runs with other values of parameters, from a program on."""
+    if _MADE and library.how() == "machine":
+        for number in range(first, len(programs.code)):
+            programs.code[number] = _MADE.get(_content(programs, number), NONE).address
 
 
 @cache
@@ -124,26 +135,40 @@ def _content(programs: Programs, number: int) -> tuple[bytes, bytes]:
     return programs.ops[ops].tobytes(), programs.flow[flow].tobytes()
 
 
-@cache
+class Code(NamedTuple):
+    """Where a program's code is, and what owns it."""
+
+    address: int
+    owner: Any
+
+
+#: What a program has that is left to the rule.
+NONE = Code(0, None)
+
+#: All code of the process, by the content of the programs.
+_MADE: dict[tuple[bytes, bytes], Code] = {}
+
+
 def address(ops: bytes, flow: bytes) -> int:
     """Where the code of a program is, as long as the process lasts; 0: it is left to the rule."""
-    rows = np.frombuffer(ops, dtype=np.int64).reshape(-1, 6).tolist()
-    fit = len(rows) <= LONGEST and library.how() == "machine"
-    rule = operation() if fit else None
-    if rule is None:
+    if library.how() != "machine":
         return 0
-    text = _text(rule, rows, np.frombuffer(flow, dtype=np.int64).tolist())
+    made = _MADE.get((ops, flow)) or _made(
+        np.frombuffer(ops, dtype=np.int64).reshape(-1, 6).tolist(),
+        np.frombuffer(flow, dtype=np.int64).tolist(),
+    )
+    return _MADE.setdefault((ops, flow), made).address  # another thread may have been first
+
+
+def _made(rows: Sequence[Sequence[int]], flow: Sequence[int]) -> Code:
+    """Compile a program, if it is short enough."""
+    if len(rows) > LONGEST or (rule := operation()) is None:
+        return NONE
     try:
-        engine = _compiled(rule, text)
+        return _compiled(rule, _text(rule, rows, flow))
     except RuntimeError as error:
         warnings.warn(f"LLVM makes no code of a model ({error})", stacklevel=2)
-        return 0
-    _KEPT.append(engine)
-    return int(engine.get_function_address("program")) if engine else 0
-
-
-#: Owners of the code.
-_KEPT: list[Any] = []
+        return NONE
 
 
 # -- text ------------------------------------------------------------------------------------
@@ -203,8 +228,8 @@ def binding() -> Any:
     return binding
 
 
-def _compiled(operation: Operation, text: str) -> Any:
-    """What owns the code of a program; None where it calls a function that is not there."""
+def _compiled(operation: Operation, text: str) -> Code:
+    """The code of a program; none where it calls a function that is not there."""
     llvm = binding()
     module = llvm.parse_assembly(text)
     module.link_in(llvm.parse_bitcode(operation.code))
@@ -220,10 +245,10 @@ def _compiled(operation: Operation, text: str) -> Any:
         f.name for f in module.functions if f.is_declaration and not f.name.startswith("llvm.")
     ]
     if any(llvm.address_of_symbol(name) is None for name in called):
-        return None
+        return NONE
     engine = llvm.create_mcjit_compiler(module, machine)
     engine.finalize_object()
-    return engine
+    return Code(int(engine.get_function_address("program")), engine)
 
 
 def _optimise(module: Any, machine: Any) -> None:
