@@ -25,6 +25,8 @@ import optimistix
 from scipy.integrate import solve_ivp
 
 import hybrid as hy
+from hybrid.scene import automaton, native
+from hybrid.scene.scene import scene_of
 from models.bead_on_table import BeadOnTable
 
 try:
@@ -168,11 +170,24 @@ def in_blocks(impacts):
 # hybrid
 
 
+MODEL = BeadOnTable(g=G, r=R, amplitude=AMPLITUDE, omega=OMEGA)
+
+
 def simulated(solver, method, impacts):
-    model = BeadOnTable(g=G, r=R, amplitude=AMPLITUDE, omega=OMEGA)
     options = {"solver": solver, "method": method, "rtol": TOLERANCE, "atol": TOLERANCE}
     start = {"x": HEIGHT, "v": 0.0}
-    return hy.simulate(model, start, (0, UNTIL), max_jumps=impacts, save="jumps", **options)
+    return hy.simulate(MODEL, start, (0, UNTIL), max_jumps=impacts, save="jumps", **options)
+
+
+def by_taylor(coded, impacts):
+    """With the model's own machine code from the start, or never."""
+    automaton.HOT = math.inf
+    simulated("taylor", None, 1)
+    programs = scene_of(MODEL).tables.automaton.programs
+    native.compile_all(programs)
+    if not coded:
+        programs.code[:] = 0
+    return simulated("taylor", None, impacts)
 
 
 # ---------------------------------------------------------------------------------------
@@ -218,6 +233,8 @@ def main():
     peers = {
         "hybrid, diffrax, Tsit5": (partial(simulated, "diffrax", "Tsit5"), IMPACTS),
         "hybrid, diffrax, Dopri8": (partial(simulated, "diffrax", "Dopri8"), IMPACTS),
+        "hybrid, taylor": (partial(by_taylor, False), IMPACTS),
+        "hybrid, taylor, machine code": (partial(by_taylor, True), IMPACTS),
         "hybrid, diffrax, Taylor": (partial(simulated, "diffrax", "Taylor"), IMPACTS),
         "hybrid, scipy, DOP853": (partial(simulated, "scipy", "DOP853"), IMPACTS // 10),
         "solve_ivp, DOP853, restart loop": (restarted, IMPACTS // 50),
