@@ -10,10 +10,11 @@ from numpy.polynomial import chebyshev
 import hybrid as hy
 from hybrid.rules import unit
 from hybrid.rules.load import Library
-from hybrid.rules.sums import DEGREE, SAMPLES
+from hybrid.rules.sums import DEGREE, FLIGHTS, POINTS_EACH, SAMPLES
 from hybrid.scene import scene_of
 from hybrid.segment import from_values, nodes
 from hybrid.zeno import accumulate, close
+from hybrid.zeno.flight import fly
 
 EPS = 2.0**-52
 
@@ -252,3 +253,27 @@ def test_checked_rules_sum_the_same(monkeypatch):
     assert same.x_inf == pytest.approx(tail.x_inf, rel=1e-14, abs=1e-16)
     # a bound is made of what rounding leaves of a change
     assert same.t_error == pytest.approx(tail.t_error, rel=0.5)
+
+
+def test_points_shown_of_a_tail_are_on_its_flights(rules, monkeypatch):
+    """Those that Taylor series fly from the curve, but for what a cubic leaves; with bounds."""
+    scene = scene_of(Shaken())
+    field, contact, x = scene.field("flight"), scene.contact("impact"), np.array([0.1, 0.1])
+    x[0] *= np.sin(1.0)
+    tail = close(field, contact, 0, 1.0, 0.0, x, 0.1 - 0.1 * np.cos(1.0), 1e-9, 1e-12)
+    monkeypatch.setattr(accumulate, "unit", rules)
+    *points, least, most = tail.shown(1.0, 0.2, 0.0, 1.0)
+    assert np.array_equal(least, np.min(points, axis=0))
+    assert np.array_equal(most, np.max(points, axis=0))
+    for k, w in enumerate(np.linspace(0.2, 1.0, FLIGHTS).tolist()):
+        since, x, v = tail.point(w)
+        flight = fly(field, 0, 1.0 + since, x.tolist(), v)
+        (whole,) = flight.segments()
+        for i, share in enumerate(np.linspace(0.0, 1.0, POINTS_EACH).tolist()):
+            t, *state, speed, begin, end = points[POINTS_EACH * k + i]
+            # the curve is known to 1e-9 of the tail, which is twice the flight at most
+            assert t - 1.0 - since == pytest.approx(share * flight.time, abs=1e-9)
+            assert [begin - 1.0 - since, end - begin] == pytest.approx([0, flight.time], abs=1e-9)
+            assert speed == pytest.approx(flight.u, abs=1e-8)
+            # a cubic leaves h^4 / 384 of the fourth derivative, which is 0.01, and h is 0.1
+            assert state == pytest.approx(whole(share * flight.time), abs=1e-8)

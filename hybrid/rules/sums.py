@@ -278,12 +278,8 @@ def flight(
     Known are then its length, what is added to the state, and by what the gap speed is multiplied.
     """
     n, lines = x.shape[0], room.lines
-    evaluate(lines, degree, w, room.small[LINE], lines[HERE])
-    begins, speed, state = t + lines[HERE, 0], v * w * grown(lines[HERE, n + 1]), lines[STATE, :n]
-    for j in range(n):
-        state[j] = x[j] + lines[HERE, j + 1]
-    touch(p, begins, state, room)
-    turned(state, speed - lines[READ, n], lines[READ])
+    state = lines[STATE, :n]
+    begins, speed = on_curve(p, lines, degree, t, x, v, w, 1.0, room, state)
     status, length, u, _, crossed = fly(
         p, FLOW, column, held, begins, state, speed, room.starts, room.lengths, room.series,
         room.branch, room.end, room.c, room.aside, room.work, room.rows, room.found, room.sides,
@@ -301,6 +297,30 @@ def flight(
         lines[KNOWN + place, j + 1] = room.end[j] - state[j]
     lines[KNOWN + place, n + 1] = after / speed
     return True
+
+
+def on_curve(
+    p: Programs,
+    curve: Matrix,
+    degree: int,
+    t: float,
+    x: Floats,
+    v: float,
+    w: float,
+    share: float,
+    room: Sums,
+    state: Floats,
+) -> tuple[float, float]:
+    """The time of the impact ``y(w)``, and a share of the gap speed after it, with which the state
+    is put down."""
+    n, lines = x.shape[0], room.lines
+    evaluate(curve, degree, w, room.small[LINE], lines[HERE])
+    when, speed = t + lines[HERE, 0], share * v * w * grown(lines[HERE, n + 1])
+    for j in range(n):
+        state[j] = x[j] + lines[HERE, j + 1]
+    touch(p, when, state, room)
+    turned(state, speed - lines[READ, n], lines[READ])
+    return when, speed
 
 
 def grown(bend: float) -> float:
@@ -387,19 +407,13 @@ def end_of_flight(
     """One end of a flight, next to the impact ``y(w)``: put down are the state, and behind it the
     gap speed, a share of that after the impact; in the next line the rates. Returns the time."""
     n, lines = x.shape[0], room.lines
-    evaluate(curve, curve.shape[0] - 1, w, room.small[LINE], lines[HERE])
-    when, state = t + lines[HERE, 0], lines[place, :n]
-    speed = share * v * w * grown(lines[HERE, n + 1])
-    for j in range(n):
-        state[j] = x[j] + lines[HERE, j + 1]
-    touch(p, when, state, room)
-    turned(state, speed - lines[READ, n], lines[READ])
+    state, degree = lines[place, :n], curve.shape[0] - 1
+    when, lines[place, n] = on_curve(p, curve, degree, t, x, v, w, share, room, state)
     for i in range(room.sides.shape[0]):
         room.sides[i] = 0
     jets(p, FLOW, 1, when, state, room.sides, room.aside, room.work)
     for j in range(n):
         lines[place + 1, j] = room.aside[j, 1]
-    lines[place, n] = speed
     return when
 
 
