@@ -15,7 +15,7 @@ import numpy as np
 from ..accumulation import Accumulation
 from ..arcs import Arc, TailPart
 from ..automaton.markers import Crossing
-from ..errors import FlowError
+from ..errors import FlowError, JumpLoopError
 from ..events import CLOSED, EPS, SHARES
 from ..log import Flights
 from ..rules.guards import NEAR
@@ -356,7 +356,19 @@ class Driver:
             before, after, speed = hop
         known, last = {guard.edge: 1 if speed > 0 else 2}, self.record.log.kept[-1]
         series = self.watch.count > 1 and isinstance(last, Arc) and last.length > 0
+        flown = self.scene.field(self.scene.name(guard.to, held))
         self.enter(guard.to, after, Jumped(known, held, series=series))
+        if speed > 0 and self.watch.count > 1 and guard.edge in self.entry.field.held:
+            self._require_series(guard.edge, flown)
+
+    def _require_series(self, contact: str, field: Field) -> None:
+        """Refuse to come to rest by impacts that have no sum because their flow has no series."""
+        if field.jets is None:
+            raise JumpLoopError(
+                f"{self.where(self.entry.x)}: the impacts of {contact} accumulate, and cannot be "
+                f"summed: {field.refused}; near the contact that must be a smooth function of a "
+                "few numbers"
+            )
 
     def hop(
         self, contact: Contact, x: np.ndarray, v: float, name: str

@@ -16,6 +16,7 @@ from ..events import EPS, NOTHING, fires, higher_noise, time_scale, vanishing_or
 from ..rules import unit
 from ..rules.guards import NEAR
 from ..scene import Field, Guard, Kink, Scene
+from ..scene.local import near
 
 #: Doublings of a step of rounding's size in which a deciding function that is zero must leave it:
 #: it is a difference of numbers that may move at very different rates.
@@ -380,12 +381,20 @@ class _Here:
         sizes = self.scene.rounding(guard, self.field)(t, x)
         if self.series is None:
             _, first, second = guard.lie(t, x)
-            series = [0.0, first, second / 2]
+            series = [0.0, first, second / 2, *(self.third(guard, index) if least > 2 else [])]
         else:
             series = list(self.series[1][index])
         noise = [64 * EPS * size for size in sizes] + higher_noise(series, self.own_time(series))
         noise = [float("inf") if k < least else size for k, size in enumerate(noise)]
         return vanishing_order(guard, t, x, series, noise)
+
+    def third(self, guard: Guard, index: int) -> list[float]:
+        """The coefficient of third order of a contact's gap, where the flow has no series."""
+        if guard.kind != "contact":
+            return []
+        local = near(self.field, guard.edge, self.t, self.x.tolist())
+        series = None if local is None else expand(local, self.t, self.x)
+        return [] if series is None else [series[1][index][3]]
 
     def own_time(self, series: Sequence[float]) -> float:
         """A time in which the terms of a guard's series are comparable."""

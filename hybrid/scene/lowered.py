@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from .sides import decider_of
 from .sliding import Sliding
 from .tape import Tape
 from .taylor import TaylorProgram, flat
+
+if TYPE_CHECKING:
+    from .local import LocalGraph
 
 #: Order of the Taylor series of flows and gaps.
 ORDER = 16
@@ -199,6 +202,12 @@ class Lowered:
     def mode(self, name: str) -> ModeGraph:
         """The graph of a mode, or of sliding."""
         return self.once(("mode", name), lambda: ModeGraph(self, name))  # type: ignore[no-any-return]
+
+    def near(self, name: str) -> LocalGraph:
+        """The graph of a mode near a point (:mod:`.local`)."""
+        from .local import LocalGraph
+
+        return self.once(("near", name), lambda: LocalGraph(self, name))  # type: ignore[no-any-return]
 
     def tape(
         self, mode: str, held: bool, touching: frozenset[str] = frozenset()

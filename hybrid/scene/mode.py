@@ -9,7 +9,7 @@ grows as a power of its contacts, and not with their subsets.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -59,6 +59,7 @@ class ModeGraph:
 
     def __init__(self, code: Lowered, mode: str) -> None:
         self.code, self.mode, self.spec = code, mode, code.spec
+        self.kept: Hashable = mode
         self.graph = Graph(long=True)
         resting = [e for e in self.spec.leaving(mode) if isinstance(e, ContactSpec) and e.rests]
         self.resting = [edge.name for edge in resting]
@@ -236,7 +237,7 @@ class ModeGraph:
 
     def program(self, key: Any, make: Callable[[], Sequence[int]]) -> Program:
         """Scalar code of some nodes; the mask is behind the parameters."""
-        return self.code.once(("mode", self.mode, key), lambda: self._program(make()))  # type: ignore[no-any-return]
+        return self.code.once(("mode", self.kept, key), lambda: self._program(make()))  # type: ignore[no-any-return]
 
     def _program(self, nodes: Sequence[int]) -> Program:
         return Program(self.graph, ["t", "x"], len(self.x), np.array(nodes))
@@ -300,7 +301,7 @@ class ModeGraph:
         """
         where, size = f"{self.spec.model}, mode {self.mode}", len(self.x) + more
         make = lambda: tape(self.graph, size, np.array([]), nodes(), where)  # noqa: E731
-        return self.code.once(("values", self.mode, *key), make)  # type: ignore[no-any-return]
+        return self.code.once(("values", self.kept, *key), make)  # type: ignore[no-any-return]
 
     def contact_tapes(self, name: str, held: bool) -> list[Tape]:
         """What happens at a contact, for values: :meth:`land`, :meth:`turn`, :meth:`law`."""

@@ -138,6 +138,8 @@ class Field:
         Back onto the held contacts' gaps, or onto the surface on which the state slides.
     changes : tuple of Kink
         Where the flow changes its formula.
+    graph : ModeGraph, optional
+        What the series are made of, where it is not that of the mode (:mod:`.local`).
     """
 
     name: str
@@ -153,6 +155,7 @@ class Field:
     project: Scalar | None = None
     refused: str = ""
     changes: tuple[Kink, ...] = ()
+    graph: Any = None
 
     @property
     def closed(self) -> Any:
@@ -192,7 +195,8 @@ class Field:
 
     def at_contact(self, name: str) -> list[Jets]:
         """What happens at a contact of the mode, for values (:meth:`.ModeGraph.contact_tapes`)."""
-        tapes = self.code.mode(self.mode).contact_tapes(name, bool(self.held))
+        graph = self.graph or self.code.mode(self.mode)
+        tapes = graph.contact_tapes(name, bool(self.held))
         return [tape.bind(self.numbers) for tape in tapes]
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:

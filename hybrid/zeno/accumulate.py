@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property
+from itertools import pairwise
 from math import exp, log
 from typing import TYPE_CHECKING
 
@@ -20,15 +21,18 @@ from ..rules.sums import (
     DEGREE,
     ERROR,
     FIT,
+    FLOOR,
     GRID,
     LAST,
     LIMIT,
     LINES,
     SAMPLES,
+    SHARE,
     SHOWN,
     STATE,
 )
 from ..scene.defect import follows
+from ..scene.local import near, off
 from ..scene.lowered import ORDER
 from ..scene.tape import Tape, linked, room
 from ..scene.taylor import polynomial
@@ -40,6 +44,10 @@ if TYPE_CHECKING:
 
 #: Impacts of a tail from which a proof is tried, and shares of all that are listed.
 STAGES, SHARES_LISTED = (0, 3, 10, 30, 60, 100, 160, 250, 400, 1000, 4000), (0.25, 0.5, 0.75)
+
+#: Flights, and times, of a tail at which a flow is compared with what it is near a point; for what
+#: is between them.
+COMPARED, CAUTION = 16, 4.0
 
 #: Most impacts that are flown to find one from which a proof succeeds: half a second of them.
 FLOWN = 400
@@ -202,8 +210,12 @@ def close(
     None means that the series does not converge well enough from here: the impacts are too
     strong, or do not accumulate at all. The tolerances are of the result.
     """
-    if field.jets is None:
-        return None
+    called = field.jets is None
+    if called:
+        local = near(field, contact.name, t, np.asarray(x, dtype=float).tolist())
+        if local is None:
+            return None
+        field = local
     chatter = _chatter(field, contact)
     with chatter.lent() as given:
         start = t, np.array(x, dtype=float), v, rtol, atol
@@ -215,7 +227,28 @@ def close(
         lines = given.lines.copy()
     remaining, x_inf, error = float(lines[LIMIT, 0]), lines[STATE, : len(x)], lines[ERROR, :-1]
     found = r, lines[: degree + 1], remaining, x_inf, float(error[0]), error[1:]
-    return Tail(field, contact, column, t, low, x, v, *found)
+    tail = Tail(field, contact, column, t, low, x, v, *found)
+    return _compared(tail, rtol, atol) if called else tail
+
+
+def _compared(tail: Tail, rtol: float, atol: float) -> Tail | None:
+    """A sum with the flow near a point, if the flow itself is that close to it all along the tail.
+
+    A force off by a share of itself changes the times of all flights by as much.
+    """
+    mids = (0.5 * (a + b) for a, b in pairwise(tail.times[:COMPARED].tolist()))
+    since = [*np.linspace(0.0, tail.remaining, COMPARED)[:-1].tolist(), *mids]
+    found = [off(tail.field, tail.column, tail.t + s, tail.state(s)) for s in since]
+    share = CAUTION * max(force for _, force in found)
+    rates = np.max([np.abs(tail.field.rhs(tail.t + s, tail.state(s))) for s in since], axis=0)
+    change = np.max([rate for rate, _ in found], axis=0)
+    t_error = share * tail.remaining
+    x_error = tail.remaining * (CAUTION * change + share * rates)
+    sizes = np.abs(tail.x_inf) + np.abs(tail.x)
+    allowed = max(SHARE * rtol, FLOOR) * (abs(tail.t) + tail.remaining)
+    if not t_error <= allowed or not np.all(x_error <= SHARE * (rtol * sizes + atol)):
+        return None
+    return attrs.evolve(tail, t_error=tail.t_error + t_error, x_error=tail.x_error + x_error)
 
 
 def _chatter(field: Field, contact: Contact) -> _Chatter:

@@ -1,0 +1,156 @@
+"""Flows that cannot be written as scalar code are called as compiled JAX functions."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+from hybrid.errors import JumpLoopError, OptionError, TraceError
+
+SOLVERS = {
+    "DOP853": {"solver": "scipy"},
+    "Radau": {"solver": "scipy", "method": "Radau"},
+    "diffrax": {"solver": "diffrax"},
+}
+
+
+def drag(v, called=True):
+    """An eighth of ``v |v|``, by halves as long as a count asks for them, or at once."""
+    if not called:
+        return 0.125 * v * jnp.abs(v)
+    begin = v * jnp.abs(v), 0.0
+    return jax.lax.while_loop(lambda c: c[1] < 3.0, lambda c: (0.5 * c[0], c[1] + 1.0), begin)[0]
+
+
+def ball(called, floor=lambda t: 0.0, restitution=0.7):
+    class Ball(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+
+        @hy.mode
+        def flight(self, t, s):
+            return s.v, -9.81 - drag(s.v, called)
+
+        impact = hy.contact(flight, gap=lambda self, t, s: s.x - floor(t), restitution=restitution)
+
+    return Ball()
+
+
+def pair(make, start, until, **options):
+    """The run with the called function, and the same in arithmetic."""
+    return [hy.simulate(make(called), start, (0.0, until), **options) for called in (True, False)]
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_impacts_are_those_of_the_arithmetic(name):
+    """Within a hundred times the tolerance: the steps are others."""
+    called, written = pair(ball, [1.0, 0.0], 1.3, **SOLVERS[name])
+    assert len(called.jumps) == len(written.jumps) == 2
+    np.testing.assert_allclose(called.jumps.t, written.jumps.t, rtol=0, atol=1e-6)
+
+
+def test_all_impacts_are_summed():
+    """To rounding, with the error of the run's own tolerance; nothing is proved."""
+    options = {"solver": "scipy", "rtol": 1e-12, "atol": 1e-12}
+    called, written = pair(ball, [1.0, 0.0], 3.0, **options)
+    ((one,), (other,)) = called.zeno, written.zeno
+    assert abs(one.t - other.t) <= min(one.t_error + other.t_error, 1e-11)
+    assert one.verdict == "estimated"
+    assert called.arcs[-1].mode == "flight.rest(impact)"
+
+
+def test_a_sum_at_loose_tolerances_says_how_wrong_it_is():
+    """The error covers the distance to the limit that is known to 1e-11."""
+    (found,) = hy.simulate(ball(True), [1.0, 0.0], (0.0, 3.0), solver="scipy").zeno
+    exact = hy.simulate(ball(False), [1.0, 0.0], (0.0, 3.0), solver="taylor").zeno[0].t
+    assert abs(found.t - exact) <= found.t_error <= 1e-6
+
+
+def test_a_body_rests_on_a_table_and_is_thrown_off():
+    """Accumulations and releases are those of the arithmetic, to 1e-7."""
+
+    def table(called):
+        return ball(called, lambda t: 0.1 * jnp.sin(12.0 * t), 0.2)
+
+    called, written = pair(table, [0.3, 0.0], 2.0, solver="scipy")
+    times = [[z.t for z in run.zeno] for run in (called, written)]
+    thrown = [
+        [jump.t for jump in run.jumps if jump.edge == "impact.release"] for run in (called, written)
+    ]
+    assert len(times[0]) == 4
+    assert len(thrown[0]) >= 3
+    np.testing.assert_allclose(*times, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(*thrown, rtol=0, atol=1e-7)
+
+
+def test_a_state_slides_between_two_such_flows():
+    """Where it begins, and where it is later, to 1e-7."""
+
+    def slide(called):
+        class Slide(hy.Automaton):
+            x = hy.state()
+            v = hy.state()
+
+            @hy.mode(initial=True)
+            def above(self, t, s):
+                return s.v, jnp.sin(t) - 1.0 - drag(s.v, called)
+
+            @hy.mode
+            def below(self, t, s):
+                return s.v, jnp.sin(t) + 1.0 - drag(s.v, called)
+
+            line = hy.switching(above, below, surface=lambda self, t, s: s.x + s.v)
+
+        return Slide()
+
+    called, written = pair(slide, [1.0, 0.0], 2.0, solver="scipy")
+    assert called.arcs[-1].mode == written.arcs[-1].mode == "slide(line)"
+    np.testing.assert_allclose(called.jumps.t, written.jumps.t, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(called.arcs[-1].last, written.arcs[-1].last, rtol=0, atol=1e-7)
+
+
+def test_taylor_names_the_primitive_and_a_remedy():
+    """With model and mode."""
+    with pytest.raises(OptionError, match=r"Ball, mode flight: the primitive 'while'.*'diffrax'"):
+        hy.simulate(ball(True), [1.0, 0.0], (0.0, 1.0), solver="taylor")
+
+
+def test_a_gap_must_be_written():
+    """It is refused by name."""
+    model = ball(False, lambda t: 0.1 * drag(t))
+    with pytest.raises(TraceError, match="Ball, the guard of impact: the primitive 'while'"):
+        hy.simulate(model, [1.0, 0.0], (0.0, 1.0), solver="scipy")
+
+
+def test_a_restitution_must_be_written():
+    """It is refused by name."""
+    model = ball(False, restitution=lambda self, t, s, u: 0.5 + 0.01 * drag(u))
+    with pytest.raises(TraceError, match=r"Ball, .*impact: the primitive 'while'"):
+        hy.simulate(model, [1.0, 0.0], (0.0, 1.0), solver="scipy")
+
+
+def test_impacts_that_cannot_be_summed_are_an_error():
+    """A function of fifteen numbers: the run does not come to rest as if it had been summed."""
+
+    class Ranked(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+        z = hy.state(shape=(14,))
+
+        @hy.mode
+        def flight(self, t, s):
+            return s.v, -9.81 - 0.01 * jnp.sort(s.z + s.x)[3], -s.z
+
+        impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+
+    start = [1.0, 0.0, np.linspace(0.0, 1.0, 14)]
+    with pytest.raises(JumpLoopError, match=r"impact accumulate, and cannot be summed: .*'sort'"):
+        hy.simulate(Ranked(), start, (0.0, 3.0), solver="scipy")
+
+
+def test_lanes_have_no_other_impacts():
+    """Compiled runs of many starts, to 1e-6 of one of them."""
+    lanes = hy.ensemble(ball(True), {"x": [1.0, 1.1], "v": [0.0, 0.0]}, (0.0, 1.3))
+    one = hy.simulate(ball(False), [1.1, 0.0], (0.0, 1.3), solver="taylor")
+    np.testing.assert_allclose(lanes.x.values[1], one.arcs[-1].last[0], rtol=0, atol=1e-6)
