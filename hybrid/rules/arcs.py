@@ -165,6 +165,7 @@ def walks(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
         return LOOK
     if shown < h:
         h, crossed = shown, -1
+        along(room.c, h, now.end)
     now.floats[NEXT], now.ints[CROSSED] = length if tau + h >= length else tau + h, crossed
     return GOES_ON
 
