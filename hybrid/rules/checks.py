@@ -11,8 +11,8 @@ import math
 
 from .arrays import Floats, Ints, Matrix, Programs
 from .jets import FLOW, KINKS, jets
-from .kinks import KIND, POINT, ROW, STEP, WHOLE, count, left_open, states
-from .lengths import SMALLEST
+from .kinks import KIND, POINT, ROW, STEP, WHOLE, count, states
+from .lengths import behind
 from .polynomials import power_size, power_value
 from .zeros import EPS
 
@@ -25,6 +25,9 @@ MIDDLE, BEFORE, MISSED = 0.55, 1.0 - 1e-9, 256.0
 #: Roundings by which elements of a state are moved to see what rounding does, and the time.
 SHIFTS = (8, -8, 11, -11, 14, -14)
 SHIFT = 8
+
+#: An element of the state counts as no smaller than this share of the largest.
+SMALLEST = 1e-3
 
 #: What rounding shows beside a point, counted so many times: it may be more elsewhere.
 SHOWN = 8.0
@@ -45,8 +48,8 @@ def follows(
     aside: Matrix,
     work: Floats,
 ) -> bool:
-    """Whether the polynomials of a step have the flow's direction along it, but for rounding, and
-    those of what is watched are its values.
+    """Whether the polynomials of a step have the flow's direction along it, but for rounding and
+    what their last terms leave open, and those of what is watched are its values.
 
     Parameters
     ----------
@@ -238,7 +241,8 @@ def _directs(
         finite = finite and math.isfinite(rate) and math.isfinite(other)
         rounding = fastest + abs(2.0 * c[i, 2] * s) + abs(3.0 * c[i, 3] * s * s)
         rounding += max(abs(c[i, 0]), abs(c[i, 1]), scale) / h
-        allowed = MISSED * EPS * rounding + SHOWN * abs(rate - other) + NOTHING
+        left = (c.shape[1] - 1) * behind(c[i], s) / s  # of the slope, as of its last terms
+        allowed = max(MISSED * EPS * rounding, left) + SHOWN * abs(rate - other) + NOTHING
         close = close and not abs(rate - along) > allowed
     return close or not finite
 
@@ -256,7 +260,7 @@ def _decides(p: Programs, program: int, s: float, c: Matrix, aside: Matrix) -> b
         if p.kinks[j, KIND] == STEP:
             size += abs(value)
             off = min(off % 1.0, 1.0 - off % 1.0)  # from the nearest whole number
-        if off > MISSED * EPS * size + SHOWN * (abs(value - other) + left_open(series, s)):
+        if off > MISSED * EPS * size + SHOWN * (abs(value - other) + behind(series, s)):
             return False
     return True
 

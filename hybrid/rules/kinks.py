@@ -17,7 +17,7 @@ import math
 
 from .arrays import Floats, Ints, Matrix, Programs
 from .jets import FLOW, KINKS, jets
-from .lengths import own_length
+from .lengths import CONVERGED, behind, own_length
 from .polynomials import power_size, power_value
 from .zeros import EPS, VANISHES, series
 
@@ -33,10 +33,6 @@ ROW, SWITCHES, KIND, WHOLE = 0, 1, 2, 3
 
 #: Status codes: there are no series, or they are not finite.
 NO_SERIES, NOT_FINITE = -1, -2
-
-#: Size, relative to the largest, of the last terms of a kink's series over which it may be used:
-#: what they leave open is counted as rounding is.
-CONVERGED = 1e-3
 
 #: By how much the argument of a step function may change in a step: the whole number next to it
 #: is then the only one passed; and that of ``exp``, as a share of the order: up to that the last
@@ -193,7 +189,7 @@ def _first_zero(
     """
     order = c.shape[0] - 1
     rest = power_size(c, 1, order, h)
-    if abs(c[0]) > rest * (1.0 + BLURRED) + left_open(c, h) or rest == 0.0:
+    if abs(c[0]) > rest * (1.0 + BLURRED) + behind(c, h) or rest == 0.0:
         return math.inf, False
     own = side if side != 0 else 1 if c[0] > 0.0 else -1
     listed = _zeros(c, own, h, rows, found)
@@ -214,7 +210,7 @@ def _zeros(c: Floats, own: int, h: float, rows: Matrix, found: Matrix) -> int:
     """List where a series comes to zero in ``(0, h]``, also where it comes so near that rounding
     hides what it does; how many, or a status code."""
     order = c.shape[0] - 1
-    noise = BLURRED * power_size(c, 0, order, h) + left_open(c, h)
+    noise = BLURRED * power_size(c, 0, order, h) + behind(c, h)
     listed = series(c, order, h, 0, noise, rows, found)
     return 0 if listed == VANISHES else listed
 
@@ -244,14 +240,8 @@ def _exact(c: Floats, t: float, s: float) -> bool:
     """Whether a zero is known as exactly as the time is."""
     order = c.shape[0] - 1
     _, slope = power_value(c, 0, order, s)
-    off = EPS * power_size(c, 0, order, s) + left_open(c, s)
+    off = EPS * power_size(c, 0, order, s) + behind(c, s)
     return off <= EXACT * EPS * max(abs(t), s) * abs(slope)
-
-
-def left_open(c: Floats, s: float) -> float:
-    """What is left of a series behind its last terms, by their size: they fall."""
-    order = c.shape[0] - 1
-    return (abs(c[order - 1]) + abs(c[order]) * s) * s ** (order - 1)
 
 
 def crossed_to(c: Matrix, row: int, side: int) -> int:

@@ -17,8 +17,12 @@ __all__ = ("falls", "own_length", "step_length", "tolerated_length")
 #: Size, relative to the state, to which the last terms of a step are held.
 ROUNDING = 1e-16
 
-#: An element of the state counts as no smaller than this share of the largest.
-SMALLEST = 1e-3
+#: Size, relative to the largest, of the last terms up to which a series may be used at all: what
+#: follows is then no more than they are.
+CONVERGED = 1e-3
+
+#: An element of the state is measured by its first terms, so many.
+MOVES = 3
 
 #: Rounding of a gap's series, in spacings of its terms: as many as it has.
 ROUNDED = 16.0
@@ -33,56 +37,42 @@ def falls(c: Matrix, size: int, gap: Floats, far: float, rows: Matrix, found: Ma
 
 def step_length(c: Matrix, size: int) -> float:
     """Length at which the last two terms of every element of the state fall to rounding."""
-    least = _least(c, size)
     length = math.inf
     for i in range(size):
-        length = _within(c[i], least, 0.0, 0.0, length)
+        length = _within(c[i], ROUNDING, 0.0, length)
     return length
 
 
 def tolerated_length(c: Matrix, size: int, loss: Floats) -> float:
     """Length at which they fall to what a step may lose: a share of the element, in the first place
-    of ``loss``, and a number for each, behind it; to rounding where that is more."""
-    least = _least(c, size)
+    of ``loss``, and a number for each, behind it; to rounding where that is more, and no further
+    than all series have converged."""
     length = math.inf
     for i in range(size):
-        length = _within(c[i], least, loss[0], loss[1 + i], length)
+        if loss[0] > CONVERGED or loss[1 + i] > CONVERGED * abs(c[i, 0]):
+            length = _within(c[i], CONVERGED, 0.0, length)
+        length = _within(c[i], max(loss[0], ROUNDING), loss[1 + i], length)
     return length
 
 
-def _least(c: Matrix, size: int) -> float:
-    """As what an element of the state counts at least."""
-    largest = 0.0
-    for i in range(size):
-        largest = max(largest, abs(c[i, 0]))
-    return SMALLEST * largest
-
-
-def _within(c: Floats, least: float, relative: float, absolute: float, length: float) -> float:
+def _within(c: Floats, relative: float, absolute: float, length: float) -> float:
     """The length, or the shorter one at which the last two terms of an element are small enough.
 
-    An element that is next to zero is measured by how far it goes.
+    Against the element, or how far it goes by its speed or its acceleration, if that is more: so
+    neither the unit of time nor other elements matter. One that is zero and at rest is measured by
+    its other terms.
     """
     order = c.shape[0] - 1
-    own = ROUNDING * max(abs(c[0]), abs(c[1]), least)
-    own = max(own, absolute + relative * abs(c[0]))
-    if own == 0.0:
-        return min(length, _from_zero(c))
+    own = absolute + relative * abs(c[0])
     for k in range(order, order - 2, -1):
         last = abs(c[k])
         if last != 0.0 and last * length**k > own:
             reach = (own / last) ** (1.0 / k)
-            length = min(length, max(reach, (relative * abs(c[1]) / last) ** (1.0 / (k - 1))))
-    return length
-
-
-def _from_zero(c: Floats) -> float:
-    """Length at which the last two terms fall to rounding, of a state that is zero and at rest."""
-    order = c.shape[0] - 1
-    length = math.inf
-    for last in range(order - 1, order + 1):
-        if c[last] != 0.0:
-            length = min(length, max(_reach(c, 2, last, ROUNDING), 0.0))
+            for j in range(1, MOVES):
+                moved = relative * abs(c[j])
+                if reach == 0.0 or moved * reach**j > last * reach**k:
+                    reach = (moved / last) ** (1.0 / (k - j))
+            length = min(length, reach if reach > 0.0 else own_length(c, relative))
     return length
 
 
@@ -92,16 +82,22 @@ def own_length(c: Floats, share: float) -> float:
     length = math.inf
     for last in range(order - 1, order + 1):
         if c[last] != 0.0:
-            reach = _reach(c, 0, last, share)
+            reach = _reach(c, last, share)
             length = min(length, reach) if reach >= 0.0 else length
     return length
 
 
-def _reach(c: Floats, low: int, last: int, share: float) -> float:
-    """Where a term is as large as a share of the largest of those from ``low`` on, the last two
-    left out; -1 where these are all zero."""
+def behind(c: Floats, s: float) -> float:
+    """What is left of a series behind its last terms, by their size: they fall."""
+    order = c.shape[0] - 1
+    return (abs(c[order - 1]) + abs(c[order]) * s) * s ** (order - 1)
+
+
+def _reach(c: Floats, last: int, share: float) -> float:
+    """Where a term is as large as a share of the largest of the others, the last two left out; -1
+    where these are all zero."""
     reach, least = -1.0, 0.0  # shares of terms, against the last, that are not above it reach less
-    for k in range(low, c.shape[0] - 2):
+    for k in range(c.shape[0] - 2):
         size = share * abs(c[k] / c[last])
         if c[k] != 0.0 and not (least > 0.0 and size <= least):
             reach = max(reach, size ** (1.0 / (last - k)))
