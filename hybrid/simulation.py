@@ -91,8 +91,8 @@ def simulate(
     rtol, atol : float, optional
         Tolerances of the solver for each step, in shares of each element of the state and in its
         own unit; ``atol`` may be an array, one for each element. Each solver's own if omitted:
-        1e-8 and 1e-10; of "taylor", which is accurate to rounding, 1e-14 and 1e-16 where the
-        model looks into no past.
+        1e-8 and 1e-10; of "taylor", whose steps are then accurate to rounding, 1e-14 and 1e-16
+        where the model looks into no past.
         ``run.options`` says which they were.
     max_step : float, optional
         The longest step, in time; as long as the tolerances allow if omitted. It is for what is so
@@ -148,18 +148,19 @@ def simulate(
     require_model(model)
     scene = scene_of(model)
     spec = scene.spec
-    own = own_rtol(solver)
+    own = finest = own_rtol(solver)
     if spec.lags:  # a history of the caller's may be off by far more than rounding
         own = max(own, Solver.own_rtol)
     allowed = tolerances(rtol, atol, spec.dimension, own)
     steps = {"max_step": max_step, "first_step": first_step}
     plan = _plan(t, allowed, zeno, max_jumps, save, progress, memory, steps)
+    made = attrs.evolve(plan, rtol=finest) if finest < plan.rtol <= own else plan
     x = _start(spec, start)
     past = _past(spec, history, plan, x)
     begins = spec.initial if mode is None else name_of(mode)
     if not isinstance(begins, str) or not scene.starts(begins):
         raise OptionError(f"{spec.model}: mode={mode!r}; there are {', '.join(scene.modes)}")
-    driver = Driver(scene, _chosen(plan, solver, method, controller), plan, past)
+    driver = Driver(scene, _chosen(made, solver, method, controller), plan, past)
     driver.run(begins, x)
     _give_errors(driver, solver, method, begins, x)
     if zeno == "raise" and driver.record.zeno:
@@ -227,7 +228,7 @@ class _Again:
 
     They are watched: each step is shown to have seen all of the flow. The second run uses Taylor
     series, accurate to rounding; a model without them its own method at a hundredth of its
-    tolerance; and a run that used Taylor series itself is compared with DOP853 at its smallest
+    tolerance; and a run that was itself made to rounding is compared with DOP853 at its smallest
     tolerance, unless forces act so briefly that rounding matters to them. The third run is the
     same from beside the start, moved by what rounding does to such forces: how far it goes
     from the run that is not moved shows what rounding grows to. (One run for both would be moved
@@ -246,7 +247,7 @@ class _Again:
         series = all(driver.scene.field(part.mode).jets is not None for part in parts)
         name = "series" if series else "own"
         moved = self._run(name, True)
-        if self.own[0] == "taylor" and moved.watchful.blurred <= BLURRED:
+        if driver.solver.exact and moved.watchful.blurred <= BLURRED:
             finest = self._run("finest")
             if _shows(finest, index, driver.record.zeno[index]):
                 return _errors(driver, index, [(driver, finest), (driver, moved)])
@@ -268,7 +269,7 @@ class _Again:
     def _solver(self, name: str) -> Solver:
         plan = self.driver.plan
         if name == "series":
-            return _chosen(plan, "taylor", None)
+            return _chosen(attrs.evolve(plan, rtol=own_rtol("taylor")), "taylor", None)
         if name == "finest":
             plan = attrs.evolve(plan, rtol=FINEST, atol=1e-4 * plan.atol)
             return _chosen(plan, "scipy", "DOP853")

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 from .arrays import Automaton, Floats, Now, Room
-from .checks import MIDDLE, MISSED, along, second
+from .checks import MIDDLE, MISSED, SHOWN, along, second
 from .jets import OUTPUT, jets
-from .lengths import ROUNDING, own_length
+from .lengths import CONVERGED, ROUNDING, behind, own_length
 from .places import (
     ABSOLUTE,
     AFFINE,
@@ -24,6 +24,7 @@ from .places import (
     GUARDS,
     GUARDS_END,
     LAST,
+    LOSS,
     LOW,
     NEXT,
     ORDER,
@@ -97,15 +98,17 @@ def first_event(
     """The guard that fires first in a step (-1: none), and when (1); at 0 if that is not plain."""
     field = now.ints[FIELD]
     first = a.fields[field, GUARDS]
-    fired, best, second = -1, math.inf, math.inf
+    fired, best, second, width = -1, math.inf, math.inf, 0.0
     for g in range(first, a.fields[field, GUARDS_END]):
         s = zero_of(a, run, now, room, g, now.orders[g - first] if starting else 0, h, starting)
         if s < best:
             fired, best, second = g, s, best
         else:
             second = min(second, s)
+        if a.guards[g, AFFINE] == 0 and 0.0 < s < math.inf:
+            width += blurred(room.c[row_of(a, series_of(a, run, field), field, g)], s)
     spacing = EPS * abs(now.floats[T])
-    if second - best <= BESIDE * h + TIE * spacing:
+    if second - best <= max(BESIDE * h + TIE * spacing, width):
         return fired, 0.0
     return fired, best
 
@@ -128,7 +131,9 @@ def zero_of(
     field = now.ints[FIELD]
     place = guard - a.fields[field, GUARDS]
     c = room.c[row_of(a, series_of(a, run, field), field, guard)]
-    crossing, tolerance = a.guards[guard, CROSSING], left_open(a, run, guard, now.end)
+    left = behind(c, h) if a.guards[guard, AFFINE] == 0 else 0.0
+    crossing = a.guards[guard, CROSSING]
+    tolerance = max(left_open(a, run, guard, now.end), SHOWN * left)
     if not starting and not c[0] * now.signs[place] > 0.0:
         return 0.0
     degree = c.shape[0] - 1
@@ -140,14 +145,14 @@ def zero_of(
         if direction == 0.0:
             return 0.0
         if crossing == 0 or direction * crossing > 0.0:
-            left = order == 0 or has_left(a, now, room, c, guard, s)
-            return s if left and not turns(c, s, tolerance) else 0.0
+            gone = order == 0 or has_left(a, now, room, c, guard, s)
+            return s if gone and not turns(c, s, tolerance) else 0.0
         if a.guards[guard, BOUNDS] == 1:
             return 0.0
     value, _ = power_value(c, 0, degree, h)
     size = power_size(c, 0, degree, h)
     now.signs[place] = 1 if value > 0.0 else -1
-    return math.inf if abs(value) > ROUNDED * EPS * size else 0.0
+    return math.inf if abs(value) > max(ROUNDED * EPS * size, SHOWN * left) else 0.0
 
 
 def left_open(a: Automaton, run: Floats, guard: int, x: Floats) -> float:
@@ -156,6 +161,14 @@ def left_open(a: Automaton, run: Floats, guard: int, x: Floats) -> float:
     for k in range(a.guards[guard, USES], a.guards[guard, USES_END]):
         size = max(size, abs(x[a.uses[k]]))
     return run[ABSOLUTE] + run[RELATIVE] * size
+
+
+def blurred(c: Floats, s: float) -> float:
+    """By how much what a series leaves open may move its zero; a zero of order two is blurred by no
+    more than where it is."""
+    _, slope = power_value(c, 0, c.shape[0] - 1, s)
+    left = SHOWN * behind(c, s)
+    return left / abs(slope) if left < abs(slope) * s else s
 
 
 def turns(c: Floats, s: float, tolerance: float) -> bool:
@@ -176,12 +189,14 @@ def has_left(a: Automaton, now: Now, room: Room, c: Floats, guard: int, s: float
 
 
 def resolved(a: Automaton, run: Floats, now: Now, room: Room, t: float, h: float) -> float:
-    """How far of a step the guards' series have converged; -1 where they do not follow them."""
+    """How far of a step the guards' series have converged, to what a step may lose; -1 where they
+    do not follow them."""
     field, program = now.ints[FIELD], series_of(a, run, now.ints[FIELD])
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
         if a.guards[g, AFFINE] == 0:
-            h = min(h, own_length(room.c[row_of(a, program, field, g)], ROUNDING))
+            share = min(max(run[LOSS], ROUNDING), CONVERGED)
+            h = min(h, own_length(room.c[row_of(a, program, field, g)], share))
     for g in range(first, a.fields[field, GUARDS_END]):
         if a.guards[g, AFFINE] == 0:
             for share in (MIDDLE, 1.0):
@@ -193,7 +208,8 @@ def resolved(a: Automaton, run: Floats, now: Now, room: Room, t: float, h: float
 def follows(
     a: Automaton, now: Now, room: Room, made_by: int, guard: int, t: float, s: float
 ) -> bool:
-    """Whether the series of a guard gives its value at a later time, but for rounding."""
+    """Whether the series of a guard gives its value at a later time, but for rounding and what its
+    last terms leave open."""
     field = now.ints[FIELD]
     program = a.fields[field, PROGRAM]
     along(room.c, s, room.there)
@@ -204,7 +220,7 @@ def follows(
     if jets(a.programs, program, 0, t + s, room.there, room.still, room.aside, room.work) < 0:
         return False
     exact = room.aside[row_of(a, program, field, guard), 0]
-    return abs(exact - value) <= MISSED * EPS * size
+    return abs(exact - value) <= max(MISSED * EPS * size, SHOWN * behind(c, s))
 
 
 def event_along(

@@ -8,9 +8,9 @@
     Diffrax's methods, each step compiled; in long runs plain arcs, with their events and jumps, run
     as one program. Dopri8 is the default; Kvaerno5 for stiff flows.
 ``taylor``
-    Taylor series of order 16 made from the trace: accurate to rounding whatever the
-    tolerance, for flows that are not stiff. It is also what a run's error bounds are
-    measured with.
+    Taylor series made from the trace, for flows that are not stiff: accurate to rounding where
+    no tolerance is given, and of a lower order where one is. To rounding, it is also what a
+    run's error bounds are measured with.
 
 A solver only flows (:mod:`.base`). A package of its own adds one by an entry point of the
 group ``hybrid.solvers`` (``docs/extending.md``).

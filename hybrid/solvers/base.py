@@ -153,6 +153,8 @@ class Solver(abc.ABC):
         run goes on in compiled streaks, where there are such.
     rtol, atol
         What a step may lose; rounding, of a method that knows no tolerances.
+    exact : bool
+        Whether its steps are accurate to rounding.
     own_rtol : float
         The relative tolerance where the caller gives none; the absolute one is then a hundredth
         of it. Of the class, for it is asked before one is made.
@@ -169,6 +171,7 @@ class Solver(abc.ABC):
     evaluations: int | None = None
     max_step: float = float("inf")
     asked: bool = True
+    exact: bool = False
     rtol: float = FINEST
     atol: Any = 0.0
 
