@@ -66,7 +66,7 @@ def by_theorem(fastest: float, delta: float = 0.0, gamma: float = 0.0) -> Certif
 def flown(delta: float = 0.0, gamma: float = 0.0) -> Trajectory:
     """The run of the figure."""
     start = {"x": START, "v": 0.0}
-    return simulate(beam(delta, gamma), start, (0.0, 30.0), solver="taylor", rtol=1e-13, atol=1e-13)
+    return simulate(beam(delta, gamma), start, (0.0, 30.0), solver="taylor")
 
 
 def mended() -> float:
