@@ -10,6 +10,7 @@ import pytest
 import hybrid as hy
 from hybrid.automaton import trace
 from hybrid.errors import FlowError
+from hybrid.scene.fixed import hides_derivatives
 from hybrid.scene.lowered import ORDER
 from hybrid.scene.scene import scene_of
 
@@ -156,3 +157,36 @@ def test_a_singular_matrix_is_said(solver):
     cls = automaton(lambda t, x, y: jnp.linalg.solve(jnp.ones((2, 2)) * x, jnp.array([x, y]))[0])
     with pytest.raises(FlowError, match=r"Model, mode flow, t = 0\.0, .*the flow is not finite"):
         hy.simulate(cls(), [1.0, 1.0], (0.0, 1.0), solver=solver)
+
+
+class Linked(hy.Automaton):
+    """Two masses that feel each other, one of them above a floor."""
+
+    q = hy.state(shape=(2,))
+    v = hy.state(shape=(2,))
+
+    @hy.mode
+    def fall(self, t, s):
+        c = jnp.cos(s.q)
+        return s.v, jnp.linalg.solve(2.0 * jnp.eye(2) + 0.1 * jnp.outer(c, c), -9.81 - s.q)
+
+    floor = hy.contact(fall, gap=lambda self, t, s: s.q[0], restitution=0.5)
+
+
+def test_an_accumulation_is_proved():
+    """Equations are arithmetic to proofs as well."""
+    run = hy.simulate(Linked(), {"q": [1.0, 1.0], "v": [0.0, 0.0]}, (0.0, 2.0), solver="taylor")
+    assert [found.verdict for found in run.zeno] == ["certified"]
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_a_derivative_held_back_is_seen(hidden):
+    """That of a matrix on its way to the factors which solve equations is not held back."""
+
+    def solved(a, b):
+        if hidden:
+            return linalg.lu_solve(linalg.lu_factor(jax.lax.stop_gradient(a)), b)
+        return jnp.linalg.solve(a, b) + linalg.solve(a @ a.T, b, assume_a="pos")
+
+    closed = jax.make_jaxpr(solved)(jnp.eye(2), jnp.ones(2))
+    assert hides_derivatives(closed) is hidden

@@ -116,6 +116,12 @@ def test_taylor_names_the_primitive_and_a_remedy():
         hy.simulate(ball(True), [1.0, 0.0], (0.0, 1.0), solver="taylor")
 
 
+def test_nothing_is_proved_of_it():
+    """A certificate is refused with the primitive's name."""
+    with pytest.raises(TraceError, match=r"Ball: nothing can be proved: .* primitive 'while'"):
+        hy.certify(ball(True), {"x": (0.0, 1.0), "v": (-0.1, 0.1)})
+
+
 def test_a_gap_must_be_written():
     """It is refused by name."""
     model = ball(False, lambda t: 0.1 * drag(t))

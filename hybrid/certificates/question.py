@@ -142,7 +142,10 @@ class Question:
         graph = FixedGraph(exact)
         inputs = self.code.inputs(graph)[len(shapes) :]
         (roots,) = graph.outputs(closed, [*graph.arguments(shapes, self.values), *inputs])
-        return IntervalProgram(graph, [roots[i] for i in kept])
+        try:
+            return IntervalProgram(graph, [roots[i] for i in kept])
+        except TraceError as fault:
+            raise TraceError(f"{self.spec.model}: {fault}") from None
 
     def law(self, place: Traced, speed: Traced) -> ScalarFunction:
         """The restitution; ``place`` gives the state at an impact, ``speed`` the gap's speed."""

@@ -7,7 +7,7 @@ parameters are put in as constants, a term times a parameter that is 0 is gone.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -84,17 +84,39 @@ def _exact(op: str, values: Sequence[Any]) -> bool:
 
 
 def hides_derivatives(closed: Any) -> bool:
-    """Whether a trace holds back a derivative (``stop_gradient``): proofs rest on them all."""
-    return "stop_gradient" in _primitives(closed.jaxpr)
+    """Whether a trace holds back a derivative (``stop_gradient``): proofs rest on them all.
+
+    That of a matrix whose factors solve equations is not held back: the equations have it.
+    """
+    return _hides(closed.jaxpr)
 
 
-def _primitives(jaxpr: Any) -> set[str]:
-    """Names of the primitives of a jaxpr, inner ones included."""
-    found = set()
-    for equation in jaxpr.eqns:
-        found.add(equation.primitive.name)
-        for inner in equation.params.values():
-            for part in inner if isinstance(inner, tuple | list) else [inner]:
-                part = getattr(part, "jaxpr", part)
-                found |= _primitives(part) if hasattr(part, "eqns") else set()
-    return found
+def _hides(jaxpr: Any) -> bool:
+    held = (e for e in jaxpr.eqns if e.primitive.name == "stop_gradient")
+    if any(not _solves(jaxpr, factors) for e in held for factors in _users(jaxpr, e)):
+        return True
+    return any(_hides(part) for e in jaxpr.eqns for part in _inner(e))
+
+
+def _solves(jaxpr: Any, factors: Any) -> bool:
+    """Whether an equation gives factors, and these to the solution of equations alone."""
+    names = {factors.primitive.name} if factors is not None else set()
+    names |= {e.primitive.name for part in _inner(factors) for e in part.eqns} if names else set()
+    users = _users(jaxpr, factors) if names & {"lu", "cholesky"} else [None]
+    return all(user is not None and user.primitive.name == "custom_linear_solve" for user in users)
+
+
+def _users(jaxpr: Any, equation: Any) -> list[Any]:
+    """The equations that use the results of one; None where they are results of all."""
+    own = {id(var) for var in equation.outvars}
+    found = [e for e in jaxpr.eqns if any(id(var) in own for var in e.invars)]
+    return [*found, *([None] if any(id(var) in own for var in jaxpr.outvars) else [])]
+
+
+def _inner(equation: Any) -> Iterator[Any]:
+    """The jaxprs in an equation."""
+    for inner in equation.params.values():
+        for part in inner if isinstance(inner, tuple | list) else [inner]:
+            part = getattr(part, "jaxpr", part)
+            if hasattr(part, "eqns"):
+                yield part
