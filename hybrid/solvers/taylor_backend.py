@@ -28,13 +28,13 @@ REFUSED = {
 }
 
 
-#: Terms more than would cost least if a step cost nothing besides: kinks, guards and the flow held
-#: against the series cost about as much as these (measured, from 1e-3 to 1e-13).
+#: Terms more than would cost least if a step cost nothing besides: to hold it against the flow,
+#: kinks and guards costs about as much as these (measured, ``docs/notes/loop.md``).
 MORE = 5
 
 
 def order_at(rtol: float) -> int:
-    """The order that costs least. If a step cost only its terms, each as much as all before it, it
+    """The order that costs least. If a step cost only its terms, the k-th k times the first, it
     would be that at which the radius of convergence is e^2 steps (Jorba & Zou)."""
     return min(ORDER, MORE + math.ceil(1.0 - 0.5 * math.log(rtol)))
 
