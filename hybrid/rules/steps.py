@@ -112,10 +112,14 @@ def _length(
     found: Matrix,
 ) -> tuple[int, float, int]:
     """How long a step is, at most ``most``, and the kink that ends it; a status before them."""
-    longest = min(tolerated_length(c, states(p, program), loss), holding(p, program, c), most)
+    longest, crossed = min(tolerated_length(c, states(p, program), loss), most), -1
+    watched = count(p, program) > 0
+    if watched:
+        longest = min(longest, holding(p, program, c))
     h = longest
     while h > SHORT * longest:
-        h, crossed = first_change(p, program, t, h, sides, c, rows, found)
+        if watched:
+            h, crossed = first_change(p, program, t, h, sides, c, rows, found)
         if math.isnan(h):
             return NOT_FINITE, h, -1
         if crossed >= 0 and h <= BLURRED * abs(t):
