@@ -155,6 +155,24 @@ def test_impacts_that_cannot_be_summed_are_an_error():
         hy.simulate(Ranked(), start, (0.0, 3.0), solver="scipy")
 
 
+def test_a_force_that_jumps_at_the_contact_is_an_error():
+    """Friction that turns round in each flight is no polynomial: its impacts have no sum."""
+
+    class Rubbed(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+
+        @hy.mode
+        def flight(self, t, s):
+            force = jax.lax.while_loop(lambda f: f > 1.0, lambda f: 0.5 * f, jnp.sign(s.v) + 2.0)
+            return s.v, -9.81 - force
+
+        impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+
+    with pytest.raises(JumpLoopError, match=r"Rubbed, .* cannot be summed"):
+        hy.simulate(Rubbed(), [1.0, 0.0], (0.0, 3.0), solver="scipy")
+
+
 def test_lanes_have_no_other_impacts():
     """Compiled runs of many starts, to 1e-6 of one of them."""
     lanes = hy.ensemble(ball(True), {"x": [1.0, 1.1], "v": [0.0, 0.0]}, (0.0, 1.3))

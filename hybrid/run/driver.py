@@ -356,18 +356,14 @@ class Driver:
             before, after, speed = hop
         known, last = {guard.edge: 1 if speed > 0 else 2}, self.record.log.kept[-1]
         series = self.watch.count > 1 and isinstance(last, Arc) and last.length > 0
-        flown = self.scene.field(self.scene.name(guard.to, held))
         self.enter(guard.to, after, Jumped(known, held, series=series))
-        if speed > 0 and self.watch.count > 1 and guard.edge in self.entry.field.held:
-            self._require_series(guard.edge, flown)
 
-    def _require_series(self, contact: str, field: Field) -> None:
-        """Refuse to come to rest by impacts that have no sum because their flow has no series."""
-        if field.jets is None:
+    def _require_series(self, contact: str, x: np.ndarray, field: Field) -> None:
+        """Refuse to go on by impacts that have no sum because their flow has no series."""
+        if field.jets is None and self.watch.count > 1:
             raise JumpLoopError(
-                f"{self.where(self.entry.x)}: the impacts of {contact} accumulate, and cannot be "
-                f"summed: {field.refused}; near the contact that must be a smooth function of a "
-                "few numbers"
+                f"{self.where(x)}: the impacts of {contact} accumulate, and cannot be summed: "
+                f"{field.refused}; near the contact it must be a smooth function of a few numbers"
             )
 
     def hop(
@@ -386,6 +382,8 @@ class Driver:
         fall = -guard.lie(after, ahead.tolist())[2]
         if not 0 < v * v <= NEAR * fall * self._reach(x):
             return None
+        if v * v <= NEAR**2 * fall * self._reach(x):  # a dozen digits of the gap are rounding
+            self._require_series(contact.name, x, field)
         flight = fly(field, column, t, x.tolist(), v)
         if flight is None or self.record.now.after(flight.time).until(self.known) < 0:
             return None
