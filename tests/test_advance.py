@@ -28,6 +28,19 @@ class Duffing(hy.Automaton):
     impact = hy.contact(flight, gap=lambda self, t, s: s.x + 0.5, restitution="r")
 
 
+class Swing(hy.Automaton):
+    """An oscillator that nothing strikes."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def swings(self, t, s):
+        return s.v, -s.x
+
+    wall = hy.contact(swings, gap=lambda self, t, s: s.x + 2.0, restitution=0.5)
+
+
 class Thermostat(hy.Automaton):
     """Two modes that switch at two temperatures, and a count of the time that heating takes."""
 
@@ -128,13 +141,19 @@ def test_the_loop_gives_the_run_of_the_rules_one_by_one(scene, monkeypatch):
 
 
 def test_little_room_changes_nothing(scene, monkeypatch):
-    """Jumps in arrays of one jump and two steps are those of large arrays, to the last digit."""
-    run = taylor(scene, save="jumps")
+    """In arrays of one jump and two steps an arc goes on from call to call: jumps, steps and dense
+    output are those of large arrays, to the last digit, though a limit may be seen earlier."""
+    run = taylor(scene)
     monkeypatch.setattr(machine, "JUMPS_KEPT", 1)
     monkeypatch.setattr(machine, "STEPS_KEPT", 2)
-    other = taylor(scene, save="jumps")
+    monkeypatch.setattr(machine, "MORE", 1)
+    other = taylor(scene)
     assert np.array_equal(run.jumps.t, other.jumps.t)
     assert np.array_equal(run.jumps.table.after, other.jumps.table.after)
+    assert other.stats.steps == run.stats.steps
+    assert other.stats.evaluations <= run.stats.evaluations
+    at = np.linspace(*scene[2], 301)
+    assert all(map(np.array_equal, run(at), other(at)))
 
 
 @pytest.mark.parametrize("name", ["duffing", "thermostat", "sections", "hard_spring"])
@@ -165,13 +184,27 @@ def test_progress_is_told():
 
 
 def test_the_keyboard_stops_the_loop():
-    """What was kept until then is there."""
+    """What was flown until then is there, up to the middle of an arc."""
+    told = []
 
     def stop(t):
+        told.append(t)
         raise KeyboardInterrupt
 
     model, start, _ = SCENES["duffing"]
     run = hy.simulate(model, start, (0.0, 3000.0), solver="taylor", progress=stop)
     assert run.status is hy.Status.INTERRUPTED
     assert 1 <= len(run.jumps) <= machine.JUMPS_KEPT
-    assert run.t1 == run.jumps.t[-1]
+    assert run.t1 == told[0] >= run.jumps.t[-1]
+    whole = hy.simulate(model, start, (0.0, run.t1), solver="taylor")
+    assert run.final.x == pytest.approx(whole.final.x, rel=1e-9)  # its last step is a shorter one
+
+
+def test_an_arc_may_have_more_steps_than_the_arrays_ever_hold(monkeypatch):
+    """Far from its start a swing is still a cosine, and each step is made once."""
+    monkeypatch.setattr(machine, "MOST", machine.STEPS_KEPT)
+    run = hy.simulate(Swing(), {"x": 1.0, "v": 0.0}, (0.0, 5000.0), solver="taylor")
+    assert run.stats.steps > 10 * machine.MOST
+    assert run.stats.evaluations == run.stats.steps
+    # a rounding of the state in each step, and of the time, grow to this
+    assert run.final.x == pytest.approx(np.cos(5000.0), abs=1e-16 * run.stats.steps + 1e-12)

@@ -85,8 +85,8 @@ def arc(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
     Returns
     -------
     status : int
-        ``LANDED``, or ``END``; ``STEP`` or ``LAND_ON``, to be called again with the answer; or
-        ``FULL`` or ``LOOK``, and nothing has changed.
+        ``LANDED``, or ``END``; ``STEP`` or ``LAND_ON``, to be called again with the answer, or
+        ``FULL``, with empty arrays; or ``LOOK``, and nothing has changed.
     """
     if a.fields[now.ints[FIELD], PLAIN] == 0:
         return LOOK
@@ -101,7 +101,7 @@ def arc(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
             status = looks(a, run, now, room, left)
         else:
             status = lands(a, run, now, room, left)
-    if status < STEP:
+    if status < STEP and status != FULL:
         now.ints[PHASE] = BEGINS
     return status
 
@@ -131,14 +131,14 @@ def walks(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
         now.floats[TAU] = length
         now.ints[STEPS] += now.ints[MADE]
         return END
+    if run[ORDER] == 0.0 and now.ints[STEPS] + now.ints[MADE] >= left.owner.shape[0]:
+        return FULL
     now.ints[PHASE] = LOOKS
     longest = run[FIRST_STEP] if now.ints[MADE] == 0 else run[MAX_STEP]
     if run[ORDER] > 0.0:
         until = length if now.floats[AIM] <= tau else min(length, now.floats[AIM])
         now.floats[TO_TAU] = min(until, tau + longest)
         return STEP
-    if now.ints[STEPS] + now.ints[MADE] >= left.owner.shape[0]:
-        return FULL
     field = now.ints[FIELD]
     status, h, crossed = step(
         a.programs,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..log import Flights, Steps, Table
+from ..log import Flights, Steps, Table, joined
 from ..rules import unit
 from ..rules.arrays import Left, Now, Room
 from ..rules.places import (
@@ -36,6 +36,7 @@ from ..rules.places import (
     STEPS,
     TAU,
     TRIED,
+    WALKS,
     T,
 )
 from ..scene.lowered import ORDER
@@ -81,6 +82,8 @@ class Machine:
         self.states = np.zeros((3, n))
         self.size: tuple[int, ...] = (JUMPS_KEPT, STEPS_KEPT)
         self.passed = False
+        self.open: list[Steps] = []
+        self.opened = 0
 
     def takes(self) -> bool:
         """Whether the arc that begins at the driver's entry may be plain."""
@@ -92,23 +95,49 @@ class Machine:
     def fly(self) -> None:
         """Go on until something needs judgement, or the run ends."""
         driver, now, room = self.driver, self._begin(), self.tables.room(self.order)
-        self.passed = False
+        self.passed, self.open, self.opened = False, [], 0
         while True:
             left = self._left()
             status = self._advance(now, room, left)
             self._expanded()
             self._keep(left)
-            if self.plan.progress is not None:
-                self.plan.progress(driver.t)
-            if driver.status is not None or self.passed:
+            ended = driver.status is not None or self.passed
+            self._tell(0.0 if ended else self._hold(left), left)
+            if ended:
                 return
             driver.watch = Watch(*self._series())
             if status in (FULL, STEP) and driver.flyer is not self:
                 driver.renew()
                 return
-            if status != FULL or self._stuck():
+            if status != FULL:
                 self._stand(left, status)
                 return
+            self.size = tuple(min(MORE * size, MOST) for size in self.size)
+
+    @property
+    def _going(self) -> int:
+        """Steps so far of the arc that the loop is in the middle of, its arrays being full."""
+        return int(self.ints[MADE]) if self.ints[PHASE] == WALKS else 0
+
+    def _hold(self, left: Left) -> float:
+        """Keep the steps of the arc that goes on; returns the local time reached in it."""
+        if not self._going:
+            return 0.0
+        rows = left.owner == self.ints[JUMPS]
+        self.opened += int(np.count_nonzero(rows))
+        if self.dense:
+            self.open.append(self._made(left, rows, int(self.ints[JUMPS])))
+        return float(self.floats[TAU])
+
+    def _tell(self, tau: float, left: Left) -> None:
+        """Say how far the run is; if it is stopped there, keep what has been flown of the arc."""
+        try:
+            if self.plan.progress is not None:
+                self.plan.progress(self.driver.t + tau)
+        except KeyboardInterrupt:
+            if tau > 0.0:
+                self._arc(left, int(self.ints[JUMPS]))
+            raise
 
     def _expanded(self) -> None:
         """Add the expansions of a call, which are what Taylor's steps evaluate."""
@@ -153,12 +182,6 @@ class Machine:
         contact = self.tables.guards[guard].edge if guard >= 0 else None
         return contact, count, float(self.floats[TRIED])
 
-    def _stuck(self) -> bool:
-        """Make more room for the next call; whether one arc needs more than there may be."""
-        most = min(self.size) >= MOST and not self.ints[JUMPS]
-        self.size = tuple(min(MORE * size, MOST) for size in self.size)
-        return most
-
     def _begin(self) -> Now:
         """The state of the driver's entry."""
         driver, entry = self.driver, self.driver.entry
@@ -184,7 +207,7 @@ class Machine:
             self.outside.begin()
             jumps, steps = 1 if self.plan.progress is not None else jumps, 0
         jumps = min(jumps, self.plan.max_jumps - self.driver.record.made)
-        self.ints[JUMPS] = self.ints[STEPS] = self.ints[EXPANSIONS] = 0
+        self.ints[JUMPS], self.ints[STEPS], self.ints[EXPANSIONS] = 0, -self._going, 0
         return Left(
             np.empty((jumps, 3)),
             np.empty(jumps, dtype=np.int64),
@@ -212,45 +235,42 @@ class Machine:
         edges = np.array([tables.guards[g].edge for g in fired], dtype=object)
         t, low, lengths = left.when[begin:end].T
         jumps = Table(t, low, edges, left.before[begin:end], left.after[begin:end])
-        modes, steps = [tables.modes[g] for g in fired], self._steps(left, begin, end)
+        modes = [tables.modes[g] for g in fired]
+        steps, count = self._flown_in(left, begin, end)
         first = driver.entry.x
         flights = Flights(driver.record.j, modes, now.t, now.low, first, lengths, jumps, steps)
-        driver.steps += self._count(left, begin, end)
+        driver.steps += count
         due, guard = driver.flown(flights), tables.guards[fired[-1]]
         driver.arrive(driver.scene.field(guard.to), jumps.after[-1], guard, jumps.before[-1])
         self.passed = due and pass_limit(driver, guard.to)
 
-    def _between(self, left: Left, begin: int, end: int) -> np.ndarray:
-        """Which steps belong to some of the arcs."""
-        owner = left.owner[: self.ints[STEPS]]
-        return (owner >= begin) & (owner < end)
-
-    def _count(self, left: Left, begin: int, end: int) -> int:
-        """How many steps belong to some of the arcs."""
+    def _flown_in(self, left: Left, begin: int, end: int) -> tuple[Steps | None, int]:
+        """The steps of some of the arcs, if they are kept, and how many; the first has the held."""
         if self.outside is not None:
-            return self.outside.count(begin, end)
-        return int(np.count_nonzero(self._between(left, begin, end)))
+            steps = self.outside.steps(begin, end) if self.dense else None
+            return steps, self.outside.count(begin, end)
+        owner = left.owner[: max(int(self.ints[STEPS]), 0)]
+        rows = (owner >= begin) & (owner < end)
+        count, held = self.opened + int(np.count_nonzero(rows)), self.open
+        self.open, self.opened = [], 0
+        return joined([*held, self._made(left, rows, begin)]) if self.dense else None, count
 
-    def _steps(self, left: Left, begin: int, end: int) -> Steps | None:
-        """The steps of some of the arcs, as states at the nodes of each."""
-        if not self.dense:
-            return None
-        if self.outside is not None:
-            return self.outside.steps(begin, end)
-        chosen, n = self._between(left, begin, end), self.states.shape[1]
-        start, length = left.spans[: len(chosen)][chosen].T
-        series = left.series[: n * len(chosen)].reshape(len(chosen), n, self.order + 1)[chosen]
+    def _made(self, left: Left, rows: np.ndarray, begin: int) -> Steps:
+        """Steps as states at the nodes of each, those of arc ``begin`` being the first's."""
+        n, count = self.states.shape[1], len(rows)
+        start, length = left.spans[:count][rows].T
+        series = left.series[: n * count].reshape(count, n, self.order + 1)[rows]
         powers = np.arange(self.order + 1)
         scaled = series * length[:, None, None] ** powers
         values = np.einsum("sik,jk->sji", scaled, nodes(self.order)[:, None] ** powers)
-        return Steps(left.owner[: len(chosen)][chosen] - begin, start, length, values)
+        return Steps(left.owner[:count][rows] - begin, start, length, values)
 
     def _arc(self, left: Left, made: int) -> np.ndarray:
         """Add an arc that no jump of the loop has ended; returns the state at its end."""
         driver, tau = self.driver, float(self.floats[TAU])
-        steps, end = self._steps(left, made, made + 1), self.states[1].copy()
+        (steps, count), end = self._flown_in(left, made, made + 1), self.states[1].copy()
         segments = [] if steps is None else steps.segments(np.array([tau]))
-        driver.steps += self._count(left, made, made + 1)
+        driver.steps += count
         return driver.record.arc(driver.entry.field, driver.entry.x, end, tau, segments)
 
     def _stand(self, left: Left, status: int) -> None:

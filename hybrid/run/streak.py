@@ -14,7 +14,7 @@ from ..compiled.streak import Record, Streak, Watch
 from ..compiled.system import system_of
 from ..compiled.turn import AHEAD, PATIENCE
 from ..errors import FlowError
-from ..log import Flights, Steps, Table
+from ..log import Flights, Steps, Table, joined
 from ..scene import Guard
 from ..solvers.base import FINEST, Solver
 from ..trajectory import Status
@@ -68,7 +68,7 @@ class Streaks:
         try:
             lane, status = self._chunks(lane)
         except KeyboardInterrupt:
-            steps = _joined(self.open)
+            steps = joined(self.open)
             if steps is not None and len(steps.arc):
                 self._arc(steps.values[-1, -1], float(steps.start[-1] + steps.length[-1]))
             raise
@@ -166,7 +166,7 @@ class Streaks:
         modes, guards = self._fired(records.slot[rows].tolist())
         if self.dense:
             self.open.append(_steps(records, slice(begin, rows[-1] + 1)))
-        steps, self.open = _joined(self.open), []
+        steps, self.open = joined(self.open), []
         edges = np.array([guard.edge for guard in guards], dtype=object)
         t, low, before, after, lengths = (column[rows] for column in _columns(records))
         jumps = Table(t, low, edges, before, after)
@@ -189,7 +189,7 @@ class Streaks:
     def _arc(self, last: np.ndarray, tau: float) -> None:
         """Add an arc that no jump ended."""
         driver = self.driver
-        steps, self.open = _joined(self.open), []
+        steps, self.open = joined(self.open), []
         segments = [] if steps is None else steps.segments(np.array([tau]))
         driver.record.arc(driver.entry.field, driver.entry.x, last, tau, segments)
 
@@ -238,8 +238,3 @@ def _steps(records: Record, rows: slice) -> Steps:
     made, jumps = records.step[rows], records.jump[rows]
     columns = np.cumsum(jumps) - jumps, records.start[rows], records.length[rows]
     return Steps(*(column[made] for column in (*columns, records.values[rows])))
-
-
-def _joined(steps: list[Steps]) -> Steps | None:
-    """The steps of arcs in a row, of which only the last piece holds more than the first arc."""
-    return Steps(*map(np.concatenate, zip(*steps, strict=True))) if steps else None
