@@ -53,6 +53,27 @@ def test_a_flow_that_leads_back_to_its_jump_ends_in_an_error(options, save, scal
         hy.simulate(Stuck(scale=scale), start, (0.0, 1e3), rtol=1e-8, **options)
 
 
+class Swinging(hy.Automaton):
+    """A force that swings ever faster on the way to ``x = 0``."""
+
+    x = hy.state()
+
+    @hy.mode(initial=True)
+    def falls(self, t, s):
+        return -1.0 + 0.5 * jnp.sin(1.0 / s.x)
+
+    @hy.edge(falls, to=falls, guard=lambda self, t, s: s.x + 1.0)
+    def back(self, t, s):
+        return 1.0
+
+
+@pytest.mark.parametrize("options", SOLVERS, ids=lambda o: o.get("method", o["solver"]))
+def test_steps_that_become_ever_shorter_end_in_an_error(options):
+    """Long before the time of a force ``sin(1/x)`` at zero is reached."""
+    with pytest.raises(hy.FlowError, match=r"Swinging, mode falls, t = .*ever shorter"):
+        hy.simulate(Swinging(), {"x": 1.0}, (0.0, 1e3), rtol=1e-8, **options)
+
+
 @pytest.mark.parametrize(("model", "stuck"), [(Stuck(), True), (Stiff(), False)])
 def test_short_steps_alone_are_no_error(model, stuck):
     """Next to a corner of a force, or over a jump to which one side does not lead, all is well."""
