@@ -41,13 +41,25 @@ class Dragged(hy.Automaton):
 
 
 class Solved(hy.Automaton):
-    """A flow that needs a library."""
+    """A flow that solves equations: they are written out."""
 
     x = hy.state(shape=(2,))
 
     @hy.mode
     def flow(self, t, s):
         return jnp.linalg.solve(jnp.array([[2.0, 1.0], [0.0, 2.0]]), -s.x)
+
+
+class Library(hy.Automaton):
+    """A flow that needs a library: the eigenvalues 1 - k and 1 + k, whose sum is 2."""
+
+    x = hy.state(shape=(2,))
+
+    @hy.mode
+    def flow(self, t, s):
+        k = 0.1 * s.x[0]
+        one = jnp.ones_like(k)
+        return -0.25 * jnp.sum(jnp.linalg.eigvalsh(jnp.array([[one, k], [k, one]]))) * s.x
 
 
 def test_small_terms_alone_prove_nothing():
@@ -100,9 +112,18 @@ def test_large_systems_have_series_that_are_not_the_default():
 
 
 def test_a_flow_that_needs_a_library_runs_in_pieces():
-    """Lanes of it have no series and are not compiled in one piece: x' = -A^-1 x."""
+    """Lanes of it have no series and are not compiled in one piece: x' = -x / 2."""
+    assert not code_of(Library()).scalar
+    assert system_of(code_of(Library())).no_series is not None
+    start = np.array([[1.0, 0.0], [0.0, 2.0]])
+    lanes = hy.ensemble(Library(), {"x": start}, (0.0, 1.0))
+    np.testing.assert_allclose(lanes.x, np.exp(-0.5) * start, atol=1e-7)
+
+
+def test_a_flow_that_solves_equations_has_series():
+    """Of lanes, too, which JAX's own solution is compiled for: x' = -A^-1 x."""
     assert not code_of(Solved()).scalar
-    assert system_of(code_of(Solved())).no_series is not None
+    assert system_of(code_of(Solved())).no_series is None
     lanes = hy.ensemble(Solved(), {"x": np.array([[1.0, 0.0], [0.0, 2.0]])}, (0.0, 1.0))
     decay = np.exp(-0.5)
     np.testing.assert_allclose(lanes.x, [[decay, 0.0], [0.5 * decay, 2 * decay]], atol=1e-7)
