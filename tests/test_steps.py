@@ -327,3 +327,24 @@ def test_a_flight_without_series_is_none():
     one = falling(Drag, "flight")
     assert fly(one, 0, 0.0, [0.0, math.nan], 1.0) is None
     assert fly(one, 0, 0.0, [0.0, -1.0], -1.0) is None
+
+
+class Swing(hy.Automaton):
+    """A cosine."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def swings(self, t, s):
+        return s.v, -s.x
+
+
+def test_the_state_is_that_of_the_rounded_time():
+    """Far from the start of an arc the end of a step is rounded to a spacing of 1e-11."""
+    stepper = start(scene_of(Swing()).field("swings"), [1.0, 0.0])
+    stepper.tau = begin = 1e5
+    for _ in range(1000):
+        stepper.step(2e5)
+    # a rounding of the state in each step; those of the time would add up to some 1e-9
+    assert stepper.x[0] == pytest.approx(math.cos(stepper.tau - begin), abs=1e-13)

@@ -88,7 +88,7 @@ class TaylorStepper(Stepper):
         self, solver: TaylorSolver, field: Field, t0: float, x0: np.ndarray, length: float
     ) -> None:
         assert field.jets is not None
-        self.solver = solver
+        self.solver, self.rhs = solver, field.rhs
         self.jets, self.held = field.jets, field.project is not None
         self.t0, self.length = t0, length
         self.tau, self.x = 0.0, x0
@@ -108,8 +108,12 @@ class TaylorStepper(Stepper):
             raise FlowError(REFUSED[status])
         if len(sides):
             unit("kinks").turn(programs, 0, crossed, self.room.c, sides)
-        self._start, self._made = start, h
-        self.tau, self.x = (limit if start + h >= limit else start + h), end
+        self.tau = limit if start + h >= limit else start + h
+        self._start, self._made = start, self.tau - start
+        if self._made != h:  # the time is rounded, and the state is that of the rounded time
+            flow = self.rhs(self.t0 + self.tau, end.tolist())
+            end += (self._made - h) * np.array(flow)
+        self.x = end
 
     def land(self, tau: float) -> Segment:
         """The same series, cut at ``tau``."""
