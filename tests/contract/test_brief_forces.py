@@ -4,6 +4,7 @@ Truth is piecewise polynomial, or an integral known in closed form.
 """
 
 import math
+import re
 
 import jax.numpy as jnp
 import numpy as np
@@ -222,9 +223,11 @@ class Restless(hy.Automaton):
 
 @pytest.mark.parametrize("save", ["dense", "jumps"])
 def test_a_force_that_swings_without_end_is_an_error(save):
-    """Not a run without end: after 8192 steps, which is a second."""
-    with pytest.raises(hy.FlowError, match="the steps become ever shorter: 8192 in this arc"):
+    """Not a run without end: after some 1e5 steps, which is well below a second."""
+    with pytest.raises(hy.FlowError, match="the steps become ever shorter") as fault:
         hy.simulate(Restless(), [1.0, 0.0], (0.0, 2.0), solver="taylor", save=save)
+    counted = re.search(r"(\d+) in this arc", str(fault.value))
+    assert 8192 <= int(counted[1]) <= 2e5
 
 
 def test_steps_that_become_shorter_for_a_time_are_no_error():
