@@ -36,6 +36,7 @@ from .cycles import Cycles, Seen, pass_limit
 from .entry import Entry, Jumped, before_impact, beyond_kinks, describe, enter, opened, signs_at_end
 from .machine import Machine
 from .memory import Memory
+from .pace import Pace
 from .pieces import Piece
 from .plan import PATIENCE, Plan
 from .recorder import Recorder
@@ -455,6 +456,18 @@ class Driver:
             guard = field.guards[field.column(edge)]
             clocks.append(self.cycles.clock(self.scene, field, guard, *start))
         return np.array(clocks)
+
+    def watch_pace(self) -> None:
+        """Watch the steps of the arc that begins here, which is flown many steps at a time."""
+        self.pace = Pace(self.entry.field, self.t, self.record.now.until(self.plan.t1))
+
+    def count_steps(self, tau: float, x: np.ndarray, count: int) -> None:
+        """Count steps of that arc, which have led to a state."""
+        try:
+            self.pace.steps(tau, x, count)
+        except FlowError as fault:
+            where = describe(self.scene, self.entry.field, self.t + tau, x)
+            raise FlowError(f"{where}: {fault}") from None
 
     def where(self, x: np.ndarray) -> str:
         """Model, mode, time and state, for messages."""

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import FlowError
 from ..log import Flights, Steps, Table, joined
 from ..rules import unit
 from ..rules.arrays import Left, Now, Room
@@ -44,9 +43,7 @@ from ..scene.lowered import ORDER
 from ..segment import nodes
 from ..trajectory import Status
 from .cycles import pass_limit
-from .entry import describe
 from .outside import Outside
-from .pace import Pace
 from .plan import PATIENCE
 from .watch import Watch
 
@@ -127,22 +124,14 @@ class Machine:
         if not self._going:
             return 0.0
         rows, tau = left.owner == self.ints[JUMPS], float(self.floats[TAU])
-        self._count(tau, int(np.count_nonzero(rows)))
+        if not self.opened:
+            self.driver.watch_pace()
+        made = int(np.count_nonzero(rows))
+        self.opened += made
+        self.driver.count_steps(tau, self.states[1], made)
         if self.dense:
             self.open.append(self._made(left, rows, int(self.ints[JUMPS])))
         return tau
-
-    def _count(self, tau: float, steps: int) -> None:
-        """Look at the pace of the arc that goes on."""
-        driver, x = self.driver, self.states[1]
-        if not self.opened:
-            self.pace = Pace(driver.entry.field, driver.t, driver.record.now.until(self.plan.t1))
-        self.opened += steps
-        try:
-            self.pace.steps(tau, x, steps)
-        except FlowError as fault:
-            where = describe(driver.scene, driver.entry.field, driver.t + tau, x)
-            raise FlowError(f"{where}: {fault}") from None
 
     def _tell(self, tau: float, left: Left) -> None:
         """Say how far the run is; if it is stopped there, keep what has been flown of the arc."""

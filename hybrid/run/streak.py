@@ -13,15 +13,12 @@ from ..compiled.lane import END, JUDGE, JUMP, RUNNING, Lane, Run
 from ..compiled.streak import Record, Streak, Watch
 from ..compiled.system import system_of
 from ..compiled.turn import AHEAD, PATIENCE
-from ..errors import FlowError
 from ..log import Flights, Steps, Table, joined
 from ..scene import Guard
 from ..solvers.base import FINEST, Solver
 from ..trajectory import Status
 from .arc import ArcFlow
 from .cycles import pass_limit
-from .entry import describe
-from .pace import Pace
 
 if TYPE_CHECKING:
     from .driver import Driver
@@ -80,7 +77,8 @@ class Streaks:
         """Chunk after chunk: each is computed while what the last one left is being kept."""
         self.driver.solver.rejected = None  # records have no row for those
         run, watch = self._asked()
-        self.open, self.passed, self.pace = [], False, self._pace()
+        self.open, self.passed = [], False
+        self.driver.watch_pace()
         following = self.streak.chunk(run, watch, lane)
         while True:
             lane, records = following
@@ -95,21 +93,12 @@ class Streaks:
             if self.driver.status is not None or self.passed or status != RUNNING:
                 return lane, status
 
-    def _pace(self) -> Pace:
-        now = self.driver.record.now
-        return Pace(self.driver.entry.field, now.t, now.until(self.plan.t1))
-
     def _count(self, lane: Lane, records: Record) -> None:
         """Look at the pace of the arc that is going on."""
         if np.any(records.jump):
-            self.pace = self._pace()
+            self.driver.watch_pace()
         elif made := int(np.count_nonzero(records.step)):
-            tau, x = float(lane.going.tau), np.asarray(lane.going.x)
-            try:
-                self.pace.steps(tau, x, made)
-            except FlowError as fault:
-                field, t = self.driver.entry.field, self.driver.t + tau
-                raise FlowError(f"{describe(self.driver.scene, field, t, x)}: {fault}") from None
+            self.driver.count_steps(float(lane.going.tau), np.asarray(lane.going.x), made)
 
     def _asked(self) -> tuple[Run, Watch]:
         plan, driver = self.plan, self.driver
