@@ -10,6 +10,8 @@ from hybrid.rules.load import Library
 from hybrid.run import machine
 from hybrid.solvers.taylor_backend import TaylorSolver
 
+from .systems import Oscillator
+
 #: What two ways to the same jumps may differ by: rounding, grown along the run.
 ROUNDING = 1e-11
 
@@ -26,19 +28,6 @@ class Duffing(hy.Automaton):
         return s.v, -0.05 * s.v + s.x - s.x**3 + 4.0 * jnp.cos(t)
 
     impact = hy.contact(flight, gap=lambda self, t, s: s.x + 0.5, restitution="r")
-
-
-class Swing(hy.Automaton):
-    """An oscillator that nothing strikes."""
-
-    x = hy.state()
-    v = hy.state()
-
-    @hy.mode
-    def swings(self, t, s):
-        return s.v, -s.x
-
-    wall = hy.contact(swings, gap=lambda self, t, s: s.x + 2.0, restitution=0.5)
 
 
 class Thermostat(hy.Automaton):
@@ -203,7 +192,7 @@ def test_the_keyboard_stops_the_loop():
 def test_an_arc_may_have_more_steps_than_the_arrays_ever_hold(monkeypatch):
     """Far from its start a swing is still a cosine, and each step is made once."""
     monkeypatch.setattr(machine, "MOST", machine.STEPS_KEPT)
-    run = hy.simulate(Swing(), {"x": 1.0, "v": 0.0}, (0.0, 5000.0), solver="taylor")
+    run = hy.simulate(Oscillator(wall=-5.0), {"x": 1.0, "v": 0.0}, (0.0, 5000.0), solver="taylor")
     assert run.stats.steps > 10 * machine.MOST
     assert run.stats.evaluations == run.stats.steps
     # a rounding of the state in each step, and of the time, grow to this

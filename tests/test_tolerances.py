@@ -14,19 +14,9 @@ from models.bead_on_table import BeadOnTable
 
 from .contract.test_brief_forces import Gust, Pulses, gust_ends
 from .scenes import scenes
+from .systems import Oscillator
 
 CHAOS = Path(__file__).parent.parent / "benchmarks" / "chaos.py"
-
-
-class Oscillator(hy.Automaton):
-    """Its closed form is a cosine."""
-
-    x = hy.state()
-    v = hy.state()
-
-    @hy.mode
-    def swings(self, t, s):
-        return s.v, -s.x
 
 
 class Logistic(hy.Automaton):
@@ -65,7 +55,7 @@ class Kepler(hy.Automaton):
 
 #: Model, start, end, what is compared and what it is there: by name.
 KNOWN = {
-    "oscillator": (Oscillator(), [1.0, 0.0], 20.0, "x", math.cos(20.0)),
+    "oscillator": (Oscillator(wall=-5.0), [1.0, 0.0], 20.0, "x", math.cos(20.0)),
     "logistic": (Logistic(), [1e-3], 12.0, "y", 1.0 / (1.0 + 999.0 * math.exp(-12.0))),
     "riccati": (Riccati(), [1.0], 0.9, "y", 10.0),
     "kepler": (Kepler(), [0.5, 0.0, 0.0, math.sqrt(3.0)], 2.0 * math.pi, "y", 0.0),

@@ -249,19 +249,6 @@ def test_an_interrupted_run_keeps_what_it_has():
     assert 5.0 < run.t1 < 7.0
 
 
-class Swing(hy.Automaton):
-    """An oscillator with a wall that it never reaches: one arc."""
-
-    x = hy.state()
-    v = hy.state()
-
-    @hy.mode(initial=True)
-    def swings(self, t, s):
-        return s.v, -s.x
-
-    wall = hy.contact(swings, gap=lambda self, t, s: s.x + 5.0, restitution=0.5)
-
-
 @pytest.mark.parametrize("solver", ["scipy", "diffrax"])
 def test_an_interrupted_arc_is_kept_as_far_as_it_was_flown(solver, monkeypatch):
     """Ctrl-C in the middle of an arc: the arc ends at the last step made, and can be read."""
@@ -272,7 +259,9 @@ def test_an_interrupted_arc_is_kept_as_far_as_it_was_flown(solver, monkeypatch):
             raise KeyboardInterrupt
 
     monkeypatch.setattr(RungeKuttaStepper, "step", _then(RungeKuttaStepper.step, stop))
-    run = hy.simulate(Swing(), {"x": 1.0, "v": 0.0}, (0, 9999), solver=solver, progress=stop)
+    run = hy.simulate(
+        systems.Oscillator(wall=-5.0), {"x": 1.0, "v": 0.0}, (0, 9999), solver=solver, progress=stop
+    )
     assert run.status is hy.Status.INTERRUPTED
     assert 0.5 < run.t1 < 2000.0
     assert abs(run.final.x - math.cos(run.t1)) < 1e-5  # 1e-8 a step, and thousands of steps
