@@ -21,6 +21,7 @@ LAYERS = [
     ["accumulation", "arcs", "log", "stats", "trajectory"],
     ["run", "store", "pictures"],
     ["histories", "hindsight"],
+    ["variation"],
     ["simulation", "ensembles", "function", "certificates"],
     ["compare", "gallery", "study", "orbits"],
     ["report"],

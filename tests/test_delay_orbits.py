@@ -8,7 +8,7 @@ from scipy.special import lambertw
 import hybrid as hy
 from hybrid.orbits.remembering import HistoryShooting, framed, leaps, monodromy
 from hybrid.orbits.shooting import Guess
-from hybrid.orbits.variation import factors
+from hybrid.variation import factors
 from models.pyragas import Pyragas
 from tests.oscillators import bouncing, flight
 

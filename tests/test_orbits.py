@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import fsolve
 
 import hybrid as hy
-from hybrid.orbits.variation import factors
+from hybrid.variation import factors
 from models.bead_on_table import BeadOnTable
 from models.bouncing_ball import BouncingBall
 from models.relay import Relay

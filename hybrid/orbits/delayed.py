@@ -2,7 +2,7 @@
 
 A change ``d`` of the record is carried along an arc by ``d' = A d + sum of B_k d(t - lag_k)``, by
 collocation at Chebyshev points; what it asks of the past it finds in its own earlier pieces. At a
-jump the saltation matrix (:mod:`.variation`) takes part of what was seen as well. A jump that
+jump the saltation matrix (:mod:`hybrid.variation`) takes part of what was seen as well. A jump that
 comes later by ``s`` is a jump of the record that is seen later by ``s``, a lag after it ::
 
     d+ = d- + (f- - f+) s            f before and after what is seen has jumped
@@ -25,8 +25,7 @@ from ..errors import OrbitError
 from ..scene import Field, Guard, Scene
 from ..segment import from_values, integrals, nodes
 from ..trajectory import Trajectory
-from .derivatives import Derivatives
-from .variation import Factor
+from ..variation import Derivatives, Factor
 
 #: Degree of the collocation on a step.
 DEGREE = 14

@@ -11,7 +11,7 @@ from ..automaton.base import require_model
 from ..errors import OptionError, OrbitError
 from ..simulation import simulate
 from ..trajectory import Status, Trajectory
-from .variation import factors
+from ..variation import factors
 
 #: Parts of a run whose means are compared.
 BATCHES = 20

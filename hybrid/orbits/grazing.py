@@ -13,7 +13,7 @@ from ..events import turning_points
 from ..scene import Field, Guard
 from ..segment import from_values, nodes
 from ..trajectory import Trajectory
-from .variation import SMOOTH
+from ..variation.walk import SMOOTH
 
 #: A guard's rate at a jump, against its largest, below which the jump is said to graze; the
 #: square of this is what a guard that turns back has come to, against its largest value.

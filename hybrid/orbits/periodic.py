@@ -15,6 +15,7 @@ from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
 from ..scene import Scene, scene_of
 from ..trajectory import Trajectory
+from ..variation import Factor
 from .delayed import require_constant
 from .grazing import near_grazing, turning
 from .remembering import HistoryShooting
@@ -22,7 +23,6 @@ from .restarting import RestartShooting
 from .returns import with_tolerances
 from .search import Search, depends_on_time, given
 from .shooting import Shooting, Turn
-from .variation import Factor
 
 #: A multiplier nearer than this to the unit circle is not said to lie inside or outside.
 NEUTRAL = 1e-6

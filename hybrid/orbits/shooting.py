@@ -24,7 +24,7 @@ from ..log import Log
 from ..scene import Scene, scene_of
 from ..simulation import simulate
 from ..trajectory import Trajectory
-from .variation import Factor, factors
+from ..variation import Factor, factors
 
 #: Most steps of Newton's method, and most halvings of one.
 STEPS, HALVINGS = 40, 8

@@ -51,7 +51,16 @@ def _size(g: Graph, a: int) -> list[int]:
 
 def _power(g: Graph, a: int, p: int) -> list[int]:
     lower = g.node("pow", a, g.node("sub", p, g.const(1.0)))
-    return [g.node("mul", p, lower), g.const(0.0)]  # an exponent that moves is written otherwise
+    return [g.node("mul", p, lower), _by_exponent(g, a, p)]
+
+
+def _by_exponent(g: Graph, a: int, p: int) -> int:
+    """``a^p log a``, and 0 where ``a`` is 0 (an exponent that moves is written otherwise)."""
+    zero, one = g.const(0.0), g.const(1.0)
+    if g.value(p) is not None:
+        return zero
+    base = g.node("select", g.node("eq", a, zero), one, a)
+    return g.node("mul", g.node("pow", a, p), g.node("log", base))
 
 
 def _angle(g: Graph, y: int, x: int) -> list[int]:
@@ -146,16 +155,17 @@ def _rates(g: Graph, arguments: Sequence[int], tangents: Mapping[int, int]) -> i
 
 def gradient(g: Graph, root: int, inputs: Sequence[int]) -> list[int]:
     """The derivatives of a node with respect to inputs."""
-    zero = g.const(0.0)
+    zero, order = g.const(0.0), needed(g, [root])
+    changes = _changing(g, order, inputs)
     adjoints: dict[int, list[int]] = {root: [g.const(1.0)]}
     shares: dict[int, dict[int, list[int]]] = {}
-    for number in reversed(needed(g, [root])):
+    for number in reversed(order):
         op, *arguments = g.nodes[number]
         if op == "solve":
-            _backward(g, number, shares.get(number, {}), adjoints)
+            _backward(g, number, shares.get(number, {}), adjoints, changes)
             continue
         if op == "foreign":
-            _through(g, arguments, shares.get(number, {}), adjoints)
+            _through(g, arguments, shares.get(number, {}), adjoints, changes)
             continue
         size = g.total(adjoints.get(number, []))
         if size == zero or op in ("const", "input"):
@@ -169,13 +179,27 @@ def gradient(g: Graph, root: int, inputs: Sequence[int]) -> list[int]:
             adjoints.setdefault(b, []).append(g.node("select", which, zero, size))
         elif op not in FLAT:
             for slope, argument in zip(_slopes(g, number), arguments, strict=True):
-                if g.moves(argument):
+                if argument in changes:
                     adjoints.setdefault(argument, []).append(times(g, slope, size))
     return [g.total(adjoints.get(i, [])) for i in inputs]
 
 
+def _changing(g: Graph, order: Sequence[int], inputs: Sequence[int]) -> set[int]:
+    """The nodes that depend on some inputs, of nodes in order."""
+    found = set(inputs)
+    for number in order:
+        op, *arguments = g.nodes[number]
+        if op not in ("const", "input") and not found.isdisjoint(arguments):
+            found.add(number)
+    return found
+
+
 def _backward(
-    g: Graph, number: int, shares: dict[int, list[int]], adjoints: dict[int, list[int]]
+    g: Graph,
+    number: int,
+    shares: dict[int, list[int]],
+    adjoints: dict[int, list[int]],
+    changes: set[int],
 ) -> None:
     """Through equations: ``A' m = s`` for the share ``s`` of each unknown."""
     matrix, right, mask = equations(g.nodes[number][1:])
@@ -189,20 +213,24 @@ def _backward(
     for i in range(n):
         adjoints.setdefault(right[i], []).append(back[i])
         for j in range(n):
-            if g.moves(matrix[i][j]):
+            if matrix[i][j] in changes:
                 change = g.node("neg", g.node("mul", back[i], forces[j]))
                 adjoints.setdefault(matrix[i][j], []).append(change)
 
 
 def _through(
-    g: Graph, arguments: Sequence[int], shares: dict[int, list[int]], adjoints: dict[int, list[int]]
+    g: Graph,
+    arguments: Sequence[int],
+    shares: dict[int, list[int]],
+    adjoints: dict[int, list[int]],
+    changes: set[int],
 ) -> None:
     """Through what is called: by the derivatives of its results."""
     number, *own = arguments
     sizes = {i: g.total(share) for i, share in shares.items()}
     slopes = g.called(g.foreign[int(g.value(number))].slopes, own)
     for place, argument in enumerate(own):
-        if g.moves(argument):
+        if argument in changes:
             for i, size in sizes.items():
                 slope = g.node("part", slopes, g.const(i * len(own) + place))
                 adjoints.setdefault(argument, []).append(times(g, slope, size))

@@ -506,16 +506,9 @@ def node_shape(graph: Graph, root: int) -> tuple[bool, tuple[int, ...]]:
     return degree(graph, root) <= 1, tuple(sorted(_states_in(graph, root) - {TIME}))
 
 
-def deciders(
-    graph: Graph, size: int, roots: Sequence[int]
-) -> list[tuple[Program, bool, tuple[int, ...], str]]:
-    """Functions at whose zeros nodes change their formula, arguments first.
-
-    Returns
-    -------
-    list of (program, affine, elements, change)
-        ``change``: how the guard changes there, see :data:`CHANGES`.
-    """
+def deciding(graph: Graph, roots: Sequence[int]) -> dict[int, str]:
+    """Functions at whose zeros nodes change their formula, arguments first, and how each does
+    there (:data:`CHANGES`)."""
     found: dict[int, str] = {}
     for number in needed(graph, roots):
         op, *arguments = graph.nodes[number]
@@ -524,9 +517,16 @@ def deciders(
             ends = CHANGES[op] == "ends" and not _never_negative(graph, decider)
             if _states_in(graph, decider) and (ends or CHANGES[op] != "ends"):
                 found[decider] = min(found.get(decider, "jumps"), CHANGES[op], key=_SEVERITY.index)
+    return found
+
+
+def deciders(
+    graph: Graph, size: int, roots: Sequence[int]
+) -> list[tuple[Program, bool, tuple[int, ...], str]]:
+    """The same as (program, affine, elements, change)."""
     return [
         (Program(graph, ["t", "x"], size, np.array(number)), *node_shape(graph, number), change)
-        for number, change in found.items()
+        for number, change in deciding(graph, roots).items()
     ]
 
 

@@ -1,0 +1,228 @@
+"""The first variation along an arc: fundamental matrices by collocation on dense output.
+
+A change of the state obeys ``d' = f_x d + f_p dp``. Where a formula of the flow changes, the flow
+may jump from ``f-`` to ``f+``: with ``k`` the function whose zero decides, that is a jump of the
+saltation matrix ``1 + (f+ - f-) k_x / (k_t + k_x f-)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
+from itertools import pairwise
+
+import attrs
+import numpy as np
+from numpy.polynomial import legendre
+
+from ..errors import OrbitError
+from ..scene import Field
+from ..segment import Segment, nodes
+from .derivatives import Derivatives, Matrix
+
+#: Stages of the collocation, whose order is twice as many.
+STAGES = 8
+
+#: Steps are halved until both halves say the same, relative; and most halvings of one.
+RESOLVED, DEPTH = 1e-12, 24
+
+#: Places of a step at which it is asked on which side of its kinks it is.
+SAMPLES = nodes(8)
+
+#: Share of a piece at whose distance from its end the flow is read on its side of a kink. It is
+#: drawn out to the end along a straight line, which errs by the square of this.
+BESIDE = 1e-6
+
+#: A change of the flow below this, relative to its size about there, is none: a thousand times
+#: what the straight line errs by.
+NOTHING = 1e-9
+
+#: Kinks at one instant are one where the neighbours reach them at times that differ by less than
+#: this, relative.
+SAME = 1e-6
+
+
+@attrs.frozen(eq=False)
+class Piece:
+    """A part of a step of an arc that begins at ``t``, in its local time."""
+
+    t: float
+    segment: Segment
+    start: float
+    length: float
+
+    @property
+    def end(self) -> float:
+        return self.start + self.length
+
+    def half(self, second: bool) -> Piece:
+        half = 0.5 * self.length
+        return Piece(self.t, self.segment, self.start + (half if second else 0.0), half)
+
+    def flow(self, field: Field, ends: bool) -> tuple[np.ndarray, np.ndarray]:
+        """The flow at one of its ends, as it is on this side of it; and its size about there."""
+        end, step = (self.end, -self.length) if ends else (self.start, self.length)
+        taus = [end + share * step for share in (BESIDE, 2.0 * BESIDE, 0.5)]
+        near, far, middle = (
+            np.array(field.rhs(self.t + tau, self.segment(tau).tolist())) for tau in taus
+        )
+        return 2.0 * near - far, np.maximum(np.abs(near), np.abs(middle))
+
+
+def composed(second: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """One change after the other; columns beyond the state's are those of parameters."""
+    size = len(first)
+    found = second[:, :size] @ first
+    found[:, size:] += second[:, size:]
+    return found
+
+
+def along(
+    of: Derivatives, field: Field, t: float, segments: Sequence[Segment], rate: Matrix | None = None
+) -> Iterator[tuple[float, np.ndarray]]:
+    """Local times, and matrices that carry a change from the time before to each of them.
+
+    Parameters
+    ----------
+    of : Derivatives
+    field : Field
+    t : float
+        Time at the start of the arc to which the segments belong.
+    segments : sequence of Segment
+    rate : callable ``(t, x) -> (m, 1 + m + q)``, optional
+        Derivatives of the flow, and of numbers behind the state that depend on it alone.
+    """
+    rate = of.flow(field) if rate is None else rate
+    kinks = None
+    if field.changes:
+        kinks = of.kinks(("flow", field.name), field, lambda g: g.flow(bool(field.held)))
+    last: Piece | None = None
+    for segment in segments:
+        for piece in _pieces(kinks, t, segment):
+            if kinks is not None and last is not None:
+                bend = _bend(kinks, field, last, piece)
+                if bend is not None:
+                    yield piece.start, _widened(bend, rate(t, segment(piece.start)))
+            yield piece.end, _resolve(rate, piece, _collocate(rate, piece), DEPTH)
+            last = piece
+
+
+def whole(matrices: Iterator[tuple[float, np.ndarray]]) -> np.ndarray:
+    """The matrix of an arc."""
+    found = None
+    for _, matrix in matrices:
+        found = matrix if found is None else composed(matrix, found)
+    assert found is not None
+    return found
+
+
+def _resolve(rate: Matrix, piece: Piece, whole: np.ndarray, depth: int) -> np.ndarray:
+    halves = piece.half(False), piece.half(True)
+    first, second = (_collocate(rate, half) for half in halves)
+    both, size = composed(second, first), len(first)
+    # a change of the state is measured by the largest, one by a parameter by its own
+    scale = np.maximum(np.abs(first).max(axis=0), np.abs(second).max(axis=0))
+    scale[:size] = scale[:size].max()
+    if not depth or np.all(np.abs(both - whole).max(axis=0) <= RESOLVED * scale):
+        return both
+    first = _resolve(rate, halves[0], first, depth - 1)
+    return composed(_resolve(rate, halves[1], second, depth - 1), first)
+
+
+def _collocate(rate: Matrix, piece: Piece) -> np.ndarray:
+    points, inner, weights = _gauss()
+    taus = piece.start + piece.length * points
+    states = piece.segment(taus)
+    pairs = zip((piece.t + taus).tolist(), states, strict=True)
+    rates = np.array([rate(t, x) for t, x in pairs])
+    rates, size = rates[:, :, 1:], rates.shape[1]
+    coupling = np.einsum("ij,iab->iajb", -piece.length * inner, rates[:, :, :size])
+    system = np.eye(STAGES * size) + coupling.reshape(STAGES * size, STAGES * size)
+    slopes = np.linalg.solve(system, rates.reshape(STAGES * size, -1))
+    moved = piece.length * np.einsum("i,iab->ab", weights, slopes.reshape(rates.shape))
+    return np.eye(*moved.shape) + moved
+
+
+@cache
+def _gauss() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points of Gauss and Legendre on [0, 1], integrals to each of them, and to 1."""
+    points, weights = legendre.leggauss(STAGES)
+    values = np.linalg.inv(legendre.legvander(points, STAGES - 1))
+    whole = [legendre.legint(row, lbnd=-1.0) for row in np.eye(STAGES)]
+    inner = np.array([legendre.legval(points, row) for row in whole]).T @ values
+    return 0.5 + 0.5 * points, 0.5 * inner, 0.5 * weights
+
+
+# ---------------------------------------------------------------------------------------
+# where a formula of the flow changes
+
+
+def _pieces(kinks: Matrix | None, t: float, segment: Segment) -> list[Piece]:
+    """A step, cut where a formula of the flow changes inside it."""
+    if kinks is None:
+        return [Piece(t, segment, segment.start, segment.length)]
+    known = kinks
+    shares = SAMPLES.tolist()
+
+    def values(share: float) -> np.ndarray:
+        tau = segment.start + share * segment.length
+        return known(t + tau, segment(tau))[:, 0]
+
+    found, cuts = [values(share) for share in shares], [0.0, 1.0]
+    for (a, low), (b, high) in pairwise(zip(shares, found, strict=True)):
+        for k in np.flatnonzero(low * high < 0).tolist():
+            at = _zero(values, k, a, b)
+            if all(abs(at - cut) > BESIDE for cut in cuts):
+                cuts.append(at)
+    ends = [segment.start + share * segment.length for share in sorted(cuts)[:-1]] + [segment.end]
+    return [Piece(t, segment, a, b - a) for a, b in pairwise(ends)]
+
+
+def _zero(values: Callable[[float], np.ndarray], k: int, a: float, b: float) -> float:
+    """The zero of one of some values between places at which its signs differ, by bisection."""
+    low = values(a)[k]
+    while True:
+        middle = 0.5 * (a + b)
+        if not a < middle < b:
+            return b
+        a, b = (middle, b) if values(middle)[k] * low > 0 else (a, middle)
+
+
+def _bend(kinks: Matrix, field: Field, before: Piece, after: Piece) -> np.ndarray | None:
+    """The saltation from a piece of an arc to the next; None where the flow does not jump."""
+    there, here = before.flow(field, True), after.flow(field, False)
+    jump = here[0] - there[0]
+    if np.all(np.abs(jump) <= NOTHING * np.maximum(there[1], here[1])):
+        return None
+    row = passing(kinks, before, there[0])
+    return np.eye(len(jump), len(row)) - np.outer(jump, row)
+
+
+def passing(kinks: Matrix, piece: Piece, flow: np.ndarray) -> np.ndarray:
+    """When neighbours pass the kinks at the end of a piece: the derivative of that time by a
+    change of state and parameters.
+
+    Raises
+    ------
+    OrbitError
+        If nothing is passed there, or several things are, at different times for neighbours.
+    """
+    t, found = piece.t + piece.end, kinks(piece.t + piece.end, piece.segment(piece.end))
+    rates = found[:, 1] + found[:, 2 : 2 + len(flow)] @ flow
+    there = np.abs(found[:, 0]) < BESIDE * piece.length * np.abs(rates)
+    rows = -found[there, 2:] / rates[there, None]
+    if not len(rows) or np.any(np.abs(rows - rows[0]) > SAME * np.abs(rows[0])):
+        raise OrbitError(
+            f"t = {t!r}: a flow or a guard jumps there, and neighbours do not have that at a time "
+            "that depends smoothly on them: there is no first variation"
+        )
+    first: np.ndarray = rows[0]
+    return first
+
+
+def _widened(matrix: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """A matrix of the state with rows and columns for numbers behind it, which do not jump."""
+    size, (rows, columns) = len(matrix), rates.shape
+    found = np.eye(rows, columns - 1)
+    found[:size, :size], found[:size, rows:] = matrix[:, :size], matrix[:, size:]
+    return found

@@ -1,0 +1,192 @@
+"""Derivatives of a model's flows, guards and resets, as scalar code.
+
+Each is made of nodes of its mode's own graph (:mod:`hybrid.scene.derivatives`), once for a class,
+and read like any other program: nothing is traced again. Columns are time first, then the elements
+of the state; in a model with delays then what each lag shows of them; then, where they are asked
+for, the elements of the parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..scene import Field, Guard, Scene
+from ..scene.derivatives import gradient
+from ..scene.lowered import deciding
+from ..scene.mode import ModeGraph
+
+Matrix = Callable[[float, np.ndarray], np.ndarray]
+
+
+class Derivatives:
+    """The derivatives of one scene, made when first asked for.
+
+    Attributes
+    ----------
+    size, count : int
+        Elements of the state, and of the parameters if there are columns for them.
+    """
+
+    def __init__(self, scene: Scene, parameters: bool = False) -> None:
+        self.scene, self.size = scene, scene.spec.dimension
+        own = len(scene.code.shapes) - len(scene.spec.windows)
+        sizes = [int(np.prod(shape, dtype=int)) for shape in scene.code.shapes[:own]]
+        self.count = sum(sizes) if parameters else 0
+        self.columns = 1 + self.size * (1 + len(scene.spec.lags)) + self.count
+        self._made: dict[Any, Matrix] = {}
+
+    def flow(self, field: Field) -> Matrix:
+        """``(t, x) -> (n, columns)``: of the flow of a mode, at rest and sliding as well."""
+        held = bool(field.held)
+        return self._slopes(("flow", field.name), field.mode, field.held, lambda g: g.flow(held))
+
+    def guard(self, guard: Guard, field: Field) -> Matrix:
+        """``(t, x) -> (1, columns)``: of a guard."""
+        key = "guard", guard.edge, field.name
+        return self._slopes(key, field.mode, field.held, lambda g: [_node(g, guard)])
+
+    def speed(self, guard: Guard, field: Field) -> Matrix:
+        """``(t, x) -> (1, columns)``: of a guard's rate along the flow."""
+        held = bool(field.held)
+        rate = lambda g: [g.rate(_node(g, guard), g.flow(held))]  # noqa: E731
+        return self._slopes(("rate", guard.edge, field.name), field.mode, field.held, rate)
+
+    def law(self, contact: str) -> Matrix:
+        """``(t, x) -> (1, columns)``: of the restitution at rest."""
+        code, mode = self.scene.code, self.scene.contact(contact).mode
+        closed = lambda: code.closed("restitution", contact)  # noqa: E731
+        at_rest = lambda g: g.values(closed(), g.graph.const(-0.0))  # noqa: E731
+        return self._slopes(("law", contact), mode, (), at_rest)
+
+    def reset(self, edge: str, kind: str) -> Matrix:
+        """``(t, x) -> (n, columns)``: of what a jump does to the state."""
+        code = self.scene.code
+        if kind == "contact":
+            mode = self.scene.contact(edge).mode
+            return self._slopes(("impact", edge), mode, (), lambda g: g.impact(edge)[:-1])
+        if kind == "edge":
+            mode = next(e.source for e in self.scene.spec.transitions if e.name == edge)
+            after = lambda g: g.values(code.closed("reset", edge))  # noqa: E731
+            return self._slopes(("reset", edge), mode, (), after)
+        same = np.eye(self.size, self.columns, 1)
+        return lambda t, x: same
+
+    def kinks(self, key: Any, field: Field, roots: Callable[[ModeGraph], list[int]]) -> Matrix:
+        """``(t, x) -> (k, 1 + columns)``: functions at whose zeros nodes change their formula,
+        and their derivatives."""
+
+        def rows(graph: ModeGraph) -> list[int]:
+            inputs, found = self._inputs(graph), deciding(graph.graph, roots(graph))
+            return [i for node in found for i in (node, *gradient(graph.graph, node, inputs))]
+
+        return self._program(("kinks", *key), field.mode, field.held, rows, 1 + self.columns)
+
+    def project(self, field: Field) -> Matrix:
+        """``(t, x) -> (n, columns)``: of the way back onto the contacts held, or the surface, at
+        a state that is there."""
+        if self.scene.spec.sliding(field.mode) is not None:
+            return self._onto_surface(field)
+        return self._onto_contacts(field)
+
+    def _onto_contacts(self, field: Field) -> Matrix:
+        """Gaps are taken away along their gradients, then gap speeds along impulses."""
+        size, count, held = self.size, self.columns, len(field.held)
+
+        def rows(graph: ModeGraph) -> list[int]:
+            inputs, found = self._inputs(graph), list[int]()
+            for name in field.held:
+                contact = graph.contact(name)
+                for node, places, moves in (
+                    (contact.gap, contact.pairing.positions, contact.normal),
+                    (contact.speed, contact.pairing.velocities, contact.push),
+                ):
+                    found += gradient(graph.graph, node, inputs)
+                    along = dict(zip(places, moves, strict=True))
+                    found += [along.get(i, graph.graph.const(0.0)) for i in range(size)]
+            return found
+
+        key = "onto", field.name
+        known = self._program(key, field.mode, field.held, rows, count + size)
+
+        def onto(t: float, x: np.ndarray) -> np.ndarray:
+            moved, values = np.eye(count), known(t, x).reshape(held, 2, count + size)
+            for place in range(2):
+                off, along = values[:, place, :count], values[:, place, count:]
+                shares = np.linalg.solve(off[:, 1 : 1 + size] @ along.T, off @ moved)
+                moved[1 : 1 + size] -= along.T @ shares
+            return moved[1 : 1 + size]
+
+        return onto
+
+    def _onto_surface(self, field: Field) -> Matrix:
+        """The surface function is taken away along the difference of the two flows."""
+        code, size, switching = self.scene.code, self.size, self.scene.spec.sliding(field.mode)
+        assert switching is not None
+        sides = switching.positive, switching.negative
+
+        def rows(graph: ModeGraph) -> list[int]:
+            (surface,) = graph.values(code.closed("surface", switching.name))
+            flows = [graph.values(code.closed("flow", side)) for side in sides]
+            across = [graph.graph.node("sub", *pair) for pair in zip(*flows, strict=True)]
+            return [*gradient(graph.graph, surface, self._inputs(graph)), *across]
+
+        known = self._program(("onto", field.name), field.mode, (), rows, self.columns + size)
+
+        def onto(t: float, x: np.ndarray) -> np.ndarray:
+            (row,) = known(t, x)
+            off, across = row[: self.columns], row[self.columns :]
+            share = off / (off[1 : 1 + size] @ across)
+            moved: np.ndarray = np.eye(size, self.columns, 1) - np.outer(across, share)
+            return moved
+
+        return onto
+
+    # -- how they are made ----------------------------------------------------------------
+
+    def _slopes(
+        self,
+        key: Any,
+        mode: str,
+        held: Sequence[str],
+        nodes: Callable[[ModeGraph], Sequence[int]],
+    ) -> Matrix:
+        """The derivatives of some nodes of a mode's graph."""
+
+        def rows(graph: ModeGraph) -> list[int]:
+            inputs = self._inputs(graph)
+            return [i for node in nodes(graph) for i in gradient(graph.graph, node, inputs)]
+
+        return self._program(("slopes", *key), mode, held, rows, self.columns)
+
+    def _program(
+        self,
+        key: Any,
+        mode: str,
+        held: Sequence[str],
+        nodes: Callable[[ModeGraph], list[int]],
+        columns: int,
+    ) -> Matrix:
+        """Some nodes of a mode's graph as a matrix."""
+        if key not in self._made:
+            graph = self.scene.code.mode(mode)
+            program = graph.program((*key, self.count), lambda: nodes(graph))
+            call = program.bind(self.scene.numbers(mode, tuple(held)))
+            self._made[key] = lambda t, x: np.array(call(t, x.tolist())).reshape(-1, columns)
+        return self._made[key]
+
+    def _inputs(self, graph: ModeGraph) -> list[int]:
+        """The nodes by which is derived; the first row of a window is a change of what is seen."""
+        shapes, windows = self.scene.code.shapes, len(self.scene.spec.windows)
+        own = len(shapes) - windows
+        shown = [graph.inputs[place][0] for place in range(own + 1, len(shapes), 2)]
+        parameters = [i for ids in graph.inputs[:own] for i in np.reshape(ids, -1)]
+        inputs = [graph.t, *graph.x, *(i for row in shown for i in row)]
+        return [int(i) for i in [*inputs, *parameters[: self.count]]]
+
+
+def _node(graph: ModeGraph, guard: Guard) -> int:
+    """The node of a guard; of a gap with the formula that it has where it is zero."""
+    return graph.contact(guard.edge).gap if guard.kind == "contact" else graph.guard(guard.edge)
