@@ -51,6 +51,11 @@ SETTINGS = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_OPT", "NUMBA_BOUNDSCH
 #: Folders that are kept beside a new one, and the time in seconds (a day) for which any is kept.
 KEPT, FRESH = 4, 86400.0
 
+#: How hard LLVM tries in a process that compiles, unless the user's setting says otherwise. Its
+#: higher levels take half as long again, and the rules, short loops full of branches, do not run
+#: faster for it.
+LEVEL = {"NUMBA_OPT": "1"}
+
 #: A process that compiles one unit.
 BESIDE = "from {loader} import Library; Library({package!r}).compile({name!r})"
 
@@ -146,7 +151,7 @@ class Library:
         parts += [text for pair in self.sources.items() for text in pair]
         parts += [numba.__version__, llvmlite.__version__, sys.version, sys.platform]
         parts += [binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()]
-        parts += [os.environ.get(setting, "") for setting in SETTINGS]
+        parts += [{**LEVEL, **os.environ}.get(setting, "") for setting in SETTINGS]
         return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:24]
 
     @cached_property
@@ -271,7 +276,7 @@ class Library:
     def _beside(self, name: str) -> bool:
         """Compile a unit in a process of its own; whether that went well."""
         code = BESIDE.format(loader=__name__, package=self.package, name=name)
-        env = {**os.environ, "HYBRID_CACHE": str(self.folder.parent)}
+        env = {**LEVEL, **os.environ, "HYBRID_CACHE": str(self.folder.parent)}
         env["PYTHONPATH"] = os.pathsep.join(map(os.path.abspath, sys.path))
         command = [sys.executable or "python", "-P", "-c", code]
         with contextlib.suppress(OSError):  # there may be no such program, or no room for it
