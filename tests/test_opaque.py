@@ -67,6 +67,37 @@ def test_a_sum_at_loose_tolerances_says_how_wrong_it_is():
     assert abs(found.t - exact) <= found.t_error <= 1e-6
 
 
+@pytest.mark.parametrize("width", [2e-2, 2e-3])
+@pytest.mark.parametrize("at", [0.7, 3.1])
+def test_the_bound_knows_of_a_force_that_the_method_passes_over(at, width):
+    """The narrow ones, a two hundredth of the longest step, are passed over; the bound says so."""
+
+    def pushed(called):
+        def pulse(t):
+            force = 0.3 / (width * np.sqrt(np.pi)) * jnp.exp(-(((t - at) / width) ** 2))
+            once = lambda c: (c[0] + 1.0, force)  # noqa: E731
+            begin = (0.0, 0.0 * t)
+            return jax.lax.while_loop(lambda c: c[0] < 1.0, once, begin)[1] if called else force
+
+        class Pushed(hy.Automaton):
+            x = hy.state()
+            v = hy.state()
+
+            @hy.mode
+            def flight(self, t, s):
+                return s.v, -1.0 + pulse(t)
+
+            impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+
+        return Pushed()
+
+    true = hy.simulate(pushed(False), [1.0, 0.0], (0.0, 9.0), solver="taylor").zeno[0]
+    found = hy.simulate(pushed(True), [1.0, 0.0], (0.0, 9.0), max_step=0.4).zeno[0]
+    error = abs(found.t - true.t)
+    assert (error > 1e-3) == (width < 1e-2)  # else there is nothing to know of
+    assert error <= found.t_error + true.t_error
+
+
 def test_a_body_rests_on_a_table_and_is_thrown_off():
     """Accumulations and releases are those of the arithmetic, to 1e-7."""
 

@@ -35,6 +35,10 @@ PIECES = 400
 #: that of a Runge-Kutta method has zeros among them and is about five times the median at most.
 POINTS, ABOVE = (np.arange(15) + 0.5) / 15, 32.0
 
+#: Points of a step at which a flow is asked that nothing encloses: each is a call, some ten
+#: microseconds. What acts for less than a part between two of them may be passed over.
+SAMPLES = 256
+
 #: How far a step's polynomial may be off between its ends, against the tolerance at its end: those
 #: of an order less by one are, at a tolerance of 1e-12, off by some hundred times that.
 LOOSE = 1e3
@@ -188,13 +192,39 @@ class Defect:
         return np.array(bounds)
 
 
-def defect_of(field: Field) -> Defect | None:
+class Sampled:
+    """The same of a flow that calls functions, which nothing encloses: at points of a step only."""
+
+    def share(
+        self, field: Field, t: float, length: float, coefficients: np.ndarray, lost: Any = 0.0
+    ) -> float:
+        """The share of a step up to which its polynomial follows the flow at points."""
+        rates, _ = _allowed(field, t, length, coefficients, lost)
+        slope = chebyshev.chebder(coefficients) * (2.0 / length)
+        for k in range(1, SAMPLES):
+            place = 2.0 * k / SAMPLES - 1.0
+            x, way = (chebyshev.chebval(place, c) for c in (coefficients, slope))
+            found = np.array(field.rhs(t + k * length / SAMPLES, x.tolist()))
+            if np.any(np.abs(found - way) > rates):
+                return (k - 1) / SAMPLES
+        return 1.0
+
+    def left_open(self, field: Field, t: float, x: np.ndarray, off: np.ndarray) -> np.ndarray:
+        """Nothing is known of the rounding of such a flow."""
+        return np.zeros_like(x)
+
+
+def defect_of(field: Field) -> Defect | Sampled | None:
     """The bounds of a field; None where there are none.
 
-    There are none without python-flint, of a flow that is no scalar code, and of one that is kept
-    on a surface (which no polynomial of a step is).
+    There are none of a flow that is kept on a surface (which no polynomial of a step is), and
+    without python-flint.
     """
-    if field.project is not None or find_spec("flint") is None:
+    if field.project is not None:
+        return None
+    if field.jets is None:
+        return Sampled()
+    if find_spec("flint") is None:
         return None
 
     def make() -> Defect | None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import FlowError
 from ..scene import Field
-from ..scene.defect import EPS, Defect, defect_of
+from ..scene.defect import EPS, Defect, Sampled, defect_of
 from ..segment import Segment
 from .base import Solver, Stepper
 
@@ -95,7 +95,12 @@ class WatchfulStepper(Stepper):
     repeats = True
 
     def __init__(
-        self, solver: Watchful, inner: Stepper, defect: Defect, field: Field, t0: float
+        self,
+        solver: Watchful,
+        inner: Stepper,
+        defect: Defect | Sampled,
+        field: Field,
+        t0: float,
     ) -> None:
         self.solver, self.inner, self.defect = solver, inner, defect
         self.field, self.t0 = field, t0
