@@ -55,14 +55,14 @@ def timed(function, *arguments):
 # hybrid
 
 
-def ensemble(method, impacts, x, r):
+def ensemble(impacts, x, r):
     start, tolerances = {"x": x, "v": 0.0}, {"rtol": TOLERANCE, "atol": TOLERANCE}
-    options = {"method": method, "zeno": "ignore", "max_jumps": impacts, **tolerances}
+    options = {"zeno": "ignore", "max_jumps": impacts, **tolerances}
     return hy.ensemble(HardSpring(), start, (0, 100), {"r": r}, **options).t.values
 
 
-def resting(method, x, r):
-    start, options = {"x": x, "v": 0.0}, {"method": method, "rtol": TOLERANCE, "atol": TOLERANCE}
+def resting(x, r):
+    start, options = {"x": x, "v": 0.0}, {"rtol": TOLERANCE, "atol": TOLERANCE}
     return hy.ensemble(HardSpring(), start, (0, 3), {"r": r}, **options)
 
 
@@ -245,8 +245,7 @@ def impacts_table(x, r):
     few, checked = (x[: 2 * CHECKED], r[: 2 * CHECKED]), (x[:CHECKED], r[:CHECKED])
     with multiprocessing.get_context("spawn").Pool(CORES) as pool:
         peers = {
-            "hybrid, ensemble, Taylor": (partial(ensemble, "Taylor"), IMPACTS, x, r),
-            "hybrid, ensemble, Dopri8": (partial(ensemble, "Dopri8"), IMPACTS, x, r),
+            "hybrid, ensemble": (ensemble, IMPACTS, x, r),
             "Diffrax, vmap of solves in threads, Tsit5": (in_threads, IMPACTS, x, r),
             "Diffrax, one vmap of solves, Tsit5": (at_once, IMPACTS, x, r),
             "solve_ivp, a process a core, DOP853": (
@@ -276,8 +275,7 @@ def impacts_table(x, r):
 
 
 def rests_table(x, r):
-    methods = ("Taylor", "Dopri8")
-    first, best = in_turns([(resting, method, x, r) for method in methods])
+    (begun,), (seconds,) = in_turns([(resting, x, r)])
     lanes = zip(x[:CHECKED], r[:CHECKED], strict=True)
     expected = np.array([accumulation(*lane) for lane in lanes])
     print(
@@ -285,14 +283,12 @@ def rests_table(x, r):
         end="",
     )
     print(f" {'error of t_inf':>21}")
-    for method, begun, seconds in zip(methods, first, best, strict=True):
-        data = resting(method, x, r)
-        found, share = data.t_inf[:CHECKED].values, np.isfinite(data.t_inf.values).mean()
-        if (np.isnan(expected) != np.isnan(found)).any():
-            print("hybrid disagrees with its Taylor series on which lanes accumulate")
-        figures = f"{len(x):6} {begun:8.1f} {len(x) / seconds:9.0f} {share:8.1%}"
-        error = np.nanmax(np.abs(found - expected))
-        print(f"{f'hybrid, ensemble, {method}':41} {figures} {error:21.1e}")
+    data = resting(x, r)
+    found, share = data.t_inf[:CHECKED].values, np.isfinite(data.t_inf.values).mean()
+    if (np.isnan(expected) != np.isnan(found)).any():
+        print("hybrid disagrees with its Taylor series on which lanes accumulate")
+    figures = f"{len(x):6} {begun:8.1f} {len(x) / seconds:9.0f} {share:8.1%}"
+    print(f"{'hybrid, ensemble':41} {figures} {np.nanmax(np.abs(found - expected)):21.1e}")
 
 
 def main():

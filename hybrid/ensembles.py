@@ -1,47 +1,45 @@
-"""``hy.ensemble``: many runs of one model at once, over arrays of starts and parameters."""
+"""``hy.ensemble``: many runs of one model, over arrays of starts and parameters."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from os import cpu_count
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import jax
+import attrs
 import numpy as np
 
+from .again import give_errors
+from .asked import Asked, mode_of, values_of
+from .automaton.base import require_model
+from .automaton.record import Record
 from .automaton.spec import Spec
-from .compiled.abreast import Abreast, status_of
-from .compiled.ask import (
-    REASONS,
-    check_zeno,
-    code_of,
-    method_for,
-    past_of,
-    place,
-)
-from .compiled.lane import Run
-from .compiled.lanes import Journey, Trip
-from .compiled.past import Past
-from .compiled.serial import Serial
-from .compiled.turn import Turner
-from .errors import OptionError, StartError
+from .errors import HybridError, OptionError, StartError
 from .extras import TABLES, need
-from .jit import jit
 from .reals import reals
-from .scene.scene import rest_name
-from .solvers.base import FINEST, Solver, tolerances
-from .solvers.series import TAYLOR
+from .run import Driver
+from .scene import Scene, scene_of, scene_with
+from .trajectory import Status
 
 if TYPE_CHECKING:
     import xarray
 
-#: Most lanes in one call, and places abreast (0: one lane after another): on a CPU if that is one
-#: function of machine code, else on a CPU, and on other devices.
-CHUNK = {"whole": (512, 0), "cpu": (8192, 256), "other": (1 << 17, 1 << 14)}
+#: What the status of a lane that has failed means; its ``reason`` says where and why.
+FAILED = {
+    "outside": "the start, or a reset, is outside the mode's domain",
+    "undecided": "nothing decides what follows from where the lane starts, or a jump has led",
+    "not_finite": "a flow, guard or reset is not finite, or the solver gave up",
+    "jump_loop": "jumps follow each other with no time between them",
+    "forgotten": "a lag is negative, or looks where the history is not finite",
+    "zeno_raised": "jumps accumulate, which zeno='raise' takes for an error",
+    "refused": "an option cannot be used in this lane",
+    "failed": "something else went wrong",
+}
 
-#: Rounds of turns between two looks from Python.
-ROUNDS = 64
+#: Of a lane in which nothing accumulates: time, error, ratio, verdict.
+NO_LIMIT = np.nan, np.nan, np.nan, ""
+
+#: What each status of a lane means.
+STATUSES = {each.name.lower(): str(each) for each in Status} | FAILED
 
 
 def ensemble(
@@ -50,20 +48,24 @@ def ensemble(
     t: tuple[Any, Any],
     parameters: Mapping[str, Any] | None = None,
     *,
-    solver: str = "diffrax",
-    method: str | None = None,
+    solver: str | None = None,
+    method: Any = None,
+    controller: Any = None,
     rtol: float | None = None,
     atol: Any = None,
+    max_step: float | None = None,
+    first_step: float | None = None,
     zeno: str = "rest",
     max_jumps: int | None = None,
     max_steps: int = 1_000_000,
     mode: str | None = None,
     history: Any = None,
     memory: str = "keep",
+    certify: bool = False,
     segments: int = 256,
     progress: Callable[[int], None] | None = None,
 ) -> xarray.Dataset:
-    """Simulate many lanes of one model: each has its own mode, verdict, rest and end.
+    """Simulate many lanes of one model: each is a run of :func:`hybrid.simulate`.
 
     Parameters
     ----------
@@ -75,136 +77,163 @@ def ensemble(
         First and last time; each a number or an array over the lanes.
     parameters : dict, optional
         Values by name, as ``start``.
-    solver, method
-        ``"diffrax"``, and one of its methods; if omitted Taylor, with delays and for large systems
-        Dopri8.
-    rtol, atol : float, optional
-        Tolerances of a step, the same for all lanes: 1e-8 and 1e-10 if omitted; ``atol`` may be an
-        array, one for each element of the state.
-    zeno : "rest", "stop" or "ignore"
-        What happens where impacts accumulate; ignored, they are simulated one by one, as many as
-        ``max_jumps`` permits: without it a lane that accumulates goes on to ``max_steps``.
+    solver, method, controller, rtol, atol, max_step, first_step
+        As for :func:`hybrid.simulate`, the same for all lanes. If no solver and no method is named
+        it is ``"taylor"``; with delays, and where a function of the model has no series, that of
+        :func:`hybrid.simulate`.
+    zeno : "rest", "stop", "truncate", "raise" or "ignore"
+        As for :func:`hybrid.simulate`; with ``"ignore"`` a lane that accumulates goes on to
+        ``max_jumps``.
     max_jumps, max_steps : int
-        A lane ends after so many computed jumps, or attempted steps.
-    history : dict or callable, optional
-        For delays: by state a number, an array over the lanes or a function of time, or one
-        function of time that gives all states, written with ``jax.numpy``; the start, for ever,
-        where there is none.
+        A lane ends after so many computed jumps, or steps. Steps are counted where an arc ends, and
+        in a long one now and then.
+    mode : str, optional
+        Mode at the start, the same for all lanes; the model's initial mode if omitted.
+    history : optional
+        For delays, as for :func:`hybrid.simulate`; the values of a dict may be arrays over the
+        lanes.
     memory : "keep" or "restart"
         As for :func:`hybrid.simulate`.
+    certify : bool
+        Whether the verdict on each lane's first accumulation, and the bound on its time, are those
+        of its run, which take proofs and further runs: some ten milliseconds a lane.
     segments : int
-        Steps and breaking points that a lane remembers for its delays; a lane that needs more
-        says so in its status.
+        Without effect: a lane remembers all that its delays see.
     progress : callable ``(lanes)``, optional
-        Called now and then with the number of lanes that have ended.
+        Called with the number of lanes that have ended.
 
     Returns
     -------
     xarray.Dataset
-        Over ``lane``: the time ``t`` and each state at the end, ``mode``, ``jumps`` computed,
-        ``accumulations``, the first one's ``t_inf``, ``ratio`` and ``t_inf_error`` (a bound on the
-        error of the sum, not of the integration before it; NaN where there is none), its
-        ``verdict``, and ``status``: a lane that failed is a row with its reason. With
+        Over ``lane``: the time ``t`` and each state at the end, ``mode``, ``jumps`` computed one by
+        one, ``steps``, ``accumulations``, the first one's ``t_inf``, ``ratio`` and ``t_inf_error``
+        (a bound on the error of the sum, not of the integration before it; with ``certify=True`` on
+        both), its ``verdict`` (``"estimated"`` unless ``certify=True``, as nothing is proved then;
+        empty where there is none), ``status``, and its ``reason``, a sentence. A lane that fails is
+        a row with its reason, and the time and state that its last jump led to. With
         ``"max_jumps"`` the state is that after the last jump.
 
     Raises
     ------
     OptionError, StartError, ParameterError
-        If what is given cannot be used.
+        If what is given cannot be used by any lane.
 
     Notes
     -----
-    The rules are those of :func:`hybrid.simulate`, but for the finest distinctions: tangencies
-    are not listed, impacts slower than the rounding of the state count as rest, and with
-    ``zeno="ignore"`` the times of very slow impacts are rounding (``docs/semantics.md``). One
-    program runs all lanes; on a CPU once in each core. Changing numbers, or the number of
-    lanes within a power of two, does not compile anew.
+    With the same options a lane equals its run to the last bit, whatever else is in the ensemble.
     """
     need("hy.ensemble", TABLES)
-    import xarray
-
-    code = code_of(model)
-    check_zeno(zeno)
-    system, number, held = place(code, mode)
-    bounds = np.iinfo(np.int64).max // 2 if max_jumps is None else max_jumps, max_steps
-    allowed = tolerances(rtol, atol, code.spec.dimension, Solver.own_rtol)
-    lanes = _Lanes(code.spec, model, start, t, dict(parameters or {}), allowed, bounds)
-    if method is None and system.short_series:
-        method = TAYLOR
-    steps = method_for(system, solver, method)
-    turner = Turner(system, steps, judged=False, sums=zeno != "ignore", many=True)
-    cpu = jax.default_backend() == "cpu"
-    most, places = CHUNK["other" if not cpu else "whole" if turner.whole else "cpu"]
-    workers = (cpu_count() or 1) if cpu else 1
-    each = min(most, -(-lanes.count // workers))
-    size = _power_of_two(each)
-    places = min(places, size)
-    past, constants = past_of(system, steps, segments, history, memory)
-    first = lanes.x if past is None else lanes.first(constants)
-    make = lambda: _compiled(turner, zeno, places, past)  # noqa: E731
-    if past is None or past.history is None:
-        key = ("ensemble", steps, zeno, places, segments, memory)
-        begin, advance = code.once(key, make)
-    else:
-        begin, advance = make()
-    done = [0] * -(-lanes.count // each)
-
-    def work(chunk: int) -> Any:
-        count = min(each, lanes.count - chunk * each)
-        run, x, before = lanes.chunk(chunk * each, size, first)
-        starts = run, np.full(size, number), np.broadcast_to(held, (size, len(held))), x, before
-        state = begin(starts, count)
-        while True:
-            state, left = advance(starts, count, state, ROUNDS)
-            done[chunk] = count - int(left)
-            if progress is not None:
-                progress(sum(done))
-            if not left:
-                return jax.tree.map(lambda a: np.asarray(a)[:count], state.results)
-
-    with ThreadPoolExecutor(workers) as pool:
-        parts = list(pool.map(work, range(len(done))))
-    results = jax.tree.map(lambda *a: np.concatenate(a), *parts)
-    variables, attributes = _variables(code.spec, system, results)
-    return xarray.Dataset(
-        {name: (("lane", *dims), value) for name, (dims, value) in variables.items()},
-        coords=lanes.coordinates(),
-        attrs=attributes,
+    require_model(model)
+    scene = scene_of(model)
+    asked = Asked(
+        spec=scene.spec,
+        solver=_solver(scene, solver, method),
+        method=method,
+        controller=controller,
+        rtol=rtol,
+        atol=atol,
+        max_step=max_step,
+        first_step=first_step,
+        zeno=zeno,
+        max_jumps=max_jumps,
+        max_steps=max_steps,
+        save="jumps",
+        memory=memory,
     )
+    lanes = _Lanes(model, start, t, dict(parameters or {}), history)
+    runs = _Runs(asked, mode_of(scene, mode), certify)
+    rows: list[_Row] = []
+    for lane in lanes.each():
+        rows.append(runs.row(lane))
+        if progress is not None:
+            progress(len(rows))
+    if len(runs.refused) == len(rows):
+        raise runs.refused[0]
+    return _dataset(scene.spec, lanes, rows)
 
 
-def _power_of_two(number: int) -> int:
-    return 1 << max(0, number - 1).bit_length()
+def _solver(scene: Scene, solver: str | None, method: Any) -> str:
+    """The solver named; else Taylor series, where the model has them."""
+    if solver is not None:
+        return solver
+    series = method is None and not scene.spec.lags
+    whole = series and all(scene.field(name).jets is not None for name in scene.modes)
+    return "taylor" if whole else "scipy"
 
 
-def _compiled(turner: Turner, zeno: str, places: int, past: Past | None) -> tuple[Any, Any]:
-    """The two programs of a chunk: begin, and go on for some rounds."""
-    journey = Journey(turner, zeno, past=past)
-    runner = Abreast(journey, places, _show) if places else Serial(journey, _show)
+class _Lane(NamedTuple):
+    """What is asked of one lane."""
 
-    def advance(starts: Any, count: Any, work: Any, rounds: Any) -> Any:
-        work = runner.advance(starts, count, work, rounds)
-        return work, runner.left(count, work)
-
-    return jit(runner.begin), jit(advance, whole=not places)
+    scene: Scene
+    t: tuple[float, float]
+    x: np.ndarray
+    history: Any
 
 
-def _show(trip: Trip) -> dict[str, Any]:
+class _Row(NamedTuple):
     """What is kept of a lane that has ended."""
-    lane = trip.lane
-    return {
-        "t": lane.now,
-        "x": lane.going.x,
-        "mode": lane.mode,
-        "held": lane.held,
-        "jumps": lane.jumps,
-        "steps": lane.going.steps,
-        "accumulations": trip.sums,
-        "t_inf": trip.t_inf,
-        "t_inf_error": trip.error,
-        "ratio": trip.ratio,
-        "status": status_of(trip),
-    }
+
+    t: float
+    x: np.ndarray
+    mode: str
+    jumps: int
+    steps: int
+    accumulations: int
+    t_inf: float
+    t_inf_error: float
+    ratio: float
+    verdict: str
+    status: str
+    reason: str
+
+
+@attrs.frozen(eq=False)
+class _Runs:
+    """The runs of an ensemble; ``refused`` are those that cannot use the options."""
+
+    asked: Asked
+    mode: str
+    certify: bool
+    refused: list[OptionError] = attrs.Factory(list)
+
+    def row(self, lane: _Lane) -> _Row:
+        """Fly a lane."""
+        driver = None
+        try:
+            driver = self.asked.driver(lane.scene, lane.t, lane.x, lane.history)
+            self._fly(driver, lane.x)
+        except HybridError as fault:
+            if isinstance(fault, OptionError):
+                self.refused.append(fault)
+            return self._ended(lane, driver, fault.status, str(fault))
+        if driver.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        assert driver.status is not None
+        return self._ended(lane, driver, driver.status.name.lower(), str(driver.status))
+
+    def _fly(self, driver: Driver, x: np.ndarray) -> None:
+        try:
+            driver.run(self.mode, x)
+        finally:  # what accumulates before a fault is told, too
+            give_errors(driver, self.asked.solver, self.asked.method, self.mode, x)
+        self.asked.judge(driver)
+
+    def _ended(self, lane: _Lane, driver: Driver | None, status: str, reason: str) -> _Row:
+        begun = lane.t[0], lane.x, self.mode
+        if driver is None:
+            return _Row._make((*begun, 0, 0, 0, *NO_LIMIT, status, reason))
+        end, limit = driver.end or begun, self._limit(driver)
+        counts = driver.record.made, driver.steps, len(driver.record.zeno)
+        return _Row._make((*end, *counts, *limit, status, reason))
+
+    def _limit(self, driver: Driver) -> tuple[float, float, float, str]:
+        """Time, error, ratio and verdict of the first accumulation."""
+        if not driver.record.zeno:
+            return NO_LIMIT
+        point, tail = driver.record.zeno[0], driver.record.tails[0]
+        if not self.certify:
+            return point.t, np.nan if tail is None else tail.t_error, point.ratio, point._verdict
+        return point.t, point.t_error, point.ratio, point.verdict
 
 
 class _Lanes:
@@ -213,60 +242,73 @@ class _Lanes:
     Attributes
     ----------
     count : int
-    x : array, shape (lanes, n)
     varied : dict
         What differs between lanes, by name.
     """
 
-    def __init__(
-        self,
-        spec: Spec,
-        model: Any,
-        start: Any,
-        t: Any,
-        given: dict[str, Any],
-        allowed: tuple[float, np.ndarray],
-        bounds: tuple[int, int],
-    ) -> None:
-        self.spec = spec
+    def __init__(self, model: Any, start: Any, t: Any, given: dict[str, Any], history: Any) -> None:
+        self.cls: Any = type(model)
+        self.spec: Spec = model.spec
         self.varied: dict[str, np.ndarray] = {}
         _check(model, given)
-        states = self._states(start)
-        parameters = [
-            (self._array(p.name, given.get(p.name, getattr(model, p.name)), shape), shape)
-            for p, shape in ((p, np.shape(p.default)) for p in spec.parameters)
-        ]
         if not (isinstance(t, Sequence) and len(t) == 2):
             raise OptionError(f"t={t!r}: give (first, last) time")
-        first, last = (self._array(name, v, ()) for name, v in zip(("t0", "t1"), t, strict=True))
-        if not np.all(last > first):
-            raise OptionError(f"t={t!r}: the first time before the last, in every lane")
-        if not all(isinstance(b, int | np.integer) and b > 0 for b in bounds):
-            raise OptionError("max_jumps, max_steps: whole numbers greater than 0")
+        states = self._states("start", values_of(self.spec, start))
+        self.shapes = tuple(np.shape(getattr(model, p.name)) for p in self.spec.parameters)
+        parameters = [
+            (self._array(p.name, given.get(p.name, getattr(model, p.name)), shape), shape)
+            for p, shape in zip(self.spec.parameters, self.shapes, strict=True)
+        ]
+        times = [(self._array(name, v, ()), ()) for name, v in zip(("t0", "t1"), t, strict=True)]
+        self.history, before = history, []
+        if isinstance(history, Mapping | Record):
+            self.history = {name: history[name] for name in history.keys()}
+            before = [(self._past(name, v), self._shape(name)) for name, v in self._constants()]
         counts = {len(v) for v in self.varied.values()}
         if len(counts) > 1:
             each = ", ".join(f"{name}: {len(v)}" for name, v in self.varied.items())
-            raise OptionError(f"{spec.model}: lanes differ in number ({each})")
+            raise OptionError(f"{self.spec.model}: lanes differ in number ({each})")
         self.count = counts.pop() if counts else 1
-        parts = [self._full(v, shape).reshape(self.count, -1) for v, shape in states]
-        self.x = np.concatenate(parts, axis=1)
-        self.run = Run(
-            tuple(self._full(v, shape) for v, shape in parameters),
-            self._full(first, ()),
-            self._full(last, ()),
-            self._full(np.array(max(allowed[0], FINEST)), ()),
-            self._full(allowed[1], (spec.dimension,)),
-            *(self._full(np.array(bound), ()) for bound in bounds),
-        )
+        self.x, self.values, self.t = map(self._rows, (states, parameters, times))
+        self.before = [self._full(*each) for each in before]
+        if not np.all(self.t[:, 1] > self.t[:, 0]):
+            raise OptionError(f"t={t!r}: the first time before the last, in every lane")
 
-    def _states(self, start: Any) -> list[tuple[np.ndarray, tuple[int, ...]]]:
-        spec = self.spec
-        try:
-            values = spec.values(start)
-        except ValueError as fault:
-            raise StartError(f"{spec.model}: start={start!r}: {fault}") from None
-        pairs = zip(spec.states, values, strict=True)
-        return [(self._array(f"{s.name}_start", v, s.shape), s.shape) for s, v in pairs]
+    def each(self) -> Iterator[_Lane]:
+        """The lanes one by one."""
+        for i in range(self.count):
+            scene = scene_with(self.cls, self.shapes, tuple(self.values[i].tolist()))
+            t0, t1 = self.t[i].tolist()
+            yield _Lane(scene, (t0, t1), self.x[i].copy(), self._before(i))
+
+    def coordinates(self) -> dict[str, Any]:
+        """The starts and parameters that vary."""
+        return {
+            name: (("lane", *(f"{name}_{i}" for i in range(v.ndim - 1))), v)
+            for name, v in self.varied.items()
+        }
+
+    def _states(self, what: str, values: Any) -> list[tuple[np.ndarray, tuple[int, ...]]]:
+        pairs = zip(self.spec.states, values, strict=True)
+        return [(self._array(f"{s.name}_{what}", v, s.shape), s.shape) for s, v in pairs]
+
+    def _constants(self) -> list[tuple[str, Any]]:
+        """What of a history is no function of time, and so may differ between lanes."""
+        known = self.spec.names
+        return [(n, v) for n, v in self.history.items() if n in known and not callable(v)]
+
+    def _past(self, name: str, value: Any) -> np.ndarray:
+        return self._array(f"{name}_history", value, self._shape(name))
+
+    def _shape(self, name: str) -> tuple[int, ...]:
+        return self.spec.states[self.spec.names.index(name)].shape
+
+    def _before(self, i: int) -> Any:
+        """The history of a lane."""
+        if not self.before:
+            return self.history
+        own = zip(self._constants(), self.before, strict=True)
+        return {**self.history, **{name: values[i] for (name, _), values in own}}
 
     def _array(self, name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
         """A value for all lanes, or one for each."""
@@ -288,34 +330,14 @@ class _Lanes:
     def _full(self, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         return np.broadcast_to(array, (self.count, *shape))
 
-    def first(self, constants: dict[str, Any]) -> np.ndarray:
-        """The constants of a history, the start where there are none."""
-        start = self.spec.record(self.x)
-        given = {name: constants.get(name, start[name]) for name in self.spec.names}
-        states = [
-            (self._array(f"{s.name}_history", given[s.name], s.shape), s.shape)
-            for s in self.spec.states
-        ]
-        return np.concatenate([self._full(v, s).reshape(self.count, -1) for v, s in states], axis=1)
-
-    def chunk(self, start: int, size: int, first: np.ndarray) -> tuple[Run, np.ndarray, np.ndarray]:
-        """Lanes from one on, with what was before; the last is repeated to fill up."""
-        which = np.minimum(np.arange(start, start + size), self.count - 1)
-        chosen: Run = jax.tree.map(lambda a: a[which], self.run)
-        return chosen, self.x[which], first[which]
-
-    def coordinates(self) -> dict[str, Any]:
-        """The starts and parameters that vary."""
-        return {
-            name: (("lane", *(f"{name}_{i}" for i in range(v.ndim - 1))), v)
-            for name, v in self.varied.items()
-        }
+    def _rows(self, columns: list[tuple[np.ndarray, tuple[int, ...]]]) -> np.ndarray:
+        """A row of numbers for each lane."""
+        parts = [self._full(v, shape).reshape(self.count, -1) for v, shape in columns]
+        return np.concatenate([np.empty((self.count, 0)), *parts], axis=1)
 
 
 def _check(model: Any, given: dict[str, Any]) -> None:
     """Let the model's own validators see the extremes of the parameters given."""
-    import attrs
-
     unknown = [name for name in given if name not in {p.name for p in model.spec.parameters}]
     if unknown:
         known = ", ".join(p.name for p in model.spec.parameters) or "none"
@@ -325,30 +347,20 @@ def _check(model: Any, given: dict[str, Any]) -> None:
         attrs.evolve(model, **ends)
 
 
-def _variables(spec: Spec, system: Any, results: dict[str, Any]) -> tuple[dict[str, Any], Any]:
-    record = spec.record(results.pop("x"))
-    x = {
-        s.name: (tuple(f"{s.name}_{i}" for i in range(len(s.shape))), record[s.name])
+def _dataset(spec: Spec, lanes: _Lanes, rows: list[_Row]) -> xarray.Dataset:
+    import xarray
+
+    columns = dict(zip(_Row._fields, map(np.array, zip(*rows, strict=True)), strict=True))
+    record = spec.record(columns.pop("x"))
+    states = {
+        s.name: (("lane", *(f"{s.name}_{i}" for i in range(len(s.shape)))), record[s.name])
         for s in spec.states
     }
-    modes, held, status = (results.pop(name) for name in ("mode", "held", "status"))
-    names = [_mode_name(system, m, h) for m, h in zip(modes, held, strict=True)]
-    verdict = np.where(results["accumulations"] > 0, "estimated", "")
-    reasons = [REASONS[int(s)][0] for s in status]
-    found = {
-        **{name: ((), value) for name, value in results.items()},
-        **x,
-        "mode": ((), np.array(names)),
-        "verdict": ((), verdict),
-        "status": ((), np.array(reasons)),
-    }
-    return found, {"model": spec.model, **{f"status_{n}": text for n, text in REASONS.values()}}
-
-
-def _mode_name(system: Any, mode: int, held: np.ndarray) -> str:
-    name = system.modes[mode]
-    edges = system.edges[name]
-    return rest_name(name, tuple(e.name for e, h in zip(edges, held, strict=False) if h))
+    return xarray.Dataset(
+        {name: ("lane", values) for name, values in columns.items()} | states,
+        coords=lanes.coordinates(),
+        attrs={"model": spec.model, **{f"status_{n}": said for n, said in STATUSES.items()}},
+    )
 
 
 __all__ = ["ensemble"]

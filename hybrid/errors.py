@@ -9,7 +9,20 @@ from collections.abc import Sequence
 
 
 class HybridError(Exception):
-    """Base class of every error that this package raises on purpose."""
+    """Base class of every error that this package raises on purpose.
+
+    Attributes
+    ----------
+    status : str
+        How a lane of an ensemble has ended that fails by it (:func:`hybrid.ensemble`).
+    """
+
+    status = "failed"
+
+    def by(self, status: str) -> HybridError:
+        """The same, with another name for how a lane has ended."""
+        self.status = status
+        return self
 
 
 class DeclarationError(HybridError):
@@ -36,9 +49,13 @@ class ParameterError(HybridError, ValueError):
 class StartError(HybridError, ValueError):
     """The start is incomplete, outside the mode's domain, or undecidable."""
 
+    status = "outside"
+
 
 class OptionError(HybridError, ValueError):
     """An option of a run (solver, method, tolerance, times) cannot be used."""
+
+    status = "refused"
 
 
 class TraceError(HybridError):
@@ -48,17 +65,25 @@ class TraceError(HybridError):
 class FlowError(HybridError):
     """A flow, guard or reset gave a value that is not finite, or a solver gave up."""
 
+    status = "not_finite"
+
 
 class DomainError(HybridError):
     """A reset put the state outside the domain of the mode it enters."""
+
+    status = "outside"
 
 
 class JumpLoopError(HybridError):
     """Jumps follow each other without end at one time."""
 
+    status = "jump_loop"
+
 
 class ZenoError(HybridError):
     """Jumps accumulate and the caller asked for an error (``zeno="raise"``)."""
+
+    status = "zeno_raised"
 
 
 class OrbitError(HybridError):

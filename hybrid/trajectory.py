@@ -44,6 +44,7 @@ class Status(enum.Enum):
         "the contact with rests=True, or a mode with limit_of= the edges of the cycle."
     )
     MAX_JUMPS = "The run stopped at max_jumps; give a larger max_jumps to go on."
+    MAX_STEPS = "The run stopped at max_steps; give a larger max_steps to go on."
     INTERRUPTED = "The run was interrupted; what was computed until then is kept."
 
     def __str__(self) -> str:

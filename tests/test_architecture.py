@@ -22,6 +22,7 @@ LAYERS = [
     ["run", "store", "pictures"],
     ["histories", "hindsight"],
     ["variation"],
+    ["asked", "again"],
     ["simulation", "ensembles", "function", "certificates"],
     ["compare", "gallery", "study", "orbits"],
     ["report"],

@@ -92,10 +92,11 @@ def test_lags_may_differ_by_lane():
 
 
 def test_a_lane_says_what_it_has_forgotten():
-    """A record too small for the lag ends the lane, with its reason."""
-    lane = hy.ensemble(Pyragas(), {"x1": 100.0, "x2": 0.0}, (0.0, 3.0), segments=16)
-    assert lane.status.values[0] == "forgotten"
-    assert "segments" in lane.attrs["status_forgotten"]
+    """A history that has no value where it is seen ends the lane, with its reason."""
+    history = {"y": lambda t: np.nan if t < -0.5 else 1.0}
+    lanes = hy.ensemble(Decay(), {"y": 1.0}, (0.0, 1.0), {"tau": [0.3, 2.0]}, history=history)
+    assert lanes.status.values.tolist() == ["reached_end", "forgotten"]
+    assert "is not finite" in str(lanes.reason.values[1])
 
 
 def test_derivatives_by_the_lag(wide):
@@ -137,7 +138,7 @@ def test_derivatives_through_impacts(wide):
 
 
 def test_refusals():
-    """What compiled lanes cannot do is said, with what can."""
+    """What lanes and functions cannot do is said, with what can."""
 
     class Moving(hy.Automaton):
         y = hy.state()
@@ -154,12 +155,10 @@ def test_refusals():
             return -s.y
 
     with pytest.raises(hy.OptionError, match=r"depends on time or state.*use hy\.simulate"):
-        hy.ensemble(Moving(), {"y": 1.0}, (0.0, 1.0))
+        hy.as_function(Moving(), t=(0.0, 1.0), max_jumps=1)
     with pytest.raises(hy.OptionError, match="looks into the past"):
         hy.ensemble(Plain(), {"y": 1.0}, (0.0, 1.0), history={"y": 1.0})
     with pytest.raises(hy.OptionError, match="memory='lose'"):
         hy.ensemble(Decay(), {"y": 1.0}, (0.0, 1.0), memory="lose")
-    with pytest.raises(hy.OptionError, match="give states by name"):
+    with pytest.raises(hy.OptionError, match="history of 'z'; the states are y"):
         hy.ensemble(Decay(), {"y": 1.0}, (0.0, 1.0), history={"z": 1.0})
-    with pytest.raises(hy.OptionError, match="segments=1"):
-        hy.ensemble(Decay(), {"y": 1.0}, (0.0, 1.0), segments=1)

@@ -83,7 +83,7 @@ def test_what_has_no_series_is_refused():
     """Named, or reached through any of the three calls."""
     start, message = {"x1": 3.0, "x2": 0.0}, "Pyragas: method='Taylor': mode flight: the past"
     with pytest.raises(hy.OptionError, match=message):
-        hy.ensemble(Pyragas(), start, (0, 1), method="Taylor")
+        hy.ensemble(Pyragas(), start, (0, 1), solver="diffrax", method="Taylor")
     with pytest.raises(hy.OptionError, match=message):
         hy.as_function(Pyragas(), t=(0.0, 1.0), max_jumps=8, method="Taylor")
     with pytest.raises(hy.OptionError, match=message):

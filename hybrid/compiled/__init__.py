@@ -5,8 +5,8 @@
 ``lane``, ``roots``, ``detect``, ``turn``, ``tail``
     The rules: one trajectory on its way, the zeros of guards, the first event of a step, one
     step or jump, the sum of a series of impacts.
-``lanes``, ``abreast``, ``streak``
-    The loops around them: a whole trajectory, many at once, the plain arcs of one.
+``lanes``, ``streak``
+    The loops around them: a whole trajectory, the plain arcs of one.
 ``ask``
     What a caller gives, as arrays.
 """

@@ -1,8 +1,5 @@
-"""A whole trajectory as a sequence of turns, each the same program for every lane.
-
-:mod:`.abreast` makes turns of many lanes at once; :mod:`hybrid.function` a bounded number of
-turns that can be differentiated.
-"""
+"""A whole trajectory as a sequence of turns: :mod:`hybrid.function` makes a bounded number of
+them, which can be differentiated."""
 
 from __future__ import annotations
 

@@ -380,7 +380,8 @@ def pass_limit(driver: Driver, mode: str) -> bool:
     ``mode`` is where the last jump leads.
     """
     plan, cycles = driver.plan, driver.cycles
-    if plan.zeno == "truncate" or driver.status is not None or _summed(driver.scene, cycles):
+    passes = plan.zeno in ("truncate", "ignore") or driver.status is not None
+    if passes or _summed(driver.scene, cycles):
         return False
     slower = _at_once(driver, mode) if cycles.stands else None
     if slower is not None:

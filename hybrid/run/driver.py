@@ -47,9 +47,10 @@ HOT = 64
 
 
 class Driver:
-    """One run."""
+    """One run; ``mode`` is the one that the last jump, or the start, has led to."""
 
     entry: Entry
+    mode: str
 
     def __init__(
         self,
@@ -82,6 +83,19 @@ class Driver:
         """The present time."""
         return self.record.now.t
 
+    @property
+    def end(self) -> tuple[float, np.ndarray, str] | None:
+        """Time, state and mode to which the run has come, behind its last jump; None if it has not
+        left its start."""
+        kept, own = self.record.log.kept, self.record.log.own
+        last = kept[-1] if kept else None
+        if isinstance(last, Flights):
+            return last.t1, last.jumps.after[-1], self.mode
+        jump = own.get(len(kept) - 1)
+        if jump is not None:
+            return jump.t, jump.after, self.mode
+        return None if last is None else (last.t1, last.last, last.mode)
+
     def run(self, mode: str, x: np.ndarray) -> None:
         """From the start to the end of the run."""
         if self.history is not None:
@@ -99,7 +113,9 @@ class Driver:
     def go_on(self) -> None:
         """Arc after arc until something ends the run."""
         while self.status is None:
-            if self.entry.at_once:
+            if self.steps >= self.plan.max_steps:
+                self.status = Status.MAX_STEPS
+            elif self.entry.at_once:
                 guard = self.entry.field.guards[self.entry.at_once[0]]
                 if guard.kind != "window":
                     self.record.arc(self.entry.field, self.entry.x, self.entry.x, 0.0, [])
@@ -109,6 +125,7 @@ class Driver:
 
     def enter(self, mode: str, x: np.ndarray, jumped: Jumped) -> None:
         """Begin an arc, unless the run has ended."""
+        self.mode = self.scene.name(mode, jumped.held)
         if self.status is None:
             self.look(x)
             jumped.tied, jumped.spent = self._tied, self._spent
@@ -168,6 +185,7 @@ class Driver:
     def arrive(self, field: Field, x: np.ndarray, guard: Guard, before: np.ndarray) -> None:
         """Begin an arc after a jump that needed no judgement (see :meth:`renew`)."""
         self.entry, self._came = Entry(field, x, None, [], []), (guard, before)
+        self.mode = field.name
 
     def look_again(self) -> None:
         """Fly the present arc with all the rules, unless a guard fires before any flow."""
@@ -346,6 +364,7 @@ class Driver:
             after = self._closed(guard.to, held, after)
             self.watch.saw(guard.edge)
             due = self.add_jump(guard.edge, before, after)
+            self.mode = self.scene.name(guard.to, held)
             contact = self.scene.contact(guard.edge)
             if self.status is not None or self._accumulate(contact, after, speed, guard.to, held):
                 return

@@ -321,7 +321,7 @@ class _Here:
             raise StartError(
                 f"{self.where()}: the guard of {guard.edge} is zero and no derivative along "
                 "the flow decides which way it goes; start off the guard"
-            )
+            ).by("undecided")
         if order == 0 and jumped.passing is not None:
             return fires(guard.crossing, sign) and jumped.passing.get(guard.edge) != sign
         if order == 0:
@@ -350,7 +350,7 @@ class _Here:
         raise (StartError if starting else DomainError)(
             f"{self.where()}: on the surface of {guard.edge} the flows of {self.field.mode} and "
             f"{guard.to} both lead away from it: what follows is not unique; start beside it"
-        )
+        ).by("undecided")
 
     def start_of(self, guard: Guard, index: int, jumped: Jumped) -> tuple[int, int]:
         least = jumped.vanishing.get(guard.edge, 0)

@@ -103,7 +103,7 @@ class Machine:
             self._keep(left)
             ended = driver.status is not None or self.passed
             self._tell(0.0 if ended else self._hold(left), left)
-            if ended:
+            if ended or self._spent(status, left):
                 return
             driver.watch = Watch(*self._series())
             if status in (FULL, STEP) and driver.flyer is not self:
@@ -132,6 +132,13 @@ class Machine:
         if self.dense:
             self.open.append(self._made(left, rows, int(self.ints[JUMPS])))
         return tau
+
+    def _spent(self, status: int, left: Left) -> bool:
+        """Whether the run has made all its steps; keeps what has been flown of the arc."""
+        spent = self.driver.steps + self.opened >= self.plan.max_steps
+        if spent and status == FULL and self._going:
+            self._arc(left, int(self.ints[JUMPS]))
+        return spent and status == FULL
 
     def _tell(self, tau: float, left: Left) -> None:
         """Say how far the run is; if it is stopped there, keep what has been flown of the arc."""

@@ -242,7 +242,7 @@ class Memory:
             raise FlowError(
                 f"{self.scene.spec.model}, t = {t!r}, {state}: the lag {self.names[k]} is {lag!r}; "
                 "it must be a number of at least 0"
-            )
+            ).by("forgotten")
         return t - lag
 
     def _forget(self, places: list[float]) -> None:
@@ -338,7 +338,7 @@ class Memory:
             raise FlowError(
                 f"{self.scene.spec.model}, t = {t!r}: the record at {bad!r} is not finite; give a "
                 "history that reaches back that far"
-            )
+            ).by("forgotten")
         noise = 0.5 * slack_of(t, a) / (b - a) * (values.max(axis=0) - values.min(axis=0))
         return Window(a, b, values, guess, noise)
 

@@ -11,6 +11,9 @@ import numpy as np
 #: Impacts are summed anew only after their speed has fallen to this share.
 PATIENCE = 0.6
 
+#: Impacts of a series before they are summed for the first time.
+PATIENT = 2
+
 
 @attrs.frozen
 class Plan:
@@ -37,6 +40,9 @@ class Plan:
         Move the states of such a run by what rounding does to forces that act briefly.
     max_step, first_step : float
         The longest step, and the longest first one of an arc; infinite where they are not limited.
+    max_steps : float
+        Steps after which the run ends; looked at between arcs, and between calls of the rules' own
+        loop.
     """
 
     t0: float
@@ -52,11 +58,12 @@ class Plan:
     memory: str = "keep"
     accumulations: int | None = None
     closing: float = 1.0
-    patience: int = 2
+    patience: int = PATIENT
     watchful: int | None = None
     shaken: bool = False
     max_step: float = np.inf
     first_step: float = np.inf
+    max_steps: float = np.inf
 
     @property
     def limit(self) -> float:

@@ -59,7 +59,7 @@ def onward(driver: Driver, guard: Guard, x: np.ndarray) -> str:
             f"{where}: a state that slides reached the surface of {name} too; sliding on two "
             "surfaces at once is not known yet: declare an edge from "
             f'"{mode}" with this surface as its guard'
-        )
+        ).by("undecided")
     order, _ = heading(scene, at, mode, x, name, driver.seen)
     other, sign = heading(scene, at, guard.to, x, name, driver.seen)
     inside = 1 if guard.to == switching.positive else -1
@@ -69,10 +69,10 @@ def onward(driver: Driver, guard: Guard, x: np.ndarray) -> str:
         raise kind(
             f"{where}: on the surface of {name} neither flow leads away, and no first derivative "
             "decides whether the state slides; start beside the surface"
-        )
+        ).by("undecided")
     if not switching.slides:
         raise kind(
             f"{where}: on the surface of {name} both flows lead to it and slides=False; declare "
             "slides=True, or two edges with a hysteresis between them"
-        )
+        ).by("undecided")
     return switching.mode

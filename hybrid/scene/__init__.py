@@ -1,6 +1,16 @@
 """The spec, lowered for one run: only the modes, guards and outputs that the run needs."""
 
 from .lowered import window_edge
-from .scene import Contact, Field, Guard, Kink, Scene, released, scene_of
+from .scene import Contact, Field, Guard, Kink, Scene, released, scene_of, scene_with
 
-__all__ = ["Contact", "Field", "Guard", "Kink", "Scene", "released", "scene_of", "window_edge"]
+__all__ = [
+    "Contact",
+    "Field",
+    "Guard",
+    "Kink",
+    "Scene",
+    "released",
+    "scene_of",
+    "scene_with",
+    "window_edge",
+]

@@ -503,11 +503,14 @@ def _scene(cls: Any, shapes: tuple[tuple[int, ...], ...], values: tuple[float, .
 
 def scene_of(model: Any) -> Scene:
     """The scene of a model; models of equal parameters share one."""
-    cls: Any = type(model)
-    windows = blank(cls.spec.lags, cls.spec.dimension) if cls.spec.lags else []
     parameters = model.parameters
-    shapes = tuple(v.shape for v in parameters)
-    return _scene(cls, shapes, tuple(flat([*parameters, *windows])))
+    return scene_with(type(model), tuple(v.shape for v in parameters), tuple(flat(parameters)))
+
+
+def scene_with(cls: Any, shapes: tuple[tuple[int, ...], ...], values: tuple[float, ...]) -> Scene:
+    """The scene of a class with these parameters, as one list."""
+    windows = blank(cls.spec.lags, cls.spec.dimension) if cls.spec.lags else []
+    return _scene(cls, shapes, (*values, *flat(windows)))
 
 
 def rest_name(mode: str, held: tuple[str, ...]) -> str:

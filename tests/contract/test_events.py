@@ -171,7 +171,7 @@ class Burst(hy.Automaton):
         return s.replace(n=10 * s.n + 3)
 
 
-@pytest.mark.parametrize("way", WAYS[:4], indirect=True)
+@pytest.mark.parametrize("way", WAYS[:5], indirect=True)
 @pytest.mark.parametrize("of_time", [0.0, 1.0])
 @pytest.mark.parametrize(("first", "apart"), [(1e-14, 2e-15), (1e-15, 1e-15), (3e-17, 1e-18)])
 def test_events_next_to_each_other_fire_once_each_at_their_times(way, first, apart, of_time):

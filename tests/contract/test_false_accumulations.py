@@ -18,7 +18,7 @@ pytest.importorskip("flint")
 WAYS = ["DOP853", "taylor", "Dopri8", "ensemble", "as_function"]
 
 #: Ways in whose answers are the driver's: the others sum with no look between their flights.
-LANES = ("ensemble", "as_function")
+LANES = ("as_function",)
 
 START = [0.0, 1.0]
 
@@ -82,8 +82,9 @@ def honest(result, exact, way):
     assert abs(point.t - exact) <= point.t_error
     if way.tells("bound") and point.verdict == "certified":
         assert point.t_error < math.inf
-        low, high = point.enclosure
-        assert low <= exact <= high
+        if way.tells("run"):
+            low, high = point.enclosure
+            assert low <= exact <= high
 
 
 KICKS = [

@@ -6,7 +6,7 @@ import pytest
 
 import hybrid as hy
 
-WAYS = ["DOP853", "Radau", "BDF", "LSODA", "Dopri8"]
+WAYS = ["DOP853", "Radau", "BDF", "LSODA", "Dopri8", "ensemble"]
 
 #: Walls: frequency, amplitude, restitution; chosen before anything was run.
 WALLS = [(4.512, 0.49, 0.5), (1.0, 0.3, 0.8), (20.0, 0.02, 0.6), (9.0, 0.1, 0.9)]

@@ -283,8 +283,8 @@ def test_breaking_points_are_followed_through_all_lags(way):
 def test_a_negative_lag_is_an_error(way):
     """Said with the model, the time, and which lag it is, by the ways that have words for it."""
     result = way.run(Echoes(lag=-1.0), {"y": 1.0}, (0.0, 1.0))
-    assert result.status == ("forgotten" if way.name in COMPILED else "not_finite")
-    if way.tells("run"):
+    assert result.status == "forgotten"
+    if way.name not in COMPILED:
         assert re.search(r"Echoes, t = 0.0, .*: the lag lag is -1.0", result.said)
 
 
@@ -292,7 +292,7 @@ def test_a_history_that_is_not_finite_where_it_is_seen_is_an_error(way):
     """It has no value before -1/2, where it is seen from the start on."""
     history = {"y": lambda t: jnp.where(t < -0.5, jnp.nan, 1.0)}
     result = way.run(Echoes(), {"y": 1.0}, (0.0, 1.0), history=history)
-    assert result.status == ("forgotten" if way.name in COMPILED else "not_finite")
+    assert result.status == "forgotten"
     assert "not finite" in result.said
 
 

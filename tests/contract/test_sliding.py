@@ -107,7 +107,7 @@ STARTS = [
 
 
 #: Its status is "undecided": no second derivative along the other flow is looked at.
-UNDECIDED = "a lane is refused where the first derivative along the other flow is zero"
+UNDECIDED = "a function is refused where the first derivative along the other flow is zero"
 
 
 @misses(UNDECIDED, *COMPILED, p=[0.0], named=["negative"])
@@ -123,7 +123,7 @@ def test_a_start_on_the_surface_is_decided_by_the_same_table(way, p, n, pt, nt, 
     assert result.final.y == pytest.approx(up, abs=tolerance(way))
 
 
-@pytest.mark.parametrize("way", SOLVERS, indirect=True)
+@pytest.mark.parametrize("way", [*SOLVERS, "ensemble"], indirect=True)
 @pytest.mark.parametrize("named", ["positive", "negative"])
 def test_two_ways_out_are_refused(way, named):
     """What follows is not unique."""
@@ -134,7 +134,7 @@ def test_two_ways_out_are_refused(way, named):
 
 @pytest.mark.parametrize("way", COMPILED, indirect=True)
 @pytest.mark.parametrize(("named", "way_out"), [("positive", 1.0), ("negative", -1.0)])
-def test_of_two_ways_out_lanes_take_that_of_the_mode_named(way, named, way_out):
+def test_of_two_ways_out_functions_take_that_of_the_mode_named(way, named, way_out):
     """As the page says of them."""
     result = way.run(Sides(p=1.0, n=-1.0), {"y": 0.0, "x": 0.0}, (0.0, 1.0), mode=named)
     assert (result.jumps, result.final.y) == (0, pytest.approx(way_out, abs=1e-12))
@@ -246,7 +246,7 @@ def test_a_second_surface_is_refused_while_sliding(way):
 
 
 def test_a_start_to_slide_must_be_on_the_surface_and_held_there(way):
-    """Lanes start in no sliding mode, and say which there are."""
+    """Functions start in no sliding mode, and say which there are."""
     start = {"y": 0.0, "x": 0.0}
     if way.name in COMPILED:
         with pytest.raises(hy.OptionError, match=r"there are positive, negative$"):

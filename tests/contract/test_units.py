@@ -9,7 +9,7 @@ import pytest
 
 import hybrid as hy
 
-WAYS = ["DOP853", "Radau", "taylor"]
+WAYS = ["DOP853", "Radau", "taylor", "ensemble"]
 
 UNITS = [1e-15, 1e-12, 1e-6, 1.0, 1e6, 1e9, 1e12]
 
@@ -71,7 +71,9 @@ def test_a_ball_at_rest_that_is_kicked_flies(way, unit, height, kick):
     """At rest from ``3 sqrt(h)`` on, and again from ``4 + 2 kick``, slow beside its fall or not."""
     result = run(way, Kicked, [height, 0.0], 6.0, unit, kick=kick)
     found = [point.t for point in result.zeno]
-    assert found == pytest.approx([3 * height**0.5, 4 + 2 * kick], abs=1e-8)
+    exact = [3 * height**0.5, 4 + 2 * kick]
+    assert result.accumulations == 2
+    assert found == pytest.approx(exact if way.tells("all zeno") else exact[:1], abs=1e-8)
     assert result.final.x == 0.0
 
 

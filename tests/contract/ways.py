@@ -27,7 +27,7 @@ from __future__ import annotations
 import abc
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import Any
 
 import attrs
@@ -60,14 +60,8 @@ SOLVERS = {
 #: out of the mode's domain or does not say what follows.
 REFUSED = ("outside", "undecided")
 
-#: How the errors of ``hy.simulate`` are named. Wrong options stay errors.
-ERRORS = {
-    hy.StartError: "refused",
-    hy.DomainError: "refused",
-    hy.FlowError: "not_finite",
-    hy.JumpLoopError: "jump_loop",
-    hy.ZenoError: "zeno_raised",
-}
+#: What ``hy.simulate`` raises where a lane is a row with its reason. Wrong options stay errors.
+ERRORS = (hy.StartError, hy.DomainError, hy.FlowError, hy.JumpLoopError, hy.ZenoError)
 
 
 def misses(finding: str, *names: str, raises: Any = (AssertionError, IndexError), **cases: Any):
@@ -99,7 +93,7 @@ def expected_failure(mark: Any, params: Mapping[str, Any]) -> Any:
 
 @attrs.frozen
 class Limit:
-    """An accumulation as a lane or a function tells it, in the words of ``run.zeno``.
+    """An accumulation as a function tells it, in the words of ``run.zeno``.
 
     ``t_error`` bounds the error of the sum only, not that of the integration before it.
     """
@@ -108,7 +102,18 @@ class Limit:
     t_error: float
     ratio: float
     state: Any = None
-    verdict: str | None = None
+
+
+@attrs.frozen(eq=False)
+class LaneLimit:
+    """An accumulation as a lane tells it; its bound and verdict are looked for when asked for."""
+
+    t: float
+    ratio: float
+    certified: Callable[[], Any]
+
+    t_error = property(lambda self: float(self.certified().t_inf_error))
+    verdict = property(lambda self: str(self.certified().verdict.values))
 
 
 @attrs.frozen(eq=False, kw_only=True, slots=False)
@@ -223,6 +228,10 @@ COMMON = frozenset({"status", "t", "final", "jumps", "zeno"})
 TABLE = frozenset({"times", "edges", "before", "after"})
 
 
+def _named(status: str) -> str:
+    return "refused" if status in REFUSED else status
+
+
 class Simulate(Way):
     """``hy.simulate`` with a solver."""
 
@@ -235,8 +244,8 @@ class Simulate(Way):
     def _one(self, model: Any, start: Any, t: Any, **options: Any) -> Result:
         try:
             run = hy.simulate(model, start, t, **{**self.options, **options})
-        except tuple(ERRORS) as error:
-            return Result(status=ERRORS[type(error)], said=str(error))
+        except ERRORS as error:
+            return Result(status=_named(error.status), said=str(error))
         return Result(
             status=run.status.name.lower(),
             said=str(run.status),
@@ -259,62 +268,59 @@ class Simulate(Way):
 class Ensemble(Way):
     """``hy.ensemble``: each run is a lane.
 
-    To the cases are added runs of almost no length until there are ``LEAST`` lanes, so that one
-    program serves one run and several. The table of jumps is found by ensembles that end after 1,
-    2, 3, ... jumps, and cannot tell the states before them nor the edges.
+    The table of jumps is found by ensembles that end after 1, 2, 3, ... jumps, and cannot tell the
+    states before them nor the edges.
     """
 
-    told = COMMON | {"mode", "accumulations", "verdict", "times", "after"}
-
-    LEAST = 16
+    told = COMMON | {"mode", "accumulations", "verdict", "bound", "times", "after"}
 
     def many(self, model, starts, t, parameters=None, **options):
-        count = len(starts)
-        which = np.minimum(np.arange(max(self.LEAST, count)), count - 1)
-        spread = lambda values: np.asarray(values, float)[which]  # noqa: E731
         rows = zip(*(model.spec.values(start) for start in starts), strict=True)
-        columns = dict(zip(model.spec.names, map(spread, map(list, rows)), strict=True))
-        given = {name: spread(values) for name, values in (parameters or {}).items()}
-        first, last = (spread(np.broadcast_to(end, count)) for end in t)
-        last[count:] = first[count:] + 1e-6 * (last - first)[count:]
-        ends = first, last
-        chosen = {**self.options, **options}
-        after = cache(
-            lambda jumps: hy.ensemble(
-                model, columns, ends, given, **(chosen | ({"max_jumps": jumps} if jumps else {}))
-            )
-        )
-        return [self._lane(model, after, i) for i in range(len(starts))]
+        columns = dict(zip(model.spec.names, map(_floats, rows), strict=True))
+        given = {name: _floats(values) for name, values in (parameters or {}).items()}
+        ends = [np.broadcast_to(_floats(end), len(starts)) for end in t]
 
-    def _lane(self, model: Any, after: Any, i: int) -> Result:
-        lane = after(None).isel(lane=i)
-        status = str(lane.status.values)
-        zeno = []
-        if not np.isnan(lane.t_inf.values):
-            numbers = (float(lane[name]) for name in ("t_inf", "t_inf_error", "ratio"))
-            zeno.append(Limit(*numbers, verdict=str(lane.verdict.values)))
+        def of(which: slice, **more: Any) -> Any:
+            own = [{name: v[which] for name, v in each.items()} for each in (columns, given)]
+            until = tuple(end[which] for end in ends)
+            return hy.ensemble(model, own[0], until, own[1], **{**self.options, **options, **more})
+
+        lanes = of(slice(None))
+        return [
+            self._lane(model, lanes.isel(lane=i), partial(of, slice(i, i + 1)))
+            for i in range(len(starts))
+        ]
+
+    def _lane(self, model: Any, lane: Any, again: Any) -> Result:
+        """``again`` flies the lane alone, with further options."""
+        certified = cache(lambda: again(certify=True).isel(lane=0))
+        limit = LaneLimit(float(lane["t_inf"]), float(lane["ratio"]), certified)
         return Result(
-            status="refused" if status in REFUSED else status,
-            said=lane.attrs[f"status_{status}"],
+            status=_named(str(lane.status.values)),
+            said=str(lane.reason.values),
             t=float(lane["t"]),
             final=_record(model, {name: lane[name].values for name in model.spec.names}),
             mode=str(lane["mode"].values),
             jumps=int(lane.jumps),
             accumulations=int(lane.accumulations),
-            zeno=zeno,
-            table=lambda: self._table(model, after, i, int(lane.jumps)),
+            zeno=[] if np.isnan(limit.t) else [limit],
+            table=lambda: self._table(model, again, int(lane.jumps)),
         )
 
-    def _table(self, model: Any, after: Any, i: int, jumps: int) -> Sequence[Any]:
-        ends = [after(1 + n).isel(lane=i) for n in range(jumps)]
+    def _table(self, model: Any, again: Any, jumps: int) -> Sequence[Any]:
+        ends = [again(max_jumps=1 + n).isel(lane=0) for n in range(jumps)]
         states = {name: np.array([end[name].values for end in ends]) for name in model.spec.names}
         return np.array([float(end["t"]) for end in ends]), None, None, _record(model, states)
+
+
+def _floats(values: Any) -> np.ndarray:
+    return np.array(values, float)
 
 
 class AsFunction(Way):
     """``hy.as_function``, compiled once for each class and set of options.
 
-    Compiled with the settings of ``hy.ensemble``, in half of the time that ``jax.jit`` takes.
+    Compiled with the package's own settings, in half of the time that ``jax.jit`` takes.
     """
 
     told = COMMON | TABLE | {"limit"}
@@ -356,7 +362,7 @@ class AsFunction(Way):
             numbers = (float(v) for v in (out.zeno.t, out.zeno.error, out.zeno.ratio))
             zeno.append(Limit(*numbers, state=_record(model, out.zeno.state)))
         return Result(
-            status="refused" if status in REFUSED else status,
+            status=_named(status),
             said=said,
             t=float(out.t),
             final=_record(model, out.final),
@@ -390,7 +396,6 @@ def _record(model: Any, values: Mapping[str, Any], count: int | None = None) -> 
 WAYS: dict[str, Way] = {
     **{name: Simulate(name, **given) for name, given in SOLVERS.items()},
     "ensemble": Ensemble("ensemble"),
-    "ensemble Dopri8": Ensemble("ensemble Dopri8", method="Dopri8"),
     "as_function": AsFunction("as_function"),
 }
 
@@ -403,8 +408,8 @@ MECHANISMS = ["DOP853", "Radau", "LSODA", "taylor", "Dopri8", "ensemble", "as_fu
 #: Those of them that reach rounding.
 ACCURATE = ["DOP853", "taylor", "Dopri8", "Taylor", "ensemble", "as_function"]
 
-#: The ways that have no Python to turn to; ``as_function`` steps with Dopri8.
-COMPILED = ["ensemble", "as_function"]
+#: The way that has no Python to turn to; it steps with Dopri8.
+COMPILED = ["as_function"]
 
-#: Every solver, and these.
-SOLVERS_AND_COMPILED = [*SOLVERS, *COMPILED]
+#: Every solver, lanes, and this.
+SOLVERS_AND_COMPILED = [*SOLVERS, "ensemble", *COMPILED]

@@ -1,0 +1,230 @@
+"""What is asked of runs, checked: the options, the start, the times, and what was before."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from math import isfinite
+from typing import Any
+
+import attrs
+import numpy as np
+
+from .accumulation import explain
+from .automaton.markers import name_of
+from .automaton.record import Record
+from .automaton.spec import Spec
+from .errors import OptionError, StartError, ZenoError
+from .histories import pieces
+from .reals import real, reals
+from .run import Driver, Plan
+from .run.pieces import Piece
+from .run.plan import PATIENT
+from .scene import Scene
+from .solvers import Solver, choose, own_rtol
+from .solvers.base import tolerances
+
+#: Jumps after which a run stops if it is given no ``max_jumps``.
+MAX_JUMPS = 1_000_000
+
+ZENO = ("rest", "stop", "truncate", "raise", "ignore")
+
+
+@attrs.frozen(eq=False, kw_only=True, slots=False)
+class Asked:
+    """The options of :func:`hybrid.simulate` but for times and history, for runs of one class."""
+
+    spec: Spec
+    solver: str
+    method: Any = None
+    controller: Any = None
+    rtol: float | None = None
+    atol: Any = None
+    max_step: float | None = None
+    first_step: float | None = None
+    zeno: str = "rest"
+    max_jumps: int | None = None
+    max_steps: int | None = None
+    save: Any = "dense"
+    memory: str = "keep"
+    progress: Callable[[float], None] | None = None
+
+    @cached_property
+    def _own(self) -> tuple[float, float]:
+        """The solver's own tolerance, and the one that is taken in its place."""
+        finest = own_rtol(self.solver)
+        # a history of the caller's may be off by far more than rounding
+        return finest, max(finest, Solver.own_rtol) if self.spec.lags else finest
+
+    @cached_property
+    def _allowed(self) -> tuple[float, np.ndarray]:
+        return tolerances(self.rtol, self.atol, self.spec.dimension, self._own[1])
+
+    def plan(self, t: Any) -> Plan:
+        """The options of one run.
+
+        Raises
+        ------
+        OptionError
+            If one of them cannot be used.
+        """
+        rtol, atol = self._allowed
+        t0, t1 = _times(t)
+        if self.zeno not in ZENO:
+            raise OptionError(f"zeno={self.zeno!r}: one of {', '.join(map(repr, ZENO))}")
+        for name, count in (("max_jumps", self.max_jumps), ("max_steps", self.max_steps)):
+            if count is not None and not _is_count(count):
+                raise OptionError(f"{name}={count!r}: a whole number greater than 0, or None")
+        if self.progress is not None and not callable(self.progress):
+            raise OptionError(f"progress={self.progress!r}: a function of the time, or None")
+        dense, samples = _saving(self.save, t0, t1)
+        cap = self.max_jumps if self.zeno == "truncate" else None
+        limit = MAX_JUMPS if self.max_jumps is None or self.zeno == "truncate" else self.max_jumps
+        plain = float(atol) if atol.shape == () else atol
+        given = t0, t1, rtol, plain, self.zeno, limit, cap, dense, samples, self.progress
+        return Plan(
+            *given,
+            _memory(self.memory),
+            patience=sys.maxsize if self.zeno == "ignore" else PATIENT,
+            max_step=_longest("max_step", self.max_step, t0, t1),
+            first_step=_longest("first_step", self.first_step, t0, t1),
+            max_steps=np.inf if self.max_steps is None else self.max_steps,
+        )
+
+    def driver(self, scene: Scene, t: Any, x: np.ndarray, history: Any) -> Driver:
+        """A run that has not begun."""
+        plan = self.plan(t)
+        past = _past(self.spec, history, plan, x)
+        finest, own = self._own
+        made = attrs.evolve(plan, rtol=finest) if finest < plan.rtol <= own else plan
+        return Driver(scene, chosen(made, self.solver, self.method, self.controller), plan, past)
+
+    def judge(self, driver: Driver) -> None:
+        """Refuse a run whose jumps accumulate, where that is asked.
+
+        Raises
+        ------
+        ZenoError
+            With ``zeno="raise"``.
+        """
+        if self.zeno == "raise" and driver.record.zeno:
+            raise ZenoError(f"{self.spec.model}: {explain(driver.record.zeno[0])}")
+
+
+def chosen(plan: Plan, solver: str, method: Any, controller: Any = None) -> Solver:
+    """The solver of a plan."""
+    return choose(solver, method, plan.rtol, plan.atol, plan.max_step, controller)
+
+
+def mode_of(scene: Scene, mode: Any) -> str:
+    """The mode in which runs begin.
+
+    Raises
+    ------
+    OptionError
+        If there is none of that name.
+    """
+    begins = scene.spec.initial if mode is None else name_of(mode)
+    if not isinstance(begins, str) or not scene.starts(begins):
+        raise OptionError(f"{scene.spec.model}: mode={mode!r}; there are {', '.join(scene.modes)}")
+    return begins
+
+
+def start_of(spec: Spec, start: Any) -> np.ndarray:
+    """The state at the start.
+
+    Raises
+    ------
+    StartError
+        If it is none.
+    """
+    parts = []
+    for state, value in zip(spec.states, values_of(spec, start), strict=True):
+        try:
+            array = reals(value)
+        except ValueError:
+            raise StartError(f"{spec.model}: start {state.name} = {value!r} is no number") from None
+        if array.shape != state.shape:
+            raise StartError(
+                f"{spec.model}: start {state.name} has shape {array.shape}; {state.shape} is due"
+            )
+        if not np.isfinite(array).all():
+            raise StartError(f"{spec.model}: start {state.name} = {value!r} is not finite")
+        parts.append(array.reshape(-1))
+    return np.concatenate(parts)
+
+
+def values_of(spec: Spec, start: Any) -> Any:
+    """What is given for each state, in declared order."""
+    if isinstance(start, Mapping | Record) and not isinstance(start, dict):
+        start = {name: start[name] for name in start.keys()}
+    try:
+        if isinstance(start, bytes | set | frozenset):
+            raise ValueError("give the states by name, or in order")
+        return spec.values(start)
+    except ValueError as fault:
+        raise StartError(f"{spec.model}: start={start!r}: {fault}") from None
+
+
+def _longest(name: str, value: Any, t0: float, t1: float) -> float:
+    """The length to which the caller bounds steps; infinite where he does not."""
+    if value is None:
+        return float("inf")
+    try:
+        length = real(value)
+    except ValueError:
+        length = 0.0
+    if not 0 < length < float("inf"):
+        raise OptionError(f"{name}={value!r}: a finite time greater than 0, or None")
+    least = float(np.spacing(max(abs(t0), abs(t1))))
+    if length < least:
+        raise OptionError(f"{name}={value!r}: times here are {least:.2g} apart; give a longer one")
+    return length
+
+
+def _is_count(value: Any) -> bool:
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    return whole and bool(value > 0)
+
+
+def _times(t: Any) -> tuple[float, float]:
+    try:
+        t0, t1 = (real(v) for v in t)
+    except (TypeError, ValueError):
+        raise OptionError(f"t={t!r}: give (first, last) time") from None
+    if not (isfinite(t0) and isfinite(t1) and t1 > t0):
+        raise OptionError(f"t={t!r}: two finite times, the first before the last")
+    return t0, t1
+
+
+def _saving(save: Any, t0: float, t1: float) -> tuple[bool, np.ndarray | None]:
+    if isinstance(save, str):
+        if save not in ("dense", "jumps"):
+            raise OptionError(f"save={save!r}: 'dense', 'jumps' or an array of times")
+        return save == "dense", None
+    try:
+        times = np.atleast_1d(reals(save))
+    except ValueError:
+        raise OptionError(f"save={save!r}: 'dense', 'jumps' or an array of times") from None
+    ordered = times.ndim == 1 and np.all(np.diff(times) > 0)
+    if not ordered or not times.size or not (times[0] >= t0 and times[-1] <= t1):
+        raise OptionError(f"save: increasing times within t = ({t0}, {t1})")
+    return False, times
+
+
+def _memory(memory: str) -> str:
+    if memory not in ("keep", "restart"):
+        raise OptionError(f"memory={memory!r}: 'keep' or 'restart'")
+    return memory
+
+
+def _past(spec: Spec, history: Any, plan: Plan, x: np.ndarray) -> list[Piece] | None:
+    """The record before the run; None for a model without delays."""
+    if spec.lags:
+        return pieces(spec, history, plan.t0, x, plan.memory)
+    if history is not None:
+        raise OptionError(
+            f"{spec.model}: history={history!r}, but no flow looks into the past; leave it out"
+        )
+    return None
