@@ -3,30 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from .arrays import when
+from .asked import Asked, mode_of
+from .automaton.base import require_model
 from .automaton.spec import Spec
-from .compiled.ask import check_zeno, code_of, method_for, past_of, place
-from .compiled.lane import MAX_JUMPS, MAX_STEPS, RUNNING, Run
-from .compiled.lanes import Journey, Trip, empty_log, ended
-from .compiled.turn import Turner
 from .errors import OptionError
-from .solvers.base import FINEST, Solver, tolerances
-
-#: Turns between two looks at whether all is done; also what a reverse pass recomputes at once.
-BLOCK = 32
+from .scene import Scene, scene_of
+from .tangent import NUMBERS, REASONS, Layout, Runs
 
 OUTPUTS = ("final", "jumps", "zeno")
+
+#: How accumulations may be passed.
+ZENO = ("rest", "stop", "ignore")
+
+#: Its square is no number any more.
+FAR = 1e300
+
+#: Under ``vmap`` a callback is given all rows at once.
+ABREAST = "expand_dims"
+
+__all__ = ["REASONS", "JumpTable", "Limit", "Outcome", "as_function"]
 
 
 class JumpTable(NamedTuple):
     """Jumps in order, ``max_jumps`` rows; unused rows hold NaN, and -1 as edge.
 
-    ``edge`` is a place in ``function.edges``; ``before`` and ``after`` are dicts of columns.
+    ``edge`` is a place in ``function.edges``; ``before`` and ``after`` are dicts of columns. Those
+    of a series of impacts that was summed are not among them.
     """
 
     t: Any
@@ -60,7 +69,7 @@ class Outcome(NamedTuple):
     jumps : JumpTable
     zeno : Limit
     status : int
-        1 at the last time; the other numbers are in ``hybrid.compiled.ask.REASONS``.
+        1 at the last time; the other numbers are in ``hybrid.function.REASONS``.
     overflow : bool
         ``max_jumps`` or ``max_steps`` was too small: the run was cut.
     """
@@ -73,14 +82,18 @@ class Outcome(NamedTuple):
     overflow: Any
 
 
+#: ``(parameters, x, t0, t1) -> (parts by name, edges and count and status)``.
+Fly = Callable[[tuple[Any, ...], Any, Any, Any], tuple[dict[str, Any], Any]]
+
+
 def as_function(
     model: Any,
     *,
     t: tuple[Any, Any],
     max_jumps: int,
     max_steps: int = 4096,
-    solver: str = "diffrax",
-    method: str | None = None,
+    solver: str | None = None,
+    method: Any = None,
     rtol: float | None = None,
     atol: Any = None,
     zeno: str = "rest",
@@ -92,9 +105,10 @@ def as_function(
 ) -> Callable[[Any, Any], Outcome]:
     """A run as a pure function of (model, start), for ``jit``, ``vmap``, ``grad`` and ``scan``.
 
-    Derivatives pass through jumps, accumulations and releases in forward and reverse mode
-    (``docs/notes/gradients.md``). The loops are bounded, so that they can; a run that needs
-    more says so in its result.
+    It is the run of :func:`hybrid.simulate`, called back from JAX's program, and its first
+    derivatives are the run's own first variation: through jumps, accumulations, rest, release and
+    sliding, in forward and reverse mode (``docs/notes/gradients.md``). Where there is none (a
+    tangency, the limit of a cycle of several edges) they are NaN.
 
     Parameters
     ----------
@@ -103,17 +117,19 @@ def as_function(
     t : (t0, t1)
         First and last time; may be traced.
     max_jumps, max_steps : int
-        Bounds on the jumps that are computed one by one, and on attempted steps. Memory in
-        reverse mode grows with both.
-    method, rtol, atol, mode
-        As for :func:`hybrid.simulate` with ``solver="diffrax"``: Dopri8 if no method is named, and
-        the tolerances 1e-8 and 1e-10.
+        Bounds on the jumps that are computed one by one, and on steps, which are counted where an
+        arc ends.
+    solver, method, rtol, atol, mode
+        As for :func:`hybrid.simulate`. If no solver and no method is named it is ``"taylor"``, and
+        ``"scipy"`` where a function of the model has no series; of a method alone ``"diffrax"``.
     zeno : "rest", "stop" or "ignore"
         What happens where impacts accumulate; ignored, they are computed one by one.
     outputs : tuple of "final", "jumps", "zeno"
         What to return.
     history, memory, segments
-        For delays, as for :func:`hybrid.ensemble`; a function of time is traced.
+        For delays: constants or functions of time, which are traced, and how many segments of the
+        past are remembered. Such a run is compiled as a whole, steps with a method of Diffrax, and
+        takes 1e-8 and 1e-10 for tolerances.
 
     Returns
     -------
@@ -124,7 +140,7 @@ def as_function(
     ------
     OptionError
         If an option cannot be used, or JAX works in 32 bits: in a program of your own that
-        is your setting to make.
+        is your setting to make. Where a second derivative is asked for.
 
     Examples
     --------
@@ -132,29 +148,35 @@ def as_function(
     >>> jax.grad(lambda e: fall(BouncingBall(r=e), {"x": 1.0, "v": 0.0}).zeno.t)(0.7)
     Array(10.03385886, dtype=float64)
     """
-    code = code_of(model)
-    check_zeno(zeno)
+    require_model(model)
+    spec: Spec = model.spec
     unknown = [name for name in outputs if name not in OUTPUTS]
     if unknown:
         raise OptionError(f"outputs: {unknown[0]!r} is none of {', '.join(OUTPUTS)}")
-    allowed = tolerances(rtol, atol, code.spec.dimension, Solver.own_rtol)
-    system, number, held = place(code, mode)
-    steps = method_for(system, solver, method, "bounded")
-    past, constants = past_of(system, steps, segments, history, memory)
-    turner = Turner(system, steps, judged=False, sums=zeno != "ignore")
-    journey = Journey(turner, zeno, carried=True, past=past)
+    if zeno not in ZENO:
+        raise OptionError(
+            f"zeno={zeno!r}: functions know 'rest', 'stop' and 'ignore' (impacts one by one); for "
+            "'truncate' and 'raise' use hy.simulate"
+        )
+    steps: dict[str, Any] = {"solver": solver, "method": method, "rtol": rtol, "atol": atol}
+    steps |= {"zeno": zeno, "mode": mode}
+    if spec.lags:
+        from .compiled.bounded import bounded
+
+        past: dict[str, Any] = {"history": history, "memory": memory, "segments": segments}
+        fly, edges = bounded(model, outputs, max_jumps, max_steps, **steps, **past)
+    else:
+        if history is not None:
+            raise OptionError(f"{spec.model}: history was given, but no flow looks into the past")
+        runs = runs_of(model, outputs, max_jumps, max_steps, **steps)
+        fly, edges = _called(runs), runs.edges
 
     def function(model: Any, start: Any) -> Outcome:
         _require_wide()
-        run = _run(code.spec, model, t, allowed, max_jumps, max_steps)
-        x = _vector(code.spec, start)
-        first = _first(code.spec, constants, x)
-        trip = journey.begin(run, number, jnp.asarray(held), x, first)
-        if "jumps" in outputs:
-            trip = trip._replace(log=empty_log(max_jumps, x))
-        return _outcome(code.spec, _bounded(journey, run, trip, max_steps + 2 * max_jumps), outputs)
+        parts, ints = fly(_parameters(spec, model), _vector(spec, start), *map(_number, t))
+        return _outcome(spec, parts, ints)
 
-    function.edges = journey.edges  # type: ignore[attr-defined]
+    function.edges = edges  # type: ignore[attr-defined]
     return function
 
 
@@ -166,21 +188,21 @@ def _require_wide() -> None:
         )
 
 
-def _run(spec: Spec, model: Any, t: Any, allowed: Any, max_jumps: int, max_steps: int) -> Run:
+def _number(value: Any) -> Any:
+    return jnp.asarray(value, float)
+
+
+def _parameters(spec: Spec, model: Any) -> tuple[Any, ...]:
     if getattr(type(model), "spec", None) is not spec:
         raise OptionError(f"the function was made for {spec.model}, not for {type(model).__name__}")
-    parameters = tuple(jnp.asarray(getattr(model, p.name), float) for p in spec.parameters)
-    rtol = jnp.asarray(max(allowed[0], FINEST))
-    atol = jnp.broadcast_to(jnp.asarray(allowed[1]), spec.dimension)
-    first, last = (jnp.asarray(v, float) for v in t)
-    return Run(parameters, first, last, rtol, atol, max_jumps + 1, max_steps)
+    return tuple(_number(getattr(model, p.name)) for p in spec.parameters)
 
 
 def _vector(spec: Spec, start: Any) -> Any:
     values = spec.values(start if isinstance(start, Mapping) else tuple(start))
     parts = []
     for state, value in zip(spec.states, values, strict=True):
-        array = jnp.asarray(value, float)
+        array = _number(value)
         if array.shape != state.shape:
             raise OptionError(
                 f"{spec.model}: start {state.name} has shape {array.shape}; {state.shape} is due"
@@ -189,47 +211,118 @@ def _vector(spec: Spec, start: Any) -> Any:
     return jnp.concatenate(parts)
 
 
-def _first(spec: Spec, constants: Any, x: Any) -> Any:
-    """The constants of a history, the start where there are none."""
-    if not constants:
-        return x
-    start = spec.record(x)
-    return _vector(spec, {name: constants.get(name, start[name]) for name in spec.names})
-
-
-def _bounded(journey: Journey, run: Run, trip: Trip, turns: int) -> Trip:
-    """So many turns at least, in blocks that are skipped once all is done."""
-
-    def one(trip: Trip, _: Any) -> tuple[Trip, None]:
-        return journey.step(run, trip), None
-
-    def block(trip: Trip) -> Trip:
-        return jax.lax.scan(one, trip, length=BLOCK)[0]
-
-    def blocks(trip: Trip, _: Any) -> tuple[Trip, None]:
-        return when(~ended(run, trip), lambda: jax.checkpoint(block)(trip), trip), None
-
-    return jax.lax.scan(blocks, trip, length=-(-turns // BLOCK))[0]
-
-
-def _outcome(spec: Spec, trip: Trip, outputs: tuple[str, ...]) -> Outcome:
-    lane, going = trip.lane, trip.lane.going
-    status = jnp.where(going.status == RUNNING, MAX_STEPS, going.status)
-
+def _outcome(spec: Spec, parts: dict[str, Any], ints: Any) -> Outcome:
     def named(vector: Any) -> dict[str, Any]:
         record = spec.record(vector)
         return {name: record[name] for name in record.keys()}
 
-    jumps, log = None, trip.log
-    if log is not None:
-        count = jnp.minimum(lane.jumps, len(log.t))
-        jumps = JumpTable(log.t, log.edge, named(log.before), named(log.after), count)
-    limit = Limit(trip.t_inf, named(trip.x_inf), trip.ratio, trip.error)
-    return Outcome(
-        lane.t + (lane.low + going.tau),
-        named(going.x) if "final" in outputs else None,
-        jumps,
-        limit if "zeno" in outputs else None,
-        status,
-        (status == MAX_JUMPS) | (status == MAX_STEPS),
-    )
+    status, jumps, limit = ints[-1], None, None
+    if "times" in parts:
+        states = named(parts["before"]), named(parts["after"])
+        jumps = JumpTable(parts["times"], ints[:-2], *states, ints[-2])
+    if "t_inf" in parts:
+        limit = Limit(parts["t_inf"], named(parts["x_inf"]), parts["ratio"], parts["error"])
+    final = named(parts["final"]) if "final" in parts else None
+    cut = (status == NUMBERS["max_jumps"]) | (status == NUMBERS["max_steps"])
+    return Outcome(parts["t"], final, jumps, limit, status, cut)
+
+
+# ---------------------------------------------------------------------------------------
+# the run, called back
+
+
+def runs_of(
+    model: Any,
+    outputs: tuple[str, ...],
+    max_jumps: int,
+    max_steps: int,
+    *,
+    solver: str | None = None,
+    method: Any = None,
+    mode: Any = None,
+    **steps: Any,
+) -> Runs:
+    """The runs of a function of a model without delays."""
+    scene = scene_of(model)
+    series = all(scene.field(name).jets is not None for name in scene.modes)
+    named = solver or ("diffrax" if method is not None else "taylor" if series else "scipy")
+    bounds: dict[str, Any] = {"max_jumps": max_jumps + 1, "max_steps": max_steps}
+    asked = Asked(spec=scene.spec, solver=named, method=method, **steps, **bounds)
+    asked.driver(scene, (0.0, 1.0), np.zeros(scene.spec.dimension), None)  # whether all is known
+    own = scene.code.shapes[: len(scene.spec.parameters)]
+    layout = Layout(scene.spec.dimension, max_jumps, tuple(outputs))
+    return Runs(type(model), asked, mode_of(scene, mode), own, _edges(scene), layout)
+
+
+def _edges(scene: Scene) -> tuple[str, ...]:
+    """The names of all that can jump."""
+    slides = [switching.mode for switching in scene.spec.switchings if switching.slides]
+    modes = [*(mode.name for mode in scene.spec.modes), *slides]
+    return tuple(dict.fromkeys(name for m in modes for name in scene.code.mode(m).watched(True)))
+
+
+def _called(runs: Runs) -> Fly:
+    """The runs as a function of arrays."""
+    whole = _differentiable(runs)
+
+    def fly(parameters: tuple[Any, ...], x: Any, t0: Any, t1: Any) -> tuple[dict[str, Any], Any]:
+        shapes = tuple(p.shape for p in parameters)
+        if shapes != runs.shapes:
+            raise OptionError(f"parameters of shapes {shapes}; {runs.shapes} are due")
+        row = jnp.concatenate([*(p.reshape(-1) for p in parameters), x, t0[None], t1[None]])
+        numbers, ints = whole(row)
+        return runs.layout.views(numbers), ints
+
+    return fly
+
+
+def _differentiable(runs: Runs) -> Callable[[Any], tuple[Any, Any]]:
+    """What the runs give as a function of a row of numbers that has first derivatives."""
+    length, ints = runs.layout.length, runs.layout.rows + 2
+    given = jax.ShapeDtypeStruct((length,), float), jax.ShapeDtypeStruct((ints,), int)
+
+    def whole(row: Any) -> Any:
+        return jax.pure_callback(partial(_each, runs.values), given, row, vmap_method=ABREAST)
+
+    def first(row: Any) -> Any:
+        slopes = jax.ShapeDtypeStruct((length, *row.shape), float)
+        shapes = *given, slopes
+        return jax.pure_callback(partial(_each, runs.slopes), shapes, row, vmap_method=ABREAST)
+
+    def refuse(*_: Any) -> Any:
+        raise OptionError(
+            "as_function has first derivatives only, and a second one was asked for; take "
+            "differences of the first"
+        )
+
+    once = jax.custom_jvp(first)
+    once.defjvp(refuse)
+
+    def rule(rows: Any, changes: Any) -> Any:
+        numbers, whole_numbers, slopes = once(*rows)
+        still = np.zeros(whole_numbers.shape, jax.dtypes.float0)
+        return (numbers, whole_numbers), (_along(slopes, *changes), still)
+
+    found = jax.custom_jvp(whole)
+    found.defjvp(rule)
+    return found
+
+
+def _each(call: Callable[[np.ndarray], tuple[np.ndarray, ...]], rows: Any) -> Any:
+    """A function of a row for each of many."""
+    rows = np.asarray(rows)
+    found = [call(row) for row in rows.reshape(-1, rows.shape[-1])]
+    columns = zip(*found, strict=True)
+    return tuple(np.array(c).reshape(rows.shape[:-1] + c[0].shape) for c in columns)
+
+
+def _along(slopes: Any, change: Any) -> Any:
+    """Derivatives along a change; NaN where one that is none is asked for, and only there.
+
+    A derivative that is none must not spoil what does not depend on it: in reverse mode a number
+    that nobody uses comes back as 0, and 0 times NaN is NaN. So it is a factor that takes 0 to 0
+    and all else to NaN: beyond all numbers, then times 0, from either side.
+    """
+    none = jnp.isnan(slopes)
+    far, known = jnp.where(none, FAR, 1.0), jnp.where(none, 0.0, slopes)
+    return jnp.sum(change * far * far * known * far * far, axis=-1)

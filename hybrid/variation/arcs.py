@@ -23,8 +23,9 @@ from .derivatives import Derivatives, Matrix
 #: Stages of the collocation, whose order is twice as many.
 STAGES = 8
 
-#: Steps are halved until both halves say the same, relative; and most halvings of one.
-RESOLVED, DEPTH = 1e-12, 24
+#: Steps are halved until both halves say the same, relative; and most halvings of one: where a
+#: formula bends, as many as a double has bits, a few times.
+RESOLVED, HALVINGS = 1e-12, 200
 
 #: Places of a step at which it is asked on which side of its kinks it is.
 SAMPLES = nodes(8)
@@ -55,9 +56,11 @@ class Piece:
     def end(self) -> float:
         return self.start + self.length
 
-    def half(self, second: bool) -> Piece:
+    def halves(self) -> list[Piece]:
+        """Its two halves."""
         half = 0.5 * self.length
-        return Piece(self.t, self.segment, self.start + (half if second else 0.0), half)
+        starts = self.start, self.start + half
+        return [Piece(self.t, self.segment, start, half) for start in starts]
 
     def flow(self, field: Field, ends: bool) -> tuple[np.ndarray, np.ndarray]:
         """The flow at one of its ends, as it is on this side of it; and its size about there."""
@@ -103,7 +106,7 @@ def along(
                 bend = _bend(kinks, field, last, piece)
                 if bend is not None:
                     yield piece.start, _widened(bend, rate(t, segment(piece.start)))
-            yield piece.end, _resolve(rate, piece, _collocate(rate, piece), DEPTH)
+            yield piece.end, _resolve(rate, piece, of.units)
             last = piece
 
 
@@ -116,41 +119,65 @@ def whole(matrices: Iterator[tuple[float, np.ndarray]]) -> np.ndarray:
     return found
 
 
-def _resolve(rate: Matrix, piece: Piece, whole: np.ndarray, depth: int) -> np.ndarray:
-    halves = piece.half(False), piece.half(True)
-    first, second = (_collocate(rate, half) for half in halves)
-    both, size = composed(second, first), len(first)
-    # a change of the state is measured by the largest, one by a parameter by its own
-    scale = np.maximum(np.abs(first).max(axis=0), np.abs(second).max(axis=0))
-    scale[:size] = scale[:size].max()
-    if not depth or np.all(np.abs(both - whole).max(axis=0) <= RESOLVED * scale):
-        return both
-    first = _resolve(rate, halves[0], first, depth - 1)
-    return composed(_resolve(rate, halves[1], second, depth - 1), first)
+def _resolve(rate: Matrix, piece: Piece, units: np.ndarray) -> np.ndarray:
+    """The matrix of a piece, halved until it is resolved."""
+    open_pieces, left, found = [(piece, *_collocate(rate, piece))], HALVINGS, None
+    while open_pieces:
+        piece, once, ripple = open_pieces.pop()
+        allowed = RESOLVED * _sizes(piece, once, units)
+        both, halves = once, list[tuple[Piece, np.ndarray, np.ndarray]]()
+        if left and np.any(ripple > allowed):
+            halves = [(half, *_collocate(rate, half)) for half in piece.halves()]
+            both = composed(halves[1][1], halves[0][1])
+        if np.any(np.abs(both - once) > allowed):
+            left -= 1
+            open_pieces += halves[::-1]
+        else:
+            found = both if found is None else composed(both, found)
+    assert found is not None
+    return found
 
 
-def _collocate(rate: Matrix, piece: Piece) -> np.ndarray:
-    points, inner, weights = _gauss()
+def _sizes(piece: Piece, matrix: np.ndarray, units: np.ndarray) -> np.ndarray:
+    """What a matrix is measured by: changes of the state by the largest, those by a parameter by
+    their own and by what they are where they change the state by its size."""
+    size, largest = len(matrix), np.abs(matrix).max(axis=0)
+    states = np.abs(piece.segment.at(SAMPLES)).max(axis=0)
+    rows = np.append(states, [states.max()] * (size - len(states)))
+    return np.hstack(
+        [
+            np.full((size, size), largest[:size].max()),
+            np.maximum(largest[size:], rows[:, None] / units),
+        ]
+    )
+
+
+def _collocate(rate: Matrix, piece: Piece) -> tuple[np.ndarray, np.ndarray]:
+    """The matrix of a piece, and the last terms of the series whose integral it is: where they are
+    nothing, so is what is left out."""
+    points, inner, weights, series = _gauss()
     taus = piece.start + piece.length * points
     states = piece.segment(taus)
     pairs = zip((piece.t + taus).tolist(), states, strict=True)
-    rates = np.array([rate(t, x) for t, x in pairs])
-    rates, size = rates[:, :, 1:], rates.shape[1]
-    coupling = np.einsum("ij,iab->iajb", -piece.length * inner, rates[:, :, :size])
+    rates = np.array([rate(t, x) for t, x in pairs])[:, :, 1:]
+    size, columns = rates.shape[1:]
+    coupling = (-piece.length * inner)[:, None, :, None] * rates[:, :, None, :size]
     system = np.eye(STAGES * size) + coupling.reshape(STAGES * size, STAGES * size)
-    slopes = np.linalg.solve(system, rates.reshape(STAGES * size, -1))
-    moved = piece.length * np.einsum("i,iab->ab", weights, slopes.reshape(rates.shape))
-    return np.eye(*moved.shape) + moved
+    slopes = np.linalg.solve(system, rates.reshape(STAGES * size, -1)).reshape(STAGES, -1)
+    moved = (piece.length * (weights @ slopes)).reshape(size, columns)
+    ripple = piece.length * np.abs(series[-2:] @ slopes).max(axis=0).reshape(size, columns)
+    return np.eye(size, columns) + moved, ripple
 
 
 @cache
-def _gauss() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points of Gauss and Legendre on [0, 1], integrals to each of them, and to 1."""
+def _gauss() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Points of Gauss and Legendre on [0, 1], integrals to each of them, and to 1; and the matrix
+    from values there to coefficients of Legendre's polynomials."""
     points, weights = legendre.leggauss(STAGES)
     values = np.linalg.inv(legendre.legvander(points, STAGES - 1))
     whole = [legendre.legint(row, lbnd=-1.0) for row in np.eye(STAGES)]
     inner = np.array([legendre.legval(points, row) for row in whole]).T @ values
-    return 0.5 + 0.5 * points, 0.5 * inner, 0.5 * weights
+    return 0.5 + 0.5 * points, 0.5 * inner, 0.5 * weights, values
 
 
 # ---------------------------------------------------------------------------------------

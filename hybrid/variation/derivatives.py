@@ -28,6 +28,8 @@ class Derivatives:
     ----------
     size, count : int
         Elements of the state, and of the parameters if there are columns for them.
+    units : array, shape (count,)
+        The sizes of the parameters; 1 where one is 0.
     """
 
     def __init__(self, scene: Scene, parameters: bool = False) -> None:
@@ -36,6 +38,8 @@ class Derivatives:
         sizes = [int(np.prod(shape, dtype=int)) for shape in scene.code.shapes[:own]]
         self.count = sum(sizes) if parameters else 0
         self.columns = 1 + self.size * (1 + len(scene.spec.lags)) + self.count
+        values = np.abs([v for p in scene.parameters[:own] for v in np.ravel(p)][: self.count])
+        self.units = np.where(values > 0.0, values, 1.0)
         self._made: dict[Any, Matrix] = {}
 
     def flow(self, field: Field) -> Matrix:
@@ -53,6 +57,23 @@ class Derivatives:
         held = bool(field.held)
         rate = lambda g: [g.rate(_node(g, guard), g.flow(held))]  # noqa: E731
         return self._slopes(("rate", guard.edge, field.name), field.mode, field.held, rate)
+
+    def flow_with_gap(self, guard: Guard, field: Field) -> Matrix:
+        """``(t, x) -> (n + 1, columns + 1)``: of the flow, and of a gap's speed: the gap is a
+        coordinate behind the state, on which nothing depends."""
+        held, place = bool(field.held), 1 + self.size
+
+        def rows(graph: ModeGraph) -> list[int]:
+            inputs, flow = self._inputs(graph), graph.flow(held)
+            slopes = [
+                gradient(graph.graph, node, inputs)
+                for node in (*flow, graph.rate(_node(graph, guard), flow))
+            ]
+            zero = graph.graph.const(0.0)
+            return [i for row in slopes for i in (*row[:place], zero, *row[place:])]
+
+        key = "with gap", guard.edge, field.name
+        return self._program(key, field.mode, field.held, rows, self.columns + 1)
 
     def law(self, contact: str) -> Matrix:
         """``(t, x) -> (1, columns)``: of the restitution at rest."""

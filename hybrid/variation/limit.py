@@ -137,7 +137,10 @@ class _Limits:
         on = self.onto(t, x)
         still = on[1:].copy()
         still[:n] -= np.outer(start, on[0])
-        carried = whole(along(of, field, t, flight.segments(), self._with_gap))
+        # the gap is a coordinate of its own: its change must not be lost in the rounding of the
+        # state's, however low the flight
+        rate = of.flow_with_gap(self.guard, field)
+        carried = whole(along(of, field, t, flight.segments(), rate))
         changed = carried[:, :n] @ still[:n] + carried[:, n + 1 :] @ still[n:]
         moved, gap = changed[:-1], changed[-1] - v * on[0]
         time = -gap / flight.u
@@ -146,15 +149,6 @@ class _Limits:
         if field.project is not None:
             after = of.project(field)(end, landed) @ np.vstack([time, after, on[1 + n :]])
         return self.onto(end, landed) @ np.vstack([time, after, on[1 + n :]])
-
-    def _with_gap(self, t: float, x: np.ndarray) -> np.ndarray:
-        """Derivatives of the flow, and of the gap's speed: the gap is a coordinate of its own.
-
-        So that its change is not lost in the rounding of the state's, however low the flight.
-        """
-        flow = self.of.flow(self.tail.field)(t, x)
-        speed = self.of.speed(self.guard, self.tail.field)(t, x)
-        return np.insert(np.vstack([flow, speed]), 1 + self.size, 0.0, axis=1)
 
     def onto(self, t: float, x: np.ndarray) -> np.ndarray:
         """A change of time, state and parameters, less what leads off the gap."""

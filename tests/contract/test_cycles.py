@@ -12,7 +12,7 @@ import pytest
 import hybrid as hy
 from tests.test_cycles import Twisting
 
-#: Lanes, which tell less, and functions, which know no cycles, are in ``test_cycles_in_lanes.py``.
+#: Lanes and functions, which tell less, are in ``test_cycles_in_lanes.py``.
 WAYS = ["DOP853", "Radau", "taylor", "Dopri8"]
 
 

@@ -6,7 +6,7 @@ import pytest
 
 import hybrid as hy
 
-WAYS = ["DOP853", "Radau", "BDF", "LSODA", "Dopri8", "ensemble"]
+WAYS = ["DOP853", "Radau", "BDF", "LSODA", "Dopri8", "ensemble", "as_function"]
 
 #: Walls: frequency, amplitude, restitution; chosen before anything was run.
 WALLS = [(4.512, 0.49, 0.5), (1.0, 0.3, 0.8), (20.0, 0.02, 0.6), (9.0, 0.1, 0.9)]
@@ -38,7 +38,8 @@ def test_impacts_are_the_same_far_from_zero(way, t0, w, a, r):
     exact = hy.simulate(model, start, (t0, t0 + 4.0), solver="taylor", max_jumps=200)
     result = way.run(model, start, (t0, t0 + 4.0), rtol=1e-9, max_jumps=200)
     assert result.status == exact.status.name.lower()
-    assert result.accumulations == len(exact.zeno)
+    if way.tells("accumulations"):
+        assert result.accumulations == len(exact.zeno)
     # the first flights: each impact multiplies the error; of low order it is up to 1e-6
     count = min(3, len(exact.jumps))
     np.testing.assert_allclose(result.times[:count] - t0, exact.jumps.t[:count] - t0, atol=2e-6)

@@ -8,8 +8,6 @@ import pytest
 import hybrid as hy
 from hybrid import gallery
 
-from .ways import COMPILED, misses
-
 #: ``tests/test_models.py`` holds the accurate solvers to the models' oracles, and these are held to
 #: one of them.
 WAYS = ["Radau", "LSODA", "ensemble", "as_function"]
@@ -37,12 +35,6 @@ def spans(entry):
     return [(t0, t0 + share * (t1 - t0)) for share in SHARES]
 
 
-@misses(
-    "cycles of edges have no limit in lanes: the hose moves for ever, and the mode that "
-    "limit_of names is not entered",
-    *COMPILED,
-    name=["two_tanks"],
-)
 @pytest.mark.parametrize("name", gallery.names())
 def test_a_model_ends_where_its_exact_run_does(way, name):
     """State, mode and first accumulation at four times along the run."""

@@ -11,8 +11,8 @@ import hybrid as hy
 
 from .. import referee
 from ..referee import Cycle, Edge, Mode
-from .ways import COMPILED, misses
 from .ways import WAYS as EVERY
+from .ways import misses
 
 #: Scenes of each kind.
 COUNT = 8
@@ -264,7 +264,6 @@ def results(name, kind):
 @misses(
     "Runge-Kutta and multistep methods step over a thin layer of force, or end no step on it",
     *BLIND,
-    "as_function",
     kind=["gust"],
 )
 @misses(
@@ -272,12 +271,6 @@ def results(name, kind):
     "LSODA",
     kind=["thrown by the force"],
     scene=[0, 3, 4, 5],
-)
-@misses(
-    "a force that turns its sign does not release a body held at rest in a lane",
-    *COMPILED,
-    kind=["thrown by the force"],
-    scene=[1, 5, 7],
 )
 @pytest.mark.parametrize("scene", range(COUNT))
 @pytest.mark.parametrize("kind", KINDS)

@@ -8,7 +8,6 @@ from models.bead_on_table import BeadOnTable
 from models.bouncing_ball import BouncingBall
 
 from .test_sliding import Sides
-from .ways import COMPILED, misses
 
 WAYS = ["DOP853", "Radau", "taylor", "Dopri8", "ensemble", "as_function"]
 
@@ -119,11 +118,6 @@ def test_events_fire_once_at_each_crossing(way, unit):
         assert result.times[0] / time == pytest.approx(np.arccos(0.3), rel=1e-7)
 
 
-REFUSED = "a lane that slides is refused in units in which its numbers are far from one"
-
-
-@misses(REFUSED, *COMPILED, unit=[1e-15])
-@misses(REFUSED, "as_function", unit=[1e12])
 @in_units_of_length
 def test_sliding_begins_and_ends_at_the_same_times(way, unit):
     """From 1/4 it slides until the flow above turns upwards, at 2."""

@@ -17,7 +17,7 @@ and nothing for other numbers (but for tolerances, of ``as_function``): take par
 new classes, and ``way.many`` for many cases of one class (one call of an ensemble).
 What a way answers wrongly is marked, so that mending it must remove the mark::
 
-    @misses("a short gust is stepped over", "ensemble", "as_function", width=[1e-3])
+    @misses("a short gust is stepped over", "LSODA", "BDF", width=[1e-3])
     @pytest.mark.parametrize("width", [1e-1, 1e-3])
     def test_a_gust(way, width): ...
 """
@@ -37,7 +37,7 @@ import pytest
 
 import hybrid as hy
 from hybrid.automaton.record import Record
-from hybrid.compiled.ask import REASONS
+from hybrid.function import REASONS
 from hybrid.jit import jit
 
 #: Options of ``hy.simulate`` that choose a solver; a new backend is one line here.
@@ -318,10 +318,7 @@ def _floats(values: Any) -> np.ndarray:
 
 
 class AsFunction(Way):
-    """``hy.as_function``, compiled once for each class and set of options.
-
-    Compiled with the package's own settings, in half of the time that ``jax.jit`` takes.
-    """
+    """``hy.as_function``; with delays it is compiled, once for each class and set of options."""
 
     told = COMMON | TABLE | {"limit"}
 
@@ -330,26 +327,29 @@ class AsFunction(Way):
         self._compiled: dict[Any, Any] = {}
 
     def many(self, model, starts, t, parameters=None, **options):
+        given = {"max_jumps": 256, **self.options, **options}
         with jax.enable_x64(True):
-            function, edges = self._function(model, {"max_jumps": 256, **self.options, **options})
-            return [
-                self._outcome(model, function(*_arrays(*case)), edges)
-                for case in _cases(model, starts, t, parameters)
-            ]
+            return [self._one(*case, given) for case in _cases(model, starts, t, parameters)]
 
-    def _function(self, model: Any, options: dict[str, Any]) -> Any:
+    def _one(self, model: Any, start: Any, t: Any, options: dict[str, Any]) -> Result:
+        if model.spec.lags:
+            function, edges = self._kept(type(model), options)
+            return self._outcome(model, function(*_arrays(model, start, t)), edges)
+        function = hy.as_function(model, t=t, **options)
+        return self._outcome(model, function(model, start), function.edges)
+
+    def _kept(self, cls: Any, options: dict[str, Any]) -> Any:
         """The compiled function, kept if the options can be compared."""
-        key = (type(model), tuple(sorted((k, repr(v)) for k, v in options.items())))
+        key = (cls, tuple(sorted((k, repr(v)) for k, v in options.items())))
         if callable(options.get("history")) or key not in self._compiled:
-            self._compiled[key] = self._compile(type(model), options)
+            self._compiled[key] = self._compile(cls, options)
         return self._compiled[key]
 
     def _compile(self, cls: Any, options: dict[str, Any]) -> Any:
-        model = cls()
-        edges = hy.as_function(model, t=(0.0, 1.0), **options).edges
+        edges = hy.as_function(cls(), t=(0.0, 1.0), **options).edges
 
         def function(parameters: Any, start: Any, t: Any) -> Any:
-            run = hy.as_function(model, t=t, **options)
+            run = hy.as_function(cls(), t=t, **options)
             return run(cls(**parameters), start)
 
         return jit(function), edges
@@ -408,7 +408,7 @@ MECHANISMS = ["DOP853", "Radau", "LSODA", "taylor", "Dopri8", "ensemble", "as_fu
 #: Those of them that reach rounding.
 ACCURATE = ["DOP853", "taylor", "Dopri8", "Taylor", "ensemble", "as_function"]
 
-#: The way that has no Python to turn to; it steps with Dopri8.
+#: The way that has no Python to turn to where there are delays.
 COMPILED = ["as_function"]
 
 #: Every solver, lanes, and this.

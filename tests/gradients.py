@@ -1,0 +1,242 @@
+"""Derivatives of runs against differences of runs: random scenes, and how they are compared."""
+
+from __future__ import annotations
+
+import attrs
+import jax.numpy as jnp
+import numpy as np
+
+import hybrid as hy
+from hybrid.function import OUTPUTS, runs_of
+from models.ball_on_circle import BallOnCircle
+from models.bead_on_table import BeadOnTable
+from models.hard_spring import HardSpring
+from models.relay import Relay
+from tests.systems import Drag, ForcedOscillator
+
+
+class Belt(hy.Automaton):
+    """A body on a belt whose friction falls with the speed of slip, and a periodic force."""
+
+    x = hy.state()
+    v = hy.state()
+    speed = hy.parameter(0.5)
+    falls = hy.parameter(3.0)
+    force = hy.parameter(0.1)
+    w = hy.parameter(1.3)
+
+    def pulled(self, t, s):
+        return self.force * jnp.sin(self.w * t) - s.x
+
+    @hy.mode(initial=True)
+    def slower(self, t, s):
+        return s.v, self.pulled(t, s) + 1 / (1 + self.falls * (self.speed - s.v))
+
+    @hy.mode
+    def faster(self, t, s):
+        return s.v, self.pulled(t, s) - 1 / (1 + self.falls * (s.v - self.speed))
+
+    friction = hy.switching(faster, slower, surface=lambda self, t, s: s.v - self.speed)
+
+
+class Kicked(hy.Automaton):
+    """Resets and guards that depend on time, state and parameters, two modes."""
+
+    x = hy.state()
+    y = hy.state()
+    high = hy.parameter(1.0)
+    low = hy.parameter(-0.5)
+    kick = hy.parameter(np.array([0.3, 0.2]))
+
+    @hy.mode(initial=True)
+    def up(self, t, s):
+        return 1.0 + 0.3 * jnp.sin(t), s.x - 0.5 * s.y
+
+    @hy.mode
+    def down(self, t, s):
+        return -0.7 - 0.2 * s.y, -s.x
+
+    @hy.edge(up, to=down, guard=lambda self, t, s: self.high + 0.1 * jnp.sin(3 * t) - s.x)
+    def over(self, t, s):
+        return s.x - self.kick[0] * s.y**2, s.y + self.kick[1] * t
+
+    @hy.edge(down, to=up, guard=lambda self, t, s: s.x - self.low * jnp.exp(-0.1 * s.y**2))
+    def under(self, t, s):
+        return s.x, self.kick[1] * s.x - s.y
+
+
+class Gusts(hy.Automaton):
+    """A ball in a force that is switched by the time and in a layer, and by its speed."""
+
+    x = hy.state()
+    v = hy.state()
+    r = hy.parameter(0.6)
+    begins = hy.parameter(0.7)
+    top = hy.parameter(0.6)
+    push = hy.parameter(4.0)
+
+    @hy.mode
+    def fly(self, t, s):
+        wind = jnp.where(t > self.begins, self.push, 0.0)
+        layer = jnp.where((s.x < self.top) & (s.v > 0.3), -2.0, 0.0)
+        return s.v, wind + layer - 9.81
+
+    impact = hy.contact(fly, gap=lambda self, t, s: s.x, restitution="r")
+
+
+class Thrown(hy.Automaton):
+    """A body that rests on a floor until a force is switched on, by time."""
+
+    x = hy.state()
+    v = hy.state()
+    begins = hy.parameter(1.5)
+    lift = hy.parameter(12.0)
+    r = hy.parameter(0.3)
+
+    @hy.mode
+    def fly(self, t, s):
+        return s.v, jnp.where(t > self.begins, self.lift, 0.0) - 9.81
+
+    impact = hy.contact(fly, gap=lambda self, t, s: s.x, restitution="r")
+
+
+class Pool(hy.Automaton):
+    """A ball on a floor between two walls, and impacts whose law depends on the speed."""
+
+    x = hy.state()
+    y = hy.state()
+    u = hy.state()
+    w = hy.state()
+    soft = hy.parameter(0.05)
+    r = hy.parameter(0.5)
+    width = hy.parameter(3.0)
+    drag = hy.parameter(0.1)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.u, s.w, -self.drag * s.u, -9.81
+
+    floor = hy.contact(
+        flight,
+        gap=lambda self, t, s: s.y + 0.05 * s.x**2,
+        restitution=lambda self, t, s, u: self.r * jnp.exp(-self.soft * u**2),
+    )
+    wall = hy.contact(flight, gap=lambda self, t, s: self.width - s.x, restitution="r")
+    back = hy.contact(flight, gap=lambda self, t, s: s.x + self.width, restitution="r")
+
+
+class Powers(hy.Automaton):
+    """Powers and quotients of parameters, and a mass that is one."""
+
+    x = hy.state()
+    v = hy.state()
+    p = hy.parameter(1.5)
+    m = hy.parameter(2.0)
+    r = hy.parameter(0.5)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -((s.x + 1.0) ** self.p) / self.m - jnp.maximum(s.v, 0.0)
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x - 0.1 * self.m, restitution="r")
+
+
+#: By name: the model, and for each number the range from which it is drawn (starts by state).
+SCENES = {
+    "table": (
+        BeadOnTable,
+        {"r": (0.2, 0.7), "omega": (3.0, 5.0), "amplitude": (0.7, 1.2), "x": (1.4, 2.0)},
+        (0.0, 3.0),
+    ),
+    "spring": (HardSpring, {"r": (0.3, 0.8), "wall": (1.5, 2.0), "x": (2.1, 2.4)}, (0.0, 2.0)),
+    "circle": (BallOnCircle, {"g": (0.8, 1.2), "e": (0.3, 0.6), "q": (0.1, 0.2)}, (0.0, 4.0)),
+    "relay": (Relay, {"a": (1.1, 1.6), "w": (1.5, 2.5), "x": (0.2, 0.8)}, (0.0, 6.0)),
+    "belt": (Belt, {"speed": (0.4, 0.6), "falls": (2.0, 4.0), "x": (0.0, 0.5)}, (0.0, 9.0)),
+    "kicked": (Kicked, {"high": (0.8, 1.2), "low": (-0.7, -0.3), "y": (-0.3, 0.3)}, (0.0, 6.0)),
+    "gusts": (Gusts, {"r": (0.5, 0.7), "begins": (0.3, 0.9), "x": (0.9, 1.2)}, (0.0, 2.0)),
+    "thrown": (Thrown, {"begins": (1.5, 2.0), "lift": (11.0, 13.0), "x": (0.5, 1.0)}, (0.0, 3.0)),
+    "pool": (Pool, {"r": (0.3, 0.6), "u": (2.0, 4.0), "y": (0.5, 1.0)}, (0.0, 3.0)),
+    "powers": (Powers, {"p": (0.8, 2.5), "m": (1.5, 2.5), "x": (0.6, 1.2)}, (0.0, 2.5)),
+    "drag": (Drag, {"r": (0.4, 0.8), "c": (0.1, 0.4), "x": (0.5, 1.5)}, (0.0, 2.0)),
+    "forced": (ForcedOscillator, {"r": (0.6, 0.9), "w": (2.5, 3.0), "x": (-1.0, -0.5)}, (0.0, 9.0)),
+}
+
+#: Least of the step of a difference, against the size of the number.
+STEP = 2e-4
+
+
+@attrs.frozen
+class Compared:
+    """Derivatives of a scene's run against differences.
+
+    Attributes
+    ----------
+    off : float
+        The largest distance that the differences' own error does not explain, against the size of
+        that derivative.
+    judged, left : int
+        Derivatives that were compared, and those whose differences say too little.
+    none : int
+        Derivatives that are NaN though the differences know one.
+    """
+
+    what: str
+    off: float
+    judged: int
+    left: int
+    none: int
+
+
+def drawn(name, seed):
+    """A scene's model, its row of numbers, and what runs it."""
+    cls, ranges, (t0, t1) = SCENES[name]
+    draw = np.random.default_rng(seed)
+    found = {key: draw.uniform(*ends) for key, ends in ranges.items()}
+    model = cls(**{k: v for k, v in found.items() if k not in cls.spec.names})
+    start = []
+    for state in cls.spec.states:
+        value = np.full(state.shape, found.get(state.name, 0.0))
+        if name == "circle" and state.name == "q":
+            value[1] += 1.05
+        start.append(value.reshape(-1))
+    given = [np.ravel(getattr(model, p.name)) for p in cls.spec.parameters]
+    row = np.concatenate([*given, *start, [t0, t1]]).astype(float)
+    return model, row
+
+
+def compared(name, seed):
+    """The derivatives of a scene's run against differences of fourth order."""
+    model, row = drawn(name, seed)
+    runs = runs_of(model, OUTPUTS, max_jumps=24, max_steps=4096)
+    numbers, ints, slopes = runs.slopes(row)
+    off, judged, left, none, worst = 0.0, 0, 0, 0, ""
+    for column in range(len(row)):
+        step = STEP * max(1.0, abs(row[column]))
+        pair = [differences(runs, row, column, s, ints) for s in (step, 0.5 * step)]
+        if pair[0] is None or pair[1] is None:
+            left += len(numbers)
+            continue
+        known = np.isfinite(numbers) & (np.arange(len(numbers)) != runs.layout.length - 1)
+        size = 1.0 + np.abs(pair[1])
+        error = 3.0 * np.abs(pair[0] - pair[1])
+        told = known & (error <= 1e-6 * size)
+        left += int(np.sum(known & ~told))
+        none += int(np.sum(told & np.isnan(slopes[:, column])))
+        far = np.where(told, np.abs(slopes[:, column] - pair[1]) - error, 0.0) / size
+        judged += int(np.sum(told))
+        place = int(np.nanargmax(far))
+        if far[place] > off:
+            off, worst = float(far[place]), f"number {place} by number {column}"
+    return Compared(worst, off, judged, left, none)
+
+
+def differences(runs, row, column, step, ints):
+    """The derivative by one number; None where the runs beside take another course."""
+    ends = {}
+    for k in (-2, -1, 1, 2):
+        moved = row.copy()
+        moved[column] += k * step
+        ends[k], other = runs.values(moved)
+        if not np.array_equal(other, ints):
+            return None
+    return (8 * (ends[1] - ends[-1]) - (ends[2] - ends[-2])) / (12 * step)
