@@ -100,10 +100,12 @@ def test_a_pulse_on_the_way_to_the_limit_is_seen(way, at, width, kick):
     """However narrow it is, and however near to the limit; the answer is that of parabolas."""
     result = way.run(Ball(at=at, width=width, kick=kick), START, (0.0, 60.0), rtol=1e-9)
     exact = limit(at, kick)
-    honest(result, exact, way)
+    if way.tells("bound"):
+        honest(result, exact, way)
     if way.name != "Dopri8":  # whose compiled streaks look for sums later, perhaps past the pulse
         assert result.t_inf == pytest.approx(exact, abs=1e-5)  # a step's tolerance and the kick's
-        assert result.zeno[0].verdict == "certified"
+        if way.tells("verdict"):
+            assert result.zeno[0].verdict == "certified"
 
 
 @pytest.mark.parametrize("cls", [Boxed, Pointed])
