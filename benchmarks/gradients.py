@@ -1,9 +1,9 @@
 """Derivatives of two hundred random scenes against differences of their runs.
 
-Every number that a run gives (times and states of jumps, limits, the end) by every number that it is
-given (parameters, start, first and last time), one line a model: the largest distance that the error of
-the differences does not explain, how many were compared, and how many have no derivative though the
-differences know one. ``python -m benchmarks.gradients [scenes a model]``
+Every number that a run gives (times and states of jumps, limits, the end) by every number that it
+is given (parameters, start, first and last time), one line a model: the largest distance that the
+error of the differences does not explain, how many were compared, and how many have no derivative
+though the differences know one. ``python -m benchmarks.gradients [scenes a model]``
 """
 
 import sys
