@@ -57,7 +57,7 @@ def _classic_is_plugged_in():
 @pytest.fixture(autouse=True, scope="session")
 def _rules_are_compiled():
     """So that no test finds the line in its output that says that they are being compiled."""
-    for name in ("zeros", "advance"):  # and what is needed together with them
+    for name in ("zeros", "runs"):  # and what is needed together with them
         unit(name)
 
 

@@ -1,12 +1,16 @@
 """The rules' own loop gives the run that the driver's rules give, one by one."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import hybrid as hy
 from hybrid import gallery
+from hybrid.log import Flights
 from hybrid.rules.load import Library
+from hybrid.rules.places import END, FULL
 from hybrid.run import machine
 from hybrid.solvers.taylor_backend import TaylorSolver
 
@@ -197,3 +201,179 @@ def test_an_arc_may_have_more_steps_than_the_arrays_ever_hold(monkeypatch):
     assert run.stats.evaluations == run.stats.steps
     # a rounding of the state in each step, and of the time, grow to this
     assert run.final.x == pytest.approx(np.cos(5000.0), abs=1e-16 * run.stats.steps + 1e-12)
+
+
+class Table(hy.Automaton):
+    """A ball on a table that shakes: it chatters, comes to rest, and is thrown off, again and
+    again."""
+
+    x = hy.state()
+    v = hy.state()
+    r = hy.parameter(0.5)
+    amplitude = hy.parameter(0.05)
+    omega = hy.parameter(16.0)
+
+    def table(self, t):
+        return self.amplitude * jnp.sin(self.omega * t)
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.v, -9.8
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x - self.table(t), restitution="r")
+
+
+class Pushed(hy.Automaton):
+    """Two balls on a floor, pushed apart, with a line that the first crosses and a lid."""
+
+    x = hy.state()
+    v = hy.state()
+    y = hy.state()
+    w = hy.state()
+    r = hy.parameter(0.5)
+    lid = hy.parameter(3.0)
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.v, -9.8 + 0.3 * jnp.sin(t), s.w, -6.0 + 7.0 * jnp.sin(0.7 * t)
+
+    low = hy.contact(flight, gap=lambda self, t, s: s.x, restitution="r")
+    other = hy.contact(flight, gap=lambda self, t, s: s.y, restitution=0.6)
+
+    @hy.edge(flight, to=flight, guard=lambda self, t, s: s.x - 0.4, crossing=hy.EITHER)
+    def passes(self, t, s):
+        return s.x, s.v, s.y, s.w
+
+    @hy.edge(flight, to=flight, guard=lambda self, t, s: self.lid - s.x * s.x - 0.1 * s.v)
+    def top(self, t, s):
+        return s.x, -s.v, s.y, s.w
+
+
+def drawn(seed):
+    """A scene with sums, rests and releases, by chance."""
+    rng = np.random.default_rng(seed)
+    r, height = rng.uniform(0.2, 0.8), rng.uniform(0.1, 1.0)
+    if seed % 2:
+        model = Table(r=r, amplitude=rng.uniform(0.02, 0.08), omega=rng.uniform(8.0, 20.0))
+        return model, {"x": height + 0.1, "v": rng.uniform(-1.0, 1.0)}, (0.0, 6.0)
+    start = {"x": height, "v": 0.0, "y": rng.uniform(0.1, 1.0), "w": rng.uniform(0.0, 2.0)}
+    return Pushed(r=r), start, (0.0, 10.0)
+
+
+def calls(monkeypatch):
+    """Counts what each call of the loop comes back with."""
+    found, known = [], machine.unit
+
+    def unit(name):
+        rules = known(name)
+        if name != "runs":
+            return rules
+
+        def go(*arguments):
+            found.append(rules.go(*arguments))
+            return found[-1]
+
+        return SimpleNamespace(go=go)
+
+    monkeypatch.setattr(machine, "unit", unit)
+    return found
+
+
+#: What lets a run end elsewhere than at its last time, or keeps other parts of it.
+OPTIONS = [{}, {"zeno": "stop"}, {"save": "jumps"}, {"rtol": 1e-8}]
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=str)
+@pytest.mark.parametrize("seed", range(6))
+def test_sums_rests_and_releases_are_those_of_the_rules_one_by_one(seed, options, monkeypatch):
+    """With the loop and without it, wherever a run ends."""
+    scene = drawn(seed)
+    run = taylor(scene, **options)
+    monkeypatch.setattr(TaylorSolver, "whole", False)
+    slow = taylor(scene, **options)
+    assert run.status is slow.status
+    assert list(run.jumps.edge) == list(slow.jumps.edge)
+    assert [arc.mode for arc in run.arcs] == [arc.mode for arc in slow.arcs]
+    assert [point.edges for point in run.zeno] == [point.edges for point in slow.zeno]
+    # a step at a tolerance of 1e-8 is as long as it wants to be, and ends elsewhere
+    close = {"rtol": 0, "atol": 1e-5 if options.get("rtol") else 1e-9}
+    np.testing.assert_allclose(run.jumps.t, slow.jumps.t, **close)
+    np.testing.assert_allclose(run.jumps.table.after, slow.jumps.table.after, **close)
+    for a, b in zip(run.zeno, slow.zeno, strict=True):
+        assert (a.t_release is None) == (b.t_release is None)
+        np.testing.assert_allclose([a.t, a.t_release or 0], [b.t, b.t_release or 0], **close)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+@pytest.mark.parametrize("most", [1, 5, 6, 7, 8, 23])
+def test_the_loop_counts_the_jumps_around_sums(most, seed):
+    """Up to ``max_jumps``, those of the summed impacts not counted, a run is that without it."""
+    scene = drawn(seed)
+    run, whole = taylor(scene, max_jumps=most), taylor(scene)
+    assert run.status is hy.Status.MAX_JUMPS
+    flights = [len(part.jumps.t) for part in run.log.kept if isinstance(part, Flights)]
+    assert sum(flights) + len(run.log.own) == most
+    assert np.array_equal(run.jumps.t, whole.jumps.t[: len(run.jumps)])
+    assert np.array_equal(run.jumps.table.after, whole.jumps.table.after[: len(run.jumps)])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_states_at_times_are_those_of_dense_output(seed):
+    """Over sums, rests and releases, to rounding; and of dense output in arrays of any size."""
+    scene = drawn(seed)
+    at = np.linspace(*scene[2], 77)
+    run = taylor(scene)
+    sampled = taylor(scene, save=at).samples
+    whole = np.stack([np.ravel(state) for state in run(at)], axis=-1)
+    np.testing.assert_allclose(whole, np.asarray(sampled).reshape(whole.shape), atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_little_room_changes_no_sum(seed, monkeypatch):
+    """In arrays of one jump, two steps and one sum a run is the same to the last digit."""
+    scene = drawn(seed)
+    run = taylor(scene)
+    for name, size in {"JUMPS_KEPT": 1, "STEPS_KEPT": 2, "SUMS_KEPT": 1, "MORE": 1}.items():
+        monkeypatch.setattr(machine, name, size)
+    other = taylor(scene)
+    assert len(run.zeno) > 1
+    assert np.array_equal(run.jumps.t, other.jumps.t)
+    assert np.array_equal(run.jumps.table.after, other.jumps.table.after)
+    assert [point.t for point in run.zeno] == [point.t for point in other.zeno]
+    assert [point.t_release for point in run.zeno] == [point.t_release for point in other.zeno]
+    at = np.linspace(*scene[2], 301)
+    assert all(map(np.array_equal, run(at), other(at)))
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_machine_code_and_python_sum_alike(seed, monkeypatch):
+    """The sums, rests and releases of a table as plain Python, in which no index is below zero."""
+    model, start, _ = drawn(seed)
+    scene = model, start, (0.0, 1.5)
+    run = taylor(scene, save="jumps")
+    assert run.zeno
+    monkeypatch.setenv("HYBRID_RULES", "checked")
+    monkeypatch.setattr(machine, "unit", Library("hybrid.rules").unit)
+    same(run, taylor(scene, save="jumps"), scene[2])
+
+
+@pytest.mark.parametrize("name", ["hard_spring", "bead_on_table", "bouncing_ball"])
+def test_a_whole_run_is_one_call(name, monkeypatch):
+    """Flights, the sum, the rest: the loop comes back at the end, and for its tables once."""
+    scene = SCENES[name]
+    taylor(scene)
+    found = calls(monkeypatch)
+    run = taylor(scene)
+    assert run.zeno
+    assert found == [END]
+
+
+def test_a_table_that_throws_off_is_one_call_for_as_many_sums_as_there_is_room_for(monkeypatch):
+    """Sums, rests and releases, again and again."""
+    scene = Table(amplitude=0.03, omega=20.0), {"x": 0.2, "v": 0.0}, (0.0, 6.0)
+    taylor(scene, rtol=1e-8)
+    found = calls(monkeypatch)
+    run = taylor(scene, rtol=1e-8)
+    assert len(run.zeno) > 10
+    assert set(found) == {FULL, END}
+    assert len(found) <= 2 + len(run.zeno) // machine.SUMS_KEPT

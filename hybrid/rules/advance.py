@@ -12,6 +12,7 @@ from .arrays import Automaton, Floats, Left, Now, Room
 from .guards import NEAR, largest, row_of
 from .jets import OUTPUT, jets
 from .places import (
+    BEGINS,
     CONTACT,
     COUNT,
     EDGE,
@@ -25,14 +26,24 @@ from .places import (
     LAND,
     LANDED,
     LOW,
+    MAKE,
+    NONE,
+    OPENS,
     PATIENT,
+    PHASE,
+    POWER,
     PROGRAM,
+    RELEASE,
     RESET,
     SERIES,
     SHARE,
+    SPEED,
+    STRIKES,
+    SUM,
     TAU,
     TO,
     TRIED,
+    UNKNOWN,
     T,
 )
 
@@ -43,43 +54,61 @@ def advance(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
     """Go on from ``now``; returns what the driver is asked for (see :mod:`.places`)."""
     status = LANDED
     while status == LANDED:
-        if now.ints[JUMPS] == left.fired.shape[0]:
-            return FULL
-        status = arc(a, run, now, room, left)
+        if now.ints[PHASE] != STRIKES:
+            if now.ints[JUMPS] == left.fired.shape[0]:
+                return FULL
+            status = arc(a, run, now, room, left)
         if status == LANDED:
             status = jump(a, run, now, room, left)
     return status
 
 
 def jump(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
-    """Carry out the jump of the guard that fired, and begin the next arc; ``JUMP`` if not plain."""
+    """Carry out the jump of the guard that fired, and begin the next arc; ``JUMP`` if not plain.
+
+    With ``SUM``, ``OPENS`` and ``MAKE`` it is still to come.
+    """
     guard, place = now.ints[FIRED], now.ints[JUMPS]
     kind, to = a.guards[guard, KIND], a.guards[guard, TO]
-    if to < 0 or a.guards[guard, RESET] < 0:
-        return JUMP
     t, low = after(now.floats[T], now.floats[LOW], now.floats[TAU])
-    if kind == CONTACT:
-        fit = to == now.ints[FIELD] and impact(
-            a, run, now, room, t, left.before[place], left.after[place]
-        )
+    status = JUMP
+    if kind == RELEASE:
+        status = OPENS if to != NONE else JUMP
+    elif a.guards[guard, RESET] < 0:
+        status = JUMP
+    elif to == UNKNOWN:
+        status = MAKE
     elif kind == EDGE:
         copied(now.end, left.before[place])
-        fit = values(a, a.guards[guard, RESET], t, now.end, room, left.after[place])
-    else:
-        fit = False
-    if not fit:
-        return JUMP
+        if values(a, a.guards[guard, RESET], t, now.end, room, left.after[place]):
+            status = LANDED
+    elif to == now.ints[FIELD]:
+        status = impact(a, run, now, room, t, left.before[place], left.after[place])
+    now.ints[PHASE] = BEGINS if status in (LANDED, JUMP) else STRIKES
+    if status != LANDED:
+        return status
     stays = kind == CONTACT or unchanged(a, now, room, t, left.before[place], left.after[place])
-    left.when[place, 0], left.when[place, 1], left.when[place, 2] = t, low, now.floats[TAU]
-    left.fired[place] = guard
+    added(now, left, guard, t, low)
     watch(now, guard, kind)
-    now.floats[T], now.floats[LOW], now.ints[JUMPS] = t, low, place + 1
+    now.floats[T], now.floats[LOW] = t, low
     now.ints[FIRED] = guard if stays and to == now.ints[FIELD] else -1
-    now.ints[FIELD], now.ints[ENTERED] = to, 0
+    now.ints[FIELD], now.ints[ENTERED], now.ints[POWER] = to, 0, 1
     copied(left.after[place], now.x)
-    for i in range(now.x.shape[0]):
-        now.seen[i] = max(now.seen[i], abs(now.x[i]))
+    enlarged(now, now.x)
     return LANDED
+
+
+def added(now: Now, left: Left, guard: int, t: float, low: float) -> None:
+    """Keep a jump."""
+    place = now.ints[JUMPS]
+    left.when[place, 0], left.when[place, 1], left.when[place, 2] = t, low, now.floats[TAU]
+    left.fired[place], now.ints[JUMPS] = guard, place + 1
+
+
+def enlarged(now: Now, x: Floats) -> None:
+    """Note the size of a state."""
+    for i in range(now.x.shape[0]):
+        now.seen[i] = max(now.seen[i], abs(x[i]))
 
 
 def after(t: float, low: float, duration: float) -> tuple[float, float]:
@@ -105,28 +134,32 @@ def values(a: Automaton, program: int, t: float, x: Floats, room: Room, written:
 
 def impact(
     a: Automaton, run: Floats, now: Now, room: Room, t: float, before: Floats, behind: Floats
-) -> bool:
-    """The states before and after an impact; whether the next flight is one like others (7).
+) -> int:
+    """The states before and after an impact; ``LANDED`` if the next flight is one like others (7).
 
-    It is not where impacts may be summed from here, or where it is so low that the gap would drown
-    in the rounding of the state.
+    ``SUM`` where impacts are to be summed from here; ``JUMP`` where it is so low that the gap would
+    drown in the rounding of the state.
     """
     guard, n = now.ints[FIRED], now.x.shape[0]
     if not values(a, a.guards[guard, LAND], t, now.end, room, before):
-        return False
+        return JUMP
     program = a.guards[guard, RESET]
     if not values(a, program, t, before, room, behind):
-        return False
+        return JUMP
     speed = room.aside[a.programs.output[a.programs.index[program, OUTPUT] + n], 0]
     count = now.ints[COUNT] + 1 if guard == now.ints[SERIES] else 1
     tried = now.floats[TRIED] if count > 1 else math.inf
-    if not speed > 0.0 or (count >= run[PATIENT] and speed <= run[SHARE] * tried):
-        return False
+    now.floats[SPEED] = speed
+    if not speed > 0.0:
+        return JUMP
+    if count >= run[PATIENT] and speed <= run[SHARE] * tried:
+        return SUM
     flow = a.fields[now.ints[FIELD], PROGRAM]
     if jets(a.programs, flow, 2, t, behind, room.still, room.aside, room.work) < 0:
-        return False
+        return JUMP
     fall = -2.0 * room.aside[row_of(a, flow, now.ints[FIELD], guard), 2]
-    return speed * speed > NEAR * fall * max(largest(now.seen), largest(behind))
+    high = speed * speed > NEAR * fall * max(largest(now.seen), largest(behind))
+    return LANDED if high else JUMP
 
 
 def unchanged(a: Automaton, now: Now, room: Room, t: float, before: Floats, behind: Floats) -> bool:

@@ -52,6 +52,26 @@ class Programs(NamedTuple):
     code: Ints
 
 
+class Bounds(NamedTuple):
+    """Programs for bounds over a box, one behind the other, which :mod:`.bounds` reads.
+
+    Attributes
+    ----------
+    index : Table
+        For each a row: where its operations begin and where they end, and where its results do.
+    ops : Table
+        Operations, and their arguments: results of those before, counted from the first.
+    numbers : Floats
+        Constants and parameters.
+    results : Ints
+    """
+
+    index: Table
+    ops: Table
+    numbers: Floats
+    results: Ints
+
+
 class Automaton(NamedTuple):
     """An automaton as data.
 
@@ -62,12 +82,15 @@ class Automaton(NamedTuple):
         Columns as in :mod:`.places`.
     uses : Ints
         Elements of the state of which guards are made.
+    bounds : Bounds
+        Of gaps' accelerations and restitutions.
     """
 
     programs: Programs
     fields: Table
     guards: Table
     uses: Ints
+    bounds: Bounds
 
 
 class Now(NamedTuple):
@@ -137,6 +160,8 @@ class Left(NamedTuple):
         Local start, and length.
     series : Matrix
         Coefficients, a row for each element of the state; no rows where nobody asks for them.
+    sums, curves : Matrix
+        Sums of impacts; columns of the one, and rows of the other, as in :mod:`.places`.
     """
 
     when: Matrix
@@ -146,6 +171,8 @@ class Left(NamedTuple):
     owner: Ints
     spans: Matrix
     series: Matrix
+    sums: Matrix
+    curves: Matrix
 
 
 class Sums(NamedTuple):
@@ -180,3 +207,23 @@ class Sums(NamedTuple):
     rows: Matrix
     found: Matrix
     sides: Ints
+
+
+class Look(NamedTuple):
+    """What :mod:`.sights` writes into, for ``n`` states; nothing need be in it.
+
+    Attributes
+    ----------
+    stretches : Matrix
+        Stretches of a tail: the first impact and the last, which part of each flight, and how often
+        each may yet be halved.
+    shown : Matrix
+        As :func:`.sums.shown` gives it.
+    box, found : Matrix
+        Bounds of time, gap speed and states, and of what is made of them.
+    """
+
+    stretches: Matrix
+    shown: Matrix
+    box: Matrix
+    found: Matrix

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 
-from .arrays import Automaton, Floats, Now, Room
+from .arrays import Automaton, Floats, Matrix, Now, Room
 from .checks import MIDDLE, MISSED, SHOWN, along, second
 from .jets import OUTPUT, jets
-from .lengths import CONVERGED, ROUNDING, behind, own_length
+from .lengths import CONVERGED, ROUNDING, behind, own_length, step_length
 from .places import (
     ABSOLUTE,
     AFFINE,
@@ -28,6 +28,7 @@ from .places import (
     LOW,
     NEXT,
     ORDER,
+    POWER,
     PROGRAM,
     RELATIVE,
     SIZES,
@@ -64,8 +65,12 @@ def starts(a: Automaton, now: Now, room: Room) -> bool:
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
         if now.ints[ENTERED] == 0:
-            now.orders[g - first] = 1 if g == now.ints[FIRED] else 0
-            fit = leaves(a, now, room, g) if g == now.ints[FIRED] else away(a, now, room, g)
+            used = g == now.ints[FIRED]
+            now.orders[g - first] = now.ints[POWER] if used else 0
+            if used and now.ints[POWER] > 1:
+                fit = rises(room.c, row_of(a, a.fields[field, PROGRAM], field, g), now)
+            else:
+                fit = leaves(a, now, room, g) if used else away(a, now, room, g)
             if not fit:
                 return False
     return True
@@ -78,6 +83,22 @@ def leaves(a: Automaton, now: Now, room: Room, guard: int) -> bool:
     if not abs(rate) > ROUNDED * EPS * size_of(a, guard, 1, now.floats[T], now.x, room):
         return False
     return a.guards[guard, BOUNDS] == 0 or rate * a.guards[guard, CROSSING] <= 0.0
+
+
+def rises(c: Matrix, row: int, now: Now) -> bool:
+    """Whether a gap that vanishes by a higher power of the time opens by that power.
+
+    In a time in which no later term is more, what is below, which is rounding, is next to nothing.
+    """
+    power, own = now.ints[POWER], step_length(c, now.x.shape[0])
+    for k in range(power + 1, c.shape[1]):
+        if c[row, k] != 0.0:
+            own = min(own, abs(c[row, power] / c[row, k]) ** (1.0 / (k - power)))
+    rounding, scale = 0.0, 1.0
+    for k in range(power):
+        rounding = max(rounding, abs(c[row, k]) * scale)
+        scale *= own if own < math.inf else 1.0
+    return c[row, power] * scale * NEAR > rounding
 
 
 def away(a: Automaton, now: Now, room: Room, guard: int) -> bool:
@@ -145,7 +166,7 @@ def zero_of(
         if direction == 0.0:
             return 0.0
         if crossing == 0 or direction * crossing > 0.0:
-            gone = order == 0 or has_left(a, now, room, c, guard, s)
+            gone = order != 1 or has_left(a, now, room, c, guard, s)
             return s if gone and not turns(c, s, tolerance) else 0.0
         if a.guards[guard, BOUNDS] == 1:
             return 0.0

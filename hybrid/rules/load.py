@@ -357,6 +357,8 @@ def signature(kinds: list[str], package: str) -> tuple[Any, ...]:
             return numba.core.sigutils.normalize_signature(f"({TYPES[kind]},)")[0][0]
         named = getattr(import_module(f"{package}.arrays"), kind)
         parts = [of(part.__forward_arg__) for part in named.__annotations__.values()]
+        if len(set(parts)) == 1:
+            return numba.types.NamedUniTuple(parts[0], len(parts), named)
         return numba.types.NamedTuple(parts, named)
 
     return tuple(map(of, kinds))

@@ -7,35 +7,54 @@ PROGRAM, GUARDS, GUARDS_END, PLAIN, HELD, WATCH = 0, 1, 2, 3, 4, 5
 
 #: Columns of the table of guards. ``TO`` is a field, -1 where it is not known yet; ``RESET``,
 #: ``LAND`` and ``SIZES`` are programs, -1 where there is none; ``USES`` is where the elements of
-#: the state begin that it is made of.
+#: the state begin that it is made of. Of a contact whose impacts were to be summed: the first of
+#: the programs of what happens there, whether all flights see the same forces; and where a sum was
+#: found, the program of its bounds, and the field of its rest. Of a load whose contact alone is at
+#: rest: the same programs, and at ``REST`` the contact's own guard in the field that follows.
 KIND, CROSSING, BOUNDS, AFFINE, TO, RESET, LAND, SIZES, USES, USES_END = range(10)
+AT, LOCAL, SIGHT, REST = range(10, 14)
+
+#: What has not been asked for yet; what there is none of; what only the driver looks at.
+UNKNOWN, NONE, HARD = -1, -2, -3
 
 #: Kinds of guards whose jumps are made here.
-EDGE, CONTACT = 0, 1
+EDGE, CONTACT, RELEASE = 0, 1, 2
 
 #: Places in the numbers of a run: last time, tolerances, series of impacts; the longest steps, the
-#: first of an arc and the others; the order of another solver (0 where steps are made here), and
-#: what a step may lose: a share, and from the last place on a number for each element.
-LAST, ABSOLUTE, RELATIVE, SHARE, PATIENT, FIRST_STEP, MAX_STEP, ORDER, LOSS, TOLERANCES = range(10)
+#: first of an arc and the others; whether a run goes on from an accumulation, at rest, and the
+#: tolerance of a sum against the run's; the order of another solver (0 where steps are made here),
+#: and what a step may lose: a share, and from the last place on a number for each element.
+LAST, ABSOLUTE, RELATIVE, SHARE, PATIENT, FIRST_STEP, MAX_STEP, RESTS, CLOSING = range(9)
+ORDER, LOSS, TOLERANCES = range(9, 12)
 
 #: Places in a state's floats: the time in two; the local time; the speed at which a sum was tried
 #: last; the local time at which a step ends; where the solver is to step to, or to land; where the
-#: arc is expected to end; the length of its first step.
-T, LOW, TAU, TRIED, NEXT, TO_TAU, AIM, FIRST = range(8)
+#: arc is expected to end; the length of its first step; the gap speed after an impact.
+T, LOW, TAU, TRIED, NEXT, TO_TAU, AIM, FIRST, SPEED = range(9)
 
 #: Places in a state's integers: the field and the guard last used; the series of impacts; whether
 #: the driver has looked at the arc's start; jumps and steps kept, and expansions made; then what
 #: comes next in the arc, its steps so far, the guard that fires, the kink at which the step ends,
-#: and landings tried.
+#: landings tried, sums kept, and by which power of the time the guard last used vanishes.
 FIELD, FIRED, SERIES, COUNT, ENTERED, JUMPS, STEPS, EXPANSIONS = range(8)
-PHASE, MADE, EVENT, CROSSED, TRIES = range(8, 13)
+PHASE, MADE, EVENT, CROSSED, TRIES, TAILS, POWER = range(8, 15)
 
-#: What comes next in an arc: its start; a step; to look at a step; to land.
-BEGINS, WALKS, LOOKS, LANDS = 0, 1, 2, 3
+#: What comes next in an arc: its start; a step; to look at a step; to land; the jump at its end.
+BEGINS, WALKS, LOOKS, LANDS, STRIKES = 0, 1, 2, 3, 4
+
+#: Columns of the table of sums: jumps before it, and the degree of its curve; the gap speed after
+#: the last of them, the ratio of the series, and the time from there to the limit.
+BEFORE, DEGREE, LEAVES, RATIO, REMAINING = range(5)
+
+#: Rows of each sum's curve: its coefficients, then bounds on the errors at the limit, the state
+#: there, and that from which the run goes on at rest.
+ERRORS, LIMIT, AT_REST, CURVE_ROWS = 17, 18, 19, 20
 
 #: Why a call comes back: the run is at its end; the arrays are full; an arc has to be looked at
-#: with all the rules; a jump has; another solver is to make a step, or to land.
-END, FULL, LOOK, JUMP, STEP, LAND_ON = 1, 2, 3, 4, 5, 6
+#: with all the rules; a jump has; another solver is to make a step, or to land; impacts are to be
+#: summed; a contact at rest opens; the table has not all that is asked of the guard at the arc's
+#: end.
+END, FULL, LOOK, JUMP, STEP, LAND_ON, SUM, OPENS, MAKE = 1, 2, 3, 4, 5, 6, 7, 8, 9
 
 #: A guard has fired, and the state is on it. The arc goes on.
 LANDED, GOES_ON = 0, -1

@@ -17,7 +17,7 @@ squared), the points are doubled instead and the old ones kept. What the last tu
 bounds what is left. This is the map of Nordmark & Piiroinen (Nonlinear Dynamics 58,
 2009) to any order; see ``docs/notes/chatter.md``.
 
-A model is given as four programs: the flow with its guards, and what happens at the contact.
+A model is given as programs: the flow with its guards, and three of what happens at the contact.
 """
 
 from __future__ import annotations
@@ -49,9 +49,10 @@ TO, EQUATIONS, POINTS, LINE, HISTORY, FIT = 0, 17, 34, 35, 36, 37
 # crossed (-1 if none was flown), and of its branch.
 GRID, FIRST, BRANCH = 64, 17, 18
 
-#: Programs: the flow; the state moved onto the contact; change of the state that changes the gap's
-#: speed by one, then gap speed and acceleration; the restitution.
-FLOW, LAND, TURN, LAW = 0, 1, 2, 3
+#: Programs of what happens at a contact, from the first of them on: the state moved onto it; change
+#: of the state that changes the gap's speed by one, then gap speed and acceleration; the
+#: restitution.
+LAND, TURN, LAW = 0, 1, 2
 
 #: Most points on the curve.
 DEGREE = 16
@@ -100,6 +101,8 @@ TINY, GROWTH = 1e-300, 700.0
 
 def close(
     p: Programs,
+    flow: int,
+    at: int,
     column: int,
     held: bool,
     local: bool,
@@ -114,6 +117,8 @@ def close(
 
     Parameters
     ----------
+    flow, at : int
+        Programs: the flow with its guards, and the first of those of what happens at the contact.
     column : int
         Place of the gap among the guards.
     held : bool
@@ -134,17 +139,17 @@ def close(
     lines, history, n = room.lines, room.small[HISTORY], x.shape[0]
     begin(lines, room.ints)
     steady, tested, degree, turns = local, False, 1, 0
-    r = at_rest(p, t, x, room)
+    r = at_rest(p, at, t, x, room)
     while degree <= DEGREE and r > 0.0:
-        fine, steady = flown(p, column, held, steady, tested, degree, t, x, v, r, room)
+        fine, steady = flown(p, flow, at, column, held, steady, tested, degree, t, x, v, r, room)
         if not fine:
             break
         if tested:
-            fits = steady or smooth(p, degree, t, x, room)
-            return degree if fits and finished(p, t, x, r, room) else 0, r
+            fits = steady or smooth(p, at, degree, t, x, room)
+            return degree if fits and finished(p, at, t, x, r, room) else 0, r
         if not solved(degree, n, r, lines, room.small):
             break
-        r = at_limit(p, t, x, room)
+        r = at_limit(p, at, t, x, room)
         if turns > 0:
             history[turns - 1] = compared(t, x, r, rtol, atol, lines)
             if steady and turns > 1:
@@ -173,23 +178,23 @@ def begin(lines: Matrix, ints: Ints) -> None:
 # what happens at the contact
 
 
-def restitution(p: Programs, t: float, x: Floats, u: float, room: Sums) -> float:
+def restitution(p: Programs, at: int, t: float, x: Floats, u: float, room: Sums) -> float:
     """The restitution of an impact with speed ``u``."""
     n, asked = x.shape[0], room.lines[READ]
     for j in range(n):
         asked[j] = x[j]
     asked[n] = u
-    values(p, LAW, t, asked[: n + 1], room.sides, room.c, room.work, asked)
+    values(p, at + LAW, t, asked[: n + 1], room.sides, room.c, room.work, asked)
     return asked[0]
 
 
-def touch(p: Programs, t: float, x: Floats, room: Sums) -> None:
+def touch(p: Programs, at: int, t: float, x: Floats, room: Sums) -> None:
     """Move a state onto the contact, and read there how it turns."""
     read = room.lines[READ]
-    values(p, LAND, t, x, room.sides, room.c, room.work, read)
+    values(p, at + LAND, t, x, room.sides, room.c, room.work, read)
     for j in range(x.shape[0]):
         x[j] = read[j]
-    values(p, TURN, t, x, room.sides, room.c, room.work, read)
+    values(p, at + TURN, t, x, room.sides, room.c, room.work, read)
 
 
 def turned(x: Floats, change: float, read: Floats) -> None:
@@ -198,20 +203,20 @@ def turned(x: Floats, change: float, read: Floats) -> None:
         x[j] += change * read[j]
 
 
-def at_rest(p: Programs, t: float, x: Floats, room: Sums) -> float:
+def at_rest(p: Programs, at: int, t: float, x: Floats, room: Sums) -> float:
     """The restitution at rest; NaN where its series has no sum."""
-    r = restitution(p, t, x, -SLOW, room)
+    r = restitution(p, at, t, x, -SLOW, room)
     return r if 0.0 < r < 1.0 - LOSS else math.nan
 
 
-def at_limit(p: Programs, t: float, x: Floats, room: Sums) -> float:
+def at_limit(p: Programs, at: int, t: float, x: Floats, room: Sums) -> float:
     """The restitution at the limit; NaN where nothing pushes the contact together there."""
     n, lines = x.shape[0], room.lines
     state, end = lines[STATE, :n], t + lines[LIMIT, 0]
     for j in range(n):
         state[j] = x[j] + lines[LIMIT, j + 1]
-    values(p, TURN, end, state, room.sides, room.c, room.work, lines[READ])
-    return at_rest(p, end, state, room) if lines[READ, n + 1] < 0.0 else math.nan
+    values(p, at + TURN, end, state, room.sides, room.c, room.work, lines[READ])
+    return at_rest(p, at, end, state, room) if lines[READ, n + 1] < 0.0 else math.nan
 
 
 # ---------------------------------------------------------------------------------------
@@ -220,6 +225,8 @@ def at_limit(p: Programs, t: float, x: Floats, room: Sums) -> float:
 
 def flown(
     p: Programs,
+    flow: int,
+    at: int,
     column: int,
     held: bool,
     steady: bool,
@@ -248,7 +255,7 @@ def flown(
         w = PROBES[len(PROBES) - i] if tested else points[i]
         place = 0 if tested else i * DEGREE // degree
         if known[place] == 0 or not (steady or i == degree):
-            if not flight(p, column, held, degree, t, x, v, w, place, room):
+            if not flight(p, flow, at, column, held, degree, t, x, v, w, place, room):
                 return False, steady
             if tested and not follows(degree, r, w, lines):
                 return False, steady
@@ -263,6 +270,8 @@ def flown(
 
 def flight(
     p: Programs,
+    flow: int,
+    at: int,
     column: int,
     held: bool,
     degree: int,
@@ -279,18 +288,18 @@ def flight(
     """
     n, lines = x.shape[0], room.lines
     state = lines[STATE, :n]
-    begins, speed = on_curve(p, lines, degree, t, x, v, w, 1.0, room, state)
+    begins, speed = on_curve(p, at, lines, degree, t, x, v, w, 1.0, room, state)
     status, length, u, _, crossed = fly(
-        p, FLOW, column, held, begins, state, speed, room.starts, room.lengths, room.series,
+        p, flow, column, held, begins, state, speed, room.starts, room.lengths, room.series,
         room.branch, room.end, room.c, room.aside, room.work, room.rows, room.found, room.sides,
     )  # fmt: skip
-    signs = p.index[FLOW, KINKS + 1] - p.index[FLOW, KINKS]
+    signs = p.index[flow, KINKS + 1] - p.index[flow, KINKS]
     if status < 0 or not same_branch(signs, crossed, room.branch, room.ints):
         return False
-    after = -u * restitution(p, begins + length, room.end, u, room)
+    after = -u * restitution(p, at, begins + length, room.end, u, room)
     if not after > 0.0:
         return False
-    touch(p, begins + length, room.end, room)
+    touch(p, at, begins + length, room.end, room)
     turned(room.end, after - u, lines[READ])
     lines[KNOWN + place, 0] = length
     for j in range(n):
@@ -301,6 +310,7 @@ def flight(
 
 def on_curve(
     p: Programs,
+    at: int,
     curve: Matrix,
     degree: int,
     t: float,
@@ -318,7 +328,7 @@ def on_curve(
     when, speed = t + lines[HERE, 0], share * v * w * grown(lines[HERE, n + 1])
     for j in range(n):
         state[j] = x[j] + lines[HERE, j + 1]
-    touch(p, when, state, room)
+    touch(p, at, when, state, room)
     turned(state, speed - lines[READ, n], lines[READ])
     return when, speed
 
@@ -355,6 +365,8 @@ def bend(lines: Matrix, place: int, r: float) -> float:
 
 def shown(
     p: Programs,
+    flow: int,
+    at: int,
     curve: Matrix,
     t: float,
     x: Floats,
@@ -377,8 +389,8 @@ def shown(
         share = begin + (end - begin) * (i % POINTS_EACH) / (POINTS_EACH - 1)
         if i % POINTS_EACH == 0:
             w = last + (first - last) * (i // POINTS_EACH) / (FLIGHTS - 1)
-            leaves = end_of_flight(p, curve, t, x, v, w, 1.0, LEFT, room)
-            lands = end_of_flight(p, curve, t, x, v, r * w, -1.0 / r, STRUCK, room)
+            leaves = end_of_flight(p, flow, at, curve, t, x, v, w, 1.0, LEFT, room)
+            lands = end_of_flight(p, flow, at, curve, t, x, v, r * w, -1.0 / r, STRUCK, room)
         length = lands - leaves
         for j in range(n):
             chord = lines[STRUCK, j] - lines[LEFT, j]
@@ -395,6 +407,8 @@ def shown(
 
 def end_of_flight(
     p: Programs,
+    flow: int,
+    at: int,
     curve: Matrix,
     t: float,
     x: Floats,
@@ -408,10 +422,10 @@ def end_of_flight(
     gap speed, a share of that after the impact; in the next line the rates. Returns the time."""
     n, lines = x.shape[0], room.lines
     state, degree = lines[place, :n], curve.shape[0] - 1
-    when, lines[place, n] = on_curve(p, curve, degree, t, x, v, w, share, room, state)
+    when, lines[place, n] = on_curve(p, at, curve, degree, t, x, v, w, share, room, state)
     for i in range(room.sides.shape[0]):
         room.sides[i] = 0
-    jets(p, FLOW, 1, when, state, room.sides, room.aside, room.work)
+    jets(p, flow, 1, when, state, room.sides, room.aside, room.work)
     for j in range(n):
         lines[place + 1, j] = room.aside[j, 1]
     return when
@@ -487,7 +501,7 @@ def hopeful(history: Floats, turns: int, left: int) -> bool:
 # the end
 
 
-def finished(p: Programs, t: float, x: Floats, r: float, room: Sums) -> bool:
+def finished(p: Programs, at: int, t: float, x: Floats, r: float, room: Sums) -> bool:
     """Put down bounds on the error, and the state at the limit."""
     n, lines = x.shape[0], room.lines
     for j in range(n + 1):
@@ -496,12 +510,12 @@ def finished(p: Programs, t: float, x: Floats, r: float, room: Sums) -> bool:
     state = lines[STATE, :n]
     for j in range(n):
         state[j] = x[j] + lines[LIMIT, j + 1]
-    touch(p, t + lines[LIMIT, 0], state, room)
+    touch(p, at, t + lines[LIMIT, 0], state, room)
     turned(state, -lines[READ, n], lines[READ])
     return True
 
 
-def smooth(p: Programs, degree: int, t: float, x: Floats, room: Sums) -> bool:
+def smooth(p: Programs, at: int, degree: int, t: float, x: Floats, room: Sums) -> bool:
     """Whether forces vary along the tail, in steps of time, as a polynomial of its degree does."""
     n, lines, line, times, place = x.shape[0], room.lines, room.small[LINE], room.times, LAST
     for m in range(LAST + 1):
@@ -516,9 +530,9 @@ def smooth(p: Programs, degree: int, t: float, x: Floats, room: Sums) -> bool:
         evaluate(lines, columns - 1, w, line, lines[HERE])
         for j in range(n):
             state[j] = x[j] + lines[HERE, j + 1]
-        touch(p, t + lines[HERE, 0], state, room)
+        touch(p, at, t + lines[HERE, 0], state, room)
         turned(state, -lines[READ, n], lines[READ])
-        values(p, TURN, t + lines[HERE, 0], state, room.sides, room.c, room.work, lines[READ])
+        values(p, at + TURN, t + lines[HERE, 0], state, room.sides, room.c, room.work, lines[READ])
         times[i] = lines[READ, n + 1]
         most = max(most, abs(times[i]))
         for k in range(columns):

@@ -5,7 +5,7 @@ The rules are those of ``docs/semantics.md``; numbers in brackets are its rules.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -19,6 +19,7 @@ from ..errors import FlowError, JumpLoopError
 from ..events import CLOSED, EPS, SHARES
 from ..log import Flights
 from ..rules.guards import NEAR
+from ..rules.runs import RISES
 from ..scene import Contact, Field, Guard, Scene, released
 from ..scene.defect import follows
 from ..scene.scene import parted
@@ -102,13 +103,23 @@ class Driver:
             order = self.solver.order
             self.record.memory = Memory(self.scene, self.plan, order, self.history, x)
         base, held = parted(mode)
-        self.enter(base, x, Jumped(held=held, starting=True))
+        self.start(base, x, held)
         try:
             self.go_on()
         except KeyboardInterrupt:
             self.status = Status.INTERRUPTED
             if not self.record.log.kept:  # before the first step: nothing but the start
                 self.record.arc(self.entry.field, self.entry.x, self.entry.x, 0.0, [])
+
+    def start(self, mode: str, x: np.ndarray, held: tuple[str, ...]) -> None:
+        """Begin the run; where its start leaves nothing to weigh the rules' own loop does."""
+        starting, field = Jumped(held=held, starting=True), self.scene.field(mode)
+        plain = self.loop is not None and not held and not self.wary and self.loop.may(field)
+        if plain:
+            self.begin(field, x, lambda: starting)
+            self.seen = np.abs(x)
+        else:
+            self.enter(mode, x, starting)
 
     def go_on(self) -> None:
         """Arc after arc until something ends the run."""
@@ -182,10 +193,21 @@ class Driver:
 
         return Streaks(self, self.solver)
 
+    def begin(self, field: Field, x: np.ndarray, came: Callable[[], Jumped]) -> None:
+        """Begin an arc at whose start nobody has looked (see :meth:`renew`)."""
+        self.entry, self._came, self.mode = Entry(field, x, None, [], []), came, field.name
+
     def arrive(self, field: Field, x: np.ndarray, guard: Guard, before: np.ndarray) -> None:
-        """Begin an arc after a jump that needed no judgement (see :meth:`renew`)."""
-        self.entry, self._came = Entry(field, x, None, [], []), (guard, before)
-        self.mode = field.name
+        """Begin an arc after a jump that needed no judgement."""
+
+        def came() -> Jumped:
+            spent = frozenset({guard.edge})
+            if guard.kind == "contact":
+                return Jumped({guard.edge: 1}, series=self.watch.count > 1, spent=spent)
+            known = {guard.edge: 1} if _stays(guard, self.t, before, x) else {}
+            return Jumped(known, used=guard.edge, spent=spent)
+
+        self.begin(field, x, came)
 
     def look_again(self) -> None:
         """Fly the present arc with all the rules, unless a guard fires before any flow."""
@@ -198,17 +220,10 @@ class Driver:
         entry = self.entry
         if entry.orders or not entry.field.guards:
             return
-        guard, before = self._came
-        self._spent = frozenset({guard.edge})
-        if guard.kind == "contact":
-            jumped = Jumped({guard.edge: 1}, series=self.watch.count > 1, spent=self._spent)
-        else:
-            stays = _stays(guard, self.t, before, entry.x)
-            known = {guard.edge: 1} if stays else {}
-            jumped = Jumped(known, used=guard.edge, spent=self._spent)
-        off = self._off(entry.x)
-        mode, x = entry.field.mode, entry.x
-        self.entry = enter(self.scene, self.t, mode, x, jumped, self.seen, off)
+        jumped, mode, x = self._came(), entry.field.mode, entry.x
+        self._spent = jumped.spent
+        seen = 0.0 * self.seen if jumped.starting else self.seen
+        self.entry = enter(self.scene, self.t, mode, x, jumped, seen, self._off(x))
 
     def flow_arc(self) -> None:
         """Flow an arc and carry out the jump that ends it."""
@@ -310,16 +325,30 @@ class Driver:
         return index in self.entry.at_once and self.entry.orders[index] == 0
 
     def _release(self, guard: Guard, x: np.ndarray, carried: bool) -> None:
-        contact, field = released(guard.edge), self.entry.field
+        field = self.entry.field
         overdue = carried or bool(self.entry.at_once)  # the load is negative, not zero
-        self.record.released(contact)
-        self.watch.reset()
-        self.add_jump(guard.edge, x, x)
-        held = tuple(name for name in field.held if name != contact)
-        known = {contact: 2 if overdue or self.forgets else 3}
+        contact, held = self._released(guard, x)
+        known = {contact: 2 if overdue or self.forgets else RISES}
         if carried and opened(self.scene, field.mode, contact, self.t, x):
             known = {}
         self.enter(field.mode, x, Jumped(known, held))
+
+    def open(self, guard: Guard, x: np.ndarray) -> None:
+        """End a rest into an arc that begins plainly; that at rest is kept, and ends here."""
+        mode = self.entry.field.mode
+        self.record.end_on(x)
+        contact, held = self._released(guard, x)
+        jumped = Jumped({contact: RISES}, held, spent=frozenset({guard.edge}))
+        self.begin(self.scene.field(self.scene.name(mode, held)), x, lambda: jumped)
+        self.seen = np.maximum(self.seen, np.abs(x))
+
+    def _released(self, guard: Guard, x: np.ndarray) -> tuple[str, tuple[str, ...]]:
+        """Record a release; the contact, and those that are still held."""
+        contact, field = released(guard.edge), self.entry.field
+        self.record.released(contact)
+        self.watch.reset()
+        self.add_jump(guard.edge, x, x)
+        return contact, tuple(name for name in field.held if name != contact)
 
     def _impact(self, guard: Guard, x: np.ndarray) -> None:
         contact = self.scene.contact(guard.edge)
@@ -533,7 +562,7 @@ class Driver:
         memory = self.record.memory
         if memory is not None and not memory.stays(TailPart(tail, self.record.j)):
             return False
-        self._pass_limit(tail)
+        self.pass_sum(tail)
         return True
 
     def tail(self, contact: Contact, x: np.ndarray, v: float, field: Field) -> Tail | None:
@@ -550,15 +579,18 @@ class Driver:
         self.wary = plan.watchful is not None or not whole
         return tail if whole else None
 
-    def _pass_limit(self, tail: Tail) -> None:
-        """Go over an accumulation point, into what follows it."""
+    def pass_sum(self, tail: Tail, at_rest: np.ndarray | None = None) -> None:
+        """Go over an accumulation point, into what follows it.
+
+        ``at_rest``: the state there, on the contacts held, where nobody need look at it.
+        """
         contact, record, part = tail.contact, self.record, TailPart(tail, self.record.j)
         record.keep(part)
         record.j += tail.count
         record.now = record.now.after(tail.remaining)
         held = (*tail.field.held, contact.name)
         after = (tail.field.mode, held) if contact.rests else None
-        self._go_on_from(tail, (contact.name,), tail.r, after)
+        self._go_on_from(tail, (contact.name,), tail.r, after, at_rest)
 
     def pass_cycle(self, found: CycleLimit, x: np.ndarray, mode: str) -> None:
         """Go over the limit of a cycle, which the last jump led on towards from ``x`` in a mode.
@@ -593,6 +625,7 @@ class Driver:
         edges: tuple[str, ...],
         ratio: float,
         after: tuple[str, tuple[str, ...]] | None,
+        at_rest: np.ndarray | None = None,
     ) -> None:
         """From an accumulation into what follows it: a mode, and the contacts held there."""
         record, zeno = self.record, self.plan.zeno
@@ -611,7 +644,11 @@ class Driver:
             self.status = Status.NO_REST if zeno == "rest" else Status.ZENO_STOPPED
         elif len(record.zeno) == self.plan.accumulations:
             self.status = Status.ZENO_STOPPED
-        if after:
+        if after and at_rest is not None:
+            jumped = Jumped(held=after[1], spent=frozenset(edges))
+            self.begin(self.scene.field(self.scene.name(*after)), at_rest, lambda: jumped)
+            self.seen = np.maximum(self.seen, np.abs(limit.x_inf))
+        elif after:
             self.enter(after[0], limit.x_inf, Jumped(held=after[1]))
 
 

@@ -13,12 +13,16 @@ import numpy as np
 
 from ..log import Flights, Steps, Table, joined
 from ..rules import unit
-from ..rules.arrays import Left, Now, Room
+from ..rules.arrays import Left, Look, Now, Room, Sums
 from ..rules.places import (
+    AT_REST,
+    BEFORE,
     BEGINS,
     COUNT,
+    CURVE_ROWS,
     END,
     ENTERED,
+    ERRORS,
     EXPANSIONS,
     FIELD,
     FIRED,
@@ -27,32 +31,46 @@ from ..rules.places import (
     JUMPS,
     LAND_ON,
     LANDS,
+    LIMIT,
     LOW,
     MADE,
+    MAKE,
     NEXT,
     PHASE,
+    POWER,
+    REMAINING,
     SERIES,
     STEP,
     STEPS,
+    STRIKES,
+    TAILS,
     TAU,
     TRIED,
     WALKS,
     T,
 )
+from ..rules.runs import RISES
+from ..rules.sights import HALVINGS, STATES
+from ..rules.sums import SHOWN
 from ..scene.lowered import ORDER
 from ..segment import nodes
 from ..trajectory import Status
+from ..zeno.accumulate import Tail, room_for_sums
+from ..zeno.narrow import bounded
 from .cycles import pass_limit
 from .outside import Outside
 from .plan import PATIENCE
 from .watch import Watch
 
 if TYPE_CHECKING:
+    from ..scene import Field
     from .driver import Driver
 
 #: Jumps and steps for which there is room at first; how many times more there is after each call
-#: that has filled it, and at most: the keyboard is heard between calls.
+#: that has filled it, and at most: the keyboard is heard between calls. Sums for which there is
+#: room.
 JUMPS_KEPT, STEPS_KEPT, MORE, MOST = 64, 512, 4, 1 << 15
+SUMS_KEPT = 8
 
 #: Steps in a call after which a run is left to compiled streaks, where the solver has such, the
 #: present arc from its start: they take about as long as compiling one.
@@ -67,6 +85,10 @@ class Machine:
     driver with an entry, a jump done, or its status set.
     """
 
+    now: Now
+    rooms: tuple[Room, Sums, Look]
+    needs: tuple[int, ...]
+
     def __init__(self, driver: Driver) -> None:
         scene, solver, plan = driver.scene, driver.solver, driver.plan
         self.driver, self.plan = driver, plan
@@ -77,8 +99,10 @@ class Machine:
         series, steps = (PATIENCE, plan.patience), (plan.longest(0.0), plan.max_step)
         atol = [plan.atol] * n if isinstance(plan.atol, float) else plan.atol
         last = (0, *solver.loss(n)) if solver.whole else (solver.order, 0.0, *atol)
-        self.run = np.array([plan.t1, plan.limit, plan.rtol, *series, *steps, *last], dtype=float)
-        self.floats, self.ints = np.zeros(8), np.zeros(13, dtype=np.int64)
+        sums = float(plan.zeno == "rest"), plan.closing
+        given = [plan.t1, plan.limit, plan.rtol, *series, *steps, *sums, *last]
+        self.run = np.array(given, dtype=float)
+        self.floats, self.ints = np.zeros(9), np.zeros(15, dtype=np.int64)
         self.states = np.zeros((3, n))
         self.size: tuple[int, ...] = (JUMPS_KEPT, STEPS_KEPT)
         self.passed = False
@@ -88,17 +112,24 @@ class Machine:
     def takes(self) -> bool:
         """Whether the arc that begins at the driver's entry may be plain."""
         entry = self.driver.entry
-        number = self.tables.number(entry.field)
-        plain = self.plan.zeno != "truncate" and max(entry.orders, default=0) <= 1
-        return plain and self.tables.plain(number)
+        return max(entry.orders, default=0) <= RISES and self.may(entry.field)
+
+    def may(self, field: Field) -> bool:
+        """Whether the arcs of a field may be plain."""
+        return self.plan.zeno != "truncate" and self.tables.plain(self.tables.number(field))
 
     def fly(self) -> None:
         """Go on until something needs judgement, or the run ends."""
-        driver, now, room = self.driver, self._begin(), self.tables.room(self.order)
-        self.passed, self.open, self.opened = False, [], 0
+        self._begin()
+        self.passed, self.open, self.opened, self.rooms = False, [], 0, self._take()
+        self._go_on()
+        self._give_back()
+
+    def _go_on(self) -> None:
+        driver = self.driver
         while True:
             left = self._left()
-            status = self._advance(now, room, left)
+            status = self._advance(left)
             self._expanded()
             self._keep(left)
             ended = driver.status is not None or self.passed
@@ -135,10 +166,12 @@ class Machine:
 
     def _spent(self, status: int, left: Left) -> bool:
         """Whether the run has made all its steps; keeps what has been flown of the arc."""
-        spent = self.driver.steps + self.opened >= self.plan.max_steps
-        if spent and status == FULL and self._going:
-            self._arc(left, int(self.ints[JUMPS]))
-        return spent and status == FULL
+        going = int(self.ints[MADE]) if status == STEP else self._going
+        made = self.driver.steps + (going if status == STEP else self.opened)
+        spent = status in (FULL, STEP) and made >= self.plan.max_steps
+        if spent and going:
+            self._last(left)
+        return spent
 
     def _tell(self, tau: float, left: Left) -> None:
         """Say how far the run is; if it is stopped there, keep what has been flown of the arc."""
@@ -147,7 +180,7 @@ class Machine:
                 self.plan.progress(self.driver.t + tau)
         except KeyboardInterrupt:
             if tau > 0.0:
-                self._arc(left, int(self.ints[JUMPS]))
+                self._last(left)
             raise
 
     def _expanded(self) -> None:
@@ -157,23 +190,54 @@ class Machine:
             solver.evaluations = (solver.evaluations or 0) + made
             self.tables.flown(made)
 
-    def _advance(self, now: Now, room: Room, left: Left) -> int:
-        """Call the loop, and make the steps that it asks for."""
-        advance, automaton = unit("advance").advance, self.tables.automaton
+    def _advance(self, left: Left) -> int:
+        """Call the loop, and make the steps and the tables that it asks for."""
+        go = unit("runs").go
         try:
             with np.errstate(all="ignore"):  # what is not finite is reported, not warned of
                 while True:
-                    status: int = advance(automaton, self.run, now, room, left)
+                    now, (room, sums, look) = self.now, self.rooms
+                    status: int = go(self.tables.automaton, self.run, now, room, left, sums, look)
+                    if status == MAKE:
+                        self._make()
+                        continue
                     if status not in (STEP, LAND_ON):
                         return status
                     assert self.outside is not None
-                    if self.driver.compiles and len(self.outside.arcs) > LONG:
+                    made = len(self.outside.arcs)
+                    if status == STEP and self.driver.steps + made >= self.plan.max_steps:
+                        return STEP
+                    if self.driver.compiles and made > LONG:
                         self.driver.hot = True
                         return STEP
                     (self.outside.step if status == STEP else self.outside.land)(now, room)
         except KeyboardInterrupt:
-            self._interrupted(now, left)
+            self._interrupted(self.now, left)
             raise
+
+    def _make(self) -> None:
+        """Complete the tables, with room for what is new in them."""
+        self.tables.complete(int(self.ints[FIRED]), bounded)
+        self._give_back()
+        self.rooms = self._take()
+        orders = np.zeros(self.tables.widest, dtype=np.int64)
+        self.now = self.now._replace(orders=orders, signs=orders.copy())
+
+    def _take(self) -> tuple[Room, Sums, Look]:
+        """Arrays to work in: such as no run is using, or new ones."""
+        tables, n = self.tables, self.states.shape[1]
+        self.needs = (*tables.needs, self.order)
+        try:
+            return tables.free[self.needs].pop()  # type: ignore[no-any-return]
+        except (KeyError, IndexError):
+            *needs, bounds, order = self.needs
+            stretches, shown = np.zeros((HALVINGS + 2, 5)), np.zeros((SHOWN + 2, n + 4))
+            look = Look(stretches, shown, np.zeros((STATES + n, 2)), np.zeros((bounds, 2)))
+            return tables.room(order), room_for_sums(needs, n), look
+
+    def _give_back(self) -> None:
+        """Let other runs use the arrays."""
+        self.tables.free.setdefault(self.needs, []).append(self.rooms)
 
     def _interrupted(self, now: Now, left: Left) -> None:
         """Keep the arcs that have ended, and of the present one the steps that have been made."""
@@ -182,10 +246,10 @@ class Machine:
             return
         if self.ints[PHASE] == LANDS:
             self.outside.undo(now)
-        elif self.ints[MADE]:
+        elif self.ints[MADE] and self.ints[PHASE] != STRIKES:
             self.floats[TAU] = self.floats[NEXT]
         if self.ints[MADE]:
-            self._arc(left, int(self.ints[JUMPS]))
+            self._last(left)
 
     def _series(self) -> tuple[str | None, int, float]:
         """The series of impacts that goes on: the contact, how many, and the speed last tried."""
@@ -193,7 +257,7 @@ class Machine:
         contact = self.tables.guards[guard].edge if guard >= 0 else None
         return contact, count, float(self.floats[TRIED])
 
-    def _begin(self) -> Now:
+    def _begin(self) -> None:
         """The state of the driver's entry."""
         driver, entry = self.driver, self.driver.entry
         now, guards = driver.record.now, entry.field.guards
@@ -202,14 +266,16 @@ class Machine:
         series = [g for g, guard in enumerate(guards, first) if guard.edge == contact]
         floats, ints = self.floats, self.ints
         floats[T], floats[LOW], floats[TAU] = now.t, now.low, 0.0
-        ints[FIELD], ints[FIRED], ints[ENTERED], ints[PHASE] = field, -1, 1, BEGINS
+        judged = int(entry.here is not None)
+        ints[FIELD], ints[FIRED], ints[ENTERED], ints[PHASE] = field, -1, judged, BEGINS
         ints[SERIES], ints[COUNT] = series[0] if series else -1, driver.watch.count
-        floats[TRIED] = driver.watch.tried
+        floats[TRIED], ints[POWER] = driver.watch.tried, 1
         self.states[0], self.states[2] = entry.x, driver.seen
         orders = np.zeros(self.tables.widest, dtype=np.int64)
         orders[: len(entry.orders)] = entry.orders
         x, end, seen = self.states
-        return Now(floats, ints, x, end, seen, orders, np.zeros(len(orders), dtype=np.int64))
+        signs = np.zeros(len(orders), dtype=np.int64)
+        self.now = Now(floats, ints, x, end, seen, orders, signs)
 
     def _left(self) -> Left:
         """Arrays for what a call leaves, and the counts at zero."""
@@ -218,7 +284,9 @@ class Machine:
             self.outside.begin()
             jumps, steps = 1 if self.plan.progress is not None else jumps, 0
         jumps = min(jumps, self.plan.max_jumps - self.driver.record.made)
+        steps = int(min(steps, max(self.plan.max_steps - self.driver.steps - self.opened, 1)))
         self.ints[JUMPS], self.ints[STEPS], self.ints[EXPANSIONS] = 0, -self._going, 0
+        self.ints[TAILS] = 0
         return Left(
             np.empty((jumps, 3)),
             np.empty(jumps, dtype=np.int64),
@@ -227,6 +295,8 @@ class Machine:
             np.empty(steps, dtype=np.int64),
             np.empty((steps, 2)),
             np.empty((steps * n if self.dense else 0, self.order + 1)),
+            np.empty((SUMS_KEPT, REMAINING + 1)),
+            np.empty((SUMS_KEPT * CURVE_ROWS, n + 2)),
         )
 
     # -- what a call left -------------------------------------------------------------------
@@ -234,13 +304,40 @@ class Machine:
     def _keep(self, left: Left) -> None:
         """Add the arcs that ended with a jump."""
         driver, begin, made = self.driver, 0, int(self.ints[JUMPS])
+        sums = left.sums[: self.ints[TAILS], BEFORE].astype(int).tolist()
+        guards = [self.tables.guards[g] for g in left.fired[:made]]
+        opened = [place for place, guard in enumerate(guards) if guard.kind == "release"]
         while begin < made and driver.status is None and not self.passed:
-            end = begin + driver.room(left.when[begin:made, 0])
-            self._flown(left, begin, end)
+            if begin in opened:
+                tau, end = float(left.when[begin, 2]), left.before[begin]
+                self._arc(left, begin, tau, end)
+                driver.open(guards[begin], end)
+                begin += 1
+                continue
+            last = min((place for place in sums + opened if place > begin), default=made)
+            end = begin + driver.room(left.when[begin:last, 0])
+            due = self._flown(left, begin, end)
+            if end not in sums:
+                self.passed = due and pass_limit(driver, driver.entry.field.mode)
+            elif driver.status is None:
+                self._summed(left, sums.index(end))
             begin = end
 
-    def _flown(self, left: Left, begin: int, end: int) -> None:
-        """Add the arcs that end with some of the jumps."""
+    def _summed(self, left: Left, place: int) -> None:
+        """Add the impacts that were summed, and begin the rest after them."""
+        driver, rows = self.driver, left.curves[place * CURVE_ROWS :][:CURVE_ROWS]
+        before, degree, v, r, remaining = left.sums[place].tolist()
+        guard = self.tables.guards[left.fired[int(before) - 1]]
+        entry, now, contact = driver.entry, driver.record.now, driver.scene.contact(guard.edge)
+        column = entry.field.column(guard.edge)
+        errors, x_inf, at_rest = rows[ERRORS, :-1], rows[LIMIT, :-2], rows[AT_REST, :-2]
+        curve = r, rows[: int(degree) + 1], remaining, x_inf, float(errors[0]), errors[1:]
+        driver.pass_sum(
+            Tail(entry.field, contact, column, now.t, now.low, entry.x, v, *curve), at_rest
+        )
+
+    def _flown(self, left: Left, begin: int, end: int) -> bool:
+        """Add the arcs that end with some of the jumps; whether it is time to look for cycles."""
         driver, tables, now = self.driver, self.tables, self.driver.record.now
         fired = left.fired[begin:end].tolist()
         edges = np.array([tables.guards[g].edge for g in fired], dtype=object)
@@ -253,7 +350,7 @@ class Machine:
         driver.steps += count
         due, guard = driver.flown(flights), tables.guards[fired[-1]]
         driver.arrive(driver.scene.field(guard.to), jumps.after[-1], guard, jumps.before[-1])
-        self.passed = due and pass_limit(driver, guard.to)
+        return due
 
     def _flown_in(self, left: Left, begin: int, end: int) -> tuple[Steps | None, int]:
         """The steps of some of the arcs, if they are kept, and how many; the first has the held."""
@@ -276,10 +373,15 @@ class Machine:
         values = np.einsum("sik,jk->sji", scaled, nodes(self.order)[:, None] ** powers)
         return Steps(left.owner[:count][rows] - begin, start, length, values)
 
-    def _arc(self, left: Left, made: int) -> np.ndarray:
-        """Add an arc that no jump of the loop has ended; returns the state at its end."""
-        driver, tau = self.driver, float(self.floats[TAU])
-        (steps, count), end = self._flown_in(left, made, made + 1), self.states[1].copy()
+    def _last(self, left: Left) -> np.ndarray:
+        """Add the arc that no jump of the loop has ended; returns the state at its end."""
+        return self._arc(
+            left, int(self.ints[JUMPS]), float(self.floats[TAU]), self.states[1].copy()
+        )
+
+    def _arc(self, left: Left, place: int, tau: float, end: np.ndarray) -> np.ndarray:
+        """Add an arc; returns the state at its end."""
+        driver, (steps, count) = self.driver, self._flown_in(left, place, place + 1)
         segments = [] if steps is None else steps.segments(np.array([tau]))
         driver.steps += count
         return driver.record.arc(driver.entry.field, driver.entry.x, end, tau, segments)
@@ -288,10 +390,10 @@ class Machine:
         """Where the loop stopped: at the end, at a jump to judge, or at an arc to fly anew."""
         driver = self.driver
         if status == END:
-            self._arc(left, int(self.ints[JUMPS]))
+            self._last(left)
             driver.status = Status.REACHED_END
         elif status == JUMP:
             guard = self.tables.guards[int(self.ints[FIRED])]
-            driver.jump(guard, self._arc(left, int(self.ints[JUMPS])))
+            driver.jump(guard, self._last(left))
         else:
             driver.look_again()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,18 +11,29 @@ from ..automaton.markers import Crossing
 from ..errors import TraceError
 from ..rules.arrays import Automaton, Room
 from ..rules.places import (
+    AT,
     CONTACT,
     EDGE,
     GUARDS,
+    HARD,
+    LOCAL,
+    NONE,
     PLAIN,
+    RELEASE,
+    REST,
+    SIGHT,
     TO,
-    USES_END,
+    UNKNOWN,
 )
+from .mode import RELEASE as RELEASED
 from .native import Native, recall
+from .ranges import Ranges
 from .tape import Jets, Linked, room
 
 if TYPE_CHECKING:
-    from .scene import Field, Guard, Scene
+    from .scene import Contact, Field, Guard, Scene
+
+    Sight = Callable[[Field, Contact], Any]
 
 #: Steps of runs after which programs are compiled: those of a small flow take as long as compiling
 #: it does, 0.1 s.
@@ -31,7 +42,7 @@ HOT = 1 << 16
 Nodes = Callable[[], Sequence[int]]
 
 #: Kinds of guards as the rules number them; others are judged by the driver.
-NUMBERED = {"edge": EDGE, "contact": CONTACT}
+NUMBERED = {"edge": EDGE, "contact": CONTACT, "release": RELEASE}
 OTHER = 1 + max(NUMBERED.values())
 
 #: Directions in which a guard fires.
@@ -53,12 +64,14 @@ class Tables:
         self.guards: list[Guard] = []
         self.modes: list[str] = []
         self._programs = Linked()
+        self._bounds = Ranges()
         self._most = np.zeros(3, dtype=int)  # what the largest program needs
         self.widest = 0
         self._fields: list[list[int]] = []
         self._rows: list[list[int]] = []
         self._uses: list[int] = []
         self._made: Automaton | None = None
+        self.free: dict[tuple[int, ...], list[Any]] = {}  # arrays that no run is using
         self._steps, self._recalled, self._native = 0, 0, Native()
 
     def plain(self, number: int) -> bool:
@@ -80,11 +93,11 @@ class Tables:
         """The automaton, as far as its fields have been asked for."""
         if self._made is None:
             fields, uses = (np.array(rows, dtype=np.int64) for rows in (self._fields, self._uses))
-            guards = np.array(self._rows, dtype=np.int64).reshape(-1, USES_END + 1)
+            guards = np.array(self._rows, dtype=np.int64).reshape(-1, REST + 1)
             programs = self._programs.programs()
             recall(programs, self._recalled)
             self._recalled = len(programs.code)
-            self._made = Automaton(programs, fields, guards, uses)
+            self._made = Automaton(programs, fields, guards, uses, self._bounds.arrays())
         return self._made
 
     def flown(self, steps: int) -> None:
@@ -93,9 +106,56 @@ class Tables:
         if self._steps > HOT:
             self._native.go_on(self.automaton.programs)
 
+    @property
+    def needs(self) -> tuple[int, ...]:
+        """What the largest program needs, as :func:`.tape.room` takes it; then the most that are
+        bounded."""
+        return (*self._most.tolist(), self._bounds.most)
+
     def room(self, order: int) -> Room:
         """Arrays to work in, for one run."""
         return room(self._most, self.scene.spec.dimension, order)
+
+    def complete(self, number: int, sight: Sight) -> None:
+        """Add what the loop has asked for of a guard: the field it leads to; or what a sum needs;
+        or what is needed once there is one.
+
+        ``sight``: what is bounded at a contact of a field; see :func:`hybrid.zeno.narrow.bounded`.
+        """
+        row, guard = self._rows[number], self.guards[number]
+        field = self.fields[self.numbers[self.modes[number]]]
+        if row[TO] == UNKNOWN:
+            self.number(self.scene.field(guard.to))
+        elif guard.kind == "release":
+            to, contact = self.scene.field(guard.to), guard.edge.removesuffix(RELEASED)
+            row[AT] = self._at(field, contact)
+            row[REST] = self.first(self.numbers[guard.to]) + to.column(contact)
+        elif row[AT] == UNKNOWN:
+            row[AT], row[LOCAL] = self._at(field, guard.edge), self.scene.contact(guard.edge).local
+        else:
+            found = sight(field, self.scene.contact(guard.edge))
+            if not isinstance(found, int):
+                program, *given = found
+                among = program.ranged(self._bounds, *given)
+                found = HARD if among is None else among
+            row[SIGHT], row[REST] = found, self._rest(field, guard)
+        self._made = None
+
+    def _at(self, field: Field, contact: str) -> int:
+        """The first of the programs of what happens at a contact."""
+        try:
+            parts = field.at_contact(contact)
+        except TraceError:
+            return HARD
+        first, *_ = [self._program(part) for part in parts]
+        return first
+
+    def _rest(self, field: Field, guard: Guard) -> int:
+        """The field of a contact at rest."""
+        scene = self.scene
+        if not scene.contact(guard.edge).rests:
+            return NONE
+        return self.number(scene.field(scene.name(field.mode, (guard.edge,))))
 
     def _add(self, field: Field) -> None:
         jets, first = field.jets, len(self._rows)
@@ -114,7 +174,7 @@ class Tables:
         self.widest = max(self.widest, count)
         self._fields.append([program, first, first + count, int(plain), held, watch])
         for row, guard in zip(self._rows, self.guards, strict=True):
-            if guard.to == field.name:
+            if guard.to == field.name and row[TO] == UNKNOWN:
                 row[TO] = number
         self._made = None
 
@@ -134,8 +194,11 @@ class Tables:
             programs[0] = self._of_values(field, reset, lambda: graph.values(code.closed(*reset)))
         sizes = self._of_values(field, ("sizes", name, held), lambda: graph.sizes(name, held))
         kind, crossing = NUMBERED.get(guard.kind, OTHER), DIRECTIONS[guard.crossing]
-        shape = [int(guard.bounds), int(guard.affine), self.numbers.get(guard.to, -1)]
-        return [kind, crossing, *shape, *programs, sizes, uses, len(self._uses)]
+        shape = [int(guard.bounds), int(guard.affine), self.numbers.get(guard.to, UNKNOWN)]
+        later = [UNKNOWN, 0, UNKNOWN, UNKNOWN]
+        if guard.kind == "release" and len(field.held) > 1:  # what follows is judged
+            shape[2] = NONE
+        return [kind, crossing, *shape, *programs, sizes, uses, len(self._uses), *later]
 
     def _watch(self, field: Field) -> int:
         """The number of a program of a field's guards alone.

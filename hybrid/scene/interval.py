@@ -7,17 +7,20 @@ parameters are the floats that they are.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from math import inf
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import attrs
+import numpy as np
 
 from ..errors import TraceError
 from ..extras import PROOFS, need
+from ..rules import unit
+from ..rules.arrays import Bounds
 from .graph import Graph
 from .python import needed
-from .ranges import RANGES, Range, unknown
+from .ranges import RANGES, Ranges
 
 #: Bits of the balls' midpoints: rounding stays far below a double's.
 PRECISION = 96
@@ -142,22 +145,31 @@ class IntervalProgram:
             values, jumps = self._evaluate({name: ball(box[name]) for name in self.inputs})
         return [Enclosure(_finite(values[place]), not jumps[place]) for place in self._places]
 
-    def ranges(self, box: Mapping[str, Any]) -> list[Range] | None:
+    def ranges(self, box: Mapping[str, Any]) -> list[tuple[float, float]] | None:
         """Bounds of the roots in doubles, which cost less; None where they say nothing."""
-        values: list[Range] = []
-        try:
-            for step in self._steps:
-                if step.op == "input":
-                    given = box[step.given]
-                    found: Range | None = given if isinstance(given, tuple) else (given, given)
-                else:
-                    found = step.range(*[values[p] for p in step.places])
-                if found is None or not -inf < found[0] <= found[1] < inf:
-                    return None
-                values.append(found)
-        except (ValueError, OverflowError):
+        if self._ranges is None:
             return None
-        return [values[place] for place in self._places]
+        given = [box[name] for name in sorted(self.inputs)]
+        rows = np.array([v if isinstance(v, tuple) else (v, v) for v in given], dtype=float)
+        found = np.zeros((len(self), 2))
+        if unit("bounds").ranges(self._ranges, 0, rows.reshape(-1, 2), found):
+            return None
+        return [(low, high) for low, high in found[self._places].tolist()]
+
+    @cached_property
+    def _ranges(self) -> Bounds | None:
+        own = Ranges()
+        rows = {name: row for row, name in enumerate(sorted(self.inputs))}
+        return None if self.ranged(own, rows, {}) is None else own.arrays()
+
+    def ranged(
+        self, among: Ranges, rows: Mapping[str, int], given: Mapping[str, float]
+    ) -> int | None:
+        """Add the program for these bounds to others: its number there, None if there is none.
+
+        ``rows``: the inputs that are rows of a box; the others are given.
+        """
+        return among.add(self._steps, self._places, rows, given)
 
     def _evaluate(self, inputs: Mapping[str, Any]) -> tuple[list[Any], list[bool]]:
         values: list[Any] = []
@@ -188,7 +200,8 @@ class _Step:
     rule: Any = None
     jumps: Any = None
     strict: bool = True
-    range: Callable[..., Range | None] = unknown
+    range: int | None = None
+    number: float = 0.0
 
 
 def _step(graph: Graph, node: tuple[Any, ...], place: Mapping[int, int]) -> _Step:
@@ -198,8 +211,7 @@ def _step(graph: Graph, node: tuple[Any, ...], place: Mapping[int, int]) -> _Ste
     if op == "input":
         return _Step(op, given=arguments[0])
     if op == "const":
-        value = arguments[0]
-        return _Step(op, given=number(value), range=lambda: (value, value))
+        return _Step(op, given=number(arguments[0]), number=float(arguments[0]))
     if len(arguments) == 2 and arguments[0] == arguments[1]:
         if op in SAME:
             result = number(SAME[op])
@@ -211,7 +223,7 @@ def _step(graph: Graph, node: tuple[Any, ...], place: Mapping[int, int]) -> _Ste
             what = f"the primitive {graph.name_of(arguments[0])!r}"
         raise TraceError(f"nothing can be proved: there is no enclosure of {what}")
     places = tuple(place[a] for a in arguments)
-    quick = RANGES.get(op, unknown)
+    quick = RANGES.get(op)
     return _Step(op, places, None, BALLS.get(op), JUMPS.get(op), op not in LIMITS, quick)
 
 

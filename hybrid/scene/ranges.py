@@ -1,80 +1,62 @@
-"""Bounds over a box in doubles, rounded outwards: a quick look before the balls of :mod:`.balls`.
-
-What is not known here, or may leave its domain or the range of a double, is left to the balls.
-"""
+"""What has bounds in doubles (:mod:`hybrid.rules.bounds`), and programs of such."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from math import cos, exp, floor, inf, nextafter, pi, sin, sqrt
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-Range = tuple[float, float]
+import numpy as np
 
-#: What a function of the C library may be off, against its size: several spacings, where the usual
-#: ones are off by one.
-OFF = 2.0**-50
+from ..rules import bounds as rule
+from ..rules.arrays import Bounds
 
-#: Beyond this angle its rounding could hide a turn of the sine.
-TURNS = 1e4
-
-
-def unknown(*arguments: Range) -> None:
-    """Nothing is said."""
-
-
-def _outwards(low: float, high: float) -> Range:
-    return nextafter(low, -inf), nextafter(high, inf)
-
-
-def _mul(a: Range, b: Range) -> Range:
-    products = a[0] * b[0], a[0] * b[1], a[1] * b[0], a[1] * b[1]
-    return _outwards(min(products), max(products))
-
-
-def _square(a: Range) -> Range:
-    ends = a[0] * a[0], a[1] * a[1]
-    low, high = _outwards(min(ends), max(ends))
-    return (0.0 if a[0] <= 0.0 <= a[1] else low), high
-
-
-def _div(a: Range, b: Range) -> Range | None:
-    if b[0] <= 0.0 <= b[1]:
-        return None
-    quotients = a[0] / b[0], a[0] / b[1], a[1] / b[0], a[1] / b[1]
-    return _outwards(min(quotients), max(quotients))
-
-
-def _wave(function: Callable[[float], float], top: float) -> Callable[[Range], Range | None]:
-    """A sine that is greatest at ``top``, and every turn from there; least half a turn on."""
-
-    def apply(a: Range) -> Range | None:
-        if max(-a[0], a[1]) > TURNS:
-            return None
-        before, after = (floor((end - top) / pi) for end in a)
-        ends = [function(a[0]), function(a[1])]
-        if after > before:
-            ends += [-1.0 if after % 2 else 1.0]
-        if after > before + 1:
-            ends += [-1.0, 1.0]
-        return min(ends) - OFF, max(ends) + OFF
-
-    return apply
-
-
-def _exp(a: Range) -> Range:
-    return _outwards(exp(a[0]) * (1.0 - OFF), exp(a[1]) * (1.0 + OFF))
-
-
-#: Operations on bounds; None where nothing is said.
-RANGES: dict[str, Callable[..., Range | None]] = {
-    "add": lambda a, b: _outwards(a[0] + b[0], a[1] + b[1]),
-    "sub": lambda a, b: _outwards(a[0] - b[1], a[1] - b[0]),
-    "neg": lambda a: (-a[1], -a[0]),
-    "mul": _mul,
-    "square": _square,
-    "div": _div,
-    "sqrt": lambda a: _outwards(sqrt(a[0]), sqrt(a[1])) if a[0] >= 0.0 else None,
-    "exp": _exp,
-    "sin": _wave(sin, 0.5 * pi),
-    "cos": _wave(cos, 0.0),
+#: Operations on bounds, as the rule numbers them.
+RANGES = {
+    **{"add": rule.ADD, "sub": rule.SUB, "neg": rule.NEG, "mul": rule.MUL, "div": rule.DIV},
+    **{"square": rule.SQUARE, "sqrt": rule.SQRT, "exp": rule.EXP, "sin": rule.SIN},
+    "cos": rule.COS,
 }
+
+
+class Ranges:
+    """Programs for bounds one behind the other, to which more are added."""
+
+    def __init__(self) -> None:
+        self._index: list[list[int]] = []
+        self._ops: list[list[int]] = []
+        self._numbers: list[float] = []
+        self._results: list[int] = []
+        self.most = 1
+
+    def add(
+        self, steps: Sequence[Any], results: Sequence[int], rows: Mapping[str, int], given: Any
+    ) -> int | None:
+        """The number of a program, whose inputs are rows of a box or given; None where there is
+        none of some operation."""
+        ops = [self._op(step, rows, given) for step in steps]
+        known = [op for op in ops if op is not None]
+        if len(known) < len(ops):
+            return None
+        first = len(self._ops)
+        self._index.append([first, first + len(known), len(self._results)])
+        self._ops += known
+        self._results += results
+        self.most = max(self.most, len(known))
+        return len(self._index) - 1
+
+    def _op(self, step: Any, rows: Mapping[str, int], given: Any) -> list[int] | None:
+        if step.op == "input" and step.given in rows:
+            return [rule.INPUT, rows[step.given], 0]
+        if step.op in ("input", "const"):
+            self._numbers.append(float(given[step.given] if step.op == "input" else step.number))
+            return [rule.NUMBER, len(self._numbers) - 1, 0]
+        if step.range is None:
+            return None
+        return [step.range, *step.places, *[0] * (2 - len(step.places))]
+
+    def arrays(self) -> Bounds:
+        """All so far."""
+        index = np.array(self._index, dtype=np.int64).reshape(-1, 3)
+        ops = np.array(self._ops, dtype=np.int64).reshape(-1, 3)
+        results = np.array(self._results, dtype=np.int64)
+        return Bounds(index, ops, np.array(self._numbers, dtype=float), results)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from itertools import pairwise
@@ -185,7 +185,8 @@ class Tail:
         chatter, out = _chatter(self.field, self.contact), np.empty((SHOWN + 2, len(self.x) + 4))
         tail = self.curve, self.t, self.x, self.v, self.r
         with chatter.lent() as given:
-            unit("sums").shown(chatter.programs, *tail, first, last, begin, end, given, out)
+            of = chatter.programs, 0, 1
+            unit("sums").shown(*of, *tail, first, last, begin, end, given, out)
         return out
 
     def flight(self, n: int) -> Flight | None:
@@ -219,9 +220,8 @@ def close(
     chatter = _chatter(field, contact)
     with chatter.lent() as given:
         start = t, np.array(x, dtype=float), v, rtol, atol
-        degree, r = unit("sums").close(
-            chatter.programs, column, field.project is not None, chatter.local, *start, given
-        )
+        about = column, field.project is not None, chatter.local
+        degree, r = unit("sums").close(chatter.programs, 0, 1, *about, *start, given)
         if not degree:
             return None
         lines = given.lines.copy()
@@ -296,27 +296,32 @@ class _Chatter:
             self.free.append(given)
 
     def _new(self) -> Sums:
-        n, points = self.tapes[0].size, DEGREE + 1
-        work = room(np.max([tape.needs for tape in self.tapes], axis=0), n, ORDER)
-        kinks = len(work.sides)
-        most = most_pieces(kinks)
-        return Sums(
-            lines=np.zeros((LINES, n + 2)),
-            small=np.zeros((FIT + SAMPLES, points)),
-            times=np.zeros(GRID + LAST + 1),
-            ints=np.zeros(BRANCH + kinks + most, dtype=np.int64),
-            starts=np.zeros(most),
-            lengths=np.zeros(most),
-            series=np.zeros((n * most, ORDER + 1)),
-            branch=np.zeros(kinks + most, dtype=np.int64),
-            end=np.zeros(n),
-            c=work.c,
-            aside=work.aside,
-            work=work.work,
-            rows=work.rows,
-            found=work.found,
-            sides=work.sides,
-        )
+        needs = np.max([tape.needs for tape in self.tapes], axis=0)
+        return room_for_sums(needs.tolist(), self.tapes[0].size)
+
+
+def room_for_sums(needs: Sequence[int], n: int) -> Sums:
+    """Room for the sums of ``n`` states by programs none of which needs more than this."""
+    work, points = room(needs, n, ORDER), DEGREE + 1
+    kinks = len(work.sides)
+    most = most_pieces(kinks)
+    return Sums(
+        lines=np.zeros((LINES, n + 2)),
+        small=np.zeros((FIT + SAMPLES, points)),
+        times=np.zeros(GRID + LAST + 1),
+        ints=np.zeros(BRANCH + kinks + most, dtype=np.int64),
+        starts=np.zeros(most),
+        lengths=np.zeros(most),
+        series=np.zeros((n * most, ORDER + 1)),
+        branch=np.zeros(kinks + most, dtype=np.int64),
+        end=np.zeros(n),
+        c=work.c,
+        aside=work.aside,
+        work=work.work,
+        rows=work.rows,
+        found=work.found,
+        sides=work.sides,
+    )
 
 
 def _impact(contact: Contact, t: float, flight: Flight) -> tuple[float, np.ndarray]:

@@ -24,6 +24,8 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..errors import TraceError
+from ..rules.places import HARD, NONE
+from ..rules.sights import EXCESS, HALVINGS, SPEED, STATES, TIME, WIDER
 from ..rules.sums import FLOOR, LOSS
 from ..scene.defect import EPS
 from ..scene.derivatives import along
@@ -36,17 +38,6 @@ from .flight import fly
 
 if TYPE_CHECKING:
     from ..scene import Contact, Field
-
-#: What the gap's acceleration, or the restitution, may be in a box beyond what it is at points,
-#: against its size: balls overestimate by a little that shrinks with the box.
-EXCESS = 0.02
-
-#: How often a tail is halved, at most. Three or four halvings leave one flight, five more a
-#: thirty-second of it, over which balls of position and speed are as small.
-HALVINGS = 9
-
-#: How much wider a box is than the points in it, on either side.
-WIDER = 0.25
 
 #: Slowest impacts that are asked for their restitution (as slow as a float can be, but for a
 #: square), impacts of a tail that are asked one by one, and steps from there to the slowest.
@@ -257,14 +248,48 @@ class _Look:
     at: Callable[[float, list[float], float], list[float]]
 
 
-def _look(tail: Tail) -> _Look:
-    field, contact, code = tail.field, tail.contact, tail.field.code
-    gap = code.once(("gap", field.name, contact.name), lambda: _Gap(field, contact.name))
-    signs = gap.signs(tail)
+def bounded(field: Field, contact: Contact) -> Any:
+    """What is looked at where no function decides on formulas, for bounds in doubles.
+
+    An :class:`.IntervalProgram`, the rows of a box that are its inputs, and the others' values;
+    or, as the rules number it, that there is nothing to look at, or that more is to be looked at.
+    """
+    if _depends(field, contact.name):
+        return HARD
+    if find_spec("flint") is None:
+        return NONE
+    try:
+        gap = _gap(field, contact)
+        if gap.choosers:
+            return HARD
+        program = _program(field, contact, gap, {})
+    except TraceError:
+        return NONE
+    rows = {f"x{i}": STATES + i for i in range(len(gap.states))}
+    return program, {"t": TIME, "u": SPEED, **rows}, _given(field)
+
+
+def _gap(field: Field, contact: Contact) -> _Gap:
+    name = contact.name
+    made = field.code.once(("gap", field.name, name), lambda: _Gap(field, name))
+    return made  # type: ignore[no-any-return]
+
+
+def _program(field: Field, contact: Contact, gap: _Gap, signs: dict[int, int]) -> Any:
     key = ("narrow", field.name, contact.name, *signs.items())
-    program = code.once(key, lambda: gap.program(signs))
+    return field.code.once(key, lambda: gap.program(signs))
+
+
+def _given(field: Field) -> dict[str, Any]:
+    return field.once("parameters by name", lambda: _named("p", flat(field.parameters)))  # type: ignore[no-any-return]
+
+
+def _look(tail: Tail) -> _Look:
+    field, contact = tail.field, tail.contact
+    gap = _gap(field, contact)
+    signs = gap.signs(tail)
+    program, given = _program(field, contact, gap, signs), _given(field)
     lie, law = field.guards[tail.column].lie, contact.law
-    given = field.once("parameters by name", lambda: _named("p", flat(field.parameters)))
     if not signs:
         return _Look(program, given, lambda t, x, u: [lie(t, x)[2], law(t, x, u)])
 

@@ -1,0 +1,100 @@
+"""Bounds over a box in doubles, rounded outwards: a quick look before the balls.
+
+What is not known here, or may leave its domain or the range of a double, is left to the balls of
+:mod:`hybrid.scene.balls`.
+"""
+
+from __future__ import annotations
+
+import math
+
+from .arrays import Bounds, Matrix
+
+__all__ = ("ranges",)
+
+#: A product and a sum are never one operation, as each is rounded outwards by itself.
+EXACT = True
+
+#: Operations: a row of the box, a number; and those on bounds.
+INPUT, NUMBER, ADD, SUB, NEG, MUL, SQUARE, DIV, SQRT, EXP, SIN, COS = range(12)
+
+#: What a function of the C library may be off, against its size: several spacings, where the usual
+#: ones are off by one.
+OFF = 2.0**-50
+
+#: Beyond this the exponential is more than a double can be; a quarter of a turn.
+LARGEST, QUARTER = 709.782712893384, 0.5 * math.pi
+
+#: Beyond this angle its rounding could hide a turn of the sine.
+TURNS = 1e4
+
+
+def ranges(b: Bounds, program: int, box: Matrix, found: Matrix) -> int:
+    """Bounds of a program's operations, a row for each, over a box of such rows; -1 where they say
+    nothing, else 0."""
+    first = b.index[program, 0]
+    for k in range(first, b.index[program, 1]):
+        op, one, other = b.ops[k, 0], b.ops[k, 1], b.ops[k, 2]
+        if op == INPUT:
+            low, high = box[one, 0], box[one, 1]
+        elif op == NUMBER:
+            low, high = b.numbers[one], b.numbers[one]
+        else:
+            c = found[other]
+            low, high = bounds(op, found[one, 0], found[one, 1], c[0], c[1])
+        if not (-math.inf < low <= high < math.inf):
+            return -1
+        found[k - first, 0], found[k - first, 1] = low, high
+    return 0
+
+
+def bounds(op: int, a: float, b: float, c: float, d: float) -> tuple[float, float]:
+    """Bounds of an operation on ``[a, b]`` and ``[c, d]``; NaN where nothing is said."""
+    if op == ADD:
+        return outwards(a + c, b + d)
+    if op == SUB:
+        return outwards(a - d, b - c)
+    if op == NEG:
+        return -b, -a
+    if op == MUL:
+        return products(a * c, a * d, b * c, b * d)
+    if op == SQUARE:
+        low, high = outwards(min(a * a, b * b), max(a * a, b * b))
+        return (0.0 if a <= 0.0 <= b else low), high
+    if op == DIV and not c <= 0.0 <= d:
+        return products(a / c, a / d, b / c, b / d)
+    if op == SQRT and a >= 0.0:
+        return outwards(math.sqrt(a), math.sqrt(b))
+    if op == EXP and b < LARGEST:
+        return outwards(math.exp(a) * (1.0 - OFF), math.exp(b) * (1.0 + OFF))
+    if op == SIN and max(-a, b) <= TURNS:
+        return wave(math.sin(a), math.sin(b), half_turns(a - QUARTER), half_turns(b - QUARTER))
+    if op == COS and max(-a, b) <= TURNS:
+        return wave(math.cos(a), math.cos(b), half_turns(a), half_turns(b))
+    return math.nan, math.nan
+
+
+def outwards(low: float, high: float) -> tuple[float, float]:
+    """Bounds that have been rounded, whatever way, moved on by one float each."""
+    return math.nextafter(low, -math.inf), math.nextafter(high, math.inf)
+
+
+def products(p: float, q: float, r: float, s: float) -> tuple[float, float]:
+    """Bounds of what is least and greatest at the corners of two intervals."""
+    return outwards(min(min(p, q), min(r, s)), max(max(p, q), max(r, s)))
+
+
+def half_turns(angle: float) -> int:
+    """Half turns from a wave's greatest value on."""
+    return math.floor(angle / math.pi)
+
+
+def wave(one: float, other: float, before: int, after: int) -> tuple[float, float]:
+    """Bounds of a sine with these values at the ends, and so many half turns from its greatest
+    value on before each."""
+    low, high = min(one, other), max(one, other)
+    if after > before:
+        low, high = (-1.0, high) if after % 2 == 1 else (low, 1.0)
+    if after > before + 1:
+        low, high = -1.0, 1.0
+    return low - OFF, high + OFF

@@ -1,0 +1,357 @@
+"""A run as far as it is plain: its loop, the sums of impacts, and the rest that follows.
+
+What is not plain is left to the driver, as :mod:`.advance` says; of a sum that is all that needs
+more than doubles to be believed, and what follows it but a rest that begins plainly.
+"""
+
+from __future__ import annotations
+
+import math
+
+from .advance import added, advance, after, enlarged
+from .arcs import copied
+from .arrays import Automaton, Floats, Left, Look, Now, Programs, Room, Sums
+from .chebyshev import value
+from .flights import fly
+from .guards import ROUNDED, largest, row_of, starts
+from .jets import jets
+from .places import (
+    ABSOLUTE,
+    AFFINE,
+    AT,
+    AT_REST,
+    BEFORE,
+    BEGINS,
+    BOUNDS,
+    CLOSING,
+    CROSSING,
+    CURVE_ROWS,
+    DEGREE,
+    ENTERED,
+    ERRORS,
+    FIELD,
+    FIRED,
+    FULL,
+    GOES_ON,
+    GUARDS,
+    GUARDS_END,
+    JUMP,
+    JUMPS,
+    LAST,
+    LEAVES,
+    LIMIT,
+    LOCAL,
+    LOW,
+    MAKE,
+    NONE,
+    OPENS,
+    PHASE,
+    PLAIN,
+    POWER,
+    PROGRAM,
+    RATIO,
+    RELATIVE,
+    REMAINING,
+    REST,
+    RESTS,
+    SERIES,
+    SIGHT,
+    SPEED,
+    SUM,
+    TAILS,
+    TAU,
+    TO,
+    TRIED,
+    UNKNOWN,
+    T,
+)
+from .polynomials import power_value
+from .sights import EXCESS, seen
+from .sums import ERROR, READ, STATE, TINY, close, on_curve, touch, turned
+from .sums import LIMIT as LIMITS
+from .zeros import EPS
+
+__all__ = ("go",)
+
+#: By which power of the time a gap opens where its load has come to be zero.
+RISES = 3
+
+#: Pieces of a tail in which other guards are looked at, each at two times; and where one is no sum
+#: of states.
+FEW, SHARES = 4, 100
+
+
+def go(a: Automaton, run: Floats, now: Now, room: Room, left: Left, sums: Sums, look: Look) -> int:
+    """Go on from ``now``; returns what the driver is asked for (see :mod:`.places`)."""
+    status = GOES_ON
+    while status == GOES_ON:
+        status = advance(a, run, now, room, left)
+        if status == SUM:
+            status = accumulated(a, run, now, room, left, sums, look)
+        elif status == OPENS:
+            status = opened(a, now, room, left, sums)
+        if status == JUMP:
+            now.ints[PHASE] = BEGINS
+    return status
+
+
+def accumulated(
+    a: Automaton, run: Floats, now: Now, room: Room, left: Left, sums: Sums, look: Look
+) -> int:
+    """Sum the impacts from the one at hand on, and go over their limit.
+
+    Returns
+    -------
+    status : int
+        ``GOES_ON`` behind the limit, or with the impact as it is; ``FULL`` behind the limit;
+        ``MAKE``, to be called again; or ``JUMP``, and nothing has changed.
+    """
+    guard, place, field = now.ints[FIRED], now.ints[JUMPS], now.ints[FIELD]
+    if run[RESTS] == 0.0:
+        return JUMP
+    flow, at = a.fields[field, PROGRAM], a.guards[guard, AT]
+    if at == UNKNOWN:
+        return MAKE
+    if at < 0:
+        return JUMP
+    t, low = after(now.floats[T], now.floats[LOW], now.floats[TAU])
+    x, v, column = left.after[place], now.floats[SPEED], guard - a.fields[field, GUARDS]
+    rtol, atol = run[CLOSING] * run[RELATIVE], run[CLOSING] * run[ABSOLUTE]
+    local = a.guards[guard, LOCAL] == 1
+    degree, r = close(a.programs, flow, at, column, False, local, t, x, v, rtol, atol, sums)
+    if degree == 0:
+        now.floats[TRIED] = v
+        return GOES_ON
+    if a.guards[guard, REST] == UNKNOWN:
+        return MAKE
+    tail = now.ints[TAILS]
+    put(tail, degree, r, v, place + 1, left, sums)
+    if a.guards[guard, REST] < 0:
+        return JUMP
+    if not clear(a, now, room, left, sums, t, x):
+        now.floats[TRIED] = v
+        return GOES_ON
+    if not believed(a, run, flow, at, guard, tail, t, x, left, sums, look):
+        return JUMP
+    end, rest = after(t, low, left.sums[tail, REMAINING])
+    if (run[LAST] - end) - rest < 0.0:
+        now.floats[TRIED] = v
+        return GOES_ON
+    return rests(a, now, room, left, sums, t, low)
+
+
+def put(tail: int, degree: int, r: float, v: float, jumps: int, left: Left, sums: Sums) -> None:
+    """Put a sum down."""
+    row, first = left.sums[tail], tail * CURVE_ROWS
+    row[BEFORE], row[DEGREE], row[LEAVES], row[RATIO] = jumps, degree, v, r
+    row[REMAINING] = sums.lines[LIMITS, 0]
+    for k in range(degree + 1):
+        copied(sums.lines[k], left.curves[first + k])
+    copied(sums.lines[ERROR], left.curves[first + ERRORS])
+    copied(sums.lines[STATE], left.curves[first + LIMIT])
+
+
+def believed(
+    a: Automaton,
+    run: Floats,
+    flow: int,
+    at: int,
+    guard: int,
+    tail: int,
+    t: float,
+    x: Floats,
+    left: Left,
+    sums: Sums,
+    look: Look,
+) -> bool:
+    """Whether nothing hides between the flights of a sum, as far as doubles tell."""
+    sight = a.guards[guard, SIGHT]
+    if sight < 0:
+        return sight == NONE
+    row, first = left.sums[tail], tail * CURVE_ROWS
+    curve = left.curves[first : first + int(row[DEGREE]) + 1]
+    excess = EXCESS * run[CLOSING] ** 0.5
+    return seen(a, flow, at, sight, curve, t, x, row[LEAVES], row[RATIO], excess, sums, look)
+
+
+def rests(a: Automaton, now: Now, room: Room, left: Left, sums: Sums, t: float, low: float) -> int:
+    """Begin the rest that follows a sum, where its start leaves nothing to weigh."""
+    guard, place, tail, n = now.ints[FIRED], now.ints[JUMPS], now.ints[TAILS], now.x.shape[0]
+    field, first = a.guards[guard, REST], tail * CURVE_ROWS
+    if a.fields[field, PLAIN] == 0:
+        return JUMP
+    x, (end, rest) = left.curves[first + AT_REST, :n], after(t, low, left.sums[tail, REMAINING])
+    held(a.programs, a.guards[guard, AT], end, left.curves[first + LIMIT, :n], x, sums)
+    if not begun(a, now, room, field, -1, 1, end, rest, x):
+        return JUMP
+    added(now, left, guard, t, low)
+    enlarged(now, left.after[place])
+    enlarged(now, now.x)
+    now.ints[TAILS] = tail + 1
+    return FULL if tail + 1 == left.sums.shape[0] else GOES_ON
+
+
+def opened(a: Automaton, now: Now, room: Room, left: Left, sums: Sums) -> int:
+    """End the rest of a contact whose load is zero, where what follows begins plainly.
+
+    Returns
+    -------
+    status : int
+        As that of :func:`accumulated`.
+    """
+    guard, place, at = now.ints[FIRED], now.ints[JUMPS], a.guards[now.ints[FIRED], AT]
+    if a.guards[guard, TO] == UNKNOWN or at == UNKNOWN:
+        return MAKE
+    if at < 0 or a.fields[a.guards[guard, TO], PLAIN] == 0:
+        return JUMP
+    t, low = after(now.floats[T], now.floats[LOW], now.floats[TAU])
+    held(a.programs, at, t, now.end, left.before[place], sums)
+    copied(left.before[place], left.after[place])
+    field, contact = a.guards[guard, TO], a.guards[guard, REST]
+    if not begun(a, now, room, field, contact, RISES, t, low, left.after[place]):
+        return JUMP
+    added(now, left, guard, t, low)
+    enlarged(now, now.x)
+    return GOES_ON
+
+
+def begun(
+    a: Automaton,
+    now: Now,
+    room: Room,
+    field: int,
+    used: int,
+    power: int,
+    t: float,
+    low: float,
+    x: Floats,
+) -> bool:
+    """Begin an arc in another field, if its start leaves nothing to weigh; nothing that the driver
+    asks for has changed if it does."""
+    own, guard = now.ints[FIELD], now.ints[FIRED]
+    copied(x, now.x)
+    now.floats[T], now.floats[LOW] = t, low
+    now.ints[FIELD], now.ints[FIRED], now.ints[POWER], now.ints[ENTERED] = field, used, power, 0
+    for i in range(room.sides.shape[0]):
+        room.sides[i] = 0
+    program, order = a.fields[field, PROGRAM], room.c.shape[1] - 1
+    fit = jets(a.programs, program, order, t, now.x, room.sides, room.c, room.work) == 0
+    if not (fit and starts(a, now, room)):
+        now.ints[FIELD], now.ints[FIRED], now.ints[POWER] = own, guard, 1
+        return False
+    now.ints[SERIES], now.ints[ENTERED], now.ints[PHASE] = -1, 1, BEGINS
+    return True
+
+
+def clear(a: Automaton, now: Now, room: Room, left: Left, sums: Sums, t: float, x: Floats) -> bool:
+    """Whether no other guard is reached along the tail, impacts and flights."""
+    field, guard, place = now.ints[FIELD], now.ints[FIRED], now.ints[TAILS]
+    first, last = a.fields[field, GUARDS], a.fields[field, GUARDS_END]
+    if last - first == 1:
+        return True
+    shares = FEW
+    for g in range(first, last):
+        now.signs[g - first] = 0
+        if g != guard and a.guards[g, AFFINE] == 0:
+            shares = SHARES
+    row, begin, n = left.sums[place], place * CURVE_ROWS, x.shape[0]
+    limit, most = left.curves[begin + LIMIT, :n], count(row, t)
+    remaining = row[REMAINING]
+    for i in range(3 * shares):
+        impact = i - 2 * shares
+        since = remaining * i / (2 * shares - 1)
+        if impact >= 0:
+            since = listed(left, place, impact) if impact <= most else remaining
+        if since < remaining:
+            along_tail(a, now, left, sums, t, x, most, since, room.there)
+            if not noted(a, now, room, t + since, room.there, 0.0):
+                return False
+    return noted(a, now, room, t + remaining, limit, ROUNDED * EPS * largest(limit))
+
+
+def noted(a: Automaton, now: Now, room: Room, t: float, x: Floats, rounding: float) -> bool:
+    """Note the signs of the other guards; whether they are inside, and those that they were."""
+    field, fired = now.ints[FIELD], now.ints[FIRED]
+    program, first = a.fields[field, PROGRAM], a.fields[field, GUARDS]
+    if jets(a.programs, program, 0, t, x, room.still, room.aside, room.work) < 0:
+        return False
+    for g in range(first, a.fields[field, GUARDS_END]):
+        if g != fired:
+            value, was = room.aside[row_of(a, program, field, g), 0], now.signs[g - first]
+            if was != 0:
+                if not value * was > -rounding:
+                    return False
+            elif value == 0.0:
+                return False
+            else:
+                now.signs[g - first] = 1 if value > 0.0 else -1
+            inside = now.signs[g - first] * a.guards[g, CROSSING] <= 0
+            if a.guards[g, BOUNDS] == 1 and not inside:
+                return False
+    return True
+
+
+def count(row: Floats, t: float) -> int:
+    """Impacts of a tail that a double can still tell from the limit."""
+    end = abs(t + row[REMAINING])
+    share = max(math.nextafter(end, math.inf) - end, TINY) / row[REMAINING]
+    return max(0, math.ceil(math.log(min(max(share, TINY), 1.0)) / math.log(row[RATIO])))
+
+
+def listed(left: Left, place: int, n: int) -> float:
+    """The time from a tail's first impact to the n-th after it."""
+    degree = int(left.sums[place, DEGREE])
+    curve = left.curves[place * CURVE_ROWS :]
+    return value(curve, degree, 0, left.sums[place, RATIO] ** n) if n > 0 else 0.0
+
+
+def along_tail(
+    a: Automaton,
+    now: Now,
+    left: Left,
+    sums: Sums,
+    t: float,
+    x: Floats,
+    most: int,
+    since: float,
+    state: Floats,
+) -> None:
+    """The state at a time after a tail's first impact: by the flight that covers it."""
+    place, guard, field = now.ints[TAILS], now.ints[FIRED], now.ints[FIELD]
+    row, begin, n = left.sums[place], place * CURVE_ROWS, x.shape[0]
+    low, high = 0, most
+    while low < high:
+        middle = (low + high + 1) // 2
+        if listed(left, place, middle) <= since:
+            low = middle
+        else:
+            high = middle - 1
+    degree, w = int(row[DEGREE]), row[RATIO] ** low
+    curve, at = left.curves[begin : begin + degree + 1], a.guards[guard, AT]
+    when, v = on_curve(
+        a.programs, at, curve, degree, t, x, row[LEAVES], w, 1.0, sums, sums.lines[STATE, :n]
+    )
+    flow, column = a.fields[field, PROGRAM], guard - a.fields[field, GUARDS]
+    status, length, _, pieces, _ = fly(
+        a.programs, flow, column, False, when, sums.lines[STATE, :n], v, sums.starts, sums.lengths,
+        sums.series, sums.branch, sums.end, sums.c, sums.aside, sums.work, sums.rows, sums.found,
+        sums.sides,
+    )  # fmt: skip
+    if status < 0:
+        copied(left.curves[begin + LIMIT, :n], state)
+        return
+    s = min(max(since - listed(left, place, low), 0.0), length)
+    piece = pieces - 1
+    while piece > 0 and sums.starts[piece] > s:
+        piece -= 1
+    for i in range(n):
+        c = sums.series[piece * n + i]
+        state[i], _ = power_value(c, 0, c.shape[0] - 1, s - sums.starts[piece])
+
+
+def held(p: Programs, at: int, t: float, x: Floats, at_rest: Floats, sums: Sums) -> None:
+    """The state with gap and gap speed at zero: two steps of Newton's method, and one."""
+    copied(x, at_rest)
+    touch(p, at, t, at_rest, sums)
+    touch(p, at, t, at_rest, sums)
+    turned(at_rest, -sums.lines[READ, x.shape[0]], sums.lines[READ])

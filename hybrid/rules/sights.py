@@ -1,0 +1,124 @@
+"""Whether a sum of impacts has seen all of what lies between its start and its limit.
+
+The gap's acceleration and the restitution are bounded over boxes that hold the motion, as
+:mod:`hybrid.zeno.narrow` says; here in doubles, where these decide.
+"""
+
+from __future__ import annotations
+
+import math
+
+from .arrays import Automaton, Floats, Look, Matrix, Sums
+from .bounds import ranges
+from .jets import values
+from .sums import LAW, LOSS, READ, SHOWN, TURN, shown
+
+#: What the gap's acceleration, or the restitution, may be in a box beyond what it is at points,
+#: against its size: bounds overestimate by a little that shrinks with the box.
+EXCESS = 0.02
+
+#: How often a tail is halved, at most. Three or four halvings leave one flight, five more a
+#: thirty-second of it, over which bounds of position and speed are as small.
+HALVINGS = 9
+
+#: How much wider a box is than the points in it, on either side.
+WIDER = 0.25
+
+# Columns of ``stretches``: the first impact and the last, ``first > last``; which shares of each
+# flight after them; how often it may yet be halved. Rows of ``box``: time, gap speed before an
+# impact, states. What is bounded: the gap's acceleration, and the restitution.
+FIRST, LAST, BEGIN, END, LEFT = 0, 1, 2, 3, 4
+TIME, SPEED, STATES = 0, 1, 2
+ACCELERATION, RESTITUTION, COUNT = 0, 1, 2
+
+
+def seen(
+    a: Automaton,
+    flow: int,
+    at: int,
+    sight: int,
+    curve: Matrix,
+    t: float,
+    x: Floats,
+    v: float,
+    r: float,
+    excess: float,
+    room: Sums,
+    look: Look,
+) -> bool:
+    """Whether bounds along a tail are what is there at its points, as far as doubles tell."""
+    put(look.stretches[0], 1.0, 0.0, 0.0, 1.0, HALVINGS)
+    count = 1
+    while count > 0:
+        count -= 1
+        s = look.stretches[count]
+        shown(
+            a.programs, flow, at, curve, t, x, v, r, s[FIRST], s[LAST], s[BEGIN], s[END], room,
+            look.shown,
+        )  # fmt: skip
+        boxed(s[LAST] > 0.0, look)
+        if not fits(a, at, sight, x.shape[0], excess, room, look):
+            if s[LEFT] == 0.0:
+                return False
+            halved(look.stretches, count, r)
+            count += 2
+    return True
+
+
+def put(s: Floats, first: float, last: float, begin: float, end: float, left: float) -> None:
+    """Put a stretch down."""
+    s[FIRST], s[LAST], s[BEGIN], s[END], s[LEFT] = first, last, begin, end, left
+
+
+def halved(stretches: Matrix, place: int, r: float) -> None:
+    """Two stretches of about half the time each; of a single flight, its two parts."""
+    s, other = stretches[place], stretches[place + 1]
+    first, last, begin, end, left = s[FIRST], s[LAST], s[BEGIN], s[END], s[LEFT] - 1.0
+    if last >= r * first:
+        put(s, first, last, begin, 0.5 * (begin + end), left)
+        put(other, first, last, 0.5 * (begin + end), end, left)
+    else:
+        put(s, first, 0.5 * (first + last), 0.0, 1.0, left)
+        put(other, 0.5 * (first + last), last, 0.0, 1.0, left)
+
+
+def boxed(moves: bool, look: Look) -> None:
+    """Bounds of time (a flight more than the stretch itself), of gap speeds before impacts (down
+    to rest where the stretch ends there), and of states."""
+    box, least, most = look.box, look.shown[SHOWN], look.shown[SHOWN + 1]
+    n = box.shape[0] - STATES
+    box[TIME, 0], box[TIME, 1] = least[n + 2], most[n + 3]
+    box[SPEED, 0], box[SPEED, 1] = least[n + 1], most[n + 1] if moves else 0.0
+    for j in range(n):
+        wider = WIDER * (most[j + 1] - least[j + 1])
+        box[STATES + j, 0] = math.nextafter(least[j + 1] - wider, -math.inf)
+        box[STATES + j, 1] = math.nextafter(most[j + 1] + wider, math.inf)
+
+
+def fits(a: Automaton, at: int, sight: int, n: int, excess: float, room: Sums, look: Look) -> bool:
+    """Whether what is bounded is in the box what it is at the points, but for an excess."""
+    if ranges(a.bounds, sight, look.box, look.found) < 0:
+        return False
+    results = a.bounds.index[sight, 2]
+    fit = True
+    for k in range(COUNT):
+        low, high = math.inf, -math.inf
+        for i in range(SHOWN):
+            value = there(a, at, k, n, look.shown[i], room)
+            low, high = min(low, value), max(high, value)
+            fit = fit and not math.isnan(value)
+        size = max(-low, high) if k == ACCELERATION else 1.0
+        wide = high - low + excess * size
+        top = math.nextafter(0.0, -math.inf) if k == ACCELERATION else 1.0 - LOSS
+        found = look.found[a.bounds.results[results + k]]
+        fit = fit and low - wide <= found[0] and found[1] <= min(high + wide, top)
+    return fit
+
+
+def there(a: Automaton, at: int, what: int, n: int, point: Floats, room: Sums) -> float:
+    """The gap's acceleration, or the restitution, at a point that is shown."""
+    read = room.lines[READ]
+    program = at + (TURN if what == ACCELERATION else LAW)
+    state = point[1 : n + 2] if what == RESTITUTION else point[1 : n + 1]
+    values(a.programs, program, point[0], state, room.sides, room.c, room.work, read)
+    return read[n + 1] if what == ACCELERATION else read[0]
