@@ -22,7 +22,7 @@ from .errors import HybridError
 from .run import Driver
 from .scene import Scene, scene_with
 from .trajectory import Status
-from .variation import Course, Factor, walk
+from .variation import Course, Factor, Walk
 
 #: Change of what decides which jump comes first, against the terms of which it is made, that is
 #: rounding of them.
@@ -211,7 +211,7 @@ class _Run:
         """Carry the changes along the run, as far as there is a first variation."""
         carried = _Carried(self, columns)
         places = {part: k for k, part in enumerate(self.rows)}
-        for factor in walk(self.course, True):
+        for factor in carried.walk.factors():
             for moment in carried.through(factor):
                 if moment.part in places and "times" in views:
                     k = places[moment.part]
@@ -251,10 +251,13 @@ class _Carried:
     def __init__(self, run: _Run, columns: int) -> None:
         self.run, self.limits = run, 0
         self.size, count = len(run.x), columns - len(run.x) - 2
-        first = run.course.parts[0]
-        self.state = np.eye(self.size, columns, count)
-        self.state[:, -2] = -np.array(run.scene.field(first.mode).rhs(run.t0, run.x.tolist()))
-        self.given = np.eye(count, columns)
+        self.walk = Walk(run.course, True)
+        flow, brinks = self.walk.begin()
+        self.state, self.given = np.eye(self.size, columns, count), np.eye(count, columns)
+        time = np.eye(1, columns, columns - 2)
+        moved = brinks @ np.vstack([time, self.state, self.given])
+        self.state[:, -2] = -flow
+        self.state[:, np.any(moved != 0.0, axis=0)] = np.nan
         self.last: _At | None = None
         assert run.driver is not None
         self.touched = [jump.t for jump in run.driver.record.grazings]

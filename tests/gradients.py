@@ -141,6 +141,61 @@ class Powers(hy.Automaton):
     impact = hy.contact(flight, gap=lambda self, t, s: s.x - 0.1 * self.m, restitution="r")
 
 
+class Rubbed(hy.Automaton):
+    """A ball in the air of a constant drag: the force turns at the top of each flight."""
+
+    x = hy.state()
+    v = hy.state()
+    c = hy.parameter(2.0)
+    r = hy.parameter(0.7)
+
+    @hy.mode
+    def fly(self, t, s):
+        return s.v, -9.81 - self.c * jnp.sign(s.v)
+
+    impact = hy.contact(fly, gap=lambda self, t, s: s.x, restitution="r")
+
+
+class Corner(hy.Automaton):
+    """A body pressed into a corner that is not square, of a bent floor and a wall."""
+
+    x = hy.state()
+    y = hy.state()
+    u = hy.state()
+    w = hy.state()
+    a = hy.parameter(2.0)
+    lean = hy.parameter(0.3)
+    r = hy.parameter(0.5)
+    bend = hy.parameter(0.1)
+
+    @hy.mode
+    def fly(self, t, s):
+        return s.u, s.w, self.a * (1 + 0.2 * jnp.sin(3 * t)), -9.81
+
+    floor = hy.contact(fly, gap=lambda self, t, s: s.y - self.bend * jnp.sin(s.x), restitution="r")
+    wall = hy.contact(fly, gap=lambda self, t, s: 1.0 - s.x - self.lean * s.y, restitution="r")
+
+
+class Heavy(hy.Automaton):
+    """A body that is heavier one way than the other, on a bent floor."""
+
+    q = hy.state(shape=(2,))
+    p = hy.state(shape=(2,))
+    m = hy.parameter(np.array([1.0, 0.4]))
+    r = hy.parameter(0.6)
+
+    @hy.mode
+    def fly(self, t, s):
+        return s.p, jnp.array([0.0, -9.81])
+
+    hit = hy.contact(
+        fly,
+        gap=lambda self, t, s: s.q[1] - 0.2 * s.q[0] ** 2,
+        restitution="r",
+        inverse_mass=lambda self, t, s: self.m,
+    )
+
+
 #: By name: the model, and for each number the range from which it is drawn (starts by state).
 SCENES = {
     "table": (
@@ -155,7 +210,10 @@ SCENES = {
     "kicked": (Kicked, {"high": (0.8, 1.2), "low": (-0.7, -0.3), "y": (-0.3, 0.3)}, (0.0, 6.0)),
     "gusts": (Gusts, {"r": (0.5, 0.7), "begins": (0.3, 0.9), "x": (0.9, 1.2)}, (0.0, 2.0)),
     "thrown": (Thrown, {"begins": (1.5, 2.0), "lift": (11.0, 13.0), "x": (0.5, 1.0)}, (0.0, 3.0)),
-    "pool": (Pool, {"r": (0.3, 0.6), "u": (2.0, 4.0), "y": (0.5, 1.0)}, (0.0, 3.0)),
+    "pool": (Pool, {"r": (0.3, 0.6), "u": (2.0, 4.0), "y": (0.5, 1.0)}, (0.0, 2.0)),
+    "rubbed": (Rubbed, {"r": (0.4, 0.7), "c": (1.0, 3.0), "v": (0.3, 1.0)}, (0.0, 2.0)),
+    "corner": (Corner, {"r": (0.3, 0.5), "y": (0.5, 0.7), "lean": (0.1, 0.4)}, (0.0, 2.0)),
+    "heavy": (Heavy, {"r": (0.4, 0.7), "p": (0.1, 0.3), "q": (0.4, 0.6)}, (0.0, 1.5)),
     "powers": (Powers, {"p": (0.8, 2.5), "m": (1.5, 2.5), "x": (0.6, 1.2)}, (0.0, 2.5)),
     "drag": (Drag, {"r": (0.4, 0.8), "c": (0.1, 0.4), "x": (0.5, 1.5)}, (0.0, 2.0)),
     "forced": (ForcedOscillator, {"r": (0.6, 0.9), "w": (2.5, 3.0), "x": (-1.0, -0.5)}, (0.0, 9.0)),
@@ -196,7 +254,7 @@ def drawn(name, seed):
     start = []
     for state in cls.spec.states:
         value = np.full(state.shape, found.get(state.name, 0.0))
-        if name == "circle" and state.name == "q":
+        if name in ("circle", "heavy") and state.name == "q":
             value[1] += 1.05
         start.append(value.reshape(-1))
     given = [np.ravel(getattr(model, p.name)) for p in cls.spec.parameters]

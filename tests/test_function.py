@@ -13,6 +13,7 @@ from models.bouncing_ball import BouncingBall
 from models.hard_spring import HardSpring
 from models.two_tanks import TwoTanks
 from tests import gradients
+from tests.gradients import Rubbed
 from tests.systems import ForcedOscillator as Forced
 from tests.systems import Oscillator
 
@@ -247,6 +248,36 @@ def test_after_a_tangency_there_is_none():
     assert float(jax.grad(end)(0.9, -1.0)) == pytest.approx(np.cos(5.0), rel=1e-12)
     assert np.isnan(jax.grad(end)(1.0, -1.0))
     assert np.isnan(jax.jacfwd(end, 1)(1.0, -1.0))
+
+
+def test_a_start_where_the_force_turns():
+    """At rest in the air: what it is thrown with turns the drag at once or later, and has no
+    derivative; all else has, the time at which it is let go among them."""
+    run = lambda t0: hy.as_function(Rubbed(), t=(t0, 0.9), max_jumps=4)  # noqa: E731
+
+    def end(c, v, t0):
+        return run(t0)(Rubbed(c=c), {"x": 1.0, "v": v}).final["x"]
+
+    by_c, by_v, by_t0 = jax.grad(end, (0, 1, 2))(2.0, 0.0, 0.0)
+    assert np.isnan(by_v)
+    step = 1e-4
+    for slope, ends in (
+        (by_c, [end(2.0 + s, 0.0, 0.0) for s in (-step, step)]),
+        (by_t0, [end(2.0, 0.0, s) for s in (-step, step)]),
+    ):
+        assert float(slope) == pytest.approx(float(ends[1] - ends[0]) / (2 * step), rel=1e-6)
+
+
+def test_the_steps_of_a_method_close_in_on_a_force_that_turns():
+    """DOP853's, a million millionth long, are differentiated as Taylor's are."""
+    slopes = [
+        jax.grad(lambda c, f=f: f(Rubbed(c=c), {"x": 1.0, "v": 0.5}).final["x"])(2.0)
+        for f in (
+            hy.as_function(Rubbed(), t=(0.0, 1.0), max_jumps=4, **options)
+            for options in ({}, {"solver": "scipy", "rtol": 1e-12, "atol": 1e-13})
+        )
+    ]
+    assert float(slopes[1]) == pytest.approx(float(slopes[0]), rel=1e-9)
 
 
 def test_what_has_a_derivative_is_not_spoilt_by_what_has_none():

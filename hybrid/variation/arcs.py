@@ -34,7 +34,11 @@ SAMPLES = nodes(8)
 #: drawn out to the end along a straight line, which errs by the square of this.
 BESIDE = 1e-6
 
-#: A change of the flow below this, relative to its size about there, is none: a thousand times
+#: The same where steps are so short that rounding would decide on the side: against the time since
+#: the arc began; and the largest share.
+APART, MOST = 1e-10, 0.25
+
+#: A change of the flow below this, relative to its size along the arc, is none: a thousand times
 #: what the straight line errs by.
 NOTHING = 1e-9
 
@@ -56,6 +60,12 @@ class Piece:
     def end(self) -> float:
         return self.start + self.length
 
+    @property
+    def beside(self) -> float:
+        """How far from an end its side of a kink is told."""
+        share = max(BESIDE, APART * self.segment.end / self.length)
+        return min(share, MOST) * self.length
+
     def halves(self) -> list[Piece]:
         """Its two halves."""
         half = 0.5 * self.length
@@ -64,8 +74,8 @@ class Piece:
 
     def flow(self, field: Field, ends: bool) -> tuple[np.ndarray, np.ndarray]:
         """The flow at one of its ends, as it is on this side of it; and its size about there."""
-        end, step = (self.end, -self.length) if ends else (self.start, self.length)
-        taus = [end + share * step for share in (BESIDE, 2.0 * BESIDE, 0.5)]
+        end, way = (self.end, -1.0) if ends else (self.start, 1.0)
+        taus = [end + way * s for s in (self.beside, 2.0 * self.beside, 0.5 * self.length)]
         near, far, middle = (
             np.array(field.rhs(self.t + tau, self.segment(tau).tolist())) for tau in taus
         )
@@ -96,14 +106,15 @@ def along(
         Derivatives of the flow, and of numbers behind the state that depend on it alone.
     """
     rate = of.flow(field) if rate is None else rate
-    kinks = None
+    kinks, largest = None, np.zeros(of.size)
     if field.changes:
+        largest = np.max([_middle(field, t, segment) for segment in segments], axis=0)
         kinks = of.kinks(("flow", field.name), field, lambda g: g.flow(bool(field.held)))
     last: Piece | None = None
     for segment in segments:
         for piece in _pieces(kinks, t, segment):
             if kinks is not None and last is not None:
-                bend = _bend(kinks, field, last, piece)
+                bend = _bend(kinks, field, last, piece, largest)
                 if bend is not None:
                     yield piece.start, _widened(bend, rate(t, segment(piece.start)))
             yield piece.end, _resolve(rate, piece, of.units)
@@ -215,11 +226,19 @@ def _zero(values: Callable[[float], np.ndarray], k: int, a: float, b: float) -> 
         a, b = (middle, b) if values(middle)[k] * low > 0 else (a, middle)
 
 
-def _bend(kinks: Matrix, field: Field, before: Piece, after: Piece) -> np.ndarray | None:
+def _middle(field: Field, t: float, segment: Segment) -> np.ndarray:
+    """Sizes of the flow in the middle of a step."""
+    tau = segment.start + 0.5 * segment.length
+    return np.abs(field.rhs(t + tau, segment(tau).tolist()))
+
+
+def _bend(
+    kinks: Matrix, field: Field, before: Piece, after: Piece, largest: np.ndarray
+) -> np.ndarray | None:
     """The saltation from a piece of an arc to the next; None where the flow does not jump."""
     there, here = before.flow(field, True), after.flow(field, False)
     jump = here[0] - there[0]
-    if np.all(np.abs(jump) <= NOTHING * np.maximum(there[1], here[1])):
+    if np.all(np.abs(jump) <= NOTHING * np.maximum(largest, np.maximum(there[1], here[1]))):
         return None
     row = passing(kinks, before, there[0])
     return np.eye(len(jump), len(row)) - np.outer(jump, row)
@@ -236,7 +255,7 @@ def passing(kinks: Matrix, piece: Piece, flow: np.ndarray) -> np.ndarray:
     """
     t, found = piece.t + piece.end, kinks(piece.t + piece.end, piece.segment(piece.end))
     rates = found[:, 1] + found[:, 2 : 2 + len(flow)] @ flow
-    there = np.abs(found[:, 0]) < BESIDE * piece.length * np.abs(rates)
+    there = np.abs(found[:, 0]) < piece.beside * np.abs(rates)
     rows = -found[there, 2:] / rates[there, None]
     if not len(rows) or np.any(np.abs(rows - rows[0]) > SAME * np.abs(rows[0])):
         raise OrbitError(

@@ -25,7 +25,7 @@ from ..errors import OrbitError
 from ..rules.guards import NEAR
 from ..scene import Field, Guard, Scene, scene_of
 from ..trajectory import Trajectory
-from .arcs import BESIDE, Piece, along, passing
+from .arcs import Piece, along, passing
 from .derivatives import Derivatives
 from .limit import ROUNDING, cleared, through
 
@@ -128,27 +128,29 @@ def factors(model: Any, run: Trajectory) -> Iterator[Factor]:
         )
     if any(isinstance(part, Arc) and part.length and not part.segments for part in run.parts):
         raise OrbitError(f"{run.spec.model}: the first variation needs a run with save='dense'")
-    yield from walk(Course.of(model, run), False)
-
-
-def walk(course: Course, parameters: bool) -> Iterator[Factor]:
-    """The same along a course, with columns for the elements of the parameters if they are asked
-    for."""
-    yield from _Walk(course, Derivatives(course.scene, parameters)).factors()
+    yield from Walk(Course.of(model, run)).factors()
 
 
 #: A jump, and the place of the part that it ends.
 Row = tuple[int, JumpRow]
 
 
-class _Walk:
-    """A walk over the parts of a run."""
+class Walk:
+    """A walk over the parts of a run; with columns for the elements of the parameters if they are
+    asked for."""
 
-    def __init__(self, course: Course, derivatives: Derivatives) -> None:
-        self.course, self.scene, self.of = course, course.scene, derivatives
-        self.size, self.model = derivatives.size, course.scene.spec.model
+    def __init__(self, course: Course, parameters: bool = False) -> None:
+        self.course, self.scene = course, course.scene
+        self.of = Derivatives(course.scene, parameters)
+        self.size, self.model = self.of.size, course.scene.spec.model
+
+    def begin(self) -> tuple[np.ndarray, np.ndarray]:
+        """The flow at the start, and what must not change there by time, state and parameters."""
+        part = self.course.parts[0]
+        return self._flow(part, False), self._brinks(part, False)
 
     def factors(self) -> Iterator[Factor]:
+        """Piece by piece, in order (:func:`factors`)."""
         group: list[Row] = []  # jumps with no time between them
         parts, jumps = self.course.parts, self.course.jumps
         yield from self.onto(parts[0])
@@ -197,22 +199,20 @@ class _Walk:
 
     def jump(self, group: Sequence[Row], after: Part | None) -> Factor:
         """One jump, or several with no time between them."""
-        (index, first), (_, last) = group[0], group[-1]
-        field, guard = self._fired(*group[0])
-        piece = self._piece(self.course.parts[index], -1)
-        before = np.array(field.rhs(first.t, first.before.tolist()))
-        if piece is not None and field.changes:
-            before = piece.flow(field, True)[0]
+        (index, first), part = group[0], self.course.parts[group[0][0]]
+        field, guard = self._fired(index, first)
+        piece, before = self._piece(part, True), self._flow(part, True)
         jumped = piece if piece is not None and self._jumps(guard, field, piece) else None
         time = self._time(field, guard, first, before, jumped)
         moments, ties = self._moments(group, time, before)
+        ties = np.vstack([ties, *self._sides(part, after, moments)])
         resets = np.eye(self.size, self.of.columns, 1)
         for place, row in group:
             resets = self._after(self._reset(place, row), resets)
         reset = resets[:, 1:]
         if guard.kind not in SMOOTH or jumped is not None or len(group) > 1:
             moves = resets[:, 1 : 1 + self.size] @ before + resets[:, 0]
-            change = moves - (moves if after is None else self._leaves(after, last))
+            change = moves - (moves if after is None else self._flow(after, False))
             later = np.outer(change, time)
             reset = cleared(reset + later, np.abs(reset) + np.abs(later), ROUNDING)
         return Factor(first.t, " ".join(row.edge for _, row in group), reset, moments, ties)
@@ -283,22 +283,54 @@ class _Walk:
         """Whether a guard that fires at the end of a piece is not zero there, seen from it."""
         if not guard.jumps:
             return False
-        taus = [piece.end - share * piece.length for share in (BESIDE, 2.0 * BESIDE)]
+        taus = [piece.end - piece.beside, piece.end - 2.0 * piece.beside]
         near, far = (guard.value(piece.t + s, piece.segment(s).tolist()) for s in taus)
         x = piece.segment(piece.end)
         size = self.scene.rounding(guard, field)(piece.t + piece.end, x.tolist())[0]
         return bool(abs(2.0 * near - far) > NEAR * size)
 
-    def _leaves(self, after: Part, row: JumpRow) -> np.ndarray:
-        """The flow after a jump."""
-        field, piece = self.scene.field(after.mode), self._piece(after, 0)
-        if piece is not None and field.changes:
-            return piece.flow(field, False)[0]
-        return np.array(field.rhs(row.t, row.after.tolist()))
+    def _sides(self, part: Part, after: Part | None, moments: Sequence[Moment]) -> list[np.ndarray]:
+        """What must not change for a jump at which flows jump as well: neighbours would have that
+        before the jump, or after it."""
+        first, last = moments[0], moments[-1]
+        before = self._brinks(part, True)
+        found = [before @ self._moved(first.time, first.before)]
+        if after is not None:
+            found.append(self._brinks(after, False) @ self._moved(last.time, last.after))
+        return [cleared(rows, np.abs(rows).max(initial=0.0), TIED) for rows in found]
 
-    def _piece(self, part: Part, place: int) -> Piece | None:
+    def _brinks(self, part: Part, ends: bool) -> np.ndarray:
+        """Derivatives of the functions that are zero at an end of an arc, and beyond which its flow
+        is another."""
+        field, piece = self.scene.field(part.mode), self._piece(part, ends)
+        if piece is None or not field.changes:
+            return np.zeros((0, self.of.columns))
+        at = piece.end if ends else piece.start
+        t, x = piece.t + at, piece.segment(at)
+        found = self.of.kinks(("flow", field.name), field, lambda g: g.flow(bool(field.held)))(t, x)
+        flow, size = piece.flow(field, ends)
+        rates = found[:, 1] + found[:, 2 : 2 + self.size] @ flow
+        near = np.abs(found[:, 0]) < piece.beside * np.abs(rates)
+        beyond = (1.0 if ends else -1.0) * piece.beside
+        beside, far = (
+            np.array(field.rhs(t + s, (x + s * flow).tolist())) for s in (beyond, 2.0 * beyond)
+        )
+        other = 2.0 * beside - far
+        return found[near, 1:] if np.any(np.abs(other - flow) > NEAR * size) else found[:0, 1:]
+
+    def _flow(self, part: Part, ends: bool) -> np.ndarray:
+        """The flow at an end of a part, as it is on its side."""
+        field, piece = self.scene.field(part.mode), self._piece(part, ends)
+        if piece is not None and field.changes:
+            return piece.flow(field, ends)[0]
+        if isinstance(part, TailPart):
+            return np.array(field.rhs(part.t0, part.tail.x.tolist()))
+        t, x = (part.t1, part.last) if ends else (part.t0, part.first)
+        return np.array(field.rhs(t, x.tolist()))
+
+    def _piece(self, part: Part, ends: bool) -> Piece | None:
         """The first or last step of an arc."""
         if not isinstance(part, Arc) or not part.segments:
             return None
-        segment = part.segments[place]
+        segment = part.segments[-1 if ends else 0]
         return Piece(part.t0 + part.low, segment, segment.start, segment.length)
