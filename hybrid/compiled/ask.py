@@ -15,45 +15,8 @@ from ..scene.scene import parted
 from ..solvers.base import method_of
 from ..solvers.diffrax_backend import DEGREES, compiled_method, without_series
 from ..solvers.series import TAYLOR
-from .lane import (
-    END,
-    FORGOTTEN,
-    LOOP,
-    MAX_JUMPS,
-    MAX_STEPS,
-    NO_REST,
-    NOT_FINITE,
-    OUTSIDE,
-    UNDECIDED,
-    ZENO,
-)
 from .past import Past
 from .system import System, system_of
-
-#: What a lane's status means.
-REASONS = {
-    END: ("reached_end", "the last time was reached"),
-    MAX_JUMPS: ("max_jumps", "max_jumps was reached; raise it"),
-    ZENO: ("zeno_stopped", "jumps accumulate (zeno='stop'); zeno='rest' goes on at rest"),
-    NO_REST: ("no_rest", "jumps accumulate, and the contact declares rests=False"),
-    MAX_STEPS: ("max_steps", "max_steps was reached; raise it"),
-    NOT_FINITE: (
-        "not_finite",
-        "a flow, guard or reset is not finite, or the step became zero",
-    ),
-    OUTSIDE: ("outside", "the start, or a reset, is outside the mode's domain"),
-    UNDECIDED: (
-        "undecided",
-        "a guard is zero and the derivatives looked at do not decide which way it goes, "
-        "or a switching forbids to slide or meets another; hy.simulate says which",
-    ),
-    LOOP: ("jump_loop", "jumps follow each other with no time between them"),
-    FORGOTTEN: (
-        "forgotten",
-        "a lag looks further back than the record (raise segments), at the present or ahead, or "
-        "where the history is not finite",
-    ),
-}
 
 
 def code_of(model: Any) -> Lowered:

@@ -167,8 +167,8 @@ def _collocate(rate: Matrix, piece: Piece) -> tuple[np.ndarray, np.ndarray]:
     """The matrix of a piece, and the last terms of the series whose integral it is: where they are
     nothing, so is what is left out."""
     points, inner, weights, series = _gauss()
-    taus = piece.start + piece.length * points
-    states = piece.segment(taus)
+    taus, whole = piece.start + piece.length * points, piece.length == piece.segment.length
+    states = piece.segment.at(points) if whole else piece.segment(taus)
     pairs = zip((piece.t + taus).tolist(), states, strict=True)
     rates = np.array([rate(t, x) for t, x in pairs])[:, :, 1:]
     size, columns = rates.shape[1:]
