@@ -310,3 +310,29 @@ def test_what_is_no_orbit():
         hy.periodic_orbit(VanDerPol(), [0.0, 0.0])
     with pytest.raises(hy.OptionError, match="no value for v"):
         hy.periodic_orbit(VanDerPol(), {"x": 1.0})
+
+
+class Pair(hy.Automaton):
+    """Two oscillators that know nothing of each other, each before its wall."""
+
+    x = hy.state()
+    y = hy.state()
+    u = hy.state()
+    w = hy.state()
+
+    @hy.mode
+    def swing(self, t, s):
+        return s.u, s.w, -s.x, -s.y
+
+    one = hy.contact(swing, gap=lambda self, t, s: s.x + 0.5, restitution=0.9)
+    other = hy.contact(swing, gap=lambda self, t, s: s.y + 0.5, restitution=0.9)
+
+
+def test_jumps_together_that_neighbours_have_apart_are_refused():
+    """In step they strike at once; out of step each has the matrix that it has alone."""
+    run = hy.simulate(Pair(), [1.0, 1.0, 0.0, 0.0], (0.0, 3.0), **FINE)
+    with pytest.raises(hy.OrbitError, match="at the same instant"):
+        list(factors(Pair(), run))
+    apart = hy.simulate(Pair(), [1.0, 1.1, 0.0, 0.0], (0.0, 3.0), **FINE)
+    exact = differences(Pair(), np.array([1.0, 1.1, 0.0, 0.0]), (0.0, 3.0), 1e-3)
+    np.testing.assert_allclose(variation(Pair(), apart), exact, atol=1e-8)

@@ -128,7 +128,14 @@ def factors(model: Any, run: Trajectory) -> Iterator[Factor]:
         )
     if any(isinstance(part, Arc) and part.length and not part.segments for part in run.parts):
         raise OrbitError(f"{run.spec.model}: the first variation needs a run with save='dense'")
-    yield from Walk(Course.of(model, run)).factors()
+    for factor in Walk(Course.of(model, run)).factors():
+        if factor.ties is not None and np.any(factor.ties):
+            raise OrbitError(
+                f"{run.spec.model}, t = {factor.t!r}: at {factor.edge} something else happens at "
+                "the same instant, which neighbours have before it or after it: there is no first "
+                "variation"
+            )
+        yield factor
 
 
 #: A jump, and the place of the part that it ends.
