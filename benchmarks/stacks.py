@@ -24,7 +24,6 @@ METHODS = [
     ("scipy", "Radau"),
     ("taylor", None),
     ("diffrax", "Dopri8"),
-    ("diffrax", "Taylor"),
 ]
 
 

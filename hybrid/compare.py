@@ -29,7 +29,6 @@ METHODS: dict[str, dict[str, Any]] = {
     "diffrax Dopri8": {"solver": "diffrax", "method": "Dopri8"},
     "diffrax Tsit5": {"solver": "diffrax", "method": "Tsit5"},
     "diffrax Kvaerno5": {"solver": "diffrax", "method": "Kvaerno5"},
-    "diffrax Taylor": {"solver": "diffrax", "method": "Taylor"},
 }
 
 #: Steps whose errors may add up, and the change of the start that measures their growth.
@@ -122,7 +121,7 @@ def compare(
     Comparison
         Jumps are compared in order; states in the middle of each arc and after each jump.
     """
-    chosen = dict(able(model) if methods is None else methods)
+    chosen = dict(METHODS if methods is None else methods)
     options = {"rtol": rtol, "atol": atol, **options}
     runs = {label: _run(model, start, t, {**options, **choice}) for label, choice in chosen.items()}
     reference, first = next(iter(runs.items()))
@@ -138,12 +137,6 @@ def compare(
             allowed = STEPS * (rtol * size + atol) * growth[quantity] if quantity in CLOSE else 0.0
             rows.append(Difference(label, quantity, value, allowed))
     return Comparison(reference, runs, rows, growth, rtol)
-
-
-def able(model: Any) -> dict[str, dict[str, Any]]:
-    """Those of ``METHODS`` that a model can be run with."""
-    delayed = bool(model.spec.lags)
-    return {k: c for k, c in METHODS.items() if not (delayed and c.get("method") == "Taylor")}
 
 
 def _run(model: Any, start: Any, t: Any, options: Any) -> Trajectory | HybridError:

@@ -18,6 +18,7 @@ from .extras import TABLES, need
 from .reals import reals
 from .run import Driver
 from .scene import Scene, scene_of, scene_with
+from .solvers import renamed
 from .trajectory import Status
 
 if TYPE_CHECKING:
@@ -125,9 +126,10 @@ def ensemble(
     need("hy.ensemble", TABLES)
     require_model(model)
     scene = scene_of(model)
+    solver, method = renamed(_solver(scene, solver, method), method)
     asked = Asked(
         spec=scene.spec,
-        solver=_solver(scene, solver, method),
+        solver=solver,
         method=method,
         controller=controller,
         rtol=rtol,

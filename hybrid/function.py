@@ -15,6 +15,7 @@ from .automaton.base import require_model
 from .automaton.spec import Spec
 from .errors import OptionError
 from .scene import Scene, scene_of
+from .solvers import renamed
 from .tangent import NUMBERS, REASONS, Layout, Runs
 
 OUTPUTS = ("final", "jumps", "zeno")
@@ -246,6 +247,7 @@ def runs_of(
     scene = scene_of(model)
     series = all(scene.field(name).jets is not None for name in scene.modes)
     named = solver or ("diffrax" if method is not None else "taylor" if series else "scipy")
+    named, method = renamed(named, method)
     bounds: dict[str, Any] = {"max_jumps": max_jumps + 1, "max_steps": max_steps}
     asked = Asked(spec=scene.spec, solver=named, method=method, **steps, **bounds)
     asked.driver(scene, (0.0, 1.0), np.zeros(scene.spec.dimension), None)  # whether all is known

@@ -1,7 +1,8 @@
-"""What a run keeps as it goes on: parts and jumps, one by one or a compiled streak at a time.
+"""What a run keeps as it goes on: parts and jumps, one by one or many at a time.
 
-A streak leaves thousands of arcs as a few arrays. They are taken apart into :class:`Arc` and
-:class:`JumpRow` when somebody asks for these; the table of jumps needs them as arrays anyway.
+A call of the rules' own loop leaves thousands of arcs as a few arrays. They are taken apart into
+:class:`Arc` and :class:`JumpRow` when somebody asks for these; the table of jumps needs them as
+arrays anyway.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ from .automaton.base import require_model
 from .hindsight import Hindsight
 from .run import Driver, Plan
 from .scene import Scene, scene_of
+from .solvers import renamed
 from .stats import Stats, versions
 from .trajectory import Trajectory
 
@@ -52,12 +53,11 @@ def simulate(
     method : str, class or object, optional
         A method of the solver. SciPy's are DOP853 (default), RK45, RK23, Radau, BDF, LSODA, or a
         subclass of ``scipy.integrate.OdeSolver``; Diffrax's Dopri8 (default), Tsit5, Dopri5, Bosh3,
-        Heun, Midpoint, Ralston, and Kvaerno3, Kvaerno4, Kvaerno5 for stiff flows, and Taylor
-        (series; no delays), or any ``diffrax.AbstractSolver`` of one ``ODETerm``.
+        Heun, Midpoint, Ralston, and Kvaerno3, Kvaerno4, Kvaerno5 for stiff flows, or any
+        ``diffrax.AbstractSolver`` of one ``ODETerm``.
     controller : diffrax.AbstractStepSizeController, optional
         With ``solver="diffrax"``: what chooses the steps, in times from the start of each arc;
-        Diffrax's ``PIDController`` with the tolerances if omitted. Steps of an object, or with a
-        controller, are made one by one; long runs of a method by name are compiled as a whole.
+        Diffrax's ``PIDController`` with the tolerances if omitted.
     rtol, atol : float, optional
         Tolerances of the solver for each step, in shares of each element of the state and in its
         own unit; ``atol`` may be an array, one for each element. Each solver's own if omitted:
@@ -66,7 +66,7 @@ def simulate(
         ``run.options`` says which they were.
     max_step : float, optional
         The longest step, in time; as long as the tolerances allow if omitted. It is for what is so
-        brief that steps pass over it. Plain arcs are then not compiled with ``solver="diffrax"``.
+        brief that steps pass over it.
     first_step : float, optional
         The first step that is tried wherever the solver starts: at ``t[0]``, after each jump, and
         with delays where a jump, or the start, arrives. It is made shorter where the tolerances
@@ -117,6 +117,7 @@ def simulate(
     """
     begun = perf_counter()
     require_model(model)
+    solver, method = renamed(solver, method)
     scene = scene_of(model)
     asked = Asked(
         spec=scene.spec,

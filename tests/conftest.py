@@ -17,7 +17,7 @@ from hybrid.rules import unit
 from .contract.ways import MECHANISMS, SOLVERS, WAYS, expected_failure
 
 #: Those that reach rounding.
-ACCURATE = ["DOP853", "taylor", "Dopri8", "Taylor"]
+ACCURATE = ["DOP853", "taylor", "Dopri8"]
 
 #: Bytes of memory from which on a worker gives back what it no longer needs: two workers of the
 #: suite then fit where there are 8 GB.

@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 import hybrid as hy
 from hybrid import gallery
 from hybrid.cli import app
-from hybrid.compare import CLOSE, SAME, able, compare
+from hybrid.compare import CLOSE, METHODS, SAME, compare
 from hybrid.run import cycles
 from models.two_tanks import TwoTanks
 
@@ -20,8 +20,8 @@ def test_solvers_agree_on_a_model(name):
     entry = gallery.find(name)
     found = compare(entry.cls(), entry.start, entry.until, history=entry.history)
     assert found.explained, [d for d in found.differences if not d.explained]
-    assert list(found.runs) == list(able(entry.cls))
-    assert len(found.runs) == 8 + (not entry.cls.spec.lags)
+    assert list(found.runs) == list(METHODS)
+    assert len(found.runs) == 8
 
 
 def test_what_the_tolerance_does_not_explain_is_seen():

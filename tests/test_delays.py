@@ -13,9 +13,6 @@ from . import delayed
 from .conftest import SOLVERS
 from .delay_truth import HALVING, TRUTHS, unit_lag, unit_lag_kicked
 
-#: Methods that know no delays.
-WITHOUT = {"Taylor"}
-
 TIGHT = {"rtol": 1e-10, "atol": 1e-12}
 
 #: Errors grow along a run; this much at TIGHT, against the size of what is known.

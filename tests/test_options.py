@@ -246,12 +246,24 @@ def test_steps_are_counted_where_nothing_is_kept(options):
     assert kept.steps >= 90
 
 
-def test_what_compiled_streaks_reject_is_not_known():
-    """None, for a long run with Diffrax and for a method that is compiled at once."""
-    for options in ({"max_jumps": 300}, {"method": "Taylor", "max_jumps": 20}):
-        model, start, _ = SCENES["duffing"]
-        run = hy.simulate(model, start, (0.0, 2000.0), solver="diffrax", save="jumps", **options)
-        assert run.stats.rejected is None
+@pytest.mark.parametrize("method", ["Tsit5", "Kvaerno5"])
+def test_what_a_long_run_rejects_is_counted(method):
+    """With Diffrax: some attempts in a hundred, and no step that is made twice."""
+    model, start, _ = SCENES["duffing"]
+    options = {"solver": "diffrax", "method": method, "max_jumps": 300}
+    run = hy.simulate(model, start, (0.0, 2000.0), **options)
+    assert 0 < run.stats.rejected < run.stats.steps == len(lengths(run))
+
+
+def test_taylor_of_diffrax_is_the_solver_taylor():
+    """The same run, with a warning that names it."""
+    ball, start, span = BouncingBall(), START, SPAN
+    with pytest.warns(FutureWarning, match="solver='taylor'") as told:
+        old = hy.simulate(ball, start, span, solver="diffrax", method="Taylor")
+    assert [warning.filename for warning in told] == [__file__]
+    new = hy.simulate(ball, start, span, solver="taylor")
+    assert old.options == new.options
+    assert old.jumps.t.tolist() == new.jumps.t.tolist()
 
 
 def test_expansions_of_the_rules_own_loop_are_counted():

@@ -5,8 +5,8 @@
 ``lane``, ``roots``, ``detect``, ``turn``, ``tail``
     The rules: one trajectory on its way, the zeros of guards, the first event of a step, one
     step or jump, the sum of a series of impacts.
-``lanes``, ``streak``
-    The loops around them: a whole trajectory, the plain arcs of one.
+``lanes``
+    The loops around them: a whole trajectory.
 ``ask``
     What a caller gives, as arrays.
 """

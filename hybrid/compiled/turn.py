@@ -1,8 +1,8 @@
 """One attempted step with its events, one jump, one entry: the pieces of a compiled run.
 
 The rules are those of ``docs/semantics.md``, numbers in brackets its rules. All pieces are
-pure functions of a :class:`.lane.Lane`; the loops around them (:mod:`.lanes`, :mod:`.streak`)
-decide for how long and for how many lanes.
+pure functions of a :class:`.lane.Lane`; the loops around them (:mod:`.lanes`) decide for how long
+and for how many lanes.
 """
 
 from __future__ import annotations

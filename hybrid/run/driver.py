@@ -6,8 +6,6 @@ The rules are those of ``docs/semantics.md``; numbers in brackets are its rules.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
-from typing import Any
 
 import attrs
 import numpy as np
@@ -43,9 +41,6 @@ from .plan import PATIENCE, Plan
 from .recorder import Recorder
 from .watch import Watch
 
-#: Jumps after which a run is taken to be long: worth the seconds in which a streak is compiled.
-HOT = 64
-
 
 class Driver:
     """One run; ``mode`` is the one that the last jump, or the start, has led to."""
@@ -76,8 +71,6 @@ class Driver:
         self._struck: set[str] = set()
         own = not scene.spec.lags and (solver.whole or solver.asked)
         self.loop = Machine(self) if own else None
-        self.compiles = not (scene.spec.lags or solver.compiled is None or plan.bounded)
-        self.hot = self.loop is None
 
     @property
     def t(self) -> float:
@@ -174,24 +167,12 @@ class Driver:
     def flow(self) -> None:
         """Flow an arc, or as many as need no judgement, and carry out the jump that ends it."""
         plain = self.entry.field is self.scene.field(self.entry.field.name)
-        flyer = self.flyer if plain and not self.wary else None
-        if flyer is not None and flyer.takes():
+        loop = self.loop if plain and not self.wary else None
+        if loop is not None and loop.takes():
             self._spent, self._tied = frozenset(), {}
-            flyer.fly()
+            loop.fly()
         else:
             self.flow_arc()
-
-    @property
-    def flyer(self) -> Any:
-        """What flies plain arcs: the rules' own loop, or of a long run whole streaks, compiled."""
-        hot = self.hot or self.record.made >= HOT
-        return self._streaks if self.compiles and hot else self.loop
-
-    @cached_property
-    def _streaks(self) -> Any:
-        from .streak import Streaks
-
-        return Streaks(self, self.solver)
 
     def begin(self, field: Field, x: np.ndarray, came: Callable[[], Jumped]) -> None:
         """Begin an arc at whose start nobody has looked (see :meth:`renew`)."""

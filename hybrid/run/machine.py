@@ -72,10 +72,6 @@ if TYPE_CHECKING:
 JUMPS_KEPT, STEPS_KEPT, MORE, MOST = 64, 512, 4, 1 << 15
 SUMS_KEPT = 8
 
-#: Steps in a call after which a run is left to compiled streaks, where the solver has such, the
-#: present arc from its start: they take about as long as compiling one.
-LONG = 2048
-
 
 class Machine:
     """Flies a driver's plain arcs by the rules' own loop: with Taylor series, or with another
@@ -137,9 +133,6 @@ class Machine:
             if ended or self._spent(status, left):
                 return
             driver.watch = Watch(*self._series())
-            if status in (FULL, STEP) and driver.flyer is not self:
-                driver.renew()
-                return
             if status != FULL:
                 self._stand(left, status)
                 return
@@ -206,9 +199,6 @@ class Machine:
                     assert self.outside is not None
                     made = len(self.outside.arcs)
                     if status == STEP and self.driver.steps + made >= self.plan.max_steps:
-                        return STEP
-                    if self.driver.compiles and made > LONG:
-                        self.driver.hot = True
                         return STEP
                     (self.outside.step if status == STEP else self.outside.land)(now, room)
         except KeyboardInterrupt:

@@ -5,8 +5,8 @@
     of the method itself. Radau for stiff flows. BDF and LSODA restart at order one after
     each jump.
 ``diffrax``
-    Diffrax's methods, each step compiled; in long runs plain arcs, with their events and jumps, run
-    as one program. Dopri8 is the default; Kvaerno5 for stiff flows.
+    Diffrax's methods, some steps ahead in each call of a compiled program. Dopri8 is the default;
+    Kvaerno5 for stiff flows.
 ``taylor``
     Taylor series made from the trace, for flows that are not stiff: accurate to rounding where
     no tolerance is given, and of a lower order where one is. To rounding, it is also what a
@@ -18,6 +18,7 @@ group ``hybrid.solvers`` (``docs/extending.md``).
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from importlib.metadata import entry_points
 from typing import Any
@@ -74,6 +75,16 @@ def maker(solver: str) -> Maker:
     return made
 
 
+def renamed(solver: str, method: Any) -> tuple[str, Any]:
+    """A solver and a method; where the method is now a solver of its own that one, with a warning
+    to the caller of the caller."""
+    if solver != "diffrax" or not isinstance(method, str) or method != "Taylor":
+        return solver, method
+    text = "solver='diffrax', method='Taylor' is now solver='taylor'"
+    warnings.warn(text, FutureWarning, stacklevel=3)
+    return "taylor", None
+
+
 def choose(
     solver: str,
     method: Any,
@@ -114,4 +125,4 @@ def own_rtol(solver: str) -> float:
     return float(getattr(maker(solver), "own_rtol", Solver.own_rtol))
 
 
-__all__ = ["SOLVERS", "Solver", "Stepper", "choose", "own_rtol"]
+__all__ = ["SOLVERS", "Solver", "Stepper", "choose", "own_rtol", "renamed"]

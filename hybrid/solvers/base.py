@@ -137,9 +137,6 @@ class Solver(abc.ABC):
     name, method : str
     order : int
         Order of the method; the driver chooses an arc's first step by it.
-    compiled : object or None
-        The method as a pure function (:class:`.diffrax_backend.Method`), where whole streaks
-        of arcs can be compiled with it.
     whole : bool
         Whether the rules' own loop makes these steps, so that it can fly whole arcs.
     rejected, evaluations : int or None
@@ -149,8 +146,7 @@ class Solver(abc.ABC):
         The longest step. Those that can stop at the limit of a step are given one: it is for those
         that cannot.
     asked : bool
-        Whether that loop may ask its steppers for steps: they have :meth:`Stepper.powers`. A long
-        run goes on in compiled streaks, where there are such.
+        Whether that loop may ask its steppers for steps: they have :meth:`Stepper.powers`.
     rtol, atol
         What a step may lose; rounding, of a method that knows no tolerances.
     exact : bool
@@ -165,7 +161,6 @@ class Solver(abc.ABC):
     name: str
     method: str
     order: int
-    compiled: Any = None
     whole: bool = False
     rejected: int | None = None
     evaluations: int | None = None

@@ -1,12 +1,17 @@
-"""Diffrax's solvers and step size controllers as objects, the caller's own among them.
+"""Diffrax's methods, by name or as objects, with a step size controller: the caller's own too.
 
-Each attempt at a step is the object's ``step`` and the controller's ``adapt_step_size``, compiled
-once for a field; what they remember is carried from step to step, and begun anew at each jump.
+Each attempt at a step is the object's ``step`` and the controller's ``adapt_step_size``. Some steps
+ahead are made in one call of a compiled program, and handed out one by one: a call costs as much as
+ten or a hundred small steps. Numbers (parameters, start, time, tolerances) are arguments of the
+program: changing one does not compile again. What method and controller remember is carried from
+step to step, and begun anew at each jump.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from math import isfinite
 from typing import Any, NamedTuple
 
@@ -19,29 +24,60 @@ from ..automaton.trace import again, wide
 from ..errors import FlowError, OptionError
 from ..jit import jit
 from ..scene import Field
-from ..segment import Segment, interpolated, nodes
-from .base import FINEST, Solver, Stepper
-from .diffrax_backend import DiffraxSolver, gave_up
-from .series import SHORTEST, TAYLOR
+from ..segment import Segment, apply, from_values, integrals, interpolated, nodes, to_powers
+from .base import FINEST, Solver, Stepper, method_of
+from .series import SHORTEST
 
-#: Degree at which dense output is sampled, of whatever form it is: none of Diffrax's has a higher.
+#: Methods known by name, with the degree of their dense output in the fraction of the step; the
+#: first is the default.
+DEGREES = {
+    "Dopri8": 8,
+    "Tsit5": 4,
+    "Dopri5": 4,
+    "Bosh3": 3,
+    "Heun": 3,
+    "Midpoint": 3,
+    "Ralston": 3,
+    "Kvaerno3": 3,
+    "Kvaerno4": 3,
+    "Kvaerno5": 3,
+}
+
+#: Degree at which other dense output is sampled, of whatever form it is: none of Diffrax's has a
+#: higher.
 DEGREE = 8
+
+#: Sweeps of Picard's iteration that raise an interpolant to the order of its method.
+SWEEPS = {"Dopri8": 2}
 
 #: Most attempts at a step: each that is refused is cut to a fifth or more by Diffrax's controllers,
 #: so that the smallest of floats is reached before.
 ATTEMPTS = 200
 
+#: Most steps ahead, and most numbers that they leave: to clear and to copy so many takes about as
+#: long as a call.
+AHEAD, NUMBERS = 32, 8192
+
+#: Most steps between two looks from Python, where nobody asks for them one by one.
+MOST = 100_000
+
+#: What a program is told, before the state, the absolute tolerances and the parameters.
+INDEX, T0, TAU, WANTED, LIMIT, LENGTH, COUNT, FORCED, RTOL, STATE = range(10)
+
+#: What each step leaves before its states: its end, that of the step that comes next, and the
+#: attempts refused so far.
+END, NEXT, REFUSED, STATES = range(4)
+
 
 class Memory(NamedTuple):
-    """What a solver and a controller remember, and the end of the step that comes next."""
+    """What a method and a controller remember."""
 
-    solver: Any
+    method: Any
     controller: Any
-    end: Any
 
 
-class ObjectSolver(Solver):
-    """A Diffrax solver, with a step size controller.
+class DiffraxSolver(Solver):
+    """A Diffrax method, with a step size controller.
 
     Parameters
     ----------
@@ -49,6 +85,11 @@ class ObjectSolver(Solver):
     controller : diffrax.AbstractStepSizeController, optional
         Diffrax's ``PIDController`` with the tolerances if omitted. It sees times from the start of
         each arc.
+
+    Attributes
+    ----------
+    ahead : int
+        Steps of the arc before: so many are made ahead where an arc begins.
     """
 
     name = "diffrax"
@@ -56,13 +97,13 @@ class ObjectSolver(Solver):
 
     def __init__(self, method: Any, rtol: float, atol: Any, controller: Any = None) -> None:
         self.rtol, self.atol, self.rejected = max(rtol, FINEST), atol, 0
-        self.method = type(method).__name__
-        self.object = _with_tolerances(method, self.rtol, float(np.min(atol)))
-        self.controller = controller
-        takes = self.object.term_structure
+        self.method, self.object, self.controller = type(method).__name__, method, controller
+        takes = method.term_structure
         if not (isinstance(takes, type) and issubclass(diffrax.ODETerm, takes)):
             raise OptionError(f"method={self.method}: it does not take one diffrax.ODETerm")
-        self.order = int(self.object.order(diffrax.ODETerm(lambda t, y, args: y)))
+        self.order = int(method.order(diffrax.ODETerm(lambda t, y, args: y)))
+        self.ahead = 1
+        self._programs: dict[Any, Program] = {}
 
     def begin(
         self,
@@ -74,7 +115,16 @@ class ObjectSolver(Solver):
         sizes: np.ndarray | None = None,
     ) -> Stepper:
         first = first_step or min(length, 1e-3)
-        return ObjectStepper(self, field, t0, x0, length, min(first, length))
+        return DiffraxStepper(self, field, t0, x0, length, min(first, length))
+
+    def program(self, field: Field, kept: bool) -> Program:
+        """Compiled once for a class and mode; found again without a look at the object's values."""
+        short = field.code, field.name, kept
+        if short not in self._programs:
+            key = ("diffrax", field.name, self.key, kept)
+            made = field.code.once(key, lambda: Program(self, field, kept))
+            self._programs[short] = made
+        return self._programs[short]
 
     @property
     def key(self) -> Any:
@@ -85,6 +135,11 @@ class ObjectSolver(Solver):
             return id(self.object), id(self.controller)
         return self.object, self.controller
 
+    @property
+    def known(self) -> bool:
+        """Whether the method is one of those known by name, with nothing about it changed."""
+        return self.method in DEGREES and bool(self.object == _named(self.method))
+
 
 def solver_of(method: Any, rtol: float, atol: Any, controller: Any = None) -> Solver:
     """A method by name, or an object.
@@ -92,42 +147,43 @@ def solver_of(method: Any, rtol: float, atol: Any, controller: Any = None) -> So
     Raises
     ------
     OptionError
-        If the controller is none, or the method has none.
+        If the controller is none, or there is no such method.
     """
-    if isinstance(method, diffrax.AbstractSolver):
-        return ObjectSolver(method, rtol, atol, _controller(controller))
-    named = DiffraxSolver(method, rtol, atol)
-    if controller is None:
-        return named
-    if named.method == TAYLOR:
-        raise OptionError(f"method={TAYLOR!r}: its steps follow from the series; no controller=")
-    return ObjectSolver(named.compiled.solver(rtol, atol), rtol, atol, _controller(controller))
+    if controller is not None and not isinstance(controller, diffrax.AbstractStepSizeController):
+        raise OptionError(
+            f"controller={controller!r}: a diffrax.AbstractStepSizeController, or None"
+        )
+    if not isinstance(method, diffrax.AbstractSolver):
+        method = _named(method_of(DiffraxSolver.name, method, DEGREES))
+    return DiffraxSolver(method, rtol, atol, controller)
 
 
-def _controller(given: Any) -> Any:
-    if given is not None and not isinstance(given, diffrax.AbstractStepSizeController):
-        raise OptionError(f"controller={given!r}: a diffrax.AbstractStepSizeController, or None")
-    return given
+@cache
+def _named(name: str) -> Any:
+    return getattr(diffrax, name)()
 
 
-def _with_tolerances(method: Any, rtol: float, atol: float) -> Any:
+def _with_tolerances(method: Any, rtol: Any, atol: Any) -> Any:
     """An implicit method whose root finder asks for the tolerances of the steps gets ours."""
     finder = getattr(method, "root_finder", None)
     if finder is None or isinstance(getattr(finder, "rtol", 0.0), (int, float, jax.Array)):
         return method
-    with wide():
-        given = {"rtol": rtol, "atol": atol, "norm": diffrax.VeryChord(rtol=1.0, atol=1.0).norm}
-        return replace(method, root_finder=replace(finder, **given))
+    given = {"rtol": rtol, "atol": atol, "norm": diffrax.VeryChord(rtol=1.0, atol=1.0).norm}
+    return replace(method, root_finder=replace(finder, **given))
 
 
-class ObjectStepper(Stepper):
-    """Steps along one arc, each attempt a call of a compiled function."""
+class DiffraxStepper(Stepper):
+    """Steps along one arc, some of them ahead in each call of a compiled program.
+
+    A step made ahead counts where the next step asked for is just that: from the state that the one
+    before has led to, and with the same limit, or an end before both limits.
+    """
 
     repeats = True
 
     def __init__(
         self,
-        solver: ObjectSolver,
+        solver: DiffraxSolver,
         field: Field,
         t0: float,
         x0: np.ndarray,
@@ -135,111 +191,290 @@ class ObjectStepper(Stepper):
         first: float,
     ) -> None:
         self.solver, self.field, self.tau, self.x = solver, field, 0.0, x0
-        tolerances = solver.rtol, np.broadcast_to(solver.atol, x0.shape).astype(float)
-        self.fixed = (*tolerances, field.parameters, t0)
-        key = ("diffrax object", field.name, solver.key)
-        self.made = field.code.once(key, lambda: Compiled(solver, field))
-        self.memory = self.made.begin(*self.fixed, length, first, x0)
+        self.wanted, self.taken, self.t0 = first, 0, t0
+        self._use(True)
+        program = self.program
+        self.numbers = np.empty(STATE + 2 * program.n + program.parameters)
+        self.numbers[T0], self.numbers[LENGTH], self.numbers[RTOL] = t0, length, solver.rtol
+        self.numbers[STATE + program.n : -program.parameters or None] = solver.atol
+        self.numbers[STATE + 2 * program.n :] = program.flat(field.parameters)
+        self.ahead, solver.ahead = solver.ahead, 1
+
+    def _use(self, kept: bool) -> None:
+        """Go on with the program that keeps its steps, or with that which does not."""
+        self.program = self.solver.program(self.field, kept)
+        self.memories, self.index, self.made, self.used = self.program.empty, -1, 0, 0
+        self._end: np.ndarray | None = None
+        self._powers: np.ndarray | None = None
 
     def step(self, limit: float) -> None:
-        self._before = self.tau, self.x, self.memory
-        for _ in range(ATTEMPTS):
-            wanted = float(self.memory.end)
-            end = min(wanted, limit)
-            x, kept, memory, values = self._attempt(end)
-            if bool(kept):
-                self._accept(end, x, memory, values)
-                if end < wanted:  # cut short, not because it lost too much
-                    longer = self.tau + max(float(memory.end) - end, wanted - self._before[0])
-                    self.memory = memory._replace(end=longer)
-                return
-            self.solver.rejected += 1
-            self.memory = self.memory._replace(controller=memory.controller, end=memory.end)
-            if not float(memory.end) - self.tau > SHORTEST * max(self.tau, 1e-300):
-                break
-        raise FlowError(self._reason())
+        if not self._is_made(limit):
+            if self.x is not self._end:  # what is remembered is of another state
+                self.index = -1
+            self._make(limit, min(self.ahead, AHEAD))
+            self.ahead *= 2
+        self._take()
+        self.taken += 1
+        self.solver.ahead = self.taken
 
     def land(self, tau: float) -> Segment:
-        """Step again from where the last step began, onto ``tau``, whatever it loses."""
-        self.tau, self.x, self.memory = self._before
-        x, _, memory, values = self._attempt(tau)
-        self._accept(tau, x, memory, values)
+        self.arrive(tau)
         return self.segment()
+
+    def arrive(self, tau: float) -> None:
+        """Step again from where the last step began, onto ``tau``, whatever it loses."""
+        longer = self.wanted - self.tau
+        self.tau, self.x, self.index = self._before
+        self._make(tau, 1, forced=True)
+        self._take()
+        self.wanted = tau + longer
+
+    def finish(self, length: float) -> int:
+        """So many steps in one call."""
+        if self.program.kept:
+            self._use(False)
+        self._make(length, MOST)
+        steps, self.made = self.made, min(self.made, 1)
+        self._take()
+        return steps
 
     def segment(self) -> Segment:
         """The method's own interpolant, sampled."""
         start, values = self._last
         return interpolated(start, self.tau - start, values)
 
-    def _attempt(self, end: float) -> Any:
-        memory = self.memory
-        given = self.tau, end, self.x, memory.solver, memory.controller
+    def powers(self) -> tuple[float, float, np.ndarray]:
+        if self._powers is None:
+            degree = self.program.states - 1
+            values = self.rows[: self.made, STATES:].reshape(self.made, degree + 1, -1)
+            from_start = to_powers(degree) @ from_values(degree) @ (values - values[:, :1])
+            from_start[:, 0] += values[:, 0]
+            self._powers = from_start.transpose(0, 2, 1)
+        start = self._last[0]
+        return start, self.tau - start, self._powers[self.used - 1]
+
+    def _is_made(self, limit: float) -> bool:
+        """Whether the next step has been made ahead."""
+        if self.used == self.made or self.x is not self._end:
+            return False
+        end = self.rows[self.used, END]
+        return bool(end < min(limit, self._limit) or end <= limit == self._limit)
+
+    def _make(self, limit: float, count: int, forced: bool = False) -> None:
+        """Make steps up to a limit, so many at most."""
+        numbers, n = self.numbers, self.program.n
+        numbers[INDEX], numbers[TAU], numbers[WANTED] = self.index, self.tau, self.wanted
+        numbers[LIMIT], numbers[COUNT], numbers[FORCED] = limit, count, forced
+        numbers[STATE : STATE + n] = self.x
         try:
-            return self.made.attempt(*self.fixed, *given)
+            left, self.memories = self.program.run(numbers, self.memories)
         except RuntimeError as fault:
             raise OptionError(f"method={self.solver.method}: {fault}") from None
+        left = np.asarray(left)
+        self.made, self.used, self._limit, self._refused = int(left[0]), 0, limit, 0.0
+        self.rows = left[2:].reshape(-1, STATES + n * self.program.states)
+        self._powers = None
+        if not self.made:
+            self.solver.rejected += int(left[1])
+            raise FlowError(self._reason(self.tau, self.x))
 
-    def _accept(self, end: float, x: Any, memory: Memory, values: Any) -> None:
-        self._last = self.tau, np.asarray(values)
-        self.tau, self.x, self.memory = end, np.asarray(x), memory
-        if not isfinite(self.x.sum()):
-            raise FlowError(self._reason())
+    def _take(self) -> None:
+        """Go on to the end of the next step made."""
+        row = self.rows[self.used]
+        self._before = self.tau, self.x, self.used if self.program.kept else 0
+        self._last = self.tau, row[STATES:].reshape(self.program.states, -1)
+        self.tau, self.wanted, refused = row[:STATES].tolist()
+        self.x = self._end = self._last[1][-1]
+        self.used += 1
+        self.index = self.used
+        self.solver.rejected += int(refused - self._refused)
+        self._refused = refused
+        if self.used == self.made and not isfinite(self.x.sum()):  # no step follows such a one
+            raise FlowError(self._reason(*self._before[:2]))
 
-    def _reason(self) -> str:
-        tau, x, _ = self._before
-        return gave_up(self.field, self.fixed[-1] + tau, x)
+    def _reason(self, tau: float, x: np.ndarray) -> str:
+        """Why there is no step from a state."""
+        if not np.all(np.isfinite(self.field.rhs(self.t0 + tau, x.tolist()))):
+            return "the flow is not finite"
+        return "the solver gave up: the step became too small, or the flow is not finite"
 
 
-class Compiled:
-    """A method's beginning of an arc, and one attempt at a step, for a field."""
+class Program:
+    """Steps of a method along a field, one after another, as a compiled function.
 
-    def __init__(self, solver: ObjectSolver, field: Field) -> None:
-        self.method, self.controller = solver.object, solver.controller
-        self.flow = again(field.closed)
-        self.begin, self.attempt = jit(self._begin), jit(self._attempt)
+    Parameters
+    ----------
+    kept : bool
+        Whether steps are kept; else only the last is, and only its end.
 
-    def _parts(self, rtol: Any, atol: Any, parameters: Any, t0: Any) -> tuple[Any, Any, Any]:
-        """The flow as Diffrax takes it, the controller, and the order of the error."""
-        term = diffrax.ODETerm(lambda s, y, args: self.flow(parameters, t0 + s, y))
-        controller = self.controller or diffrax.PIDController(rtol=rtol, atol=atol)
-        return term, controller, self.method.error_order(term)
+    Attributes
+    ----------
+    run : callable ``(numbers, memories)``
+        Gives an array and new memories. In the array are how many steps are made and how many
+        attempts at the next one have failed, and a row for each step. The memories are those
+        before each step, and after the last. ``numbers[INDEX]`` says with which to begin: -1 at
+        the start of an arc.
+    empty : tree of arrays
+        Memories for such a start.
+    """
 
-    def _begin(
-        self, rtol: Any, atol: Any, parameters: Any, t0: Any, length: Any, h: Any, x: Any
-    ) -> Memory:
-        term, controller, order = self._parts(rtol, atol, parameters, t0)
-        start = jnp.zeros_like(length)
-        end, state = controller.init(term, start, length, x, h, None, self.method.func, order)
-        return _arrays(Memory(self.method.init(term, start, end, x, None), state, end))
+    def __init__(self, solver: DiffraxSolver, field: Field, kept: bool) -> None:
+        self.method, self.controller, self.kept = solver.object, solver.controller, kept
+        self.flow, self.n = again(field.closed), field.code.spec.dimension
+        self.shapes = [np.shape(value) for value in field.parameters]
+        self.parameters = sum(int(np.prod(shape)) for shape in self.shapes)
+        degree = DEGREES[solver.method] if solver.known else DEGREE
+        self.sweeps = SWEEPS.get(solver.method, 0) if solver.known else 0
+        self.states = degree + 1 if kept else 1
+        self.places = min(AHEAD, 1 + NUMBERS // (self.n * self.states)) if kept else 1
+        self.run = jit(self._run)
+        self._flat: tuple[Any, Any] = None, None
+        with wide():
+            numbers = np.zeros(STATE + 2 * self.n + self.parameters)
+            one = jax.eval_shape(lambda given: self._begin(Given(self, given))[0], numbers)
+            self.empty = jax.tree.map(
+                lambda leaf: jnp.zeros((self.places + 1, *leaf.shape), leaf.dtype), one
+            )
 
-    def _attempt(
-        self,
-        rtol: Any,
-        atol: Any,
-        parameters: Any,
-        t0: Any,
-        tau: Any,
-        end: Any,
-        x: Any,
-        memory: Any,
-        state: Any,
-    ) -> tuple[Any, Any, Memory, Any]:
-        """The state at the end, whether it is kept, what is remembered, the states at the nodes."""
-        term, controller, order = self._parts(rtol, atol, parameters, t0)
-        y, error, dense, memory, _ = self.method.step(
-            term, tau, end, x, None, memory, jnp.array(False)
+    def flat(self, parameters: Sequence[Any]) -> np.ndarray:
+        """Parameters in a row, those of the arc before at once."""
+        same, row = self._flat
+        if same is not parameters:
+            row = np.concatenate([np.zeros(0), *map(np.ravel, parameters)])
+            self._flat = parameters, row
+        return row
+
+    def _begin(self, given: Given) -> tuple[Memory, Any]:
+        """What is remembered at the start of an arc, and the end of its first step."""
+        begun = given.controller.init(
+            given.term,
+            given.tau,
+            given.length,
+            given.x,
+            given.wanted - given.tau,
+            None,
+            given.method.func,
+            given.order,
         )
+        memory = given.method.init(given.term, given.tau, begun[0], given.x, None)
+        return _strong((Memory(memory, begun[1]), begun[0]))
+
+    def _run(self, numbers: Any, memories: Any) -> Any:
+        given = Given(self, numbers)
+        index = given.index.astype(int)
+        memory, wanted = jax.lax.cond(
+            index < 0,
+            lambda: self._begin(given),
+            lambda: (jax.tree.map(lambda leaf: leaf[index], memories), given.wanted),
+        )
+        rows = jnp.zeros((self.places, STATES + self.n * self.states))
+        zero = jnp.array(0)
+        start = Going(zero, zero, zero, given.tau, wanted, given.x, memory, rows, memories)
+        start = start._replace(memories=_put(memories, zero, memory))
+
+        def goes_on(going: Going) -> Any:
+            return (going.made < given.count) & (going.tau < given.limit) & (going.tries < ATTEMPTS)
+
+        going = jax.lax.while_loop(goes_on, lambda going: self._attempt(given, going), start)
+        counts = jnp.stack([going.made, going.refused]).astype(float)
+        return jnp.concatenate([counts, going.rows.ravel()]), going.memories
+
+    def _attempt(self, given: Given, going: Going) -> Going:
+        """One attempt at a step."""
+        tau, x, forced = going.tau, going.x, given.forced
+        end = jnp.where(forced, given.limit, jnp.minimum(going.wanted, given.limit))
+        y, error, dense, memory, result = given.method.step(
+            given.term, tau, end, x, None, going.memory.method, jnp.array(False)
+        )
+        fit = jnp.all(jnp.isfinite(y)) & (result == diffrax.RESULTS.successful)
         if error is not None:
-            error = jnp.where(jnp.all(jnp.isfinite(y + error)), error, jnp.inf)
-        kept, begin, stop, _, state, _ = controller.adapt_step_size(
-            tau, end, x, y, None, error, order, state
+            error = jnp.where(fit & jnp.isfinite(error), error, jnp.inf)
+        kept, begin, stop, _, controller, _ = given.controller.adapt_step_size(
+            tau, end, x, y, None, error, given.order, going.memory.controller
         )
-        path = self.method.interpolation_cls(t0=tau, t1=end, **dense)
-        values = jax.vmap(path.evaluate)(tau + (end - tau) * jnp.asarray(nodes(DEGREE)))
-        values = jnp.concatenate([x[None], values[1:-1], y[None]])
-        after = jnp.where(kept, end, tau) + (stop - begin)
-        return _arrays((y, kept, Memory(memory, state, after), values))
+        kept = (kept & fit) | forced
+        wanted = jnp.where(kept, end, tau) + (stop - begin)
+        longer = jnp.maximum(wanted, end + (going.wanted - tau))
+        wanted = jnp.where(kept & (end < going.wanted), longer, wanted)
+        after = Memory(_where(kept, memory, going.memory.method), controller)
+        after = jax.tree.map(lambda new, old: jnp.asarray(new, old.dtype), after, going.memory)
+        refused, place = going.refused + ~kept, jnp.minimum(going.made, self.places - 1)
+        values = self._values(given, tau, end, x, y, dense)
+        row = jnp.concatenate([jnp.stack([end, wanted, refused.astype(float)]), values.ravel()])
+        stuck = ~kept & ~(wanted - tau > SHORTEST * jnp.maximum(tau, 1e-300))
+        stuck = stuck | (kept & ~jnp.all(jnp.isfinite(y)))
+        return Going(
+            going.made + kept,
+            jnp.where(stuck, ATTEMPTS, jnp.where(kept, 0, going.tries + 1)),
+            refused,
+            jnp.where(kept, end, tau),
+            wanted,
+            jnp.where(kept, y, x),
+            after,
+            _put(going.rows, place, row),
+            _put(going.memories, place + 1, after),
+        )
+
+    def _values(self, given: Given, tau: Any, end: Any, x: Any, y: Any, dense: Any) -> Any:
+        """The states at the nodes of a step, or that at its end.
+
+        The interpolant may be brought nearer to the solution between the ends of the step: each
+        sweep integrates the flow along it, which gains an order, and meets the end again.
+        """
+        if not self.kept:
+            return y[None]
+        s, h = jnp.asarray(nodes(self.states - 1)), end - tau
+        path = given.method.interpolation_cls(t0=tau, t1=end, **dense)
+        values = jax.vmap(path.evaluate)(tau + h * s)
+        for _ in range(self.sweeps):
+            rates = jax.vmap(lambda t, x: given.term.vf(t, x, None))(tau + h * s, values)
+            values = x + h * apply(integrals(self.states - 1), rates)
+            values = values + s[:, None] * (y - values[-1])
+        return jnp.concatenate([x[None], values[1:-1], y[None]])
 
 
-def _arrays(tree: Any) -> Any:
-    return jax.tree.map(jnp.asarray, tree)
+class Going(NamedTuple):
+    """Where the steps of a call are: how many are made, attempts at the next, all refused so far,
+    the local time, the end of the next step, the state, what is remembered, and what is left."""
+
+    made: Any
+    tries: Any
+    refused: Any
+    tau: Any
+    wanted: Any
+    x: Any
+    memory: Memory
+    rows: Any
+    memories: Memory
+
+
+class Given:
+    """What a program is given, taken apart."""
+
+    def __init__(self, program: Program, numbers: Any) -> None:
+        self.index, self.t0, self.tau, self.wanted, self.limit, self.length = numbers[:COUNT]
+        self.count, self.forced, rtol = numbers[COUNT], numbers[FORCED] > 0, numbers[RTOL]
+        self.x, atol, flat = jnp.split(numbers[STATE:], [program.n, 2 * program.n])
+        ends = np.cumsum([int(np.prod(shape)) for shape in program.shapes])
+        parts = jnp.split(flat, ends[:-1]) if len(ends) else []
+        parameters = [p.reshape(s) for p, s in zip(parts, program.shapes, strict=True)]
+        self.term = diffrax.ODETerm(lambda s, y, args: program.flow(parameters, self.t0 + s, y))
+        self.method = _with_tolerances(program.method, rtol, jnp.min(atol))
+        self.controller = program.controller or diffrax.PIDController(rtol=rtol, atol=atol)
+        self.order = self.method.error_order(self.term)
+
+
+def _strong(tree: Any) -> Any:
+    """A tree of arrays, none of them of a type that another would change."""
+    arrays = jax.tree.map(jnp.asarray, tree)
+    return jax.tree.map(lambda leaf: jax.lax.convert_element_type(leaf, leaf.dtype), arrays)
+
+
+def _where(condition: Any, one: Any, other: Any) -> Any:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
+
+
+def _put(rows: Any, place: Any, row: Any) -> Any:
+    """Rows with another one at a place, in each array of a tree."""
+    put = jax.lax.dynamic_update_index_in_dim
+    return jax.tree.map(lambda leaf, one: put(leaf, one, place, 0), rows, row)

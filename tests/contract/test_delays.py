@@ -10,9 +10,6 @@ from models.pyragas import Pyragas
 from .. import delayed
 from ..delay_truth import unit_lag, unit_lag_kicked
 
-#: Methods that know no delays.
-WITHOUT = {"Taylor"}
-
 #: Tolerances at which every solver keeps about eight digits.
 TIGHT = {"rtol": 1e-9, "atol": 1e-11}
 

@@ -15,8 +15,7 @@ from models.pyragas import Pyragas
 from .. import delayed
 from .ways import COMPILED, SOLVERS_AND_COMPILED
 
-#: All but a method that knows no delays.
-WAYS = [name for name in SOLVERS_AND_COMPILED if name != "Taylor"]
+WAYS = SOLVERS_AND_COMPILED
 
 #: Tolerances at which every way keeps about eight digits.
 TIGHT = {"rtol": 1e-9, "atol": 1e-11}

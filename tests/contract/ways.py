@@ -52,7 +52,6 @@ SOLVERS = {
     "Tsit5": {"solver": "diffrax", "method": "Tsit5"},
     "Dopri8": {"solver": "diffrax", "method": "Dopri8"},
     "Kvaerno5": {"solver": "diffrax", "method": "Kvaerno5"},
-    "Taylor": {"solver": "diffrax", "method": "Taylor"},
     "classic": {"solver": "classic"},
 }
 
@@ -401,12 +400,12 @@ WAYS: dict[str, Way] = {
 
 ALL = list(WAYS)
 
-#: One method of each mechanism: explicit, implicit and multistep steps, Taylor series, compiled
-#: streaks, lanes, pure functions.
+#: One method of each mechanism: explicit, implicit and multistep steps, Taylor series, steps made
+#: some ahead, lanes, pure functions.
 MECHANISMS = ["DOP853", "Radau", "LSODA", "taylor", "Dopri8", "ensemble", "as_function"]
 
 #: Those of them that reach rounding.
-ACCURATE = ["DOP853", "taylor", "Dopri8", "Taylor", "ensemble", "as_function"]
+ACCURATE = ["DOP853", "taylor", "Dopri8", "ensemble", "as_function"]
 
 #: The way that has no Python to turn to where there are delays.
 COMPILED = ["as_function"]
