@@ -146,8 +146,9 @@ def zero_of(
 ) -> float:
     """When a guard fires in a step; infinite where it does not, 0 where it is not plain.
 
-    It is not where the guard does not begin with the sign with which it ended the last step: there
-    it is as near to zero as rounding.
+    It is not where the guard does not begin with the sign with which it ended the last step, or
+    where it ends with another than it begins and crosses with: there it is as near to zero as
+    rounding.
     """
     field = now.ints[FIELD]
     place = guard - a.fields[field, GUARDS]
@@ -161,8 +162,10 @@ def zero_of(
     count = series(c, degree, h, order, NEVER if order else tolerance, room.rows, room.found)
     if count < 0:
         return 0.0
+    side = c[order]
     for k in range(count):
         s, direction = room.found[k, 0], room.found[k, 1]
+        side = direction
         if direction == 0.0:
             return 0.0
         if crossing == 0 or direction * crossing > 0.0:
@@ -173,7 +176,8 @@ def zero_of(
     value, _ = power_value(c, 0, degree, h)
     size = power_size(c, 0, degree, h)
     now.signs[place] = 1 if value > 0.0 else -1
-    return math.inf if abs(value) > max(ROUNDED * EPS * size, SHOWN * left) else 0.0
+    clear = value * side > 0.0 and abs(value) > max(ROUNDED * EPS * size, SHOWN * left)
+    return math.inf if clear else 0.0
 
 
 def left_open(a: Automaton, run: Floats, guard: int, x: Floats) -> float:
