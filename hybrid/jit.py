@@ -13,55 +13,24 @@ from .automaton.trace import wide
 WANTED = {"xla_cpu_use_fusion_emitters": False, "xla_cpu_experimental_ynn_fusion_type": ""}
 
 
-def jit(function: Callable[..., Any], whole: bool = False) -> Callable[..., Any]:
+def jit(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function compiled in 64 bits when first called.
 
     Its arguments are trees of numbers and arrays. Which numbers, and whether they come as
     Python's, numpy's or JAX's, does not matter: it is compiled once for each set of shapes.
-
-    ``whole``: on a CPU, make it one function of machine code. Else each operation is dispatched
-    on its own, at some hundred nanoseconds, which is most of the time of a loop over small
-    arrays. It must not need a library (LAPACK, sorting).
     """
     import jax
 
-    in_one_piece = whole and jax.default_backend() == "cpu"
-
     def strongly_typed(*arguments: Any) -> Any:
-        run = _in_one_piece(function) if in_one_piece else function
-        return jax.tree.map(_strong, run(*arguments))
+        return jax.tree.map(_strong, function(*arguments))
 
     compiled = jax.jit(strongly_typed, compiler_options=_options())
 
     def call(*arguments: Any) -> Any:
         with wide():
-            result = compiled(*jax.tree.map(_array, arguments))
-        return result[0] if in_one_piece else result
+            return compiled(*jax.tree.map(_array, arguments))
 
     return call
-
-
-def _in_one_piece(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function with the marks that XLA itself sets on small loops; a number more is returned.
-
-    The number is made of all arguments: XLA aborts over an argument of a marked function that
-    has no use. An XLA that does not know the marks compiles as ever.
-    """
-    import jax
-    from jax.experimental.xla_metadata import set_xla_metadata
-
-    def unmarked(*arguments: Any) -> Any:
-        with set_xla_metadata(inlineable="true", xla_cpu_small_call="false"):
-            leaves = jax.tree.leaves(arguments)
-            return function(*arguments), sum(a.ravel()[0].astype(float) for a in leaves)
-
-    piece = jax.jit(unmarked)
-
-    def marked(*arguments: Any) -> Any:
-        with set_xla_metadata(inlineable="false", xla_cpu_small_call="true"):
-            return piece(*arguments)
-
-    return marked
 
 
 def _strong(value: Any) -> Any:

@@ -73,11 +73,6 @@ class Turner:
         else:
             self.detector = Detector(system, method, judged)
 
-    @property
-    def whole(self) -> bool:
-        """Whether a program of these pieces is made one function of machine code: no libraries."""
-        return self.system.code.scalar and not self.method.implicit
-
     def begin(self, run: Run, mode: Any, held: Any, x: Any, xp: Any = jnp) -> Lane:
         """A lane at the start of a run, still to be entered.
 

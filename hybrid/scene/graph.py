@@ -63,8 +63,7 @@ class Graph:
     many nodes as it has rows.
 
     What cannot be written as scalar code is called: ``("foreign", number, *arguments)`` with its
-    number in ``foreign``, whose results are its parts. ``library``: whether JAX asks a library for
-    some of what has been read (and not only written out here).
+    number in ``foreign``, whose results are its parts.
     """
 
     def __init__(self, exact: bool = False, long: bool = False) -> None:
@@ -74,7 +73,6 @@ class Graph:
         self._moving: list[bool] = []
         self._leaves: list[int] = []
         self.foreign: list[Foreign] = []
-        self.library = False
 
     def node(self, *key: Any) -> int:
         """The number of this node, made if it is new; constants are folded."""
@@ -286,7 +284,6 @@ def _apply(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
 def _matrices(graph: Graph, name: str, params: Any, inputs: list[Ids]) -> list[Ids]:
     from . import matrices
 
-    graph.library = True
     if name == "custom_linear_solve":
         return matrices.linear_solve(graph, params, inputs)
     return [getattr(matrices, name)(graph, params, *inputs)]
@@ -294,7 +291,6 @@ def _matrices(graph: Graph, name: str, params: Any, inputs: list[Ids]) -> list[I
 
 def _called(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
     """The results of what cannot be written out."""
-    graph.library = True
     avals = [var.aval for var in equation.outvars]
     if not all(_is_real(atom.aval) for atom in (*equation.invars, *equation.outvars)):
         raise TraceError(

@@ -145,17 +145,6 @@ class Lowered:
         used = set().union(gap, law, *(flows[i] for i in own))
         return len(own) == 2 and used <= own and not callable(contact.inverse_mass)
 
-    @cached_property
-    def scalar(self) -> bool:
-        """Whether no function of the class needs a library: each can be written as scalar code."""
-        extra, graph = {"restitution": ["u"]}, Graph()
-        try:
-            for (kind, _), closed in self.cls.traces.items():
-                graph.outputs(closed, self.inputs(graph, extra.get(kind, [])))
-        except TraceError:
-            return False
-        return not graph.library
-
     # -- modes --------------------------------------------------------------------------
 
     def flow(self, mode: str) -> Program:
