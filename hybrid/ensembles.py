@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import attrs
 import numpy as np
 
+from .abreast import Flown, Given, abreast
 from .again import give_errors
 from .asked import Asked, mode_of, values_of
 from .automaton.base import require_model
@@ -16,6 +18,16 @@ from .automaton.spec import Spec
 from .errors import HybridError, OptionError, StartError
 from .extras import TABLES, need
 from .reals import reals
+from .rules.lanes import (
+    ENDED,
+    LAST_JUMP,
+    MADE_JUMPS,
+    MADE_STEPS,
+    MODE,
+    OUTCOME,
+    STATE,
+    SUMMED,
+)
 from .run import Driver
 from .scene import Scene, scene_of, scene_with
 from .solvers import renamed
@@ -38,6 +50,9 @@ FAILED = {
 
 #: Of a lane in which nothing accumulates: time, error, ratio, verdict.
 NO_LIMIT = np.nan, np.nan, np.nan, ""
+
+#: How lanes end that are flown by machine code alone.
+ENDS = {ENDED: Status.REACHED_END, LAST_JUMP: Status.MAX_JUMPS}
 
 #: What each status of a lane means.
 STATUSES = {each.name.lower(): str(each) for each in Status} | FAILED
@@ -144,12 +159,11 @@ def ensemble(
     )
     lanes = _Lanes(model, start, t, dict(parameters or {}), history)
     runs = _Runs(asked, mode_of(scene, mode), certify)
-    rows: list[_Row] = []
-    for lane in lanes.each():
-        rows.append(runs.row(lane))
+    rows = _Rows(lanes.count, scene.spec.dimension)
+    for _ in chain(runs.plain(scene, lanes, rows), runs.others(lanes, rows)):
         if progress is not None:
-            progress(len(rows))
-    if len(runs.refused) == len(rows):
+            progress(int(np.count_nonzero(rows.done)))
+    if len(runs.refused) == lanes.count:
         raise runs.refused[0]
     return _dataset(scene.spec, lanes, rows)
 
@@ -189,6 +203,25 @@ class _Row(NamedTuple):
     reason: str
 
 
+class _Rows:
+    """The rows of all lanes, as columns; ``done`` says which are there."""
+
+    def __init__(self, count: int, dimension: int) -> None:
+        self.done = np.zeros(count, dtype=bool)
+        whole, text = ("jumps", "steps", "accumulations"), ("mode", "verdict", "status", "reason")
+        kinds = dict.fromkeys(whole, int) | dict.fromkeys(text, object)
+        self.columns = {
+            name: np.empty((count, dimension) if name == "x" else count, kinds.get(name, float))
+            for name in _Row._fields
+        }
+
+    def put(self, where: Any, row: _Row) -> None:
+        """Put a row, or columns of some."""
+        self.done[where] = True
+        for name, value in zip(_Row._fields, row, strict=True):
+            self.columns[name][where] = value
+
+
 @attrs.frozen(eq=False)
 class _Runs:
     """The runs of an ensemble; ``refused`` are those that cannot use the options."""
@@ -197,6 +230,42 @@ class _Runs:
     mode: str
     certify: bool
     refused: list[OptionError] = attrs.Factory(list)
+
+    def plain(self, scene: Scene, lanes: _Lanes, rows: _Rows) -> Iterator[None]:
+        """Fly lanes that need no judgement, some at a time."""
+        try:
+            driver = self.asked.driver(scene, lanes.t[0].tolist(), lanes.x[0], lanes.before(0))
+        except HybridError:  # it is the lanes' own
+            return
+        given = Given(lanes.values, lanes.t, lanes.x)
+        together = abreast(scene, driver, self.mode, given)
+        for flown in together.fly() if together else ():
+            self._put(together, flown, rows)
+            yield
+
+    def _put(self, together: Any, flown: Flown, rows: _Rows) -> None:
+        """Put down lanes that machine code has flown; one to be certified needs its run."""
+        for outcome, status in ENDS.items():
+            fit = flown.told[:, OUTCOME] == outcome
+            if self.certify:
+                fit &= flown.told[:, SUMMED] == 0
+            which, ends, told = (column[fit] for column in flown)
+            t, until, t_inf, error, ratio = ends[:, :STATE].T
+            x, modes = ends[:, STATE:], told[:, MODE]
+            if outcome == ENDED:
+                places = zip(modes.tolist(), which, until.tolist(), x, strict=True)
+                x = np.array([together.onto(*place) for place in places]).reshape(x.shape)
+            names = np.array([together.mode(number) for number in modes], dtype=object)
+            verdict = np.where(told[:, SUMMED] > 0, "estimated", "")
+            counts = told[:, MADE_JUMPS], told[:, MADE_STEPS], told[:, SUMMED]
+            said = verdict, status.name.lower(), str(status)
+            rows.put(which, _Row._make((t, x, names, *counts, t_inf, error, ratio, *said)))
+
+    def others(self, lanes: _Lanes, rows: _Rows) -> Iterator[None]:
+        """Fly the lanes that are left, one by one."""
+        for i in np.flatnonzero(~rows.done).tolist():
+            rows.put(i, self.row(lanes.lane(i)))
+            yield
 
     def row(self, lane: _Lane) -> _Row:
         """Fly a lane."""
@@ -272,16 +341,15 @@ class _Lanes:
             raise OptionError(f"{self.spec.model}: lanes differ in number ({each})")
         self.count = counts.pop() if counts else 1
         self.x, self.values, self.t = map(self._rows, (states, parameters, times))
-        self.before = [self._full(*each) for each in before]
+        self.known = [self._full(*each) for each in before]
         if not np.all(self.t[:, 1] > self.t[:, 0]):
             raise OptionError(f"t={t!r}: the first time before the last, in every lane")
 
-    def each(self) -> Iterator[_Lane]:
-        """The lanes one by one."""
-        for i in range(self.count):
-            scene = scene_with(self.cls, self.shapes, tuple(self.values[i].tolist()))
-            t0, t1 = self.t[i].tolist()
-            yield _Lane(scene, (t0, t1), self.x[i].copy(), self._before(i))
+    def lane(self, i: int) -> _Lane:
+        """One of the lanes."""
+        scene = scene_with(self.cls, self.shapes, tuple(self.values[i].tolist()))
+        t0, t1 = self.t[i].tolist()
+        return _Lane(scene, (t0, t1), self.x[i].copy(), self.before(i))
 
     def coordinates(self) -> dict[str, Any]:
         """The starts and parameters that vary."""
@@ -305,11 +373,11 @@ class _Lanes:
     def _shape(self, name: str) -> tuple[int, ...]:
         return self.spec.states[self.spec.names.index(name)].shape
 
-    def _before(self, i: int) -> Any:
+    def before(self, i: int) -> Any:
         """The history of a lane."""
-        if not self.before:
+        if not self.known:
             return self.history
-        own = zip(self._constants(), self.before, strict=True)
+        own = zip(self._constants(), self.known, strict=True)
         return {**self.history, **{name: values[i] for (name, _), values in own}}
 
     def _array(self, name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
@@ -349,10 +417,11 @@ def _check(model: Any, given: dict[str, Any]) -> None:
         attrs.evolve(model, **ends)
 
 
-def _dataset(spec: Spec, lanes: _Lanes, rows: list[_Row]) -> xarray.Dataset:
+def _dataset(spec: Spec, lanes: _Lanes, rows: _Rows) -> xarray.Dataset:
     import xarray
 
-    columns = dict(zip(_Row._fields, map(np.array, zip(*rows, strict=True)), strict=True))
+    text = {name: v.astype(str) for name, v in rows.columns.items() if v.dtype == object}
+    columns = rows.columns | text
     record = spec.record(columns.pop("x"))
     states = {
         s.name: (("lane", *(f"{s.name}_{i}" for i in range(len(s.shape)))), record[s.name])

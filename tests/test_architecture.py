@@ -22,7 +22,7 @@ LAYERS = [
     ["run", "store", "pictures"],
     ["histories", "hindsight"],
     ["variation"],
-    ["asked", "again"],
+    ["asked", "again", "abreast"],
     ["tangent"],
     ["simulation", "ensembles", "function", "certificates"],
     ["compare", "gallery", "study", "orbits"],

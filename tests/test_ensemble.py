@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import hybrid as hy
+from hybrid import abreast, ensembles
 from hybrid.jit import jit
 from models.ball_on_circle import BallOnCircle
 from models.bead_on_table import BeadOnTable
@@ -227,6 +228,29 @@ def test_a_lane_equals_its_run_to_the_last_bit(name):
 def test_a_lane_equals_its_run_whatever_is_asked(name, options):
     """The options of a run are those of a lane; certified lanes have the verdict of their run."""
     assert not list(differences(name, 12, seed=1, **options))
+
+
+def test_lanes_that_need_no_judgement_need_no_driver(monkeypatch):
+    """Impacts before any sum, and flights to the end: machine code alone, on every thread."""
+    monkeypatch.setattr(ensembles._Runs, "others", lambda *_: iter(()))
+    x = np.linspace(1.2, 2.5, 700)
+    lanes = hy.ensemble(BouncingBall(), {"x": x, "v": 0.0}, (0, 9), zeno="ignore", max_jumps=5)
+    fall = np.sqrt(2 * x / 9.81)
+    exact = fall * (1 + 2 * sum(0.7**k for k in range(1, 5)))
+    np.testing.assert_allclose(lanes.t, exact, rtol=1e-14)
+    assert set(lanes.status.values) == {"max_jumps"}
+    ended = hy.ensemble(BouncingBall(), {"x": x, "v": 0.0}, (0, 0.1))
+    np.testing.assert_allclose(ended.x, x - 0.5 * 9.81 * 0.01, rtol=1e-15)
+
+
+@pytest.mark.parametrize(("block", "threads"), [(1, 3), (7, 1), (1000, 2)])
+def test_lanes_do_not_depend_on_blocks_or_threads(monkeypatch, block, threads):
+    """To the last bit."""
+    r, start, t = np.linspace(0.1, 0.9, 50), {"x": 1.5, "v": 0.0}, (0.0, 4.0)
+    usual = hy.ensemble(BeadOnTable(omega=3.0), start, t, {"r": r})
+    monkeypatch.setattr(abreast, "BLOCK", block)
+    monkeypatch.setattr(abreast.os, "cpu_count", lambda: threads)
+    assert usual.identical(hy.ensemble(BeadOnTable(omega=3.0), start, t, {"r": r}))
 
 
 def test_lanes_do_not_depend_on_their_neighbours():

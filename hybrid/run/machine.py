@@ -64,6 +64,7 @@ from .watch import Watch
 
 if TYPE_CHECKING:
     from ..scene import Field
+    from ..scene.automaton import Tables
     from .driver import Driver
 
 #: Jumps and steps for which there is room at first; how many times more there is after each call
@@ -71,6 +72,14 @@ if TYPE_CHECKING:
 #: room.
 JUMPS_KEPT, STEPS_KEPT, MORE, MOST = 64, 512, 4, 1 << 15
 SUMS_KEPT = 8
+
+
+def rooms(tables: Tables, n: int, order: int) -> tuple[Room, Sums, Look]:
+    """Arrays for one run to work in."""
+    *needs, bounds = tables.needs
+    stretches, shown = np.zeros((HALVINGS + 2, 5)), np.zeros((SHOWN + 2, n + 4))
+    look = Look(stretches, shown, np.zeros((STATES + n, 2)), np.zeros((bounds, 2)))
+    return tables.room(order), room_for_sums(needs, n), look
 
 
 class Machine:
@@ -220,10 +229,7 @@ class Machine:
         try:
             return tables.free[self.needs].pop()  # type: ignore[no-any-return]
         except (KeyError, IndexError):
-            *needs, bounds, order = self.needs
-            stretches, shown = np.zeros((HALVINGS + 2, 5)), np.zeros((SHOWN + 2, n + 4))
-            look = Look(stretches, shown, np.zeros((STATES + n, 2)), np.zeros((bounds, 2)))
-            return tables.room(order), room_for_sums(needs, n), look
+            return rooms(tables, n, self.order)
 
     def _give_back(self) -> None:
         """Let other runs use the arrays."""

@@ -54,7 +54,7 @@ class Tables:
 
     ``fields`` are as numbered, ``numbers`` those by name; ``guards`` are in the order of their own,
     and ``modes`` the field that each is watched in. ``widest``: guards of the field that has the
-    most. ``others``: steps are those of another solver.
+    most; ``parts`` are the programs in order. ``others``: steps are those of another solver.
     """
 
     def __init__(self, scene: Scene, others: bool = False) -> None:
@@ -64,7 +64,8 @@ class Tables:
         self.guards: list[Guard] = []
         self.modes: list[str] = []
         self._programs = Linked()
-        self._bounds = Ranges()
+        self.bounds = Ranges()
+        self.parts: list[Jets] = []
         self._most = np.zeros(3, dtype=int)  # what the largest program needs
         self.widest = 0
         self._fields: list[list[int]] = []
@@ -97,7 +98,7 @@ class Tables:
             programs = self._programs.programs()
             recall(programs, self._recalled)
             self._recalled = len(programs.code)
-            self._made = Automaton(programs, fields, guards, uses, self._bounds.arrays())
+            self._made = Automaton(programs, fields, guards, uses, self.bounds.arrays())
         return self._made
 
     def flown(self, steps: int) -> None:
@@ -110,7 +111,7 @@ class Tables:
     def needs(self) -> tuple[int, ...]:
         """What the largest program needs, as :func:`.tape.room` takes it; then the most that are
         bounded."""
-        return (*self._most.tolist(), self._bounds.most)
+        return (*self._most.tolist(), self.bounds.most)
 
     def room(self, order: int) -> Room:
         """Arrays to work in, for one run."""
@@ -136,7 +137,7 @@ class Tables:
             found = sight(field, self.scene.contact(guard.edge))
             if not isinstance(found, int):
                 program, *given = found
-                among = program.ranged(self._bounds, *given)
+                among = program.ranged(self.bounds, *given)
                 found = HARD if among is None else among
             row[SIGHT], row[REST] = found, self._rest(field, guard)
         self._made = None
@@ -221,4 +222,5 @@ class Tables:
 
     def _program(self, part: Jets) -> int:
         self._most = np.maximum(self._most, part.tape.needs)
+        self.parts.append(part)
         return self._programs.add(part)

@@ -27,6 +27,7 @@ class Ranges:
         self._numbers: list[float] = []
         self._results: list[int] = []
         self.most = 1
+        self.given: list[tuple[int, int]] = []  # places of parameters, and which they are
 
     def add(
         self, steps: Sequence[Any], results: Sequence[int], rows: Mapping[str, int], given: Any
@@ -48,6 +49,8 @@ class Ranges:
         if step.op == "input" and step.given in rows:
             return [rule.INPUT, rows[step.given], 0]
         if step.op in ("input", "const"):
+            if step.op == "input":
+                self.given.append((len(self._numbers), int(step.given[1:])))
             self._numbers.append(float(given[step.given] if step.op == "input" else step.number))
             return [rule.NUMBER, len(self._numbers) - 1, 0]
         if step.range is None:

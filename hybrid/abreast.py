@@ -1,0 +1,181 @@
+"""Lanes flown by machine code alone, several at once: no Python, and so no lock, is in their way.
+
+A lane is one for :mod:`hybrid.rules.lanes` as long as the driver of a run would have left all of it
+to the rules' own loop. What that makes of a lane is then what its run is, to the last bit; the
+others are left to the driver.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .rules import unit
+from .rules.arrays import Automaton, Left, Now
+from .rules.lanes import ASKS, ENDED, LAST_JUMP, LEFT, MODE, OUTCOME, STATE, TOLD
+from .rules.places import CURVE_ROWS, REMAINING
+from .run import Driver
+from .run.machine import rooms
+from .scene import Scene
+from .zeno.narrow import bounded
+
+#: Lanes in a call: between two of them the keyboard is heard, and progress told.
+BLOCK = 256
+
+#: Lanes that are flown first, to see what the tables of all must have.
+FEW = 16
+
+#: Most jumps, steps and sums of a lane that is flown here: a longer one loses little by Python.
+JUMPS, STEPS, SUMS = 1024, 8192, 64
+
+
+class Flown(NamedTuple):
+    """What became of some lanes: which they are, and what the rule tells of each."""
+
+    lanes: np.ndarray
+    ends: np.ndarray
+    told: np.ndarray
+
+
+class Given(NamedTuple):
+    """Parameters, first and last times, and starts: a row for each lane."""
+
+    values: np.ndarray
+    spans: np.ndarray
+    starts: np.ndarray
+
+
+def abreast(scene: Scene, driver: Driver, mode: str, lanes: Given) -> Abreast | None:
+    """What flies the lanes of an ensemble by machine code alone; None where their runs are not
+    plain. ``driver`` is the run of one of them, which has not begun."""
+    plan, loop = driver.plan, driver.loop
+    if loop is None or not driver.solver.whole or plan.bounded or plan.zeno == "truncate":
+        return None
+    declared = mode in [each.name for each in scene.spec.modes]
+    return Abreast(scene, driver, mode, lanes) if declared and loop.may(scene.field(mode)) else None
+
+
+class Abreast:
+    """Flies the lanes of an ensemble whose runs are plain."""
+
+    def __init__(self, scene: Scene, driver: Driver, mode: str, lanes: Given) -> None:
+        assert driver.loop is not None
+        self.scene, self.tables, self.given = scene, scene.tables, lanes
+        self.loop, plan = driver.loop, driver.plan
+        self.field = self.tables.number(scene.field(mode))
+        self.watched = plan.zeno != "ignore"
+        self.most = min(plan.max_jumps, JUMPS), int(min(plan.max_steps - 1, STEPS))
+        self.whole = plan.max_jumps <= JUMPS  # else a lane with more is left to the driver
+
+    def fly(self) -> Iterator[Flown]:
+        """What becomes of the lanes, some at a time, in any order."""
+        everyone = np.arange(len(self.given.starts))
+        yield from self._complete(everyone[:FEW])
+        yield from self._complete(everyone[FEW:])
+
+    def mode(self, number: int) -> str:
+        """The name of a field."""
+        return self.tables.fields[number].name
+
+    def onto(self, number: int, lane: int, t: float, x: np.ndarray) -> np.ndarray:
+        """The state at the end of an arc in a field: on the contacts held, as a run keeps it."""
+        field, scene = self.tables.fields[number], self.scene
+        if not field.held:
+            return x
+        graph = scene.code.mode(field.mode)
+        mask = [float(name in field.held) for name in graph.resting]
+        numbers = (*self.given.values[lane].tolist(), *mask)
+        return np.array(graph.projection(field.held, numbers)(t, x.tolist()))
+
+    def _complete(self, which: np.ndarray) -> Iterator[Flown]:
+        """Fly lanes, again those that ask for what the tables do not have yet."""
+        while len(which):
+            self._lay_out()
+            asking = []
+            for lanes, ends, told in self._in_threads(which):
+                asks = told[:, OUTCOME] == ASKS
+                asking.append((lanes[asks], told[asks, MODE]))
+                fit = np.isin(told[:, OUTCOME], (ENDED, LAST_JUMP))
+                yield Flown(lanes[fit], ends[fit], told[fit])
+            which = np.concatenate([lanes for lanes, _ in asking])
+            for guard in np.unique(np.concatenate([guards for _, guards in asking])).tolist():
+                self.tables.complete(guard, bounded)
+
+    def _lay_out(self) -> None:
+        """The programs' steady parts, one behind the other, and where each begins."""
+        ends, rows, given = np.zeros(4, dtype=np.int64), [], []
+        parts, columns = self.tables.parts, self.given.values.shape[1]
+        for part in parts:
+            tape = part.tape
+            own = tape.given.T[tape.given[1] < columns]
+            sizes = [len(own), len(tape.steady), len(tape.more), len(part.numbers)]
+            rows.append(np.column_stack([ends, ends + sizes]).reshape(-1))
+            given.append(own)
+            ends = ends + sizes
+        self.programs = (
+            np.array(rows, dtype=np.int64),
+            np.ascontiguousarray(np.concatenate(given)),
+            np.array(self.tables.bounds.given, dtype=np.int64).reshape(-1, 2),
+            np.concatenate([part.tape.steady for part in parts]),
+            np.concatenate([part.tape.more for part in parts]),
+        )
+
+    def _in_threads(self, which: np.ndarray) -> Iterator[Flown]:
+        blocks = np.split(which, range(BLOCK, len(which), BLOCK))
+        automaton, pool = self.tables.automaton, ThreadPoolExecutor(os.cpu_count())
+        try:
+            for done in as_completed([pool.submit(self._block, automaton, b) for b in blocks]):
+                flown, steps = done.result()
+                self.tables.flown(steps)
+                yield flown
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    def _block(self, automaton: Automaton, which: np.ndarray) -> tuple[Flown, int]:
+        """Some lanes, with arrays of their own."""
+        asked = [np.ascontiguousarray(rows[which]) for rows in self.given]
+        count, n = asked[-1].shape
+        numbers, ranged = automaton.programs.numbers.copy(), automaton.bounds.numbers.copy()
+        own = automaton._replace(
+            programs=automaton.programs._replace(numbers=numbers),
+            bounds=automaton.bounds._replace(numbers=ranged),
+        )
+        ends, told = np.empty((count, STATE + n)), np.zeros((count, TOLD), dtype=np.int64)
+        lanes: Any = unit("lanes").lanes
+        steps = lanes(
+            *(own, self.loop.run.copy(), self._now(), *self._rooms(n), *self.programs),
+            *(numbers.reshape(-1, 1), *asked, self.field, self.watched, ends, told),
+        )
+        if not self.whole:
+            told[told[:, OUTCOME] == LAST_JUMP, OUTCOME] = LEFT
+        return Flown(which, ends, told), steps
+
+    def _rooms(self, n: int) -> tuple[Any, ...]:
+        room, sums, look = rooms(self.tables, n, self.loop.order)
+        return room, self._left(n), sums, look
+
+    def _now(self) -> Now:
+        """A state, to be begun by each lane."""
+        floats, ints = np.zeros_like(self.loop.floats), np.zeros_like(self.loop.ints)
+        x, end, seen = np.zeros_like(self.loop.states)
+        orders, signs = np.zeros((2, self.tables.widest), dtype=np.int64)
+        return Now(floats, ints, x, end, seen, orders, signs)
+
+    def _left(self, n: int) -> Left:
+        """Arrays for the jumps, steps and sums of one lane after another."""
+        jumps, steps = self.most
+        return Left(
+            np.empty((jumps, 3)),
+            np.empty(jumps, dtype=np.int64),
+            np.empty((jumps, n)),
+            np.empty((jumps, n)),
+            np.empty(steps, dtype=np.int64),
+            np.empty((steps, 2)),
+            np.empty((0, self.loop.order + 1)),
+            np.empty((SUMS, REMAINING + 1)),
+            np.empty((SUMS * CURVE_ROWS, n + 2)),
+        )

@@ -1,0 +1,222 @@
+"""Whole runs one after another, each with numbers of its own, as far as nothing needs judgement.
+
+A lane goes through the loop of a run (:mod:`.advance`) as the driver would take it through: from a
+start that leaves nothing to weigh to its last time, or to as many jumps as are permitted. What
+needs the driver, a look for cycles among it, is told, and the lane is left to it.
+"""
+
+from __future__ import annotations
+
+import math
+
+from .advance import after
+from .arcs import copied
+from .arrays import Automaton, Floats, Ints, Left, Look, Matrix, Now, Room, Sums, Table
+from .jets import steady
+from .places import (
+    BEFORE,
+    BEGINS,
+    COUNT,
+    END,
+    ENTERED,
+    ERRORS,
+    EXPANSIONS,
+    FIELD,
+    FIRED,
+    FULL,
+    JUMPS,
+    LAST,
+    LOW,
+    MADE,
+    MAKE,
+    PHASE,
+    POWER,
+    RATIO,
+    REMAINING,
+    SERIES,
+    STEPS,
+    TAILS,
+    TAU,
+    TO,
+    TRIED,
+    T,
+)
+from .runs import go
+from .zeros import EPS
+
+__all__ = ("lanes",)
+
+#: What becomes of a lane: it is left to the driver; it has come to its end; to its last jump; or it
+#: asks for something of the guard that stands in the place of its mode.
+LEFT, ENDED, LAST_JUMP, ASKS = 0, 1, 2, 3
+
+#: Columns of what is told of a lane, in whole numbers; then in others: its time, that by which the
+#: state is known, the first accumulation, and where the state begins.
+OUTCOME, MODE, MADE_JUMPS, MADE_STEPS, SUMMED, TOLD = range(6)
+AT_TIME, FLOWN_TO, T_INF, T_ERROR, RATIO_OF, STATE = range(6)
+
+#: The driver looks for a limit of cycles from so many jumps on, or where two turns of so few jumps
+#: at most are shorter than this share of the one before (``run/cycles.py``; a little more, so that
+#: rounding does not decide).
+JUMPS_SEEN, LONGEST, FAST = 23, 8, 0.125 * (1.0 + 1e-9)
+
+#: So many jumps in so many spacings of the time, and the driver says that they follow each other
+#: with no time between them; twice as many are left to it.
+CAUGHT, SPACINGS = 100, 800.0
+
+
+def lanes(
+    a: Automaton,
+    run: Floats,
+    now: Now,
+    room: Room,
+    left: Left,
+    sums: Sums,
+    look: Look,
+    parts: Table,
+    given: Table,
+    ranged: Table,
+    ops: Table,
+    more: Ints,
+    numbers: Matrix,
+    values: Matrix,
+    spans: Matrix,
+    starts: Matrix,
+    field: int,
+    watched: bool,
+    ends: Matrix,
+    told: Table,
+) -> int:
+    """Fly some lanes; returns the steps made.
+
+    ``parts`` has a row for each program: where its ``given``, its ``ops`` and its list of arguments
+    in ``more`` begin and end, and its ``numbers``, which are those that ``a`` has. ``given`` are
+    places of parameters and their columns in ``values``, and ``ranged`` those of the bounds.
+    ``watched``: whether the driver would look for cycles.
+    """
+    made = 0
+    for lane in range(starts.shape[0]):
+        bound(a, parts, given, ranged, ops, more, numbers, values[lane], room)
+        run[LAST] = spans[lane, 1]
+        begun(now, spans[lane, 0], starts[lane], field)
+        status = go(a, run, now, room, left, sums, look)
+        made += now.ints[EXPANSIONS]
+        outcome = LEFT
+        if status == END:
+            outcome = ENDED
+        elif status == MAKE:
+            outcome = ASKS
+        elif status == FULL and now.ints[JUMPS] == left.fired.shape[0]:
+            outcome = LAST_JUMP
+        jumps, tails = now.ints[JUMPS], now.ints[TAILS]
+        if outcome == LAST_JUMP and tails > 0 and left.sums[tails - 1, BEFORE] == jumps:
+            tails -= 1  # behind the last jump nothing is summed
+        if stuck(left, jumps) or (watched and looks(left, jumps, tails)):
+            outcome = LEFT
+        told[lane, OUTCOME], told[lane, MADE_JUMPS], told[lane, SUMMED] = outcome, jumps, tails
+        told[lane, MADE_STEPS] = now.ints[STEPS]
+        if outcome != LEFT:
+            shown(a, run, now, left, outcome, tails, ends[lane], told[lane])
+    return made
+
+
+def shown(
+    a: Automaton,
+    run: Floats,
+    now: Now,
+    left: Left,
+    outcome: int,
+    tails: int,
+    end: Floats,
+    told: Ints,
+) -> None:
+    """Tell where a lane has come to, and its first accumulation."""
+    last = now.ints[JUMPS] - 1
+    if outcome == ASKS:
+        told[MODE] = now.ints[FIRED]
+    elif outcome == ENDED:
+        told[MODE] = now.ints[FIELD]
+        end[AT_TIME], end[FLOWN_TO] = run[LAST], now.floats[T] + now.floats[TAU]
+        copied(now.end, end[STATE:])
+    else:
+        told[MODE] = a.guards[left.fired[last], TO]
+        end[AT_TIME] = end[FLOWN_TO] = left.when[last, 0]
+        copied(left.after[last], end[STATE:])
+    end[T_INF] = end[T_ERROR] = end[RATIO_OF] = math.nan
+    if tails > 0:
+        jump = int(left.sums[0, BEFORE]) - 1
+        end[T_INF], _ = after(left.when[jump, 0], left.when[jump, 1], left.sums[0, REMAINING])
+        end[T_ERROR], end[RATIO_OF] = left.curves[ERRORS, 0], left.sums[0, RATIO]
+
+
+def bound(
+    a: Automaton,
+    parts: Table,
+    given: Table,
+    ranged: Table,
+    ops: Table,
+    more: Ints,
+    numbers: Matrix,
+    own: Floats,
+    room: Room,
+) -> None:
+    """The numbers of each program, for a lane's parameters."""
+    for k in range(ranged.shape[0]):
+        a.bounds.numbers[ranged[k, 0]] = own[ranged[k, 1]]
+    for part in range(parts.shape[0]):
+        first = parts[part, 6]
+        for k in range(parts[part, 0], parts[part, 1]):
+            numbers[first + given[k, 0], 0] = own[given[k, 1]]
+        steady(
+            ops[parts[part, 2] : parts[part, 3]],
+            more[parts[part, 4] : parts[part, 5]],
+            room.still,
+            numbers[first : parts[part, 7]],
+            room.work,
+        )
+
+
+def begun(now: Now, t: float, x: Floats, field: int) -> None:
+    """A state at the start of a run."""
+    now.floats[T], now.floats[LOW], now.floats[TAU], now.floats[TRIED] = t, 0.0, 0.0, math.inf
+    now.ints[FIELD], now.ints[FIRED], now.ints[SERIES], now.ints[COUNT] = field, -1, -1, 0
+    now.ints[ENTERED], now.ints[PHASE], now.ints[MADE], now.ints[POWER] = 0, BEGINS, 0, 1
+    now.ints[JUMPS], now.ints[STEPS], now.ints[EXPANSIONS], now.ints[TAILS] = 0, 0, 0, 0
+    copied(x, now.x)
+    for i in range(x.shape[0]):
+        now.seen[i] = abs(x[i])
+    for g in range(now.signs.shape[0]):
+        now.signs[g] = 0
+
+
+def looks(left: Left, jumps: int, tails: int) -> bool:
+    """Whether the driver would look for a limit of cycles, or might; it begins anew behind each
+    sum."""
+    first = 0
+    for tail in range(tails + 1):
+        last = int(left.sums[tail, BEFORE]) if tail < tails else jumps
+        if last - first > JUMPS_SEEN:
+            return True
+        for length in range(1, LONGEST + 1):
+            for j in range(first + 3 * length, last):
+                if falls(left, j, length):
+                    return True
+        first = last
+    return False
+
+
+def falls(left: Left, j: int, length: int) -> bool:
+    """Whether the last two turns of a cycle were far shorter than those before."""
+    last = left.when[j, 0] - left.when[j - length, 0]
+    before = left.when[j - length, 0] - left.when[j - 2 * length, 0]
+    first = left.when[j - 2 * length, 0] - left.when[j - 3 * length, 0]
+    return last <= FAST * before and before <= FAST * first
+
+
+def stuck(left: Left, jumps: int) -> bool:
+    """Whether jumps follow each other with next to no time between them."""
+    for j in range(CAUGHT - 1, jumps):
+        t = left.when[j, 0]
+        if t - left.when[j - CAUGHT + 1, 0] <= SPACINGS * EPS * abs(t):
+            return True
+    return False
