@@ -70,6 +70,11 @@ class Plan:
         """The largest absolute tolerance."""
         return self.atol if isinstance(self.atol, float) else float(np.max(self.atol))
 
+    @property
+    def bounded(self) -> bool:
+        """Whether the caller bounds the steps."""
+        return min(self.max_step, self.first_step) < np.inf
+
     def longest(self, tau: float) -> float:
         """The longest step from a local time of an arc."""
         return self.max_step if tau else min(self.max_step, self.first_step)
