@@ -133,3 +133,25 @@ def test_the_state_is_that_of_the_rounded_time(method):
         far.step(2e5)
     # the methods' own errors in as many steps; the roundings of the time would add up to some 1e-9
     assert far.x[0] == pytest.approx(math.cos(far.tau - begin), abs=5e-11)
+
+
+class Fading(hy.Automaton):
+    """As many states as leave room for a few steps ahead only."""
+
+    x = hy.state(shape=(300,))
+
+    @hy.mode
+    def fades(self, t, s):
+        return -s.x
+
+
+@pytest.mark.parametrize("save", ["dense", "jumps"])
+def test_large_states_fade(save):
+    """Whatever there is room for: against the exponential, in steps one by one and all at once."""
+    start = np.linspace(1.0, 2.0, 300)
+    options = {"solver": "diffrax", "method": "Tsit5", "rtol": 1e-9, "atol": 1e-11}
+    run = hy.simulate(Fading(), {"x": start}, (0.0, 5.0), save=save, **options)
+    assert run.stats.steps > 2 * diffrax_objects.NUMBERS // (300 * 5)
+    np.testing.assert_allclose(run.final.x, np.exp(-5.0) * start, rtol=1e-7)
+    if save == "dense":
+        np.testing.assert_allclose(run(2.5).x, np.exp(-2.5) * start, rtol=1e-7)

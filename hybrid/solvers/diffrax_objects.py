@@ -58,7 +58,7 @@ ATTEMPTS = 200
 #: long as a call.
 AHEAD, NUMBERS = 32, 8192
 
-#: Most steps between two looks from Python, where nobody asks for them one by one.
+#: Most attempts between two looks from Python, where nobody asks for steps one by one.
 MOST = 100_000
 
 #: What a program is told, before the state, the absolute tolerances and the parameters.
@@ -117,12 +117,12 @@ class DiffraxSolver(Solver):
         first = first_step or min(length, 1e-3)
         return DiffraxStepper(self, field, t0, x0, length, min(first, length))
 
-    def program(self, field: Field, kept: bool) -> Program:
+    def program(self, field: Field) -> Program:
         """Compiled once for a class and mode; found again without a look at the object's values."""
-        short = field.code, field.name, kept
+        short = field.code, field.name
         if short not in self._programs:
-            key = ("diffrax", field.name, self.key, kept)
-            made = field.code.once(key, lambda: Program(self, field, kept))
+            key = ("diffrax", field.name, self.key)
+            made = field.code.once(key, lambda: Program(self, field))
             self._programs[short] = made
         return self._programs[short]
 
@@ -192,26 +192,21 @@ class DiffraxStepper(Stepper):
     ) -> None:
         self.solver, self.field, self.tau, self.x = solver, field, 0.0, x0
         self.wanted, self.taken, self.t0 = first, 0, t0
-        self._use(True)
-        program = self.program
+        self.program = program = solver.program(field)
+        self.memories, self.index, self.made, self.used = program.empty, -1, 0, 0
+        self._end: np.ndarray | None = None
+        self._powers: np.ndarray | None = None
         self.numbers = np.empty(STATE + 2 * program.n + program.parameters)
         self.numbers[T0], self.numbers[LENGTH], self.numbers[RTOL] = t0, length, solver.rtol
         self.numbers[STATE + program.n : -program.parameters or None] = solver.atol
         self.numbers[STATE + 2 * program.n :] = program.flat(field.parameters)
         self.ahead, solver.ahead = solver.ahead, 1
 
-    def _use(self, kept: bool) -> None:
-        """Go on with the program that keeps its steps, or with that which does not."""
-        self.program = self.solver.program(self.field, kept)
-        self.memories, self.index, self.made, self.used = self.program.empty, -1, 0, 0
-        self._end: np.ndarray | None = None
-        self._powers: np.ndarray | None = None
-
     def step(self, limit: float) -> None:
         if not self._is_made(limit):
             if self.x is not self._end:  # what is remembered is of another state
                 self.index = -1
-            self._make(limit, min(self.ahead, AHEAD))
+            self._make(limit, min(self.ahead, AHEAD, self.program.places))
             self.ahead *= 2
         self._take()
         self.taken += 1
@@ -230,13 +225,15 @@ class DiffraxStepper(Stepper):
         self.wanted = tau + longer
 
     def finish(self, length: float) -> int:
-        """So many steps in one call."""
-        if self.program.kept:
-            self._use(False)
-        self._make(length, MOST)
-        steps, self.made = self.made, min(self.made, 1)
-        self._take()
-        return steps
+        """Diffrax's own loop, so many attempts at a time."""
+        left = np.asarray(self.program.whole(self._asked(length)))
+        tau, h, steps, rejected = left[:4].tolist()
+        if not (self.tau < tau and np.all(np.isfinite(left))):
+            self.step(length)  # which says what is wrong
+            return 1
+        self.tau, self.wanted, self.x = tau, tau + h, left[4:]
+        self.solver.rejected += int(rejected)
+        return int(steps)
 
     def segment(self) -> Segment:
         """The method's own interpolant, sampled."""
@@ -262,10 +259,7 @@ class DiffraxStepper(Stepper):
 
     def _make(self, limit: float, count: int, forced: bool = False) -> None:
         """Make steps up to a limit, so many at most."""
-        numbers, n = self.numbers, self.program.n
-        numbers[INDEX], numbers[TAU], numbers[WANTED] = self.index, self.tau, self.wanted
-        numbers[LIMIT], numbers[COUNT], numbers[FORCED] = limit, count, forced
-        numbers[STATE : STATE + n] = self.x
+        n, numbers = self.program.n, self._asked(limit, count, forced)
         try:
             left, self.memories = self.program.run(numbers, self.memories)
         except RuntimeError as fault:
@@ -278,10 +272,18 @@ class DiffraxStepper(Stepper):
             self.solver.rejected += int(left[1])
             raise FlowError(self._reason(self.tau, self.x))
 
+    def _asked(self, limit: float, count: int = 1, forced: bool = False) -> np.ndarray:
+        """What a program is told."""
+        numbers, n = self.numbers, self.program.n
+        numbers[INDEX], numbers[TAU], numbers[WANTED] = self.index, self.tau, self.wanted
+        numbers[LIMIT], numbers[COUNT], numbers[FORCED] = limit, count, forced
+        numbers[STATE : STATE + n] = self.x
+        return numbers
+
     def _take(self) -> None:
         """Go on to the end of the next step made."""
         row = self.rows[self.used]
-        self._before = self.tau, self.x, self.used if self.program.kept else 0
+        self._before = self.tau, self.x, self.used
         self._last = self.tau, row[STATES:].reshape(self.program.states, -1)
         self.tau, self.wanted, refused = row[:STATES].tolist()
         self.x = self._end = self._last[1][-1]
@@ -302,11 +304,6 @@ class DiffraxStepper(Stepper):
 class Program:
     """Steps of a method along a field, one after another, as a compiled function.
 
-    Parameters
-    ----------
-    kept : bool
-        Whether steps are kept; else only the last is, and only its end.
-
     Attributes
     ----------
     run : callable ``(numbers, memories)``
@@ -314,20 +311,23 @@ class Program:
         attempts at the next one have failed, and a row for each step. The memories are those
         before each step, and after the last. ``numbers[INDEX]`` says with which to begin: -1 at
         the start of an arc.
+    whole : callable ``(numbers)``
+        Makes steps by Diffrax's own loop; gives the time that they reach, the length of the next,
+        how many they are, attempts refused, and the state.
     empty : tree of arrays
         Memories for such a start.
     """
 
-    def __init__(self, solver: DiffraxSolver, field: Field, kept: bool) -> None:
-        self.method, self.controller, self.kept = solver.object, solver.controller, kept
+    def __init__(self, solver: DiffraxSolver, field: Field) -> None:
+        self.method, self.controller = solver.object, solver.controller
         self.flow, self.n = again(field.closed), field.code.spec.dimension
         self.shapes = [np.shape(value) for value in field.parameters]
         self.parameters = sum(int(np.prod(shape)) for shape in self.shapes)
         degree = DEGREES[solver.method] if solver.known else DEGREE
         self.sweeps = SWEEPS.get(solver.method, 0) if solver.known else 0
-        self.states = degree + 1 if kept else 1
-        self.places = min(AHEAD, 1 + NUMBERS // (self.n * self.states)) if kept else 1
-        self.run = jit(self._run)
+        self.states = degree + 1
+        self.places = min(AHEAD, 1 + NUMBERS // (self.n * self.states))
+        self.run, self.whole = jit(self._run), jit(self._whole)
         self._flat: tuple[Any, Any] = None, None
         with wide():
             numbers = np.zeros(STATE + 2 * self.n + self.parameters)
@@ -379,6 +379,24 @@ class Program:
         counts = jnp.stack([going.made, going.refused]).astype(float)
         return jnp.concatenate([counts, going.rows.ravel()]), going.memories
 
+    def _whole(self, numbers: Any) -> Any:
+        given = Given(self, numbers)
+        solution = diffrax.diffeqsolve(
+            given.term,
+            given.method,
+            given.tau,
+            given.limit,
+            given.wanted - given.tau,
+            given.x,
+            stepsize_controller=given.controller,
+            max_steps=MOST,
+            throw=False,
+        )
+        reached, stats = solution.ts[-1], solution.stats
+        counts = [stats["num_accepted_steps"], stats["num_rejected_steps"]]
+        mean = (reached - given.tau) / stats["num_steps"]
+        return jnp.concatenate([jnp.stack([reached, mean, *counts]), solution.ys[-1]])
+
     def _attempt(self, given: Given, going: Going) -> Going:
         """One attempt at a step."""
         tau, x, forced = going.tau, going.x, given.forced
@@ -398,7 +416,7 @@ class Program:
         wanted = jnp.where(kept & (end < going.wanted), longer, wanted)
         after = Memory(_where(kept, memory, going.memory.method), controller)
         after = jax.tree.map(lambda new, old: jnp.asarray(new, old.dtype), after, going.memory)
-        refused, place = going.refused + ~kept, jnp.minimum(going.made, self.places - 1)
+        refused, place = going.refused + ~kept, going.made
         values = self._values(given, tau, end, x, y, dense)
         row = jnp.concatenate([jnp.stack([end, wanted, refused.astype(float)]), values.ravel()])
         stuck = ~kept & ~(wanted - tau > SHORTEST * jnp.maximum(tau, 1e-300))
@@ -416,13 +434,11 @@ class Program:
         )
 
     def _values(self, given: Given, tau: Any, end: Any, x: Any, y: Any, dense: Any) -> Any:
-        """The states at the nodes of a step, or that at its end.
+        """The states at the nodes of a step.
 
         The interpolant may be brought nearer to the solution between the ends of the step: each
         sweep integrates the flow along it, which gains an order, and meets the end again.
         """
-        if not self.kept:
-            return y[None]
         s, h = jnp.asarray(nodes(self.states - 1)), end - tau
         path = given.method.interpolation_cls(t0=tau, t1=end, **dense)
         values = jax.vmap(path.evaluate)(tau + h * s)
