@@ -77,7 +77,23 @@ class Sections(hy.Automaton):
         return s.x, s.v, s.seen + 1.0
 
 
+class Soft(hy.Automaton):
+    """A ball that loses more of its speed where it is fast."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.v, -9.8 + 0.3 * jnp.sin(t)
+
+    impact = hy.contact(
+        flight, gap=lambda self, t, s: s.x, restitution=lambda self, t, s, u: 0.7 - 0.1 * abs(u)
+    )
+
+
 SCENES = {
+    "soft": (Soft(), {"x": 0.5, "v": 0.0}, (0.0, 3.0)),
     "duffing": (Duffing(), {"x": 0.3, "v": 0.0}, (0.0, 20.0)),
     "thermostat": (Thermostat(), {"T": 3.0, "spent": 0.0}, (0.0, 40.0)),
     "sections": (Sections(), {"x": 1.0, "v": 0.0, "seen": 0.0}, (0.0, 6.0)),
@@ -357,7 +373,7 @@ def test_machine_code_and_python_sum_alike(seed, monkeypatch):
     same(run, taylor(scene, save="jumps"), scene[2])
 
 
-@pytest.mark.parametrize("name", ["hard_spring", "bead_on_table", "bouncing_ball"])
+@pytest.mark.parametrize("name", ["soft", "hard_spring", "bead_on_table", "bouncing_ball"])
 def test_a_whole_run_is_one_call(name, monkeypatch):
     """Flights, the sum, the rest: the loop comes back at the end, and for its tables once."""
     scene = SCENES[name]

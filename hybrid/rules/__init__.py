@@ -8,7 +8,8 @@ from .load import Library
 #: A run of any solver needs the first two; where contacts are, the loop and the sum, and where it
 #: is long, what programs are compiled of.
 library = Library(
-    __name__, together=(("zeros", "jets"), ("runs", "advance", "sums", "bounds", "operation"))
+    __name__,
+    together=(("zeros", "jets"), ("runs", "advance", "sums", "sights", "bounds", "operation")),
 )
 
 #: ``unit("zeros").first(...)``: the rules of one file by name, compiled when first asked for.

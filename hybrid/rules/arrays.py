@@ -221,9 +221,13 @@ class Look(NamedTuple):
         As :func:`.sums.shown` gives it.
     box, found : Matrix
         Bounds of time, gap speed and states, and of what is made of them.
+    laws : Matrix
+        Of flights by where on the curve they begin: logarithms of the growth of the speed and of
+        the restitution, and behind them the coefficients of polynomials.
     """
 
     stretches: Matrix
     shown: Matrix
     box: Matrix
     found: Matrix
+    laws: Matrix

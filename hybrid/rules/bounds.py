@@ -16,7 +16,7 @@ __all__ = ("ranges",)
 EXACT = True
 
 #: Operations: a row of the box, a number; and those on bounds.
-INPUT, NUMBER, ADD, SUB, NEG, MUL, SQUARE, DIV, SQRT, EXP, SIN, COS = range(12)
+INPUT, NUMBER, ADD, SUB, NEG, MUL, SQUARE, DIV, SQRT, EXP, SIN, COS, ABS = range(13)
 
 #: What a function of the C library may be off, against its size: several spacings, where the usual
 #: ones are off by one.
@@ -61,6 +61,8 @@ def bounds(op: int, a: float, b: float, c: float, d: float) -> tuple[float, floa
     if op == SQUARE:
         low, high = outwards(min(a * a, b * b), max(a * a, b * b))
         return (0.0 if a <= 0.0 <= b else low), high
+    if op == ABS:
+        return (0.0 if a <= 0.0 <= b else min(abs(a), abs(b))), max(abs(a), abs(b))
     if op == DIV and not c <= 0.0 <= d:
         return products(a / c, a / d, b / c, b / d)
     if op == SQRT and a >= 0.0:

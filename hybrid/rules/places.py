@@ -9,10 +9,11 @@ PROGRAM, GUARDS, GUARDS_END, PLAIN, HELD, WATCH = 0, 1, 2, 3, 4, 5
 #: ``LAND`` and ``SIZES`` are programs, -1 where there is none; ``USES`` is where the elements of
 #: the state begin that it is made of. Of a contact whose impacts were to be summed: the first of
 #: the programs of what happens there, whether all flights see the same forces; and where a sum was
-#: found, the program of its bounds, and the field of its rest. Of a load whose contact alone is at
+#: found, the program of its bounds, the field of its rest, and whether its restitution is no
+#: constant. Of a load whose contact alone is at
 #: rest: the same programs, and at ``REST`` the contact's own guard in the field that follows.
 KIND, CROSSING, BOUNDS, AFFINE, TO, RESET, LAND, SIZES, USES, USES_END = range(10)
-AT, LOCAL, SIGHT, REST = range(10, 14)
+AT, LOCAL, SIGHT, REST, DEPENDS = range(10, 15)
 
 #: What has not been asked for yet; what there is none of; what only the driver looks at.
 UNKNOWN, NONE, HARD = -1, -2, -3

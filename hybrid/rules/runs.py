@@ -27,6 +27,7 @@ from .places import (
     CROSSING,
     CURVE_ROWS,
     DEGREE,
+    DEPENDS,
     ENTERED,
     ERRORS,
     FIELD,
@@ -35,6 +36,7 @@ from .places import (
     GOES_ON,
     GUARDS,
     GUARDS_END,
+    HARD,
     JUMP,
     JUMPS,
     LAST,
@@ -66,8 +68,8 @@ from .places import (
     T,
 )
 from .polynomials import power_value
-from .sights import EXCESS, seen
-from .sums import ERROR, READ, STATE, TINY, close, on_curve, touch, turned
+from .sights import CAUTION, EXCESS, damped, seen, slows
+from .sums import ERROR, FLOOR, READ, STATE, TINY, close, on_curve, touch, turned
 from .sums import LIMIT as LIMITS
 from .zeros import EPS
 
@@ -131,7 +133,7 @@ def accumulated(
     if not clear(a, now, room, left, sums, t, x):
         now.floats[TRIED] = v
         return GOES_ON
-    if not believed(a, run, flow, at, guard, tail, t, x, left, sums, look):
+    if not believed(a, run, now, flow, at, guard, tail, t, x, left, sums, look):
         return JUMP
     end, rest = after(t, low, left.sums[tail, REMAINING])
     if (run[LAST] - end) - rest < 0.0:
@@ -154,6 +156,7 @@ def put(tail: int, degree: int, r: float, v: float, jumps: int, left: Left, sums
 def believed(
     a: Automaton,
     run: Floats,
+    now: Now,
     flow: int,
     at: int,
     guard: int,
@@ -165,11 +168,23 @@ def believed(
     look: Look,
 ) -> bool:
     """Whether nothing hides between the flights of a sum, as far as doubles tell."""
-    sight = a.guards[guard, SIGHT]
-    if sight < 0:
-        return sight == NONE
-    row, first = left.sums[tail], tail * CURVE_ROWS
+    sight, row, first = a.guards[guard, SIGHT], left.sums[tail], tail * CURVE_ROWS
     curve = left.curves[first : first + int(row[DEGREE]) + 1]
+    if sight == HARD:
+        return False
+    if a.guards[guard, DEPENDS] == 1:
+        column = guard - a.fields[now.ints[FIELD], GUARDS]
+        v, r, remaining, end = row[LEAVES], row[RATIO], row[REMAINING], t + row[REMAINING]
+        error = max(left.curves[first + ERRORS, 0], FLOOR * abs(end))
+        allowed = CAUTION * error * (1.0 - r) / remaining
+        limit = left.curves[first + LIMIT, : x.shape[0]]
+        most = count(row, t)
+        if not damped(
+            a, flow, at, column, curve, t, x, v, r, most, allowed, sums, look
+        ) or not slows(a, at, end, limit, v, sums):
+            return False
+    if sight == NONE:
+        return True
     excess = EXCESS * run[CLOSING] ** 0.5
     return seen(a, flow, at, sight, curve, t, x, row[LEAVES], row[RATIO], excess, sums, look)
 

@@ -10,8 +10,12 @@ import math
 
 from .arrays import Automaton, Floats, Look, Matrix, Sums
 from .bounds import ranges
+from .chebyshev import from_values, nodes, value
+from .flights import fly
 from .jets import values
-from .sums import LAW, LOSS, READ, SHOWN, TURN, shown
+from .sums import LAW, LINE, LOSS, READ, SHOWN, STATE, TURN, on_curve, restitution, shown
+
+__all__ = ("damped", "seen", "slows")
 
 #: What the gap's acceleration, or the restitution, may be in a box beyond what it is at points,
 #: against its size: bounds overestimate by a little that shrinks with the box.
@@ -23,6 +27,19 @@ HALVINGS = 9
 
 #: How much wider a box is than the points in it, on either side.
 WIDER = 0.25
+
+#: Slowest impacts that are asked for their restitution (as slow as a float can be, but for a
+#: square), impacts of a tail that are asked one by one, and steps from there to the slowest.
+SLOWEST, IMPACTS, STEPS = 1e-300, 400, 1500
+
+#: Flights between which the restitution along a tail is interpolated.
+POINTS = 12
+
+#: What the restitution may be off, in what that does to the limit, against the sum's own error.
+CAUTION = 64.0
+
+# Columns of ``laws``, besides the restitution.
+GROWTH = 0
 
 # Columns of ``stretches``: the first impact and the last, ``first > last``; which shares of each
 # flight after them; how often it may yet be halved. Rows of ``box``: time, gap speed before an
@@ -62,6 +79,91 @@ def seen(
                 return False
             halved(look.stretches, count, r)
             count += 2
+    return True
+
+
+def damped(
+    a: Automaton,
+    flow: int,
+    at: int,
+    column: int,
+    curve: Matrix,
+    t: float,
+    x: Floats,
+    v: float,
+    r: float,
+    impacts: int,
+    allowed: float,
+    room: Sums,
+    look: Look,
+) -> bool:
+    """Whether the restitution at each impact is what a sum's flights have it, and below 1.
+
+    ``allowed``: what it may be off at the first impact, so that the limit is not off by more than
+    the sum.
+    """
+    if not laws(a, flow, at, column, curve, t, x, v, r, room, look):
+        return False
+    n, degree, found = x.shape[0], curve.shape[0] - 1, look.laws[POINTS + 1 :]
+    w, state = 1.0, room.lines[STATE, :n]
+    for _ in range(min(impacts, IMPACTS)):
+        when, _ = on_curve(a.programs, at, curve, degree, t, x, v, r * w, 1.0, room, state)
+        bend = value(curve, degree, n + 1, w) + value(found, POINTS, GROWTH, w)
+        law = restitution(a.programs, at, when, state, -v * w * math.exp(bend), room)
+        expected = math.exp(value(found, POINTS, RESTITUTION, w))
+        if not law < 1.0 - LOSS or abs(law / expected - 1.0) * w > allowed:
+            return False
+        w *= r
+    return True
+
+
+def slows(a: Automaton, at: int, t: float, x: Floats, v: float, room: Sums) -> bool:
+    """Whether the restitution is below 1 down to the slowest impacts, at a state."""
+    fall = math.log(SLOWEST / v) / (STEPS - 1)
+    for k in range(STEPS):
+        if not restitution(a.programs, at, t, x, -v * math.exp(fall * k), room) < 1.0 - LOSS:
+            return False
+    return True
+
+
+def laws(
+    a: Automaton,
+    flow: int,
+    at: int,
+    column: int,
+    curve: Matrix,
+    t: float,
+    x: Floats,
+    v: float,
+    r: float,
+    room: Sums,
+    look: Look,
+) -> bool:
+    """Polynomials through the growth of the speed in a flight, and the restitution after it, in the
+    place on the curve from which the flight begins; False where one is not to be had."""
+    p, state = a.programs, room.lines[STATE, : x.shape[0]]
+    look.laws[0, GROWTH], look.laws[0, RESTITUTION] = 0.0, math.log(r)
+    for k in range(1, POINTS + 1):
+        nodes(POINTS, room.small[LINE])
+        w = room.small[LINE, k]
+        when, speed = on_curve(p, at, curve, curve.shape[0] - 1, t, x, v, w, 1.0, room, state)
+        status, length, u, _, _ = fly(
+            p, flow, column, False, when, state, speed, room.starts, room.lengths, room.series,
+            room.branch, room.end, room.c, room.aside, room.work, room.rows, room.found, room.sides,
+        )  # fmt: skip
+        if status < 0:
+            return False
+        law = restitution(p, at, when + length, room.end, u, room)
+        if not law > 0.0:
+            return False
+        look.laws[k, GROWTH], look.laws[k, RESTITUTION] = math.log(-u / speed), math.log(law)
+    from_values(POINTS, room.small)
+    for k in range(POINTS + 1):
+        for j in range(2):
+            total = 0.0
+            for i in range(POINTS + 1):
+                total += room.small[k, i] * look.laws[i, j]
+            look.laws[POINTS + 1 + k, j] = total
     return True
 
 

@@ -50,7 +50,7 @@ from ..rules.places import (
     T,
 )
 from ..rules.runs import RISES
-from ..rules.sights import HALVINGS, STATES
+from ..rules.sights import HALVINGS, POINTS, STATES
 from ..rules.sums import SHOWN
 from ..scene.lowered import ORDER
 from ..segment import nodes
@@ -78,7 +78,8 @@ def rooms(tables: Tables, n: int, order: int) -> tuple[Room, Sums, Look]:
     """Arrays for one run to work in."""
     *needs, bounds = tables.needs
     stretches, shown = np.zeros((HALVINGS + 2, 5)), np.zeros((SHOWN + 2, n + 4))
-    look = Look(stretches, shown, np.zeros((STATES + n, 2)), np.zeros((bounds, 2)))
+    pairs = [np.zeros((rows, 2)) for rows in (STATES + n, bounds, 2 * POINTS + 2)]
+    look = Look(stretches, shown, *pairs)
     return tables.room(order), room_for_sums(needs, n), look
 
 
@@ -354,20 +355,21 @@ class Machine:
             steps = self.outside.steps(begin, end) if self.dense else None
             return steps, self.outside.count(begin, end)
         owner = left.owner[: max(int(self.ints[STEPS]), 0)]
-        rows = (owner >= begin) & (owner < end)
-        count, held = self.opened + int(np.count_nonzero(rows)), self.open
+        first, last = owner.searchsorted((begin, end)).tolist()
+        count, held = self.opened + last - first, self.open
         self.open, self.opened = [], 0
-        return joined([*held, self._made(left, rows, begin)]) if self.dense else None, count
+        if not self.dense:
+            return None, count
+        return joined([*held, self._made(left, slice(first, last), begin)]), count
 
-    def _made(self, left: Left, rows: np.ndarray, begin: int) -> Steps:
+    def _made(self, left: Left, rows: slice | np.ndarray, begin: int) -> Steps:
         """Steps as states at the nodes of each, those of arc ``begin`` being the first's."""
-        n, count = self.states.shape[1], len(rows)
-        start, length = left.spans[:count][rows].T
-        series = left.series[: n * count].reshape(count, n, self.order + 1)[rows]
+        start, length = left.spans[rows].T
+        series = left.series.reshape(-1, self.states.shape[1], self.order + 1)[rows]
         powers = np.arange(self.order + 1)
         scaled = series * length[:, None, None] ** powers
         values = np.einsum("sik,jk->sji", scaled, nodes(self.order)[:, None] ** powers)
-        return Steps(left.owner[:count][rows] - begin, start, length, values)
+        return Steps(left.owner[rows] - begin, start, length, values)
 
     def _last(self, left: Left) -> np.ndarray:
         """Add the arc that no jump of the loop has ended; returns the state at its end."""

@@ -13,6 +13,7 @@ from ..rules.arrays import Automaton, Room
 from ..rules.places import (
     AT,
     CONTACT,
+    DEPENDS,
     EDGE,
     GUARDS,
     HARD,
@@ -94,7 +95,7 @@ class Tables:
         """The automaton, as far as its fields have been asked for."""
         if self._made is None:
             fields, uses = (np.array(rows, dtype=np.int64) for rows in (self._fields, self._uses))
-            guards = np.array(self._rows, dtype=np.int64).reshape(-1, REST + 1)
+            guards = np.array(self._rows, dtype=np.int64).reshape(-1, DEPENDS + 1)
             programs = self._programs.programs()
             recall(programs, self._recalled)
             self._recalled = len(programs.code)
@@ -134,7 +135,7 @@ class Tables:
         elif row[AT] == UNKNOWN:
             row[AT], row[LOCAL] = self._at(field, guard.edge), self.scene.contact(guard.edge).local
         else:
-            found = sight(field, self.scene.contact(guard.edge))
+            row[DEPENDS], found = sight(field, self.scene.contact(guard.edge))
             if not isinstance(found, int):
                 program, *given = found
                 among = program.ranged(self.bounds, *given)
@@ -196,7 +197,7 @@ class Tables:
         sizes = self._of_values(field, ("sizes", name, held), lambda: graph.sizes(name, held))
         kind, crossing = NUMBERED.get(guard.kind, OTHER), DIRECTIONS[guard.crossing]
         shape = [int(guard.bounds), int(guard.affine), self.numbers.get(guard.to, UNKNOWN)]
-        later = [UNKNOWN, 0, UNKNOWN, UNKNOWN]
+        later = [UNKNOWN, 0, UNKNOWN, UNKNOWN, 0]
         if guard.kind == "release" and len(field.held) > 1:  # what follows is judged
             shape[2] = NONE
         return [kind, crossing, *shape, *programs, sizes, uses, len(self._uses), *later]

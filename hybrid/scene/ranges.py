@@ -14,7 +14,7 @@ from ..rules.arrays import Bounds
 RANGES = {
     **{"add": rule.ADD, "sub": rule.SUB, "neg": rule.NEG, "mul": rule.MUL, "div": rule.DIV},
     **{"square": rule.SQUARE, "sqrt": rule.SQRT, "exp": rule.EXP, "sin": rule.SIN},
-    "cos": rule.COS,
+    **{"cos": rule.COS, "abs": rule.ABS},
 }
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from itertools import pairwise
-from math import exp, log
+from math import ceil, exp, log, ulp
 from typing import TYPE_CHECKING
 
 import attrs
@@ -104,9 +104,9 @@ class Tail:
     @cached_property
     def count(self) -> int:
         """Impacts after ``y(1)`` that a double can still tell from the limit."""
-        resolution = max(np.spacing(abs(self.t + self.remaining)), 1e-300)
+        resolution = max(ulp(self.t + self.remaining), 1e-300)
         share = min(max(resolution / self.remaining, 1e-300), 1.0)
-        return max(0, int(np.ceil(log(share) / log(self.r))))
+        return max(0, ceil(log(share) / log(self.r)))
 
     @cached_property
     def times(self) -> np.ndarray:

@@ -25,7 +25,19 @@ from numpy.polynomial import chebyshev
 
 from ..errors import TraceError
 from ..rules.places import HARD, NONE
-from ..rules.sights import EXCESS, HALVINGS, SPEED, STATES, TIME, WIDER
+from ..rules.sights import (
+    CAUTION,
+    EXCESS,
+    HALVINGS,
+    IMPACTS,
+    POINTS,
+    SLOWEST,
+    SPEED,
+    STATES,
+    STEPS,
+    TIME,
+    WIDER,
+)
 from ..rules.sums import FLOOR, LOSS
 from ..scene.defect import EPS
 from ..scene.derivatives import along
@@ -38,16 +50,6 @@ from .flight import fly
 
 if TYPE_CHECKING:
     from ..scene import Contact, Field
-
-#: Slowest impacts that are asked for their restitution (as slow as a float can be, but for a
-#: square), impacts of a tail that are asked one by one, and steps from there to the slowest.
-SLOWEST, IMPACTS, STEPS = 1e-300, 400, 1500
-
-#: Flights between which the restitution along a tail is interpolated.
-DEGREE = 12
-
-#: What the restitution may be off, in what that does to the limit, against the sum's own error.
-CAUTION = 64.0
 
 #: What of a loss that fades is not told from none: some hundred roundings of the restitution.
 LOST = 1e-13
@@ -110,7 +112,7 @@ def _flown(tail: Tail) -> tuple[np.ndarray, np.ndarray] | None:
     Chebyshev coefficients in the place on the curve from which the flight begins.
     """
     rows = [[0.0, log(tail.r)]]
-    for w in nodes(DEGREE)[1:].tolist():
+    for w in nodes(POINTS)[1:].tolist():
         since, x, v = tail.point(w)
         flight = fly(tail.field, tail.column, tail.t + since, x.tolist(), v)
         if flight is None:
@@ -119,7 +121,7 @@ def _flown(tail: Tail) -> tuple[np.ndarray, np.ndarray] | None:
         if not law > 0:
             return None
         rows.append([log(-flight.u / v), log(law)])
-    growth, laws = (from_values(DEGREE) @ np.array(rows)).T
+    growth, laws = (from_values(POINTS) @ np.array(rows)).T
     return growth, laws
 
 
@@ -248,14 +250,17 @@ class _Look:
     at: Callable[[float, list[float], float], list[float]]
 
 
-def bounded(field: Field, contact: Contact) -> Any:
-    """What is looked at where no function decides on formulas, for bounds in doubles.
+def bounded(field: Field, contact: Contact) -> tuple[bool, Any]:
+    """Whether a restitution is no constant; what is looked at where no function decides on
+    formulas, for bounds in doubles.
 
     An :class:`.IntervalProgram`, the rows of a box that are its inputs, and the others' values;
     or, as the rules number it, that there is nothing to look at, or that more is to be looked at.
     """
-    if _depends(field, contact.name):
-        return HARD
+    return _depends(field, contact.name), _ranged(field, contact)
+
+
+def _ranged(field: Field, contact: Contact) -> Any:
     if find_spec("flint") is None:
         return NONE
     try:
