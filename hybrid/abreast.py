@@ -53,9 +53,7 @@ def abreast(scene: Scene, driver: Driver, mode: str, lanes: Given) -> Abreast | 
     """What flies the lanes of an ensemble by machine code alone; None where their runs are not
     plain. ``driver`` is the run of one of them, which has not begun."""
     plan, loop = driver.plan, driver.loop
-    if loop is None or not driver.solver.whole or plan.zeno == "truncate":
-        return None
-    if min(plan.max_step, plan.first_step) < np.inf:  # each lane's times bound these
+    if loop is None or not driver.solver.whole or plan.bounded or plan.zeno == "truncate":
         return None
     declared = mode in [each.name for each in scene.spec.modes]
     return Abreast(scene, driver, mode, lanes) if declared and loop.may(scene.field(mode)) else None
