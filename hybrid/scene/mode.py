@@ -323,14 +323,10 @@ class ModeGraph:
         numbers
             Values of parameters and mask.
         """
-        contacts = [self.contact(name) for name in self.resting]
-        rows = [[c.gap, c.speed, *c.normal, *c.push] for c in contacts]
-        geometry = self.program("geometry", lambda: [i for row in rows for i in row]).bind(numbers)
-        begins = np.cumsum([0, *(len(row) for row in rows)]).tolist()
-        known = dict(zip(self.resting, zip(contacts, begins, strict=False), strict=True))
-        chosen = [known[name] for name in held]
-        of_gap, of_speed = (Onto.of(chosen, of_speed) for of_speed in (False, True))
-        onto = of_gap, of_gap, of_speed
+        program, of_gap, of_speed = self.code.once(
+            ("onto", self.kept, *held), lambda: self._onto(held)
+        )
+        geometry, onto = program.bind(numbers), (of_gap, of_gap, of_speed)
 
         def project(t: float, x: Sequence[float]) -> tuple[float, ...]:
             known, values, made = None, (), None
@@ -342,6 +338,16 @@ class ModeGraph:
             return tuple(x)
 
         return project
+
+    def _onto(self, held: Sequence[str]) -> tuple[Any, Onto, Onto]:
+        """Gaps, gap speeds and directions of the contacts, and the steps onto those held."""
+        contacts = [self.contact(name) for name in self.resting]
+        rows = [[c.gap, c.speed, *c.normal, *c.push] for c in contacts]
+        program = self.program("geometry", lambda: [i for row in rows for i in row])
+        begins = np.cumsum([0, *(len(row) for row in rows)]).tolist()
+        known = dict(zip(self.resting, zip(contacts, begins, strict=False), strict=True))
+        chosen = [known[name] for name in held]
+        return program, Onto.of(chosen, False), Onto.of(chosen, True)
 
 
 @attrs.frozen
