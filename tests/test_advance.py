@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import attrs
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import hybrid as hy
 from hybrid import gallery
 from hybrid.log import Flights
 from hybrid.rules.load import Library
-from hybrid.rules.places import END, FULL
+from hybrid.rules.places import END, FULL, LOOK
 from hybrid.run import machine
 from hybrid.solvers.taylor_backend import TaylorSolver
 
@@ -371,6 +372,51 @@ def test_machine_code_and_python_sum_alike(seed, monkeypatch):
     monkeypatch.setenv("HYBRID_RULES", "checked")
     monkeypatch.setattr(machine, "unit", Library("hybrid.rules").unit)
     same(run, taylor(scene, save="jumps"), scene[2])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_low_flights_are_those_of_the_rules_one_by_one(seed, monkeypatch):
+    """Down to flights of 1e-18, with the loop and without it."""
+    model, start, span = drawn(seed)
+    scene = attrs.evolve(model, r=0.3), start, span
+    run = taylor(scene, zeno="ignore", max_jumps=60)
+    assert np.diff(run.jumps.t).min() < 1e-12
+    monkeypatch.setattr(TaylorSolver, "whole", False)
+    same(run, taylor(scene, zeno="ignore", max_jumps=60), span)
+
+
+def test_low_flights_are_flown_in_the_loop(monkeypatch):
+    """It comes back at the last jump alone."""
+    scene = SCENES["soft"]
+    taylor(scene, zeno="ignore", max_jumps=60)
+    found = calls(monkeypatch)
+    taylor(scene, zeno="ignore", max_jumps=60)
+    assert found == [FULL]
+
+
+def test_a_low_flight_beyond_the_end_of_a_run_is_cut_off(monkeypatch):
+    """It is left to the driver: the run ends in the middle of it, as without the loop."""
+    model, start, span = SCENES["soft"]
+    jumps = taylor((model, start, span), zeno="ignore", max_jumps=60).jumps.t
+    place = int(np.argmax(np.diff(jumps) < 1e-5))
+    scene = model, start, (0.0, 0.5 * (jumps[place] + jumps[place + 1]))
+    found = calls(monkeypatch)
+    run = taylor(scene, zeno="ignore")
+    assert LOOK in found
+    assert len(run.jumps) == place + 1
+    monkeypatch.setattr(TaylorSolver, "whole", False)
+    slow = taylor(scene, zeno="ignore")
+    same(run, slow, scene[2])
+    assert run.final.v == pytest.approx(slow.final.v, abs=ROUNDING)
+
+
+def test_low_flights_as_plain_python_agree(monkeypatch):
+    """No index is below zero."""
+    scene = SCENES["soft"]
+    run = taylor(scene, zeno="ignore", max_jumps=60)
+    monkeypatch.setenv("HYBRID_RULES", "checked")
+    monkeypatch.setattr(machine, "unit", Library("hybrid.rules").unit)
+    same(run, taylor(scene, zeno="ignore", max_jumps=60), scene[2])
 
 
 @pytest.mark.parametrize("name", ["soft", "hard_spring", "bead_on_table", "bouncing_ball"])

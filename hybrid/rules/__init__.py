@@ -9,7 +9,7 @@ from .load import Library
 #: is long, what programs are compiled of.
 library = Library(
     __name__,
-    together=(("zeros", "jets"), ("runs", "advance", "sums", "sights", "bounds", "operation")),
+    together=(("zeros", "jets"), ("runs", "sums", "bounds", "operation")),
 )
 
 #: ``unit("zeros").first(...)``: the rules of one file by name, compiled when first asked for.

@@ -12,6 +12,7 @@ from .arrays import Automaton, Floats, Left, Now, Room
 from .guards import NEAR, largest, row_of
 from .jets import OUTPUT, jets
 from .places import (
+    AT,
     BEGINS,
     CONTACT,
     COUNT,
@@ -20,15 +21,19 @@ from .places import (
     FIELD,
     FIRED,
     FULL,
+    HELD,
+    HOPS,
     JUMP,
     JUMPS,
     KIND,
     LAND,
     LANDED,
     LOW,
+    LOW_AHEAD,
     MAKE,
     NONE,
     OPENS,
+    ORDER,
     PATIENT,
     PHASE,
     POWER,
@@ -44,6 +49,7 @@ from .places import (
     TO,
     TRIED,
     UNKNOWN,
+    WAS_LOW,
     T,
 )
 
@@ -57,6 +63,8 @@ def advance(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
         if now.ints[PHASE] != STRIKES:
             if now.ints[JUMPS] == left.fired.shape[0]:
                 return FULL
+            if now.ints[LOW_AHEAD] == 1:
+                return HOPS
             status = arc(a, run, now, room, left)
         if status == LANDED:
             status = jump(a, run, now, room, left)
@@ -90,6 +98,7 @@ def jump(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
     stays = kind == CONTACT or unchanged(a, now, room, t, left.before[place], left.after[place])
     added(now, left, guard, t, low)
     watch(now, guard, kind)
+    now.ints[WAS_LOW] = 0
     now.floats[T], now.floats[LOW] = t, low
     now.ints[FIRED] = guard if stays and to == now.ints[FIELD] else -1
     now.ints[FIELD], now.ints[ENTERED], now.ints[POWER] = to, 0, 1
@@ -137,19 +146,15 @@ def impact(
 ) -> int:
     """The states before and after an impact; ``LANDED`` if the next flight is one like others (7).
 
-    ``SUM`` where impacts are to be summed from here; ``JUMP`` where it is so low that the gap would
-    drown in the rounding of the state.
+    ``SUM`` where impacts are to be summed from here. Where it is so low that the gap would drown in
+    the rounding of the state that is noted; ``JUMP`` where it cannot be flown here, and ``MAKE``.
     """
-    guard, n = now.ints[FIRED], now.x.shape[0]
-    if not values(a, a.guards[guard, LAND], t, now.end, room, before):
+    guard = now.ints[FIRED]
+    if now.ints[WAS_LOW] == 0 and not struck(a, now, room, t, before, behind):
         return JUMP
-    program = a.guards[guard, RESET]
-    if not values(a, program, t, before, room, behind):
-        return JUMP
-    speed = room.aside[a.programs.output[a.programs.index[program, OUTPUT] + n], 0]
+    speed = now.floats[SPEED]
     count = now.ints[COUNT] + 1 if guard == now.ints[SERIES] else 1
     tried = now.floats[TRIED] if count > 1 else math.inf
-    now.floats[SPEED] = speed
     if not speed > 0.0:
         return JUMP
     if count >= run[PATIENT] and speed <= run[SHARE] * tried:
@@ -158,8 +163,28 @@ def impact(
     if jets(a.programs, flow, 2, t, behind, room.still, room.aside, room.work) < 0:
         return JUMP
     fall = -2.0 * room.aside[row_of(a, flow, now.ints[FIELD], guard), 2]
-    high = speed * speed > NEAR * fall * max(largest(now.seen), largest(behind))
-    return LANDED if high else JUMP
+    if speed * speed > NEAR * fall * max(largest(now.seen), largest(behind)):
+        return LANDED
+    own = run[ORDER] == 0.0 and a.fields[now.ints[FIELD], HELD] == 0 and fall > 0.0
+    if not own or a.guards[guard, AT] < UNKNOWN:
+        return JUMP
+    if a.guards[guard, AT] == UNKNOWN:
+        return MAKE
+    now.ints[LOW_AHEAD] = 1
+    return LANDED
+
+
+def struck(a: Automaton, now: Now, room: Room, t: float, before: Floats, behind: Floats) -> bool:
+    """Put down the states before and after an impact, and the gap speed; whether all are finite."""
+    guard, n = now.ints[FIRED], now.x.shape[0]
+    if not values(a, a.guards[guard, LAND], t, now.end, room, before):
+        return False
+    program = a.guards[guard, RESET]
+    if not values(a, program, t, before, room, behind):
+        return False
+    place = a.programs.index[program, OUTPUT] + n
+    now.floats[SPEED] = room.aside[a.programs.output[place], 0]
+    return True
 
 
 def unchanged(a: Automaton, now: Now, room: Room, t: float, before: Floats, behind: Floats) -> bool:

@@ -41,6 +41,8 @@ from .places import (
 from .polynomials import power_size, power_value, shift
 from .zeros import EPS, NEVER, series
 
+__all__ = ("event_along", "starts")
+
 #: A guard nearer to zero than this share of the state is looked at more closely.
 NEAR = 1e-6
 

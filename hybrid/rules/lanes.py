@@ -27,6 +27,7 @@ from .places import (
     JUMPS,
     LAST,
     LOW,
+    LOW_AHEAD,
     MADE,
     MAKE,
     PHASE,
@@ -39,6 +40,7 @@ from .places import (
     TAU,
     TO,
     TRIED,
+    WAS_LOW,
     T,
 )
 from .runs import go
@@ -182,6 +184,7 @@ def begun(now: Now, t: float, x: Floats, field: int) -> None:
     now.ints[FIELD], now.ints[FIRED], now.ints[SERIES], now.ints[COUNT] = field, -1, -1, 0
     now.ints[ENTERED], now.ints[PHASE], now.ints[MADE], now.ints[POWER] = 0, BEGINS, 0, 1
     now.ints[JUMPS], now.ints[STEPS], now.ints[EXPANSIONS], now.ints[TAILS] = 0, 0, 0, 0
+    now.ints[LOW_AHEAD], now.ints[WAS_LOW] = 0, 0
     copied(x, now.x)
     for i in range(x.shape[0]):
         now.seen[i] = abs(x[i])

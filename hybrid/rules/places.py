@@ -36,9 +36,10 @@ T, LOW, TAU, TRIED, NEXT, TO_TAU, AIM, FIRST, SPEED = range(9)
 #: Places in a state's integers: the field and the guard last used; the series of impacts; whether
 #: the driver has looked at the arc's start; jumps and steps kept, and expansions made; then what
 #: comes next in the arc, its steps so far, the guard that fires, the kink at which the step ends,
-#: landings tried, sums kept, and by which power of the time the guard last used vanishes.
+#: landings tried, sums kept, by which power of the time the guard last used vanishes; whether the
+#: flight that begins is one so low that the gap would drown in rounding, and whether one ends.
 FIELD, FIRED, SERIES, COUNT, ENTERED, JUMPS, STEPS, EXPANSIONS = range(8)
-PHASE, MADE, EVENT, CROSSED, TRIES, TAILS, POWER = range(8, 15)
+PHASE, MADE, EVENT, CROSSED, TRIES, TAILS, POWER, LOW_AHEAD, WAS_LOW = range(8, 17)
 
 #: What comes next in an arc: its start; a step; to look at a step; to land; the jump at its end.
 BEGINS, WALKS, LOOKS, LANDS, STRIKES = 0, 1, 2, 3, 4
@@ -54,8 +55,8 @@ ERRORS, LIMIT, AT_REST, CURVE_ROWS = 17, 18, 19, 20
 #: Why a call comes back: the run is at its end; the arrays are full; an arc has to be looked at
 #: with all the rules; a jump has; another solver is to make a step, or to land; impacts are to be
 #: summed; a contact at rest opens; the table has not all that is asked of the guard at the arc's
-#: end.
-END, FULL, LOOK, JUMP, STEP, LAND_ON, SUM, OPENS, MAKE = 1, 2, 3, 4, 5, 6, 7, 8, 9
+#: end; a low flight begins.
+END, FULL, LOOK, JUMP, STEP, LAND_ON, SUM, OPENS, MAKE, HOPS = range(1, 11)
 
 #: A guard has fired, and the state is on it. The arc goes on.
 LANDED, GOES_ON = 0, -1

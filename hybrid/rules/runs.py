@@ -14,7 +14,7 @@ from .arrays import Automaton, Floats, Left, Look, Now, Programs, Room, Sums
 from .chebyshev import value
 from .flights import fly
 from .guards import ROUNDED, largest, row_of, starts
-from .jets import jets
+from .jets import jets, values
 from .places import (
     ABSOLUTE,
     AFFINE,
@@ -24,12 +24,14 @@ from .places import (
     BEGINS,
     BOUNDS,
     CLOSING,
+    CONTACT,
     CROSSING,
     CURVE_ROWS,
     DEGREE,
     DEPENDS,
     ENTERED,
     ERRORS,
+    EXPANSIONS,
     FIELD,
     FIRED,
     FULL,
@@ -37,13 +39,17 @@ from .places import (
     GUARDS,
     GUARDS_END,
     HARD,
+    HOPS,
     JUMP,
     JUMPS,
+    KIND,
     LAST,
     LEAVES,
     LIMIT,
     LOCAL,
+    LOOK,
     LOW,
+    LOW_AHEAD,
     MAKE,
     NONE,
     OPENS,
@@ -59,17 +65,33 @@ from .places import (
     SERIES,
     SIGHT,
     SPEED,
+    STEPS,
+    STRIKES,
     SUM,
     TAILS,
     TAU,
     TO,
     TRIED,
     UNKNOWN,
+    WAS_LOW,
     T,
 )
 from .polynomials import power_value
 from .sights import CAUTION, EXCESS, damped, seen, slows
-from .sums import ERROR, FLOOR, READ, STATE, TINY, close, on_curve, touch, turned
+from .sums import (
+    ERROR,
+    FLOOR,
+    LAND,
+    READ,
+    STATE,
+    TINY,
+    TURN,
+    close,
+    on_curve,
+    restitution,
+    touch,
+    turned,
+)
 from .sums import LIMIT as LIMITS
 from .zeros import EPS
 
@@ -92,6 +114,8 @@ def go(a: Automaton, run: Floats, now: Now, room: Room, left: Left, sums: Sums, 
             status = accumulated(a, run, now, room, left, sums, look)
         elif status == OPENS:
             status = opened(a, now, room, left, sums)
+        elif status == HOPS:
+            status = hopped(a, run, now, room, left, sums)
         if status == JUMP:
             now.ints[PHASE] = BEGINS
     return status
@@ -230,6 +254,81 @@ def opened(a: Automaton, now: Now, room: Room, left: Left, sums: Sums) -> int:
     return GOES_ON
 
 
+def hopped(a: Automaton, run: Floats, now: Now, room: Room, left: Left, sums: Sums) -> int:
+    """Fly the flight that begins here, which is so low that the gap would drown in the rounding of
+    the state (7), by its series, in which gap and gap speed are coordinates of their own.
+
+    Returns
+    -------
+    status : int
+        ``GOES_ON`` to the impact at its end; ``FULL``, and it is still to be flown; or ``LOOK``,
+        where it is long, goes beyond the end of the run, another guard comes near, or there is no
+        room for it.
+    """
+    field, guard, v = now.ints[FIELD], now.ints[FIRED], now.floats[SPEED]
+    flow, at, t = a.fields[field, PROGRAM], a.guards[guard, AT], now.floats[T]
+    status, time, u, pieces, _ = fly(
+        a.programs, flow, guard - a.fields[field, GUARDS], False, t, now.x, v, sums.starts,
+        sums.lengths, sums.series, sums.branch, sums.end, sums.c, sums.aside, sums.work, sums.rows,
+        sums.found, sums.sides,
+    )  # fmt: skip
+    end, low = after(t, now.floats[LOW], time)
+    if status < 0 or (run[LAST] - end) - low < 0.0:
+        return LOOK
+    if now.ints[STEPS] + pieces > left.owner.shape[0]:
+        return FULL if now.ints[STEPS] + now.ints[JUMPS] > 0 else LOOK
+    read, n, before = sums.lines[READ], now.x.shape[0], left.before[now.ints[JUMPS]]
+    values(a.programs, at + LAND, t + time, sums.end, sums.sides, sums.c, sums.work, read)
+    copied(read[:n], before)
+    if not apart(a, now, room, t, t + time, before):
+        return LOOK
+    speed = restitution(a.programs, at, t + time, before, u, sums) * -u
+    values(a.programs, at + TURN, t + time, before, sums.sides, sums.c, sums.work, read)
+    copied(before, now.end)
+    copied(before, left.after[now.ints[JUMPS]])
+    turned(left.after[now.ints[JUMPS]], speed - read[n], read)
+    for piece in range(pieces):
+        taken(now, left, sums, piece)
+    now.floats[TAU], now.floats[SPEED] = time, speed
+    now.ints[STEPS] += pieces
+    now.ints[EXPANSIONS] += pieces
+    now.ints[LOW_AHEAD], now.ints[WAS_LOW], now.ints[PHASE] = 0, 1, STRIKES
+    return GOES_ON
+
+
+def taken(now: Now, left: Left, sums: Sums, piece: int) -> None:
+    """Keep a piece of a flight as a step."""
+    place, n = now.ints[STEPS] + piece, now.x.shape[0]
+    left.owner[place] = now.ints[JUMPS]
+    left.spans[place, 0], left.spans[place, 1] = sums.starts[piece], sums.lengths[piece]
+    if left.series.shape[0] > 0:
+        for i in range(n):
+            copied(sums.series[piece * n + i], left.series[place * n + i])
+
+
+def apart(a: Automaton, now: Now, room: Room, t: float, end: float, x: Floats) -> bool:
+    """Whether at both ends of a low flight, from ``now.x`` to ``x``, the other guards are further
+    from zero than rounding, and have their signs."""
+    field, fired, p = now.ints[FIELD], now.ints[FIRED], a.programs
+    program, first = a.fields[field, PROGRAM], a.fields[field, GUARDS]
+    rounding = ROUNDED * EPS * max(largest(now.seen), largest(now.x))
+    if jets(p, program, 0, t, now.x, room.still, room.aside, room.work) < 0:
+        return False
+    for g in range(first, a.fields[field, GUARDS_END]):
+        here = room.aside[row_of(a, program, field, g), 0]
+        size = here if a.guards[g, KIND] == CONTACT else abs(here)
+        if g != fired and not size > rounding:
+            return False
+        now.signs[g - first] = 1 if here > 0.0 else -1
+    if jets(p, program, 0, end, x, room.still, room.aside, room.work) < 0:
+        return False
+    for g in range(first, a.fields[field, GUARDS_END]):
+        there = room.aside[row_of(a, program, field, g), 0]
+        if g != fired and not there * now.signs[g - first] > 0.0:
+            return False
+    return True
+
+
 def begun(
     a: Automaton,
     now: Now,
@@ -255,6 +354,7 @@ def begun(
         now.ints[FIELD], now.ints[FIRED], now.ints[POWER] = own, guard, 1
         return False
     now.ints[SERIES], now.ints[ENTERED], now.ints[PHASE] = -1, 1, BEGINS
+    now.ints[WAS_LOW] = 0
     return True
 
 

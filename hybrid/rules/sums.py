@@ -30,7 +30,7 @@ from .flights import fly
 from .jets import KINKS, jets, values
 from .linear import solve, unfitted
 
-__all__ = ("close", "shown")
+__all__ = ("close", "on_curve", "restitution", "shown", "touch")
 
 # Rows of ``lines``: Chebyshev coefficients of the curve; flights and impacts from its points; right
 # sides, then values there. Of time and states at the limit: since the first impact; what the last

@@ -396,6 +396,14 @@ class Driver:
                 f"{field.refused}; near the contact it must be a smooth function of a few numbers"
             )
 
+    def hop_on(self, guard: Guard, speed: float) -> None:
+        """Go on from an impact that is recorded, and may lead to a low flight (7)."""
+        hop = self.hop(self.scene.contact(guard.edge), self.entry.x, speed, self.entry.field.name)
+        if hop is None:
+            self.look_again()
+        else:
+            self.bounce(guard, *hop)
+
     def hop(
         self, contact: Contact, x: np.ndarray, v: float, name: str
     ) -> tuple[np.ndarray, np.ndarray, float] | None:

@@ -33,6 +33,7 @@ from ..rules.places import (
     LANDS,
     LIMIT,
     LOW,
+    LOW_AHEAD,
     MADE,
     MAKE,
     NEXT,
@@ -40,6 +41,7 @@ from ..rules.places import (
     POWER,
     REMAINING,
     SERIES,
+    SPEED,
     STEP,
     STEPS,
     STRIKES,
@@ -47,6 +49,7 @@ from ..rules.places import (
     TAU,
     TRIED,
     WALKS,
+    WAS_LOW,
     T,
 )
 from ..rules.runs import RISES
@@ -63,7 +66,7 @@ from .plan import PATIENCE
 from .watch import Watch
 
 if TYPE_CHECKING:
-    from ..scene import Field
+    from ..scene import Field, Guard
     from ..scene.automaton import Tables
     from .driver import Driver
 
@@ -108,7 +111,7 @@ class Machine:
         sums = float(plan.zeno == "rest"), plan.closing
         given = [plan.t1, plan.limit, plan.rtol, *series, *steps, *sums, *last]
         self.run = np.array(given, dtype=float)
-        self.floats, self.ints = np.zeros(9), np.zeros(15, dtype=np.int64)
+        self.floats, self.ints = np.zeros(9), np.zeros(17, dtype=np.int64)
         self.states = np.zeros((3, n))
         self.size: tuple[int, ...] = (JUMPS_KEPT, STEPS_KEPT)
         self.passed = False
@@ -267,6 +270,7 @@ class Machine:
         ints[FIELD], ints[FIRED], ints[ENTERED], ints[PHASE] = field, -1, judged, BEGINS
         ints[SERIES], ints[COUNT] = series[0] if series else -1, driver.watch.count
         floats[TRIED], ints[POWER] = driver.watch.tried, 1
+        ints[LOW_AHEAD] = ints[WAS_LOW] = 0
         self.states[0], self.states[2] = entry.x, driver.seen
         orders = np.zeros(self.tables.widest, dtype=np.int64)
         orders[: len(entry.orders)] = entry.orders
@@ -384,14 +388,24 @@ class Machine:
         driver.steps += count
         return driver.record.arc(driver.entry.field, driver.entry.x, end, tau, segments)
 
+    @property
+    def _fired(self) -> Guard:
+        """The guard that fired last."""
+        return self.tables.guards[int(self.ints[FIRED])]
+
     def _stand(self, left: Left, status: int) -> None:
         """Where the loop stopped: at the end, at a jump to judge, or at an arc to fly anew."""
-        driver = self.driver
+        driver, place, speed = self.driver, int(self.ints[JUMPS]), float(self.floats[SPEED])
         if status == END:
             self._last(left)
             driver.status = Status.REACHED_END
         elif status == JUMP:
-            guard = self.tables.guards[int(self.ints[FIRED])]
-            driver.jump(guard, self._last(left))
+            before = self._last(left)
+            if self.ints[WAS_LOW]:
+                driver.bounce(self._fired, before, left.after[place], speed)
+            else:
+                driver.jump(self._fired, before)
+        elif self.ints[LOW_AHEAD]:
+            driver.hop_on(self._fired, speed)
         else:
             driver.look_again()
