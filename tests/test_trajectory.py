@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import hybrid as hy
+from hybrid.solvers.diffrax_objects import DiffraxStepper
 from hybrid.solvers.scipy_backend import RungeKuttaStepper
 from models.bead_on_table import BeadOnTable
 from models.bouncing_ball import BouncingBall
@@ -258,10 +259,10 @@ def test_an_interrupted_arc_is_kept_as_far_as_it_was_flown(solver, monkeypatch):
         if next(steps) > 3:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(RungeKuttaStepper, "step", _then(RungeKuttaStepper.step, stop))
-    run = hy.simulate(
-        systems.Oscillator(wall=-5.0), {"x": 1.0, "v": 0.0}, (0, 9999), solver=solver, progress=stop
-    )
+    for stepper in (RungeKuttaStepper, DiffraxStepper):
+        monkeypatch.setattr(stepper, "step", _then(stepper.step, stop))
+    model = systems.Oscillator(wall=-5.0)
+    run = hy.simulate(model, {"x": 1.0, "v": 0.0}, (0, 9999), solver=solver)
     assert run.status is hy.Status.INTERRUPTED
     assert 0.5 < run.t1 < 2000.0
     assert abs(run.final.x - math.cos(run.t1)) < 1e-5  # 1e-8 a step, and thousands of steps
