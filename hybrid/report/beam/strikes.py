@@ -169,7 +169,7 @@ def fly(delta: Any, gamma: Any, w: Any, start: float = 1.3, end: Any = None) -> 
     first |= {"times": none, "speeds": none + FAR}  # type: ignore[dict-item]
     end = LASTS + PERIODS * 2.0 * np.pi / w if end is None else end
     parameters = {"delta": delta, "gamma": gamma, "w": w}
-    found = ensemble(model, first, (0.0, end), parameters, rtol=RTOL, atol=ATOL)
+    found = ensemble(model, first, (0.0, end), parameters, rtol=RTOL, atol=ATOL, zeno="ignore")
     failed = found.status.values != "reached_end"
     if np.any(failed):
         place = int(np.argmax(failed))
