@@ -323,10 +323,12 @@ def test_the_keyboard_ends_an_ensemble():
     begun = time.monotonic()
     presses = threading.Thread(target=press)
     presses.start()
-    with pytest.raises(KeyboardInterrupt):
-        hy.ensemble(BouncingBall(), {"x": x, "v": 0.0}, (0, 3))
-    ended.set()
-    presses.join()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            hy.ensemble(BouncingBall(), {"x": x, "v": 0.0}, (0, 3))
+    finally:
+        ended.set()
+        presses.join()
     assert time.monotonic() - begun < 5.0  # 100,000 lanes would take minutes
 
 
