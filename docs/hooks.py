@@ -22,6 +22,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = {
     "README.md": "index.md",
     "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
     "benchmarks/README.md": "benchmarks.md",
     "models/README.md": "gallery.md",
 }
