@@ -15,6 +15,7 @@ import atexit
 import contextlib
 import gc
 import hashlib
+import inspect
 import os
 import shutil
 import subprocess
@@ -22,12 +23,13 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from functools import cache, cached_property
 from graphlib import TopologicalSorter
 from importlib import import_module, machinery, util
 from pathlib import Path
+from queue import SimpleQueue
 from types import SimpleNamespace
 from typing import Any
 
@@ -56,21 +58,20 @@ KEPT, FRESH = 4, 86400.0
 #: faster for it.
 LEVEL = {"NUMBA_OPT": "1"}
 
-#: A process that compiles one unit.
-BESIDE = "from {loader} import Library; Library({package!r}).compile({name!r})"
+#: A process that compiles the units whose names it is told, and answers when each is done.
+BESIDE = "from {loader} import Library; Library({package!r}).serve()"
 
 #: What is put below the text of a rule file. A product and a sum may be contracted to one
 #: operation where the file does not say ``EXACT = True``; nothing may assume that there is no NaN
 #: and no infinity. What Python calls has an explicit signature, so that a wrong array is refused,
-#: and is kept: other files call it as it is.
-#: What only rules of its own file call is compiled into them; before that, as text, where it calls
-#: other files: their machine code would be joined to that of each such rule, and optimised anew.
-#: Nothing is allocated, so that arrays need not be counted: that took more than half of the time of
-#: a jet.
+#: and is kept: other files call it at its address. What only rules of its own file call is compiled
+#: into them. Nothing is allocated, so that arrays need not be counted: that took more than half of
+#: the time of a jet.
 FOOTER = """
 
 from numba import njit as _njit
 
+from {loader} import by_address as _by_address
 from {loader} import outside as _outside
 from {loader} import signature as _signature
 
@@ -78,15 +79,14 @@ _options = {{"fastmath": {fast!r}, "error_model": "numpy", "nogil": True, "_nrt"
 _options["no_cfunc_wrapper"] = True
 _inner = {{"forceinline": True, "no_cpython_wrapper": True, **_options}}
 _plain = {{name: globals()[name] for name in {functions!r}}}
-_how = {{name: "always" if name in {reaching!r} else "never" for name in _plain}}
-_rules = {{name: _njit(inline=_how[name], **_inner)(_plain[name]) for name in _plain}}
+_rules = {{name: _njit(**_inner)(rule) for name, rule in _plain.items()}}
 _rules |= _outside(_rules)
 globals().update(_rules)
 called = {{}}
 for _name, _kinds in {arguments!r}.items():
     _types = _signature(_kinds, {package!r})
     called[_name] = _njit(_types, cache={kept!r}, **_options)(_plain[_name])
-globals().update(called)
+globals().update({{name: _by_address(rule, __name__) for name, rule in called.items()}})
 """
 
 
@@ -176,7 +176,7 @@ class Library:
             tidy(base)
             draft = Path(tempfile.mkdtemp(prefix="draft-", dir=base))
             for name, text in {"__init__": "", **self.sources}.items():
-                whole = text + footer(text, self.package, self.sources)
+                whole = text + footer(text, self.package)
                 (draft / f"{name}.py").write_text(whole, encoding="utf-8")
             try:
                 os.replace(draft, folder)
@@ -213,6 +213,12 @@ class Library:
         """Compile every unit that is not compiled yet; whether that went well."""
         with locked(self.folder / "lock"):
             return self._in_processes(self._calls(self.sources))
+
+    def serve(self) -> None:
+        """Compile the units whose names come in, a line each; a line goes out for each."""
+        for line in sys.stdin:
+            self.compile(line.strip())
+            print(flush=True)
 
     def compile(self, name: str) -> None:
         """Compile a unit, and what it calls that is not compiled, in this process."""
@@ -257,15 +263,12 @@ class Library:
         ``calls``: for each the files from which it imports. Where one fails, the rest is left.
         """
         units, order = self._units(calls), TopologicalSorter(calls)
-
-        def compiled(name: str) -> bool:
-            return name not in units or self._beside(name)
-
         order.prepare()
         running: dict[Future[bool], str] = {}
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
+        with self._beside() as compiled, ThreadPoolExecutor(os.cpu_count()) as pool:
             while order.is_active():
-                running |= {pool.submit(compiled, name): name for name in order.get_ready()}
+                for name in order.get_ready():
+                    running[pool.submit(lambda n: n not in units or compiled(n), name)] = name
                 for done in wait(running, return_when=FIRST_COMPLETED).done:
                     if not done.result():
                         pool.shutdown(cancel_futures=True)
@@ -273,22 +276,46 @@ class Library:
                     order.done(running.pop(done))
         return True
 
-    def _beside(self, name: str) -> bool:
-        """Compile a unit in a process of its own; whether that went well."""
-        code = BESIDE.format(loader=__name__, package=self.package, name=name)
+    @contextlib.contextmanager
+    def _beside(self) -> Iterator[Callable[[str], bool]]:
+        """What compiles a unit in a process beside this one; whether that went well.
+
+        The processes, as many as there are processors, are kept from unit to unit: to start one
+        takes as long as a small unit.
+        """
+        idle: SimpleQueue[subprocess.Popen[str] | None] = SimpleQueue()
+        for _ in range(os.cpu_count() or 1):
+            idle.put(None)
+
+        def compiled(name: str) -> bool:
+            process, answer = idle.get(), ""
+            with contextlib.suppress(OSError):  # there may be no such program, or no room for it
+                process = process or self._serving()
+                print(name, file=process.stdin, flush=True)
+                answer = process.stdout.readline() if process.stdout else ""
+            idle.put(process)
+            return bool(answer)
+
+        try:
+            yield compiled
+        finally:
+            while not idle.empty():
+                if process := idle.get():
+                    process.communicate()
+
+    def _serving(self) -> subprocess.Popen[str]:
+        """A process that compiles units."""
+        code = BESIDE.format(loader=__name__, package=self.package)
         env = {**LEVEL, **os.environ, "HYBRID_CACHE": str(self.folder.parent)}
         env["PYTHONPATH"] = os.pathsep.join(map(os.path.abspath, sys.path))
-        command = [sys.executable or "python", "-P", "-c", code]
-        with contextlib.suppress(OSError):  # there may be no such program, or no room for it
-            return not subprocess.run(command, env=env, capture_output=True).returncode
-        return False
+        command, pipe = [sys.executable or "python", "-P", "-c", code], subprocess.PIPE
+        return subprocess.Popen(
+            command, env=env, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True
+        )
 
 
-def footer(text: str, package: str, sources: Mapping[str, str]) -> str:
-    """What turns the functions of a rule file into machine code; nothing if it has none.
-
-    ``sources``: the text of all rule files.
-    """
+def footer(text: str, package: str) -> str:
+    """What turns the functions of a rule file into machine code; nothing if it has none."""
     tree = ast.parse(text)
     functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
     if not functions:
@@ -300,26 +327,8 @@ def footer(text: str, package: str, sources: Mapping[str, str]) -> str:
         fast=False if _said(tree, "EXACT") else {"contract"},
         kept=not _said(tree, "TEXT"),
         functions=[f.name for f in functions],
-        reaching=sorted(_reaching(tree, sources)),
         arguments={f.name: _annotations(f) for f in functions if f.name in public},
     )
-
-
-def _reaching(tree: ast.Module, sources: Mapping[str, str]) -> set[str]:
-    """Functions that call public ones of other files, themselves or by others of their own."""
-    imports = _imports(tree)
-    public = {
-        node.module: _public(ast.parse(sources.get(str(node.module), ""))) for node in imports
-    }
-    found = {a.name for node in imports for a in node.names if a.name in public[node.module]}
-    names = {
-        function.name: {node.id for node in ast.walk(function) if isinstance(node, ast.Name)}
-        for function in tree.body
-        if isinstance(function, ast.FunctionDef)
-    }
-    while new := {name for name, used in names.items() if used & found} - found:
-        found |= new
-    return found & set(names)
 
 
 def _imports(tree: ast.Module) -> list[ast.ImportFrom]:
@@ -367,6 +376,45 @@ def signature(kinds: list[str], package: str) -> tuple[Any, ...]:
 def outside(names: Iterable[str]) -> dict[str, Any]:
     """Those of some rules that machine code has in another way than by their text."""
     return {"run_code": _run_code()} if "run_code" in names else {}
+
+
+def by_address(rule: Any, unit: str) -> Any:
+    """A compiled rule as other machine code calls it: at its address, which has a name.
+
+    numba would put a copy of the rule's machine code, and of all that it calls, into that of each
+    caller, and optimise it there anew. ``unit``: the name of the rule's module.
+    """
+    from llvmlite import binding
+    from numba.core.cgutils import get_or_insert_function
+    from numba.core.imputils import impl_ret_untracked
+    from numba.extending import intrinsic
+
+    compiled = rule.overloads[rule.signatures[0]]
+    result, kinds = compiled.signature.return_type, compiled.signature.args
+    name = f"{unit}.{rule.__name__}"
+    address = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+    binding.add_symbol(name, address)
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        convention = context.call_conv
+        kind = convention.get_function_type(result, kinds)
+        function = get_or_insert_function(builder.module, kind, name)
+        _, value = convention.call_function(builder, function, result, kinds, arguments)
+        return impl_ret_untracked(context, builder, result, value)
+
+    def call(*_: Any) -> Any:
+        return result(*kinds), codegen
+
+    call.__name__ = rule.__name__
+    call.__signature__ = _parameters(rule.py_func)  # type: ignore[attr-defined]
+    return intrinsic(call)
+
+
+def _parameters(function: Callable[..., Any]) -> inspect.Signature:
+    """Those of a function, behind one for numba's context of types."""
+    own = inspect.signature(function)
+    first = inspect.Parameter("typing", inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    return own.replace(parameters=[first, *own.parameters.values()])
 
 
 def _run_code() -> Any:
