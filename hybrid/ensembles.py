@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import chain
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import closing
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import attrs
@@ -11,13 +11,14 @@ import numpy as np
 
 from .abreast import Flown, Given, abreast
 from .again import give_errors
-from .asked import Asked, mode_of, values_of
+from .asked import Asked, mode_of
 from .automaton.base import require_model
-from .automaton.record import Record
+from .automaton.digest import digest
 from .automaton.spec import Spec
-from .errors import HybridError, OptionError, StartError
+from .beside import Shared, Unfit
+from .errors import HybridError, OptionError
 from .extras import TABLES, need
-from .reals import reals
+from .lanes import Lane, Lanes
 from .rules.lanes import (
     ENDED,
     LAST_JUMP,
@@ -29,7 +30,7 @@ from .rules.lanes import (
     SUMMED,
 )
 from .run import Driver
-from .scene import Scene, scene_of, scene_with
+from .scene import Scene, scene_of
 from .solvers import renamed
 from .trajectory import Status
 
@@ -142,30 +143,47 @@ def ensemble(
     require_model(model)
     scene = scene_of(model)
     solver, method = renamed(_solver(scene, solver, method), method)
-    asked = Asked(
-        spec=scene.spec,
-        solver=solver,
-        method=method,
-        controller=controller,
-        rtol=rtol,
-        atol=atol,
-        max_step=max_step,
-        first_step=first_step,
-        zeno=zeno,
-        max_jumps=max_jumps,
-        max_steps=max_steps,
-        save="jumps",
-        memory=memory,
-    )
-    lanes = _Lanes(model, start, t, dict(parameters or {}), history)
-    runs = _Runs(asked, mode_of(scene, mode), certify)
-    rows = _Rows(lanes.count, scene.spec.dimension)
-    for _ in chain(runs.plain(scene, lanes, rows), runs.others(lanes, rows)):
-        if progress is not None:
-            progress(int(np.count_nonzero(rows.done)))
-    if len(runs.refused) == lanes.count:
+    options = {
+        "solver": solver,
+        "method": method,
+        "controller": controller,
+        "rtol": rtol,
+        "atol": atol,
+        "max_step": max_step,
+        "first_step": first_step,
+        "zeno": zeno,
+        "max_jumps": max_jumps,
+        "max_steps": max_steps,
+        "memory": memory,
+    }
+    given = start, t, dict(parameters or {}), history
+    runs = _Runs(Lanes(model, *given), _asked(scene, options), mode_of(scene, mode), certify)
+
+    def job() -> tuple[Any, ...]:
+        return _flier, digest(type(model)), model, given, options, runs.mode, certify
+
+    with closing(runs.all(scene, job)) as flown:
+        for _ in flown:
+            if progress is not None:
+                progress(int(np.count_nonzero(runs.rows.done)))
+    if len(runs.refused) == runs.lanes.count:
         raise runs.refused[0]
-    return _dataset(scene.spec, lanes, rows)
+    return _dataset(scene.spec, runs.lanes, runs.rows)
+
+
+def _asked(scene: Scene, options: dict[str, Any]) -> Asked:
+    return Asked(spec=scene.spec, save="jumps", **options)
+
+
+def _flier(
+    known: str, model: Any, given: Any, options: dict[str, Any], mode: str, certify: bool
+) -> Callable[[int], _Flown]:
+    """What flies a lane, by its number, in another process; ``known`` is the model's digest."""
+    if digest(type(model)) != known:
+        raise Unfit(f"{type(model).__name__} is another class there: its file has changed")
+    lanes = Lanes(model, *given)
+    runs = _Runs(lanes, _asked(scene_of(model), options), mode, certify)
+    return lambda i: runs.row(lanes.lane(i))
 
 
 def _solver(scene: Scene, solver: str | None, method: Any) -> str:
@@ -175,15 +193,6 @@ def _solver(scene: Scene, solver: str | None, method: Any) -> str:
     series = method is None and not scene.spec.lags
     whole = series and all(scene.field(name).jets is not None for name in scene.modes)
     return "taylor" if whole else "scipy"
-
-
-class _Lane(NamedTuple):
-    """What is asked of one lane."""
-
-    scene: Scene
-    t: tuple[float, float]
-    x: np.ndarray
-    history: Any
 
 
 class _Row(NamedTuple):
@@ -222,17 +231,42 @@ class _Rows:
             self.columns[name][where] = value
 
 
+class _Flown(NamedTuple):
+    """What became of a lane; ``refused`` says why it cannot use the options."""
+
+    row: _Row
+    refused: OptionError | None
+
+
+def _same(one: _Flown, other: _Flown) -> bool:
+    """Whether a lane is the same to the last bit."""
+    rows = [[np.asarray(value).tolist() for value in each.row] for each in (one, other)]
+    return repr(rows[0]) == repr(rows[1])
+
+
 @attrs.frozen(eq=False)
 class _Runs:
-    """The runs of an ensemble; ``refused`` are those that cannot use the options."""
+    """The runs of an ensemble; ``refused`` says why some cannot use the options."""
 
+    lanes: Lanes
     asked: Asked
     mode: str
     certify: bool
     refused: list[OptionError] = attrs.Factory(list)
+    rows: _Rows = attrs.field(init=False)
 
-    def plain(self, scene: Scene, lanes: _Lanes, rows: _Rows) -> Iterator[None]:
+    @rows.default
+    def _(self) -> _Rows:
+        return _Rows(self.lanes.count, self.asked.spec.dimension)
+
+    def all(self, scene: Scene, job: Callable[[], tuple[Any, ...]]) -> Generator[None]:
+        """Fly all lanes; ``job`` says what flies one in another process."""
+        yield from self.plain(scene)
+        yield from self.others(job)
+
+    def plain(self, scene: Scene) -> Iterator[None]:
         """Fly lanes that need no judgement, some at a time."""
+        lanes = self.lanes
         try:
             driver = self.asked.driver(scene, lanes.t[0].tolist(), lanes.x[0], lanes.before(0))
         except HybridError:  # it is the lanes' own
@@ -240,10 +274,10 @@ class _Runs:
         given = Given(lanes.values, lanes.t, lanes.x)
         together = abreast(scene, driver, self.mode, given)
         for flown in together.fly() if together else ():
-            self._put(together, flown, rows)
+            self._put(together, flown)
             yield
 
-    def _put(self, together: Any, flown: Flown, rows: _Rows) -> None:
+    def _put(self, together: Any, flown: Flown) -> None:
         """Put down lanes that machine code has flown; one to be certified needs its run."""
         for outcome, status in ENDS.items():
             fit = flown.told[:, OUTCOME] == outcome
@@ -259,28 +293,33 @@ class _Runs:
             verdict = np.where(told[:, SUMMED] > 0, "estimated", "")
             counts = told[:, MADE_JUMPS], told[:, MADE_STEPS], told[:, SUMMED]
             said = verdict, status.name.lower(), str(status)
-            rows.put(which, _Row._make((t, x, names, *counts, t_inf, error, ratio, *said)))
+            self.rows.put(which, _Row._make((t, x, names, *counts, t_inf, error, ratio, *said)))
 
-    def others(self, lanes: _Lanes, rows: _Rows) -> Iterator[None]:
-        """Fly the lanes that are left, one by one."""
-        for i in np.flatnonzero(~rows.done).tolist():
-            rows.put(i, self.row(lanes.lane(i)))
-            yield
+    def others(self, job: Callable[[], tuple[Any, ...]]) -> Iterator[None]:
+        """Fly the lanes that are left, one by one, here and in other processes."""
+        left = np.flatnonzero(~self.rows.done).tolist()
+        shared = Shared(lambda i: self.row(self.lanes.lane(i)), left, job, _same)
+        with closing(shared.answers()) as answers:
+            for i, flown in answers:
+                self.rows.put(i, flown.row)
+                if flown.refused is not None:
+                    self.refused.append(flown.refused)
+                yield
 
-    def row(self, lane: _Lane) -> _Row:
+    def row(self, lane: Lane) -> _Flown:
         """Fly a lane."""
         driver = None
         try:
             driver = self.asked.driver(lane.scene, lane.t, lane.x, lane.history)
             self._fly(driver, lane.x)
         except HybridError as fault:
-            if isinstance(fault, OptionError):
-                self.refused.append(fault)
-            return self._ended(lane, driver, fault.status, str(fault))
+            refused = fault if isinstance(fault, OptionError) else None
+            return _Flown(self._ended(lane, driver, fault.status, str(fault)), refused)
         if driver.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         assert driver.status is not None
-        return self._ended(lane, driver, driver.status.name.lower(), str(driver.status))
+        status = driver.status.name.lower(), str(driver.status)
+        return _Flown(self._ended(lane, driver, *status), None)
 
     def _fly(self, driver: Driver, x: np.ndarray) -> None:
         try:
@@ -289,7 +328,7 @@ class _Runs:
             give_errors(driver, self.asked.solver, self.asked.method, self.mode, x)
         self.asked.judge(driver)
 
-    def _ended(self, lane: _Lane, driver: Driver | None, status: str, reason: str) -> _Row:
+    def _ended(self, lane: Lane, driver: Driver | None, status: str, reason: str) -> _Row:
         begun = lane.t[0], lane.x, self.mode
         if driver is None:
             return _Row._make((*begun, 0, 0, 0, *NO_LIMIT, status, reason))
@@ -307,117 +346,7 @@ class _Runs:
         return point.t, point.t_error, point.ratio, point.verdict
 
 
-class _Lanes:
-    """What is asked of each lane, as arrays.
-
-    Attributes
-    ----------
-    count : int
-    varied : dict
-        What differs between lanes, by name.
-    """
-
-    def __init__(self, model: Any, start: Any, t: Any, given: dict[str, Any], history: Any) -> None:
-        self.cls: Any = type(model)
-        self.spec: Spec = model.spec
-        self.varied: dict[str, np.ndarray] = {}
-        _check(model, given)
-        if not (isinstance(t, Sequence) and len(t) == 2):
-            raise OptionError(f"t={t!r}: give (first, last) time")
-        states = self._states("start", values_of(self.spec, start))
-        self.shapes = tuple(np.shape(getattr(model, p.name)) for p in self.spec.parameters)
-        parameters = [
-            (self._array(p.name, given.get(p.name, getattr(model, p.name)), shape), shape)
-            for p, shape in zip(self.spec.parameters, self.shapes, strict=True)
-        ]
-        times = [(self._array(name, v, ()), ()) for name, v in zip(("t0", "t1"), t, strict=True)]
-        self.history, before = history, []
-        if isinstance(history, Mapping | Record):
-            self.history = {name: history[name] for name in history.keys()}
-            before = [(self._past(name, v), self._shape(name)) for name, v in self._constants()]
-        counts = {len(v) for v in self.varied.values()}
-        if len(counts) > 1:
-            each = ", ".join(f"{name}: {len(v)}" for name, v in self.varied.items())
-            raise OptionError(f"{self.spec.model}: lanes differ in number ({each})")
-        self.count = counts.pop() if counts else 1
-        self.x, self.values, self.t = map(self._rows, (states, parameters, times))
-        self.known = [self._full(*each) for each in before]
-        if not np.all(self.t[:, 1] > self.t[:, 0]):
-            raise OptionError(f"t={t!r}: the first time before the last, in every lane")
-
-    def lane(self, i: int) -> _Lane:
-        """One of the lanes."""
-        scene = scene_with(self.cls, self.shapes, tuple(self.values[i].tolist()))
-        t0, t1 = self.t[i].tolist()
-        return _Lane(scene, (t0, t1), self.x[i].copy(), self.before(i))
-
-    def coordinates(self) -> dict[str, Any]:
-        """The starts and parameters that vary."""
-        return {
-            name: (("lane", *(f"{name}_{i}" for i in range(v.ndim - 1))), v)
-            for name, v in self.varied.items()
-        }
-
-    def _states(self, what: str, values: Any) -> list[tuple[np.ndarray, tuple[int, ...]]]:
-        pairs = zip(self.spec.states, values, strict=True)
-        return [(self._array(f"{s.name}_{what}", v, s.shape), s.shape) for s, v in pairs]
-
-    def _constants(self) -> list[tuple[str, Any]]:
-        """What of a history is no function of time, and so may differ between lanes."""
-        known = self.spec.names
-        return [(n, v) for n, v in self.history.items() if n in known and not callable(v)]
-
-    def _past(self, name: str, value: Any) -> np.ndarray:
-        return self._array(f"{name}_history", value, self._shape(name))
-
-    def _shape(self, name: str) -> tuple[int, ...]:
-        return self.spec.states[self.spec.names.index(name)].shape
-
-    def before(self, i: int) -> Any:
-        """The history of a lane."""
-        if not self.known:
-            return self.history
-        own = zip(self._constants(), self.known, strict=True)
-        return {**self.history, **{name: values[i] for (name, _), values in own}}
-
-    def _array(self, name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-        """A value for all lanes, or one for each."""
-        where = f"{self.spec.model}: {name}"
-        try:
-            array = reals(value)
-        except ValueError:
-            raise StartError(f"{where} = {value!r} is no number") from None
-        if not np.all(np.isfinite(array)):
-            raise StartError(f"{where}: a value is not finite")
-        own = array.ndim - len(shape)
-        if own not in (0, 1) or array.shape[own:] != shape or array.size == 0:
-            due = f"{shape} or (lanes, ...)" if shape else "one number, or one for each lane,"
-            raise StartError(f"{where} has shape {array.shape}; {due} is due")
-        if own:
-            self.varied[name] = array
-        return array
-
-    def _full(self, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-        return np.broadcast_to(array, (self.count, *shape))
-
-    def _rows(self, columns: list[tuple[np.ndarray, tuple[int, ...]]]) -> np.ndarray:
-        """A row of numbers for each lane."""
-        parts = [self._full(v, shape).reshape(self.count, -1) for v, shape in columns]
-        return np.concatenate([np.empty((self.count, 0)), *parts], axis=1)
-
-
-def _check(model: Any, given: dict[str, Any]) -> None:
-    """Let the model's own validators see the extremes of the parameters given."""
-    unknown = [name for name in given if name not in {p.name for p in model.spec.parameters}]
-    if unknown:
-        known = ", ".join(p.name for p in model.spec.parameters) or "none"
-        raise OptionError(f"parameters: {unknown[0]!r} is none of {model.spec.model}'s: {known}")
-    for extreme in (np.min, np.max):
-        ends = {k: extreme(v, axis=0) if np.ndim(v) else v for k, v in given.items()}
-        attrs.evolve(model, **ends)
-
-
-def _dataset(spec: Spec, lanes: _Lanes, rows: _Rows) -> xarray.Dataset:
+def _dataset(spec: Spec, lanes: Lanes, rows: _Rows) -> xarray.Dataset:
     import xarray
 
     text = {name: v.astype(str) for name, v in rows.columns.items() if v.dtype == object}

@@ -11,7 +11,7 @@ PACKAGE = ROOT / "hybrid"
 #: Lowest first: a module imports from its own layer or from those before it.
 LAYERS = [
     ["rules"],
-    ["errors", "extras", "clock", "segment", "reals"],
+    ["errors", "extras", "clock", "segment", "reals", "beside"],
     ["automaton"],
     ["jit", "arrays"],
     ["scene"],
@@ -22,7 +22,7 @@ LAYERS = [
     ["run", "store", "pictures"],
     ["histories", "hindsight"],
     ["variation"],
-    ["asked", "again", "abreast"],
+    ["asked", "again", "abreast", "lanes"],
     ["tangent"],
     ["simulation", "ensembles", "function", "certificates"],
     ["compare", "gallery", "study", "orbits"],

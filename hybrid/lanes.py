@@ -1,0 +1,138 @@
+"""What is asked of each lane of an ensemble, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import attrs
+import numpy as np
+
+from .asked import values_of
+from .automaton.record import Record
+from .automaton.spec import Spec
+from .errors import OptionError, StartError
+from .reals import reals
+from .scene import Scene, scene_with
+
+
+class Lane(NamedTuple):
+    """What is asked of one lane."""
+
+    scene: Scene
+    t: tuple[float, float]
+    x: np.ndarray
+    history: Any
+
+
+class Lanes:
+    """What is asked of each lane, as arrays.
+
+    Attributes
+    ----------
+    count : int
+    varied : dict
+        What differs between lanes, by name.
+    """
+
+    def __init__(self, model: Any, start: Any, t: Any, given: dict[str, Any], history: Any) -> None:
+        self.cls: Any = type(model)
+        self.spec: Spec = model.spec
+        self.varied: dict[str, np.ndarray] = {}
+        _check(model, given)
+        if not (isinstance(t, Sequence) and len(t) == 2):
+            raise OptionError(f"t={t!r}: give (first, last) time")
+        states = self._states("start", values_of(self.spec, start))
+        self.shapes = tuple(np.shape(getattr(model, p.name)) for p in self.spec.parameters)
+        parameters = [
+            (self._array(p.name, given.get(p.name, getattr(model, p.name)), shape), shape)
+            for p, shape in zip(self.spec.parameters, self.shapes, strict=True)
+        ]
+        times = [(self._array(name, v, ()), ()) for name, v in zip(("t0", "t1"), t, strict=True)]
+        self.history, before = history, []
+        if isinstance(history, Mapping | Record):
+            self.history = {name: history[name] for name in history.keys()}
+            before = [(self._past(name, v), self._shape(name)) for name, v in self._constants()]
+        counts = {len(v) for v in self.varied.values()}
+        if len(counts) > 1:
+            each = ", ".join(f"{name}: {len(v)}" for name, v in self.varied.items())
+            raise OptionError(f"{self.spec.model}: lanes differ in number ({each})")
+        self.count = counts.pop() if counts else 1
+        self.x, self.values, self.t = map(self._rows, (states, parameters, times))
+        self.known = [self._full(*each) for each in before]
+        if not np.all(self.t[:, 1] > self.t[:, 0]):
+            raise OptionError(f"t={t!r}: the first time before the last, in every lane")
+
+    def lane(self, i: int) -> Lane:
+        """One of the lanes."""
+        scene = scene_with(self.cls, self.shapes, tuple(self.values[i].tolist()))
+        t0, t1 = self.t[i].tolist()
+        return Lane(scene, (t0, t1), self.x[i].copy(), self.before(i))
+
+    def coordinates(self) -> dict[str, Any]:
+        """The starts and parameters that vary."""
+        return {
+            name: (("lane", *(f"{name}_{i}" for i in range(v.ndim - 1))), v)
+            for name, v in self.varied.items()
+        }
+
+    def _states(self, what: str, values: Any) -> list[tuple[np.ndarray, tuple[int, ...]]]:
+        pairs = zip(self.spec.states, values, strict=True)
+        return [(self._array(f"{s.name}_{what}", v, s.shape), s.shape) for s, v in pairs]
+
+    def _constants(self) -> list[tuple[str, Any]]:
+        """What of a history is no function of time, and so may differ between lanes."""
+        known = self.spec.names
+        return [(n, v) for n, v in self.history.items() if n in known and not callable(v)]
+
+    def _past(self, name: str, value: Any) -> np.ndarray:
+        return self._array(f"{name}_history", value, self._shape(name))
+
+    def _shape(self, name: str) -> tuple[int, ...]:
+        return self.spec.states[self.spec.names.index(name)].shape
+
+    def before(self, i: int) -> Any:
+        """The history of a lane."""
+        if not self.known:
+            return self.history
+        own = zip(self._constants(), self.known, strict=True)
+        return {**self.history, **{name: values[i] for (name, _), values in own}}
+
+    def _array(self, name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+        """A value for all lanes, or one for each."""
+        where = f"{self.spec.model}: {name}"
+        try:
+            array = reals(value)
+        except ValueError:
+            raise StartError(f"{where} = {value!r} is no number") from None
+        if not np.all(np.isfinite(array)):
+            raise StartError(f"{where}: a value is not finite")
+        own = array.ndim - len(shape)
+        if own not in (0, 1) or array.shape[own:] != shape or array.size == 0:
+            due = f"{shape} or (lanes, ...)" if shape else "one number, or one for each lane,"
+            raise StartError(f"{where} has shape {array.shape}; {due} is due")
+        if own:
+            self.varied[name] = array
+        return array
+
+    def _full(self, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+        return np.broadcast_to(array, (self.count, *shape))
+
+    def _rows(self, columns: list[tuple[np.ndarray, tuple[int, ...]]]) -> np.ndarray:
+        """A row of numbers for each lane."""
+        parts = [self._full(v, shape).reshape(self.count, -1) for v, shape in columns]
+        return np.concatenate([np.empty((self.count, 0)), *parts], axis=1)
+
+
+def _check(model: Any, given: dict[str, Any]) -> None:
+    """Let the model's own validators see the extremes of the parameters given."""
+    unknown = [name for name in given if name not in {p.name for p in model.spec.parameters}]
+    if unknown:
+        known = ", ".join(p.name for p in model.spec.parameters) or "none"
+        raise OptionError(f"parameters: {unknown[0]!r} is none of {model.spec.model}'s: {known}")
+    for extreme in (np.min, np.max):
+        ends = {k: extreme(v, axis=0) if np.ndim(v) else v for k, v in given.items()}
+        attrs.evolve(model, **ends)
+
+
+__all__ = ["Lane", "Lanes"]
