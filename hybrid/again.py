@@ -23,9 +23,10 @@ from .zeno.cycle import CycleLimit
 #: Relative change of the start of the third run, by which grown rounding is measured.
 NUDGE = 8e-15
 
-#: Steps of the second run, and for each jump, beside as many as the first made one by one: it takes
-#: a tenth of that where nothing acts briefly.
-STEPS, STEPS_EACH = 2000, 40
+#: Steps of the second run, for each jump, and for each step that the first made one by one: it
+#: takes a tenth of that where nothing acts briefly, and more steps than the first where the flow
+#: swings so fast that both need one for a swing.
+STEPS, STEPS_EACH, STEPS_MORE = 2000, 40, 2
 
 #: Rounding of the time in a run, against the states, from which on it is measured by a third run:
 #: where no force acts briefly it is some roundings.
@@ -48,7 +49,8 @@ class _Again:
     tolerance, unless forces act so briefly that rounding matters to them. The third run is the
     same from beside the start, moved by what rounding does to such forces: how far it goes
     from the run that is not moved shows what rounding grows to. (One run for both would be moved
-    towards the errors of the first as often as away from them.)
+    towards the errors of the first as often as away from them.) Where that one has been watched and
+    no step of it had to be cut, this one needs no watch: what it steps over is a difference.
     """
 
     def __init__(self, driver: Driver, solver: str, method: Any, mode: str, x: np.ndarray) -> None:
@@ -62,19 +64,22 @@ class _Again:
         parts, _ = driver.record.log.apart()
         series = all(driver.scene.field(part.mode).jets is not None for part in parts)
         name = "series" if series else "own"
-        moved = self._run(name, True)
-        if driver.solver.exact and moved.watchful.blurred <= BLURRED:
+        if driver.solver.exact and self._run(name, True).watchful.blurred <= BLURRED:
             finest = self._run("finest")
             if _shows(finest, index, driver.record.zeno[index]):
-                return _errors(driver, index, [(driver, finest), (driver, moved)])
+                pairs = [(driver, finest), (driver, self._run(name, True))]
+                return _errors(driver, index, pairs)
         second = self._run(name)
-        return _errors(driver, index, [(driver, second), (second, moved)])
+        pairs = [(driver, second), (second, self._run(name, True))]
+        return _errors(driver, index, pairs)
 
     def _run(self, name: str, moved: bool = False) -> Driver:
         """A run, as far as it gets: what it does not get to has no bound."""
         if (name, moved) not in self._made:
             driver, x = self.driver, self.x
-            again = Driver(driver.model, self._solver(name), self._plan(moved), driver.history)
+            again = Driver(
+                driver.model, self._solver(name), self._plan(name, moved), driver.history
+            )
             with suppress(HybridError):
                 again.run(self.mode, _nudged(driver, self.mode, x) if moved else x)
             if again.status is Status.INTERRUPTED:
@@ -92,8 +97,8 @@ class _Again:
         finer = {"rtol": max(1e-2 * plan.rtol, 3e-14), "atol": 1e-2 * plan.atol}
         return chosen(attrs.evolve(plan, **finer), *self.own)
 
-    def _plan(self, moved: bool) -> Plan:
-        driver = self.driver
+    def _plan(self, name: str, moved: bool) -> Plan:
+        driver, alike = self.driver, self._made.get((name, False))
         return attrs.evolve(
             driver.plan,
             dense=False,
@@ -102,7 +107,8 @@ class _Again:
             accumulations=len(driver.record.zeno),
             closing=1e-2,
             patience=4,
-            watchful=STEPS + STEPS_EACH * driver.record.made + driver.steps,
+            watchful=STEPS + STEPS_EACH * driver.record.made + STEPS_MORE * driver.steps,
+            trusted=alike is not None and not alike.watchful.cut,
             shaken=moved,
             zeno="rest" if driver.plan.zeno == "raise" else driver.plan.zeno,
         )

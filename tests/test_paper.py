@@ -1,5 +1,6 @@
 """The whole report, as the command writes it, in a browser."""
 
+import math
 import re
 
 from typer.testing import CliRunner
@@ -35,6 +36,7 @@ def test_the_whole_page(tmp_path, monkeypatch):
         assert claim.how
         assert "nan" not in f"{claim.found} {claim.how}".split()
     for number in [number for claim in claims for number in claim.numbers]:
+        assert math.isfinite(number.error or 0.0), number
         if number.error and abs(number.ours) > 1e10 * number.error:
             assert digits(str(number)) >= 10, number
     assert len(figures) == len(set(figures))

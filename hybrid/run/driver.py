@@ -57,7 +57,7 @@ class Driver:
     ) -> None:
         self.model = self.scene = scene
         self.solver, self.plan, self.history = solver, plan, history
-        self.watchful = Watchful(solver, plan.watchful, plan.shaken)
+        self.watchful = Watchful(solver, plan.watchful, plan.shaken, plan.trusted)
         self.wary = plan.watchful is not None
         self.record = Recorder(plan, scene.contacts)
         self.status: Status | None = None

@@ -38,6 +38,8 @@ class Plan:
         (:mod:`hybrid.solvers.watchful`).
     shaken : bool
         Move the states of such a run by what rounding does to forces that act briefly.
+    trusted : bool
+        Take its steps as they are: a run like it has been held against the flow.
     max_step, first_step : float
         The longest step, and the longest first one of an arc; infinite where they are not limited.
     max_steps : float
@@ -61,6 +63,7 @@ class Plan:
     patience: int = PATIENT
     watchful: int | None = None
     shaken: bool = False
+    trusted: bool = False
     max_step: float = np.inf
     first_step: float = np.inf
     max_steps: float = np.inf

@@ -9,7 +9,8 @@ a root near zero) the result is :class:`.balls.Undefined`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import operator
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from flint import arb, arb_series, ctx
@@ -30,18 +31,89 @@ TESTS = {"gt", "ge", "lt", "le", "eq", "ne"}
 LOGIC = {"and", "or", "xor", "not", "is_finite"}
 
 
-def evaluate(graph: Graph, roots: list[int], inputs: Mapping[str, Any]) -> list[Any]:
-    """The series of some nodes: ``arb_series``, a number, or ``Undefined``."""
-    values: dict[int, Any] = {}
-    for number in needed(graph, roots):
-        op, *arguments = graph.nodes[number]
-        if op == "input":
-            values[number] = inputs[arguments[0]]
-        elif op == "const":
-            values[number] = _constant(arguments[0])
-        else:
-            values[number] = _apply(op, [values[a] for a in arguments])
-    return [values[root] for root in roots]
+class Balls:
+    """Some nodes of a graph, made ready to be evaluated often.
+
+    Parameters
+    ----------
+    graph : Graph
+    roots : sequence of int
+    """
+
+    def __init__(self, graph: Graph, roots: Sequence[int]) -> None:
+        order = needed(graph, roots)
+        place = {number: place for place, number in enumerate(order)}
+        self.nodes = [_placed(graph.nodes[number], place) for number in order]
+        self.roots = [place[root] for root in roots]
+
+    def bind(self, numbers: Sequence[float], series: bool) -> Bound:
+        """The same with the parameters' values, for series or for balls."""
+        return Bound(self, numbers, series)
+
+
+class Bound:
+    """Nodes with the parameters' values: what depends on these alone is worked out once.
+
+    On series numbers are series, too, where they are added or multiplied: flint makes them so
+    each time, which costs more than the sum.
+    """
+
+    def __init__(self, balls: Balls, numbers: Sequence[float], series: bool) -> None:
+        self.roots, self.inputs = balls.roots, list[tuple[int, str]]()
+        self.values = values = [None] * len(balls.nodes)
+        self.steps = list[tuple[int, str, Any, list[int]]]()
+        fixed = set[int]()
+        for place, (op, given) in enumerate(balls.nodes):
+            if op == "const":
+                values[place] = _constant(given[0])
+            elif op == "input" and given[0].startswith("p"):
+                values[place] = arb(numbers[int(given[0][1:])])
+            elif op == "input":
+                self.inputs.append((place, given[0]))
+                continue
+            elif fixed.issuperset(given):
+                values[place] = _apply(op, [values[p] for p in given])
+            else:
+                self.steps.append((place, op, PLAIN.get(op), given))
+                continue
+            fixed.add(place)
+        if series:
+            self._make_series(fixed)
+
+    def _make_series(self, fixed: set[int]) -> None:
+        numbers = [place for place in fixed if isinstance(self.values[place], arb)]
+        own = {place: len(self.values) + k for k, place in enumerate(numbers)}
+        self.values += [_series(self.values[place]) for place in numbers]
+        self.steps = [
+            (place, op, plain, [own.get(p, p) for p in given] if plain else given)
+            for place, op, plain, given in self.steps
+        ]
+
+    def __call__(self, inputs: Mapping[str, Any]) -> list[Any]:
+        """The nodes: ``arb_series``, a number, a truth value or ``Undefined``."""
+        values = self.values.copy()
+        for place, name in self.inputs:
+            values[place] = inputs[name]
+        for place, op, plain, given in self.steps:
+            arguments = [values[p] for p in given]
+            if plain is not None:
+                try:
+                    values[place] = plain(*arguments)
+                    continue
+                except TypeError:  # one is Undefined
+                    pass
+            values[place] = _apply(op, arguments)
+        return [values[root] for root in self.roots]
+
+
+def _placed(node: tuple[Any, ...], place: Mapping[int, int]) -> tuple[str, list[Any]]:
+    """An operation, and the places of its arguments; what an input or a constant is given."""
+    op, *given = node
+    return op, given if op in ("input", "const") else [place[a] for a in given]
+
+
+#: Operations that are the same on balls and on series. Narrow balls lose nothing by them.
+PLAIN = {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "neg": operator.neg}
 
 
 def _constant(value: Any) -> Any:

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..errors import TraceError
-from .taylor import flat
 
 if TYPE_CHECKING:
     from ..segment import Segment
+    from .ballseries import Bound
     from .scene import Field
 
 EPS = float(np.finfo(float).eps)
@@ -69,6 +69,7 @@ class Defect:
     """Bounds on the defect of steps in a field; made once for a class and a mode."""
 
     def __init__(self, field: Field) -> None:
+        from .ballseries import Balls
         from .fixed import FixedGraph
         from .interval import IntervalProgram
 
@@ -76,9 +77,10 @@ class Defect:
         graph = FixedGraph(exact=True)
         closed = code.field_closed(field.mode, field.held)
         (found,) = graph.outputs(closed, code.inputs(graph))
-        self.graph, self.roots = graph, [int(i) for i in found.reshape(-1)]
-        self.program = IntervalProgram(graph, self.roots)
-        self.rounded = IntervalProgram(graph, self.roots, DOUBLE)
+        roots = [int(i) for i in found.reshape(-1)]
+        self.balls = Balls(graph, roots)
+        self.program = IntervalProgram(graph, roots)
+        self.rounded = IntervalProgram(graph, roots, DOUBLE)
 
     def share(
         self, field: Field, t: float, length: float, coefficients: np.ndarray, lost: Any = 0.0
@@ -100,8 +102,7 @@ class Defect:
         from .interval import PRECISION
 
         rates, speck = _allowed(field, t, length, coefficients, lost)
-        given = {f"p{i}": value for i, value in enumerate(flat(field.parameters))}
-        reach = lambda: self._reach(given, t, length, coefficients, rates, speck)  # noqa: E731
+        reach = lambda: self._reach(field, t, length, coefficients, rates, speck)  # noqa: E731
         share = float(with_terms(reach, PRECISION))
         return 1.0 if (1.0 - share) * length <= 64 * EPS * max(length, abs(t)) else share
 
@@ -116,18 +117,27 @@ class Defect:
         off : array
             By how much each state may be off.
         """
-        from flint import arb
+        from flint import arb, ctx
 
-        box: dict[str, Any] = {f"p{i}": value for i, value in enumerate(flat(field.parameters))}
-        box["t"] = arb(t, 2.0 * float(np.spacing(abs(t))))
         pairs = enumerate(zip(x.tolist(), off.tolist(), strict=True))
-        box |= {f"x{i}": arb(value, radius) for i, (value, radius) in pairs}
-        found = self.rounded.enclose(box)
-        return np.array([2.0 * float(f.value.rad()) if f.defined else 0.0 for f in found])
+        place = {f"x{i}": arb(value, radius) for i, (value, radius) in pairs}
+        place["t"] = arb(t, 2.0 * float(np.spacing(abs(t))))
+        with ctx.workprec(DOUBLE):
+            rates = self._bound_to(field, series=False)(place)
+        if not all(isinstance(rate, arb) and rate.is_finite() for rate in rates):
+            found = self.rounded.enclose(_numbers(field) | place)
+            rates = [f.value if f.defined else arb(0) for f in found]
+        return np.array([2.0 * float(rate.rad()) for rate in rates])
+
+    def _bound_to(self, field: Field, series: bool) -> Bound:
+        """The flow with the parameters' values, as precise as flint is at present."""
+        key = "balls", self, series
+        found: Bound = field.once(key, lambda: self.balls.bind(field.numbers, series))
+        return found
 
     def _reach(
         self,
-        given: dict[str, Any],
+        field: Field,
         t: float,
         length: float,
         coefficients: np.ndarray,
@@ -136,14 +146,13 @@ class Defect:
     ) -> float:
         from flint import arb
 
-        given = {name: arb(value) for name, value in given.items()}
         half = arb(length) / 2
         whole = _to_powers(len(coefficients) - 1) @ coefficients
         start = arb(t)
         pieces = [_Piece(start + half, half, whole)]
         for _ in range(PIECES):
             piece = pieces.pop()
-            bound, least = self._bound(given, piece)
+            bound, least = self._bound(field, piece)
             small = bound <= np.maximum(rates, speck / (2.0 * float(piece.half)))
             if not np.all(small):
                 if np.any(least > rates) and float(piece.half) < 1e-3 * length:
@@ -153,41 +162,43 @@ class Defect:
                 return 1.0
         return _share(pieces[-1], start, length)
 
-    def _bound(self, given: dict[str, Any], piece: _Piece) -> tuple[np.ndarray, np.ndarray]:
+    def _bound(self, field: Field, piece: _Piece) -> tuple[np.ndarray, np.ndarray]:
         """An upper bound on the defect of a piece, and a lower one, each element's own."""
-        from .ballseries import TERMS, evaluate
+        from flint import arb
+
+        from .ballseries import TERMS
 
         n = piece.powers.shape[1]
         around = _spread(len(piece.powers) - 1) @ np.abs(piece.powers)
-        wide = evaluate(self.graph, self.roots, _inputs(given, piece, around))
-        wide = [_coefficients(v) for v in wide]
+        flow = self._bound_to(field, series=True)
+        wide: list[Any] = [_coefficients(v) for v in flow(_inputs(piece, around))]
         if any(w is None for w in wide):
-            return self._plainly(given, piece, around), np.zeros(n)
-        middle = evaluate(self.graph, self.roots, _inputs(given, piece, None))
-        most, least, half = np.empty(n), np.empty(n), float(piece.half)
+            return self._plainly(field, piece, around), np.zeros(n)
+        middle = flow(_inputs(piece, None))
+        most, least = np.empty(n), np.empty(n)
+        slopes = _slope(piece.powers) / float(piece.half)
         for i in range(n):
             own = _coefficients(middle[i])
             if own is None:
                 return np.full(n, inf), np.zeros(n)
-            slope = _slope(piece.powers[:, i]) / half
+            slope = slopes[:, i].tolist()
             off = [abs(own[k] - slope[k]) for k in range(TERMS - 1)]
-            last = abs(wide[i][TERMS - 1]) + _beyond(slope, TERMS - 1)
+            last = abs(wide[i][TERMS - 1]) + sum(map(abs, map(arb, slope[TERMS - 1 :])))
             most[i] = sum(float(c.upper()) for c in off) + float(last.upper())
             least[i] = float(off[0].lower())
         return np.where(np.isfinite(most), most, inf), least
 
-    def _plainly(self, given: dict[str, Any], piece: _Piece, around: np.ndarray) -> np.ndarray:
+    def _plainly(self, field: Field, piece: _Piece, around: np.ndarray) -> np.ndarray:
         """The same where the flow is no series on the piece: from its bounds on a box."""
         from flint import arb
 
-        half = float(piece.half)
-        box = {**given, "t": arb(piece.middle, piece.half)}
+        slopes = _slope(piece.powers) / float(piece.half)
+        box = _numbers(field) | {"t": arb(piece.middle, piece.half)}
         for i in range(piece.powers.shape[1]):
             box[f"x{i}"] = arb(piece.powers[0, i], around[0, i])
         bounds = []
         for i, found in enumerate(self.program.enclose(box)):
-            slope = _slope(piece.powers[:, i]) / half
-            own = arb(slope[0], float(np.abs(slope[1:]).sum()))
+            own = arb(slopes[0, i], float(np.abs(slopes[1:, i]).sum()))
             bounds.append(float(abs(found.value - own).upper()) if found.defined else inf)
         return np.array(bounds)
 
@@ -249,14 +260,19 @@ def _share(piece: _Piece, start: Any, length: float) -> float:
     return max(0.0, float(piece.middle - piece.half - start) / length)
 
 
-def _inputs(given: dict[str, Any], piece: _Piece, around: np.ndarray | None) -> dict[str, Any]:
+def _numbers(field: Field) -> dict[str, Any]:
+    """The parameters' values, by the names of a graph's inputs."""
+    return {f"p{i}": value for i, value in enumerate(field.numbers)}
+
+
+def _inputs(piece: _Piece, around: np.ndarray | None) -> dict[str, Any]:
     """Time and states as series on a piece: about its middle, or with balls about all of it."""
     from flint import arb, arb_series
 
     from .ballseries import TERMS
 
     first = piece.middle if around is None else arb(piece.middle, piece.half)
-    inputs = {**given, "t": arb_series([first, piece.half])}
+    inputs = {"t": arb_series([first, piece.half])}
     for i, column in enumerate(piece.powers[:TERMS].T.tolist()):
         if around is not None:
             column = [arb(c, r) for c, r in zip(column, around[:TERMS, i].tolist(), strict=True)]
@@ -279,18 +295,13 @@ def _coefficients(value: Any) -> list[Any] | None:
 
 
 def _slope(powers: np.ndarray) -> np.ndarray:
-    """Coefficients of a derivative; enough of them."""
+    """Coefficients of derivatives; enough of them."""
     from .ballseries import TERMS
 
-    own = powers[1:] * np.arange(1, len(powers))
-    return np.pad(own, (0, max(0, TERMS - len(own))))
-
-
-def _beyond(slope: np.ndarray, first: int) -> Any:
-    """All that a polynomial's coefficients from one on can add up to."""
-    from flint import arb
-
-    return arb(float(np.abs(slope[first:]).sum()))
+    degree = len(powers) - 1
+    slopes = np.zeros((max(degree, TERMS), powers.shape[1]))
+    slopes[:degree] = powers[1:] * np.arange(1, degree + 1)[:, None]
+    return slopes
 
 
 def _allowed(
@@ -303,31 +314,26 @@ def _allowed(
     """
     n = coefficients.shape[1]
     degree = len(coefficients) - 1
-    vander = chebyshev.chebvander(2.0 * POINTS - 1.0, degree)
-    states = vander @ coefficients
-    slopes = _slopes(degree) @ coefficients * (2.0 / length)
-    off, noise, fastest = np.empty((len(POINTS), n)), np.zeros(n), 0.0
-    for k, (share, x) in enumerate(zip(POINTS.tolist(), states.tolist(), strict=True)):
-        s = t + share * length
-        rates = np.array(field.rhs(s, x))
-        beside = [v * (1.0 + (8 - 16 * (i % 2)) * EPS) for i, v in enumerate(x)]
-        moved = np.array(field.rhs(s * (1.0 + 8 * EPS), beside))
-        noise = np.maximum(noise, np.abs(moved - rates))
-        off[k], fastest = np.abs(rates - slopes[k]), max(fastest, float(np.abs(rates).max()))
+    values, slopes = _sampling(degree)
+    states, slopes = values @ coefficients, slopes @ coefficients * (2.0 / length)
+    times = t + POINTS * length
+    beside = states * (1.0 + (8 - 16 * (np.arange(n) % 2)) * EPS)
+    rates = np.array([field.rhs(*at) for at in zip(times.tolist(), states.tolist(), strict=True)])
+    moved = zip((times * (1.0 + 8 * EPS)).tolist(), beside.tolist(), strict=True)
+    noise = np.abs(np.array([field.rhs(*at) for at in moved]) - rates).max(axis=0)
+    off = np.sort(np.abs(rates - slopes), axis=0)[len(POINTS) // 2]
     size = np.maximum(np.abs(states).max(axis=0), 1e-3 * np.abs(states).max())
-    typical = np.minimum(np.median(off, axis=0), LOOSE * np.asarray(lost) / length)
-    rounding = ROUNDING * (fastest + size / length) + 8.0 * noise
+    typical = np.minimum(off, LOOSE * np.asarray(lost) / length)
+    rounding = ROUNDING * (np.abs(rates).max() + size / length) + 8.0 * noise
     return ABOVE * typical + rounding, 8.0 * EPS * size
 
 
 @cache
-def _slopes(degree: int) -> np.ndarray:
-    """Matrix from Chebyshev coefficients to slopes at the samples, by the fraction of a half."""
-    columns = [
-        chebyshev.chebval(2.0 * POINTS - 1.0, chebyshev.chebder(np.eye(degree + 1)[k]))
-        for k in range(degree + 1)
-    ]
-    return np.array(columns).T
+def _sampling(degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Matrices from Chebyshev coefficients to values and slopes at the samples, on ``[-1, 1]``."""
+    places = 2.0 * POINTS - 1.0
+    slopes = chebyshev.chebder(np.eye(degree + 1))
+    return chebyshev.chebvander(places, degree), chebyshev.chebval(places, slopes).T
 
 
 @cache

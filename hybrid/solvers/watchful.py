@@ -43,15 +43,26 @@ class Watchful(Solver):
         step too many, is a :class:`FlowError`. Without, steps go on unwatched from there.
     shaken : bool
         Move the state after each step by what rounding may have done to the forces.
+    trusted : bool
+        Take the steps as they are.
 
     Attributes
     ----------
+    cut : bool
+        Whether a step had to be cut.
     blurred : float
         What that is in all, against the states' sizes.
     """
 
-    def __init__(self, inner: Solver, most: int | None = None, shaken: bool = False) -> None:
+    def __init__(
+        self,
+        inner: Solver,
+        most: int | None = None,
+        shaken: bool = False,
+        trusted: bool = False,
+    ) -> None:
         self.inner, self.most, self.blind = inner, most, False
+        self.trusted, self.cut = trusted, False
         self.shaken, self.blurred = shaken, 0.0
         self.name, self.method, self.order = inner.name, inner.method, inner.order
 
@@ -130,7 +141,7 @@ class WatchfulStepper(Stepper):
         self.solver.count()
         for cut in range(0 if self.solver.blind else CUTS):
             segment = inner.segment()
-            share = self._share(segment)
+            share = 1.0 if self.solver.trusted else self._share(segment)
             if share >= 1.0:
                 self._blur(segment)
                 self._longest = GROWTH * (segment.length if cut else self._longest)
@@ -138,6 +149,7 @@ class WatchfulStepper(Stepper):
             end = start + share * segment.length + 8 * EPS * max(abs(self.t0), segment.end)
             if not start < end < segment.end:
                 break
+            self.solver.cut = True
             inner.land(end)
         self.solver.give_up("a step cannot be shown to have seen all of the flow")
 
