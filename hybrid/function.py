@@ -14,6 +14,7 @@ from .asked import Asked, mode_of
 from .automaton.base import require_model
 from .automaton.spec import Spec
 from .errors import OptionError
+from .replay.function import Replay
 from .scene import Scene, scene_of
 from .solvers import renamed
 from .tangent import NUMBERS, REASONS, Layout, Runs
@@ -109,7 +110,9 @@ def as_function(
     It is the run of :func:`hybrid.simulate`, called back from JAX's program, and its first
     derivatives are the run's own first variation: through jumps, accumulations, rest, release and
     sliding, in forward and reverse mode (``docs/notes/gradients.md``). Where there is none (a
-    tangency, the limit of a cycle of several edges) they are NaN.
+    tangency, the limit of a cycle of several edges) they are NaN. Second derivatives are those of
+    the same arcs and jumps flown again by JAX (:mod:`hybrid.replay`), which refuses what it cannot
+    fly: an accumulation, a tangency, delays.
 
     Parameters
     ----------
@@ -291,14 +294,15 @@ def _differentiable(runs: Runs) -> Callable[[Any], tuple[Any, Any]]:
         shapes = *given, slopes
         return jax.pure_callback(partial(_each, runs.slopes), shapes, row, vmap_method=ABREAST)
 
-    def refuse(*_: Any) -> Any:
-        raise OptionError(
-            "as_function has first derivatives only, and a second one was asked for; take "
-            "differences of the first"
-        )
+    def second(rows: Any, changes: Any) -> Any:
+        numbers, whole_numbers, slopes = once(*rows)
+        again = jax.jacfwd(_replay(runs).planned(*rows))
+        bends = jax.jvp(again, rows, changes)[1]
+        still = np.zeros(whole_numbers.shape, jax.dtypes.float0)
+        return (numbers, whole_numbers, slopes), (_along(slopes, *changes), still, bends)
 
     once = jax.custom_jvp(first)
-    once.defjvp(refuse)
+    once.defjvp(second)
 
     def rule(rows: Any, changes: Any) -> Any:
         numbers, whole_numbers, slopes = once(*rows)
@@ -308,6 +312,14 @@ def _differentiable(runs: Runs) -> Callable[[Any], tuple[Any, Any]]:
     found = jax.custom_jvp(whole)
     found.defjvp(rule)
     return found
+
+
+def _replay(runs: Runs) -> Replay:
+    """The runs, flown again for derivatives that the first variation does not give."""
+    layout, room = runs.layout, runs.asked.max_steps
+    assert room is not None
+    ask = partial(_each, runs.plan)
+    return Replay(runs.cls, runs.shapes, layout.shapes, layout.rows, room, ask)
 
 
 def _each(call: Callable[[np.ndarray], tuple[np.ndarray, ...]], rows: Any) -> Any:

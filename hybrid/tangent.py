@@ -18,7 +18,8 @@ import numpy as np
 
 from .arcs import Arc
 from .asked import Asked
-from .errors import HybridError
+from .errors import HybridError, OrbitError
+from .replay import Plan, plan_of
 from .run import Driver
 from .scene import Scene, scene_with
 from .trajectory import Status
@@ -125,6 +126,23 @@ class Runs:
         """The same, and behind it the derivatives: a column for each number of the row."""
         run = self._flown(row, "dense")
         return *run.numbers(), run.derivatives(len(row))
+
+    def plan(self, row: np.ndarray) -> Plan:
+        """The run as it can be flown again (:mod:`hybrid.replay`).
+
+        Raises
+        ------
+        OrbitError
+            Where it cannot.
+        """
+        run, steps = self._flown(row, "dense"), self.asked.max_steps
+        if run.driver is None or run.status not in ("reached_end", "max_jumps"):
+            why = dict(REASONS.values()).get(run.status, "the run failed")
+            raise OrbitError(f"{run.scene.spec.model}: of this run there are no derivatives: {why}")
+        touched = [jump.t for jump in run.driver.record.grazings]
+        assert steps is not None
+        ends = run.status == "reached_end"
+        return plan_of(run.course, touched, ends, steps, self.layout.rows)
 
     def _flown(self, row: np.ndarray, save: str) -> _Run:
         n = self.layout.size

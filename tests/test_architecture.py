@@ -23,6 +23,7 @@ LAYERS = [
     ["histories", "hindsight"],
     ["variation"],
     ["asked", "again", "abreast", "lanes"],
+    ["replay"],
     ["tangent"],
     ["simulation", "ensembles", "function", "certificates"],
     ["compare", "gallery", "study", "orbits"],

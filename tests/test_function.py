@@ -326,15 +326,6 @@ def test_jumps_at_one_instant_of_which_neighbours_have_one_first():
     assert float(by_g) == pytest.approx(float(exact(9.81)), rel=1e-12)
 
 
-def test_a_second_derivative_is_refused():
-    """By a sentence, in either order of modes."""
-    t_inf = t_inf_of()
-    for outer in (jax.jacfwd, jax.jacrev):
-        for inner in (jax.jacfwd, jax.jacrev):
-            with pytest.raises(hy.OptionError, match="first derivatives only"):
-                outer(inner(t_inf))(0.7, 1.0)
-
-
 def test_a_run_that_fails_is_a_status():
     """Below the floor, in a compiled program too: a number, and no exception."""
     fall = jax.jit(hy.as_function(BouncingBall(), t=(0.0, 1.0), max_jumps=8))

@@ -112,7 +112,7 @@ def along(
         kinks = of.kinks(("flow", field.name), field, lambda g: g.flow(bool(field.held)))
     last: Piece | None = None
     for segment in segments:
-        for piece in _pieces(kinks, t, segment):
+        for piece in pieces(kinks, t, segment):
             if kinks is not None and last is not None:
                 bend = _bend(kinks, field, last, piece, largest)
                 if bend is not None:
@@ -132,9 +132,14 @@ def whole(matrices: Iterator[tuple[float, np.ndarray]]) -> np.ndarray:
 
 def _resolve(rate: Matrix, piece: Piece, units: np.ndarray) -> np.ndarray:
     """The matrix of a piece, halved until it is resolved."""
-    open_pieces, left, found = [(piece, *_collocate(rate, piece))], HALVINGS, None
-    while open_pieces:
-        piece, once, ripple = open_pieces.pop()
+    return whole((part.end, matrix) for part, matrix in resolved(rate, piece, units))
+
+
+def resolved(rate: Matrix, piece: Piece, units: np.ndarray) -> Iterator[tuple[Piece, np.ndarray]]:
+    """Parts of a piece that are short enough for the collocation, and the matrix of each."""
+    waiting, left = [(piece, *_collocate(rate, piece))], HALVINGS
+    while waiting:
+        piece, once, ripple = waiting.pop()
         allowed = RESOLVED * _sizes(piece, once, units)
         both, halves = once, list[tuple[Piece, np.ndarray, np.ndarray]]()
         if left and np.any(ripple > allowed):
@@ -142,11 +147,9 @@ def _resolve(rate: Matrix, piece: Piece, units: np.ndarray) -> np.ndarray:
             both = composed(halves[1][1], halves[0][1])
         if np.any(np.abs(both - once) > allowed):
             left -= 1
-            open_pieces += halves[::-1]
+            waiting += halves[::-1]
         else:
-            found = both if found is None else composed(both, found)
-    assert found is not None
-    return found
+            yield piece, both
 
 
 def _sizes(piece: Piece, matrix: np.ndarray, units: np.ndarray) -> np.ndarray:
@@ -166,7 +169,7 @@ def _sizes(piece: Piece, matrix: np.ndarray, units: np.ndarray) -> np.ndarray:
 def _collocate(rate: Matrix, piece: Piece) -> tuple[np.ndarray, np.ndarray]:
     """The matrix of a piece, and the last terms of the series whose integral it is: where they are
     nothing, so is what is left out."""
-    points, inner, weights, series = _gauss()
+    points, inner, weights, series = gauss()
     taus, whole = piece.start + piece.length * points, piece.length == piece.segment.length
     states = piece.segment.at(points) if whole else piece.segment(taus)
     pairs = zip((piece.t + taus).tolist(), states, strict=True)
@@ -181,7 +184,7 @@ def _collocate(rate: Matrix, piece: Piece) -> tuple[np.ndarray, np.ndarray]:
 
 
 @cache
-def _gauss() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def gauss() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Points of Gauss and Legendre on [0, 1], integrals to each of them, and to 1; and the matrix
     from values there to coefficients of Legendre's polynomials."""
     points, weights = legendre.leggauss(STAGES)
@@ -195,7 +198,7 @@ def _gauss() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 # where a formula of the flow changes
 
 
-def _pieces(kinks: Matrix | None, t: float, segment: Segment) -> list[Piece]:
+def pieces(kinks: Matrix | None, t: float, segment: Segment) -> list[Piece]:
     """A step, cut where a formula of the flow changes inside it."""
     if kinks is None:
         return [Piece(t, segment, segment.start, segment.length)]

@@ -207,7 +207,7 @@ class Walk:
     def jump(self, group: Sequence[Row], after: Part | None) -> Factor:
         """One jump, or several with no time between them."""
         (index, first), part = group[0], self.course.parts[group[0][0]]
-        field, guard = self._fired(index, first)
+        field, guard = self.fired(index, first)
         piece, before = self._piece(part, True), self._flow(part, True)
         jumped = piece if piece is not None and self._jumps(guard, field, piece) else None
         time = self._time(field, guard, first, before, jumped)
@@ -241,7 +241,7 @@ class Walk:
     def _tie(self, place: int, row: JumpRow, time: np.ndarray, state: np.ndarray) -> np.ndarray:
         """The change of a guard that is zero when the jump before leads to it: for neighbours it
         must be so too. One that is over its zero fires for neighbours as well."""
-        field, guard = self._fired(place, row)
+        field, guard = self.fired(place, row)
         x = row.before.tolist()
         size = self.scene.rounding(guard, field)(row.t, x)[0]
         if abs(guard.value(row.t, x)) > NEAR * size:
@@ -249,13 +249,13 @@ class Walk:
         gradient, moved = self.of.guard(guard, field)(row.t, row.before), self._moved(time, state)
         return cleared(gradient @ moved, np.abs(gradient) @ np.abs(moved), TIED)
 
-    def _fired(self, place: int, row: JumpRow) -> tuple[Field, Guard]:
+    def fired(self, place: int, row: JumpRow) -> tuple[Field, Guard]:
         """The field and the guard of a jump."""
         field = self.scene.field(self.course.parts[place].mode)
         return field, field.guards[field.column(row.edge)]
 
     def _reset(self, place: int, row: JumpRow) -> np.ndarray:
-        return self.of.reset(row.edge, self._fired(place, row)[1].kind)(row.t, row.before)
+        return self.of.reset(row.edge, self.fired(place, row)[1].kind)(row.t, row.before)
 
     def _after(self, reset: np.ndarray, earlier: np.ndarray) -> np.ndarray:
         """A reset after what came before it at the same time, by time, state and parameters."""

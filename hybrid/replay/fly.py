@@ -1,0 +1,94 @@
+"""The run of a plan as a function that JAX derives, as often and in whichever mode it is asked.
+
+A step is a collocation at Gauss's points. Its unknowns are the states at the points and, of a step
+that ends with a jump, its length: the equation that closes it says that the guard is zero. All of
+them are known from the run; how they change is said by the implicit function theorem: with ``J``
+the derivative of the equations ``F = 0`` at the run's own values ``u0``, a step ``u - F(u) / J``
+of Newton's from ``u0`` is right to first order in all that ``F`` depends on, two are right to
+second. Nothing is decided here.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.lax import stop_gradient
+
+from ..variation.arcs import gauss
+from .laws import END, LENGTH, Laws, chosen
+from .plan import TOGETHER, Plan
+
+#: Orders of the derivatives that are right.
+ORDERS = 2
+
+
+class Flight:
+    """What a run of a class gives, by what it is given."""
+
+    def __init__(self, laws: Laws, plan: Plan, parameters: Any, t1: Any) -> None:
+        self.laws, self.plan, self.parameters, self.t1 = laws, plan, parameters, t1
+        self.end = list(laws.guards).index(END)
+        self.fixed = list(laws.guards).index(LENGTH)
+
+    def __call__(self, t0: Any, x: Any) -> tuple[tuple[Any, Any, Any], tuple[Any, Any]]:
+        """Times of the steps' ends, states before and after what happens there; and time and state
+        at the last of them."""
+        *steps, _ = self.plan
+        chunks = [a.reshape(len(a) // TOGETHER, TOGETHER, *a.shape[1:]) for a in steps]
+        blank = jnp.zeros(TOGETHER), *(jnp.zeros((TOGETHER, len(x))) for _ in range(2))
+
+        def some(carry: Any, steps: Any) -> Any:
+            fly = lambda: jax.lax.scan(self._step, carry, steps)  # noqa: E731
+            return jax.lax.cond(steps[1][0], fly, lambda: (carry, blank))
+
+        end, rows = jax.lax.scan(jax.checkpoint(some), (t0, x), chunks)
+        return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), rows), end
+
+    def _step(self, carry: Any, steps: Any) -> Any:
+        plan = Plan._make([*steps, self.plan.jumps])
+        flow, guard, reset, onto = plan.laws
+        t, x = carry
+        points, inner, weights, _ = gauss()
+        p, n = self.parameters, len(x)
+        x = at(plan.first, chosen(self.laws.onto, onto, p, plan.masks, t, x))
+
+        def moved(u: Any) -> tuple[Any, Any, Any]:
+            """What the points should be, and time and state at the end."""
+            states, length = u[:-1].reshape(-1, n), plan.lengths * (1.0 + u[-1])
+            along = lambda c, z: chosen(  # noqa: E731
+                self.laws.flows, flow, p, plan.masks, t + c * length, z
+            )
+            rates = length * jax.vmap(along)(jnp.asarray(points), states)
+            return x + inner @ rates, t + length, x + weights @ rates
+
+        def residual(u: Any) -> Any:
+            there, end, last = moved(u)
+            close = chosen(self.laws.guards, guard, p, plan.masks, end, last)
+            close = jnp.where(guard == self.fixed, u[-1], close)
+            close = jnp.where(guard == self.end, end - self.t1, close)
+            return jnp.append((u[:-1] - there.reshape(-1)), close)
+
+        known = jnp.append(plan.inner.reshape(-1), 0.0)
+        _, end, last = moved(_implicit(residual, known))
+        end, last = at(plan.ends, end), at(plan.before, last)
+        after = at(plan.after, chosen(self.laws.resets, reset, p, plan.masks, end, last))
+        keep = lambda new, old: jnp.where(plan.used, new, old)  # noqa: E731
+        return (keep(end, t), keep(after, x)), (end, last, after)
+
+
+def at(value: Any, found: Any) -> Any:
+    """The run's own value, which changes as what was found."""
+    return value + (found - stop_gradient(found))
+
+
+def _implicit(residual: Any, known: Any) -> Any:
+    """The zero of a residual, as a function of all that it is made of; its value is known."""
+    slopes = stop_gradient(jax.jacfwd(residual)(known))
+
+    def better(found: Any, _: Any) -> tuple[Any, None]:
+        off = residual(found)
+        return found - jnp.linalg.solve(slopes, off - stop_gradient(off)), None
+
+    return jax.lax.scan(better, known, length=ORDERS)[0]

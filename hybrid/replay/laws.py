@@ -1,0 +1,113 @@
+"""The functions of a class that a replay is made of, by number, as functions that JAX derives.
+
+They are the class's own traces and what follows from a contact's or a switching's
+(:mod:`hybrid.scene.contact`, :mod:`hybrid.scene.sliding`); which contacts are held is a mask.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+
+from ..automaton.spec import ContactSpec, EdgeSpec
+from ..automaton.trace import again
+from ..scene.contact import Held
+from ..scene.lowered import Lowered
+from ..scene.mode import RELEASE
+
+#: ``(parameters, mask, t, x)``, and what a function gives.
+Law = Callable[..., Any]
+
+#: What ends a step of a replay, beside the guards: its length does not change; the last time.
+LENGTH, END = "length", "end"
+
+#: A reset, or a projection, that leaves the state as it is.
+SAME = "same"
+
+
+class Laws:
+    """The functions of a class by name, and the numbers of these.
+
+    Attributes
+    ----------
+    contacts : tuple of str
+        Those that may be held, in the order of the mask.
+    flows : dict
+        By mode, and whether contacts are held.
+    guards : dict
+        By edge; ``"<contact>.release"`` is a load.
+    resets : dict
+        By edge.
+    onto : dict
+        By mode: projections onto the contacts held, or onto the surface.
+    """
+
+    def __init__(self, code: Lowered) -> None:
+        self.code, self.spec = code, code.spec
+        rests = [e for e in self.spec.transitions if isinstance(e, ContactSpec) and e.rests]
+        self.contacts = tuple(edge.name for edge in rests)
+        self.flows: dict[tuple[str, bool], Law] = {}
+        self.guards: dict[str, Law] = {LENGTH: _nothing, END: _nothing}
+        self.resets: dict[str, Law] = {SAME: _same}
+        self.onto: dict[str, Law] = {SAME: _same}
+        slides = [switching.mode for switching in self.spec.switchings if switching.slides]
+        for mode in (*(mode.name for mode in self.spec.modes), *slides):
+            self._add(mode)
+
+    def _add(self, mode: str) -> None:
+        self.flows[mode, False] = _unmasked(self.code.field_closed(mode, ()))
+        for edge in self.spec.leaving(mode):
+            self.guards[edge.name] = _unmasked(self.code.guard_closed(edge))
+            if isinstance(edge, EdgeSpec):
+                self.resets[edge.name] = _unmasked(self.code.closed("reset", edge.name))
+            if isinstance(edge, ContactSpec):
+                impact = self.code.laws(edge.name).impact
+                self.resets[edge.name] = lambda p, m, t, x, impact=impact: impact(p, t, x)[:-1]
+        switching = self.spec.sliding(mode)
+        if switching is not None:
+            project = self.code.sliding(switching.name).project
+            self.onto[mode] = lambda p, m, t, x: project(p, t, x)
+            return
+        own = [e.name for e in self.spec.leaving(mode) if e.name in self.contacts]
+        if own:
+            held = self._held(mode, own)
+            self.flows[mode, True] = lambda p, m, t, x: held(m).rest(p, t, x)
+            self.onto[mode] = lambda p, m, t, x: held(m).project(p, t, x)
+        for place, name in enumerate(own):
+            self.guards[f"{name}{RELEASE}"] = lambda p, m, t, x, place=place: held(m).load(place)(
+                p, t, x
+            )
+
+    def _held(self, mode: str, names: Sequence[str]) -> Callable[[Any], Held]:
+        """Contacts of a mode, held as a mask says."""
+        laws = tuple(self.code.laws(name) for name in names)
+        flow = again(self.code.closed("flow", mode))
+        places = [self.contacts.index(name) for name in names]
+        return lambda mask: Held(laws, flow, [mask[place] > 0.5 for place in places])
+
+
+def chosen(laws: dict[Any, Law], number: Any, *given: Any) -> Any:
+    """The result of one of some functions."""
+    branches = list(laws.values())
+    return branches[0](*given) if len(branches) == 1 else jax.lax.switch(number, branches, *given)
+
+
+def _unmasked(closed: Any) -> Law:
+    call = again(closed)
+    return lambda p, m, t, x: call(p, t, x)
+
+
+def _same(p: Any, mask: Any, t: Any, x: Any) -> Any:
+    return x
+
+
+def _nothing(p: Any, mask: Any, t: Any, x: Any) -> Any:
+    return 0.0 * t
+
+
+def laws_of(code: Lowered) -> Laws:
+    """The functions of a class, kept with its generated code."""
+    made: Laws = code.once("replay", lambda: Laws(code))
+    return made

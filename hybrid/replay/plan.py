@@ -1,0 +1,247 @@
+"""What a run has decided, as numbers: the steps of its arcs and what ends each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import attrs
+import numpy as np
+
+from ..arcs import Arc, JumpRow, Part, TailPart
+from ..errors import OrbitError
+from ..scene import Field
+from ..segment import Segment
+from ..variation import Course, Walk
+from ..variation.arcs import Piece, gauss, pieces, resolved
+from ..variation.derivatives import Derivatives
+from .laws import END, LENGTH, SAME, Laws, laws_of
+
+#: Steps that are skipped together where a run has fewer than there is room for.
+TOGETHER = 32
+
+
+class Plan(NamedTuple):
+    """The steps of a run, one after the other; unused rows repeat the last.
+
+    Attributes
+    ----------
+    laws : array of int, shape (steps, 4)
+        Numbers of the flow, of the guard that ends the step, of the reset, and of the projection
+        with which it begins.
+    used : array of bool, shape (steps,)
+    lengths, ends : array, shape (steps,)
+        How long the step is, and the time at its end.
+    masks : array, shape (steps, contacts)
+        Which contacts are held.
+    inner : array, shape (steps, stages, n)
+        States at the stages of the collocation.
+    first, before, after : array, shape (steps, n)
+        States at its ends, and after the jump.
+    jumps : array of int, shape (rows,)
+        For each row of the table of jumps the step that ends with it; -1 where there is none.
+    """
+
+    laws: np.ndarray
+    used: np.ndarray
+    lengths: np.ndarray
+    ends: np.ndarray
+    masks: np.ndarray
+    inner: np.ndarray
+    first: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    jumps: np.ndarray
+
+
+def blank(laws: Laws, room: int, rows: int) -> Plan:
+    """A plan without steps.
+
+    Parameters
+    ----------
+    room : int
+        Most steps.
+    rows : int
+        Those of the table of jumps.
+    """
+    n, stages = laws.spec.dimension, len(gauss()[0])
+    steps = -(-room // TOGETHER) * TOGETHER
+    return Plan(
+        np.zeros((steps, 4), int),
+        np.zeros(steps, bool),
+        np.zeros(steps),
+        np.zeros(steps),
+        np.zeros((steps, len(laws.contacts))),
+        np.zeros((steps, stages, n)),
+        np.zeros((steps, n)),
+        np.zeros((steps, n)),
+        np.zeros((steps, n)),
+        np.full(rows, -1),
+    )
+
+
+def plan_of(course: Course, touched: Sequence[float], ends: bool, room: int, rows: int) -> Plan:
+    """The plan of a run.
+
+    Parameters
+    ----------
+    course : Course
+        With dense output.
+    touched : sequence of float
+        Times of tangencies.
+    ends : bool
+        Whether it ends at its last time, and not by a jump.
+    room, rows : int
+        As for :func:`blank`.
+
+    Raises
+    ------
+    OrbitError
+        Where a run cannot be flown again.
+    """
+    laws, model = laws_of(course.scene.code), course.scene.spec.model
+    if touched:
+        raise OrbitError(
+            f"{model}: a guard is touched at t = {touched[0]!r}; beyond a tangency there are no "
+            "derivatives"
+        )
+    plan, maker = blank(laws, room, rows), _Maker(course, laws)
+    count = 0
+    for count, step in enumerate(maker.steps(ends), start=1):
+        if count > room:
+            raise OrbitError(
+                f"{model}: to fly the run again takes more than {room} steps; raise max_steps"
+            )
+        step.write(plan, count - 1)
+    for part in plan[:-1]:
+        part[count:] = part[max(count - 1, 0)]
+    plan.used[:] = np.arange(len(plan.used)) < count
+    steps = maker.jumps[:rows]
+    plan.jumps[: len(steps)] = steps
+    return plan
+
+
+@attrs.frozen(eq=False)
+class _Step:
+    piece: Piece
+    mask: list[float]
+    laws: list[int]
+    first: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    end: float
+
+    def write(self, plan: Plan, place: int) -> None:
+        piece, points = self.piece, gauss()[0]
+        plan.laws[place], plan.masks[place] = self.laws, self.mask
+        plan.lengths[place], plan.ends[place] = piece.length, self.end
+        plan.inner[place] = piece.segment(piece.start + piece.length * points)
+        plan.first[place], plan.before[place] = self.first, self.before
+        plan.after[place] = self.after
+
+
+class _Maker:
+    """Makes steps of a course.
+
+    Attributes
+    ----------
+    jumps : list of int
+        Steps made so far that end with a jump.
+    """
+
+    def __init__(self, course: Course, laws: Laws) -> None:
+        self.course, self.scene, self.laws = course, course.scene, laws
+        self.walk, self.of = Walk(course, True), Derivatives(course.scene)
+        self.model, self.count = course.scene.spec.model, 0
+        self.jumps: list[int] = []
+
+    def steps(self, ends: bool) -> Iterator[_Step]:
+        """Steps in order."""
+        parts, jumps = self.course.parts, self.course.jumps
+        self._smooth(parts[0].t0, self.walk.begin()[1])
+        for index, part in enumerate(parts):
+            last = index + 1 == len(parts)
+            if isinstance(part, TailPart):
+                raise OrbitError(
+                    f"{self.model}: impacts of {part.tail.contact.name} accumulate at "
+                    f"t = {part.t1!r}; through an accumulation there are first derivatives only: "
+                    "take differences of these, or end the run before"
+                )
+            jump, after = jumps.get(index), None if last else parts[index + 1]
+            if jump is None and not last:
+                raise OrbitError(
+                    f"{self.model}: the run passes the limit of a cycle of several edges at "
+                    f"t = {part.t1!r}, beyond which there are no derivatives"
+                )
+            if jump is not None:
+                self._alone(index, jump, after)
+            yield from self._arc(part, jump, ends and last)
+
+    def _alone(self, index: int, jump: JumpRow, after: Part | None) -> None:
+        """A jump must come alone, and at a time and to a state that depend smoothly on all."""
+        if isinstance(after, Arc) and not after.length and index + 1 in self.course.jumps:
+            raise OrbitError(
+                f"{self.model}: at t = {jump.t!r} several jumps have no time between them; a run "
+                "with such cannot be flown again"
+            )
+        if self.walk.fired(index, jump)[1].kinks:
+            raise OrbitError(
+                f"{self.model}: the guard of {jump.edge} has a formula that changes; a run with "
+                "such a jump cannot be flown again"
+            )
+        ties = self.walk.jump([(index, jump)], after).ties
+        assert ties is not None
+        self._smooth(jump.t, ties)
+
+    def _smooth(self, t: float, ties: np.ndarray) -> None:
+        if np.any(ties):
+            raise OrbitError(
+                f"{self.model}, t = {t!r}: something else happens at the same instant, which "
+                "neighbours have before it or after it: there are no derivatives"
+            )
+
+    def _arc(self, arc: Arc, jump: JumpRow | None, ends: bool) -> Iterator[_Step]:
+        field, t = self.scene.field(arc.mode), arc.t0 + arc.low
+        found = [piece for segment in arc.segments for piece in self._pieces(field, t, segment)]
+        if not found:
+            raise OrbitError(
+                f"{self.model}: the run stays at t = {arc.t0!r}; such cannot be flown again"
+            )
+        mask = [float(name in field.held) for name in self.laws.contacts]
+        flow = _number(self.laws.flows, (field.mode, bool(field.held)))
+        first, onto = arc.first, SAME if field.project is None else field.mode
+        for place, piece in enumerate(found):
+            last = place + 1 == len(found)
+            guard, reset, end = LENGTH, SAME, t + piece.end
+            before = after = piece.segment(piece.end)
+            if last:
+                guard, end, before, after = END if ends else LENGTH, arc.t1, arc.last, arc.last
+            if last and jump is not None:
+                guard, before, after = jump.edge, jump.before, jump.after
+                reset = jump.edge if jump.edge in self.laws.resets else SAME
+                self.jumps.append(self.count)
+            numbers = [
+                flow,
+                _number(self.laws.guards, guard),
+                _number(self.laws.resets, reset),
+                _number(self.laws.onto, onto),
+            ]
+            yield _Step(piece, mask, numbers, first, before, after, end)
+            self.count += 1
+            first, onto = before, SAME
+
+    def _pieces(self, field: Field, t: float, segment: Segment) -> Iterator[Piece]:
+        """A step of the run in parts short enough for the collocation."""
+        if field.changes:
+            raise OrbitError(
+                f"{self.model}: the flow of {field.name} has a formula that changes; it cannot be "
+                "flown again"
+            )
+        rate = self.of.flow(field)
+        for piece in pieces(None, t, segment):
+            for part, _ in resolved(rate, piece, self.of.units):
+                yield part
+
+
+def _number(laws: Mapping[Any, Any], key: Any) -> int:
+    return list(laws).index(key)

@@ -1,0 +1,140 @@
+"""Second derivatives of runs: the arcs and jumps of a run flown again by JAX."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+from hybrid import jit
+from hybrid.function import OUTPUTS, runs_of
+from hybrid.replay.function import Replay
+from models.bouncing_ball import BouncingBall
+from tests import gradients
+
+
+@pytest.fixture(autouse=True)
+def _wide():
+    """The user's own setting, for these tests only: of all threads, as a long program calls the
+    run back from another."""
+    jax.config.update("jax_enable_x64", True)
+    yield
+    jax.config.update("jax_enable_x64", False)
+
+
+def fall(t1=1.5, **options):
+    """A ball that is dropped, by restitution, gravity and height."""
+    run = hy.as_function(BouncingBall(), t=(0.0, t1), max_jumps=8, max_steps=64, **options)
+    return lambda p: run(BouncingBall(r=p[0], g=p[1]), {"x": p[2], "v": 0.0})
+
+
+def height(p):
+    """The same after one impact, at 1.5."""
+    r, g, h = p
+    drop = jnp.sqrt(2 * h / g)
+    return r * g * drop * (1.5 - drop) - g * (1.5 - drop) ** 2 / 2
+
+
+AT = np.array([0.7, 9.81, 3.0])
+
+
+@pytest.mark.parametrize("outer", [jax.jacfwd, jax.jacrev])
+@pytest.mark.parametrize("inner", [jax.jacfwd, jax.jacrev])
+def test_second_derivatives_of_a_state_in_flight(outer, inner):
+    """The closed form, in either order of modes, compiled and mapped over starts."""
+    end = lambda p: fall()(p).final["x"]  # noqa: E731
+    rows = np.array([AT, 1.01 * AT])
+    found = jax.jit(jax.vmap(outer(inner(end))))(rows)
+    np.testing.assert_allclose(found, jax.vmap(jax.hessian(height))(rows), atol=1e-13)
+
+
+def test_second_derivatives_of_a_jump():
+    """Its time, and the speed before it; what is not asked for is not there."""
+    table = lambda p: fall(outputs=("jumps",))(p).jumps  # noqa: E731
+    by_time = jax.hessian(lambda p: table(p).t[0])(AT)
+    by_speed = jax.hessian(lambda p: table(p).before["v"][0])(AT)
+    exact = jax.hessian(lambda p: jnp.sqrt(2 * p[2] / p[1]))(AT)
+    np.testing.assert_allclose(by_time, exact, atol=1e-14)
+    exact = jax.hessian(lambda p: -jnp.sqrt(2 * p[2] * p[1]))(AT)
+    np.testing.assert_allclose(by_speed, exact, atol=1e-14)
+
+
+#: Differences of fourth order of first derivatives, a step of 1e-4: they err by the fourth power of
+#: the step times a fifth derivative, and by the rounding of first ones, 1e-12, over the step.
+OFF = 1e-7
+
+
+def compared(name, seed, **options):
+    """Second derivatives of all that a scene's run gives against differences of first ones: the
+    largest distance against the largest of a number's, and how many numbers were compared."""
+    _, row = gradients.drawn(name, seed)
+    runs = runs_of(_, OUTPUTS, max_jumps=16, max_steps=256, **options)
+    numbers, ints, slopes = runs.slopes(row)
+    ask = lambda row: runs.plan(np.asarray(row))  # noqa: E731
+    replay = Replay(runs.cls, runs.shapes, runs.layout.shapes, 16, 256, ask)
+    both = lambda row: jax.jacfwd(replay.planned(row))(row)  # noqa: E731
+    first, second = jit.jit(lambda row: (both(row), _bends(replay, row)))(row)
+    known = np.isfinite(numbers) & np.isfinite(slopes).all(axis=1)
+    np.testing.assert_allclose(first[known], slopes[known], rtol=1e-9, atol=1e-9)
+    off, judged = 0.0, 0
+    for column in range(len(row)):
+        step = 1e-4 * max(1.0, abs(row[column]))
+        change = _difference(runs, row, column, step, ints)
+        if change is not None:
+            sizes = np.maximum(np.abs(change[known]).max(axis=1), 1.0)
+            far = np.abs(second[known, :, column] - change[known]).max(axis=1) / sizes
+            off, judged = max(off, far.max()), judged + far.size
+    return off, judged
+
+
+def _bends(replay, row):
+    return jax.jacfwd(jax.jacfwd(replay.planned(row)))(row)
+
+
+def _difference(runs, row, column, step, ints):
+    ends = []
+    for k in (-2, -1, 1, 2):
+        moved = row.copy()
+        moved[column] += k * step
+        _, other, slopes = runs.slopes(moved)
+        if not np.array_equal(other, ints):
+            return None
+        ends.append(slopes)
+    return (8 * (ends[2] - ends[1]) - (ends[3] - ends[0])) / (12 * step)
+
+
+@pytest.mark.parametrize("name", ["forced", "kicked", "heavy"])
+def test_second_derivatives_against_differences(name):
+    """Impacts, edges with resets by time, state and parameters, a mass that is a matrix."""
+    off, judged = compared(name, 0, zeno="ignore")
+    assert off < OFF
+    assert judged > 50
+
+
+# ---------------------------------------------------------------------------------------
+# where there are none
+
+
+def test_through_an_accumulation_they_are_refused():
+    """By a sentence; the first ones are there."""
+    end = lambda p: fall(t1=3.0)(p).zeno.t  # noqa: E731
+    low = np.array([0.3, 9.81, 1.0])
+    assert np.all(np.isfinite(jax.grad(end)(low)))
+    for outer, inner in ((jax.jacfwd, jax.jacrev), (jax.jacrev, jax.jacfwd)):
+        with pytest.raises(jax.errors.JaxRuntimeError, match="first derivatives only"):
+            jax.block_until_ready(outer(inner(end))(low))
+
+
+def test_a_third_derivative_is_refused():
+    """When it is asked for, before anything runs."""
+    end = lambda p: fall()(p).final["x"]  # noqa: E731
+    with pytest.raises(hy.OptionError, match="a third one was asked for"):
+        jax.jacfwd(jax.hessian(end))(AT)
+
+
+def test_a_run_that_was_cut_has_none():
+    """The sentence is that of its status."""
+    run = hy.as_function(BouncingBall(), t=(0.0, 1.5), max_jumps=8, max_steps=1)
+    end = lambda h: run(BouncingBall(), {"x": h, "v": 0.0}).final["x"]  # noqa: E731
+    with pytest.raises(jax.errors.JaxRuntimeError, match="max_steps was reached; raise it"):
+        jax.block_until_ready(jax.hessian(end)(3.0))
