@@ -23,14 +23,16 @@ from .run.machine import rooms
 from .scene import Scene
 from .zeno.narrow import bounded
 
-#: Lanes in a call: between two of them the keyboard is heard, and progress told.
-BLOCK = 256
+#: Lanes in a call, at most and at least: between two of them progress is told. Of fewer than that
+#: there are so many calls for each thread, that all end together.
+BLOCK, LEAST, CALLS = 256, 8, 4
 
 #: Lanes that are flown first, to see what the tables of all must have.
 FEW = 16
 
-#: Most jumps, steps and sums of a lane that is flown here: a longer one loses little by Python.
-JUMPS, STEPS, SUMS = 1024, 8192, 64
+#: Most jumps, steps and sums of a lane that is flown here: some tenths of a second, after which the
+#: keyboard is heard.
+JUMPS, STEPS, SUMS = 8192, 65536, 64
 
 
 class Flown(NamedTuple):
@@ -69,6 +71,7 @@ class Abreast:
         self.field = self.tables.number(scene.field(mode))
         self.watched = plan.zeno != "ignore"
         self.most = min(plan.max_jumps, JUMPS), int(min(plan.max_steps - 1, STEPS))
+        self.stop = np.zeros(1, dtype=np.int64)
         self.whole = plan.max_jumps <= JUMPS  # else a lane with more is left to the driver
 
     def fly(self) -> Iterator[Flown]:
@@ -125,15 +128,19 @@ class Abreast:
         )
 
     def _in_threads(self, which: np.ndarray) -> Iterator[Flown]:
-        blocks = np.split(which, range(BLOCK, len(which), BLOCK))
-        automaton, pool = self.tables.automaton, ThreadPoolExecutor(os.cpu_count())
+        threads = os.cpu_count() or 1
+        size = min(BLOCK, max(LEAST, len(which) // (CALLS * threads)))
+        blocks = np.split(which, range(size, len(which), size))
+        automaton, pool = self.tables.automaton, ThreadPoolExecutor(threads)
         try:
             for done in as_completed([pool.submit(self._block, automaton, b) for b in blocks]):
                 flown, steps = done.result()
                 self.tables.flown(steps)
                 yield flown
         finally:
+            self.stop[0] = 1
             pool.shutdown(cancel_futures=True)
+            self.stop[0] = 0
 
     def _block(self, automaton: Automaton, which: np.ndarray) -> tuple[Flown, int]:
         """Some lanes, with arrays of their own."""
@@ -148,7 +155,7 @@ class Abreast:
         lanes: Any = unit("lanes").lanes
         steps = lanes(
             *(own, self.loop.run.copy(), self._now(), *self._rooms(n), *self.programs),
-            *(numbers.reshape(-1, 1), *asked, self.field, self.watched, ends, told),
+            *(numbers.reshape(-1, 1), *asked, self.field, self.watched, ends, told, self.stop),
         )
         if not self.whole:
             told[told[:, OUTCOME] == LAST_JUMP, OUTCOME] = LEFT

@@ -379,3 +379,19 @@ def stacked(a, b, x, y, v, w, slow=1e-10):
         if min(gap, there) > v * v / (2 * g):  # the lower bead comes to rest before they meet
             t, gap, u, v = t + total, there, u + v - g * total, 0.0
     return t
+
+
+class PutBack(hy.Automaton):
+    """A ball whose author writes its impacts as jumps, which put it onto the floor, and loses no
+    speed."""
+
+    y = hy.state()
+    v = hy.state()
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -98.1
+
+    @hy.edge(flight, to=flight, guard=lambda self, t, s: s.y)
+    def impact(self, t, s):
+        return s.replace(y=0.0, v=-s.v)

@@ -243,6 +243,29 @@ def test_lanes_that_need_no_judgement_need_no_driver(monkeypatch):
     np.testing.assert_allclose(ended.x, x - 0.5 * 9.81 * 0.01, rtol=1e-15)
 
 
+@pytest.mark.parametrize(
+    ("model", "start", "until"),
+    [
+        (BeadOnTable(r=0.8, omega=7.0), {"x": 1.5 + 0.1 * np.arange(5), "v": 0.0}, 300.0),
+        (systems.Thermostat(), {"T": np.linspace(18.5, 21.5, 5)}, 60.0),
+        (systems.PutBack(), {"y": 1.0 + 0.1 * np.arange(5), "v": 0.0}, 9.0),
+    ],
+    ids=["impacts", "cycles that do not shrink", "a reset onto its guard"],
+)
+def test_many_jumps_need_no_driver(monkeypatch, model, start, until):
+    """Where nothing can accumulate, as one contact's impacts are summed, or turns are as long as
+    those before; and after a reset that says that its guard is zero. Lanes equal their runs."""
+    monkeypatch.setattr(ensembles._Runs, "others", lambda *_: iter(()))
+    lanes = hy.ensemble(model, start, (0.0, until))
+    first = next(iter(start))
+    assert set(lanes.status.values) == {"reached_end"}
+    assert lanes.jumps.min() > 24  # the driver looks for the first time at the 24th
+    for i, value in enumerate(start[first]):
+        run = alone(model, {**start, first: value}, (0.0, until), save="jumps")
+        assert int(lanes.jumps[i]) == len(run.jumps)
+        assert [float(lanes[name][i]) for name in model.spec.names] == list(run.final)
+
+
 @pytest.mark.parametrize(("block", "threads"), [(1, 3), (7, 1), (1000, 2)])
 def test_lanes_do_not_depend_on_blocks_or_threads(monkeypatch, block, threads):
     """To the last bit."""

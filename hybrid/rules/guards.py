@@ -18,11 +18,13 @@ from .places import (
     AIM,
     BOUNDS,
     CROSSING,
+    EDGE,
     ENTERED,
     FIELD,
     FIRED,
     GUARDS,
     GUARDS_END,
+    KIND,
     LAST,
     LOSS,
     LOW,
@@ -67,19 +69,27 @@ def starts(a: Automaton, now: Now, room: Room) -> bool:
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
         if now.ints[ENTERED] == 0:
-            used = g == now.ints[FIRED]
-            now.orders[g - first] = now.ints[POWER] if used else 0
-            if used and now.ints[POWER] > 1:
+            power = now.ints[POWER] if g == now.ints[FIRED] else int(put_back(a, room, field, g))
+            now.orders[g - first] = power
+            if power > 1:
                 fit = rises(room.c, row_of(a, a.fields[field, PROGRAM], field, g), now)
             else:
-                fit = leaves(a, now, room, g) if used else away(a, now, room, g)
+                fit = leaves(a, now, room, g) if power == 1 else away(a, now, room, g)
             if not fit:
                 return False
     return True
 
 
+def put_back(a: Automaton, room: Room, field: int, guard: int) -> bool:
+    """Whether an edge's guard is zero, as a reset may put it there that was written so, and goes to
+    the side from which it would fire: it waits until it has left zero (3)."""
+    row = row_of(a, a.fields[field, PROGRAM], field, guard)
+    back = room.c[row, 1] * a.guards[guard, CROSSING] < 0.0
+    return a.guards[guard, KIND] == EDGE and room.c[row, 0] == 0.0 and back
+
+
 def leaves(a: Automaton, now: Now, room: Room, guard: int) -> bool:
-    """Whether the guard just used, which is zero, leaves zero into the domain, by its rate."""
+    """Whether a guard that is zero, leaves zero into the domain, by its rate."""
     field = now.ints[FIELD]
     rate = room.c[row_of(a, a.fields[field, PROGRAM], field, guard), 1]
     if not abs(rate) > ROUNDED * EPS * size_of(a, guard, 1, now.floats[T], now.x, room):

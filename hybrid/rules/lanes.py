@@ -14,8 +14,10 @@ from .arcs import copied
 from .arrays import Automaton, Floats, Ints, Left, Look, Matrix, Now, Room, Sums, Table
 from .jets import steady
 from .places import (
+    AT,
     BEFORE,
     BEGINS,
+    CONTACT,
     COUNT,
     END,
     ENTERED,
@@ -25,6 +27,7 @@ from .places import (
     FIRED,
     FULL,
     JUMPS,
+    KIND,
     LAST,
     LOW,
     LOW_AHEAD,
@@ -44,6 +47,7 @@ from .places import (
     T,
 )
 from .runs import go
+from .sums import restitution
 from .zeros import EPS
 
 __all__ = ("lanes",)
@@ -57,10 +61,16 @@ LEFT, ENDED, LAST_JUMP, ASKS = 0, 1, 2, 3
 OUTCOME, MODE, MADE_JUMPS, MADE_STEPS, SUMMED, TOLD = range(6)
 AT_TIME, FLOWN_TO, T_INF, T_ERROR, RATIO_OF, STATE = range(6)
 
-#: The driver looks for a limit of cycles from so many jumps on, or where two turns of so few jumps
-#: at most are shorter than this share of the one before (``run/cycles.py``; a little more, so that
-#: rounding does not decide).
-JUMPS_SEEN, LONGEST, FAST = 23, 8, 0.125 * (1.0 + 1e-9)
+#: The driver looks for a limit of cycles now and then, and whenever two turns of so few jumps at
+#: most are shorter than a share of the one before, or so many jumps take no time: as
+#: ``run/cycles.py`` says, a little more often, so that rounding does not decide. First when it has
+#: seen two windows of so many jumps, and then if the second is the shorter.
+LONGEST, FAST, STILL, SHORT = 8, 0.125 * (1.0 + 1e-9), 24, 1e-3
+WINDOW, SHORTER, PART, LEAST = 12, 0.97 * (1.0 + 1e-9), 8, 4
+
+#: It goes over none where as many jumps as this were impacts of one contact, with a restitution
+#: below this where they are slow: those are summed.
+SAME, DAMPED = 4, 1.0 - 2e-12
 
 #: So many jumps in so many spacings of the time, and the driver says that they follow each other
 #: with no time between them; twice as many are left to it.
@@ -88,8 +98,10 @@ def lanes(
     watched: bool,
     ends: Matrix,
     told: Table,
+    stop: Ints,
 ) -> int:
-    """Fly some lanes; returns the steps made.
+    """Fly some lanes; returns the steps made. Those that are not begun when ``stop`` is set are
+    left.
 
     ``parts`` has a row for each program: where its ``given``, its ``ops`` and its list of arguments
     in ``more`` begin and end, and its ``numbers``, which are those that ``a`` has. ``given`` are
@@ -98,6 +110,8 @@ def lanes(
     """
     made = 0
     for lane in range(starts.shape[0]):
+        if stop[0] != 0:
+            return made
         bound(a, parts, given, ranged, ops, more, numbers, values[lane], room)
         run[LAST] = spans[lane, 1]
         begun(now, spans[lane, 0], starts[lane], field)
@@ -113,7 +127,7 @@ def lanes(
         jumps, tails = now.ints[JUMPS], now.ints[TAILS]
         if outcome == LAST_JUMP and tails > 0 and left.sums[tails - 1, BEFORE] == jumps:
             tails -= 1  # behind the last jump nothing is summed
-        if stuck(left, jumps) or (watched and looks(left, jumps, tails)):
+        if stuck(left, jumps) or (watched and looks(a, left, jumps, tails, sums)):
             outcome = LEFT
         told[lane, OUTCOME], told[lane, MADE_JUMPS], told[lane, SUMMED] = outcome, jumps, tails
         told[lane, MADE_STEPS] = now.ints[STEPS]
@@ -192,20 +206,56 @@ def begun(now: Now, t: float, x: Floats, field: int) -> None:
         now.signs[g] = 0
 
 
-def looks(left: Left, jumps: int, tails: int) -> bool:
-    """Whether the driver would look for a limit of cycles, or might; it begins anew behind each
-    sum."""
-    first = 0
+def looks(a: Automaton, left: Left, jumps: int, tails: int, sums: Sums) -> bool:
+    """Whether the driver would look for a limit of cycles, or might, and not leave it to a sum; it
+    begins anew behind each sum."""
+    first, longest = 0, 0.0
+    for j in range(jumps):
+        longest = max(longest, left.when[j, 2])
     for tail in range(tails + 1):
         last = int(left.sums[tail, BEFORE]) if tail < tails else jumps
-        if last - first > JUMPS_SEEN:
-            return True
-        for length in range(1, LONGEST + 1):
-            for j in range(first + 3 * length, last):
-                if falls(left, j, length):
-                    return True
+        due, still = 2 * WINDOW, 0
+        for j in range(first, last):
+            still = still + 1 if idle(left, j, longest) else 1
+            look = still >= STILL
+            if j - first + 1 == due:
+                due += max(LEAST, due // PART)
+                look = look or shrinks(left, first, j)
+            for length in range(1, LONGEST + 1):
+                look = look or (j - first >= 3 * length and falls(left, j, length))
+            if look and not damps(a, left, first, j, sums):
+                return True
         first = last
     return False
+
+
+def idle(left: Left, j: int, longest: float) -> bool:
+    """Whether the flight before a jump took next to no time, against the longest of the lane."""
+    return left.when[j, 2] <= max(SHORT * longest, SPACINGS * EPS * abs(left.when[j, 0]))
+
+
+def shrinks(left: Left, first: int, j: int) -> bool:
+    """Whether the last jumps took less time than as many before."""
+    window = max(WINDOW, (j - first) // PART)
+    middle, begin = j - window, max(first, j - 2 * window)
+    return between(left, middle, j) < SHORTER * between(left, begin, middle)
+
+
+def damps(a: Automaton, left: Left, first: int, j: int, sums: Sums) -> bool:
+    """Whether the last jumps were impacts of one contact that damps slow ones."""
+    guard = left.fired[j]
+    for k in range(SAME):
+        if j - k < first or left.fired[j - k] != guard:
+            return False
+    at = a.guards[guard, AT]
+    if a.guards[guard, KIND] != CONTACT or at < 0:
+        return False
+    return restitution(a.programs, at, left.when[j, 0], left.after[j], -0.0, sums) < DAMPED
+
+
+def between(left: Left, first: int, last: int) -> float:
+    """The time from a jump to another."""
+    return (left.when[last, 0] - left.when[first, 0]) + (left.when[last, 1] - left.when[first, 1])
 
 
 def falls(left: Left, j: int, length: int) -> bool:
