@@ -16,7 +16,7 @@ import numpy as np
 
 from .rules import unit
 from .rules.arrays import Automaton, Left, Now
-from .rules.lanes import ASKS, ENDED, LAST_JUMP, LEFT, MODE, OUTCOME, STATE, TOLD
+from .rules.lanes import ASKS, ENDED, FLOWN_TO, LAST_JUMP, LEFT, MODE, OUTCOME, STATE, TOLD
 from .rules.places import CURVE_ROWS, REMAINING
 from .run import Driver
 from .run.machine import rooms
@@ -36,11 +36,19 @@ JUMPS, STEPS, SUMS = 8192, 65536, 64
 
 
 class Flown(NamedTuple):
-    """What became of some lanes: which they are, and what the rule tells of each."""
+    """What became of some lanes: which they are, what the rule tells of each, and of its first
+    jumps the times, the guards, and the states before and after."""
 
     lanes: np.ndarray
     ends: np.ndarray
     told: np.ndarray
+    when: np.ndarray
+    fired: np.ndarray
+    around: np.ndarray
+
+    def those(self, fit: np.ndarray) -> Flown:
+        """Those that a mask says."""
+        return Flown(*(column[fit] for column in self))
 
 
 class Given(NamedTuple):
@@ -51,21 +59,24 @@ class Given(NamedTuple):
     starts: np.ndarray
 
 
-def abreast(scene: Scene, driver: Driver, mode: str, lanes: Given) -> Abreast | None:
+def abreast(scene: Scene, driver: Driver, mode: str, lanes: Given, rows: int = 0) -> Abreast | None:
     """What flies the lanes of an ensemble by machine code alone; None where their runs are not
-    plain. ``driver`` is the run of one of them, which has not begun."""
+    plain. ``driver`` is the run of one of them, which has not begun; ``rows`` says how many jumps
+    of each are kept."""
     plan, loop = driver.plan, driver.loop
     if loop is None or not driver.solver.whole or plan.bounded or plan.zeno == "truncate":
         return None
     declared = mode in [each.name for each in scene.spec.modes]
-    return Abreast(scene, driver, mode, lanes) if declared and loop.may(scene.field(mode)) else None
+    plain = declared and loop.may(scene.field(mode))
+    return Abreast(scene, driver, mode, lanes, rows) if plain else None
 
 
 class Abreast:
     """Flies the lanes of an ensemble whose runs are plain."""
 
-    def __init__(self, scene: Scene, driver: Driver, mode: str, lanes: Given) -> None:
+    def __init__(self, scene: Scene, driver: Driver, mode: str, lanes: Given, rows: int) -> None:
         assert driver.loop is not None
+        self.rows = rows
         self.scene, self.tables, self.given = scene, scene.tables, lanes
         self.loop, plan = driver.loop, driver.plan
         self.field = self.tables.number(scene.field(mode))
@@ -84,6 +95,15 @@ class Abreast:
         """The name of a field."""
         return self.tables.fields[number].name
 
+    def final(self, flown: Flown) -> np.ndarray:
+        """The states at the ends of lanes."""
+        n = self.given.starts.shape[1]
+        until, x = flown.ends[:, FLOWN_TO].tolist(), flown.ends[:, STATE : STATE + n].copy()
+        ended = np.flatnonzero(flown.told[:, OUTCOME] == ENDED).tolist()
+        for k in ended:
+            x[k] = self.onto(int(flown.told[k, MODE]), int(flown.lanes[k]), until[k], x[k])
+        return x
+
     def onto(self, number: int, lane: int, t: float, x: np.ndarray) -> np.ndarray:
         """The state at the end of an arc in a field: on the contacts held, as a run keeps it."""
         field, scene = self.tables.fields[number], self.scene
@@ -99,11 +119,11 @@ class Abreast:
         while len(which):
             self._lay_out()
             asking = []
-            for lanes, ends, told in self._in_threads(which):
-                asks = told[:, OUTCOME] == ASKS
-                asking.append((lanes[asks], told[asks, MODE]))
-                fit = np.isin(told[:, OUTCOME], (ENDED, LAST_JUMP))
-                yield Flown(lanes[fit], ends[fit], told[fit])
+            for flown in self._in_threads(which):
+                outcome = flown.told[:, OUTCOME]
+                asks = flown.those(outcome == ASKS)
+                asking.append((asks.lanes, asks.told[:, MODE]))
+                yield flown.those(np.isin(outcome, (ENDED, LAST_JUMP)))
             which = np.concatenate([lanes for lanes, _ in asking])
             for guard in np.unique(np.concatenate([guards for _, guards in asking])).tolist():
                 self.tables.complete(guard, bounded)
@@ -151,15 +171,22 @@ class Abreast:
             programs=automaton.programs._replace(numbers=numbers),
             bounds=automaton.bounds._replace(numbers=ranged),
         )
-        ends, told = np.empty((count, STATE + n)), np.zeros((count, TOLD), dtype=np.int64)
+        ends, told = np.empty((count, STATE + 2 * n)), np.zeros((count, TOLD), dtype=np.int64)
+        when, around = (
+            np.full((count, self.rows), np.nan),
+            np.full((count * self.rows * 2, n), np.nan),
+        )
+        fired = np.full(when.shape, -1)
         lanes: Any = unit("lanes").lanes
         steps = lanes(
             *(own, self.loop.run.copy(), self._now(), *self._rooms(n), *self.programs),
-            *(numbers.reshape(-1, 1), *asked, self.field, self.watched, ends, told, self.stop),
+            *(numbers.reshape(-1, 1), *asked, self.field, self.watched, ends, told),
+            *(when, fired, around, self.stop),
         )
         if not self.whole:
             told[told[:, OUTCOME] == LAST_JUMP, OUTCOME] = LEFT
-        return Flown(which, ends, told), steps
+        around = around.reshape(count, self.rows, 2, n)
+        return Flown(which, ends, told, when, fired, around), steps
 
     def _rooms(self, n: int) -> tuple[Any, ...]:
         room, sums, look = rooms(self.tables, n, self.loop.order)

@@ -283,12 +283,10 @@ class _Runs:
             fit = flown.told[:, OUTCOME] == outcome
             if self.certify:
                 fit &= flown.told[:, SUMMED] == 0
-            which, ends, told = (column[fit] for column in flown)
-            t, until, t_inf, error, ratio = ends[:, :STATE].T
-            x, modes = ends[:, STATE:], told[:, MODE]
-            if outcome == ENDED:
-                places = zip(modes.tolist(), which, until.tolist(), x, strict=True)
-                x = np.array([together.onto(*place) for place in places]).reshape(x.shape)
+            those = flown.those(fit)
+            which, ends, told = those[:3]
+            t, _, t_inf, error, ratio = ends[:, :STATE].T
+            x, modes = together.final(those), told[:, MODE]
             names = np.array([together.mode(number) for number in modes], dtype=object)
             verdict = np.where(told[:, SUMMED] > 0, "estimated", "")
             counts = told[:, MADE_JUMPS], told[:, MADE_STEPS], told[:, SUMMED]

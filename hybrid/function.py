@@ -15,6 +15,7 @@ from .automaton.base import require_model
 from .automaton.spec import Spec
 from .errors import OptionError
 from .replay.function import Replay
+from .rows import values
 from .scene import Scene, scene_of
 from .solvers import renamed
 from .tangent import NUMBERS, REASONS, Layout, Runs
@@ -287,7 +288,7 @@ def _differentiable(runs: Runs) -> Callable[[Any], tuple[Any, Any]]:
     given = jax.ShapeDtypeStruct((length,), float), jax.ShapeDtypeStruct((ints,), int)
 
     def whole(row: Any) -> Any:
-        return jax.pure_callback(partial(_each, runs.values), given, row, vmap_method=ABREAST)
+        return jax.pure_callback(partial(values, runs), given, row, vmap_method=ABREAST)
 
     def first(row: Any) -> Any:
         slopes = jax.ShapeDtypeStruct((length, *row.shape), float)

@@ -25,6 +25,7 @@ LAYERS = [
     ["asked", "again", "abreast", "lanes"],
     ["replay"],
     ["tangent"],
+    ["rows"],
     ["simulation", "ensembles", "function", "certificates"],
     ["compare", "gallery", "study", "orbits"],
     ["report"],

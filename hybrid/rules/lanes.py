@@ -29,6 +29,7 @@ from .places import (
     JUMPS,
     KIND,
     LAST,
+    LIMIT,
     LOW,
     LOW_AHEAD,
     MADE,
@@ -57,7 +58,8 @@ __all__ = ("lanes",)
 LEFT, ENDED, LAST_JUMP, ASKS = 0, 1, 2, 3
 
 #: Columns of what is told of a lane, in whole numbers; then in others: its time, that by which the
-#: state is known, the first accumulation, and where the state begins.
+#: state is known, the first accumulation, and where the state begins; behind it is that at this
+#: accumulation.
 OUTCOME, MODE, MADE_JUMPS, MADE_STEPS, SUMMED, TOLD = range(6)
 AT_TIME, FLOWN_TO, T_INF, T_ERROR, RATIO_OF, STATE = range(6)
 
@@ -98,6 +100,9 @@ def lanes(
     watched: bool,
     ends: Matrix,
     told: Table,
+    when: Matrix,
+    fired: Table,
+    around: Matrix,
     stop: Ints,
 ) -> int:
     """Fly some lanes; returns the steps made. Those that are not begun when ``stop`` is set are
@@ -106,7 +111,8 @@ def lanes(
     ``parts`` has a row for each program: where its ``given``, its ``ops`` and its list of arguments
     in ``more`` begin and end, and its ``numbers``, which are those that ``a`` has. ``given`` are
     places of parameters and their columns in ``values``, and ``ranged`` those of the bounds.
-    ``watched``: whether the driver would look for cycles.
+    ``watched``: whether the driver would look for cycles. ``when`` and ``fired`` have a column, and
+    ``around`` two rows, before and after, for each of the first jumps of a lane.
     """
     made = 0
     for lane in range(starts.shape[0]):
@@ -133,6 +139,7 @@ def lanes(
         told[lane, MADE_STEPS] = now.ints[STEPS]
         if outcome != LEFT:
             shown(a, run, now, left, outcome, tails, ends[lane], told[lane])
+            listed(left, jumps, lane, when, fired, around)
     return made
 
 
@@ -147,22 +154,33 @@ def shown(
     told: Ints,
 ) -> None:
     """Tell where a lane has come to, and its first accumulation."""
-    last = now.ints[JUMPS] - 1
+    last, n = now.ints[JUMPS] - 1, now.x.shape[0]
     if outcome == ASKS:
         told[MODE] = now.ints[FIRED]
     elif outcome == ENDED:
         told[MODE] = now.ints[FIELD]
         end[AT_TIME], end[FLOWN_TO] = run[LAST], now.floats[T] + now.floats[TAU]
-        copied(now.end, end[STATE:])
+        copied(now.end, end[STATE : STATE + n])
     else:
         told[MODE] = a.guards[left.fired[last], TO]
         end[AT_TIME] = end[FLOWN_TO] = left.when[last, 0]
-        copied(left.after[last], end[STATE:])
+        copied(left.after[last], end[STATE : STATE + n])
     end[T_INF] = end[T_ERROR] = end[RATIO_OF] = math.nan
     if tails > 0:
+        copied(left.curves[LIMIT, :n], end[STATE + n :])
         jump = int(left.sums[0, BEFORE]) - 1
         end[T_INF], _ = after(left.when[jump, 0], left.when[jump, 1], left.sums[0, REMAINING])
         end[T_ERROR], end[RATIO_OF] = left.curves[ERRORS, 0], left.sums[0, RATIO]
+
+
+def listed(left: Left, jumps: int, lane: int, when: Matrix, fired: Table, around: Matrix) -> None:
+    """Keep the first jumps of a lane."""
+    rows = when.shape[1]
+    for j in range(min(jumps, rows)):
+        when[lane, j], fired[lane, j] = left.when[j, 0], left.fired[j]
+        place = 2 * (lane * rows + j)
+        copied(left.before[j], around[place])
+        copied(left.after[j], around[place + 1])
 
 
 def bound(

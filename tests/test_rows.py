@@ -1,0 +1,50 @@
+"""Values under ``vmap``: many runs at once, and each what it is alone, to the last bit."""
+
+import jax
+import numpy as np
+import pytest
+
+import hybrid as hy
+from hybrid import rows
+from hybrid.function import runs_of
+from hybrid.tangent import Runs
+from models.bouncing_ball import BouncingBall
+
+from .lanes import NAMES, draw
+
+
+def asked(name, count, outputs, **options):
+    """Runs of a model of the gallery, and random rows for them, of which some cannot be flown."""
+    model, start, (t0, t1), parameters = draw(name, count, seed=5)
+    runs = runs_of(model, outputs, options.pop("max_jumps", 12), 4096, **options)
+    columns = [parameters[p.name] for p in model.spec.parameters]
+    columns += [start[name] for name in model.spec.names]
+    columns += [np.full(count, t0), np.where(np.arange(count) == 3, t0, t1)]
+    found = np.concatenate([np.reshape(column, (count, -1)) for column in columns], axis=1)
+    found[5, -3] = np.nan
+    return runs, found
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "delay_bounce"])
+@pytest.mark.parametrize("outputs", [("final", "jumps", "zeno"), ("zeno",)], ids=["all", "zeno"])
+def test_rows_are_runs_of_their_own(name, outputs):
+    """Jumps, ends, accumulations, statuses: of rows that are cut, fail, rest, or go on."""
+    runs, given = asked(name, 40, outputs)
+    numbers, ints = rows.values(runs, given.reshape(8, 5, -1))
+    for row, *found in zip(given, numbers.reshape(40, -1), ints.reshape(40, -1), strict=True):
+        for one, other in zip(found, runs.values(row), strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_rows_that_need_no_judgement_are_flown_together(monkeypatch):
+    """By machine code, on all cores: no run of their own is made."""
+    monkeypatch.setattr(Runs, "values", None)
+    fall = hy.as_function(BouncingBall(), t=(0.0, 30.0), max_jumps=64)
+    r = np.linspace(0.3, 0.9, 500)
+    with jax.enable_x64(True):
+        out = jax.jit(jax.vmap(lambda r: fall(BouncingBall(r=r), {"x": 1.0, "v": 0.0})))(r)
+    exact = np.sqrt(2 / 9.81) * (1 + r) / (1 - r)
+    np.testing.assert_allclose(out.zeno.t, exact, rtol=1e-12)
+    np.testing.assert_allclose(out.jumps.t[:, 0], np.sqrt(2 / 9.81), rtol=1e-15)
+    assert set(np.asarray(out.status)) == {1}
+    assert fall.edges[int(out.jumps.edge[7, 0])] == "impact"
