@@ -104,16 +104,16 @@ def as_function(
     outputs: tuple[str, ...] = OUTPUTS,
     history: Any = None,
     memory: str = "keep",
-    segments: int = 256,
+    segments: int | None = None,
 ) -> Callable[[Any, Any], Outcome]:
     """A run as a pure function of (model, start), for ``jit``, ``vmap``, ``grad`` and ``scan``.
 
     It is the run of :func:`hybrid.simulate`, called back from JAX's program, and its first
-    derivatives are the run's own first variation: through jumps, accumulations, rest, release and
-    sliding, in forward and reverse mode (``docs/notes/gradients.md``). Where there is none (a
-    tangency, the limit of a cycle of several edges) they are NaN. Second derivatives are those of
-    the same arcs and jumps flown again by JAX (:mod:`hybrid.replay`), which refuses what it cannot
-    fly: an accumulation, a tangency, delays.
+    derivatives are the run's own first variation: through jumps, accumulations, rest, release,
+    sliding and what is seen of the past, in forward and reverse mode
+    (``docs/notes/gradients.md``). Where there is none (a tangency, the limit of a cycle of several
+    edges) they are NaN. Second derivatives are those of the same arcs and jumps flown again by JAX
+    (:mod:`hybrid.replay`), which refuses what it cannot fly: an accumulation, a tangency, delays.
 
     Parameters
     ----------
@@ -131,10 +131,11 @@ def as_function(
         What happens where impacts accumulate; ignored, they are computed one by one.
     outputs : tuple of "final", "jumps", "zeno"
         What to return.
-    history, memory, segments
-        For delays: constants or functions of time, which are traced, and how many segments of the
-        past are remembered. Such a run is compiled as a whole, steps with a method of Diffrax, and
-        takes 1e-8 and 1e-10 for tolerances.
+    history, memory
+        For delays, as for :func:`hybrid.simulate`. Derivatives are those at a history that stays
+        as it is; states of which it says nothing were as at the start, and change with it.
+    segments
+        Without a meaning, and kept for programs that give it: all of the past is remembered.
 
     Returns
     -------
@@ -165,23 +166,15 @@ def as_function(
         )
     steps: dict[str, Any] = {"solver": solver, "method": method, "rtol": rtol, "atol": atol}
     steps |= {"zeno": zeno, "mode": mode}
-    if spec.lags:
-        from .compiled.bounded import bounded
-
-        past: dict[str, Any] = {"history": history, "memory": memory, "segments": segments}
-        fly, edges = bounded(model, outputs, max_jumps, max_steps, **steps, **past)
-    else:
-        if history is not None:
-            raise OptionError(f"{spec.model}: history was given, but no flow looks into the past")
-        runs = runs_of(model, outputs, max_jumps, max_steps, **steps)
-        fly, edges = _called(runs), runs.edges
+    runs = runs_of(model, outputs, max_jumps, max_steps, history, memory=memory, **steps)
+    fly = _called(runs)
 
     def function(model: Any, start: Any) -> Outcome:
         _require_wide()
         parts, ints = fly(_parameters(spec, model), _vector(spec, start), *map(_number, t))
         return _outcome(spec, parts, ints)
 
-    function.edges = edges  # type: ignore[attr-defined]
+    function.edges = runs.edges  # type: ignore[attr-defined]
     return function
 
 
@@ -241,23 +234,24 @@ def runs_of(
     outputs: tuple[str, ...],
     max_jumps: int,
     max_steps: int,
+    history: Any = None,
     *,
     solver: str | None = None,
     method: Any = None,
     mode: Any = None,
     **steps: Any,
 ) -> Runs:
-    """The runs of a function of a model without delays."""
+    """The runs of a function of a model."""
     scene = scene_of(model)
     series = all(scene.field(name).jets is not None for name in scene.modes)
     named = solver or ("diffrax" if method is not None else "taylor" if series else "scipy")
     named, method = renamed(named, method)
     bounds: dict[str, Any] = {"max_jumps": max_jumps + 1, "max_steps": max_steps}
     asked = Asked(spec=scene.spec, solver=named, method=method, **steps, **bounds)
-    asked.driver(scene, (0.0, 1.0), np.zeros(scene.spec.dimension), None)  # whether all is known
+    asked.driver(scene, (0.0, 1.0), np.zeros(scene.spec.dimension), history)  # is all known
     own = scene.code.shapes[: len(scene.spec.parameters)]
     layout = Layout(scene.spec.dimension, max_jumps, tuple(outputs))
-    return Runs(type(model), asked, mode_of(scene, mode), own, _edges(scene), layout)
+    return Runs(type(model), asked, mode_of(scene, mode), own, _edges(scene), layout, history)
 
 
 def _edges(scene: Scene) -> tuple[str, ...]:
@@ -318,6 +312,11 @@ def _differentiable(runs: Runs) -> Callable[[Any], tuple[Any, Any]]:
 def _replay(runs: Runs) -> Replay:
     """The runs, flown again for derivatives that the first variation does not give."""
     layout, room = runs.layout, runs.asked.max_steps
+    if runs.asked.spec.lags:
+        raise OptionError(
+            f"{runs.asked.spec.model} looks into the past: its runs have first derivatives only, and "
+            "a second one was asked for; take differences of the first"
+        )
     assert room is not None
     ask = partial(_each, runs.plan)
     return Replay(runs.cls, runs.shapes, layout.shapes, layout.rows, room, ask)

@@ -54,6 +54,15 @@ def pieces(spec: Spec, history: Any, t0: float, x: np.ndarray, memory: str = "ke
     return [_of_states(spec, history, t0, x)]
 
 
+def from_start(spec: Spec, history: Any) -> np.ndarray:
+    """Of each element, whether it was before the run as it is at its start."""
+    if isinstance(history, Mapping | Record):
+        given = set(history.keys())
+        parts = [np.full(state.shape, state.name not in given).reshape(-1) for state in spec.states]
+        return np.concatenate(parts)
+    return np.full(spec.dimension, history is None)
+
+
 def _of_states(spec: Spec, history: Any, t0: float, x: np.ndarray) -> Piece:
     """Constants and functions, state by state."""
     if isinstance(history, Mapping | Record):

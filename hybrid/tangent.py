@@ -8,7 +8,6 @@ there is none they are NaN.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import suppress
 from functools import cached_property
 from typing import Any
@@ -19,15 +18,13 @@ import numpy as np
 from .arcs import Arc
 from .asked import Asked
 from .errors import HybridError, OrbitError
+from .hindsight import Hindsight
+from .histories import from_start
 from .replay import Plan, plan_of
 from .run import Driver
 from .scene import Scene, scene_with
 from .trajectory import Status
-from .variation import Course, Factor, Walk
-
-#: Change of what decides which jump comes first, against the terms of which it is made, that is
-#: rounding of them.
-TIED = 1e-9
+from .variation import Carried, Course, Past, Shift, Strand, Walk
 
 #: What the status of a run means, by its number.
 REASONS = {
@@ -109,6 +106,8 @@ class Runs:
         Those of the parameters.
     edges : tuple of str
         Names to whose places the table of jumps refers.
+    history
+        What was before, for delays.
     """
 
     cls: Any
@@ -117,6 +116,7 @@ class Runs:
     shapes: tuple[tuple[int, ...], ...]
     edges: tuple[str, ...]
     layout: Layout
+    history: Any = None
 
     def values(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What a run gives; and the places of its edges, the count of its jumps, its status."""
@@ -151,7 +151,7 @@ class Runs:
         scene = scene_with(self.cls, self.shapes, tuple(values[:count]))
         driver, status = None, ""
         try:
-            driver = attrs.evolve(self.asked, save=save).driver(scene, (t0, t1), x, None)
+            driver = attrs.evolve(self.asked, save=save).driver(scene, (t0, t1), x, self.history)
             driver.run(self.mode, x)
         except HybridError as fault:
             status = fault.status
@@ -159,7 +159,7 @@ class Runs:
             raise KeyboardInterrupt
         if driver is not None and driver.status is not None:
             status = driver.status.name.lower()
-        return _Run(self, scene, driver, status, t0, x)
+        return _Run(self, scene, driver, status, t0, x, row)
 
 
 @attrs.frozen(eq=False, slots=False)
@@ -172,12 +172,15 @@ class _Run:
     status: str
     t0: float
     x: np.ndarray
+    row: np.ndarray
 
     @cached_property
     def course(self) -> Course:
         assert self.driver is not None
-        record = self.driver.record
-        return Course(self.scene, *record.log.apart())
+        driver, log, sight = self.driver, self.driver.record.log, None
+        if driver.history is not None:
+            sight = Hindsight(self.scene, driver.history, driver.plan.memory, log)
+        return Course(self.scene, *log.apart(), sight)
 
     @property
     def rows(self) -> list[int]:
@@ -227,96 +230,60 @@ class _Run:
 
     def _follow(self, views: dict[str, np.ndarray], columns: int) -> None:
         """Carry the changes along the run, as far as there is a first variation."""
-        carried = _Carried(self, columns)
+        carried = self._begun(columns)
         places = {part: k for k, part in enumerate(self.rows)}
-        for factor in carried.walk.factors():
-            for moment in carried.through(factor):
-                if moment.part in places and "times" in views:
-                    k = places[moment.part]
-                    views["times"][k] = moment.time
-                    views["before"][k], views["after"][k] = moment.before, moment.after
-                if moment.ratio is not None and "t_inf" in views and not carried.limits:
-                    views["t_inf"][...], views["ratio"][...] = moment.time, moment.ratio
-                    views["x_inf"][:] = moment.after
-                carried.limits += moment.ratio is not None
-        time, final = carried.end()
+        for moment in carried.moments():
+            if moment.part in places and "times" in views and moment.ratio is None:
+                k = places[moment.part]
+                views["times"][k] = moment.time
+                views["before"][k], views["after"][k] = moment.before, moment.after
+            if moment.ratio is not None and "t_inf" in views and carried.limits == 1:
+                views["t_inf"][...], views["ratio"][...] = moment.time, moment.ratio
+                views["x_inf"][:] = moment.after
+        time, final = self._ended(carried)
         views["t"][...] = time
         if "final" in views:
             views["final"][:] = final
 
+    def _begun(self, columns: int) -> Carried:
+        """The changes at the start of the run."""
+        assert self.driver is not None
+        walk, size = Walk(self.course, True), len(self.x)
+        count = columns - size - 2
+        flow, brinks = walk.begin()
+        state, given = np.eye(size, columns, count), np.eye(count, columns)
+        state[:, -2] = -flow
+        touched = [jump.t for jump in self.driver.record.grazings]
+        carried = Carried(walk, state, given, touched)
+        seen = np.zeros((0, columns))
+        if self.course.sight:
+            past = self._past(walk, given)
+            carried.remember(past)
+            seen = past.shown(0, *walk.moment(0, False), state)
+        time, start = np.eye(1, columns, columns - 2), np.eye(size, columns, count)
+        carried.none |= np.any(brinks @ np.vstack([time, start, seen, given]) != 0.0, axis=0)
+        return carried
 
-@attrs.frozen(eq=False)
-class _At:
-    """A moment's derivatives by the numbers of the row."""
+    def _past(self, walk: Walk, given: np.ndarray) -> Past:
+        """The changes of the history: it is as the start, where nothing is given for a state."""
+        columns, size = given.shape[1], len(self.x)
+        own = from_start(self.scene.spec, self.of.history)
+        before = np.eye(size, columns, columns - 2 - size) * own[:, None]
+        x = walk.course.sight.record(0).states(np.array([self.t0]), high=self.t0)[0]
+        start = Shift(self.t0, x, self.x, np.eye(1, columns, columns - 2)[0])
+        units = np.where(self.row == 0.0, 1.0, np.abs(self.row))
+        return Past(walk, given, units, [Strand(self.t0 - 1.0, self.t0, before[None])], [start])
 
-    part: int
-    time: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    ratio: np.ndarray | None
-
-
-class _Carried:
-    """The change of the state at equal times on its way along a run.
-
-    Attributes
-    ----------
-    state : array, shape (n, columns)
-    limits : int
-        Accumulations passed so far.
-    """
-
-    def __init__(self, run: _Run, columns: int) -> None:
-        self.run, self.limits = run, 0
-        self.size, count = len(run.x), columns - len(run.x) - 2
-        self.walk = Walk(run.course, True)
-        flow, brinks = self.walk.begin()
-        self.state, self.given = np.eye(self.size, columns, count), np.eye(count, columns)
-        time = np.eye(1, columns, columns - 2)
-        moved = brinks @ np.vstack([time, self.state, self.given])
-        self.state[:, -2] = -flow
-        self.state[:, np.any(moved != 0.0, axis=0)] = np.nan
-        self.last: _At | None = None
-        assert run.driver is not None
-        self.touched = [jump.t for jump in run.driver.record.grazings]
-
-    def through(self, factor: Factor) -> Iterator[_At]:
-        """Through a piece of the run; gives what happens at its end."""
-        while self.touched and self.touched[0] <= factor.t:  # neighbours go another way
-            self.state[:, :-1] = np.nan
-            self.touched.pop(0)
-        change = np.vstack([self.state, self.given])
-        apart = self._apart(factor, change)
-        self.state = factor.matrix @ change
-        self.state[:, apart] = np.nan
-        for number, moment in enumerate(factor.moments):
-            ratio = None if moment.ratio is None else moment.ratio @ change
-            time, before, after = (
-                part @ change for part in (moment.time, moment.before, moment.after)
-            )
-            if number:
-                time[apart], before[:, apart], after[:, apart] = np.nan, np.nan, np.nan
-            self.last = _At(moment.part, time, before, after, ratio)
-            yield self.last
-
-    def _apart(self, factor: Factor, change: np.ndarray) -> np.ndarray:
-        """The numbers whose change makes neighbours take another course at jumps together."""
-        if factor.ties is None or not len(factor.ties):
-            return np.zeros(change.shape[1], dtype=bool)
-        moved, sizes = factor.ties @ change, np.abs(factor.ties) @ np.abs(change)
-        found: np.ndarray = np.any(np.abs(moved) > TIED * sizes, axis=0)
-        return found
-
-    def end(self) -> tuple[np.ndarray, np.ndarray]:
+    def _ended(self, carried: Carried) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the time and the state at the end of the run."""
-        run, part = self.run, self.run.course.parts[-1]
-        if run.status == "reached_end":
-            time = np.eye(1, self.state.shape[1], self.state.shape[1] - 1)[0]
-            flow = np.array(run.scene.field(part.mode).rhs(part.t1, part.last.tolist()))
-            return time, self.state + np.outer(flow, time)
-        jumped = run.status == "max_jumps"
-        summed = run.status in ("zeno_stopped", "no_rest") and not isinstance(part, Arc)
-        if self.last is not None and (jumped or summed):
-            return self.last.time, self.last.after
-        nothing = np.full_like(self.state, np.nan)
-        return nothing[0], nothing
+        place, part, columns = len(self.course.parts) - 1, self.course.parts[-1], len(self.row)
+        if self.status == "reached_end":
+            time = np.eye(1, columns, columns - 1)[0]
+            scene, _ = carried.walk.beside(place, True)
+            flow = np.array(scene.field(part.mode).rhs(part.t1, part.last.tolist()))
+            return time, carried.final() + np.outer(flow, time)
+        jumped = self.status == "max_jumps"
+        summed = self.status in ("zeno_stopped", "no_rest") and not isinstance(part, Arc)
+        if carried.last is not None and (jumped or summed):
+            return carried.last.time, carried.last.after
+        return np.full(columns, np.nan), np.full((len(self.x), columns), np.nan)

@@ -11,6 +11,7 @@ from hybrid.function import OUTPUTS, runs_of
 from models.ball_on_circle import BallOnCircle
 from models.bead_on_table import BeadOnTable
 from models.hard_spring import HardSpring
+from models.pyragas import Pyragas
 from models.relay import Relay
 from tests.systems import Drag, ForcedOscillator
 
@@ -196,6 +197,136 @@ class Heavy(hy.Automaton):
     )
 
 
+class Delayed(hy.Automaton):
+    """Two lags, a history that need not lead to the start, and kicks that come back."""
+
+    y = hy.state()
+    z = hy.state()
+    k = hy.parameter(1.0)
+    tau = hy.parameter(0.7)
+    low = hy.parameter(0.1)
+
+    @hy.mode
+    def flow(self, t, s, past):
+        return jnp.sin(t) - self.k * past(self.tau).y, 0.2 * past(1.1).y * s.y - past(self.tau).z
+
+    @hy.edge(flow, to=flow, guard=lambda self, t, s: s.y - self.low)
+    def kick(self, t, s):
+        return s.y + 0.5, s.z - s.y
+
+
+class Controlled(hy.Automaton):
+    """A forced spring before a wall, pulled to where it was, and braked as fast as it was."""
+
+    x = hy.state()
+    v = hy.state()
+    C = hy.parameter(-2.0)
+    D = hy.parameter(0.3)
+    tau = hy.parameter(0.4)
+    r = hy.parameter(0.7)
+    wall = hy.parameter(0.0)
+
+    @hy.mode
+    def flight(self, t, s, past):
+        seen = past(self.tau)
+        pull = self.C * (s.x - seen.x) - self.D * seen.v
+        return s.v, jnp.cos(2.0 * t) - 4.0 * s.x - s.x**3 + pull
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x + self.wall, restitution="r")
+
+
+class Dropped(hy.Automaton):
+    """A ball that the wind lifts where it was, and whose impacts remember how high it was."""
+
+    y = hy.state()
+    v = hy.state()
+    k = hy.parameter(0.8)
+    tau = hy.parameter(0.5)
+    r = hy.parameter(0.5)
+
+    @hy.mode
+    def flight(self, t, s, past):
+        return s.v, -9.81 + self.k * past(self.tau).y
+
+    ground = hy.contact(
+        flight,
+        gap=lambda self, t, s: s.y,
+        restitution=lambda self, t, s, u, past: self.r + 0.1 * past(self.tau).y,
+    )
+
+
+class Fading(hy.Automaton):
+    """A lag that depends on the state and on the time, and a kick that is seen through it."""
+
+    y = hy.state()
+    z = hy.state()
+    lag = hy.parameter(0.4)
+    a = hy.parameter(0.1)
+    at = hy.parameter(0.5)
+
+    @hy.mode
+    def flow(self, t, s, past):
+        seen = past(self.lag + self.a * s.z**2 + 0.1 * jnp.sin(t))
+        return -seen.y - 0.3 * s.z, seen.y - 0.5 * s.z
+
+    @hy.edge(flow, to=flow, guard=lambda self, t, s: self.at - t)
+    def kick(self, t, s):
+        return s.y + 0.5 + 0.2 * s.z, s.z
+
+
+class Sighted(hy.Automaton):
+    """Guards, resets and formulas that look back, at what jumps and at what does not."""
+
+    x = hy.state()
+    u = hy.state()
+    tau = hy.parameter(0.3)
+    high = hy.parameter(1.0)
+    low = hy.parameter(-0.5)
+    gain = hy.parameter(0.6)
+
+    @hy.mode(initial=True)
+    def up(self, t, s, past):
+        return 1.0 + 0.3 * jnp.sin(t) - 0.2 * past(self.tau).x, jnp.abs(past(self.tau).x) - s.u
+
+    @hy.mode
+    def down(self, t, s, past):
+        return -0.7 - 0.2 * s.u, jnp.where(past(self.tau).u > 0.25, -s.x, -s.u)
+
+    @hy.edge(up, to=down, guard=lambda self, t, s, past: self.high - past(self.tau).x)
+    def over(self, t, s, past):
+        return s.x - self.gain * past(self.tau).u, 0.5 * s.u - 0.3
+
+    @hy.edge(down, to=up, guard=lambda self, t, s, past: past(0.2).x - self.low)
+    def under(self, t, s):
+        return s.x, 0.6 - s.u
+
+
+class Echoed(hy.Automaton):
+    """A jump that another follows when it is seen, and then a third."""
+
+    y = hy.state()
+    z = hy.state()
+    tau = hy.parameter(0.6)
+    at = hy.parameter(0.5)
+    push = hy.parameter(1.0)
+
+    @hy.mode(initial=True)
+    def flow(self, t, s):
+        return -0.3 * s.y, 0.2 * s.y
+
+    @hy.mode
+    def seen(self, t, s):
+        return -0.1 * s.y, 1.0 - s.z
+
+    @hy.edge(flow, to=flow, guard=lambda self, t, s: self.at - t)
+    def up(self, t, s):
+        return s.y + self.push, s.z
+
+    @hy.edge(flow, to=seen, guard=lambda self, t, s, past: 0.75 - past(self.tau).y)
+    def see(self, t, s, past):
+        return s.y, s.z + 0.5 * past(0.2).y
+
+
 #: By name: the model, and for each number the range from which it is drawn (starts by state).
 SCENES = {
     "table": (
@@ -214,6 +345,34 @@ SCENES = {
     "rubbed": (Rubbed, {"r": (0.4, 0.7), "c": (1.0, 3.0), "v": (0.3, 1.0)}, (0.0, 2.0)),
     "corner": (Corner, {"r": (0.3, 0.5), "y": (0.5, 0.7), "lean": (0.1, 0.4)}, (0.0, 2.0)),
     "heavy": (Heavy, {"r": (0.4, 0.7), "p": (0.1, 0.3), "q": (0.4, 0.6)}, (0.0, 1.5)),
+    "delayed": (
+        Delayed,
+        {"k": (0.5, 1.5), "tau": (0.4, 0.9), "y": (0.5, 1.0)},
+        (0.0, 4.1),
+        {"history": {"y": 0.3, "z": jnp.cos}},
+    ),
+    "controlled": (
+        Controlled,
+        {"C": (-2.0, 1.0), "tau": (0.2, 0.5), "r": (0.6, 0.9), "x": (0.5, 1.0)},
+        (0.0, 3.0),
+    ),
+    "restarted": (
+        Controlled,
+        {"C": (-2.0, 1.0), "tau": (0.2, 0.5), "r": (0.6, 0.9), "x": (0.5, 1.0)},
+        (0.0, 3.0),
+        {"memory": "restart"},
+    ),
+    "pyragas": (Pyragas, {"C": (10.0, 60.0), "r": (0.2, 0.4), "x1": (2.3, 2.6)}, (0.0, 3.3)),
+    "pyragas again": (
+        Pyragas,
+        {"C": (-30.0, 10.0), "r": (0.4, 0.6), "x1": (2.3, 2.6)},
+        (0.0, 3.3),
+        {"memory": "restart"},
+    ),
+    "dropped": (Dropped, {"k": (0.5, 2.0), "r": (0.3, 0.5), "y": (0.6, 1.0)}, (0.0, 3.0)),
+    "fading": (Fading, {"lag": (0.3, 0.5), "a": (0.0, 0.2), "y": (0.5, 1.0)}, (0.0, 2.7)),
+    "sighted": (Sighted, {"tau": (0.2, 0.35), "x": (-0.4, -0.1), "u": (0.1, 0.4)}, (0.0, 5.0)),
+    "echoed": (Echoed, {"tau": (0.5, 0.7), "at": (0.4, 0.6), "y": (0.2, 0.4)}, (0.0, 2.0)),
     "powers": (Powers, {"p": (0.8, 2.5), "m": (1.5, 2.5), "x": (0.6, 1.2)}, (0.0, 2.5)),
     "drag": (Drag, {"r": (0.4, 0.8), "c": (0.1, 0.4), "x": (0.5, 1.5)}, (0.0, 2.0)),
     "forced": (ForcedOscillator, {"r": (0.6, 0.9), "w": (2.5, 3.0), "x": (-1.0, -0.5)}, (0.0, 9.0)),
@@ -247,7 +406,7 @@ class Compared:
 
 def drawn(name, seed):
     """A scene's model, its row of numbers, and what runs it."""
-    cls, ranges, (t0, t1) = SCENES[name]
+    cls, ranges, (t0, t1), *_ = SCENES[name]
     draw = np.random.default_rng(seed)
     found = {key: draw.uniform(*ends) for key, ends in ranges.items()}
     model = cls(**{k: v for k, v in found.items() if k not in cls.spec.names})
@@ -265,7 +424,8 @@ def drawn(name, seed):
 def compared(name, seed):
     """The derivatives of a scene's run against differences of fourth order."""
     model, row = drawn(name, seed)
-    runs = runs_of(model, OUTPUTS, max_jumps=24, max_steps=4096)
+    options = dict(*SCENES[name][3:])
+    runs = runs_of(model, OUTPUTS, max_jumps=24, max_steps=4096, **options)
     numbers, ints, slopes = runs.slopes(row)
     off, judged, left, none, worst = 0.0, 0, 0, 0, ""
     for column in range(len(row)):

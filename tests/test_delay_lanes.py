@@ -1,4 +1,4 @@
-"""Delays in compiled runs: ensembles and functions, as one trajectory, and their derivatives."""
+"""Delays in ensembles and functions, as one trajectory, and their derivatives."""
 
 import math
 
@@ -137,15 +137,74 @@ def test_derivatives_through_impacts(wide):
     assert jax.jvp(time, (0.3,), (1.0,))[1] == pytest.approx(differences, rel=1e-8)
 
 
+def _called(model, start, t, **options):
+    return hy.as_function(model, t=t, max_jumps=1, **options)(model, start)
+
+
+@pytest.mark.parametrize("memory", ["keep", "restart"])
+def test_a_function_is_the_run(wide, memory):
+    """To the last bit it gives what ``simulate`` does, through impacts, a limit and rest."""
+    start, t = {"x1": 2.5, "x2": 0.0}, (0.0, 3.0)
+    run = hy.simulate(Pyragas(r=0.4), start, t, solver="taylor", memory=memory)
+    function = hy.as_function(Pyragas(), t=t, max_jumps=64, memory=memory)
+    found = function(Pyragas(r=0.4), start)
+    assert found.final == {"x1": run.final.x1, "x2": run.final.x2}
+    assert found.zeno.t == run.zeno[0].t
+    assert found.jumps.t[0] == run.jumps.t[0]
+
+
+def test_a_lag_that_moves(wide):
+    """``y' = -k y(t / 2)`` in a closed form: a series in ``k t``."""
+
+    class Pantograph(hy.Automaton):
+        y = hy.state()
+        k = hy.parameter(1.0)
+
+        @hy.mode
+        def only(self, t, s, past):
+            return -self.k * past(0.5 * t).y
+
+    run = hy.as_function(Pantograph(), t=(0.0, 1.5), max_jumps=1)
+
+    def end(k):
+        return run(Pantograph(k=k), {"y": 1.0}).final["y"]
+
+    terms = [1.5**n / math.factorial(n) * 0.5 ** (n * (n - 1) / 2) for n in range(30)]
+    value = sum((-1) ** n * term for n, term in enumerate(terms))
+    slope = sum((-1) ** n * n * term for n, term in enumerate(terms))
+    assert end(1.0) == pytest.approx(value, abs=1e-13)  # rounding of the steps
+    assert jax.grad(end)(1.0) == pytest.approx(slope, abs=1e-12)  # as resolved
+
+
+def test_where_there_is_no_derivative(wide):
+    """Impacts accumulate while a lag moves: values are there, and derivatives up to the limit."""
+
+    class Ball(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+        g = hy.parameter(9.81)
+
+        @hy.mode
+        def flight(self, t, s, past):
+            return s.v, past(0.5 + 0.1 * jnp.sin(t)).x - self.g
+
+        impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+
+    run = hy.as_function(Ball(), t=(0.0, 2.0), max_jumps=64)
+
+    def ends(g):
+        out = run(Ball(g=g), {"x": 1.0, "v": 0.0})
+        return jnp.stack([out.jumps.t[0], out.zeno.t]), out
+
+    slopes, out = jax.jacrev(ends, has_aux=True)(9.81)
+    assert np.isfinite(slopes[0])
+    assert np.isnan(slopes[1])
+    assert out.status == 1
+    assert out.zeno.t < 2.0
+
+
 def test_refusals():
     """What lanes and functions cannot do is said, with what can."""
-
-    class Moving(hy.Automaton):
-        y = hy.state()
-
-        @hy.mode(initial=True)
-        def only(self, t, s, past):
-            return -past(0.5 * t).y
 
     class Plain(hy.Automaton):
         y = hy.state()
@@ -154,11 +213,10 @@ def test_refusals():
         def only(self, t, s):
             return -s.y
 
-    with pytest.raises(hy.OptionError, match=r"depends on time or state.*use hy\.simulate"):
-        hy.as_function(Moving(), t=(0.0, 1.0), max_jumps=1)
-    with pytest.raises(hy.OptionError, match="looks into the past"):
-        hy.ensemble(Plain(), {"y": 1.0}, (0.0, 1.0), history={"y": 1.0})
-    with pytest.raises(hy.OptionError, match="memory='lose'"):
-        hy.ensemble(Decay(), {"y": 1.0}, (0.0, 1.0), memory="lose")
-    with pytest.raises(hy.OptionError, match="history of 'z'; the states are y"):
-        hy.ensemble(Decay(), {"y": 1.0}, (0.0, 1.0), history={"z": 1.0})
+    for function in (hy.ensemble, _called):
+        with pytest.raises(hy.OptionError, match="looks into the past"):
+            function(Plain(), {"y": 1.0}, (0.0, 1.0), history={"y": 1.0})
+        with pytest.raises(hy.OptionError, match="memory='lose'"):
+            function(Decay(), {"y": 1.0}, (0.0, 1.0), memory="lose")
+        with pytest.raises(hy.OptionError, match="history of 'z'; the states are y"):
+            function(Decay(), {"y": 1.0}, (0.0, 1.0), history={"z": 1.0})

@@ -27,7 +27,8 @@ from ..log import Log
 from ..run.pieces import Piece, constant
 from ..segment import from_values, nodes
 from ..trajectory import Trajectory
-from .delayed import Shift, Strand, Variation, descendants, distinct
+from ..variation import Carried, Shift, Strand, descendants, distinct
+from .delayed import carried
 from .shooting import LEAST, Description, Guess, Shooting, Turn
 
 #: Degree on each piece of the record, and on the finer set.
@@ -152,13 +153,13 @@ def _resolved(record: Record, piece: tuple[float, float], depth: int) -> list[tu
     return [part for half in halves for part in _resolved(record, half, depth - 1)]
 
 
-def monodromy(run: Trajectory, frame: Frame) -> tuple[np.ndarray, Variation]:
+def monodromy(run: Trajectory, frame: Frame) -> tuple[np.ndarray, Carried]:
     """What a period makes of a change of the record before it: of values at points, and of jumps.
 
     Returns
     -------
     array, shape (m, m)
-    Variation
+    Carried
     """
     count, size, each = len(frame.pieces), run.spec.dimension, frame.degree + 1
     total = count * each * size + len(frame.leaps)
@@ -170,11 +171,11 @@ def monodromy(run: Trajectory, frame: Frame) -> tuple[np.ndarray, Variation]:
         for leap, row in zip(frame.leaps, rows, strict=True)
     ]
     breaks = [a for a, _ in frame.pieces]
-    found = Variation(run, strands[-1].values[-1], strands, shifts, breaks)
+    found, past = carried(run, strands[-1].values[-1], strands, shifts, breaks)
     later, ends = run.t1 - run.t0, _ends(run, frame)
     lookups = zip(frame.points, frame.bounds(later, ends), strict=True)
-    states = [found.at(times + later, a, b) for times, (a, b) in lookups]
-    moves = [_row(found.shifts, leap.t) for leap in ends]
+    states = [past.within(times + later, a, b) for times, (a, b) in lookups]
+    moves = [_row(past.shifts, leap.t) for leap in ends]
     return np.concatenate([np.reshape(states, (-1, total)), *moves]), found
 
 

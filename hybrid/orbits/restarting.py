@@ -12,7 +12,8 @@ import numpy as np
 from ..arcs import Arc
 from ..errors import OrbitError
 from ..trajectory import Trajectory
-from .delayed import Strand, Variation
+from ..variation import Strand
+from .delayed import carried
 from .section import Return, cut
 from .shooting import MOVES, Description, Guess, Shooting, Turn
 
@@ -114,6 +115,7 @@ class RestartShooting(Shooting):
         run, size = turn.run, len(turn.guess.x)
         start = np.eye(size, 1 + size)
         now = start - np.outer(self.flow(turn.guess), np.eye(1, 1 + size, size)[0])
-        found = Variation(run, now, [Strand(run.t0 - 1.0, run.t0, start[None])])
-        matrix = np.vstack([found.fresh, found.shifts[-1].row])
+        found, _ = carried(run, now, [Strand(run.t0 - 1.0, run.t0, start[None])])
+        assert found.last is not None
+        matrix = np.vstack([found.last.after, found.last.time])
         return Description(matrix, found.saltations, np.empty(0))

@@ -189,7 +189,7 @@ class _Maker:
                 f"{self.model}: the guard of {jump.edge} has a formula that changes; a run with "
                 "such a jump cannot be flown again"
             )
-        ties = self.walk.jump([(index, jump)], after).ties
+        ties = self.walk.jump([(index, jump)], None if after is None else index + 1).ties
         assert ties is not None
         self._smooth(jump.t, ties)
 

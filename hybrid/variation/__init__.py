@@ -1,6 +1,22 @@
 """The first variation of a run: how it changes with its start, its parameters and its times."""
 
+from .carried import At, Carried
 from .derivatives import Derivatives
+from .past import Past, Shift, Strand, descendants, distinct
 from .walk import Course, Factor, Moment, Walk, factors
 
-__all__ = ["Course", "Derivatives", "Factor", "Moment", "Walk", "factors"]
+__all__ = [
+    "At",
+    "Carried",
+    "Course",
+    "Derivatives",
+    "Factor",
+    "Moment",
+    "Past",
+    "Shift",
+    "Strand",
+    "Walk",
+    "descendants",
+    "distinct",
+    "factors",
+]

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from itertools import pairwise
+from typing import Any, Protocol
 
 import attrs
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.polynomial import legendre
 from ..errors import OrbitError
 from ..scene import Field
 from ..segment import Segment, nodes
-from .derivatives import Derivatives, Matrix
+from .derivatives import Derivatives, Directed, Matrix
 
 #: Stages of the collocation, whose order is twice as many.
 STAGES = 8
@@ -47,6 +48,13 @@ NOTHING = 1e-9
 SAME = 1e-6
 
 
+class Flowing(Protocol):
+    """What has a flow: a field, or one that looks back from each time anew."""
+
+    @property
+    def rhs(self) -> Callable[..., Any]: ...
+
+
 @attrs.frozen(eq=False)
 class Piece:
     """A part of a step of an arc that begins at ``t``, in its local time."""
@@ -66,13 +74,17 @@ class Piece:
         share = max(BESIDE, APART * self.segment.end / self.length)
         return min(share, MOST) * self.length
 
+    def inside(self, ends: bool) -> float:
+        """The local time there."""
+        return self.end - self.beside if ends else self.start + self.beside
+
     def halves(self) -> list[Piece]:
         """Its two halves."""
         half = 0.5 * self.length
         starts = self.start, self.start + half
         return [Piece(self.t, self.segment, start, half) for start in starts]
 
-    def flow(self, field: Field, ends: bool) -> tuple[np.ndarray, np.ndarray]:
+    def flow(self, field: Flowing, ends: bool) -> tuple[np.ndarray, np.ndarray]:
         """The flow at one of its ends, as it is on this side of it; and its size about there."""
         end, way = (self.end, -1.0) if ends else (self.start, 1.0)
         taus = [end + way * s for s in (self.beside, 2.0 * self.beside, 0.5 * self.length)]
@@ -91,7 +103,11 @@ def composed(second: np.ndarray, first: np.ndarray) -> np.ndarray:
 
 
 def along(
-    of: Derivatives, field: Field, t: float, segments: Sequence[Segment], rate: Matrix | None = None
+    of: Derivatives | Directed,
+    field: Field,
+    t: float,
+    segments: Sequence[Segment],
+    rate: Matrix | None = None,
 ) -> Iterator[tuple[float, np.ndarray]]:
     """Local times, and matrices that carry a change from the time before to each of them.
 
@@ -108,15 +124,15 @@ def along(
     rate = of.flow(field) if rate is None else rate
     kinks, largest = None, np.zeros(of.size)
     if field.changes:
-        largest = np.max([_middle(field, t, segment) for segment in segments], axis=0)
+        largest = np.max([middle(field, t, segment) for segment in segments], axis=0)
         kinks = of.kinks(("flow", field.name), field, lambda g: g.flow(bool(field.held)))
     last: Piece | None = None
     for segment in segments:
         for piece in pieces(kinks, t, segment):
             if kinks is not None and last is not None:
-                bend = _bend(kinks, field, last, piece, largest)
-                if bend is not None:
-                    yield piece.start, _widened(bend, rate(t, segment(piece.start)))
+                turn = bend(kinks, field, last, piece, largest)
+                if turn is not None:
+                    yield piece.start, _widened(turn, rate(t, segment(piece.start)))
             yield piece.end, _resolve(rate, piece, of.units)
             last = piece
 
@@ -229,14 +245,14 @@ def _zero(values: Callable[[float], np.ndarray], k: int, a: float, b: float) -> 
         a, b = (middle, b) if values(middle)[k] * low > 0 else (a, middle)
 
 
-def _middle(field: Field, t: float, segment: Segment) -> np.ndarray:
+def middle(field: Flowing, t: float, segment: Segment) -> np.ndarray:
     """Sizes of the flow in the middle of a step."""
     tau = segment.start + 0.5 * segment.length
     return np.abs(field.rhs(t + tau, segment(tau).tolist()))
 
 
-def _bend(
-    kinks: Matrix, field: Field, before: Piece, after: Piece, largest: np.ndarray
+def bend(
+    kinks: Matrix, field: Flowing, before: Piece, after: Piece, largest: np.ndarray
 ) -> np.ndarray | None:
     """The saltation from a piece of an arc to the next; None where the flow does not jump."""
     there, here = before.flow(field, True), after.flow(field, False)

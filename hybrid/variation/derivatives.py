@@ -27,14 +27,15 @@ class Derivatives:
     Attributes
     ----------
     size, count : int
-        Elements of the state, and of the parameters if there are columns for them.
+        Elements of the state, and of the parameters if there are columns for them; with
+        ``windows`` those of the windows of the past are among these.
     units : array, shape (count,)
         The sizes of the parameters; 1 where one is 0.
     """
 
-    def __init__(self, scene: Scene, parameters: bool = False) -> None:
+    def __init__(self, scene: Scene, parameters: bool = False, windows: bool = False) -> None:
         self.scene, self.size = scene, scene.spec.dimension
-        own = len(scene.code.shapes) - len(scene.spec.windows)
+        own = len(scene.code.shapes) - (0 if windows else len(scene.spec.windows))
         sizes = [int(np.prod(shape, dtype=int)) for shape in scene.code.shapes[:own]]
         self.count = sum(sizes) if parameters else 0
         self.columns = 1 + self.size * (1 + len(scene.spec.lags)) + self.count
@@ -74,6 +75,12 @@ class Derivatives:
 
         key = "with gap", guard.edge, field.name
         return self._program(key, field.mode, field.held, rows, self.columns + 1)
+
+    def lag(self, number: int, field: Field) -> Matrix:
+        """``(t, x) -> (1, columns)``: of a lag."""
+        code, name = self.scene.code, self.scene.spec.lags[number].name
+        nodes = lambda g: g.values(code.closed("lag", name))  # noqa: E731
+        return self._slopes(("lag", number, field.mode), field.mode, (), nodes)
 
     def law(self, contact: str) -> Matrix:
         """``(t, x) -> (1, columns)``: of the restitution at rest."""
@@ -203,9 +210,54 @@ class Derivatives:
         shapes, windows = self.scene.code.shapes, len(self.scene.spec.windows)
         own = len(shapes) - windows
         shown = [graph.inputs[place][0] for place in range(own + 1, len(shapes), 2)]
-        parameters = [i for ids in graph.inputs[:own] for i in np.reshape(ids, -1)]
+        parameters = [i for ids in graph.inputs[: len(shapes)] for i in np.reshape(ids, -1)]
         inputs = [graph.t, *graph.x, *(i for row in shown for i in row)]
         return [int(i) for i in [*inputs, *parameters[: self.count]]]
+
+
+class Directed:
+    """Derivatives along directions: columns for time and state, then one for each of ``m``.
+
+    ``change``, of shape ``(columns - 1 - size, m)``, is that of all else; ``units`` are what the
+    directions are measured by.
+    """
+
+    def __init__(self, of: Derivatives, change: np.ndarray, units: np.ndarray) -> None:
+        self.of, self.change, self.units = of, change, units
+        self.scene, self.size, self.columns = of.scene, of.size, 1 + of.size + change.shape[1]
+
+    def _turned(self, made: Matrix, more: int = 0) -> Matrix:
+        own = 1 + self.size + more
+
+        def turned(t: float, x: np.ndarray) -> np.ndarray:
+            found = made(t, x)
+            return np.hstack([found[:, :own], found[:, own:] @ self.change])
+
+        return turned
+
+    def flow(self, field: Field) -> Matrix:
+        return self._turned(self.of.flow(field))
+
+    def guard(self, guard: Guard, field: Field) -> Matrix:
+        return self._turned(self.of.guard(guard, field))
+
+    def speed(self, guard: Guard, field: Field) -> Matrix:
+        return self._turned(self.of.speed(guard, field))
+
+    def flow_with_gap(self, guard: Guard, field: Field) -> Matrix:
+        return self._turned(self.of.flow_with_gap(guard, field), 1)
+
+    def law(self, contact: str) -> Matrix:
+        return self._turned(self.of.law(contact))
+
+    def reset(self, edge: str, kind: str) -> Matrix:
+        return self._turned(self.of.reset(edge, kind))
+
+    def kinks(self, key: Any, field: Field, roots: Callable[[ModeGraph], list[int]]) -> Matrix:
+        return self._turned(self.of.kinks(key, field, roots), 1)
+
+    def project(self, field: Field) -> Matrix:
+        return self._turned(self.of.project(field))
 
 
 def _node(graph: ModeGraph, guard: Guard) -> int:

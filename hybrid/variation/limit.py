@@ -20,7 +20,7 @@ from ..segment import from_values, nodes
 from ..zeno.accumulate import Tail
 from ..zeno.flight import fly
 from .arcs import along, whole
-from .derivatives import Derivatives
+from .derivatives import Derivatives, Directed
 
 #: Degrees that are tried.
 DEGREES = (3, 4, 6, 8, 10, 12, 14, 16)
@@ -37,7 +37,9 @@ def cleared(matrix: np.ndarray, sizes: np.ndarray, relative: float) -> np.ndarra
     return np.where(np.abs(matrix) <= relative * sizes, 0.0, matrix)
 
 
-def through(derivatives: Derivatives, tail: Tail) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def through(
+    derivatives: Derivatives | Directed, tail: Tail
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """From a change of the state after the tail's first impact to one at its limit, equal times.
 
     Returns
@@ -86,7 +88,7 @@ class _Limits:
     same.
     """
 
-    def __init__(self, derivatives: Derivatives, tail: Tail) -> None:
+    def __init__(self, derivatives: Derivatives | Directed, tail: Tail) -> None:
         self.of, self.tail, self.size = derivatives, tail, derivatives.size
         self.columns = derivatives.columns
         self.guard = tail.field.guards[tail.column]

@@ -14,7 +14,8 @@ and 6.2.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import attrs
@@ -26,11 +27,15 @@ from ..rules.guards import NEAR
 from ..scene import Field, Guard, Scene, scene_of
 from ..trajectory import Trajectory
 from .arcs import Piece, along, passing
-from .derivatives import Derivatives
+from .derivatives import Derivatives, Directed
 from .limit import ROUNDING, cleared, through
 
 #: Change of a guard, against the terms of which it is made, that is rounding of them.
 TIED = 1e-9
+
+#: A guard that fires further from its zero than this, against what it jumps by when a jump of the
+#: past is seen, has fired because of that.
+SEEN = 1e-6
 
 #: Kinds of jumps that leave the state and, where they begin, the flow as they are.
 SMOOTH = ("release", "leave")
@@ -38,17 +43,19 @@ SMOOTH = ("release", "leave")
 
 @attrs.frozen(eq=False)
 class Course:
-    """What a run has left: parts, the jumps that led from them, and tangencies of guards."""
+    """What a run has left: parts, the jumps that led from them, and how it looked into the past
+    (None if it does not)."""
 
     scene: Scene
     parts: Sequence[Part]
     jumps: Mapping[int, JumpRow]
-    grazings: Sequence[float] = ()
+    sight: Any = None
 
     @classmethod
     def of(cls, model: Any, run: Trajectory) -> Course:
         """That of a trajectory."""
-        return cls(scene_of(model), run.parts, run.own_jumps)
+        sight = run.hindsight if run.spec.lags else None
+        return cls(sight.scene if sight else scene_of(model), run.parts, run.own_jumps, sight)
 
 
 @attrs.frozen(eq=False)
@@ -86,11 +93,17 @@ class Factor:
     edge : str or None
         Of a jump: its edge; of an accumulation: those that accumulate. None along an arc.
     matrix : array, shape (n, n)
-        With parameters ``(n, n + q)``: behind the state's columns there are theirs.
+        With parameters ``(n, n + q)``: behind the state's columns there are theirs. With delays
+        those of what each lag shows are between them, and last is one for the time at which a jump
+        of the past is seen.
     moments : tuple of Moment
         Of a jump, or several with no time between them, and of a limit.
     ties : array, shape (k, n + q)
         Numbers that must not change: where they do, neighbours take another course.
+    waits : bool
+        The jump comes when one of the past is seen.
+    part : int
+        The part of the run that it ends, if it has moments; else that which it begins.
     """
 
     t: float
@@ -98,6 +111,24 @@ class Factor:
     matrix: np.ndarray
     moments: tuple[Moment, ...] = ()
     ties: np.ndarray | None = None
+    waits: bool = False
+    part: int = 0
+
+
+@attrs.frozen(eq=False)
+class Stretch:
+    """An arc of a run with delays, along which what is seen changes too."""
+
+    index: int
+    arc: Arc
+
+
+@attrs.frozen(eq=False)
+class Chatter:
+    """An accumulation of impacts in a run with delays."""
+
+    index: int
+    part: TailPart
 
 
 def factors(model: Any, run: Trajectory) -> Iterator[Factor]:
@@ -128,7 +159,8 @@ def factors(model: Any, run: Trajectory) -> Iterator[Factor]:
         )
     if any(isinstance(part, Arc) and part.length and not part.segments for part in run.parts):
         raise OrbitError(f"{run.spec.model}: the first variation needs a run with save='dense'")
-    for factor in Walk(Course.of(model, run)).factors():
+    for factor in Walk(Course.of(model, run)).pieces():
+        assert isinstance(factor, Factor)
         if factor.ties is not None and np.any(factor.ties):
             raise OrbitError(
                 f"{run.spec.model}, t = {factor.t!r}: at {factor.edge} something else happens at "
@@ -142,36 +174,47 @@ def factors(model: Any, run: Trajectory) -> Iterator[Factor]:
 Row = tuple[int, JumpRow]
 
 
+#: The scene at a moment, and its derivatives.
+Look = tuple[Scene, Derivatives]
+
+
 class Walk:
     """A walk over the parts of a run; with columns for the elements of the parameters if they are
     asked for."""
 
     def __init__(self, course: Course, parameters: bool = False) -> None:
-        self.course, self.scene = course, course.scene
+        self.course, self.scene, self.parameters = course, course.scene, parameters
         self.of = Derivatives(course.scene, parameters)
         self.size, self.model = self.of.size, course.scene.spec.model
+        self._known: dict[int, Look] = {}
+        #: Whether a jump of the past is seen at a time of a part.
+        self.arrival: Callable[[int, float], bool] = lambda index, t: False
+
+    @cached_property
+    def columns(self) -> int:
+        """Of matrices that are applied to a change."""
+        return self.of.columns - 1 + bool(self.course.sight)
 
     def begin(self) -> tuple[np.ndarray, np.ndarray]:
         """The flow at the start, and what must not change there by time, state and parameters."""
-        part = self.course.parts[0]
-        return self._flow(part, False), self._brinks(part, False)
+        return self._flow(0, False), self._brinks(0, False)
 
-    def factors(self) -> Iterator[Factor]:
+    def pieces(self) -> Iterator[Factor | Stretch | Chatter]:
         """Piece by piece, in order (:func:`factors`)."""
         group: list[Row] = []  # jumps with no time between them
         parts, jumps = self.course.parts, self.course.jumps
-        yield from self.onto(parts[0])
+        yield from self.onto(0)
         for index, part in enumerate(parts):
             last = index + 1 == len(parts)
             instant = isinstance(part, Arc) and not part.length
             if group and (last or not instant):
-                yield self.jump(group, part)
-                yield from self.onto(part)
+                yield self.jump(group, index)
+                yield from self.onto(index)
                 group = []
             if isinstance(part, Arc):
-                yield from self.arc(part)
+                yield from self.arc(index, part)
             else:
-                yield self.limit(index, part)
+                yield Chatter(index, part) if self.course.sight else self.limit(index, part)
             if index in jumps:
                 group.append((index, jumps[index]))
             elif not last and isinstance(part, Arc):
@@ -182,47 +225,98 @@ class Walk:
         if group:
             yield self.jump(group, None)
 
-    def onto(self, part: Part) -> Iterator[Factor]:
+    def onto(self, index: int) -> Iterator[Factor]:
         """What begins at rest, or sliding, begins with its start's projection."""
-        field = self.scene.field(part.mode)
+        part, (scene, of) = self.course.parts[index], self.beside(index, False)
+        field = scene.field(part.mode)
         if isinstance(part, Arc) and field.project is not None:
-            onto = self.of.project(field)(part.t0, part.first)[:, 1:]
-            yield Factor(part.t0, None, cleared(onto, np.ones_like(onto), ROUNDING))
+            onto = self._widened(of.project(field)(part.t0, part.first)[:, 1:])
+            yield Factor(part.t0, None, cleared(onto, np.ones_like(onto), ROUNDING), part=index)
 
-    def arc(self, arc: Arc) -> Iterator[Factor]:
+    def arc(self, index: int, arc: Arc) -> Iterator[Factor | Stretch]:
+        if self.course.sight:
+            yield Stretch(index, arc)
+            return
         t = arc.t0 + arc.low
         for end, matrix in along(self.of, self.scene.field(arc.mode), t, arc.segments):
             yield Factor(t + end, None, matrix)
 
-    def limit(self, index: int, part: TailPart) -> Factor:
+    def limit(self, index: int, part: TailPart, of: Directed | None = None) -> Factor:
+        """Through an accumulation; by derivatives ``of`` another scene, if they are."""
+        by: Derivatives | Directed = of or self.of
         tail = part.tail
-        matrix, time, state = through(self.of, tail)
-        law = self.of.law(tail.contact.name)(part.t1, tail.x_inf)[0]
-        ratio = law @ self._moved(time, state)
+        matrix, time, state = through(by, tail)
+        law = by.law(tail.contact.name)(part.t1, tail.x_inf)[0]
+        ratio = law @ np.vstack(
+            [time, state, np.eye(len(law) - 1 - self.size, len(time), self.size)]
+        )
         moment = Moment(index, time, state, state, ratio)
-        return Factor(part.t1, f"limit of {tail.contact.name}", matrix, (moment,))
+        return Factor(part.t1, f"limit of {tail.contact.name}", matrix, (moment,), part=index)
+
+    # -- what is seen -----------------------------------------------------------------------
+
+    def look(self, index: int, t: float, side: str = "right") -> Look:
+        """The scene at a time of a part, and its derivatives."""
+        if not self.course.sight:
+            return self.scene, self.of
+        scene = self.course.sight.at(index, t, side)
+        if id(scene) not in self._known:
+            self._known[id(scene)] = scene, Derivatives(scene, self.parameters)
+        return self._known[id(scene)]
+
+    def beside(self, index: int, ends: bool) -> Look:
+        """The same at an end of a part, as it is on its side."""
+        return self.look(index, self.moment(index, ends)[1], "left" if ends else "right")
+
+    def moment(self, index: int, ends: bool) -> tuple[float, float]:
+        """When a part begins or ends, and a time beside that inside of it."""
+        part, piece = self.course.parts[index], self.piece(index, ends)
+        t = part.t1 if ends else part.t0
+        return t, t if piece is None else piece.t + piece.inside(ends)
 
     # -- jumps ------------------------------------------------------------------------------
 
-    def jump(self, group: Sequence[Row], after: Part | None) -> Factor:
-        """One jump, or several with no time between them."""
-        (index, first), part = group[0], self.course.parts[group[0][0]]
+    def jump(self, group: Sequence[Row], after: int | None) -> Factor:
+        """One jump, or several with no time between them; ``after`` is the part that follows."""
+        index, first = group[0]
         field, guard = self.fired(index, first)
-        piece, before = self._piece(part, True), self._flow(part, True)
-        jumped = piece if piece is not None and self._jumps(guard, field, piece) else None
-        time = self._time(field, guard, first, before, jumped)
+        piece, before = self.piece(index, True), self._flow(index, True)
+        waits = self._waits(index, guard, first)
+        jumped = piece if piece is not None and self._jumps(index, guard, field, piece) else None
+        if waits:
+            time = np.eye(1, self.columns, self.columns - 1)[0]
+        else:
+            time = self._time(index, field, guard, first, before, jumped)
         moments, ties = self._moments(group, time, before)
-        ties = np.vstack([ties, *self._sides(part, after, moments)])
+        ties = np.vstack([ties, *self._sides(index, after, moments)])
         resets = np.eye(self.size, self.of.columns, 1)
         for place, row in group:
             resets = self._after(self._reset(place, row), resets)
-        reset = resets[:, 1:]
-        if guard.kind not in SMOOTH or jumped is not None or len(group) > 1:
+        reset = self._widened(resets[:, 1:])
+        if guard.kind not in SMOOTH or jumped is not None or waits or len(group) > 1:
             moves = resets[:, 1 : 1 + self.size] @ before + resets[:, 0]
             change = moves - (moves if after is None else self._flow(after, False))
             later = np.outer(change, time)
             reset = cleared(reset + later, np.abs(reset) + np.abs(later), ROUNDING)
-        return Factor(first.t, " ".join(row.edge for _, row in group), reset, moments, ties)
+        return Factor(
+            first.t, " ".join(row.edge for _, row in group), reset, moments, ties, waits, index
+        )
+
+    def _waits(self, index: int, guard: Guard, row: JumpRow) -> bool:
+        """Whether a guard has fired because what it sees has jumped."""
+        if not self.arrival(index, row.t):
+            return False
+        piece, x = self.piece(index, True), row.before.tolist()
+        beyond = row.t + (0.0 if piece is None else piece.beside)
+        scene = self.look(index, beyond)[0]
+        field = scene.field(self.course.parts[index].mode)
+        later = field.guards[field.column(guard.edge)].value(row.t, x)
+        return bool(abs(guard.value(row.t, x)) > SEEN * abs(guard.value(row.t, x) - later))
+
+    def _widened(self, matrix: np.ndarray) -> np.ndarray:
+        """A matrix with a column of zeros for the time at which a jump of the past is seen."""
+        missing = self.columns - matrix.shape[1]
+        return np.pad(matrix, ((0, 0), (0, missing))) if missing else matrix
 
     def _moments(
         self, group: Sequence[Row], time: np.ndarray, before: np.ndarray
@@ -242,20 +336,21 @@ class Walk:
         """The change of a guard that is zero when the jump before leads to it: for neighbours it
         must be so too. One that is over its zero fires for neighbours as well."""
         field, guard = self.fired(place, row)
-        x = row.before.tolist()
-        size = self.scene.rounding(guard, field)(row.t, x)[0]
+        (scene, of), x = self.beside(place, True), row.before.tolist()
+        size = scene.rounding(guard, field)(row.t, x)[0]
         if abs(guard.value(row.t, x)) > NEAR * size:
             return np.zeros((0, len(time)))
-        gradient, moved = self.of.guard(guard, field)(row.t, row.before), self._moved(time, state)
+        gradient, moved = of.guard(guard, field)(row.t, row.before), self._moved(time, state)
         return cleared(gradient @ moved, np.abs(gradient) @ np.abs(moved), TIED)
 
     def fired(self, place: int, row: JumpRow) -> tuple[Field, Guard]:
         """The field and the guard of a jump."""
-        field = self.scene.field(self.course.parts[place].mode)
+        field = self.beside(place, True)[0].field(self.course.parts[place].mode)
         return field, field.guards[field.column(row.edge)]
 
     def _reset(self, place: int, row: JumpRow) -> np.ndarray:
-        return self.of.reset(row.edge, self.fired(place, row)[1].kind)(row.t, row.before)
+        kind, of = self.fired(place, row)[1].kind, self.beside(place, True)[1]
+        return of.reset(row.edge, kind)(row.t, row.before)
 
     def _after(self, reset: np.ndarray, earlier: np.ndarray) -> np.ndarray:
         """A reset after what came before it at the same time, by time, state and parameters."""
@@ -266,55 +361,65 @@ class Walk:
 
     def _moved(self, time: np.ndarray, state: np.ndarray) -> np.ndarray:
         """Changes of time, state and parameters, one below the other."""
-        return np.vstack([time, state, np.eye(self.of.count, len(time), self.size)])
+        others = self.of.columns - 1 - self.size
+        return np.vstack([time, state, np.eye(others, len(time), self.size)])
 
     def _time(
-        self, field: Field, guard: Guard, row: JumpRow, flow: np.ndarray, jumped: Piece | None
+        self,
+        index: int,
+        field: Field,
+        guard: Guard,
+        row: JumpRow,
+        flow: np.ndarray,
+        jumped: Piece | None,
     ) -> np.ndarray:
         """How the time changes at which a guard fires; of one that has jumped over its zero at the
         end of a piece, that at which its formula changes."""
+        of = self.beside(index, True)[1]
         if jumped is not None:
             key = "guard", guard.edge, field.name
-            kinks = self.of.kinks(key, field, lambda graph: graph.deciding(guard.edge))
-            return passing(kinks, jumped, flow)
-        gradient = self.of.guard(guard, field)(row.t, row.before)[0]
+            kinks = of.kinks(key, field, lambda graph: graph.deciding(guard.edge))
+            return self._widened(passing(kinks, jumped, flow)[None])[0]
+        gradient = of.guard(guard, field)(row.t, row.before)[0]
         rate = float(gradient[0] + gradient[1 : 1 + self.size] @ flow)
         if rate == 0.0:
             raise OrbitError(
                 f"{self.model}, t = {row.t!r}: the guard of {row.edge} is reached without speed; "
                 "a jump that grazes has no first variation"
             )
-        return -gradient[1:] / rate
+        return self._widened(-gradient[None, 1:] / rate)[0]
 
-    def _jumps(self, guard: Guard, field: Field, piece: Piece) -> bool:
+    def _jumps(self, index: int, guard: Guard, field: Field, piece: Piece) -> bool:
         """Whether a guard that fires at the end of a piece is not zero there, seen from it."""
         if not guard.jumps:
             return False
         taus = [piece.end - piece.beside, piece.end - 2.0 * piece.beside]
         near, far = (guard.value(piece.t + s, piece.segment(s).tolist()) for s in taus)
         x = piece.segment(piece.end)
-        size = self.scene.rounding(guard, field)(piece.t + piece.end, x.tolist())[0]
+        scene = self.beside(index, True)[0]
+        size = scene.rounding(guard, field)(piece.t + piece.end, x.tolist())[0]
         return bool(abs(2.0 * near - far) > NEAR * size)
 
-    def _sides(self, part: Part, after: Part | None, moments: Sequence[Moment]) -> list[np.ndarray]:
+    def _sides(self, index: int, after: int | None, moments: Sequence[Moment]) -> list[np.ndarray]:
         """What must not change for a jump at which flows jump as well: neighbours would have that
         before the jump, or after it."""
         first, last = moments[0], moments[-1]
-        before = self._brinks(part, True)
+        before = self._brinks(index, True)
         found = [before @ self._moved(first.time, first.before)]
         if after is not None:
             found.append(self._brinks(after, False) @ self._moved(last.time, last.after))
         return [cleared(rows, np.abs(rows).max(initial=0.0), TIED) for rows in found]
 
-    def _brinks(self, part: Part, ends: bool) -> np.ndarray:
+    def _brinks(self, index: int, ends: bool) -> np.ndarray:
         """Derivatives of the functions that are zero at an end of an arc, and beyond which its flow
         is another."""
-        field, piece = self.scene.field(part.mode), self._piece(part, ends)
+        (scene, of), piece = self.beside(index, ends), self.piece(index, ends)
+        field = scene.field(self.course.parts[index].mode)
         if piece is None or not field.changes:
             return np.zeros((0, self.of.columns))
         at = piece.end if ends else piece.start
         t, x = piece.t + at, piece.segment(at)
-        found = self.of.kinks(("flow", field.name), field, lambda g: g.flow(bool(field.held)))(t, x)
+        found = of.kinks(("flow", field.name), field, lambda g: g.flow(bool(field.held)))(t, x)
         flow, size = piece.flow(field, ends)
         rates = found[:, 1] + found[:, 2 : 2 + self.size] @ flow
         near = np.abs(found[:, 0]) < piece.beside * np.abs(rates)
@@ -325,9 +430,10 @@ class Walk:
         other = 2.0 * beside - far
         return found[near, 1:] if np.any(np.abs(other - flow) > NEAR * size) else found[:0, 1:]
 
-    def _flow(self, part: Part, ends: bool) -> np.ndarray:
+    def _flow(self, index: int, ends: bool) -> np.ndarray:
         """The flow at an end of a part, as it is on its side."""
-        field, piece = self.scene.field(part.mode), self._piece(part, ends)
+        part, piece = self.course.parts[index], self.piece(index, ends)
+        field = self.beside(index, ends)[0].field(part.mode)
         if piece is not None and field.changes:
             return piece.flow(field, ends)[0]
         if isinstance(part, TailPart):
@@ -335,8 +441,9 @@ class Walk:
         t, x = (part.t1, part.last) if ends else (part.t0, part.first)
         return np.array(field.rhs(t, x.tolist()))
 
-    def _piece(self, part: Part, ends: bool) -> Piece | None:
+    def piece(self, index: int, ends: bool) -> Piece | None:
         """The first or last step of an arc."""
+        part = self.course.parts[index]
         if not isinstance(part, Arc) or not part.segments:
             return None
         segment = part.segments[-1 if ends else 0]

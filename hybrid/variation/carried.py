@@ -1,0 +1,271 @@
+"""A change of a run's start, of its parameters and of its past, on its way along the run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from math import ulp
+
+import attrs
+import numpy as np
+
+from ..arcs import Arc, JumpRow
+from ..automaton.past import DEGREE
+from ..errors import OrbitError
+from ..run.pieces import Window
+from ..scene.windows import TO_POWERS
+from ..segment import from_values, nodes
+from .derivatives import Derivatives, Directed
+from .past import NOTHING, Past, Shift, Strand
+from .walk import Chatter, Course, Factor, Stretch, Walk
+
+#: Change of what decides which jump comes first, against the terms of which it is made, that is
+#: rounding of them.
+TIED = 1e-9
+
+#: Flights of a series of impacts shorter than this, against the first, are remembered as one; the
+#: same where what jumps at impacts is seen.
+BRIEF, BRIEFER = 1e-6, 1e-9
+
+#: Least length of a window, in spacings of the time.
+LEAST = 64.0
+
+
+@attrs.frozen(eq=False)
+class At:
+    """How a moment changes: its time, the states on its sides, and of a limit its ratio."""
+
+    part: int
+    time: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    ratio: np.ndarray | None
+
+
+class Carried:
+    """The change of the state at equal times, as a linear function of ``m`` numbers.
+
+    Attributes
+    ----------
+    state : array, shape (n, m)
+    given : array, shape (q, m)
+        That of the parameters, as far as the walk has columns for them.
+    past : Past or None
+        That of what is remembered; a model with delays needs it before it begins.
+    none : array of bool, shape (m,)
+        The numbers by which there is no derivative any more.
+    last : At or None
+        The last moment passed.
+    limits : int
+        Accumulations passed so far.
+    """
+
+    def __init__(
+        self, walk: Walk, state: np.ndarray, given: np.ndarray, touched: Iterable[float] = ()
+    ) -> None:
+        self.walk, self.state, self.given = walk, state, given
+        self.touched, self.limits = list(touched), 0
+        self.none = np.zeros(state.shape[1], dtype=bool)
+        self.past: Past | None = None
+        self.last: At | None = None
+        self.saltations = list[Factor]()
+
+    def remember(self, past: Past) -> None:
+        """Carry the change of what is remembered as well."""
+        self.past = past
+        self.walk.arrival = past.arrives
+
+    def moments(self) -> Iterator[At]:
+        """Along the run; gives what happens on the way."""
+        for piece in self.walk.pieces():
+            yield from self.through(piece)
+
+    def final(self) -> np.ndarray:
+        """The change of the state at the end of the run; NaN where there is none."""
+        past, none, place = self.past, self.none, len(self.walk.course.parts) - 1
+        part, piece = self.walk.course.parts[place], self.walk.piece(place, True)
+        if past is not None and piece is not None and past.arrives(place, part.t1):
+            assert isinstance(part, Arc)
+            if past.turned(place, part, piece).any():  # it comes before the end, or after it
+                none = none | (past.arrival(place, part, piece, self.state) != 0.0)
+                none[-1] = True
+        return self.state * np.where(none, np.nan, 1.0)
+
+    def through(self, piece: Factor | Stretch | Chatter) -> Iterator[At]:
+        """Through a piece of the run; gives what happens at its end."""
+        if isinstance(piece, Stretch):
+            assert self.past is not None
+            self._touch(piece.arc.t1)
+            self.state = self.past.along(piece.index, piece.arc, self.state)
+        elif isinstance(piece, Chatter):
+            yield from self._to_limit(piece)
+        else:
+            self._touch(piece.t)
+            yield from self._applied(piece, self._change(piece))
+
+    def _touch(self, t: float) -> None:
+        """Neighbours of a run that touches a guard go another way."""
+        while self.touched and self.touched[0] <= t:
+            self.none[:-1] = True
+            self.touched.pop(0)
+
+    def _change(self, factor: Factor) -> np.ndarray:
+        """What a factor is applied to."""
+        if self.past is None:
+            return np.vstack([self.state, self.given])
+        index, ends = factor.part, bool(factor.moments)
+        t, near = self.walk.moment(index, ends)
+        change = self.past.changed(index, t, near, self.state)
+        return np.vstack([change, self._arrival(factor, t)])
+
+    def _arrival(self, factor: Factor, t: float) -> np.ndarray:
+        """The change of the time at which a jump is seen, of which a factor has a column."""
+        index, past, part = factor.part, self.past, self.walk.course.parts[factor.part]
+        nothing = np.zeros((1, self.state.shape[1]))
+        if past is None or not factor.moments or not past.arrives(index, t):
+            return nothing
+        piece = self.walk.piece(index, True)
+        if not factor.waits or piece is None:
+            raise OrbitError(
+                f"{self.walk.model}, t = {t:.9g}: a jump is seen there just when another happens; "
+                "which is first for a neighbour decides on its derivative"
+            )
+        assert isinstance(part, Arc)
+        return past.arrival(index, part, piece, self.state)[None]
+
+    def _applied(self, factor: Factor, change: np.ndarray) -> Iterator[At]:
+        apart = self._apart(factor, change)
+        self.state = factor.matrix @ change
+        for number, moment in enumerate(factor.moments):
+            none = np.where(self.none | (apart if number else False), np.nan, 1.0)
+            ratio = None if moment.ratio is None else none * (moment.ratio @ change)
+            sides = none * (moment.before @ change), none * (moment.after @ change)
+            self.last = At(moment.part, none * (moment.time @ change), *sides, ratio)
+            self.limits += moment.ratio is not None
+            yield self.last
+        self.none = self.none | apart
+        if factor.edge is not None:
+            self.saltations.append(factor)
+        if self.past is not None and factor.moments:
+            self._remembered(self.past, factor, change)
+
+    def _apart(self, factor: Factor, change: np.ndarray) -> np.ndarray:
+        """The numbers whose change makes neighbours take another course at jumps together."""
+        if factor.ties is None or not len(factor.ties):
+            return np.zeros(change.shape[1], dtype=bool)
+        moved, sizes = factor.ties @ change, np.abs(factor.ties) @ np.abs(change)
+        found: np.ndarray = np.any(np.abs(moved) > TIED * sizes, axis=0)
+        return found
+
+    def _remembered(self, past: Past, factor: Factor, change: np.ndarray) -> None:
+        first, last = factor.moments[0], factor.moments[-1]
+        if first.ratio is not None:
+            x = self.walk.course.parts[first.part].last
+            before = after = x
+        else:
+            jumps = self.walk.course.jumps
+            before, after = jumps[first.part].before, jumps[last.part].after
+        past.jumped(Shift(factor.t, before, after, first.time @ change), last.after @ change)
+
+    # -- accumulations in a model with delays -----------------------------------------------
+
+    def _to_limit(self, chatter: Chatter) -> Iterator[At]:
+        """Through an accumulation of impacts: the past is a polynomial that changes, too."""
+        past, part, tail = self.past, chatter.part, chatter.part.tail
+        assert past is not None
+        windows, rows = self._windows(past, chatter)
+        scene = past.sight.scene.through(windows)
+        name = tail.contact.name
+        seeing = attrs.evolve(
+            tail, field=scene.field(tail.field.name, (name,)), contact=scene.contact(name)
+        )
+        of, count = Derivatives(scene, True, True), self.state.shape[1]
+        change = np.zeros((of.columns - 1 - of.size, count))
+        change[-len(rows) :] = rows
+        if len(self.given):
+            change[-of.count : -len(rows)] = self.given
+        turned = Directed(of, change, past.units)
+        factor = self.walk.limit(chatter.index, attrs.evolve(part, tail=seeing), turned)
+        change = np.vstack([self.state, np.eye(count)])
+        if past.restarts:
+            self._require_same(past, factor.moments[0].after @ change, part.t1, tail.x_inf)
+        else:
+            self._flights(past, chatter)
+            ends = np.stack([self.state, factor.matrix @ change])
+            past.add(Strand(past.strands[-1].b, part.t1, ends))
+        yield from self._applied(factor, change)
+
+    def _windows(self, past: Past, chatter: Chatter) -> tuple[list[np.ndarray], np.ndarray]:
+        """Windows on what each lag sees on the way to a limit, and how their numbers change."""
+        part, sight = chatter.part, past.sight
+        shapes, shown = sight.scene.code.shapes, part.tail.field.parameters
+        own = len(shapes) - len(sight.scene.spec.windows)
+        width = max(part.tail.remaining, LEAST * ulp(part.t1))
+        windows, rows = list[np.ndarray](), list[np.ndarray]()
+        for k, lag in enumerate(sight.lags):
+            frame, powers = (np.asarray(each) for each in shown[own + 2 * k : own + 2 * k + 2])
+            a, points = part.t0 - lag, width * nodes(DEGREE)
+            if not a + width <= part.t0:
+                raise OrbitError(
+                    f"{self.walk.model}, t = {part.t0:.9g}: impacts accumulate within "
+                    f"{part.tail.remaining:.3g}, and the lag {sight.scene.spec.lags[k].name} is "
+                    "shorter, or depends on time or state; no derivative of that is known"
+                )
+            places = ((a - frame[0]) + points) / frame[1]
+            values = np.vander(places, DEGREE + 1, increasing=True) @ powers
+            known = np.zeros(len(values), dtype=bool)
+            windows += Window(a, a + width, values, known, np.zeros(values.shape[1])).arrays()
+            moved = past.within(a + points, a, a + width)
+            series = np.tensordot(TO_POWERS @ from_values(DEGREE), moved, 1)
+            rows += [np.zeros((2, moved.shape[2])), series.reshape(-1, moved.shape[2])]
+        return windows, np.vstack(rows)
+
+    def _require_same(self, past: Past, limit: np.ndarray, t: float, x: np.ndarray) -> None:
+        """After each impact another state is seen: that must not matter for derivatives either."""
+        seen = sorted({e for each in past.sight.scene.code.seen for e in each})
+        sizes = np.abs(past.fresh).max(axis=0) + np.abs(limit).max(axis=0)
+        sizes += np.abs(x).max() / past.units
+        if np.any(np.abs(past.fresh - limit)[seen] > NOTHING * sizes):
+            raise OrbitError(
+                f"{self.walk.model}, t = {t:.9g}: each of the impacts that accumulate is seen by "
+                'the flight after it (memory="restart"); no derivative of that is known'
+            )
+
+    def _flights(self, past: Past, chatter: Chatter) -> None:
+        """Remember the change along the flights on the way to a limit, one by one."""
+        part, walk, before = chatter.part, self.walk, (self.saltations, self.none)
+        seen = {e for each in past.sight.scene.code.seen for e in each}
+        jump = part.jump(1) if part.tail.count else None
+        shows = jump is not None and any(jump.before[e] != jump.after[e] for e in seen)
+        arcs, jumps = [part.arc(0)], dict[int, JumpRow]()
+        least = (BRIEFER if shows else BRIEF) * arcs[0].length
+        while len(arcs) < part.tail.count and arcs[-1].length > least:
+            jumps[len(arcs) - 1] = part.jump(len(arcs))
+            arcs.append(part.arc(len(arcs)))
+        course = Course(walk.scene, arcs, jumps, _Within(past.sight, chatter.index))
+        self.walk = past.walk = Walk(course, walk.parameters)
+        self.saltations = []
+        for piece in self.walk.pieces():
+            if isinstance(piece, Stretch):
+                self.state = past.along(piece.index, piece.arc, self.state)
+            elif isinstance(piece, Factor):
+                for _ in self._applied(piece, self._change(piece)):
+                    pass
+        self.walk = past.walk = walk
+        self.saltations, self.none = before
+
+
+@attrs.frozen(eq=False)
+class _Within:
+    """How a part of a run looked back, for its own parts."""
+
+    whole: object
+    index: int
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.whole, name)
+
+    def at(self, index: int, t: float, side: str = "right") -> object:
+        return self.whole.at(self.index, t, side)  # type: ignore[attr-defined]
+
+    def places(self, index: int, t: float) -> object:
+        return self.whole.places(self.index, t)  # type: ignore[attr-defined]

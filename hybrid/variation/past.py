@@ -1,0 +1,360 @@
+"""The change of what a run with delays remembers.
+
+A change ``d`` of the record is carried along an arc by ::
+
+    d' = f_x d + f_p dp + sum of f_k d(t - lag_k)
+
+by collocation at Gauss points; what it asks of the past it finds in its own earlier pieces. (The
+windows through which a flow looks back are functions of time and of their lag, so that ``f_x`` and
+``f_p`` contain ``-f_k x'(t - lag_k)`` times the change of the lag.) A jump of the record that comes
+later by ``s`` is seen later, by ``s`` and by what its lag grows: where the flow jumps there from
+``f-`` to ``f+``, the change becomes ``d + (f- - f+) ds``.
+
+With ``memory="restart"`` what a flow sees after a jump is the state after it, and nothing else of
+the past. See ``docs/notes/gradients.md``.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
+from itertools import pairwise
+from typing import Any
+
+import attrs
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.polynomial.legendre import leggauss
+
+from ..arcs import Arc
+from ..errors import OrbitError
+from ..segment import from_values, nodes
+from .arcs import Piece, bend, middle, pieces
+from .derivatives import Matrix
+from .walk import Walk
+
+#: Degree of the collocation on a step.
+DEGREE = 14
+
+#: Steps are halved until their last coefficients are this small, relative; and most halvings.
+RESOLVED, DEPTH = 1e-12, 6
+
+#: Breaking points are followed through this many lags.
+GENERATIONS = 6
+
+#: Times nearer than this, relative, are one; of lags that depend on time or state.
+SAME, NEARLY = 1e-13, 1e-11
+
+#: Where in a step, from its ends, its side of a breaking point is told.
+INSIDE = 1e-6
+
+#: A change of the flow, or of a time, below this, relative, is none.
+NOTHING = 1e-9
+
+
+@attrs.frozen(eq=False)
+class Strand:
+    """A change between two times: values at Chebyshev points, shape ``(degree + 1, n, m)``."""
+
+    a: float
+    b: float
+    values: np.ndarray
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        degree = len(self.values) - 1
+        places = 2.0 * (times - self.a) / (self.b - self.a) - 1.0
+        weights = chebyshev.chebvander(places, degree) @ from_values(degree)
+        return np.tensordot(weights, self.values, 1)
+
+
+@attrs.frozen(eq=False)
+class Shift:
+    """A jump of the record from ``before`` to ``after``, and the change of its time."""
+
+    t: float
+    before: np.ndarray
+    after: np.ndarray
+    row: np.ndarray
+
+    def shows(self, elements: Iterable[int]) -> bool:
+        """Whether any of some elements jumps."""
+        return any(self.before[e] != self.after[e] for e in elements)
+
+
+def descendants(times: Iterable[float], lags: Sequence[float], last: float) -> list[float]:
+    """Breaking points up to a time: those given, and what follows through the lags."""
+    found = now = set(times)
+    for _ in range(GENERATIONS):
+        now = {t + lag for t in now for lag in lags if lag > 0 and t + lag <= last}
+        found = found | now
+    return distinct(t for t in found if t <= last)
+
+
+def distinct(times: Iterable[float]) -> list[float]:
+    """Times in order, those that are nearly one once."""
+    found: list[float] = []
+    for t in sorted(times):
+        if not found or t - found[-1] > SAME * max(1.0, abs(t)):
+            found.append(t)
+    return found
+
+
+class Past:
+    """The change of a run's record, as a linear function of ``m`` numbers.
+
+    Attributes
+    ----------
+    given : array, shape (q, m)
+        The change of the parameters, as far as there are columns for them.
+    units : array, shape (m,)
+        What a change of each number is measured by.
+    strands, shifts
+        The change of the record so far, and of the times of its jumps.
+    fresh : array, shape (n, m)
+        Of the state after the last jump.
+    """
+
+    def __init__(
+        self,
+        walk: Walk,
+        given: np.ndarray,
+        units: np.ndarray,
+        strands: Sequence[Strand],
+        shifts: Sequence[Shift] = (),
+        breaks: Iterable[float] = (),
+    ) -> None:
+        self.walk, self.given, self.units = walk, given, units
+        self.sight, self.size, self.end = walk.course.sight, walk.size, walk.course.parts[-1].t1
+        self.strands, self.shifts = list(strands), list(shifts)
+        self._ends = [strand.b for strand in strands]
+        self.fresh = self.strands[-1].values[-1]
+        self.breaks: list[float] = []
+        self.broken([walk.course.parts[0].t0, *breaks])
+
+    @property
+    def restarts(self) -> bool:
+        """Whether the past is forgotten at jumps."""
+        return bool(self.sight.memory == "restart")
+
+    def broken(self, times: Iterable[float]) -> None:
+        """The record breaks at some times, and what sees it later."""
+        self.breaks = distinct([*self.breaks, *descendants(times, self.sight.lags, self.end)])
+
+    def add(self, strand: Strand) -> None:
+        """What follows in time."""
+        self.strands.append(strand)
+        self._ends.append(strand.b)
+
+    def jumped(self, shift: Shift, fresh: np.ndarray) -> None:
+        """The record jumps, to a state that changes by ``fresh``."""
+        self.fresh = fresh
+        if self.restarts:
+            self.shifts, self.strands = [], [Strand(shift.t - 1.0, shift.t, fresh[None])]
+            self._ends = [shift.t]
+        else:
+            self.shifts.append(shift)
+        self.broken([shift.t])
+
+    # -- what is seen -----------------------------------------------------------------------
+
+    def at(self, times: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """The change at some times, shape ``(k, n, m)``, on the strands at times near them."""
+        found = np.empty((len(times), *self.fresh.shape))
+        which = np.array([min(bisect_left(self._ends, t), len(self._ends) - 1) for t in near])
+        for place in np.unique(which).tolist():
+            found[which == place] = self.strands[place](times[which == place])
+        return found
+
+    def within(self, times: np.ndarray, low: float, high: float) -> np.ndarray:
+        """The same on the smooth piece between two times."""
+        room = INSIDE * max(high - low, 0.0)
+        return self.at(times, np.clip(times, low + room, high - room))
+
+    def shown(self, index: int, t: float, near: float, now: np.ndarray) -> np.ndarray:
+        """Changes of what each lag shows at a time of a part, below each other; from the side on
+        which ``near`` is."""
+        pairs = zip(self.sight.places(index, t), self.sight.places(index, near), strict=True)
+        return np.vstack(
+            [
+                np.zeros((0, now.shape[1])),
+                *(now if a >= t else self.at(np.array([a]), np.array([b]))[0] for a, b in pairs),
+            ]
+        )
+
+    def changed(self, index: int, t: float, near: float, now: np.ndarray) -> np.ndarray:
+        """Changes of state, of what is seen, and of parameters, below each other."""
+        return np.vstack([now, self.shown(index, t, near, now), self.given])
+
+    # -- jumps that are seen ----------------------------------------------------------------
+
+    def seen(self, index: int, t: float) -> Iterator[tuple[int, Shift]]:
+        """The jumps of the record that are seen at a time, and by which lag."""
+        code = self.sight.scene.code
+        for k, place in enumerate(self.sight.places(index, t)):
+            room = (NEARLY if code.moving[k] else SAME) * max(1.0, abs(t))
+            for shift in self.shifts:
+                if place < t and abs(shift.t - place) <= room and shift.shows(code.seen[k]):
+                    yield k, shift
+
+    def arrives(self, index: int, t: float) -> bool:
+        """Whether a jump of the record is seen at a time."""
+        return next(self.seen(index, t), None) is not None
+
+    def arrival(self, index: int, arc: Arc, piece: Piece, now: np.ndarray) -> np.ndarray:
+        """How the time changes at which a jump is seen at the end of a piece.
+
+        Raises
+        ------
+        OrbitError
+            If several are, at times that differ for the neighbours.
+        """
+        t, near = piece.t + piece.end, piece.t + piece.inside(True)
+        scene, of = self.walk.look(index, near)
+        x, field = piece.segment(piece.end), scene.field(arc.mode)
+        flow, change = np.array(field.rhs(t, x.tolist())), self.changed(index, t, near, now)
+        rows = []
+        for k, shift in self.seen(index, t):
+            lag = of.lag(k, field)(t, x)[0]
+            rate = 1.0 - lag[0] - lag[1 : 1 + self.size] @ flow
+            rows.append((shift.row + lag[1:] @ change) / rate)
+        apart = [np.abs(row - rows[0]) > NOTHING * np.abs(rows[0]) for row in rows]
+        if np.any(apart):
+            raise OrbitError(
+                f"{self.walk.model}, t = {t:.9g}: two jumps of the past are seen there; which is "
+                "first for a neighbour decides on its derivative"
+            )
+        return rows[0]
+
+    def turned(self, index: int, arc: Arc, piece: Piece) -> np.ndarray:
+        """How much the flow falls where a jump is seen at the end of a piece."""
+        t, x = piece.t + piece.end, piece.segment(piece.end).tolist()
+        before, after = (
+            np.array(self.walk.look(index, t + s)[0].field(arc.mode).rhs(t, x))
+            for s in (-piece.beside, piece.beside)
+        )
+        change = before - after
+        large = np.abs(change).max() > NOTHING * (np.abs(before).max() + np.abs(after).max())
+        return change if large else np.zeros(self.size)
+
+    # -- along an arc -----------------------------------------------------------------------
+
+    def along(self, index: int, arc: Arc, now: np.ndarray) -> np.ndarray:
+        """Carry a change along an arc; jumps that are seen at its end are left to what follows."""
+        field, last = _Seeing(self.walk, index, arc), None
+        kinks = field.kinks if field.changes else None
+        largest = np.zeros(self.size)
+        if kinks is not None:
+            largest = np.max([middle(field, arc.t0 + arc.low, s) for s in arc.segments], axis=0)
+        for piece in self._pieces(arc, kinks):
+            if last is not None:
+                now = self._passed(index, arc, field, last, piece, largest, now)
+            now = self._step(index, arc, piece.t + piece.start, piece.t + piece.end, now, DEPTH)
+            last = piece
+        return now
+
+    def _pieces(self, arc: Arc, kinks: Matrix | None) -> Iterator[Piece]:
+        """The steps of an arc, cut at breaking points and where a formula of the flow changes."""
+        t = arc.t0 + arc.low
+        stops = [*self.breaks, *(shift.t + g for shift in self.shifts for g in self.sight.lags)]
+        for segment in arc.segments:
+            for piece in pieces(kinks, t, segment):
+                room = SAME * max(1.0, abs(t + piece.end))
+                inner = [s - t for s in stops if piece.start + room < s - t < piece.end - room]
+                ends = [piece.start, *distinct(inner), piece.end]
+                yield from (Piece(t, segment, a, b - a) for a, b in pairwise(ends))
+
+    def _passed(
+        self,
+        index: int,
+        arc: Arc,
+        field: _Seeing,
+        before: Piece,
+        after: Piece,
+        largest: np.ndarray,
+        now: np.ndarray,
+    ) -> np.ndarray:
+        """The change after what happens between two pieces of an arc."""
+        t = before.t + before.end
+        if self.arrives(index, t):
+            fall = self.turned(index, arc, before)
+            if fall.any():
+                now = now + np.outer(fall, self.arrival(index, arc, before, now))
+        elif field.changes:
+            turn = bend(field.kinks, field, before, after, largest)
+            if turn is not None:
+                now = turn @ self.changed(index, t, before.t + before.inside(True), now)
+        return now
+
+    def _step(
+        self, index: int, arc: Arc, a: float, b: float, now: np.ndarray, depth: int
+    ) -> np.ndarray:
+        """Carry the change over a step, or over its halves if it is not resolved."""
+        if not b > a:  # nothing but rounding of the time
+            return now
+        values, states = self._collocated(index, arc, a, b, now)
+        sizes = np.abs(np.tensordot(from_values(DEGREE), values, 1))
+        least = np.abs(states).max() / self.units
+        allowed = RESOLVED * np.maximum(sizes.max(axis=(0, 1)), least)
+        if depth and np.any(sizes[-2:].max(axis=(0, 1)) > allowed):
+            middle = 0.5 * (a + b)
+            now = self._step(index, arc, a, middle, now, depth - 1)
+            return self._step(index, arc, middle, b, now, depth - 1)
+        self.add(Strand(a, b, values))
+        return values[-1]
+
+    def _collocated(
+        self, index: int, arc: Arc, a: float, b: float, now: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Values of the change at the Chebyshev points of a step, and states in it."""
+        size, (points, inner, whole) = self.size, _gauss()
+        times, count = a + (b - a) * points, DEGREE + 1
+        states = arc.local((times - arc.t0) - arc.low)
+        places = np.array([self.sight.places(index, t) for t in times.tolist()])
+        pairs, field = zip(times.tolist(), states, strict=True), self.walk.scene.field(arc.mode)
+        looks = [(self.walk.look(index, t)[1], t, x) for t, x in pairs]
+        rates = np.array([of.flow(field)(t, x)[:, 1:] for of, t, x in looks])
+        unknown = rates[:, :, None, :size] * inner[:, None, :, None]
+        known = rates[:, :, size * (1 + places.shape[1]) :] @ self.given
+        for k, at in enumerate(places.T):
+            seen = rates[:, :, size * (1 + k) : size * (2 + k)]
+            own = at > a
+            within = chebyshev.chebvander(2.0 * (at - a) / (b - a) - 1.0, DEGREE)
+            weights = np.where(own[:, None], within @ from_values(DEGREE), 0.0)
+            unknown += seen[:, :, None, :] * weights[:, None, :, None]
+            if not own.all():
+                known[~own] += seen[~own] @ self.at(at[~own], at[~own])
+        system = (a - b) * np.tensordot(whole, unknown, 1).reshape(count * size, -1)
+        right = now + (b - a) * np.tensordot(whole, known, 1)
+        system[np.diag_indices(count * size)] += 1.0
+        found = np.linalg.solve(system, right.reshape(count * size, -1)).reshape(right.shape)
+        return found, states
+
+
+@cache
+def _gauss() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Gauss points, which are inside of a step; the matrices from values at Chebyshev points to
+    values there, and from those back to integrals."""
+    points = 0.5 + 0.5 * leggauss(DEGREE)[0]
+    places = 2.0 * points - 1.0
+    inner = chebyshev.chebvander(places, DEGREE) @ from_values(DEGREE)
+    sums = [0.5 * chebyshev.chebint(row, lbnd=-1.0) for row in np.eye(DEGREE)]
+    ends = np.array([chebyshev.chebval(2.0 * nodes(DEGREE) - 1.0, row) for row in sums]).T
+    return points, inner, ends @ np.linalg.inv(chebyshev.chebvander(places, DEGREE - 1))
+
+
+class _Seeing:
+    """The flow of an arc, looking back from each time as it did."""
+
+    def __init__(self, walk: Walk, index: int, arc: Arc) -> None:
+        self.walk, self.index, self.arc = walk, index, arc
+        self.changes = walk.scene.field(arc.mode).changes
+
+    def rhs(self, t: float, x: list[float]) -> Any:
+        """The flow."""
+        return self.walk.look(self.index, t)[0].field(self.arc.mode).rhs(t, x)
+
+    def kinks(self, t: float, x: np.ndarray) -> np.ndarray:
+        """Functions at whose zeros its formula changes, and their derivatives."""
+        of, field = self.walk.look(self.index, t)[1], self.walk.scene.field(self.arc.mode)
+        return of.kinks(("flow", field.name), field, lambda g: g.flow(bool(field.held)))(t, x)
