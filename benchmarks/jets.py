@@ -20,6 +20,7 @@ from hybrid.rules import unit
 from hybrid.scene import native
 from hybrid.scene.lowered import ORDER, Lowered
 from hybrid.scene.python import OPERATIONS
+from tests import recurrences
 
 #: What the written-out recurrences ask for besides.
 PLAIN = {**OPERATIONS, "select": lambda c, a, b: a if c else b, "barrier": lambda names: names}
@@ -135,7 +136,8 @@ def written(cls, modes, held):
     for mode in modes:
         names = tuple(e.name for e in cls.spec.leaving(mode)) if held else ()
         guards = code.trace(lambda p, t, x: jnp.zeros(1))
-        jets = code.array_series(code.field_closed(mode, names), guards, ORDER, PLAIN).bind(values)
+        field = code.field_closed(mode, names)
+        jets = recurrences.written(code, field, guards, ORDER, PLAIN).bind(values)
         jets(0.3, x)
     return time.perf_counter() - begin, jets, x
 

@@ -386,16 +386,6 @@ def bernstein_from_chebyshev(degree: int) -> np.ndarray:
     return np.array(columns).T
 
 
-@cache
-def bernstein_from_powers(degree: int) -> np.ndarray:
-    """Matrix from coefficients of powers to Bernstein's on [0, 1]."""
-    rows = [
-        [comb(i, k) / comb(degree, k) if k <= i else 0.0 for k in range(degree + 1)]
-        for i in range(degree + 1)
-    ]
-    return np.array(rows)
-
-
 def roots(bernstein: np.ndarray, order: int, tolerance: float) -> Iterator[tuple[float, int]]:
     """Zeros in ``(0, 1]`` of a polynomial that vanishes at 0 to the given order.
 

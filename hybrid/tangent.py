@@ -39,8 +39,7 @@ REASONS = {
     11: ("jump_loop", "jumps follow each other with no time between them"),
     12: (
         "forgotten",
-        "a lag looks further back than the record (raise segments), at the present or ahead, or "
-        "where the history is not finite",
+        "a lag is negative, or looks where the history is not finite",
     ),
     13: ("failed", "the run failed; hy.simulate says why"),
 }

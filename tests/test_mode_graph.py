@@ -14,6 +14,7 @@ from models.ball_on_circle import BallOnCircle
 from models.coupled import Coupled
 from models.relay import Relay
 
+from . import recurrences
 from .systems import Drag, Pile, Rubbed
 from .test_readers import EXPRESSIONS, automaton
 from .test_tape import PLAIN
@@ -128,7 +129,7 @@ def test_series_along_contacts_are_those_of_their_equations_written_out(held):
     field = scene.field(rest_name("fly", held))
     loads = [trace.again(guard.closed) for guard in field.guards]
     stacked = scene.code.trace(lambda *at: jnp.stack([load(*at) for load in (*loads, *loads)]))
-    written = scene.code.array_series(field.closed, stacked, ORDER, PLAIN).bind([1.3])
+    written = recurrences.written(scene.code, field.closed, stacked, ORDER, PLAIN).bind([1.3])
     for _ in range(3):
         t, x = float(draw.uniform(0, 2)), draw.uniform(0.3, 1.0, 6).tolist()
         states, guards, _ = field.expand(t, x, [0] * field.kinks)

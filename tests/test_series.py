@@ -6,9 +6,7 @@ import pytest
 from scipy.special import airy
 
 import hybrid as hy
-from hybrid.compiled.ask import code_of
-from hybrid.compiled.system import system_of
-from models.pyragas import Pyragas
+from hybrid.scene import scene_of
 
 TAYLOR = {"solver": "taylor", "rtol": 1e-11, "atol": 1e-12}
 
@@ -79,42 +77,17 @@ def test_a_kink_is_passed_and_a_zero_state_needs_no_atol():
     assert float(lanes.x[0]) == pytest.approx(exact.final.x, abs=1e-9)
 
 
-def test_what_has_no_series_is_refused():
-    """By a function that is compiled as a whole, which names what has none."""
-    with pytest.raises(hy.OptionError, match="Pyragas: method='Taylor': mode flight: the past"):
-        hy.as_function(Pyragas(), t=(0.0, 1.0), max_jumps=8, method="Taylor")
-
-
-class Chain(hy.Automaton):
-    """Twelve masses between springs that harden."""
-
-    q = hy.state(shape=(12,))
-    p = hy.state(shape=(12,))
-
-    @hy.mode
-    def flow(self, t, s):
-        stretch = jnp.diff(s.q, prepend=0.0, append=0.0)
-        return s.p, jnp.diff(stretch + stretch**3)
-
-
-def test_large_systems_have_series_that_are_not_the_default():
-    """Written out they are long, and take longer to compile than they save."""
-    system = system_of(code_of(Chain()))
-    assert system.no_series is None
-    assert not system.short_series
-
-
 def test_a_flow_that_needs_a_library_runs():
-    """Lanes of it have no series: x' = -x / 2."""
-    assert system_of(code_of(Library())).no_series is not None
+    """It has no series: x' = -x / 2."""
+    assert scene_of(Library()).field("flow").jets is None
     start = np.array([[1.0, 0.0], [0.0, 2.0]])
     lanes = hy.ensemble(Library(), {"x": start}, (0.0, 1.0))
     np.testing.assert_allclose(lanes.x, np.exp(-0.5) * start, atol=1e-7)
 
 
 def test_a_flow_that_solves_equations_has_series():
-    """Of lanes, too, which JAX's own solution is compiled for: x' = -A^-1 x."""
-    assert system_of(code_of(Solved())).no_series is None
+    """Of lanes, too: x' = -A^-1 x."""
+    assert scene_of(Solved()).field("flow").jets is not None
     lanes = hy.ensemble(Solved(), {"x": np.array([[1.0, 0.0], [0.0, 2.0]])}, (0.0, 1.0))
     decay = np.exp(-0.5)
     np.testing.assert_allclose(lanes.x, [[decay, 0.0], [0.5 * decay, 2 * decay]], atol=1e-7)

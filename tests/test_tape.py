@@ -22,7 +22,7 @@ from hybrid.scene.python import OPERATIONS
 from hybrid.scene.scene import rest_name, scene_of
 from hybrid.scene.taylor import flat, polynomial
 
-from . import systems
+from . import recurrences, systems
 from .test_readers import EXPRESSIONS, automaton
 
 
@@ -95,7 +95,7 @@ def test_the_jets_of_every_mode_are_those_of_the_recurrences_written_out(cls, ru
         field = scene.field(name)
         watched = [trace.again(guard.closed) for guard in field.guards]
         guards = scene.code.trace(partial(_stacked, watched))
-        written = scene.code.array_series(field.closed, guards, ORDER, PLAIN)
+        written = recurrences.written(scene.code, field.closed, guards, ORDER, PLAIN)
         shown = [p if np.isfinite(p).all() else draw.normal(size=p.shape) for p in scene.parameters]
         read, written = _recorded(scene, name).bind(flat(shown)), written.bind(flat(shown))
         for _ in range(3):

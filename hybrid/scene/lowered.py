@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,7 @@ from .python import Program, needed
 from .sides import decider_of
 from .sliding import Sliding
 from .tape import Tape
-from .taylor import TaylorProgram, flat
+from .taylor import flat
 
 if TYPE_CHECKING:
     from .local import LocalGraph
@@ -210,30 +210,6 @@ class Lowered:
                 return fault
 
         return self.once(("tape", mode, held, touching), make)  # type: ignore[no-any-return]
-
-    def array_series(
-        self,
-        flow: Any,
-        functions: Any,
-        order: int,
-        operations: Mapping[str, Any],
-        extra: int = 0,
-    ) -> TaylorProgram:
-        """Taylor code for arrays of a flow, and of a vector along it.
-
-        Both are jaxprs with ``extra`` numbers more, which are bound as parameters are.
-
-        Raises
-        ------
-        TraceError
-            Where there is none.
-        """
-        graph = Graph()
-        count = sum(map(_count, self.shapes))
-        inputs = self.inputs(graph, [f"p{count + i}" for i in range(extra)])
-        (states,), (values,) = graph.outputs(flow, inputs), graph.outputs(functions, inputs)
-        size, roots = self.spec.dimension, list(map(int, values))
-        return TaylorProgram(graph, size, states, roots, order, operations)
 
     # -- the past -----------------------------------------------------------------------
 

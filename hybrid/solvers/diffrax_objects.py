@@ -26,7 +26,6 @@ from ..jit import jit
 from ..scene import Field
 from ..segment import Segment, apply, from_values, integrals, interpolated, nodes, to_powers
 from .base import FINEST, Solver, Stepper, method_of
-from .series import SHORTEST
 
 #: Methods known by name, with the degree of their dense output in the fraction of the step; the
 #: first is the default.
@@ -57,6 +56,9 @@ ATTEMPTS = 200
 #: Most steps ahead, and most numbers that they leave: to clear and to copy so many takes about as
 #: long as a call.
 AHEAD, NUMBERS = 32, 8192
+
+#: A step this short against the time in the arc cannot be made.
+SHORTEST = 1e-14
 
 #: Most attempts between two looks from Python, where nobody asks for steps one by one.
 MOST = 100_000

@@ -38,7 +38,6 @@ import pytest
 import hybrid as hy
 from hybrid.automaton.record import Record
 from hybrid.function import REASONS
-from hybrid.jit import jit
 
 #: Options of ``hy.simulate`` that choose a solver; a new backend is one line here.
 SOLVERS = {
@@ -317,13 +316,9 @@ def _floats(values: Any) -> np.ndarray:
 
 
 class AsFunction(Way):
-    """``hy.as_function``; with delays it is compiled, once for each class and set of options."""
+    """``hy.as_function``."""
 
     told = COMMON | TABLE | {"limit"}
-
-    def __init__(self, name: str, **options: Any) -> None:
-        super().__init__(name, **options)
-        self._compiled: dict[Any, Any] = {}
 
     def many(self, model, starts, t, parameters=None, **options):
         given = {"max_jumps": 256, **self.options, **options}
@@ -331,27 +326,8 @@ class AsFunction(Way):
             return [self._one(*case, given) for case in _cases(model, starts, t, parameters)]
 
     def _one(self, model: Any, start: Any, t: Any, options: dict[str, Any]) -> Result:
-        if model.spec.lags:
-            function, edges = self._kept(type(model), options)
-            return self._outcome(model, function(*_arrays(model, start, t)), edges)
         function = hy.as_function(model, t=t, **options)
         return self._outcome(model, function(model, start), function.edges)
-
-    def _kept(self, cls: Any, options: dict[str, Any]) -> Any:
-        """The compiled function, kept if the options can be compared."""
-        key = (cls, tuple(sorted((k, repr(v)) for k, v in options.items())))
-        if callable(options.get("history")) or key not in self._compiled:
-            self._compiled[key] = self._compile(cls, options)
-        return self._compiled[key]
-
-    def _compile(self, cls: Any, options: dict[str, Any]) -> Any:
-        edges = hy.as_function(cls(), t=(0.0, 1.0), **options).edges
-
-        def function(parameters: Any, start: Any, t: Any) -> Any:
-            run = hy.as_function(cls(), t=t, **options)
-            return run(cls(**parameters), start)
-
-        return jit(function), edges
 
     def _outcome(self, model: Any, out: Any, edges: Any) -> Result:
         status, said = REASONS[int(out.status)]
@@ -374,14 +350,6 @@ class AsFunction(Way):
                 _record(model, out.jumps.after, count),
             ),
         )
-
-
-def _arrays(model: Any, start: Any, t: Any) -> tuple[Any, Any, Any]:
-    """A model's parameters, its start and times as arrays."""
-    array = lambda value: np.asarray(value, float)  # noqa: E731
-    parameters = {p.name: array(getattr(model, p.name)) for p in model.spec.parameters}
-    values = dict(zip(model.spec.names, map(array, model.spec.values(start)), strict=True))
-    return parameters, values, tuple(map(array, t))
 
 
 def _record(model: Any, values: Mapping[str, Any], count: int | None = None) -> Record:
@@ -407,7 +375,7 @@ MECHANISMS = ["DOP853", "Radau", "LSODA", "taylor", "Dopri8", "ensemble", "as_fu
 #: Those of them that reach rounding.
 ACCURATE = ["DOP853", "taylor", "Dopri8", "ensemble", "as_function"]
 
-#: The way that has no Python to turn to where there are delays.
+#: The way that has numbers for what is words elsewhere.
 COMPILED = ["as_function"]
 
 #: Every solver, lanes, and this.
