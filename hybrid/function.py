@@ -314,8 +314,8 @@ def _replay(runs: Runs) -> Replay:
     layout, room = runs.layout, runs.asked.max_steps
     if runs.asked.spec.lags:
         raise OptionError(
-            f"{runs.asked.spec.model} looks into the past: its runs have first derivatives only, and "
-            "a second one was asked for; take differences of the first"
+            f"{runs.asked.spec.model} looks into the past: its runs have first derivatives only, "
+            "and a second one was asked for; take differences of the first"
         )
     assert room is not None
     ask = partial(_each, runs.plan)

@@ -203,6 +203,13 @@ def test_where_there_is_no_derivative(wide):
     assert out.zeno.t < 2.0
 
 
+def test_second_derivatives_are_refused(wide):
+    """With what can be done."""
+    run = hy.as_function(Decay(), t=(0.0, 1.0), max_jumps=1)
+    with pytest.raises(hy.OptionError, match=r"Decay looks into the past.*take differences"):
+        jax.hessian(lambda tau: run(Decay(tau=tau), {"y": 1.0}).final["y"])(0.5)
+
+
 def test_refusals():
     """What lanes and functions cannot do is said, with what can."""
 
