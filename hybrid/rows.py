@@ -63,7 +63,7 @@ def _together(
     scene = scene_with(runs.cls, runs.shapes, tuple(parameters[0].tolist()))
     try:
         asked = attrs.evolve(runs.asked, save="jumps")
-        driver = asked.driver(scene, spans[0].tolist(), starts[0].copy(), None)
+        driver = asked.driver(scene, spans[0].tolist(), starts[0].copy(), runs.history)
     except HybridError:  # it is the rows' own
         return
     together = abreast(scene, driver, runs.mode, Given(parameters, spans, starts), kept)
