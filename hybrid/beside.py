@@ -3,7 +3,8 @@
 This process goes on calling from the front of the line while the others start; they take blocks
 from its end. Each is a Python of its own, not a fork (JAX's threads would not survive one), and
 does not import the main program: a script that is not guarded by its name would begin anew there.
-So what is sent must be importable. Before a process is believed it gives an answer that is known.
+So what is sent must stand in a module, which may have been imported by its path. Before a process
+is believed it gives an answer that is known.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import suppress
+from importlib.machinery import PathFinder
+from importlib.util import module_from_spec, spec_from_file_location
 from queue import SimpleQueue
 from threading import Thread
 from time import perf_counter
@@ -230,6 +233,8 @@ def serve() -> None:
         answers.flush()
 
     try:
+        for name, file in pickle.load(asked).items():
+            _import(name, file)
         (make, *given), number = pickle.load(asked)
         call = make(*given)
         first = call(number)
@@ -268,18 +273,40 @@ def _sendable(fault: Exception) -> Exception:
 
 
 class _Pickler(pickle.Pickler):
-    """Refuses what another process would not find by its name."""
+    """Refuses what another process would not find; ``files`` are those of modules that it would
+    not find by their names."""
+
+    def __init__(self, written: io.BytesIO) -> None:
+        super().__init__(written)
+        self.files: dict[str, str] = {}
 
     def reducer_override(self, given: Any) -> Any:
-        if isinstance(given, type | types.FunctionType) and given.__module__ == "__main__":
-            raise pickle.PicklingError(f"{given.__qualname__} is defined in the main program")
+        if isinstance(given, type | types.FunctionType):
+            self._note(given)
         return NotImplemented
+
+    def _note(self, given: type | types.FunctionType) -> None:
+        name = given.__module__
+        if name == "__main__":
+            raise pickle.PicklingError(f"{given.__qualname__} is defined in the main program")
+        file = getattr(sys.modules.get(name), "__file__", None)
+        if file is not None and "." not in name and PathFinder.find_spec(name) is None:
+            self.files[name] = file
 
 
 def _pickled(what: Any) -> bytes:
     written = io.BytesIO()
-    _Pickler(written).dump(what)
-    return written.getvalue()
+    pickler = _Pickler(written)
+    pickler.dump(what)
+    return pickle.dumps(pickler.files) + written.getvalue()
+
+
+def _import(name: str, file: str) -> None:
+    """Import a module by its path."""
+    spec = spec_from_file_location(name, file)
+    if spec is not None and spec.loader is not None:
+        sys.modules[name] = module_from_spec(spec)
+        spec.loader.exec_module(sys.modules[name])
 
 
 def _say(why: str) -> None:

@@ -14,7 +14,7 @@ import pytest
 from scipy.integrate import RK45
 
 import hybrid as hy
-from hybrid import beside
+from hybrid import beside, gallery
 from models.bouncing_ball import BouncingBall
 from models.hard_spring import HardSpring
 from models.two_tanks import TwoTanks
@@ -159,6 +159,14 @@ class Falls(hy.Automaton):
     def only(self, t, s):
         return -{rate} * s.x
 """
+
+
+def test_a_module_may_have_been_imported_by_its_path(crew, monkeypatch):
+    """As those of the gallery are: they are imported in the same way."""
+    given = gallery.known("relay").cls(), {"x": X}, (0.0, 0.5)
+    lanes = hy.ensemble(*given, solver="scipy")
+    assert crew
+    assert lanes.identical(alone(monkeypatch, *given, solver="scipy"))
 
 
 def test_a_file_that_has_changed_is_not_believed(crew, tmp_path, monkeypatch):
