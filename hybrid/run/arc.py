@@ -27,6 +27,9 @@ from .plan import Plan
 #: A step never spans more than this many time scales of a guard that is no polynomial.
 REACH = 8.0
 
+#: Share of an arc by which it may end beside the event onto which it is made.
+AIMED = 1e-6
+
 
 @attrs.frozen
 class Fired:
@@ -92,6 +95,7 @@ class ArcFlow:
         self.grazes: list[tuple[float, int, np.ndarray]] = []
         self.tied: dict[str, int] = {}
         self.left: set[int] = set()
+        self.predicted: set[int] = set()
         self.made = 0
 
     def run(self) -> Flown:
@@ -259,15 +263,16 @@ class ArcFlow:
         """The end of a short flight onto a contact, or back onto a guard, from its series (2)."""
         if self.series is None:
             return None
-        best = None
-        for index in range(len(self.field.guards)):
-            if self._predicts(index):
-                gap = [self._side(index) * c for c in self.series[1][index]]
-                gap[0] = 0.0 if self.entered[index] else gap[0]
-                zero = falls(self.series[0], gap, FAR)
-                if zero is not None and zero < length:
-                    best = zero if best is None else min(best, zero)
-        return best
+        found = {}
+        for index in filter(self._predicts, range(len(self.field.guards))):
+            gap = [self._side(index) * c for c in self.series[1][index]]
+            gap[0] = 0.0 if self.entered[index] else gap[0]
+            zero = falls(self.series[0], gap, FAR)
+            if zero is not None and zero < length:
+                found[index] = zero
+        best = min(found.values(), default=float("inf"))
+        self.predicted = {index for index, zero in found.items() if zero <= best * (1.0 + AIMED)}
+        return best if found else None
 
     def _predicts(self, index: int) -> bool:
         """Whether a guard's flight may be short: a contact's, or one that begins at its zero."""
@@ -353,10 +358,10 @@ class ArcFlow:
         fired = self._first_zero(index, found, segment, tolerance, grazes)
         if fired is not None:
             return fired
-        if target is not None and segment.end == target and self._predicts(index):
+        if target is not None and segment.end == target:
             near = self._near_end(index, segment, stepper)
             if near is not None:
-                return Fired(index, near)
+                return near
         sunk = self._sunk(index, segment, stepper, tolerance)
         return Fired(index, segment.start) if sunk else None
 
@@ -461,12 +466,23 @@ class ArcFlow:
         _, first, second = guard.lie(self.now.t + tau, segment(tau).tolist())
         return first * second <= 0 and first * first <= 2 * abs(second) * tolerance
 
-    def _near_end(self, index: int, segment: Segment, stepper: Stepper) -> float | None:
-        """A step made onto a predicted impact ends within rounding of it, on either side."""
-        t, x = self.now.t + segment.end, stepper.x.tolist()
-        value, rate, _ = self.field.guards[index].lie(t, x)
-        near = abs(value) <= -1e-6 * self._side(index) * rate * segment.length
-        return segment.end if near or abs(value) <= self._rounding(index, t, x) else None
+    def _near_end(self, index: int, segment: Segment, stepper: Stepper) -> Fired | None:
+        """A step made onto a predicted event ends next to it, on either side; so it does of what
+        else fires there, which has been on its other side on the way (4)."""
+        t, x, guard = self.now.t + segment.end, stepper.x.tolist(), self.field.guards[index]
+        value, rate, _ = guard.lie(t, x)
+        rounding = self._rounding(index, t, x)
+        if index in self.predicted:
+            inwards = int(self._side(index))
+            near = abs(value) <= -AIMED * inwards * rate * segment.length
+            return Fired(index, segment.end, -inwards) if near or abs(value) <= rounding else None
+        direction, middle = int(np.sign(rate)), segment.start + 0.5 * segment.length
+        if not (
+            fires(guard.crossing, direction) and abs(value) <= AIMED * abs(rate) * segment.length
+        ):
+            return None
+        before = guard.value(self.now.t + middle, segment(middle).tolist())
+        return Fired(index, segment.end, direction) if before * direction < -rounding else None
 
     def _rounding(self, index: int, t: float, x: list[float]) -> float:
         """What rounding can make of a guard that is zero, and did where the arc left it."""

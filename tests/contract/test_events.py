@@ -83,6 +83,16 @@ def test_events_are_passed_and_fire_at_every_crossing(way):
         assert result.final.x == pytest.approx(np.cos(20.0 + phase), abs=1e-6)
 
 
+@pytest.mark.parametrize("level", [0.9, 0.99, 0.9999, -0.95])
+def test_events_that_return_soon_are_counted_once(way, level):
+    """The end of a short arc is predicted for one of the three that fire there."""
+    starts = [[np.cos(p), -np.sin(p), 0.0, 0.0, 0.0] for p in PHASES]
+    results = way.many(Circle(), starts, (0.0, 20.0), {"level": [level] * len(starts)}, rtol=1e-9)
+    for phase, result in zip(PHASES, results, strict=True):
+        up, down = passages(phase, 20.0, level)
+        assert (result.final.up, result.final.down, result.final.both) == (up, down, up + down)
+
+
 def test_a_kick_onwards_is_an_event(way):
     """Begun beyond the guard and after the alarm: pushed at each passage upwards."""
     result = way.run(Clock(), [1.0, 0.0, 0.0], (6.0, 6.0 + 4 * np.pi), rtol=1e-9)
