@@ -1,4 +1,4 @@
-"""Derivatives of two hundred random scenes against differences of their runs.
+"""Derivatives of four hundred random scenes against differences of their runs.
 
 Every number that a run gives (times and states of jumps, limits, the end) by every number that it
 is given (parameters, start, first and last time), one line a model: the largest distance that the
@@ -20,7 +20,7 @@ def main(count):
         worst = max(found, key=lambda each: each.off)
         sums = [sum(getattr(each, what) for each in found) for what in ("judged", "left", "none")]
         text = "{} compared, {} not told by differences, {} without a derivative".format(*sums)
-        print(f"{name:8} {worst.off:8.1e}  {text}; {worst.what}", flush=True)
+        print(f"{name:14} {worst.off:8.1e}  {text}; {worst.what}", flush=True)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from models.bead_on_table import BeadOnTable
 from models.hard_spring import HardSpring
 from models.pyragas import Pyragas
 from models.relay import Relay
+from tests import delayed
 from tests.systems import Drag, ForcedOscillator
 
 
@@ -372,6 +373,8 @@ SCENES = {
     "dropped": (Dropped, {"k": (0.5, 2.0), "r": (0.3, 0.5), "y": (0.6, 1.0)}, (0.0, 3.0)),
     "fading": (Fading, {"lag": (0.3, 0.5), "a": (0.0, 0.2), "y": (0.5, 1.0)}, (0.0, 2.7)),
     "sighted": (Sighted, {"tau": (0.2, 0.35), "x": (-0.4, -0.1), "u": (0.1, 0.4)}, (0.0, 5.0)),
+    "held": (delayed.Held, {"tau": (0.8, 0.95), "y": (0.4, 0.6)}, (0.0, 3.1)),
+    "slider": (delayed.Slider, {"x": (0.2, 0.4), "d": (0.0, 0.2)}, (0.0, 3.0)),
     "echoed": (Echoed, {"tau": (0.5, 0.7), "at": (0.4, 0.6), "y": (0.2, 0.4)}, (0.0, 2.0)),
     "powers": (Powers, {"p": (0.8, 2.5), "m": (1.5, 2.5), "x": (0.6, 1.2)}, (0.0, 2.5)),
     "drag": (Drag, {"r": (0.4, 0.8), "c": (0.1, 0.4), "x": (0.5, 1.5)}, (0.0, 2.0)),
