@@ -32,7 +32,17 @@ from ..zeno.narrow import seen
 from . import switch, truncate
 from .arc import ArcFlow, Flown
 from .cycles import Cycles, Seen, pass_limit
-from .entry import Entry, Jumped, before_impact, beyond_kinks, describe, enter, opened, signs_at_end
+from .entry import (
+    Entry,
+    Jumped,
+    before_impact,
+    beyond_kinks,
+    describe,
+    enter,
+    extent,
+    opened,
+    signs_at_end,
+)
 from .machine import Machine
 from .memory import Memory
 from .pace import Pace
@@ -137,10 +147,9 @@ class Driver:
             self._jumped = jumped
             self.seen = np.maximum(self.seen, np.abs(x))
 
-    def _off(self, x: np.ndarray) -> float:
-        """What a state may be off, by the tolerances; little, however loose they are."""
-        size = float(np.abs(x).max())
-        return min(self.plan.limit + self.plan.rtol * size, NEAR * self._reach(x))
+    def _off(self, x: np.ndarray) -> np.ndarray:
+        """What each state may be off, by the tolerances."""
+        return self.plan.limit + self.plan.rtol * np.abs(x)
 
     def _reach(self, x: np.ndarray) -> float:
         """The size of the largest state that the run has seen, this one among them."""
@@ -516,11 +525,12 @@ class Driver:
         """The contacts held at present that a jump has left closed: gap and speed zero."""
         if mode != self.entry.field.mode or not self.entry.field.held:
             return ()
-        size, held = CLOSED * self._reach(x), []
-        for guard in self.scene.field(mode).guards:
+        field, held = self.scene.field(mode), []
+        for guard in field.guards:
             if guard.edge in self.entry.field.held:
                 gap, speed, _ = guard.lie(self.t, x.tolist())
-                if max(abs(gap), abs(speed)) <= size:
+                high, fast, _ = extent(self.scene, guard, field, self.t, x, self.seen)
+                if abs(gap) <= CLOSED * high and abs(speed) <= CLOSED * fast:
                     held.append(guard.edge)
         return tuple(held)
 
@@ -595,7 +605,10 @@ class Driver:
         record.arc(field, x, found.x_inf, found.remaining, segments)
         if not found.remaining:  # impacts at one instant may have opened others
             held = self._still_held(mode, found.x_inf)
-        self._go_on_from(found, found.edges, found.ratio, self._after(found.edges, held))
+        after = self._after(found.edges, held)
+        if after is not None and not np.isfinite(self._closed(*after, found.x_inf)).all():
+            after = None  # contacts that close on a body from both sides leave it no rest
+        self._go_on_from(found, found.edges, found.ratio, after)
 
     def _after(
         self, cycle: tuple[str, ...], held: tuple[str, ...]

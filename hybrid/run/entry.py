@@ -89,13 +89,18 @@ class Jumped:
 
 
 def enter(
-    scene: Scene, t: float, mode: str, x: np.ndarray, jumped: Jumped, seen: np.ndarray, off: float
+    scene: Scene,
+    t: float,
+    mode: str,
+    x: np.ndarray,
+    jumped: Jumped,
+    seen: np.ndarray,
+    off: np.ndarray,
 ) -> Entry:
     """The start of an arc in a mode as declared.
 
-    ``seen`` are the sizes of the states that the run has seen: rounding is measured by them, that
-    of an edge's guard by those of the states it is made of; ``off`` what a state may be off after a
-    jump, by the tolerances.
+    ``seen`` are the sizes of the states that the run has seen: rounding of a guard is measured by
+    those that it is made of; ``off`` what each state may be off after a jump, by the tolerances.
 
     Raises
     ------
@@ -110,7 +115,7 @@ def enter(
         _require_on_surface(scene, field, t, x)
     if field.project is not None:
         x = np.array(field.project(t, x.tolist()))
-    here = _Here(scene, field, t, x, seen, 0.0 if jumped.starting else off)
+    here = _Here(scene, field, t, x, seen, 0.0 * off if jumped.starting else off)
     orders, at_once, signs = [], [], []
     for index, guard in enumerate(field.guards):
         order, sign = here.start_of(guard, index, jumped)
@@ -161,6 +166,19 @@ def expand(field: Field, t: float, x: np.ndarray) -> Any:
         return field.expand(t, x.tolist(), [0] * field.kinks)
     except (ValueError, OverflowError, ZeroDivisionError):
         return None
+
+
+def extent(
+    scene: Scene, guard: Guard, field: Field, t: float, x: np.ndarray, seen: np.ndarray
+) -> list[float]:
+    """Sizes of the terms that a guard and its first two derivatives are made of: here, and where
+    the states are as large as the run has seen them."""
+    sizes = scene.rounding(guard, field)
+    here = sizes(t, x.tolist())
+    far = sizes(t, seen.tolist()) if len(seen) else here
+    return [
+        max(one, other) if isfinite(other) else one for one, other in zip(here, far, strict=True)
+    ]
 
 
 def heading(
@@ -271,7 +289,7 @@ class _Here:
     t: float
     x: np.ndarray
     seen: np.ndarray
-    off: float = 0.0
+    off: np.ndarray = attrs.Factory(lambda: np.zeros(0))
     expands: bool = True
 
     @cached_property
@@ -287,10 +305,20 @@ class _Here:
     def where(self) -> str:
         return describe(self.scene, self.field, self.t, self.x)
 
+    def extent(self, guard: Guard) -> list[float]:
+        """Sizes of what the guard and its derivatives are made of, as far as the run has seen."""
+        return extent(self.scene, guard, self.field, self.t, self.x, self.seen)
+
+    def lost(self, guard: Guard) -> float:
+        """What the states that a guard is made of may be off, by the tolerances; little, however
+        loose they are."""
+        off = max((float(self.off[i]) for i in guard.uses if len(self.off)), default=0.0)
+        return min(off, NEAR * max(self.reach, float(np.abs(self.x).max())))
+
     def closed(self, guard: Guard, order: int, sign: int, jumped: Jumped) -> bool:
         """Whether a contact is at rest: gap and gap speed zero, and nothing pulls.
 
-        A speed is zero, too, if it is rounding of the states that the run has seen, or the flight
+        A speed is zero, too, if it is rounding of the speeds that the run has seen, or the flight
         it leads to lower than rounding of the positions, or than the gap is off zero; in a series
         of impacts, which is summed, if it is next to nothing.
         """
@@ -305,7 +333,8 @@ class _Here:
             slow = abs(speed) <= NOTHING * self.reach
         else:
             height = max(8 * EPS * sizes[0], abs(gap))
-            slow = speed**2 <= max((64 * EPS * self.reach) ** 2, -2.0 * force * height)
+            slow = abs(speed) <= 64 * EPS * self.extent(guard)[1]
+            slow = slow or speed**2 <= -2.0 * force * height
         return slow and force < -NEAR * sizes[2]
 
     def stays(self, guard: Guard) -> bool:
@@ -361,15 +390,17 @@ class _Here:
             raise FlowError(f"{self.where()}: the guard of {guard.edge} is {value}")
         if jumped.passing is not None and value * jumped.passing.get(guard.edge, 0) > 0:
             return 0, 1 if value > 0 else -1
-        if not least and not (guard.kind == "contact" and -self.off <= value <= 0):
+        if not least and not (guard.kind == "contact" and -self.lost(guard) <= value <= 0):
             if abs(value) > NEAR * max(self.reach, *map(abs, x)):
                 return 0, 1 if value > 0 else -1
             size, rate = self.scene.rounding(guard, self.field)(t, x)[0], guard.lie(t, x)[1]
-            moves = guard.kind == "contact" and value > 0 and abs(rate) > 64 * EPS * self.reach
-            if guard.kind == "edge" and len(self.seen):
+            reach = 0.0
+            if guard.kind == "contact":
+                high, fast, _ = self.extent(guard)
+                moves = value > 0 and abs(rate) > 64 * EPS * fast
+                reach = 0.0 if moves else high
+            elif guard.kind != "release" and len(self.seen):
                 reach = max((float(self.seen[i]) for i in guard.uses), default=0.0)
-            else:
-                reach = 0.0 if moves or guard.kind == "release" else self.reach
             noise = 64 * EPS * (size + abs(t) * abs(rate) + reach)
             if abs(value) > noise:
                 return 0, 1 if value > 0 else -1

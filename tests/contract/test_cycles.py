@@ -590,3 +590,35 @@ def test_three_particles_part(way):
     result = way.run(Line(r=0.1), {"x": np.array(x), "v": np.array(v)}, (0.0, 3.0))
     assert not result.zeno
     assert result.status == "reached_end"
+
+
+class Closing(hy.Automaton):
+    """A body between a wall and one that comes nearer, with no force."""
+
+    x = hy.state()
+    v = hy.state()
+
+    u = hy.parameter(0.5)
+    r = hy.parameter(0.9)
+
+    @hy.mode
+    def between(self, t, s):
+        return s.v, 0.0
+
+    still = hy.contact(
+        between, gap=lambda self, t, s: s.x, restitution=lambda self, t, s, u: self.r
+    )
+    nears = hy.contact(
+        between,
+        gap=lambda self, t, s: 1.0 - self.u * t - s.x,
+        restitution=lambda self, t, s, u: self.r,
+    )
+
+
+@pytest.mark.parametrize(("u", "r"), [(0.5, 0.9), (0.1, 0.5)])
+def test_walls_that_close_on_a_body_leave_it_no_rest(way, u, r):
+    """They meet at 1/u, and the run ends there."""
+    result = way.run(Closing(u=u, r=r), {"x": 0.5, "v": 1.0}, (0.0, 3.0 / u))
+    assert result.status == "no_rest"
+    assert result.t == result.zeno[0].t
+    assert abs(result.zeno[0].t - 1.0 / u) <= result.zeno[0].t_error < 1e-6
