@@ -137,28 +137,32 @@ def zeros(
         What rounding makes of a guard that was zero where the arc began: it has not left zero, and
         does not cross it, before it has been larger.
     """
-    cuts: list[Cut] = []
+    places: list[Cut] = []
     for kink in guard.kinks:
-        new = list(_new_cuts(kink, segment, t0, scale, ends, cuts))
-        cuts = _apart(sorted([*cuts, *new], key=lambda cut: cut.before))
-    yield from _between(guard, segment, t0, order, scale, tolerance, ends, cuts, noise)
+        new = list(cuts(kink, segment, t0, scale, ends, 0.0, places))
+        places = _apart(sorted([*places, *new], key=lambda cut: cut.before))
+    yield from _between(guard, segment, t0, order, scale, tolerance, ends, places, noise)
 
 
-def _new_cuts(
+def cuts(
     kink: Kink,
     segment: Segment,
     t0: float,
     scale: float,
     ends: dict[Any, float],
-    cuts: list[Cut],
+    tolerance: float = 0.0,
+    others: Sequence[Cut] = (),
 ) -> Iterator[Cut]:
-    """Where a deciding function changes its sign, from start to end of a step."""
+    """Where a deciding function changes its sign, from start to end of a step.
+
+    ``others``: places at which it may change its own formula.
+    """
     first = kink.value(t0 + segment.start, segment(segment.start).tolist())
     if first == 0.0 and not ends.get(kink.edge):
         cut = _straddle(kink, segment, t0, 0.0, 0)
         if cut is not None:
             yield cut
-    for zero in _between(kink, segment, t0, 0, scale, 0.0, ends, cuts):
+    for zero in _between(kink, segment, t0, 0, scale, tolerance, ends, others):
         if zero.direction and zero.cut is None:
             share = (zero.tau - segment.start) / segment.length
             cut = _straddle(kink, segment, t0, share, zero.direction)
@@ -209,7 +213,7 @@ def _between(
     scale: float,
     tolerance: float,
     ends: dict[Any, float],
-    cuts: list[Cut],
+    cuts: Sequence[Cut],
     noise: float = 0.0,
 ) -> Iterator[Zero]:
     """Zeros between the cuts, and at them those of a guard that jumps over zero."""
@@ -229,7 +233,7 @@ def _between(
                 yield Zero(segment.start + fraction * segment.length, direction)
 
 
-def _spans(pieces: int, cuts: list[Cut]) -> Iterator[tuple[Cut | None, float, float]]:
+def _spans(pieces: int, cuts: Sequence[Cut]) -> Iterator[tuple[Cut | None, float, float]]:
     """Parts of a step between its pieces' ends and the cuts; each with the cut before it."""
     bounds = [k / pieces for k in range(1, pieces + 1)]
     left: float = 0.0

@@ -20,7 +20,8 @@ from ..scene.lowered import ORDER
 from ..segment import Segment
 from ..solvers import Solver, Stepper
 from ..zeno.flight import falls
-from .entry import MOVES, Entry, beyond_kinks, describe, expand, opened
+from .entry import MOVES, Entry, describe, expand, opened
+from .kinked import begin
 from .pace import Pace
 from .plan import Plan
 
@@ -209,8 +210,7 @@ class ArcFlow:
             sizes = np.abs(np.array(self.series[0])[:, 1:] * powers).max(axis=1)
             first = min(first or target, target)
         try:
-            t, x = beyond_kinks(self.field, self.field.changes, self.now.t, self.x)
-            return self.solver.begin(self.field, t, x, length, first, sizes)
+            return begin(self.solver, self.field, self.now.t, self.x, length, first, sizes)
         except FlowError as fault:
             raise FlowError(f"{self._where()}: {fault}") from None
         except OptionError:

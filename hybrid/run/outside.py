@@ -28,6 +28,7 @@ from ..scene.lowered import ORDER
 from ..segment import nodes
 from ..solvers import Stepper
 from .entry import describe
+from .kinked import begin
 from .pace import Pace
 
 if TYPE_CHECKING:
@@ -103,7 +104,7 @@ class Outside:
             sizes = np.abs(series * aim ** np.arange(1, series.shape[1] + 1)).max(axis=1)
             first = min(first or aim, aim)
         field, t, x = self.fields[now.ints[FIELD]], float(now.floats[T]), now.x.copy()
-        self.stepper = self.driver.solver.begin(field, t, x, length, first or None, sizes)
+        self.stepper = begin(self.driver.solver, field, t, x, length, first or None, sizes)
         self.pace = Pace(field, t, length)
 
     def _show(self, now: Now, room: Room) -> None:

@@ -151,6 +151,9 @@ class Solver(abc.ABC):
         What a step may lose; rounding, of a method that knows no tolerances.
     exact : bool
         Whether its steps are accurate to rounding.
+    cuts : bool
+        Whether it looks itself for the places at which a flow changes its formula, and ends steps
+        there.
     own_rtol : float
         The relative tolerance where the caller gives none; the absolute one is then a hundredth
         of it. Of the class, for it is asked before one is made.
@@ -167,6 +170,7 @@ class Solver(abc.ABC):
     max_step: float = float("inf")
     asked: bool = True
     exact: bool = False
+    cuts: bool = False
     rtol: float = FINEST
     atol: Any = 0.0
 

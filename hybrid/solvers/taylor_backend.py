@@ -44,7 +44,7 @@ class TaylorSolver(Solver):
     and exact to rounding."""
 
     name = method = "taylor"
-    whole = True
+    whole = cuts = True
     evaluations: int
 
     #: Its steps lose some roundings each: what is weighed against the tolerances is known as well.

@@ -54,6 +54,8 @@ class Watchful(Solver):
         What that is in all, against the states' sizes.
     """
 
+    cuts = True
+
     def __init__(
         self,
         inner: Solver,

@@ -1,0 +1,159 @@
+"""Steps that end where the flow changes its formula, by methods that do not look for such places.
+
+A method asks for the flow at a few points of a step: a layer of force between two of them is passed
+over, and so is what measures the step. But the step's polynomial shows where the functions are zero
+that decide on the formula. A step in which one is zero is taken back and made again up to a short
+way before that, where the method sees the one formula only; so that place is shown ever better.
+What is left in the end is gone in a straight line, and the method begins again beyond.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..events import EPS, SHARES, Cut, cuts
+from ..scene import Field, Kink
+from ..segment import Segment
+from ..solvers import Solver, Stepper
+from .entry import MOVES, beyond_kinks
+
+#: Share of the way to such a place that is made before it is looked for again, and of the step in
+#: which it was seen first that is gone in a straight line: that errs by the square of this.
+CLOSER, STRAIGHT = 0.999, 1e-8
+
+#: Roundings of the time, or of a state, within which nothing is told apart.
+SPACINGS = 16
+
+#: By how much time and states are moved to see what rounding makes of a deciding function, and what
+#: it may make of the last coefficients of its polynomial, against that.
+MOVED, NOISE = 8 * EPS, 1e4
+
+
+def begin(
+    solver: Solver,
+    field: Field,
+    t0: float,
+    x0: np.ndarray,
+    length: float,
+    first_step: float | None,
+    sizes: np.ndarray | None = None,
+) -> Stepper:
+    """A solver's stepper for an arc, whose steps end where the flow changes its formula.
+
+    An arc that starts on such a place starts beyond it. Along a surface on which the state is held
+    nothing is looked for: there rounding decides on signs.
+    """
+    changes = [kink for kink in field.changes if kink.change != "ends"]
+    t, x = beyond_kinks(field, field.changes, t0, x0)
+    if solver.cuts or not changes or field.project is not None:
+        return solver.begin(field, t, x, length, first_step, sizes)
+    return KinkedStepper(solver, field, changes, (t, x, length, first_step, sizes))
+
+
+class KinkedStepper(Stepper):
+    """A solver's steps, begun anew where the flow changes its formula.
+
+    Attributes
+    ----------
+    inner : Stepper
+        The method, from ``offset`` to ``bound`` at most.
+    first : float or None
+        The length of the first step tried where it begins again.
+    """
+
+    inner: Stepper
+    _segment: Segment
+
+    def __init__(
+        self, solver: Solver, field: Field, changes: list[Kink], start: tuple[Any, ...]
+    ) -> None:
+        self.solver, self.field, self.changes = solver, field, changes
+        self.t0, self.x, self.length, self.first, self.sizes = start
+        self.tau, self.seen = 0.0, 0.0
+        self._begin(self.length)
+        self.repeats = self.inner.repeats
+
+    def _begin(self, bound: float) -> None:
+        """Begin the method here, up to a local time."""
+        t, x, left = self.t0 + self.tau, self.x, bound - self.tau
+        first = None if self.first is None else min(self.first, left)
+        self.inner = self.solver.begin(self.field, t, x, left, first, self.sizes)
+        self.offset, self.bound, self.passed = self.tau, bound, False
+        self.signs: dict[Any, float] = {k.edge: k.value(t, x.tolist()) for k in self.changes}
+
+    def step(self, limit: float) -> None:
+        if self.passed or self.tau >= self.bound:
+            self._begin(self.length)
+        while True:
+            before = self.tau, self.x
+            self.inner.step(min(limit, self.bound) - self.offset)
+            own = self.inner.segment()
+            self._take(own, limit)
+            self.first = own.length
+            cut = self._first_cut(own)
+            if cut is None:
+                return
+            self.tau, self.x = before
+            self.seen, ahead = self.seen or own.length, max(cut.before, 0.0) * own.length
+            if ahead <= max(STRAIGHT * self.seen, self._speck(cut.kink)):
+                self._pass(cut, ahead)
+                return
+            self._begin(self.tau + CLOSER * ahead)
+
+    def segment(self) -> Segment:
+        return self._segment
+
+    def land(self, tau: float) -> Segment:
+        if self.passed:
+            self._segment = self._segment.cut(tau - self._segment.start)
+            self.tau, self.x = tau, self._segment(tau)
+        else:
+            self._take(self.inner.land(tau - self.offset), tau)
+        return self._segment
+
+    def _take(self, own: Segment, limit: float) -> None:
+        """Go to the end of a step of the method's; one that was made to a limit ends there."""
+        start, tau, self.x = self.offset + own.start, self.inner.tau, self.inner.x
+        ends = (end for end in (limit, self.bound) if tau == end - self.offset)
+        self.tau = next(ends, self.offset + tau)
+        self._segment = Segment(start, self.tau - start, own.coefficients)
+
+    def _first_cut(self, own: Segment) -> Cut | None:
+        """The first place in a step at which a deciding function changes its sign."""
+        t, scale = self.t0 + self.offset, self.length / SHARES
+        found = [
+            next(cuts(kink, own, t, scale, self.signs, self._noise(kink, own)), None)
+            for kink in self.changes
+        ]
+        return min(filter(None, found), key=lambda cut: cut.before, default=None)
+
+    def _noise(self, kink: Kink, own: Segment) -> float:
+        """What rounding makes of a deciding function."""
+        if kink.affine:
+            return 0.0
+        t, x = self.t0 + self.offset + own.end, self.x
+        moved = kink.value(t * (1.0 + MOVED), (x * (1.0 + MOVED)).tolist())
+        return NOISE * abs(moved - kink.value(t, x.tolist()))
+
+    def _speck(self, kink: Kink) -> float:
+        """A time in which rounding of the time, or of what decides, leaves nothing to be seen."""
+        x, flow = self.x.tolist(), self.field.rhs(self.t0 + self.tau, self.x.tolist())
+        times = [abs(x[i] / flow[i]) for i in kink.uses if flow[i]]
+        return SPACINGS * EPS * max(abs(self.t0) + self.tau, min(times, default=0.0))
+
+    def _pass(self, cut: Cut, ahead: float) -> None:
+        """Go straight on until a deciding function has the sign that it takes at a cut."""
+        t, x = self.t0 + self.tau, self.x
+        flow = np.array(self.field.rhs(t, x.tolist()))
+        more = float(np.spacing(abs(t)))
+        for _ in range(MOVES):
+            if cut.kink.value(t + ahead, (x + ahead * flow).tolist()) * cut.side > 0:
+                break
+            ahead, more = ahead + more, 2.0 * more
+        ahead = min(ahead, self.length - self.tau)
+        straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, x + ahead * flow])
+        self._segment = Segment(self.tau, ahead, straight)
+        self.tau, self.x = self.tau + ahead, x + ahead * flow
+        self.passed, self.first, self.seen = True, self.seen, 0.0
