@@ -71,9 +71,9 @@ from .zeros import EPS
 #: Most steps onto a guard: Newton's method, from a zero of its series.
 LANDINGS = 10
 
-#: An arc's end is predicted this many times as far as its series have converged: there their last
-#: terms, of order 16, are 1e-6, which is what a step that was made to end there may be off.
-FAR = 4.0
+#: An arc's end is predicted as far as the last terms of its series are this many times rounding,
+#: 1e-6: that is what a step that was made to end there may be off.
+FAR = 1e10
 
 #: An arc's first step, against that at which the method's error reaches the tolerance.
 SAFETY = 0.5
@@ -266,7 +266,8 @@ def aim(a: Automaton, now: Now, room: Room) -> float:
             c[0] = 0.0 if order == 1 else value
             side = -1.0 if crossing > 0 else 1.0
             scaled(c, side)
-            best = min(best, falls(room.c, now.x.shape[0], c, FAR, room.rows, room.found))
+            far = FAR ** (1.0 / (c.shape[0] - 1))
+            best = min(best, falls(room.c, now.x.shape[0], c, far, room.rows, room.found))
             scaled(c, side)
             c[0] = value
     return best

@@ -39,8 +39,9 @@ NO_SERIES, NOT_FINITE = -1, -2
 #: terms of its series are as large as all that follow, and half of it leaves room for a square.
 HALF, CHANGE = 0.5, 0.5
 
-#: Rounding of a kink's polynomial in Bernstein form, as a multiple of the sum of its terms.
-BLURRED = 16.0 * EPS
+#: Rounding of a kink's polynomial in Bernstein form, as a multiple of the sum of its terms: as many
+#: roundings as its highest degree.
+BLURRED = 24.0 * EPS
 
 #: Share of the way to a zero that is blurred which is made before it is looked for again.
 APPROACH = 0.9

@@ -24,9 +24,6 @@ CONVERGED = 1e-3
 #: An element of the state is measured by its first terms, so many.
 MOVES = 3
 
-#: Rounding of a gap's series, in spacings of its terms: as many as it has.
-ROUNDED = 16.0
-
 
 def falls(c: Matrix, size: int, gap: Floats, far: float, rows: Matrix, found: Matrix) -> float:
     """Where a gap first falls to zero, within ``far`` times the length over which the series of a
@@ -110,9 +107,11 @@ def zero_of(gap: Floats, reach: float, rows: Matrix, found: Matrix) -> float:
     """First zero in ``(0, reach]`` at which a gap's series falls, by more than rounding.
 
     The zero at the start, if the series begins with 0, is divided out. Infinity if there is none.
+    Rounding is as many spacings of its terms as it has.
     """
     if gap[0] < 0.0:
         return math.inf
     order = 1 if gap[0] == 0.0 else 0
-    zero = first(gap, gap.shape[0] - 1, reach, order, -1, ROUNDED, rows, found)
+    rounded = gap.shape[0] - 1.0
+    zero = first(gap, gap.shape[0] - 1, reach, order, -1, rounded, rows, found)
     return zero if math.isfinite(zero) else math.inf

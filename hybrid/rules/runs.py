@@ -303,7 +303,9 @@ def taken(now: Now, left: Left, sums: Sums, piece: int) -> None:
     left.spans[place, 0], left.spans[place, 1] = sums.starts[piece], sums.lengths[piece]
     if left.series.shape[0] > 0:
         for i in range(n):
-            copied(sums.series[piece * n + i], left.series[place * n + i])
+            own, kept = sums.series[piece * n + i], left.series[place * n + i]
+            for k in range(kept.shape[0]):
+                kept[k] = own[k] if k < own.shape[0] else 0.0
 
 
 def apart(a: Automaton, now: Now, room: Room, t: float, end: float, x: Floats) -> bool:

@@ -267,7 +267,7 @@ class ArcFlow:
         for index in filter(self._predicts, range(len(self.field.guards))):
             gap = [self._side(index) * c for c in self.series[1][index]]
             gap[0] = 0.0 if self.entered[index] else gap[0]
-            zero = falls(self.series[0], gap, FAR)
+            zero = falls(self.series[0], gap, FAR ** (1.0 / ORDER))
             if zero is not None and zero < length:
                 found[index] = zero
         best = min(found.values(), default=float("inf"))

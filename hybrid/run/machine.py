@@ -104,7 +104,7 @@ class Machine:
         self.tables = scene.tables if solver.whole else scene.watched
         self.dense = plan.dense or plan.samples is not None
         self.outside = None if solver.whole else Outside(driver, self.tables.fields, self.dense)
-        n, self.order = scene.spec.dimension, solver.order if solver.whole else ORDER
+        n, self.order = scene.spec.dimension, solver.highest if solver.whole else ORDER
         series, steps = (PATIENCE, plan.patience), (plan.longest(0.0), plan.max_step)
         atol = [plan.atol] * n if isinstance(plan.atol, float) else plan.atol
         last = (0, *solver.loss(n)) if solver.whole else (solver.order, 0.0, *atol)

@@ -44,7 +44,7 @@ SAMPLES = 256
 LOOSE = 1e3
 
 #: Rounding of the flow and of a polynomial's slope, in units of rounding of the rates and of the
-#: state over the step: a polynomial of degree 16 has slopes of up to 256 times its values.
+#: state over the step: a polynomial of degree 24 has slopes of up to 576 times its values.
 ROUNDING = 1024 * EPS
 
 #: Bits of a double.

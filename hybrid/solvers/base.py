@@ -139,6 +139,8 @@ class Solver(abc.ABC):
         Order of the method; the driver chooses an arc's first step by it.
     whole : bool
         Whether the rules' own loop makes these steps, so that it can fly whole arcs.
+    highest : int
+        The order of the steps that it then makes.
     rejected, evaluations : int or None
         Attempts at a step that failed, and evaluations of the flow (:class:`hybrid.Stats`), of one
         that counts them.
@@ -165,6 +167,7 @@ class Solver(abc.ABC):
     method: str
     order: int
     whole: bool = False
+    highest: int
     rejected: int | None = None
     evaluations: int | None = None
     max_step: float = float("inf")

@@ -28,6 +28,11 @@ REFUSED = {
 }
 
 
+#: Order of the steps that the loop makes to rounding (measured, ``docs/notes/loop.md``). Those of
+#: the driver, which are few, are of a lower one: the last coefficients of steps of 1e-12 would be
+#: beyond what a double can be.
+HIGHEST = 24
+
 #: Terms more than would cost least if a step cost nothing besides: to hold it against the flow,
 #: kinks and guards costs about as much as these (measured, ``docs/notes/loop.md``).
 MORE = 5
@@ -36,12 +41,12 @@ MORE = 5
 def order_at(rtol: float) -> int:
     """The order that costs least. If a step cost only its terms, the k-th k times the first, it
     would be that at which the radius of convergence is e^2 steps (Jorba & Zou)."""
-    return min(ORDER, MORE + math.ceil(1.0 - 0.5 * math.log(rtol)))
+    return min(HIGHEST, MORE + math.ceil(1.0 - 0.5 * math.log(rtol)))
 
 
 class TaylorSolver(Solver):
-    """Taylor series of an order that follows from the tolerance; at its own they are of order 16,
-    and exact to rounding."""
+    """Taylor series of an order that follows from the tolerance; at its own they are exact to
+    rounding."""
 
     name = method = "taylor"
     whole = cuts = True
@@ -55,7 +60,8 @@ class TaylorSolver(Solver):
             raise OptionError(f"method={method!r}: solver 'taylor' has one method; leave it out")
         self.rejected = self.evaluations = 0
         self.exact = rtol <= self.own_rtol
-        self.order = ORDER if self.exact else order_at(rtol)
+        self.highest = HIGHEST if self.exact else order_at(rtol)
+        self.order = min(self.highest, ORDER)
         if not self.exact:
             self.rtol, self.atol = rtol, atol
 
