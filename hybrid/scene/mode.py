@@ -303,6 +303,17 @@ class ModeGraph:
         make = lambda: tape(self.graph, size, np.array([]), nodes(), where)  # noqa: E731
         return self.code.once(("values", self.kept, *key), make)  # type: ignore[no-any-return]
 
+    def along(self, held: bool, nodes: Sequence[int]) -> Tape:
+        """The tape of the flow, and of functions along it.
+
+        Raises
+        ------
+        TraceError
+            Where an operation has no recurrence.
+        """
+        where, flow = f"{self.spec.model}, mode {self.mode}", np.array(self.flow(held))
+        return tape(self.graph, len(self.x), flow, nodes, where)
+
     def contact_tapes(self, name: str, held: bool) -> list[Tape]:
         """What happens at a contact, for values: :meth:`land`, :meth:`turn`, :meth:`law`."""
         return [

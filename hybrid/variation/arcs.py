@@ -1,4 +1,5 @@
-"""The first variation along an arc: fundamental matrices by collocation on dense output.
+"""The first variation along an arc: fundamental matrices, by power series from the start of each
+step, or, where a flow has none, by collocation on dense output.
 
 A change of the state obeys ``d' = f_x d + f_p dp``. Where a formula of the flow changes, the flow
 may jump from ``f-`` to ``f+``: with ``k`` the function whose zero decides, that is a jump of the
@@ -8,7 +9,7 @@ saltation matrix ``1 + (f+ - f-) k_x / (k_t + k_x f-)``.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 from typing import Any, Protocol
 
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from ..errors import OrbitError
-from ..scene import Field
+from ..scene import Field, Guard
 from ..segment import Segment, nodes
 from .derivatives import Derivatives, Directed, Matrix
 
@@ -30,6 +31,9 @@ RESOLVED, HALVINGS = 1e-12, 200
 
 #: Places of a step at which it is asked on which side of its kinks it is.
 SAMPLES = nodes(8)
+
+#: The start of a step.
+START = np.zeros(1)
 
 #: Share of a piece at whose distance from its end the flow is read on its side of a kink. It is
 #: drawn out to the end along a straight line, which errs by the square of this.
@@ -67,6 +71,13 @@ class Piece:
     @property
     def end(self) -> float:
         return self.start + self.length
+
+    @property
+    def first(self) -> np.ndarray:
+        """The state at its start."""
+        whole = self.start == self.segment.start
+        state: np.ndarray = self.segment.at(START)[0] if whole else self.segment(self.start)
+        return state
 
     @property
     def beside(self) -> float:
@@ -107,7 +118,7 @@ def along(
     field: Field,
     t: float,
     segments: Sequence[Segment],
-    rate: Matrix | None = None,
+    gap: Guard | None = None,
 ) -> Iterator[tuple[float, np.ndarray]]:
     """Local times, and matrices that carry a change from the time before to each of them.
 
@@ -118,10 +129,10 @@ def along(
     t : float
         Time at the start of the arc to which the segments belong.
     segments : sequence of Segment
-    rate : callable ``(t, x) -> (m, 1 + m + q)``, optional
-        Derivatives of the flow, and of numbers behind the state that depend on it alone.
+    gap : Guard, optional
+        A gap that is carried along as a number behind the state.
     """
-    rate = of.flow(field) if rate is None else rate
+    series, rates = of.series(field, gap), partial(_rates, of, field, gap)
     kinks, largest = None, np.zeros(of.size)
     if field.changes:
         largest = np.max([middle(field, t, segment) for segment in segments], axis=0)
@@ -132,9 +143,15 @@ def along(
             if kinks is not None and last is not None:
                 turn = bend(kinks, field, last, piece, largest)
                 if turn is not None:
-                    yield piece.start, _widened(turn, rate(t, segment(piece.start)))
-            yield piece.end, _resolve(rate, piece, of.units)
+                    yield piece.start, _widened(turn, rates()(t, segment(piece.start)))
+            matrix = None if series is None else series.carried(piece)
+            yield piece.end, _resolve(rates(), piece, of.units) if matrix is None else matrix
             last = piece
+
+
+def _rates(of: Derivatives | Directed, field: Field, gap: Guard | None) -> Matrix:
+    """Derivatives of the flow, and of a gap's speed behind it."""
+    return of.flow(field) if gap is None else of.flow_with_gap(gap, field)
 
 
 def whole(matrices: Iterator[tuple[float, np.ndarray]]) -> np.ndarray:

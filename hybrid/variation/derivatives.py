@@ -11,12 +11,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import attrs
 import numpy as np
 
+from ..errors import TraceError
 from ..scene import Field, Guard, Scene
 from ..scene.derivatives import gradient
 from ..scene.lowered import deciding
 from ..scene.mode import ModeGraph
+from ..scene.tape import Tape
+from .series import Series
 
 Matrix = Callable[[float, np.ndarray], np.ndarray]
 
@@ -42,6 +46,7 @@ class Derivatives:
         values = np.abs([v for p in scene.parameters[:own] for v in np.ravel(p)][: self.count])
         self.units = np.where(values > 0.0, values, 1.0)
         self._made: dict[Any, Matrix] = {}
+        self._series: dict[Any, Series | None] = {}
 
     def flow(self, field: Field) -> Matrix:
         """``(t, x) -> (n, columns)``: of the flow of a mode, at rest and sliding as well."""
@@ -81,6 +86,39 @@ class Derivatives:
         code, name = self.scene.code, self.scene.spec.lags[number].name
         nodes = lambda g: g.values(code.closed("lag", name))  # noqa: E731
         return self._slopes(("lag", number, field.mode), field.mode, (), nodes)
+
+    def series(self, field: Field, gap: Guard | None = None) -> Series | None:
+        """The derivatives of :meth:`flow`, or of :meth:`flow_with_gap`, but for those by time, and
+        the flow itself, in power series; None where there are none."""
+        key = field.name, gap and gap.edge
+        if key not in self._series:
+            self._series[key] = None if self.scene.spec.lags else self._expanded(field, gap)
+        return self._series[key]
+
+    def _expanded(self, field: Field, gap: Guard | None) -> Series | None:
+        graph, more = self.scene.code.mode(field.mode), int(gap is not None)
+        key = "series", graph.kept, field.name, gap and gap.edge, self.count
+        tape, places = self.scene.code.once(key, lambda: self._sparse(graph, field, gap))
+        if tape is None:
+            return None
+        jets = tape.bind(self.scene.numbers(field.mode, tuple(field.held)))
+        return Series(jets, places, (self.size + more, self.columns - 1 + more))
+
+    def _sparse(
+        self, graph: ModeGraph, field: Field, gap: Guard | None
+    ) -> tuple[Tape | None, np.ndarray]:
+        """The tape of a flow and of those of its derivatives that are not zero, and their places;
+        nothing is derived by a gap."""
+        held, zero, inputs = bool(field.held), graph.graph.const(0.0), self._inputs(graph)[1:]
+        more = [] if gap is None else [graph.rate(_node(graph, gap), graph.flow(held))]
+        slopes = [gradient(graph.graph, node, inputs) for node in (*graph.flow(held), *more)]
+        found = [(i, j) for i, row in enumerate(slopes) for j, n in enumerate(row) if n != zero]
+        places = [(i, j + len(more) * (j >= self.size)) for i, j in found]
+        try:
+            tape = graph.along(held, [slopes[i][j] for i, j in found])
+        except TraceError:
+            tape = None
+        return tape, np.array(places, dtype=np.int64).reshape(-1, 2)
 
     def law(self, contact: str) -> Matrix:
         """``(t, x) -> (1, columns)``: of the restitution at rest."""
@@ -246,6 +284,10 @@ class Directed:
 
     def flow_with_gap(self, guard: Guard, field: Field) -> Matrix:
         return self._turned(self.of.flow_with_gap(guard, field), 1)
+
+    def series(self, field: Field, gap: Guard | None = None) -> Series | None:
+        made = self.of.series(field, gap)
+        return None if made is None else attrs.evolve(made, change=self.change)
 
     def law(self, contact: str) -> Matrix:
         return self._turned(self.of.law(contact))

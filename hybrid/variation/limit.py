@@ -141,8 +141,7 @@ class _Limits:
         still[:n] -= np.outer(start, on[0])
         # the gap is a coordinate of its own: its change must not be lost in the rounding of the
         # state's, however low the flight
-        rate = of.flow_with_gap(self.guard, field)
-        carried = whole(along(of, field, t, flight.segments(), rate))
+        carried = whole(along(of, field, t, flight.segments(), self.guard))
         changed = carried[:, :n] @ still[:n] + carried[:, n + 1 :] @ still[n:]
         moved, gap = changed[:-1], changed[-1] - v * on[0]
         time = -gap / flight.u
