@@ -74,6 +74,25 @@ def test_steps_that_become_ever_shorter_end_in_an_error(options):
         hy.simulate(Swinging(), {"x": 1.0}, (0.0, 1e3), rtol=1e-8, **options)
 
 
+class Spiral(hy.Automaton):
+    """A body that two forces of constant size, one of them friction, stop in a finite time."""
+
+    x = hy.state()
+    v = hy.state()
+    friction = hy.parameter(0.5)
+
+    @hy.mode
+    def moves(self, t, s):
+        return s.v, -jnp.sign(s.x) - self.friction * jnp.sign(s.v)
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.5, 0.7])
+def test_steps_as_short_as_the_spacing_of_the_time_end_in_an_error(friction):
+    """Where the state changes no more, but in its sign."""
+    with pytest.raises(hy.FlowError, match=r"Spiral, mode moves, t = .*(ever shorter|became zero)"):
+        hy.simulate(Spiral(friction=friction), {"x": 1.0, "v": 0.0}, (0.0, 30.0), solver="taylor")
+
+
 @pytest.mark.parametrize(("model", "stuck"), [(Stuck(), True), (Stiff(), False)])
 def test_short_steps_alone_are_no_error(model, stuck):
     """Next to a corner of a force, or over a jump to which one side does not lead, all is well."""

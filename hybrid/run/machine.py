@@ -370,9 +370,11 @@ class Machine:
         """Steps as states at the nodes of each, those of arc ``begin`` being the first's."""
         start, length = left.spans[rows].T
         series = left.series.reshape(-1, self.states.shape[1], self.order + 1)[rows]
-        powers = np.arange(self.order + 1)
-        scaled = series * length[:, None, None] ** powers
-        values = np.einsum("sik,jk->sji", scaled, nodes(self.order)[:, None] ** powers)
+        scaled = series.copy()
+        for k in range(1, self.order + 1):  # a power of a long step alone may be too large
+            scaled[..., k:] *= length[:, None, None]
+        powers = nodes(self.order)[:, None] ** np.arange(self.order + 1)
+        values = np.einsum("sik,jk->sji", scaled, powers)
         return Steps(left.owner[rows] - begin, start, length, values)
 
     def _last(self, left: Left) -> np.ndarray:

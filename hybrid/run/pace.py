@@ -25,8 +25,9 @@ class Pace:
     For such that become ever shorter, as under a force ``sin(1/x)`` near 0: the time gone in steps
     512 to 1023, in 1024 to 2047, and so on grows where steps are of one length, and is the same
     where they are as short as one over their number. Where it falls like a geometric series the sum
-    of all steps is finite. And for such as go back and forth over a place where the flow jumps,
-    to which it leads back from both sides: there they stay as short as the tolerances.
+    of all steps is finite. For such as are no longer than the spacing of the time's floats. And for
+    such as go back and forth over a place where the flow jumps, to which it leads back from both
+    sides: there they stay as short as the tolerances.
     """
 
     def __init__(self, field: Field, t0: float, length: float) -> None:
@@ -51,7 +52,8 @@ class Pace:
         left, mean = self.length - end, gone / made
         if left > LEFT * mean and any(self._leads_back(k, end, x, mean) for k in self._jumps()):
             raise FlowError(f"after {self.count} steps the last are of {mean:.3g}: {LEADS_BACK}")
-        if self.falls >= ROWS and left > LEFT * last:
+        stuck = mean <= FEW * np.spacing(end)  # the time itself tells no shorter ones apart
+        if (stuck or self.falls >= ROWS) and left > LEFT * last:
             raise FlowError(
                 f"the steps become ever shorter: {self.count} in this arc, the last of "
                 f"{last:.3g} with {left:.3g} to go; the flow swings faster and "

@@ -136,5 +136,7 @@ class TaylorStepper(Stepper):
     def segment(self) -> Segment:
         """The last step's series, in Chebyshev form."""
         series = self.room.c[: len(self.x)]
-        powers = series * (self._made ** np.arange(self.order + 1))
+        powers = series.copy()
+        for k in range(1, self.order + 1):  # a power of a long step alone may be too large
+            powers[:, k:] *= self._made
         return Segment(self._start, self.tau - self._start, from_powers(self.order) @ powers.T)

@@ -60,6 +60,15 @@ def test_a_body_at_rest_is_struck_in_any_unit_of_time(way, unit):
     assert result.final.x == pytest.approx(0.046875, rel=1e-9)
 
 
+@pytest.mark.parametrize("unit", [1e-30, 1e14, 1e18])
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+def test_the_error_of_a_limit_is_measured_in_any_unit_of_time(solver, unit):
+    """The runs that measure it come to the limit, too; 3 is exact."""
+    model = Kicked(unit=unit, due=1e3)
+    (limit,) = hy.simulate(model, fallen(0.0), (0.0, 4.0 * unit), solver=solver).zeno
+    assert abs(limit.t - 3.0 * unit) <= limit.t_error <= 1e-10 * unit
+
+
 @beside
 @pytest.mark.parametrize("height", [0.05, 1e-6])
 def test_a_body_let_go_above_the_floor_falls(way, size, height):

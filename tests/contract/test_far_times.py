@@ -47,3 +47,33 @@ def test_impacts_are_the_same_far_from_zero(way, t0, w, a, r):
     np.testing.assert_allclose(result.after.v[:count], speeds, atol=2e-5)
     if not len(exact.zeno):
         assert result.jumps == len(exact.jumps)
+
+
+class Table(hy.Automaton):
+    """A body on a table whose phase is 0 at a time ``t0``."""
+
+    x = hy.state()
+    v = hy.state()
+    t0 = hy.parameter(0.0)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -1.0
+
+    hit = hy.contact(
+        flight, gap=lambda self, t, s: s.x - 1.2 * jnp.sin(t - self.t0), restitution=0.5
+    )
+
+
+@pytest.mark.parametrize("t0", [1e6, 1e8, -1e8])
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+def test_errors_are_measured_where_forces_are_known_to_the_rounding_of_the_time(solver, t0):
+    """By a run that asks for no more than that; the limits are those at 0, to 13 digits there."""
+    exact = [
+        point.t for point in hy.simulate(Table(), [2.0, 0.0], (0.0, 17.0), solver="taylor").zeno
+    ]
+    found = hy.simulate(Table(t0=t0), [2.0, 0.0], (t0, t0 + 17.0), solver=solver).zeno
+    assert len(found) == len(exact) == 2
+    for point, at in zip(found, exact, strict=True):
+        # what a spacing of the time does to a series of fifty impacts, and not much more
+        assert abs(point.t - t0 - at) <= point.t_error <= 1e-12 * abs(t0)
