@@ -291,8 +291,8 @@ def _differentiable(runs: Runs) -> Callable[[Any], tuple[Any, Any]]:
 
     def second(rows: Any, changes: Any) -> Any:
         numbers, whole_numbers, slopes = once(*rows)
-        again = jax.jacfwd(_replay(runs).planned(*rows))
-        bends = jax.jvp(again, rows, changes)[1]
+        again = _replay(runs).planned(*rows)
+        bends = jax.jacfwd(jax.jacfwd(again))(*rows) @ changes[0]  # so that vmap can transpose it
         still = np.zeros(whole_numbers.shape, jax.dtypes.float0)
         return (numbers, whole_numbers, slopes), (_along(slopes, *changes), still, bends)
 

@@ -103,12 +103,24 @@ def _difference(runs, row, column, step, ints):
     return (8 * (ends[2] - ends[1]) - (ends[3] - ends[0])) / (12 * step)
 
 
-@pytest.mark.parametrize("name", ["forced", "kicked", "heavy"])
+@pytest.mark.parametrize("name", ["forced", "kicked", "heavy", "relay", "belt"])
 def test_second_derivatives_against_differences(name):
-    """Impacts, edges with resets by time, state and parameters, a mass that is a matrix."""
+    """Impacts, edges with resets by time, state and parameters, a mass that is a matrix;
+    sliding, from where it begins to where it ends."""
     off, judged = compared(name, 0, zeno="ignore")
     assert off < OFF
     assert judged > 50
+
+
+def test_second_derivatives_of_many_runs_at_once():
+    """Forward and reverse over the gradient of a sum of runs: the sum of what each has."""
+    rows = np.array([AT, 1.01 * AT])
+    run = lambda p: fall()(p).final["x"]  # noqa: E731
+    shifted = lambda p: jax.vmap(lambda row: run(p * row))(rows).sum()  # noqa: E731
+    exact = jax.hessian(lambda p: jax.vmap(lambda row: height(p * row))(rows).sum())(np.ones(3))
+    for outer in (jax.jacfwd, jax.jacrev):
+        found = jax.jit(outer(jax.grad(shifted)))(np.ones(3))
+        np.testing.assert_allclose(found, exact, atol=1e-11)
 
 
 # ---------------------------------------------------------------------------------------
