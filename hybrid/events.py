@@ -58,7 +58,7 @@ ENDED = 1e-4
 #: Gap and gap speed, relative to the states seen, below which a held contact stays closed.
 CLOSED = 1e-12
 
-#: A gap speed, against the states seen, at which a series of impacts that has no sum is over.
+#: A gap speed, against those seen, at which a series of impacts that has no sum is over.
 NOTHING = 1e-20
 
 #: Jumps with no time between them after which a run is taken to be caught in a loop; impacts,

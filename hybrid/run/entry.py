@@ -329,12 +329,12 @@ class _Here:
         t, x = self.t, self.x.tolist()
         gap, speed, force = guard.lie(t, x)
         sizes = self.scene.rounding(guard, self.field)(t, x)
+        fast = self.extent(guard)[1]
         if jumped.series and guard.edge in jumped.vanishing:
-            slow = abs(speed) <= NOTHING * self.reach
+            slow = abs(speed) <= NOTHING * fast
         else:
             height = max(8 * EPS * sizes[0], abs(gap))
-            slow = abs(speed) <= 64 * EPS * self.extent(guard)[1]
-            slow = slow or speed**2 <= -2.0 * force * height
+            slow = abs(speed) <= 64 * EPS * fast or speed**2 <= -2.0 * force * height
         return slow and force < -NEAR * sizes[2]
 
     def stays(self, guard: Guard) -> bool:

@@ -60,13 +60,38 @@ def test_a_body_at_rest_is_struck_in_any_unit_of_time(way, unit):
     assert result.final.x == pytest.approx(0.046875, rel=1e-9)
 
 
-@pytest.mark.parametrize("unit", [1e-30, 1e14, 1e18])
+@pytest.mark.parametrize("unit", [1e-30, 1e14, 1e20, 1e40])
 @pytest.mark.parametrize("solver", ["taylor", "scipy"])
 def test_the_error_of_a_limit_is_measured_in_any_unit_of_time(solver, unit):
     """The runs that measure it come to the limit, too; 3 is exact."""
     model = Kicked(unit=unit, due=1e3)
     (limit,) = hy.simulate(model, fallen(0.0), (0.0, 4.0 * unit), solver=solver).zeno
     assert abs(limit.t - 3.0 * unit) <= limit.t_error <= 1e-10 * unit
+
+
+class Remembered(hy.Automaton):
+    """The same ball, beside a state that sees its past."""
+
+    x = hy.state()
+    v = hy.state()
+    q = hy.state()
+    unit = hy.parameter(1.0)
+
+    @hy.mode
+    def flight(self, t, s, past):
+        return s.v, -2.0 / self.unit**2, -past(0.5 * self.unit).q / self.unit
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+
+
+@pytest.mark.parametrize("unit", [1e-10, 1e10, 1e14])
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+def test_impacts_accumulate_beside_a_delay_in_any_unit_of_time(solver, unit):
+    start = {"x": 1.0, "v": 0.0, "q": 1.0}
+    run = hy.simulate(Remembered(unit=unit), start, (0.0, 4.0 * unit), solver=solver)
+    (limit,) = run.zeno
+    # three times what fifty impacts, each rounded to 1e-15, are apart in two runs is 1e-13
+    assert abs(limit.t - 3.0 * unit) <= limit.t_error <= 1e-11 * unit
 
 
 @beside
