@@ -405,6 +405,17 @@ class Driver:
                 f"{field.refused}; near the contact it must be a smooth function of a few numbers"
             )
 
+    def _require_apart(self, x: np.ndarray) -> None:
+        """Refuse to go on where accumulations accumulate in turn: no sum of sums is made."""
+        t = self.record.heaps()
+        if t is not None:
+            edges = ", ".join(self.record.zeno[-1].edges)
+            raise JumpLoopError(
+                f"{self.where(x)}: the accumulations of {edges} accumulate in turn, about at "
+                f"t = {t:.8g}, and what is beyond is not known; end the run before that, or at "
+                f"the first accumulation with zeno='stop'"
+            )
+
     def hop_on(self, guard: Guard, speed: float) -> None:
         """Go on from an impact that is recorded, and may lead to a low flight (7)."""
         hop = self.hop(self.scene.contact(guard.edge), self.entry.x, speed, self.entry.field.name)
@@ -642,6 +653,7 @@ class Driver:
             named = ((edge, self.scene.spec.record(x)) for edge, x in limit.limits)
             point.limits = tuple(named)
         record.limit_point(point, limit)
+        self._require_apart(limit.x_inf)
         self.watch.reset()
         self.cycles.forget()
         if rest is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from functools import partial
+from itertools import takewhile
 from math import ulp
 from typing import Any
 
@@ -24,6 +25,10 @@ from ..zeno.accumulate import Tail
 from ..zeno.cycle import CycleLimit
 from .memory import Memory
 from .plan import Plan
+
+#: Accumulations of one cycle accumulate in turn where so many times between them have shrunk, the
+#: last to so small a share of the first.
+HEAP, VANISHING = 8, 1e-5
 
 
 class Recorder:
@@ -200,6 +205,21 @@ class Recorder:
         """Add an accumulation, and the tail that was summed."""
         self.zeno.append(point)
         self.tails.append(tail)
+
+    def heaps(self) -> float | None:
+        """About when the accumulations of one cycle accumulate in turn; None where they do not.
+
+        Heights go with the square of times: the last flights that rounding leaves are 1e-7 of the
+        longest.
+        """
+        edges = self.zeno[-1].edges
+        alike = takewhile(lambda point: point.edges == edges, reversed(self.zeno))
+        gaps = -np.diff([point.t for point in alike])
+        grow = np.flatnonzero(gaps[1:] <= gaps[:-1])
+        gaps = gaps[: grow[0] + 1] if len(grow) else gaps
+        if len(gaps) < HEAP or gaps[0] > VANISHING * gaps[-1]:
+            return None
+        return float(self.zeno[-1].t + gaps[0] * gaps[0] / (gaps[1] - gaps[0]))
 
     def released(self, contact: str) -> None:
         """Note the release in the contact's last accumulation."""

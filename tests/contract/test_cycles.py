@@ -622,3 +622,43 @@ def test_walls_that_close_on_a_body_leave_it_no_rest(way, u, r):
     assert result.status == "no_rest"
     assert result.t == result.zeno[0].t
     assert abs(result.zeno[0].t - 1.0 / u) <= result.zeno[0].t_error < 1e-6
+
+
+class Stairs(hy.Automaton):
+    """A ball that steps down a stair, each a quarter of the one before, when it has come to rest
+    and waited."""
+
+    x = hy.state()
+    v = hy.state()
+    floor = hy.state()
+    step = hy.state()
+    waits = hy.state()
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.v, -9.81, 0.0, 0.0, 0.0
+
+    @hy.edge(flight, to=flight, guard=lambda self, t, s: s.x - s.floor)
+    def hit(self, t, s):
+        return s.replace(v=-0.5 * s.v)
+
+    @hy.mode(limit_of=("hit",))
+    def rest(self, t, s):
+        return 0.0, 0.0, 0.0, 0.0, 1.0
+
+    @hy.edge(rest, to=flight, guard=lambda self, t, s: s.step - s.waits)
+    def down(self, t, s):
+        return s.replace(floor=s.floor - s.step, step=0.25 * s.step, waits=0.0)
+
+
+def test_accumulations_that_accumulate_in_turn_are_said_to(way):
+    """About where they do: falls with their impacts sum to 9 sqrt(2 / g), waits to 4 / 3."""
+    start = {"x": 1.0, "v": 0.0, "floor": 0.0, "step": 1.0, "waits": 0.0}
+    result = way.run(Stairs(), start, (0.0, 8.0))
+    exact = 9.0 * math.sqrt(2.0 / 9.81) + 4.0 / 3.0
+    assert "the accumulations of hit accumulate in turn" in result.said
+    said = float(result.said.partition("about at t = ")[2].partition(",")[0])
+    assert said == pytest.approx(exact, abs=1e-6)  # waits shrink faster than falls do
+    before = way.run(Stairs(), start, (0.0, 5.0))
+    assert before.status == "reached_end"
+    assert before.accumulations == 3
