@@ -20,7 +20,7 @@ from .asked import Asked
 from .errors import HybridError, OrbitError
 from .hindsight import Hindsight
 from .histories import from_start
-from .replay import Plan, plan_of
+from .replay import Plan, blank, laws_of, plan_of
 from .run import Driver
 from .scene import Scene, scene_with
 from .trajectory import Status
@@ -134,14 +134,21 @@ class Runs:
         OrbitError
             Where it cannot.
         """
-        run, steps = self._flown(row, "dense"), self.asked.max_steps
-        if run.driver is None or run.status not in ("reached_end", "max_jumps"):
-            why = dict(REASONS.values()).get(run.status, "the run failed")
-            raise OrbitError(f"{run.scene.spec.model}: of this run there are no derivatives: {why}")
-        touched = [jump.t for jump in run.driver.record.grazings]
-        assert steps is not None
-        ends = run.status == "reached_end"
-        return plan_of(run.course, touched, ends, steps, self.layout.rows)
+        return self._flown(row, "dense").plan()
+
+    def planned(self, row: np.ndarray) -> tuple[np.ndarray, ...]:
+        """What a run gives, as :meth:`values`; whether it can be flown again, and how."""
+        run = self._flown(row, "dense")
+        plan, flies = blank(laws_of(run.scene.code), self.room, self.layout.rows), False
+        with suppress(HybridError):
+            plan, flies = run.plan(), True
+        return *run.numbers(), np.array(flies), *plan
+
+    @property
+    def room(self) -> int:
+        """Most steps of a run that is flown again."""
+        assert self.asked.max_steps is not None
+        return self.asked.max_steps
 
     def _flown(self, row: np.ndarray, save: str) -> _Run:
         n = self.layout.size
@@ -215,6 +222,18 @@ class _Run:
         views["t_inf"][...], views["ratio"][...] = point.t, point.ratio
         if tail is not None:
             views["x_inf"][:], views["error"][...] = tail.x_inf, tail.t_error
+
+    def plan(self) -> Plan:
+        """How it can be flown again (:meth:`Runs.plan`)."""
+        if self.driver is None or self.status not in ("reached_end", "max_jumps"):
+            why = dict(REASONS.values()).get(self.status, "the run failed")
+            raise OrbitError(
+                f"{self.scene.spec.model}: of this run there are no derivatives: {why}"
+            )
+        touched = [jump.t for jump in self.driver.record.grazings]
+        ends, layout = self.status == "reached_end", self.of.layout
+        with np.errstate(all="ignore"):
+            return plan_of(self.course, touched, ends, self.of.room, layout.rows)
 
     # -- how that changes -------------------------------------------------------------------
 

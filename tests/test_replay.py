@@ -1,16 +1,18 @@
 """Second derivatives of runs: the arcs and jumps of a run flown again by JAX."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import hybrid as hy
-from hybrid import jit
+from hybrid import function, jit
 from hybrid.function import OUTPUTS, runs_of
 from hybrid.replay.function import Replay
 from models.bouncing_ball import BouncingBall
-from tests import gradients
+from tests import gradients, neural
 
 
 @pytest.fixture(autouse=True)
@@ -72,8 +74,13 @@ def compared(name, seed, **options):
     numbers, ints, slopes = runs.slopes(row)
     ask = lambda row: runs.plan(np.asarray(row))  # noqa: E731
     replay = Replay(runs.cls, runs.shapes, runs.layout.shapes, 16, 256, ask)
-    both = lambda row: jax.jacfwd(replay.planned(row))(row)  # noqa: E731
-    first, second = jit.jit(lambda row: (both(row), _bends(replay, row)))(row)
+
+    @jit.jit
+    def both(row):
+        fly = partial(replay.fly, replay.plan(row))
+        return jax.jacfwd(fly)(row), jax.jacfwd(jax.jacfwd(fly))(row)
+
+    first, second = both(row)
     known = np.isfinite(numbers) & np.isfinite(slopes).all(axis=1)
     np.testing.assert_allclose(first[known], slopes[known], rtol=1e-9, atol=1e-9)
     off, judged = 0.0, 0
@@ -85,10 +92,6 @@ def compared(name, seed, **options):
             far = np.abs(second[known, :, column] - change[known]).max(axis=1) / sizes
             off, judged = max(off, far.max()), judged + far.size
     return off, judged
-
-
-def _bends(replay, row):
-    return jax.jacfwd(jax.jacfwd(replay.planned(row)))(row)
 
 
 def _difference(runs, row, column, step, ints):
@@ -121,6 +124,33 @@ def test_second_derivatives_of_many_runs_at_once():
     for outer in (jax.jacfwd, jax.jacrev):
         found = jax.jit(outer(jax.grad(shifted)))(np.ones(3))
         np.testing.assert_allclose(found, exact, atol=1e-11)
+
+
+# ---------------------------------------------------------------------------------------
+# many parameters
+
+
+def test_gradients_by_many_weights_are_those_of_the_first_variation(monkeypatch):
+    """Values to the last bit, gradients to rounding: of a network's weights, of runs at once."""
+    cls, weights = neural.learner(3)
+    losses = []
+    for many in (0, len(weights)):
+        monkeypatch.setattr(function, "MANY", many)
+        losses.append(jax.jit(jax.value_and_grad(neural.loss_of(cls)))(weights))
+    (value, slopes), (same, others) = losses
+    assert float(value) == float(same)
+    np.testing.assert_allclose(slopes, others, rtol=1e-9, atol=1e-12)
+
+
+def test_with_many_parameters_accumulations_have_first_derivatives(monkeypatch):
+    """One of three runs accumulates: its gradient is that of the first variation."""
+    rows, found = np.array([AT, 1.01 * AT, [0.3, 9.81, 1.0]]), []
+    for many in (0, 3):
+        monkeypatch.setattr(function, "MANY", many)
+        run = fall()
+        slope = jax.grad(lambda p, run=run: run(p).final["x"] + run(p).jumps.t[0])
+        found.append(jax.jit(jax.vmap(slope))(rows))
+    np.testing.assert_allclose(*found, atol=1e-13)
 
 
 # ---------------------------------------------------------------------------------------

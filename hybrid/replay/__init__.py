@@ -1,5 +1,6 @@
-"""A finished run flown again by JAX, arc for arc: its derivatives of any order, in both modes."""
+"""A finished run flown again by JAX, arc for arc, for its derivatives."""
 
-from .plan import Plan, plan_of
+from .laws import laws_of
+from .plan import Plan, blank, plan_of
 
-__all__ = ["Plan", "plan_of"]
+__all__ = ["Plan", "blank", "laws_of", "plan_of"]

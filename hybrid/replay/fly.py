@@ -89,6 +89,6 @@ def _implicit(residual: Any, known: Any) -> Any:
 
     def better(found: Any, _: Any) -> tuple[Any, None]:
         off = residual(found)
-        return found - jnp.linalg.solve(slopes, off - stop_gradient(off)), None
+        return found - jnp.linalg.solve(slopes, at(0.0, off)), None
 
     return jax.lax.scan(better, known, length=ORDERS)[0]

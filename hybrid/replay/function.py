@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_batching import custom_vmap
 from jax.lax import stop_gradient
 
 from ..errors import OptionError
 from ..scene.lowered import lowered
 from .fly import ORDERS, Flight
-from .laws import laws_of
+from .laws import Laws, laws_of
 from .plan import Plan, blank
 
 
@@ -44,22 +45,36 @@ class Replay:
         room: int,
         ask: Callable[[Any], tuple[Any, ...]],
     ) -> None:
-        self.laws = laws_of(lowered(cls, shapes))
-        self.shapes, self.parts, self.ask = shapes, parts, ask
-        shape = lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype)  # noqa: E731
-        self.given = tuple(map(shape, blank(self.laws, room, rows)))
+        self.code, self.shapes, self.parts, self.ask = lowered(cls, shapes), shapes, parts, ask
+        self.rows, self.room = rows, room
+        self.ends = np.cumsum([0, *(int(np.prod(shape, dtype=int)) for shape in shapes)]).tolist()
 
-    def planned(self, row: Any) -> Callable[[Any], Any]:
-        """The run of a row of numbers, as a function of such a row that has derivatives there."""
-        plan = jax.pure_callback(
-            self.ask, self.given, stop_gradient(row), vmap_method="expand_dims"
-        )
-        return partial(self._flown, Plan(*plan))
+    @cached_property
+    def laws(self) -> Laws:
+        return laws_of(self.code)
 
-    def _flown(self, plan: Plan, row: Any) -> Any:
-        row, n = bounded(ORDERS, row), self.laws.spec.dimension
-        ends = np.cumsum([0, *(int(np.prod(shape, dtype=int)) for shape in self.shapes)]).tolist()
-        pairs = zip(pairwise(ends), self.shapes, strict=True)
+    @cached_property
+    def written(self) -> bool:
+        """Whether all flows are arithmetic: JAX derives no loop in reverse mode."""
+        modes = [self.code.mode(mode.name) for mode in self.code.spec.modes]
+        return all(mode.free and not mode.graph.foreign for mode in modes)
+
+    @cached_property
+    def given(self) -> tuple[Any, ...]:
+        """Shapes of the arrays of a plan."""
+        plan = blank(self.laws, self.room, self.rows)
+        return tuple(jax.ShapeDtypeStruct(part.shape, part.dtype) for part in plan)
+
+    def plan(self, row: Any) -> Any:
+        """That of the run of a row of numbers."""
+        given = stop_gradient(row)
+        return jax.pure_callback(self.ask, self.given, given, vmap_method="expand_dims")
+
+    def fly(self, plan: Any, row: Any) -> Any:
+        """What a run gives, by the row of numbers of which this is the plan, and there alone."""
+        plan = Plan._make(plan)
+        row, n = bounded(ORDERS, row), self.code.spec.dimension
+        pairs = zip(pairwise(self.ends), self.shapes, strict=True)
         parameters = tuple(row[a:b].reshape(shape) for (a, b), shape in pairs)
         flight = Flight(self.laws, plan, parameters, row[-1])
         (times, before, after), (t, x) = flight(row[-2], row[-2 - n : -2])
@@ -85,3 +100,27 @@ def _(orders: int, rows: Any, changes: Any) -> Any:
             "differences of the second"
         )
     return bounded(orders - 1, *rows), changes[0]
+
+
+@custom_vmap  # type: ignore[untyped-decorator]
+def any_lane(condition: Any) -> Any:
+    """Whether a condition holds in any lane: one number, however many lanes there are."""
+    return condition
+
+
+@any_lane.def_vmap  # type: ignore[untyped-decorator]
+def _(size: int, batched: Any, condition: Any) -> tuple[Any, bool]:
+    del size, batched
+    return any_lane(jnp.any(condition, axis=0)), False
+
+
+def when(condition: Any, then: Callable[[], Any], otherwise: Any) -> Any:
+    """``then()`` where the condition holds, ``otherwise`` elsewhere.
+
+    ``then`` is not computed at all where the condition holds in no lane.
+    """
+    return jax.lax.cond(
+        any_lane(condition),
+        lambda: jnp.where(condition, then(), otherwise),
+        lambda: otherwise,
+    )

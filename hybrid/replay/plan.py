@@ -13,9 +13,13 @@ from ..errors import OrbitError
 from ..scene import Field
 from ..segment import Segment
 from ..variation import Course, Walk
-from ..variation.arcs import Piece, gauss, pieces, resolved
-from ..variation.derivatives import Derivatives
+from ..variation.arcs import HALVINGS, Piece, collocate, gauss, pieces, sizes
+from ..variation.derivatives import Derivatives, Matrix
 from .laws import END, LENGTH, SAME, Laws, laws_of
+
+#: Last terms of the series of a step's slopes, relative, that are small enough: a collocation at
+#: Gauss's points errs at its end by about their square.
+RESOLVED = 1e-6
 
 #: Steps that are skipped together where a run has fewer than there is room for.
 TOGETHER = 32
@@ -239,8 +243,19 @@ class _Maker:
             )
         rate = self.of.flow(field)
         for piece in pieces(None, t, segment):
-            for part, _ in resolved(rate, piece, self.of.units):
-                yield part
+            yield from _resolved(rate, piece, self.of.units)
+
+
+def _resolved(rate: Matrix, piece: Piece, units: np.ndarray) -> Iterator[Piece]:
+    """A piece, halved until the last terms of its series are small."""
+    waiting, left = [piece], HALVINGS
+    while waiting:
+        piece = waiting.pop()
+        matrix, ripple = collocate(rate, piece)
+        if left and np.any(ripple > RESOLVED * sizes(piece, matrix, units)):
+            waiting, left = waiting + piece.halves()[::-1], left - 1
+        else:
+            yield piece
 
 
 def _number(laws: Mapping[Any, Any], key: Any) -> int:

@@ -165,27 +165,24 @@ def whole(matrices: Iterator[tuple[float, np.ndarray]]) -> np.ndarray:
 
 def _resolve(rate: Matrix, piece: Piece, units: np.ndarray) -> np.ndarray:
     """The matrix of a piece, halved until it is resolved."""
-    return whole((part.end, matrix) for part, matrix in resolved(rate, piece, units))
-
-
-def resolved(rate: Matrix, piece: Piece, units: np.ndarray) -> Iterator[tuple[Piece, np.ndarray]]:
-    """Parts of a piece that are short enough for the collocation, and the matrix of each."""
-    waiting, left = [(piece, *_collocate(rate, piece))], HALVINGS
-    while waiting:
-        piece, once, ripple = waiting.pop()
-        allowed = RESOLVED * _sizes(piece, once, units)
+    open_pieces, left, found = [(piece, *collocate(rate, piece))], HALVINGS, None
+    while open_pieces:
+        piece, once, ripple = open_pieces.pop()
+        allowed = RESOLVED * sizes(piece, once, units)
         both, halves = once, list[tuple[Piece, np.ndarray, np.ndarray]]()
         if left and np.any(ripple > allowed):
-            halves = [(half, *_collocate(rate, half)) for half in piece.halves()]
+            halves = [(half, *collocate(rate, half)) for half in piece.halves()]
             both = composed(halves[1][1], halves[0][1])
         if np.any(np.abs(both - once) > allowed):
             left -= 1
-            waiting += halves[::-1]
+            open_pieces += halves[::-1]
         else:
-            yield piece, both
+            found = both if found is None else composed(both, found)
+    assert found is not None
+    return found
 
 
-def _sizes(piece: Piece, matrix: np.ndarray, units: np.ndarray) -> np.ndarray:
+def sizes(piece: Piece, matrix: np.ndarray, units: np.ndarray) -> np.ndarray:
     """What a matrix is measured by: changes of the state by the largest, those by a parameter by
     their own and by what they are where they change the state by its size."""
     size, largest = len(matrix), np.abs(matrix).max(axis=0)
@@ -199,7 +196,7 @@ def _sizes(piece: Piece, matrix: np.ndarray, units: np.ndarray) -> np.ndarray:
     )
 
 
-def _collocate(rate: Matrix, piece: Piece) -> tuple[np.ndarray, np.ndarray]:
+def collocate(rate: Matrix, piece: Piece) -> tuple[np.ndarray, np.ndarray]:
     """The matrix of a piece, and the last terms of the series whose integral it is: where they are
     nothing, so is what is left out."""
     points, inner, weights, series = gauss()
