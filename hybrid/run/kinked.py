@@ -97,10 +97,12 @@ class KinkedStepper(Stepper):
                 return
             self.tau, self.x = before
             self.seen, ahead = self.seen or own.length, max(cut.before, 0.0) * own.length
-            if ahead <= max(STRAIGHT * self.seen, self._speck(cut.kink)):
-                self._pass(cut, ahead)
+            if ahead > max(STRAIGHT * self.seen, self._speck(cut.kink)):
+                self._begin(self.tau + CLOSER * ahead)
+            elif self._passes(cut, ahead):
                 return
-            self._begin(self.tau + CLOSER * ahead)
+            else:
+                self._begin(self.length)
 
     def segment(self) -> Segment:
         return self._segment
@@ -143,8 +145,9 @@ class KinkedStepper(Stepper):
         times = [abs(x[i] / flow[i]) for i in kink.uses if flow[i]]
         return SPACINGS * EPS * max(abs(self.t0) + self.tau, min(times, default=0.0))
 
-    def _pass(self, cut: Cut, ahead: float) -> None:
-        """Go straight on until a deciding function has the sign that it takes at a cut."""
+    def _passes(self, cut: Cut, ahead: float) -> bool:
+        """Go straight on until a deciding function has the sign that it takes at a cut; whether
+        that takes any time."""
         t, x = self.t0 + self.tau, self.x
         flow = np.array(self.field.rhs(t, x.tolist()))
         more = float(np.spacing(abs(t)))
@@ -153,7 +156,10 @@ class KinkedStepper(Stepper):
                 break
             ahead, more = ahead + more, 2.0 * more
         ahead = min(ahead, self.length - self.tau)
-        straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, x + ahead * flow])
-        self._segment = Segment(self.tau, ahead, straight)
-        self.tau, self.x = self.tau + ahead, x + ahead * flow
-        self.passed, self.first, self.seen = True, self.seen, 0.0
+        start, self.tau, self.x = self.tau, self.tau + ahead, x + ahead * flow
+        self.first, self.seen = self.seen, 0.0
+        self.passed = self.tau > start
+        if self.passed:
+            straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, self.x])
+            self._segment = Segment(start, ahead, straight)
+        return self.passed

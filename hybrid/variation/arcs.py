@@ -47,6 +47,9 @@ APART, MOST = 1e-10, 0.25
 #: what the straight line errs by.
 NOTHING = 1e-9
 
+#: What rounding of time and state makes of a kink, against its terms.
+ROUNDED = 16 * 2.0**-52
+
 #: Kinks at one instant are one where the neighbours reach them at times that differ by less than
 #: this, relative.
 SAME = 1e-6
@@ -135,6 +138,7 @@ def along(
     series, rates = of.series(field, gap), partial(_rates, of, field, gap)
     kinks, largest = None, np.zeros(of.size)
     if field.changes:
+        segments = told(segments)
         largest = np.max([middle(field, t, segment) for segment in segments], axis=0)
         kinks = of.kinks(("flow", field.name), field, lambda g: g.flow(bool(field.held)))
     last: Piece | None = None
@@ -228,6 +232,23 @@ def gauss() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 # where a formula of the flow changes
 
 
+def told(segments: Sequence[Segment]) -> list[Segment]:
+    """Steps that are long enough for their sides of kinks to be told.
+
+    Where a method has closed in on a kink, its last steps before that are not: they are made part
+    of the step before them.
+    """
+    kept: list[Segment] = []
+    for segment in segments:
+        if MOST * segment.length >= APART * segment.end:
+            kept.append(segment)
+        elif kept:
+            kept[-1] = kept[-1].cut(segment.end - kept[-1].start)
+        elif segment.length > 0.0:
+            kept.append(segment)
+    return kept
+
+
 def pieces(kinks: Matrix | None, t: float, segment: Segment) -> list[Piece]:
     """A step, cut where a formula of the flow changes inside it."""
     if kinks is None:
@@ -287,8 +308,12 @@ def passing(kinks: Matrix, piece: Piece, flow: np.ndarray) -> np.ndarray:
         If nothing is passed there, or several things are, at different times for neighbours.
     """
     t, found = piece.t + piece.end, kinks(piece.t + piece.end, piece.segment(piece.end))
-    rates = found[:, 1] + found[:, 2 : 2 + len(flow)] @ flow
-    there = np.abs(found[:, 0]) < piece.beside * np.abs(rates)
+    slopes, state = found[:, 2 : 2 + len(flow)], piece.segment(piece.end)
+    rates, size = (
+        found[:, 1] + slopes @ flow,
+        np.abs(found[:, 1] * t) + np.abs(slopes * state).sum(1),
+    )
+    there = np.abs(found[:, 0]) < piece.beside * np.abs(rates) + ROUNDED * size
     rows = -found[there, 2:] / rates[there, None]
     if not len(rows) or np.any(np.abs(rows - rows[0]) > SAME * np.abs(rows[0])):
         raise OrbitError(

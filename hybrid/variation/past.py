@@ -30,7 +30,7 @@ from numpy.polynomial.legendre import leggauss
 from ..arcs import Arc
 from ..errors import OrbitError
 from ..segment import from_values, nodes
-from .arcs import Piece, bend, middle, pieces
+from .arcs import Piece, bend, middle, pieces, told
 from .derivatives import Matrix
 from .walk import Walk
 
@@ -257,7 +257,7 @@ class Past:
         """The steps of an arc, cut at breaking points and where a formula of the flow changes."""
         t = arc.t0 + arc.low
         stops = [*self.breaks, *(shift.t + g for shift in self.shifts for g in self.sight.lags)]
-        for segment in arc.segments:
+        for segment in arc.segments if kinks is None else told(arc.segments):
             for piece in pieces(kinks, t, segment):
                 room = SAME * max(1.0, abs(t + piece.end))
                 inner = [s - t for s in stops if piece.start + room < s - t < piece.end - room]

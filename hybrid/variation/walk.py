@@ -26,7 +26,7 @@ from ..errors import OrbitError
 from ..rules.guards import NEAR
 from ..scene import Field, Guard, Scene, scene_of
 from ..trajectory import Trajectory
-from .arcs import Piece, along, passing
+from .arcs import Piece, along, passing, told
 from .derivatives import Derivatives, Directed
 from .limit import ROUNDING, cleared, through
 
@@ -446,5 +446,6 @@ class Walk:
         part = self.course.parts[index]
         if not isinstance(part, Arc) or not part.segments:
             return None
-        segment = part.segments[-1 if ends else 0]
+        changes = self.of.scene.field(part.mode).changes
+        segment = (told(part.segments) if changes else part.segments)[-1 if ends else 0]
         return Piece(part.t0 + part.low, segment, segment.start, segment.length)
