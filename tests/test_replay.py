@@ -115,6 +115,63 @@ def test_second_derivatives_against_differences(name):
     assert judged > 50
 
 
+class Lifted(hy.Automaton):
+    """A body that a force which grows lifts off a floor that moves; what lands there stays."""
+
+    x = hy.state()
+    v = hy.state()
+    lift = hy.parameter(4.0)
+    g = hy.parameter(9.0)
+    rise = hy.parameter(0.5)
+
+    @hy.mode
+    def fly(self, t, s):
+        return s.v, self.lift * t - self.g
+
+    floor = hy.contact(fly, gap=lambda self, t, s: s.x - self.rise * t**2, restitution=0.0)
+
+
+@pytest.mark.parametrize("start", [0.0, 1.0])
+def test_second_derivatives_through_rest_and_release(start):
+    """At rest from the start on, or once it has landed: it lifts off at (g + 2 rise) / lift."""
+    run = hy.as_function(Lifted(), t=(0.0, 4.0), max_jumps=4, max_steps=64)
+
+    def end(p):
+        return run(Lifted(lift=p[0], g=p[1], rise=p[2]), {"x": p[3], "v": 0.0}).final["x"]
+
+    def exact(p):
+        lift, g, rise, _ = p
+        off = (g + 2.0 * rise) / lift
+        away = 4.0 - off
+        return rise * off**2 + 2.0 * rise * off * away + rise * away**2 + lift * away**3 / 6.0
+
+    at = np.array([4.0, 9.0, 0.5, start])
+    if not start:  # on the floor: a start above it would be another run
+        end, exact = (partial(lambda f, p: f(jnp.append(p, 0.0)), f) for f in (end, exact))
+        at = at[:3]
+    assert float(end(at)) == pytest.approx(float(exact(at)), rel=1e-13)
+    np.testing.assert_allclose(jax.jacfwd(jax.grad(end))(at), jax.hessian(exact)(at), atol=1e-12)
+
+
+def test_second_derivatives_inside_a_scan():
+    """Of forward mode, three runs one behind the other."""
+    run = hy.as_function(BouncingBall(), t=(0.0, 0.8), max_jumps=8, max_steps=64)
+
+    def fold(p, steps):
+        fly = lambda x: run(BouncingBall(r=p[0]), {"x": 2.0 + 0.3 * x, "v": 0.1})  # noqa: E731
+        return steps(lambda x: fly(x).final["x"], p[1])
+
+    def scanned(step, x):
+        return jax.lax.scan(lambda x, _: (step(x), None), x, None, length=3)[0]
+
+    at = np.array([0.7, 0.5])
+    found = [
+        jax.jacrev(jax.jacfwd(partial(fold, steps=steps)))(at)
+        for steps in (scanned, lambda step, x: step(step(step(x))))
+    ]
+    np.testing.assert_allclose(*found, rtol=1e-13)
+
+
 def test_second_derivatives_of_many_runs_at_once():
     """Forward and reverse over the gradient of a sum of runs: the sum of what each has."""
     rows = np.array([AT, 1.01 * AT])
