@@ -1,6 +1,8 @@
 """Second derivatives of runs: the arcs and jumps of a run flown again by JAX."""
 
+import runpy
 from functools import partial
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +14,9 @@ from hybrid import function, jit
 from hybrid.function import OUTPUTS, runs_of
 from hybrid.replay.function import Replay
 from models.bouncing_ball import BouncingBall
-from tests import gradients, neural
+from tests import gradients
+
+neural = SimpleNamespace(**runpy.run_path("docs/examples/neural_force.py"))
 
 
 @pytest.fixture(autouse=True)
@@ -197,6 +201,13 @@ def test_gradients_by_many_weights_are_those_of_the_first_variation(monkeypatch)
     (value, slopes), (same, others) = losses
     assert float(value) == float(same)
     np.testing.assert_allclose(slopes, others, rtol=1e-9, atol=1e-12)
+
+
+def test_a_network_learns_a_force_from_impacts():
+    """The example, with few weights and steps: both what is seen and the force come nearer."""
+    (loss, off), (less, nearer) = neural.main(width=4, iterations=30)
+    assert less < 1e-2 * loss
+    assert nearer < 0.5 * off
 
 
 def test_with_many_parameters_accumulations_have_first_derivatives(monkeypatch):
