@@ -5,6 +5,7 @@ import ctypes
 import gc
 import json
 import resource
+import signal
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -33,6 +34,14 @@ def _memory_is_given_back():
         gc.collect()
         with contextlib.suppress(OSError, AttributeError):  # where the C library is another
             ctypes.CDLL("libc.so.6").malloc_trim(0)
+
+
+@pytest.fixture
+def keyboard():
+    """Interrupts, as at a prompt: what a shell starts in its background ignores them."""
+    was = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, was)
 
 
 def _resident():

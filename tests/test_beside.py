@@ -207,11 +207,13 @@ def test_a_process_that_dies_is_replaced_here(crew, monkeypatch):
 
 
 SCRIPT = """
+import signal
 import numpy as np
 import hybrid as hy
 from hybrid import beside
 from models.bouncing_ball import BouncingBall
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it
 beside.PAYS = 1e-9
 beside.os.cpu_count = lambda: 3
 print("once", flush=True)

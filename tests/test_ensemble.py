@@ -329,7 +329,7 @@ def test_progress_is_told():
     assert told[-1] == 5
 
 
-def test_the_keyboard_ends_an_ensemble():
+def test_the_keyboard_ends_an_ensemble(keyboard):
     """Promptly, in the midst of a lane or between two.
 
     Pressed once; again after two seconds, as Python loses an interrupt that arrives while a library

@@ -92,7 +92,7 @@ class KinkedStepper(Stepper):
             own = self.inner.segment()
             self._take(own, limit)
             self.first = own.length
-            cut = self._first_cut(own)
+            cut = self._first_cut(own) or self._next_to(own)
             if cut is None:
                 return
             self.tau, self.x = before
@@ -130,6 +130,20 @@ class KinkedStepper(Stepper):
             for kink in self.changes
         ]
         return min(filter(None, found), key=lambda cut: cut.before, default=None)
+
+    def _next_to(self, own: Segment) -> Cut | None:
+        """The place that is next, where a method's own steps close in on it and become as short as
+        rounding of the time."""
+        speck = SPACINGS * float(np.spacing(abs(self.t0) + self.tau))
+        if own.length > speck:
+            return None
+        t, x = self.t0 + self.tau, self.x
+        ahead = x + SPACINGS * speck * np.array(self.field.rhs(t, x.tolist()))
+        for kink in self.changes:
+            here = kink.value(t, x.tolist())
+            if here * kink.value(t + SPACINGS * speck, ahead.tolist()) < 0.0:
+                return Cut(kink, 1.0, 1.0, -int(np.sign(here)))
+        return None
 
     def _noise(self, kink: Kink, own: Segment) -> float:
         """What rounding makes of a deciding function."""
