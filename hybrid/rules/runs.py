@@ -15,6 +15,7 @@ from .chebyshev import value
 from .flights import fly
 from .guards import ROUNDED, largest, row_of, starts
 from .jets import jets, values
+from .lengths import behind, step_length
 from .places import (
     ABSOLUTE,
     AFFINE,
@@ -93,7 +94,7 @@ from .sums import (
     turned,
 )
 from .sums import LIMIT as LIMITS
-from .zeros import EPS
+from .zeros import EPS, outweighs
 
 __all__ = ("go",)
 
@@ -157,6 +158,8 @@ def accumulated(
     if not clear(a, now, room, left, sums, t, x):
         now.floats[TRIED] = v
         return GOES_ON
+    if not unreached(a, now, room, t, x, listed(left, tail, 1)):
+        return JUMP
     if not believed(a, run, now, flow, at, guard, tail, t, x, left, sums, look):
         return JUMP
     end, rest = after(t, low, left.sums[tail, REMAINING])
@@ -282,6 +285,8 @@ def hopped(a: Automaton, run: Floats, now: Now, room: Room, left: Left, sums: Su
     copied(read[:n], before)
     if not apart(a, now, room, t, t + time, before):
         return LOOK
+    if not unreached(a, now, room, t, now.x, time):
+        return LOOK
     speed = restitution(a.programs, at, t + time, before, u, sums) * -u
     values(a.programs, at + TURN, t + time, before, sums.sides, sums.c, sums.work, read)
     copied(before, now.end)
@@ -306,6 +311,24 @@ def taken(now: Now, left: Left, sums: Sums, piece: int) -> None:
             own, kept = sums.series[piece * n + i], left.series[place * n + i]
             for k in range(kept.shape[0]):
                 kept[k] = own[k] if k < own.shape[0] else 0.0
+
+
+def unreached(a: Automaton, now: Now, room: Room, t: float, x: Floats, length: float) -> bool:
+    """Whether no other guard can be zero within a flight: along it the first term of each outweighs
+    all others. What has kinks is left to the driver."""
+    field, fired = now.ints[FIELD], now.ints[FIRED]
+    program, first, order = a.fields[field, PROGRAM], a.fields[field, GUARDS], room.c.shape[1] - 1
+    if a.fields[field, GUARDS_END] - first == 1:
+        return True
+    if jets(a.programs, program, order, t, x, room.still, room.c, room.work) < 0:
+        return False
+    if room.still.shape[0] > 0 or not length <= step_length(room.c, x.shape[0]):
+        return False
+    for g in range(first, a.fields[field, GUARDS_END]):
+        c = room.c[row_of(a, program, field, g)]
+        if g != fired and not outweighs(c, 0, order, length, behind(c, length)):
+            return False
+    return True
 
 
 def apart(a: Automaton, now: Now, room: Room, t: float, end: float, x: Floats) -> bool:

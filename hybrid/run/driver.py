@@ -6,6 +6,7 @@ The rules are those of ``docs/semantics.md``; numbers in brackets are its rules.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import attrs
 import numpy as np
@@ -14,7 +15,7 @@ from ..accumulation import Accumulation
 from ..arcs import Arc, TailPart
 from ..automaton.markers import Crossing
 from ..errors import FlowError, JumpLoopError
-from ..events import CLOSED, EPS, SHARES
+from ..events import CLOSED, EPS, SHARES, zeros
 from ..log import Flights
 from ..rules.guards import NEAR
 from ..rules.runs import RISES
@@ -27,7 +28,7 @@ from ..solvers.watchful import Watchful
 from ..trajectory import Jump, Status
 from ..zeno.accumulate import Tail, close
 from ..zeno.cycle import CycleLimit
-from ..zeno.flight import fly
+from ..zeno.flight import Flight, fly
 from ..zeno.narrow import seen
 from . import switch, truncate
 from .arc import ArcFlow, Flown
@@ -50,6 +51,9 @@ from .pieces import Piece
 from .plan import PATIENCE, Plan
 from .recorder import Recorder
 from .watch import Watch
+
+#: Flights of a series of impacts, the highest, in which other guards are looked for zero by zero.
+FLIGHTS = 4
 
 
 class Driver:
@@ -451,6 +455,8 @@ class Driver:
             return None
         if self.wary and not follows(field, t, flight.segments()):
             return None
+        if _reached(field, column, t, flight):
+            return None
         end = t + flight.time
         landed = contact.land(end, flight.x)
         rounding = 64 * EPS * self._reach(x)
@@ -683,6 +689,11 @@ def _clear(tail: Tail, field: Field, column: int) -> bool:
     others = [guard for i, guard in enumerate(field.guards) if i != column]
     if not others:
         return True
+    for n in range(FLIGHTS):
+        start, x, v = tail.point(tail.r**n)
+        flight = fly(field, column, tail.t + start, x.tolist(), v)
+        if flight is not None and _reached(field, column, tail.t + start, flight):
+            return False
     shares = 4 if all(guard.affine for guard in others) else SHARES
     since = np.unique([*np.linspace(0, tail.remaining, 2 * shares), *tail.times[:shares]])
     points = [(tail.t + s, tail.state(s)) for s in since[since < tail.remaining].tolist()]
@@ -695,3 +706,14 @@ def _clear(tail: Tail, field: Field, column: int) -> bool:
         if not inside.get(guard.crossing, above or below):
             return False
     return True
+
+
+def _reached(field: Field, column: int, t: float, flight: Flight) -> bool:
+    """Whether another guard than the contact's is zero within a flight."""
+    scale = flight.time / SHARES
+    for guard in (guard for i, guard in enumerate(field.guards) if i != column):
+        ends: dict[Any, float] = {}
+        for segment in flight.segments():
+            if any(zeros(guard, segment, t, 0, scale, 0.0, ends)):
+                return True
+    return False

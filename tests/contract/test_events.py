@@ -93,6 +93,41 @@ def test_events_that_return_soon_are_counted_once(way, level):
         assert (result.final.up, result.final.down, result.final.both) == (up, down, up + down)
 
 
+class Low(hy.Automaton):
+    """A ball, and how often it rises through a level."""
+
+    x = hy.state()
+    v = hy.state()
+    n = hy.state()
+    level = hy.parameter(0.5)
+    r = hy.parameter(0.5)
+
+    @hy.mode
+    def flies(self, t, s):
+        return s.v, -10.0, 0.0
+
+    @hy.edge(flies, to=flies, guard=lambda self, t, s: s.x - self.level, crossing=hy.RISING)
+    def rises(self, t, s):
+        return s.replace(n=s.n + 1)
+
+    floor = hy.contact(flies, gap=lambda self, t, s: s.x, restitution="r")
+
+
+@pytest.mark.parametrize("r", [0.3, 0.5, 0.7])
+def test_an_event_in_low_flights_is_counted(way, r):
+    """A hundredth below the apex of each flight, down to levels of 1e-7 where a deeper passage is
+    no touch within the tolerances: neither a low flight nor a sum of impacts passes over it."""
+    flights = [k for k in range(2, 26) if r ** (2 * k) > 1e-7]
+    levels = [0.99 * r ** (2 * k) for k in flights]
+    given = {"level": levels, "r": [r] * len(levels)}
+    results = way.many(Low(), [[1.0, 0.0, 0.0]] * len(levels), (0.0, 4.0), given, rtol=1e-9)
+    for k, result in zip(flights, results, strict=True):
+        assert result.final.n == k
+        assert result.final.x == 0.0
+        # the sum of a geometric series
+        assert result.t_inf == pytest.approx(np.sqrt(0.2) * (1 + r) / (1 - r), rel=1e-9)
+
+
 def test_a_kick_onwards_is_an_event(way):
     """Begun beyond the guard and after the alarm: pushed at each passage upwards."""
     result = way.run(Clock(), [1.0, 0.0, 0.0], (6.0, 6.0 + 4 * np.pi), rtol=1e-9)
