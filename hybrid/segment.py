@@ -59,6 +59,17 @@ class Segment:
         return interpolated(self.start, length, values)
 
 
+def terms(series: np.ndarray, length: Any) -> np.ndarray:
+    """The terms of power series, the coefficients on the last axis, at the end of a step.
+
+    Factor by factor: a power of a long step alone may be too large.
+    """
+    found = series.copy()
+    for k in range(1, series.shape[-1]):
+        found[..., k:] *= length
+    return found
+
+
 def interpolated(start: float, length: float, values: np.ndarray) -> Segment:
     """The segment through states at :func:`nodes`; a state that stays the same stays so exactly."""
     coefficients = from_values(len(values) - 1) @ (values - values[0])

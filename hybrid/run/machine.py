@@ -56,7 +56,7 @@ from ..rules.runs import RISES
 from ..rules.sights import HALVINGS, POINTS, STATES
 from ..rules.sums import SHOWN
 from ..scene.lowered import ORDER
-from ..segment import nodes
+from ..segment import nodes, terms
 from ..trajectory import Status
 from ..zeno.accumulate import Tail, room_for_sums
 from ..zeno.narrow import bounded
@@ -370,9 +370,7 @@ class Machine:
         """Steps as states at the nodes of each, those of arc ``begin`` being the first's."""
         start, length = left.spans[rows].T
         series = left.series.reshape(-1, self.states.shape[1], self.order + 1)[rows]
-        scaled = series.copy()
-        for k in range(1, self.order + 1):  # a power of a long step alone may be too large
-            scaled[..., k:] *= length[:, None, None]
+        scaled = terms(series, length[:, None, None])
         powers = nodes(self.order)[:, None] ** np.arange(self.order + 1)
         values = np.einsum("sik,jk->sji", scaled, powers)
         return Steps(left.owner[rows] - begin, start, length, values)

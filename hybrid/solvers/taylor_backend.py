@@ -17,7 +17,7 @@ from ..rules.kinks import NO_SERIES, NOT_FINITE
 from ..rules.steps import NO_STEP
 from ..scene import Field
 from ..scene.lowered import ORDER
-from ..segment import Segment, from_powers
+from ..segment import Segment, from_powers, terms
 from .base import LEADS_BACK, Solver, Stepper
 
 #: What is said where there is no step.
@@ -136,7 +136,5 @@ class TaylorStepper(Stepper):
     def segment(self) -> Segment:
         """The last step's series, in Chebyshev form."""
         series = self.room.c[: len(self.x)]
-        powers = series.copy()
-        for k in range(1, self.order + 1):  # a power of a long step alone may be too large
-            powers[:, k:] *= self._made
-        return Segment(self._start, self.tau - self._start, from_powers(self.order) @ powers.T)
+        values = from_powers(self.order) @ terms(series, self._made).T
+        return Segment(self._start, self.tau - self._start, values)

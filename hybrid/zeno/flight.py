@@ -15,7 +15,7 @@ from ..rules import unit
 from ..rules.flights import most_pieces
 from ..scene.lowered import ORDER
 from ..scene.taylor import polynomial
-from ..segment import Segment, from_powers
+from ..segment import Segment, from_powers, terms
 
 if TYPE_CHECKING:
     from ..scene import Field
@@ -41,8 +41,7 @@ class Flight:
 
 
 def _segment(start: float, length: float, series: np.ndarray) -> Segment:
-    scaled = series * length ** np.arange(ORDER + 1)
-    return Segment(start, length, from_powers(ORDER) @ scaled.T)
+    return Segment(start, length, from_powers(ORDER) @ terms(series, length).T)
 
 
 def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight | None:
