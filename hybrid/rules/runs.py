@@ -283,8 +283,6 @@ def hopped(a: Automaton, run: Floats, now: Now, room: Room, left: Left, sums: Su
     read, n, before = sums.lines[READ], now.x.shape[0], left.before[now.ints[JUMPS]]
     values(a.programs, at + LAND, t + time, sums.end, sums.sides, sums.c, sums.work, read)
     copied(read[:n], before)
-    if not apart(a, now, room, t, t + time, before):
-        return LOOK
     if not unreached(a, now, room, t, now.x, time):
         return LOOK
     speed = restitution(a.programs, at, t + time, before, u, sums) * -u
@@ -314,8 +312,8 @@ def taken(now: Now, left: Left, sums: Sums, piece: int) -> None:
 
 
 def unreached(a: Automaton, now: Now, room: Room, t: float, x: Floats, length: float) -> bool:
-    """Whether no other guard can be zero within a flight: along it the first term of each outweighs
-    all others. What has kinks is left to the driver."""
+    """Whether no other guard can be zero within a flight, and no other contact has been passed: the
+    first term of each outweighs rounding and all others. What has kinks is left to the driver."""
     field, fired = now.ints[FIELD], now.ints[FIRED]
     program, first, order = a.fields[field, PROGRAM], a.fields[field, GUARDS], room.c.shape[1] - 1
     if a.fields[field, GUARDS_END] - first == 1:
@@ -324,32 +322,12 @@ def unreached(a: Automaton, now: Now, room: Room, t: float, x: Floats, length: f
         return False
     if room.still.shape[0] > 0 or not length <= step_length(room.c, x.shape[0]):
         return False
+    rounding = ROUNDED * EPS * max(largest(now.seen), largest(x))
     for g in range(first, a.fields[field, GUARDS_END]):
         c = room.c[row_of(a, program, field, g)]
-        if g != fired and not outweighs(c, 0, order, length, behind(c, length)):
-            return False
-    return True
-
-
-def apart(a: Automaton, now: Now, room: Room, t: float, end: float, x: Floats) -> bool:
-    """Whether at both ends of a low flight, from ``now.x`` to ``x``, the other guards are further
-    from zero than rounding, and have their signs."""
-    field, fired, p = now.ints[FIELD], now.ints[FIRED], a.programs
-    program, first = a.fields[field, PROGRAM], a.fields[field, GUARDS]
-    rounding = ROUNDED * EPS * max(largest(now.seen), largest(now.x))
-    if jets(p, program, 0, t, now.x, room.still, room.aside, room.work) < 0:
-        return False
-    for g in range(first, a.fields[field, GUARDS_END]):
-        here = room.aside[row_of(a, program, field, g), 0]
-        size = here if a.guards[g, KIND] == CONTACT else abs(here)
-        if g != fired and not size > rounding:
-            return False
-        now.signs[g - first] = 1 if here > 0.0 else -1
-    if jets(p, program, 0, end, x, room.still, room.aside, room.work) < 0:
-        return False
-    for g in range(first, a.fields[field, GUARDS_END]):
-        there = room.aside[row_of(a, program, field, g), 0]
-        if g != fired and not there * now.signs[g - first] > 0.0:
+        passed = a.guards[g, KIND] == CONTACT and c[0] <= 0.0
+        clear = outweighs(c, 0, order, length, rounding + behind(c, length))
+        if g != fired and (passed or not clear):
             return False
     return True
 
