@@ -15,7 +15,7 @@ import pytest
 from hybrid import solvers
 from hybrid.rules import unit
 
-from .contract.ways import MECHANISMS, SOLVERS, WAYS, expected_failure
+from .contract.ways import MECHANISMS, SOLVERS, WAYS
 
 #: Those that reach rounding.
 ACCURATE = ["DOP853", "taylor", "Dopri8"]
@@ -70,28 +70,17 @@ def _rules_are_compiled():
         unit(name)
 
 
-def pytest_configure(config):
-    """The mark of :func:`tests.contract.ways.misses`."""
-    config.addinivalue_line("markers", "misses(finding, names, raises, cases): fails today")
-
-
 def pytest_addoption(parser):
     """A choice of ways in, for a run of a part of the contract."""
     parser.addoption("--ways", help="only tests on these ways in, such as DOP853,taylor")
 
 
 def pytest_collection_modifyitems(config, items):
-    """What a way is known to miss fails, or the mark must go."""
+    """Those that are chosen."""
     if chosen := config.getoption("--ways"):
         others = [item for item in items if _way_of(item) not in chosen.split(",")]
         items[:] = [item for item in items if item not in others]
         config.hook.pytest_deselected(items=others)
-    for item in items:
-        params = item.callspec.params if hasattr(item, "callspec") else {}
-        for mark in item.iter_markers("misses"):
-            failure = expected_failure(mark, params)
-            if failure is not None:
-                item.add_marker(failure)
 
 
 def _way_of(item):

@@ -6,7 +6,7 @@ import pytest
 import hybrid as hy
 from models.bouncing_ball import BouncingBall
 
-from .ways import ALL, TABLE, Result, expected_failure, misses
+from .ways import ALL, TABLE, Result
 
 WAYS = ALL
 
@@ -51,15 +51,6 @@ def test_wrong_options_stay_errors(way):
     """Only what the model does has a status."""
     with pytest.raises(hy.OptionError):
         way.run(BouncingBall(), {"x": 1.0, "v": 0.0}, (0.0, 3.0), mode="air")
-
-
-def test_a_mark_fails_its_ways_and_cases_only():
-    """``misses`` with ways and cases; with neither it means every run of the test."""
-    mark = misses("lost", "ensemble", width=[1e-3]).mark
-    assert expected_failure(mark, {"way": "ensemble", "width": 1e-3}).kwargs["strict"]
-    assert expected_failure(mark, {"way": "ensemble", "width": 1e-1}) is None
-    assert expected_failure(mark, {"way": "taylor", "width": 1e-3}) is None
-    assert expected_failure(misses("lost").mark, {"way": "taylor"}).kwargs["reason"] == "lost"
 
 
 def test_nothing_accumulated_is_nan():

@@ -15,11 +15,6 @@ A result has the same fields whatever the way; one that the way cannot tell is N
 ``way.tells(name)`` says so beforehand. Compiling costs seconds for a new class, method or ``zeno``,
 and nothing for other numbers (but for tolerances, of ``as_function``): take parameters in place of
 new classes, and ``way.many`` for many cases of one class (one call of an ensemble).
-What a way answers wrongly is marked, so that mending it must remove the mark::
-
-    @misses("a short gust is stepped over", "LSODA", "BDF", width=[1e-3])
-    @pytest.mark.parametrize("width", [1e-1, 1e-3])
-    def test_a_gust(way, width): ...
 """
 
 from __future__ import annotations
@@ -33,7 +28,6 @@ from typing import Any
 import attrs
 import jax
 import numpy as np
-import pytest
 
 import hybrid as hy
 from hybrid.automaton.record import Record
@@ -60,33 +54,6 @@ REFUSED = ("outside", "undecided")
 
 #: What ``hy.simulate`` raises where a lane is a row with its reason. Wrong options stay errors.
 ERRORS = (hy.StartError, hy.DomainError, hy.FlowError, hy.JumpLoopError, hy.ZenoError)
-
-
-def misses(finding: str, *names: str, raises: Any = (AssertionError, IndexError), **cases: Any):
-    """Mark a test as one that these ways fail today (``xfail(strict=True)``).
-
-    Parameters
-    ----------
-    finding : str
-        What goes wrong, in words.
-    names : str
-        The ways that fail; all if none is named.
-    raises : exception types
-        How it fails; anything else is a failure of the test.
-    cases : lists, by parameter of the test
-        Values for which it fails; all where a parameter is not named.
-    """
-    return pytest.mark.misses(finding, names=names, raises=raises, cases=cases)
-
-
-def expected_failure(mark: Any, params: Mapping[str, Any]) -> Any:
-    """The strict ``xfail`` that a ``misses`` mark means for these parameters, or None."""
-    names, cases = mark.kwargs["names"], mark.kwargs["cases"]
-    if names and params.get("way") not in names:
-        return None
-    if any(params[name] not in values for name, values in cases.items()):
-        return None
-    return pytest.mark.xfail(strict=True, reason=mark.args[0], raises=mark.kwargs["raises"])
 
 
 @attrs.frozen
