@@ -4,7 +4,7 @@
     python benchmarks/table_1.py --figures docs/figures   # and the figures of docs/delays.md
 
 The system is ``models/pyragas.py``; what is computed of it is in
-``hybrid/report/control/pyragas.py``, for the report on the paper as well. Kept: the delay equation
+``paper/control/pyragas.py``, for the report on the paper as well. Kept: the delay equation
 as it is written. Restarted: after an impact the past is the state after it, which is what a solver
 sees that is started there again and given no history. See ``docs/delays.md``.
 """
@@ -19,8 +19,8 @@ import numpy as np
 from hybrid.pictures.figure import Curve, Figure, Panel, column
 from hybrid.pictures.of_run import states_panel
 from hybrid.pictures.static import draw
-from hybrid.report.control.figures import table_figure
-from hybrid.report.control.pyragas import (
+from paper.control.figures import table_figure
+from paper.control.pyragas import (
     AMPLITUDE,
     CHATTERS,
     PERIOD,

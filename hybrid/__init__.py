@@ -40,7 +40,6 @@ from .errors import (
 )
 
 if TYPE_CHECKING:
-    from . import study
     from .certificates import Certificate, certify
     from .ensembles import ensemble
     from .function import as_function
@@ -71,7 +70,10 @@ _LAZY = {
 
 def __getattr__(name: str) -> Any:
     if name == "study":
-        return import_module(".study", __name__)
+        raise AttributeError(
+            "hybrid.study has moved: it is the paper's section 2, paper/transient.py of a checkout "
+            "(from paper.transient import transient)"
+        )
     if name not in _LAZY:
         raise AttributeError(f"module 'hybrid' has no attribute {name!r}")
     value = getattr(import_module(f".{_LAZY[name]}", __name__), name)
@@ -113,6 +115,5 @@ __all__ = [
     "return_map",
     "simulate",
     "state",
-    "study",
     "switching",
 ]

@@ -271,10 +271,8 @@ def report(
     ] = None,
 ) -> None:
     """Reproduce the paper *Analysis of Impact Chattering*: a page of claims and verdicts."""
-    from .report import report as make
-
     with _one_line():
-        path = make(out, only or [], _judged)
+        path = gallery.paper().report(out, only or [], _judged)
     typer.echo(f"page: {path}")
 
 

@@ -1,8 +1,9 @@
-"""Models by name or file: the gallery that comes with the package, and the user's own."""
+"""Models by name or file, of the gallery or the user's own; and the paper of a checkout."""
 
 from __future__ import annotations
 
 import ast
+import importlib
 import importlib.util
 import sys
 from collections.abc import Mapping
@@ -109,6 +110,25 @@ def find(given: str) -> Entry:
     if history is not None and not (isinstance(history, Mapping) or callable(history)):
         raise GalleryError(f"{path}: HISTORY = {history!r}: a dict, the states by name")
     return Entry(_choose(path, models, wanted), start, until, history, module)
+
+
+def paper() -> Any:
+    """The paper claim by claim: the package ``paper`` of a checkout.
+
+    Raises
+    ------
+    GalleryError
+        Where this package is installed without it.
+    """
+    folder = Path(__file__).parents[1] / "paper"
+    if not (folder / "claims.py").is_file():
+        raise GalleryError(
+            "the paper's sections are not installed with the package: they are the folder paper/ "
+            "of a checkout of its source; there, make paper"
+        )
+    if str(folder.parent) not in sys.path:
+        sys.path.append(str(folder.parent))
+    return importlib.import_module("paper")
 
 
 def _is_pair(until: Any) -> bool:

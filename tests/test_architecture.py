@@ -26,8 +26,7 @@ LAYERS = [
     ["tangent"],
     ["rows"],
     ["simulation", "ensembles", "function", "certificates"],
-    ["compare", "gallery", "study", "orbits"],
-    ["report"],
+    ["compare", "gallery", "orbits"],
     ["cli", "__main__", "__init__"],
 ]
 

@@ -198,24 +198,3 @@ def test_what_was_before_is_the_files_or_given(tmp_path):
         "def oracle(run):\n    yield 'y', run.final.y, 1.0, 1e-8\n"
     )
     assert call("run", path, "--oracle").exit_code == 0
-
-
-def test_report_says_its_verdicts_and_writes_the_page(tmp_path):
-    """A line a claim; a section that is not there is refused before anything runs."""
-    done = call("report", "--out", tmp_path / "paper", *["--only", "existence"] * 2)
-    assert done.exit_code == 0, done.output
-    assert "reproduced" in done.output
-    assert done.output.count("Existence of chattering") == 1
-    assert (tmp_path / "paper" / "index.html").stat().st_size > 1_000_000
-    assert (tmp_path / "paper" / "figures" / "example-1.png").exists()
-    refused = call("report", "--out", tmp_path, "--only", "preface")
-    assert refused.exit_code == 2
-    assert "no section 'preface'" in refused.output
-    (tmp_path / "file").write_text("")
-    refused = call("report", "--out", tmp_path / "file")
-    assert refused.exit_code == 2
-    assert f"cannot write the page to {tmp_path / 'file'}: Not a directory" in refused.output
-    assert refused.stderr.count("\n") == 1
-    never = call("report", "--out", tmp_path / "never", "--only", "preface")
-    assert never.exit_code == 2
-    assert not (tmp_path / "never").exists()

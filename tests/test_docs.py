@@ -18,7 +18,7 @@ FILES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/*
 PAGES = [str(path.relative_to(ROOT)) for path in FILES]
 
 #: Commands that are only parsed: comparing compiles several solvers, as tests/test_compare.py does;
-#: a report takes minutes, and tests/test_page.py makes one.
+#: a report takes minutes, and paper/tests/test_whole.py makes one.
 SLOW = ["hybrid compare coupled", "hybrid report"]
 
 #: A block of Python, and the text that follows it with nothing between.

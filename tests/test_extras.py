@@ -8,8 +8,8 @@ from typer.testing import CliRunner
 
 import hybrid as hy
 from hybrid.cli import app
-from hybrid.report import report
 from models.bouncing_ball import BouncingBall
+from paper import report
 
 START, SPAN = {"x": 1.0, "v": 0.0}, (0.0, 0.5)
 

@@ -31,7 +31,6 @@ MADE = (
     "orbits.returns.ReturnMap.__call__",
     "orbits.settling.Settled",
     "solvers.base.Stepper.land",
-    "study.transient",
     "trajectory.Jumps.gaps",
 )
 
