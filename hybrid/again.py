@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import attrs
@@ -13,12 +15,16 @@ from .asked import chosen
 from .automaton.record import Record
 from .errors import HybridError
 from .events import EPS
+from .log import Log
 from .rules.guards import NEAR
 from .rules.sums import FLOOR
 from .run import Driver, Plan
+from .run.pieces import Piece
+from .scene import Scene
 from .solvers import Solver, own_rtol
 from .solvers.base import FINEST
 from .trajectory import Status
+from .zeno.accumulate import Tail
 from .zeno.cycle import CycleLimit
 
 #: Relative change of the start of the third run, by which grown rounding is measured.
@@ -34,11 +40,42 @@ STEPS, STEPS_EACH, STEPS_MORE = 2000, 40, 2
 BLURRED = 1e-13
 
 
+@attrs.frozen(eq=False)
+class Made:
+    """What a run has left, as far as it is compared with others: no more of it is kept for that.
+
+    ``limits`` are its sums and cycles beside ``zeno``, ``jumps`` and ``steps`` how many it made,
+    ``blurred`` and ``cut`` what the watch on its steps found.
+    """
+
+    scene: Scene
+    plan: Plan
+    history: Sequence[Piece] | None
+    log: Log
+    zeno: list[Accumulation]
+    limits: list[Tail | CycleLimit | None]
+    jumps: int
+    steps: int
+    exact: bool
+    blurred: float
+    cut: bool
+
+    @classmethod
+    def of(cls, driver: Driver) -> Made:
+        """What a driver has left."""
+        record, watched = driver.record, driver.watchful
+        found = record.log, record.zeno, record.tails, record.made, driver.steps
+        plan = attrs.evolve(driver.plan, progress=None)
+        seen = driver.solver.exact, watched.blurred, watched.cut
+        return cls(driver.model, plan, driver.history, *found, *seen)
+
+
 def give_errors(driver: Driver, solver: str, method: Any, mode: str, x: np.ndarray) -> None:
     """Let each accumulation measure its error when asked: by a second and a third run for all."""
-    again = _Again(driver, solver, method, mode, x)
-    for index, point in enumerate(driver.record.zeno):
-        point._errors = lambda index=index: again.errors(index)
+    if driver.record.zeno:
+        again = _Again(Made.of(driver), solver, method, mode, x)
+        for index, point in enumerate(driver.record.zeno):
+            point._errors = partial(again.errors, index)
 
 
 class _Again:
@@ -54,42 +91,44 @@ class _Again:
     no step of it had to be cut, this one needs no watch: what it steps over is a difference.
     """
 
-    def __init__(self, driver: Driver, solver: str, method: Any, mode: str, x: np.ndarray) -> None:
-        self.driver, self.own = driver, (solver, method)
+    def __init__(self, made: Made, solver: str, method: Any, mode: str, x: np.ndarray) -> None:
+        self.made, self.own = made, (solver, method)
         self.mode, self.x = mode, x
-        self._made: dict[tuple[str, bool], Driver] = {}
+        self._runs: dict[tuple[str, bool], Made] = {}
+
+    def __reduce__(self) -> Any:
+        """Pickled without the runs: they are made again where they are needed."""
+        return _Again, (self.made, *self.own, self.mode, self.x)
 
     def errors(self, index: int) -> tuple[float, Record]:
         """Bounds on the errors of an accumulation's time and state."""
-        driver = self.driver
-        parts, _ = driver.record.log.apart()
-        series = all(driver.scene.field(part.mode).jets is not None for part in parts)
+        made = self.made
+        parts, _ = made.log.apart()
+        series = all(made.scene.field(part.mode).jets is not None for part in parts)
         name = "series" if series else "own"
-        if driver.solver.exact and self._run(name, True).watchful.blurred <= BLURRED:
+        if made.exact and self._run(name, True).blurred <= BLURRED:
             finest = self._run("finest")
-            if _shows(finest, index, driver.record.zeno[index]):
-                pairs = [(driver, finest), (driver, self._run(name, True))]
-                return _errors(driver, index, pairs)
+            if _shows(finest, index, made.zeno[index]):
+                return _errors(made, index, [(made, finest), (made, self._run(name, True))])
         second = self._run(name)
-        pairs = [(driver, second), (second, self._run(name, True))]
-        return _errors(driver, index, pairs)
+        return _errors(made, index, [(made, second), (second, self._run(name, True))])
 
-    def _run(self, name: str, moved: bool = False) -> Driver:
+    def _run(self, name: str, moved: bool = False) -> Made:
         """A run, as far as it gets: what it does not get to has no bound."""
-        if (name, moved) not in self._made:
-            driver, x = self.driver, self.x
-            again = Driver(
-                driver.model, self._solver(name), self._plan(name, moved), driver.history
-            )
+        if (name, moved) not in self._runs:
+            made = self.made
+            x = _nudged(made, self.mode, self.x) if moved else self.x
+            plan = self._plan(name, moved)
+            again = Driver(made.scene, self._solver(name), plan, made.history)
             with suppress(HybridError):
-                again.run(self.mode, _nudged(driver, self.mode, x) if moved else x)
+                again.run(self.mode, x)
             if again.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt
-            self._made[name, moved] = again
-        return self._made[name, moved]
+            self._runs[name, moved] = Made.of(again)
+        return self._runs[name, moved]
 
     def _solver(self, name: str) -> Solver:
-        plan = self.driver.plan
+        plan = self.made.plan
         if name == "series":
             return chosen(attrs.evolve(plan, rtol=own_rtol("taylor")), "taylor", None)
         if name == "finest":
@@ -101,58 +140,56 @@ class _Again:
         return chosen(attrs.evolve(plan, **finer), *self.own)
 
     def _plan(self, name: str, moved: bool) -> Plan:
-        driver, alike = self.driver, self._made.get((name, False))
+        made, alike = self.made, self._runs.get((name, False))
         return attrs.evolve(
-            driver.plan,
+            made.plan,
             dense=False,
             samples=None,
-            progress=None,
-            accumulations=len(driver.record.zeno),
+            accumulations=len(made.zeno),
             closing=1e-2,
             patience=4,
-            watchful=STEPS + STEPS_EACH * driver.record.made + STEPS_MORE * driver.steps,
-            trusted=alike is not None and not alike.watchful.cut,
+            watchful=STEPS + STEPS_EACH * made.jumps + STEPS_MORE * made.steps,
+            trusted=alike is not None and not alike.cut,
             shaken=moved,
-            zeno="rest" if driver.plan.zeno == "raise" else driver.plan.zeno,
+            zeno="rest" if made.plan.zeno == "raise" else made.plan.zeno,
         )
 
 
-def _nudged(driver: Driver, mode: str, x: np.ndarray) -> np.ndarray:
+def _nudged(made: Made, mode: str, x: np.ndarray) -> np.ndarray:
     """The start moved by rounding, so that what rounding grows to is seen as well.
 
     A start on a guard is left where it is.
     """
-    guards = driver.scene.field(mode).guards
-    values = [guard.value(driver.plan.t0, x.tolist()) for guard in guards]
+    guards = made.scene.field(mode).guards
+    values = [guard.value(made.plan.t0, x.tolist()) for guard in guards]
     if any(abs(value) <= NEAR * float(np.max(np.abs(x))) for value in values):
         return x
     return x * (1.0 + NUDGE * (-1.0) ** np.arange(len(x)))
 
 
-def _errors(driver: Driver, index: int, pairs: list[tuple[Driver, Driver]]) -> tuple[float, Record]:
+def _errors(made: Made, index: int, pairs: list[tuple[Made, Made]]) -> tuple[float, Record]:
     """Bounds from the distances between runs; infinite where they do not show the same."""
-    point, record = driver.record.zeno[index], driver.scene.spec.record
-    dimension = driver.scene.spec.dimension
+    point, record = made.zeno[index], made.scene.spec.record
+    dimension = made.scene.spec.dimension
     if not all(_shows(run, index, point) for pair in pairs for run in pair):
         return float("inf"), record(np.full(dimension, np.inf))
-    floor = 4 * FLOOR * np.sqrt(1.0 + driver.record.made)
+    floor = 4 * FLOOR * np.sqrt(1.0 + made.jumps)
     t_error, x_error = floor * abs(point.t), floor * np.abs(_vector(point))
-    second = pairs[0][1].record.tails[index]
+    second = pairs[0][1].limits[index]
     extrapolated = [second] if isinstance(second, CycleLimit) else []  # from as few jumps
-    for limit in [driver.record.tails[index], *extrapolated]:
+    for limit in [made.limits[index], *extrapolated]:
         if limit is not None:
             t_error, x_error = t_error + limit.t_error, x_error + limit.x_error
     for pair in pairs:
-        one, other = (run.record.zeno[index] for run in pair)
+        one, other = (run.zeno[index] for run in pair)
         t_error = t_error + 3 * abs(one.t - other.t)
         x_error = x_error + 3 * np.abs(_vector(one) - _vector(other))
     return float(t_error), record(x_error)
 
 
-def _shows(run: Driver, index: int, point: Accumulation) -> bool:
+def _shows(run: Made, index: int, point: Accumulation) -> bool:
     """Whether a run has come to the same accumulation."""
-    zeno = run.record.zeno
-    return index < len(zeno) and zeno[index].edges == point.edges
+    return index < len(run.zeno) and run.zeno[index].edges == point.edges
 
 
 def _vector(point: Accumulation) -> np.ndarray:

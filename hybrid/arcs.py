@@ -46,17 +46,13 @@ class Arc:
     t1: float
     first: np.ndarray
     last: np.ndarray
-    _segments: Any = attrs.field(alias="segments")
+    segments: Sequence[Segment]
     project: Callable[..., Any] | None = None
 
     def ending(self, x: np.ndarray) -> Arc:
         """The same with another state at its end."""
         row = self.mode, self.j, self.t0, self.low, self.length, self.t1, self.first, x
-        return Arc(*row, self._segments, self.project)
-
-    @property
-    def segments(self) -> Sequence[Segment]:
-        return self._segments() if callable(self._segments) else self._segments
+        return Arc(*row, self.segments, self.project)
 
     def local(self, tau: Any) -> np.ndarray:
         """State at local times in the arc; shape ``tau.shape + (n,)``."""

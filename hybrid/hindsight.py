@@ -10,6 +10,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -65,6 +66,10 @@ class Hindsight:
         self.scene, self.history, self.memory, self._log = scene, history, memory, log
         self._records: dict[int, Record] = {}
         self._scenes: dict[tuple[int, ...], Scene] = {}
+
+    def __reduce__(self) -> Any:
+        """Pickled without what is made when it is asked for."""
+        return Hindsight, (self.scene, self.history, self.memory, self._log)
 
     @cached_property
     def _parts(self) -> list[Part]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import attrs
@@ -50,7 +51,7 @@ def pieces(spec: Spec, history: Any, t0: float, x: np.ndarray, memory: str = "ke
     if isinstance(history, Trajectory):
         return _of_run(spec, history, t0, memory)
     if callable(history):
-        return [_of_function(spec, lambda t: _vector(spec, history(t), "history(t)"), t0)]
+        return [_of_function(spec, partial(_all_states, spec, history), t0)]
     return [_of_states(spec, history, t0, x)]
 
 
@@ -81,14 +82,27 @@ def _of_states(spec: Spec, history: Any, t0: float, x: np.ndarray) -> Piece:
     if not any(callable(value) for value in complete.values()):
         return constant(_vector(spec, complete, "history"), t0)
 
-    def state(t: float) -> np.ndarray:
-        now = {name: v(t) if callable(v) else v for name, v in complete.items()}
-        return _vector(spec, now, f"history at t = {t!r}")
-
-    return _of_function(spec, state, t0)
+    return _of_function(spec, partial(_state_by_state, spec, complete), t0)
 
 
 def _of_function(spec: Spec, state: Callable[[float], np.ndarray], t0: float) -> Piece:
+    return Piece(-np.inf, t0, partial(_called, spec, state), np.inf)
+
+
+def _all_states(spec: Spec, history: Callable[[float], Any], t: float) -> np.ndarray:
+    return _vector(spec, history(t), "history(t)")
+
+
+def _state_by_state(spec: Spec, given: Mapping[str, Any], t: float) -> np.ndarray:
+    now = {name: v(t) if callable(v) else v for name, v in given.items()}
+    return _vector(spec, now, f"history at t = {t!r}")
+
+
+def _called(
+    spec: Spec, state: Callable[[float], np.ndarray], s: float, since: np.ndarray
+) -> np.ndarray:
+    """The states that a function of the caller's gives."""
+
     def at(t: float) -> np.ndarray:
         try:
             return state(t)
@@ -100,11 +114,8 @@ def _of_function(spec: Spec, state: Callable[[float], np.ndarray], t0: float) ->
                 "for as far back as the lags reach"
             ) from fault
 
-    def states(s: float, since: np.ndarray) -> np.ndarray:
-        with wide():  # a function of jax.numpy, too, gives 64 bits
-            return np.array([at(t) for t in (s + since).tolist()])
-
-    return Piece(-np.inf, t0, states, np.inf)
+    with wide():  # a function of jax.numpy, too, gives 64 bits
+        return np.array([at(t) for t in (s + since).tolist()])
 
 
 def _of_run(spec: Spec, run: Trajectory, t0: float, memory: str) -> list[Piece]:
@@ -139,7 +150,7 @@ def until(pieces: list[Piece], t: float) -> list[Piece]:
 
 def _unknown(spec: Spec, end: float) -> Piece:
     """What was before a run that does not say it."""
-    return Piece(-np.inf, end, lambda s, since: np.full((len(since), spec.dimension), np.nan), 0)
+    return constant(np.full(spec.dimension, np.nan), end)
 
 
 def _require_dense(spec: Spec, arc: Arc) -> None:

@@ -173,8 +173,7 @@ def _trajectory(
         options["times"] = plan.samples[: len(samples)]
     assert driver.status is not None
     parameters = {p.name: getattr(model, p.name) for p in spec.parameters}
-    guards = scene.guards
-    contacts = [name for name, guard in guards.items() if guard.kind == "contact"]
+    contacts = [name for name, guard in scene.guards.items() if guard.kind == "contact"]
     return Trajectory(
         spec,
         parameters,
@@ -184,7 +183,6 @@ def _trajectory(
         driver.status,
         options,
         samples,
-        dict(guards),
         [pair for name in contacts for pair in scene.pairs(name)],
         Hindsight(scene, driver.history, plan.memory, driver.record.log),
         versions=versions(),

@@ -148,8 +148,6 @@ class Trajectory:
         tolerances or mode were given, those that were taken. ``save`` is ``"times"``, and ``times``
         has them, where the states at some times were asked for. What was before the start of a
         model with delays is not among them.
-    surfaces : dict
-        The guards by edge, for pictures; empty in a run that was loaded.
     pairs : list of (int, int)
         Places of a contact's positions and velocities in the state vector.
     hindsight : Hindsight or None
@@ -169,7 +167,6 @@ class Trajectory:
     status: Status
     options: dict[str, Any]
     samples: np.ndarray | None = None
-    surfaces: dict[str, Any] = attrs.Factory(dict)
     pairs: list[tuple[int, int]] = attrs.Factory(list)
     hindsight: Any = None
     stats: Stats | None = None
@@ -200,6 +197,11 @@ class Trajectory:
     def t1(self) -> float:
         """Last time of the run."""
         return self.log.kept[-1].t1
+
+    @property
+    def surfaces(self) -> dict[str, Any]:
+        """The guards by edge, for pictures; empty in a run that was loaded."""
+        return dict(self.hindsight.scene.guards) if self.hindsight else {}
 
     def __call__(self, t: Any, j: int | None = None, *, side: str = "right") -> Record:
         """The state at times ``t``.

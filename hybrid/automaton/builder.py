@@ -81,6 +81,7 @@ class Builder:
             tuple(transitions),
             self.initial(),
             tuple(switchings),
+            cls=self.cls,
         )
 
     def names(self) -> None:

@@ -141,6 +141,12 @@ class LeaveSpec:
 Transition = EdgeSpec | ContactSpec | SideSpec | LeaveSpec
 
 
+def _of(cls: Any) -> Spec:
+    """The description of a class."""
+    spec: Spec = cls.spec
+    return spec
+
+
 @attrs.frozen(eq=False)
 class Spec:
     """The whole model.
@@ -157,6 +163,11 @@ class Spec:
     initial: str
     switchings: tuple[SwitchingSpec, ...] = ()
     lags: tuple[LagSpec, ...] = ()
+    cls: Any = attrs.field(default=None, eq=False, repr=False)
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Pickled as that of its class; one of a run from a file has none."""
+        return super().__reduce_ex__(protocol) if self.cls is None else (_of, (self.cls,))
 
     @property
     def windows(self) -> tuple[tuple[int, ...], ...]:

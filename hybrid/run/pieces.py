@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from math import ulp
 
 import attrs
@@ -39,13 +40,12 @@ class Piece:
 def piece_of(segment: Segment, t0: float, low: float, orders: np.ndarray | None = None) -> Piece:
     """A segment of an arc that starts at ``t0 + low``."""
     start, end = t0 + (low + segment.start), t0 + (low + segment.end)
+    return Piece(start, end, partial(_on_segment, segment, t0, low), segment.degree, orders)
+
+
+def _on_segment(segment: Segment, t0: float, low: float, s: float, since: np.ndarray) -> np.ndarray:
     middle, half = segment.start + 0.5 * segment.length, 0.5 * segment.length
-    rows = segment.coefficients
-
-    def state(s: float, since: np.ndarray) -> np.ndarray:
-        return chebyshev_sum(((((s - t0) - low) - middle) + since) / half, rows)
-
-    return Piece(start, end, state, segment.degree, orders)
+    return chebyshev_sum(((((s - t0) - low) - middle) + since) / half, segment.coefficients)
 
 
 def chebyshev_sum(places: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -58,7 +58,11 @@ def chebyshev_sum(places: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 def constant(x: np.ndarray, end: float) -> Piece:
     """The same state for all times before ``end``."""
-    return Piece(-np.inf, end, lambda s, since: np.broadcast_to(x, (len(since), len(x))), 0)
+    return Piece(-np.inf, end, partial(_always, x), 0)
+
+
+def _always(x: np.ndarray, s: float, since: np.ndarray) -> np.ndarray:
+    return np.broadcast_to(x, (len(since), len(x)))
 
 
 def states(pieces: Sequence[Piece], s: float, since: np.ndarray) -> np.ndarray:

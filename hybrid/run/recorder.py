@@ -68,7 +68,8 @@ class Recorder:
         """
         held, segments = self._flown(field, last, length, segments)
         last = last if carried else held
-        now, end, project = self.now, self._end(length), field.project
+        now, end = self.now, self._end(length)
+        project = None if field.project is None else field.onto
         if self._begun is not None:
             (now, first), self._begun = self._begun, None
             segments, self._open = [*self._open, *_later(segments, now, self.now)], []
@@ -115,7 +116,7 @@ class Recorder:
         self._sample(part)
         if isinstance(part, TailPart) and self.memory is not None:
             self.memory.tail(part)
-        if isinstance(part, Arc) and part._segments and not plan.dense:
+        if isinstance(part, Arc) and part.segments and not plan.dense:
             part = attrs.evolve(part, segments=())
         self.log.kept.append(part)
 

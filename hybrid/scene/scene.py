@@ -138,6 +138,8 @@ class Field:
         Back onto the held contacts' gaps, or onto the surface on which the state slides.
     changes : tuple of Kink
         Where the flow changes its formula.
+    scene, touching : Scene, frozenset of str
+        Where it comes from: ``scene.field(name, touching)``.
     graph : ModeGraph, optional
         What the series are made of, where it is not that of the mode (:mod:`.local`).
     """
@@ -155,7 +157,17 @@ class Field:
     project: Scalar | None = None
     refused: str = ""
     changes: tuple[Kink, ...] = ()
+    scene: Any = None
+    touching: frozenset[str] = frozenset()
     graph: Any = None
+
+    def __reduce__(self) -> Any:
+        """Pickled as what it comes from."""
+        return self.scene.field, (self.name, self.touching)
+
+    def onto(self, t: float, x: list[float]) -> Any:
+        """As ``project``; the state itself where that is None."""
+        return x if self.project is None else self.project(t, x)
 
     @property
     def closed(self) -> Any:
@@ -226,6 +238,11 @@ class Contact:
     push: Scalar
     law: Scalar
     local: bool
+    scene: Any
+
+    def __reduce__(self) -> Any:
+        """Pickled as what it comes from."""
+        return self.scene.contact, (self.name,)
 
 
 class Scene:
@@ -244,6 +261,10 @@ class Scene:
         self._fields: dict[str, Field] = {}
         self._contacts: dict[str, Contact] = {}
         self._names: dict[tuple[str, frozenset[str]], str] = {}
+
+    def __reduce__(self) -> Any:
+        """Pickled as its class and its numbers; what is made of them is made again."""
+        return _scene, (*self._made, self._values)
 
     @cached_property
     def parameters(self) -> tuple[Any, ...]:
@@ -318,7 +339,7 @@ class Scene:
         trace = lambda: code.field_closed(mode, held)  # noqa: E731
         jets, refused = (series, "") if isinstance(series, Jets) else (None, series)
         changes = self._kinks(mode, held, "flow", lambda g: g.flow(bool(held)))
-        made = trace, code, self.parameters, numbers, project, refused, changes
+        made = trace, code, self.parameters, numbers, project, refused, changes, self
         return Field(name, mode, held, rhs, jets, guards, *made)
 
     def _touching(self, field: Field, corners: frozenset[str]) -> Field:
@@ -328,7 +349,7 @@ class Scene:
         )
         series = self._series(field.mode, field.held, [guard.edge for guard in guards], corners)
         jets = series if isinstance(series, Jets) else None
-        return attrs.evolve(field, jets=jets, guards=guards)
+        return attrs.evolve(field, jets=jets, guards=guards, touching=corners)
 
     def _on_zero(self, field: Field, guard: Guard) -> Guard:
         """The guard of a contact with the formula that its gap has at zero."""
@@ -484,6 +505,7 @@ class Scene:
                 spec.rests,
                 law=law.bind(self._values),
                 local=code.local(name),
+                scene=self,
                 **laws,
             )
         return self._contacts[name]
