@@ -63,19 +63,22 @@ class Made:
     @classmethod
     def of(cls, driver: Driver) -> Made:
         """What a driver has left."""
-        record, watched = driver.record, driver.watchful
+        record, watched, plan = driver.record, driver.watchful, driver.plan
         found = record.log, record.zeno, record.tails, record.made, driver.steps
-        plan = attrs.evolve(driver.plan, progress=None)
+        plan = plan if plan.progress is None else attrs.evolve(plan, progress=None)
         seen = driver.solver.exact, watched.blurred, watched.cut
         return cls(driver.model, plan, driver.history, *found, *seen)
 
 
-def give_errors(driver: Driver, solver: str, method: Any, mode: str, x: np.ndarray) -> None:
-    """Let each accumulation measure its error when asked: by a second and a third run for all."""
-    if driver.record.zeno:
-        again = _Again(Made.of(driver), solver, method, mode, x)
-        for index, point in enumerate(driver.record.zeno):
-            point._errors = partial(again.errors, index)
+def with_errors(
+    driver: Driver, solver: str, method: Any, mode: str, x: np.ndarray
+) -> list[Accumulation]:
+    """The accumulations of a run, each of which measures its error when asked: by a second and a
+    third run for all. What a run has left does not refer to them."""
+    if not driver.record.zeno:
+        return []
+    again, points = _Again(Made.of(driver), solver, method, mode, x), enumerate(driver.record.zeno)
+    return [attrs.evolve(point, errors=partial(again.errors, k)) for k, point in points]
 
 
 class _Again:

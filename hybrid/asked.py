@@ -11,7 +11,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from .accumulation import explain
+from .accumulation import Accumulation, explain
 from .automaton.markers import name_of
 from .automaton.record import Record
 from .automaton.spec import Spec
@@ -100,7 +100,7 @@ class Asked:
         made = attrs.evolve(plan, rtol=finest) if finest < plan.rtol <= own else plan
         return Driver(scene, chosen(made, self.solver, self.method, self.controller), plan, past)
 
-    def judge(self, driver: Driver) -> None:
+    def judge(self, zeno: list[Accumulation]) -> None:
         """Refuse a run whose jumps accumulate, where that is asked.
 
         Raises
@@ -108,8 +108,8 @@ class Asked:
         ZenoError
             With ``zeno="raise"``.
         """
-        if self.zeno == "raise" and driver.record.zeno:
-            raise ZenoError(f"{self.spec.model}: {explain(driver.record.zeno[0])}")
+        if self.zeno == "raise" and zeno:
+            raise ZenoError(f"{self.spec.model}: {explain(zeno[0])}")
 
 
 def chosen(plan: Plan, solver: str, method: Any, controller: Any = None) -> Solver:
@@ -139,7 +139,7 @@ def start_of(spec: Spec, start: Any) -> np.ndarray:
     StartError
         If it is none.
     """
-    parts = []
+    x: list[float] = []
     for state, value in zip(spec.states, values_of(spec, start), strict=True):
         try:
             array = reals(value)
@@ -149,10 +149,11 @@ def start_of(spec: Spec, start: Any) -> np.ndarray:
             raise StartError(
                 f"{spec.model}: start {state.name} has shape {array.shape}; {state.shape} is due"
             )
-        if not np.isfinite(array).all():
+        numbers = array.ravel().tolist()
+        if not all(map(isfinite, numbers)):
             raise StartError(f"{spec.model}: start {state.name} = {value!r} is not finite")
-        parts.append(array.reshape(-1))
-    return np.concatenate(parts)
+        x += numbers
+    return np.array(x)
 
 
 def values_of(spec: Spec, start: Any) -> Any:

@@ -39,6 +39,8 @@ def real(value: Any) -> float:
     ValueError
         If it is none.
     """
+    if isinstance(value, float):
+        return float(value)
     array = reals(value)
     if array.shape != ():
         raise ValueError("not one number")

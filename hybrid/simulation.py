@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from .again import give_errors
+from .accumulation import Accumulation
+from .again import with_errors
 from .asked import Asked, mode_of, start_of
 from .automaton.base import require_model
 from .hindsight import Hindsight
-from .run import Driver, Plan
+from .run import Driver
 from .scene import Scene, scene_of
 from .solvers import renamed
 from .stats import Stats, versions
@@ -137,8 +138,8 @@ def simulate(
     x = start_of(scene.spec, start)
     driver, begins = asked.driver(scene, t, x, history), mode_of(scene, mode)
     driver.run(begins, x)
-    give_errors(driver, solver, method, begins, x)
-    asked.judge(driver)
+    points = with_errors(driver, solver, method, begins, x)
+    asked.judge(points)
     plan = driver.plan
     options = {
         "solver": driver.solver.name,
@@ -156,15 +157,15 @@ def simulate(
     if controller is not None:
         options["controller"] = type(controller).__name__
     counts = driver.steps, driver.solver.rejected, driver.solver.evaluations
-    run = _trajectory(model, scene, driver, plan, options)
+    run = _trajectory(model, scene, driver, points, options)
     run.stats = Stats(*counts, perf_counter() - begun)
     return run
 
 
 def _trajectory(
-    model: Any, scene: Scene, driver: Driver, plan: Plan, options: dict[str, Any]
+    model: Any, scene: Scene, driver: Driver, points: list[Accumulation], options: dict[str, Any]
 ) -> Trajectory:
-    spec = scene.spec
+    spec, plan = scene.spec, driver.plan
     samples = None
     if plan.samples is not None:
         if plan.samples.size and plan.samples[-1] == driver.record.now.t:
@@ -173,17 +174,16 @@ def _trajectory(
         options["times"] = plan.samples[: len(samples)]
     assert driver.status is not None
     parameters = {p.name: getattr(model, p.name) for p in spec.parameters}
-    contacts = [name for name, guard in scene.guards.items() if guard.kind == "contact"]
     return Trajectory(
         spec,
         parameters,
         driver.record.log,
-        driver.record.zeno,
+        points,
         driver.record.grazings,
         driver.status,
         options,
         samples,
-        [pair for name in contacts for pair in scene.pairs(name)],
+        list(scene.paired),
         Hindsight(scene, driver.history, plan.memory, driver.record.log),
         versions=versions(),
     )

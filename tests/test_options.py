@@ -1,5 +1,6 @@
 """The options of ``hy.simulate``, and what a run keeps of them."""
 
+import gc
 import json
 import math
 
@@ -322,3 +323,19 @@ def test_a_file_whose_cost_is_damaged_is_refused(tmp_path, stats):
         file.attrs["meta"] = json.dumps({**meta, "stats": stats})
     with pytest.raises(hy.StoreError, match="cannot read"):
         hy.load(tmp_path / "run.nc")
+
+
+def test_a_run_leaves_no_circles_behind():
+    """What is kept of it is freed with it, without a pass of the garbage collector."""
+
+    def run():
+        return hy.simulate(BouncingBall(), START, SPAN, solver="taylor").zeno[0]
+
+    run()
+    gc.collect()
+    gc.disable()
+    try:
+        run()
+        assert gc.collect() == 0
+    finally:
+        gc.enable()

@@ -148,8 +148,6 @@ def parameter(
 
 
 def _bounds(positive: bool, between: tuple[float, float] | None) -> Callable[..., None]:
-    import numpy as np
-
     from ..errors import ParameterError
     from ..reals import reals
 
@@ -158,14 +156,14 @@ def _bounds(positive: bool, between: tuple[float, float] | None) -> Callable[...
             return
         name = f"{type(model).__name__}.{field.name}"
         try:
-            array = reals(value)
+            numbers = reals(value).ravel().tolist()
         except ValueError:
             raise ParameterError(f"{name} = {value!r}: a number or an array of numbers") from None
-        if not np.isfinite(array).all():
+        if not all(map(math.isfinite, numbers)):
             raise ParameterError(f"{name} = {value!r}: must be finite")
-        if positive and not (array > 0).all():
+        if positive and not all(number > 0 for number in numbers):
             raise ParameterError(f"{name} = {value!r}: must be positive")
-        if between is not None and not ((array >= between[0]) & (array <= between[1])).all():
+        if between is not None and not all(between[0] <= n <= between[1] for n in numbers):
             raise ParameterError(f"{name} = {value!r}: must lie in [{between[0]}, {between[1]}]")
 
     return check

@@ -61,6 +61,8 @@ class Driver:
 
     entry: Entry
     mode: str
+    loop: Machine | None
+    _came: Callable[[], Jumped]
 
     def __init__(
         self,
@@ -117,6 +119,8 @@ class Driver:
             self.status = Status.INTERRUPTED
             if not self.record.log.kept:  # before the first step: nothing but the start
                 self.record.arc(self.entry.field, self.entry.x, self.entry.x, 0.0, [])
+        finally:  # nothing refers to itself, so that what is kept of a run goes with the run
+            self.loop, self._came = None, Jumped
 
     def start(self, mode: str, x: np.ndarray, held: tuple[str, ...]) -> None:
         """Begin the run; where its start leaves nothing to weigh the rules' own loop does."""
@@ -505,7 +509,7 @@ class Driver:
 
         clocks = self._clocks(flights)
         self.record.flights(flights, where, clocks)
-        self.seen = np.maximum(self.seen, np.abs(jumps.after).max(axis=0))
+        self.seen = np.maximum(self.seen, np.maximum.reduce(np.abs(jumps.after)))
         if self.record.made >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
         times = jumps.t.tolist(), jumps.low.tolist(), clocks.tolist()

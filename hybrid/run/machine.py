@@ -305,8 +305,8 @@ class Machine:
     def _keep(self, left: Left) -> None:
         """Add the arcs that ended with a jump."""
         driver, begin, made = self.driver, 0, int(self.ints[JUMPS])
-        sums = left.sums[: self.ints[TAILS], BEFORE].astype(int).tolist()
-        guards = [self.tables.guards[g] for g in left.fired[:made]]
+        sums = list(map(int, left.sums[: self.ints[TAILS], BEFORE].tolist()))
+        guards = [self.tables.guards[g] for g in left.fired[:made].tolist()]
         opened = [place for place, guard in enumerate(guards) if guard.kind == "release"]
         while begin < made and driver.status is None and not self.passed:
             if begin in opened:

@@ -289,6 +289,8 @@ class Scene:
 
     def starts(self, name: str) -> bool:
         """Whether a run may start in an arc mode: one of ``modes``, or several contacts' rest."""
+        if name in self.modes:
+            return True
         mode, held = parted(name)
         return all(each in self.modes for each in (mode, *(rest_name(mode, (c,)) for c in held)))
 
@@ -474,15 +476,17 @@ class Scene:
         return frozenset(e.name for e in self.spec.transitions if isinstance(e, ContactSpec))
 
     @cached_property
+    def paired(self) -> list[tuple[int, int]]:
+        """Places of the positions and of the velocities of all contacts."""
+        contacts = [name for name, guard in self.guards.items() if guard.kind == "contact"]
+        pairings = [self.code.pairing(name) for name in contacts]
+        return [pair for p in pairings for pair in zip(p.positions, p.velocities, strict=True)]
+
+    @cached_property
     def guards(self) -> dict[str, Guard]:
         """The guards of the modes by edge, ends of windows left out."""
         watched = (guard for mode in self.spec.modes for guard in self.field(mode.name).guards)
         return {guard.edge: guard for guard in watched if guard.kind != "window"}
-
-    def pairs(self, contact: str) -> list[tuple[int, int]]:
-        """Places of a contact's positions and of their velocities."""
-        pairing = self.code.pairing(contact)
-        return list(zip(pairing.positions, pairing.velocities, strict=True))
 
     def contact(self, name: str) -> Contact:
         """The derived laws of a contact."""

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -33,12 +34,14 @@ Maker = Callable[..., Solver]
 GROUP = "hybrid.solvers"
 
 
+@cache
 def _scipy() -> Maker:
     from .scipy_backend import SciPySolver
 
     return SciPySolver
 
 
+@cache
 def _taylor() -> Maker:
     from .taylor_backend import TaylorSolver
 
