@@ -58,7 +58,8 @@ class Bounds(NamedTuple):
     Attributes
     ----------
     index : Table
-        For each a row: where its operations begin and where they end, and where its results do.
+        For each a row: where its operations begin and where they end, where its results do, and
+        how many these are.
     ops : Table
         Operations, and their arguments: results of those before, counted from the first.
     numbers : Floats

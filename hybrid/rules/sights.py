@@ -43,7 +43,8 @@ GROWTH = 0
 
 # Columns of ``stretches``: the first impact and the last, ``first > last``; which shares of each
 # flight after them; how often it may yet be halved. Rows of ``box``: time, gap speed before an
-# impact, states. What is bounded: the gap's acceleration, and the restitution.
+# impact, states. What is bounded: the gap's acceleration, and the restitution; behind them the
+# guards of other edges.
 FIRST, LAST, BEGIN, END, LEFT = 0, 1, 2, 3, 4
 TIME, SPEED, STATES = 0, 1, 2
 ACCELERATION, RESTITUTION, COUNT = 0, 1, 2
@@ -198,7 +199,8 @@ def boxed(moves: bool, look: Look) -> None:
 
 
 def fits(a: Automaton, at: int, sight: int, n: int, excess: float, room: Sums, look: Look) -> bool:
-    """Whether what is bounded is in the box what it is at the points, but for an excess."""
+    """Whether what is bounded is in the box what it is at the points, but for an excess, and no
+    other guard is zero there."""
     if ranges(a.bounds, sight, look.box, look.found) < 0:
         return False
     results = a.bounds.index[sight, 2]
@@ -214,6 +216,9 @@ def fits(a: Automaton, at: int, sight: int, n: int, excess: float, room: Sums, l
         top = math.nextafter(0.0, -math.inf) if k == ACCELERATION else 1.0 - LOSS
         found = look.found[a.bounds.results[results + k]]
         fit = fit and low - wide <= found[0] and found[1] <= min(high + wide, top)
+    for k in range(COUNT, a.bounds.index[sight, 3]):
+        found = look.found[a.bounds.results[results + k]]
+        fit = fit and (found[0] > 0.0 or found[1] < 0.0)
     return fit
 
 

@@ -30,6 +30,7 @@ from ..zeno.accumulate import Tail, close
 from ..zeno.cycle import CycleLimit
 from ..zeno.flight import Flight, fly
 from ..zeno.narrow import seen
+from ..zeno.others import apart
 from . import switch, truncate
 from .arc import ArcFlow, Flown
 from .cycles import Cycles, Seen, pass_limit
@@ -51,9 +52,6 @@ from .pieces import Piece
 from .plan import PATIENCE, Plan
 from .recorder import Recorder
 from .watch import Watch
-
-#: Flights of a series of impacts, the highest, in which other guards are looked for zero by zero.
-FLIGHTS = 4
 
 
 class Driver:
@@ -693,11 +691,6 @@ def _clear(tail: Tail, field: Field, column: int) -> bool:
     others = [guard for i, guard in enumerate(field.guards) if i != column]
     if not others:
         return True
-    for n in range(FLIGHTS):
-        start, x, v = tail.point(tail.r**n)
-        flight = fly(field, column, tail.t + start, x.tolist(), v)
-        if flight is not None and _reached(field, column, tail.t + start, flight):
-            return False
     shares = 4 if all(guard.affine for guard in others) else SHARES
     since = np.unique([*np.linspace(0, tail.remaining, 2 * shares), *tail.times[:shares]])
     points = [(tail.t + s, tail.state(s)) for s in since[since < tail.remaining].tolist()]
@@ -709,7 +702,7 @@ def _clear(tail: Tail, field: Field, column: int) -> bool:
         inside = {Crossing.FALLING: above, Crossing.RISING: below} if guard.bounds else {}
         if not inside.get(guard.crossing, above or below):
             return False
-    return True
+    return apart(tail)
 
 
 def _reached(field: Field, column: int, t: float, flight: Flight) -> bool:

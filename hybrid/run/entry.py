@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from functools import cached_property
 from math import isfinite
-from typing import Any
+from typing import Any, NoReturn
 
 import attrs
 import numpy as np
@@ -365,11 +365,21 @@ class _Here:
             before = jumped.tied if jumped.passing is None else jumped.passing
             return before.get(guard.edge, 0) == -sign
         used = guard.kind == "edge" and guard.edge == jumped.used
+        if used and guard.bounds and fires(guard.crossing, sign):
+            self.require_turned(guard)
         used = used or (not guard.bounds and guard.edge in jumped.spent)
         leaves = not used and fires(guard.crossing, sign)
         if guard.kind == "switch" and not leaves and guard.edge not in jumped.vanishing:
             self.require_way(guard, sign, jumped.starting)
         return leaves
+
+    def require_turned(self, guard: Guard) -> NoReturn:
+        """Refuse to leave the mode's domain through a guard whose edge has led back to it."""
+        raise DomainError(
+            f"{self.where()}: the reset of {guard.edge} leaves its guard at zero, and the flow "
+            f"leads out of {self.field.mode} from there; lead to a mode that stays there, declare "
+            "a contact, which rests, or watch with crossing=hy.EITHER what bounds nothing"
+        )
 
     def require_way(self, guard: Guard, sign: int, starting: bool) -> None:
         """Refuse to choose where both flows lead away from the surface of a switching."""

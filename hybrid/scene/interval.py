@@ -156,6 +156,13 @@ class IntervalProgram:
             return None
         return [(low, high) for low, high in found[self._places].tolist()]
 
+    def excludes_zero(self, box: Mapping[str, Any]) -> bool:
+        """Whether each root is shown to be defined, and not zero, on all of a box."""
+        ranges = self.ranges(box)
+        if ranges is not None and all(low > 0.0 or high < 0.0 for low, high in ranges):
+            return True
+        return all(e.defined and not e.value.contains(0) for e in self.enclose(box))
+
     @cached_property
     def _ranges(self) -> Bounds | None:
         own = Ranges()

@@ -39,7 +39,7 @@ class Ranges:
         if len(known) < len(ops):
             return None
         first = len(self._ops)
-        self._index.append([first, first + len(known), len(self._results)])
+        self._index.append([first, first + len(known), len(self._results), len(results)])
         self._ops += known
         self._results += results
         self.most = max(self.most, len(known))
@@ -59,7 +59,7 @@ class Ranges:
 
     def arrays(self) -> Bounds:
         """All so far."""
-        index = np.array(self._index, dtype=np.int64).reshape(-1, 3)
+        index = np.array(self._index, dtype=np.int64).reshape(-1, 4)
         ops = np.array(self._ops, dtype=np.int64).reshape(-1, 3)
         results = np.array(self._results, dtype=np.int64)
         return Bounds(index, ops, np.array(self._numbers, dtype=float), results)

@@ -7,7 +7,8 @@ table, a restitution that changes at some speed) is looked for here, before the 
 - with python-flint the gap's acceleration and the restitution in boxes that hold the motion from
   the first impact to the limit: their bounds in doubles rounded outwards, and where these do not
   decide in ball arithmetic. No pulse escapes them, however narrow it is. What they allow must be
-  what is there at points of the tail, but for :data:`EXCESS`.
+  what is there at points of the tail, but for :data:`EXCESS`;
+- the guards of other edges in such boxes (:mod:`.others`), which must not be zero there.
 """
 
 from __future__ import annotations
@@ -156,7 +157,7 @@ def damps(contact: Contact, t: float, x: list[float], speed: float, ratio: float
 
 
 @attrs.frozen(eq=False, slots=False)
-class _Stretch:
+class Stretch:
     """A stretch of a tail: the impacts from ``y(first)`` to ``y(last)``, ``first > last``.
 
     ``begin``, ``end``: the shares of each flight after them that it is about.
@@ -183,10 +184,10 @@ class _Stretch:
         (_, *low, slow, begin, _), (_, *high, fast, _, end) = self._shown[-2:]
         rooms = [WIDER * (b - a) for a, b in zip(low, high, strict=True)]
         ends = zip(low, high, rooms, strict=True)
-        inputs = _named("x", ((nextafter(a - s, -inf), nextafter(b + s, inf)) for a, b, s in ends))
+        inputs = named("x", ((nextafter(a - s, -inf), nextafter(b + s, inf)) for a, b, s in ends))
         return inputs | {"t": (begin, end), "u": (slow, fast if self.last else 0.0)}
 
-    def halves(self) -> list[_Stretch]:
+    def halves(self) -> list[Stretch]:
         """Two stretches of about half the time each; of a single flight, its two parts."""
         if self.last >= self.tail.r * self.first:
             middle = 0.5 * (self.begin + self.end)
@@ -194,7 +195,7 @@ class _Stretch:
             return [attrs.evolve(self, begin=a, end=b) for a, b in pairwise(parts)]
         middle = 0.5 * (self.first + self.last)
         ends = [self.first, middle, self.last]
-        return [_Stretch(self.tail, a, b) for a, b in pairwise(ends)]
+        return [Stretch(self.tail, a, b) for a, b in pairwise(ends)]
 
 
 def _bounded(tail: Tail, excess: float) -> bool:
@@ -202,7 +203,7 @@ def _bounded(tail: Tail, excess: float) -> bool:
     if find_spec("flint") is None:
         return True
     try:
-        look, stretches = _look(tail), [(HALVINGS, _Stretch(tail, 1.0, 0.0))]
+        look, stretches = _look(tail), [(HALVINGS, Stretch(tail, 1.0, 0.0))]
     except TraceError:  # an operation of which there are no balls
         return True
     while stretches:
@@ -214,7 +215,7 @@ def _bounded(tail: Tail, excess: float) -> bool:
     return True
 
 
-def _fits(look: _Look, stretch: _Stretch, excess: float) -> bool:
+def _fits(look: _Look, stretch: Stretch, excess: float) -> bool:
     box = look.given | stretch.box()
     values = np.array([look.at(*point) for point in stretch.points])
     low, high = values.min(axis=0).tolist(), values.max(axis=0).tolist()
@@ -267,11 +268,11 @@ def _ranged(field: Field, contact: Contact) -> Any:
         gap = _gap(field, contact)
         if gap.choosers:
             return HARD
-        program = _program(field, contact, gap, {})
+        program = gap.program({}, *gap.guards(field, contact.name))
     except TraceError:
         return NONE
     rows = {f"x{i}": STATES + i for i in range(len(gap.states))}
-    return program, {"t": TIME, "u": SPEED, **rows}, _given(field)
+    return program, {"t": TIME, "u": SPEED, **rows}, parameters(field)
 
 
 def _gap(field: Field, contact: Contact) -> _Gap:
@@ -285,21 +286,21 @@ def _program(field: Field, contact: Contact, gap: _Gap, signs: dict[int, int]) -
     return field.code.once(key, lambda: gap.program(signs))
 
 
-def _given(field: Field) -> dict[str, Any]:
-    return field.once("parameters by name", lambda: _named("p", flat(field.parameters)))  # type: ignore[no-any-return]
+def parameters(field: Field) -> dict[str, Any]:
+    return field.once("parameters by name", lambda: named("p", flat(field.parameters)))  # type: ignore[no-any-return]
 
 
 def _look(tail: Tail) -> _Look:
     field, contact = tail.field, tail.contact
     gap = _gap(field, contact)
     signs = gap.signs(tail)
-    program, given = _program(field, contact, gap, signs), _given(field)
+    program, given = _program(field, contact, gap, signs), parameters(field)
     lie, law = field.guards[tail.column].lie, contact.law
     if not signs:
         return _Look(program, given, lambda t, x, u: [lie(t, x)[2], law(t, x, u)])
 
     def at(t: float, x: list[float], u: float) -> list[float]:
-        found = program.enclose({**given, **_named("x", x), "t": t, "u": u})
+        found = program.enclose({**given, **named("x", x), "t": t, "u": u})
         return [float(each.value.mid()) for each in found]
 
     return _Look(program, given, at)
@@ -313,7 +314,7 @@ class _Gap:
         from ..scene.interval import IntervalProgram
 
         code, self.graph = field.code, FixedGraph(exact=True)
-        inputs = code.inputs(self.graph)
+        inputs = self.inputs = code.inputs(self.graph)
         self.time, self.states = int(inputs[-2]), [int(i) for i in inputs[-1]]
         flow = code.field_closed(field.mode, field.held)
         law, extra = code.closed("restitution", contact), np.array(self.graph.input("u"))
@@ -332,11 +333,11 @@ class _Gap:
         """Deciding functions that are zero at the limit, and their signs in all flights."""
         if self.deciding is None:
             return {}
-        given = _named("p", flat(tail.field.parameters))
-        flown = [(t, x) for t, x, _ in _Stretch(tail, 1.0, 0.0).points]
+        given = named("p", flat(tail.field.parameters))
+        flown = [(t, x) for t, x, _ in Stretch(tail, 1.0, 0.0).points]
         found = []
         for t, x in [(tail.t + tail.remaining, tail.x_inf.tolist()), *flown]:
-            each = self.deciding.enclose({**given, **_named("x", x), "t": t})
+            each = self.deciding.enclose({**given, **named("x", x), "t": t})
             found.append([float(e.value.mid()) if e.defined else np.nan for e in each])
         rounding = 64 * EPS * max(np.abs(tail.x_inf).max(), np.abs(tail.x).max())
         last, *others = np.where(np.abs(found) <= rounding, 0.0, np.sign(found))
@@ -344,16 +345,28 @@ class _Gap:
         columns = zip(self.choosers, last, ways, strict=True)
         return {n: int(way) for n, end, way in columns if end == 0.0 and abs(way) == 1.0}
 
-    def program(self, signs: dict[int, int]) -> Any:
-        """What is looked at where deciding functions have these signs, as balls."""
+    def guards(self, field: Field, contact: str) -> list[int]:
+        """The guards beside that of the contact; none where one has no bounds."""
+        from ..scene.interval import IntervalProgram
+
+        others = [guard for guard in field.guards if guard.edge != contact]
+        try:
+            found = [n for guard in others for n in self._nodes(guard.closed, self.inputs)]
+            IntervalProgram(self.graph, found)
+        except TraceError:
+            return []
+        return found
+
+    def program(self, signs: dict[int, int], *others: int) -> Any:
+        """What is looked at where deciding functions have these signs, and behind it others."""
         from ..scene.interval import IntervalProgram
 
         graph, count = self.graph, 1 + len(self.flow)
         nodes = one_sided(graph, [self.gap, *self.flow], signs)
         rates = dict(zip(self.states, nodes[1:count], strict=True)) | {self.time: graph.const(1.0)}
         roots = [along(graph, along(graph, n, rates), rates) for n in [nodes[0], *nodes[count:]]]
-        return IntervalProgram(graph, [*roots, self.law])
+        return IntervalProgram(graph, [*roots, self.law, *others])
 
 
-def _named(letter: str, values: Iterable[Any]) -> dict[str, Any]:
+def named(letter: str, values: Iterable[Any]) -> dict[str, Any]:
     return {f"{letter}{i}": value for i, value in enumerate(values)}

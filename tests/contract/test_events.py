@@ -225,3 +225,28 @@ def test_events_next_to_each_other_fire_once_each_at_their_times(way, first, apa
         # what is read off a step of length one is known to the rounding of one
         atol = 1e-16 if way.name in ("Radau", "Dopri8") else 0.0
         np.testing.assert_allclose(result.times, first + apart * np.arange(3), 1e-12, atol)
+
+
+class Wall(hy.Automaton):
+    """A ball over a floor that is written as an edge; ``less`` is what a bounce loses of the speed
+    beside a share."""
+
+    x = hy.state()
+    v = hy.state()
+    r = hy.parameter(0.5)
+    less = hy.parameter(0.0)
+
+    @hy.mode
+    def flies(self, t, s):
+        return s.v, -2.0
+
+    @hy.edge(flies, to=flies, guard=lambda self, t, s: s.x)
+    def hit(self, t, s):
+        return s.replace(v=-self.r * s.v - self.less)
+
+
+@pytest.mark.parametrize(("r", "less"), [(0.0, 0.0), (0.5, 1.0), (0.5, 1.5)])
+def test_a_wall_whose_reset_leaves_no_speed_is_not_fallen_through(way, r, less):
+    """What is beyond is out of the mode; nothing says what follows."""
+    result = way.run(Wall(r=r, less=less), [1.0, 0.0], (0.0, 4.0))
+    assert result.status == "refused"

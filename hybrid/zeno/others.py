@@ -1,0 +1,77 @@
+"""Guards of other edges, bounded in boxes that hold a motion: whether one may be zero there.
+
+A sum of impacts, or the limit of a cycle, stands for infinitely many flights that nobody looks
+along. An event in one of them, however brief, does not escape bounds over boxes that hold them all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import TraceError
+from ..rules.sights import HALVINGS
+from ..scene.defect import EPS
+from ..scene.fixed import FixedGraph
+from .accumulate import Tail
+from .narrow import Stretch, named, parameters
+
+if TYPE_CHECKING:
+    from ..scene import Field
+
+
+def apart(tail: Tail) -> bool:
+    """Whether no other guard is zero between the first impact and the limit, as far as bounds tell.
+
+    One that is zero at the limit is bounded up to the last flights.
+    """
+    field, t_inf, x_inf = tail.field, tail.t + tail.remaining, tail.x_inf.tolist()
+    others = [i for i in range(len(field.guards)) if i != tail.column]
+    rounding = 64 * EPS * float(np.max(np.abs(tail.x_inf)))
+    last = [i for i in others if abs(field.guards[i].value(t_inf, x_inf)) > rounding]
+    stretches = [(HALVINGS, Stretch(tail, 1.0, 0.0))] if others else []
+    while stretches:
+        left, stretch = stretches.pop()
+        ending = not left and stretch.last == 0.0
+        if not excluded(field, last if ending else others, stretch.box()):
+            if not left:
+                return False
+            stretches += [(left - 1, half) for half in stretch.halves()]
+    return True
+
+
+def excluded(field: Field, columns: Iterable[int], box: Mapping[str, Any]) -> bool:
+    """Whether some guards of a field are not zero in a box of time and states, as far as there are
+    bounds of them."""
+    looks = field.code.once(("bounded guards", field.name), lambda: _looks(field))
+    whole = {**parameters(field), **box}
+    return all(looks[i] is None or looks[i].excludes_zero(whole) for i in columns)
+
+
+def hull(points: np.ndarray, wider: float) -> dict[str, Any]:
+    """The box of some rows of time and state, wider on either side by a share of its size."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = wider * (high - low)
+    times, *states = zip((low - room).tolist(), (high + room).tolist(), strict=True)
+    return {"t": times, **named("x", states)}
+
+
+def _looks(field: Field) -> list[Any]:
+    """What bounds each guard of a field; None where there are no bounds."""
+    if find_spec("flint") is None:
+        return [None] * len(field.guards)
+    from ..scene.interval import IntervalProgram
+
+    graph = FixedGraph(exact=True)
+    inputs = field.code.inputs(graph)
+    looks: list[Any] = []
+    for guard in field.guards:
+        try:
+            (found,) = graph.outputs(guard.closed, inputs)
+            looks.append(IntervalProgram(graph, [int(found.reshape(()))]))
+        except TraceError:
+            looks.append(None)
+    return looks
