@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from importlib.util import find_spec
 from math import inf, nextafter
 from typing import TYPE_CHECKING, Any
@@ -84,20 +83,25 @@ class Accumulation:
     truncation: Truncation | None = None
     limits: tuple[tuple[str, Record], ...] = ()
     _errors: Any = attrs.field(default=None, alias="errors", repr=False)
-    _proofs: Any = attrs.field(default=None, alias="proofs", repr=False)
+    _proofs: Any = attrs.field(default=(), alias="proofs", repr=False)
     _since: float = attrs.field(default=inf, alias="since", repr=False)
 
-    @cached_property
+    @property
     def proofs(self) -> list[Proof]:
         """Proofs that the impacts accumulate: from an early one on, and narrower from later ones.
 
         They are looked for when this, ``verdict`` or ``enclosure`` is first read, and need
         python-flint (extra ``certify``). Empty where none succeeds.
         """
-        if self._proofs is None or find_spec("flint") is None:
-            return []
-        found: list[Proof] = self._proofs()
+        if callable(self._proofs):
+            self._proofs = self._proofs() if find_spec("flint") is not None else []
+        found: list[Proof] = self._proofs
         return found
+
+    @property
+    def _judged(self) -> bool:
+        """Whether the verdict is known already."""
+        return not callable(self._proofs) and (self.measured or not self._proofs)
 
     @property
     def narrowest(self) -> Proof:
@@ -132,9 +136,17 @@ class Accumulation:
         low, high = self.narrowest.low - self.t_error, self.narrowest.high + self.t_error
         return nextafter(low, -inf), nextafter(high, inf)
 
-    @cached_property
+    @property
     def _error(self) -> tuple[float, Record]:
-        return self._errors() if callable(self._errors) else self._errors
+        if callable(self._errors):
+            self._errors = self._errors()
+        found: tuple[float, Record] = self._errors
+        return found
+
+    @property
+    def measured(self) -> bool:
+        """Whether ``t_error`` is known already: to ask for it makes runs."""
+        return not callable(self._errors)
 
     @property
     def t_error(self) -> float:
@@ -151,12 +163,14 @@ class Accumulation:
         return self._error[1]
 
     def __repr__(self) -> str:
+        """What is known; the bound and the verdict where they have been asked for."""
         if self.truncation is not None:
             return explain(self)
+        bound = f" ± {self.t_error:.1g}" if self.measured else ""
+        verdict = f" ({self.verdict})" if self._judged else ""
         went = f", then {self.mode}" if self.mode else ""
         return (
-            f"t_inf = {self.t!r} ± {self.t_error:.1g} ({self.verdict}), state {self.state}, "
-            f"ratio {self.ratio:.6g}{went}"
+            f"t_inf = {self.t!r}{bound}{verdict}, state {self.state}, ratio {self.ratio:.6g}{went}"
         )
 
 

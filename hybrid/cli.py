@@ -21,6 +21,7 @@ from . import gallery
 from .errors import DeclarationError, HybridError, OptionError, StartError
 from .extras import FILES, HTML, PLOT, need
 from .pictures import is_page
+from .stats import versions
 from .trajectory import Status, Trajectory
 
 app = typer.Typer(
@@ -55,6 +56,23 @@ def _one_line() -> Iterator[None]:
     except HybridError as fault:
         typer.echo(f"hybrid: {fault}", err=True)
         raise typer.Exit(2) from None
+
+
+def _version(asked: bool) -> None:
+    """Print the versions of all that computes, and end."""
+    if asked:
+        typer.echo("\n".join(f"{name} {number}" for name, number in versions().items()))
+        raise typer.Exit()
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Say the versions."),
+    ] = False,
+) -> None:
+    """Simulate hybrid automata through Zeno points."""
 
 
 @app.command()

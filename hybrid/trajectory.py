@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import enum
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     import xarray
 
     from .orbits.settling import Settled
+
+
+#: Accumulations that a run lists when it is printed, and explains unless all are asked for.
+LISTED, EXPLAINED = 9, 36
 
 
 class Status(enum.Enum):
@@ -324,13 +328,19 @@ class Trajectory:
 
     # -- words, pictures, files ---------------------------------------------------------
 
-    def explain(self) -> str:
-        """What happened, in a few sentences."""
+    def explain(self, *, whole: bool = False) -> str:
+        """What happened, in a few sentences.
+
+        Parameters
+        ----------
+        whole : bool
+            Explain all accumulations; if there are many, the first and the last of them otherwise.
+            Their verdicts and the bounds on them are looked for.
+        """
         lines = [
             f"{self.spec.model}, t = {self.t0:g} to {self.t1:g}: {len(self.jumps)} jumps listed."
         ]
-        for point in self.zeno:
-            lines.append(explain(point))
+        lines += _few(self.zeno, explain, len(self.zeno) if whole else EXPLAINED)
         if self.status is Status.MAX_JUMPS:
             rows = list(self.own_jumps.values())
             lines.append(unfinished([row.edge for row in rows], [row.t for row in rows]))
@@ -414,8 +424,17 @@ class Trajectory:
         save(self, path)
 
     def __repr__(self) -> str:
-        zeno = "".join(f"\n  accumulation at t = {point.t!r}" for point in self.zeno)
-        return (
-            f"{self.spec.model}: {self.t0:g} <= t <= {self.t1:g}, "
-            f"{len(self.jumps)} jumps listed{zeno}\n  {self.status}"
-        )
+        head = f"{self.spec.model}: {self.t0:g} <= t <= {self.t1:g}, {len(self.jumps)} jumps listed"
+        zeno = _few(self.zeno, lambda point: f"accumulation at t = {point.t!r}", LISTED)
+        return "\n  ".join([head, *zeno, str(self.status)])
+
+
+def _few(
+    points: Sequence[Accumulation], say: Callable[[Accumulation], str], most: int
+) -> list[str]:
+    """A line for each, the middle ones left out where there are more than so many."""
+    if len(points) <= most:
+        return [say(point) for point in points]
+    first, last = points[: most - most // 2], points[-(most // 2) :]
+    left_out = f"... {len(points) - most} more accumulations ..."
+    return [*map(say, first), left_out, *map(say, last)]

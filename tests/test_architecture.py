@@ -81,3 +81,10 @@ def test_no_module_hides_a_public_function():
     modules = {path.stem for path in PACKAGE.glob("*.py")} | {p.name for p in PACKAGE.glob("*/")}
     functions = {name for name in hybrid.__all__ if callable(getattr(hybrid, name))}
     assert not modules & functions
+
+
+def test_the_package_lists_its_public_names():
+    """And only those."""
+    import hybrid
+
+    assert sorted(dir(hybrid)) == sorted([*hybrid.__all__, "__version__"])

@@ -198,3 +198,11 @@ def test_what_was_before_is_the_files_or_given(tmp_path):
         "def oracle(run):\n    yield 'y', run.final.y, 1.0, 1e-8\n"
     )
     assert call("run", path, "--oracle").exit_code == 0
+
+
+def test_its_versions():
+    """Those of what computes, as in a run."""
+    done = call("--version")
+    assert done.exit_code == 0
+    assert f"hybrid {hy.__version__}\n" in done.output
+    assert "jax " in done.output

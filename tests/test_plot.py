@@ -1,10 +1,12 @@
 """Pictures show what the run holds."""
 
 import numpy as np
+import pytest
 
 import hybrid as hy
 from models.ball_on_circle import BallOnCircle
 from models.bead_on_table import BeadOnTable
+from models.relay import Relay
 
 from .browser import opened, overflow
 
@@ -33,10 +35,54 @@ def test_a_loaded_run_and_shaped_states_can_be_drawn(tmp_path):
     hy.load(tmp_path / "run.nc").plot(tmp_path / "again.png")
 
 
-def test_a_run_without_jumps_can_be_drawn():
-    """Nothing to put on the logarithmic axis."""
+def test_a_run_without_jumps_has_no_panel_for_gaps_between_them():
+    """No axes are empty; with one state there is one panel."""
     run = hy.simulate(BeadOnTable(), {"x": 1.9, "v": 0.0}, (0, 0.1))
-    assert len(run.plot().axes) == 4
+    axes = run.plot().axes
+    assert len(axes) == 3
+    assert all(any(line.get_xdata().size for line in each.lines) for each in axes)
+    assert len(hy.simulate(Relay(), {"x": 0.5}, (0, 0.1)).plot().axes) == 1
+
+
+@pytest.mark.parametrize("save", ["jumps", np.linspace(0.0, 7.0, 50)])
+def test_what_was_not_kept_is_not_drawn(save):
+    """Dots at the ends of arcs and at the times asked for, and no chords between them."""
+    run = hy.simulate(BeadOnTable(r=0.6, omega=3.5), [1.5, 0.0], (0, 7), save=save)
+    height, phase = run.plot().axes[0], run.plot().axes[2]
+    drawn = [line for line in height.lines if line.get_zorder() != 0]
+    lines = [line for line in drawn if line.get_linestyle() != "--"]
+    assert len(lines) == 3  # the tail, which is known between its impacts; dots; jumps
+    tail, kept, _ = lines
+    assert tail.get_xdata()[0] > run.jumps.t[1]
+    assert (kept.get_linestyle(), kept.get_marker()) == ("None", ".")
+    assert set(kept.get_xdata()) >= {
+        run.t0,
+        run.t1,
+        *(save if isinstance(save, np.ndarray) else ()),
+    }
+    assert any(line.get_marker() == "." and line.get_linestyle() == "None" for line in phase.lines)
+
+
+def test_a_picture_measures_nothing(monkeypatch):
+    """Four hundred accumulations are drawn as they are known: bounds cost a run each."""
+    run = hy.simulate(BeadOnTable(r=0.6, omega=3.5), [1.5, 0.0], (0, 730), solver="taylor")
+    assert len(run.zeno) >= 400
+    monkeypatch.setattr("hybrid.again.Driver", None)
+    title = run.plot()._suptitle.get_text()
+    assert "±" not in title
+    assert not any(point.measured for point in run.zeno)
+    assert len(repr(run).splitlines()) <= 12
+    assert repr(run.zeno[3]).startswith(f"t_inf = {run.zeno[3].t!r}, state")
+
+
+def test_words_about_many_accumulations_are_few(monkeypatch):
+    """The first and the last, unless all are asked for."""
+    run = hy.simulate(BeadOnTable(r=0.6, omega=3.5), [1.5, 0.0], (0, 120), solver="taylor")
+    monkeypatch.setattr("hybrid.trajectory.explain", lambda point: f"at {point.t}")
+    assert len(run.zeno) > 50
+    assert len(run.explain().splitlines()) <= 40
+    assert f"at {run.zeno[-1].t}" in run.explain()
+    assert len(run.explain(whole=True).splitlines()) == len(run.zeno) + 2
 
 
 def test_a_page_that_zooms(tmp_path):

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..accumulation import Accumulation
 from ..arcs import Arc
 from ..trajectory import Trajectory
 from .figure import Curve, Figure, Panel
@@ -19,7 +20,8 @@ POINTS, FEWEST, IN_ALL = 200, 17, 20000
 #: How near an accumulation is shown, of the time to it: arcs end where doubles do.
 NEAREST = 1e-12
 
-#: Jumps that a phase portrait shows, at most.
+#: Jumps that a phase portrait shows, at most; in a run of more, flights that are too short to be
+#: seen are left out, but for those before the first accumulation, which one may zoom into.
 FALLS = 2000
 
 
@@ -30,12 +32,15 @@ def figure(run: Trajectory) -> Figure:
     resting arcs thicker, and the obstacle where a gap is the distance of one coordinate to
     it. Right: the phase portrait of the first contact's position and velocity, and the
     gaps between jumps against their number on a logarithmic axis, where a chattering
-    series is a straight line.
+    series is a straight line. Where no dense output was kept there are dots at what was: the ends
+    of arcs, and the times asked for.
     """
     names, drawn = run.spec.element_names, _sampled(run, IN_ALL)
     states = tuple(_states(run, name, drawn) for name in names)
-    aside = (_phase(run, drawn), gaps_panel(run)) if len(names) > 1 else (gaps_panel(run),)
-    return Figure(name="run", title=title(run), columns=(states, aside), zooms=zooms(run))
+    phase = (_phase(run, drawn),) if len(names) > 1 else ()
+    aside = (*phase, *(panel for panel in [gaps_panel(run)] if panel.curves[0].x.size))
+    columns = tuple(column for column in (states, aside) if column)
+    return Figure(name="run", title=title(run), columns=columns, zooms=zooms(run))
 
 
 def states_panel(run: Trajectory, name: str, *, look: str = "line", points: int = IN_ALL) -> Panel:
@@ -57,16 +62,23 @@ def phase_panel(run: Trajectory, *, points: int = IN_ALL) -> Panel:
 
 def gaps_panel(run: Trajectory) -> Panel:
     """Time between jumps, by number, on a logarithmic axis."""
-    pairs = [
-        (arc.j, arc.length)
-        for arc, after in pairwise(run.arcs)
-        if arc.j > 0 and after.j > arc.j and arc.length > 0.0
-    ]
+    pairs = _gaps(run)
     title = "time between jumps" if pairs else "fewer than two jumps"
     notes = [f"{gap:.12g} after jump {number}" for number, gap in pairs]
     x, y = np.array(pairs).reshape(-1, 2).T
     curve = Curve(x=x, y=y, look="series", notes=notes)
     return Panel(curves=[curve], x="jump", y="", log="y", title=title)
+
+
+def _gaps(run: Trajectory) -> list[tuple[int, float]]:
+    """Jumps by number, and the time to the next: down to the last double, but in long runs."""
+    if len(run.jumps) > FALLS:
+        return [(j, gap) for j, gap in enumerate(run.jumps.gaps.tolist(), 1) if gap > 0.0]
+    return [
+        (arc.j, arc.length)
+        for arc, after in pairwise(run.arcs)
+        if arc.j > 0 and after.j > arc.j and arc.length > 0.0
+    ]
 
 
 def approach_panel(run: Trajectory, name: str, place: int = 0, *, points: int = IN_ALL) -> Panel:
@@ -99,13 +111,18 @@ def zooms(run: Trajectory, place: int = 0) -> list[tuple[str, tuple[float, float
 
 
 def title(run: Trajectory) -> str:
-    """How many jumps, and where they accumulate."""
+    """How many jumps, and where they accumulate; with a bound, if it has been asked for."""
     head = f"{run.spec.model}: {len(run.jumps)} jumps listed"
     if not run.zeno:
         return head
     first = run.zeno[0]
     more = f" (first of {len(run.zeno)})" if len(run.zeno) > 1 else ""
-    return f"{head}, accumulating at t = {first.t:.12g} ± {first.t_error:.0e}{more}"
+    return f"{head}, accumulating at {_time(first)}{more}"
+
+
+def _time(point: Accumulation) -> str:
+    bound = f" ± {point.t_error:.0e}" if point.measured else ""
+    return f"t = {point.t:.15g}{bound}"
 
 
 # ---------------------------------------------------------------------------------------
@@ -120,17 +137,42 @@ def _count(arcs: int, points: int) -> int:
 
 
 class _Drawn(NamedTuple):
-    """What is drawn of a run: of each flight and each rest the times and the states."""
+    """What is drawn of a run: of each flight and each rest the times and the states; and single
+    states, where nothing between them was kept."""
 
     flights: list[tuple[np.ndarray, np.ndarray]]
     rests: list[tuple[np.ndarray, np.ndarray]]
+    dots: list[tuple[np.ndarray, np.ndarray]]
 
 
 def _sampled(run: Trajectory, points: int) -> _Drawn:
     """The whole run, with about so many points."""
-    flights = [arc for arc in run.arcs if not _stays(arc.mode)]
-    rests = [arc for arc in run.arcs if _stays(arc.mode)]
-    return _Drawn(_along(flights, points), _along(rests, points))
+    seen = _seen(run)
+    dense = [arc for arc in seen if arc.segments]
+    flights = [arc for arc in dense if not _stays(arc.mode)]
+    rests = [arc for arc in dense if _stays(arc.mode)]
+    return _Drawn(_along(flights, points), _along(rests, points), _kept(run, seen))
+
+
+def _seen(run: Trajectory) -> list[Arc]:
+    """The arcs; in a long run those of the first tail, and of the others what can be seen."""
+    least, arcs = (run.t1 - run.t0) / IN_ALL if len(run.jumps) > FALLS else 0.0, []
+    for part in run.parts:
+        if isinstance(part, Arc):
+            arcs.append(part)
+            continue
+        first = part.t1 == run.zeno[0].t
+        lengths = np.append(np.diff(part.tail.times), 0.0)
+        shown = len(lengths) if first else np.count_nonzero(lengths >= least)
+        arcs += [part.arc(n) for n in range(shown)]
+    return arcs
+
+
+def _kept(run: Trajectory, arcs: Sequence[Arc]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The ends of arcs without dense output, and the states that were asked for."""
+    bare = [arc for arc in arcs if not arc.segments and arc.length > 0.0]
+    kept = [(np.array([arc.t0, arc.t1]), np.array([arc.first, arc.last])) for arc in bare]
+    return kept if run.samples is None else [*kept, (run.options["times"], run.samples)]
 
 
 def _along(arcs: Sequence[Arc], points: int) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -139,7 +181,7 @@ def _along(arcs: Sequence[Arc], points: int) -> list[tuple[np.ndarray, np.ndarra
     counts = np.clip(points * sizes / max(np.sum(sizes), 1e-300), FEWEST, POINTS).astype(int)
     sampled = []
     for arc, count in zip(arcs, counts.tolist(), strict=True):
-        grid = np.linspace(0.0, 1.0, count if arc.segments else 2) * arc.length
+        grid = np.linspace(0.0, 1.0, count) * arc.length
         sampled.append((arc.t0 + (arc.low + grid), arc.local(grid)))
     return sampled
 
@@ -159,14 +201,15 @@ def _path(run: Trajectory, index: int, drawn: _Drawn, look: str, name: str = "")
     curves = [Curve(x=flying[0], y=flying[1], look=look, name=name)] if flying[0].size else []
     if resting[0].size:
         curves.append(Curve(x=resting[0], y=resting[1], look=still, name=_staying(run)))
-    return curves
+    kept = _joined([(t, x[:, index]) for t, x in drawn.dots])
+    return [*curves, Curve(x=kept[0], y=kept[1], look="mark")] if kept[0].size else curves
 
 
 def _phase(run: Trajectory, drawn: _Drawn) -> Panel:
     names = run.spec.element_names
     i, k = (run.pairs or [(0, min(1, len(names) - 1))])[0]
     curves = []
-    for look, arcs in (("line", drawn.flights), ("rest", drawn.rests)):
+    for look, arcs in zip(("line", "rest", "mark"), drawn, strict=True):
         x, y = _joined([(s[:, i], s[:, k]) for _, s in arcs])
         curves.append(Curve(x=x, y=y, look=look))
     if 0 < len(run.jumps) < FALLS:
@@ -194,7 +237,7 @@ def _stays(mode: str) -> bool:
 
 
 def _staying(run: Trajectory) -> str:
-    return "at rest" if any(".rest(" in arc.mode for arc in run.arcs) else "sliding"
+    return "at rest" if any(".rest(" in part.mode for part in run.parts) else "sliding"
 
 
 def _impacts(run: Trajectory, index: int) -> list[Curve]:
@@ -223,7 +266,7 @@ def _limits(run: Trajectory, curves: Sequence[Curve]) -> list[Curve]:
             y=ends,
             look="limit",
             name="accumulation",
-            notes=[f"t_inf = {point.t:.15g} ± {point.t_error:.0e}"] * 2,
+            notes=[f"accumulation at {_time(point)}"] * 2,
         )
         for point in run.zeno
     ]
