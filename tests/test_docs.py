@@ -100,14 +100,15 @@ def test_the_readmes_result_is_what_is_printed(capsys):
     scope = {"__name__": "page"}
     exec(blocks("README.md", "python")[0], scope)
     printed, shown = capsys.readouterr().out, blocks("README.md", "text")[0]
-    assert printed.split(" ± ")[0] == shown.split(" ± ")[0]
-    assert printed.split(", ", 1)[1].strip() == shown.split(", ", 1)[1].strip()
+    bound = r"± \S+,"
+    assert re.sub(bound, "", printed) == re.sub(bound, "", shown)
 
 
 def test_links_lead_somewhere():
     """Every relative link of every page."""
     for path in FILES:
-        for link in re.findall(r"\]\(([^)#]+)\)", path.read_text()):
+        prose = re.sub(r"```.*?```", "", path.read_text(), flags=re.DOTALL)
+        for link in re.findall(r"\]\(([^)#]+)\)", prose):
             if "://" not in link:
                 assert (path.parent / link).exists(), f"{path.name}: {link}"
 
