@@ -226,6 +226,15 @@ class Cycles:
         """Jumps in a turn of the edges, as far as the last few turns show; 0 for none."""
         return period([seen.edge for seen in self.seen[-LONGEST * (FEW + 1) :]], FEW)
 
+    def counts(self) -> list[int]:
+        """The elements of the state that a turn of the last jumps changes by no less than the turn
+        before did, as a count does."""
+        length = self.period
+        if not length:
+            return []
+        turns = np.abs(np.diff(_columns(self._closings(length)[-FEW:])[1], axis=0))
+        return np.flatnonzero((turns[-1] > 0) & (turns[-1] >= SHORTER * turns[-2])).tolist()  # type: ignore[no-any-return]
+
     def limit(self, rtol: float, atol: float) -> tuple[CycleLimit, Turn] | None:
         """Where the last jumps accumulate, if they do, and the turn that leads there.
 

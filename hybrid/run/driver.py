@@ -14,7 +14,7 @@ import numpy as np
 from ..accumulation import Accumulation
 from ..arcs import Arc, TailPart
 from ..automaton.markers import Crossing
-from ..errors import FlowError, JumpLoopError
+from ..errors import FlowError, JumpLoopError, StartError
 from ..events import CLOSED, EPS, SHARES, zeros
 from ..log import Flights
 from ..rules.guards import NEAR
@@ -35,6 +35,7 @@ from . import switch, truncate
 from .arc import ArcFlow, Flown
 from .cycles import Cycles, Seen, pass_limit
 from .entry import (
+    OFF,
     Entry,
     Jumped,
     before_impact,
@@ -149,9 +150,23 @@ class Driver:
         if self.status is None:
             self.look(x)
             jumped.tied, jumped.spent = self._tied, self._spent
-            self.entry = enter(self.scene, self.t, mode, x, jumped, self.seen, self._off(x))
+            self.entry = self._entered(mode, x, jumped, self.seen)
             self._jumped = jumped
             self.seen = np.maximum(self.seen, np.abs(x))
+
+    def _entered(self, mode: str, x: np.ndarray, jumped: Jumped, seen: np.ndarray) -> Entry:
+        try:
+            return enter(self.scene, self.t, mode, x, jumped, seen, self._off(x))
+        except StartError as fault:
+            counts = self.cycles.counts() if fault.status == "undecided" else []
+            if not counts:
+                raise
+            names = ", ".join(self.scene.spec.element_names[i] for i in counts)
+            raise JumpLoopError(
+                f"{str(fault).removesuffix(OFF)}; it has been so again and again, ever sooner, and "
+                f"each time a reset has changed {names}, which has no limit: leave that out of the "
+                "resets (run.jumps has what there is to count)"
+            ) from None
 
     def _off(self, x: np.ndarray) -> np.ndarray:
         """What each state may be off, by the tolerances."""
@@ -219,7 +234,7 @@ class Driver:
         jumped, mode, x = self._came(), entry.field.mode, entry.x
         self._spent = jumped.spent
         seen = 0.0 * self.seen if jumped.starting else self.seen
-        self.entry = enter(self.scene, self.t, mode, x, jumped, seen, self._off(x))
+        self.entry = self._entered(mode, x, jumped, seen)
 
     def flow_arc(self) -> None:
         """Flow an arc and carry out the jump that ends it."""
@@ -636,13 +651,16 @@ class Driver:
     def _after(
         self, cycle: tuple[str, ...], held: tuple[str, ...]
     ) -> tuple[str, tuple[str, ...]] | None:
-        """What follows a cycle: the mode that its author names, or the rest of its contacts."""
+        """What follows a cycle: the mode that its author names, or the rest of its contacts, beside
+        which there may be events, which bound nothing."""
         spec = self.scene.spec
         named = spec.mode_after(cycle)
         if named is not None:
             return named.name, ()
-        contacts = [e for e in spec.transitions if e.name in cycle and getattr(e, "rests", False)]
-        if len(contacts) < len(set(cycle)) or len({e.to for e in contacts}) > 1:
+        edges = [e for e in spec.transitions if e.name in cycle]
+        contacts = [e for e in edges if getattr(e, "rests", False)]
+        events = sum(not self.scene.code.bounds(e) for e in edges)
+        if len(contacts) + events < len(edges) or len({e.to for e in contacts}) != 1:
             return None
         return contacts[0].to, (*held, *(e.name for e in contacts))
 
@@ -678,7 +696,7 @@ class Driver:
             self.begin(self.scene.field(self.scene.name(*after)), at_rest, lambda: jumped)
             self.seen = np.maximum(self.seen, np.abs(limit.x_inf))
         elif after:
-            self.enter(after[0], limit.x_inf, Jumped(held=after[1]))
+            self.enter(after[0], limit.x_inf, Jumped(held=after[1], limit=frozenset(edges)))
 
 
 def _stays(guard: Guard, t: float, before: np.ndarray, after: np.ndarray) -> bool:

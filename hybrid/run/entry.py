@@ -22,6 +22,9 @@ from ..scene.local import near
 #: it is a difference of numbers that may move at very different rates.
 MOVES = 27
 
+#: What there is to do about a start on a guard that nothing decides on.
+OFF = "; start off the guard"
+
 
 @attrs.frozen(eq=False)
 class Entry:
@@ -73,6 +76,8 @@ class Jumped:
         By edge the sign that its guard had before the time of the jump, at which it was zero, too.
     spent : frozenset of str
         Edges taken at the time of the jump; one that bounds nothing is not taken twice.
+    limit : frozenset of str
+        Edges whose jumps have accumulated here.
     series : bool
         The jump was an impact of the contact that made the one before: they are summed, however
         slow.
@@ -85,6 +90,7 @@ class Jumped:
     passing: dict[str, int] | None = None
     tied: dict[str, int] = attrs.Factory(dict)
     spent: frozenset[str] = frozenset()
+    limit: frozenset[str] = frozenset()
     series: bool = False
 
 
@@ -119,7 +125,7 @@ def enter(
     orders, at_once, signs = [], [], []
     for index, guard in enumerate(field.guards):
         order, sign = here.start_of(guard, index, jumped)
-        if sign == 0 and here.stays(guard):
+        if sign == 0 and here.stays(guard, jumped):
             order, sign = 0, 1
         if here.closed(guard, order, sign, jumped):
             more = attrs.evolve(jumped, held=(*jumped.held, guard.edge))
@@ -337,10 +343,11 @@ class _Here:
             slow = abs(speed) <= 64 * EPS * fast or speed**2 <= -2.0 * force * height
         return slow and force < -NEAR * sizes[2]
 
-    def stays(self, guard: Guard) -> bool:
+    def stays(self, guard: Guard, jumped: Jumped) -> bool:
         """Whether a guard that is zero for good fires no more: where delays see the end of a
-        window, and the load of bodies that fall together in contact."""
-        return guard.kind == "window" or (guard.kind == "release" and self.series is not None)
+        window, the load of bodies that fall together in contact, and an event at its limit."""
+        ends = guard.kind == "release" or (not guard.bounds and guard.edge in jumped.limit)
+        return guard.kind == "window" or (ends and self.series is not None)
 
     def fires(self, guard: Guard, order: int, sign: int, jumped: Jumped) -> bool:
         """Whether a guard fires at once; refuses a state outside the domain."""
@@ -349,7 +356,7 @@ class _Here:
         if sign == 0:
             raise StartError(
                 f"{self.where()}: the guard of {guard.edge} is zero and no derivative along "
-                "the flow decides which way it goes; start off the guard"
+                f"the flow decides which way it goes{OFF}"
             ).by("undecided")
         if order == 0 and jumped.passing is not None:
             return fires(guard.crossing, sign) and jumped.passing.get(guard.edge) != sign

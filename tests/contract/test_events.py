@@ -250,3 +250,42 @@ def test_a_wall_whose_reset_leaves_no_speed_is_not_fallen_through(way, r, less):
     """What is beyond is out of the mode; nothing says what follows."""
     result = way.run(Wall(r=r, less=less), [1.0, 0.0], (0.0, 4.0))
     assert result.status == "refused"
+
+
+class Peaks(hy.Automaton):
+    """A ball over a floor that pushes it up from 6 to 7; of its peaks are kept the last height, the
+    sum of heights, or their number."""
+
+    x = hy.state()
+    v = hy.state()
+    last = hy.state()
+    total = hy.state()
+    n = hy.state()
+    count = hy.parameter(0.0)
+
+    @hy.mode
+    def flies(self, t, s):
+        return s.v, jnp.where((t > 6.0) & (t < 7.0), 3.0, -2.0), 0.0, 0.0, 0.0
+
+    @hy.edge(flies, to=flies, guard=lambda self, t, s: s.v)
+    def peak(self, t, s):
+        return s.replace(last=s.x, total=s.total + s.x, n=s.n + self.count)
+
+    floor = hy.contact(flies, gap=lambda self, t, s: s.x, restitution=0.5)
+
+
+def test_a_contact_rests_whose_flights_are_seen_by_an_event(way):
+    """From the floor with 2: peaks of 1, 1/4, 1/16, ...; at rest at 4; thrown up, a peak at 8.5."""
+    result = way.run(Peaks(), [0.0, 2.0, 0.0, 0.0, 0.0], (0.0, 5.0))
+    assert result.t_inf == pytest.approx(4.0, rel=1e-7)
+    assert result.final.total == pytest.approx(4.0 / 3.0, rel=1e-7)
+    assert abs(result.final.last) <= 1e-12
+    result = way.run(Peaks(), [0.0, 2.0, 0.0, 0.0, 0.0], (0.0, 8.6))
+    assert result.final.last == pytest.approx(3.75, rel=1e-6)
+
+
+def test_a_count_that_has_no_limit_is_named(way):
+    result = way.run(Peaks(count=1.0), [0.0, 2.0, 0.0, 0.0, 0.0], (0.0, 5.0))
+    assert result.status == "jump_loop"
+    if way.tells("run"):
+        assert "each time a reset has changed n," in result.said
