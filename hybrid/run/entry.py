@@ -154,13 +154,15 @@ def _from_corners(
 def signs_at_end(entry: Entry, t: float, x: np.ndarray, reach: float) -> dict[str, int]:
     """By edge the sign of its guard at the end of a flight in which none has fired.
 
-    A guard next to zero there, against the states seen, is still on the side on which it was.
+    A guard next to zero there, against the states seen, is still on the side on which it was, if it
+    would have fired on its way to the other.
     """
     state, signs, near = x.tolist(), {}, NEAR * reach
     for index, guard in enumerate(entry.field.guards):
         value = guard.value(t, state)
         here = 1 if value > 0 else -1 if value < 0 else 0
-        signs[guard.edge] = entry.signs[index] if abs(value) <= near and entry.signs else here
+        late = entry.signs and abs(value) <= near and (not here or fires(guard.crossing, here))
+        signs[guard.edge] = entry.signs[index] if late else here
     return signs
 
 

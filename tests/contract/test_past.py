@@ -412,3 +412,36 @@ def test_dense_output_is_fit_to_be_seen(way):
     assert middle.final.y == pytest.approx(0.1156982421875, abs=3e-5)
     if way.tells("run"):
         assert result.run(4.75).y == pytest.approx(0.1156982421875, abs=3e-5)
+
+
+class Carried(hy.Automaton):
+    """``y`` jumps to 1 at 2.5; a guard in small units falls to zero at 3.2, and is carried back."""
+
+    y = hy.state()
+    n = hy.state()
+    unit = hy.parameter(1.0)
+
+    @hy.mode
+    def flow(self, t, s, past):
+        return 0.0, 0.0
+
+    @hy.edge(flow, to=flow, guard=lambda self, t, s: 2.5 - t)
+    def alarm(self, t, s):
+        return s.replace(y=1.0)
+
+    def seen(self, t, s, past):
+        return self.unit * (past(1.0).y + 3.2 - t)
+
+    @hy.edge(flow, to=flow, guard=seen, crossing=hy.RISING)
+    def rises(self, t, s):
+        return s.replace(n=s.n + 1.0)
+
+
+def test_a_guard_is_carried_over_zero_in_any_unit(way):
+    """At 3.5 it has crossed against its direction before, however little that is."""
+    for result in way.many(
+        Carried(), [[0.0, 0.0]] * 4, (0.0, 6.0), {"unit": [1.0, 1e-3, 1e-7, 1e-9]}
+    ):
+        fired(way, result, ["alarm", "rises"])
+        assert result.final.n == 1.0
+        assert result.times[1] == pytest.approx(3.5, abs=1e-12)
