@@ -7,7 +7,6 @@ import importlib
 import importlib.util
 import sys
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -66,19 +65,10 @@ def summary(name: str) -> str:
     return text.partition("\n")[0]
 
 
-@cache
-def known(name: str) -> Entry:
-    """An entry of the gallery by its name, read once: what is traced and compiled of it is kept.
-
-    Raises
-    ------
-    GalleryError
-    """
-    return find(name)
-
-
 def find(given: str) -> Entry:
     """The model of a file ``path.py`` (``path.py:Class`` where it has several), or by name.
+
+    A file is run anew each time; one of the gallery is imported, as ``hybrid.models.NAME``.
 
     Raises
     ------
@@ -86,15 +76,14 @@ def find(given: str) -> Entry:
     """
     name, _, wanted = given.partition(":")
     path = Path(name)
-    if path.suffix != ".py":
-        path = folder() / f"{name}.py"
-        if not path.is_file():
-            raise GalleryError(
-                f"no model {name!r} in the gallery: {', '.join(names())}; or give a file"
-            )
-    elif not path.is_file():
+    if path.suffix == ".py" and not path.is_file():
         raise GalleryError(f"{name}: no such file")
-    module = _run(path)
+    if path.suffix != ".py" and name not in names():
+        raise GalleryError(
+            f"no model {name!r} in the gallery: {', '.join(names())}; or give a file"
+        )
+    own = path.suffix == ".py"
+    module = _run(path) if own else importlib.import_module(f".models.{name}", __package__)
     models = [
         value
         for value in vars(module).values()

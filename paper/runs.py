@@ -50,7 +50,7 @@ class Spring:
     @classmethod
     def made(cls) -> Spring:
         """The runs of Figure 1, and the theorem on the paper's domain."""
-        model = gallery.known("hard_spring").cls()
+        model = gallery.find("hard_spring").cls()
         runs = [simulate(model, START, (0.0, 1.5), **options) for options in (FINE, OTHER)]
         return cls(model, certify(model, DOMAIN), *runs)
 

@@ -26,7 +26,7 @@ LESS = 0.97
 
 def draw(name, count, seed):
     """A model, its start, time and parameters for ``hy.ensemble``; some starts are outside."""
-    entry, random = gallery.known(name), np.random.default_rng(seed)
+    entry, random = gallery.find(name), np.random.default_rng(seed)
     factor = lambda shape: random.uniform(1.0 - SPREAD, 1.0 + SPREAD, (count, *shape))  # noqa: E731
     start = {key: factor(np.shape(v)) * np.asarray(v) for key, v in entry.start.items()}
     first = next(iter(start.values()))

@@ -100,7 +100,7 @@ SCENES = {
     "sections": (Sections(), {"x": 1.0, "v": 0.0, "seen": 0.0}, (0.0, 6.0)),
     **{
         name: (entry.cls(), entry.start, entry.until)
-        for name, entry in ((name, gallery.known(name)) for name in gallery.names())
+        for name, entry in ((name, gallery.find(name)) for name in gallery.names())
         if not entry.cls.spec.lags
     },
 }

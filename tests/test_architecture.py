@@ -26,7 +26,7 @@ LAYERS = [
     ["tangent"],
     ["rows"],
     ["simulation", "ensembles", "function", "certificates"],
-    ["compare", "gallery", "orbits"],
+    ["compare", "gallery", "models", "orbits"],
     ["cli", "__main__", "__init__"],
 ]
 

@@ -163,7 +163,7 @@ class Falls(hy.Automaton):
 
 def test_a_module_may_have_been_imported_by_its_path(crew, monkeypatch):
     """As those of the gallery are: they are imported in the same way."""
-    given = gallery.known("relay").cls(), {"x": X}, (0.0, 0.5)
+    given = gallery.find("relay").cls(), {"x": X}, (0.0, 0.5)
     lanes = hy.ensemble(*given, solver="scipy")
     assert crew
     assert lanes.identical(alone(monkeypatch, *given, solver="scipy"))

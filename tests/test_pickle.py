@@ -30,10 +30,9 @@ RUNS = {
 
 
 def suggested(name):
-    """The run that a file of the gallery suggests, of the class that can be imported by name."""
-    entry = gallery.known(name)
-    module = __import__(f"models.{name}", fromlist=[name])
-    return hy.simulate(getattr(module, entry.cls.__name__)(), entry.start, entry.until)
+    """The run that a file of the gallery suggests."""
+    entry = gallery.find(name)
+    return hy.simulate(entry.cls(), entry.start, entry.until)
 
 
 @pytest.fixture(scope="module", params=RUNS)

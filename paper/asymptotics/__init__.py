@@ -29,7 +29,7 @@ FIXED = 0.5
 
 def section() -> Section:
     """All claims of section 2."""
-    model = gallery.known("hard_spring").cls()
+    model = gallery.find("hard_spring").cls()
     cases = [Case.made(model, ratio) for ratio in RATIOS]
     return Section(
         name="asymptotics",

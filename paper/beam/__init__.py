@@ -53,7 +53,7 @@ def section() -> Section:
 @cache
 def beam(delta: float = 0.0, gamma: float = 0.0) -> Any:
     """The beam with a damping and a forcing of the figure's frequency."""
-    return gallery.known("moon_holmes").cls(delta=delta, gamma=gamma, w=W)
+    return gallery.find("moon_holmes").cls(delta=delta, gamma=gamma, w=W)
 
 
 @cache

@@ -44,7 +44,7 @@ def claims() -> list[Claim]:
 
 def released(gamma: float) -> bool:
     """Whether the beam, forced with w = 1, comes to rest and is released within a period."""
-    own = gallery.known("moon_holmes").cls(delta=0.05, gamma=gamma, w=1.0)
+    own = gallery.find("moon_holmes").cls(delta=0.05, gamma=gamma, w=1.0)
     run = simulate(own, {"x": 1.3, "v": 0.0}, (0.0, 32.0), solver="taylor")
     return bool(run.zeno) and run.zeno[0].t_release is not None
 
@@ -64,7 +64,7 @@ def bisected() -> tuple[float, float]:
 @cache
 def flown(delta: float, gamma: float, w: float, until: float = 80.0) -> Trajectory:
     """A run of the gallery's beam from (1.3, 0)."""
-    own = gallery.known("moon_holmes").cls(delta=delta, gamma=gamma, w=w)
+    own = gallery.find("moon_holmes").cls(delta=delta, gamma=gamma, w=w)
     return simulate(own, {"x": 1.3, "v": 0.0}, (0.0, until), rtol=1e-10)
 
 
@@ -72,7 +72,7 @@ def flown(delta: float, gamma: float, w: float, until: float = 80.0) -> Trajecto
 def locked() -> PeriodicOrbit:
     """The orbit to which the beam locks, one impact a period of the forcing."""
     delta, gamma, w = LOCKED
-    own = gallery.known("moon_holmes").cls(delta=delta, gamma=gamma, w=w)
+    own = gallery.find("moon_holmes").cls(delta=delta, gamma=gamma, w=w)
     return periodic_orbit(own, flown(*LOCKED), period=2.0 * pi / w)
 
 

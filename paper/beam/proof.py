@@ -44,4 +44,4 @@ def pushes_always(gamma: float) -> bool:
 @cache
 def beam() -> Any:
     """The beam of the gallery, read once."""
-    return gallery.known("moon_holmes").cls()
+    return gallery.find("moon_holmes").cls()

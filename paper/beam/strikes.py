@@ -160,7 +160,7 @@ def fly(delta: Any, gamma: Any, w: Any, start: float = 1.3, end: Any = None) -> 
     ArithmeticError
         If a lane fails.
     """
-    own = gallery.known("moon_holmes").cls()
+    own = gallery.find("moon_holmes").cls()
     delta, gamma, w = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in (delta, gamma, w)))
     model = Struck(r=own.r, obstacle=own.obstacle)
     none = np.zeros(len(LEVELS) + 1)

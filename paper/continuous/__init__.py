@@ -56,9 +56,9 @@ def section() -> Section:
 
 def unilateral() -> Claim:
     """The ball chatters, and nothing comes back to it from the oscillator."""
-    run, own = flown(), gallery.known("coupled").cls()
+    run, own = flown(), gallery.find("coupled").cls()
     point = run.zeno[0]
-    first = sqrt(2.0 * (gallery.known("coupled").start["x1"] - 1.0) / own.g)
+    first = sqrt(2.0 * (gallery.find("coupled").start["x1"] - 1.0) / own.g)
     exact = first * (1.0 + own.r) / (1.0 - own.r)
     count = 40
     times = first * (1.0 + 2.0 * own.r * (1.0 - own.r ** np.arange(count)) / (1.0 - own.r))
@@ -153,7 +153,7 @@ def oscillations() -> Claim:
 def acceleration() -> Claim:
     """x4' rises before and falls at every impact from some on."""
     run = flown()
-    own, point = gallery.known("coupled").cls(), run.zeno[0]
+    own, point = gallery.find("coupled").cls(), run.zeno[0]
     limit, rate = float(pull(limit_state(run))), float(jerk(limit_state(run)))
     error = error_of(point, C * K, C * C - K)
     return Claim(

@@ -28,7 +28,7 @@ LOOKS = 64
 @cache
 def flown() -> Trajectory:
     """The run from the printed start, to where the oscillator has come to its equilibrium."""
-    entry = gallery.known("coupled")
+    entry = gallery.find("coupled")
     return simulate(entry.cls(), entry.start, (0.0, END), solver="taylor", rtol=1e-14, atol=1e-14)
 
 
@@ -155,7 +155,7 @@ def oscillates(run: Trajectory) -> bool:
 
 def peaks(run: Trajectory) -> int:
     """Impacts at the end of the list before which x4' rises, and at which it falls."""
-    own = gallery.known("coupled").cls()
+    own = gallery.find("coupled").cls()
     x2, x3, x4 = (np.asarray(getattr(run.jumps.before, n)) for n in ("x2", "x3", "x4"))
     states = np.stack([x2, x2, x3, x4], axis=-1)
     rises = jerk(states) - 2.0 * DRIVE * own.g * x2 > 0.0

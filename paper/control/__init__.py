@@ -67,7 +67,7 @@ def spring(far: float, fastest: float) -> Certificate:
     """Theorem 1 for the system without control, as far as a height."""
     wall = model().wall
     box = {"x": (wall, far), "v": (-fastest, fastest)}
-    return certify(gallery.known("hard_spring").cls(r=model().r), box)
+    return certify(gallery.find("hard_spring").cls(r=model().r), box)
 
 
 def uncontrolled() -> Claim:
@@ -75,7 +75,7 @@ def uncontrolled() -> Claim:
     near, far = spring(2.5, 7.0), spring(201.0, 1e9)
     runs = [
         simulate(
-            gallery.known("hard_spring").cls(r=model().r), {"x": x0, "v": 0.0}, (0.0, 3.0), **EXACT
+            gallery.find("hard_spring").cls(r=model().r), {"x": x0, "v": 0.0}, (0.0, 3.0), **EXACT
         )
         for x0 in (CHATTERS, 3.0)
     ]

@@ -34,7 +34,7 @@ COARSER = 1e-11
 
 def model(**parameters: float) -> Any:
     """The controlled system; C = -30, tau = 1 and r = 0.6 where nothing else is given."""
-    return gallery.known("pyragas").cls(**parameters)
+    return gallery.find("pyragas").cls(**parameters)
 
 
 @cache

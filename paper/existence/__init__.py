@@ -44,7 +44,7 @@ def section() -> Section:
 
 def ball() -> Claim:
     """A ball over a floor."""
-    entry = gallery.known("bouncing_ball")
+    entry = gallery.find("bouncing_ball")
     model, height = entry.cls(), entry.start["x"]
     run = simulate(model, entry.start, entry.until, **FINE)
     point, impacts = run.zeno[0], run.jumps
@@ -96,7 +96,7 @@ SYSTEMS = {
 
 def autonomous() -> Claim:
     """Which systems depend on time, read off the traces of their functions."""
-    kinds = {name: _dependence(gallery.known(file).cls()) for name, file in SYSTEMS.items()}
+    kinds = {name: _dependence(gallery.find(file).cls()) for name, file in SYSTEMS.items()}
     own = [name for name, kind in kinds.items() if kind == "neither"]
     timed = [name for name, kind in kinds.items() if kind == "the time"]
     return Claim(

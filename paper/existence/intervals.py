@@ -99,7 +99,7 @@ class Ratios:
 
 def intervals(spring: Spring, seen: Sequence[Flight], again: Sequence[Flight]) -> Claim:
     """The ratio of successive intervals, where the force stays constant along each flight."""
-    entry = gallery.known("steady_push")
+    entry = gallery.find("steady_push")
     push = entry.cls()
     proved = certify(push, SMALL)
     run, other = (simulate(push, entry.start, entry.until, **o) for o in (FINE, OTHER))

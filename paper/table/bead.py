@@ -25,7 +25,7 @@ LASTS = 20.0
 
 def model() -> Any:
     """The bead with the values of Example 2, which are the gallery's."""
-    return gallery.known("bead_on_table").cls()
+    return gallery.find("bead_on_table").cls()
 
 
 @cache
@@ -67,7 +67,7 @@ def by_lemma() -> Certificate:
 @cache
 def held_still() -> Certificate:
     """Theorem 1 for the same bead over a floor that does not move, with the paper's h - phi."""
-    still = gallery.known("bead_on_table").cls(amplitude=0.0)
+    still = gallery.find("bead_on_table").cls(amplitude=0.0)
     return certify(still, {"x": (0.0, HIGH - LOW), "v": (-FASTEST, FASTEST)})
 
 

@@ -23,7 +23,7 @@ KEPT = {"Radau": 1e-6, "LSODA": 1e-5, "ensemble": 1e-7, "as_function": 1e-7}
 @cache
 def exact(name):
     """Runs in Taylor series, accurate to rounding."""
-    entry = gallery.known(name)
+    entry = gallery.find(name)
     return [
         hy.simulate(entry.cls(), entry.start, (t0, t1), history=entry.history, solver="taylor")
         for t0, t1 in spans(entry)
@@ -38,7 +38,7 @@ def spans(entry):
 @pytest.mark.parametrize("name", gallery.names())
 def test_a_model_ends_where_its_exact_run_does(way, name):
     """State, mode and first accumulation at four times along the run."""
-    entry = gallery.known(name)
+    entry = gallery.find(name)
     ends = np.array([t1 for _, t1 in spans(entry)])
     given = {"history": entry.history} if entry.cls.spec.lags else {}
     starts = [entry.start] * len(ends)
