@@ -8,8 +8,9 @@ others are left to the driver.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from .rules.places import CURVE_ROWS, REMAINING
 from .run import Driver
 from .run.machine import rooms
 from .scene import Scene
+from .scene.tape import Jets
 from .zeno.narrow import bounded
 
 #: Lanes in a call, at most and at least: between two of them progress is told. Of fewer than that
@@ -51,6 +53,20 @@ class Flown(NamedTuple):
         return Flown(*(column[fit] for column in self))
 
 
+@contextmanager
+def lent(free: dict[Any, list[Any]], needs: Any, make: Callable[[], Any]) -> Iterator[Any]:
+    """Arrays to work in, such as nobody is using: threads share what they are for, and not them."""
+    unused = free.setdefault(needs, [])
+    try:
+        rooms = unused.pop()
+    except IndexError:
+        rooms = make()
+    try:
+        yield rooms
+    finally:
+        unused.append(rooms)
+
+
 class Given(NamedTuple):
     """Parameters, first and last times, and starts: a row for each lane."""
 
@@ -59,7 +75,14 @@ class Given(NamedTuple):
     starts: np.ndarray
 
 
-def abreast(scene: Scene, driver: Driver, mode: str, lanes: Given, rows: int = 0) -> Abreast | None:
+def abreast(
+    scene: Scene,
+    driver: Driver,
+    mode: str,
+    lanes: Given,
+    rows: int = 0,
+    flies: type[Any] | None = None,
+) -> Any:
     """What flies the lanes of an ensemble by machine code alone; None where their runs are not
     plain. ``driver`` is the run of one of them, which has not begun; ``rows`` says how many jumps
     of each are kept."""
@@ -68,7 +91,7 @@ def abreast(scene: Scene, driver: Driver, mode: str, lanes: Given, rows: int = 0
         return None
     declared = mode in [each.name for each in scene.spec.modes]
     plain = declared and loop.may(scene.field(mode))
-    return Abreast(scene, driver, mode, lanes, rows) if plain else None
+    return (flies or Abreast)(scene, driver, mode, lanes, rows) if plain else None
 
 
 class Abreast:
@@ -83,13 +106,14 @@ class Abreast:
         self.watched = plan.zeno != "ignore"
         self.most = min(plan.max_jumps, JUMPS), int(min(plan.max_steps - 1, STEPS))
         self.stop = np.zeros(1, dtype=np.int64)
+        self.laid_out: dict[Any, Any] = {}
         self.whole = plan.max_jumps <= JUMPS  # else a lane with more is left to the driver
 
     def fly(self) -> Iterator[Flown]:
         """What becomes of the lanes, some at a time, in any order."""
         everyone = np.arange(len(self.given.starts))
-        yield from self._complete(everyone[:FEW])
-        yield from self._complete(everyone[FEW:])
+        yield from self.complete(everyone[:FEW])
+        yield from self.complete(everyone[FEW:])
 
     def mode(self, number: int) -> str:
         """The name of a field."""
@@ -114,7 +138,7 @@ class Abreast:
         numbers = (*self.given.values[lane].tolist(), *mask)
         return np.array(graph.projection(field.held, numbers)(t, x.tolist()))
 
-    def _complete(self, which: np.ndarray) -> Iterator[Flown]:
+    def complete(self, which: np.ndarray) -> Iterator[Flown]:
         """Fly lanes, again those that ask for what the tables do not have yet."""
         while len(which):
             self._lay_out()
@@ -123,15 +147,23 @@ class Abreast:
                 outcome = flown.told[:, OUTCOME]
                 asks = flown.those(outcome == ASKS)
                 asking.append((asks.lanes, asks.told[:, MODE]))
-                yield flown.those(np.isin(outcome, (ENDED, LAST_JUMP)))
+                yield flown.those((outcome == ENDED) | (outcome == LAST_JUMP))
             which = np.concatenate([lanes for lanes, _ in asking])
             for guard in np.unique(np.concatenate([guards for _, guards in asking])).tolist():
                 self.tables.complete(guard, bounded)
 
     def _lay_out(self) -> None:
+        """What the lanes' own numbers are put into."""
+        parts, bounded = self.tables.parts, self.tables.bounds.given
+        key = len(parts), len(bounded)
+        if key not in self.laid_out:
+            self.laid_out[key] = self.steady(parts, bounded)
+        self.programs = self.laid_out[key]
+
+    def steady(self, parts: Sequence[Jets], bounded: Any) -> tuple[np.ndarray, ...]:
         """The programs' steady parts, one behind the other, and where each begins."""
         ends, rows, given = np.zeros(4, dtype=np.int64), [], []
-        parts, columns = self.tables.parts, self.given.values.shape[1]
+        columns = self.given.values.shape[1]
         for part in parts:
             tape = part.tape
             own = tape.given.T[tape.given[1] < columns]
@@ -139,10 +171,10 @@ class Abreast:
             rows.append(np.column_stack([ends, ends + sizes]).reshape(-1))
             given.append(own)
             ends = ends + sizes
-        self.programs = (
+        return (
             np.array(rows, dtype=np.int64),
             np.ascontiguousarray(np.concatenate(given)),
-            np.array(self.tables.bounds.given, dtype=np.int64).reshape(-1, 2),
+            np.array(bounded, dtype=np.int64).reshape(-1, 2),
             np.concatenate([part.tape.steady for part in parts]),
             np.concatenate([part.tape.more for part in parts]),
         )
@@ -151,7 +183,13 @@ class Abreast:
         threads = os.cpu_count() or 1
         size = min(BLOCK, max(LEAST, len(which) // (CALLS * threads)))
         blocks = np.split(which, range(size, len(which), size))
-        automaton, pool = self.tables.automaton, ThreadPoolExecutor(threads)
+        automaton = self.tables.automaton
+        if len(blocks) == 1:
+            flown, steps = self._block(automaton, which)
+            self.tables.flown(steps)
+            yield flown
+            return
+        pool = ThreadPoolExecutor(threads)
         try:
             for done in as_completed([pool.submit(self._block, automaton, b) for b in blocks]):
                 flown, steps = done.result()
@@ -177,16 +215,24 @@ class Abreast:
             np.full((count * self.rows * 2, n), np.nan),
         )
         fired = np.full(when.shape, -1)
-        lanes: Any = unit("lanes").lanes
-        steps = lanes(
-            *(own, self.loop.run.copy(), self._now(), *self._rooms(n), *self.programs),
-            *(numbers.reshape(-1, 1), *asked, self.field, self.watched, ends, told),
-            *(when, fired, around, self.stop),
-        )
+        lanes = *asked, self.field, self.watched, ends, told, when, fired, around, self.stop
+        with lent(self.tables.free, self._needs, lambda: self._rooms(n)) as rooms:
+            flown = own, self.loop.run.copy(), self._now(), *rooms, *self.programs
+            steps = self._call(which, (*flown, numbers.reshape(-1, 1)), lanes)
         if not self.whole:
             told[told[:, OUTCOME] == LAST_JUMP, OUTCOME] = LEFT
         around = around.reshape(count, self.rows, 2, n)
         return Flown(which, ends, told, when, fired, around), steps
+
+    def _call(self, which: np.ndarray, automaton: tuple[Any, ...], lanes: tuple[Any, ...]) -> int:
+        """Fly some lanes; returns the steps made."""
+        fly: Any = unit("lanes").lanes
+        return fly(*automaton, *lanes)  # type: ignore[no-any-return]
+
+    @property
+    def _needs(self) -> tuple[Any, ...]:
+        """What the arrays to work in depend on."""
+        return "lanes", *self.tables.needs, self.loop.order, *self.most
 
     def _rooms(self, n: int) -> tuple[Any, ...]:
         room, sums, look = rooms(self.tables, n, self.loop.order)

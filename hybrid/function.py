@@ -17,7 +17,7 @@ from .automaton.spec import Spec
 from .errors import OptionError
 from .replay.fly import at
 from .replay.function import Replay, when
-from .rows import values
+from .rows import Slopes, values
 from .scene import Scene, scene_of
 from .solvers import renamed
 from .tangent import NUMBERS, REASONS, Layout, Runs
@@ -176,10 +176,15 @@ def as_function(
     runs = runs_of(model, outputs, max_jumps, max_steps, history, memory=memory, **steps)
     fly = _called(runs)
 
+    def whole(parameters: tuple[Any, ...], start: tuple[Any, ...], t: tuple[Any, ...]) -> Outcome:
+        return _outcome(spec, *fly(parameters, _vector(spec, start), *t))
+
+    compiled = jax.jit(whole)  # else each of its steps is one of the user's program
+
     def function(model: Any, start: Any) -> Outcome:
         _require_wide()
-        parts, ints = fly(_parameters(spec, model), _vector(spec, start), *map(_number, t))
-        return _outcome(spec, parts, ints)
+        given = _parameters(spec, model), _values(spec, start), tuple(t)
+        return compiled(*(tuple(map(_number, numbers)) for numbers in given))  # type: ignore[no-any-return]
 
     function.edges = runs.edges  # type: ignore[attr-defined]
     return function
@@ -194,25 +199,29 @@ def _require_wide() -> None:
 
 
 def _number(value: Any) -> Any:
-    return jnp.asarray(value, float)
+    """A value as an array of 64 bits."""
+    traced = isinstance(value, jax.Array | list | tuple)
+    return (jnp if traced else np).asarray(value, float)
 
 
 def _parameters(spec: Spec, model: Any) -> tuple[Any, ...]:
     if getattr(type(model), "spec", None) is not spec:
         raise OptionError(f"the function was made for {spec.model}, not for {type(model).__name__}")
-    return tuple(_number(getattr(model, p.name)) for p in spec.parameters)
+    return tuple(getattr(model, p.name) for p in spec.parameters)
 
 
-def _vector(spec: Spec, start: Any) -> Any:
-    values = spec.values(start if isinstance(start, Mapping) else tuple(start))
+def _values(spec: Spec, start: Any) -> tuple[Any, ...]:
+    return tuple(spec.values(start if isinstance(start, Mapping) else tuple(start)))
+
+
+def _vector(spec: Spec, start: tuple[Any, ...]) -> Any:
     parts = []
-    for state, value in zip(spec.states, values, strict=True):
-        array = _number(value)
-        if array.shape != state.shape:
+    for state, value in zip(spec.states, start, strict=True):
+        if value.shape != state.shape:
             raise OptionError(
-                f"{spec.model}: start {state.name} has shape {array.shape}; {state.shape} is due"
+                f"{spec.model}: start {state.name} has shape {value.shape}; {state.shape} is due"
             )
-        parts.append(array.reshape(-1))
+        parts.append(value.reshape(-1))
     return jnp.concatenate(parts)
 
 
@@ -285,7 +294,7 @@ def _called(runs: Runs) -> Fly:
 
 def _differentiable(runs: Runs) -> Callable[[Any], tuple[Any, Any]]:
     """What the runs give as a function of a row of numbers that has first derivatives."""
-    length, ints = runs.layout.length, runs.layout.rows + 2
+    length, ints, varied = runs.layout.length, runs.layout.rows + 2, Slopes(runs)
     given = jax.ShapeDtypeStruct((length,), float), jax.ShapeDtypeStruct((ints,), int)
 
     def whole(row: Any) -> Any:
@@ -294,7 +303,7 @@ def _differentiable(runs: Runs) -> Callable[[Any], tuple[Any, Any]]:
     def first(row: Any) -> Any:
         slopes = jax.ShapeDtypeStruct((length, *row.shape), float)
         shapes = *given, slopes
-        return jax.pure_callback(partial(_each, runs.slopes), shapes, row, vmap_method=ABREAST)
+        return jax.pure_callback(varied, shapes, row, vmap_method=ABREAST)
 
     def second(rows: Any, changes: Any) -> Any:
         numbers, whole_numbers, slopes = once(*rows)

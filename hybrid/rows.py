@@ -1,18 +1,25 @@
 """Many runs as rows of numbers, at once: what :func:`hybrid.as_function` gives under ``vmap``.
 
 A row in which nothing needs judgement is a lane that machine code flies alone, on all cores
-(:mod:`.abreast`); the others are run one after another.
+(:mod:`.abreast`), and so are its derivatives (:mod:`hybrid.rules.changes`); the others are run one
+after another.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from copy import copy
+from functools import cached_property
+from typing import Any, TypeVar
 
 import attrs
 import numpy as np
 
-from .abreast import Abreast, Flown, Given, abreast
+from .abreast import FEW as FIRST
+from .abreast import Abreast, Flown, Given, abreast, lent
 from .errors import HybridError
+from .rules import unit
+from .rules.changes import KNOWN, OF_FIELD, OF_GUARD
 from .rules.lanes import (
     AT_TIME,
     ENDED,
@@ -24,11 +31,16 @@ from .rules.lanes import (
     T_ERROR,
     T_INF,
 )
-from .scene import scene_with
+from .run import Driver
+from .scene import Scene, scene_with
+from .scene.tape import room
 from .tangent import NUMBERS, Runs
+from .variation import Derivatives, Owned
 
 #: Rows from which on they are flown together: to begin takes as long as two or three runs.
 FEW = 4
+
+Flies = TypeVar("Flies", bound=Abreast)
 
 
 def values(runs: Runs, rows: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -55,33 +67,45 @@ def _together(
     runs: Runs, rows: np.ndarray, numbers: np.ndarray, ints: np.ndarray, done: np.ndarray
 ) -> None:
     """Fly those that need no judgement, and put down what they give."""
-    n, kept = runs.layout.size, runs.layout.rows if "times" in runs.layout.places else 0
-    fit = np.flatnonzero(np.isfinite(rows).all(axis=1) & (rows[:, -1] > rows[:, -2]))
-    if not len(fit):
-        return
-    parameters, starts, spans = np.split(rows[fit], (-2 - n, -2), axis=1)
-    scene = scene_with(runs.cls, runs.shapes, tuple(parameters[0].tolist()))
-    try:
-        asked = attrs.evolve(runs.asked, save="jumps")
-        driver = asked.driver(scene, spans[0].tolist(), starts[0].copy(), runs.history)
-    except HybridError:  # it is the rows' own
-        return
-    together = abreast(scene, driver, runs.mode, Given(parameters, spans, starts), kept)
+    fit = np.flatnonzero(_usual(rows))
+    together = _first(runs, rows[fit], Abreast) if len(fit) else None
     if together is None:
         return
-    places = {edge: place for place, edge in enumerate(runs.edges)}
     for flown in together.fly():
-        edges = np.array([*(places.get(g.edge, -1) for g in together.tables.guards), -1])
         which = fit[flown.lanes]
-        numbers[which], ints[which] = _given(runs, together, flown, edges)
+        numbers[which], ints[which] = _given(runs, together, flown)
         done[which] = True
 
 
-def _given(
-    runs: Runs, together: Abreast, flown: Flown, edges: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _usual(rows: np.ndarray) -> np.ndarray:
+    """Which rows ask for what may be flown."""
+    fit: np.ndarray = np.isfinite(rows).all(axis=1) & (rows[:, -1] > rows[:, -2])
+    return fit
+
+
+def _parted(runs: Runs, rows: np.ndarray) -> Given:
+    """Parameters, times and starts."""
+    parameters, starts, spans = np.split(rows, (-2 - runs.layout.size, -2), axis=1)
+    return Given(parameters, spans, starts)
+
+
+def _first(runs: Runs, rows: np.ndarray, flies: type[Flies]) -> Flies | None:
+    """What flies rows, made for the first of them; None where their runs are not plain."""
+    lanes, kept = _parted(runs, rows), runs.layout.rows if "times" in runs.layout.places else 0
+    scene = scene_with(runs.cls, runs.shapes, tuple(lanes.values[0].tolist()))
+    try:
+        asked = attrs.evolve(runs.asked, save="jumps")
+        driver = asked.driver(scene, lanes.spans[0].tolist(), lanes.starts[0].copy(), runs.history)
+    except HybridError:  # it is the row's own
+        return None
+    return abreast(scene, driver, runs.mode, lanes, kept, flies)
+
+
+def _given(runs: Runs, together: Abreast, flown: Flown) -> tuple[np.ndarray, np.ndarray]:
     """What some lanes give, as :meth:`hybrid.tangent.Runs.values` does for one."""
     layout, ends, told = runs.layout, flown.ends, flown.told
+    places = {edge: place for place, edge in enumerate(runs.edges)}
+    edges = np.array([*(places.get(g.edge, -1) for g in together.tables.guards), -1])
     numbers = np.full((layout.length, len(ends)), np.nan)
     ints = np.full((len(ends), layout.rows + 2), -1)
     views = layout.views(numbers)
@@ -102,3 +126,120 @@ def _given(
     ended = told[:, OUTCOME] == ENDED
     ints[:, -1] = np.where(ended, NUMBERS["reached_end"], NUMBERS["max_jumps"])
     return numbers.T, ints
+
+
+# ---------------------------------------------------------------------------------------
+# and their derivatives
+
+
+class Slopes:
+    """What runs give, and its derivatives by the numbers of their rows."""
+
+    def __init__(self, runs: Runs) -> None:
+        self.runs = runs
+        self._made: Changing | None = None
+
+    def __call__(self, rows: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As :func:`values`, and behind it the derivatives, shape ``(..., length, numbers)``."""
+        rows, layout = np.asarray(rows), self.runs.layout
+        flat = rows.reshape(-1, rows.shape[-1])
+        numbers = np.full((len(flat), layout.length), np.nan)
+        ints = np.full((len(flat), layout.rows + 2), -1)
+        slopes = np.full((*numbers.shape, flat.shape[1]), np.nan)
+        left = np.ones(len(flat), dtype=bool)
+        fit = np.flatnonzero(_usual(flat))
+        together = self._together(flat[fit]) if len(fit) else None
+        if together is not None:
+            for flown, found in together.changes():
+                which = fit[flown.lanes]
+                numbers[which], ints[which] = _given(self.runs, together, flown)
+                slopes[which], left[which] = found[:, self._sources], False
+        slopes[:, self._sources < 0] = np.nan
+        for k in np.flatnonzero(left).tolist():
+            numbers[k], ints[k], slopes[k] = self.runs.slopes(flat[k])
+        shape = rows.shape[:-1]
+        return tuple(a.reshape(*shape, *a.shape[1:]) for a in (numbers, ints, slopes))  # type: ignore[return-value]
+
+    def _together(self, rows: np.ndarray) -> Changing | None:
+        """What flies the rows; it is made with the first that can be flown."""
+        if self._made is None:
+            self._made = _first(self.runs, rows, Changing)
+        return None if self._made is None else self._made.of(_parted(self.runs, rows))
+
+    @cached_property
+    def _sources(self) -> np.ndarray:
+        """Of each number that runs give the row of what the rule finds; -1 where there is none."""
+        layout = self.runs.layout
+        n, rows = layout.size, layout.rows
+        first = 3 + 2 * n
+        own, jumps = 1 + np.arange(n), first + np.arange(rows) * (1 + 2 * n)
+        before = 1 + jumps[:, None] + np.arange(n)
+        found = np.full(layout.length, -1)
+        places = {"t": 0, "final": own, "times": jumps, "before": before, "after": before + n}
+        places |= {"t_inf": n + 1, "x_inf": n + 1 + own, "ratio": 2 * n + 2}
+        for name, view in layout.views(found).items():
+            view[...] = places.get(name, -1)
+        return found
+
+
+class Changing(Abreast):
+    """Flies lanes, and carries their changes."""
+
+    asked: np.ndarray
+    found: np.ndarray
+
+    def __init__(self, scene: Scene, driver: Driver, mode: str, lanes: Given, rows: int) -> None:
+        super().__init__(scene, driver, mode, lanes, rows)
+        self.derived = Owned(Derivatives(scene, True), self.tables)
+        self.derived.add_field(self.field)
+
+    def of(self, lanes: Given) -> Changing:
+        """The same for other lanes."""
+        other, (count, n), columns = copy(self), lanes.starts.shape, lanes.values.shape[1]
+        other.given, other.stop = lanes, np.zeros(1, dtype=np.int64)
+        other.asked = np.zeros((count, 2), dtype=np.int64)
+        rows = 3 + 2 * n + self.rows * (1 + 2 * n)
+        other.found = np.empty((count, rows, columns + n + 2))
+        return other
+
+    def changes(self) -> Iterator[tuple[Flown, np.ndarray]]:
+        """What becomes of the lanes whose changes are known, and these."""
+        everyone = np.arange(len(self.given.starts))
+        for lanes in (everyone[:FIRST], everyone[FIRST:]):
+            which = lanes
+            while len(which) and self.derived.parts:
+                for flown in self.complete(which):
+                    known = flown.those(self.asked[flown.lanes, 0] == KNOWN)
+                    yield known, self.found[known.lanes]
+                which = self._asking(which)
+
+    def _asking(self, lanes: np.ndarray) -> np.ndarray:
+        """Those of some lanes that have asked for derivatives, which are added."""
+        asked = self.asked[lanes]
+        for kind, add in ((OF_FIELD, self.derived.add_field), (OF_GUARD, self.derived.add_guard)):
+            for number in set(asked[asked[:, 0] == kind, 1].tolist()):
+                add(number)
+        found: np.ndarray = lanes[(asked[:, 0] == OF_FIELD) | (asked[:, 0] == OF_GUARD)]
+        return found
+
+    def _lay_out(self) -> None:
+        super()._lay_out()
+        self.slopes, parts = self.derived.slopes, self.derived.parts
+        key = "derivatives", len(parts)
+        if key not in self.laid_out:
+            self.laid_out[key] = self.steady(parts, ())
+        self.own = self.laid_out[key]
+
+    def _call(self, which: np.ndarray, automaton: tuple[Any, ...], lanes: tuple[Any, ...]) -> int:
+        fly: Any = unit("changes").flown
+        asked, found = self.asked[which], self.found[which]
+        parts, given, _, ops, more = self.own
+        programs = self.slopes.programs
+        numbers, n = programs.numbers.copy(), self.given.starts.shape[1]
+        slopes = self.slopes._replace(programs=programs._replace(numbers=numbers))
+        make = lambda: (room(self.derived.needs, n, 1), self.derived.room())  # noqa: E731
+        with lent(self.laid_out, ("free", len(self.derived.parts)), make) as (still, changing):
+            own = parts, given, ops, more, numbers.reshape(-1, 1), still, slopes, changing
+            made = fly(*automaton, *own, *lanes, asked, found.reshape(-1, found.shape[2]))
+        self.asked[which], self.found[which] = asked, found
+        return made  # type: ignore[no-any-return]

@@ -8,6 +8,7 @@ import numpy as np
 
 import hybrid as hy
 from hybrid.function import OUTPUTS, runs_of
+from hybrid.rows import Slopes
 from models.ball_on_circle import BallOnCircle
 from models.bead_on_table import BeadOnTable
 from models.hard_spring import HardSpring
@@ -429,7 +430,7 @@ def compared(name, seed):
     model, row = drawn(name, seed)
     options = dict(*SCENES[name][3:])
     runs = runs_of(model, OUTPUTS, max_jumps=24, max_steps=4096, **options)
-    numbers, ints, slopes = runs.slopes(row)
+    numbers, ints, slopes = Slopes(runs)(row)
     off, judged, left, none, worst = 0.0, 0, 0, 0, ""
     for column in range(len(row)):
         step = STEP * max(1.0, abs(row[column]))

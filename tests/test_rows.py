@@ -48,3 +48,39 @@ def test_rows_that_need_no_judgement_are_flown_together(monkeypatch):
     np.testing.assert_allclose(out.jumps.t[:, 0], np.sqrt(2 / 9.81), rtol=1e-15)
     assert set(np.asarray(out.status)) == {1}
     assert fall.edges[int(out.jumps.edge[7, 0])] == "impact"
+
+
+# ---------------------------------------------------------------------------------------
+# derivatives
+
+#: What machine code and the walk may differ by, against the largest derivative by the same number:
+#: a limit is resolved to 1e-11, and an impact's speed near it divides by its own size.
+APART = 1e-8
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "delay_bounce"])
+def test_derivatives_of_rows_are_those_of_the_walk(name):
+    """Carried along a log in one call, or piece by piece: the same, and where there is none."""
+    runs, given = asked(name, 12, ("final", "jumps", "zeno"))
+    numbers, ints, slopes = rows.Slopes(runs)(given.reshape(3, 4, -1))
+    for k, row in enumerate(given):
+        alone = runs.slopes(row)
+        np.testing.assert_array_equal(numbers.reshape(12, -1)[k], alone[0])
+        np.testing.assert_array_equal(ints.reshape(12, -1)[k], alone[1])
+        size = np.nan_to_num(np.abs(alone[2])).max(axis=0, initial=1e-300)
+        found = slopes.reshape(12, *alone[2].shape)[k]
+        np.testing.assert_allclose(found / size, alone[2] / size, rtol=0, atol=APART)
+
+
+def test_derivatives_that_need_no_judgement_are_flown_together(monkeypatch):
+    """By machine code, in both modes: no run of their own is made."""
+    monkeypatch.setattr(Runs, "slopes", None)
+    fall = hy.as_function(BouncingBall(), t=(0.0, 30.0), max_jumps=64)
+    t_inf = lambda r, x: fall(BouncingBall(r=r), {"x": x, "v": 0.0}).zeno.t  # noqa: E731
+    r, x = np.linspace(0.3, 0.9, 100), np.linspace(0.5, 2.0, 100)
+    t = np.sqrt(2 * x / 9.81)
+    with jax.enable_x64(True):
+        for derivative in (jax.grad, jax.jacfwd):
+            by_r, by_x = jax.jit(jax.vmap(derivative(t_inf, (0, 1))))(r, x)
+            np.testing.assert_allclose(by_r, 2 * t / (1 - r) ** 2, rtol=1e-11)
+            np.testing.assert_allclose(by_x, t * (1 + r) / (1 - r) / (2 * x), rtol=1e-11)

@@ -232,3 +232,88 @@ class Look(NamedTuple):
     box: Matrix
     found: Matrix
     laws: Matrix
+
+
+class Slopes(NamedTuple):
+    """Derivatives of an automaton's functions, by time, state and parameters.
+
+    Attributes
+    ----------
+    programs : Programs
+        Of functions along a flow, and of values.
+    places : Table
+        For each function along a flow its place in the matrix of the first variation.
+    fields, guards : Table
+        Which programs are whose; columns as in :mod:`.variation`.
+    of_fields, of_guards : Ints
+        The rows of the automaton's fields and guards; below zero as in :mod:`.places`.
+    """
+
+    programs: Programs
+    places: Table
+    fields: Table
+    guards: Table
+    of_fields: Ints
+    of_guards: Ints
+
+
+class Changes(NamedTuple):
+    """What the first variation writes into; nothing need be in it.
+
+    ``n`` states; ``C`` columns: time, states, parameters; ``K`` with directions for parameters.
+
+    Attributes
+    ----------
+    c, work, sides
+        As :func:`.jets.jets` takes them for the programs of derivatives.
+    read : Floats
+        What a program gives.
+    terms, aside, piece, flight : Matrix
+        Series of a matrix along the flow, a row for each of its numbers; two such matrices, one
+        below the other; that of a piece, and that of a flight, with a gap behind the states.
+    before, after : Matrix
+        Changes of time, of states, and of a gap: ``C`` columns.
+    lines : Matrix
+        Rows of numbers.
+    maps, rest, now, last, best : Matrix
+        Of a limit: the maps from impact to impact at some points, and what they give; ``K``
+        columns.
+    lower, small : Matrix
+        From values at points to those at others; what that is made of.
+    equations, right, shares : Matrix
+    known : Ints
+        The points at which the map is known.
+    arc : Matrix
+        The matrix of an arc.
+    state, moved : Matrix
+        The change of time and state by each number that a run is asked for with, and room for it.
+    out : Matrix
+        What a limit gives.
+    """
+
+    c: Matrix
+    work: Floats
+    sides: Ints
+    read: Floats
+    terms: Matrix
+    aside: Matrix
+    piece: Matrix
+    flight: Matrix
+    before: Matrix
+    after: Matrix
+    lines: Matrix
+    maps: Matrix
+    rest: Matrix
+    now: Matrix
+    last: Matrix
+    best: Matrix
+    lower: Matrix
+    small: Matrix
+    equations: Matrix
+    right: Matrix
+    shares: Matrix
+    known: Ints
+    arc: Matrix
+    state: Matrix
+    moved: Matrix
+    out: Matrix

@@ -7,14 +7,22 @@ more than the state has: a number that depends on the state, and on which nothin
 
 from __future__ import annotations
 
-from .arrays import Floats, Ints, Matrix, Programs, Table
+from .arrays import Changes, Floats, Ints, Matrix, Programs, Table
 from .checks import along
 from .jets import KINKS, OUTPUT, jets
 from .kinks import POINT
-from .lengths import own_length, step_length
+from .lengths import MOVES, own_length, step_length
 from .polynomials import power_value
 
 __all__ = ("carried",)
+
+#: Columns of the tables of derivatives. Of a field, and of a contact with its gap behind the
+#: states: the program of ``J`` and ``P``, and where its places begin and end; the program of the
+#: projection onto contacts held (-1: none is), and how many are. Of a guard besides: its gradient,
+#: the derivatives of its jump (-1: the state stays as it is); of a contact those of its gap's
+#: speed, of its restitution, of what the flow watches; and the row of the field of its rest (-1).
+PROGRAM, FROM, UNTIL, ONTO, HELD = range(5)
+GRADIENT, RESET, SPEED, LAW, KINKED, REST = range(5, 11)
 
 #: Size of the last terms of a series, relative to its largest, at the end of a step.
 ROUNDING = 1e-16
@@ -28,25 +36,20 @@ NO_SERIES, NO_END = -1, -2
 
 def carried(
     p: Programs,
+    program: int,
+    places: Table,
     t: float,
     x: Floats,
     length: float,
     beside: float,
     inside: Floats,
-    places: Table,
-    sides: Ints,
-    c: Matrix,
-    work: Floats,
-    terms: Matrix,
-    aside: Matrix,
+    room: Changes,
     found: Matrix,
 ) -> int:
     """The matrix of a piece of an arc on which no formula changes.
 
     Parameters
     ----------
-    p
-        One program.
     t, x
         Where the piece begins; ``x`` gets its end.
     beside, inside
@@ -54,11 +57,6 @@ def carried(
         the piece is.
     places
         For each function of the program its place in ``(J, P)``; where there is none, 0 stands.
-    sides, c, work
-        As :func:`.jets.jets` takes them.
-    terms, aside
-        To work in: a row for each number of ``found``, as long as those of ``c``; and two matrices
-        like ``found``, one below the other.
     found
         Gets the matrix, of as many rows as ``J`` and as many columns as ``(J, P)``.
 
@@ -67,61 +65,88 @@ def carried(
     status : int
         0, or why there is none.
     """
-    _unmoved(found)
-    begin, order = _sides(p, beside, inside, sides, c, work), c.shape[1] - 1
+    unmoved(found)
+    c, sides = room.c, room.sides
+    begin, order = _sides(p, program, beside, inside, sides, c, room.work), c.shape[1] - 1
     done, steps = 0.0, 0
     while begin and done < length:
         if steps == MOST:
             return NO_END
-        if jets(p, 0, order, t + done, x, sides, c, work) < 0:
+        if jets(p, program, order, t + done, x, sides, c, room.work) < 0:
             return NO_SERIES
-        _expand(p, places, found.shape[0], found.shape[1], order, c, terms)
-        h = min(length - done, step_length(c, x.shape[0]))
-        for i in range(terms.shape[0]):
-            h = min(h, own_length(terms[i], ROUNDING))
+        first = p.index[program, OUTPUT]
+        _expand(p.output[first:], places, found.shape[0], found.shape[1], order, c, room.terms)
+        h = _step(c, x.shape[0], room.terms, found.shape[0] * found.shape[1], length - done)
         if not done + h > done:
             return NO_SERIES
         along(c, h, x)
-        _compose(terms, h, aside, found)
+        _summed(room.terms, h, found.shape[0], found.shape[1], room.aside)
+        composed(room.aside, found)
         done, steps = done + h, steps + 1
         for i in range(sides.shape[0]):
             sides[i] = 0
     return 0 if begin else NO_SERIES
 
 
-def _sides(p: Programs, t: float, x: Floats, sides: Ints, c: Matrix, work: Floats) -> bool:
+def _step(c: Matrix, n: int, terms: Matrix, count: int, most: float) -> float:
+    """A length, ``most`` at most, at which the last two terms of all series are rounding. It is
+    tried first: a length that fits is cheap to see, and expensive to find."""
+    h = most
+    for i in range(n):
+        if not small(c[i], MOVES, h):
+            h = min(h, step_length(c, n))
+    for i in range(count):
+        if not small(terms[i], terms.shape[1] - 2, h):
+            h = min(h, own_length(terms[i], ROUNDING))
+    return h
+
+
+def small(c: Floats, measure: int, h: float) -> bool:
+    """Whether the last two terms of a series are rounding of one of the first ones, so many."""
+    size, power, order = 0.0, 1.0, c.shape[0] - 1
+    for k in range(order - 1):
+        if k < measure:
+            size = max(size, abs(c[k]) * power)
+        power *= h
+    return max(abs(c[order - 1]), abs(c[order]) * h) * power <= ROUNDING * size
+
+
+def _sides(
+    p: Programs, program: int, t: float, x: Floats, sides: Ints, c: Matrix, work: Floats
+) -> bool:
     """The sides of kinks at a state; whether there are any."""
     for i in range(sides.shape[0]):
         sides[i] = 0
-    if sides.shape[0] > 0:
-        if jets(p, 0, 0, t, x, sides, c, work) < 0:
+    first, last = p.index[program, KINKS], p.index[program, KINKS + 1]
+    if last > first:
+        if jets(p, program, 0, t, x, sides, c, work) < 0:
             return False
-        for i in range(p.index[0, KINKS], p.index[0, KINKS + 1]):
+        for i in range(first, last):
             value = c[p.kinks[i, 0], 0]
             if p.kinks[i, 1] == 1 and p.kinks[i, 2] != POINT and value != 0.0:
-                sides[i - p.index[0, KINKS]] = 1 if value > 0.0 else -1
+                sides[i - first] = 1 if value > 0.0 else -1
     return True
 
 
-def _unmoved(m: Matrix) -> None:
+def unmoved(m: Matrix) -> None:
+    """The unit matrix."""
     for i in range(m.shape[0]):
         for j in range(m.shape[1]):
             m[i, j] = 1.0 if i == j else 0.0
 
 
 def _expand(
-    p: Programs, places: Table, rows: int, columns: int, order: int, c: Matrix, terms: Matrix
+    output: Ints, places: Table, rows: int, columns: int, order: int, c: Matrix, terms: Matrix
 ) -> None:
     """The series of the matrix from the start of a step: order by order, as the flow's."""
     for i in range(rows):
         for j in range(columns):
             terms[i * columns + j, 0] = 1.0 if i == j else 0.0
-    first = p.index[0, OUTPUT]
     for k in range(order):
         for i in range(rows * columns):
             terms[i, k + 1] = 0.0
         for f in range(places.shape[0]):
-            slope, i, j = p.output[first + f], places[f, 0], places[f, 1]
+            slope, i, j = output[f], places[f, 0], places[f, 1]
             if j >= rows:
                 terms[i * columns + j, k + 1] += c[slope, k]
             else:
@@ -134,18 +159,22 @@ def _expand(
             terms[i, k + 1] /= k + 1
 
 
-def _compose(terms: Matrix, h: float, aside: Matrix, found: Matrix) -> None:
-    """The matrix of a step behind that of those before."""
-    (rows, columns), last = found.shape, terms.shape[1] - 1
+def _summed(terms: Matrix, h: float, rows: int, columns: int, found: Matrix) -> None:
+    """The matrix of a step."""
     for i in range(rows):
         for j in range(columns):
-            aside[i, j], _ = power_value(terms[i * columns + j], 0, last, h)
+            found[i, j], _ = power_value(terms[i * columns + j], 0, terms.shape[1] - 1, h)
+
+
+def composed(later: Matrix, found: Matrix) -> None:
+    """A matrix behind that of what came before, which it replaces; ``later`` has room below."""
+    rows, columns = found.shape
     for i in range(rows):
         for j in range(columns):
-            total = aside[i, j] if j >= rows else 0.0
+            total = later[i, j] if j >= rows else 0.0
             for k in range(rows):
-                total += aside[i, k] * found[k, j]
-            aside[rows + i, j] = total
+                total += later[i, k] * found[k, j]
+            later[rows + i, j] = total
     for i in range(rows):
         for j in range(columns):
-            found[i, j] = aside[rows + i, j]
+            found[i, j] = later[rows + i, j]

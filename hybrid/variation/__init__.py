@@ -3,6 +3,7 @@
 from .carried import At, Carried
 from .derivatives import Derivatives
 from .past import Past, Shift, Strand, descendants, distinct
+from .slopes import Owned
 from .walk import Course, Factor, Moment, Walk, factors
 
 __all__ = [
@@ -12,6 +13,7 @@ __all__ = [
     "Derivatives",
     "Factor",
     "Moment",
+    "Owned",
     "Past",
     "Shift",
     "Strand",

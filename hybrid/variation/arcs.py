@@ -18,9 +18,9 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from ..errors import OrbitError
-from ..scene import Field, Guard
+from ..scene import Field
 from ..segment import Segment, nodes
-from .derivatives import Derivatives, Directed, Matrix
+from .derivatives import Derivatives, Matrix
 
 #: Stages of the collocation, whose order is twice as many.
 STAGES = 8
@@ -117,11 +117,10 @@ def composed(second: np.ndarray, first: np.ndarray) -> np.ndarray:
 
 
 def along(
-    of: Derivatives | Directed,
+    of: Derivatives,
     field: Field,
     t: float,
     segments: Sequence[Segment],
-    gap: Guard | None = None,
 ) -> Iterator[tuple[float, np.ndarray]]:
     """Local times, and matrices that carry a change from the time before to each of them.
 
@@ -132,10 +131,8 @@ def along(
     t : float
         Time at the start of the arc to which the segments belong.
     segments : sequence of Segment
-    gap : Guard, optional
-        A gap that is carried along as a number behind the state.
     """
-    series, rates = of.series(field, gap), partial(_rates, of, field, gap)
+    series, rates = of.series(field), partial(of.flow, field)
     kinks, largest = None, np.zeros(of.size)
     if field.changes:
         segments = told(segments)
@@ -147,24 +144,10 @@ def along(
             if kinks is not None and last is not None:
                 turn = bend(kinks, field, last, piece, largest)
                 if turn is not None:
-                    yield piece.start, _widened(turn, rates()(t, segment(piece.start)))
+                    yield piece.start, turn
             matrix = None if series is None else series.carried(piece)
             yield piece.end, _resolve(rates(), piece, of.units) if matrix is None else matrix
             last = piece
-
-
-def _rates(of: Derivatives | Directed, field: Field, gap: Guard | None) -> Matrix:
-    """Derivatives of the flow, and of a gap's speed behind it."""
-    return of.flow(field) if gap is None else of.flow_with_gap(gap, field)
-
-
-def whole(matrices: Iterator[tuple[float, np.ndarray]]) -> np.ndarray:
-    """The matrix of an arc."""
-    found = None
-    for _, matrix in matrices:
-        found = matrix if found is None else composed(matrix, found)
-    assert found is not None
-    return found
 
 
 def _resolve(rate: Matrix, piece: Piece, units: np.ndarray) -> np.ndarray:
@@ -190,8 +173,7 @@ def sizes(piece: Piece, matrix: np.ndarray, units: np.ndarray) -> np.ndarray:
     """What a matrix is measured by: changes of the state by the largest, those by a parameter by
     their own and by what they are where they change the state by its size."""
     size, largest = len(matrix), np.abs(matrix).max(axis=0)
-    states = np.abs(piece.segment.at(SAMPLES)).max(axis=0)
-    rows = np.append(states, [states.max()] * (size - len(states)))
+    rows = np.abs(piece.segment.at(SAMPLES)).max(axis=0)
     return np.hstack(
         [
             np.full((size, size), largest[:size].max()),
@@ -322,11 +304,3 @@ def passing(kinks: Matrix, piece: Piece, flow: np.ndarray) -> np.ndarray:
         )
     first: np.ndarray = rows[0]
     return first
-
-
-def _widened(matrix: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """A matrix of the state with rows and columns for numbers behind it, which do not jump."""
-    size, (rows, columns) = len(matrix), rates.shape
-    found = np.eye(rows, columns - 1)
-    found[:size, :size], found[:size, rows:] = matrix[:, :size], matrix[:, size:]
-    return found

@@ -14,7 +14,8 @@ from ..errors import OrbitError
 from ..run.pieces import Window
 from ..scene.windows import TO_POWERS
 from ..segment import from_values, nodes
-from .derivatives import Derivatives, Directed
+from .derivatives import Derivatives
+from .limit import through
 from .past import NOTHING, Past, Shift, Strand
 from .walk import Chatter, Course, Factor, Stretch, Walk
 
@@ -183,8 +184,7 @@ class Carried:
         change[-len(rows) :] = rows
         if len(self.given):
             change[-of.count : -len(rows)] = self.given
-        turned = Directed(of, change, past.units)
-        factor = self.walk.limit(chatter.index, attrs.evolve(part, tail=seeing), turned)
+        factor = self.walk.limit(chatter.index, part, through(of, seeing, change))
         change = np.vstack([self.state, np.eye(count)])
         if past.restarts:
             self._require_same(past, factor.moments[0].after @ change, part.t1, tail.x_inf)

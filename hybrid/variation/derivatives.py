@@ -1,4 +1,4 @@
-"""Derivatives of a model's flows, guards and resets, as scalar code.
+"""Derivatives of a model's flows, guards and resets, as programs.
 
 Each is made of nodes of its mode's own graph (:mod:`hybrid.scene.derivatives`), once for a class,
 and read like any other program: nothing is traced again. Columns are time first, then the elements
@@ -19,10 +19,32 @@ from ..scene import Field, Guard, Scene
 from ..scene.derivatives import gradient
 from ..scene.lowered import deciding
 from ..scene.mode import ModeGraph
-from ..scene.tape import Tape
+from ..scene.tape import Jets, Tape
 from .series import Series
 
 Matrix = Callable[[float, np.ndarray], np.ndarray]
+
+
+@attrs.frozen(eq=False)
+class Rows:
+    """Nodes of a mode's graph as the rows of a matrix.
+
+    Attributes
+    ----------
+    key
+        A name of their own.
+    mode, held
+        The mode, and the contacts held.
+    nodes : callable
+        Gives the nodes, from the mode's graph.
+    columns : int
+    """
+
+    key: Any
+    mode: str
+    held: Sequence[str]
+    nodes: Callable[[ModeGraph], list[int]]
+    columns: int
 
 
 class Derivatives:
@@ -38,7 +60,7 @@ class Derivatives:
     """
 
     def __init__(self, scene: Scene, parameters: bool = False, windows: bool = False) -> None:
-        self.scene, self.size = scene, scene.spec.dimension
+        self.scene, self.size, self.windows = scene, scene.spec.dimension, windows
         own = len(scene.code.shapes) - (0 if windows else len(scene.spec.windows))
         sizes = [int(np.prod(shape, dtype=int)) for shape in scene.code.shapes[:own]]
         self.count = sum(sizes) if parameters else 0
@@ -51,48 +73,38 @@ class Derivatives:
     def flow(self, field: Field) -> Matrix:
         """``(t, x) -> (n, columns)``: of the flow of a mode, at rest and sliding as well."""
         held = bool(field.held)
-        return self._slopes(("flow", field.name), field.mode, field.held, lambda g: g.flow(held))
+        flow = self._slopes(("flow", field.name), field.mode, field.held, lambda g: g.flow(held))
+        return self.matrix(flow)
 
     def guard(self, guard: Guard, field: Field) -> Matrix:
         """``(t, x) -> (1, columns)``: of a guard."""
+        return self.matrix(self.of_guard(guard, field))
+
+    def of_guard(self, guard: Guard, field: Field) -> Rows:
+        """The same."""
         key = "guard", guard.edge, field.name
         return self._slopes(key, field.mode, field.held, lambda g: [_node(g, guard)])
 
-    def speed(self, guard: Guard, field: Field) -> Matrix:
-        """``(t, x) -> (1, columns)``: of a guard's rate along the flow."""
+    def of_speed(self, guard: Guard, field: Field) -> Rows:
+        """Of a guard's rate along the flow, a row."""
         held = bool(field.held)
         rate = lambda g: [g.rate(_node(g, guard), g.flow(held))]  # noqa: E731
         return self._slopes(("rate", guard.edge, field.name), field.mode, field.held, rate)
-
-    def flow_with_gap(self, guard: Guard, field: Field) -> Matrix:
-        """``(t, x) -> (n + 1, columns + 1)``: of the flow, and of a gap's speed: the gap is a
-        coordinate behind the state, on which nothing depends."""
-        held, place = bool(field.held), 1 + self.size
-
-        def rows(graph: ModeGraph) -> list[int]:
-            inputs, flow = self._inputs(graph), graph.flow(held)
-            slopes = [
-                gradient(graph.graph, node, inputs)
-                for node in (*flow, graph.rate(_node(graph, guard), flow))
-            ]
-            zero = graph.graph.const(0.0)
-            return [i for row in slopes for i in (*row[:place], zero, *row[place:])]
-
-        key = "with gap", guard.edge, field.name
-        return self._program(key, field.mode, field.held, rows, self.columns + 1)
 
     def lag(self, number: int, field: Field) -> Matrix:
         """``(t, x) -> (1, columns)``: of a lag."""
         code, name = self.scene.code, self.scene.spec.lags[number].name
         nodes = lambda g: g.values(code.closed("lag", name))  # noqa: E731
-        return self._slopes(("lag", number, field.mode), field.mode, (), nodes)
+        return self.matrix(self._slopes(("lag", number, field.mode), field.mode, (), nodes))
 
     def series(self, field: Field, gap: Guard | None = None) -> Series | None:
-        """The derivatives of :meth:`flow`, or of :meth:`flow_with_gap`, but for those by time, and
-        the flow itself, in power series; None where there are none."""
+        """The derivatives of :meth:`flow`, but for those by time, and the flow itself, in power
+        series; None where there are none. A gap is a coordinate behind the state, on which
+        nothing depends."""
         key = field.name, gap and gap.edge
         if key not in self._series:
-            self._series[key] = None if self.scene.spec.lags else self._expanded(field, gap)
+            moving = self.scene.spec.lags and not self.windows
+            self._series[key] = None if moving else self._expanded(field, gap)
         return self._series[key]
 
     def _expanded(self, field: Field, gap: Guard | None) -> Series | None:
@@ -120,8 +132,8 @@ class Derivatives:
             tape = None
         return tape, np.array(places, dtype=np.int64).reshape(-1, 2)
 
-    def law(self, contact: str) -> Matrix:
-        """``(t, x) -> (1, columns)``: of the restitution at rest."""
+    def of_law(self, contact: str) -> Rows:
+        """Of the restitution at rest, a row."""
         code, mode = self.scene.code, self.scene.contact(contact).mode
         closed = lambda: code.closed("restitution", contact)  # noqa: E731
         at_rest = lambda g: g.values(closed(), g.graph.const(-0.0))  # noqa: E731
@@ -129,6 +141,14 @@ class Derivatives:
 
     def reset(self, edge: str, kind: str) -> Matrix:
         """``(t, x) -> (n, columns)``: of what a jump does to the state."""
+        rows = self.of_reset(edge, kind)
+        if rows is not None:
+            return self.matrix(rows)
+        same = np.eye(self.size, self.columns, 1)
+        return lambda t, x: same
+
+    def of_reset(self, edge: str, kind: str) -> Rows | None:
+        """The same; None where the state stays as it is."""
         code = self.scene.code
         if kind == "contact":
             mode = self.scene.contact(edge).mode
@@ -137,8 +157,7 @@ class Derivatives:
             mode = next(e.source for e in self.scene.spec.transitions if e.name == edge)
             after = lambda g: g.values(code.closed("reset", edge))  # noqa: E731
             return self._slopes(("reset", edge), mode, (), after)
-        same = np.eye(self.size, self.columns, 1)
-        return lambda t, x: same
+        return None
 
     def kinks(self, key: Any, field: Field, roots: Callable[[ModeGraph], list[int]]) -> Matrix:
         """``(t, x) -> (k, 1 + columns)``: functions at whose zeros nodes change their formula,
@@ -148,7 +167,23 @@ class Derivatives:
             inputs, found = self._inputs(graph), deciding(graph.graph, roots(graph))
             return [i for node in found for i in (node, *gradient(graph.graph, node, inputs))]
 
-        return self._program(("kinks", *key), field.mode, field.held, rows, 1 + self.columns)
+        key = "kinks", *key
+        return self.matrix(Rows(key, field.mode, field.held, rows, 1 + self.columns))
+
+    def of_watched(self, field: Field) -> Rows:
+        """Of what the series of a field watch, a row for each; 0 where no formula changes."""
+        assert field.jets is not None
+        watched = field.jets.tape.watched
+        own = [what.node for what in watched if what.switches]
+
+        def rows(graph: ModeGraph) -> list[int]:
+            inputs, zero = self._inputs(graph), graph.graph.const(0.0)
+            found = {node: gradient(graph.graph, node, inputs) for node in own}
+            nothing = [zero] * len(inputs)
+            return [i for what in watched for i in found.get(what.node, nothing)]
+
+        key = "watched", field.name, *(what.node for what in watched)
+        return Rows(key, field.mode, field.held, rows, self.columns)
 
     def project(self, field: Field) -> Matrix:
         """``(t, x) -> (n, columns)``: of the way back onto the contacts held, or the surface, at
@@ -157,9 +192,10 @@ class Derivatives:
             return self._onto_surface(field)
         return self._onto_contacts(field)
 
-    def _onto_contacts(self, field: Field) -> Matrix:
-        """Gaps are taken away along their gradients, then gap speeds along impulses."""
-        size, count, held = self.size, self.columns, len(field.held)
+    def of_contacts(self, field: Field) -> Rows:
+        """Of the gap of each contact held its derivatives and the direction in which it is taken
+        away, and of its speed."""
+        size = self.size
 
         def rows(graph: ModeGraph) -> list[int]:
             inputs, found = self._inputs(graph), list[int]()
@@ -175,7 +211,12 @@ class Derivatives:
             return found
 
         key = "onto", field.name
-        known = self._program(key, field.mode, field.held, rows, count + size)
+        return Rows(key, field.mode, field.held, rows, self.columns + size)
+
+    def _onto_contacts(self, field: Field) -> Matrix:
+        """Gaps are taken away along their gradients, then gap speeds along impulses."""
+        size, count, held = self.size, self.columns, len(field.held)
+        known = self.matrix(self.of_contacts(field))
 
         def onto(t: float, x: np.ndarray) -> np.ndarray:
             moved, values = np.eye(count), known(t, x).reshape(held, 2, count + size)
@@ -199,7 +240,8 @@ class Derivatives:
             across = [graph.graph.node("sub", *pair) for pair in zip(*flows, strict=True)]
             return [*gradient(graph.graph, surface, self._inputs(graph)), *across]
 
-        known = self._program(("onto", field.name), field.mode, (), rows, self.columns + size)
+        key = "onto", field.name
+        known = self.matrix(Rows(key, field.mode, (), rows, self.columns + size))
 
         def onto(t: float, x: np.ndarray) -> np.ndarray:
             (row,) = known(t, x)
@@ -218,30 +260,36 @@ class Derivatives:
         mode: str,
         held: Sequence[str],
         nodes: Callable[[ModeGraph], Sequence[int]],
-    ) -> Matrix:
+    ) -> Rows:
         """The derivatives of some nodes of a mode's graph."""
 
         def rows(graph: ModeGraph) -> list[int]:
             inputs = self._inputs(graph)
             return [i for node in nodes(graph) for i in gradient(graph.graph, node, inputs)]
 
-        return self._program(("slopes", *key), mode, held, rows, self.columns)
+        return Rows(("slopes", *key), mode, held, rows, self.columns)
 
-    def _program(
-        self,
-        key: Any,
-        mode: str,
-        held: Sequence[str],
-        nodes: Callable[[ModeGraph], list[int]],
-        columns: int,
-    ) -> Matrix:
-        """Some nodes of a mode's graph as a matrix."""
-        if key not in self._made:
-            graph = self.scene.code.mode(mode)
-            program = graph.program((*key, self.count), lambda: nodes(graph))
-            call = program.bind(self.scene.numbers(mode, tuple(held)))
-            self._made[key] = lambda t, x: np.array(call(t, x.tolist())).reshape(-1, columns)
-        return self._made[key]
+    def matrix(self, rows: Rows) -> Matrix:
+        """Rows as scalar code."""
+        if rows.key not in self._made:
+            graph = self.scene.code.mode(rows.mode)
+            program = graph.program((*rows.key, self.count), lambda: rows.nodes(graph))
+            call = program.bind(self.scene.numbers(rows.mode, tuple(rows.held)))
+            shape = -1, rows.columns
+            self._made[rows.key] = lambda t, x: np.array(call(t, x.tolist())).reshape(shape)
+        return self._made[rows.key]
+
+    def values(self, rows: Rows) -> Jets:
+        """Rows one behind the other, as a program for values.
+
+        Raises
+        ------
+        TraceError
+            Where an operation has none.
+        """
+        graph = self.scene.code.mode(rows.mode)
+        tape = graph.of_values((*rows.key, self.count), lambda: rows.nodes(graph))
+        return tape.bind(self.scene.numbers(rows.mode, tuple(rows.held)))
 
     def _inputs(self, graph: ModeGraph) -> list[int]:
         """The nodes by which is derived; the first row of a window is a change of what is seen."""
@@ -251,55 +299,6 @@ class Derivatives:
         parameters = [i for ids in graph.inputs[: len(shapes)] for i in np.reshape(ids, -1)]
         inputs = [graph.t, *graph.x, *(i for row in shown for i in row)]
         return [int(i) for i in [*inputs, *parameters[: self.count]]]
-
-
-class Directed:
-    """Derivatives along directions: columns for time and state, then one for each of ``m``.
-
-    ``change``, of shape ``(columns - 1 - size, m)``, is that of all else; ``units`` are what the
-    directions are measured by.
-    """
-
-    def __init__(self, of: Derivatives, change: np.ndarray, units: np.ndarray) -> None:
-        self.of, self.change, self.units = of, change, units
-        self.scene, self.size, self.columns = of.scene, of.size, 1 + of.size + change.shape[1]
-
-    def _turned(self, made: Matrix, more: int = 0) -> Matrix:
-        own = 1 + self.size + more
-
-        def turned(t: float, x: np.ndarray) -> np.ndarray:
-            found = made(t, x)
-            return np.hstack([found[:, :own], found[:, own:] @ self.change])
-
-        return turned
-
-    def flow(self, field: Field) -> Matrix:
-        return self._turned(self.of.flow(field))
-
-    def guard(self, guard: Guard, field: Field) -> Matrix:
-        return self._turned(self.of.guard(guard, field))
-
-    def speed(self, guard: Guard, field: Field) -> Matrix:
-        return self._turned(self.of.speed(guard, field))
-
-    def flow_with_gap(self, guard: Guard, field: Field) -> Matrix:
-        return self._turned(self.of.flow_with_gap(guard, field), 1)
-
-    def series(self, field: Field, gap: Guard | None = None) -> Series | None:
-        made = self.of.series(field, gap)
-        return None if made is None else attrs.evolve(made, change=self.change)
-
-    def law(self, contact: str) -> Matrix:
-        return self._turned(self.of.law(contact))
-
-    def reset(self, edge: str, kind: str) -> Matrix:
-        return self._turned(self.of.reset(edge, kind))
-
-    def kinks(self, key: Any, field: Field, roots: Callable[[ModeGraph], list[int]]) -> Matrix:
-        return self._turned(self.of.kinks(key, field, roots), 1)
-
-    def project(self, field: Field) -> Matrix:
-        return self._turned(self.of.project(field))
 
 
 def _node(graph: ModeGraph, guard: Guard) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -9,11 +10,62 @@ import attrs
 import numpy as np
 
 from ..rules import unit
+from ..rules.arrays import Changes
+from ..rules.limits import LINES, SMALL
+from ..rules.limits import MOST as POINTS
 from ..scene.tape import Jets
 from ..solvers.taylor_backend import HIGHEST
 
 if TYPE_CHECKING:
     from .arcs import Piece
+
+
+def room_for(
+    needs: Sequence[int], read: int, states: int, columns: int, along: int = 0, points: int = 0
+) -> Changes:
+    """Arrays to work in.
+
+    Parameters
+    ----------
+    needs
+        What the largest program needs, as :attr:`.Tape.needs` says; and the numbers it gives.
+    columns, along : int
+        Time, states and parameters; directions for these, if there are.
+    points : int
+        Of the limits of impacts.
+    """
+    rows, kinks, beside = needs
+    own, wide = 1 + states, max(columns, 1 + states + along)
+    narrow = 1 + states + along if along else columns
+    squares, most = points * own, max(points, states)
+    return Changes(
+        c=np.empty((rows, HIGHEST + 1)),
+        work=np.empty(beside),
+        sides=np.zeros(kinks, dtype=np.int64),
+        read=np.empty(max(read, wide)),
+        terms=np.empty((own * columns, HIGHEST + 1)),
+        aside=np.empty((2 * own, columns)),
+        piece=np.empty((own, columns)),
+        flight=np.empty((own, columns)),
+        before=np.empty((own, columns)),
+        after=np.empty((1 + own, columns)),
+        lines=np.empty((LINES, wide)),
+        maps=np.empty(((1 + points) * own, wide)),
+        rest=np.empty((own, wide)),
+        now=np.empty((own, narrow)),
+        last=np.empty((own, narrow)),
+        best=np.empty((own, narrow)),
+        lower=np.empty((1 + points, 1 + points)),
+        small=np.empty((SMALL, 1 + points)),
+        equations=np.empty((max(squares, most), max(squares, most))),
+        right=np.empty((squares, own)),
+        shares=np.empty((most, max(own * (narrow - own), 1 + columns))),
+        known=np.zeros(1 + points, dtype=np.int64),
+        arc=np.empty((states, columns - 1)),
+        state=np.empty((own, columns + 1)),
+        moved=np.empty((own, columns + 1)),
+        out=np.empty((2 * own, columns - 1)),
+    )
 
 
 @attrs.frozen(eq=False, slots=False)
@@ -28,39 +80,29 @@ class Series:
         Of each its row and its column.
     shape : (int, int)
         Rows and columns: of all derivatives, the columns of parameters behind those of the state.
-    change : array, shape (columns - rows, m), optional
-        Of directions, which then stand for the parameters.
     """
 
     jets: Jets
     places: np.ndarray
     shape: tuple[int, int]
-    change: np.ndarray | None = None
 
     @cached_property
-    def _room(self) -> tuple[np.ndarray, ...]:
+    def _room(self) -> Changes:
         """Arrays to work in."""
-        tape, (rows, columns) = self.jets.tape, self.shape
-        return (
-            np.zeros(len(tape.kinks), dtype=np.int64),
-            np.empty((tape.rows, HIGHEST + 1)),
-            np.empty(tape.room),
-            np.empty((rows * columns, HIGHEST + 1)),
-            np.empty((2 * rows, columns)),
-        )
+        rows, columns = self.shape
+        return room_for(self.jets.tape.needs, len(self.places), rows, 1 + columns)
 
     def carried(self, piece: Piece) -> np.ndarray | None:
         """The matrix of a piece on which no formula changes; None where there are no series."""
         found, inside, start = np.empty(self.shape), piece.start, piece.first
         beside = start.copy()
-        if len(self._room[0]):
+        if len(self._room.sides):
             inside += piece.beside
             beside = piece.segment(inside)
         when = piece.t + piece.start, start, piece.length, piece.t + inside, beside
-        status = unit("variation").carried(self.jets.alone, *when, self.places, *self._room, found)
-        if status != 0:
-            return None
-        if self.change is None:
-            return found
-        own = self.shape[0]
-        return np.hstack([found[:, :own], found[:, own:] @ self.change])
+        program = self.jets.alone, 0, self.places
+        status = unit("variation").carried(*program, *when, self._room, found)
+        return found if status == 0 else None
+
+
+__all__ = ["POINTS", "Series", "room_for"]

@@ -27,8 +27,8 @@ from ..rules.guards import NEAR
 from ..scene import Field, Guard, Scene, scene_of
 from ..trajectory import Trajectory
 from .arcs import Piece, along, passing, told
-from .derivatives import Derivatives, Directed
-from .limit import ROUNDING, cleared, through
+from .derivatives import Derivatives
+from .limit import Limit, through
 
 #: Change of a guard, against the terms of which it is made, that is rounding of them.
 TIED = 1e-9
@@ -37,8 +37,16 @@ TIED = 1e-9
 #: past is seen, has fired because of that.
 SEEN = 1e-6
 
+#: What is left of a difference, relative, that is rounding.
+ROUNDING = 1e-14
+
 #: Kinds of jumps that leave the state and, where they begin, the flow as they are.
 SMOOTH = ("release", "leave")
+
+
+def cleared(matrix: np.ndarray, sizes: np.ndarray, relative: float) -> np.ndarray:
+    """A matrix with 0 for what is rounding of the terms it is made of: a lost rank stays lost."""
+    return np.where(np.abs(matrix) <= relative * sizes, 0.0, matrix)
 
 
 @attrs.frozen(eq=False)
@@ -241,17 +249,12 @@ class Walk:
         for end, matrix in along(self.of, self.scene.field(arc.mode), t, arc.segments):
             yield Factor(t + end, None, matrix)
 
-    def limit(self, index: int, part: TailPart, of: Directed | None = None) -> Factor:
-        """Through an accumulation; by derivatives ``of`` another scene, if they are."""
-        by: Derivatives | Directed = of or self.of
-        tail = part.tail
-        matrix, time, state = through(by, tail)
-        law = by.law(tail.contact.name)(part.t1, tail.x_inf)[0]
-        ratio = law @ np.vstack(
-            [time, state, np.eye(len(law) - 1 - self.size, len(time), self.size)]
-        )
-        moment = Moment(index, time, state, state, ratio)
-        return Factor(part.t1, f"limit of {tail.contact.name}", matrix, (moment,), part=index)
+    def limit(self, index: int, part: TailPart, found: Limit | None = None) -> Factor:
+        """Through an accumulation; by derivatives of another scene, if these are ``found``."""
+        found = found or through(self.of, part.tail)
+        moment = Moment(index, found.time, found.state, found.state, found.ratio)
+        name = f"limit of {part.tail.contact.name}"
+        return Factor(part.t1, name, found.matrix, (moment,), part=index)
 
     # -- what is seen -----------------------------------------------------------------------
 

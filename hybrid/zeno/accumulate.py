@@ -182,12 +182,20 @@ class Tail:
         Rows are time, state, gap speed at the end of the flight, and the times at which this begins
         and ends; the last two are the least and the most of each column.
         """
-        chatter, out = _chatter(self.field, self.contact), np.empty((SHOWN + 2, len(self.x) + 4))
-        tail = self.curve, self.t, self.x, self.v, self.r
-        with chatter.lent() as given:
-            of = chatter.programs, 0, 1
-            unit("sums").shown(*of, *tail, first, last, begin, end, given, out)
+        tail, out = (
+            (self.curve, self.t, self.x, self.v, self.r),
+            np.empty((SHOWN + 2, len(self.x) + 4)),
+        )
+        with self.programs() as (programs, given):
+            unit("sums").shown(programs, 0, 1, *tail, first, last, begin, end, given, out)
         return out
+
+    @contextmanager
+    def programs(self) -> Iterator[tuple[Programs, Sums]]:
+        """The flow, then what happens at the contact; and room for a sum."""
+        chatter = _chatter(self.field, self.contact)
+        with chatter.lent() as given:
+            yield chatter.programs, given
 
     def flight(self, n: int) -> Flight | None:
         """The flight after impact ``n`` of the tail, from the curve."""

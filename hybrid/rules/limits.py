@@ -1,0 +1,537 @@
+"""How the limit of impacts changes with their start and with the parameters.
+
+Let ``F`` take time and state after an impact to those after the next, and ``L`` to those of
+their limit: ``L = L o F``. Along the curve ``y(w)`` of impacts (:mod:`.sums`) the derivative
+``G(w) = DL(y(w))`` satisfies ::
+
+    G(w) = G(r w) DF(y(w)),        G(0) known,
+
+linear equations for its values at a few points of [0, 1], in which ``DF`` is the variation along
+one flight and one impact. ``F`` leaves the parameters as they are: with ``G = (G_y, G_p)`` ::
+
+    G_y(w) = G_y(r w) F_y(w),      G_p(w) = G_p(r w) + G_y(r w) F_p(w),
+
+so that the equations for the parameters are as many as there are points, however many those are.
+See ``docs/notes/gradients.md``.
+
+A change of time and state is a matrix with these as its rows. Its columns are those of time, states
+and parameters; that of the parameters themselves is not written down.
+"""
+
+from __future__ import annotations
+
+import math
+
+from .arrays import Changes, Floats, Ints, Matrix, Programs, Slopes, Sums
+from .chebyshev import differences, from_values, nodes
+from .flights import fly
+from .jets import KINKS, jets, values
+from .kinks import ROW, count
+from .linear import solve
+from .polynomials import power_value
+from .slopes import onto_contacts, product, rates, read, reset
+from .sums import READ, STATE, TURN, on_curve
+from .variation import (
+    FROM,
+    GRADIENT,
+    HELD,
+    KINKED,
+    LAW,
+    ONTO,
+    PROGRAM,
+    RESET,
+    REST,
+    SPEED,
+    UNTIL,
+    carried,
+    composed,
+    unmoved,
+)
+
+__all__ = ("limit",)
+
+#: Points, which are doubled, and most of them: the last are among those before.
+FEWEST, MOST = 3, 24
+
+#: What is left of a derivative, relative, at which it is taken as it is; and at most.
+SETTLED, USABLE = 1e-11, 1e-6
+
+#: What is left of a difference, relative, that is rounding: a lost rank stays lost.
+ROUNDING = 1e-14
+
+#: Share of a piece at whose distance from its end it is on its side of a kink; what rounding of
+#: time and state makes of a kink, against its terms; a change of the flow below this, relative, is
+#: none; and kinks are passed at one time by neighbours if those differ by less than this, relative.
+BESIDE, ROUNDED, NOTHING, SAME = 1e-6, 16 * 2.0**-52, 1e-9, 1e-6
+
+# Rows of ``lines``: flows where a flight begins and ends; the state there, and next to its start;
+# how flow and time jump at a kink; the gradient of a gap, the flow at rest, and the speed.
+LEAVES, ARRIVES, BEGINS, INSIDE, JUMP, WHEN, ACROSS, DRIFT, HERE, LINES = range(10)
+
+# Rows of ``small``: from values to coefficients; the points; and polynomials at one of them.
+TO, POINTS, LINE, SMALL = 0, MOST + 1, MOST + 2, MOST + 3
+
+
+def limit(
+    p: Programs,
+    flow: int,
+    at: int,
+    column: int,
+    held: bool,
+    s: Slopes,
+    contact: int,
+    t: float,
+    x: Floats,
+    v: float,
+    r: float,
+    remaining: float,
+    curve: Matrix,
+    x_inf: Floats,
+    directions: Matrix,
+    sums: Sums,
+    room: Changes,
+    out: Matrix,
+) -> float:
+    """From a change of the state after the first impact to one at the limit.
+
+    Parameters
+    ----------
+    p, flow, at, column, held
+        As :func:`.sums.close` takes them.
+    contact : int
+        The row of the contact among the guards of ``s``.
+    t, x, v, r, remaining, curve, x_inf
+        The tail (:class:`hybrid.zeno.accumulate.Tail`).
+    directions : Matrix
+        A column for each direction in which the parameters change; no rows: each of them alone.
+    out : Matrix
+        Gets the derivatives, by the state and along the directions, of the time of the limit, of
+        the state there, of the state at equal times, and of the ratio. Those at equal times have
+        lost two ranks: gap and gap speed are zero at rest.
+
+    Returns
+    -------
+    left : float
+        What they may be off, relative; infinity where the impacts do not depend smoothly on their
+        start: nothing is written where it is not below :data:`USABLE`.
+    """
+    own, least, before, degree = s.guards[contact], math.inf, math.inf, FEWEST
+    for i in range(MOST + 1):
+        room.known[i] = 0
+    if not at_rest(p, at, s, own, t + remaining, x_inf, r, directions, sums, room):
+        return math.inf
+    while degree <= MOST and least > SETTLED:
+        for k in range(1, degree + 1):
+            place = k * (MOST // degree)
+            nodes(degree, room.small[POINTS])
+            w = room.small[POINTS, k]
+            if room.known[place] == 0:
+                if not mapped(
+                    p, flow, at, column, held, s, own, t, x, v, w, curve, place, sums, room
+                ):
+                    return math.inf
+                for i in range(1 + x.shape[0]):
+                    directed(room.maps[place * (1 + x.shape[0]) + i], x, directions, room.read)
+                room.known[place] = 1
+        if not solved(degree, r, x, directions, room):
+            return math.inf
+        if degree > FEWEST:
+            change = compared(x, directions, room)
+            left = change * min(1.0, change / before) if before < math.inf else change
+            before = change
+            if left < least:
+                least = left
+                copied(room.now, room.best)
+        copied(room.now, room.last)
+        degree *= 2
+    if least <= USABLE:
+        at_limit(s, own, t, x, v, t + remaining, x_inf, directions, room, out)
+    return least
+
+
+def copied(a: Matrix, b: Matrix) -> None:
+    """Put down a matrix."""
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            b[i, j] = a[i, j]
+
+
+def width(x: Floats, directions: Matrix, room: Changes) -> int:
+    """Columns: time, states and directions."""
+    return 1 + x.shape[0] + directions.shape[1] if directions.shape[0] > 0 else room.now.shape[1]
+
+
+def directed(row: Floats, x: Floats, directions: Matrix, aside: Floats) -> None:
+    """Of a row of derivatives those by the parameters become those along directions."""
+    first = 1 + x.shape[0]
+    if directions.shape[0] == 0:
+        return
+    for d in range(directions.shape[1]):
+        total = 0.0
+        for i in range(directions.shape[0]):
+            total += row[first + i] * directions[i, d]
+        aside[d] = total
+    for d in range(directions.shape[1]):
+        row[first + d] = aside[d]
+
+
+# ---------------------------------------------------------------------------------------
+# changes of time and state
+
+
+def onto_gap(s: Slopes, own: Ints, t: float, x: Floats, change: Matrix, room: Changes) -> None:
+    """Take away of a change what leads off the gap."""
+    n, columns, across = x.shape[0], change.shape[1], room.lines[ACROSS]
+    values(s.programs, own[GRADIENT], t, x, room.sides, room.c, room.work, across)
+    square = squared(across, n)
+    for k in range(columns):
+        share = product(across, change, 1 + n, columns, 1 + n, k) / square
+        for i in range(1, 1 + n):
+            change[i, k] -= across[i] * share
+
+
+def squared(across: Floats, n: int) -> float:
+    """The square of a gradient by the state."""
+    square = 0.0
+    for i in range(1, 1 + n):
+        square += across[i] * across[i]
+    return square
+
+
+# ---------------------------------------------------------------------------------------
+# from an impact to the next
+
+
+def mapped(
+    p: Programs,
+    flow: int,
+    at: int,
+    column: int,
+    held: bool,
+    s: Slopes,
+    own: Ints,
+    t: float,
+    x: Floats,
+    v: float,
+    w: float,
+    curve: Matrix,
+    place: int,
+    sums: Sums,
+    room: Changes,
+) -> bool:
+    """``DF`` at an impact of the curve, on the contact, in its place among the maps."""
+    n, change, moved = x.shape[0], room.before, room.after
+    columns, state, degree = change.shape[1], sums.lines[STATE, :n], curve.shape[0] - 1
+    begins, speed = on_curve(p, at, curve, degree, t, x, v, w, 1.0, sums, state)
+    status, length, u, pieces, crossed = fly(
+        p, flow, column, held, begins, state, speed, sums.starts, sums.lengths, sums.series,
+        sums.branch, sums.end, sums.c, sums.aside, sums.work, sums.rows, sums.found, sums.sides,
+    )  # fmt: skip
+    if status < 0 or not flown(p, flow, s, own, begins, n, pieces, crossed, sums, room):
+        return False
+    unmoved(change)
+    onto_gap(s, own, begins, state, change, room)
+    start, arrives, ends = room.lines[LEAVES], room.lines[ARRIVES], begins + length
+    rates(s, own[PROGRAM], begins, state, room, start)
+    rates(s, own[PROGRAM], ends, sums.end, room, arrives)
+    for k in range(columns):
+        for i in range(n + 1):
+            total = room.flight[i, k] if k > n else 0.0
+            for j in range(n):
+                total += room.flight[i, j] * (change[1 + j, k] - start[j] * change[0, k])
+            moved[1 + i, k] = total
+        # the gap is a coordinate of its own: its change must not be lost in the rounding of the
+        # state's, however low the flight
+        moved[0, k] = (speed * change[0, k] - moved[1 + n, k]) / u
+        for i in range(n):
+            moved[1 + i, k] += arrives[i] * moved[0, k]
+    reset(s, own[RESET], ends, sums.end, 1 + n, columns, moved, change, room)
+    if own[ONTO] >= 0 and not onto_contacts(
+        s, own[ONTO], own[HELD], ends, sums.end, 1 + n, columns, change, room
+    ):
+        return False
+    onto_gap(s, own, ends, sums.end, change, room)
+    for i in range(1 + n):
+        for k in range(columns):
+            room.maps[place * (1 + n) + i, k] = change[i, k]
+    return True
+
+
+def flown(
+    p: Programs,
+    flow: int,
+    s: Slopes,
+    own: Ints,
+    t: float,
+    n: int,
+    pieces: int,
+    crossed: int,
+    sums: Sums,
+    room: Changes,
+) -> bool:
+    """The matrix of a flight, with the gap as a coordinate of its own.
+
+    It is carried at once where no formula changes on the way, else piece by piece.
+    """
+    x, inside, places = (
+        room.lines[BEGINS, :n],
+        room.lines[INSIDE, :n],
+        s.places[own[FROM] : own[UNTIL]],
+    )
+    unmoved(room.flight)
+    for piece in range(pieces if crossed > 0 else 1):
+        last = piece if crossed > 0 else pieces - 1
+        begins = sums.starts[piece]
+        length = sums.starts[last] + sums.lengths[last] - begins
+        beside = BESIDE * sums.lengths[piece]
+        for j in range(n):
+            series = sums.series[piece * n + j]
+            x[j] = series[0]
+            inside[j], _ = power_value(series, 0, series.shape[0] - 1, beside)
+        if piece > 0 and not bent(p, flow, s, own, t, n, piece, crossed, sums, room):
+            return False
+        status = carried(
+            s.programs, own[PROGRAM], places, t + begins, x, length, t + begins + beside, inside,
+            room, room.piece,
+        )  # fmt: skip
+        if status < 0:
+            return False
+        for i in range(n + 1):
+            for k in range(room.piece.shape[1]):
+                room.aside[i, k] = room.piece[i, k]
+        composed(room.aside, room.flight)
+    return True
+
+
+def bent(
+    p: Programs,
+    flow: int,
+    s: Slopes,
+    own: Ints,
+    t: float,
+    n: int,
+    piece: int,
+    crossed: int,
+    sums: Sums,
+    room: Changes,
+) -> bool:
+    """Through the start of a piece, where the flow may jump: ``1 + (f+ - f-) k_x / (k_t + k_x f-)``
+    with ``k`` what is zero there. Whether neighbours have that at a time that is smooth."""
+    jump, here, jumps = room.lines[JUMP], room.lines[HERE], False
+    length = sums.lengths[piece - 1]
+    for j in range(n):
+        series = sums.series[(piece - 1) * n + j]
+        _, here[j] = power_value(series, 0, series.shape[0] - 1, length)
+        later = sums.series[piece * n + j, 1]
+        jump[j] = later - here[j]
+        jumps = jumps or abs(jump[j]) > NOTHING * max(abs(later), abs(here[j]))
+    if not jumps:
+        return True
+    now, x, columns = t + sums.starts[piece], room.lines[BEGINS, :n], room.flight.shape[1]
+    for i in range(sums.sides.shape[0]):
+        sums.sides[i] = 0
+    jets(p, flow, 0, now, x, sums.sides, sums.aside, sums.work)
+    read(s, own[KINKED], now, x, room)
+    found = False
+    for k in range(crossed):
+        kink = sums.branch[count(p, flow) + k]
+        value = sums.aside[p.kinks[p.index[flow, KINKS] + kink, ROW], 0]
+        row = room.read[kink * columns : (kink + 1) * columns]
+        rate, size = row[0], abs(row[0] * now)
+        for j in range(n):
+            rate += row[1 + j] * here[j]
+            size += abs(row[1 + j] * x[j])
+        if abs(value) <= BESIDE * length * abs(rate) + ROUNDED * size and rate != 0.0:
+            if not passed(row, rate, n, found, room):
+                return False
+            found = True
+    for k in range(columns):
+        for j in range(n):
+            room.flight[j, k] -= jump[j] * room.lines[WHEN, k]
+    return found
+
+
+def passed(row: Floats, rate: float, n: int, known: bool, room: Changes) -> bool:
+    """When neighbours pass a kink; whether that is, if it is known of another, at the same time."""
+    when, columns = room.lines[WHEN], room.flight.shape[1]
+    for k in range(columns):
+        total = row[k] if k > n else 0.0
+        for j in range(n):
+            total += row[1 + j] * room.flight[j, k]
+        time = -total / rate
+        if known and abs(time - when[k]) > SAME * abs(when[k]):
+            return False
+        when[k] = time
+    return True
+
+
+# ---------------------------------------------------------------------------------------
+# to the limit
+
+
+def at_rest(
+    p: Programs,
+    at: int,
+    s: Slopes,
+    own: Ints,
+    t: float,
+    x: Floats,
+    r: float,
+    directions: Matrix,
+    sums: Sums,
+    room: Changes,
+) -> bool:
+    """``G(0)``: a speed of ``u`` is gone after ``2 u / (a (1 - r))``; and the flow at rest."""
+    n, columns, turn = x.shape[0], room.before.shape[1], sums.lines[READ]
+    drift, across, rest = room.lines[DRIFT], room.lines[ACROSS], room.rest
+    values(p, at + TURN, t, x, sums.sides, sums.c, sums.work, turn)
+    fall = -turn[n + 1]
+    if not fall > 0.0:
+        return False
+    lasts, resting = 2.0 / (fall * (1.0 - r)), own[REST] >= 0
+    rates(s, s.fields[own[REST], PROGRAM] if resting else own[PROGRAM], t, x, room, drift)
+    if not resting:
+        for j in range(n):
+            drift[j] += fall * turn[j]
+    read(s, own[SPEED], t, x, room)
+    for i in range(1 + n):
+        gone = lasts if i == 0 else lasts * drift[i - 1] - turn[i - 1]
+        for k in range(columns):
+            rest[i, k] = gone * room.read[k] + (1.0 if i == k else 0.0)
+    values(s.programs, own[GRADIENT], t, x, room.sides, room.c, room.work, across)
+    square = squared(across, n)
+    for i in range(1 + n):
+        share = 0.0
+        for j in range(1, 1 + n):
+            share += rest[i, j] * across[j]
+        for k in range(columns):
+            rest[i, k] -= share / square * across[k]
+        directed(rest[i], x, directions, room.read)
+    return True
+
+
+def solved(degree: int, r: float, x: Floats, directions: Matrix, room: Changes) -> bool:
+    """``G(1)``, from values at as many points as the degree."""
+    small, lower, size = room.small, room.lower, 1 + x.shape[0]
+    nodes(degree, small[POINTS])
+    from_values(degree, small)
+    for k in range(1, degree + 1):
+        differences(degree, r, small[POINTS, k], small[LINE])
+        for j in range(degree + 1):
+            total = 0.0
+            for m in range(degree + 1):
+                total += small[LINE, m] * small[TO + m, j]
+            lower[k, j] = total
+    return _by_states(degree, size, room) and _by_others(
+        degree, size, width(x, directions, room), room
+    )
+
+
+def _by_states(degree: int, size: int, room: Changes) -> bool:
+    """By time and state, for all points at once."""
+    lower, equations, right = room.lower, room.equations, room.right
+    for k in range(1, degree + 1):
+        first = k * (MOST // degree) * size
+        for a in range(size):
+            row = (k - 1) * size + a
+            for j in range(1, degree + 1):
+                share = lower[k, j] + (1.0 if j == k else 0.0)
+                for b in range(size):
+                    same = 1.0 if j == k and a == b else 0.0
+                    equations[row, (j - 1) * size + b] = same - share * room.maps[first + b, a]
+            for i in range(size):
+                total = 0.0
+                for b in range(size):
+                    total += room.maps[first + b, a] * room.rest[i, b]
+                right[row, i] = lower[k, 0] * total
+    if not solve(equations, degree * size, right, size):
+        return False
+    for i in range(size):
+        for b in range(size):
+            room.now[i, b] = right[(degree - 1) * size + b, i]
+    return True
+
+
+def _by_others(degree: int, size: int, columns: int, room: Changes) -> bool:
+    """By the parameters, or along directions, once it is known by states."""
+    lower, shares, others = room.lower, room.shares, columns - size
+    for k in range(1, degree + 1):
+        first = k * (MOST // degree) * size
+        for j in range(1, degree + 1):
+            room.equations[k - 1, j - 1] = -lower[k, j]
+        for i in range(size):
+            for c in range(others):
+                shares[k - 1, i * others + c] = lower[k, 0] * room.rest[i, size + c]
+            for b in range(size):
+                there = lower[k, 0] * room.rest[i, b] + room.right[(k - 1) * size + b, i]
+                for j in range(1, degree + 1):
+                    there += lower[k, j] * room.right[(j - 1) * size + b, i]
+                for c in range(others):
+                    shares[k - 1, i * others + c] += there * room.maps[first + b, size + c]
+    if others > 0 and not solve(room.equations, degree, shares, size * others):
+        return False
+    for i in range(size):
+        for c in range(others):
+            room.now[i, size + c] = shares[degree - 1, i * others + c]
+    return True
+
+
+def compared(x: Floats, directions: Matrix, room: Changes) -> float:
+    """What has changed: against the largest in time and state, for a parameter against its own."""
+    size, columns, largest, worst = 1 + x.shape[0], width(x, directions, room), 1e-300, 0.0
+    for i in range(size):
+        for k in range(size):
+            largest = max(largest, abs(room.now[i, k]))
+    for k in range(columns):
+        own, change = largest if k < size else 1e-300, 0.0
+        for i in range(size):
+            own = max(own, abs(room.now[i, k]))
+            change = max(change, abs(room.now[i, k] - room.last[i, k]))
+        if not change <= worst * own:
+            worst = change / own
+    return worst if math.isfinite(worst) else math.inf
+
+
+def at_limit(
+    s: Slopes,
+    own: Ints,
+    t: float,
+    x: Floats,
+    v: float,
+    t_inf: float,
+    x_inf: Floats,
+    directions: Matrix,
+    room: Changes,
+    out: Matrix,
+) -> None:
+    """From a change after the first impact, at equal times, to the moment of the limit, and to a
+    change at equal times there."""
+    n, found, drift, start = x.shape[0], room.best, room.lines[DRIFT], room.lines[LEAVES]
+    size, law, across = 1 + n, room.lines[HERE], room.lines[ACROSS]
+    values(s.programs, own[GRADIENT], t, x, room.sides, room.c, room.work, across)
+    directed(across, x, directions, room.read)
+    rates(s, own[PROGRAM], t, x, room, start)
+    values(s.programs, own[LAW], t_inf, x_inf, room.sides, room.c, room.work, law)
+    directed(law, x, directions, room.read)
+    for k in range(1, width(x, directions, room)):
+        time, terms_of_time = -across[k] / v, 0.0  # the first impact is so much later
+        for i in range(size):
+            total, terms = found[i, 0] * time, abs(found[i, 0] * time)
+            for j in range(n):
+                moved = start[j] * time + (1.0 if k == 1 + j else 0.0)
+                total += found[i, 1 + j] * moved
+                terms += abs(found[i, 1 + j] * moved)
+            if k > n:
+                total += found[i, k]
+                terms += abs(found[i, k])
+            out[i, k - 1] = total
+            if i == 0:
+                terms_of_time = terms
+            else:
+                later = total - drift[i - 1] * out[0, k - 1]
+                least = ROUNDING * (terms + abs(drift[i - 1]) * terms_of_time)
+                out[n + i, k - 1] = later if abs(later) > least else 0.0
+        ratio = law[k] if k > n else 0.0
+        for i in range(size):
+            ratio += law[i] * out[i, k - 1]
+        out[2 * n + 1, k - 1] = ratio

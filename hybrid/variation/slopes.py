@@ -1,0 +1,161 @@
+"""Derivatives of a scene's functions as the rules take them (:class:`.Slopes`)."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import numpy as np
+
+from ..errors import TraceError
+from ..rules.arrays import Changes, Slopes
+from ..rules.places import HARD, NONE, UNKNOWN
+from ..rules.variation import GRADIENT, RESET, REST
+from ..scene import Field, Guard
+from ..scene.automaton import NUMBERED
+from ..scene.automaton import Tables as Automaton
+from ..scene.tape import Jets, Linked
+from .derivatives import Derivatives, Rows
+from .series import POINTS, room_for
+
+
+class Tables:
+    """The fields and the guards whose derivatives have been asked for, as rows of tables.
+
+    ``parts`` are the programs in order.
+
+    All of its methods raise a :class:`TraceError` where an operation has no series, or no rule.
+    """
+
+    def __init__(self, of: Derivatives) -> None:
+        self.of = of
+        self.parts: list[Jets] = []
+        self._programs, self._places, self._count = Linked(), list[np.ndarray](), 0
+        self._fields: dict[str, int] = {}
+        self._rows: list[list[int]] = []
+        self._guards: list[list[int]] = []
+        self._needs, self._read = np.zeros(3, dtype=int), 0
+        self._slopes: Slopes | None = None
+
+    @property
+    def needs(self) -> tuple[int, ...]:
+        """What the largest program needs, as :attr:`.Tape.needs` says."""
+        return tuple(self._needs.tolist())
+
+    @property
+    def slopes(self) -> Slopes:
+        """The tables."""
+        owners = self._owners()
+        if self._slopes is None:
+            self._slopes = self._tables()
+        return self._slopes._replace(of_fields=owners[0], of_guards=owners[1])
+
+    def _tables(self) -> Slopes:
+        none = np.zeros(0, dtype=np.int64)
+        fields, guards = (
+            np.array(self._rows, dtype=np.int64),
+            np.array(self._guards, dtype=np.int64),
+        )
+        places = np.concatenate([np.zeros((0, 2), dtype=np.int64), *self._places])
+        fields, guards = (each.reshape(-1, REST + 1) for each in (fields, guards))
+        return Slopes(self._programs.programs(), places, fields, guards, none, none)
+
+    def _owners(self) -> list[np.ndarray]:
+        """Which rows are those of an automaton's fields and guards."""
+        return [np.zeros(0, dtype=np.int64)] * 2
+
+    def room(self, directions: int = 0) -> Changes:
+        """Arrays to work in."""
+        sizes = self.of.size, self.of.columns, directions, POINTS
+        return room_for(self.needs, self._read, *sizes)
+
+    def field(self, field: Field) -> int:
+        """The row of a field, which is added if it is new."""
+        if field.name not in self._fields:
+            row = [*self._along(field, None), *self._onto(field), *[NONE] * (REST - 4)]
+            self._fields[field.name] = len(self._rows)
+            self._rows.append(row)
+            self._slopes = None
+        return self._fields[field.name]
+
+    def guard(self, field: Field, guard: Guard) -> int:
+        """The row of a guard that fires."""
+        if guard.kind == "contact":
+            return self.contact(field, guard)
+        return self._add([*[NONE] * GRADIENT, *self._jump(field, guard), *[NONE] * (REST - RESET)])
+
+    def contact(self, field: Field, guard: Guard) -> int:
+        """The row of a contact whose impacts may be summed."""
+        of, scene = self.of, self.of.scene
+        rest = NONE
+        if scene.contact(guard.edge).rests:
+            rest = self.field(scene.field(scene.name(field.mode, (*field.held, guard.edge))))
+        row = [*self._along(field, guard), *self._onto(field), *self._jump(field, guard)]
+        laws = of.of_speed(guard, field), of.of_law(guard.edge), of.of_watched(field)
+        return self._add([*row, *map(self._values, laws), rest])
+
+    def _add(self, row: list[int]) -> int:
+        self._guards.append(row)
+        self._slopes = None
+        return len(self._guards) - 1
+
+    def _jump(self, field: Field, guard: Guard) -> list[int]:
+        """The programs of a guard's gradient and of its reset."""
+        reset = self.of.of_reset(guard.edge, guard.kind)
+        gradient = self._values(self.of.of_guard(guard, field))
+        return [gradient, NONE if reset is None else self._values(reset)]
+
+    def _along(self, field: Field, gap: Guard | None) -> list[int]:
+        """The program of a flow, and where its places begin and end."""
+        series = self.of.series(field, gap)
+        if series is None:
+            raise TraceError(f"mode {field.name}: its flow has no power series")
+        first, self._count = self._count, self._count + len(series.places)
+        self._places.append(series.places)
+        return [self._program(series.jets), first, self._count]
+
+    def _onto(self, field: Field) -> list[int]:
+        """The program of the projection onto contacts held, and how many are."""
+        return [self._values(self.of.of_contacts(field)) if field.held else NONE, len(field.held)]
+
+    def _values(self, rows: Rows) -> int:
+        return self._program(self.of.values(rows))
+
+    def _program(self, jets: Jets) -> int:
+        self._needs = np.maximum(self._needs, jets.tape.needs)
+        self._read = max(self._read, len(jets.output))
+        self.parts.append(jets)
+        return self._programs.add(jets)
+
+
+class Owned(Tables):
+    """Those of the fields and guards of an automaton, by its numbers, as runs ask for them."""
+
+    def __init__(self, of: Derivatives, automaton: Automaton) -> None:
+        super().__init__(of)
+        self.automaton = automaton
+        self._of_fields: dict[int, int] = {}
+        self._of_guards: dict[int, int] = {}
+
+    def add_field(self, number: int) -> None:
+        """Add a field; where its formula changes, what that does is left to Python."""
+        field = self.automaton.fields[number]
+        self._of_fields[number] = HARD
+        if not field.changes:
+            with suppress(TraceError):
+                self._of_fields[number] = self.field(field)
+
+    def add_guard(self, number: int) -> None:
+        """Add a guard; where it changes its formula, that is left to Python."""
+        guard, mode = self.automaton.guards[number], self.automaton.modes[number]
+        self._of_guards[number] = HARD
+        if guard.kind in NUMBERED and not guard.jumps:
+            with suppress(TraceError):
+                self._of_guards[number] = self.guard(self.of.scene.field(mode), guard)
+
+    def _owners(self) -> list[np.ndarray]:
+        of, automaton = (self._of_fields, self._of_guards), self.automaton
+        counts = len(automaton.fields), len(automaton.guards)
+        return [
+            np.array([rows.get(k, UNKNOWN) for k in range(count)], dtype=np.int64)
+            for rows, count in zip(of, counts, strict=True)
+        ]
