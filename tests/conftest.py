@@ -14,6 +14,7 @@ import pytest
 
 from hybrid import solvers
 from hybrid.rules import unit
+from hybrid.rules.load import cache_folder
 
 from .contract.ways import MECHANISMS, SOLVERS, WAYS
 
@@ -68,6 +69,13 @@ def _rules_are_compiled():
     """So that no test finds the line in its output that says that they are being compiled."""
     for name in ("zeros", "runs"):  # and what is needed together with them
         unit(name)
+
+
+def pytest_configure():
+    """What XLA compiles is kept, from test to test and from run to run, as the rules are."""
+    jax.config.update("jax_compilation_cache_dir", str(cache_folder() / "xla"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
 def pytest_addoption(parser):
