@@ -158,7 +158,7 @@ def start_of(spec: Spec, start: Any) -> np.ndarray:
 
 def values_of(spec: Spec, start: Any) -> Any:
     """What is given for each state, in declared order."""
-    if isinstance(start, Mapping | Record) and not isinstance(start, dict):
+    if not isinstance(start, dict) and isinstance(start, Mapping | Record):
         start = {name: start[name] for name in start.keys()}
     try:
         if isinstance(start, bytes | set | frozenset):

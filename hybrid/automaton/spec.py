@@ -238,7 +238,7 @@ class Spec:
         ValueError
             If a field is missing, unknown, or there are too many or too few.
         """
-        if isinstance(record, Mapping | Record):
+        if isinstance(record, (dict, Mapping, Record)):
             given = {name: record[name] for name in record.keys()}
             missing = [name for name in self.names if name not in given]
             unknown = [name for name in given if name not in self.names]

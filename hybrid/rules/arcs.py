@@ -5,8 +5,9 @@ to zero but the one just used, no two that fire next to each other, no tangency,
 rounding. Where it is not, the status is ``LOOK``, and the driver flies the arc again with all the
 rules of ``docs/semantics.md``. Numbers in brackets are its rules.
 
-Taylor steps are made here. Those of another solver are asked for (``STEP``), and so is the state on
-a guard that fires (``LAND_ON``); the arc goes on with the answer where it stood.
+Taylor steps are made here. Those of another solver are asked for (``STEP``), and so are the
+polynomial of one in which a guard may fire (``SHOW``) and the state on that guard (``LAND_ON``);
+the arc goes on with the answer where it stood.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import math
 
 from .arrays import Automaton, Floats, Left, Now, Room
 from .checks import along
-from .guards import SMALL, TIE, event_along, first_event, resolved, row_of, starts
+from .guards import SMALL, TIE, event_along, first_event, foreseen, resolved, row_of, starts
 from .jets import jets
 from .kinks import turn
 from .lengths import falls
@@ -56,6 +57,8 @@ from .places import (
     PLAIN,
     PROGRAM,
     RELATIVE,
+    SEES,
+    SHOW,
     STEP,
     STEPS,
     TAU,
@@ -85,8 +88,8 @@ def arc(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
     Returns
     -------
     status : int
-        ``LANDED``, or ``END``; ``STEP`` or ``LAND_ON``, to be called again with the answer, or
-        ``FULL``, with empty arrays; or ``LOOK``, and nothing has changed.
+        ``LANDED``, or ``END``; ``STEP``, ``SHOW`` or ``LAND_ON``, to be called again with the
+        answer, or ``FULL``, with empty arrays; or ``LOOK``, and nothing has changed.
     """
     if a.fields[now.ints[FIELD], PLAIN] == 0:
         return LOOK
@@ -97,7 +100,7 @@ def arc(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
             status = begins(a, run, now, room)
         elif phase == WALKS:
             status = walks(a, run, now, room, left)
-        elif phase == LOOKS:
+        elif phase in (LOOKS, SEES):
             status = looks(a, run, now, room, left)
         else:
             status = lands(a, run, now, room, left)
@@ -120,7 +123,7 @@ def begins(a: Automaton, run: Floats, now: Now, room: Room) -> int:
     if not starts(a, now, room):
         return LOOK
     now.floats[FIRST] = first_step(run, now, room)
-    now.floats[AIM] = aim(a, now, room)
+    now.floats[AIM] = aim(a, now, room, True)
     return GOES_ON
 
 
@@ -136,6 +139,8 @@ def walks(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
     now.ints[PHASE] = LOOKS
     longest = run[FIRST_STEP] if now.ints[MADE] == 0 else run[MAX_STEP]
     if run[ORDER] > 0.0:
+        if now.ints[MADE] > 0:
+            now.floats[AIM] = aimed(a, now, room)
         until = length if now.floats[AIM] <= tau else min(length, now.floats[AIM])
         now.floats[TO_TAU] = min(until, tau + longest)
         return STEP
@@ -176,6 +181,13 @@ def looks(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
     h, starting = next_tau - tau, now.ints[MADE] == 0
     if run[ORDER] == 0.0:
         guard, s = first_event(a, run, now, room, h, starting)
+    elif now.ints[PHASE] == LOOKS:
+        guard, s = -1, 0.0
+        if now.floats[AIM] >= 0.0:
+            guard, s = foreseen(a, run, now, room, h, starting)
+        if s == 0.0:
+            now.ints[PHASE] = SEES
+            return SHOW
     else:
         guard, s = event_along(a, run, now, room, h, starting)
     if not s > 0.0:
@@ -254,13 +266,27 @@ def first_step(run: Floats, now: Now, room: Room) -> float:
     return SAFETY * first
 
 
-def aim(a: Automaton, now: Now, room: Room) -> float:
-    """The end of a short flight onto a contact, or back onto a guard, from its series (2)."""
+def aimed(a: Automaton, now: Now, room: Room) -> float:
+    """Where an arc is expected to end, from series of the flow where another solver's step begins;
+    -1 without them."""
+    program, order = a.fields[now.ints[FIELD], PROGRAM], room.c.shape[1] - 1
+    tau = now.floats[TAU]
+    t = now.floats[T] + tau
+    if jets(a.programs, program, order, t, now.end, room.sides, room.c, room.work) < 0:
+        return -1.0
+    return tau + aim(a, now, room, False)
+
+
+def aim(a: Automaton, now: Now, room: Room, starting: bool) -> float:
+    """The end of a short flight from its series (2); at the start of an arc of one onto a contact,
+    or back onto a guard."""
     field, best = now.ints[FIELD], math.inf
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
-        kind, crossing, order = a.guards[g, KIND], a.guards[g, CROSSING], now.orders[g - first]
-        if (kind == CONTACT and order <= 1) or (kind == EDGE and order == 1 and crossing != 0):
+        kind, crossing = a.guards[g, KIND], a.guards[g, CROSSING]
+        order = now.orders[g - first] if starting else 0
+        back = kind == EDGE and order == 1
+        if (kind == CONTACT and order <= 1) or (crossing != 0 and (back or not starting)):
             c = room.c[row_of(a, a.fields[field, PROGRAM], field, g)]
             value = c[0]
             c[0] = 0.0 if order == 1 else value

@@ -29,12 +29,14 @@ from .places import (
     LOSS,
     LOW,
     NEXT,
-    ORDER,
+    PHASE,
     POWER,
     PROGRAM,
     RELATIVE,
+    SEES,
     SIZES,
     TAU,
+    TOLERANCES,
     USES,
     USES_END,
     WATCH,
@@ -58,6 +60,9 @@ TIE, BESIDE = 4.0, 1e-6
 #: Most parts of another solver's step in which guards are expanded: such steps may be long against
 #: the time in which a guard changes.
 PARTS = 64
+
+#: A series of the flow and another solver's step may differ by so many times what a step may lose.
+AGREES = 4.0
 
 #: A shift onto a guard that is so small beside the way to it is made along a straight line.
 SMALL = 1e-6
@@ -139,7 +144,7 @@ def first_event(
         else:
             second = min(second, s)
         if a.guards[g, AFFINE] == 0 and 0.0 < s < math.inf:
-            width += blurred(room.c[row_of(a, series_of(a, run, field), field, g)], s)
+            width += blurred(room.c[row_of(a, series_of(a, now), field, g)], s)
     spacing = EPS * abs(now.floats[T])
     if second - best <= max(BESIDE * h + TIE * spacing, width):
         return fired, 0.0
@@ -164,7 +169,7 @@ def zero_of(
     """
     field = now.ints[FIELD]
     place = guard - a.fields[field, GUARDS]
-    c = room.c[row_of(a, series_of(a, run, field), field, guard)]
+    c = room.c[row_of(a, series_of(a, now), field, guard)]
     left = behind(c, h) if a.guards[guard, AFFINE] == 0 else 0.0
     crossing = a.guards[guard, CROSSING]
     tolerance = max(left_open(a, run, guard, now.end), SHOWN * left)
@@ -228,7 +233,7 @@ def has_left(a: Automaton, now: Now, room: Room, c: Floats, guard: int, s: float
 def resolved(a: Automaton, run: Floats, now: Now, room: Room, t: float, h: float) -> float:
     """How far of a step the guards' series have converged, to what a step may lose; -1 where they
     do not follow them."""
-    field, program = now.ints[FIELD], series_of(a, run, now.ints[FIELD])
+    field, program = now.ints[FIELD], series_of(a, now)
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
         if a.guards[g, AFFINE] == 0:
@@ -260,20 +265,52 @@ def follows(
     return abs(exact - value) <= max(MISSED * EPS * size, SHOWN * behind(c, s))
 
 
+def foreseen(
+    a: Automaton, run: Floats, now: Now, room: Room, h: float, starting: bool
+) -> tuple[int, float]:
+    """As :func:`event_along`, by series of the flow from where another solver's step begins, which
+    ``room.c`` has; at 0 where these do not show that no guard fires, or one at the step's end.
+
+    They do where they have converged there, to what a step may lose, and lead to its state.
+    """
+    order, t = room.c.shape[1] - 1, now.floats[T] + now.floats[TAU]
+    for i in range(now.x.shape[0]):
+        allowed = run[TOLERANCES + i] + run[RELATIVE] * abs(now.end[i])
+        value, _ = power_value(room.c[i], 0, order, h)
+        if not max(behind(room.c[i], h), abs(value - now.end[i]) / AGREES) <= allowed:
+            return -1, 0.0
+    reach = reached(run, now, h)
+    if resolved(a, run, now, room, t, reach) != reach:
+        return -1, 0.0
+    guard, s = first_event(a, run, now, room, reach, starting)
+    if abs(s - h) <= SMALL * h or (s == math.inf and keeps(a, now, room, t + h)):
+        return guard, s
+    field = now.ints[FIELD]
+    first = a.fields[field, GUARDS]
+    for g in range(first, a.fields[field, GUARDS_END]):
+        value = room.c[row_of(a, a.fields[field, PROGRAM], field, g), 0]
+        now.signs[g - first] = 1 if value > 0.0 else -1
+    return -1, 0.0
+
+
+def reached(run: Floats, now: Now, h: float) -> float:
+    """How far a step is looked at: a little beyond its end, if it was made to end on a guard."""
+    if now.floats[NEXT] != now.floats[AIM]:
+        return h
+    length = (run[LAST] - now.floats[T]) - now.floats[LOW]
+    return min(h * (1.0 + SMALL), length - now.floats[TAU])
+
+
 def event_along(
     a: Automaton, run: Floats, now: Now, room: Room, h: float, starting: bool
 ) -> tuple[int, float]:
     """As :func:`first_event`, in a step of another solver, of which ``room.c`` has the polynomial.
 
     The guards' series along it need not converge at its end: they are expanded anew as often as
-    they must be. The end of a step that was made to end on a guard is looked at a little beyond.
+    they must be.
     """
-    field, n = now.ints[FIELD], now.x.shape[0]
-    t, length = now.floats[T] + now.floats[TAU], (run[LAST] - now.floats[T]) - now.floats[LOW]
-    reach = h
-    if now.floats[NEXT] == now.floats[AIM]:
-        reach = min(h * (1.0 + SMALL), length - now.floats[TAU])
-    done = 0.0
+    field, n, reach = now.ints[FIELD], now.x.shape[0], reached(run, now, h)
+    t, done = now.floats[T] + now.floats[TAU], 0.0
     for part in range(PARTS):
         if not expanded(a, field, t + done, n, room):
             return -1, 0.0
@@ -318,9 +355,9 @@ def row_of(a: Automaton, program: int, field: int, guard: int) -> int:
     return a.programs.output[first + guard - a.fields[field, GUARDS]]
 
 
-def series_of(a: Automaton, run: Floats, field: int) -> int:
+def series_of(a: Automaton, now: Now) -> int:
     """The program that has made the guards' series along a step."""
-    return a.fields[field, PROGRAM if run[ORDER] == 0.0 else WATCH]
+    return a.fields[now.ints[FIELD], WATCH if now.ints[PHASE] == SEES else PROGRAM]
 
 
 def size_of(a: Automaton, guard: int, order: int, t: float, x: Floats, room: Room) -> float:

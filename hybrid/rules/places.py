@@ -41,8 +41,9 @@ T, LOW, TAU, TRIED, NEXT, TO_TAU, AIM, FIRST, SPEED = range(9)
 FIELD, FIRED, SERIES, COUNT, ENTERED, JUMPS, STEPS, EXPANSIONS = range(8)
 PHASE, MADE, EVENT, CROSSED, TRIES, TAILS, POWER, LOW_AHEAD, WAS_LOW = range(8, 17)
 
-#: What comes next in an arc: its start; a step; to look at a step; to land; the jump at its end.
-BEGINS, WALKS, LOOKS, LANDS, STRIKES = 0, 1, 2, 3, 4
+#: What comes next in an arc: its start; a step; to look at a step, another solver's by series of
+#: the flow; to land; the jump at its end; to look at another solver's step by its polynomial.
+BEGINS, WALKS, LOOKS, LANDS, STRIKES, SEES = 0, 1, 2, 3, 4, 5
 
 #: Columns of the table of sums: jumps before it, and the degree of its curve; the gap speed after
 #: the last of them, the ratio of the series, and the time from there to the limit.
@@ -55,8 +56,8 @@ ERRORS, LIMIT, AT_REST, CURVE_ROWS = 17, 18, 19, 20
 #: Why a call comes back: the run is at its end; the arrays are full; an arc has to be looked at
 #: with all the rules; a jump has; another solver is to make a step, or to land; impacts are to be
 #: summed; a contact at rest opens; the table has not all that is asked of the guard at the arc's
-#: end; a low flight begins.
-END, FULL, LOOK, JUMP, STEP, LAND_ON, SUM, OPENS, MAKE, HOPS = range(1, 11)
+#: end; a low flight begins; the polynomial of another solver's step is to be shown.
+END, FULL, LOOK, JUMP, STEP, LAND_ON, SUM, OPENS, MAKE, HOPS, SHOW = range(1, 12)
 
 #: A guard has fired, and the state is on it. The arc goes on.
 LANDED, GOES_ON = 0, -1

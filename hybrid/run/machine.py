@@ -41,6 +41,7 @@ from ..rules.places import (
     POWER,
     REMAINING,
     SERIES,
+    SHOW,
     SPEED,
     STEP,
     STEPS,
@@ -75,6 +76,9 @@ if TYPE_CHECKING:
 #: room.
 JUMPS_KEPT, STEPS_KEPT, MORE, MOST = 64, 512, 4, 1 << 15
 SUMS_KEPT = 8
+
+#: What is asked for of another solver: methods of :class:`Outside`.
+ASKS = {STEP: "step", SHOW: "show", LAND_ON: "land"}
 
 
 def rooms(tables: Tables, n: int, order: int) -> tuple[Room, Sums, Look]:
@@ -207,13 +211,12 @@ class Machine:
                     if status == MAKE:
                         self._make()
                         continue
-                    if status not in (STEP, LAND_ON):
+                    if self.outside is None or status not in ASKS:
                         return status
-                    assert self.outside is not None
                     made = len(self.outside.arcs)
                     if status == STEP and self.driver.steps + made >= self.plan.max_steps:
                         return STEP
-                    (self.outside.step if status == STEP else self.outside.land)(now, room)
+                    getattr(self.outside, ASKS[status])(now, room)
         except KeyboardInterrupt:
             self._interrupted(self.now, left)
             raise

@@ -72,7 +72,7 @@ class Outside:
         except (FlowError, ValueError) as fault:
             raise self._told(now, fault) from None
         self.arcs.append(int(now.ints[JUMPS]))
-        self._show(now, room)
+        self._keep(now)
 
     def land(self, now: Now, room: Room) -> None:
         """End the last step where a guard is zero."""
@@ -107,13 +107,12 @@ class Outside:
         self.stepper = begin(self.driver.solver, field, t, x, length, first or None, sizes)
         self.pace = Pace(field, t, length)
 
-    def _show(self, now: Now, room: Room) -> None:
-        """Tell the loop of the step: its end, the state there, and its polynomial."""
+    def show(self, now: Now, room: Room) -> None:
+        """Tell the loop the polynomial of the last step."""
         _, length, powers = self.stepper.powers()
         n, count = powers.shape
         room.c[:n, :count] = powers / length ** POWERS[:count]
         room.c[:n, count:] = 0.0
-        self._keep(now)
 
     def _keep(self, now: Now) -> None:
         """Tell the loop where the step ends; keep its polynomial, if dense output is kept."""

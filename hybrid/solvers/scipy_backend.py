@@ -1,13 +1,16 @@
 """SciPy's own ``OdeSolver`` classes, driven step by step.
 
-The Runge-Kutta classes are started afresh by setting their state, which costs a
-microsecond instead of a constructor; the implicit and multistep ones carry memory of their
-past and are constructed anew for each arc. BDF and LSODA restart at order one after each
-jump: prefer a Runge-Kutta method where jumps are many.
+The Runge-Kutta classes are copied, and started afresh by setting their state, which costs a
+microsecond where a constructor takes as long as a step; the implicit and multistep ones carry
+memory of their past and are constructed anew for each arc. BDF and LSODA restart at order one
+after each jump: prefer a Runge-Kutta method where jumps are many.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import copy
+from functools import cache
 from math import isfinite
 from typing import Any
 
@@ -71,19 +74,31 @@ class SciPySolver(Solver):
     ) -> Stepper:
         rhs = field.rhs
 
-        def flow(tau: float, x: np.ndarray) -> np.ndarray:
+        def rates(tau: float, x: np.ndarray) -> Sequence[float]:
             self.evaluations += 1
-            return np.array(rhs(t0 + tau, x.tolist()), dtype=float)
+            return rhs(t0 + tau, x.tolist())
 
         if self.cls not in RUNGE_KUTTA:
+            flow = lambda tau, x: np.array(rates(tau, x), dtype=float)  # noqa: E731
             return self._sampled(flow, _jacobian(field, t0), x0, length, first_step, sizes)
         solver = self._kept.pop(len(x0), None)
-        if solver is None:
-            solver = self._construct(flow, x0, length, first_step, self.atol)
+        if solver is None and first_step is None:
+            solver = self._construct(rates, x0, length, None, self.atol)
         else:
-            _restart(solver, flow, x0, length, first_step)
+            solver = solver or self._copied(len(x0))
+            _restart(solver, rates, x0, length, first_step)
         self._kept[len(x0)] = solver
         return RungeKuttaStepper(solver, self)
+
+    def _copied(self, n: int) -> Any:
+        """A Runge-Kutta solver that has not begun."""
+        solver = copy(_pattern(self.cls, n))
+        solver.rtol, solver.atol, solver.max_step = self.rtol, self.atol, self.max_step
+        solver.K = np.empty_like(solver.K)
+        if isinstance(solver, DOP853):
+            solver.K_extended = np.empty_like(solver.K_extended)
+            solver.K = solver.K_extended[: len(solver.K)]
+        return solver
 
     def _sampled(
         self,
@@ -131,6 +146,12 @@ class SciPySolver(Solver):
             ) from None
 
 
+@cache
+def _pattern(cls: Any, n: int) -> Any:
+    """A Runge-Kutta solver for ``n`` numbers, to be copied."""
+    return cls(lambda t, y: y, 0.0, np.zeros(n), 1.0, first_step=1.0)
+
+
 def _jacobian(field: Field, t0: float) -> Any:
     """The flow's derivatives by the state, in local time; None where there are none."""
     slopes = field.jacobian
@@ -169,7 +190,7 @@ class _OdeStepper(Stepper):
         except ValueError as fault:  # the implicit methods' linear algebra meets inf or nan
             raise FlowError(f"the flow or its Jacobian is not finite ({fault})") from None
         self.tau, self.x = float(solver.t), solver.y
-        if solver.status == "failed" or not isfinite(solver.y.sum()):
+        if solver.status == "failed" or not isfinite(sum(solver.y.tolist())):
             raise FlowError(self._reason(message or ""))
 
     def _reason(self, message: str) -> str:
