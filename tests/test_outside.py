@@ -7,7 +7,7 @@ from scipy.integrate import RK45, DenseOutput, OdeSolver
 import hybrid as hy
 from hybrid.gallery import find
 from hybrid.scene import scene_of
-from hybrid.solvers.scipy_backend import RungeKuttaStepper, SciPySolver
+from hybrid.solvers.scipy_backend import RungeKuttaStepper, SampledStepper, SciPySolver
 from models.hard_spring import HardSpring
 from tests.contract.test_units import Pile
 from tests.test_advance import SCENES
@@ -72,22 +72,29 @@ def test_nothing_falls_through_what_a_step_shows_to_rounding(unit, method):
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 40])
-@pytest.mark.parametrize("name", ["step", "arrive"])
-def test_the_keyboard_stops_between_steps(name, count, monkeypatch):
+@pytest.mark.parametrize(
+    ("stepper", "name", "method"),
+    [
+        (RungeKuttaStepper, "step", "DOP853"),
+        (RungeKuttaStepper, "powers", "DOP853"),
+        (SampledStepper, "land", "Radau"),
+    ],
+)
+def test_the_keyboard_stops_between_steps(stepper, name, method, count, monkeypatch):
     """What was flown until then is kept, to a state of the run."""
-    own, made = getattr(RungeKuttaStepper, name), []
+    own, made = getattr(stepper, name), []
 
-    def stop(self, tau):
-        made.append(tau)
+    def stop(self, *given):
+        made.append(given)
         if len(made) == count:
             raise KeyboardInterrupt
-        return own(self, tau)
+        return own(self, *given)
 
     model, start, _ = SCENES["duffing"]
-    monkeypatch.setattr(RungeKuttaStepper, name, stop)
-    run = hy.simulate(model, start, (0.0, 300.0))
+    monkeypatch.setattr(stepper, name, stop)
+    run = hy.simulate(model, start, (0.0, 300.0), method=method)
     assert run.status is hy.Status.INTERRUPTED
-    whole = hy.simulate(model, start, (0.0, run.t1 + 1e-9))
+    whole = hy.simulate(model, start, (0.0, run.t1 + 1e-9), method=method)
     assert len(whole.jumps) == len(run.jumps)
     np.testing.assert_allclose(list(run.final), list(whole(run.t1, side="left")), atol=1e-12)
 
@@ -167,3 +174,12 @@ def test_the_jacobian_is_the_flows(name):
         e = step * np.eye(n)[j]
         ends = [np.array(field.rhs(0.3, (x + s * e).tolist())) for s in (1, -1)]
         np.testing.assert_allclose(slopes[:, j], (ends[0] - ends[1]) / (2 * step), atol=1e-7)
+
+
+def test_a_step_costs_its_stages_and_no_more():
+    """Steps end on the wall, and none is made again, nor asked for its dense output, which takes
+    three evaluations more: there are twelve for each step, and one where each of three arcs begins,
+    two flights before the sum and the rest."""
+    run = hy.simulate(HardSpring(), [2.1, 0.0], (0.0, 5.0), save="jumps", method="DOP853")
+    assert (run.stats.rejected, len(run.zeno)) == (0, 1)
+    assert run.stats.evaluations == 12 * run.stats.steps + 3

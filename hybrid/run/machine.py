@@ -7,6 +7,7 @@ the driver judges what comes next.
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,6 +41,7 @@ from ..rules.places import (
     PHASE,
     POWER,
     REMAINING,
+    SEES,
     SERIES,
     SHOW,
     SPEED,
@@ -202,9 +204,9 @@ class Machine:
 
     def _advance(self, left: Left) -> int:
         """Call the loop, and make the steps and the tables that it asks for."""
-        go = unit("runs").go
-        try:
-            with np.errstate(all="ignore"):  # what is not finite is reported, not warned of
+        go, own = unit("runs").go, self.outside is None
+        try:  # what is not finite is reported, not warned of
+            with nullcontext() if own else np.errstate(all="ignore"):
                 while True:
                     now, (room, sums, look) = self.now, self.rooms
                     status: int = go(self.tables.automaton, self.run, now, room, left, sums, look)
@@ -223,7 +225,8 @@ class Machine:
 
     def _make(self) -> None:
         """Complete the tables, with room for what is new in them."""
-        self.tables.complete(int(self.ints[FIRED]), bounded)
+        with np.errstate(all="ignore"):
+            self.tables.complete(int(self.ints[FIRED]), bounded)
         self._give_back()
         self.rooms = self._take()
         orders = np.zeros(self.tables.widest, dtype=np.int64)
@@ -247,7 +250,7 @@ class Machine:
         self._keep(left)
         if self.driver.status is not None or self.passed or self.outside is None:
             return
-        if self.ints[PHASE] == LANDS:
+        if self.ints[PHASE] in (SEES, LANDS):
             self.outside.undo(now)
         elif self.ints[MADE] and self.ints[PHASE] != STRIKES:
             self.floats[TAU] = self.floats[NEXT]

@@ -71,8 +71,10 @@ class Outside:
             self.pace.steps(self.stepper.tau, self.stepper.x)
         except (FlowError, ValueError) as fault:
             raise self._told(now, fault) from None
+        if self.dense:
+            self.made.append(self._last)
+        self._ends(now)
         self.arcs.append(int(now.ints[JUMPS]))
-        self._keep(now)
 
     def land(self, now: Now, room: Room) -> None:
         """End the last step where a guard is zero."""
@@ -81,12 +83,12 @@ class Outside:
         except (FlowError, ValueError) as fault:
             raise self._told(now, fault) from None
         if self.dense:
-            self.made.pop()
-        self._keep(now)
+            self.made[-1] = self._last
+        self._ends(now)
         now.floats[TO_TAU] = self.stepper.tau
 
     def undo(self, now: Now) -> None:
-        """Take back the last step, beyond a guard on which it has not landed."""
+        """Take back the last step, which may be beyond a guard."""
         now.end[:] = self.stepper.powers()[2][:, 0]
         self.arcs.pop()
         if self.dense:
@@ -114,11 +116,14 @@ class Outside:
         room.c[:n, :count] = powers / length ** POWERS[:count]
         room.c[:n, count:] = 0.0
 
-    def _keep(self, now: Now) -> None:
-        """Tell the loop where the step ends; keep its polynomial, if dense output is kept."""
+    def _ends(self, now: Now) -> None:
+        """Tell the loop where the last step ends."""
         now.end[:], now.floats[NEXT] = self.stepper.x, self.stepper.tau
-        if self.dense:
-            self.made.append((*self.stepper.powers(), self.stepper.x))
+
+    @property
+    def _last(self) -> tuple[float, float, np.ndarray, np.ndarray]:
+        """The last step, as it is kept."""
+        return (*self.stepper.powers(), self.stepper.x)
 
     def _told(self, now: Now, fault: Exception) -> Exception:
         """A fault that says where the step begins that cannot be made."""
