@@ -270,6 +270,8 @@ class _Piece:
         """
         edge, seen = self.guard.edge, ("largest", self.guard.edge)
         old, new = self.ends[edge], self.at(cut.after)
+        if old == 0.0 and cut.before <= 0.0:  # the last step has ended on it
+            old = self.at(cut.before)
         self.ends[edge] = new
         largest = max(abs(old), self.ends.get(seen, 0.0))
         self.ends[seen] = max(largest, abs(new)) if np.isfinite(new) else largest

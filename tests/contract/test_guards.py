@@ -371,3 +371,31 @@ def test_a_truth_value_is_no_guard():
             @hy.edge(on, to=on, guard=lambda self, t, s: s.x < 1.0)
             def back(self, t, s):
                 return s
+
+
+class Whole(hy.Automaton):
+    """A number that grows, and stops where its whole part has come to 2."""
+
+    x = hy.state()
+    n = hy.state()
+
+    @hy.mode(initial=True)
+    def grows(self, t, s):
+        return 1.0, 0.0
+
+    @hy.mode
+    def stays(self, t, s):
+        return 0.0, 0.0
+
+    @hy.edge(grows, to=stays, guard=lambda self, t, s: jnp.floor(s.x) - 2.0, crossing=hy.RISING)
+    def full(self, t, s):
+        return s.replace(n=s.n + 1)
+
+
+@pytest.mark.parametrize("start", [0.0, 0.5])
+def test_a_guard_that_jumps_onto_zero_fires_also_where_a_step_ends(way, start):
+    """Steps end on whole numbers, and their last state has the guard's value beyond: zero."""
+    until = np.array([2.5, 2.9, 3.4, 3.7])
+    for result in way.many(Whole(), [[start, 0.0]] * len(until), (0.0, until)):
+        assert result.final.n == 1.0
+        assert result.final.x == pytest.approx(2.0, abs=1e-9)
