@@ -9,7 +9,8 @@ import math
 
 from .arcs import arc, copied
 from .arrays import Automaton, Floats, Left, Now, Room
-from .guards import NEAR, largest, row_of
+from .guards import largest, row_of
+from .hops import drowns
 from .jets import OUTPUT, jets
 from .places import (
     AT,
@@ -33,7 +34,6 @@ from .places import (
     MAKE,
     NONE,
     OPENS,
-    ORDER,
     PATIENT,
     PHASE,
     POWER,
@@ -162,11 +162,10 @@ def impact(
     flow = a.fields[now.ints[FIELD], PROGRAM]
     if jets(a.programs, flow, 2, t, behind, room.still, room.aside, room.work) < 0:
         return JUMP
-    fall = -2.0 * room.aside[row_of(a, flow, now.ints[FIELD], guard), 2]
-    if speed * speed > NEAR * fall * max(largest(now.seen), largest(behind)):
+    force = 2.0 * room.aside[row_of(a, flow, now.ints[FIELD], guard), 2]
+    if not drowns(speed, force, max(largest(now.seen), largest(behind))):
         return LANDED
-    own = run[ORDER] == 0.0 and a.fields[now.ints[FIELD], HELD] == 0 and fall > 0.0
-    if not own or a.guards[guard, AT] < UNKNOWN:
+    if a.fields[now.ints[FIELD], HELD] == 1 or a.guards[guard, AT] < UNKNOWN:
         return JUMP
     if a.guards[guard, AT] == UNKNOWN:
         return MAKE

@@ -24,8 +24,10 @@ from .kinks import (
     states,
     turn,
 )
-from .lengths import ROUNDING, own_length, step_length, zero_of
+from .lengths import CONVERGED, ROUNDING, behind, own_length, step_length, zero_of
 from .polynomials import power_value
+from .zeros import outweighs
+from .zeros import series as zeros
 
 __all__ = ("fly",)
 
@@ -35,8 +37,9 @@ __all__ = ("fly",)
 PIECES = 32
 
 #: Status codes besides those of :mod:`.kinks`: a step has no length, or no end; its series is not
-#: that of the flow, or of the gap; the flight is too long; the gap does not fall where it is zero.
-NO_LENGTH, LEAVES, TOO_LONG, RISES = -3, -4, -5, -6
+#: that of the flow, or of the gap; the flight is too long; the gap does not fall where it is zero;
+#: another guard may be zero on the way.
+NO_LENGTH, LEAVES, TOO_LONG, RISES, REACHED = -3, -4, -5, -6, -7
 
 #: A piece at whose end the gap is zero.
 LANDS = 1
@@ -61,6 +64,8 @@ def fly(
     rows: Matrix,
     found: Matrix,
     sides: Ints,
+    signs: Ints,
+    rounding: float,
 ) -> tuple[int, float, float, int, int]:
     """The flight that leaves a contact with gap speed ``v > 0``.
 
@@ -80,6 +85,10 @@ def fly(
         Gets the state at the end.
     c, aside, work, rows, found, sides
         To work in, as :func:`.steps.step` takes them; ``aside`` has three columns.
+    signs, rounding
+        For each guard the sign that it must have on the way, 0 where it is that which it has at the
+        start, which is put down; and nearer to zero than rounding none may come. With no signs
+        guards are not looked at.
 
     Returns
     -------
@@ -102,8 +111,11 @@ def fly(
         if piece == 0:
             _begin(p, program, sides, c, branch)
         status, h, crossed, gap, speed = _piece(
-            p, program, column, held, t + time, gap, speed, c, aside, work, rows, found, sides
-        )
+            p, program, column, held, t + time, gap, speed, c, aside, work, rows, found, sides,
+            _converged(p, program, signs, c),
+        )  # fmt: skip
+        if status >= 0 and not _apart(p, program, column, h, rounding, signs, c, rows, found):
+            status = REACHED
         if status < 0:
             return status, time, speed, piece, crossings
         _keep(piece, time, h, c, starts, lengths, series, end)
@@ -132,6 +144,48 @@ def _begin(p: Programs, program: int, sides: Ints, c: Matrix, branch: Ints) -> N
             branch[i] = 0
 
 
+def _converged(p: Programs, program: int, signs: Ints, c: Matrix) -> float:
+    """How far the series of other guards have converged."""
+    first, length = p.index[program, OUTPUT], math.inf
+    for g in range(signs.shape[0]):
+        if p.affine[first + g] == 0:
+            length = min(length, own_length(c[p.output[first + g]], CONVERGED))
+    return length
+
+
+def _apart(
+    p: Programs,
+    program: int,
+    column: int,
+    h: float,
+    rounding: float,
+    signs: Ints,
+    c: Matrix,
+    rows: Matrix,
+    found: Matrix,
+) -> bool:
+    """Whether all guards but one keep their signs on a piece, and stay away from zero."""
+    first = p.index[program, OUTPUT]
+    for g in range(signs.shape[0]):
+        if g != column:
+            own = c[p.output[first + g]]
+            if signs[g] == 0:
+                signs[g] = 1 if own[0] > 0.0 else -1
+            if not (own[0] * signs[g] > 0.0 and _keeps_off(own, h, rounding, rows, found)):
+                return False
+    return True
+
+
+def _keeps_off(c: Floats, h: float, rounding: float, rows: Matrix, found: Matrix) -> bool:
+    """Whether a series, and what it leaves open, is further from zero than rounding."""
+    order, noise = c.shape[0] - 1, rounding + behind(c, h)
+    if outweighs(c, 0, order, h, noise):
+        return True
+    end, _ = power_value(c, 0, order, h)
+    away = abs(c[0]) > noise and abs(end) > noise and end * c[0] > 0.0
+    return away and zeros(c, order, h, 0, noise, rows, found) == 0
+
+
 def _piece(
     p: Programs,
     program: int,
@@ -146,13 +200,14 @@ def _piece(
     rows: Matrix,
     found: Matrix,
     sides: Ints,
+    most: float,
 ) -> tuple[int, float, int, float, float]:
-    """A step of a flight: its status, how long it is, the kink that ends it, and the gap and its
-    speed there."""
+    """A step of a flight, no longer than ``most``: its status, how long it is, the kink that ends
+    it, and the gap and its speed there."""
     place = p.index[program, OUTPUT] + column
     row = p.output[place]
     reach, zero = _reach(p, program, row, gap, speed, c, rows, found)
-    h = min(reach, zero)
+    h = min(reach, zero, most)
     if not 0.0 < h < math.inf:
         return NO_LENGTH, h, -1, gap, speed
     h, crossed = first_change(p, program, t, h, sides, c, rows, found)

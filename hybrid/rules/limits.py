@@ -226,6 +226,7 @@ def mapped(
     status, length, u, pieces, crossed = fly(
         p, flow, column, held, begins, state, speed, sums.starts, sums.lengths, sums.series,
         sums.branch, sums.end, sums.c, sums.aside, sums.work, sums.rows, sums.found, sums.sides,
+        sums.sides[:0], 0.0,
     )  # fmt: skip
     if status < 0 or not flown(p, flow, s, own, begins, n, pieces, crossed, sums, room):
         return False

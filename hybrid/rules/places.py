@@ -56,8 +56,9 @@ ERRORS, LIMIT, AT_REST, CURVE_ROWS = 17, 18, 19, 20
 #: Why a call comes back: the run is at its end; the arrays are full; an arc has to be looked at
 #: with all the rules; a jump has; another solver is to make a step, or to land; impacts are to be
 #: summed; a contact at rest opens; the table has not all that is asked of the guard at the arc's
-#: end; a low flight begins; the polynomial of another solver's step is to be shown.
-END, FULL, LOOK, JUMP, STEP, LAND_ON, SUM, OPENS, MAKE, HOPS, SHOW = range(1, 12)
+#: end; a low flight begins; the polynomial of another solver's step is to be shown; the pieces of a
+#: low flight are to be kept beside its steps.
+END, FULL, LOOK, JUMP, STEP, LAND_ON, SUM, OPENS, MAKE, HOPS, SHOW, FLOWN = range(1, 13)
 
 #: A guard has fired, and the state is on it. The arc goes on.
 LANDED, GOES_ON = 0, -1

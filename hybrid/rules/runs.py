@@ -6,26 +6,20 @@ more than doubles to be believed, and what follows it but a rest that begins pla
 
 from __future__ import annotations
 
-import math
-
 from .advance import added, advance, after, enlarged
 from .arcs import copied
 from .arrays import Automaton, Floats, Left, Look, Now, Programs, Room, Sums
-from .chebyshev import value
-from .flights import fly
-from .guards import ROUNDED, largest, row_of, starts
-from .jets import jets, values
-from .lengths import behind, step_length
+from .guards import ROUNDED, largest, starts
+from .hops import hop
+from .jets import jets
 from .places import (
     ABSOLUTE,
-    AFFINE,
     AT,
     AT_REST,
     BEFORE,
     BEGINS,
     BOUNDS,
     CLOSING,
-    CONTACT,
     CROSSING,
     CURVE_ROWS,
     DEGREE,
@@ -35,6 +29,7 @@ from .places import (
     EXPANSIONS,
     FIELD,
     FIRED,
+    FLOWN,
     FULL,
     GOES_ON,
     GUARDS,
@@ -43,7 +38,6 @@ from .places import (
     HOPS,
     JUMP,
     JUMPS,
-    KIND,
     LAST,
     LEAVES,
     LIMIT,
@@ -51,9 +45,11 @@ from .places import (
     LOOK,
     LOW,
     LOW_AHEAD,
+    MADE,
     MAKE,
     NONE,
     OPENS,
+    ORDER,
     PHASE,
     PLAIN,
     POWER,
@@ -77,33 +73,24 @@ from .places import (
     WAS_LOW,
     T,
 )
-from .polynomials import power_value
 from .sights import CAUTION, EXCESS, damped, seen, slows
 from .sums import (
     ERROR,
     FLOOR,
-    LAND,
     READ,
     STATE,
-    TINY,
-    TURN,
     close,
-    on_curve,
-    restitution,
     touch,
     turned,
 )
 from .sums import LIMIT as LIMITS
-from .zeros import EPS, outweighs
+from .tails import clear, count
+from .zeros import EPS
 
 __all__ = ("go",)
 
 #: By which power of the time a gap opens where its load has come to be zero.
 RISES = 3
-
-#: Pieces of a tail in which other guards are looked at, each at two times; and where one is no sum
-#: of states.
-FEW, SHARES = 4, 100
 
 
 def go(a: Automaton, run: Floats, now: Now, room: Room, left: Left, sums: Sums, look: Look) -> int:
@@ -155,11 +142,9 @@ def accumulated(
     put(tail, degree, r, v, place + 1, left, sums)
     if a.guards[guard, REST] < 0:
         return JUMP
-    if not clear(a, now, room, left, sums, t, x):
+    if not untouched(a, now, left, sums, flow, at, column, t, x):
         now.floats[TRIED] = v
         return GOES_ON
-    if not unreached(a, now, room, t, x, listed(left, tail, 1)):
-        return JUMP
     if not believed(a, run, now, flow, at, guard, tail, t, x, left, sums, look):
         return JUMP
     end, rest = after(t, low, left.sums[tail, REMAINING])
@@ -205,7 +190,7 @@ def believed(
         error = max(left.curves[first + ERRORS, 0], FLOOR * abs(end))
         allowed = CAUTION * error * (1.0 - r) / remaining
         limit = left.curves[first + LIMIT, : x.shape[0]]
-        most = count(row, t)
+        most = count(t, r, remaining)
         if not damped(
             a, flow, at, column, curve, t, x, v, r, most, allowed, sums, look
         ) or not slows(a, at, end, limit, v, sums):
@@ -264,38 +249,34 @@ def hopped(a: Automaton, run: Floats, now: Now, room: Room, left: Left, sums: Su
     Returns
     -------
     status : int
-        ``GOES_ON`` to the impact at its end; ``FULL``, and it is still to be flown; or ``LOOK``,
-        where it is long, goes beyond the end of the run, another guard comes near, or there is no
-        room for it.
+        ``GOES_ON`` to the impact at its end, or ``FLOWN``, where its pieces are to be kept before
+        that; ``FULL``, and it is still to be flown; or ``LOOK``, where it is long, goes beyond the
+        end of the run, another guard comes near, or there is no room for it.
     """
-    field, guard, v = now.ints[FIELD], now.ints[FIRED], now.floats[SPEED]
-    flow, at, t = a.fields[field, PROGRAM], a.guards[guard, AT], now.floats[T]
-    status, time, u, pieces, _ = fly(
-        a.programs, flow, guard - a.fields[field, GUARDS], False, t, now.x, v, sums.starts,
-        sums.lengths, sums.series, sums.branch, sums.end, sums.c, sums.aside, sums.work, sums.rows,
-        sums.found, sums.sides,
+    field, guard, place = now.ints[FIELD], now.ints[FIRED], now.ints[JUMPS]
+    flow, at, t, v = a.fields[field, PROGRAM], a.guards[guard, AT], now.floats[T], now.floats[SPEED]
+    before, behind = left.before[place], left.after[place]
+    rounding = ROUNDED * EPS * max(largest(now.seen), largest(now.x))
+    status, time, speed, pieces = hop(
+        a.programs, flow, at, guard - a.fields[field, GUARDS], False, t, now.x, v, rounding,
+        now.signs[: domain(a, now)], before, behind, sums,
     )  # fmt: skip
     end, low = after(t, now.floats[LOW], time)
     if status < 0 or (run[LAST] - end) - low < 0.0:
         return LOOK
-    if now.ints[STEPS] + pieces > left.owner.shape[0]:
+    own = run[ORDER] == 0.0
+    if own and now.ints[STEPS] + pieces > left.owner.shape[0]:
         return FULL if now.ints[STEPS] + now.ints[JUMPS] > 0 else LOOK
-    read, n, before = sums.lines[READ], now.x.shape[0], left.before[now.ints[JUMPS]]
-    values(a.programs, at + LAND, t + time, sums.end, sums.sides, sums.c, sums.work, read)
-    copied(read[:n], before)
-    if not unreached(a, now, room, t, now.x, time):
-        return LOOK
-    speed = restitution(a.programs, at, t + time, before, u, sums) * -u
-    values(a.programs, at + TURN, t + time, before, sums.sides, sums.c, sums.work, read)
     copied(before, now.end)
-    copied(before, left.after[now.ints[JUMPS]])
-    turned(left.after[now.ints[JUMPS]], speed - read[n], read)
+    now.floats[TAU], now.floats[SPEED] = time, speed
+    now.ints[LOW_AHEAD], now.ints[WAS_LOW], now.ints[PHASE] = 0, 1, STRIKES
+    if not own:
+        now.ints[MADE] = pieces
+        return FLOWN
     for piece in range(pieces):
         taken(now, left, sums, piece)
-    now.floats[TAU], now.floats[SPEED] = time, speed
     now.ints[STEPS] += pieces
     now.ints[EXPANSIONS] += pieces
-    now.ints[LOW_AHEAD], now.ints[WAS_LOW], now.ints[PHASE] = 0, 1, STRIKES
     return GOES_ON
 
 
@@ -309,27 +290,6 @@ def taken(now: Now, left: Left, sums: Sums, piece: int) -> None:
             own, kept = sums.series[piece * n + i], left.series[place * n + i]
             for k in range(kept.shape[0]):
                 kept[k] = own[k] if k < own.shape[0] else 0.0
-
-
-def unreached(a: Automaton, now: Now, room: Room, t: float, x: Floats, length: float) -> bool:
-    """Whether no other guard can be zero within a flight, and no other contact has been passed: the
-    first term of each outweighs rounding and all others. What has kinks is left to the driver."""
-    field, fired = now.ints[FIELD], now.ints[FIRED]
-    program, first, order = a.fields[field, PROGRAM], a.fields[field, GUARDS], room.c.shape[1] - 1
-    if a.fields[field, GUARDS_END] - first == 1:
-        return True
-    if jets(a.programs, program, order, t, x, room.still, room.c, room.work) < 0:
-        return False
-    if room.still.shape[0] > 0 or not length <= step_length(room.c, x.shape[0]):
-        return False
-    rounding = ROUNDED * EPS * max(largest(now.seen), largest(x))
-    for g in range(first, a.fields[field, GUARDS_END]):
-        c = room.c[row_of(a, program, field, g)]
-        passed = a.guards[g, KIND] == CONTACT and c[0] <= 0.0
-        clear = outweighs(c, 0, order, length, rounding + behind(c, length))
-        if g != fired and (passed or not clear):
-            return False
-    return True
 
 
 def begun(
@@ -361,110 +321,34 @@ def begun(
     return True
 
 
-def clear(a: Automaton, now: Now, room: Room, left: Left, sums: Sums, t: float, x: Floats) -> bool:
-    """Whether no other guard is reached along the tail, impacts and flights."""
-    field, guard, place = now.ints[FIELD], now.ints[FIRED], now.ints[TAILS]
-    first, last = a.fields[field, GUARDS], a.fields[field, GUARDS_END]
-    if last - first == 1:
-        return True
-    shares = FEW
-    for g in range(first, last):
-        now.signs[g - first] = 0
-        if g != guard and a.guards[g, AFFINE] == 0:
-            shares = SHARES
-    row, begin, n = left.sums[place], place * CURVE_ROWS, x.shape[0]
-    limit, most = left.curves[begin + LIMIT, :n], count(row, t)
-    remaining = row[REMAINING]
-    for i in range(3 * shares):
-        impact = i - 2 * shares
-        since = remaining * i / (2 * shares - 1)
-        if impact >= 0:
-            since = listed(left, place, impact) if impact <= most else remaining
-        if since < remaining:
-            along_tail(a, now, left, sums, t, x, most, since, room.there)
-            if not noted(a, now, room, t + since, room.there, 0.0):
-                return False
-    return noted(a, now, room, t + remaining, limit, ROUNDED * EPS * largest(limit))
-
-
-def noted(a: Automaton, now: Now, room: Room, t: float, x: Floats, rounding: float) -> bool:
-    """Note the signs of the other guards; whether they are inside, and those that they were."""
-    field, fired = now.ints[FIELD], now.ints[FIRED]
-    program, first = a.fields[field, PROGRAM], a.fields[field, GUARDS]
-    if jets(a.programs, program, 0, t, x, room.still, room.aside, room.work) < 0:
-        return False
-    for g in range(first, a.fields[field, GUARDS_END]):
-        if g != fired:
-            value, was = room.aside[row_of(a, program, field, g), 0], now.signs[g - first]
-            if was != 0:
-                if not value * was > -rounding:
-                    return False
-            elif value == 0.0:
-                return False
-            else:
-                now.signs[g - first] = 1 if value > 0.0 else -1
-            inside = now.signs[g - first] * a.guards[g, CROSSING] <= 0
-            if a.guards[g, BOUNDS] == 1 and not inside:
-                return False
-    return True
-
-
-def count(row: Floats, t: float) -> int:
-    """Impacts of a tail that a double can still tell from the limit."""
-    end = abs(t + row[REMAINING])
-    share = max(math.nextafter(end, math.inf) - end, TINY) / row[REMAINING]
-    return max(0, math.ceil(math.log(min(max(share, TINY), 1.0)) / math.log(row[RATIO])))
-
-
-def listed(left: Left, place: int, n: int) -> float:
-    """The time from a tail's first impact to the n-th after it."""
-    degree = int(left.sums[place, DEGREE])
-    curve = left.curves[place * CURVE_ROWS :]
-    return value(curve, degree, 0, left.sums[place, RATIO] ** n) if n > 0 else 0.0
-
-
-def along_tail(
+def untouched(
     a: Automaton,
     now: Now,
     left: Left,
     sums: Sums,
+    flow: int,
+    at: int,
+    column: int,
     t: float,
     x: Floats,
-    most: int,
-    since: float,
-    state: Floats,
-) -> None:
-    """The state at a time after a tail's first impact: by the flight that covers it."""
-    place, guard, field = now.ints[TAILS], now.ints[FIRED], now.ints[FIELD]
-    row, begin, n = left.sums[place], place * CURVE_ROWS, x.shape[0]
-    low, high = 0, most
-    while low < high:
-        middle = (low + high + 1) // 2
-        if listed(left, place, middle) <= since:
-            low = middle
-        else:
-            high = middle - 1
-    degree, w = int(row[DEGREE]), row[RATIO] ** low
-    curve, at = left.curves[begin : begin + degree + 1], a.guards[guard, AT]
-    when, v = on_curve(
-        a.programs, at, curve, degree, t, x, row[LEAVES], w, 1.0, sums, sums.lines[STATE, :n]
-    )
-    flow, column = a.fields[field, PROGRAM], guard - a.fields[field, GUARDS]
-    status, length, _, pieces, _ = fly(
-        a.programs, flow, column, False, when, sums.lines[STATE, :n], v, sums.starts, sums.lengths,
-        sums.series, sums.branch, sums.end, sums.c, sums.aside, sums.work, sums.rows, sums.found,
-        sums.sides,
+) -> bool:
+    """Whether no other guard is reached along the tail."""
+    begin, n, row = now.ints[TAILS] * CURVE_ROWS, x.shape[0], left.sums[now.ints[TAILS]]
+    curve = left.curves[begin : begin + int(row[DEGREE]) + 1]
+    limit, signs = left.curves[begin + LIMIT, :n], now.signs[: domain(a, now)]
+    return clear(
+        a.programs, flow, at, column, False, signs, ROUNDED * EPS * largest(limit), curve, t, x,
+        row[LEAVES], row[RATIO], row[REMAINING], limit, sums,
     )  # fmt: skip
-    if status < 0:
-        copied(left.curves[begin + LIMIT, :n], state)
-        return
-    s = min(max(since - listed(left, place, low), 0.0), length)
-    piece = pieces - 1
-    while piece > 0 and sums.starts[piece] > s:
-        piece -= 1
-    for i in range(n):
-        c = sums.series[piece * n + i]
-        state[i], _ = power_value(c, 0, c.shape[0] - 1, s - sums.starts[piece])
+
+
+def domain(a: Automaton, now: Now) -> int:
+    """Put down the signs that guards have inside the domain, 0 of those that bound nothing; how
+    many there are."""
+    first, last = a.fields[now.ints[FIELD], GUARDS], a.fields[now.ints[FIELD], GUARDS_END]
+    for g in range(first, last):
+        now.signs[g - first] = -a.guards[g, CROSSING] * a.guards[g, BOUNDS]
+    return last - first
 
 
 def held(p: Programs, at: int, t: float, x: Floats, at_rest: Floats, sums: Sums) -> None:

@@ -151,6 +151,7 @@ def laws(
         status, length, u, _, _ = fly(
             p, flow, column, False, when, state, speed, room.starts, room.lengths, room.series,
             room.branch, room.end, room.c, room.aside, room.work, room.rows, room.found, room.sides,
+            room.sides[:0], 0.0,
         )  # fmt: skip
         if status < 0:
             return False

@@ -292,6 +292,7 @@ def flight(
     status, length, u, _, crossed = fly(
         p, flow, column, held, begins, state, speed, room.starts, room.lengths, room.series,
         room.branch, room.end, room.c, room.aside, room.work, room.rows, room.found, room.sides,
+        room.sides[:0], 0.0,
     )  # fmt: skip
     signs = p.index[flow, KINKS + 1] - p.index[flow, KINKS]
     if status < 0 or not same_branch(signs, crossed, room.branch, room.ints):

@@ -6,18 +6,17 @@ The rules are those of ``docs/semantics.md``; numbers in brackets are its rules.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import attrs
 import numpy as np
 
 from ..accumulation import Accumulation
 from ..arcs import Arc, TailPart
-from ..automaton.markers import Crossing
 from ..errors import FlowError, JumpLoopError, StartError
-from ..events import CLOSED, EPS, SHARES, zeros
+from ..events import CLOSED, EPS
 from ..log import Flights
-from ..rules.guards import NEAR
+from ..rules import unit
+from ..rules.guards import NEAR, ROUNDED
 from ..rules.runs import RISES
 from ..scene import Contact, Field, Guard, Scene, released
 from ..scene.defect import follows
@@ -26,9 +25,8 @@ from ..segment import Segment
 from ..solvers import Solver
 from ..solvers.watchful import Watchful
 from ..trajectory import Jump, Status
-from ..zeno.accumulate import Tail, close
+from ..zeno.accumulate import Tail, clear, close, hop
 from ..zeno.cycle import CycleLimit
-from ..zeno.flight import Flight, fly
 from ..zeno.narrow import seen
 from ..zeno.others import apart
 from . import switch, truncate
@@ -441,14 +439,6 @@ class Driver:
                 f"the first accumulation with zeno='stop'"
             )
 
-    def hop_on(self, guard: Guard, speed: float) -> None:
-        """Go on from an impact that is recorded, and may lead to a low flight (7)."""
-        hop = self.hop(self.scene.contact(guard.edge), self.entry.x, speed, self.entry.field.name)
-        if hop is None:
-            self.look_again()
-        else:
-            self.bounce(guard, *hop)
-
     def hop(
         self, contact: Contact, x: np.ndarray, v: float, name: str
     ) -> tuple[np.ndarray, np.ndarray, float] | None:
@@ -458,35 +448,22 @@ class Driver:
         Returns the states before and after the next impact and the gap's speed; None where
         the flight is higher, or another guard comes near.
         """
-        field, t = self.scene.field(name, (contact.name,)), self.t
+        field, t, reach = self.scene.field(name, (contact.name,)), self.t, self._reach(x)
         column = field.column(contact.name)
         guard = field.guards[column]
-        after, ahead = beyond_kinks(field, (*guard.kinks, *field.changes), t, x)
-        fall = -guard.lie(after, ahead.tolist())[2]
-        if not 0 < v * v <= NEAR * fall * self._reach(x):
+        there = beyond_kinks(field, (*guard.kinks, *field.changes), t, x)
+        force = guard.lie(there[0], there[1].tolist())[2]
+        if not unit("hops").drowns(v, force, reach):
             return None
-        if v * v <= NEAR**2 * fall * self._reach(x):  # a dozen digits of the gap are rounding
+        if unit("hops").drowns(v, force, NEAR * reach):  # a dozen digits of the gap are rounding
             self._require_series(contact.name, x, field)
-        flight = fly(field, column, t, x.tolist(), v)
-        if flight is None or self.record.now.after(flight.time).until(self.known) < 0:
+        flown = hop(field, contact, column, t, x, v, ROUNDED * EPS * reach)
+        if flown is None or self.record.now.after(flown[0]).until(self.known) < 0:
             return None
-        if self.wary and not follows(field, t, flight.segments()):
+        time, segments, before, after, speed = flown
+        if self.wary and not follows(field, t, segments):
             return None
-        if _reached(field, column, t, flight):
-            return None
-        end = t + flight.time
-        landed = contact.land(end, flight.x)
-        rounding = 64 * EPS * self._reach(x)
-        for index, guard in enumerate(field.guards):
-            here, there = guard.value(t, x.tolist()), guard.value(end, landed)
-            near = (here if guard.kind == "contact" else abs(here)) <= rounding
-            if index != column and (near or here * there <= 0):
-                return None
-        speed = contact.law(end, landed, flight.u) * -flight.u
-        missing = speed - field.guards[column].lie(end, landed)[1]
-        before = np.array(landed)
-        after = before + missing * np.array(contact.push(end, landed))
-        self.record.arc(field, x, before, flight.time, flight.segments())
+        self.record.arc(field, x, before, time, segments)
         self.entry = Entry(field, before, None, [], [])
         return before, after, speed
 
@@ -612,7 +589,7 @@ class Driver:
         column, now, plan = field.column(contact.name), self.record.now, self.plan
         rtol, atol = plan.closing * plan.rtol, plan.closing * plan.limit
         tail = close(field, contact, column, now.t, now.low, x, v, rtol, atol)
-        if tail is None or not _clear(tail, field, column):
+        if tail is None or not (clear(tail, field, column) and apart(tail)):
             return None
         whole = seen(tail, plan.closing)
         self.wary = plan.watchful is not None or not whole
@@ -702,33 +679,3 @@ class Driver:
 def _stays(guard: Guard, t: float, before: np.ndarray, after: np.ndarray) -> bool:
     """Whether a reset leaves its guard where it is."""
     return bool(guard.value(t, after.tolist()) == guard.value(t, before.tolist()))
-
-
-def _clear(tail: Tail, field: Field, column: int) -> bool:
-    """Whether no other guard is reached along the tail, impacts and flights."""
-    others = [guard for i, guard in enumerate(field.guards) if i != column]
-    if not others:
-        return True
-    shares = 4 if all(guard.affine for guard in others) else SHARES
-    since = np.unique([*np.linspace(0, tail.remaining, 2 * shares), *tail.times[:shares]])
-    points = [(tail.t + s, tail.state(s)) for s in since[since < tail.remaining].tolist()]
-    rounding = 64 * EPS * float(np.max(np.abs(tail.x_inf)))
-    for guard in others:
-        values = [guard.value(t, x) for t, x in points]
-        end = guard.value(tail.t + tail.remaining, tail.x_inf.tolist())
-        above, below = min(values) > 0 and end > -rounding, max(values) < 0 and end < rounding
-        inside = {Crossing.FALLING: above, Crossing.RISING: below} if guard.bounds else {}
-        if not inside.get(guard.crossing, above or below):
-            return False
-    return apart(tail)
-
-
-def _reached(field: Field, column: int, t: float, flight: Flight) -> bool:
-    """Whether another guard than the contact's is zero within a flight."""
-    scale = flight.time / SHARES
-    for guard in (guard for i, guard in enumerate(field.guards) if i != column):
-        ends: dict[Any, float] = {}
-        for segment in flight.segments():
-            if any(zeros(guard, segment, t, 0, scale, 0.0, ends)):
-                return True
-    return False

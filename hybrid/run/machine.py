@@ -27,6 +27,7 @@ from ..rules.places import (
     EXPANSIONS,
     FIELD,
     FIRED,
+    FLOWN,
     FULL,
     JUMP,
     JUMPS,
@@ -80,7 +81,7 @@ JUMPS_KEPT, STEPS_KEPT, MORE, MOST = 64, 512, 4, 1 << 15
 SUMS_KEPT = 8
 
 #: What is asked for of another solver: methods of :class:`Outside`.
-ASKS = {STEP: "step", SHOW: "show", LAND_ON: "land"}
+ASKS = {STEP: "step", SHOW: "show", LAND_ON: "land", FLOWN: "flown"}
 
 
 def rooms(tables: Tables, n: int, order: int) -> tuple[Room, Sums, Look]:
@@ -218,7 +219,8 @@ class Machine:
                     made = len(self.outside.arcs)
                     if status == STEP and self.driver.steps + made >= self.plan.max_steps:
                         return STEP
-                    getattr(self.outside, ASKS[status])(now, room)
+                    given = sums if status == FLOWN else room
+                    getattr(self.outside, ASKS[status])(now, given)
         except KeyboardInterrupt:
             self._interrupted(self.now, left)
             raise
@@ -411,7 +413,5 @@ class Machine:
                 driver.bounce(self._fired, before, left.after[place], speed)
             else:
                 driver.jump(self._fired, before)
-        elif self.ints[LOW_AHEAD]:
-            driver.hop_on(self._fired, speed)
         else:
             driver.look_again()

@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import FlowError, OptionError
 from ..log import Steps
 from ..rules.arcs import SAFETY
-from ..rules.arrays import Now, Room
+from ..rules.arrays import Now, Room, Sums
 from ..rules.places import (
     AIM,
     FIELD,
@@ -25,7 +25,7 @@ from ..rules.places import (
 )
 from ..scene import Field
 from ..scene.lowered import ORDER
-from ..segment import nodes
+from ..segment import nodes, terms
 from ..solvers import Stepper
 from .entry import describe
 from .kinked import begin
@@ -87,6 +87,15 @@ class Outside:
         self._ends(now)
         now.floats[TO_TAU] = self.stepper.tau
 
+    def flown(self, now: Now, sums: Sums) -> None:
+        """Keep the pieces of a low flight as steps."""
+        n, pieces = len(now.x), int(now.ints[MADE])
+        self.arcs += [int(now.ints[JUMPS])] * pieces
+        for piece in range(pieces if self.dense else 0):
+            start, length = float(sums.starts[piece]), float(sums.lengths[piece])
+            scaled = terms(sums.series[piece * n : piece * n + n], length)
+            self.made.append((start, length, scaled, scaled.sum(axis=1)))
+
     def undo(self, now: Now) -> None:
         """Take back the last step, which may be beyond a guard."""
         now.end[:] = self.stepper.powers()[2][:, 0]
@@ -144,8 +153,8 @@ class Outside:
         first = bisect_left(self.arcs, begin)
         chosen = slice(first, first + self.count(begin, end))
         start, length, powers, ends = zip(*self.made[chosen], strict=True)
-        series = np.array(powers)
-        degree = series.shape[2] - 1
+        degree = max(own.shape[1] for own in powers) - 1
+        series = np.array([np.pad(own, ((0, 0), (0, degree + 1 - own.shape[1]))) for own in powers])
         at_nodes = nodes(degree)[:, None] ** np.arange(degree + 1)
         values = np.einsum("sik,jk->sji", series, at_nodes)
         values[:, -1] = ends

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import attrs
 
-from ..scene import Guard
-
 
 @attrs.define
 class Watch:
@@ -24,10 +22,3 @@ class Watch:
     def reset(self) -> None:
         """Another jump came between."""
         self.contact = None
-
-    def jumped(self, guard: Guard) -> None:
-        """Count a jump that needed no judgement."""
-        if guard.kind == "contact":
-            self.saw(guard.edge)
-        else:
-            self.reset()

@@ -6,16 +6,18 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from itertools import pairwise
-from math import ceil, exp, log, ulp
+from math import ceil, log, ulp
 from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from ..automaton.markers import Crossing
 from ..rules import unit
 from ..rules.arrays import Programs, Sums
 from ..rules.flights import most_pieces
+from ..rules.guards import ROUNDED
 from ..rules.sums import (
     BRANCH,
     DEGREE,
@@ -23,6 +25,7 @@ from ..rules.sums import (
     FIT,
     FLOOR,
     GRID,
+    HERE,
     LAST,
     LIMIT,
     LINES,
@@ -31,15 +34,17 @@ from ..rules.sums import (
     SHOWN,
     STATE,
 )
+from ..rules.zeros import EPS
 from ..scene.defect import follows
 from ..scene.local import near, off
 from ..scene.lowered import ORDER
 from ..scene.tape import Tape, linked, room
 from ..scene.taylor import polynomial
-from .flight import Flight, fly
+from .flight import Flight, fly, pieces_of, segments
 
 if TYPE_CHECKING:
     from ..scene import Contact, Field
+    from ..segment import Segment
     from .enclose import Proof
 
 #: Impacts of a tail from which a proof is tried, and shares of all that are listed.
@@ -95,11 +100,11 @@ class Tail:
 
     def point(self, w: float) -> tuple[float, np.ndarray, float]:
         """Time since ``y(1)``, state and gap speed after the impact ``y(w)``."""
-        line, offset = np.empty(len(self.curve)), np.empty(self.curve.shape[1])
-        unit("chebyshev").evaluate(self.curve, len(line) - 1, w, line, offset)
-        since, x, v = float(offset[0]), self.x + offset[1:-1], self.v * w * exp(float(offset[-1]))
-        moved = on_contact(self.field, self.contact, self.column, self.t + since, x.tolist(), v)
-        return since, np.array(moved), v
+        chatter, x = _chatter(self.field, self.contact), np.empty(len(self.x))
+        about = 1, self.curve, len(self.curve) - 1, self.t, self.x, self.v, w, 1.0
+        with chatter.lent() as given:
+            _, v = unit("sums").on_curve(chatter.programs, *about, given, x)
+            return float(given.lines[HERE, 0]), x, v
 
     @cached_property
     def count(self) -> int:
@@ -155,20 +160,18 @@ class Tail:
 
     def _flown_proof(self) -> tuple[Proof | None, int]:
         """The proof from the earliest impact flown from which there is one, and which."""
-        t, x, v = self.t, self.x.tolist(), self.v
+        t, x, v = self.t, self.x, self.v
         for n in range(FLOWN + 1):
             if n in STAGES:
-                proof = self._prove(t, np.array(x), v)
+                proof = self._prove(t, x, v)
                 if proof is not None:
                     return proof, n
-            flight = fly(self.field, self.column, t, x, v)
-            if flight is None or not follows(self.field, t, flight.segments()):
+            flown = hop(self.field, self.contact, self.column, t, x, v, 0.0)
+            if flown is None or not follows(self.field, t, flown[1]):
                 break
-            t += flight.time
-            v, moved = _impact(self.contact, t, flight)
+            t, x, v = t + flown[0], *flown[3:]
             if not v > 0:
                 break
-            x = on_contact(self.field, self.contact, self.column, t, moved.tolist(), v)
         return None, 0
 
     def _prove(self, t: float, x: np.ndarray, v: float) -> Proof | None:
@@ -237,6 +240,50 @@ def close(
     found = r, lines[: degree + 1], remaining, x_inf, float(error[0]), error[1:]
     tail = Tail(field, contact, column, t, low, x, v, *found)
     return _compared(tail, rtol, atol) if called else tail
+
+
+def clear(tail: Tail, field: Field, column: int) -> bool:
+    """Whether no other guard of a field is reached along a tail, impacts and flights."""
+    chatter, signs = _chatter(tail.field, tail.contact), _inside(field)
+    of = chatter.programs, 0, 1, column, tail.field.project is not None
+    rounding = ROUNDED * EPS * float(np.max(np.abs(tail.x_inf)))
+    curve = tail.curve, tail.t, tail.x, tail.v, tail.r, tail.remaining, tail.x_inf
+    with chatter.lent() as given:
+        return bool(unit("tails").clear(*of, signs, rounding, *curve, given))
+
+
+def _inside(field: Field) -> np.ndarray:
+    """The signs that guards have inside the domain; 0 of those that bound nothing."""
+    signs = {Crossing.FALLING: 1, Crossing.RISING: -1}
+    return np.array([signs.get(g.crossing, 0) if g.bounds else 0 for g in field.guards])
+
+
+def hop(
+    field: Field,
+    contact: Contact,
+    column: int,
+    t: float,
+    x: np.ndarray,
+    v: float,
+    rounding: float,
+) -> tuple[float, list[Segment], np.ndarray, np.ndarray, float] | None:
+    """A flight from a contact by series, and the impact at its end (:mod:`hybrid.rules.hops`): its
+    time and segments, the states before and after the impact, and the gap speed after it.
+
+    None where the flight belongs to the solver.
+    """
+    if field.jets is None:
+        return None
+    chatter, before, after = _chatter(field, contact), np.empty(len(x)), np.empty(len(x))
+    about = column, field.project is not None, t, np.array(x, dtype=float), v
+    with chatter.lent() as given:
+        status, time, speed, pieces = unit("hops").hop(
+            chatter.programs, 0, 1, *about, rounding, _inside(field), before, after, given
+        )
+        if status < 0:
+            return None
+        made = pieces_of(pieces, given.starts, given.lengths, given.series)
+    return time, segments(made), before, after, speed
 
 
 def _compared(tail: Tail, rtol: float, atol: float) -> Tail | None:
@@ -330,20 +377,3 @@ def room_for_sums(needs: Sequence[int], n: int) -> Sums:
         found=work.found,
         sides=work.sides,
     )
-
-
-def _impact(contact: Contact, t: float, flight: Flight) -> tuple[float, np.ndarray]:
-    """Gap speed and state after the impact that ends a flight."""
-    after = contact.law(t, flight.x, flight.u) * -flight.u
-    landed = contact.land(t, flight.x)
-    push = np.array(contact.push(t, landed))
-    return after, np.array(landed) + push * (after - flight.u)
-
-
-def on_contact(
-    field: Field, contact: Contact, column: int, t: float, x: list[float], v: float
-) -> list[float]:
-    """A state moved to gap 0 and gap speed ``v``."""
-    x = contact.land(t, x)
-    missing = v - field.guards[column].lie(t, x)[1]
-    return [p + missing * q for p, q in zip(x, contact.push(t, x), strict=True)]

@@ -5,6 +5,7 @@ The gap is carried as a coordinate of its own (:mod:`hybrid.rules.flights`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import attrs
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
     from ..scene import Field
 
 
+#: Start, length, and a series for each element of the state.
+Piece = tuple[float, float, np.ndarray]
+
+
 @attrs.frozen(eq=False)
 class Flight:
     """A flight: how long, where it ends, and with which gap speed (``u < 0``).
@@ -32,16 +37,18 @@ class Flight:
     time: float
     x: list[float]
     u: float
-    pieces: tuple[tuple[float, float, np.ndarray], ...]
+    pieces: tuple[Piece, ...]
     branch: tuple[int, ...]
 
     def segments(self) -> list[Segment]:
         """The states along the flight."""
-        return [_segment(*piece) for piece in self.pieces]
+        return segments(self.pieces)
 
 
-def _segment(start: float, length: float, series: np.ndarray) -> Segment:
-    return Segment(start, length, from_powers(ORDER) @ terms(series, length).T)
+def segments(pieces: Sequence[Piece]) -> list[Segment]:
+    """The states along the pieces of a flight."""
+    powers = from_powers(ORDER)
+    return [Segment(start, length, powers @ terms(c, length).T) for start, length, c in pieces]
 
 
 def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight | None:
@@ -59,13 +66,20 @@ def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight
     series, branch = np.empty((most * size, ORDER + 1)), np.empty(kinks + most, dtype=np.int64)
     status, time, u, pieces, crossed = unit("flights").fly(
         *(field.jets.alone, 0, column, field.project is not None, t, np.array(x, dtype=float), v),
-        *(starts, lengths, series, branch, end, *work[:6]),
+        *(starts, lengths, series, branch, end, *work[:6], np.empty(0, dtype=np.int64), 0.0),
     )
     if status < 0:
         return None
-    parts = np.split(series[: pieces * size].copy(), pieces)
-    made = zip(starts[:pieces].tolist(), lengths[:pieces].tolist(), parts, strict=True)
-    return Flight(time, end.tolist(), u, tuple(made), tuple(branch[: kinks + crossed].tolist()))
+    made = pieces_of(pieces, starts, lengths, series)
+    return Flight(time, end.tolist(), u, made, tuple(branch[: kinks + crossed].tolist()))
+
+
+def pieces_of(
+    count: int, starts: np.ndarray, lengths: np.ndarray, series: np.ndarray
+) -> tuple[Piece, ...]:
+    """The pieces of a flight, as the rule has put them down."""
+    parts = np.split(series[: count * (len(series) // len(starts))].copy(), count)
+    return tuple(zip(starts[:count].tolist(), lengths[:count].tolist(), parts, strict=True))
 
 
 def rise(field: Field, column: int, t: float, x: list[float], v: float) -> float | None:

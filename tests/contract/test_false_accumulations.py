@@ -252,6 +252,15 @@ def test_a_restitution_of_one_at_a_single_speed(about):
 
 
 @pytest.mark.parametrize("solver", ["scipy", "taylor"])
+@pytest.mark.parametrize("width", [1e-3, 1e-5, 1e-7])
+def test_a_restitution_that_slow_impacts_make_negative_is_refused(width, solver):
+    """Low flights lead to the first of them: it is no rest."""
+    model = Lossy(about=0.0, width=width, more=-0.8)
+    with pytest.raises(hy.FlowError, match="must not be negative"):
+        hy.simulate(model, START, (0, 5), solver=solver)
+
+
+@pytest.mark.parametrize("solver", ["scipy", "taylor"])
 @pytest.mark.parametrize("width", [1e-3, 1e-6, 1e-10, 1e-13])
 def test_a_loss_that_fades_like_the_square_of_the_speed(width, solver):
     """Slow impacts lose ``0.4 (u / width)^2``: their times are like ``n^(-1/2)``, without a sum."""

@@ -1,0 +1,73 @@
+"""A flight so low that the gap would drown in the rounding of the state, and the impact at its end.
+
+Numbers in brackets are the rules of ``docs/semantics.md``.
+"""
+
+from __future__ import annotations
+
+from .arrays import Floats, Ints, Programs, Sums
+from .flights import fly
+from .guards import NEAR
+from .jets import values
+from .sums import LAND, READ, TURN, restitution, turned
+
+__all__ = ("drowns", "hop")
+
+#: Status code besides those of :mod:`.flights`: the impact has no speed after it that can be.
+NO_SPEED = -8
+
+
+def drowns(v: float, force: float, size: float) -> bool:
+    """Whether a gap left with speed ``v``, and drawn back by a force, stays so low that it drowns
+    in the rounding of states of a size (7)."""
+    return 0.0 < v * v <= -NEAR * force * size
+
+
+def hop(
+    p: Programs,
+    flow: int,
+    at: int,
+    column: int,
+    held: bool,
+    t: float,
+    x: Floats,
+    v: float,
+    rounding: float,
+    signs: Ints,
+    before: Floats,
+    after: Floats,
+    room: Sums,
+) -> tuple[int, float, float, int]:
+    """Fly from a contact by series, in which gap and gap speed are coordinates of their own (7).
+
+    Parameters
+    ----------
+    flow, at, column, held
+        As :func:`.sums.close` takes them.
+    signs, rounding
+        As :func:`.flights.fly` takes them.
+    before, after : Floats
+        Get the states before and after the impact at the end.
+
+    Returns
+    -------
+    status, time, speed, pieces
+        0, or below zero where the flight belongs to the solver; how long it takes, the gap speed
+        after the impact, and how many pieces of it are in ``room``.
+    """
+    status, time, u, pieces, _ = fly(
+        p, flow, column, held, t, x, v, room.starts, room.lengths, room.series, room.branch,
+        room.end, room.c, room.aside, room.work, room.rows, room.found, room.sides, signs, rounding,
+    )  # fmt: skip
+    if status < 0:
+        return status, time, 0.0, 0
+    end, read, n = t + time, room.lines[READ], x.shape[0]
+    values(p, at + LAND, end, room.end, room.sides, room.c, room.work, before)
+    speed = restitution(p, at, end, before, u, room) * -u
+    if not speed >= 0.0:
+        return NO_SPEED, time, speed, pieces
+    values(p, at + TURN, end, before, room.sides, room.c, room.work, read)
+    for j in range(n):
+        after[j] = before[j]
+    turned(after, speed - read[n], read)
+    return 0, time, speed, pieces

@@ -1,0 +1,109 @@
+"""Along the impacts of a sum: when they are, and other guards."""
+
+from __future__ import annotations
+
+import math
+
+from .arrays import Floats, Ints, Matrix, Programs, Sums
+from .chebyshev import value
+from .flights import REACHED, fly
+from .jets import OUTPUT, jets
+from .sums import STATE, TINY, on_curve
+
+__all__ = ("clear",)
+
+#: Flights of a tail along which other guards are looked at: the highest, and those at so many times
+#: from the first impact to the limit; so many where a guard is no sum of states.
+FLIGHTS, FEW, MANY = 4, 8, 200
+
+
+def clear(
+    p: Programs,
+    flow: int,
+    at: int,
+    column: int,
+    held: bool,
+    signs: Ints,
+    rounding: float,
+    curve: Matrix,
+    t: float,
+    x: Floats,
+    v: float,
+    r: float,
+    remaining: float,
+    limit: Floats,
+    room: Sums,
+) -> bool:
+    """Whether no other guard is reached along a tail, nor at its limit.
+
+    Parameters
+    ----------
+    flow, at, column, held
+        As :func:`.sums.close` takes them.
+    signs
+        As :func:`.flights.fly` takes them.
+    rounding : float
+        How far a guard may be beyond zero at the limit.
+    """
+    times, last, state = FEW, -1, room.lines[STATE, : x.shape[0]]
+    for g in range(signs.shape[0]):
+        if g != column and p.affine[p.index[flow, OUTPUT] + g] == 0:
+            times = MANY
+    for i in range(FLIGHTS + times if signs.shape[0] > 1 else 0):
+        n, since = i, remaining * (i - FLIGHTS) / times
+        if i >= FLIGHTS:
+            n = covering(curve, r, count(t, r, remaining), since)
+        if n > last:
+            when, speed = on_curve(
+                p, at, curve, curve.shape[0] - 1, t, x, v, r**n, 1.0, room, state
+            )
+            status, _, _, _, _ = fly(
+                p, flow, column, held, when, state, speed, room.starts, room.lengths, room.series,
+                room.branch, room.end, room.c, room.aside, room.work, room.rows, room.found,
+                room.sides, signs, 0.0,
+            )  # fmt: skip
+            if status == REACHED:
+                return False
+            last = n
+    return kept(p, flow, column, t + remaining, limit, rounding, signs, room)
+
+
+def kept(
+    p: Programs,
+    flow: int,
+    column: int,
+    t: float,
+    x: Floats,
+    rounding: float,
+    signs: Ints,
+    room: Sums,
+) -> bool:
+    """Whether the other guards have their signs at a state."""
+    for i in range(room.sides.shape[0]):
+        room.sides[i] = 0
+    if jets(p, flow, 0, t, x, room.sides, room.aside, room.work) < 0:
+        return False
+    for g in range(signs.shape[0]):
+        own = room.aside[p.output[p.index[flow, OUTPUT] + g], 0]
+        if g != column and (signs[g] == 0 or not own * signs[g] > -rounding):
+            return False
+    return True
+
+
+def count(t: float, r: float, remaining: float) -> int:
+    """Impacts of a tail that a double can still tell from the limit."""
+    end = abs(t + remaining)
+    share = max(math.nextafter(end, math.inf) - end, TINY) / remaining
+    return max(0, math.ceil(math.log(min(max(share, TINY), 1.0)) / math.log(r)))
+
+
+def covering(curve: Matrix, r: float, most: int, since: float) -> int:
+    """The last impact that is no later than a time after a tail's first."""
+    low, high, degree = 0, most, curve.shape[0] - 1
+    while low < high:
+        middle = (low + high + 1) // 2
+        if value(curve, degree, 0, r**middle) <= since:
+            low = middle
+        else:
+            high = middle - 1
+    return low
