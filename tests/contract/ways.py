@@ -293,8 +293,17 @@ class AsFunction(Way):
             return [self._one(*case, given) for case in _cases(model, starts, t, parameters)]
 
     def _one(self, model: Any, start: Any, t: Any, options: dict[str, Any]) -> Result:
-        function = hy.as_function(model, t=t, **options)
+        shapes = tuple(value.shape for value in model.parameters)
+        key = type(model), shapes, str(t), str(options)
+        if "history" in options or key not in self._functions:
+            self._functions[key] = hy.as_function(model, t=t, **options)
+        function = self._functions[key]
         return self._outcome(model, function(model, start), function.edges)
+
+    @cached_property
+    def _functions(self) -> dict[Any, Any]:
+        """Functions of classes: the numbers of a model and its start are arguments."""
+        return {}
 
     def _outcome(self, model: Any, out: Any, edges: Any) -> Result:
         status, said = REASONS[int(out.status)]
