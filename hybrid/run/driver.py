@@ -214,7 +214,8 @@ class Driver:
             if guard.kind == "contact":
                 return Jumped({guard.edge: 1}, series=self.watch.count > 1, spent=spent)
             known = {guard.edge: 1} if _stays(guard, self.t, before, x) else {}
-            return Jumped(known, used=guard.edge, spent=spent)
+            onwards = _onwards(guard, self.t, before, x)
+            return Jumped(known, used=guard.edge, onwards=onwards, spent=spent)
 
         self.begin(field, x, came)
 
@@ -314,7 +315,8 @@ class Driver:
         if self.add_jump(guard.edge, before, after) and pass_limit(self, guard.to):
             return
         known = {guard.edge: 1} if stays and not carried and not self.forgets else {}
-        self.enter(guard.to, after, Jumped(known, held, used=guard.edge))
+        onwards = _onwards(guard, t, before, after)
+        self.enter(guard.to, after, Jumped(known, held, used=guard.edge, onwards=onwards))
 
     def _has_jumped(self, guard: Guard, x: np.ndarray) -> bool:
         """Whether a guard that fired is not zero: it may jump up from zero there, as a saw does."""
@@ -674,6 +676,12 @@ class Driver:
             self.seen = np.maximum(self.seen, np.abs(limit.x_inf))
         elif after:
             self.enter(after[0], limit.x_inf, Jumped(held=after[1], limit=frozenset(edges)))
+
+
+def _onwards(guard: Guard, t: float, before: np.ndarray, after: np.ndarray) -> bool:
+    """Whether a reset leaves its guard some of its motion, and does not turn it round."""
+    here, there = (guard.lie(t, x.tolist())[1] for x in (before, after))
+    return bool(here * there > 64 * EPS * here * here)
 
 
 def _stays(guard: Guard, t: float, before: np.ndarray, after: np.ndarray) -> bool:

@@ -67,6 +67,8 @@ class Jumped:
         Contacts held closed; those found closed on entering are added.
     used : str or None
         The edge just taken: zero by construction, it waits until it has left zero (2).
+    onwards : bool
+        That edge's reset has not turned the motion of its guard round.
     starting : bool
         The run starts here: there was no jump.
     passing : dict or None
@@ -86,6 +88,7 @@ class Jumped:
     vanishing: dict[str, int] = attrs.Factory(dict)
     held: tuple[str, ...] = ()
     used: str | None = None
+    onwards: bool = False
     starting: bool = False
     passing: dict[str, int] | None = None
     tied: dict[str, int] = attrs.Factory(dict)
@@ -374,20 +377,20 @@ class _Here:
             before = jumped.tied if jumped.passing is None else jumped.passing
             return before.get(guard.edge, 0) == -sign
         used = guard.kind == "edge" and guard.edge == jumped.used
-        if used and guard.bounds and fires(guard.crossing, sign):
-            self.require_turned(guard)
+        if used and guard.bounds and not jumped.onwards and fires(guard.crossing, sign):
+            self.refuse_beyond(guard)
         used = used or (not guard.bounds and guard.edge in jumped.spent)
         leaves = not used and fires(guard.crossing, sign)
         if guard.kind == "switch" and not leaves and guard.edge not in jumped.vanishing:
             self.require_way(guard, sign, jumped.starting)
         return leaves
 
-    def require_turned(self, guard: Guard) -> NoReturn:
+    def refuse_beyond(self, guard: Guard) -> NoReturn:
         """Refuse to leave the mode's domain through a guard whose edge has led back to it."""
         raise DomainError(
             f"{self.where()}: the reset of {guard.edge} leaves its guard at zero, and the flow "
-            f"leads out of {self.field.mode} from there; lead to a mode that stays there, declare "
-            "a contact, which rests, or watch with crossing=hy.EITHER what bounds nothing"
+            f"leads out of {self.field.mode} from there; lead to a mode that stays there, or "
+            "declare a contact, which rests"
         )
 
     def require_way(self, guard: Guard, sign: int, starting: bool) -> None:
