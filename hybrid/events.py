@@ -436,53 +436,8 @@ def _listed(found: np.ndarray, count: int) -> list[list[float]]:
 # guards at the start of an arc
 
 
-def vanishing_order(
-    guard: Guard, t: float, x: Sequence[float], series: Sequence[float], noise: Sequence[float]
-) -> tuple[int, int]:
-    """By which order a guard vanishes at a state, and the sign it takes next.
-
-    Parameters
-    ----------
-    series : sequence
-        Taylor coefficients of the guard along the flow.
-    noise : sequence
-        Rounding to be expected in each.
-
-    Returns
-    -------
-    order, sign : int
-        ``(0, sign)`` where the guard is not zero; sign 0 where no derivative decides.
-    """
-    for order, (value, small) in enumerate(zip(series, noise, strict=True)):
-        if abs(value) > small:
-            return order, 1 if value > 0 else -1
-    return len(series), 0
-
-
-def higher_noise(series: Sequence[float], own: float) -> list[float]:
-    """Rounding in the coefficients from the third on, compared in the series' own time."""
-    sizes = [abs(c) * own**k for k, c in enumerate(series)]
-    largest = max(sizes[3:], default=0.0)
-    return [64 * EPS * largest / own**k for k in range(3, len(series))]
-
-
 def fires(crossing: Crossing, direction: int) -> bool:
     """Whether an edge fires on a crossing in this direction."""
     if crossing is Crossing.EITHER:
         return direction != 0
     return direction == (-1 if crossing is Crossing.FALLING else 1)
-
-
-def time_scale(series: Sequence[float], size: float) -> float:
-    """A time over which a guard is close to a cubic, from its Taylor series.
-
-    No term from the fourth on is larger there than all before it. ``size`` is that of the numbers
-    the guard is made of: what is rounding beside it counts for nothing.
-    """
-    first = [max(abs(series[0]), 64 * EPS * size), *map(abs, series[1:4])]
-    bounds = [
-        max(((low / abs(c)) ** (1.0 / (k - j)) for j, low in enumerate(first) if low), default=0.0)
-        for k, c in enumerate(series)
-        if k >= 4 and c
-    ]
-    return min((bound for bound in bounds if bound), default=float("inf"))

@@ -16,7 +16,8 @@ import math
 
 from .arrays import Automaton, Floats, Left, Now, Room
 from .checks import along
-from .guards import SMALL, TIE, event_along, first_event, foreseen, resolved, row_of, starts
+from .entries import starts
+from .guards import SMALL, TIE, event_along, first_event, foreseen, resolved, row_of
 from .jets import jets
 from .kinks import turn
 from .lengths import falls

@@ -1,4 +1,4 @@
-"""The guards of an arc: how they begin, and the first that fires in a step.
+"""The guards of an arc: the first that fires in a step.
 
 What leaves something to weigh is told apart, for the driver to judge; numbers in brackets are the
 rules of ``docs/semantics.md``.
@@ -8,29 +8,24 @@ from __future__ import annotations
 
 import math
 
-from .arrays import Automaton, Floats, Matrix, Now, Room
+from .arrays import Automaton, Floats, Now, Room
 from .checks import MIDDLE, MISSED, SHOWN, along, second
 from .jets import OUTPUT, jets
-from .lengths import CONVERGED, ROUNDING, behind, own_length, step_length
+from .lengths import CONVERGED, ROUNDING, behind, own_length
 from .places import (
     ABSOLUTE,
     AFFINE,
     AIM,
     BOUNDS,
     CROSSING,
-    EDGE,
-    ENTERED,
     FIELD,
-    FIRED,
     GUARDS,
     GUARDS_END,
-    KIND,
     LAST,
     LOSS,
     LOW,
     NEXT,
     PHASE,
-    POWER,
     PROGRAM,
     RELATIVE,
     SEES,
@@ -45,7 +40,7 @@ from .places import (
 from .polynomials import power_size, power_value, shift
 from .zeros import EPS, NEVER, series
 
-__all__ = ("event_along", "starts")
+__all__ = ("event_along",)
 
 #: A guard nearer to zero than this share of the state is looked at more closely.
 NEAR = 1e-6
@@ -66,68 +61,6 @@ AGREES = 4.0
 
 #: A shift onto a guard that is so small beside the way to it is made along a straight line.
 SMALL = 1e-6
-
-
-def starts(a: Automaton, now: Now, room: Room) -> bool:
-    """Whether the start of an arc leaves nothing to weigh (3); notes the guards' orders."""
-    field = now.ints[FIELD]
-    first = a.fields[field, GUARDS]
-    for g in range(first, a.fields[field, GUARDS_END]):
-        if now.ints[ENTERED] == 0:
-            power = now.ints[POWER] if g == now.ints[FIRED] else int(put_back(a, room, field, g))
-            now.orders[g - first] = power
-            if power > 1:
-                fit = rises(room.c, row_of(a, a.fields[field, PROGRAM], field, g), now)
-            else:
-                fit = leaves(a, now, room, g) if power == 1 else away(a, now, room, g)
-            if not fit:
-                return False
-    return True
-
-
-def put_back(a: Automaton, room: Room, field: int, guard: int) -> bool:
-    """Whether an edge's guard is zero, as a reset may put it there that was written so, and goes to
-    the side from which it would fire: it waits until it has left zero (3)."""
-    row = row_of(a, a.fields[field, PROGRAM], field, guard)
-    back = room.c[row, 1] * a.guards[guard, CROSSING] < 0.0
-    return a.guards[guard, KIND] == EDGE and room.c[row, 0] == 0.0 and back
-
-
-def leaves(a: Automaton, now: Now, room: Room, guard: int) -> bool:
-    """Whether a guard that is zero, leaves zero into the domain, by its rate."""
-    field = now.ints[FIELD]
-    rate = room.c[row_of(a, a.fields[field, PROGRAM], field, guard), 1]
-    if not abs(rate) > ROUNDED * EPS * size_of(a, guard, 1, now.floats[T], now.x, room):
-        return False
-    return a.guards[guard, BOUNDS] == 0 or rate * a.guards[guard, CROSSING] <= 0.0
-
-
-def rises(c: Matrix, row: int, now: Now) -> bool:
-    """Whether a gap that vanishes by a higher power of the time opens by that power.
-
-    In a time in which no later term is more, what is below, which is rounding, is next to nothing.
-    """
-    power, own = now.ints[POWER], step_length(c, now.x.shape[0])
-    for k in range(power + 1, c.shape[1]):
-        if c[row, k] != 0.0:
-            own = min(own, abs(c[row, power] / c[row, k]) ** (1.0 / (k - power)))
-    rounding, scale = 0.0, 1.0
-    for k in range(power):
-        rounding = max(rounding, abs(c[row, k]) * scale)
-        scale *= own if own < math.inf else 1.0
-    return c[row, power] * scale * NEAR > rounding
-
-
-def away(a: Automaton, now: Now, room: Room, guard: int) -> bool:
-    """Whether another guard is further from zero than rounding, and inside the domain."""
-    t, field = now.floats[T], now.ints[FIELD]
-    row = row_of(a, a.fields[field, PROGRAM], field, guard)
-    value, rate = room.c[row, 0], room.c[row, 1]
-    if not abs(value) > NEAR * max(largest(now.seen), largest(now.x)):
-        noise = size_of(a, guard, 0, t, now.x, room) + abs(t) * abs(rate) + largest(now.seen)
-        if not abs(value) > ROUNDED * EPS * noise:
-            return False
-    return a.guards[guard, BOUNDS] == 0 or value * a.guards[guard, CROSSING] <= 0.0
 
 
 def first_event(
@@ -222,7 +155,8 @@ def turns(c: Floats, s: float, tolerance: float) -> bool:
 
 def has_left(a: Automaton, now: Now, room: Room, c: Floats, guard: int, s: float) -> bool:
     """Whether a guard that was zero has been larger than its rounding on the way (2)."""
-    noise = ROUNDED * EPS * size_of(a, guard, 0, now.floats[T], now.x, room) + 2.0 * abs(c[0])
+    size, _, _ = sizes_of(a, room, guard, now.floats[T], now.x)
+    noise = ROUNDED * EPS * size + 2.0 * abs(c[0])
     for k in range(1, 4):
         value, _ = power_value(c, 0, c.shape[0] - 1, 0.25 * k * s)
         if abs(value) > noise:
@@ -257,8 +191,8 @@ def follows(
     along(room.c, s, room.there)
     c = room.c[row_of(a, made_by, field, guard)]
     value, _ = power_value(c, 0, c.shape[0] - 1, s)
-    size = power_size(c, 0, c.shape[0] - 1, s)
-    size += size_of(a, guard, 0, t + s, room.there, room)
+    size, _, _ = sizes_of(a, room, guard, t + s, room.there)
+    size += power_size(c, 0, c.shape[0] - 1, s)
     if jets(a.programs, program, 0, t + s, room.there, room.still, room.aside, room.work) < 0:
         return False
     exact = room.aside[row_of(a, program, field, guard), 0]
@@ -360,12 +294,16 @@ def series_of(a: Automaton, now: Now) -> int:
     return a.fields[now.ints[FIELD], WATCH if now.ints[PHASE] == SEES else PROGRAM]
 
 
-def size_of(a: Automaton, guard: int, order: int, t: float, x: Floats, room: Room) -> float:
-    """The sum of the terms of which a guard (0) or its rate (1) is made."""
+def sizes_of(
+    a: Automaton, room: Room, guard: int, t: float, x: Floats
+) -> tuple[float, float, float]:
+    """The sums of the terms of which a guard and its first two derivatives are made."""
     program = a.guards[guard, SIZES]
-    if jets(a.programs, program, 0, t, x, room.still, room.aside, room.work) < 0:
-        return math.inf
-    return room.aside[a.programs.output[a.programs.index[program, OUTPUT] + order], 0]
+    if program < 0 or jets(a.programs, program, 0, t, x, room.still, room.aside, room.work) < 0:
+        return math.inf, math.inf, math.inf
+    rows, first = a.programs.output, a.programs.index[program, OUTPUT]
+    size, rate = room.aside[rows[first], 0], room.aside[rows[first + 1], 0]
+    return size, rate, room.aside[rows[first + 2], 0]
 
 
 def largest(x: Floats) -> float:

@@ -18,8 +18,11 @@ AT, LOCAL, SIGHT, REST, DEPENDS = range(10, 15)
 #: What has not been asked for yet; what there is none of; what only the driver looks at.
 UNKNOWN, NONE, HARD = -1, -2, -3
 
-#: Kinds of guards whose jumps are made here.
-EDGE, CONTACT, RELEASE = 0, 1, 2
+#: Kinds of guards whose jumps are made here; others.
+EDGE, CONTACT, RELEASE, OTHER = 0, 1, 2, 3
+
+#: By which power of the time a gap opens where its load has come to be zero.
+RISES = 3
 
 #: Places in the numbers of a run: last time, tolerances, series of impacts; the longest steps, the
 #: first of an arc and the others; whether a run goes on from an accumulation, at rest, and the

@@ -9,7 +9,8 @@ from __future__ import annotations
 from .advance import added, advance, after, enlarged
 from .arcs import copied
 from .arrays import Automaton, Floats, Left, Look, Now, Programs, Room, Sums
-from .guards import ROUNDED, largest, starts
+from .entries import starts
+from .guards import ROUNDED, largest
 from .hops import hop
 from .jets import jets
 from .places import (
@@ -59,6 +60,7 @@ from .places import (
     REMAINING,
     REST,
     RESTS,
+    RISES,
     SERIES,
     SIGHT,
     SPEED,
@@ -88,9 +90,6 @@ from .tails import clear, count
 from .zeros import EPS
 
 __all__ = ("go",)
-
-#: By which power of the time a gap opens where its load has come to be zero.
-RISES = 3
 
 
 def go(a: Automaton, run: Floats, now: Now, room: Room, left: Left, sums: Sums, look: Look) -> int:

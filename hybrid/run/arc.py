@@ -12,7 +12,8 @@ import numpy as np
 from ..automaton.markers import Crossing
 from ..clock import Instant
 from ..errors import DomainError, FlowError, OptionError
-from ..events import EPS, SHARES, Cut, Zero, fires, time_scale, zeros
+from ..events import EPS, SHARES, Cut, Zero, fires, zeros
+from ..rules import unit
 from ..rules.arcs import FAR, LANDINGS, SAFETY
 from ..rules.guards import BESIDE, TIE
 from ..scene import Guard, Kink, Scene, released
@@ -290,12 +291,14 @@ class ArcFlow:
         guards = self.field.guards
         if all(guard.affine for guard in guards):
             return []
-        share = (self.plan.t1 - self.plan.t0) / SHARES
+        share, own_time = (self.plan.t1 - self.plan.t0) / SHARES, unit("entries").own_time
         series = self.series if tau == 0.0 else expand(self.field, self.now.t + tau, x)
         scales = []
         for index, guard in enumerate(guards):
             size = max((abs(float(x[i])) for i in guard.uses), default=0.0)
-            own = share if series is None else min(share, time_scale(series[1][index], size))
+            own = (
+                share if series is None else min(share, own_time(np.array(series[1][index]), size))
+            )
             scales.append(float("inf") if guard.affine else own)
         return scales
 

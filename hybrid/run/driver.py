@@ -17,7 +17,7 @@ from ..events import CLOSED, EPS
 from ..log import Flights
 from ..rules import unit
 from ..rules.guards import NEAR, ROUNDED
-from ..rules.runs import RISES
+from ..rules.places import RISES
 from ..scene import Contact, Field, Guard, Scene, released
 from ..scene.defect import follows
 from ..scene.scene import parted

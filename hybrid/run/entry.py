@@ -12,7 +12,7 @@ import numpy as np
 
 from ..automaton.markers import Crossing
 from ..errors import DomainError, FlowError, StartError
-from ..events import EPS, NOTHING, fires, higher_noise, time_scale, vanishing_order
+from ..events import EPS, NOTHING, fires
 from ..rules import unit
 from ..rules.guards import NEAR
 from ..scene import Field, Guard, Kink, Scene
@@ -412,34 +412,32 @@ class _Here:
             raise FlowError(f"{self.where()}: the guard of {guard.edge} is {value}")
         if jumped.passing is not None and value * jumped.passing.get(guard.edge, 0) > 0:
             return 0, 1 if value > 0 else -1
-        if not least and not (guard.kind == "contact" and -self.lost(guard) <= value <= 0):
-            if abs(value) > NEAR * max(self.reach, *map(abs, x)):
-                return 0, 1 if value > 0 else -1
-            size, rate = self.scene.rounding(guard, self.field)(t, x)[0], guard.lie(t, x)[1]
-            reach = 0.0
-            if guard.kind == "contact":
-                high, fast, _ = self.extent(guard)
-                moves = value > 0 and abs(rate) > 64 * EPS * fast
-                reach = 0.0 if moves else high
-            elif guard.kind != "release" and len(self.seen):
-                reach = max((float(self.seen[i]) for i in guard.uses), default=0.0)
-            noise = 64 * EPS * (size + abs(t) * abs(rate) + reach)
-            if abs(value) > noise:
-                return 0, 1 if value > 0 else -1
-        return self.decide(guard, index, max(least, 1))
+        if least or (guard.kind == "contact" and -self.lost(guard) <= value <= 0):
+            return self.decide(guard, index, max(least, 1))
+        rules, side = unit("entries"), 1 if value > 0 else -1
+        if rules.far(value, max(self.reach, float(np.abs(state).max()))):
+            return 0, side
+        size, high, fast = self.scene.rounding(guard, self.field)(t, x)[0], 0.0, float("inf")
+        if guard.kind == "contact":
+            high, fast, _ = self.extent(guard)
+        elif guard.kind != "release" and len(self.seen):
+            high = max((float(self.seen[i]) for i in guard.uses), default=0.0)
+        near = rules.may_vanish(value, guard.lie(t, x)[1], t, size, high, fast)
+        return self.decide(guard, index, 1) if near else (0, side)
 
     def decide(self, guard: Guard, index: int, least: int) -> tuple[int, int]:
         t, state = beyond_kinks(self.field, guard.kinks, self.t, self.x)
         x = state.tolist()
-        sizes = self.scene.rounding(guard, self.field)(t, x)
         if self.series is None:
             _, first, second = guard.lie(t, x)
             series = [0.0, first, second / 2, *(self.third(guard, index) if least > 2 else [])]
         else:
-            series = list(self.series[1][index])
-        noise = [64 * EPS * size for size in sizes] + higher_noise(series, self.own_time(series))
-        noise = [float("inf") if k < least else size for k, size in enumerate(noise)]
-        return vanishing_order(guard, t, x, series, noise)
+            series = self.series[1][index]
+        c, sizes = np.array(series), self.scene.rounding(guard, self.field)(t, x)
+        order, sign = unit("entries").vanishes(c, *sizes, least)
+        if not sign:
+            order, sign = unit("entries").vanishes_later(c, self.own_time(c), least)
+        return order, sign
 
     def third(self, guard: Guard, index: int) -> list[float]:
         """The coefficient of third order of a contact's gap, where the flow has no series."""
@@ -449,9 +447,9 @@ class _Here:
         series = None if local is None else expand(local, self.t, self.x)
         return [] if series is None else [series[1][index][3]]
 
-    def own_time(self, series: Sequence[float]) -> float:
+    def own_time(self, series: np.ndarray) -> float:
         """A time in which the terms of a guard's series are comparable."""
-        own = time_scale(series, 0.0)
+        own = unit("entries").own_time(series, 0.0)
         if self.series is not None:
             states = np.array(self.series[0])
             own = min(own, unit("lengths").step_length(states, len(states)))

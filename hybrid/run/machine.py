@@ -42,6 +42,7 @@ from ..rules.places import (
     PHASE,
     POWER,
     REMAINING,
+    RISES,
     SEES,
     SERIES,
     SHOW,
@@ -56,7 +57,6 @@ from ..rules.places import (
     WAS_LOW,
     T,
 )
-from ..rules.runs import RISES
 from ..rules.sights import HALVINGS, POINTS, STATES
 from ..rules.sums import SHOWN
 from ..scene.lowered import ORDER

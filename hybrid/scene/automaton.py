@@ -19,6 +19,7 @@ from ..rules.places import (
     HARD,
     LOCAL,
     NONE,
+    OTHER,
     PLAIN,
     RELEASE,
     REST,
@@ -44,7 +45,6 @@ Nodes = Callable[[], Sequence[int]]
 
 #: Kinds of guards as the rules number them; others are judged by the driver.
 NUMBERED = {"edge": EDGE, "contact": CONTACT, "release": RELEASE}
-OTHER = 1 + max(NUMBERED.values())
 
 #: Directions in which a guard fires.
 DIRECTIONS = {Crossing.FALLING: -1, Crossing.RISING: 1, Crossing.EITHER: 0}
