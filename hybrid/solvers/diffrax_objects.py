@@ -103,7 +103,10 @@ class DiffraxSolver(Solver):
         takes = method.term_structure
         if not (isinstance(takes, type) and issubclass(diffrax.ODETerm, takes)):
             raise OptionError(f"method={self.method}: it does not take one diffrax.ODETerm")
-        self.order = int(method.order(diffrax.ODETerm(lambda t, y, args: y)))
+        try:
+            self.order = _order(method)
+        except TypeError:  # what has arrays in it is no key
+            self.order = _order.__wrapped__(method)
         self.ahead = 1
         self._programs: dict[Any, Program] = {}
 
@@ -158,6 +161,12 @@ def solver_of(method: Any, rtol: float, atol: Any, controller: Any = None) -> So
     if not isinstance(method, diffrax.AbstractSolver):
         method = _named(method_of(DiffraxSolver.name, method, DEGREES))
     return DiffraxSolver(method, rtol, atol, controller)
+
+
+@cache
+def _order(method: Any) -> int:
+    """The order of a method, which takes longer to ask for than a step."""
+    return int(method.order(diffrax.ODETerm(lambda t, y, args: y)))
 
 
 @cache
