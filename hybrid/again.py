@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import attrs
 import numpy as np
 
-from .accumulation import Accumulation
 from .asked import chosen
 from .automaton.record import Record
 from .errors import HybridError
@@ -40,9 +39,18 @@ STEPS, STEPS_EACH, STEPS_MORE = 2000, 40, 2
 BLURRED = 1e-13
 
 
+class Shown(NamedTuple):
+    """An accumulation as runs are compared by it."""
+
+    t: float
+    edges: tuple[str, ...]
+    state: Record
+
+
 @attrs.frozen(eq=False)
 class Made:
-    """What a run has left, as far as it is compared with others: no more of it is kept for that.
+    """What a run has left, as far as it is compared with others: no more of it is kept for that,
+    and nothing that refers to it.
 
     ``limits`` are its sums and cycles beside ``zeno``, ``jumps`` and ``steps`` how many it made,
     ``blurred`` and ``cut`` what the watch on its steps found.
@@ -52,7 +60,7 @@ class Made:
     plan: Plan
     history: Sequence[Piece] | None
     log: Log
-    zeno: list[Accumulation]
+    zeno: list[Shown]
     limits: list[Tail | CycleLimit | None]
     jumps: int
     steps: int
@@ -64,21 +72,19 @@ class Made:
     def of(cls, driver: Driver) -> Made:
         """What a driver has left."""
         record, watched, plan = driver.record, driver.watchful, driver.plan
-        found = record.log, record.zeno, record.tails, record.made, driver.steps
+        zeno = [Shown(point.t, point.edges, point.state) for point in record.zeno]
+        found = record.log, zeno, record.tails, record.made, driver.steps
         plan = plan if plan.progress is None else attrs.evolve(plan, progress=None)
         seen = driver.solver.exact, watched.blurred, watched.cut
         return cls(driver.model, plan, driver.history, *found, *seen)
 
 
-def with_errors(
-    driver: Driver, solver: str, method: Any, mode: str, x: np.ndarray
-) -> list[Accumulation]:
-    """The accumulations of a run, each of which measures its error when asked: by a second and a
-    third run for all. What a run has left does not refer to them."""
-    if not driver.record.zeno:
-        return []
-    again, points = _Again(Made.of(driver), solver, method, mode, x), enumerate(driver.record.zeno)
-    return [attrs.evolve(point, errors=partial(again.errors, k)) for k, point in points]
+def give_errors(driver: Driver, solver: str, method: Any, mode: str, x: np.ndarray) -> None:
+    """Let each accumulation measure its error when asked: by a second and a third run for all."""
+    if driver.record.zeno:
+        again = _Again(Made.of(driver), solver, method, mode, x)
+        for index, point in enumerate(driver.record.zeno):
+            point._errors = partial(again.errors, index)
 
 
 class _Again:
@@ -190,10 +196,10 @@ def _errors(made: Made, index: int, pairs: list[tuple[Made, Made]]) -> tuple[flo
     return float(t_error), record(x_error)
 
 
-def _shows(run: Made, index: int, point: Accumulation) -> bool:
+def _shows(run: Made, index: int, point: Shown) -> bool:
     """Whether a run has come to the same accumulation."""
     return index < len(run.zeno) and run.zeno[index].edges == point.edges
 
 
-def _vector(point: Accumulation) -> np.ndarray:
+def _vector(point: Shown) -> np.ndarray:
     return np.concatenate([np.ravel(value) for value in point.state])

@@ -11,7 +11,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from .accumulation import Accumulation, explain
+from .accumulation import explain
 from .automaton.markers import name_of
 from .automaton.record import Record
 from .automaton.spec import Spec
@@ -100,7 +100,7 @@ class Asked:
         made = attrs.evolve(plan, rtol=finest) if finest < plan.rtol <= own else plan
         return Driver(scene, chosen(made, self.solver, self.method, self.controller), plan, past)
 
-    def judge(self, zeno: list[Accumulation]) -> None:
+    def judge(self, driver: Driver) -> None:
         """Refuse a run whose jumps accumulate, where that is asked.
 
         Raises
@@ -108,8 +108,8 @@ class Asked:
         ZenoError
             With ``zeno="raise"``.
         """
-        if self.zeno == "raise" and zeno:
-            raise ZenoError(f"{self.spec.model}: {explain(zeno[0])}")
+        if self.zeno == "raise" and driver.record.zeno:
+            raise ZenoError(f"{self.spec.model}: {explain(driver.record.zeno[0])}")
 
 
 def chosen(plan: Plan, solver: str, method: Any, controller: Any = None) -> Solver:

@@ -10,7 +10,7 @@ import attrs
 import numpy as np
 
 from .abreast import Flown, Given, abreast
-from .again import with_errors
+from .again import give_errors
 from .asked import Asked, mode_of
 from .automaton.base import require_model
 from .automaton.digest import digest
@@ -323,9 +323,8 @@ class _Runs:
         try:
             driver.run(self.mode, x)
         finally:  # what accumulates before a fault is told, too
-            own = self.asked.solver, self.asked.method
-            driver.record.zeno = with_errors(driver, *own, self.mode, x)
-        self.asked.judge(driver.record.zeno)
+            give_errors(driver, self.asked.solver, self.asked.method, self.mode, x)
+        self.asked.judge(driver)
 
     def _ended(self, lane: Lane, driver: Driver | None, status: str, reason: str) -> _Row:
         begun = lane.t[0], lane.x, self.mode

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .accumulation import Accumulation
-from .again import with_errors
+from .again import give_errors
 from .asked import Asked, mode_of, start_of
 from .automaton.base import require_model
 from .hindsight import Hindsight
@@ -138,8 +137,8 @@ def simulate(
     x = start_of(scene.spec, start)
     driver, begins = asked.driver(scene, t, x, history), mode_of(scene, mode)
     driver.run(begins, x)
-    points = with_errors(driver, solver, method, begins, x)
-    asked.judge(points)
+    give_errors(driver, solver, method, begins, x)
+    asked.judge(driver)
     plan = driver.plan
     options = {
         "solver": driver.solver.name,
@@ -157,14 +156,12 @@ def simulate(
     if controller is not None:
         options["controller"] = type(controller).__name__
     counts = driver.steps, driver.solver.rejected, driver.solver.evaluations
-    run = _trajectory(model, scene, driver, points, options)
+    run = _trajectory(model, scene, driver, options)
     run.stats = Stats(*counts, perf_counter() - begun)
     return run
 
 
-def _trajectory(
-    model: Any, scene: Scene, driver: Driver, points: list[Accumulation], options: dict[str, Any]
-) -> Trajectory:
+def _trajectory(model: Any, scene: Scene, driver: Driver, options: dict[str, Any]) -> Trajectory:
     spec, plan = scene.spec, driver.plan
     samples = None
     if plan.samples is not None:
@@ -178,7 +175,7 @@ def _trajectory(
         spec,
         parameters,
         driver.record.log,
-        points,
+        driver.record.zeno,
         driver.record.grazings,
         driver.status,
         options,
