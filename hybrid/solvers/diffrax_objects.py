@@ -187,7 +187,7 @@ class DiffraxStepper(Stepper):
     """Steps along one arc, some of them ahead in each call of a compiled program.
 
     A step made ahead counts where the next step asked for is just that: from the state that the one
-    before has led to, and with the same limit, or an end before both limits.
+    before has led to, and with the same limit, or tried no further than to both limits.
     """
 
     repeats = True
@@ -265,8 +265,7 @@ class DiffraxStepper(Stepper):
         """Whether the next step has been made ahead."""
         if self.used == self.made or self.x is not self._end:
             return False
-        end = self.rows[self.used, END]
-        return bool(end < min(limit, self._limit) or end <= limit == self._limit)
+        return bool(limit == self._limit or self.wanted <= min(limit, self._limit))
 
     def _make(self, limit: float, count: int, forced: bool = False) -> None:
         """Make steps up to a limit, so many at most."""
