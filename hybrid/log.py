@@ -146,6 +146,18 @@ class Flights:
         )
         return [Arc(*row) for row in columns]
 
+    def later(self) -> Flights:
+        """All but the first."""
+        jumps, steps = self.jumps, self.steps
+        if steps is not None:
+            kept = steps.arc > 0
+            arc, *others = (column[kept] for column in steps)
+            steps = Steps(arc - 1, *others)
+        t, low = float(jumps.t[0]), float(jumps.low[0])
+        rest = Table(*(column[1:] for column in jumps))
+        start = self.j + 1, self.modes[1:], t, low, jumps.after[0]
+        return Flights(*start, self.lengths[1:], rest, steps)
+
     def rows(self) -> Iterator[JumpRow]:
         """The jumps one by one."""
         jumps = self.jumps

@@ -317,3 +317,74 @@ class Changes(NamedTuple):
     state: Matrix
     moved: Matrix
     out: Matrix
+
+
+class Past(NamedTuple):
+    """What flows look back on, of ``n`` states and some constant lags (:mod:`.past`).
+
+    Attributes
+    ----------
+    floats, ints : Floats, Ints
+        Places as in :mod:`.places`.
+    lags : Floats
+    spans : Matrix
+        A row for each piece of the record, columns as in :mod:`.past`.
+    degrees : Ints
+        Their degrees; below zero where a piece is no polynomial.
+    rows : Matrix
+        Their Chebyshev coefficients, a row for each element of the state.
+    times, orders : Floats, Table
+        Breaking points, and the orders of the elements there.
+    windows : Matrix
+        For each lag where its window begins and ends, and how long the next may be.
+    seen, heard : Table, Ints
+        The elements that are seen through a lag, and through any.
+    uses, asks : Table
+        For each element in each field the elements on which its derivative depends, and those that
+        it sees through each lag.
+    atol : Floats
+    given, ranged, parts, ops, more, numbers
+        Where windows are among the numbers of programs and bounds, and the operations on numbers
+        that follow, program by program.
+    shown, sights : Floats, Matrix
+        The windows, as programs take them; and those on which each sum was made.
+    nodes, series, powers, turn
+        The places at which a record is read; matrices from values there to Chebyshev coefficients,
+        from these to powers; and from terms of a step to Chebyshev coefficients.
+    own, least, values
+        To work in.
+    start, signs : Floats, Ints
+        The state where the present arc has gone on through windows, and the signs of guards.
+    """
+
+    floats: Floats
+    ints: Ints
+    lags: Floats
+    spans: Matrix
+    degrees: Ints
+    rows: Matrix
+    times: Floats
+    orders: Table
+    windows: Matrix
+    seen: Table
+    heard: Ints
+    uses: Table
+    asks: Table
+    atol: Floats
+    given: Table
+    ranged: Table
+    parts: Table
+    ops: Table
+    more: Ints
+    numbers: Matrix
+    shown: Floats
+    sights: Matrix
+    nodes: Floats
+    series: Matrix
+    powers: Matrix
+    turn: Matrix
+    own: Ints
+    least: Table
+    values: Matrix
+    start: Floats
+    signs: Ints

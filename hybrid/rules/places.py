@@ -60,8 +60,23 @@ ERRORS, LIMIT, AT_REST, CURVE_ROWS = 17, 18, 19, 20
 #: with all the rules; a jump has; another solver is to make a step, or to land; impacts are to be
 #: summed; a contact at rest opens; the table has not all that is asked of the guard at the arc's
 #: end; a low flight begins; the polynomial of another solver's step is to be shown; the pieces of a
-#: low flight are to be kept beside its steps.
+#: low flight are to be kept beside its steps; other windows of the past are due; there is no room
+#: for the record.
 END, FULL, LOOK, JUMP, STEP, LAND_ON, SUM, OPENS, MAKE, HOPS, SHOW, FLOWN = range(1, 13)
+WINDOW, NO_ROOM = range(13, 15)
+
+#: Places in the floats of a past: the last time, the relative tolerance, until when the windows
+#: serve; the start of the arc whose steps are put down next, in two floats; the local time at which
+#: the present arc has gone on through windows.
+FINAL, RTOL, UNTIL, SINCE, SINCE_LOW, BEGAN = range(6)
+
+#: Places in its integers: pieces and breaking points; of what a call leaves steps, jumps, sums, and
+#: flights of a sum, that have been put down; steps since the windows were read, windows in a row
+#: that were one step long, and after how many the driver is asked; the highest order of breaking
+#: points that are noted; the arc that has gone on through windows; a status to be given once there
+#: is room.
+PIECES, BREAKS, STEPS_DONE, JUMPS_DONE, SUMS_DONE, FLIGHTS = range(6)
+STEPPED, TIGHT, TIGHTEST, HIGHEST, IN_ARC, AGAIN = range(6, 12)
 
 #: A guard has fired, and the state is on it. The arc goes on.
 LANDED, GOES_ON = 0, -1

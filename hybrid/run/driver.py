@@ -82,7 +82,7 @@ class Driver:
         self._tied: dict[str, int] = {}
         self._spent: frozenset[str] = frozenset()
         self._struck: set[str] = set()
-        own = not scene.spec.lags and (solver.whole or solver.asked)
+        own = solver.whole or (solver.asked and not scene.spec.lags)
         self.loop = Machine(self) if own else None
 
     @property
@@ -108,6 +108,8 @@ class Driver:
         if self.history is not None:
             order = self.solver.order
             self.record.memory = Memory(self.scene, self.plan, order, self.history, x)
+            if self.loop is not None and not any(self.scene.code.moving):
+                self.record.memory.looped()
         base, held = parted(mode)
         self.start(base, x, held)
         try:
@@ -124,6 +126,7 @@ class Driver:
         starting, field = Jumped(held=held, starting=True), self.scene.field(mode)
         plain = self.loop is not None and not held and not self.wary and self.loop.may(field)
         if plain:
+            self.look(x)
             self.begin(field, x, lambda: starting)
             self.seen = np.abs(x)
         else:
@@ -177,7 +180,7 @@ class Driver:
     def look(self, x: np.ndarray) -> None:
         """Let delays see the past from here, where what they see has come to an end."""
         memory = self.record.memory
-        if memory is not None and memory.until <= self.t:
+        if memory is not None and memory.due(self.t):
             self.scene = memory.look(self.t, x)
 
     @property
@@ -194,16 +197,29 @@ class Driver:
 
     def flow(self) -> None:
         """Flow an arc, or as many as need no judgement, and carry out the jump that ends it."""
-        plain = self.entry.field is self.scene.field(self.entry.field.name)
-        loop = self.loop if plain and not self.wary else None
+        loop = self.loop if self._declared and not self.wary else None
         if loop is not None and loop.takes():
             self._spent, self._tied = frozenset(), {}
             loop.fly()
         else:
-            self.flow_arc()
+            self.look_again()
+
+    @property
+    def _declared(self) -> bool:
+        """Whether the present field is its mode's own (see :meth:`.Scene.field`)."""
+        field = self.entry.field
+        return field is self.model.field(field.name) or field is self.field
+
+    @property
+    def field(self) -> Field:
+        """The present field; it looks back through the present windows."""
+        return self.scene.field(self.entry.field.name)
 
     def begin(self, field: Field, x: np.ndarray, came: Callable[[], Jumped]) -> None:
-        """Begin an arc at whose start nobody has looked (see :meth:`renew`)."""
+        """Begin an arc at whose start nobody has looked (see :meth:`renew`).
+
+        With delays the field is the model's own, which sees nothing of the past.
+        """
         self.entry, self._came, self.mode = Entry(field, x, None, [], []), came, field.name
 
     def arrive(self, field: Field, x: np.ndarray, guard: Guard, before: np.ndarray) -> None:
@@ -213,8 +229,10 @@ class Driver:
             spent = frozenset({guard.edge})
             if guard.kind == "contact":
                 return Jumped({guard.edge: 1}, series=self.watch.count > 1, spent=spent)
-            known = {guard.edge: 1} if _stays(guard, self.t, before, x) else {}
-            onwards = _onwards(guard, self.t, before, x)
+            own = [g for g in self.field.guards if g.edge == guard.edge and not self.forgets]
+            stays = any(_stays(each, self.t, before, x) for each in own)
+            onwards = any(_onwards(each, self.t, before, x) for each in own)
+            known = {guard.edge: 1} if stays else {}
             return Jumped(known, used=guard.edge, onwards=onwards, spent=spent)
 
         self.begin(field, x, came)
@@ -228,10 +246,10 @@ class Driver:
     def renew(self) -> None:
         """Look at the start of the present arc again, with all the rules."""
         entry = self.entry
-        if entry.orders or not entry.field.guards:
+        if entry.here is not None or not (entry.field.guards or self.record.memory):
             return
-        jumped, mode, x = self._came(), entry.field.mode, entry.x
-        self._spent = jumped.spent
+        self._jumped = jumped = self._came()
+        mode, x, self._spent = entry.field.mode, entry.x, jumped.spent
         seen = 0.0 * self.seen if jumped.starting else self.seen
         self.entry = self._entered(mode, x, jumped, seen)
 
@@ -275,6 +293,15 @@ class Driver:
         if fired is not None:
             return fired.kind == "window"
         return self.horizon < self.plan.t1 and not flown.interrupted
+
+    def go_on_through(self, signs: dict[str, int], x: np.ndarray) -> None:
+        """Go on within an arc of the rules' own loop, on other windows of the past.
+
+        ``signs``: by edge the sign of its guard at the end of the last step.
+        """
+        field = self.entry.field
+        self.begin(field, x, lambda: Jumped(held=field.held, passing=signs))
+        self.seen = np.maximum(self.seen, np.abs(x))
 
     def pass_window(self, fired: Guard | None, x: np.ndarray) -> None:
         """Go on within an arc, with another window of the past."""
@@ -350,7 +377,7 @@ class Driver:
         self.record.end_on(x)
         contact, held = self._released(guard, x)
         jumped = Jumped({contact: RISES}, held, spent=frozenset({guard.edge}))
-        self.begin(self.scene.field(self.scene.name(mode, held)), x, lambda: jumped)
+        self.begin(self.model.field(self.scene.name(mode, held)), x, lambda: jumped)
         self.seen = np.maximum(self.seen, np.abs(x))
 
     def _released(self, guard: Guard, x: np.ndarray) -> tuple[str, tuple[str, ...]]:
@@ -502,6 +529,10 @@ class Driver:
         clocks = self._clocks(flights)
         self.record.flights(flights, where, clocks)
         self.seen = np.maximum(self.seen, np.maximum.reduce(np.abs(jumps.after)))
+        memory = self.record.memory
+        if memory is not None and memory.ends(self.t):
+            memory.passed(self.t, jumps.before[-1], self.model.field(flights.mode))
+        self.look(jumps.after[-1])
         if self.record.made >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
         times = jumps.t.tolist(), jumps.low.tolist(), clocks.tolist()
@@ -517,14 +548,18 @@ class Driver:
         for mode, edge, *start in zip(
             flights.modes, jumps.edge, times, states, lengths, strict=False
         ):
-            field = self.scene.field(mode)
+            memory, scene = self.record.memory, self.scene
+            if memory is not None:
+                with memory.as_at(*start[:2]) as then:
+                    scene = then.scene
+            field = scene.field(mode)
             guard = field.guards[field.column(edge)]
-            clocks.append(self.cycles.clock(self.scene, field, guard, *start))
+            clocks.append(self.cycles.clock(scene, field, guard, *start))
         return np.array(clocks)
 
     def watch_pace(self) -> None:
         """Watch the steps of the arc that begins here, which is flown many steps at a time."""
-        self.pace = Pace(self.entry.field, self.t, self.record.now.until(self.plan.t1))
+        self.pace = Pace(self.field, self.t, self.record.now.until(self.plan.t1))
 
     def count_steps(self, tau: float, x: np.ndarray, count: int) -> None:
         """Count steps of that arc, which have led to a state."""
@@ -672,7 +707,7 @@ class Driver:
             self.status = Status.ZENO_STOPPED
         if after and at_rest is not None:
             jumped = Jumped(held=after[1], spent=frozenset(edges))
-            self.begin(self.scene.field(self.scene.name(*after)), at_rest, lambda: jumped)
+            self.begin(self.model.field(self.scene.name(*after)), at_rest, lambda: jumped)
             self.seen = np.maximum(self.seen, np.abs(limit.x_inf))
         elif after:
             self.enter(after[0], limit.x_inf, Jumped(held=after[1], limit=frozenset(edges)))

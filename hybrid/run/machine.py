@@ -10,6 +10,7 @@ from __future__ import annotations
 from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
+import attrs
 import numpy as np
 
 from ..log import Flights, Steps, Table, joined
@@ -18,6 +19,7 @@ from ..rules.arrays import Left, Look, Now, Room, Sums
 from ..rules.places import (
     AT_REST,
     BEFORE,
+    BEGAN,
     BEGINS,
     COUNT,
     CURVE_ROWS,
@@ -29,16 +31,20 @@ from ..rules.places import (
     FIRED,
     FLOWN,
     FULL,
+    IN_ARC,
     JUMP,
     JUMPS,
     LAND_ON,
     LANDS,
+    LAST,
     LIMIT,
+    LOOK,
     LOW,
     LOW_AHEAD,
     MADE,
     MAKE,
     NEXT,
+    NO_ROOM,
     PHASE,
     POWER,
     REMAINING,
@@ -49,22 +55,26 @@ from ..rules.places import (
     SPEED,
     STEP,
     STEPS,
+    STEPS_DONE,
     STRIKES,
     TAILS,
     TAU,
     TRIED,
     WALKS,
     WAS_LOW,
+    WINDOW,
     T,
 )
 from ..rules.sights import HALVINGS, POINTS, STATES
 from ..rules.sums import SHOWN
 from ..scene.lowered import ORDER
+from ..scene.windows import Links, Shown
 from ..segment import nodes, terms
 from ..trajectory import Status
 from ..zeno.accumulate import Tail, room_for_sums
 from ..zeno.narrow import bounded
 from .cycles import pass_limit
+from .memory import SUMS, Memory
 from .outside import Outside
 from .plan import PATIENCE
 from .watch import Watch
@@ -78,7 +88,7 @@ if TYPE_CHECKING:
 #: that has filled it, and at most: the keyboard is heard between calls. Sums for which there is
 #: room.
 JUMPS_KEPT, STEPS_KEPT, MORE, MOST = 64, 512, 4, 1 << 15
-SUMS_KEPT = 8
+SUMS_KEPT = SUMS
 
 #: What is asked for of another solver: methods of :class:`Outside`.
 ASKS = {STEP: "step", SHOW: "show", LAND_ON: "land", FLOWN: "flown"}
@@ -109,13 +119,16 @@ class Machine:
         scene, solver, plan = driver.scene, driver.solver, driver.plan
         self.driver, self.plan = driver, plan
         self.tables = scene.tables if solver.whole else scene.watched
+        self.past = Shown(self.tables, plan.memory == "restart") if scene.spec.lags else None
+        self.links: Links | None = None
         self.dense = plan.dense or plan.samples is not None
         self.outside = None if solver.whole else Outside(driver, self.tables.fields, self.dense)
         n, self.order = scene.spec.dimension, solver.highest if solver.whole else ORDER
         series, steps = (PATIENCE, plan.patience), (plan.longest(0.0), plan.max_step)
         atol = [plan.atol] * n if isinstance(plan.atol, float) else plan.atol
         last = (0, *solver.loss(n)) if solver.whole else (solver.order, 0.0, *atol)
-        sums = float(plan.zeno == "rest"), plan.closing
+        summed = plan.zeno == "rest" and (plan.memory == "keep" or self.past is None)
+        sums = float(summed), plan.closing
         given = [plan.t1, plan.limit, plan.rtol, *series, *steps, *sums, *last]
         self.run = np.array(given, dtype=float)
         self.floats, self.ints = np.zeros(9), np.zeros(17, dtype=np.int64)
@@ -126,8 +139,13 @@ class Machine:
         self.opened = 0
 
     def takes(self) -> bool:
-        """Whether the arc that begins at the driver's entry may be plain."""
-        entry = self.driver.entry
+        """Whether the arc that begins at the driver's entry may be plain.
+
+        Where what delays see is guessed, or a lag moves, it is the driver's.
+        """
+        entry, memory = self.driver.entry, self.driver.record.memory
+        if memory is not None and (memory.guessing or any(memory.moving)):
+            return False
         return max(entry.orders, default=0) <= RISES and self.may(entry.field)
 
     def may(self, field: Field) -> bool:
@@ -138,7 +156,11 @@ class Machine:
         """Go on until something needs judgement, or the run ends."""
         self._begin()
         self.passed, self.open, self.opened, self.rooms = False, [], 0, self._take()
-        self._go_on()
+        try:
+            self._go_on()
+        finally:
+            if self.driver.record.memory is not None:
+                self.driver.record.memory.told = False
         self._give_back()
 
     def _go_on(self) -> None:
@@ -149,6 +171,11 @@ class Machine:
             self._expanded()
             self._keep(left)
             ended = driver.status is not None or self.passed
+            if self.past is not None and not ended and self._passes(left, status):
+                if self.takes():
+                    continue
+                driver.watch = Watch(*self._series())
+                return
             self._tell(0.0 if ended else self._hold(left), left)
             if ended or self._spent(status, left):
                 return
@@ -205,12 +232,11 @@ class Machine:
 
     def _advance(self, left: Left) -> int:
         """Call the loop, and make the steps and the tables that it asks for."""
-        go, own = unit("runs").go, self.outside is None
+        own = self.outside is None
         try:  # what is not finite is reported, not warned of
             with nullcontext() if own else np.errstate(all="ignore"):
                 while True:
-                    now, (room, sums, look) = self.now, self.rooms
-                    status: int = go(self.tables.automaton, self.run, now, room, left, sums, look)
+                    status = self._called(left)
                     if status == MAKE:
                         self._make()
                         continue
@@ -219,11 +245,88 @@ class Machine:
                     made = len(self.outside.arcs)
                     if status == STEP and self.driver.steps + made >= self.plan.max_steps:
                         return STEP
+                    room, sums, _ = self.rooms
                     given = sums if status == FLOWN else room
-                    getattr(self.outside, ASKS[status])(now, given)
+                    getattr(self.outside, ASKS[status])(self.now, given)
         except KeyboardInterrupt:
             self._interrupted(self.now, left)
             raise
+
+    def _called(self, left: Left) -> int:
+        """Call the loop once: with delays, that which passes from window to window."""
+        memory, now, (room, sums, look) = self.driver.record.memory, self.now, self.rooms
+        if self.past is None or memory is None:
+            go = unit("runs").go
+            return int(go(self.tables.automaton, self.run, now, room, left, sums, look))
+        automaton, links = self.past.linked()
+        past, until = memory.past(links), memory.until
+        if not memory.bound or links is not self.links:
+            unit("past").bound(automaton, past, room)
+            self.links, memory.bound = links, True
+        self.run[LAST] = until
+        go = unit("past").look_back
+        status = int(go(automaton, self.run, now, room, left, sums, look, past))
+        if status == NO_ROOM:
+            memory.make_room(self.driver.t)
+            return self._called(left)
+        memory.told = True
+        if memory.until != until:
+            self.driver.scene, memory.bound = memory.read(), True
+        return status
+
+    def _passes(self, left: Left, status: int) -> bool:
+        """With delays: whether the loop is to go on, on windows of the past that are due.
+
+        Where the present arc has gone on through windows, and is to be judged, what has been flown
+        up to there is kept.
+        """
+        driver, memory, place = self.driver, self.driver.record.memory, int(self.ints[JUMPS])
+        if memory is None:
+            return False
+        if status in (LOOK, WINDOW) and memory.ints[IN_ARC] == place:
+            self._through(left, memory)
+        if status == WINDOW:
+            memory.told = False
+            driver.scene = memory.look(driver.t, driver.entry.x)
+        elif status == LOOK:
+            memory.told = False
+            memory.pieces.back_to(driver.t)
+            if memory.ends(driver.t):
+                memory.passed(driver.t, driver.entry.x, driver.entry.field)
+                driver.look(driver.entry.x)
+        elif status == FULL and place and self.plan.memory == "restart":
+            memory.told = False
+            memory.jumped(driver.t, left.before[0], left.after[0])
+            driver.look(left.after[0])
+            if self.tables.guards[left.fired[0]].kind == "edge":
+                self.ints[FIRED] = -1  # it sees something else now, and may not be zero
+        return status == WINDOW
+
+    def _through(self, left: Left, memory: Memory) -> None:
+        """Keep the present arc up to where it has gone on through windows of the past."""
+        driver, place, tau = self.driver, int(self.ints[JUMPS]), float(memory.floats[BEGAN])
+        last = int(memory.ints[STEPS_DONE])
+        first = int(left.owner[:last].searchsorted(place))
+        driver.steps += self.opened + int(np.count_nonzero(left.spans[first:last, 0] < tau))
+        steps = joined([*self.open, self._made(left, slice(first, last), place)])
+        steps = steps and Steps(*(column[steps.start < tau] for column in steps))
+        segments = steps.segments(np.array([tau])) if steps and self.dense else []
+        self.open, self.opened = [], 0
+        x = memory.start.copy()
+        x = driver.record.extend(self._field, driver.entry.x, x, tau, segments)
+        edges = [guard.edge for guard in driver.entry.field.guards]
+        driver.go_on_through(dict(zip(edges, memory.signs.tolist(), strict=False)), x)
+        now = driver.record.now
+        self.floats[T], self.floats[LOW], self.floats[TAU] = now.t, now.low, 0.0
+        self.states[:2], self.states[2], memory.ints[IN_ARC] = x, driver.seen, -1
+        if self.ints[PHASE] == WALKS:
+            self.ints[MADE], self.ints[ENTERED] = 1, 0
+
+    @property
+    def _field(self) -> Field:
+        """The driver's field; where contacts are held, as it looks back now."""
+        field = self.driver.entry.field
+        return self.driver.field if field.held else field
 
     def _make(self) -> None:
         """Complete the tables, with room for what is new in them."""
@@ -292,6 +395,11 @@ class Machine:
         if self.outside is not None:
             self.outside.begin()
             jumps, steps = 1 if self.plan.progress is not None else jumps, 0
+        if self.past is not None and self.plan.memory == "restart":
+            jumps = 1
+        memory = self.driver.record.memory
+        if memory is not None:
+            memory.begins(self._going, int(self.ints[JUMPS]), *self.floats[:2].tolist())
         jumps = min(jumps, self.plan.max_jumps - self.driver.record.made)
         steps = int(min(steps, max(self.plan.max_steps - self.driver.steps - self.opened, 1)))
         self.ints[JUMPS], self.ints[STEPS], self.ints[EXPANSIONS] = 0, -self._going, 0
@@ -303,7 +411,7 @@ class Machine:
             np.empty((jumps, n)),
             np.empty(steps, dtype=np.int64),
             np.empty((steps, 2)),
-            np.empty((steps * n if self.dense else 0, self.order + 1)),
+            np.empty((steps * n if self.dense or self.past else 0, self.order + 1)),
             np.empty((SUMS_KEPT, REMAINING + 1)),
             np.empty((SUMS_KEPT * CURVE_ROWS, n + 2)),
         )
@@ -320,6 +428,7 @@ class Machine:
             if begin in opened:
                 tau, end = float(left.when[begin, 2]), left.before[begin]
                 self._arc(left, begin, tau, end)
+                driver.entry = attrs.evolve(driver.entry, field=driver.field)
                 driver.open(guards[begin], end)
                 begin += 1
                 continue
@@ -327,23 +436,34 @@ class Machine:
             end = begin + driver.room(left.when[begin:last, 0])
             due = self._flown(left, begin, end)
             if end not in sums:
-                self.passed = due and pass_limit(driver, driver.entry.field.mode)
+                self.passed = due and self._pass_limit()
             elif driver.status is None:
                 self._summed(left, sums.index(end))
             begin = end
+
+    def _pass_limit(self) -> bool:
+        """Whether the run has gone over the limit of a cycle; of what it sees, only what was."""
+        driver, memory = self.driver, self.driver.record.memory
+        if memory is None:
+            return pass_limit(driver, driver.entry.field.mode)
+        with memory.as_at(driver.t, driver.entry.x) as then:
+            scene, driver.scene = driver.scene, then.scene
+            then.kept = pass_limit(driver, driver.entry.field.mode)
+            driver.scene = driver.scene if then.kept else scene
+        return then.kept
 
     def _summed(self, left: Left, place: int) -> None:
         """Add the impacts that were summed, and begin the rest after them."""
         driver, rows = self.driver, left.curves[place * CURVE_ROWS :][:CURVE_ROWS]
         before, degree, v, r, remaining = left.sums[place].tolist()
         guard = self.tables.guards[left.fired[int(before) - 1]]
-        entry, now, contact = driver.entry, driver.record.now, driver.scene.contact(guard.edge)
-        column = entry.field.column(guard.edge)
+        entry, now, memory = driver.entry, driver.record.now, driver.record.memory
+        seen = driver.scene if memory is None else driver.model.through([memory.sights[place]])
+        field, contact = seen.field(entry.field.name), seen.contact(guard.edge)
+        column = field.column(guard.edge)
         errors, x_inf, at_rest = rows[ERRORS, :-1], rows[LIMIT, :-2], rows[AT_REST, :-2]
         curve = r, rows[: int(degree) + 1], remaining, x_inf, float(errors[0]), errors[1:]
-        driver.pass_sum(
-            Tail(entry.field, contact, column, now.t, now.low, entry.x, v, *curve), at_rest
-        )
+        driver.pass_sum(Tail(field, contact, column, now.t, now.low, entry.x, v, *curve), at_rest)
 
     def _flown(self, left: Left, begin: int, end: int) -> bool:
         """Add the arcs that end with some of the jumps; whether it is time to look for cycles."""
@@ -358,7 +478,7 @@ class Machine:
         flights = Flights(driver.record.j, modes, now.t, now.low, first, lengths, jumps, steps)
         driver.steps += count
         due, guard = driver.flown(flights), tables.guards[fired[-1]]
-        driver.arrive(driver.scene.field(guard.to), jumps.after[-1], guard, jumps.before[-1])
+        driver.arrive(driver.model.field(guard.to), jumps.after[-1], guard, jumps.before[-1])
         return due
 
     def _flown_in(self, left: Left, begin: int, end: int) -> tuple[Steps | None, int]:
@@ -394,12 +514,13 @@ class Machine:
         driver, (steps, count) = self.driver, self._flown_in(left, place, place + 1)
         segments = [] if steps is None else steps.segments(np.array([tau]))
         driver.steps += count
-        return driver.record.arc(driver.entry.field, driver.entry.x, end, tau, segments)
+        return driver.record.arc(self._field, driver.entry.x, end, tau, segments)
 
     @property
     def _fired(self) -> Guard:
-        """The guard that fired last."""
-        return self.tables.guards[int(self.ints[FIRED])]
+        """The guard that fired last, in the driver's field."""
+        field, guard = self.driver.entry.field, self.tables.guards[int(self.ints[FIRED])]
+        return field.guards[field.column(guard.edge)]
 
     def _stand(self, left: Left, status: int) -> None:
         """Where the loop stopped: at the end, at a jump to judge, or at an arc to fly anew."""
@@ -409,6 +530,9 @@ class Machine:
             driver.status = Status.REACHED_END
         elif status == JUMP:
             before = self._last(left)
+            if driver.record.memory is not None:
+                driver.record.memory.told = False
+            driver.entry = attrs.evolve(driver.entry, field=driver.field)
             if self.ints[WAS_LOW]:
                 driver.bounce(self._fired, before, left.after[place], speed)
             else:

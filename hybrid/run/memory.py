@@ -18,25 +18,66 @@ See ``docs/notes/delays.md``.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from copy import copy
 from math import isfinite, isinf
+from typing import Any
 
+import attrs
 import numpy as np
 
 from ..arcs import Arc, TailPart
 from ..automaton.past import DEGREE, blank
 from ..clock import Instant
-from ..errors import FlowError
+from ..errors import FlowError, OptionError
+from ..log import Flights
+from ..rules import unit
+from ..rules.arrays import Past
+from ..rules.places import (
+    AGAIN,
+    BREAKS,
+    FINAL,
+    FLIGHTS,
+    GOES_ON,
+    HIGHEST,
+    IN_ARC,
+    RTOL,
+    SINCE,
+    SINCE_LOW,
+    STEPPED,
+    STEPS_DONE,
+    TIGHT,
+    TIGHTEST,
+    UNTIL,
+)
 from ..scene import Field, Scene, window_edge
 from ..scene.taylor import flat
-from ..scene.windows import SHARE, SMOOTH
-from ..segment import Segment, nodes
-from .pieces import Breaks, Piece, Pieces, Window, constant, piece_of, slack_of, states, swept
+from ..scene.windows import NO_LINKS, SHARE, SMOOTH, TO_POWERS, Links
+from ..segment import Segment, from_powers, from_values, nodes
+from .pieces import (
+    WIDTH,
+    Breaks,
+    Piece,
+    Pieces,
+    Window,
+    constant,
+    piece_of,
+    slack_of,
+    states,
+    swept,
+)
 from .plan import Plan
 
 #: Windows in a row that are one step long before longer ones are guessed.
-TIGHT = 3
+PATIENT = 3
+
+#: Sums that a call of the rules' own loop makes at most.
+SUMS = 8
+
+#: Where the rules' own loop reads windows: of how many a guess costs as much, and how many in a row
+#: are one step long before it is tried.
+DEAR, OFTEN = 16, 64
 
 #: Windows without a guess after one that was not worth it.
 REST = 30
@@ -76,6 +117,20 @@ CUBIC = 3
 #: A flight as short as this many spacings of the time is no longer a piece of its own.
 BRIEF = 1e4
 
+#: From terms of powers of the fraction of a step to Chebyshev coefficients.
+TURN = np.ascontiguousarray(from_powers(WIDTH - 1))
+
+#: From values at the nodes of a window to Chebyshev coefficients, and from these to powers.
+FROM_VALUES, TO_PLACES = map(np.ascontiguousarray, (from_values(DEGREE), TO_POWERS))
+
+
+@attrs.define
+class Then:
+    """A scene as it looked back earlier; ``kept``: the run goes on from there."""
+
+    scene: Scene
+    kept: bool = False
+
 
 class Memory:
     """The record of a run with delays, and the windows on it.
@@ -84,31 +139,83 @@ class Memory:
     ----------
     until : float
         The present windows serve until this time.
+    shown : array
+        Their numbers, as the trace takes them.
+    bound : bool
+        Whether the programs of the rules' own loop have them.
+    told : bool
+        The loop has remembered what is being kept.
+    sights : array
+        Of each sum that a call of the loop has made, the windows.
     """
 
     def __init__(
         self, scene: Scene, plan: Plan, order: int, history: Sequence[Piece], x: np.ndarray
     ) -> None:
         spec, code = scene.spec, scene.code
-        self.scene, self.plan, self.order, self.highest = scene, plan, order, order + 1
+        self.scene, self.plan, self.order = scene, plan, order
         self.moving, self.seen = code.moving, code.seen
         self.all_seen = sorted({element for seen in self.seen for element in seen})
         hidden = flat([*scene.parameters[: len(spec.parameters)], *blank(spec.lags, len(x))])
         self._lags = [code.lag(k).bind(hidden) for k in range(len(spec.lags))]
         self.names = [lag.name for lag in spec.lags]
-        self.pieces, self.breaks = Pieces(history), Breaks()
+        self.floats, self.ints = np.zeros(6), np.zeros(12, dtype=np.int64)
+        self.floats[FINAL], self.floats[RTOL], self.floats[UNTIL] = plan.t1, plan.rtol, plan.t0
+        self.ints[HIGHEST], self.ints[AGAIN] = order + 1, GOES_ON
+        self.ints[TIGHTEST], self.ints[IN_ARC] = PATIENT, -1
+        self.pieces, self.breaks = Pieces(self.ints, history, len(x)), Breaks(self.ints, len(x))
         for piece in history:
             if piece.orders is not None:
                 self.breaks.add(piece.start, piece.orders)
         self.breaks.add(plan.t0, self._start(x))
         self.windows: list[Window] = []
-        self.until = plan.t0
-        self._joined = False
-        self._spans = [np.inf] * len(self._lags)
-        self._stride, self._shortest, self._tight, self._guesses = 0.0, 0.0, 0, 0
+        self._frames = np.tile([0.0, 0.0, np.inf], (len(self._lags), 1))
+        self.shown, self.bound, self.told = np.array(hidden[-self._size :]), False, False
+        self.sights = np.empty((SUMS, self._size))
+        self._fixed = self._all_fixed(x)
+        self._past: Past | None = None
+        self._made: tuple[Any, ...] = ()
+        self._dear, self._rest, self._looks_back = 1, REST, False
+        self._from = plan.t0, x
+        self._stride, self._shortest, self._guesses = 0.0, 0.0, 0
         self._backwards: set[int] = set()
         self._wrong, self._most = np.inf, np.inf
         self._rough: deque[float] = deque(maxlen=ROUGH)
+
+    @property
+    def start(self) -> np.ndarray:
+        """The state where the rules' own loop has gone on through windows within an arc."""
+        return self.past(self._made[-1]).start  # type: ignore[no-any-return]
+
+    @property
+    def signs(self) -> np.ndarray:
+        """The signs of the guards there."""
+        return self.past(self._made[-1]).signs  # type: ignore[no-any-return]
+
+    @property
+    def _size(self) -> int:
+        """Numbers of all windows."""
+        return len(self._lags) * (2 + (DEGREE + 1) * self.scene.spec.dimension)
+
+    def _all_fixed(self, x: np.ndarray) -> np.ndarray | None:
+        """The lags, if all are constant and may be."""
+        if any(self.moving):
+            return None
+        lags = np.array([lag(self.plan.t0, x.tolist()) for lag in self._lags], dtype=float)
+        return lags if np.all(np.isfinite(lags) & (lags >= 0)) else None
+
+    @property
+    def until(self) -> float:
+        """The present windows serve until this time."""
+        return float(self.floats[UNTIL])
+
+    @until.setter
+    def until(self, t: float) -> None:
+        self.floats[UNTIL] = t
+
+    def due(self, t: float) -> bool:
+        """Whether other windows are due at a time."""
+        return not self.told and self.until <= t
 
     def _start(self, x: np.ndarray) -> np.ndarray:
         """Orders at the start: 0 where the history does not lead to it."""
@@ -118,8 +225,11 @@ class Memory:
     def fork(self) -> Memory:
         """The same, for a run that leaves this one here."""
         other = copy(self)
-        other.pieces, other.breaks = self.pieces.copy(), self.breaks.copy()
-        other._spans = self._spans.copy()
+        other.floats, other.ints = self.floats.copy(), self.ints.copy()
+        other.pieces, other.breaks = self.pieces.copy(other.ints), self.breaks.copy(other.ints)
+        other._frames, other.shown = self._frames.copy(), self.shown.copy()
+        other.sights = self.sights.copy()
+        other.bound, other.told, other._past = False, False, None
         return other
 
     def refined(self, field: Field, now: Instant, segments: Sequence[Segment]) -> list[Segment]:
@@ -138,29 +248,41 @@ class Memory:
 
     def flown(self, now: Instant, segments: Sequence[Segment]) -> None:
         """Segments flown from an instant on (their starts are counted from it)."""
+        if self.told:
+            return
+        self.ints[STEPPED] += len(segments)
         for segment in segments:
             self.pieces.add(piece_of(segment, now.t, now.low))
-            self._joined = True
+
+    def flights(self, flights: Flights) -> None:
+        """Arcs in a row, and the jumps after them."""
+        for arc, row in zip(flights.arcs, flights.rows(), strict=True):
+            self.flown(Instant(arc.t0, arc.low), arc.segments)
+            self.jumped(row.t, row.before, row.after)
 
     def jumped(self, t: float, before: np.ndarray, after: np.ndarray) -> None:
         """A jump; with ``memory="restart"`` all before it is forgotten."""
+        if self.told:
+            return
         if self.plan.memory == "restart":
             self._restart(t, after)
             return
         stays = before == after
         self.breaks.add(t, np.where(stays, 1, 0))
-        self._joined = self._joined and bool(stays.all())
         if any(self.moving) or self.guessing:
             self.until = t
 
     def _restart(self, t: float, x: np.ndarray) -> None:
-        self.pieces, self.breaks = Pieces([constant(x, t)]), Breaks()
+        self.pieces.forget_all([constant(x, t)])
+        self.ints[BREAKS] = 0
         self.breaks.add(t, np.ones(len(x), dtype=int))
-        self.until, self._joined = t, True
+        self.until = t
 
     def tail(self, part: TailPart) -> None:
         """Impacts up to their limit: one by one while they are seen, then the limit alone."""
         tail = part.tail
+        if self.told:
+            return
         if self.plan.memory == "restart":
             self._restart(part.t1, tail.x_inf)
             return
@@ -177,7 +299,6 @@ class Memory:
         straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ ends
         self.pieces.add(piece_of(Segment(0.0, part.t1 - since, straight), since, 0.0))
         self.breaks.add(part.t1, np.ones(len(tail.x_inf), dtype=int))
-        self._joined = True
 
     def _low(self, arc: Arc, x: np.ndarray) -> bool:
         """Whether nothing that is seen of a flight can be told from the limit."""
@@ -217,7 +338,11 @@ class Memory:
 
     def look(self, t: float, x: np.ndarray) -> Scene:
         """The scene as it looks back from a time; ``until`` says for how long."""
-        self._from, self._steps, self._guesses, self._wrong = (t, x), 0, 0, np.inf
+        self._from, self._guesses, self._wrong = (t, x), 0, np.inf
+        if self._fixed is not None and unit("past").read(t, self.past()):
+            self._forget((t - self._fixed).tolist())
+            return self.read()
+        self.ints[STEPPED] = 0
         places = [self._place(k, t, x) for k in range(len(self._lags))]
         self._forget(places)
         stride = self._wanted(t, places)
@@ -232,7 +357,75 @@ class Memory:
         return self._scene()
 
     def _scene(self) -> Scene:
-        return self.scene.through([array for w in self.windows for array in w.arrays()])
+        arrays = [a.reshape(-1) for w in self.windows for a in w.arrays()]
+        self.shown[:], self.bound = np.concatenate(arrays), False
+        self._frames[:, :2] = [(window.a, window.b) for window in self.windows]
+        return self.scene.through([self.shown])
+
+    def read(self) -> Scene:
+        """The scene as it looks back through windows that the rules have read off the record."""
+        nothing, known = np.zeros((1, self.scene.spec.dimension)), np.zeros(1, dtype=bool)
+        ends, self.bound = self._frames[:, :2].tolist(), False
+        self.windows = [Window(a, b, nothing, known, nothing[0]) for a, b in ends]
+        return self.scene.through([self.shown])
+
+    def looped(self) -> None:
+        """Be remembered by the rules' own loop."""
+        self._dear, self.ints[TIGHTEST] = DEAR, OFTEN
+
+    def begins(self, going: int, arc: int, t: float, low: float) -> None:
+        """Begin a call of the rules' own loop, in the middle of an arc or before one."""
+        within = going and self.ints[IN_ARC] == arc
+        self.ints[STEPS_DONE : FLIGHTS + 1], self.ints[IN_ARC] = 0, 0 if within else -1
+        self.ints[AGAIN], self.floats[SINCE], self.floats[SINCE_LOW] = GOES_ON, t, low
+
+    def make_room(self, t: float) -> None:
+        """Room for more pieces and breaking points than what is seen from a time on."""
+        assert self._fixed is not None
+        self._forget((t - self._fixed).tolist())
+        self.pieces.grow()
+        self.breaks.grow()
+
+    @contextmanager
+    def as_at(self, t: float, x: np.ndarray) -> Iterator[Then]:
+        """What was to be seen at a time that the rules' own loop has gone beyond.
+
+        Unless that is kept all is as before.
+        """
+        arrays = self.floats, self.ints, self._frames, self.shown
+        were, told = [array.copy() for array in arrays], self.told
+        windows, bound, start = self.windows, self.bound, self._from
+        self.told, self._looks_back = False, True
+        self.pieces.back_to(t)
+        self._frames[:, 2] = np.inf
+        self.ints[BREAKS] = np.searchsorted(self.breaks.times, t + slack_of(t), side="right")
+        then, self._looks_back = Then(self.look(t, x)), False
+        yield then
+        if not then.kept:
+            for array, was in zip(arrays, were, strict=True):
+                array[:] = was
+            self.windows, self.bound, self._from, self.told = windows, bound, start, told
+
+    def past(self, links: Links = NO_LINKS) -> Past:
+        """The record and the windows as the rules take them."""
+        arrays = self.pieces.rows, self.breaks.arrays[0], links
+        if self._past is None or any(a is not b for a, b in zip(arrays, self._made, strict=True)):
+            self._past, self._made = self._as_arrays(links), arrays
+        return self._past
+
+    def _as_arrays(self, links: Links) -> Past:
+        n, pieces = self.scene.spec.dimension, self.pieces
+        lags = np.zeros(0) if self._fixed is None else self._fixed
+        seen = np.array([[int(e in s) for e in range(n)] for s in self.seen], dtype=np.int64)
+        atol = np.broadcast_to(np.asarray(self.plan.atol, dtype=float), (n,)).copy()
+        return Past(
+            *(self.floats, self.ints, lags, pieces.spans, pieces.degrees, pieces.rows),
+            *(*self.breaks.arrays, self._frames, seen, seen.max(axis=0), links.uses, links.asks),
+            *(atol, links.given, links.ranged, links.parts, links.ops, links.more, links.numbers),
+            *(self.shown, self.sights, nodes(DEGREE).copy(), FROM_VALUES, TO_PLACES, TURN),
+            *(np.zeros(n, dtype=np.int64), np.zeros((len(lags), n), dtype=np.int64)),
+            *(np.zeros((2, DEGREE + 1)), np.zeros(n), links.signs),
+        )
 
     def _place(self, k: int, t: float, x: np.ndarray) -> float:
         """Where a lag looks."""
@@ -246,7 +439,7 @@ class Memory:
         return t - lag
 
     def _forget(self, places: list[float]) -> None:
-        if not any(self.moving):
+        if not any(self.moving) and not self._looks_back:
             self.pieces.forget(min(places))
             self.breaks.forget(min(places))
 
@@ -256,13 +449,13 @@ class Memory:
         self._shortest = shortest = t - latest
         nothing = shortest <= slack
         if not nothing and self.breaks.after(latest, slack) <= t:
-            self._tight, self._stride = 0, 0.0
+            self.ints[TIGHT], self._stride = 0, 0.0
             return 0.0
         if self._stride and self._stride <= shortest:
-            self._tight, self._stride = 0, 0.0
-        if (nothing or self._tight >= TIGHT) and not self._stride:
+            self.ints[TIGHT], self._stride = 0, 0.0
+        if (nothing or self.ints[TIGHT] >= self.ints[TIGHTEST]) and not self._stride:
             least = LEAST * (self.plan.t1 - self.plan.t0) if nothing else 0.0
-            self._stride = max(4.0 * shortest, least)
+            self._stride = max((4.0 if self._dear == 1 else 8.0 * self._dear) * shortest, least)
         return self._stride
 
     def _window(self, k: int, t: float, s: float, known: float, length: float) -> Window:
@@ -272,19 +465,32 @@ class Memory:
         whole = b - a
         while True:
             pieces = self.pieces.within(a, min(b, t), slack)
-            window = self._sampled(a - pad, b + pad, t, pieces)
+            try:
+                window = self._sampled(a - pad, b + pad, t, pieces)
+            except (FlowError, OptionError):
+                if not self.moving[k] or b - a <= 1e3 * slack:
+                    raise
+                a, b = self._nearer(a, s, b, slack)  # it need not look there
+                continue
             exact = len(pieces) == 1 and pieces[0].degree <= DEGREE and not window.guess.any()
             fine = exact or self._resolved(k, window)
             if fine or b - a <= 1e3 * slack:
                 self._note_rough(fine, s)
-                if b - a < whole or whole >= self._spans[k]:
-                    self._spans[k] = 2.0 * (b - a)
+                if b - a < whole or whole >= self._frames[k, 2]:
+                    self._frames[k, 2] = 2.0 * (b - a)
                 return window
             if k in self._backwards:
                 a = 0.5 * (a + b)
             else:
                 b = self._shorter(s, b, t, pieces, slack)
                 a = max(a, s - SIDE * (b - s))
+
+    @staticmethod
+    def _nearer(a: float, s: float, b: float, slack: float) -> tuple[float, float]:
+        """Nearer ends on both sides of a place, that behind it first."""
+        if s - a > 1e3 * slack:
+            return s - 0.25 * (s - a), b
+        return (s, b) if a < s else (a, s + 0.5 * (b - s))
 
     def _note_rough(self, fine: bool, s: float) -> None:
         """Refuse a record that is rough everywhere, not at some places only."""
@@ -303,7 +509,7 @@ class Memory:
         self, k: int, s: float, known: float, length: float, slack: float
     ) -> tuple[float, float]:
         """Both ends of a window, if it is resolved: where there is room, more than is needed."""
-        span, end = self._spans[k], min(self.breaks.after(s, slack), known)
+        span, end = self._frames[k, 2], min(self.breaks.after(s, slack), known)
         if not self.moving[k]:
             return s, max(min(end, s + length, s + span), s + slack)
         span = min(span, MOST * (self.plan.t1 - self.plan.t0))
@@ -345,13 +551,16 @@ class Memory:
     def _ahead(self, s: float, since: np.ndarray) -> np.ndarray:
         """A first guess at what comes: the last piece goes on, or the state stays as it is.
 
-        (Far beyond its end a polynomial leads nowhere.)
+        Far beyond its end a polynomial leads nowhere: from there on it is a straight line.
         """
         x, last = self._from[1], self.pieces.last
-        far = s + float(since[-1]) > last.end + FAR * (last.end - last.start)
-        if far or not self._joined:
+        orders = self.breaks.at(last.end, slack_of(last.end))
+        jumps = orders is not None and orders.min() == 0
+        if jumps or last.rows is None:
             return np.broadcast_to(x, (len(since), len(x)))
-        return last.state(s, since)
+        if s + float(since[-1]) <= last.end + FAR * (last.end - last.start):
+            return last.state(s, since)
+        return x + np.multiply.outer((s - last.end) + since, last.slope)
 
     def _resolved(self, k: int, window: Window) -> bool:
         """Whether the polynomial is the record, as far as the run can tell."""
@@ -364,7 +573,6 @@ class Memory:
 
     def confirm(self, now: Instant, length: float, segments: Sequence[Segment]) -> Scene | None:
         """After a flight: None if its windows showed what was flown, else the scene to fly anew."""
-        self._steps += len(segments)
         if not self.guessing or not segments:
             return None
         flown = [piece_of(segment, now.t, now.low) for segment in segments]
@@ -389,8 +597,11 @@ class Memory:
         """Longer guesses next where they are easy, none for a while where they cost too much."""
         self._most *= 1.2
         self._stride = min((2.0 if self._guesses <= EASY else 1.0) * length, self._most)
-        if length < (1 + self._guesses) * self._shortest:
-            self._stride, self._tight = 0.0, -REST
+        if length < (1 + self._guesses) * self._dear * self._shortest:
+            self._stride, self.ints[TIGHT] = 0.0, -self._rest
+            self._rest, self._most = 2 * self._rest, np.inf
+        else:
+            self._rest = REST
 
     def _require_stride(self, t: float) -> None:
         """Refuse guesses at nothing, where there is nothing else."""
@@ -418,6 +629,8 @@ class Memory:
 
     def ends(self, t: float) -> bool:
         """Whether the windows end within rounding of a time."""
+        if self.told:
+            return False
         return t < self.until < self.plan.t1 and self.until - t <= 2.0 * slack_of(t)
 
     def passed(self, t: float, x: np.ndarray, field: Field, fired: str | None = None) -> None:
@@ -427,7 +640,7 @@ class Memory:
         """
         self._backwards = {k for k in range(len(self.windows)) if fired == window_edge(k, "a")}
         if self._backwards:
-            self.highest = min(self.highest, TURNING)
+            self.ints[HIGHEST] = min(self.ints[HIGHEST], TURNING)
         met = {}
         for k, window in enumerate(self.windows):
             end = self._met(k, window, t, x, fired)
@@ -436,9 +649,10 @@ class Memory:
                 met[k] = orders
         if met:
             orders = self._carried(field, met)
-            if orders[self.all_seen].min(initial=SMOOTH) <= self.highest:
+            if orders[self.all_seen].min(initial=SMOOTH) <= self.ints[HIGHEST]:
                 self.breaks.add(t, orders)
-        self._tight = self._tight + 1 if self._steps <= 2 and not met else min(self._tight, 0)
+        few, tight = self.ints[STEPPED] <= 2 and not met, int(self.ints[TIGHT])
+        self.ints[TIGHT] = tight + 1 if few else min(tight, 0)
         self.until = t
 
     def _met(

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Sequence
+from copy import copy
 from functools import partial
-from math import ulp
+from math import isfinite, ulp
 
 import attrs
 import numpy as np
 
 from ..automaton.past import DEGREE
 from ..clock import Instant
+from ..rules.past import UP_TO
+from ..rules.places import BREAKS, PIECES
 from ..scene import Field
 from ..scene.windows import ROUNDING, TO_POWERS
 from ..segment import Segment, from_values, integrals, nodes
@@ -19,15 +21,28 @@ from ..segment import Segment, from_values, integrals, nodes
 #: Rounding of places at the ends of a piece.
 INSIDE = 1e-12
 
+#: Pieces and breaking points for which there is room at first, the columns of a piece's row, and
+#: the most coefficients that one may have: those of the highest steps.
+FIRST, COLUMNS, WIDTH = 256, 6, 25
+
 
 @attrs.frozen(eq=False)
 class Piece:
     """The record between two times.
 
-    ``state(s, since)`` gives the states at ``s + since`` (an array), shape ``(len(since), n)``: in
-    two parts, so that on a short window they do not drown in the rounding of the time. ``degree``
-    is that of a polynomial, infinity where it is a function of the caller's. ``orders`` are those
-    of a breaking point at the start of a piece of an earlier run.
+    Attributes
+    ----------
+    state : callable ``(s, since)``
+        The states at ``s + since`` (an array), shape ``(len(since), n)``: in two parts, so that on
+        a short window they do not drown in the rounding of the time.
+    degree : float
+        That of a polynomial, infinity where it is a function of the caller's.
+    orders : array or None
+        Those of a breaking point at the start of a piece of an earlier run.
+    rows : array, shape (degree + 1, n), or None
+        Chebyshev coefficients, about the middle of the piece.
+    frame : tuple
+        The time from which it is counted, in two floats, and there its middle and half its length.
     """
 
     start: float
@@ -35,17 +50,38 @@ class Piece:
     state: Callable[[float, np.ndarray], np.ndarray]
     degree: float
     orders: np.ndarray | None = None
+    rows: np.ndarray | None = None
+    frame: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
+
+    @property
+    def slope(self) -> np.ndarray | float:
+        """The rate at its end; 0 where it is no polynomial."""
+        if self.rows is None:
+            return 0.0
+        return (np.arange(len(self.rows)) ** 2) @ self.rows / self.frame[-1]
 
 
 def piece_of(segment: Segment, t0: float, low: float, orders: np.ndarray | None = None) -> Piece:
     """A segment of an arc that starts at ``t0 + low``."""
     start, end = t0 + (low + segment.start), t0 + (low + segment.end)
-    return Piece(start, end, partial(_on_segment, segment, t0, low), segment.degree, orders)
+    frame = t0, low, segment.start + 0.5 * segment.length, 0.5 * segment.length
+    return _polynomial(start, end, frame, segment.coefficients, orders)
 
 
-def _on_segment(segment: Segment, t0: float, low: float, s: float, since: np.ndarray) -> np.ndarray:
-    middle, half = segment.start + 0.5 * segment.length, 0.5 * segment.length
-    return chebyshev_sum(((((s - t0) - low) - middle) + since) / half, segment.coefficients)
+def _polynomial(
+    start: float,
+    end: float,
+    frame: tuple[float, ...],
+    rows: np.ndarray,
+    orders: np.ndarray | None = None,
+) -> Piece:
+    shown = partial(_shown, frame, rows)
+    return Piece(start, end, shown, len(rows) - 1, orders, rows, frame)
+
+
+def _shown(frame: tuple[float, ...], rows: np.ndarray, s: float, since: np.ndarray) -> np.ndarray:
+    t0, low, middle, half = frame
+    return chebyshev_sum(((((s - t0) - low) - middle) + since) / half, rows)
 
 
 def chebyshev_sum(places: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -58,7 +94,7 @@ def chebyshev_sum(places: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 def constant(x: np.ndarray, end: float) -> Piece:
     """The same state for all times before ``end``."""
-    return Piece(-np.inf, end, partial(_always, x), 0)
+    return Piece(-np.inf, end, partial(_always, x), 0, rows=x[None])
 
 
 def _always(x: np.ndarray, s: float, since: np.ndarray) -> np.ndarray:
@@ -95,90 +131,178 @@ def swept(field: Field, now: Instant, segment: Segment, count: int) -> Segment:
 
 
 class Pieces:
-    """The record: pieces in order of time, those no longer needed forgotten."""
+    """The record: pieces in order of time, those no longer needed forgotten.
 
-    def __init__(self, pieces: Iterable[Piece] = ()) -> None:
-        self._pieces = list(pieces)
-        self._ends = [piece.end for piece in self._pieces]
+    They are rows of arrays that the rules' own loop adds to, whose number is in ``ints``.
+    """
+
+    def __init__(self, ints: np.ndarray, pieces: Sequence[Piece], dimension: int) -> None:
+        self.ints, self.dimension = ints, dimension
+        self.spans = np.empty((FIRST, COLUMNS))
+        self.degrees = np.empty(FIRST, dtype=np.int64)
+        self.rows = np.empty((FIRST * dimension, WIDTH))
+        self._others: dict[int, Piece] = {}
+        self.forget_all(pieces)
+
+    def forget_all(self, pieces: Iterable[Piece]) -> None:
+        """Begin anew."""
+        self.ints[PIECES], self._others = 0, {}
+        for piece in pieces:
+            self.add(piece)
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return int(self.ints[PIECES])
+
+    @property
+    def ends(self) -> np.ndarray:
+        """When they end."""
+        return self.spans[: self.count, UP_TO]
 
     def add(self, piece: Piece) -> None:
         """Append a piece; one without length is left out."""
-        if piece.end > piece.start:
-            self._pieces.append(piece)
-            self._ends.append(piece.end)
+        if not piece.end > piece.start:
+            return
+        place, n = self.count, self.dimension
+        if place == len(self.degrees):
+            self.grow()
+        self.spans[place] = (piece.start, piece.end, *piece.frame)
+        self.degrees[place] = -1
+        if piece.rows is None or len(piece.rows) > WIDTH:
+            self._others[place] = piece
+        else:
+            self.degrees[place] = len(piece.rows) - 1
+            self.rows[place * n : place * n + n, : len(piece.rows)] = piece.rows.T
+        self.ints[PIECES] += 1
+
+    def grow(self) -> None:
+        """Make room for as many again."""
+        held = self.spans, self.degrees, self.rows
+        self.spans, self.degrees, self.rows = (np.concatenate([a, np.empty_like(a)]) for a in held)
 
     def forget(self, before: float) -> None:
         """Drop what ends before a time, if that is the larger part."""
-        count = bisect_left(self._ends, before)
-        if count > 64 and 2 * count > len(self._pieces):
-            del self._pieces[:count], self._ends[:count]
+        count, kept = int(np.searchsorted(self.ends, before)), self.count
+        if count > 64 and 2 * count > kept:
+            self._drop(count, kept)
 
-    def copy(self) -> Pieces:
+    def _drop(self, count: int, kept: int) -> None:
+        n = self.dimension
+        for array, size in ((self.spans, 1), (self.degrees, 1), (self.rows, n)):
+            array[: (kept - count) * size] = array[count * size : kept * size].copy()
+        self._others = {k - count: p for k, p in self._others.items() if k >= count}
+        self.ints[PIECES] = kept - count
+
+    def back_to(self, t: float) -> None:
+        """Drop what begins at a time or after it."""
+        begins = self.spans[: self.count, 0]
+        self.ints[PIECES] = int(np.searchsorted(begins, t - 0.5 * slack_of(t)))
+
+    def copy(self, ints: np.ndarray) -> Pieces:
         """One that grows by itself."""
-        return Pieces(self._pieces)
+        other = copy(self)
+        other.ints, other._others = ints, dict(self._others)
+        other.spans, other.degrees = self.spans.copy(), self.degrees.copy()
+        other.rows = self.rows.copy()
+        return other
+
+    def piece(self, place: int) -> Piece:
+        """A piece of the record."""
+        if place in self._others:
+            return self._others[place]
+        start, end, *frame = self.spans[place].tolist()
+        n, degree = self.dimension, self.degrees[place]
+        rows = self.rows[place * n : place * n + n, : degree + 1].T
+        if not isfinite(start):
+            return constant(rows[0], end)
+        return _polynomial(start, end, tuple(frame), rows)
 
     @property
     def last(self) -> Piece:
         """The latest piece."""
-        return self._pieces[-1]
+        return self.piece(self.count - 1)
 
     def within(self, a: float, b: float, slack: float) -> list[Piece]:
         """Pieces that have a part between two times; the nearest if none has."""
-        first = last = min(bisect_right(self._ends, a + slack), len(self._ends) - 1)
-        while last < len(self._pieces) and self._pieces[last].start < b - slack:
-            last += 1
-        return self._pieces[first : max(last, first + 1)]
+        first = min(int(np.searchsorted(self.ends, a + slack, side="right")), self.count - 1)
+        begins = self.spans[first : self.count, 0]
+        last = first + int(np.searchsorted(begins, b - slack))
+        return [self.piece(place) for place in range(first, max(last, first + 1))]
 
 
 class Breaks:
     """Breaking points of the record: times in order, and the order of each element there.
 
-    ``slack`` is the distance at which two times are one.
+    They, too, are in arrays that the rules' own loop adds to. ``slack`` is the distance at which
+    two times are one.
     """
 
-    def __init__(self) -> None:
-        self.times: list[float] = []
-        self.orders: list[np.ndarray] = []
+    def __init__(self, ints: np.ndarray, dimension: int) -> None:
+        self.ints = ints
+        self._times, self._orders = np.empty(FIRST), np.empty((FIRST, dimension), dtype=np.int64)
+        self.ints[BREAKS] = 0
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times and orders, with room for more."""
+        return self._times, self._orders
+
+    @property
+    def times(self) -> np.ndarray:
+        """The times."""
+        return self._times[: self.ints[BREAKS]]
 
     def add(self, t: float, orders: np.ndarray) -> None:
         """A breaking point at the present time; those at one time are one."""
-        if self.times and t <= self.times[-1] + slack_of(t):
-            self.orders[-1] = np.minimum(self.orders[-1], orders)
-        else:
-            self.times.append(t)
-            self.orders.append(orders)
+        place = int(self.ints[BREAKS])
+        if place and t <= self._times[place - 1] + slack_of(t):
+            self._orders[place - 1] = np.minimum(self._orders[place - 1], orders)
+            return
+        if place == len(self._times):
+            self.grow()
+        self._times[place], self._orders[place] = t, orders
+        self.ints[BREAKS] += 1
+
+    def grow(self) -> None:
+        """Make room for as many again."""
+        self._times = np.concatenate([self._times, np.empty_like(self._times)])
+        self._orders = np.concatenate([self._orders, np.empty_like(self._orders)])
 
     def forget(self, before: float) -> None:
         """Drop those before a time, if they are the larger part."""
-        count = bisect_left(self.times, before)
-        if count > 64 and 2 * count > len(self.times):
-            del self.times[:count], self.orders[:count]
+        count, kept = int(np.searchsorted(self.times, before)), int(self.ints[BREAKS])
+        if count > 64 and 2 * count > kept:
+            for array in self.arrays:
+                array[: kept - count] = array[count:kept].copy()
+            self.ints[BREAKS] = kept - count
 
-    def copy(self) -> Breaks:
+    def copy(self, ints: np.ndarray) -> Breaks:
         """One that grows by itself."""
-        other = Breaks()
-        other.times, other.orders = self.times.copy(), self.orders.copy()
+        other = copy(self)
+        other.ints, other._times, other._orders = ints, self._times.copy(), self._orders.copy()
         return other
 
     def after(self, s: float, slack: float) -> float:
         """The next after a time, infinity if there is none."""
-        place = bisect_right(self.times, s + slack)
-        return self.times[place] if place < len(self.times) else np.inf
+        place = int(np.searchsorted(self.times, s + slack, side="right"))
+        return float(self.times[place]) if place < len(self.times) else np.inf
 
     def until(self, s: float, slack: float) -> float:
         """The last up to a time, minus infinity if there is none."""
-        place = bisect_right(self.times, s + slack)
-        return self.times[place - 1] if place else -np.inf
+        place = int(np.searchsorted(self.times, s + slack, side="right"))
+        return float(self.times[place - 1]) if place else -np.inf
 
     def before(self, s: float, slack: float) -> float:
         """The last before a time, minus infinity if there is none."""
-        place = bisect_left(self.times, s - slack)
-        return self.times[place - 1] if place else -np.inf
+        place = int(np.searchsorted(self.times, s - slack))
+        return float(self.times[place - 1]) if place else -np.inf
 
     def at(self, s: float, slack: float) -> np.ndarray | None:
         """Orders at a time, the least of those that are one; None if there is none."""
-        first, last = bisect_left(self.times, s - slack), bisect_right(self.times, s + slack)
-        return np.min(self.orders[first:last], axis=0) if first < last else None
+        first = int(np.searchsorted(self.times, s - slack))
+        last = int(np.searchsorted(self.times, s + slack, side="right"))
+        return np.min(self._orders[first:last], axis=0) if first < last else None
 
 
 def slack_of(*times: float) -> float:

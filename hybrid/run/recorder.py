@@ -70,6 +70,8 @@ class Recorder:
         last = last if carried else held
         now, end = self.now, self._end(length)
         project = None if field.project is None else field.onto
+        if self.memory is not None and field.leans:
+            project = None  # its place was another then
         if self._begun is not None:
             (now, first), self._begun = self._begun, None
             segments, self._open = [*self._open, *_later(segments, now, self.now)], []
@@ -100,7 +102,7 @@ class Recorder:
     ) -> tuple[np.ndarray, Any]:
         """The end and the segments of a flight, on the contacts held, remembered for delays."""
         kept = self.plan.dense or self.plan.samples is not None
-        if not (kept or self.memory is not None):
+        if not (kept or (self.memory is not None and not self.memory.told)):
             segments = ()
         project = field.project
         if project is not None:
@@ -122,11 +124,10 @@ class Recorder:
 
     def flights(self, flights: Flights, where: Callable[[int], str], clocks: np.ndarray) -> None:
         """Add arcs in a row and the jumps after them, and move to the last; see :meth:`jump`."""
-        self._sample(flights)
         jumps = flights.jumps
-        if flights.steps is not None and not self.plan.dense:
-            flights = attrs.evolve(flights, steps=None)
-        self.log.kept.append(flights)
+        if self.memory is not None:
+            self.memory.flights(flights)
+        self._keep_flights(flights)
         self.now = Instant(float(jumps.t[-1]), float(jumps.low[-1]))
         self.j += len(jumps.t)
         self.made += len(jumps.t)
@@ -134,6 +135,25 @@ class Recorder:
             return
         for k, (clock, edge) in enumerate(zip(clocks.tolist(), jumps.edge, strict=True)):
             self._count(clock, edge, partial(where, k))
+
+    def _keep_flights(self, flights: Flights) -> None:
+        """Keep arcs in a row; the first may have begun on an earlier window of the past."""
+        if self._begun is not None:
+            arc, row = flights.arcs[0], next(flights.rows())
+            (begun, x), self._begun = self._begun, None
+            now = Instant(arc.t0, arc.low)
+            segments = [*self._open, *_later(arc.segments, begun, now)]
+            length, self._open = (row.t - begun.t) + (row.low - begun.low), []
+            ends = length, row.t, x, arc.last
+            self.keep(Arc(arc.mode, arc.j, begun.t, begun.low, *ends, segments))
+            self.log.jump(row)
+            if len(flights.modes) == 1:
+                return
+            flights = flights.later()
+        self._sample(flights)
+        if flights.steps is not None and not self.plan.dense:
+            flights = attrs.evolve(flights, steps=None)
+        self.log.kept.append(flights)
 
     def _sample(self, part: Part | Flights) -> None:
         """The states of a part at the times asked for."""
@@ -236,8 +256,12 @@ def _later(segments: Any, begun: Instant, now: Instant) -> list[Segment]:
 
 
 def _projected(segment: Segment, t0: float, project: Callable[..., Any]) -> Segment:
-    """A segment of a resting arc, back on the surface at its nodes."""
-    degree = segment.degree
+    """A segment of a resting arc, back on the surface at its nodes; what stands still on it is."""
+    ends, degree = segment.at(nodes(1)), segment.degree
+    if not segment.coefficients[1:].any():
+        times = t0 + segment.start, t0 + segment.end
+        if all((project(t, x.tolist()) == x).all() for t, x in zip(times, ends, strict=True)):
+            return segment
     times = (t0 + segment.start + segment.length * nodes(degree)).tolist()
     states = segment.at(nodes(degree)).tolist()
     values = np.array([project(t, x) for t, x in zip(times, states, strict=True)])

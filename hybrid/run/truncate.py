@@ -63,7 +63,8 @@ def _left_out(
     of its own: both keep their digits below the spacing of floats around ``t`` and ``x``.
     """
     plan = attrs.evolve(driver.plan, zeno="stop", progress=None, dense=True, samples=None)
-    full = type(driver)(driver.scene, driver.solver, plan)
+    full = type(driver)(driver.model, driver.solver, plan)
+    full.scene = driver.scene
     memory = driver.record.memory
     full.record.memory = memory.fork() if memory is not None else None
     full.record.now, full.watch.contact, full.watch.count = driver.record.now, contact.name, 1

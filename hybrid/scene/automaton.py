@@ -69,6 +69,7 @@ class Tables:
         self.parts: list[Jets] = []
         self._most = np.zeros(3, dtype=int)  # what the largest program needs
         self.widest = 0
+        self.links: Any = None  # of delays: see :class:`.windows.Shown`
         self._fields: list[list[int]] = []
         self._rows: list[list[int]] = []
         self._uses: list[int] = []
@@ -161,8 +162,7 @@ class Tables:
 
     def _add(self, field: Field) -> None:
         jets, first = field.jets, len(self._rows)
-        slides = field.project is not None and not field.held
-        plain = not slides and not any(guard.kinks for guard in field.guards)
+        plain = not field.leans and not any(guard.kinks for guard in field.guards)
         plain = plain and jets is not None
         watch = self._watch(field) if plain and self.others else -1
         plain = plain and (not self.others or watch >= 0)

@@ -294,6 +294,10 @@ class Lowered:
         shown = blank(self.spec.lags, self.spec.dimension, 1.0)
         return flat([*(p.default for p in self.spec.parameters), *shown])
 
+    def looks_back(self, graph: Graph, root: int) -> bool:
+        """Whether a node depends on the past."""
+        return bool(self._past_in(graph, root, sum(map(_count, self._own_shapes))))
+
     def _past_in(self, graph: Graph, root: int, first: int) -> set[tuple[int, int]]:
         found, size = set(), 2 + (DEGREE + 1) * self.spec.dimension
         for name in _inputs_of(graph, root):

@@ -205,6 +205,17 @@ class ModeGraph:
         pairs = zip(self.free, changes, strict=True)
         return [graph.node("add", f, graph.total(c)) for f, c in pairs]
 
+    @cached_property
+    def leans(self) -> bool:
+        """Whether where contacts are at rest depends on the past."""
+        of = [n for name in self.resting for n in self._place(name)]
+        lags = bool(self.spec.lags)
+        return lags and any(self.code.looks_back(self.graph, node) for node in of)
+
+    def _place(self, name: str) -> list[int]:
+        contact = self.contact(name)
+        return [contact.gap, contact.speed, *contact.normal, *contact.push]
+
     def flow(self, held: bool) -> list[int]:
         """The flow, free or along contacts."""
         return self.along_contacts if held else self.free

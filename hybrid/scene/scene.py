@@ -178,6 +178,12 @@ class Field:
         """Place of an edge's guard among the guards."""
         return next(i for i, guard in enumerate(self.guards) if guard.edge == edge)
 
+    @property
+    def leans(self) -> bool:
+        """Whether where contacts are at rest, or the state slides, may depend on the past."""
+        slides = self.project is not None and not self.held
+        return slides or (bool(self.held) and self.code.mode(self.mode).leans)
+
     @cached_property
     def kinks(self) -> int:
         """Number of kinks, and of what else is watched along a series (see :mod:`.tape`)."""
@@ -256,7 +262,7 @@ class Scene:
     ) -> None:
         self.spec: Spec = cls.spec
         self.code = lowered(cls, shapes)
-        self._made, self._values = (cls, shapes), values
+        self._made, self.values = (cls, shapes), values
         self._bound: dict[Any, Scalar] = {}
         self._fields: dict[str, Field] = {}
         self._contacts: dict[str, Contact] = {}
@@ -264,17 +270,17 @@ class Scene:
 
     def __reduce__(self) -> Any:
         """Pickled as its class and its numbers; what is made of them is made again."""
-        return _scene, (*self._made, self._values)
+        return _scene, (*self._made, self.values)
 
     @cached_property
     def parameters(self) -> tuple[Any, ...]:
         """Values of the parameters, then the windows of the past, as arrays."""
-        return _arrays(self.code.shapes, self._values)
+        return _arrays(self.code.shapes, self.values)
 
     def through(self, windows: Sequence[np.ndarray]) -> Scene:
         """The same model on other windows of the past."""
         shown = tuple(flat(windows))
-        return Scene(*self._made, (*self._values[: len(self._values) - len(shown)], *shown))
+        return Scene(*self._made, (*self.values[: len(self.values) - len(shown)], *shown))
 
     @cached_property
     def modes(self) -> tuple[str, ...]:
@@ -330,7 +336,7 @@ class Scene:
         else:
             closed = lambda: code.closed("flow", mode)  # noqa: E731
             program = code.program(("field", mode), closed, exact=True)
-            rhs, project = program.bind(self._values), None
+            rhs, project = program.bind(self.values), None
         edges = [edge for edge in self.spec.leaving(mode) if edge.name not in held]
         watched: list[tuple[Transition, str]] = [(edge, _kind(edge)) for edge in edges]
         watched += [(_unwritten(f"{c}{RELEASE}", name, mode), "release") for c in held]
@@ -400,7 +406,7 @@ class Scene:
 
     def numbers(self, mode: str, held: tuple[str, ...]) -> tuple[float, ...]:
         """Values of the parameters, and of a mode's mask: which of its contacts are held."""
-        return (*self._values, *(float(name in held) for name in self.code.mode(mode).resting))
+        return (*self.values, *(float(name in held) for name in self.code.mode(mode).resting))
 
     def _series(
         self,
@@ -420,7 +426,7 @@ class Scene:
         self, switching: SwitchingSpec | None, mode: str, held: tuple[str, ...]
     ) -> Scalar:
         if switching is not None:
-            return self.code.onto(switching.name).bind(self._values)
+            return self.code.onto(switching.name).bind(self.values)
         return self.code.mode(mode).projection(held, self.numbers(mode, held))
 
     def _guard(self, edge: Transition, kind: str, mode: str, held: tuple[str, ...]) -> Guard:
@@ -434,7 +440,7 @@ class Scene:
             here = lambda t, x: first(t, x)[0]  # noqa: E731
         else:
             trace = graph.closed[name]
-            here = code.program(("guard", name, mode), trace).bind(self._values)
+            here = code.program(("guard", name, mode), trace).bind(self.values)
         lie = graph.program(("lie", name, bool(held)), lambda: graph.lie(name, bool(held)))
         shape = lambda: node_shape(graph.graph, graph.guard(name))  # noqa: E731
         affine, uses = code.once(("shape", name, mode), shape)
@@ -454,8 +460,8 @@ class Scene:
 
         ``numbers`` are the values with a mode's mask.
         """
-        given = self._values if numbers is None else numbers
-        key = program, given[len(self._values) :]
+        given = self.values if numbers is None else numbers
+        key = program, given[len(self.values) :]
         if key not in self._bound:
             self._bound[key] = program.bind(given)
         return self._bound[key]
@@ -507,7 +513,7 @@ class Scene:
                 name,
                 spec.source,
                 spec.rests,
-                law=law.bind(self._values),
+                law=law.bind(self.values),
                 local=code.local(name),
                 scene=self,
                 **laws,
@@ -524,7 +530,8 @@ def _arrays(shapes: tuple[tuple[int, ...], ...], values: tuple[float, ...]) -> t
 
 @lru_cache(maxsize=64)
 def _scene(cls: Any, shapes: tuple[tuple[int, ...], ...], values: tuple[float, ...]) -> Scene:
-    return Scene(cls, shapes, values)
+    windows = blank(cls.spec.lags, cls.spec.dimension) if cls.spec.lags else []
+    return Scene(cls, shapes, (*values, *flat(windows)))
 
 
 def scene_of(model: Any) -> Scene:
@@ -535,8 +542,7 @@ def scene_of(model: Any) -> Scene:
 
 def scene_with(cls: Any, shapes: tuple[tuple[int, ...], ...], values: tuple[float, ...]) -> Scene:
     """The scene of a class with these parameters, as one list."""
-    windows = blank(cls.spec.lags, cls.spec.dimension) if cls.spec.lags else []
-    return _scene(cls, shapes, (*values, *flat(windows)))
+    return _scene(cls, shapes, tuple(values))
 
 
 def rest_name(mode: str, held: tuple[str, ...]) -> str:

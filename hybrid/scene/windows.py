@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any, NamedTuple
+
 import numpy as np
 
-from ..automaton.past import DEGREE
+from ..automaton.past import DEGREE, blank
+from ..rules.places import KIND, NONE, RELEASE, TO
+
+if TYPE_CHECKING:
+    from ..rules.arrays import Automaton
+    from .automaton import Tables
 
 #: What a window may differ from the record, against the tolerance of a step.
 SHARE = 0.1
@@ -23,3 +30,107 @@ def _to_powers() -> np.ndarray:
 
 
 TO_POWERS = _to_powers()
+
+
+class Links(NamedTuple):
+    """Where the windows of the past are in the programs of the rules' own loop, as
+    :class:`hybrid.rules.arrays.Past` says."""
+
+    uses: np.ndarray
+    asks: np.ndarray
+    given: np.ndarray
+    ranged: np.ndarray
+    parts: np.ndarray
+    ops: np.ndarray
+    more: np.ndarray
+    numbers: np.ndarray
+    signs: np.ndarray
+
+
+def _table(rows: Any, width: int) -> np.ndarray:
+    return np.array(rows, dtype=np.int64).reshape(-1, width)
+
+
+#: Where there are no programs.
+NOTHING = np.zeros(0, dtype=np.int64)
+TABLES = [_table([], width) for width in (1, 1, 2, 2, 6, 6)]
+NO_LINKS = Links(*TABLES, NOTHING, np.zeros((0, 1)), NOTHING)  # type: ignore[call-arg]
+
+
+class Shown:
+    """The programs of the rules' own loop for one run, with numbers of its own.
+
+    A window is numbers among the others: nothing else changes from one to the next. Where jumps
+    change what is seen (``restarts``) a rest does not end where its load is zero.
+    """
+
+    def __init__(self, tables: Tables, restarts: bool) -> None:
+        self.restarts = restarts
+        spec = tables.scene.spec
+        self.tables, self.count = tables, sum(map(np.size, blank(spec.lags, spec.dimension)))
+        self.first = len(tables.scene.values) - self.count
+        self._of: Automaton | None = None
+
+    def linked(self) -> tuple[Automaton, Links]:
+        """The automaton, and where its windows are."""
+        known = self.tables.automaton
+        if known is not self._of:
+            programs, bounds = known.programs, known.bounds
+            own = programs._replace(numbers=programs.numbers.copy())
+            ranged = bounds._replace(numbers=bounds.numbers.copy())
+            guards = known.guards.copy()
+            if self.restarts:
+                guards[guards[:, KIND] == RELEASE, TO] = NONE
+            self._of = known
+            self._own = known._replace(programs=own, guards=guards, bounds=ranged)
+            self._links = self._found(known)._replace(
+                numbers=own.numbers.reshape(-1, 1),
+                signs=np.zeros(self.tables.widest, dtype=np.int64),
+            )
+        return self._own, self._links
+
+    def _found(self, known: Automaton) -> Links:
+        """Where the windows are in the programs of all runs."""
+        if self.tables.links is None or self.tables.links[0] is not known:
+            self.tables.links = known, self._find()
+        return self.tables.links[1]  # type: ignore[no-any-return]
+
+    def _find(self) -> Links:
+        ends, given, parts = np.zeros(3, dtype=np.int64), [], []
+        tapes = []
+        for part in self.tables.parts:
+            tape = part.tape
+            own = self._windows(tape.given.T)
+            given.append(own + np.array([ends[2], 0]))
+            after = ends + np.array([len(tape.steady), len(tape.more), len(part.numbers)])
+            if len(own) and len(tape.steady):
+                parts.append(np.column_stack([ends, after]).reshape(-1))
+                tapes.append(tape)
+            else:
+                after[:2] = ends[:2]
+            ends = after
+        return Links(
+            *self._reach(),
+            np.ascontiguousarray(np.concatenate([_table([], 2), *given])),
+            np.ascontiguousarray(self._windows(_table(self.tables.bounds.given, 2))),
+            _table(parts, 6),
+            np.concatenate([_table([], 6), *(tape.steady for tape in tapes)]),
+            np.concatenate([NOTHING, *(tape.more for tape in tapes)]),
+            NO_LINKS.numbers,
+            NOTHING,
+        )
+
+    def _windows(self, given: np.ndarray) -> np.ndarray:
+        """Of places of parameters those of windows, and which of their numbers they are."""
+        among = (given[:, 1] >= self.first) & (given[:, 1] < self.first + self.count)
+        return given[among] - [0, self.first]
+
+    def _reach(self) -> tuple[np.ndarray, np.ndarray]:
+        """What each element's derivative depends on, at present and of the past."""
+        spec, uses, asks = self.tables.scene.spec, [], []
+        n, lags = spec.dimension, len(spec.lags)
+        for field in self.tables.fields:
+            for used, asked in field.code.reach(field.mode, field.held):
+                uses.append([int(j in used) for j in range(n)])
+                asks.append([int((k, e) in asked) for k in range(lags) for e in range(n)])
+        return _table(uses, n), _table(asks, lags * n)

@@ -1,0 +1,161 @@
+"""From window to window of the past in the rules' own loop: the run of the driver's rules."""
+
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+from hybrid.rules.load import Library
+from hybrid.rules.places import END
+from hybrid.run import machine, memory, pieces
+from hybrid.solvers.taylor_backend import TaylorSolver
+from models.delay_bounce import DelayBounce
+from models.delay_jump import DelayJump
+from models.pyragas import Pyragas
+
+from .delayed import Relay
+from .test_advance import same
+
+
+class Room(hy.Automaton):
+    """Two modes, two lags, and guards that see the past."""
+
+    T = hy.state()
+    water = hy.state()
+
+    @hy.mode(initial=True)
+    def on(self, t, s, past):
+        return past(0.25).water - s.T - 15.0, 4.0 * (70.0 - s.water)
+
+    @hy.mode
+    def off(self, t, s, past):
+        return past(0.25).water - s.T - 15.0, 4.0 * (15.0 - s.water)
+
+    @hy.edge(on, to="off", guard=lambda self, t, s, past: 22.0 - past(0.1).T)
+    def too_hot(self, t, s):
+        return s
+
+    @hy.edge(off, to=on, guard=lambda self, t, s, past: past(0.1).T - 18.0)
+    def too_cold(self, t, s):
+        return s
+
+
+class Lean(hy.Automaton):
+    """A ball over a floor that is where ``z`` was a while ago."""
+
+    y = hy.state()
+    v = hy.state()
+    z = hy.state()
+
+    @hy.mode(initial=True)
+    def flight(self, t, s, past):
+        return s.v, -1.0, 0.2 * jnp.cos(t)
+
+    ground = hy.contact(flight, gap=lambda self, t, s, past: s.y - past(0.7).z, restitution=0.5)
+
+
+SCENES = {
+    "pyragas": (Pyragas(), {"x1": 3.0, "x2": 0.0}, (0.0, 6.0), {}),
+    "released": (Pyragas(C=60.0, r=0.2), {"x1": 2.5, "x2": 0.0}, (0.0, 6.0), {}),
+    "restarted": (Pyragas(), {"x1": 3.0, "x2": 0.0}, (0.0, 6.0), {"memory": "restart"}),
+    "chatters": (Pyragas(), {"x1": 2.1, "x2": 0.0}, (0.0, 2.0), {"memory": "restart"}),
+    "bounce": (DelayBounce(), {"y": 0.05, "v": 0.0}, (0.0, 4.0), {"history": {"y": 0.0, "v": 0.0}}),
+    "jump": (DelayJump(), {"y": 1.0}, (0.0, 3.0), {}),
+    "room": (Room(), {"T": 15.0, "water": 15.0}, (0.0, 5.0), {}),
+    "function": (Pyragas(), {"x1": 3.0, "x2": 0.0}, (0.0, 3.0), {"history": {"x1": jnp.cosh}}),
+    "relay": (Relay(), {"y": 0.3}, (0.0, 4.0), {}),
+}
+
+#: What is seen of the record may differ from it by a tenth of the tolerance (``SHARE``), and is
+#: another record where steps are others; times of impacts move with it, the late ones most.
+TOLERANCE = 1e-8
+
+
+@pytest.fixture(params=SCENES)
+def scene(request):
+    return SCENES[request.param]
+
+
+def flown(scene, **more):
+    model, start, span, options = scene
+    return hy.simulate(model, start, span, solver="taylor", **options, **{"rtol": 1e-11, **more})
+
+
+def alike(run, other, t0, t1):
+    """Jumps and accumulations, and what is between them."""
+    assert list(run.jumps.edge)[:20] == list(other.jumps.edge)[:20]
+    np.testing.assert_allclose(run.jumps.t[:20], other.jumps.t[:20], rtol=0, atol=TOLERANCE)
+    assert [point.t for point in run.zeno] == pytest.approx(
+        [point.t for point in other.zeno], abs=TOLERANCE
+    )
+    assert [arc.mode for arc in run.arcs][-1] == [arc.mode for arc in other.arcs][-1]
+    at = np.random.default_rng(0).uniform(t0, t1, 200)
+    events = np.array([*other.jumps.t, *(point.t for point in other.zeno), np.inf])
+    at = at[[np.abs(events - t).min() > 1e-4 for t in at]]
+    x, y = (np.stack([np.ravel(v) for v in each(at)]) for each in (run, other))
+    np.testing.assert_allclose(x, y, rtol=1e-6, atol=1e-6)
+
+
+def test_the_loop_gives_the_run_of_the_rules_one_by_one(scene, monkeypatch):
+    """With the loop and without it."""
+    run = flown(scene)
+    monkeypatch.setattr(TaylorSolver, "whole", False)
+    alike(run, flown(scene), *scene[2])
+
+
+def test_little_room_changes_nothing(scene, monkeypatch):
+    """In arrays of one jump, two steps and few pieces the record is the same: what is seen, jumps
+    and dense output, but for where steps end."""
+    run = flown(scene)
+    for module, name, size in (
+        (machine, "JUMPS_KEPT", 1),
+        (machine, "STEPS_KEPT", 2),
+        (machine, "MORE", 1),
+        (machine, "SUMS_KEPT", 1),
+        (pieces, "FIRST", 2),
+    ):
+        monkeypatch.setattr(module, name, size)
+    other = flown(scene)
+    same(run, other, scene[2])
+    alike(run, other, *scene[2])
+
+
+@pytest.mark.parametrize("name", ["released", "room"])
+def test_machine_code_and_python_agree(name, monkeypatch):
+    """As plain Python that refuses indices below zero."""
+    run = flown(SCENES[name])
+    monkeypatch.setenv("HYBRID_RULES", "checked")
+    for module in (machine, memory):
+        monkeypatch.setattr(module, "unit", Library("hybrid.rules").unit)
+    alike(run, flown(SCENES[name]), *SCENES[name][2])
+
+
+@pytest.mark.parametrize("name", ["pyragas", "room"])
+def test_a_run_is_one_call(name, monkeypatch):
+    """From its start to its end, through all windows, sums, rests and releases."""
+    flown(SCENES[name])
+    found, known = [], machine.unit
+
+    def unit(which):
+        rules = known(which)
+
+        def look_back(*arguments):
+            found.append(rules.look_back(*arguments))
+            return found[-1]
+
+        return rules if which != "past" else SimpleNamespace(bound=rules.bound, look_back=look_back)
+
+    monkeypatch.setattr(machine, "unit", unit)
+    flown(SCENES[name])
+    assert found == [END]
+
+
+def test_dense_output_at_rest_on_what_the_past_moves(solver):
+    """It is that of its own time, not put where the last window shows the floor."""
+    history = {"z": lambda t: 0.2 * jnp.sin(t)}
+    start = {"y": 1.0, "v": 0.0, "z": 0.0}
+    run = hy.simulate(Lean(), start, (0.0, 9.0), history=history, rtol=1e-9, **solver)
+    at = np.linspace(run.zeno[0].t + 0.01, 9.0, 50)
+    np.testing.assert_allclose(run(at).y, 0.2 * np.sin(at - 0.7), rtol=0, atol=1e-6)
