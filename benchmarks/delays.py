@@ -10,8 +10,8 @@ the lift times, against 30 digits computed by two other methods.
 
 ``peers/`` has the others: a method of steps written for this system in numba, one around
 ``solve_ivp``, and JiTCDDE with jumps by hand. They know the wall and what a rest on it means; they
-leave out the time at rest, which hybrid flies. Tolerances are those of a step (rtol = atol), ``first`` includes
-compilation. Ratios hold, milliseconds do not.
+leave out the time at rest, which hybrid flies. Tolerances are those of a step (rtol = atol),
+``first`` includes compilation. Ratios hold, milliseconds do not.
 """
 
 from __future__ import annotations
