@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,6 +38,12 @@ FEW = 16
 JUMPS, STEPS, SUMS = 8192, 65536, 64
 
 
+@cache
+def _threads() -> int:
+    """How many lanes are flown at once."""
+    return os.cpu_count() or 1
+
+
 class Flown(NamedTuple):
     """What became of some lanes: which they are, what the rule tells of each, and of its first
     jumps the times, the guards, and the states before and after."""
@@ -50,7 +57,7 @@ class Flown(NamedTuple):
 
     def those(self, fit: np.ndarray) -> Flown:
         """Those that a mask says."""
-        return Flown(*(column[fit] for column in self))
+        return self if fit.all() else Flown(*(column[fit] for column in self))
 
 
 @contextmanager
@@ -146,10 +153,10 @@ class Abreast:
             for flown in self._in_threads(which):
                 outcome = flown.told[:, OUTCOME]
                 asks = flown.those(outcome == ASKS)
-                asking.append((asks.lanes, asks.told[:, MODE]))
+                asking.append(asks)
                 yield flown.those((outcome == ENDED) | (outcome == LAST_JUMP))
-            which = np.concatenate([lanes for lanes, _ in asking])
-            for guard in np.unique(np.concatenate([guards for _, guards in asking])).tolist():
+            which = np.concatenate([asks.lanes for asks in asking])
+            for guard in sorted({g for asks in asking for g in asks.told[:, MODE].tolist()}):
                 self.tables.complete(guard, bounded)
 
     def _lay_out(self) -> None:
@@ -180,7 +187,7 @@ class Abreast:
         )
 
     def _in_threads(self, which: np.ndarray) -> Iterator[Flown]:
-        threads = os.cpu_count() or 1
+        threads = _threads()
         size = min(BLOCK, max(LEAST, len(which) // (CALLS * threads)))
         blocks = np.split(which, range(size, len(which), size))
         automaton = self.tables.automaton

@@ -211,11 +211,14 @@ class Changing(Abreast):
                 for flown in self.complete(which):
                     known = flown.those(self.asked[flown.lanes, 0] == KNOWN)
                     yield known, self.found[known.lanes]
+                self.derived.flown(len(which))
                 which = self._asking(which)
 
     def _asking(self, lanes: np.ndarray) -> np.ndarray:
         """Those of some lanes that have asked for derivatives, which are added."""
         asked = self.asked[lanes]
+        if (asked[:, 0] < OF_FIELD).all():
+            return lanes[:0]
         for kind, add in ((OF_FIELD, self.derived.add_field), (OF_GUARD, self.derived.add_guard)):
             for number in set(asked[asked[:, 0] == kind, 1].tolist()):
                 add(number)

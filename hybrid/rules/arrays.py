@@ -268,8 +268,9 @@ class Changes(NamedTuple):
         As :func:`.jets.jets` takes them for the programs of derivatives.
     read : Floats
         What a program gives.
-    terms, aside, piece, flight : Matrix
-        Series of a matrix along the flow, a row for each of its numbers; two such matrices, one
+    orders, terms, aside, piece, flight : Matrix
+        Series of a matrix along the flow, a column and a row for each of its numbers; two such
+        matrices, one
         below the other; that of a piece, and that of a flight, with a gap behind the states.
     before, after : Matrix
         Changes of time, of states, and of a gap: ``C`` columns.
@@ -295,6 +296,7 @@ class Changes(NamedTuple):
     work: Floats
     sides: Ints
     read: Floats
+    orders: Matrix
     terms: Matrix
     aside: Matrix
     piece: Matrix

@@ -75,7 +75,7 @@ def carried(
         if jets(p, program, order, t + done, x, sides, c, room.work) < 0:
             return NO_SERIES
         first = p.index[program, OUTPUT]
-        _expand(p.output[first:], places, found.shape[0], found.shape[1], order, c, room.terms)
+        _expand(p.output[first:], places, found.shape[0], found.shape[1], order, c, room)
         h = _step(c, x.shape[0], room.terms, found.shape[0] * found.shape[1], length - done)
         if not done + h > done:
             return NO_SERIES
@@ -136,27 +136,35 @@ def unmoved(m: Matrix) -> None:
 
 
 def _expand(
-    output: Ints, places: Table, rows: int, columns: int, order: int, c: Matrix, terms: Matrix
+    output: Ints, places: Table, rows: int, columns: int, order: int, c: Matrix, room: Changes
 ) -> None:
-    """The series of the matrix from the start of a step: order by order, as the flow's."""
-    for i in range(rows):
-        for j in range(columns):
-            terms[i * columns + j, 0] = 1.0 if i == j else 0.0
+    """The series of the matrix from the start of a step: order by order, as the flow's.
+
+    They are made with the numbers of an order beside each other: sums of products do not wait for
+    each other then.
+    """
+    orders, count = room.orders, rows * columns
+    for i in range(count):
+        orders[0, i] = 1.0 if i % columns == i // columns else 0.0
     for k in range(order):
-        for i in range(rows * columns):
-            terms[i, k + 1] = 0.0
+        for i in range(count):
+            orders[k + 1, i] = 0.0
         for f in range(places.shape[0]):
-            slope, i, j = output[f], places[f, 0], places[f, 1]
+            slope, first, j = output[f], places[f, 0] * columns, places[f, 1]
             if j >= rows:
-                terms[i * columns + j, k + 1] += c[slope, k]
+                orders[k + 1, first + j] += c[slope, k]
             else:
-                for column in range(columns):
-                    total = 0.0
-                    for m in range(k + 1):
-                        total += c[slope, m] * terms[j * columns + column, k - m]
-                    terms[i * columns + column, k + 1] += total
-        for i in range(rows * columns):
-            terms[i, k + 1] /= k + 1
+                for m in range(k + 1):
+                    share = c[slope, m]
+                    if share != 0.0:
+                        for column in range(columns):
+                            term = orders[k - m, j * columns + column]
+                            orders[k + 1, first + column] += share * term
+        for i in range(count):
+            orders[k + 1, i] /= k + 1
+    for i in range(count):
+        for k in range(order + 1):
+            room.terms[i, k] = orders[k, i]
 
 
 def _summed(terms: Matrix, h: float, rows: int, columns: int, found: Matrix) -> None:

@@ -43,6 +43,7 @@ def room_for(
         work=np.empty(beside),
         sides=np.zeros(kinks, dtype=np.int64),
         read=np.empty(max(read, wide)),
+        orders=np.empty((HIGHEST + 1, own * columns)),
         terms=np.empty((own * columns, HIGHEST + 1)),
         aside=np.empty((2 * own, columns)),
         piece=np.empty((own, columns)),

@@ -13,9 +13,13 @@ from ..rules.variation import GRADIENT, RESET, REST
 from ..scene import Field, Guard
 from ..scene.automaton import NUMBERED
 from ..scene.automaton import Tables as Automaton
+from ..scene.native import Native
 from ..scene.tape import Jets, Linked
 from .derivatives import Derivatives, Rows
 from .series import POINTS, room_for
+
+#: Runs after which programs are compiled: the changes of those take as long as that does, 0.3 s.
+HOT = 1000
 
 
 class Tables:
@@ -133,8 +137,15 @@ class Owned(Tables):
     def __init__(self, of: Derivatives, automaton: Automaton) -> None:
         super().__init__(of)
         self.automaton = automaton
+        self._runs, self._native = 0, Native()
         self._of_fields: dict[int, int] = {}
         self._of_guards: dict[int, int] = {}
+
+    def flown(self, runs: int) -> None:
+        """Count runs whose changes are carried; where they are many, go on compiling programs."""
+        self._runs += runs
+        if self._runs > HOT:
+            self._native.go_on(self.slopes.programs)
 
     def add_field(self, number: int) -> None:
         """Add a field; where its formula changes, what that does is left to Python."""
