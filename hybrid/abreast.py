@@ -189,13 +189,13 @@ class Abreast:
     def _in_threads(self, which: np.ndarray) -> Iterator[Flown]:
         threads = _threads()
         size = min(BLOCK, max(LEAST, len(which) // (CALLS * threads)))
-        blocks = np.split(which, range(size, len(which), size))
         automaton = self.tables.automaton
-        if len(blocks) == 1:
+        if len(which) <= size:
             flown, steps = self._block(automaton, which)
             self.tables.flown(steps)
             yield flown
             return
+        blocks = np.split(which, range(size, len(which), size))
         pool = ThreadPoolExecutor(threads)
         try:
             for done in as_completed([pool.submit(self._block, automaton, b) for b in blocks]):

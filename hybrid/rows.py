@@ -85,8 +85,8 @@ def _usual(rows: np.ndarray) -> np.ndarray:
 
 def _parted(runs: Runs, rows: np.ndarray) -> Given:
     """Parameters, times and starts."""
-    parameters, starts, spans = np.split(rows, (-2 - runs.layout.size, -2), axis=1)
-    return Given(parameters, spans, starts)
+    first = -2 - runs.layout.size
+    return Given(rows[:, :first], rows[:, -2:], rows[:, first:-2])
 
 
 def _first(runs: Runs, rows: np.ndarray, flies: type[Flies]) -> Flies | None:

@@ -138,6 +138,8 @@ class Owned(Tables):
         super().__init__(of)
         self.automaton = automaton
         self._runs, self._native = 0, Native()
+        self._known: tuple[int, ...] = ()
+        self._rows_of: list[np.ndarray] = []
         self._of_fields: dict[int, int] = {}
         self._of_guards: dict[int, int] = {}
 
@@ -166,7 +168,11 @@ class Owned(Tables):
     def _owners(self) -> list[np.ndarray]:
         of, automaton = (self._of_fields, self._of_guards), self.automaton
         counts = len(automaton.fields), len(automaton.guards)
-        return [
-            np.array([rows.get(k, UNKNOWN) for k in range(count)], dtype=np.int64)
-            for rows, count in zip(of, counts, strict=True)
-        ]
+        known = *counts, *map(len, of)
+        if self._known != known:
+            self._known = known
+            self._rows_of = [
+                np.array([rows.get(k, UNKNOWN) for k in range(count)], dtype=np.int64)
+                for rows, count in zip(of, counts, strict=True)
+            ]
+        return self._rows_of
