@@ -112,15 +112,16 @@ class Abreast:
         self.field = self.tables.number(scene.field(mode))
         self.watched = plan.zeno != "ignore"
         self.most = min(plan.max_jumps, JUMPS), int(min(plan.max_steps - 1, STEPS))
-        self.stop = np.zeros(1, dtype=np.int64)
+        self.stop, self.steps = np.zeros(1, dtype=np.int64), 0
         self.laid_out: dict[Any, Any] = {}
         self.whole = plan.max_jumps <= JUMPS  # else a lane with more is left to the driver
 
     def fly(self) -> Iterator[Flown]:
         """What becomes of the lanes, some at a time, in any order."""
-        everyone = np.arange(len(self.given.starts))
-        yield from self.complete(everyone[:FEW])
-        yield from self.complete(everyone[FEW:])
+        few, rest = np.split(np.arange(len(self.given.starts)), [FEW])
+        yield from self.complete(few)
+        self.tables.flown(self.steps * len(rest) // FEW)  # those to come, by these
+        yield from self.complete(rest)
 
     def mode(self, number: int) -> str:
         """The name of a field."""
@@ -201,6 +202,7 @@ class Abreast:
             for done in as_completed([pool.submit(self._block, automaton, b) for b in blocks]):
                 flown, steps = done.result()
                 self.tables.flown(steps)
+                self.steps += steps
                 yield flown
         finally:
             self.stop[0] = 1

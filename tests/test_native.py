@@ -2,6 +2,7 @@
 
 import time
 from concurrent.futures import ThreadPoolExecutor
+from hashlib import sha256
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +19,14 @@ from hybrid.scene.tape import linked
 from .test_advance import Duffing
 from .test_readers import EXPRESSIONS
 from .test_tape import CLASSES, _jets, _modes
+
+
+@pytest.fixture(autouse=True)
+def new(monkeypatch, tmp_path):
+    """No code is kept, neither by the process nor in files."""
+    monkeypatch.setattr(native, "_MADE", {})
+    monkeypatch.setattr(native, "folder", lambda: tmp_path / "programs")
+
 
 #: Programs for values that are longer take most of the time to compile and have nothing new.
 SHORT = 20
@@ -85,7 +94,6 @@ def test_every_operation_gives_the_bits_of_the_rule(name):
 @pytest.mark.parametrize("save", ["jumps", "dense"])
 def test_a_long_run_is_the_same_with_its_own_machine_code_and_without(save, monkeypatch):
     """Jump by jump to the last bit, whenever the code is done."""
-    monkeypatch.setattr(native, "_MADE", {})
     start, span, options = {"x": 0.3, "v": 0.0}, (0.0, 300.0), {"solver": "taylor", "save": save}
     expected = hy.simulate(Duffing(), start, span, **options)
     scene = scene_of(Duffing())
@@ -100,9 +108,8 @@ def test_a_long_run_is_the_same_with_its_own_machine_code_and_without(save, monk
         assert run.jumps.table.after.tobytes() == expected.jumps.table.after.tobytes()
 
 
-def test_programs_are_compiled_behind_a_long_run(monkeypatch):
+def test_programs_are_compiled_behind_a_long_run():
     """One after another; while that goes on the rule reads them."""
-    monkeypatch.setattr(native, "_MADE", {})
     own = tables.Tables(scene_of(Duffing()))
     own.number(own.scene.field("flight"))
     programs = own.automaton.programs
@@ -135,6 +142,39 @@ def test_other_values_of_parameters_have_the_code_that_there_is():
     assert other.automaton.programs.code.tolist() == one.automaton.programs.code.tolist()
 
 
+def test_another_process_has_the_code_at_once(monkeypatch):
+    """It is kept in files, and gives the bits that the rule gives."""
+    one = linked([_jets(lambda t, x, y: jnp.exp(-x) * y - jnp.cos(t))[1]])
+    native.compile_all(one)
+    monkeypatch.setattr(native, "_MADE", {})  # as in another process
+    monkeypatch.setattr(native, "_compiled", None)
+    other = one._replace(code=np.zeros_like(one.code))
+    native.recall(other, 0)
+    assert other.code.all()
+    assert other.code.tolist() != one.code.tolist()
+    _held(other, 0, 2, np.random.default_rng(0))
+
+
+def test_a_file_that_is_no_code_is_passed_over(monkeypatch):
+    """The program is compiled again; so is one that calls a function that is not there."""
+    programs = linked([_jets(lambda t, x, y: x * y - jnp.sin(t))[1]])
+    native.compile_all(programs)
+    (file,) = native.folder().iterdir()
+    code = file.read_bytes()
+    _, _, machine = code[native.DIGEST :].partition(b"\n")
+    missing = b"no_such_function\n" + machine
+    for wrong in (b"", code[:-1], code + b"0", sha256(missing).digest() + missing):
+        file.write_bytes(wrong)
+        monkeypatch.setattr(native, "_MADE", {})
+        native.recall(programs, 0)
+        assert not programs.code.any()
+    native._MADE.clear()
+    file.write_bytes(code[:-1])
+    native.compile_all(programs)
+    assert programs.code.all()
+    assert file.read_bytes() == code
+
+
 def test_long_programs_and_plain_python_have_no_code(monkeypatch):
     """They are left to the rule."""
     programs = linked([_jets(lambda t, x, y: x * y + jnp.sin(t))[1]])
@@ -153,9 +193,8 @@ def test_long_programs_and_plain_python_have_no_code(monkeypatch):
     assert not programs.code.any()
 
 
-def test_two_threads_that_ask_at_once_have_the_same_code(monkeypatch):
+def test_two_threads_that_ask_at_once_have_the_same_code():
     """What the other has made is let go: nobody may have its address."""
-    monkeypatch.setattr(native, "_MADE", {})
     programs = linked([_jets(lambda t, x, y: x * y - jnp.cos(t))[1]])
     content = programs.ops.tobytes(), programs.flow.tobytes()
     with ThreadPoolExecutor(4) as pool:

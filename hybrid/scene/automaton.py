@@ -9,6 +9,7 @@ import numpy as np
 
 from ..automaton.markers import Crossing
 from ..errors import TraceError
+from ..rules import library
 from ..rules.arrays import Automaton, Room
 from ..rules.places import (
     AT,
@@ -101,6 +102,8 @@ class Tables:
             recall(programs, self._recalled)
             self._recalled = len(programs.code)
             self._made = Automaton(programs, fields, guards, uses, self.bounds.arrays())
+        if library.how() != "machine":  # plain Python calls no address
+            self._made.programs.code[:] = 0
         return self._made
 
     def flown(self, steps: int) -> None:

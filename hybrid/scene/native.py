@@ -4,15 +4,21 @@ A rule reads a program operation by operation (:mod:`hybrid.rules.jets`). Here t
 operation, as LLVM has it from numba, is put in once for each of the program's with its numbers: all
 that they decide falls away, and the lengths of loops are left. Nothing is contracted and nothing is
 reckoned in another order, so that the code gives the bits that the rule gives
-(``docs/notes/tape.md``).
+(``docs/notes/tape.md``). It is kept beside the rules' own, by the content of the operations, and
+another process has it at once.
 """
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import os
+import tempfile
 import warnings
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -117,10 +123,10 @@ def compile_all(programs: Programs, numbers: Iterable[int] | None = None) -> Non
 
 
 def recall(programs: Programs, first: int) -> None:
-    """Take up code that there is, of runs with other values of parameters, from a program on."""
-    if _MADE and library.how() == "machine":
+    """Take up code that there is, of other runs and processes, from a program on."""
+    if library.how() == "machine":
         for number in range(first, len(programs.code)):
-            programs.code[number] = _MADE.get(_content(programs, number), NONE).address
+            programs.code[number] = (_known(_content(programs, number)) or NONE).address
 
 
 @cache
@@ -128,7 +134,11 @@ def _thread() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1, "hybrid-native")
 
 
-def _content(programs: Programs, number: int) -> tuple[bytes, bytes]:
+#: What a program is known by.
+Content = tuple[bytes, bytes]
+
+
+def _content(programs: Programs, number: int) -> Content:
     """The operations of a program, and the places of its flow."""
     index = programs.index[number]
     ops, flow = (slice(*index[begin : begin + 2]) for begin in (OPS, FLOW))
@@ -146,29 +156,86 @@ class Code(NamedTuple):
 NONE = Code(0, None)
 
 #: All code of the process, by the content of the programs.
-_MADE: dict[tuple[bytes, bytes], Code] = {}
+_MADE: dict[Content, Code] = {}
 
 
 def address(ops: bytes, flow: bytes) -> int:
     """Where the code of a program is, as long as the process lasts; 0: it is left to the rule."""
     if library.how() != "machine":
         return 0
-    made = _MADE.get((ops, flow)) or _made(
-        np.frombuffer(ops, dtype=np.int64).reshape(-1, 6).tolist(),
-        np.frombuffer(flow, dtype=np.int64).tolist(),
-    )
+    made = _known((ops, flow)) or _made((ops, flow))
     return _MADE.setdefault((ops, flow), made).address  # another thread may have been first
 
 
-def _made(rows: Sequence[Sequence[int]], flow: Sequence[int]) -> Code:
-    """Compile a program, if it is short enough."""
+def _known(content: Content) -> Code | None:
+    """The code of a program that has been compiled, here or in another process."""
+    if content in _MADE:
+        return _MADE[content]
+    code = _kept(content)
+    return _MADE.setdefault(content, code) if code else None
+
+
+def _made(content: Content) -> Code:
+    """Compile a program, if it is short enough, and keep the code."""
+    ops, flow = (np.frombuffer(part, dtype=np.int64) for part in content)
+    rows = ops.reshape(-1, 6).tolist()
     if len(rows) > LONGEST or (rule := operation()) is None:
         return NONE
     try:
-        return _compiled(rule, _text(rule, rows, flow))
+        called, code = _compiled(rule, _text(rule, rows, flow.tolist()))
+        made = _loaded(called, code)
     except RuntimeError as error:
         warnings.warn(f"LLVM makes no code of a model ({error})", stacklevel=2)
         return NONE
+    _keep(content, called, code)
+    return made
+
+
+# -- files -----------------------------------------------------------------------------------
+
+
+#: Bytes of the hash of a file's content.
+DIGEST = 32
+
+
+def folder() -> Path:
+    """Where code is kept: what changes the rules, LLVM or the processor changes it."""
+    return library.folder / "programs"
+
+
+@cache
+def _own() -> bytes:
+    return Path(__file__).read_bytes()
+
+
+def _name(content: Content) -> str:
+    """The name of a program's file: a hash of all that the code depends on, the folder apart."""
+    parts = (hashlib.sha256(part).digest() for part in (_own(), *content))
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:32]
+
+
+def _kept(content: Content) -> Code | None:
+    """The code in a program's file, if that is as it was written; LLVM does not look."""
+    try:
+        written = (folder() / _name(content)).read_bytes()
+    except OSError:
+        return None
+    digest, body = written[:DIGEST], written[DIGEST:]
+    if hashlib.sha256(body).digest() != digest:
+        return None
+    called, _, code = body.partition(b"\n")
+    return _loaded(called.decode().split(), code)
+
+
+def _keep(content: Content, called: Sequence[str], code: bytes) -> None:
+    """Write a program's file, whole or not at all: a hash, the names of the functions that it
+    calls in a line, and the code."""
+    body = " ".join(called).encode() + b"\n" + code
+    with contextlib.suppress(OSError):
+        folder().mkdir(exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=folder(), delete=False) as draft:
+            draft.write(hashlib.sha256(body).digest() + body)
+        os.replace(draft.name, folder() / _name(content))
 
 
 # -- text ------------------------------------------------------------------------------------
@@ -228,25 +295,36 @@ def binding() -> Any:
     return binding
 
 
-def _compiled(operation: Operation, text: str) -> Code:
-    """The code of a program; none where it calls a function that is not there."""
+def _compiled(operation: Operation, text: str) -> tuple[list[str], bytes]:
+    """The names of the functions that a program calls, and its code."""
     llvm = binding()
     module = llvm.parse_assembly(text)
     module.link_in(llvm.parse_bitcode(operation.code))
     for function in module.functions:
         if not function.is_declaration and function.name != "program":
             function.linkage = "internal"
-    cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
-    machine = llvm.Target.from_default_triple().create_target_machine(
-        cpu, features, opt=1, jit=True
-    )
+    machine = _machine()
     _optimise(module, machine)
-    called = [
-        f.name for f in module.functions if f.is_declaration and not f.name.startswith("llvm.")
-    ]
+    others = (f.name for f in module.functions if f.is_declaration)
+    called = [name for name in others if not name.startswith("llvm.")]
+    return called, machine.emit_object(module)
+
+
+def _machine() -> Any:
+    """What makes code for this machine."""
+    llvm = binding()
+    cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    triple = llvm.Target.from_default_triple()
+    return triple.create_target_machine(cpu, features, opt=1, jit=True)
+
+
+def _loaded(called: Sequence[str], code: bytes) -> Code:
+    """A program's code, put where it can run; none where it calls a function that is not there."""
+    llvm = binding()
     if any(llvm.address_of_symbol(name) is None for name in called):
         return NONE
-    engine = llvm.create_mcjit_compiler(module, machine)
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
     return Code(int(engine.get_function_address("program")), engine)
 
