@@ -445,3 +445,22 @@ def test_a_guard_is_carried_over_zero_in_any_unit(way):
         fired(way, result, ["alarm", "rises"])
         assert result.final.n == 1.0
         assert result.times[1] == pytest.approx(3.5, abs=1e-12)
+
+
+class Vanishing(hy.Automaton):
+    """``y' = 1 - y(exp(1 - 1/t))``, which ``log t`` solves; at 1 the lag is zero."""
+
+    y = hy.state()
+
+    @hy.mode
+    def flow(self, t, s, past):
+        return (1.0 - past(t - jnp.exp(1.0 - 1.0 / t)).y,)
+
+
+@pytest.mark.parametrize("t", [(0.1, 0.9), (0.5, 3.0)])
+def test_a_history_is_asked_only_where_the_model_looks(solver, t):
+    """From 0.1 it looks at exp(-9), next to 0, beyond which there is no logarithm."""
+    begin, end = t
+    history = {"y": math.log}
+    run = hy.simulate(Vanishing(), {"y": math.log(begin)}, t, history=history, **TIGHT, **solver)
+    assert run.final.y == pytest.approx(math.log(end), abs=1e-6)
