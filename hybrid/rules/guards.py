@@ -10,7 +10,7 @@ import math
 
 from .arrays import Automaton, Floats, Now, Room
 from .checks import MIDDLE, MISSED, SHOWN, along, second
-from .jets import OUTPUT, jets
+from .jets import KINKS, OUTPUT, jets
 from .lengths import CONVERGED, ROUNDING, behind, own_length
 from .places import (
     ABSOLUTE,
@@ -38,7 +38,7 @@ from .places import (
     T,
 )
 from .polynomials import power_size, power_value, shift
-from .zeros import EPS, NEVER, series
+from .zeros import EPS, NEVER, series, soon
 
 __all__ = ("event_along",)
 
@@ -109,6 +109,12 @@ def zero_of(
     if not starting and not c[0] * now.signs[place] > 0.0:
         return 0.0
     degree = c.shape[0] - 1
+    program = a.fields[field, PROGRAM]
+    kinked = a.programs.index[program, KINKS] < a.programs.index[program, KINKS + 1]
+    if not kinked and (crossing == 0 or c[order] * crossing < 0.0):
+        s = soon(c, order, degree, h)
+        if s < math.inf:
+            return fires(a, now, room, c, guard, order, s, tolerance)
     count = series(c, degree, h, order, NEVER if order else tolerance, room.rows, room.found)
     if count < 0:
         return 0.0
@@ -119,8 +125,7 @@ def zero_of(
         if direction == 0.0:
             return 0.0
         if crossing == 0 or direction * crossing > 0.0:
-            gone = order != 1 or has_left(a, now, room, c, guard, s)
-            return s if gone and not turns(c, s, tolerance) else 0.0
+            return fires(a, now, room, c, guard, order, s, tolerance)
         if a.guards[guard, BOUNDS] == 1:
             return 0.0
     value, _ = power_value(c, 0, degree, h)
@@ -128,6 +133,21 @@ def zero_of(
     now.signs[place] = 1 if value > 0.0 else -1
     clear = value * side > 0.0 and abs(value) > max(ROUNDED * EPS * size, SHOWN * left)
     return math.inf if clear else 0.0
+
+
+def fires(
+    a: Automaton,
+    now: Now,
+    room: Room,
+    c: Floats,
+    guard: int,
+    order: int,
+    s: float,
+    tolerance: float,
+) -> float:
+    """When a guard fires that crosses zero at ``s``; 0 where that is not plain."""
+    gone = order != 1 or has_left(a, now, room, c, guard, s)
+    return s if gone and not turns(c, s, tolerance) else 0.0
 
 
 def left_open(a: Automaton, run: Floats, guard: int, x: Floats) -> float:

@@ -64,11 +64,13 @@ def _within(c: Floats, relative: float, absolute: float, length: float) -> float
     for k in range(order, order - 2, -1):
         last = abs(c[k])
         if last != 0.0 and last * length**k > own:
-            reach = (own / last) ** (1.0 / k)
+            reach, size = (own / last) ** (1.0 / k), own
             for j in range(1, MOVES):
                 moved = relative * abs(c[j])
-                if reach == 0.0 or moved * reach**j > last * reach**k:
+                own_move = moved * (reach if j == 1 else reach * reach)
+                if reach == 0.0 or own_move > size:
                     reach = (moved / last) ** (1.0 / (k - j))
+                    size = moved * (reach if j == 1 else reach * reach)
             length = min(length, reach if reach > 0.0 else own_length(c, relative))
     return length
 

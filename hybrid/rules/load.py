@@ -34,7 +34,7 @@ from types import SimpleNamespace
 from typing import Any
 
 #: Modules of a package of rules that are no rules.
-APART = ("__init__", "__main__", "load")
+APART = ("__init__", "__main__", "load", "references")
 
 #: What an annotation of an argument means to numba.
 TYPES = {
@@ -84,7 +84,7 @@ _rules |= _outside(_rules)
 globals().update(_rules)
 called = {{}}
 for _name, _kinds in {arguments!r}.items():
-    _types = _signature(_kinds, {package!r})
+    _types = _signature(_kinds, {package!r}, True)
     called[_name] = _njit(_types, cache={kept!r}, **_options)(_plain[_name])
 globals().update({{name: _by_address(rule, __name__) for name, rule in called.items()}})
 """
@@ -147,7 +147,8 @@ class Library:
         import numba
         from llvmlite import binding
 
-        parts = [self.package, Path(__file__).read_text(encoding="utf-8")]
+        own = [Path(__file__), Path(__file__).with_name("references.py")]
+        parts = [self.package, *(path.read_text(encoding="utf-8") for path in own)]
         parts += [text for pair in self.sources.items() for text in pair]
         parts += [numba.__version__, llvmlite.__version__, sys.version, sys.platform]
         parts += [binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()]
@@ -353,11 +354,11 @@ def _annotations(function: ast.FunctionDef) -> list[str]:
     return [ast.unparse(a.annotation) for a in function.args.args if a.annotation]
 
 
-def signature(kinds: list[str], package: str) -> tuple[Any, ...]:
+def signature(kinds: list[str], package: str, referred: bool = False) -> tuple[Any, ...]:
     """The types of arguments, from their annotations.
 
     An annotation is a name in :data:`TYPES`, or that of a tuple of such with names, a class in the
-    file ``arrays`` of the package.
+    file ``arrays`` of the package, which may be referred to by its address.
     """
     import numba
 
@@ -366,6 +367,10 @@ def signature(kinds: list[str], package: str) -> tuple[Any, ...]:
             return numba.core.sigutils.normalize_signature(f"({TYPES[kind]},)")[0][0]
         named = getattr(import_module(f"{package}.arrays"), kind)
         parts = [of(part.__forward_arg__) for part in named.__annotations__.values()]
+        if referred:
+            from .references import reference
+
+            return reference(named, tuple(parts))
         if len(set(parts)) == 1:
             return numba.types.NamedUniTuple(parts[0], len(parts), named)
         return numba.types.NamedTuple(parts, named)

@@ -62,7 +62,7 @@ def operate(
     elif op <= CBRT:
         c[out, k] = _power(op, out, a, b, s, c, k)
     elif op <= SINH:
-        _pair(op, out, a, b, c, k)
+        _pair(op, out, a, b, d == 1, c, k)
     elif op <= ERFC:
         _chain(op, out, a, b, c, k)
     elif op == ATAN2:
@@ -112,18 +112,26 @@ def _arithmetic(op: int, out: int, a: int, b: int, s: Floats, c: Matrix, k: int)
 
 
 def _product(c: Matrix, a: int, b: int, first: int, k: int) -> float:
-    """The sum of ``a_i b_{k-i}`` from ``i = first``."""
-    total = 0.0
-    for i in range(first, k + 1):
+    """The sum of ``a_i b_{k-i}`` from ``i = first``, in two parts, of which neither waits for the
+    other."""
+    total, beside = 0.0, 0.0
+    for i in range(first, k, 2):
         total += c[a, i] * c[b, k - i]
-    return total
+        beside += c[a, i + 1] * c[b, k - i - 1]
+    if (k - first) % 2 == 0:
+        total += c[a, k] * c[b, 0]
+    return total + beside
 
 
 def _square(c: Matrix, a: int, k: int) -> float:
-    total = 0.0
-    for i in range((k + 1) // 2):
+    half = (k + 1) // 2
+    total, beside = 0.0, 0.0
+    for i in range(0, half - 1, 2):
         total += c[a, i] * c[a, k - i]
-    total *= 2.0
+        beside += c[a, i + 1] * c[a, k - i - 1]
+    if half % 2 == 1:
+        total += c[a, half - 1] * c[a, k - half + 1]
+    total = 2.0 * (total + beside)
     if k % 2 == 0:
         total += c[a, k // 2] * c[a, k // 2]
     return total
@@ -371,11 +379,14 @@ def _cube_root(a: float) -> float:
     return y - (y - a / y / y) / 3.0
 
 
-def _pair(op: int, out: int, a: int, other: int, c: Matrix, k: int) -> None:
-    """Sine and cosine, or the hyperbolic ones, each from the other."""
+def _pair(op: int, out: int, a: int, other: int, clock: bool, c: Matrix, k: int) -> None:
+    """Sine and cosine, or the hyperbolic ones, each from the other.
+
+    ``clock``: the argument is affine in time alone, and has no coefficients but two.
+    """
     if k > 0:
         total, turn = 0.0, 0.0
-        for i in range(1, k + 1):
+        for i in range(1, 2 if clock else k + 1):
             slope = i * c[a, i]
             total += slope * c[other, k - i]
             turn += slope * c[out, k - i]
@@ -395,10 +406,13 @@ def _pair(op: int, out: int, a: int, other: int, c: Matrix, k: int) -> None:
 
 def _along(c: Matrix, a: int, slope: int, k: int) -> float:
     """The coefficient of ``y`` where ``y' = slope a'``."""
-    total = 0.0
-    for i in range(1, k + 1):
+    total, beside = 0.0, 0.0
+    for i in range(1, k, 2):
         total += i * c[a, i] * c[slope, k - i]
-    return total / k
+        beside += (i + 1) * c[a, i + 1] * c[slope, k - i - 1]
+    if k % 2 == 1:
+        total += k * c[a, k] * c[slope, 0]
+    return (total + beside) / k
 
 
 def _chain(op: int, out: int, a: int, slope: int, c: Matrix, k: int) -> None:

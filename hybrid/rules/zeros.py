@@ -48,8 +48,12 @@ EPS, TINY = 2.0**-52, 2.0**-1022
 #: Sizes beyond which a polynomial is scaled (by a power of two), so that binomials fit.
 LARGE, SMALL = 2.0**900, 2.0**-900
 
-#: A zero in Bernstein's form, improved by one step in powers, moves by rounding only.
+#: A zero in Bernstein's form, improved by one step in powers, moves by rounding only; and what a
+#: step of Newton's method, by which it moves so little, leaves of it is less than that.
 POLISH = 1e-8
+
+#: So far is looked whether a series crosses zero where its first two terms say.
+FURTHER = 1.5
 
 
 def crossings(
@@ -191,11 +195,56 @@ def last_power(c: Floats, low: int, degree: int) -> int:
 
 
 def outweighs(c: Floats, low: int, degree: int, reach: float, tolerance: float) -> bool:
-    """Whether the first term outweighs all others as far as ``reach``: the cheapest test."""
+    """Whether the first three terms stay further from zero than all others go, as far as
+    ``reach``: the cheapest test."""
     rest = 0.0
-    for k in range(degree, low, -1):
+    for k in range(degree, low + 2, -1):
         rest = (rest + abs(c[k])) * reach
-    return abs(c[low]) > rest * (1.0 + 64.0 * EPS) + max(tolerance, 0.0)
+    side = 1.0 if c[low] > 0.0 else -1.0
+    one = side * c[low + 1] * reach if degree > low else 0.0
+    two = side * c[low + 2] * reach * reach if degree > low + 1 else 0.0
+    rest = rest * reach * reach if degree > low + 2 else 0.0
+    drop = min(0.0, one + two)
+    if 0.0 < -one < 2.0 * two:
+        drop = -0.25 * one * one / two
+    rounding = 64.0 * EPS * (abs(c[low]) + abs(one) + abs(two) + rest)
+    return abs(c[low]) + drop > rest + rounding + max(tolerance, 0.0)
+
+
+def soon(c: Floats, low: int, degree: int, reach: float) -> float:
+    """The first zero in ``(0, reach]`` of the sum of ``c[low + k] s^k``, where the first two terms
+    show it: the sum crosses zero half as far again as they say, and only rises or falls till then.
+
+    Infinity if they do not show it. It may be another than :func:`series` finds, by rounding: where
+    a kink is zero with a guard both are found in one way.
+    """
+    if degree == low or not c[low] * c[low + 1] < 0.0:
+        return math.inf
+    s = -c[low] / c[low + 1]
+    high = min(reach, FURTHER * s)
+    slope, size = 0.0, 0.0
+    for k in range(degree, low + 1, -1):
+        slope = (slope + (k - low) * abs(c[k])) * high
+        size = (size + abs(c[k])) * high
+    size = abs(c[low]) + (size + abs(c[low + 1])) * high
+    end, _ = power_value(c, low, degree, high)
+    crosses = end * c[low] < 0.0 and abs(end) > 64.0 * EPS * size
+    if not (crosses and abs(c[low + 1]) > slope * (1.0 + 64.0 * EPS)):
+        return math.inf
+    before = 0.0
+    for _ in range(MOST):
+        if not before < s < high:
+            s = 0.5 * (before + high)
+        value, slope = power_value(c, low, degree, s)
+        new = s - value / slope
+        if abs(new - s) <= POLISH * s and new <= reach:
+            return new
+        if value * c[low] > 0.0:
+            before = s
+        else:
+            high = s
+        s = new
+    return math.inf
 
 
 def stays_away(work: Matrix, row: int, n: int, tolerance: float) -> bool:

@@ -603,7 +603,15 @@ class _Recorder:
             places = [self.place[number], self.place[other]]
         first, last = reversed(places) if second else places
         names = [first, self.place[argument], last]
-        written.append((code, *(names if moves else [-1 - place for place in names])))
+        clock = int(moves and self._is_clock(argument))
+        written.append((code, *(names if moves else [-1 - place for place in names]), clock))
+
+    def _is_clock(self, number: int) -> bool:
+        """Whether a node is affine in time, and the state is not in it."""
+        graph = self.graph
+        inputs = (graph.nodes[n] for n in needed(graph, [number]))
+        alone = all(name[0] != "x" for op, name, *_ in inputs if op == "input")
+        return alone and degree(graph, number) <= 1
 
     def _refused(self, op: str, arguments: Sequence[int]) -> str:
         instead, what = INSTEAD.get(op, "use another function"), repr(op)
