@@ -112,7 +112,7 @@ def lost(rows, tolerance):
         made.reset_cooldowns()
         made.propagate_until(end + 1.0)
         if count[0] == 1 and found[0, 0] < end - EARLIER:
-            early[depth(*found[0]) <= (tolerance or 0.0)] += 1
+            early[int(depth(*found[0]) <= (tolerance or 0.0))] += 1
     return "{}+{}".format(*early)
 
 
