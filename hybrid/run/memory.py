@@ -79,8 +79,9 @@ SUMS = 8
 #: are one step long before it is tried.
 DEAR, OFTEN = 16, 64
 
-#: Windows without a guess after one that was not worth it.
-REST = 30
+#: Windows without a guess after one that was not worth it; after each more of these twice as many,
+#: up to so many.
+REST, LONGEST = 30, 1 << 16
 
 #: Most guesses at a window before a shorter one is tried.
 GUESSES = 12
@@ -175,6 +176,7 @@ class Memory:
         self._fixed = self._all_fixed(x)
         self._past: Past | None = None
         self._made: tuple[Any, ...] = ()
+        self._begun = np.zeros(len(x))
         self._dear, self._rest, self._looks_back = 1, REST, False
         self._from = plan.t0, x
         self._stride, self._shortest, self._guesses = 0.0, 0.0, 0
@@ -185,7 +187,7 @@ class Memory:
     @property
     def start(self) -> np.ndarray:
         """The state where the rules' own loop has gone on through windows within an arc."""
-        return self.past(self._made[-1]).start  # type: ignore[no-any-return]
+        return self._begun
 
     @property
     def signs(self) -> np.ndarray:
@@ -228,7 +230,7 @@ class Memory:
         other.floats, other.ints = self.floats.copy(), self.ints.copy()
         other.pieces, other.breaks = self.pieces.copy(other.ints), self.breaks.copy(other.ints)
         other._frames, other.shown = self._frames.copy(), self.shown.copy()
-        other.sights = self.sights.copy()
+        other.sights, other._begun = self.sights.copy(), self._begun.copy()
         other.bound, other.told, other._past = False, False, None
         return other
 
@@ -406,8 +408,9 @@ class Memory:
                 array[:] = was
             self.windows, self.bound, self._from, self.told = windows, bound, start, told
 
-    def past(self, links: Links = NO_LINKS) -> Past:
-        """The record and the windows as the rules take them."""
+    def past(self, links: Links | None = None) -> Past:
+        """The record and the windows as the rules take them; with the links given last."""
+        links = links or (self._made[-1] if self._made else NO_LINKS)
         arrays = self.pieces.rows, self.breaks.arrays[0], links
         if self._past is None or any(a is not b for a, b in zip(arrays, self._made, strict=True)):
             self._past, self._made = self._as_arrays(links), arrays
@@ -424,7 +427,7 @@ class Memory:
             *(atol, links.given, links.ranged, links.parts, links.ops, links.more, links.numbers),
             *(self.shown, self.sights, nodes(DEGREE).copy(), FROM_VALUES, TO_PLACES, TURN),
             *(np.zeros(n, dtype=np.int64), np.zeros((len(lags), n), dtype=np.int64)),
-            *(np.zeros((2, DEGREE + 1)), np.zeros(n), links.signs),
+            *(np.zeros((2, DEGREE + 1)), self._begun, links.signs),
         )
 
     def _place(self, k: int, t: float, x: np.ndarray) -> float:
@@ -599,7 +602,7 @@ class Memory:
         self._stride = min((2.0 if self._guesses <= EASY else 1.0) * length, self._most)
         if length < (1 + self._guesses) * self._dear * self._shortest:
             self._stride, self.ints[TIGHT] = 0.0, -self._rest
-            self._rest, self._most = 2 * self._rest, np.inf
+            self._rest, self._most = min(2 * self._rest, LONGEST), np.inf
         else:
             self._rest = REST
 
