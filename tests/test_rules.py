@@ -342,7 +342,7 @@ def names(tree):
     """Functions of a file, and what it imports."""
     found = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
     imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
-    return found | {alias.name for node in imports for alias in node.names}
+    return found | {alias.asname or alias.name for node in imports for alias in node.names}
 
 
 def loops(calls):

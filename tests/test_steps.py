@@ -310,6 +310,7 @@ def test_a_long_flight_belongs_to_the_solver(unit):
     made = unit("flights").fly(
         *(one.jets.alone, 0, 0, False, 0.0, np.array([0.0, 1e3]), 1e3),
         *(starts[:most], lengths[:most], series[:-2], branch, end, *room),
+        *(np.zeros(0, dtype=np.int64), 0.0),  # no guards are looked at
     )
     assert made[0] == TOO_LONG
     assert made[3] == most

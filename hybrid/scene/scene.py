@@ -270,7 +270,7 @@ class Scene:
 
     def __reduce__(self) -> Any:
         """Pickled as its class and its numbers; what is made of them is made again."""
-        return _scene, (*self._made, self.values)
+        return Scene, (*self._made, self.values)
 
     @cached_property
     def parameters(self) -> tuple[Any, ...]:
