@@ -203,9 +203,14 @@ def looks(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
         return GOES_ON
     if h - s > SMALL * s:
         now.floats[TO_TAU] = tau + s
-        return LAND_ON
+        return LAND_ON if tau + s > beyond(now, tau) else LOOK
     now.floats[TO_TAU] = next_tau
     return GOES_ON
+
+
+def beyond(now: Now, tau: float) -> float:
+    """Times beyond this one are not, to rounding, that at which a step begins."""
+    return tau + TIE * EPS * (abs(now.floats[T]) + tau)
 
 
 def passes(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
@@ -226,7 +231,7 @@ def lands(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
     tau, at, guard = now.floats[TAU], now.floats[TO_TAU], now.ints[EVENT]
     field = now.ints[FIELD]
     program, row = a.fields[field, PROGRAM], row_of(a, a.fields[field, PROGRAM], field, guard)
-    t, least = now.floats[T] + at, tau + TIE * EPS * (abs(now.floats[T]) + tau)
+    t, least = now.floats[T] + at, beyond(now, tau)
     length = (run[LAST] - now.floats[T]) - now.floats[LOW]
     most = min(length, now.floats[NEXT] + SMALL * (now.floats[NEXT] - tau))
     if not least < at <= most or now.ints[TRIES] == LANDINGS:
