@@ -378,6 +378,8 @@ def _report(result: Trajectory) -> None:
     )
     typer.echo(f"{len(result.jumps)} jumps listed; t = {result.t0:.12g} to {result.t1:.12g}")
     for point in result.zeno[:SHOWN]:
+        if point.truncation is None:
+            _ = point.t_error, point.verdict  # looked for here: the line tells them
         typer.echo(f"  {point}")
         if point.t_release is not None:
             typer.echo(f"    released at t = {point.t_release!r}")

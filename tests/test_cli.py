@@ -206,3 +206,10 @@ def test_its_versions():
     assert done.exit_code == 0
     assert f"hybrid {hy.__version__}\n" in done.output
     assert "jax " in done.output
+
+
+def test_a_run_tells_bounds_and_verdicts():
+    """They are looked for, as nobody can ask the run afterwards."""
+    line = next(row for row in call("run", "bouncing_ball").output.splitlines() if "t_inf" in row)
+    assert "±" in line
+    assert "(certified)" in line
