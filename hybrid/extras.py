@@ -12,7 +12,6 @@ HTML = ("plotly",)
 PROOFS = ("flint",)
 TABLES = ("xarray",)
 FILES = ("xarray", "h5netcdf", "h5py")
-REPORT = (*PLOT, *HTML, *PROOFS)
 
 #: Packages whose modules have other names.
 PACKAGES = {"flint": "python-flint"}

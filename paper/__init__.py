@@ -15,7 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from hybrid.errors import OptionError
-from hybrid.extras import REPORT, need
+from hybrid.extras import HTML, PLOT, PROOFS, need
 from hybrid.stats import versions
 
 from .claims import Section
@@ -54,7 +54,7 @@ def report(
     unknown = sorted(set(only) - set(SECTIONS))
     if unknown:
         raise OptionError(f"no section {unknown[0]!r}; there are: {', '.join(SECTIONS)}")
-    need("report", REPORT)
+    need("report", (*PLOT, *HTML, *PROOFS))
     from .page import write
 
     try:

@@ -240,13 +240,17 @@ def carries(s: Slopes, row: Ints, t: float, x: Floats, length: float, room: Chan
 
 def mapped(matrix: Matrix, first: int, n: int, state: Matrix, moved: Matrix) -> None:
     """What a matrix makes of a change at equal times; ``first`` is its first row."""
-    others = state.shape[1] - n - 2
     for i in range(n):
         for k in range(state.shape[1]):
-            total = matrix[first + i, n + k] if k < others else 0.0
-            for j in range(n):
-                total += matrix[first + i, j] * state[1 + j, k]
-            moved[1 + i, k] = total
+            moved[1 + i, k] = image(matrix, first + i, n, state, k)
+
+
+def image(matrix: Matrix, row: int, n: int, state: Matrix, k: int) -> float:
+    """An element of it, by a row of the matrix."""
+    total = matrix[row, n + k] if k < state.shape[1] - n - 2 else 0.0
+    for j in range(n):
+        total += matrix[row, j] * state[1 + j, k]
+    return total
 
 
 def jumped(
@@ -325,14 +329,10 @@ def accumulated(
     if not usable <= USABLE:
         return False
     if tail == 0:
-        others = state.shape[1] - n - 2
         for i in range(n + 2):
-            source, place = 2 * n + 1 if i == n + 1 else i, 1 + n + i
+            source = 2 * n + 1 if i == n + 1 else i
             for k in range(state.shape[1]):
-                total = out[source, n + k] if k < others else 0.0
-                for j in range(n):
-                    total += out[source, j] * state[1 + j, k]
-                found[place, k] = total
+                found[1 + n + i, k] = image(out, source, n, state, k)
     mapped(out, 1 + n, n, state, moved)
     for i in range(n):
         for k in range(state.shape[1]):

@@ -192,7 +192,7 @@ class Memory:
     @property
     def signs(self) -> np.ndarray:
         """The signs of the guards there."""
-        return self.past(self._made[-1]).signs  # type: ignore[no-any-return]
+        return self.past().signs  # type: ignore[no-any-return]
 
     @property
     def _size(self) -> int:

@@ -166,8 +166,9 @@ class Field:
         return self.scene.field, (self.name, self.touching)
 
     def onto(self, t: float, x: list[float]) -> Any:
-        """As ``project``; the state itself where that is None."""
-        return x if self.project is None else self.project(t, x)
+        """As ``project``, of a field that has one: an arc keeps this, which is pickled."""
+        assert self.project is not None
+        return self.project(t, x)
 
     @property
     def closed(self) -> Any:
@@ -380,13 +381,6 @@ class Scene:
     def watched(self) -> Tables:
         """The same, with another solver's steps."""
         return Tables(self, others=True)
-
-    @cached_property
-    def guards_jump(self) -> bool:
-        """Whether a guard that an author wrote may change its sign without a zero."""
-        return any(
-            guard.jumps for mode in self.spec.modes for guard in self.field(mode.name).guards
-        )
 
     def _kinks(
         self,
