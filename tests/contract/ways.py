@@ -290,19 +290,32 @@ class AsFunction(Way):
     def many(self, model, starts, t, parameters=None, **options):
         given = {"max_jumps": 256, **self.options, **options}
         with jax.enable_x64(True):
-            return [self._one(*case, given) for case in _cases(model, starts, t, parameters)]
+            function, edges = self._function(model, given)
+            return [
+                self._outcome(own, function(tuple(own.parameters), own.spec.values(start), t), edges)
+                for own, start, t in _cases(model, starts, t, parameters)
+            ]
 
-    def _one(self, model: Any, start: Any, t: Any, options: dict[str, Any]) -> Result:
+    def _function(self, model: Any, options: dict[str, Any]) -> tuple[Any, Any]:
+        """One for all numbers of a class, compiled once, and the names of its edges."""
         shapes = tuple(value.shape for value in model.parameters)
-        key = type(model), shapes, str(t), str(options)
+        key = type(model), shapes, str(options)
         if "history" in options or key not in self._functions:
-            self._functions[key] = hy.as_function(model, t=t, **options)
-        function = self._functions[key]
-        return self._outcome(model, function(model, start), function.edges)
+            self._functions[key] = self._compiled(model, options)
+        return self._functions[key]
+
+    def _compiled(self, model: Any, options: dict[str, Any]) -> tuple[Any, Any]:
+        names = [parameter.name for parameter in model.spec.parameters]
+
+        @jax.jit
+        def function(parameters: Any, start: Any, t: Any) -> Any:
+            own = attrs.evolve(model, **dict(zip(names, parameters, strict=True)))
+            return hy.as_function(model, t=t, **options)(own, start)
+
+        return function, hy.as_function(model, t=(0.0, 1.0), **options).edges
 
     @cached_property
     def _functions(self) -> dict[Any, Any]:
-        """Functions of classes: the numbers of a model and its start are arguments."""
         return {}
 
     def _outcome(self, model: Any, out: Any, edges: Any) -> Result:
