@@ -3,7 +3,7 @@
 #   make test   environment, then lint, types and tests
 # and two write pages:
 #   make paper  environment, then out/paper/index.html: the paper's claims, figures and verdicts
-#   make docs   environment, then out/site/index.html: the documentation
+#   make docs   environment, then out/site/index.html: the documentation, and its tests
 PYTHON ?= python3
 BIN := .venv/bin
 
@@ -27,6 +27,7 @@ paper: .venv/installed
 
 docs: .venv/installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	HYBRID_SITE=out/site $(BIN)/python -m pytest -n 2 -m pages tests/test_docs.py tests/test_site.py
 
 bench: .venv/installed
 	$(BIN)/python benchmarks/example_1.py

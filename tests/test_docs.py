@@ -13,6 +13,8 @@ from typer.testing import CliRunner
 
 from hybrid.cli import app
 
+pytestmark = pytest.mark.pages
+
 ROOT = Path(__file__).parent.parent
 FILES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/**/*.md"))]
 PAGES = [str(path.relative_to(ROOT)) for path in FILES]

@@ -15,6 +15,8 @@ import hybrid as hy
 
 from .browser import opened, overflow
 
+pytestmark = pytest.mark.pages
+
 ROOT = Path(__file__).parent.parent
 
 #: Pages elsewhere that ours may lead to.
@@ -59,7 +61,9 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="session")
 def site(tmp_path_factory):
-    """The site; built once, by whichever worker asks first."""
+    """The one in the folder HYBRID_SITE, or one built once, by whichever worker asks first."""
+    if built := os.environ.get("HYBRID_SITE"):
+        return Path(built).resolve()
     base = tmp_path_factory.getbasetemp()
     base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     with open(base / "site.lock", "w") as lock:

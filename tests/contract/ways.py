@@ -291,10 +291,9 @@ class AsFunction(Way):
         given = {"max_jumps": 256, **self.options, **options}
         with jax.enable_x64(True):
             function, edges = self._function(model, given)
-            return [
-                self._outcome(own, function(tuple(own.parameters), own.spec.values(start), t), edges)
-                for own, start, t in _cases(model, starts, t, parameters)
-            ]
+            cases = list(_cases(model, starts, t, parameters))
+            found = [function(own.parameters, own.spec.values(x), ends) for own, x, ends in cases]
+            return [self._outcome(model, out, edges) for out in found]
 
     def _function(self, model: Any, options: dict[str, Any]) -> tuple[Any, Any]:
         """One for all numbers of a class, compiled once, and the names of its edges."""
