@@ -7,6 +7,8 @@ import pytest
 
 import hybrid as hy
 from hybrid.rules.places import BREAKS
+from hybrid.run import driver
+from hybrid.run.memory import Memory
 from hybrid.run.pieces import Breaks
 from models.bouncing_ball import BouncingBall
 from models.pyragas import Pyragas
@@ -363,3 +365,25 @@ def test_a_proof_before_a_run_is_refused():
     pytest.importorskip("flint")
     with pytest.raises(hy.OptionError, match="Ball looks into the past"):
         hy.certify(delayed.Ball(), {"y": (0.0, 1.0), "v": (-1.0, 1.0)})
+
+
+def test_a_look_back_leaves_the_record_as_it_was_whatever_happens_in_it(monkeypatch):
+    """An error inside it, too: who catches that may go on with the run."""
+    made = []
+    monkeypatch.setattr(driver, "Memory", lambda *given: made.append(Memory(*given)) or made[-1])
+    hy.simulate(delayed.Lagged(), {"y": 1.0}, (0, 3.0))
+    memory = made[0]
+
+    def kept():
+        arrays = memory.floats, memory.ints, memory.shown, memory.pieces.ends, memory.breaks.times
+        return [array.tolist() for array in arrays], memory.told, memory.windows
+
+    def look():
+        with memory.as_at(2.5, np.array([0.0])):
+            assert kept() != before
+            raise ZeroDivisionError
+
+    before = kept()
+    with pytest.raises(ZeroDivisionError):
+        look()
+    assert kept() == before

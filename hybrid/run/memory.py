@@ -176,7 +176,7 @@ class Memory:
         self._fixed = self._all_fixed(x)
         self._past: Past | None = None
         self._made: tuple[Any, ...] = ()
-        self._begun = np.zeros(len(x))
+        self._begun, self._joins = np.zeros(len(x)), False
         self._dear, self._rest, self._looks_back = 1, REST, False
         self._from = plan.t0, x
         self._stride, self._shortest, self._guesses = 0.0, 0.0, 0
@@ -272,7 +272,7 @@ class Memory:
         stays = before == after
         self.breaks.add(t, np.where(stays, 1, 0))
         if any(self.moving) or self.guessing:
-            self.until = t
+            self.until, self._joins = t, True
 
     def _restart(self, t: float, x: np.ndarray) -> None:
         self.pieces.forget_all([constant(x, t)])
@@ -341,6 +341,8 @@ class Memory:
     def look(self, t: float, x: np.ndarray) -> Scene:
         """The scene as it looks back from a time; ``until`` says for how long."""
         self._from, self._guesses, self._wrong = (t, x), 0, np.inf
+        if self._goes_on(t, x):
+            return self._scene()
         if self._fixed is not None and unit("past").read(t, self.past()):
             self._forget((t - self._fixed).tolist())
             return self.read()
@@ -357,6 +359,27 @@ class Memory:
             self.windows.append(window)
         self.until = min(self.plan.t1, max(end, t + slack_of(t)))
         return self._scene()
+
+    def _goes_on(self, t: float, x: np.ndarray) -> bool:
+        """Whether behind a jump lags look through the same windows, up to the jump.
+
+        A guard that has fired is zero through these: through others only to the tolerance.
+        """
+        joins, self._joins = self._joins, False
+        if not joins:
+            return False
+        places = [self._place(k, t, x) for k in range(len(self._lags))]
+        windows, slack = [window.cut(t) for window in self.windows], slack_of(t)
+        if not all(w.a + slack < s < w.b - slack for w, s in zip(windows, places, strict=True)):
+            return False
+        ends = [
+            window.b + (t - s)
+            for window, s, moves in zip(windows, places, self.moving, strict=True)
+            if not moves
+        ]
+        self.windows, self.until = windows, min([self.plan.t1, *ends])
+        self.ints[TIGHT], self._stride = 0, 0.0
+        return True
 
     def _scene(self) -> Scene:
         arrays = [a.reshape(-1) for w in self.windows for a in w.arrays()]
@@ -395,18 +418,20 @@ class Memory:
         Unless that is kept all is as before.
         """
         arrays = self.floats, self.ints, self._frames, self.shown
-        were, told = [array.copy() for array in arrays], self.told
-        windows, bound, start = self.windows, self.bound, self._from
-        self.told, self._looks_back = False, True
-        self.pieces.back_to(t)
-        self._frames[:, 2] = np.inf
-        self.ints[BREAKS] = np.searchsorted(self.breaks.times, t + slack_of(t), side="right")
-        then, self._looks_back = Then(self.look(t, x)), False
-        yield then
-        if not then.kept:
-            for array, was in zip(arrays, were, strict=True):
-                array[:] = was
-            self.windows, self.bound, self._from, self.told = windows, bound, start, told
+        were, others = [array.copy() for array in arrays], vars(self).copy()
+        then = Then(self.scene)
+        try:
+            self.told, self._joins, self._looks_back = False, False, True
+            self.pieces.back_to(t)
+            self._frames[:, 2] = np.inf
+            self.ints[BREAKS] = np.searchsorted(self.breaks.times, t + slack_of(t), side="right")
+            then.scene, self._looks_back = self.look(t, x), False
+            yield then
+        finally:
+            if not then.kept:
+                for array, was in zip(arrays, were, strict=True):
+                    array[:] = was
+                vars(self).update(others)
 
     def past(self, links: Links | None = None) -> Past:
         """The record and the windows as the rules take them; with the links given last."""
@@ -579,7 +604,8 @@ class Memory:
         if not self.guessing or not segments:
             return None
         flown = [piece_of(segment, now.t, now.low) for segment in segments]
-        before, self._wrong = self._wrong, self._correct(flown)
+        corrected = [self._corrected(k, window, flown) for k, window in enumerate(self.windows)]
+        before, self._wrong = self._wrong, max(wrong for wrong, _ in corrected)
         stuck = self._wrong > 0.5 * before
         if self._wrong <= 1.0 or (stuck and self._wrong <= 1.0 / SHARE):
             self._pays(length)
@@ -589,6 +615,7 @@ class Memory:
         if length < 0.9 * (self.until - t):
             self._stride = max(length, LITTLE * slack_of(t))  # an edge fired
         elif self._guesses <= GUESSES and not stuck:
+            self.windows = [window for _, window in corrected]
             return self._scene()
         else:
             self._stride *= 0.25
@@ -615,20 +642,19 @@ class Memory:
                 "is seen through it cannot be found; write the state itself where the lag is 0"
             )
 
-    def _correct(self, flown: list[Piece]) -> float:
-        """Put what was flown into the guessed windows; how wrong they were, against what may be."""
-        return max(self._corrected(k, window, flown) for k, window in enumerate(self.windows))
-
-    def _corrected(self, k: int, window: Window, flown: list[Piece]) -> float:
+    def _corrected(self, k: int, window: Window, flown: list[Piece]) -> tuple[float, Window]:
+        """A window with what was flown in place of guesses; how wrong they were, against what may
+        be."""
         low, high = max(window.a, flown[0].start), min(window.b, flown[-1].end)
         if not window.guess.any() or not low < high:
-            return 0.0
+            return 0.0, window
         since, seen = (low - window.a) + (high - low) * nodes(DEGREE), list(self.seen[k])
-        there = states(flown, window.a, since)
+        there, values = states(flown, window.a, since), window.values.copy()
         change = np.abs(window.shown(since) - there)
-        window.values[window.guess] = states(flown, window.a, window.since[window.guess])
+        values[window.guess] = states(flown, window.a, window.since[window.guess])
         allowed = self._allowed(np.abs(there).max(axis=0)) + window.noise + TINY
-        return float(np.max((change / allowed)[:, seen], initial=0.0))
+        wrong = float(np.max((change / allowed)[:, seen], initial=0.0))
+        return wrong, attrs.evolve(window, values=values)
 
     def ends(self, t: float) -> bool:
         """Whether the windows end within rounding of a time."""

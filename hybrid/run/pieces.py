@@ -333,6 +333,13 @@ class Window:
         """What the polynomial shows at times counted from the start."""
         return chebyshev_sum(2.0 * since / (self.b - self.a) - 1.0, self.series)
 
+    def cut(self, t: float) -> Window:
+        """The same polynomial up to a time, none of it a guess."""
+        known, b = np.zeros(len(self.values), dtype=bool), min(self.b, t)
+        if not self.a < b < self.b:
+            return attrs.evolve(self, guess=known)
+        return Window(self.a, b, self.shown((b - self.a) * nodes(DEGREE)), known, 0.0 * self.noise)
+
     @property
     def series(self) -> np.ndarray:
         """Chebyshev coefficients, one row each."""

@@ -311,6 +311,49 @@ def test_a_lag_that_moves_is_followed(way):
     assert result.final.y == pytest.approx(6.0, abs=10 * tolerance(way))
 
 
+class Turned(hy.Automaton):
+    """``sin(3 t) / 3`` seen to pass 0.3 one way and the other, by a guard and by its negative."""
+
+    y = hy.state()
+    n = hy.state()
+    half: float = hy.parameter(1.0, doc="the lag is half the time, or 1e-3")
+
+    def seen(self, t, past):
+        return past(self.half * t / 2 + (1.0 - self.half) * 1e-3).y - 0.3
+
+    @hy.mode(initial=True)
+    def low(self, t, s):
+        return jnp.cos(3.0 * t), 0.0
+
+    @hy.mode
+    def high(self, t, s):
+        return jnp.cos(3.0 * t), 0.0
+
+    @hy.edge(low, to=high, guard=lambda self, t, s, past: -self.seen(t, past))
+    def rises(self, t, s):
+        return s.replace(n=s.n + 1.0)
+
+    @hy.edge(high, to=low, guard=lambda self, t, s, past: self.seen(t, past))
+    def falls(self, t, s):
+        return s.replace(n=s.n + 1.0)
+
+
+def test_a_guard_that_has_fired_is_zero_after_its_jump(way):
+    """Lags that move, and such as are shorter than steps: what is seen is read anew, only as well
+    as the tolerances ask for, but not where a guard has just come to zero through it."""
+    start, before = {"y": 0.0, "n": 0.0}, {"y": 0.0, "n": 0.0}
+    asked = {"half": [1.0, 0.0]}
+    halves, shorts = way.many(Turned(), [start] * 2, (0.0, 6.0), asked, history=before)
+    first, turn, period = math.asin(0.9) / 3, math.pi / 3, 2 * math.pi / 3
+    passes = sorted(
+        [first + k * period for k in range(3)] + [turn - first + k * period for k in range(3)]
+    )
+    fired(way, halves, ["rises", "falls"] * 2)
+    np.testing.assert_allclose(halves.times, [2 * t for t in passes[:4]], atol=1e-4)
+    fired(way, shorts, ["rises", "falls"] * 3)
+    np.testing.assert_allclose(shorts.times, [t + 1e-3 for t in passes], atol=1e-4)
+
+
 class Slider(delayed.Slider):
     """A relay against a delayed drive, and the sum of what is seen of it."""
 
