@@ -107,10 +107,18 @@ def pytest_generate_tests(metafunc):
     for fixture, names in (("solver", SOLVERS), ("accurate", ACCURATE)):
         if fixture in metafunc.fixturenames and fixture not in own:
             able = [name for name in names if name not in getattr(metafunc.module, "WITHOUT", ())]
-            metafunc.parametrize(fixture, able, indirect=True)
+            metafunc.parametrize(fixture, _marked(metafunc, able), indirect=True)
     if "way" in metafunc.fixturenames and "way" not in own:
         chosen = getattr(metafunc.module, "WAYS", MECHANISMS)
-        metafunc.parametrize("way", list(chosen), indirect=True)
+        metafunc.parametrize("way", _marked(metafunc, chosen), indirect=True)
+
+
+def _marked(metafunc, names):
+    """Second methods of a mechanism are left to ``-m every_way``, but by tests of each method."""
+    if any(metafunc.definition.iter_markers("each_method")):
+        return list(names)
+    more = pytest.mark.every_way
+    return [name if name in MECHANISMS else pytest.param(name, marks=more) for name in names]
 
 
 @pytest.fixture

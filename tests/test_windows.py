@@ -152,6 +152,7 @@ def test_a_run_is_one_call(name, monkeypatch):
     assert found == [END]
 
 
+@pytest.mark.each_method
 def test_dense_output_at_rest_on_what_the_past_moves(solver):
     """It is that of its own time, not put where the last window shows the floor."""
     history = {"z": lambda t: 0.2 * jnp.sin(t)}

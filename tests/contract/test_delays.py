@@ -25,6 +25,7 @@ def ends_of_segments(run):
     return np.array([arc.t0 + arc.low + s.end for arc in run.arcs for s in arc.segments])
 
 
+@pytest.mark.each_method
 def test_a_smooth_past_gives_the_exact_polynomials(solver):
     """y' = -y(t - 1), y = 1 before: a polynomial between whole times."""
     run = hy.simulate(delayed.Lagged(), {"y": 1.0}, (0, 4), **TIGHT, **solver)
@@ -32,6 +33,7 @@ def test_a_smooth_past_gives_the_exact_polynomials(solver):
         assert run(t).y == pytest.approx(float(unit_lag(t)), abs=tolerance(solver))
 
 
+@pytest.mark.each_method
 def test_breaking_points_are_ends_of_segments(solver):
     """The start echoes at 1, 2, ... with an order more each time: steps end there."""
     run = hy.simulate(delayed.Lagged(), {"y": 1.0}, (0, 2.5), **TIGHT, **solver)
@@ -40,6 +42,7 @@ def test_breaking_points_are_ends_of_segments(solver):
         assert np.abs(ends - t).min() <= 1e-15  # times of order one, to rounding
 
 
+@pytest.mark.each_method
 def test_a_jump_echoes_as_a_kink_a_lag_later(solver):
     """Raised at 1/2: the derivative jumps at 3/2, and there is the end of a step."""
     run = hy.simulate(delayed.Kicked(), {"y": 1.0}, (0, 3), **TIGHT, **solver)

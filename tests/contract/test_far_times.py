@@ -6,6 +6,8 @@ import pytest
 
 import hybrid as hy
 
+pytestmark = pytest.mark.each_method
+
 WAYS = ["DOP853", "Radau", "BDF", "LSODA", "Dopri8", "ensemble", "as_function"]
 
 #: Walls: frequency, amplitude, restitution; chosen before anything was run.

@@ -134,6 +134,7 @@ class Bowl(hy.Automaton):
 
 
 @pytest.mark.parametrize("until", [1.5, 3.0, 50.0])
+@pytest.mark.each_method
 def test_a_crossing_that_seems_to_turn_round_is_one(solver, until):
     """A guard that is flatter than the tolerance where it is zero, and deep at the step's end."""
     run = hy.simulate(Bowl(), {"x": 0.0}, (0.0, until), **solver)

@@ -268,6 +268,7 @@ def echo(t, a=1.0, b=0.3):
     )
 
 
+@pytest.mark.each_method
 def test_breaking_points_are_followed_through_all_lags(way):
     """Jumps at 0 and 1/2 return after 0.3, 0.6, 0.9, 1, 1.2, 1.3, ..., smoother each time."""
     ends = np.array([0.25, 0.9, 1.7, 3.0])
@@ -447,6 +448,7 @@ def test_a_guard_that_its_own_jump_carries_on_is_passed(way, memory):
     assert result.final.n == 1.0
 
 
+@pytest.mark.each_method
 def test_dense_output_is_fit_to_be_seen(way):
     """At its tolerance, where steps are exact and no reason to be short: polynomials."""
     ends, options = np.array([4.75, 10.0]), {"rtol": 1e-7, "atol": 1e-7}
@@ -501,6 +503,7 @@ class Vanishing(hy.Automaton):
 
 
 @pytest.mark.parametrize("t", [(0.1, 0.9), (0.5, 3.0)])
+@pytest.mark.each_method
 def test_a_history_is_asked_only_where_the_model_looks(solver, t):
     """From 0.1 it looks at exp(-9), next to 0, beyond which there is no logarithm."""
     begin, end = t

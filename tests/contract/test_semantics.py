@@ -21,6 +21,7 @@ def tolerance(way, tight=1e-8):
     return LOOSE.get(way.name, tight)
 
 
+@pytest.mark.each_method
 def test_edges_fire_at_the_zero_of_their_guard(way):
     """Rule 1: a thermostat switches at the times its exponentials give."""
     result = way.run(systems.Thermostat(), {"T": 20.0}, (0, 3), rtol=1e-9)
@@ -32,6 +33,7 @@ def test_edges_fire_at_the_zero_of_their_guard(way):
 
 
 @pytest.mark.parametrize("width", [1e-1, 1e-3, 1e-5])
+@pytest.mark.each_method
 def test_two_crossings_in_one_step_are_both_found(way, width):
     """Rule 1: the step spans both zeros; each edge counts its own.
 
@@ -145,6 +147,7 @@ def test_an_endless_loop_of_jumps_is_an_error(way):
         assert "over -> under" in result.said or "under -> over" in result.said
 
 
+@pytest.mark.each_method
 def test_jumps_land_on_the_guard(way):
     """Rule 5: over a wall at 2, x is exactly 2.0 at every impact."""
     result = way.run(HardSpring(), {"x": 2.1, "v": 0.0}, (0, 1.1))

@@ -178,6 +178,7 @@ def test_the_surfaces_own_motion_counts(way):
     assert middle.final.x == pytest.approx(2 * np.sin(1.9), abs=1e-13)
 
 
+@pytest.mark.each_method
 def test_a_state_stays_on_a_curved_surface(way):
     """Angular speed 3/2 on the unit circle, which is held to rounding."""
     result = way.run(Rings(), {"x": 2.0, "y": 0.0}, (0.0, 20.0), **TIGHT)

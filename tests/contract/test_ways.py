@@ -10,6 +10,8 @@ from .ways import ALL, TABLE, Result
 
 WAYS = ALL
 
+pytestmark = pytest.mark.each_method
+
 #: Fields of a result that are None where they are not told.
 FIELDS = {"final", "t", "mode", "jumps", "accumulations", "run"} | TABLE
 

@@ -30,6 +30,7 @@ def releases(result, contact="impact"):
     return result.times[names == f"{contact}.release"]
 
 
+@pytest.mark.each_method
 def test_impacts_accumulate_and_the_ball_rests(way):
     """t_inf is closed form; afterwards x is exactly 0."""
     result = way.run(BouncingBall(), {"x": 1.0, "v": 0.0}, (0, 3), rtol=1e-9)
@@ -88,6 +89,7 @@ def test_modes_beside_the_events_of_tables_a_and_b(way, reference, case, r, omeg
     assert [result.mode for result in results] == modes + before
 
 
+@pytest.mark.each_method
 def test_quadratic_drag_with_its_kink(way):
     """The flow's kink at each top of a flight is followed: against 16 digits (Taylor, 1e-13)."""
     result = way.run(systems.Drag(), {"x": 1.0, "v": 0.0}, (0, 5), rtol=1e-9)

@@ -357,7 +357,9 @@ WAYS: dict[str, Way] = {
 ALL = list(WAYS)
 
 #: One method of each mechanism: explicit, implicit and multistep steps, Taylor series, steps made
-#: some ahead, lanes, pure functions.
+#: some ahead, lanes, pure functions. The other methods reach the run by the same code, and differ
+#: by their order, their interpolants and the times at which they ask for a flow: what depends on
+#: those is marked ``each_method``, and all else on them ``every_way``.
 MECHANISMS = ["DOP853", "Radau", "LSODA", "taylor", "Dopri8", "ensemble", "as_function"]
 
 #: Those of them that reach rounding.
