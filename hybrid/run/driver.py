@@ -82,8 +82,7 @@ class Driver:
         self._tied: dict[str, int] = {}
         self._spent: frozenset[str] = frozenset()
         self._struck: set[str] = set()
-        own = solver.whole or (solver.asked and not scene.spec.lags)
-        self.loop = Machine(self) if own else None
+        self.loop = Machine(self) if solver.whole or solver.asked else None
 
     @property
     def t(self) -> float:
@@ -108,7 +107,7 @@ class Driver:
         if self.history is not None:
             order = self.solver.order
             self.record.memory = Memory(self.scene, self.plan, order, self.history, x)
-            if self.loop is not None and not any(self.scene.code.moving):
+            if self.solver.whole and not any(self.scene.code.moving):
                 self.record.memory.looped()
         base, held = parted(mode)
         self.start(base, x, held)

@@ -31,6 +31,7 @@ from ..rules.places import (
     FIRED,
     FLOWN,
     FULL,
+    GOES_ON,
     IN_ARC,
     JUMP,
     JUMPS,
@@ -122,6 +123,8 @@ class Machine:
         self.past = Shown(self.tables, plan.memory == "restart") if scene.spec.lags else None
         self.links: Links | None = None
         self.dense = plan.dense or plan.samples is not None
+        if self.past is not None and not solver.whole:
+            self.dense = True  # it is the record
         self.outside = None if solver.whole else Outside(driver, self.tables.fields, self.dense)
         n, self.order = scene.spec.dimension, solver.highest if solver.whole else ORDER
         series, steps = (PATIENCE, plan.patience), (plan.longest(0.0), plan.max_step)
@@ -171,7 +174,9 @@ class Machine:
             self._expanded()
             self._keep(left)
             ended = driver.status is not None or self.passed
-            if self.past is not None and not ended and self._passes(left, status):
+            if self.past is not None and not ended:
+                status = self._passes(left, status)
+            if status == GOES_ON:
                 if self.takes():
                     continue
                 driver.watch = Watch(*self._series())
@@ -184,6 +189,8 @@ class Machine:
                 self._stand(left, status)
                 return
             self.size = tuple(min(MORE * size, MOST) for size in self.size)
+            if self.past is not None and not self.takes():
+                return
 
     @property
     def _going(self) -> int:
@@ -264,6 +271,8 @@ class Machine:
             unit("past").bound(automaton, past, room)
             self.links, memory.bound = links, True
         self.run[LAST] = until
+        if self.outside is not None:
+            return int(unit("runs").go(automaton, self.run, now, room, left, sums, look))
         go = unit("past").look_back
         status = int(go(automaton, self.run, now, room, left, sums, look, past))
         if status == NO_ROOM:
@@ -274,17 +283,27 @@ class Machine:
             self.driver.scene, memory.bound = memory.read(), True
         return status
 
-    def _passes(self, left: Left, status: int) -> bool:
-        """With delays: whether the loop is to go on, on windows of the past that are due.
+    def _passes(self, left: Left, status: int) -> int:
+        """With delays: the status, ``GOES_ON`` where other windows of the past have been due.
 
         Where the present arc has gone on through windows, and is to be judged, what has been flown
         up to there is kept.
         """
         driver, memory, place = self.driver, self.driver.record.memory, int(self.ints[JUMPS])
         if memory is None:
-            return False
+            return status
+        if self.outside is not None:
+            return self._passes_outside(left, status, memory)
         if status in (LOOK, WINDOW) and memory.ints[IN_ARC] == place:
-            self._through(left, memory)
+            last = int(memory.ints[STEPS_DONE])
+            tau, x = float(memory.floats[BEGAN]), memory.start
+            first = int(left.owner[:last].searchsorted(place))
+            driver.steps += self.opened + int(np.count_nonzero(left.spans[first:last, 0] < tau))
+            steps = joined([*self.open, self._made(left, slice(first, last), place)])
+            steps = steps and Steps(*(column[steps.start < tau] for column in steps))
+            self.open, self.opened = [], 0
+            self._through(tau, x, steps, memory.signs)
+            memory.ints[IN_ARC] = -1
         if status == WINDOW:
             memory.told = False
             driver.scene = memory.look(driver.t, driver.entry.x)
@@ -298,27 +317,43 @@ class Machine:
             memory.told = False
             memory.jumped(driver.t, left.before[0], left.after[0])
             driver.look(left.after[0])
-            if self.tables.guards[left.fired[0]].kind == "edge":
-                self.ints[FIRED] = -1  # it sees something else now, and may not be zero
-        return status == WINDOW
+            self._sees_anew(left)
+        return GOES_ON if status == WINDOW else status
 
-    def _through(self, left: Left, memory: Memory) -> None:
-        """Keep the present arc up to where it has gone on through windows of the past."""
-        driver, place, tau = self.driver, int(self.ints[JUMPS]), float(memory.floats[BEGAN])
-        last = int(memory.ints[STEPS_DONE])
-        first = int(left.owner[:last].searchsorted(place))
-        driver.steps += self.opened + int(np.count_nonzero(left.spans[first:last, 0] < tau))
-        steps = joined([*self.open, self._made(left, slice(first, last), place)])
-        steps = steps and Steps(*(column[steps.start < tau] for column in steps))
+    def _passes_outside(self, left: Left, status: int, memory: Memory) -> int:
+        """The same with another solver's steps, which come back at the end of each window."""
+        if status == FULL and self.ints[JUMPS] and self.plan.memory == "restart":
+            self._sees_anew(left)
+        if status != END or memory.until >= self.plan.t1:
+            return status
+        driver, signs = self.driver, self.now.signs
+        place = int(self.ints[JUMPS])
+        steps, made = self._flown_in(left, place, place + 1)
+        driver.steps += made
+        self._through(float(self.floats[TAU]), self.states[1], steps, signs)
+        t, x = driver.t, driver.entry.x
+        memory.passed(t, x, driver.entry.field)
+        driver.look(x)
+        self._tell(0.0, left)
+        self.ints[ENTERED], self.now.orders[:] = 1, 0
+        values = [guard.value(t, x.tolist()) for guard in driver.field.guards]
+        return GOES_ON if all(v * s > 0 for v, s in zip(values, signs, strict=False)) else LOOK
+
+    def _sees_anew(self, left: Left) -> None:
+        """A guard that has fired may not be zero where a jump has changed what it sees."""
+        if self.tables.guards[left.fired[0]].kind == "edge":
+            self.ints[FIRED] = -1
+
+    def _through(self, tau: float, x: np.ndarray, steps: Steps | None, signs: np.ndarray) -> None:
+        """Keep the present arc up to where it goes on through other windows of the past."""
+        driver = self.driver
         segments = steps.segments(np.array([tau])) if steps and self.dense else []
-        self.open, self.opened = [], 0
-        x = memory.start.copy()
-        x = driver.record.extend(self._field, driver.entry.x, x, tau, segments)
+        x = driver.record.extend(self._field, driver.entry.x, x.copy(), tau, segments)
         edges = [guard.edge for guard in driver.entry.field.guards]
-        driver.go_on_through(dict(zip(edges, memory.signs.tolist(), strict=False)), x)
+        driver.go_on_through(dict(zip(edges, signs.tolist(), strict=False)), x)
         now = driver.record.now
         self.floats[T], self.floats[LOW], self.floats[TAU] = now.t, now.low, 0.0
-        self.states[:2], self.states[2], memory.ints[IN_ARC] = x, driver.seen, -1
+        self.states[:2], self.states[2] = x, driver.seen
         if self.ints[PHASE] == WALKS:
             self.ints[MADE], self.ints[ENTERED] = 1, 0
 
@@ -395,7 +430,7 @@ class Machine:
         if self.outside is not None:
             self.outside.begin()
             jumps, steps = 1 if self.plan.progress is not None else jumps, 0
-        if self.past is not None and self.plan.memory == "restart":
+        if self.past is not None and (self.outside or self.plan.memory == "restart"):
             jumps = 1
         memory = self.driver.record.memory
         if memory is not None:
@@ -458,7 +493,9 @@ class Machine:
         before, degree, v, r, remaining = left.sums[place].tolist()
         guard = self.tables.guards[left.fired[int(before) - 1]]
         entry, now, memory = driver.entry, driver.record.now, driver.record.memory
-        seen = driver.scene if memory is None else driver.model.through([memory.sights[place]])
+        seen = driver.scene
+        if memory is not None and self.outside is None:
+            seen = driver.model.through([memory.sights[place]])
         field, contact = seen.field(entry.field.name), seen.contact(guard.edge)
         column = field.column(guard.edge)
         errors, x_inf, at_rest = rows[ERRORS, :-1], rows[LIMIT, :-2], rows[AT_REST, :-2]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..clock import Instant
 from ..errors import FlowError, OptionError
 from ..log import Steps
 from ..rules.arcs import SAFETY
@@ -25,7 +26,7 @@ from ..rules.places import (
 )
 from ..scene import Field
 from ..scene.lowered import ORDER
-from ..segment import nodes, terms
+from ..segment import nodes, terms, to_powers
 from ..solvers import Stepper
 from .entry import describe
 from .kinked import begin
@@ -52,6 +53,8 @@ class Outside:
 
     stepper: Stepper
     pace: Pace
+    field: Field
+    since: Instant
 
     def __init__(self, driver: Driver, fields: list[Field], dense: bool) -> None:
         self.driver, self.fields, self.dense = driver, fields, dense
@@ -104,19 +107,21 @@ class Outside:
             self.made.pop()
 
     def _begin_arc(self, now: Now, room: Room) -> None:
-        plan = self.driver.plan
-        length = (plan.t1 - float(now.floats[T])) - float(now.floats[LOW])
+        plan, seen = self.driver.plan, self.driver.record.memory is not None
+        length = (self.driver.horizon - float(now.floats[T])) - float(now.floats[LOW])
         first, aim, sizes = float(now.floats[FIRST]), float(now.floats[AIM]), None
-        first = min(first, SAFETY * length)
+        first = min(first, length if seen else SAFETY * length)  # a window may be one step
         if plan.first_step < np.inf:
             first = min(plan.longest(0.0), length)
         if aim < length:
             series = room.c[: len(now.x), 1:]
             sizes = np.abs(series * aim ** np.arange(1, series.shape[1] + 1)).max(axis=1)
             first = min(first or aim, aim)
-        field, t, x = self.fields[now.ints[FIELD]], float(now.floats[T]), now.x.copy()
-        self.stepper = begin(self.driver.solver, field, t, x, length, first or None, sizes)
-        self.pace = Pace(field, t, length)
+        t, x, field = float(now.floats[T]), now.x.copy(), self.fields[now.ints[FIELD]]
+        self.field = self.driver.scene.field(field.name) if seen else field
+        self.since = Instant(t, float(now.floats[LOW]))
+        self.stepper = begin(self.driver.solver, self.field, t, x, length, first or None, sizes)
+        self.pace = Pace(self.field, t, length)
 
     def show(self, now: Now, room: Room) -> None:
         """Tell the loop the polynomial of the last step."""
@@ -131,8 +136,13 @@ class Outside:
 
     @property
     def _last(self) -> tuple[float, float, np.ndarray, np.ndarray]:
-        """The last step, as it is kept."""
-        return (*self.stepper.powers(), self.stepper.x)
+        """The last step, as it is kept; as delays are to see it."""
+        memory = self.driver.record.memory
+        if memory is None:
+            return (*self.stepper.powers(), self.stepper.x)
+        segment = memory.refined(self.field, self.since, [self.stepper.segment()])[0]
+        powers = (to_powers(segment.degree) @ segment.coefficients).T
+        return segment.start, segment.length, powers, self.stepper.x
 
     def _told(self, now: Now, fault: Exception) -> Exception:
         """A fault that says where the step begins that cannot be made."""
