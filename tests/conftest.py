@@ -21,6 +21,9 @@ from .contract.ways import MECHANISMS, SOLVERS, WAYS
 #: Those that reach rounding.
 ACCURATE = ["DOP853", "taylor", "Dopri8"]
 
+#: Second methods of a mechanism.
+SECOND = [name for name in SOLVERS if name not in MECHANISMS]
+
 #: Bytes of memory from which on a worker gives back what it no longer needs: two workers of the
 #: suite then fit where there are 8 GB.
 ENOUGH = 2 << 30
@@ -118,7 +121,7 @@ def _marked(metafunc, names):
     if any(metafunc.definition.iter_markers("each_method")):
         return list(names)
     more = pytest.mark.every_way
-    return [name if name in MECHANISMS else pytest.param(name, marks=more) for name in names]
+    return [pytest.param(n, marks=more) if n in SECOND else n for n in names]
 
 
 @pytest.fixture

@@ -37,7 +37,7 @@ class Failing(RK45):
 
 @pytest.fixture
 def crew(monkeypatch):
-    """Two processes beside this one at once, which waits for the first; blocks that are asked."""
+    """A process beside this one at once, which waits for it; blocks that are asked."""
     asked, ready = [], threading.Event()
     hire = beside.Shared._hire
 
@@ -64,7 +64,7 @@ def crew(monkeypatch):
             ready.wait(60.0)
 
     monkeypatch.setattr(beside, "PAYS", 1e-9)
-    monkeypatch.setattr(beside.os, "cpu_count", lambda: 3)
+    monkeypatch.setattr(beside.os, "cpu_count", lambda: 2)
     monkeypatch.setattr(beside, "_Process", Process)
     monkeypatch.setattr(beside.Shared, "_hire", wait)
     yield asked
@@ -89,12 +89,14 @@ def squares():
     return square
 
 
-def test_all_answer_together(crew):
-    """Each number once, by more than one process."""
+def test_all_answer_together(crew, monkeypatch):
+    """Each number once, by more than one process; two are started."""
+    monkeypatch.setattr(beside.os, "cpu_count", lambda: 3)
     shared = beside.Shared(square, range(200), lambda: (squares,), lambda a, b: a[0] == b[0])
     found = list(shared.answers())
     assert sorted((k, v) for k, (v, _) in found) == [(k, k * k) for k in range(200)]
     assert len({who for _, (_, who) in found}) > 1
+    assert len(beside._Process.started) == 2
 
 
 def test_few_calls_are_made_here(monkeypatch):

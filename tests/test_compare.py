@@ -13,13 +13,30 @@ from models.two_tanks import TwoTanks
 
 from . import systems
 
+#: One method of each mechanism.
+FIVE = ("taylor", "scipy DOP853", "scipy Radau", "scipy LSODA", "diffrax Dopri8")
 
+
+@pytest.mark.parametrize(
+    "methods",
+    [{name: METHODS[name] for name in FIVE}, pytest.param(None, marks=pytest.mark.every_way)],
+    ids=["five", "all"],
+)
 @pytest.mark.parametrize("name", gallery.names())
-def test_solvers_agree_on_a_model(name):
+def test_solvers_agree_on_a_model(name, methods):
     """Edges, modes and verdicts are the same; times, states and limits within the tolerance."""
     entry = gallery.find(name)
-    found = compare(entry.cls(), entry.start, entry.until, history=entry.history)
+    options = {"methods": methods, "history": entry.history}
+    found = compare(entry.cls(), entry.start, entry.until, **options)
     assert found.explained, [d for d in found.differences if not d.explained]
+    assert list(found.runs) == list(methods or METHODS)
+
+
+def test_all_methods_are_compared_unless_some_are_chosen():
+    """Of each mechanism, and of several orders."""
+    entry = gallery.find("bouncing_ball")
+    found = compare(entry.cls(), entry.start, entry.until)
+    assert found.explained
     assert list(found.runs) == list(METHODS)
     assert len(found.runs) == 8
 
