@@ -96,9 +96,9 @@ def zero_of(
 ) -> float:
     """When a guard fires in a step; infinite where it does not, 0 where it is not plain.
 
-    It is not where the guard does not begin with the sign with which it ended the last step, or
-    where it ends with another than it begins and crosses with: there it is as near to zero as
-    rounding.
+    It is not where the guard does not begin with the sign with which it ended the last step, where
+    a polynomial has it leave zero, or begin, outside the domain, or where it ends with another sign
+    than it begins and crosses with: there it is as near to zero as rounding.
     """
     field = now.ints[FIELD]
     place = guard - a.fields[field, GUARDS]
@@ -107,6 +107,8 @@ def zero_of(
     crossing = a.guards[guard, CROSSING]
     tolerance = max(left_open(a, run, guard, now.end), SHOWN * left)
     if not starting and not c[0] * now.signs[place] > 0.0:
+        return 0.0
+    if starting and a.guards[guard, BOUNDS] == 1 and c[order] * crossing > 0.0:
         return 0.0
     degree = c.shape[0] - 1
     program = a.fields[field, PROGRAM]
@@ -223,7 +225,8 @@ def foreseen(
     a: Automaton, run: Floats, now: Now, room: Room, h: float, starting: bool
 ) -> tuple[int, float]:
     """As :func:`event_along`, by series of the flow from where another solver's step begins, which
-    ``room.c`` has; at 0 where these do not show that no guard fires, or one at the step's end.
+    ``room.c`` has; at 0 where these do not show that no guard fires, or one at the step's end, and
+    below 0 where a guard does not begin with the sign with which it ended the last step.
 
     They do where they have converged there, to what a step may lose, and lead to its state.
     """
@@ -236,6 +239,8 @@ def foreseen(
     reach = reached(run, now, h)
     if resolved(a, run, now, room, t, reach) != reach:
         return -1, 0.0
+    if not (starting or continues(a, now, room)):
+        return -1, -1.0
     guard, s = first_event(a, run, now, room, reach, starting)
     if abs(s - h) <= SMALL * h or (s == math.inf and keeps(a, now, room, t + h)):
         return guard, s
@@ -245,6 +250,17 @@ def foreseen(
         value = room.c[row_of(a, a.fields[field, PROGRAM], field, g), 0]
         now.signs[g - first] = 1 if value > 0.0 else -1
     return -1, 0.0
+
+
+def continues(a: Automaton, now: Now, room: Room) -> bool:
+    """Whether guards begin a step with the signs with which they ended the last."""
+    field = now.ints[FIELD]
+    first = a.fields[field, GUARDS]
+    for g in range(first, a.fields[field, GUARDS_END]):
+        value = room.c[row_of(a, a.fields[field, PROGRAM], field, g), 0]
+        if not value * now.signs[g - first] > 0.0:
+            return False
+    return True
 
 
 def reached(run: Floats, now: Now, h: float) -> float:
