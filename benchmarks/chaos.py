@@ -26,8 +26,8 @@ import optimistix
 from scipy.integrate import solve_ivp
 
 import hybrid as hy
-from hybrid.scene import automaton, native
-from hybrid.scene.scene import scene_of
+from hybrid.lowering import automaton, native
+from hybrid.lowering.scene import scene_of
 from models.bead_on_table import BeadOnTable
 
 try:

@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import hybrid as hy
+from hybrid.lowering import native
+from hybrid.lowering.lowered import ORDER, Lowered
+from hybrid.lowering.python import OPERATIONS
 from hybrid.rules import unit
-from hybrid.scene import native
-from hybrid.scene.lowered import ORDER, Lowered
-from hybrid.scene.python import OPERATIONS
 from tests import recurrences
 
 #: What the written-out recurrences ask for besides.

@@ -15,11 +15,11 @@ from .automaton.record import Record
 from .errors import HybridError
 from .events import EPS
 from .log import Log
+from .lowering import Scene
 from .rules.guards import NEAR
 from .rules.sums import FLOOR
 from .run import Driver, Plan
 from .run.pieces import Piece
-from .scene import Scene
 from .solvers import Solver, own_rtol
 from .solvers.base import FINEST
 from .trajectory import Status

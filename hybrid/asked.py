@@ -17,11 +17,11 @@ from .automaton.record import Record
 from .automaton.spec import Spec
 from .errors import OptionError, StartError, ZenoError
 from .histories import pieces
+from .lowering import Scene
 from .reals import real, reals
 from .run import Driver, Plan
 from .run.pieces import Piece
 from .run.plan import PATIENT
-from .scene import Scene
 from .solvers import Solver, choose, own_rtol
 from .solvers.base import tolerances
 

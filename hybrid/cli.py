@@ -258,8 +258,8 @@ def list_() -> None:
 def check(file: Annotated[str, typer.Argument(help="FILE.py, or a name in the gallery.")]) -> None:
     """Check a model's declaration: all its faults, or what it declares."""
     from .automaton.past import blank
-    from .scene import Scene
-    from .scene.taylor import flat
+    from .lowering import Scene
+    from .lowering.taylor import flat
 
     with _one_line():
         try:

@@ -19,6 +19,7 @@ from .beside import Shared, Unfit
 from .errors import HybridError, OptionError
 from .extras import TABLES, need
 from .lanes import Lane, Lanes
+from .lowering import Scene, scene_of
 from .rules.lanes import (
     ENDED,
     LAST_JUMP,
@@ -30,7 +31,6 @@ from .rules.lanes import (
     SUMMED,
 )
 from .run import Driver
-from .scene import Scene, scene_of
 from .solvers import renamed
 from .trajectory import Status
 

@@ -29,7 +29,7 @@ from .rules.zeros import FULL, SPARE, UNFIT
 from .segment import Segment, from_values, nodes
 
 if TYPE_CHECKING:
-    from .scene import Guard, Kink
+    from .lowering import Guard, Kink
 
 #: Degree at which a guard that is no polynomial is sampled, piece by piece.
 SAMPLED = 12

@@ -15,10 +15,10 @@ from .asked import Asked, mode_of
 from .automaton.base import require_model
 from .automaton.spec import Spec
 from .errors import OptionError
+from .lowering import Scene, scene_of
 from .replay.fly import at
 from .replay.function import Replay, when
 from .rows import Slopes, values
-from .scene import Scene, scene_of
 from .solvers import renamed
 from .tangent import NUMBERS, REASONS, Layout, Runs
 

@@ -18,9 +18,9 @@ from .arcs import Arc, Part
 from .automaton.past import DEGREE, blank
 from .histories import Before, until
 from .log import Log
+from .lowering import Scene
+from .lowering.taylor import flat
 from .run.pieces import Piece, Window, constant, piece_of
-from .scene import Scene
-from .scene.taylor import flat
 from .segment import nodes
 
 #: Width of the window on a piece that is no polynomial of low degree, against the longest lag.

@@ -12,8 +12,8 @@ from .asked import values_of
 from .automaton.record import Record
 from .automaton.spec import Spec
 from .errors import OptionError, StartError
+from .lowering import Scene, scene_with
 from .reals import reals
-from .scene import Scene, scene_with
 
 
 class Lane(NamedTuple):

@@ -18,6 +18,8 @@ import numpy as np
 from .abreast import FEW as FIRST
 from .abreast import Abreast, Flown, Given, abreast, lent
 from .errors import HybridError
+from .lowering import Scene, scene_with
+from .lowering.tape import room
 from .rules import unit
 from .rules.changes import KNOWN, OF_FIELD, OF_GUARD
 from .rules.lanes import (
@@ -32,8 +34,6 @@ from .rules.lanes import (
     T_INF,
 )
 from .run import Driver
-from .scene import Scene, scene_with
-from .scene.tape import room
 from .tangent import NUMBERS, Runs
 from .variation import Derivatives, Owned
 

@@ -12,8 +12,8 @@ from .again import give_errors
 from .asked import Asked, mode_of, start_of
 from .automaton.base import require_model
 from .hindsight import Hindsight
+from .lowering import Scene, scene_of
 from .run import Driver
-from .scene import Scene, scene_of
 from .solvers import renamed
 from .stats import Stats, versions
 from .trajectory import Trajectory

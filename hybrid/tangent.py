@@ -20,9 +20,9 @@ from .asked import Asked
 from .errors import HybridError, OrbitError
 from .hindsight import Hindsight
 from .histories import from_start
+from .lowering import Scene, scene_with
 from .replay import Plan, blank, laws_of, plan_of
 from .run import Driver
-from .scene import Scene, scene_with
 from .trajectory import Status
 from .variation import Carried, Course, Past, Shift, Strand, Walk
 

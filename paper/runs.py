@@ -10,9 +10,9 @@ import numpy as np
 
 from hybrid import gallery
 from hybrid.certificates import certify
+from hybrid.lowering import scene_of
 from hybrid.pictures.figure import Figure, Panel
 from hybrid.pictures.of_run import gaps_panel, states_panel, zooms
-from hybrid.scene import scene_of
 from hybrid.simulation import simulate
 from hybrid.trajectory import Trajectory
 

@@ -1,17 +1,17 @@
 """Taylor coefficients of a flow as code written out order by order: what the tape is held against.
 
-The same recurrences as those of :mod:`hybrid.scene.tape` (``docs/notes/tape.md``), written another
-way. Where a model switches formula (``abs``, ``where``, ``max``), the coefficients belong to the
-branch at the start. The function that decides is returned too, as a *kink*: the series holds up to
-its first zero.
+The same recurrences as those of :mod:`hybrid.lowering.tape` (``docs/notes/tape.md``), written
+another way. Where a model switches formula (``abs``, ``where``, ``max``), the coefficients belong
+to the branch at the start. The function that decides is returned too, as a *kink*: the series holds
+up to its first zero.
 """
 
 import math
 
 from hybrid.errors import TraceError
-from hybrid.scene.graph import Graph
-from hybrid.scene.python import _fixed, _index, literal, needed
-from hybrid.scene.taylor import SLOPES
+from hybrid.lowering.graph import Graph
+from hybrid.lowering.python import _fixed, _index, literal, needed
+from hybrid.lowering.taylor import SLOPES
 
 #: Operations whose two or three cases meet at a kink.
 KINKED = {"gt", "ge", "lt", "le"}

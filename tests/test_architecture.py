@@ -14,7 +14,7 @@ LAYERS = [
     ["errors", "extras", "clock", "segment", "reals", "beside"],
     ["automaton"],
     ["jit"],
-    ["scene"],
+    ["lowering"],
     ["events", "solvers"],
     ["zeno"],
     ["accumulation", "arcs", "log", "stats", "trajectory"],

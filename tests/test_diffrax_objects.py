@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hybrid as hy
-from hybrid.scene import scene_of
+from hybrid.lowering import scene_of
 from hybrid.solvers import diffrax_objects
 from models.hard_spring import HardSpring
 from tests.systems import Oscillator

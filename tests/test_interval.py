@@ -11,14 +11,14 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import hybrid as hy
-from hybrid.scene.balls import BALLS, Undefined, high, low
-from hybrid.scene.extrema import ScalarFunction, continuous, extrema
-from hybrid.scene.fixed import FixedGraph
-from hybrid.scene.graph import ELEMENTWISE, Graph
-from hybrid.scene.interval import IntervalProgram, Undecided, ball
-from hybrid.scene.lowered import Lowered
-from hybrid.scene.python import _FORGIVING, OPERATIONS
-from hybrid.scene.ranges import RANGES
+from hybrid.lowering.balls import BALLS, Undefined, high, low
+from hybrid.lowering.extrema import ScalarFunction, continuous, extrema
+from hybrid.lowering.fixed import FixedGraph
+from hybrid.lowering.graph import ELEMENTWISE, Graph
+from hybrid.lowering.interval import IntervalProgram, Undecided, ball
+from hybrid.lowering.lowered import Lowered
+from hybrid.lowering.python import _FORGIVING, OPERATIONS
+from hybrid.lowering.ranges import RANGES
 from tests.test_readers import EXPRESSIONS, automaton
 
 FLAGS = {"and", "or", "xor", "not"}
@@ -282,7 +282,7 @@ def test_extrema_hold_and_are_attained(expression):
 
 def test_an_effort_that_ends_early_still_bounds():
     """A tolerance that cannot be met: wide, but true."""
-    from hybrid.scene.extrema import supremum
+    from hybrid.lowering.extrema import supremum
 
     function = function_of(lambda t, x, v: jnp.sin(5 * v) * jnp.cos(7 * x * t) * v)
     most = supremum(function, BOX, 0.0, effort=1)

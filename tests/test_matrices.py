@@ -10,9 +10,9 @@ import pytest
 import hybrid as hy
 from hybrid.automaton import trace
 from hybrid.errors import FlowError
-from hybrid.scene.fixed import hides_derivatives
-from hybrid.scene.lowered import ORDER
-from hybrid.scene.scene import scene_of
+from hybrid.lowering.fixed import hides_derivatives
+from hybrid.lowering.lowered import ORDER
+from hybrid.lowering.scene import scene_of
 
 from .test_readers import automaton
 

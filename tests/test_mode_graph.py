@@ -7,9 +7,9 @@ import pytest
 
 import hybrid as hy
 from hybrid.automaton import trace
-from hybrid.scene.contact import lie
-from hybrid.scene.lowered import ORDER
-from hybrid.scene.scene import rest_name, scene_of
+from hybrid.lowering.contact import lie
+from hybrid.lowering.lowered import ORDER
+from hybrid.lowering.scene import rest_name, scene_of
 from models.ball_on_circle import BallOnCircle
 from models.coupled import Coupled
 from models.relay import Relay

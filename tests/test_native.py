@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import hybrid as hy
+from hybrid.lowering import automaton as tables
+from hybrid.lowering import native
+from hybrid.lowering.lowered import ORDER
+from hybrid.lowering.scene import rest_name, scene_of
+from hybrid.lowering.tape import linked
 from hybrid.rules import unit
-from hybrid.scene import automaton as tables
-from hybrid.scene import native
-from hybrid.scene.lowered import ORDER
-from hybrid.scene.scene import rest_name, scene_of
-from hybrid.scene.tape import linked
 
 from .test_advance import Duffing
 from .test_readers import EXPRESSIONS

@@ -6,7 +6,7 @@ from scipy.integrate import RK45, DenseOutput, OdeSolver
 
 import hybrid as hy
 from hybrid.gallery import find
-from hybrid.scene import scene_of
+from hybrid.lowering import scene_of
 from hybrid.solvers.scipy_backend import RungeKuttaStepper, SampledStepper, SciPySolver
 from models.hard_spring import HardSpring
 from tests.contract.test_units import Pile

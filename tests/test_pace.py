@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import hybrid as hy
+from hybrid.lowering import scene_of
 from hybrid.run.pace import COUNTED, Pace
-from hybrid.scene import scene_of
 
 SOLVERS = [
     {"solver": "taylor"},

@@ -8,7 +8,7 @@ import pytest
 
 import hybrid as hy
 from hybrid import gallery
-from hybrid.scene import scene_of
+from hybrid.lowering import scene_of
 from hybrid.zeno.enclose import prove
 from models.ball_on_circle import BallOnCircle
 from models.bouncing_ball import BouncingBall

@@ -8,8 +8,8 @@ import pytest
 import hybrid as hy
 from hybrid.automaton import trace
 from hybrid.errors import TraceError
-from hybrid.scene.lowered import Lowered
-from hybrid.scene.taylor import flat
+from hybrid.lowering.lowered import Lowered
+from hybrid.lowering.taylor import flat
 
 #: Flows of (x, y) that use what the models of this field use, and what jax.numpy makes of it.
 EXPRESSIONS = {

@@ -6,7 +6,7 @@ import pytest
 from scipy.special import airy
 
 import hybrid as hy
-from hybrid.scene import scene_of
+from hybrid.lowering import scene_of
 
 TAYLOR = {"solver": "taylor", "rtol": 1e-11, "atol": 1e-12}
 

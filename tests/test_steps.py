@@ -8,14 +8,14 @@ import pytest
 
 import hybrid as hy
 from hybrid.errors import FlowError
+from hybrid.lowering import tape as reader
+from hybrid.lowering.lowered import ORDER
+from hybrid.lowering.scene import scene_of
+from hybrid.lowering.tape import KINDS, linked
 from hybrid.rules.flights import TOO_LONG, most_pieces
 from hybrid.rules.kinks import NO_SERIES, NOT_FINITE
 from hybrid.rules.load import Library
 from hybrid.rules.steps import NO_STEP
-from hybrid.scene import tape as reader
-from hybrid.scene.lowered import ORDER
-from hybrid.scene.scene import scene_of
-from hybrid.scene.tape import KINDS, linked
 from hybrid.solvers import taylor_backend
 from hybrid.solvers.taylor_backend import TaylorSolver, TaylorStepper
 from hybrid.zeno import flight

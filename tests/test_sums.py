@@ -8,10 +8,10 @@ import pytest
 from numpy.polynomial import chebyshev
 
 import hybrid as hy
+from hybrid.lowering import scene_of
 from hybrid.rules import unit
 from hybrid.rules.load import Library
 from hybrid.rules.sums import DEGREE, FLIGHTS, POINTS_EACH, SAMPLES
-from hybrid.scene import scene_of
 from hybrid.segment import from_values, nodes
 from hybrid.zeno import accumulate, close
 from hybrid.zeno.flight import fly

@@ -14,13 +14,13 @@ import hybrid as hy
 import models
 from hybrid.automaton import trace
 from hybrid.errors import OptionError, TraceError
+from hybrid.lowering import tape as reader
+from hybrid.lowering.graph import Graph
+from hybrid.lowering.lowered import ORDER
+from hybrid.lowering.python import OPERATIONS
+from hybrid.lowering.scene import rest_name, scene_of
+from hybrid.lowering.taylor import flat, polynomial
 from hybrid.rules.load import Library
-from hybrid.scene import tape as reader
-from hybrid.scene.graph import Graph
-from hybrid.scene.lowered import ORDER
-from hybrid.scene.python import OPERATIONS
-from hybrid.scene.scene import rest_name, scene_of
-from hybrid.scene.taylor import flat, polynomial
 
 from . import recurrences, systems
 from .test_readers import EXPRESSIONS, automaton

@@ -58,7 +58,7 @@ def certify(
     'certified'
     """
     from ..errors import OptionError
-    from ..scene.interval import require_flint
+    from ..lowering.interval import require_flint
 
     lags = getattr(model, "spec", None) and model.spec.lags
     if lags:

@@ -12,13 +12,13 @@ from ..automaton import trace
 from ..automaton.base import require_model
 from ..automaton.spec import ContactSpec, Spec
 from ..errors import DeclarationError, OptionError, TraceError
-from ..scene import scene_of
-from ..scene.contact import ContactLaws
-from ..scene.extrema import Bounds, ScalarFunction
-from ..scene.fixed import FixedGraph, hides_derivatives
-from ..scene.interval import IntervalProgram
-from ..scene.lowered import Lowered
-from ..scene.taylor import flat
+from ..lowering import scene_of
+from ..lowering.contact import ContactLaws
+from ..lowering.extrema import Bounds, ScalarFunction
+from ..lowering.fixed import FixedGraph, hides_derivatives
+from ..lowering.interval import IntervalProgram
+from ..lowering.lowered import Lowered
+from ..lowering.taylor import flat
 from .result import Certificate
 
 #: Names of the coordinates relative to a contact.

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..arcs import Arc
 from ..errors import OrbitError
-from ..scene import Scene
+from ..lowering import Scene
 from ..trajectory import Trajectory
 from ..variation import Carried, Course, Past, Shift, Strand, Walk
 

@@ -10,7 +10,7 @@ from numpy.polynomial import chebyshev
 
 from ..arcs import Arc
 from ..events import turning_points
-from ..scene import Field, Guard
+from ..lowering import Field, Guard
 from ..segment import from_values, nodes
 from ..trajectory import Trajectory
 from ..variation.walk import SMOOTH

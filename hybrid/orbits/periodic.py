@@ -13,7 +13,7 @@ from numpy.polynomial import chebyshev
 from ..automaton.base import require_model
 from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
-from ..scene import Scene, scene_of
+from ..lowering import Scene, scene_of
 from ..trajectory import Trajectory
 from ..variation import Factor
 from .delayed import require_constant

@@ -13,7 +13,7 @@ from ..automaton.base import require_model
 from ..automaton.markers import RISING, Crossing
 from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
-from ..scene import scene_of
+from ..lowering import scene_of
 from ..simulation import simulate
 from ..trajectory import Status, Trajectory
 from .section import Edge, Period, Return, Section, Surface, cut, section_of

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..automaton.markers import RISING
 from ..errors import HybridError, OptionError, OrbitError
-from ..scene import Scene
+from ..lowering import Scene
 from ..trajectory import Trajectory
 from .returns import ReturnMap
 from .shooting import MOVES, Guess, Shooting, Turn

@@ -15,9 +15,9 @@ from ..clock import Instant
 from ..errors import OptionError
 from ..events import fires, zeros
 from ..log import Log
-from ..scene import Guard, Scene
-from ..scene.lowered import guard_shape
-from ..scene.scene import Scalar
+from ..lowering import Guard, Scene
+from ..lowering.lowered import guard_shape
+from ..lowering.scene import Scalar
 from ..trajectory import Status, Trajectory
 
 #: A surface on which a run starts is zero there, relative to the terms that it is made of.

@@ -21,7 +21,7 @@ from ..errors import HybridError, OrbitError
 from ..hindsight import Hindsight
 from ..histories import pieces
 from ..log import Log
-from ..scene import Scene, scene_of
+from ..lowering import Scene, scene_of
 from ..simulation import simulate
 from ..trajectory import Trajectory
 from ..variation import Factor, factors

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..arcs import Arc
 from ..hindsight import Hindsight, Record
-from ..scene import Field
+from ..lowering import Field
 from ..segment import nodes
 from ..trajectory import Trajectory
 

@@ -14,7 +14,7 @@ from jax.custom_batching import custom_vmap
 from jax.lax import stop_gradient
 
 from ..errors import OptionError
-from ..scene.lowered import lowered
+from ..lowering.lowered import lowered
 from .fly import ORDERS, Flight
 from .laws import Laws, laws_of
 from .plan import Plan, blank

@@ -1,7 +1,7 @@
 """The functions of a class that a replay is made of, by number, as functions that JAX derives.
 
 They are the class's own traces and what follows from a contact's or a switching's
-(:mod:`hybrid.scene.contact`, :mod:`hybrid.scene.sliding`); which contacts are held is a mask.
+(:mod:`hybrid.lowering.contact`, :mod:`hybrid.lowering.sliding`); which contacts are held is a mask.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import jax
 
 from ..automaton.spec import ContactSpec, EdgeSpec
 from ..automaton.trace import again
-from ..scene.contact import Held
-from ..scene.lowered import Lowered
-from ..scene.mode import RELEASE
+from ..lowering.contact import Held
+from ..lowering.lowered import Lowered
+from ..lowering.mode import RELEASE
 
 #: ``(parameters, mask, t, x)``, and what a function gives.
 Law = Callable[..., Any]

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arcs import Arc, JumpRow, Part, TailPart
 from ..errors import OrbitError
-from ..scene import Field
+from ..lowering import Field
 from ..segment import Segment
 from ..variation import Course, Walk
 from ..variation.arcs import HALVINGS, Piece, collocate, gauss, pieces, sizes

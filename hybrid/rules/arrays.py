@@ -37,7 +37,7 @@ class Programs(NamedTuple):
     affine : Ints
         For each output 1 if it is affine in time and state, else 0.
     code : Ints
-        For each program the address of its own machine code (:mod:`hybrid.scene.native`), or 0.
+        For each program the address of its own machine code (:mod:`hybrid.lowering.native`), or 0.
     """
 
     index: Table

@@ -23,7 +23,7 @@ from .zeros import EPS, VANISHES, series
 
 __all__ = ("expanded", "first_change", "holding", "turn")
 
-#: Kinds of what is watched (:data:`hybrid.scene.tape.KINDS`). A point is not, along a flow.
+#: Kinds of what is watched (:data:`hybrid.lowering.tape.KINDS`). A point is not, along a flow.
 STEP, BAND, POLE, POINT = 1, 2, 3, 4
 
 #: Columns of the table of kinks: the row of what is watched; whether the formula is another beyond

@@ -1,4 +1,4 @@
-"""One operation of a tape, of which :mod:`hybrid.scene.native` makes programs.
+"""One operation of a tape, of which :mod:`hybrid.lowering.native` makes programs.
 
 It is never called: where its numbers are known, all but a few of its instructions fall away.
 """

@@ -13,11 +13,11 @@ from ..automaton.markers import Crossing
 from ..clock import Instant
 from ..errors import DomainError, FlowError, OptionError
 from ..events import EPS, SHARES, Cut, Zero, fires, zeros
+from ..lowering import Guard, Kink, Scene, released
+from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.arcs import FAR, LANDINGS, SAFETY
 from ..rules.guards import BESIDE, TIE
-from ..scene import Guard, Kink, Scene, released
-from ..scene.lowered import ORDER
 from ..segment import Segment
 from ..solvers import Solver, Stepper
 from ..zeno.flight import falls

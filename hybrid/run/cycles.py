@@ -10,7 +10,7 @@ import numpy as np
 
 from ..clock import Instant
 from ..events import EPS
-from ..scene import Field, Guard, Scene
+from ..lowering import Field, Guard, Scene
 from ..zeno.cycle import FAST, FEW, LONGEST, CycleLimit, accelerated, limit, period
 from ..zeno.narrow import damps
 from ..zeno.others import excluded, hull

@@ -15,12 +15,12 @@ from ..arcs import Arc, TailPart
 from ..errors import FlowError, JumpLoopError, StartError
 from ..events import CLOSED, EPS
 from ..log import Flights
+from ..lowering import Contact, Field, Guard, Scene, released
+from ..lowering.defect import follows
+from ..lowering.scene import parted
 from ..rules import unit
 from ..rules.guards import NEAR, ROUNDED
 from ..rules.places import RISES
-from ..scene import Contact, Field, Guard, Scene, released
-from ..scene.defect import follows
-from ..scene.scene import parted
 from ..segment import Segment
 from ..solvers import Solver
 from ..solvers.watchful import Watchful

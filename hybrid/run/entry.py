@@ -13,10 +13,10 @@ import numpy as np
 from ..automaton.markers import Crossing
 from ..errors import DomainError, FlowError, StartError
 from ..events import EPS, NOTHING, fires
+from ..lowering import Field, Guard, Kink, Scene
+from ..lowering.local import near
 from ..rules import unit
 from ..rules.guards import NEAR
-from ..scene import Field, Guard, Kink, Scene
-from ..scene.local import near
 
 #: Doublings of a step of rounding's size in which a deciding function that is zero must leave it:
 #: it is a difference of numbers that may move at very different rates.

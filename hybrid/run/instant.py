@@ -12,8 +12,8 @@ import attrs
 import numpy as np
 
 from ..events import EPS
+from ..lowering import Guard, Scene
 from ..rules.guards import NEAR
-from ..scene import Guard, Scene
 from ..zeno.cycle import CycleLimit
 from ..zeno.instant import impulses, shrinking
 

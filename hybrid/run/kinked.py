@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..events import EPS, SHARES, Cut, cuts
-from ..scene import Field, Kink
+from ..lowering import Field, Kink
 from ..segment import Segment
 from ..solvers import Solver, Stepper
 from .entry import MOVES, beyond_kinks

@@ -14,6 +14,8 @@ import attrs
 import numpy as np
 
 from ..log import Flights, Steps, Table, joined
+from ..lowering.lowered import ORDER
+from ..lowering.windows import Links, Shown
 from ..rules import unit
 from ..rules.arrays import Left, Look, Now, Room, Sums
 from ..rules.places import (
@@ -68,8 +70,6 @@ from ..rules.places import (
 )
 from ..rules.sights import HALVINGS, POINTS, STATES
 from ..rules.sums import SHOWN
-from ..scene.lowered import ORDER
-from ..scene.windows import Links, Shown
 from ..segment import nodes, terms
 from ..trajectory import Status
 from ..zeno.accumulate import Tail, room_for_sums
@@ -81,8 +81,8 @@ from .plan import PATIENCE
 from .watch import Watch
 
 if TYPE_CHECKING:
-    from ..scene import Field, Guard
-    from ..scene.automaton import Tables
+    from ..lowering import Field, Guard
+    from ..lowering.automaton import Tables
     from .driver import Driver
 
 #: Jumps and steps for which there is room at first; how many times more there is after each call

@@ -32,6 +32,9 @@ from ..automaton.past import DEGREE, blank
 from ..clock import Instant
 from ..errors import FlowError, OptionError
 from ..log import Flights
+from ..lowering import Field, Scene, window_edge
+from ..lowering.taylor import flat
+from ..lowering.windows import NO_LINKS, SHARE, SMOOTH, TO_POWERS, Links
 from ..rules import unit
 from ..rules.arrays import Past
 from ..rules.places import (
@@ -51,9 +54,6 @@ from ..rules.places import (
     TIGHTEST,
     UNTIL,
 )
-from ..scene import Field, Scene, window_edge
-from ..scene.taylor import flat
-from ..scene.windows import NO_LINKS, SHARE, SMOOTH, TO_POWERS, Links
 from ..segment import Segment, from_powers, from_values, nodes
 from .pieces import (
     WIDTH,

@@ -10,6 +10,8 @@ import numpy as np
 from ..clock import Instant
 from ..errors import FlowError, OptionError
 from ..log import Steps
+from ..lowering import Field
+from ..lowering.lowered import ORDER
 from ..rules.arcs import SAFETY
 from ..rules.arrays import Now, Room, Sums
 from ..rules.places import (
@@ -24,8 +26,6 @@ from ..rules.places import (
     TO_TAU,
     T,
 )
-from ..scene import Field
-from ..scene.lowered import ORDER
 from ..segment import nodes, terms, to_powers
 from ..solvers import Stepper
 from .entry import describe

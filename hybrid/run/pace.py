@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import FlowError
-from ..scene import Field, Kink
+from ..lowering import Field, Kink
 from ..solvers.base import LEADS_BACK
 
 #: A flow is taken to swing ever faster up to a time that is never reached where, this many times

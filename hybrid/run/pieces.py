@@ -12,10 +12,10 @@ import numpy as np
 
 from ..automaton.past import DEGREE
 from ..clock import Instant
+from ..lowering import Field
+from ..lowering.windows import ROUNDING, TO_POWERS
 from ..rules.past import UP_TO
 from ..rules.places import BREAKS, PIECES
-from ..scene import Field
-from ..scene.windows import ROUNDING, TO_POWERS
 from ..segment import Segment, from_values, integrals, nodes
 
 #: Rounding of places at the ends of a piece.

@@ -18,7 +18,7 @@ from ..clock import Instant
 from ..errors import JumpLoopError
 from ..events import CAUGHT, STRUCK
 from ..log import Flights, Log
-from ..scene import Field
+from ..lowering import Field
 from ..segment import Segment, from_values, nodes
 from ..trajectory import Jump
 from ..zeno.accumulate import Tail

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import DomainError, StartError
-from ..scene import Guard
+from ..lowering import Guard
 from .cycles import pass_limit
 from .entry import Jumped, heading
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..accumulation import Accumulation, Truncation
 from ..arcs import Part, TailPart
-from ..scene import Contact, Field
+from ..lowering import Contact, Field
 from ..segment import nodes
 from ..zeno.flight import rise
 from .entry import Jumped

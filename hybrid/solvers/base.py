@@ -32,7 +32,7 @@ from ..reals import real, reals
 from ..segment import Segment, to_powers
 
 if TYPE_CHECKING:
-    from ..scene import Field
+    from ..lowering import Field
 
 #: No step can be held to less, relative to the state.
 FINEST = 2.3e-14

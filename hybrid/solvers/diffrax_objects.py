@@ -23,7 +23,7 @@ import numpy as np
 from ..automaton.trace import again, wide
 from ..errors import FlowError, OptionError
 from ..jit import jit
-from ..scene import Field
+from ..lowering import Field
 from ..segment import Segment, apply, from_values, integrals, interpolated, nodes, to_powers
 from .base import FINEST, Solver, Stepper, method_of
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, OdeSolver, Radau
 
 from ..errors import FlowError, OptionError
-from ..scene import Field
+from ..lowering import Field
 from ..segment import Segment, from_powers, interpolated, nodes
 from .base import FINEST, Solver, Stepper, method_of
 

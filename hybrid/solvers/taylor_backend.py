@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import FlowError, OptionError
+from ..lowering import Field
+from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.kinks import NO_SERIES, NOT_FINITE
 from ..rules.steps import NO_STEP
-from ..scene import Field
-from ..scene.lowered import ORDER
 from ..segment import Segment, from_powers, terms
 from .base import LEADS_BACK, Solver, Stepper
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from ..errors import OrbitError
-from ..scene import Field
+from ..lowering import Field
 from ..segment import Segment, nodes
 from .derivatives import Derivatives, Matrix
 

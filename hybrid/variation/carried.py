@@ -11,8 +11,8 @@ import numpy as np
 from ..arcs import Arc, JumpRow
 from ..automaton.past import DEGREE
 from ..errors import OrbitError
+from ..lowering.windows import TO_POWERS
 from ..run.pieces import Window
-from ..scene.windows import TO_POWERS
 from ..segment import from_values, nodes
 from .derivatives import Derivatives
 from .limit import through

@@ -1,9 +1,9 @@
 """Derivatives of a model's flows, guards and resets, as programs.
 
-Each is made of nodes of its mode's own graph (:mod:`hybrid.scene.derivatives`), once for a class,
-and read like any other program: nothing is traced again. Columns are time first, then the elements
-of the state; in a model with delays then what each lag shows of them; then, where they are asked
-for, the elements of the parameters.
+Each is made of nodes of its mode's own graph (:mod:`hybrid.lowering.derivatives`), once for a
+class, and read like any other program: nothing is traced again. Columns are time first, then the
+elements of the state; in a model with delays then what each lag shows of them; then, where they are
+asked for, the elements of the parameters.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import attrs
 import numpy as np
 
 from ..errors import TraceError
-from ..scene import Field, Guard, Scene
-from ..scene.derivatives import gradient
-from ..scene.lowered import deciding
-from ..scene.mode import ModeGraph
-from ..scene.tape import Jets, Tape
+from ..lowering import Field, Guard, Scene
+from ..lowering.derivatives import gradient
+from ..lowering.lowered import deciding
+from ..lowering.mode import ModeGraph
+from ..lowering.tape import Jets, Tape
 from .series import Series
 
 Matrix = Callable[[float, np.ndarray], np.ndarray]

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import attrs
 import numpy as np
 
+from ..lowering.tape import Jets
 from ..rules import unit
 from ..rules.arrays import Changes
 from ..rules.limits import LINES, SMALL
 from ..rules.limits import MOST as POINTS
-from ..scene.tape import Jets
 from ..solvers.taylor_backend import HIGHEST
 
 if TYPE_CHECKING:

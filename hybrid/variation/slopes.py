@@ -7,14 +7,14 @@ from contextlib import suppress
 import numpy as np
 
 from ..errors import TraceError
+from ..lowering import Field, Guard
+from ..lowering.automaton import NUMBERED
+from ..lowering.automaton import Tables as Automaton
+from ..lowering.native import Native
+from ..lowering.tape import Jets, Linked
 from ..rules.arrays import Changes, Slopes
 from ..rules.places import HARD, NONE, UNKNOWN
 from ..rules.variation import GRADIENT, RESET, REST
-from ..scene import Field, Guard
-from ..scene.automaton import NUMBERED
-from ..scene.automaton import Tables as Automaton
-from ..scene.native import Native
-from ..scene.tape import Jets, Linked
 from .derivatives import Derivatives, Rows
 from .series import POINTS, room_for
 

@@ -23,8 +23,8 @@ import numpy as np
 
 from ..arcs import Arc, JumpRow, Part, TailPart
 from ..errors import OrbitError
+from ..lowering import Field, Guard, Scene, scene_of
 from ..rules.guards import NEAR
-from ..scene import Field, Guard, Scene, scene_of
 from ..trajectory import Trajectory
 from .arcs import Piece, along, passing, told
 from .derivatives import Derivatives

@@ -14,6 +14,11 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..automaton.markers import Crossing
+from ..lowering.defect import follows
+from ..lowering.local import near, off
+from ..lowering.lowered import ORDER
+from ..lowering.tape import Tape, linked, room
+from ..lowering.taylor import polynomial
 from ..rules import unit
 from ..rules.arrays import Programs, Sums
 from ..rules.flights import most_pieces
@@ -35,15 +40,10 @@ from ..rules.sums import (
     STATE,
 )
 from ..rules.zeros import EPS
-from ..scene.defect import follows
-from ..scene.local import near, off
-from ..scene.lowered import ORDER
-from ..scene.tape import Tape, linked, room
-from ..scene.taylor import polynomial
 from .flight import Flight, fly, pieces_of, segments
 
 if TYPE_CHECKING:
-    from ..scene import Contact, Field
+    from ..lowering import Contact, Field
     from ..segment import Segment
     from .enclose import Proof
 

@@ -21,15 +21,15 @@ import numpy as np
 
 from ..automaton import trace
 from ..errors import TraceError
-from ..scene.contact import lie
-from ..scene.fixed import FixedGraph, hides_derivatives
-from ..scene.parity import parity
-from ..scene.python import needed
-from ..scene.taylor import flat
+from ..lowering.contact import lie
+from ..lowering.fixed import FixedGraph, hides_derivatives
+from ..lowering.parity import parity
+from ..lowering.python import needed
+from ..lowering.taylor import flat
 from .lemma import Chattering, chattering
 
 if TYPE_CHECKING:
-    from ..scene import Field
+    from ..lowering import Field
 
 #: Boxes that are tried, and how far a box reaches, against what is needed of it.
 TRIES, WIDER = 12, 1.5
@@ -93,7 +93,7 @@ def prove(field: Field, contact: str, t: float, x: np.ndarray, v: float) -> Proo
     """
     from flint import ctx
 
-    from ..scene.interval import PRECISION, require_flint
+    from ..lowering.interval import PRECISION, require_flint
 
     require_flint()
     question = field.code.once(("proof", field.name, contact), lambda: _question(field, contact))
@@ -124,7 +124,7 @@ def _proof(
 ) -> Proof:
     from flint import arb
 
-    from ..scene.balls import high, low
+    from ..lowering.balls import high, low
 
     assert says.remaining is not None
     first, last = says.remaining
@@ -198,7 +198,7 @@ class _Bounds:
 
     def needed(self, says: Chattering) -> _Box:
         """How far the motion goes: along the flow, and by the impacts."""
-        from ..scene.balls import high
+        from ..lowering.balls import high
 
         assert says.remaining is not None
         time = says.remaining[1]
@@ -234,7 +234,7 @@ def _question(field: Field, contact: str) -> _Question | None:
 
     None where the flow or the gap holds a derivative back, or there are no balls of an operation.
     """
-    from ..scene.interval import IntervalProgram
+    from ..lowering.interval import IntervalProgram
 
     code = field.code
     flow, gap = code.field_closed(field.mode, field.held), code.closed("gap", contact)

@@ -12,14 +12,14 @@ import attrs
 import numpy as np
 
 from ..events import room, series_zeros
+from ..lowering.lowered import ORDER
+from ..lowering.taylor import polynomial
 from ..rules import unit
 from ..rules.flights import most_pieces
-from ..scene.lowered import ORDER
-from ..scene.taylor import polynomial
 from ..segment import Segment, from_powers, terms
 
 if TYPE_CHECKING:
-    from ..scene import Field
+    from ..lowering import Field
 
 
 #: Start, length, and a series for each element of the state.

@@ -25,6 +25,11 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..errors import TraceError
+from ..lowering.defect import EPS
+from ..lowering.derivatives import along
+from ..lowering.python import needed
+from ..lowering.sides import choosers, on_zero, one_sided
+from ..lowering.taylor import flat
 from ..rules.places import HARD, NONE
 from ..rules.sights import (
     CAUTION,
@@ -40,17 +45,12 @@ from ..rules.sights import (
     WIDER,
 )
 from ..rules.sums import FLOOR, LOSS
-from ..scene.defect import EPS
-from ..scene.derivatives import along
-from ..scene.python import needed
-from ..scene.sides import choosers, on_zero, one_sided
-from ..scene.taylor import flat
 from ..segment import from_values, nodes
 from .accumulate import Tail
 from .flight import fly
 
 if TYPE_CHECKING:
-    from ..scene import Contact, Field
+    from ..lowering import Contact, Field
 
 #: What of a loss that fades is not told from none: some hundred roundings of the restitution.
 LOST = 1e-13
@@ -69,7 +69,7 @@ def _depends(field: Field, contact: str) -> bool:
     code = field.code
 
     def look() -> bool:
-        from ..scene.graph import Graph
+        from ..lowering.graph import Graph
 
         graph = Graph()
         law = code.closed("restitution", contact)
@@ -310,8 +310,8 @@ class _Gap:
     """The gap of a contact along a field, and the functions that decide on their formulas."""
 
     def __init__(self, field: Field, contact: str) -> None:
-        from ..scene.fixed import FixedGraph
-        from ..scene.interval import IntervalProgram
+        from ..lowering.fixed import FixedGraph
+        from ..lowering.interval import IntervalProgram
 
         code, self.graph = field.code, FixedGraph(exact=True)
         inputs = self.inputs = code.inputs(self.graph)
@@ -347,7 +347,7 @@ class _Gap:
 
     def guards(self, field: Field, contact: str) -> list[int]:
         """The guards beside that of the contact; none where one has no bounds."""
-        from ..scene.interval import IntervalProgram
+        from ..lowering.interval import IntervalProgram
 
         others = [guard for guard in field.guards if guard.edge != contact]
         try:
@@ -359,7 +359,7 @@ class _Gap:
 
     def program(self, signs: dict[int, int], *others: int) -> Any:
         """What is looked at where deciding functions have these signs, and behind it others."""
-        from ..scene.interval import IntervalProgram
+        from ..lowering.interval import IntervalProgram
 
         graph, count = self.graph, 1 + len(self.flow)
         nodes = one_sided(graph, [self.gap, *self.flow], signs)

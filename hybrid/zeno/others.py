@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import TraceError
+from ..lowering.defect import EPS
+from ..lowering.fixed import FixedGraph
 from ..rules.sights import HALVINGS
-from ..scene.defect import EPS
-from ..scene.fixed import FixedGraph
 from .accumulate import Tail
 from .narrow import Stretch, named, parameters
 
 if TYPE_CHECKING:
-    from ..scene import Field
+    from ..lowering import Field
 
 
 def apart(tail: Tail) -> bool:
@@ -63,7 +63,7 @@ def _looks(field: Field) -> list[Any]:
     """What bounds each guard of a field; None where there are no bounds."""
     if find_spec("flint") is None:
         return [None] * len(field.guards)
-    from ..scene.interval import IntervalProgram
+    from ..lowering.interval import IntervalProgram
 
     graph = FixedGraph(exact=True)
     inputs = field.code.inputs(graph)

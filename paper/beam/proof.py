@@ -9,7 +9,7 @@ import attrs
 import numpy as np
 
 from hybrid import gallery
-from hybrid.scene import scene_of
+from hybrid.lowering import scene_of
 from hybrid.zeno.enclose import prove
 
 
@@ -34,7 +34,7 @@ def pushes_always(gamma: float) -> bool:
     """Whether the force presses the resting beam on the obstacle at all phases: proved."""
     from flint import arb, ctx
 
-    from hybrid.scene.interval import PRECISION
+    from hybrid.lowering.interval import PRECISION
 
     with ctx.workprec(PRECISION):
         wall = arb(beam().obstacle)

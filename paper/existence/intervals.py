@@ -10,8 +10,8 @@ import numpy as np
 
 from hybrid import gallery
 from hybrid.certificates import certify
+from hybrid.lowering import scene_of
 from hybrid.pictures.figure import Curve, Figure, Panel, column
-from hybrid.scene import scene_of
 from hybrid.segment import nodes
 from hybrid.simulation import simulate
 from hybrid.zeno.flight import rise

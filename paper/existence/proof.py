@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid.scene import scene_of
+from hybrid.lowering import scene_of
 from hybrid.simulation import simulate
 
 from ..claims import Claim, Number, verdict
