@@ -11,11 +11,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import hybrid as hy
-from hybrid.lowering.balls import BALLS, Undefined, high, low
-from hybrid.lowering.extrema import ScalarFunction, continuous, extrema
-from hybrid.lowering.fixed import FixedGraph
+from hybrid.bounds.balls import BALLS, Undefined, high, low
+from hybrid.bounds.exact import FixedGraph
+from hybrid.bounds.extrema import ScalarFunction, continuous, extrema
+from hybrid.bounds.interval import IntervalProgram, Undecided, ball
 from hybrid.lowering.graph import ELEMENTWISE, Graph
-from hybrid.lowering.interval import IntervalProgram, Undecided, ball
 from hybrid.lowering.lowered import Lowered
 from hybrid.lowering.python import _FORGIVING, OPERATIONS
 from hybrid.lowering.ranges import RANGES
@@ -282,7 +282,7 @@ def test_extrema_hold_and_are_attained(expression):
 
 def test_an_effort_that_ends_early_still_bounds():
     """A tolerance that cannot be met: wide, but true."""
-    from hybrid.lowering.extrema import supremum
+    from hybrid.bounds.extrema import supremum
 
     function = function_of(lambda t, x, v: jnp.sin(5 * v) * jnp.cos(7 * x * t) * v)
     most = supremum(function, BOX, 0.0, effort=1)

@@ -5,7 +5,7 @@ import math
 import pytest
 from flint import arb
 
-from hybrid.lowering.balls import high, low
+from hybrid.bounds.balls import high, low
 from hybrid.zeno.lemma import chattering, largest_speed
 
 

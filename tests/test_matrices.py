@@ -9,8 +9,8 @@ import pytest
 
 import hybrid as hy
 from hybrid.automaton import trace
+from hybrid.bounds.exact import hides_derivatives
 from hybrid.errors import FlowError
-from hybrid.lowering.fixed import hides_derivatives
 from hybrid.lowering.lowered import ORDER
 from hybrid.lowering.scene import scene_of
 

@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from hybrid.bounds.parity import parity
 from hybrid.lowering.graph import Graph
 from hybrid.lowering.lowered import Lowered
-from hybrid.lowering.parity import parity
 from tests.test_readers import EXPRESSIONS, automaton
 
 #: Functions of x (kept) and y (flipped), and what can be proved.

@@ -57,8 +57,8 @@ def certify(
     >>> proof.verdict
     'certified'
     """
+    from ..bounds.interval import require_flint
     from ..errors import OptionError
-    from ..lowering.interval import require_flint
 
     lags = getattr(model, "spec", None) and model.spec.lags
     if lags:

@@ -5,7 +5,7 @@ is one only as long as all of them exist: ``q' = q^2`` has no value after ``1 / 
 harmless
 
 * if it grows no faster than in proportion to itself, wherever it starts: read off the flow with
-  bounds for all but the state itself (:mod:`hybrid.lowering.growth`);
+  bounds for all but the state itself (:mod:`hybrid.bounds.growth`);
 * if it has bounds in the box, its rate is bounded there, and it starts so far inside that it cannot
   leave them in time.
 
@@ -20,9 +20,9 @@ from typing import Any
 
 import attrs
 
-from ..lowering.balls import Undefined
-from ..lowering.extrema import Bounds, ScalarFunction, extrema
-from ..lowering.growth import ANYTHING, GROWING, LOWER, UPPER, Growth, between, growth
+from ..bounds.balls import Undefined
+from ..bounds.extrema import Bounds, ScalarFunction, extrema
+from ..bounds.growth import ANYTHING, GROWING, LOWER, UPPER, Growth, between, growth
 from ..lowering.python import needed
 from .question import TIME, Question, Traced
 from .result import Fault

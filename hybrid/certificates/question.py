@@ -11,12 +11,12 @@ import attrs
 from ..automaton import trace
 from ..automaton.base import require_model
 from ..automaton.spec import ContactSpec, Spec
+from ..bounds.exact import FixedGraph, hides_derivatives
+from ..bounds.extrema import Bounds, ScalarFunction
+from ..bounds.interval import IntervalProgram
 from ..errors import DeclarationError, OptionError, TraceError
 from ..lowering import scene_of
 from ..lowering.contact import ContactLaws
-from ..lowering.extrema import Bounds, ScalarFunction
-from ..lowering.fixed import FixedGraph, hides_derivatives
-from ..lowering.interval import IntervalProgram
 from ..lowering.lowered import Lowered
 from ..lowering.taylor import flat
 from .result import Certificate

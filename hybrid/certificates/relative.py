@@ -17,7 +17,7 @@ from typing import Any
 
 import attrs
 
-from ..lowering.extrema import Bounds, Extreme, ScalarFunction, continuous, extrema
+from ..bounds.extrema import Bounds, Extreme, ScalarFunction, continuous, extrema
 from ..zeno.lemma import chattering, largest_speed
 from .beside import Beside, beside, fastest
 from .question import GAP, SPEED, TIME, Question, Traced, solved
@@ -208,7 +208,7 @@ class Trial:
 
 
 def _trial(setting: Setting, law: Restitution, tolerance: float) -> Trial:
-    from ..lowering.balls import high, low
+    from ..bounds.balls import high, low
 
     least, most = extrema(setting.acceleration, setting.box(), tolerance)
     if most.high >= 0.0 or least.low == float("-inf"):
@@ -244,7 +244,7 @@ def _answer(setting: Setting, law: Restitution, fault: Fault | None) -> Certific
 
 def _starts(setting: Setting, law: Restitution, trial: Trial) -> dict[str, Any] | Fault:
     """The largest speed, its times, and what they leave of the box; or what prevents it."""
-    from ..lowering.balls import high, low
+    from ..bounds.balls import high, low
 
     q, others = setting.question, setting.drifts()
     if others.fault is not None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import attrs
 
-from ..lowering.extrema import Bounds, Extreme, ScalarFunction, extrema
+from ..bounds.extrema import Bounds, Extreme, ScalarFunction, extrema
 from .result import Fault
 
 #: Shares of the box's largest speed at which it is asked what a restitution at rest hints at.

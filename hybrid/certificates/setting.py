@@ -6,8 +6,8 @@ from typing import Any
 
 import attrs
 
-from ..lowering.extrema import Bounds, ScalarFunction
-from ..lowering.interval import IntervalProgram
+from ..bounds.extrema import Bounds, ScalarFunction
+from ..bounds.interval import IntervalProgram
 from ..lowering.python import needed
 from .question import TIME, Question
 from .restitution import Restitution
@@ -57,7 +57,7 @@ class Setting:
         """The gap at a position, as a ball."""
         from flint import arb
 
-        from ..lowering.balls import absolute
+        from ..bounds.balls import absolute
 
         return absolute(self.slope * (arb(far) - self.wall))
 
@@ -71,7 +71,7 @@ class Setting:
 
 def setting_of(q: Question) -> Setting | str:
     """The setting, or the sentence that says why the theorem does not apply."""
-    from ..lowering.balls import absolute, high, low
+    from ..bounds.balls import absolute, high, low
 
     if len(q.laws.pairing.positions) > 1:
         return "Theorem 1 is for a gap of one position; this gap depends on several"
@@ -140,7 +140,7 @@ def constant_slope(function: ScalarFunction, name: str) -> Any:
 
 def _may_step(function: ScalarFunction, name: str) -> bool:
     """Whether an operation that can jump, and has no slope there, works on an input."""
-    from ..lowering.balls import JUMPS
+    from ..bounds.balls import JUMPS
 
     graph = function.value.graph
     order = needed(graph, function.value.roots)

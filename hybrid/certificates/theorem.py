@@ -12,8 +12,8 @@ from typing import Any
 
 import attrs
 
-from ..lowering.extrema import Bounds, Extreme, ScalarFunction, continuous, extrema
-from ..lowering.parity import parity
+from ..bounds.extrema import Bounds, Extreme, ScalarFunction, continuous, extrema
+from ..bounds.parity import parity
 from .beside import beside
 from .question import Question
 from .restitution import Restitution
@@ -92,8 +92,8 @@ def _relative(q: Question) -> str:
 def _trial(setting: Setting, far: float, speed: float, tolerance: float) -> Trial:
     from flint import arb, ctx
 
-    from ..lowering.balls import absolute, high, low
-    from ..lowering.interval import PRECISION
+    from ..bounds.balls import absolute, high, low
+    from ..bounds.interval import PRECISION
 
     least, most = extrema(setting.acceleration, setting.box(far, speed), tolerance)
     with ctx.workprec(PRECISION):
@@ -177,8 +177,8 @@ def _certified(
 ) -> Certificate:
     from flint import arb, ctx
 
-    from ..lowering.balls import high
-    from ..lowering.interval import PRECISION
+    from ..bounds.balls import high
+    from ..bounds.interval import PRECISION
 
     q = setting.question
     start = _starts(setting, setting.far, trial, law)
@@ -221,8 +221,8 @@ def _longest(setting: Setting, far: float, trial: Trial, law: Restitution) -> fl
     """
     from flint import arb, ctx
 
-    from ..lowering.balls import high
-    from ..lowering.interval import PRECISION
+    from ..bounds.balls import high
+    from ..bounds.interval import PRECISION
 
     assert law.ends is not None
     with ctx.workprec(PRECISION):
@@ -275,7 +275,7 @@ def _smallest_speed(setting: Setting, trial: Trial) -> float | None:
     """A speed beyond which the inequality holds on this height; None if none was found."""
     from flint import arb
 
-    from ..lowering.balls import absolute, high
+    from ..bounds.balls import absolute, high
 
     assert trial.left is not None
     scale = absolute(setting.slope)

@@ -1,7 +1,7 @@
 """Bounds over a box in doubles, rounded outwards: a quick look before the balls.
 
 What is not known here, or may leave its domain or the range of a double, is left to the balls of
-:mod:`hybrid.lowering.balls`.
+:mod:`hybrid.bounds.balls`.
 """
 
 from __future__ import annotations

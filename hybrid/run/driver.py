@@ -12,11 +12,11 @@ import numpy as np
 
 from ..accumulation import Accumulation
 from ..arcs import Arc, TailPart
+from ..bounds.defect import follows
 from ..errors import FlowError, JumpLoopError, StartError
 from ..events import CLOSED, EPS
 from ..log import Flights
 from ..lowering import Contact, Field, Guard, Scene, released
-from ..lowering.defect import follows
 from ..lowering.scene import parted
 from ..rules import unit
 from ..rules.guards import NEAR, ROUNDED

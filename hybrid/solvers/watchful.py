@@ -3,7 +3,7 @@
 A method looks at a flow at a few points a step, and so does its estimate of the error. What is
 between them (a pulse of force of a thousandth of the step) is passed over. Here the polynomial of
 each step is held against the flow along all of it, in ball arithmetic
-(:mod:`hybrid.lowering.defect`); where it fails the step is made again, up to there.
+(:mod:`hybrid.bounds.defect`); where it fails the step is made again, up to there.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from ..bounds.defect import EPS, Defect, Sampled, defect_of
 from ..errors import FlowError
 from ..lowering import Field
-from ..lowering.defect import EPS, Defect, Sampled, defect_of
 from ..segment import Segment
 from .base import Solver, Stepper
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..automaton.markers import Crossing
-from ..lowering.defect import follows
+from ..bounds.defect import follows
 from ..lowering.local import near, off
 from ..lowering.lowered import ORDER
 from ..lowering.tape import Tape, linked, room

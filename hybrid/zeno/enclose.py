@@ -20,10 +20,10 @@ import attrs
 import numpy as np
 
 from ..automaton import trace
+from ..bounds.exact import FixedGraph, hides_derivatives
+from ..bounds.parity import parity
 from ..errors import TraceError
 from ..lowering.contact import lie
-from ..lowering.fixed import FixedGraph, hides_derivatives
-from ..lowering.parity import parity
 from ..lowering.python import needed
 from ..lowering.taylor import flat
 from .lemma import Chattering, chattering
@@ -93,7 +93,7 @@ def prove(field: Field, contact: str, t: float, x: np.ndarray, v: float) -> Proo
     """
     from flint import ctx
 
-    from ..lowering.interval import PRECISION, require_flint
+    from ..bounds.interval import PRECISION, require_flint
 
     require_flint()
     question = field.code.once(("proof", field.name, contact), lambda: _question(field, contact))
@@ -124,7 +124,7 @@ def _proof(
 ) -> Proof:
     from flint import arb
 
-    from ..lowering.balls import high, low
+    from ..bounds.balls import high, low
 
     assert says.remaining is not None
     first, last = says.remaining
@@ -198,7 +198,7 @@ class _Bounds:
 
     def needed(self, says: Chattering) -> _Box:
         """How far the motion goes: along the flow, and by the impacts."""
-        from ..lowering.balls import high
+        from ..bounds.balls import high
 
         assert says.remaining is not None
         time = says.remaining[1]
@@ -234,7 +234,7 @@ def _question(field: Field, contact: str) -> _Question | None:
 
     None where the flow or the gap holds a derivative back, or there are no balls of an operation.
     """
-    from ..lowering.interval import IntervalProgram
+    from ..bounds.interval import IntervalProgram
 
     code = field.code
     flow, gap = code.field_closed(field.mode, field.held), code.closed("gap", contact)

@@ -62,7 +62,7 @@ def chattering(v: Any, m: Any, M: Any, r: Any, even: bool = False) -> Chattering
     """
     from flint import arb, ctx
 
-    from ..lowering.interval import PRECISION
+    from ..bounds.interval import PRECISION
 
     with ctx.workprec(PRECISION):
         (least, most), (weak, strong) = _ends(v), _ends(r)
@@ -111,8 +111,8 @@ def largest_speed(m: float, M: float, r: Any, height: float, speed: float, time:
     """
     from flint import arb, ctx
 
-    from ..lowering.balls import low
-    from ..lowering.interval import PRECISION
+    from ..bounds.balls import low
+    from ..bounds.interval import PRECISION
 
     unit = chattering(1.0, m, M, r)
     if unit.remaining is None:

@@ -24,8 +24,8 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from ..bounds.defect import EPS
 from ..errors import TraceError
-from ..lowering.defect import EPS
 from ..lowering.derivatives import along
 from ..lowering.python import needed
 from ..lowering.sides import choosers, on_zero, one_sided
@@ -310,8 +310,8 @@ class _Gap:
     """The gap of a contact along a field, and the functions that decide on their formulas."""
 
     def __init__(self, field: Field, contact: str) -> None:
-        from ..lowering.fixed import FixedGraph
-        from ..lowering.interval import IntervalProgram
+        from ..bounds.exact import FixedGraph
+        from ..bounds.interval import IntervalProgram
 
         code, self.graph = field.code, FixedGraph(exact=True)
         inputs = self.inputs = code.inputs(self.graph)
@@ -347,7 +347,7 @@ class _Gap:
 
     def guards(self, field: Field, contact: str) -> list[int]:
         """The guards beside that of the contact; none where one has no bounds."""
-        from ..lowering.interval import IntervalProgram
+        from ..bounds.interval import IntervalProgram
 
         others = [guard for guard in field.guards if guard.edge != contact]
         try:
@@ -359,7 +359,7 @@ class _Gap:
 
     def program(self, signs: dict[int, int], *others: int) -> Any:
         """What is looked at where deciding functions have these signs, and behind it others."""
-        from ..lowering.interval import IntervalProgram
+        from ..bounds.interval import IntervalProgram
 
         graph, count = self.graph, 1 + len(self.flow)
         nodes = one_sided(graph, [self.gap, *self.flow], signs)

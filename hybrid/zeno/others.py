@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..bounds.defect import EPS
+from ..bounds.exact import FixedGraph
 from ..errors import TraceError
-from ..lowering.defect import EPS
-from ..lowering.fixed import FixedGraph
 from ..rules.sights import HALVINGS
 from .accumulate import Tail
 from .narrow import Stretch, named, parameters
@@ -63,7 +63,7 @@ def _looks(field: Field) -> list[Any]:
     """What bounds each guard of a field; None where there are no bounds."""
     if find_spec("flint") is None:
         return [None] * len(field.guards)
-    from ..lowering.interval import IntervalProgram
+    from ..bounds.interval import IntervalProgram
 
     graph = FixedGraph(exact=True)
     inputs = field.code.inputs(graph)

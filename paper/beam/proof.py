@@ -34,7 +34,7 @@ def pushes_always(gamma: float) -> bool:
     """Whether the force presses the resting beam on the obstacle at all phases: proved."""
     from flint import arb, ctx
 
-    from hybrid.lowering.interval import PRECISION
+    from hybrid.bounds.interval import PRECISION
 
     with ctx.workprec(PRECISION):
         wall = arb(beam().obstacle)

@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from typing import Any, Literal
 
-from .graph import Graph
-from .python import needed
+from ..lowering.graph import Graph
+from ..lowering.python import needed
 
 Parity = Literal["even", "odd", "unknown"]
 

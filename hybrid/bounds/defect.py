@@ -22,9 +22,9 @@ from numpy.polynomial import chebyshev
 from ..errors import TraceError
 
 if TYPE_CHECKING:
+    from ..lowering.scene import Field
     from ..segment import Segment
-    from .ballseries import Bound
-    from .scene import Field
+    from .series import Bound
 
 EPS = float(np.finfo(float).eps)
 
@@ -69,9 +69,9 @@ class Defect:
     """Bounds on the defect of steps in a field; made once for a class and a mode."""
 
     def __init__(self, field: Field) -> None:
-        from .ballseries import Balls
-        from .fixed import FixedGraph
+        from .exact import FixedGraph
         from .interval import IntervalProgram
+        from .series import Balls
 
         code = field.code
         graph = FixedGraph(exact=True)
@@ -98,8 +98,8 @@ class Defect:
         lost : float or array
             What the method may lose of each state in the step.
         """
-        from .ballseries import with_terms
         from .interval import PRECISION
+        from .series import with_terms
 
         rates, speck = _allowed(field, t, length, coefficients, lost)
         reach = lambda: self._reach(field, t, length, coefficients, rates, speck)  # noqa: E731
@@ -166,7 +166,7 @@ class Defect:
         """An upper bound on the defect of a piece, and a lower one, each element's own."""
         from flint import arb
 
-        from .ballseries import TERMS
+        from .series import TERMS
 
         n = piece.powers.shape[1]
         around = _spread(len(piece.powers) - 1) @ np.abs(piece.powers)
@@ -269,7 +269,7 @@ def _inputs(piece: _Piece, around: np.ndarray | None) -> dict[str, Any]:
     """Time and states as series on a piece: about its middle, or with balls about all of it."""
     from flint import arb, arb_series
 
-    from .ballseries import TERMS
+    from .series import TERMS
 
     first = piece.middle if around is None else arb(piece.middle, piece.half)
     inputs = {"t": arb_series([first, piece.half])}
@@ -284,7 +284,7 @@ def _coefficients(value: Any) -> list[Any] | None:
     """The coefficients of a result, all of them; None where one is not a finite number."""
     from flint import arb, arb_series
 
-    from .ballseries import TERMS
+    from .series import TERMS
 
     if isinstance(value, arb):
         value = arb_series([value])
@@ -296,7 +296,7 @@ def _coefficients(value: Any) -> list[Any] | None:
 
 def _slope(powers: np.ndarray) -> np.ndarray:
     """Coefficients of derivatives; enough of them."""
-    from .ballseries import TERMS
+    from .series import TERMS
 
     degree = len(powers) - 1
     slopes = np.zeros((max(degree, TERMS), powers.shape[1]))

@@ -14,10 +14,10 @@ from typing import Any
 
 import attrs
 
+from ..lowering.graph import Graph
+from ..lowering.python import needed
 from .balls import BALLS, Undefined, high, low, span
-from .graph import Graph
 from .interval import SAME
-from .python import needed
 
 #: A logarithm grows more slowly than any power; this one is below the roots that models take.
 SLOWLY = 0.125

@@ -15,9 +15,9 @@ from typing import Any
 
 from flint import arb, arb_series, ctx
 
+from ..lowering.graph import Graph
+from ..lowering.python import needed
 from .balls import BALLS, Undefined
-from .graph import Graph
-from .python import needed
 
 #: Terms of the series. Twelve: a piece of a tenth of the radius of convergence is then known to
 #: 1e-12 of what it does, and more would cost more than they spare pieces.

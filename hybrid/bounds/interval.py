@@ -16,11 +16,11 @@ import numpy as np
 
 from ..errors import TraceError
 from ..extras import PROOFS, need
+from ..lowering.graph import Graph
+from ..lowering.python import needed
+from ..lowering.ranges import RANGES, Ranges
 from ..rules import unit
 from ..rules.arrays import Bounds
-from .graph import Graph
-from .python import needed
-from .ranges import RANGES, Ranges
 
 #: Bits of the balls' midpoints: rounding stays far below a double's.
 PRECISION = 96

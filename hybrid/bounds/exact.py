@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from .graph import Graph, Ids, fold
-from .python import needed
+from ..lowering.graph import Graph, Ids, fold
+from ..lowering.python import needed
 
 #: Operations of which a float's result is always exact.
 EXACT = {
