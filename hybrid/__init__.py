@@ -45,9 +45,9 @@ if TYPE_CHECKING:
     from .function import as_function
     from .orbits import lyapunov, periodic_orbit, return_map
     from .simulation import simulate
-    from .stats import Stats
-    from .store import load
-    from .trajectory import Status, Trajectory
+    from .trajectory.files import load
+    from .trajectory.stats import Stats
+    from .trajectory.trajectory import Status, Trajectory
 
 __version__ = "0.1.0"
 

@@ -14,7 +14,6 @@ from .asked import chosen
 from .automaton.record import Record
 from .errors import HybridError
 from .events import EPS
-from .log import Log
 from .lowering import Scene
 from .rules.guards import NEAR
 from .rules.sums import FLOOR
@@ -22,7 +21,8 @@ from .run import Driver, Plan
 from .run.pieces import Piece
 from .solvers import Solver, own_rtol
 from .solvers.base import FINEST
-from .trajectory import Status
+from .trajectory.log import Log
+from .trajectory.trajectory import Status
 from .zeno.accumulate import Tail
 from .zeno.cycle import CycleLimit
 

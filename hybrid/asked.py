@@ -11,7 +11,6 @@ from typing import Any
 import attrs
 import numpy as np
 
-from .accumulation import explain
 from .automaton.markers import name_of
 from .automaton.record import Record
 from .automaton.spec import Spec
@@ -21,9 +20,10 @@ from .lowering import Scene
 from .reals import real, reals
 from .run import Driver, Plan
 from .run.pieces import Piece
-from .run.plan import PATIENT
 from .solvers import Solver, choose, own_rtol
 from .solvers.base import tolerances
+from .trajectory.accumulation import explain
+from .trajectory.plan import PATIENT
 
 #: Jumps after which a run stops if it is given no ``max_jumps``.
 MAX_JUMPS = 1_000_000

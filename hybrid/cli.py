@@ -21,8 +21,8 @@ from . import gallery
 from .errors import DeclarationError, HybridError, OptionError, StartError
 from .extras import FILES, HTML, PLOT, need
 from .pictures import is_page
-from .stats import versions
-from .trajectory import Status, Trajectory
+from .trajectory.stats import versions
+from .trajectory.trajectory import Status, Trajectory
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Simulate hybrid automata through Zeno points."

@@ -32,7 +32,7 @@ from .rules.lanes import (
 )
 from .run import Driver
 from .solvers import renamed
-from .trajectory import Status
+from .trajectory.trajectory import Status
 
 if TYPE_CHECKING:
     import xarray

@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from .arcs import Arc, Part
 from .automaton.past import DEGREE, blank
 from .histories import Before, until
-from .log import Log
 from .lowering import Scene
 from .lowering.taylor import flat
 from .run.pieces import Piece, Window, constant, piece_of
 from .segment import nodes
+from .trajectory.arcs import Arc, Part
+from .trajectory.log import Log
 
 #: Width of the window on a piece that is no polynomial of low degree, against the longest lag.
 NARROW = 1e-2

@@ -15,8 +15,8 @@ from .hindsight import Hindsight
 from .lowering import Scene, scene_of
 from .run import Driver
 from .solvers import renamed
-from .stats import Stats, versions
-from .trajectory import Trajectory
+from .trajectory.stats import Stats, versions
+from .trajectory.trajectory import Trajectory
 
 
 def simulate(

@@ -15,7 +15,6 @@ from typing import Any
 import attrs
 import numpy as np
 
-from .arcs import Arc
 from .asked import Asked
 from .errors import HybridError, OrbitError
 from .hindsight import Hindsight
@@ -23,7 +22,8 @@ from .histories import from_start
 from .lowering import Scene, scene_with
 from .replay import Plan, blank, laws_of, plan_of
 from .run import Driver
-from .trajectory import Status
+from .trajectory.arcs import Arc
+from .trajectory.trajectory import Status
 from .variation import Carried, Course, Past, Shift, Strand, Walk
 
 #: What the status of a run means, by its number.

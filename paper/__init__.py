@@ -16,7 +16,7 @@ from pathlib import Path
 
 from hybrid.errors import OptionError
 from hybrid.extras import HTML, PLOT, PROOFS, need
-from hybrid.stats import versions
+from hybrid.trajectory.trajectory.stats import versions
 
 from .claims import Section
 

@@ -9,11 +9,11 @@ import pytest
 
 import hybrid as hy
 from hybrid import gallery
-from hybrid.log import Flights
 from hybrid.rules.load import Library
 from hybrid.rules.places import END, FULL, LOOK
 from hybrid.run import machine
 from hybrid.solvers.taylor_backend import TaylorSolver
+from hybrid.trajectory.trajectory.log import Flights
 
 from .systems import Oscillator
 

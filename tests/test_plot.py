@@ -78,7 +78,7 @@ def test_a_picture_measures_nothing(monkeypatch):
 def test_words_about_many_accumulations_are_few(monkeypatch):
     """The first and the last, unless all are asked for."""
     run = hy.simulate(BeadOnTable(r=0.6, omega=3.5), [1.5, 0.0], (0, 120), solver="taylor")
-    monkeypatch.setattr("hybrid.trajectory.explain", lambda point: f"at {point.t}")
+    monkeypatch.setattr("hybrid.trajectory.trajectory.explain", lambda point: f"at {point.t}")
     assert len(run.zeno) > 50
     assert len(run.explain().splitlines()) <= 40
     assert f"at {run.zeno[-1].t}" in run.explain()

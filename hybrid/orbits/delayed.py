@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 import attrs
 import numpy as np
 
-from ..arcs import Arc
 from ..errors import OrbitError
 from ..lowering import Scene
-from ..trajectory import Trajectory
+from ..trajectory.arcs import Arc
+from ..trajectory.trajectory import Trajectory
 from ..variation import Carried, Course, Past, Shift, Strand, Walk
 
 

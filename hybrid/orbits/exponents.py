@@ -10,7 +10,7 @@ import numpy as np
 from ..automaton.base import require_model
 from ..errors import OptionError, OrbitError
 from ..simulation import simulate
-from ..trajectory import Status, Trajectory
+from ..trajectory.trajectory import Status, Trajectory
 from ..variation import factors
 
 #: Parts of a run whose means are compared.

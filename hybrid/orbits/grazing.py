@@ -8,11 +8,11 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from ..arcs import Arc
 from ..events import turning_points
 from ..lowering import Field, Guard
 from ..segment import from_values, nodes
-from ..trajectory import Trajectory
+from ..trajectory.arcs import Arc
+from ..trajectory.trajectory import Trajectory
 from ..variation.walk import SMOOTH
 
 #: A guard's rate at a jump, against its largest, below which the jump is said to graze; the

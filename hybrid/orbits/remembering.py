@@ -19,14 +19,14 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from ..arcs import Arc
 from ..errors import OptionError, OrbitError
 from ..hindsight import Hindsight, Record
 from ..histories import Before
-from ..log import Log
 from ..run.pieces import Piece, constant
 from ..segment import from_values, nodes
-from ..trajectory import Trajectory
+from ..trajectory.arcs import Arc
+from ..trajectory.log import Log
+from ..trajectory.trajectory import Trajectory
 from ..variation import Carried, Shift, Strand, descendants, distinct
 from .delayed import carried
 from .shooting import LEAST, Description, Guess, Shooting, Turn

@@ -9,9 +9,9 @@ from __future__ import annotations
 import attrs
 import numpy as np
 
-from ..arcs import Arc
 from ..errors import OrbitError
-from ..trajectory import Trajectory
+from ..trajectory.arcs import Arc
+from ..trajectory.trajectory import Trajectory
 from ..variation import Strand
 from .delayed import carried
 from .section import Return, cut

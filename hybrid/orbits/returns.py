@@ -15,7 +15,7 @@ from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
 from ..lowering import scene_of
 from ..simulation import simulate
-from ..trajectory import Status, Trajectory
+from ..trajectory.trajectory import Status, Trajectory
 from .section import Edge, Period, Return, Section, Surface, cut, section_of
 
 #: The first window in which a return is sought, of the longest, and how they grow: the time in

@@ -10,7 +10,7 @@ import numpy as np
 from ..automaton.markers import RISING
 from ..errors import HybridError, OptionError, OrbitError
 from ..lowering import Scene
-from ..trajectory import Trajectory
+from ..trajectory.trajectory import Trajectory
 from .returns import ReturnMap
 from .shooting import MOVES, Guess, Shooting, Turn
 

@@ -8,17 +8,17 @@ from typing import Any
 
 import attrs
 
-from ..arcs import Arc, Part
 from ..automaton.markers import RISING, Crossing
 from ..automaton.trace import again, caller, scalar, trace
-from ..clock import Instant
 from ..errors import OptionError
 from ..events import fires, zeros
-from ..log import Log
 from ..lowering import Guard, Scene
 from ..lowering.lowered import guard_shape
 from ..lowering.scene import Scalar
-from ..trajectory import Status, Trajectory
+from ..trajectory.arcs import Arc, Part
+from ..trajectory.clock import Instant
+from ..trajectory.log import Log
+from ..trajectory.trajectory import Status, Trajectory
 
 #: A surface on which a run starts is zero there, relative to the terms that it is made of.
 STARTS = 1e-8

@@ -9,13 +9,13 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from ..arcs import Arc
 from ..events import bernstein_from_chebyshev, roots
-from ..log import Log
 from ..segment import nodes
 from ..solvers import Solver
 from ..solvers.taylor_backend import TaylorSolver
-from ..trajectory import Trajectory
+from ..trajectory.arcs import Arc
+from ..trajectory.log import Log
+from ..trajectory.trajectory import Trajectory
 from .standing import Standing, size_of, standing
 
 #: Distances below this many times ``rtol``, three turns in a row, are those of a closed orbit.

@@ -16,14 +16,14 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..arcs import Arc
 from ..errors import HybridError, OrbitError
 from ..hindsight import Hindsight
 from ..histories import pieces
-from ..log import Log
 from ..lowering import Scene, scene_of
 from ..simulation import simulate
-from ..trajectory import Trajectory
+from ..trajectory.arcs import Arc
+from ..trajectory.log import Log
+from ..trajectory.trajectory import Trajectory
 from ..variation import Factor, factors
 
 #: Most steps of Newton's method, and most halvings of one.

@@ -13,11 +13,11 @@ from __future__ import annotations
 import attrs
 import numpy as np
 
-from ..arcs import Arc
 from ..hindsight import Hindsight, Record
 from ..lowering import Field
 from ..segment import nodes
-from ..trajectory import Trajectory
+from ..trajectory.arcs import Arc
+from ..trajectory.trajectory import Trajectory
 
 #: Differences below this, against the size of an element along the run, are rounding.
 ROUNDING = 1e-14

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..accumulation import Accumulation
-from ..arcs import Arc
-from ..trajectory import Trajectory
+from ..trajectory.accumulation import Accumulation
+from ..trajectory.arcs import Arc
+from ..trajectory.trajectory import Trajectory
 from .figure import Curve, Figure, Panel
 
 #: Points an arc, at most and at least, and in all; arcs of a long run get fewer.

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import attrs
 import numpy as np
 
-from ..arcs import Arc, JumpRow, Part, TailPart
 from ..errors import OrbitError
 from ..lowering import Field
 from ..segment import Segment
+from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
 from ..variation import Course, Walk
 from ..variation.arcs import HALVINGS, Piece, collocate, gauss, pieces, sizes
 from ..variation.derivatives import Derivatives, Matrix

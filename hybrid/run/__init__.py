@@ -1,6 +1,6 @@
 """One run: the loop, an arc, an entry into a mode, and what is recorded."""
 
+from ..trajectory.plan import Plan
 from .driver import Driver
-from .plan import Plan
 
 __all__ = ["Driver", "Plan"]

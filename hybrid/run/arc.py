@@ -10,7 +10,6 @@ import attrs
 import numpy as np
 
 from ..automaton.markers import Crossing
-from ..clock import Instant
 from ..errors import DomainError, FlowError, OptionError
 from ..events import EPS, SHARES, Cut, Zero, fires, zeros
 from ..lowering import Guard, Kink, Scene, released
@@ -20,11 +19,12 @@ from ..rules.arcs import FAR, LANDINGS, SAFETY
 from ..rules.guards import BESIDE, TIE
 from ..segment import Segment
 from ..solvers import Solver, Stepper
+from ..trajectory.clock import Instant
+from ..trajectory.plan import Plan
 from ..zeno.flight import falls
 from .entry import MOVES, Entry, describe, expand, opened
 from .kinked import begin
 from .pace import Pace
-from .plan import Plan
 
 #: A step never spans more than this many time scales of a guard that is no polynomial.
 REACH = 8.0

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, NamedTuple
 import attrs
 import numpy as np
 
-from ..clock import Instant
 from ..events import EPS
 from ..lowering import Field, Guard, Scene
+from ..trajectory.clock import Instant
 from ..zeno.cycle import FAST, FEW, LONGEST, CycleLimit, accelerated, limit, period
 from ..zeno.narrow import damps
 from ..zeno.others import excluded, hull
 from .instant import collapse
 
 if TYPE_CHECKING:
+    from ..trajectory.plan import Plan
     from .driver import Driver
-    from .plan import Plan
 
 #: Jumps, at least, in the windows that are compared, and by how much the later must be shorter.
 WINDOW, SHORTER = 12, 0.97

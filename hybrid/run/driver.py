@@ -10,12 +10,9 @@ from collections.abc import Callable, Sequence
 import attrs
 import numpy as np
 
-from ..accumulation import Accumulation
-from ..arcs import Arc, TailPart
 from ..bounds.defect import follows
 from ..errors import FlowError, JumpLoopError, StartError
 from ..events import CLOSED, EPS
-from ..log import Flights
 from ..lowering import Contact, Field, Guard, Scene, released
 from ..lowering.scene import parted
 from ..rules import unit
@@ -24,7 +21,11 @@ from ..rules.places import RISES
 from ..segment import Segment
 from ..solvers import Solver
 from ..solvers.watchful import Watchful
-from ..trajectory import Jump, Status
+from ..trajectory.accumulation import Accumulation
+from ..trajectory.arcs import Arc, TailPart
+from ..trajectory.log import Flights
+from ..trajectory.plan import PATIENCE, Plan
+from ..trajectory.trajectory import Jump, Status
 from ..zeno.accumulate import Tail, clear, close, hop
 from ..zeno.cycle import CycleLimit
 from ..zeno.narrow import seen
@@ -48,7 +49,6 @@ from .machine import Machine
 from .memory import Memory
 from .pace import Pace
 from .pieces import Piece
-from .plan import PATIENCE, Plan
 from .recorder import Recorder
 from .watch import Watch
 

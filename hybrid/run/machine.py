@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import attrs
 import numpy as np
 
-from ..log import Flights, Steps, Table, joined
 from ..lowering.lowered import ORDER
 from ..lowering.windows import Links, Shown
 from ..rules import unit
@@ -71,13 +70,14 @@ from ..rules.places import (
 from ..rules.sights import HALVINGS, POINTS, STATES
 from ..rules.sums import SHOWN
 from ..segment import nodes, terms
-from ..trajectory import Status
+from ..trajectory.log import Flights, Steps, Table, joined
+from ..trajectory.plan import PATIENCE
+from ..trajectory.trajectory import Status
 from ..zeno.accumulate import Tail, room_for_sums
 from ..zeno.narrow import bounded
 from .cycles import pass_limit
 from .memory import SUMS, Memory
 from .outside import Outside
-from .plan import PATIENCE
 from .watch import Watch
 
 if TYPE_CHECKING:

@@ -27,11 +27,8 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..arcs import Arc, TailPart
 from ..automaton.past import DEGREE, blank
-from ..clock import Instant
 from ..errors import FlowError, OptionError
-from ..log import Flights
 from ..lowering import Field, Scene, window_edge
 from ..lowering.taylor import flat
 from ..lowering.windows import NO_LINKS, SHARE, SMOOTH, TO_POWERS, Links
@@ -55,6 +52,10 @@ from ..rules.places import (
     UNTIL,
 )
 from ..segment import Segment, from_powers, from_values, nodes
+from ..trajectory.arcs import Arc, TailPart
+from ..trajectory.clock import Instant
+from ..trajectory.log import Flights
+from ..trajectory.plan import Plan
 from .pieces import (
     WIDTH,
     Breaks,
@@ -67,7 +68,6 @@ from .pieces import (
     states,
     swept,
 )
-from .plan import Plan
 
 #: Windows in a row that are one step long before longer ones are guessed.
 PATIENT = 3

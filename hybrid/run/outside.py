@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..clock import Instant
 from ..errors import FlowError, OptionError
-from ..log import Steps
 from ..lowering import Field
 from ..lowering.lowered import ORDER
 from ..rules.arcs import SAFETY
@@ -28,6 +26,8 @@ from ..rules.places import (
 )
 from ..segment import nodes, terms, to_powers
 from ..solvers import Stepper
+from ..trajectory.clock import Instant
+from ..trajectory.log import Steps
 from .entry import describe
 from .kinked import begin
 from .pace import Pace

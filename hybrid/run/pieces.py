@@ -11,12 +11,12 @@ import attrs
 import numpy as np
 
 from ..automaton.past import DEGREE
-from ..clock import Instant
 from ..lowering import Field
 from ..lowering.windows import ROUNDING, TO_POWERS
 from ..rules.past import UP_TO
 from ..rules.places import BREAKS, PIECES
 from ..segment import Segment, from_values, integrals, nodes
+from ..trajectory.clock import Instant
 
 #: Rounding of places at the ends of a piece.
 INSIDE = 1e-12

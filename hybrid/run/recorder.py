@@ -12,19 +12,19 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..accumulation import Accumulation
-from ..arcs import Arc, JumpRow, Part, TailPart
-from ..clock import Instant
 from ..errors import JumpLoopError
 from ..events import CAUGHT, STRUCK
-from ..log import Flights, Log
 from ..lowering import Field
 from ..segment import Segment, from_values, nodes
-from ..trajectory import Jump
+from ..trajectory.accumulation import Accumulation
+from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
+from ..trajectory.clock import Instant
+from ..trajectory.log import Flights, Log
+from ..trajectory.plan import Plan
+from ..trajectory.trajectory import Jump
 from ..zeno.accumulate import Tail
 from ..zeno.cycle import CycleLimit
 from .memory import Memory
-from .plan import Plan
 
 #: Accumulations of one cycle accumulate in turn where so many times between them have shrunk, the
 #: last to so small a share of the first.

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import attrs
 import numpy as np
 
-from ..accumulation import Accumulation, Truncation
-from ..arcs import Part, TailPart
 from ..lowering import Contact, Field
 from ..segment import nodes
+from ..trajectory.accumulation import Accumulation, Truncation
+from ..trajectory.arcs import Part, TailPart
 from ..zeno.flight import rise
 from .entry import Jumped
 

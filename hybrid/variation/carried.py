@@ -8,12 +8,12 @@ from math import ulp
 import attrs
 import numpy as np
 
-from ..arcs import Arc, JumpRow
 from ..automaton.past import DEGREE
 from ..errors import OrbitError
 from ..lowering.windows import TO_POWERS
 from ..run.pieces import Window
 from ..segment import from_values, nodes
+from ..trajectory.arcs import Arc, JumpRow
 from .derivatives import Derivatives
 from .limit import through
 from .past import NOTHING, Past, Shift, Strand

@@ -27,9 +27,9 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.polynomial.legendre import leggauss
 
-from ..arcs import Arc
 from ..errors import OrbitError
 from ..segment import from_values, nodes
+from ..trajectory.arcs import Arc
 from .arcs import Piece, bend, middle, pieces, told
 from .derivatives import Matrix
 from .walk import Walk

@@ -21,11 +21,11 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..arcs import Arc, JumpRow, Part, TailPart
 from ..errors import OrbitError
 from ..lowering import Field, Guard, Scene, scene_of
 from ..rules.guards import NEAR
-from ..trajectory import Trajectory
+from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
+from ..trajectory.trajectory import Trajectory
 from .arcs import Piece, along, passing, told
 from .derivatives import Derivatives
 from .limit import Limit, through

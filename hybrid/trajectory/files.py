@@ -19,14 +19,14 @@ from typing import TYPE_CHECKING, Any
 import attrs
 import numpy as np
 
+from ..automaton.record import Record
+from ..automaton.spec import Spec, StateSpec
+from ..errors import StoreError
+from ..extras import FILES, TABLES, need
+from ..segment import Segment
 from .accumulation import Accumulation, Truncation
 from .arcs import Arc, JumpRow
-from .automaton.record import Record
-from .automaton.spec import Spec, StateSpec
-from .errors import StoreError
-from .extras import FILES, TABLES, need
 from .log import Log
-from .segment import Segment
 from .stats import Stats
 from .trajectory import Jump, Status, Trajectory
 

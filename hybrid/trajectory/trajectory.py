@@ -16,19 +16,19 @@ from typing import TYPE_CHECKING, Any
 import attrs
 import numpy as np
 
+from ..automaton.record import Record
+from ..automaton.spec import Spec
+from ..errors import OptionError
+from ..extras import HTML, PLOT, need
 from .accumulation import Accumulation, explain, unfinished
 from .arcs import Arc, JumpRow, Part, TailPart
-from .automaton.record import Record
-from .automaton.spec import Spec
-from .errors import OptionError
-from .extras import HTML, PLOT, need
 from .log import Log, Table
 from .stats import Stats
 
 if TYPE_CHECKING:
     import xarray
 
-    from .orbits.settling import Settled
+    from ..orbits.settling import Settled
 
 
 #: Accumulations that a run lists when it is printed, and explains unless all are asked for.
@@ -371,7 +371,7 @@ class Trajectory:
         time, the state does not change at all, and delays have seen nothing else for the
         longest lag; where it may end, the reason says so.
         """
-        from .orbits.settling import settles
+        from ..orbits.settling import settles
 
         return settles(self)
 
@@ -394,15 +394,15 @@ class Trajectory:
         OptionError
             If matplotlib, or for a page plotly, is missing.
         """
-        from .pictures import is_page
-        from .pictures.of_run import figure
+        from ..pictures import is_page
+        from ..pictures.of_run import figure
 
         if is_page(path):
             need("run.plot to .html", HTML)
-            from .pictures.interactive import draw
+            from ..pictures.interactive import draw
         else:
             need("run.plot", PLOT)
-            from .pictures.static import draw
+            from ..pictures.static import draw
         return draw(figure(self), path)
 
     def to_xarray(self, t: Any = None) -> xarray.Dataset:
@@ -413,13 +413,13 @@ class Trajectory:
         t : array, optional
             Times; where omitted, those the run was asked to save, or 16 points an arc.
         """
-        from .store import to_xarray
+        from .files import to_xarray
 
         return to_xarray(self, t)
 
     def save(self, path: Any) -> None:
         """Write the whole trajectory, dense output included, to a NetCDF file."""
-        from .store import save
+        from .files import save
 
         save(self, path)
 

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import attrs
 import numpy as np
 
-from .automaton.record import Record
-from .zeno.cycle import period
+from ..automaton.record import Record
+from ..zeno.cycle import period
 
 if TYPE_CHECKING:
-    from .zeno.enclose import Proof
+    from ..zeno.enclose import Proof
 
 #: What ``t`` may be off, against the time from the first impact of the series on: an error that is
 #: no small part of it comes from another series than the one that happens.

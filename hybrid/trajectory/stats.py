@@ -56,7 +56,7 @@ class Stats:
 @cache
 def versions() -> dict[str, str]:
     """Versions of this package, of Python, and of what computes, as far as it is installed."""
-    from . import __version__
+    from .. import __version__
 
     found = {"hybrid": __version__, "python": platform.python_version()}
     for name in USED:

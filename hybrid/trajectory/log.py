@@ -16,8 +16,8 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from ..segment import Segment, from_values, nodes
 from .arcs import Arc, JumpRow, Part, TailPart
-from .segment import Segment, from_values, nodes
 
 
 class Steps(NamedTuple):

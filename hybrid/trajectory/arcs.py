@@ -8,10 +8,10 @@ from typing import Any
 import attrs
 import numpy as np
 
+from ..errors import OptionError
+from ..segment import Segment
+from ..zeno.accumulate import Tail
 from .clock import Instant
-from .errors import OptionError
-from .segment import Segment
-from .zeno.accumulate import Tail
 
 
 @attrs.frozen(eq=False)
