@@ -12,13 +12,13 @@ import numpy as np
 
 from .asked import chosen
 from .automaton.record import Record
+from .delay.pieces import Piece
 from .errors import HybridError
 from .events import EPS
 from .lowering import Scene
 from .rules.guards import NEAR
 from .rules.sums import FLOOR
 from .run import Driver, Plan
-from .run.pieces import Piece
 from .solvers import Solver, own_rtol
 from .solvers.base import FINEST
 from .trajectory.log import Log

@@ -14,12 +14,12 @@ import numpy as np
 from .automaton.markers import name_of
 from .automaton.record import Record
 from .automaton.spec import Spec
+from .delay.history import pieces
+from .delay.pieces import Piece
 from .errors import OptionError, StartError, ZenoError
-from .histories import pieces
 from .lowering import Scene
 from .reals import real, reals
 from .run import Driver, Plan
-from .run.pieces import Piece
 from .solvers import Solver, choose, own_rtol
 from .solvers.base import tolerances
 from .trajectory.accumulation import explain

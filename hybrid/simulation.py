@@ -11,7 +11,7 @@ import numpy as np
 from .again import give_errors
 from .asked import Asked, mode_of, start_of
 from .automaton.base import require_model
-from .hindsight import Hindsight
+from .delay.hindsight import Hindsight
 from .lowering import Scene, scene_of
 from .run import Driver
 from .solvers import renamed

@@ -16,9 +16,9 @@ import attrs
 import numpy as np
 
 from .asked import Asked
+from .delay.hindsight import Hindsight
+from .delay.history import from_start
 from .errors import HybridError, OrbitError
-from .hindsight import Hindsight
-from .histories import from_start
 from .lowering import Scene, scene_with
 from .replay import Plan, blank, laws_of, plan_of
 from .run import Driver

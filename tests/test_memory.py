@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import hybrid as hy
+from hybrid.delay.memory import Memory
+from hybrid.delay.pieces import Breaks
 from hybrid.rules.places import BREAKS
 from hybrid.run import driver
-from hybrid.run.memory import Memory
-from hybrid.run.pieces import Breaks
 from models.bouncing_ball import BouncingBall
 from models.pyragas import Pyragas
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 import hybrid as hy
+from hybrid.delay import memory, pieces
 from hybrid.rules.load import Library
 from hybrid.rules.places import END
-from hybrid.run import machine, memory, pieces
+from hybrid.run import machine
 from hybrid.solvers.taylor_backend import TaylorSolver
 from models.delay_bounce import DelayBounce
 from models.delay_jump import DelayJump

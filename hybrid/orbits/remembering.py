@@ -19,10 +19,10 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from ..delay.hindsight import Hindsight, Record
+from ..delay.history import Before
+from ..delay.pieces import Piece, constant
 from ..errors import OptionError, OrbitError
-from ..hindsight import Hindsight, Record
-from ..histories import Before
-from ..run.pieces import Piece, constant
 from ..segment import from_values, nodes
 from ..trajectory.arcs import Arc
 from ..trajectory.log import Log

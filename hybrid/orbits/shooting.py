@@ -16,9 +16,9 @@ from typing import Any
 import attrs
 import numpy as np
 
+from ..delay.hindsight import Hindsight
+from ..delay.history import pieces
 from ..errors import HybridError, OrbitError
-from ..hindsight import Hindsight
-from ..histories import pieces
 from ..lowering import Scene, scene_of
 from ..simulation import simulate
 from ..trajectory.arcs import Arc

@@ -13,7 +13,7 @@ from __future__ import annotations
 import attrs
 import numpy as np
 
-from ..hindsight import Hindsight, Record
+from ..delay.hindsight import Hindsight, Record
 from ..lowering import Field
 from ..segment import nodes
 from ..trajectory.arcs import Arc

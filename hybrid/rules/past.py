@@ -2,7 +2,7 @@
 
 :mod:`.runs` flies as far as the present windows hold. Here what has been flown is put down as the
 record, in pieces, with its breaking points; at the end of a window the next one is read off the
-record, as ``docs/notes/delays.md`` says. What is not plain is left to :mod:`hybrid.run.memory`,
+record, as ``docs/notes/delays.md`` says. What is not plain is left to :mod:`hybrid.delay.memory`,
 which has the same record: windows on functions of the caller's, and such as are guessed.
 """
 

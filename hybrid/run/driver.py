@@ -11,6 +11,8 @@ import attrs
 import numpy as np
 
 from ..bounds.defect import follows
+from ..delay.memory import Memory
+from ..delay.pieces import Piece
 from ..errors import FlowError, JumpLoopError, StartError
 from ..events import CLOSED, EPS
 from ..lowering import Contact, Field, Guard, Scene, released
@@ -46,9 +48,7 @@ from .entry import (
     signs_at_end,
 )
 from .machine import Machine
-from .memory import Memory
 from .pace import Pace
-from .pieces import Piece
 from .recorder import Recorder
 from .watch import Watch
 

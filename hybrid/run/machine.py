@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 import attrs
 import numpy as np
 
+from ..delay.memory import SUMS, Memory
+from ..delay.windows import Links, Shown
 from ..lowering.lowered import ORDER
-from ..lowering.windows import Links, Shown
 from ..rules import unit
 from ..rules.arrays import Left, Look, Now, Room, Sums
 from ..rules.places import (
@@ -76,7 +77,6 @@ from ..trajectory.trajectory import Status
 from ..zeno.accumulate import Tail, room_for_sums
 from ..zeno.narrow import bounded
 from .cycles import pass_limit
-from .memory import SUMS, Memory
 from .outside import Outside
 from .watch import Watch
 

@@ -12,6 +12,7 @@ from typing import Any
 import attrs
 import numpy as np
 
+from ..delay.memory import Memory
 from ..errors import JumpLoopError
 from ..events import CAUGHT, STRUCK
 from ..lowering import Field
@@ -24,7 +25,6 @@ from ..trajectory.plan import Plan
 from ..trajectory.trajectory import Jump
 from ..zeno.accumulate import Tail
 from ..zeno.cycle import CycleLimit
-from .memory import Memory
 
 #: Accumulations of one cycle accumulate in turn where so many times between them have shrunk, the
 #: last to so small a share of the first.

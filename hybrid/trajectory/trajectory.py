@@ -155,8 +155,8 @@ class Trajectory:
     pairs : list of (int, int)
         Places of a contact's positions and velocities in the state vector.
     hindsight : Hindsight or None
-        How the model looked at each time of the run (:mod:`hybrid.hindsight`); None in a run that
-        was loaded.
+        How the model looked at each time of the run (:mod:`hybrid.delay.hindsight`); None in a run
+        that was loaded.
     stats : Stats or None
         Steps, and what they took; None in a run from a file that does not say.
     versions : dict

@@ -9,9 +9,9 @@ import attrs
 import numpy as np
 
 from ..automaton.past import DEGREE
+from ..delay.pieces import Window
+from ..delay.windows import TO_POWERS
 from ..errors import OrbitError
-from ..lowering.windows import TO_POWERS
-from ..run.pieces import Window
 from ..segment import from_values, nodes
 from ..trajectory.arcs import Arc, JumpRow
 from .derivatives import Derivatives

@@ -9,13 +9,13 @@ from typing import Any
 import attrs
 import numpy as np
 
-from .automaton.record import Record
-from .automaton.spec import Spec
-from .automaton.trace import wide
-from .errors import OptionError
-from .run.pieces import Piece, constant, piece_of
-from .trajectory.arcs import Arc
-from .trajectory.trajectory import Trajectory
+from ..automaton.record import Record
+from ..automaton.spec import Spec
+from ..automaton.trace import wide
+from ..errors import OptionError
+from ..trajectory.arcs import Arc
+from ..trajectory.trajectory import Trajectory
+from .pieces import Piece, constant, piece_of
 
 
 @attrs.frozen(eq=False)

@@ -1,7 +1,7 @@
 """What a run saw of its past at any time of it, for those who look at the run afterwards.
 
 A model with delays is, between two breaking points, a model without: a scene that looks through
-windows on the record (:mod:`hybrid.run.memory`). Here the windows are the pieces of the record
+windows on the record (:mod:`hybrid.delay.memory`). Here the windows are the pieces of the record
 themselves, so that one scene serves as long as every lag looks at the same piece.
 """
 
@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from .automaton.past import DEGREE, blank
-from .histories import Before, until
-from .lowering import Scene
-from .lowering.taylor import flat
-from .run.pieces import Piece, Window, constant, piece_of
-from .segment import nodes
-from .trajectory.arcs import Arc, Part
-from .trajectory.log import Log
+from ..automaton.past import DEGREE, blank
+from ..lowering import Scene
+from ..lowering.taylor import flat
+from ..segment import nodes
+from ..trajectory.arcs import Arc, Part
+from ..trajectory.log import Log
+from .history import Before, until
+from .pieces import Piece, Window, constant, piece_of
 
 #: Width of the window on a piece that is no polynomial of low degree, against the longest lag.
 NARROW = 1e-2

@@ -31,7 +31,6 @@ from ..automaton.past import DEGREE, blank
 from ..errors import FlowError, OptionError
 from ..lowering import Field, Scene, window_edge
 from ..lowering.taylor import flat
-from ..lowering.windows import NO_LINKS, SHARE, SMOOTH, TO_POWERS, Links
 from ..rules import unit
 from ..rules.arrays import Past
 from ..rules.places import (
@@ -68,6 +67,7 @@ from .pieces import (
     states,
     swept,
 )
+from .windows import NO_LINKS, SHARE, SMOOTH, TO_POWERS, Links
 
 #: Windows in a row that are one step long before longer ones are guessed.
 PATIENT = 3

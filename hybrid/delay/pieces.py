@@ -12,11 +12,11 @@ import numpy as np
 
 from ..automaton.past import DEGREE
 from ..lowering import Field
-from ..lowering.windows import ROUNDING, TO_POWERS
 from ..rules.past import UP_TO
 from ..rules.places import BREAKS, PIECES
 from ..segment import Segment, from_values, integrals, nodes
 from ..trajectory.clock import Instant
+from .windows import ROUNDING, TO_POWERS
 
 #: Rounding of places at the ends of a piece.
 INSIDE = 1e-12

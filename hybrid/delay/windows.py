@@ -1,4 +1,4 @@
-"""Numbers of the windows through which delays look back: see :mod:`hybrid.run.memory`."""
+"""Numbers of the windows through which delays look back: see :mod:`hybrid.delay.memory`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from ..automaton.past import DEGREE, blank
 from ..rules.places import KIND, NONE, RELEASE, TO
 
 if TYPE_CHECKING:
+    from ..lowering.automaton import Tables
     from ..rules.arrays import Automaton
-    from .automaton import Tables
 
 #: What a window may differ from the record, against the tolerance of a step.
 SHARE = 0.1
