@@ -15,8 +15,8 @@ from typing import Any, TypeVar
 import attrs
 import numpy as np
 
-from .abreast import FEW as FIRST
-from .abreast import Abreast, Flown, Given, abreast, lent
+from .ensembles.threads import FEW as FIRST
+from .ensembles.threads import Abreast, Flown, Given, abreast, lent
 from .errors import HybridError
 from .lowering import Scene, scene_with
 from .lowering.tape import room

@@ -14,7 +14,8 @@ import pytest
 from scipy.integrate import RK45
 
 import hybrid as hy
-from hybrid import beside, gallery
+from hybrid import gallery
+from hybrid.ensembles.ensemble import processes as beside
 from models.bouncing_ball import BouncingBall
 from models.hard_spring import HardSpring
 from models.two_tanks import TwoTanks

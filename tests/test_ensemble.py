@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import hybrid as hy
-from hybrid import abreast, ensembles
+from hybrid.ensembles.ensemble import ensemble as ensembles
+from hybrid.ensembles.ensemble import threads as abreast
 from hybrid.jit import jit
 from models.ball_on_circle import BallOnCircle
 from models.bead_on_table import BeadOnTable

@@ -9,30 +9,21 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import attrs
 import numpy as np
 
-from .abreast import Flown, Given, abreast
-from .again import give_errors
-from .asked import Asked, mode_of
-from .automaton.base import require_model
-from .automaton.digest import digest
-from .automaton.spec import Spec
-from .beside import Shared, Unfit
-from .errors import HybridError, OptionError
-from .extras import TABLES, need
-from .lanes import Lane, Lanes
-from .lowering import Scene, scene_of
-from .rules.lanes import (
-    ENDED,
-    LAST_JUMP,
-    MADE_JUMPS,
-    MADE_STEPS,
-    MODE,
-    OUTCOME,
-    STATE,
-    SUMMED,
-)
-from .run import Driver
-from .solvers import renamed
-from .trajectory.trajectory import Status
+from ..again import give_errors
+from ..asked import Asked, mode_of
+from ..automaton.base import require_model
+from ..automaton.digest import digest
+from ..automaton.spec import Spec
+from ..errors import HybridError, OptionError
+from ..extras import TABLES, need
+from ..lowering import Scene, scene_of
+from ..rules.lanes import ENDED, LAST_JUMP, MADE_JUMPS, MADE_STEPS, MODE, OUTCOME, STATE, SUMMED
+from ..run import Driver
+from ..solvers import renamed
+from ..trajectory.trajectory import Status
+from .processes import Shared, Unfit
+from .starts import Lane, Lanes
+from .threads import Flown, Given, abreast
 
 if TYPE_CHECKING:
     import xarray

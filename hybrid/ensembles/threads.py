@@ -16,15 +16,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .lowering import Scene
-from .lowering.tape import Jets
-from .rules import unit
-from .rules.arrays import Automaton, Left, Now
-from .rules.lanes import ASKS, ENDED, FLOWN_TO, LAST_JUMP, LEFT, MODE, OUTCOME, STATE, TOLD
-from .rules.places import CURVE_ROWS, REMAINING
-from .run import Driver
-from .run.machine import rooms
-from .zeno.narrow import bounded
+from ..lowering import Scene
+from ..lowering.tape import Jets
+from ..rules import unit
+from ..rules.arrays import Automaton, Left, Now
+from ..rules.lanes import ASKS, ENDED, FLOWN_TO, LAST_JUMP, LEFT, MODE, OUTCOME, STATE, TOLD
+from ..rules.places import CURVE_ROWS, REMAINING
+from ..run import Driver
+from ..run.machine import rooms
+from ..zeno.narrow import bounded
 
 #: Lanes in a call, at most and at least: between two of them progress is told. Of fewer than that
 #: there are so many calls for each thread, that all end together.

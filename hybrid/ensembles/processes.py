@@ -29,7 +29,7 @@ from threading import Thread
 from time import perf_counter
 from typing import Any
 
-from .errors import HybridError
+from ..errors import HybridError
 
 #: Seconds of calls left, at the pace so far, for which one more process is started: it takes two or
 #: three of a processor until its first answer (to import, to make a model ready, to compile).
@@ -40,7 +40,7 @@ PAYS = 8.0
 BLOCK, SHARE = 0.5, 0.5
 
 #: What a process runs.
-CODE = "from hybrid.beside import serve; serve()"
+CODE = "from hybrid.ensembles.processes import serve; serve()"
 
 #: Interrupts from the keyboard are for this process; it ends the others.
 APART: dict[str, Any] = {"start_new_session": True}
