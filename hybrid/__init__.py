@@ -42,7 +42,7 @@ from .errors import (
 if TYPE_CHECKING:
     from .certificates import Certificate, certify
     from .ensembles.ensemble import ensemble
-    from .function import as_function
+    from .functions.function import as_function
     from .orbits import lyapunov, periodic_orbit, return_map
     from .simulation import simulate
     from .trajectory.files import load

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import hybrid as hy
-from hybrid.function import OUTPUTS, runs_of
-from hybrid.rows import Slopes
+from hybrid.functions.batch import Slopes
+from hybrid.functions.function import OUTPUTS, runs_of
 from models.ball_on_circle import BallOnCircle
 from models.bead_on_table import BeadOnTable
 from models.hard_spring import HardSpring

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import hybrid as hy
-from hybrid.function import REASONS
+from hybrid.functions.function import REASONS
 from models.ball_on_circle import BallOnCircle
 from models.bead_on_table import BeadOnTable
 from models.bouncing_ball import BouncingBall

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import hybrid as hy
-from hybrid import rows
-from hybrid.function import runs_of
-from hybrid.tangent import Runs
+from hybrid.functions import batch as rows
+from hybrid.functions.derivatives import Runs
+from hybrid.functions.function import runs_of
 from models.bouncing_ball import BouncingBall
 
 from .lanes import NAMES, draw

@@ -31,7 +31,7 @@ import numpy as np
 
 import hybrid as hy
 from hybrid.automaton.record import Record
-from hybrid.function import REASONS
+from hybrid.functions.function import REASONS
 
 #: Options of ``hy.simulate`` that choose a solver; a new backend is one line here.
 SOLVERS = {

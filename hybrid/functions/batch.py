@@ -15,14 +15,14 @@ from typing import Any, TypeVar
 import attrs
 import numpy as np
 
-from .ensembles.threads import FEW as FIRST
-from .ensembles.threads import Abreast, Flown, Given, abreast, lent
-from .errors import HybridError
-from .lowering import Scene, scene_with
-from .lowering.tape import room
-from .rules import unit
-from .rules.changes import KNOWN, OF_FIELD, OF_GUARD
-from .rules.lanes import (
+from ..ensembles.threads import FEW as FIRST
+from ..ensembles.threads import Abreast, Flown, Given, abreast, lent
+from ..errors import HybridError
+from ..lowering import Scene, scene_with
+from ..lowering.tape import room
+from ..rules import unit
+from ..rules.changes import KNOWN, OF_FIELD, OF_GUARD
+from ..rules.lanes import (
     AT_TIME,
     ENDED,
     MADE_JUMPS,
@@ -33,9 +33,9 @@ from .rules.lanes import (
     T_ERROR,
     T_INF,
 )
-from .run import Driver
-from .tangent import NUMBERS, Runs
-from .variation import Derivatives, Owned
+from ..run import Driver
+from ..variation import Derivatives, Owned
+from .derivatives import NUMBERS, Runs
 
 #: Rows from which on they are flown together: to begin takes as long as two or three runs.
 FEW = 4
@@ -102,7 +102,7 @@ def _first(runs: Runs, rows: np.ndarray, flies: type[Flies]) -> Flies | None:
 
 
 def _given(runs: Runs, together: Abreast, flown: Flown) -> tuple[np.ndarray, np.ndarray]:
-    """What some lanes give, as :meth:`hybrid.tangent.Runs.values` does for one."""
+    """What some lanes give, as :meth:`hybrid.functions.derivatives.Runs.values` does for one."""
     layout, ends, told = runs.layout, flown.ends, flown.told
     places = {edge: place for place, edge in enumerate(runs.edges)}
     edges = np.array([*(places.get(g.edge, -1) for g in together.tables.guards), -1])

@@ -11,16 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax.lax import stop_gradient
 
-from .asked import Asked, mode_of
-from .automaton.base import require_model
-from .automaton.spec import Spec
-from .errors import OptionError
-from .lowering import Scene, scene_of
-from .replay.fly import at
-from .replay.function import Replay, when
-from .rows import Slopes, values
-from .solvers import renamed
-from .tangent import NUMBERS, REASONS, Layout, Runs
+from ..asked import Asked, mode_of
+from ..automaton.base import require_model
+from ..automaton.spec import Spec
+from ..errors import OptionError
+from ..lowering import Scene, scene_of
+from ..replay.fly import at
+from ..replay.function import Replay, when
+from ..solvers import renamed
+from .batch import Slopes, values
+from .derivatives import NUMBERS, REASONS, Layout, Runs
 
 OUTPUTS = ("final", "jumps", "zeno")
 
@@ -79,7 +79,7 @@ class Outcome(NamedTuple):
     jumps : JumpTable
     zeno : Limit
     status : int
-        1 at the last time; the other numbers are in ``hybrid.function.REASONS``.
+        1 at the last time; the other numbers are in ``hybrid.functions.function.REASONS``.
     overflow : bool
         ``max_jumps`` or ``max_steps`` was too small: the run was cut.
     """
