@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from .again import give_errors
-from .asked import Asked, mode_of, start_of
 from .automaton.base import require_model
 from .delay.hindsight import Hindsight
 from .lowering import Scene, scene_of
 from .run import Driver
+from .run.comparison import give_errors
+from .run.options import Asked, mode_of, start_of
 from .solvers import renamed
 from .trajectory.stats import Stats, versions
 from .trajectory.trajectory import Trajectory

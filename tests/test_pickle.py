@@ -65,7 +65,7 @@ def test_bounds_are_not_looked_for_to_make_a_pickle(monkeypatch):
     """They are found by whoever asks, from what the pickle holds, in another process as well."""
     run = RUNS["ball"]()
     with monkeypatch.context() as without:
-        without.setattr("hybrid.again.Driver", None)
+        without.setattr("hybrid.run.comparison.Driver", None)
         sent = pickle.dumps(run)
         with pytest.raises(TypeError):
             run.zeno[0].t_error  # noqa: B018

@@ -67,7 +67,7 @@ def test_a_picture_measures_nothing(monkeypatch):
     """Four hundred accumulations are drawn as they are known: bounds cost a run each."""
     run = hy.simulate(BeadOnTable(r=0.6, omega=3.5), [1.5, 0.0], (0, 730), solver="taylor")
     assert len(run.zeno) >= 400
-    monkeypatch.setattr("hybrid.again.Driver", None)
+    monkeypatch.setattr("hybrid.run.comparison.Driver", None)
     title = run.plot()._suptitle.get_text()
     assert "±" not in title
     assert not any(point.measured for point in run.zeno)

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import attrs
 import numpy as np
 
-from ..again import give_errors
-from ..asked import Asked, mode_of
 from ..automaton.base import require_model
 from ..automaton.digest import digest
 from ..automaton.spec import Spec
@@ -19,6 +17,8 @@ from ..extras import TABLES, need
 from ..lowering import Scene, scene_of
 from ..rules.lanes import ENDED, LAST_JUMP, MADE_JUMPS, MADE_STEPS, MODE, OUTCOME, STATE, SUMMED
 from ..run import Driver
+from ..run.comparison import give_errors
+from ..run.options import Asked, mode_of
 from ..solvers import renamed
 from ..trajectory.trajectory import Status
 from .processes import Shared, Unfit

@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import attrs
 import numpy as np
 
-from ..asked import values_of
 from ..automaton.record import Record
 from ..automaton.spec import Spec
 from ..errors import OptionError, StartError
 from ..lowering import Scene, scene_with
 from ..reals import reals
+from ..run.options import values_of
 
 
 class Lane(NamedTuple):

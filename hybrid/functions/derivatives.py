@@ -15,13 +15,13 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..asked import Asked
 from ..delay.hindsight import Hindsight
 from ..delay.history import from_start
 from ..errors import HybridError, OrbitError
 from ..lowering import Scene, scene_with
 from ..replay import Plan, blank, laws_of, plan_of
 from ..run import Driver
+from ..run.options import Asked
 from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Status
 from ..variation import Carried, Course, Past, Shift, Strand, Walk

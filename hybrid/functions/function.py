@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.lax import stop_gradient
 
-from ..asked import Asked, mode_of
 from ..automaton.base import require_model
 from ..automaton.spec import Spec
 from ..errors import OptionError
 from ..lowering import Scene, scene_of
 from ..replay.fly import at
 from ..replay.function import Replay, when
+from ..run.options import Asked, mode_of
 from ..solvers import renamed
 from .batch import Slopes, values
 from .derivatives import NUMBERS, REASONS, Layout, Runs

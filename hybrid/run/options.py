@@ -11,19 +11,19 @@ from typing import Any
 import attrs
 import numpy as np
 
-from .automaton.markers import name_of
-from .automaton.record import Record
-from .automaton.spec import Spec
-from .delay.history import pieces
-from .delay.pieces import Piece
-from .errors import OptionError, StartError, ZenoError
-from .lowering import Scene
-from .reals import real, reals
-from .run import Driver, Plan
-from .solvers import Solver, choose, own_rtol
-from .solvers.base import tolerances
-from .trajectory.accumulation import explain
-from .trajectory.plan import PATIENT
+from ..automaton.markers import name_of
+from ..automaton.record import Record
+from ..automaton.spec import Spec
+from ..delay.history import pieces
+from ..delay.pieces import Piece
+from ..errors import OptionError, StartError, ZenoError
+from ..lowering import Scene
+from ..reals import real, reals
+from ..solvers import Solver, choose, own_rtol
+from ..solvers.base import tolerances
+from ..trajectory.accumulation import explain
+from ..trajectory.plan import PATIENT
+from . import Driver, Plan
 
 #: Jumps after which a run stops if it is given no ``max_jumps``.
 MAX_JUMPS = 1_000_000

@@ -10,21 +10,21 @@ from typing import Any, NamedTuple
 import attrs
 import numpy as np
 
-from .asked import chosen
-from .automaton.record import Record
-from .delay.pieces import Piece
-from .errors import HybridError
-from .events import EPS
-from .lowering import Scene
-from .rules.guards import NEAR
-from .rules.sums import FLOOR
-from .run import Driver, Plan
-from .solvers import Solver, own_rtol
-from .solvers.base import FINEST
-from .trajectory.log import Log
-from .trajectory.trajectory import Status
-from .zeno.accumulate import Tail
-from .zeno.cycle import CycleLimit
+from ..automaton.record import Record
+from ..delay.pieces import Piece
+from ..errors import HybridError
+from ..events import EPS
+from ..lowering import Scene
+from ..rules.guards import NEAR
+from ..rules.sums import FLOOR
+from ..solvers import Solver, own_rtol
+from ..solvers.base import FINEST
+from ..trajectory.log import Log
+from ..trajectory.trajectory import Status
+from ..zeno.accumulate import Tail
+from ..zeno.cycle import CycleLimit
+from . import Driver, Plan
+from .options import chosen
 
 #: Relative change of the start of the third run, by which grown rounding is measured.
 NUDGE = 8e-15
