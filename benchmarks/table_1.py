@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hybrid.pictures.figure import Curve, Figure, Panel, column
-from hybrid.pictures.of_run import states_panel
-from hybrid.pictures.static import draw
+from hybrid.plot.figure import Curve, Figure, Panel, column
+from hybrid.plot.of_run import states_panel
+from hybrid.plot.static import draw
 from paper.control.figures import table_figure
 from paper.control.pyragas import (
     AMPLITUDE,

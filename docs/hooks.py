@@ -14,7 +14,8 @@ from pathlib import Path
 from mkdocs.structure.files import File
 from typer.testing import CliRunner
 
-from hybrid import cli, gallery
+from hybrid import gallery
+from hybrid.cli.app import app as cli
 
 ROOT = Path(__file__).parent.parent
 

@@ -1,5 +1,5 @@
 """``python -m hybrid``."""
 
-from .cli import app
+from .cli.app import app
 
 app()

@@ -8,7 +8,7 @@ from math import floor, isfinite, log10
 
 import attrs
 
-from hybrid.pictures.figure import Figure
+from hybrid.plot.figure import Figure
 
 
 class Verdict(enum.Enum):

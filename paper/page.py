@@ -13,8 +13,8 @@ from string import Template
 
 from plotly.offline import get_plotlyjs
 
-from hybrid.pictures import interactive, static
-from hybrid.pictures.figure import Figure
+from hybrid.plot import interactive, static
+from hybrid.plot.figure import Figure
 
 from .claims import Claim, Section, Verdict
 

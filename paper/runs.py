@@ -11,8 +11,8 @@ import numpy as np
 from hybrid import gallery
 from hybrid.certificates import certify
 from hybrid.lowering import scene_of
-from hybrid.pictures.figure import Figure, Panel
-from hybrid.pictures.of_run import gaps_panel, states_panel, zooms
+from hybrid.plot.figure import Figure, Panel
+from hybrid.plot.of_run import gaps_panel, states_panel, zooms
 from hybrid.simulation import simulate
 from hybrid.trajectory.trajectory.trajectory import Trajectory
 

@@ -6,8 +6,8 @@ from typer.testing import CliRunner
 
 import hybrid as hy
 from hybrid import gallery
-from hybrid.cli import app
-from hybrid.compare import CLOSE, METHODS, SAME, compare
+from hybrid.cli.app.app import app
+from hybrid.cli.app.compare import CLOSE, METHODS, SAME, compare
 from hybrid.run import cycles
 from models.two_tanks import TwoTanks
 
@@ -73,7 +73,7 @@ def passed_off(monkeypatch, change):
             change(model, start, t, options) if changed else hy.simulate(model, start, t, **options)
         )
 
-    monkeypatch.setattr("hybrid.compare.simulate", run)
+    monkeypatch.setattr("hybrid.cli.compare.simulate", run)
     methods = {"one": {"solver": "taylor"}, "other": {"solver": "scipy", "changed": True}}
     found = compare(Ticks(), {"x1": 8.0, "x2": 6.0}, (0, 30), methods=methods)
     return {d.quantity: d.size for d in found.differences}

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import hybrid as hy
-from hybrid.pictures.figure import IMPACT, LIMIT, LINE, SURFACE
+from hybrid.plot.figure import IMPACT, LIMIT, LINE, SURFACE
 
 HERE = Path(__file__).parent
 WIDTH, INK = 6.4, "#333333"

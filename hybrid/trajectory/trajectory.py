@@ -394,15 +394,15 @@ class Trajectory:
         OptionError
             If matplotlib, or for a page plotly, is missing.
         """
-        from ..pictures import is_page
-        from ..pictures.of_run import figure
+        from ..plot import is_page
+        from ..plot.of_run import figure
 
         if is_page(path):
             need("run.plot to .html", HTML)
-            from ..pictures.interactive import draw
+            from ..plot.interactive import draw
         else:
             need("run.plot", PLOT)
-            from ..pictures.static import draw
+            from ..plot.static import draw
         return draw(figure(self), path)
 
     def to_xarray(self, t: Any = None) -> xarray.Dataset:

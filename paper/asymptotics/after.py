@@ -8,8 +8,8 @@ from typing import Any
 import attrs
 import numpy as np
 
-from hybrid.pictures.figure import Columns, Curve, Figure, Panel, Slider, slid
-from hybrid.pictures.of_run import path
+from hybrid.plot.figure import Columns, Curve, Figure, Panel, Slider, slid
+from hybrid.plot.of_run import path
 
 from ..claims import Claim, Number, verdict
 from ..runs import ZERO, apart

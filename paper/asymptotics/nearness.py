@@ -10,7 +10,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from hybrid.pictures.figure import Curve, Figure, Panel, column
+from hybrid.plot.figure import Curve, Figure, Panel, column
 
 from ..claims import Claim, Number, verdict
 from ..runs import FINE, OTHER, ZERO, force, twice, without_contact

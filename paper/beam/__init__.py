@@ -11,8 +11,8 @@ import numpy as np
 from hybrid import gallery
 from hybrid.certificates import certify
 from hybrid.certificates.result import Certificate
-from hybrid.pictures.figure import Figure
-from hybrid.pictures.of_run import phase_panel
+from hybrid.plot.figure import Figure
+from hybrid.plot.of_run import phase_panel
 from hybrid.simulation import simulate
 from hybrid.trajectory.trajectory.trajectory import Trajectory
 

@@ -7,7 +7,7 @@ from functools import cache
 import attrs
 import numpy as np
 
-from hybrid.pictures.figure import (
+from hybrid.plot.figure import (
     IMPACT,
     LINE,
     OTHER,

@@ -10,8 +10,8 @@ import numpy as np
 
 from hybrid import gallery
 from hybrid.orbits import PeriodicOrbit, periodic_orbit
-from hybrid.pictures.figure import Figure, column
-from hybrid.pictures.of_run import gaps_panel, states_panel
+from hybrid.plot.figure import Figure, column
+from hybrid.plot.of_run import gaps_panel, states_panel
 from hybrid.simulation import simulate
 from hybrid.trajectory.trajectory.trajectory import Trajectory
 

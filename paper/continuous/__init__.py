@@ -8,8 +8,8 @@ import attrs
 import numpy as np
 
 from hybrid import gallery
-from hybrid.pictures.figure import Curve, Figure, Panel, column
-from hybrid.pictures.of_run import path, states_panel, zooms
+from hybrid.plot.figure import Curve, Figure, Panel, column
+from hybrid.plot.of_run import path, states_panel, zooms
 
 from ..claims import Claim, Number, Section, verdict
 from .oscillator import (

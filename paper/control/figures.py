@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hybrid.pictures.figure import Curve, Figure, Panel
-from hybrid.pictures.of_run import states_panel
+from hybrid.plot.figure import Curve, Figure, Panel
+from hybrid.plot.of_run import states_panel
 
 from .pyragas import CHATTERS, at_rest, border, first_speed, orbit, restarted, returned
 

@@ -10,8 +10,8 @@ import numpy as np
 from hybrid import gallery
 from hybrid.lowering import scene_of
 from hybrid.orbits.search import depends_on_time
-from hybrid.pictures.figure import Figure, column
-from hybrid.pictures.of_run import approach_panel, gaps_panel, states_panel, zooms
+from hybrid.plot.figure import Figure, column
+from hybrid.plot.of_run import approach_panel, gaps_panel, states_panel, zooms
 from hybrid.simulation import simulate
 
 from ..claims import Claim, Number, Section, verdict

@@ -11,7 +11,7 @@ import numpy as np
 from hybrid import gallery
 from hybrid.certificates import certify
 from hybrid.lowering import scene_of
-from hybrid.pictures.figure import Curve, Figure, Panel, column
+from hybrid.plot.figure import Curve, Figure, Panel, column
 from hybrid.segment import nodes
 from hybrid.simulation import simulate
 from hybrid.zeno.flight import rise

@@ -8,7 +8,7 @@ import attrs
 import numpy as np
 
 from hybrid.certificates import certify
-from hybrid.pictures.figure import Curve, Figure, Panel, column
+from hybrid.plot.figure import Curve, Figure, Panel, column
 from hybrid.simulation import simulate
 
 from ..claims import Claim, Number, rounds_to, verdict

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hybrid.pictures.figure import Cells, Curve, Figure, Panel, Slider, column, slid
-from hybrid.pictures.of_run import states_panel, zooms
+from hybrid.plot.figure import Cells, Curve, Figure, Panel, Slider, column, slid
+from hybrid.plot.of_run import states_panel, zooms
 from hybrid.simulation import simulate
 from models.bouncing_ball import BouncingBall
 from paper.claims import Claim, Number, Section, Verdict

@@ -17,12 +17,12 @@ from typing import Annotated, Any
 
 import typer
 
-from . import gallery
-from .errors import DeclarationError, HybridError, OptionError, StartError
-from .extras import FILES, HTML, PLOT, need
-from .pictures import is_page
-from .trajectory.stats import versions
-from .trajectory.trajectory import Status, Trajectory
+from .. import gallery
+from ..errors import DeclarationError, HybridError, OptionError, StartError
+from ..extras import FILES, HTML, PLOT, need
+from ..plot import is_page
+from ..trajectory.stats import versions
+from ..trajectory.trajectory import Status, Trajectory
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Simulate hybrid automata through Zeno points."
@@ -223,7 +223,7 @@ def certify(
     contact: Annotated[str | None, typer.Option(help="Which contact, if several.")] = None,
 ) -> None:
     """Prove that impacts accumulate: exit code 0 certified, 1 refuted, 3 undecided."""
-    from .certificates import certify as prove
+    from ..certificates import certify as prove
 
     with _one_line():
         made = gallery.find(model).cls(**_pairs(set_ or [], "--set"))
@@ -257,9 +257,9 @@ def list_() -> None:
 @app.command()
 def check(file: Annotated[str, typer.Argument(help="FILE.py, or a name in the gallery.")]) -> None:
     """Check a model's declaration: all its faults, or what it declares."""
-    from .automaton.past import blank
-    from .lowering import Scene
-    from .lowering.taylor import flat
+    from ..automaton.past import blank
+    from ..lowering import Scene
+    from ..lowering.taylor import flat
 
     with _one_line():
         try:
@@ -342,7 +342,7 @@ def _span(entry: gallery.Entry, since: float | None, until: float | None) -> tup
 
 
 def _simulate(model: Any, start: Any, span: tuple[float, float], **options: Any) -> Trajectory:
-    from .simulation import simulate
+    from ..simulation import simulate
 
     if not sys.stderr.isatty():
         return simulate(model, start, span, **options)

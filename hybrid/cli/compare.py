@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import attrs
 import numpy as np
 
-from .errors import HybridError
-from .simulation import simulate
-from .trajectory.arcs import Arc, JumpRow
-from .trajectory.trajectory import Trajectory
+from ..errors import HybridError
+from ..simulation import simulate
+from ..trajectory.arcs import Arc, JumpRow
+from ..trajectory.trajectory import Trajectory
 
 #: What is run, by label; the first is the reference.
 METHODS: dict[str, dict[str, Any]] = {
