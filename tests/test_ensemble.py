@@ -12,7 +12,7 @@ import pytest
 import hybrid as hy
 from hybrid.ensembles.ensemble import ensemble as ensembles
 from hybrid.ensembles.ensemble import threads as abreast
-from hybrid.jit import jit
+from hybrid.lowering.jit import jit
 from models.ball_on_circle import BallOnCircle
 from models.bead_on_table import BeadOnTable
 from models.bouncing_ball import BouncingBall

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import hybrid as hy
-from hybrid import jit
 from hybrid.functions import function
 from hybrid.functions.function import OUTPUTS, runs_of
+from hybrid.lowering import jit
 from hybrid.replay.function import Replay
 from models.bouncing_ball import BouncingBall
 from tests import gradients

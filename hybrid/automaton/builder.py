@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from ..errors import ParameterError
-from ..reals import reals
 from .markers import (
     Contact,
     Crossing,
@@ -22,6 +21,7 @@ from .markers import (
     name_of,
 )
 from .past import looks_back
+from .reals import reals
 from .spec import (
     ContactSpec,
     EdgeSpec,

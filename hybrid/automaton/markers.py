@@ -149,7 +149,7 @@ def parameter(
 
 def _bounds(positive: bool, between: tuple[float, float] | None) -> Callable[..., None]:
     from ..errors import ParameterError
-    from ..reals import reals
+    from .reals import reals
 
     def check(model: Any, field: Any, value: Any) -> None:
         if _is_traced(value):

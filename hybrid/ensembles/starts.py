@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import attrs
 import numpy as np
 
+from ..automaton.reals import reals
 from ..automaton.record import Record
 from ..automaton.spec import Spec
 from ..errors import OptionError, StartError
 from ..lowering import Scene, scene_with
-from ..reals import reals
 from ..run.options import values_of
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..jit import jit
+from .jit import jit
 
 
 class Foreign:

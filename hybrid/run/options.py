@@ -12,13 +12,13 @@ import attrs
 import numpy as np
 
 from ..automaton.markers import name_of
+from ..automaton.reals import real, reals
 from ..automaton.record import Record
 from ..automaton.spec import Spec
 from ..delay.history import pieces
 from ..delay.pieces import Piece
 from ..errors import OptionError, StartError, ZenoError
 from ..lowering import Scene
-from ..reals import real, reals
 from ..solvers import Solver, choose, own_rtol
 from ..solvers.base import tolerances
 from ..trajectory.accumulation import explain

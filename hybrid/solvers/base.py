@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..automaton.reals import real, reals
 from ..errors import OptionError
-from ..reals import real, reals
 from ..segment import Segment, to_powers
 
 if TYPE_CHECKING:

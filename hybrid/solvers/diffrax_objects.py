@@ -22,8 +22,8 @@ import numpy as np
 
 from ..automaton.trace import again, wide
 from ..errors import FlowError, OptionError
-from ..jit import jit
 from ..lowering import Field
+from ..lowering.jit import jit
 from ..segment import Segment, apply, from_values, integrals, interpolated, nodes, to_powers
 from .base import FINEST, Solver, Stepper, method_of
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
-from .automaton.trace import wide
+from ..automaton.trace import wide
 
 #: XLA's newer emitters take twice as long to compile these programs, which then run no faster;
 #: its library for reductions costs more to call than these small sums do.
