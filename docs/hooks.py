@@ -15,7 +15,7 @@ from mkdocs.structure.files import File
 from typer.testing import CliRunner
 
 from hybrid import gallery
-from hybrid.cli.app import app as cli
+from hybrid.cli import app as cli
 
 ROOT = Path(__file__).parent.parent
 

@@ -41,28 +41,28 @@ from .errors import (
 
 if TYPE_CHECKING:
     from .certificates import Certificate, certify
-    from .ensembles.ensemble import ensemble
-    from .functions.function import as_function
+    from .ensembles import ensemble
+    from .functions import as_function
     from .orbits import lyapunov, periodic_orbit, return_map
     from .simulation import simulate
+    from .trajectory import Status, Trajectory
     from .trajectory.files import load
     from .trajectory.stats import Stats
-    from .trajectory.trajectory import Status, Trajectory
 
 __version__ = "0.1.0"
 
 #: Names that load SciPy or xarray when first used.
 _LAZY = {
     "Certificate": "certificates",
-    "as_function": "function",
+    "as_function": "functions",
     "certify": "certificates",
     "lyapunov": "orbits",
     "periodic_orbit": "orbits",
     "return_map": "orbits",
     "ensemble": "ensembles",
     "simulate": "simulation",
-    "load": "store",
-    "Stats": "stats",
+    "load": "trajectory.files",
+    "Stats": "trajectory.stats",
     "Status": "trajectory",
     "Trajectory": "trajectory",
 }

@@ -1,5 +1,5 @@
 """``python -m hybrid``."""
 
-from .cli.app import app
+from .cli import app
 
 app()

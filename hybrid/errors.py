@@ -1,11 +1,23 @@
 """What can go wrong, one class for each kind of fault.
 
-Every message names the model, the mode or edge, the value, and what would mend it.
+Every message names the model, the mode or edge, the value, and what would mend it. A package that
+only some features need is asked for here, too (:func:`need`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib.util import find_spec
+
+#: Modules that a feature needs beyond the package itself.
+PLOT = ("matplotlib",)
+HTML = ("plotly",)
+PROOFS = ("flint",)
+TABLES = ("xarray",)
+FILES = ("xarray", "h5netcdf", "h5py")
+
+#: Packages whose modules have other names.
+PACKAGES = {"flint": "python-flint"}
 
 
 class HybridError(Exception):
@@ -92,3 +104,16 @@ class OrbitError(HybridError):
 
 class StoreError(HybridError):
     """A saved trajectory cannot be written or read."""
+
+
+def need(what: str, modules: tuple[str, ...]) -> None:
+    """Refuse what needs a package that is missing.
+
+    Raises
+    ------
+    OptionError
+        With the command that installs what is missing.
+    """
+    missing = [PACKAGES.get(name, name) for name in modules if find_spec(name) is None]
+    if missing:
+        raise OptionError(f"{what} needs {', '.join(missing)}: pip install {' '.join(missing)}")

@@ -14,9 +14,8 @@ from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 
-from hybrid.errors import OptionError
-from hybrid.extras import HTML, PLOT, PROOFS, need
-from hybrid.trajectory.trajectory.stats import versions
+from hybrid.errors import HTML, PLOT, PROOFS, OptionError, need
+from hybrid.trajectory.stats import versions
 
 from .claims import Section
 

@@ -14,7 +14,7 @@ from hybrid.lowering import scene_of
 from hybrid.plot.figure import Figure, Panel
 from hybrid.plot.of_run import gaps_panel, states_panel, zooms
 from hybrid.simulation import simulate
-from hybrid.trajectory.trajectory.trajectory import Trajectory
+from hybrid.trajectory import Trajectory
 
 from .claims import Number
 

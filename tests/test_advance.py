@@ -13,7 +13,7 @@ from hybrid.rules.load import Library
 from hybrid.rules.places import END, FULL, LOOK
 from hybrid.run import machine
 from hybrid.solvers.taylor_backend import TaylorSolver
-from hybrid.trajectory.trajectory.log import Flights
+from hybrid.trajectory.log import Flights
 
 from .systems import Oscillator
 

@@ -15,7 +15,7 @@ from scipy.integrate import RK45
 
 import hybrid as hy
 from hybrid import gallery
-from hybrid.ensembles.ensemble import processes as beside
+from hybrid.ensembles import processes as beside
 from models.bouncing_ball import BouncingBall
 from models.hard_spring import HardSpring
 from models.two_tanks import TwoTanks

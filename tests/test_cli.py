@@ -4,7 +4,7 @@ import pytest
 from typer.testing import CliRunner
 
 import hybrid as hy
-from hybrid.cli.app.app import app
+from hybrid.cli import app
 
 RUNNER = CliRunner()
 

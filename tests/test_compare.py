@@ -6,8 +6,8 @@ from typer.testing import CliRunner
 
 import hybrid as hy
 from hybrid import gallery
-from hybrid.cli.app.app import app
-from hybrid.cli.app.compare import CLOSE, METHODS, SAME, compare
+from hybrid.cli import app
+from hybrid.cli.compare import CLOSE, METHODS, SAME, compare
 from hybrid.run import cycles
 from models.two_tanks import TwoTanks
 

@@ -11,7 +11,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from hybrid.cli.app.app import app
+from hybrid.cli import app
 
 pytestmark = pytest.mark.pages
 

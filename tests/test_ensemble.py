@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import hybrid as hy
-from hybrid.ensembles.ensemble import ensemble as ensembles
-from hybrid.ensembles.ensemble import threads as abreast
+from hybrid.ensembles import ensemble as ensembles
+from hybrid.ensembles import threads as abreast
 from hybrid.lowering.jit import jit
 from models.ball_on_circle import BallOnCircle
 from models.bead_on_table import BeadOnTable

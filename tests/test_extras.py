@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 import hybrid as hy
-from hybrid.cli.app.app import app
+from hybrid.cli import app
 from models.bouncing_ball import BouncingBall
 from paper import report
 

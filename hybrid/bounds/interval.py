@@ -14,8 +14,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..errors import TraceError
-from ..extras import PROOFS, need
+from ..errors import PROOFS, TraceError, need
 from ..lowering.graph import Graph
 from ..lowering.python import needed
 from ..lowering.ranges import RANGES, Ranges

@@ -18,8 +18,7 @@ from typing import Annotated, Any
 import typer
 
 from .. import gallery
-from ..errors import DeclarationError, HybridError, OptionError, StartError
-from ..extras import FILES, HTML, PLOT, need
+from ..errors import FILES, HTML, PLOT, DeclarationError, HybridError, OptionError, StartError, need
 from ..plot import is_page
 from ..trajectory.stats import versions
 from ..trajectory.trajectory import Status, Trajectory

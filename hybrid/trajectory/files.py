@@ -21,8 +21,7 @@ import numpy as np
 
 from ..automaton.record import Record
 from ..automaton.spec import Spec, StateSpec
-from ..errors import StoreError
-from ..extras import FILES, TABLES, need
+from ..errors import FILES, TABLES, StoreError, need
 from ..segment import Segment
 from .accumulation import Accumulation, Truncation
 from .arcs import Arc, JumpRow

@@ -18,8 +18,7 @@ import numpy as np
 
 from ..automaton.record import Record
 from ..automaton.spec import Spec
-from ..errors import OptionError
-from ..extras import HTML, PLOT, need
+from ..errors import HTML, PLOT, OptionError, need
 from .accumulation import Accumulation, explain, unfinished
 from .arcs import Arc, JumpRow, Part, TailPart
 from .log import Log, Table

@@ -14,7 +14,7 @@ from hybrid.certificates.result import Certificate
 from hybrid.plot.figure import Figure
 from hybrid.plot.of_run import phase_panel
 from hybrid.simulation import simulate
-from hybrid.trajectory.trajectory.trajectory import Trajectory
+from hybrid.trajectory import Trajectory
 
 from ..claims import Claim, Number, Section, known, rounds_to, verdict
 from ..runs import POINTS, flight_figure

@@ -16,7 +16,7 @@ import numpy as np
 
 from hybrid import gallery
 from hybrid.automaton import Automaton, edge, mode, parameter, state
-from hybrid.ensembles.ensemble.ensemble import ensemble
+from hybrid.ensembles import ensemble
 
 #: Speeds: of the impacts that are kept, of an impact so slow that the beam is held.
 LEVELS, HELD = np.array([0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4, 1e-5]), 1e-6

@@ -12,8 +12,8 @@ import numpy as np
 
 from hybrid import gallery
 from hybrid.simulation import simulate
-from hybrid.trajectory.trajectory.arcs import Arc
-from hybrid.trajectory.trajectory.trajectory import Trajectory
+from hybrid.trajectory import Trajectory
+from hybrid.trajectory.arcs import Arc
 
 #: Damping, stiffness and drive of the oscillator, as printed.
 C, K, DRIVE = 3.0, 2.0, 20.0

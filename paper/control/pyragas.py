@@ -15,8 +15,8 @@ import numpy as np
 from hybrid import gallery
 from hybrid.orbits import ReturnMap, periodic_orbit, return_map
 from hybrid.simulation import simulate
-from hybrid.trajectory.trajectory.arcs import Arc
-from hybrid.trajectory.trajectory.trajectory import Trajectory
+from hybrid.trajectory import Trajectory
+from hybrid.trajectory.arcs import Arc
 
 #: The starts of Table 1, and the one of which the paper says that it chatters.
 STARTS, CHATTERS = (2.5, 3.0, 5.0, 10.0, 100.0, 200.0), 2.1

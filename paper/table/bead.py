@@ -12,7 +12,7 @@ from hybrid import gallery
 from hybrid.certificates import certify
 from hybrid.certificates.result import Certificate
 from hybrid.simulation import simulate
-from hybrid.trajectory.trajectory.trajectory import Trajectory
+from hybrid.trajectory import Trajectory
 
 from ..runs import OTHER
 

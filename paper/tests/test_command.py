@@ -5,7 +5,7 @@ from typer.testing import CliRunner
 
 import hybrid as hy
 from hybrid import gallery
-from hybrid.cli.app.app import app
+from hybrid.cli import app
 
 
 def call(*words):

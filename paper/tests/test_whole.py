@@ -6,7 +6,7 @@ import re
 from typer.testing import CliRunner
 
 import paper
-from hybrid.cli.app.app import app
+from hybrid.cli import app
 from paper.claims import Verdict
 from tests.browser import opened, overflow
 

@@ -12,8 +12,7 @@ import numpy as np
 from ..automaton.base import require_model
 from ..automaton.digest import digest
 from ..automaton.spec import Spec
-from ..errors import HybridError, OptionError
-from ..extras import TABLES, need
+from ..errors import TABLES, HybridError, OptionError, need
 from ..lowering import Scene, scene_of
 from ..rules.lanes import ENDED, LAST_JUMP, MADE_JUMPS, MADE_STEPS, MODE, OUTCOME, STATE, SUMMED
 from ..run import Driver
