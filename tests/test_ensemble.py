@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import hybrid as hy
-from hybrid.ensembles import ensemble as ensembles
-from hybrid.ensembles import threads as abreast
+from hybrid.ensembles import runs, threads
 from hybrid.lowering.jit import jit
 from models.ball_on_circle import BallOnCircle
 from models.bead_on_table import BeadOnTable
@@ -233,7 +232,7 @@ def test_a_lane_equals_its_run_whatever_is_asked(name, options):
 
 def test_lanes_that_need_no_judgement_need_no_driver(monkeypatch):
     """Impacts before any sum, and flights to the end: machine code alone, on every thread."""
-    monkeypatch.setattr(ensembles._Runs, "others", lambda *_: iter(()))
+    monkeypatch.setattr(runs._Runs, "others", lambda *_: iter(()))
     x = np.linspace(1.2, 2.5, 700)
     lanes = hy.ensemble(BouncingBall(), {"x": x, "v": 0.0}, (0, 9), zeno="ignore", max_jumps=5)
     fall = np.sqrt(2 * x / 9.81)
@@ -256,7 +255,7 @@ def test_lanes_that_need_no_judgement_need_no_driver(monkeypatch):
 def test_many_jumps_need_no_driver(monkeypatch, model, start, until):
     """Where nothing can accumulate, as one contact's impacts are summed, or turns are as long as
     those before; and after a reset that says that its guard is zero. Lanes equal their runs."""
-    monkeypatch.setattr(ensembles._Runs, "others", lambda *_: iter(()))
+    monkeypatch.setattr(runs._Runs, "others", lambda *_: iter(()))
     lanes = hy.ensemble(model, start, (0.0, until))
     first = next(iter(start))
     assert set(lanes.status.values) == {"reached_end"}
@@ -267,13 +266,13 @@ def test_many_jumps_need_no_driver(monkeypatch, model, start, until):
         assert [float(lanes[name][i]) for name in model.spec.names] == list(run.final)
 
 
-@pytest.mark.parametrize(("block", "threads"), [(1, 3), (7, 1), (1000, 2)])
-def test_lanes_do_not_depend_on_blocks_or_threads(monkeypatch, block, threads):
+@pytest.mark.parametrize(("block", "count"), [(1, 3), (7, 1), (1000, 2)])
+def test_lanes_do_not_depend_on_blocks_or_threads(monkeypatch, block, count):
     """To the last bit."""
     r, start, t = np.linspace(0.1, 0.9, 50), {"x": 1.5, "v": 0.0}, (0.0, 4.0)
     usual = hy.ensemble(BeadOnTable(omega=3.0), start, t, {"r": r})
-    monkeypatch.setattr(abreast, "BLOCK", block)
-    monkeypatch.setattr(abreast.os, "cpu_count", lambda: threads)
+    monkeypatch.setattr(threads, "BLOCK", block)
+    monkeypatch.setattr(threads.os, "cpu_count", lambda: count)
     assert usual.identical(hy.ensemble(BeadOnTable(omega=3.0), start, t, {"r": r}))
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import hybrid as hy
-from hybrid.functions import batch as rows
+from hybrid.functions import batch
 from hybrid.functions.derivatives import Runs
 from hybrid.functions.function import runs_of
 from models.bouncing_ball import BouncingBall
@@ -30,7 +30,7 @@ def asked(name, count, outputs, **options):
 def test_rows_are_runs_of_their_own(name, outputs):
     """Jumps, ends, accumulations, statuses: of rows that are cut, fail, rest, or go on."""
     runs, given = asked(name, 40, outputs)
-    numbers, ints = rows.values(runs, given.reshape(8, 5, -1))
+    numbers, ints = batch.values(runs, given.reshape(8, 5, -1))
     for row, *found in zip(given, numbers.reshape(40, -1), ints.reshape(40, -1), strict=True):
         for one, other in zip(found, runs.values(row), strict=True):
             np.testing.assert_array_equal(one, other)
@@ -62,7 +62,7 @@ APART = 1e-8
 def test_derivatives_of_rows_are_those_of_the_walk(name):
     """Carried along a log in one call, or piece by piece: the same, and where there is none."""
     runs, given = asked(name, 12, ("final", "jumps", "zeno"))
-    numbers, ints, slopes = rows.Slopes(runs)(given.reshape(3, 4, -1))
+    numbers, ints, slopes = batch.Slopes(runs)(given.reshape(3, 4, -1))
     for k, row in enumerate(given):
         alone = runs.slopes(row)
         np.testing.assert_array_equal(numbers.reshape(12, -1)[k], alone[0])

@@ -15,7 +15,7 @@ from scipy.integrate import RK45
 
 import hybrid as hy
 from hybrid import gallery
-from hybrid.ensembles import processes as beside
+from hybrid.ensembles import processes
 from models.bouncing_ball import BouncingBall
 from models.hard_spring import HardSpring
 from models.two_tanks import TwoTanks
@@ -40,9 +40,9 @@ class Failing(RK45):
 def crew(monkeypatch):
     """A process beside this one at once, which waits for it; blocks that are asked."""
     asked, ready = [], threading.Event()
-    hire = beside.Shared._hire
+    hire = processes.Shared._hire
 
-    class Process(beside._Process):
+    class Process(processes._Process):
         started = []
 
         def __init__(self, job):
@@ -64,10 +64,10 @@ def crew(monkeypatch):
         if self.running:
             ready.wait(60.0)
 
-    monkeypatch.setattr(beside, "PAYS", 1e-9)
-    monkeypatch.setattr(beside.os, "cpu_count", lambda: 2)
-    monkeypatch.setattr(beside, "_Process", Process)
-    monkeypatch.setattr(beside.Shared, "_hire", wait)
+    monkeypatch.setattr(processes, "PAYS", 1e-9)
+    monkeypatch.setattr(processes.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(processes, "_Process", Process)
+    monkeypatch.setattr(processes.Shared, "_hire", wait)
     yield asked
     assert all(process.poll() is not None for process in Process.started)
 
@@ -75,7 +75,7 @@ def crew(monkeypatch):
 def alone(monkeypatch, *given, **options):
     """The same ensemble in this process."""
     with monkeypatch.context() as here:
-        here.setattr(beside, "PAYS", np.inf)
+        here.setattr(processes, "PAYS", np.inf)
         return hy.ensemble(*given, **options)
 
 
@@ -92,18 +92,18 @@ def squares():
 
 def test_all_answer_together(crew, monkeypatch):
     """Each number once, by more than one process; two are started."""
-    monkeypatch.setattr(beside.os, "cpu_count", lambda: 3)
-    shared = beside.Shared(square, range(200), lambda: (squares,), lambda a, b: a[0] == b[0])
+    monkeypatch.setattr(processes.os, "cpu_count", lambda: 3)
+    shared = processes.Shared(square, range(200), lambda: (squares,), lambda a, b: a[0] == b[0])
     found = list(shared.answers())
     assert sorted((k, v) for k, (v, _) in found) == [(k, k * k) for k in range(200)]
     assert len({who for _, (_, who) in found}) > 1
-    assert len(beside._Process.started) == 2
+    assert len(processes._Process.started) == 2
 
 
 def test_few_calls_are_made_here(monkeypatch):
     """No process is started where that takes longer than the calls."""
-    monkeypatch.setattr(beside, "_Process", None)
-    shared = beside.Shared(square, range(20), lambda: (squares,), lambda a, b: a[0] == b[0])
+    monkeypatch.setattr(processes, "_Process", None)
+    shared = processes.Shared(square, range(20), lambda: (squares,), lambda a, b: a[0] == b[0])
     assert len(dict(shared.answers())) == 20
 
 
@@ -186,7 +186,7 @@ def test_a_file_that_has_changed_is_not_believed(crew, tmp_path, monkeypatch):
 
 def test_another_answer_is_not_believed(crew):
     """A function that depends on its process: all calls are made here."""
-    shared = beside.Shared(square, range(50), lambda: (squares,), lambda a, b: a == b)
+    shared = processes.Shared(square, range(50), lambda: (squares,), lambda a, b: a == b)
     with pytest.warns(UserWarning, match="gives another answer"):
         found = list(shared.answers())
     assert {who for _, (_, who) in found} == {os.getpid()}
@@ -195,13 +195,13 @@ def test_another_answer_is_not_believed(crew):
 
 def test_a_process_that_dies_is_replaced_here(crew, monkeypatch):
     """What it was asked is flown here."""
-    ask = beside._Process.ask
+    ask = processes._Process.ask
 
     def killed(process, numbers):
         ask(process, numbers)
         process.process.kill()
 
-    monkeypatch.setattr(beside._Process, "ask", killed)
+    monkeypatch.setattr(processes._Process, "ask", killed)
     given = BouncingBall(), FALL, (0.0, 1.0)
     with pytest.warns(UserWarning, match="another process has ended"):
         lanes = hy.ensemble(*given, solver="scipy")
@@ -213,22 +213,22 @@ SCRIPT = """
 import signal
 import numpy as np
 import hybrid as hy
-from hybrid import beside
+from hybrid.ensembles import processes
 from models.bouncing_ball import BouncingBall
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it
-beside.PAYS = 1e-9
-beside.os.cpu_count = lambda: 3
+processes.PAYS = 1e-9
+processes.os.cpu_count = lambda: 3
 print("once", flush=True)
 x = np.linspace(0.5, 1.5, 100_000)
 told = lambda count: count == 50 and print([p.process.pid for p in PROCESSES], flush=True)
-PROCESSES, start = [], beside._Process.__init__
+PROCESSES, start = [], processes._Process.__init__
 
 def started(self, job):
     start(self, job)
     PROCESSES.append(self)
 
-beside._Process.__init__ = started
+processes._Process.__init__ = started
 try:
     hy.ensemble(BouncingBall(), {"x": x, "v": 0.0}, (0.0, 3.0), solver="scipy", progress=told)
 except KeyboardInterrupt:
