@@ -2,6 +2,7 @@
 
 import math
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -387,3 +388,27 @@ def test_a_look_back_leaves_the_record_as_it_was_whatever_happens_in_it(monkeypa
     with pytest.raises(ZeroDivisionError):
         look()
     assert kept() == before
+
+
+class Swung(hy.Automaton):
+    """``y'' = -y - 0.2 y'(t - 1 - sin(t) / 2)``, pushed on where ``y`` is 0.1."""
+
+    y = hy.state()
+    v = hy.state()
+
+    @hy.mode(initial=True)
+    def swings(self, t, s, past):
+        return s.v, -s.y - 0.2 * past(1.0 + 0.5 * jnp.sin(t)).v
+
+    @hy.edge(swings, to=swings, guard=lambda self, t, s: s.y - 0.1, crossing=hy.EITHER)
+    def push(self, t, s):
+        return s.replace(v=1.1 * s.v)
+
+
+@pytest.mark.parametrize("solver", ["scipy", "taylor"])
+def test_an_edge_that_waits_for_either_sign_fires_at_zeros_only(solver):
+    """Windows end between a jump and the next zero, in whose steps that zero is seen ahead."""
+    run = hy.simulate(Swung(), {"y": 1.0, "v": 0.0}, (0.0, 20.0), solver=solver, **TIGHT)
+    assert len(run.jumps) == 7
+    # landed on to the spacing of times, at speeds of about 1
+    np.testing.assert_allclose([jump.before.y for jump in run.jumps], 0.1, atol=1e-13)

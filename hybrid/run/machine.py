@@ -123,14 +123,15 @@ class Machine:
         self.past = Shown(self.tables, plan.memory == "restart") if scene.spec.lags else None
         self.links: Links | None = None
         self.dense = plan.dense or plan.samples is not None
-        if self.past is not None and not solver.whole:
-            self.dense = True  # it is the record
+        moving = any(scene.code.moving)
+        self.windowed = self.past is not None and (moving or not solver.whole)
+        self.dense = self.dense or self.windowed
         self.outside = None if solver.whole else Outside(driver, self.tables.fields, self.dense)
         n, self.order = scene.spec.dimension, solver.highest if solver.whole else ORDER
         series, steps = (PATIENCE, plan.patience), (plan.longest(0.0), plan.max_step)
         atol = [plan.atol] * n if isinstance(plan.atol, float) else plan.atol
         last = (0, *solver.loss(n)) if solver.whole else (solver.order, 0.0, *atol)
-        summed = plan.zeno == "rest" and (plan.memory == "keep" or self.past is None)
+        summed = plan.zeno == "rest" and (plan.memory == "keep" or self.past is None) and not moving
         sums = float(summed), plan.closing
         given = [plan.t1, plan.limit, plan.rtol, *series, *steps, *sums, *last]
         self.run = np.array(given, dtype=float)
@@ -144,10 +145,10 @@ class Machine:
     def takes(self) -> bool:
         """Whether the arc that begins at the driver's entry may be plain.
 
-        Where what delays see is guessed, or a lag moves, it is the driver's.
+        Where what delays see is guessed it is the driver's.
         """
         entry, memory = self.driver.entry, self.driver.record.memory
-        if memory is not None and (memory.guessing or any(memory.moving)):
+        if memory is not None and memory.guessing:
             return False
         return max(entry.orders, default=0) <= RISES and self.may(entry.field)
 
@@ -271,7 +272,7 @@ class Machine:
             unit("past").bound(automaton, past, room)
             self.links, memory.bound = links, True
         self.run[LAST] = until
-        if self.outside is not None:
+        if self.windowed:
             return int(unit("runs").go(automaton, self.run, now, room, left, sums, look))
         go = unit("past").look_back
         status = int(go(automaton, self.run, now, room, left, sums, look, past))
@@ -292,8 +293,8 @@ class Machine:
         driver, memory, place = self.driver, self.driver.record.memory, int(self.ints[JUMPS])
         if memory is None:
             return status
-        if self.outside is not None:
-            return self._passes_outside(left, status, memory)
+        if self.windowed:
+            return self._passes_window(left, status, memory)
         if status in (LOOK, WINDOW) and memory.ints[IN_ARC] == place:
             last = int(memory.ints[STEPS_DONE])
             tau, x = float(memory.floats[BEGAN]), memory.start
@@ -320,24 +321,29 @@ class Machine:
             self._sees_anew(left)
         return GOES_ON if status == WINDOW else status
 
-    def _passes_outside(self, left: Left, status: int, memory: Memory) -> int:
-        """The same with another solver's steps, which come back at the end of each window."""
-        if status == FULL and self.ints[JUMPS] and self.plan.memory == "restart":
+    def _passes_window(self, left: Left, status: int, memory: Memory) -> int:
+        """The same where the loop comes back at the end of each window: with other solvers' steps,
+        and where a lag moves, whose window ends where a guard fires."""
+        driver, place, fired = self.driver, int(self.ints[JUMPS]), None
+        if status == FULL and place and self.plan.memory == "restart":
             self._sees_anew(left)
-        if status != END or memory.until >= self.plan.t1:
+        if status == JUMP and self._fired.kind == "window":
+            fired = self._fired.edge
+        if not fired and (status != END or memory.until >= self.plan.t1):
             return status
-        driver, signs = self.driver, self.now.signs
-        place = int(self.ints[JUMPS])
         steps, made = self._flown_in(left, place, place + 1)
         driver.steps += made
-        self._through(float(self.floats[TAU]), self.states[1], steps, signs)
-        t, x = driver.t, driver.entry.x
-        memory.passed(t, x, driver.entry.field)
-        driver.look(x)
+        before, tau, x = driver.field.guards, float(self.floats[TAU]), self.states[1].tolist()
+        now = driver.record.now.after(tau)
+        values = [1.0 if g.edge == fired else g.value(now.t, x) for g in before]
+        self._through(tau, self.states[1], steps, np.sign(values))
+        memory.passed(driver.t, driver.entry.x, driver.entry.field, fired)
+        driver.look(driver.entry.x)
         self._tell(0.0, left)
         self.ints[ENTERED], self.now.orders[:] = 1, 0
-        values = [guard.value(t, x.tolist()) for guard in driver.field.guards]
-        return GOES_ON if all(v * s > 0 for v, s in zip(values, signs, strict=False)) else LOOK
+        x = driver.entry.x.tolist()
+        pairs = zip(driver.field.guards, values, strict=True)
+        return GOES_ON if all(g.value(driver.t, x) * v > 0 for g, v in pairs) else LOOK
 
     def _sees_anew(self, left: Left) -> None:
         """A guard that has fired may not be zero where a jump has changed what it sees."""
@@ -430,7 +436,7 @@ class Machine:
         if self.outside is not None:
             self.outside.begin()
             jumps, steps = 1 if self.plan.progress is not None else jumps, 0
-        if self.past is not None and (self.outside or self.plan.memory == "restart"):
+        if self.windowed or (self.past is not None and self.plan.memory == "restart"):
             jumps = 1
         memory = self.driver.record.memory
         if memory is not None:
@@ -494,7 +500,7 @@ class Machine:
         guard = self.tables.guards[left.fired[int(before) - 1]]
         entry, now, memory = driver.entry, driver.record.now, driver.record.memory
         seen = driver.scene
-        if memory is not None and self.outside is None:
+        if memory is not None and not self.windowed:
             seen = driver.model.through([memory.sights[place]])
         field, contact = seen.field(entry.field.name), seen.contact(guard.edge)
         column = field.column(guard.edge)
