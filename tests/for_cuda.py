@@ -20,7 +20,7 @@ from numba.cuda import dispatcher
 from numba.cuda.cudadrv import nvvm
 from numba.cuda.libdevice import nextafter
 
-from hybrid.rules.load import Library, signature
+from hybrid.rules.load import Library, kinds_of, signature
 
 #: What CUDA's compiler tells: how data are laid out, and the version of its language.
 LAYOUT = (
@@ -78,7 +78,7 @@ def main(package, name):
     for name in unit.__all__:
         rule = getattr(unit, name)
         kinds = [str(p.annotation) for p in inspect.signature(rule.py_func).parameters.values()]
-        lowered = rule.compile_device(signature(kinds, package))
+        lowered = rule.compile_device(signature(kinds_of(kinds, package), package))
         print(name, lowered.signature.return_type)
 
 

@@ -78,13 +78,13 @@ def done(process):
 
 
 def test_rules_are_built_once(toy):
-    """The first process compiles and says so in one line; the second loads in silence."""
+    """The first process compiles and says so in one line; the second loads in silence, and not
+    even numba."""
     said, line = done(started(toy))
     assert said == "0.75"
     assert line.startswith("hybrid: compiling the rules 'high'")
     assert "\n" not in line
-    code = ASK + "print(unit.quotient.stats.cache_hits[next(iter(unit.quotient.stats.cache_hits))])"
-    assert done(started(toy, code)) == ("0.75\n1", "")
+    assert done(started(toy, ASK + "print('numba' in sys.modules)")) == ("0.75\nFalse", "")
 
 
 def test_two_processes_at_once_build_once(toy):
@@ -119,12 +119,10 @@ def test_what_a_unit_calls_is_compiled_in_a_process_of_its_own(toy):
     (toy / "toy" / "top.py").write_text(TOP)
     code = ASK_TOP + (
         "import os, sys\n"
-        "called = next(f for n, f in sys.modules.items() if n.endswith('.high')).called\n"
-        "print(os.cpu_count() == 1 or sum(called['quotient'].stats.cache_hits.values()))"
+        "print(os.cpu_count() == 1 or not any(n.endswith('.high') for n in sys.modules))"
     )
     said, line = done(started(toy, code))
-    assert said.split()[0] == "1.5"
-    assert said.split()[1] in ("1", "True")
+    assert said.split() == ["1.5", "True"]
     assert line.startswith("hybrid: compiling the rules 'top'")
     assert "\n" not in line
     assert done(started(toy)) == ("0.75", "") or os.cpu_count() == 1
@@ -145,7 +143,7 @@ def test_an_error_in_a_process_beside_is_raised(toy):
     process = started(toy, ASK_TOP)
     assert "nothing" in process.communicate(timeout=120)[1]
     assert process.returncode != 0
-    assert not list((toy / "cache").rglob("*.built"))
+    assert {path.stem for path in (toy / "cache").rglob("*.built")} <= {"low"}
 
 
 def test_without_processes_one_compiles_all(toy):
@@ -275,6 +273,88 @@ def test_arrays_of_another_kind_are_refused(toy):
         "    except TypeError: print('refused')"
     )
     assert done(started(toy, code))[0].split() == ["0.75", "refused", "refused", "refused"]
+
+
+TUPLES = """
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+Floats = Matrix = Ints = Table = Any
+
+
+class Inner(NamedTuple):
+    m: Matrix
+    k: Ints
+
+
+class Outer(NamedTuple):
+    inner: Inner
+    x: Floats
+"""
+
+MIXED = """
+from __future__ import annotations
+
+from .arrays import Outer
+
+__all__ = ("mixed", "nothing")
+
+
+def mixed(o: Outer, up: bool, s: float) -> tuple[float, bool, int]:
+    o.x[0] = o.inner.m[1, 2] * s
+    return o.x[0] + o.inner.m.shape[1], not up, o.inner.k[-1 + len(o.inner.k)]
+
+
+def nothing(o: Outer) -> None:
+    o.x[1] = 5.0
+"""
+
+ASK_MIXED = """
+from hybrid.rules.load import Library
+from hybrid.rules.code import held
+from toy.arrays import Inner, Outer
+import numpy as np
+unit = Library("toy").unit("mixed")
+m, k, x = np.arange(6.0).reshape(2, 3), np.array([7, 8]), np.zeros(2)
+o = Outer(Inner(m, k), x)
+print(*unit.mixed(o, True, 2.0), unit.nothing(o), *x.tolist(), sep="|")
+again = held(unit.mixed, o, False, 3.0)
+m[1, 2] = 4.0
+print(*again(), *again(), sep="|")
+"""
+
+ASK_WRONG = """
+for wrong in (o._replace(x=m), o._replace(inner=o), Outer(o.inner._replace(k=x), x)):
+    try: print(unit.mixed(wrong, True, 2.0))
+    except TypeError: print("refused")
+"""
+
+
+@pytest.mark.parametrize("how", ["machine", "python"])
+def test_tuples_of_arrays_and_several_results(toy, how):
+    """They go in by reference, and what is in them is read anew at each call."""
+    (toy / "toy" / "arrays.py").write_text(TUPLES)
+    (toy / "toy" / "mixed.py").write_text(MIXED)
+    lines = done(started(toy, ASK_MIXED, HYBRID_RULES=how))[0].split()
+    assert lines == ["13.0|False|8|None|10.0|5.0", "15.0|True|8|15.0|True|8"]
+
+
+def test_tuples_of_another_kind_are_refused(toy):
+    """By what they hold, and by their names, however deep."""
+    (toy / "toy" / "arrays.py").write_text(TUPLES)
+    (toy / "toy" / "mixed.py").write_text(MIXED)
+    assert done(started(toy, ASK_MIXED + ASK_WRONG))[0].split()[2:] == ["refused"] * 3
+
+
+def test_a_damaged_file_is_not_run(toy):
+    """The hash of its content is at its beginning."""
+    done(started(toy))
+    (kept,) = (toy / "cache").rglob("high.built")
+    kept.write_bytes(kept.read_bytes()[:-1] + b"!")
+    process = started(toy)
+    assert "damaged: remove it" in process.communicate(timeout=120)[1]
+    assert process.returncode != 0
 
 
 def test_indices_below_zero_are_found(toy):

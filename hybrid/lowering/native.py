@@ -25,6 +25,7 @@ import numpy as np
 
 from ..rules import library
 from ..rules.arrays import Programs
+from ..rules.code import binding, engine, machine, missing
 from ..rules.jets import FLOW, OPS
 from ..rules.operations import INTEGRAL
 
@@ -43,9 +44,6 @@ GIVEN = {
     **{f"arg.{name}.4": f"%{name}" for name in ARRAYS},
     **{"arg.c.5.1": "%columns", "arg.c.6.0": "%stride", "arg.c.6.1": "8"},
 }
-
-#: How the name begins of what Python calls, beside the rule itself.
-WRAPPER = "_ZN7cpython"
 
 #: The code of a program: for each order all its operations, then the next order of the states.
 PROGRAM = """
@@ -272,7 +270,7 @@ def _calls(operation: Operation, rows: Sequence[Sequence[int]], k: str) -> str:
 def operation() -> Operation | None:
     """The operation, as the loader of the rules keeps it; None where numba has it otherwise."""
     module = binding().parse_assembly(library.text("operation"))
-    own = [f for f in module.functions if not f.is_declaration and not f.name.startswith(WRAPPER)]
+    own = [f for f in module.functions if not f.is_declaration]
     if len(own) != 1:
         return None
     arguments = [(str(argument.type), argument.name) for argument in own[0].arguments]
@@ -285,16 +283,6 @@ def operation() -> Operation | None:
     return Operation(own[0].name, module.as_bitcode(), arguments)
 
 
-@cache
-def binding() -> Any:
-    """LLVM, ready to make code for this machine."""
-    from llvmlite import binding
-
-    binding.initialize_native_target()
-    binding.initialize_native_asmprinter()
-    return binding
-
-
 def _compiled(operation: Operation, text: str) -> tuple[list[str], bytes]:
     """The names of the functions that a program calls, and its code."""
     llvm = binding()
@@ -303,30 +291,19 @@ def _compiled(operation: Operation, text: str) -> tuple[list[str], bytes]:
     for function in module.functions:
         if not function.is_declaration and function.name != "program":
             function.linkage = "internal"
-    machine = _machine()
-    _optimise(module, machine)
+    made_for = machine()
+    _optimise(module, made_for)
     others = (f.name for f in module.functions if f.is_declaration)
     called = [name for name in others if not name.startswith("llvm.")]
-    return called, machine.emit_object(module)
-
-
-def _machine() -> Any:
-    """What makes code for this machine."""
-    llvm = binding()
-    cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
-    triple = llvm.Target.from_default_triple()
-    return triple.create_target_machine(cpu, features, opt=1, jit=True)
+    return called, made_for.emit_object(module)
 
 
 def _loaded(called: Sequence[str], code: bytes) -> Code:
     """A program's code, put where it can run; none where it calls a function that is not there."""
-    llvm = binding()
-    if any(llvm.address_of_symbol(name) is None for name in called):
+    if missing(called):
         return NONE
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine())
-    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
-    engine.finalize_object()
-    return Code(int(engine.get_function_address("program")), engine)
+    own = engine([code])
+    return Code(int(own.get_function_address("program")), own)
 
 
 def _optimise(module: Any, machine: Any) -> None:

@@ -2,10 +2,10 @@
 
 The rule files of a package are copied, all of them and nothing else, into one folder of the
 user's cache whose name is a hash of their text, of this file, of numba, llvmlite, Python and the
-processor. There numba's own file cache keeps the machine code beside them. A file is a unit: it is
-compiled when it is first asked for, with the files that it calls and those that are needed together
-with it, in processes beside each other. A change in any file makes a new folder, so that no caller
-is kept that has an old callee in it.
+processor. There machine code is kept beside them (:mod:`.code`). A file is a unit: it is compiled
+when it is first asked for, with the files that it calls and those that are needed together with it,
+in processes beside each other. A change in any file makes a new folder, so that no caller is kept
+that has an old callee in it. A process that finds all compiled imports no numba.
 """
 
 from __future__ import annotations
@@ -28,13 +28,16 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from functools import cache, cached_property
 from graphlib import TopologicalSorter
 from importlib import import_module, machinery, util
+from importlib.metadata import version
 from pathlib import Path
 from queue import SimpleQueue
 from types import SimpleNamespace
 from typing import Any
 
+from . import code
+
 #: Modules of a package of rules that are no rules.
-APART = ("__init__", "__main__", "load", "references")
+APART = ("__init__", "__main__", "code", "load", "references")
 
 #: What an annotation of an argument means to numba.
 TYPES = {
@@ -64,29 +67,24 @@ BESIDE = "from {loader} import Library; Library({package!r}).serve()"
 #: What is put below the text of a rule file. A product and a sum may be contracted to one
 #: operation where the file does not say ``EXACT = True``; nothing may assume that there is no NaN
 #: and no infinity. What Python calls has an explicit signature, so that a wrong array is refused,
-#: and is kept: other files call it at its address. What only rules of its own file call is compiled
-#: into them. Nothing is allocated, so that arrays need not be counted: that took more than half of
-#: the time of a jet.
+#: and is kept: other files call it at its address. What stands in no ``__all__`` is compiled into
+#: its callers. Nothing is allocated, so that arrays need not be counted: that took more than half
+#: of the time of a jet.
 FOOTER = """
 
 from numba import njit as _njit
 
-from {loader} import by_address as _by_address
+from {loader} import made as _made
 from {loader} import outside as _outside
-from {loader} import signature as _signature
 
 _options = {{"fastmath": {fast!r}, "error_model": "numpy", "nogil": True, "_nrt": False}}
-_options["no_cfunc_wrapper"] = True
-_inner = {{"forceinline": True, "no_cpython_wrapper": True, **_options}}
+_options |= {{"no_cfunc_wrapper": True, "no_cpython_wrapper": True}}
 _plain = {{name: globals()[name] for name in {functions!r}}}
-_rules = {{name: _njit(**_inner)(rule) for name, rule in _plain.items()}}
+_rules = {{name: _njit(forceinline=True, **_options)(rule) for name, rule in _plain.items()}}
 _rules |= _outside(_rules)
 globals().update(_rules)
-called = {{}}
-for _name, _kinds in {arguments!r}.items():
-    _types = _signature(_kinds, {package!r}, True)
-    called[_name] = _njit(_types, cache={kept!r}, **_options)(_plain[_name])
-globals().update({{name: _by_address(rule, __name__) for name, rule in called.items()}})
+_public = {{name: (_plain[name], kinds) for name, kinds in {arguments!r}.items()}}
+globals().update(_made(__file__, _public, {imports!r}, {package!r}, {text!r}, _options))
 """
 
 
@@ -113,7 +111,15 @@ class Library:
         how = os.environ.get("HYBRID_RULES", "machine")
         if how not in ("machine", "python", "checked"):
             raise ValueError(f"HYBRID_RULES={how!r}: choose machine, python or checked")
-        return how if how != "machine" or _has_numba() else "python"
+        return how if how != "machine" or self._works else "python"
+
+    @cached_property
+    def _works(self) -> bool:
+        """Whether there is machine code, or what makes it."""
+        with contextlib.suppress(ImportError, OSError, RuntimeError):
+            if (cache_folder() / self.key).is_dir():  # numba was there
+                return True
+        return _has_numba()
 
     def text(self, name: str) -> str:
         """What a unit that says ``TEXT = True`` is in LLVM's language."""
@@ -143,15 +149,11 @@ class Library:
     @cached_property
     def key(self) -> str:
         """A name for everything on which the machine code depends."""
-        import llvmlite
-        import numba
-        from llvmlite import binding
-
-        own = [Path(__file__), Path(__file__).with_name("references.py")]
+        own = [Path(__file__).with_name(f"{name}.py") for name in ("load", "code", "references")]
         parts = [self.package, *(path.read_text(encoding="utf-8") for path in own)]
         parts += [text for pair in self.sources.items() for text in pair]
-        parts += [numba.__version__, llvmlite.__version__, sys.version, sys.platform]
-        parts += [binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()]
+        parts += [*map(version, ("numba", "llvmlite")), sys.version, sys.platform]
+        parts += code.processor()
         parts += [{**LEVEL, **os.environ}.get(setting, "") for setting in SETTINGS]
         return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:24]
 
@@ -185,7 +187,7 @@ class Library:
                 shutil.rmtree(draft, ignore_errors=True)
                 if not folder.is_dir():
                     raise
-        with tempfile.TemporaryFile(dir=folder):  # numba must be able to write here
+        with tempfile.TemporaryFile(dir=folder):  # others are kept here
             os.utime(folder)
         return folder
 
@@ -195,7 +197,7 @@ class Library:
         if not self._mark(name).exists():
             with locked(self.folder / "lock"):
                 self._build_for(name)
-        return self._imported(name)
+        return {placed.rule.name: code.Call(placed) for placed in code.placed(self._mark(name))}
 
     def _build_for(self, name: str) -> None:
         """Compile a unit, and what is needed together with it, unless another process has."""
@@ -224,24 +226,11 @@ class Library:
     def compile(self, name: str) -> None:
         """Compile a unit, and what it calls that is not compiled, in this process."""
         with uncollected():
-            called = self._imported(name)
-        if _said(ast.parse(self.sources[name]), "TEXT"):
-            self._put_down(name, called)
-        self._mark(name).touch()
-
-    def _put_down(self, name: str, called: dict[str, Any]) -> None:
-        """Keep the text of a rule."""
-        (rule,) = called.values()
-        written = self.folder / f"{name}.{os.getpid()}"
-        written.write_text(rule.inspect_llvm(rule.signatures[0]), encoding="utf-8")
-        os.replace(written, self.folder / f"{name}.ll")
+            import_module(f"{_package(self.folder)}.{name}")
 
     def _mark(self, name: str) -> Path:
-        """The file that says that a unit is compiled."""
+        """The file in which a unit is kept that is compiled."""
         return self.folder / f"{name}.built"
-
-    def _imported(self, name: str) -> dict[str, Any]:
-        return dict(import_module(f"{_package(self.folder)}.{name}").called)
 
     def _units(self, names: Iterable[str]) -> set[str]:
         """Which of these files are units that are not compiled."""
@@ -326,9 +315,10 @@ def footer(text: str, package: str) -> str:
         loader=__name__,
         package=package,
         fast=False if _said(tree, "EXACT") else {"contract"},
-        kept=not _said(tree, "TEXT"),
+        text=bool(_said(tree, "TEXT")),
         functions=[f.name for f in functions],
         arguments={f.name: _annotations(f) for f in functions if f.name in public},
+        imports=sorted({node.module or "" for node in _imports(tree)}),
     )
 
 
@@ -354,23 +344,34 @@ def _annotations(function: ast.FunctionDef) -> list[str]:
     return [ast.unparse(a.annotation) for a in function.args.args if a.annotation]
 
 
-def signature(kinds: list[str], package: str, referred: bool = False) -> tuple[Any, ...]:
-    """The types of arguments, from their annotations.
+def kinds_of(annotations: Iterable[str], package: str) -> tuple[code.Kind, ...]:
+    """The kinds of arguments, from their annotations.
 
     An annotation is a name in :data:`TYPES`, or that of a tuple of such with names, a class in the
-    file ``arrays`` of the package, which may be referred to by its address.
+    file ``arrays`` of the package.
     """
+
+    def of(name: str) -> code.Kind:
+        if name in TYPES:
+            return name
+        named = getattr(import_module(f"{package}.arrays"), name)
+        return name, kinds_of((p.__forward_arg__ for p in named.__annotations__.values()), package)
+
+    return tuple(map(of, annotations))
+
+
+def signature(kinds: Iterable[code.Kind], package: str, referred: bool = False) -> tuple[Any, ...]:
+    """The types of arguments; tuples may be referred to by their addresses."""
     import numba
 
-    def of(kind: str) -> Any:
-        if kind in TYPES:
+    def of(kind: code.Kind) -> Any:
+        if isinstance(kind, str):
             return numba.core.sigutils.normalize_signature(f"({TYPES[kind]},)")[0][0]
-        named = getattr(import_module(f"{package}.arrays"), kind)
-        parts = [of(part.__forward_arg__) for part in named.__annotations__.values()]
+        named, parts = getattr(import_module(f"{package}.arrays"), kind[0]), tuple(map(of, kind[1]))
         if referred:
             from .references import reference
 
-            return reference(named, tuple(parts))
+            return reference(named, parts)
         if len(set(parts)) == 1:
             return numba.types.NamedUniTuple(parts[0], len(parts), named)
         return numba.types.NamedTuple(parts, named)
@@ -378,41 +379,93 @@ def signature(kinds: list[str], package: str, referred: bool = False) -> tuple[A
     return tuple(map(of, kinds))
 
 
-def outside(names: Iterable[str]) -> dict[str, Any]:
-    """Those of some rules that machine code has in another way than by their text."""
-    return {"run_code": _run_code()} if "run_code" in names else {}
+def made(
+    file: str,
+    rules: dict[str, tuple[Callable[..., Any], list[str]]],
+    imports: Iterable[str],
+    package: str,
+    text: bool,
+    options: dict[str, Any],
+) -> dict[str, Any]:
+    """The rules of a file that other machine code calls; they are compiled and kept, if need be.
+
+    ``rules``: each with the annotations of its arguments. ``text``: whether they are kept in LLVM's
+    language, too.
+    """
+    path = Path(file).with_suffix(".built")
+    if not path.exists():
+        kept = []
+        for rule, annotations in rules.values():
+            found, written = compiled(rule, kinds_of(annotations, package), package, options)
+            kept.append(found)
+            if text:
+                draft = path.with_suffix(f".{os.getpid()}")
+                draft.write_text(written, encoding="utf-8")
+                os.replace(draft, path.with_suffix(".ll"))
+        called = (name for name in imports if path.with_name(f"{name}.built").exists())
+        code.write(path, code.Unit(tuple(called), tuple(kept)))
+    return {
+        rule.name: declared(rule, code.symbol(path, rule.name), rules[rule.name][0], package)
+        for rule, *_ in code.placed(path)
+    }
 
 
-def by_address(rule: Any, unit: str) -> Any:
-    """A compiled rule as other machine code calls it: at its address, which has a name.
+def compiled(
+    rule: Callable[..., Any], kinds: tuple[code.Kind, ...], package: str, options: dict[str, Any]
+) -> tuple[code.Rule, str]:
+    """A rule compiled by numba, as it is kept and in LLVM's language."""
+    import numba
+
+    function = numba.njit(signature(kinds, package, True), **options)(rule)
+    (own,) = function.overloads.values()
+    written = function.inspect_llvm(own.signature.args)
+    module = code.binding().parse_assembly(written)
+    others = [f.name for f in module.functions if f.is_declaration]
+    needs = tuple(name for name in others if not name.startswith("llvm."))
+    result, plain = own.signature.return_type, numba.types.unliteral
+    names = {signature([kind], package)[0]: kind for kind in code.NUMBERS} | {numba.types.none: ""}
+    several = isinstance(result, numba.types.BaseTuple)
+    returned = tuple(names[plain(part)] for part in result) if several else names[plain(result)]
+    made = own.library.codegen._tm.emit_object(module)
+    name = own.fndesc.llvm_func_name
+    return code.Rule(rule.__name__, name, kinds, returned, needs, made), written
+
+
+def declared(kept: code.Rule, symbol: str, rule: Callable[..., Any], package: str) -> Any:
+    """A rule as other machine code calls it: at its address, which has a name.
 
     numba would put a copy of the rule's machine code, and of all that it calls, into that of each
-    caller, and optimise it there anew. ``unit``: the name of the rule's module.
+    caller, and optimise it there anew.
     """
-    from llvmlite import binding
+    from numba import types
     from numba.core.cgutils import get_or_insert_function
     from numba.core.imputils import impl_ret_untracked
     from numba.extending import intrinsic
 
-    compiled = rule.overloads[rule.signatures[0]]
-    result, kinds = compiled.signature.return_type, compiled.signature.args
-    name = f"{unit}.{rule.__name__}"
-    address = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
-    binding.add_symbol(name, address)
+    kinds = signature(kept.kinds, package, True)
+    if isinstance(kept.result, tuple):
+        result = types.BaseTuple.from_types(signature(kept.result, package))
+    else:
+        result = signature([kept.result], package)[0] if kept.result else types.none
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         convention = context.call_conv
         kind = convention.get_function_type(result, kinds)
-        function = get_or_insert_function(builder.module, kind, name)
+        function = get_or_insert_function(builder.module, kind, symbol)
         _, value = convention.call_function(builder, function, result, kinds, arguments)
         return impl_ret_untracked(context, builder, result, value)
 
     def call(*_: Any) -> Any:
         return result(*kinds), codegen
 
-    call.__name__ = rule.__name__
-    call.__signature__ = _parameters(rule.py_func)  # type: ignore[attr-defined]
+    call.__name__ = kept.name
+    call.__signature__ = _parameters(rule)  # type: ignore[attr-defined]
     return intrinsic(call)
+
+
+def outside(names: Iterable[str]) -> dict[str, Any]:
+    """Those of some rules that machine code has in another way than by their text."""
+    return {"run_code": _run_code()} if "run_code" in names else {}
 
 
 def _parameters(function: Callable[..., Any]) -> inspect.Signature:
@@ -485,7 +538,7 @@ def _is_ours(folder: Path) -> bool:
 def locked(path: Path) -> Iterator[None]:
     """Hold a file's lock, which the system takes back from a process that dies.
 
-    Where files cannot be locked nothing is lost but time: numba replaces its files whole, and two
+    Where files cannot be locked nothing is lost but time: files are replaced whole, and two
     processes may compile the same.
     """
     with path.open("a+b") as file:

@@ -14,8 +14,7 @@ from numba import types
 from numba.core import cgutils, typing
 from numba.core.datamodel.models import OpaqueModel
 from numba.core.imputils import impl_ret_borrowed, lower_getattr_generic
-from numba.core.typing.typeof import typeof_impl
-from numba.extending import NativeValue, infer_getattr, register_model, unbox
+from numba.extending import infer_getattr, register_model
 
 
 class Reference(types.Type):  # type: ignore[misc]
@@ -29,14 +28,7 @@ class Reference(types.Type):  # type: ignore[misc]
 @cache
 def reference(named: type, parts: tuple[Any, ...]) -> Reference:
     """The type of what Python hands on as such a tuple."""
-    kind = Reference(named, parts)
-
-    def of(given: Any, context: Any) -> Any:
-        own = tuple(typeof_impl(part, context) for part in given)
-        return kind if own == parts else types.BaseTuple.from_types(own, named)
-
-    typeof_impl.register(named)(of)
-    return kind
+    return Reference(named, parts)
 
 
 register_model(Reference)(OpaqueModel)
@@ -82,25 +74,3 @@ def _read(builder: Any, address: Any, layout: Any) -> Any:
             found, _read(builder, _place(builder, address, place), part), place
         )
     return found
-
-
-@unbox(Reference)  # type: ignore[untyped-decorator]
-def _taken(kind: Reference, given: Any, c: Any) -> Any:
-    """Put the arrays of a tuple into a struct, which lasts as long as the call."""
-    address = cgutils.alloca_once(c.builder, _layout(c.context, kind))
-    wrong = cgutils.alloca_once_value(c.builder, cgutils.false_bit)
-    ends = []
-    for place, part in enumerate(kind.parts):
-        element = c.unbox(part, c.pyapi.tuple_getitem(given, place))
-        c.builder.store(element.value, _place(c.builder, address, place))
-        with c.builder.if_then(element.is_error, likely=False):
-            c.builder.store(cgutils.true_bit, wrong)
-        if element.cleanup is not None:
-            ends.append(element.cleanup)
-
-    def cleanup() -> None:
-        for end in reversed(ends):
-            end()
-
-    value = c.builder.bitcast(address, c.context.get_value_type(kind))
-    return NativeValue(value, is_error=c.builder.load(wrong), cleanup=cleanup if ends else None)

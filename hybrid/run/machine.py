@@ -7,6 +7,7 @@ the driver judges what comes next.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from ..delay.windows import Links, Shown
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.arrays import Left, Look, Now, Room, Sums
+from ..rules.code import held
 from ..rules.places import (
     AT_REST,
     BEFORE,
@@ -240,13 +242,14 @@ class Machine:
 
     def _advance(self, left: Left) -> int:
         """Call the loop, and make the steps and the tables that it asks for."""
-        own = self.outside is None
+        own, call = self.outside is None, self._call(left)
         try:  # what is not finite is reported, not warned of
             with nullcontext() if own else np.errstate(all="ignore"):
                 while True:
-                    status = self._called(left)
+                    status = call()
                     if status == MAKE:
                         self._make()
+                        call = self._call(left)
                         continue
                     if self.outside is None or status not in ASKS:
                         return status
@@ -260,12 +263,19 @@ class Machine:
             self._interrupted(self.now, left)
             raise
 
-    def _called(self, left: Left) -> int:
-        """Call the loop once: with delays, that which passes from window to window."""
+    def _call(self, left: Left) -> Callable[[], int]:
+        """What calls the loop: with delays, that which passes from window to window."""
+        if self.past is not None and self.driver.record.memory is not None:
+            return lambda: self._looked_back(left)
+        room, sums, look = self.rooms
+        given = self.tables.automaton, self.run, self.now, room, left, sums, look
+        return held(unit("runs").go, *given)
+
+    def _looked_back(self, left: Left) -> int:
+        """Call the loop with what flows look back on."""
         memory, now, (room, sums, look) = self.driver.record.memory, self.now, self.rooms
-        if self.past is None or memory is None:
-            go = unit("runs").go
-            return int(go(self.tables.automaton, self.run, now, room, left, sums, look))
+        assert self.past is not None
+        assert memory is not None
         automaton, links = self.past.linked()
         past, until = memory.past(links), memory.until
         if not memory.bound or links is not self.links:
@@ -278,7 +288,7 @@ class Machine:
         status = int(go(automaton, self.run, now, room, left, sums, look, past))
         if status == NO_ROOM:
             memory.make_room(self.driver.t)
-            return self._called(left)
+            return self._looked_back(left)
         memory.told = True
         if memory.until != until:
             self.driver.scene, memory.bound = memory.read(), True
