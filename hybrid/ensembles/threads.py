@@ -97,8 +97,16 @@ def abreast(
     if loop is None or not driver.solver.whole or plan.bounded or plan.zeno == "truncate":
         return None
     declared = mode in [each.name for each in scene.spec.modes]
-    plain = declared and loop.may(scene.field(mode))
+    plain = declared and loop.may(scene.field(mode)) and _alike(scene, lanes.values)
     return (flies or Abreast)(scene, driver, mode, lanes, rows) if plain else None
+
+
+def _alike(scene: Scene, values: np.ndarray) -> bool:
+    """Whether the same guards bound their modes with the parameters of each lane."""
+    code, edges = scene.code, scene.spec.transitions
+    kicks = [edge for edge in edges if code.kicks(edge)]
+    own = [code.bounds(edge, scene.values) for edge in kicks]
+    return not kicks or all([code.bounds(e, row) for e in kicks] == own for row in values.tolist())
 
 
 class Abreast:

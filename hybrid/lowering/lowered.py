@@ -327,19 +327,30 @@ class Lowered:
             return self.closed("surface", edge.name)
         return self.closed("gap" if isinstance(edge, ContactSpec) else "guard", edge.name)
 
-    def bounds(self, edge: Transition) -> bool:
-        """Whether a guard bounds its mode.
+    def bounds(self, edge: Transition, parameters: Sequence[float]) -> bool:
+        """Whether a guard bounds its mode, for these values of the parameters (of windows, which
+        may follow them, it is not asked what they show).
 
         One does not if its edge leads back into the mode, and the reset leaves the guard where it
         is and does not turn its motion round: the flow goes on through zero. What is the same
         expression before and after the reset is the same; of a kick, which changes the guard's
         rate, random points show whether it turns the motion round.
         """
-        if not isinstance(edge, EdgeSpec) or edge.to != edge.source:
-            return True
-        return bool(self.once(("bounds", edge.name), lambda: self._bounds(edge)))
+        stays, kicked = self._kick(edge)
+        return not stays or (kicked is not None and self._turns(edge.crossing, kicked, parameters))
 
-    def _bounds(self, edge: EdgeSpec) -> bool:
+    def kicks(self, edge: Transition) -> bool:
+        """Whether parameters may decide if a guard bounds its mode."""
+        return self._kick(edge)[1] is not None
+
+    def _kick(self, edge: Transition) -> tuple[bool, Program | None]:
+        if not isinstance(edge, EdgeSpec) or edge.to != edge.source:
+            return False, None
+        return self.once(("stays", edge.name), lambda: self._stays(edge))  # type: ignore[no-any-return]
+
+    def _stays(self, edge: EdgeSpec) -> tuple[bool, Program | None]:
+        """Whether a reset leaves its guard where it is; and where that changes the guard's rate,
+        both before and after."""
         reset = trace.again(self.closed("reset", edge.name))
         guard = trace.again(self.closed("guard", edge.name))
         rate = contacts.lie(guard, trace.again(self.closed("flow", edge.source)))
@@ -353,15 +364,16 @@ class Lowered:
 
         closed, graph = self.trace(pairs), Graph()
         ((here, there), (before, after)), *_ = graph.outputs(closed, self.inputs(graph))
-        if here != there:
-            return True
-        return bool(before != after) and self._turns(edge, closed)
+        if here != there or before == after:
+            return bool(here == there), None
+        return True, self.program(("kick", edge.name), lambda: closed)
 
-    def _turns(self, edge: EdgeSpec, closed: Any) -> bool:
+    def _turns(self, crossing: Crossing, kicked: Program, parameters: Sequence[float]) -> bool:
         """Whether a reset turns its guard's motion round at one of a few random points."""
-        program = self.program(("turns", edge.name), lambda: closed)
-        pairs, draw = program.bind(self.defaults()), random.Random(0)
-        direction = {Crossing.FALLING: -1, Crossing.RISING: 1}.get(edge.crossing, 0)
+        own = sum(map(_count, self._own_shapes))
+        pairs = kicked.bind([*parameters[:own], *self.defaults()[own:]])
+        direction = {Crossing.FALLING: -1, Crossing.RISING: 1}.get(crossing, 0)
+        draw = random.Random(0)
         for _ in range(POINTS):
             x = [draw.uniform(-1.5, 1.5) for _ in range(self.spec.dimension)]
             *_, before, after = pairs(draw.uniform(0.0, 1.5), x)

@@ -439,7 +439,7 @@ class Scene:
         shape = lambda: node_shape(graph.graph, graph.guard(name))  # noqa: E731
         affine, uses = code.once(("shape", name, mode), shape)
         kinks = self._kinks(mode, held, name, lambda g: g.deciding(name))
-        bounds = kind != "edge" or code.bounds(edge)
+        bounds = kind != "edge" or code.bounds(edge, self.values)
         made = here, lie.bind(numbers), affine, uses, trace, kinks, bounds
         return Guard(name, kind, edge.to, edge.crossing, *made)
 

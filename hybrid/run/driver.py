@@ -672,7 +672,7 @@ class Driver:
             return named.name, ()
         edges = [e for e in spec.transitions if e.name in cycle]
         contacts = [e for e in edges if getattr(e, "rests", False)]
-        events = sum(not self.scene.code.bounds(e) for e in edges)
+        events = sum(not self.scene.code.bounds(e, self.scene.values) for e in edges)
         if len(contacts) + events < len(edges) or len({e.to for e in contacts}) != 1:
             return None
         return contacts[0].to, (*held, *(e.name for e in contacts))
