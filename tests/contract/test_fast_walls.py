@@ -13,6 +13,8 @@ import pytest
 
 import hybrid as hy
 
+from .ways import later
+
 WAYS = ["DOP853", "taylor", "Dopri8"]
 
 #: Amplitude and frequency of the wall: in all cases far faster than the flights.
@@ -20,6 +22,12 @@ WALLS = [
     *((1e-4, 4e2), (1e-4, 3e3), (1e-6, 3e4), (1e-8, 2e4), (1e-8, 1e5), (1e-9, 5e4)),
     *((1e-9, 2e5), (1e-10, 3e5)),
 ]
+
+#: Each wall with a state that is large or is not, by turns; and with the other.
+LARGE = [(*wall, (0.0, 101325.0)[k % 2]) for k, wall in enumerate(WALLS)]
+OTHER = [(*wall, (101325.0, 0.0)[k % 2]) for k, wall in enumerate(WALLS)]
+
+walls = pytest.mark.parametrize(("a", "w", "p"), [*LARGE, *later(*OTHER)])
 
 
 class Shaken(hy.Automaton):
@@ -65,8 +73,7 @@ def first_impacts(model, x, v, count):
     return times
 
 
-@pytest.mark.parametrize("p", [0.0, 101325.0])
-@pytest.mark.parametrize(("a", "w"), WALLS)
+@walls
 def test_nothing_is_thrown_by_a_wall_faster_than_it_moves(way, a, w, p):
     """Each impact obeys Newton's law, the wall is not passed, and the speed is that of the fall.
 
@@ -105,8 +112,7 @@ def test_what_is_left_of_a_fall_stays_on_the_wall(way, a, w):
     _holds(model, result)
 
 
-@pytest.mark.parametrize("p", [0.0, 101325.0])
-@pytest.mark.parametrize(("a", "w"), WALLS)
+@walls
 def test_the_first_impacts_are_those_of_parabolas(way, a, w, p):
     """Three of them: each magnifies what is off by the wall's acceleration over the body's."""
     model = Shaken(a=a, w=w, r=0.5)

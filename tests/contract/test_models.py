@@ -8,13 +8,11 @@ import pytest
 import hybrid as hy
 from hybrid import gallery
 
+from .ways import later
+
 #: ``tests/test_models.py`` holds the accurate solvers to the models' oracles, and these are held to
 #: one of them; ``tests/test_compare.py`` holds to it what SciPy's steps give all along the run.
-WAYS = [
-    pytest.param("Radau", marks=pytest.mark.every_way),
-    pytest.param("LSODA", marks=pytest.mark.every_way),
-    *("ensemble", "as_function"),
-]
+WAYS = ["ensemble", "as_function", *later("Radau", "LSODA")]
 
 #: Shares of the run at whose end the states are compared, the last time included.
 SHARES = [0.13, 0.37, 0.71, 1.0]

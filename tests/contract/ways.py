@@ -28,6 +28,7 @@ from typing import Any
 import attrs
 import jax
 import numpy as np
+import pytest
 
 import hybrid as hy
 from hybrid.automaton.record import Record
@@ -361,6 +362,15 @@ ALL = list(WAYS)
 #: by their order, their interpolants and the times at which they ask for a flow: what depends on
 #: those is marked ``each_method``, and all else on them ``every_way``.
 MECHANISMS = ["DOP853", "Radau", "LSODA", "taylor", "Dopri8", "ensemble", "as_function"]
+
+
+def later(*cases: Any) -> list[Any]:
+    """Ways, or points of a scan, that are left to ``-m every_way``."""
+    return [
+        pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.every_way)
+        for case in cases
+    ]
+
 
 #: Those of them that reach rounding.
 ACCURATE = ["DOP853", "taylor", "Dopri8", "ensemble", "as_function"]
