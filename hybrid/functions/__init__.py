@@ -1,5 +1,5 @@
 """Runs as pure functions inside the user's own JAX, with derivatives."""
 
-from .function import as_function
+from .function import REASONS, JumpTable, Limit, Outcome, as_function
 
-__all__ = ["as_function"]
+__all__ = ["REASONS", "JumpTable", "Limit", "Outcome", "as_function"]

@@ -79,7 +79,7 @@ class Outcome(NamedTuple):
     jumps : JumpTable
     zeno : Limit
     status : int
-        1 at the last time; the other numbers are in ``hybrid.functions.function.REASONS``.
+        1 at the last time; the other numbers are in ``hybrid.functions.REASONS``.
     overflow : bool
         ``max_jumps`` or ``max_steps`` was too small: the run was cut.
     """

@@ -1,12 +1,14 @@
 """The spec, lowered for one run: only the modes, guards and outputs that the run needs."""
 
 from .lowered import window_edge
+from .mode import Kind
 from .scene import Contact, Field, Guard, Kink, Scene, released, scene_of, scene_with
 
 __all__ = [
     "Contact",
     "Field",
     "Guard",
+    "Kind",
     "Kink",
     "Scene",
     "released",

@@ -29,6 +29,7 @@ from ..rules.places import (
     UNKNOWN,
 )
 from .mode import RELEASE as RELEASED
+from .mode import Kind
 from .native import Native, recall
 from .ranges import Ranges
 from .tape import Jets, Linked, room
@@ -45,7 +46,7 @@ HOT = 1 << 16
 Nodes = Callable[[], Sequence[int]]
 
 #: Kinds of guards as the rules number them; others are judged by the driver.
-NUMBERED = {"edge": EDGE, "contact": CONTACT, "release": RELEASE}
+NUMBERED = {Kind.EDGE: EDGE, Kind.CONTACT: CONTACT, Kind.RELEASE: RELEASE}
 
 #: Directions in which a guard fires.
 DIRECTIONS = {Crossing.FALLING: -1, Crossing.RISING: 1, Crossing.EITHER: 0}
@@ -132,7 +133,7 @@ class Tables:
         field = self.fields[self.numbers[self.modes[number]]]
         if row[TO] == UNKNOWN:
             self.number(self.scene.field(guard.to))
-        elif guard.kind == "release":
+        elif guard.kind is Kind.RELEASE:
             to, contact = self.scene.field(guard.to), guard.edge.removesuffix(RELEASED)
             row[AT] = self._at(field, contact)
             row[REST] = self.first(self.numbers[guard.to]) + to.column(contact)
@@ -189,19 +190,19 @@ class Tables:
         self._uses += guard.uses
         graph, name = code.mode(field.mode), guard.edge
         programs, held = [-1, -1], bool(field.held)
-        if guard.kind == "contact" and not held:
+        if guard.kind is Kind.CONTACT and not held:
             programs = [
                 self._of_values(field, ("impact", name), lambda: graph.impact(name)),
                 self._of_values(field, ("land", name), lambda: graph.land(name)),
             ]
-        elif guard.kind == "edge" and not held:  # what stays held after a jump is judged
+        elif guard.kind is Kind.EDGE and not held:  # what stays held after a jump is judged
             reset = ("reset", name)
             programs[0] = self._of_values(field, reset, lambda: graph.values(code.closed(*reset)))
         sizes = self._of_values(field, ("sizes", name, held), lambda: graph.sizes(name, held))
         kind, crossing = NUMBERED.get(guard.kind, OTHER), DIRECTIONS[guard.crossing]
         shape = [int(guard.bounds), int(guard.affine), self.numbers.get(guard.to, UNKNOWN)]
         later = [UNKNOWN, 0, UNKNOWN, UNKNOWN, 0]
-        if guard.kind == "release" and len(field.held) > 1:  # what follows is judged
+        if guard.kind is Kind.RELEASE and len(field.held) > 1:  # what follows is judged
             shape[2] = NONE
         return [kind, crossing, *shape, *programs, sizes, uses, len(self._uses), *later]
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from enum import StrEnum
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +32,17 @@ Scalar = Callable[..., Any]
 
 #: How a guard is named that is the load of a contact.
 RELEASE = ".release"
+
+
+class Kind(StrEnum):
+    """What it means that a guard is zero."""
+
+    EDGE = "edge"
+    CONTACT = "contact"
+    RELEASE = "release"
+    SWITCH = "switch"
+    LEAVE = "leave"
+    WINDOW = "window"
 
 
 @attrs.frozen

@@ -29,7 +29,7 @@ from ..errors import TraceError
 from .automaton import Tables
 from .derivatives import gradient
 from .lowered import ORDER, Lowered, deciders, lowered, node_shape
-from .mode import RELEASE, ModeGraph
+from .mode import RELEASE, Kind, ModeGraph
 from .python import Program
 from .tape import Jets, Tape
 from .taylor import flat
@@ -73,7 +73,7 @@ class Guard:
     edge : str
         Name of the edge, contact or switching; ``"<contact>.release"`` for the end of a rest,
         ``"<switching>.positive"`` and ``"<switching>.negative"`` for those of sliding.
-    kind : "edge", "contact", "release", "switch", "leave" or "window"
+    kind : Kind
     to : str
         The mode it leads to.
     value : callable ``(t, x)``
@@ -93,7 +93,7 @@ class Guard:
     """
 
     edge: str
-    kind: str
+    kind: Kind
     to: str
     crossing: Crossing
     value: Scalar
@@ -339,10 +339,10 @@ class Scene:
             program = code.program(("field", mode), closed, exact=True)
             rhs, project = program.bind(self.values), None
         edges = [edge for edge in self.spec.leaving(mode) if edge.name not in held]
-        watched: list[tuple[Transition, str]] = [(edge, _kind(edge)) for edge in edges]
-        watched += [(_unwritten(f"{c}{RELEASE}", name, mode), "release") for c in held]
+        watched: list[tuple[Transition, Kind]] = [(edge, _kind(edge)) for edge in edges]
+        watched += [(_unwritten(f"{c}{RELEASE}", name, mode), Kind.RELEASE) for c in held]
         windows = list(code.guards_closed(mode))[len(self.spec.leaving(mode)) :]
-        watched += [(_unwritten(window, mode, mode), "window") for window in windows]
+        watched += [(_unwritten(window, mode, mode), Kind.WINDOW) for window in windows]
         guards = tuple(self._guard(*each, mode, held) for each in watched)
         series = self._series(mode, held, [guard.edge for guard in guards])
         trace = lambda: code.field_closed(mode, held)  # noqa: E731
@@ -423,10 +423,10 @@ class Scene:
             return self.code.onto(switching.name).bind(self.values)
         return self.code.mode(mode).projection(held, self.numbers(mode, held))
 
-    def _guard(self, edge: Transition, kind: str, mode: str, held: tuple[str, ...]) -> Guard:
+    def _guard(self, edge: Transition, kind: Kind, mode: str, held: tuple[str, ...]) -> Guard:
         code, graph, name = self.code, self.code.mode(mode), edge.name
         numbers = self.numbers(mode, held)
-        if kind == "release":
+        if kind is Kind.RELEASE:
             value = graph.program(("load", name), lambda: [graph.guard(name)])
             place = held.index(released(name))
             trace = lambda: code.load_closed(held, place)  # noqa: E731
@@ -439,7 +439,7 @@ class Scene:
         shape = lambda: node_shape(graph.graph, graph.guard(name))  # noqa: E731
         affine, uses = code.once(("shape", name, mode), shape)
         kinks = self._kinks(mode, held, name, lambda g: g.deciding(name))
-        bounds = kind != "edge" or code.bounds(edge, self.values)
+        bounds = kind is not Kind.EDGE or code.bounds(edge, self.values)
         made = here, lie.bind(numbers), affine, uses, trace, kinks, bounds
         return Guard(name, kind, edge.to, edge.crossing, *made)
 
@@ -478,7 +478,7 @@ class Scene:
     @cached_property
     def paired(self) -> list[tuple[int, int]]:
         """Places of the positions and of the velocities of all contacts."""
-        contacts = [name for name, guard in self.guards.items() if guard.kind == "contact"]
+        contacts = [name for name, guard in self.guards.items() if guard.kind is Kind.CONTACT]
         pairings = [self.code.pairing(name) for name in contacts]
         return [pair for p in pairings for pair in zip(p.positions, p.velocities, strict=True)]
 
@@ -486,7 +486,7 @@ class Scene:
     def guards(self) -> dict[str, Guard]:
         """The guards of the modes by edge, ends of windows left out."""
         watched = (guard for mode in self.spec.modes for guard in self.field(mode.name).guards)
-        return {guard.edge: guard for guard in watched if guard.kind != "window"}
+        return {guard.edge: guard for guard in watched if guard.kind is not Kind.WINDOW}
 
     def contact(self, name: str) -> Contact:
         """The derived laws of a contact."""
@@ -559,10 +559,10 @@ def _unwritten(name: str, source: str, to: str) -> EdgeSpec:
     return EdgeSpec(name, source, to, unused, Crossing.FALLING, unused)
 
 
-def _kind(edge: Transition) -> str:
+def _kind(edge: Transition) -> Kind:
     """The kind of a transition's guard."""
-    kinds = {ContactSpec: "contact", SideSpec: "switch", LeaveSpec: "leave"}
-    return kinds.get(type(edge), "edge")
+    kinds = {ContactSpec: Kind.CONTACT, SideSpec: Kind.SWITCH, LeaveSpec: Kind.LEAVE}
+    return kinds.get(type(edge), Kind.EDGE)
 
 
 def released(edge: str) -> str:

@@ -228,7 +228,7 @@ def _describe(shooting: Shooting, turn: Turn) -> PeriodicOrbit:
         period=turn.guess.period,
         extrema=extrema(run),
         jumps=float("inf") if run.zeno else len(run.own_jumps),
-        sticks=tuple(Stick(a.mode, a.t0, a.t1) for a in run.parts if a.t1 > a.t0 and "(" in a.mode),
+        sticks=tuple(Stick(a.mode, a.t0, a.t1) for a in run.parts if a.t1 > a.t0 and a.constrained),
         saltations=tuple(found.saltations),
         monodromy=found.matrix,
         multipliers=values,

@@ -232,7 +232,7 @@ class HistoryShooting(Shooting):
         arcs = [(i, arc) for i, arc in enumerate(run.parts) if isinstance(arc, Arc)]
         spans = {i: (max(arc.t0, since), arc.t1) for i, arc in arcs if arc.t1 > since}
         long = [i for i, (a, b) in spans.items() if b - a > LEAST * guess.period]
-        plain = [i for i in long if "(" not in run.parts[i].mode]
+        plain = [i for i in long if not run.parts[i].constrained]
         index = max(plain or long, key=lambda i: spans[i][1] - spans[i][0])
         arc, t = run.parts[index], 0.5 * sum(spans[index])
         assert isinstance(arc, Arc)

@@ -12,7 +12,7 @@ from ..automaton.markers import RISING, Crossing
 from ..automaton.trace import again, caller, scalar, trace
 from ..errors import OptionError
 from ..events import fires, zeros
-from ..lowering import Guard, Scene
+from ..lowering import Guard, Kind, Scene
 from ..lowering.lowered import guard_shape
 from ..lowering.scene import Scalar
 from ..trajectory.arcs import Arc, Part
@@ -141,7 +141,7 @@ def _surface(model: Any, scene: Scene, function: Callable[..., Any], crossing: C
     value = scene.bind(code.program(("section", function), lambda: closed))
     affine, uses = guard_shape(code, closed)
     name, free = "section", lambda *_: (0.0, 0.0, 0.0)
-    guard = Guard(name, "edge", "", crossing, value, free, affine, uses, closed)
+    guard = Guard(name, Kind.EDGE, "", crossing, value, free, affine, uses, closed)
     sizes = code.program(
         ("section", "size", function), lambda: trace(spec, _terms(closed), 0, code.shapes)
     )

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..events import bernstein_from_chebyshev, roots
+from ..lowering import Kind
 from ..segment import nodes
 from ..solvers import Solver
 from ..solvers.taylor_backend import TaylorSolver
@@ -222,7 +223,7 @@ def _held(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
     """Held still by contacts, or on a surface, over the last quarter of the run at least."""
     arc = run.parts[-1]
     whole = run.t1 - run.t0
-    if not isinstance(arc, Arc) or "(" not in arc.mode or arc.length < 0.25 * whole:
+    if not isinstance(arc, Arc) or not arc.constrained or arc.length < 0.25 * whole:
         return None
     times, states = _states(attrs.evolve(run, log=Log([arc])), arc.t0)
     moved = _moves(run, states, scale)
@@ -250,7 +251,7 @@ def _loads(run: Trajectory, times: np.ndarray, states: np.ndarray) -> list[float
     found = []
     for t, x in zip(times.tolist(), states.tolist(), strict=True):
         field = run.hindsight.at(len(run.parts) - 1, t).field(run.mode)
-        found += [g.value(t, x) for g in field.guards if g.kind == "release"]
+        found += [g.value(t, x) for g in field.guards if g.kind is Kind.RELEASE]
     return found
 
 

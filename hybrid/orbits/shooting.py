@@ -172,7 +172,7 @@ class Shooting:
         """
         run = self.turn(guess).run
         arcs = [arc for arc in run.parts if isinstance(arc, Arc)]
-        plain = [a for a in arcs if "(" not in a.mode and a.length > LEAST * guess.period]
+        plain = [a for a in arcs if not a.constrained and a.length > LEAST * guess.period]
         arc = max(plain or arcs, key=lambda arc: arc.length)
         half = 0.5 * arc.length
         t = arc.t0 + (arc.low + half) if self.timed else guess.t

@@ -14,7 +14,7 @@ import attrs
 import numpy as np
 
 from ..delay.hindsight import Hindsight, Record
-from ..lowering import Field
+from ..lowering import Field, Kind
 from ..segment import nodes
 from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Trajectory
@@ -146,7 +146,7 @@ def _loads(sight: Hindsight, part: int, arc: Arc) -> list[list[float]]:
         times = arc.t0 + arc.low + segment.start + segment.length * LOOK
         for t, x in zip(times.tolist(), segment.at(LOOK).tolist(), strict=True):
             field = sight.at(part, t).field(arc.mode)
-            loads = [guard.value(t, x) for guard in field.guards if guard.kind == "release"]
+            loads = [guard.value(t, x) for guard in field.guards if guard.kind is Kind.RELEASE]
             found += [loads] if loads else []
     return found
 
@@ -165,7 +165,7 @@ def _but(
     for guard in field.guards:
         if code.timed(guard.closed):
             return f"the guard of {guard.edge} depends on time"
-        value, load = guard.value(arc.t1, x), guard.kind == "release"
+        value, load = guard.value(arc.t1, x), guard.kind is Kind.RELEASE
         size = next(largest) if load else float(scene.rounding(guard, field)(arc.t1, x)[0])
         if not (value if load else abs(value)) > AWAY * size:
             return f"the guard of {guard.edge} is {value:.6g} there, which is too near to zero"

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..lowering import Kind
 from ..trajectory.accumulation import Accumulation
 from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Trajectory
@@ -88,7 +89,7 @@ def approach_panel(run: Trajectory, name: str, place: int = 0, *, points: int = 
     """
     point, index = run.zeno[place], run.spec.element_names.index(name)
     since = run.zeno[place - 1].t if place else run.t0
-    arcs = [a for a in run.arcs if since <= a.t0 and a.t1 <= point.t and not _stays(a.mode)]
+    arcs = [a for a in run.arcs if since <= a.t0 and a.t1 <= point.t and not a.constrained]
     ends = np.cumsum([a.length for a in arcs][::-1])[::-1]
     count, parts = _count(len(arcs), points), []
     for arc, end in zip(arcs, ends, strict=True):
@@ -149,8 +150,8 @@ def _sampled(run: Trajectory, points: int) -> _Drawn:
     """The whole run, with about so many points."""
     seen = _seen(run)
     dense = [arc for arc in seen if arc.segments]
-    flights = [arc for arc in dense if not _stays(arc.mode)]
-    rests = [arc for arc in dense if _stays(arc.mode)]
+    flights = [arc for arc in dense if not arc.constrained]
+    rests = [arc for arc in dense if arc.constrained]
     return _Drawn(_along(flights, points), _along(rests, points), _kept(run, seen))
 
 
@@ -231,13 +232,8 @@ def _joined(parts: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(x or empty)[:-1], np.concatenate(y or empty)[:-1]
 
 
-def _stays(mode: str) -> bool:
-    """Whether an arc stays on a surface: at rest on a contact, or sliding."""
-    return ".rest(" in mode or mode.startswith("slide(")
-
-
 def _staying(run: Trajectory) -> str:
-    return "at rest" if any(".rest(" in part.mode for part in run.parts) else "sliding"
+    return "at rest" if any(part.held for part in run.parts) else "sliding"
 
 
 def _impacts(run: Trajectory, index: int) -> list[Curve]:
@@ -284,7 +280,7 @@ def _obstacle(run: Trajectory, index: int) -> list[Curve]:
     state = np.concatenate([np.ravel(v) for v in run.final])
     curves = []
     for guard in run.surfaces.values():
-        if guard.uses != (index,) or guard.kind != "contact":
+        if guard.uses != (index,) or guard.kind is not Kind.CONTACT:
             continue
         values = np.array([guard.value(t, state.tolist()) for t in times.tolist()])
         moved = state.copy()

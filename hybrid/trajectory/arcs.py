@@ -9,19 +9,43 @@ import attrs
 import numpy as np
 
 from ..errors import OptionError
+from ..lowering.scene import parted
 from ..segment import Segment
 from ..zeno.accumulate import Tail
 from .clock import Instant
 
 
+class _Moded:
+    """What the name of a part's mode says."""
+
+    mode: str
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """The contacts at rest; empty if none is."""
+        return parted(self.mode)[1]
+
+    @property
+    def sliding(self) -> str | None:
+        """The switching along whose surface it slides; None if it does not."""
+        mode = parted(self.mode)[0]
+        return mode.removeprefix("slide(").removesuffix(")") if mode.endswith(")") else None
+
+    @property
+    def constrained(self) -> bool:
+        """Whether it stays on a surface: at rest on contacts, or sliding."""
+        return self.mode.endswith(")")
+
+
 @attrs.frozen(eq=False)
-class Arc:
+class Arc(_Moded):
     """A piece of the trajectory between two jumps.
 
     Attributes
     ----------
     mode : str
-        The mode, ``"<mode>.rest(<contact>)"`` at rest, ``"slide(<switching>)"`` sliding.
+        The mode, ``"<mode>.rest(<contact>)"`` at rest, ``"slide(<switching>)"`` sliding;
+        ``held`` and ``sliding`` say which contact and which switching.
     j : int
         Number of jumps before it.
     t0 : float
@@ -98,14 +122,14 @@ class JumpRow:
 
 
 @attrs.frozen(eq=False)
-class TailPart:
+class TailPart(_Moded):
     """A chattering tail in a trajectory: from arc ``j`` on, ``tail.count + 1`` arcs."""
 
     tail: Tail
     j: int
 
     @property
-    def mode(self) -> str:
+    def mode(self) -> str:  # type: ignore[override]  # read only, as attributes of a frozen class
         return self.tail.field.name
 
     @property

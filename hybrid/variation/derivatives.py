@@ -15,7 +15,7 @@ import attrs
 import numpy as np
 
 from ..errors import TraceError
-from ..lowering import Field, Guard, Scene
+from ..lowering import Field, Guard, Kind, Scene
 from ..lowering.derivatives import gradient
 from ..lowering.lowered import deciding
 from ..lowering.mode import ModeGraph
@@ -139,7 +139,7 @@ class Derivatives:
         at_rest = lambda g: g.values(closed(), g.graph.const(-0.0))  # noqa: E731
         return self._slopes(("law", contact), mode, (), at_rest)
 
-    def reset(self, edge: str, kind: str) -> Matrix:
+    def reset(self, edge: str, kind: Kind) -> Matrix:
         """``(t, x) -> (n, columns)``: of what a jump does to the state."""
         rows = self.of_reset(edge, kind)
         if rows is not None:
@@ -147,13 +147,13 @@ class Derivatives:
         same = np.eye(self.size, self.columns, 1)
         return lambda t, x: same
 
-    def of_reset(self, edge: str, kind: str) -> Rows | None:
+    def of_reset(self, edge: str, kind: Kind) -> Rows | None:
         """The same; None where the state stays as it is."""
         code = self.scene.code
-        if kind == "contact":
+        if kind is Kind.CONTACT:
             mode = self.scene.contact(edge).mode
             return self._slopes(("impact", edge), mode, (), lambda g: g.impact(edge)[:-1])
-        if kind == "edge":
+        if kind is Kind.EDGE:
             mode = next(e.source for e in self.scene.spec.transitions if e.name == edge)
             after = lambda g: g.values(code.closed("reset", edge))  # noqa: E731
             return self._slopes(("reset", edge), mode, (), after)
@@ -303,4 +303,4 @@ class Derivatives:
 
 def _node(graph: ModeGraph, guard: Guard) -> int:
     """The node of a guard; of a gap with the formula that it has where it is zero."""
-    return graph.contact(guard.edge).gap if guard.kind == "contact" else graph.guard(guard.edge)
+    return graph.contact(guard.edge).gap if guard.kind is Kind.CONTACT else graph.guard(guard.edge)

@@ -7,7 +7,7 @@ from contextlib import suppress
 import numpy as np
 
 from ..errors import TraceError
-from ..lowering import Field, Guard
+from ..lowering import Field, Guard, Kind
 from ..lowering.automaton import NUMBERED
 from ..lowering.automaton import Tables as Automaton
 from ..lowering.native import Native
@@ -83,7 +83,7 @@ class Tables:
 
     def guard(self, field: Field, guard: Guard) -> int:
         """The row of a guard that fires."""
-        if guard.kind == "contact":
+        if guard.kind is Kind.CONTACT:
             return self.contact(field, guard)
         return self._add([*[NONE] * GRADIENT, *self._jump(field, guard), *[NONE] * (REST - RESET)])
 

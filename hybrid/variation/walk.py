@@ -22,7 +22,7 @@ import attrs
 import numpy as np
 
 from ..errors import OrbitError
-from ..lowering import Field, Guard, Scene, scene_of
+from ..lowering import Field, Guard, Kind, Scene, scene_of
 from ..rules.guards import NEAR
 from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
 from ..trajectory.trajectory import Trajectory
@@ -41,7 +41,7 @@ SEEN = 1e-6
 ROUNDING = 1e-14
 
 #: Kinds of jumps that leave the state and, where they begin, the flow as they are.
-SMOOTH = ("release", "leave")
+SMOOTH = (Kind.RELEASE, Kind.LEAVE)
 
 
 def cleared(matrix: np.ndarray, sizes: np.ndarray, relative: float) -> np.ndarray:
