@@ -23,7 +23,7 @@ class GalleryError(HybridError):
 
 
 @attrs.frozen
-class Entry:
+class GalleryEntry:
     """A model and the run that its file suggests.
 
     Attributes
@@ -65,7 +65,7 @@ def summary(name: str) -> str:
     return text.partition("\n")[0]
 
 
-def find(given: str) -> Entry:
+def find(given: str) -> GalleryEntry:
     """The model of a file ``path.py`` (``path.py:Class`` where it has several), or by name.
 
     A file is run anew each time; one of the gallery is imported, as ``hybrid.models.NAME``.
@@ -98,7 +98,7 @@ def find(given: str) -> Entry:
         raise GalleryError(f"{path}: UNTIL = {until!r}: a pair, (first, last) time")
     if history is not None and not (isinstance(history, Mapping) or callable(history)):
         raise GalleryError(f"{path}: HISTORY = {history!r}: a dict, the states by name")
-    return Entry(_choose(path, models, wanted), start, until, history, module)
+    return GalleryEntry(_choose(path, models, wanted), start, until, history, module)
 
 
 def paper() -> Any:

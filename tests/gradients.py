@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import hybrid as hy
-from hybrid.functions.batch import Slopes
+from hybrid.functions.batch import Gradients
 from hybrid.functions.function import OUTPUTS, runs_of
 from models.ball_on_circle import BallOnCircle
 from models.bead_on_table import BeadOnTable
@@ -430,7 +430,7 @@ def compared(name, seed):
     model, row = drawn(name, seed)
     options = dict(*SCENES[name][3:])
     runs = runs_of(model, OUTPUTS, max_jumps=24, max_steps=4096, **options)
-    numbers, ints, slopes = Slopes(runs)(row)
+    numbers, ints, slopes = Gradients(runs)(row)
     off, judged, left, none, worst = 0.0, 0, 0, 0, ""
     for column in range(len(row)):
         step = STEP * max(1.0, abs(row[column]))

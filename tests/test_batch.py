@@ -62,7 +62,7 @@ APART = 1e-8
 def test_derivatives_of_rows_are_those_of_the_walk(name):
     """Carried along a log in one call, or piece by piece: the same, and where there is none."""
     runs, given = asked(name, 12, ("final", "jumps", "zeno"))
-    numbers, ints, slopes = batch.Slopes(runs)(given.reshape(3, 4, -1))
+    numbers, ints, slopes = batch.Gradients(runs)(given.reshape(3, 4, -1))
     for k, row in enumerate(given):
         alone = runs.slopes(row)
         np.testing.assert_array_equal(numbers.reshape(12, -1)[k], alone[0])

@@ -12,7 +12,7 @@ from ..errors import DeclarationError, OptionError, ParameterError, TraceError
 from . import trace
 from .builder import Builder
 from .captured import Captured, captured
-from .markers import Contact, Edge, Mode, State, Switching, is_parameter
+from .markers import ContactMarker, EdgeMarker, Mode, State, Switching, is_parameter
 from .past import Asking, Lags, Past, looks_back, plain
 from .spec import ContactSpec, EdgeSpec, Spec
 
@@ -93,7 +93,9 @@ def _collect(cls: type) -> dict[str, Any]:
 
 
 def _is_marker(value: Any) -> bool:
-    return isinstance(value, State | Mode | Edge | Contact | Switching) or is_parameter(value)
+    return isinstance(value, State | Mode | EdgeMarker | ContactMarker | Switching) or is_parameter(
+        value
+    )
 
 
 def _make_attrs(cls: type, markers: dict[str, Any]) -> None:

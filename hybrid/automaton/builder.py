@@ -10,9 +10,9 @@ import numpy as np
 
 from ..errors import ParameterError
 from .markers import (
-    Contact,
+    ContactMarker,
     Crossing,
-    Edge,
+    EdgeMarker,
     Mode,
     State,
     Switching,
@@ -66,9 +66,9 @@ class Builder:
         transitions: list[Transition] = []
         switchings = []
         for m in self.markers.values():
-            if isinstance(m, Edge):
+            if isinstance(m, EdgeMarker):
                 transitions.append(self.edge(m))
-            elif isinstance(m, Contact):
+            elif isinstance(m, ContactMarker):
                 transitions.append(self.contact(m, parameters))
             elif isinstance(m, Switching):
                 switchings.append(self.switching(m))
@@ -128,7 +128,7 @@ class Builder:
 
     def mode(self, marker: Mode) -> ModeSpec:
         self.signature(f"mode {marker.name}", marker.flow, ("t", "s"))
-        edges = [m.name for kind in (Edge, Contact, Switching) for m in self.of(kind)]
+        edges = [m.name for kind in (EdgeMarker, ContactMarker, Switching) for m in self.of(kind)]
         unknown = [name for name in marker.limit_of if name not in edges]
         if unknown:
             known = ", ".join(edges) or "none"
@@ -138,7 +138,7 @@ class Builder:
             )
         return ModeSpec(marker.name, marker.flow, tuple(marker.limit_of))
 
-    def edge(self, marker: Edge) -> EdgeSpec:
+    def edge(self, marker: EdgeMarker) -> EdgeSpec:
         where = f"edge {marker.name}"
         source, to = (
             self.target(where, "source", marker.source, self.slides()),
@@ -152,7 +152,7 @@ class Builder:
             )
         return EdgeSpec(marker.name, source, to, marker.guard, marker.crossing, marker.reset)
 
-    def contact(self, marker: Contact, parameters: tuple[ParameterSpec, ...]) -> ContactSpec:
+    def contact(self, marker: ContactMarker, parameters: tuple[ParameterSpec, ...]) -> ContactSpec:
         where = f"contact {marker.name}"
         source = self.target(where, "mode", marker.mode)
         self.signature(f"{where}, gap", marker.gap, ("t", "s"))
@@ -178,7 +178,7 @@ class Builder:
 
     def alone(self, where: str, marker: Switching, modes: set[str]) -> None:
         """The two modes of a switching may share no other, and have no contact."""
-        for contact in self.of(Contact):
+        for contact in self.of(ContactMarker):
             source = name_of(contact.mode)
             if source in modes:
                 self.faults.append(

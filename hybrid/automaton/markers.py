@@ -67,7 +67,7 @@ class Mode(_Named):
 
 
 @attrs.define(slots=False, eq=False)
-class Edge(_Named):
+class EdgeMarker(_Named):
     """Marker of an edge and its reset; made by :func:`edge`."""
 
     reset: Callable[..., Any]
@@ -76,7 +76,7 @@ class Edge(_Named):
     guard: Callable[..., Any]
     crossing: Crossing
 
-    def __call__(self, reset: Callable[..., Any]) -> Edge:
+    def __call__(self, reset: Callable[..., Any]) -> EdgeMarker:
         return attrs.evolve(self, reset=reset)
 
     def __get__(self, instance: Any, owner: type | None = None) -> Any:
@@ -84,7 +84,7 @@ class Edge(_Named):
 
 
 @attrs.define(slots=False, eq=False)
-class Contact(_Named):
+class ContactMarker(_Named):
     """Marker of a unilateral contact; made by :func:`contact`."""
 
     mode: Mode | str
@@ -216,7 +216,7 @@ def edge(
     crossing : FALLING, RISING or EITHER
         The direction in which the guard must reach zero.
     """
-    return Edge(_unchanged, source, to, guard, crossing)
+    return EdgeMarker(_unchanged, source, to, guard, crossing)
 
 
 def _unchanged(self: Any, t: Any, s: Any) -> Any:
@@ -255,7 +255,7 @@ def contact(
     positions in the gap and ``W`` the inverse mass; a moving gap's own speed is
     ``u = d(gap)/dt`` along the flow, and the impact maps ``u`` to ``-r u``.
     """
-    return Contact(mode, gap, restitution, rests, inverse_mass)
+    return ContactMarker(mode, gap, restitution, rests, inverse_mass)
 
 
 def switching(

@@ -34,7 +34,7 @@ def by_lemma(question: Question) -> Certificate:
     height, speed = _own_bounds(question)
     place, fault = _coordinates(question)
     q = question if fault is None else attrs.evolve(question, relative=False)
-    setting = Setting(
+    setting = RelativeSetting(
         q,
         q.function(place(q.laws.acceleration)),
         _law(q, place),
@@ -123,7 +123,7 @@ def _not_affine(q: Question, gap: Any, speed: Any) -> str | None:
 
 
 @attrs.frozen(eq=False)
-class Setting:
+class RelativeSetting:
     """A contact, and what the proof needs as functions of relative coordinates.
 
     ``place`` turns a function of states into one of these coordinates.
@@ -153,7 +153,7 @@ class Setting:
         box = self.box()
         return Restitution.of(self.law, box | ({v: (-self.speed, 0.0)} if v in box else {}), v)
 
-    def smaller(self, scale: float, span: float) -> Setting:
+    def smaller(self, scale: float, span: float) -> RelativeSetting:
         """The same on a box with smaller gaps and speeds, and a shorter time."""
         q = self.question
         box = {**q.box, GAP: (0.0, scale**2 * self.height), SPEED: (0.0, scale * self.speed)}
@@ -199,7 +199,7 @@ def _itself(p: Any, t: Any, x: Any) -> Any:
 
 
 @attrs.frozen
-class Trial:
+class RelativeTrial:
     """The lemma on one box: the acceleration's extrema, and ``rho`` from below and above."""
 
     least: Extreme
@@ -207,19 +207,19 @@ class Trial:
     rho: tuple[float, float] | None
 
 
-def _trial(setting: Setting, law: Restitution, tolerance: float) -> Trial:
+def _trial(setting: RelativeSetting, law: Restitution, tolerance: float) -> RelativeTrial:
     from ..bounds.balls import high, low
 
     least, most = extrema(setting.acceleration, setting.box(), tolerance)
     if most.high >= 0.0 or least.low == float("-inf"):
-        return Trial(least, most, None)
+        return RelativeTrial(least, most, None)
     assert law.ends is not None
     above = chattering(1.0, -most.high, -least.low, law.ends[1].high).rho
     under = chattering(1.0, -most.low, -least.high, law.ends[1].low).rho
-    return Trial(least, most, (math.nextafter(low(under), 0.0), high(above)))
+    return RelativeTrial(least, most, (math.nextafter(low(under), 0.0), high(above)))
 
 
-def _answer(setting: Setting, law: Restitution, fault: Fault | None) -> Certificate:
+def _answer(setting: RelativeSetting, law: Restitution, fault: Fault | None) -> Certificate:
     q = setting.question
     found: dict[str, Any] = {"right": 1.0}
     if law.ends is None:
@@ -242,7 +242,9 @@ def _answer(setting: Setting, law: Restitution, fault: Fault | None) -> Certific
     return _smaller(setting, law, trial, found)
 
 
-def _starts(setting: Setting, law: Restitution, trial: Trial) -> dict[str, Any] | Fault:
+def _starts(
+    setting: RelativeSetting, law: Restitution, trial: RelativeTrial
+) -> dict[str, Any] | Fault:
     """The largest speed, its times, and what they leave of the box; or what prevents it."""
     from ..bounds.balls import high, low
 
@@ -282,7 +284,7 @@ def _room(q: Question, drifts: dict[str, float]) -> float:
 
 
 def _smaller(
-    setting: Setting, law: Restitution, trial: Trial, found: dict[str, Any]
+    setting: RelativeSetting, law: Restitution, trial: RelativeTrial, found: dict[str, Any]
 ) -> Certificate:
     """The condition that fails, and a smaller box on which it holds."""
     q, repair = setting.question, "no smaller box was found on which the conditions hold"

@@ -313,7 +313,7 @@ def _pairs(given: list[str], option: str) -> dict[str, Any]:
     return pairs
 
 
-def _start(entry: gallery.Entry, given: dict[str, Any]) -> dict[str, Any]:
+def _start(entry: gallery.GalleryEntry, given: dict[str, Any]) -> dict[str, Any]:
     start = {**(entry.start or {}), **given}
     missing = [name for name in entry.cls.spec.names if name not in start]
     if missing:
@@ -324,7 +324,7 @@ def _start(entry: gallery.Entry, given: dict[str, Any]) -> dict[str, Any]:
     return start
 
 
-def _history(entry: gallery.Entry, given: dict[str, Any]) -> Any:
+def _history(entry: gallery.GalleryEntry, given: dict[str, Any]) -> Any:
     """What was before the start: the file's, but for the states given."""
     if not given:
         return entry.history
@@ -333,7 +333,9 @@ def _history(entry: gallery.Entry, given: dict[str, Any]) -> Any:
     return {**(entry.history or {}), **given}
 
 
-def _span(entry: gallery.Entry, since: float | None, until: float | None) -> tuple[float, float]:
+def _span(
+    entry: gallery.GalleryEntry, since: float | None, until: float | None
+) -> tuple[float, float]:
     t0 = since if since is not None else (entry.until[0] if entry.until else 0.0)
     if until is None and not entry.until:
         raise OptionError(f"{entry.cls.__name__}: no last time; add --until NUMBER")
@@ -390,7 +392,7 @@ def _report(result: Trajectory) -> None:
     typer.echo(str(result.status))
 
 
-def _compare(entry: gallery.Entry, result: Trajectory) -> None:
+def _compare(entry: gallery.GalleryEntry, result: Trajectory) -> None:
     """Values of a run beside the exact ones."""
     if not hasattr(entry.module, "oracle"):
         raise OptionError(f"{entry.cls.__name__}: its file has no oracle(run)")

@@ -163,7 +163,7 @@ def _differences(a: Trajectory, b: Trajectory) -> dict[str, float]:
 
     Arcs and jumps are paired in order, from the start and from each accumulation on.
     """
-    empty: list[_Step] = []
+    empty: list[_Move] = []
     stretches = list(zip_longest(_stretches(a), _stretches(b), fillvalue=empty))
     pairs = [pair for ours, theirs in stretches for pair in zip(ours, theirs, strict=False)]
     jumps = [(p.jump, q.jump) for p, q in pairs if p.jump and q.jump]
@@ -181,27 +181,27 @@ def _differences(a: Trajectory, b: Trajectory) -> dict[str, float]:
     }
 
 
-class _Step(NamedTuple):
+class _Move(NamedTuple):
     """An arc, and the jump after it; None where it led to a limit, or to the end of the run."""
 
     arc: Arc
     jump: JumpRow | None
 
 
-def _stretches(run: Trajectory) -> list[list[_Step]]:
+def _stretches(run: Trajectory) -> list[list[_Move]]:
     """Arcs from one limit to the next, which lies between two arcs of the same ``j``."""
     table = run.jumps.table
-    found: list[list[_Step]] = [[]]
+    found: list[list[_Move]] = [[]]
     for arc, after in zip_longest(run.arcs, run.arcs[1:]):
         limit = after is not None and after.j == arc.j
         jumped = not limit and arc.j < len(table.t)
         row = JumpRow(*(column[arc.j] for column in table)) if jumped else None
-        found[-1].append(_Step(arc, row))
+        found[-1].append(_Move(arc, row))
         found += [[]] if limit else []
     return found
 
 
-def _left(stretch: tuple[list[_Step], list[_Step]], cycle: set[str]) -> int:
+def _left(stretch: tuple[list[_Move], list[_Move]], cycle: set[str]) -> int:
     """Jumps beyond those that two runs share in a stretch.
 
     On the way to an accumulation those of its cycle do not count: how many turns a run goes through
@@ -211,7 +211,7 @@ def _left(stretch: tuple[list[_Step], list[_Step]], cycle: set[str]) -> int:
     return sum(edge not in cycle for edge in max(edges, key=len)[min(map(len, edges)) :])
 
 
-def _states(a: Trajectory, b: Trajectory, jumped: list[tuple[_Step, _Step]]) -> float:
+def _states(a: Trajectory, b: Trajectory, jumped: list[tuple[_Move, _Move]]) -> float:
     """States in the middle of the arcs and after the jumps, and at the end."""
     largest = _gap(a.arcs[-1].last, b.arcs[-1].last)
     for steps in jumped:

@@ -27,7 +27,7 @@ from .pieces import Piece, Window, constant, piece_of
 NARROW = 1e-2
 
 
-class Record:
+class PastRecord:
     """Pieces in order of time, looked at from one side where two of them meet."""
 
     def __init__(self, pieces: Iterable[Piece]) -> None:
@@ -64,7 +64,7 @@ class Hindsight:
         self, scene: Scene, history: Sequence[Piece] | None, memory: str, log: Log
     ) -> None:
         self.scene, self.history, self.memory, self._log = scene, history, memory, log
-        self._records: dict[int, Record] = {}
+        self._records: dict[int, PastRecord] = {}
         self._scenes: dict[tuple[int, ...], Scene] = {}
 
     def __reduce__(self) -> Any:
@@ -104,11 +104,11 @@ class Hindsight:
         x = arc.local((t - arc.t0) - arc.low).tolist()
         return [t - float(lag(t, x)) for lag in self._lags]
 
-    def record(self, part: int) -> Record:
+    def record(self, part: int) -> PastRecord:
         """The record as it is seen during a part of the run."""
         key = part if self.memory == "restart" and part else 0
         if key not in self._records:
-            self._records[key] = Record(self._seen(key))
+            self._records[key] = PastRecord(self._seen(key))
         return self._records[key]
 
     def _seen(self, part: int) -> list[Piece]:

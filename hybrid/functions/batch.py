@@ -132,7 +132,7 @@ def _given(runs: Runs, together: Abreast, flown: Flown) -> tuple[np.ndarray, np.
 # and their derivatives
 
 
-class Slopes:
+class Gradients:
     """What runs give, and its derivatives by the numbers of their rows."""
 
     def __init__(self, runs: Runs) -> None:

@@ -19,12 +19,12 @@ from ..delay.hindsight import Hindsight
 from ..delay.history import from_start
 from ..errors import HybridError, OrbitError
 from ..lowering import Scene, scene_with
-from ..replay import Plan, blank, laws_of, plan_of
+from ..replay import Itinerary, blank, laws_of, plan_of
 from ..run import Driver
 from ..run.options import Asked
 from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Status
-from ..variation import Carried, Course, Past, Shift, Strand, Walk
+from ..variation import Carried, Course, PastVariation, Shift, Strand, Walk
 
 #: What the status of a run means, by its number.
 REASONS = {
@@ -126,7 +126,7 @@ class Runs:
         run = self._flown(row, "dense")
         return *run.numbers(), run.derivatives(len(row))
 
-    def plan(self, row: np.ndarray) -> Plan:
+    def plan(self, row: np.ndarray) -> Itinerary:
         """The run as it can be flown again (:mod:`hybrid.replay`).
 
         Raises
@@ -223,7 +223,7 @@ class _Run:
         if tail is not None:
             views["x_inf"][:], views["error"][...] = tail.x_inf, tail.t_error
 
-    def plan(self) -> Plan:
+    def plan(self) -> Itinerary:
         """How it can be flown again (:meth:`Runs.plan`)."""
         if self.driver is None or self.status not in ("reached_end", "max_jumps"):
             why = dict(REASONS.values()).get(self.status, "the run failed")
@@ -282,7 +282,7 @@ class _Run:
         carried.none |= np.any(brinks @ np.vstack([time, start, seen, given]) != 0.0, axis=0)
         return carried
 
-    def _past(self, walk: Walk, given: np.ndarray) -> Past:
+    def _past(self, walk: Walk, given: np.ndarray) -> PastVariation:
         """The changes of the history: it is as the start, where nothing is given for a state."""
         columns, size = given.shape[1], len(self.x)
         own = from_start(self.scene.spec, self.of.history)
@@ -290,7 +290,9 @@ class _Run:
         x = walk.course.sight.record(0).states(np.array([self.t0]), high=self.t0)[0]
         start = Shift(self.t0, x, self.x, np.eye(1, columns, columns - 2)[0])
         units = np.where(self.row == 0.0, 1.0, np.abs(self.row))
-        return Past(walk, given, units, [Strand(self.t0 - 1.0, self.t0, before[None])], [start])
+        return PastVariation(
+            walk, given, units, [Strand(self.t0 - 1.0, self.t0, before[None])], [start]
+        )
 
     def _ended(self, carried: Carried) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the time and the state at the end of the run."""

@@ -19,7 +19,7 @@ from ..replay.fly import at
 from ..replay.function import Replay, when
 from ..run.options import Asked, mode_of
 from ..solvers import renamed
-from .batch import Slopes, values
+from .batch import Gradients, values
 from .derivatives import NUMBERS, REASONS, Layout, Runs
 
 OUTPUTS = ("final", "jumps", "zeno")
@@ -294,7 +294,7 @@ def _called(runs: Runs) -> Fly:
 
 def _differentiable(runs: Runs) -> Callable[[Any], tuple[Any, Any]]:
     """What the runs give as a function of a row of numbers that has first derivatives."""
-    length, ints, varied = runs.layout.length, runs.layout.rows + 2, Slopes(runs)
+    length, ints, varied = runs.layout.length, runs.layout.rows + 2, Gradients(runs)
     given = jax.ShapeDtypeStruct((length,), float), jax.ShapeDtypeStruct((ints,), int)
 
     def whole(row: Any) -> Any:

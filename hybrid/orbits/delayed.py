@@ -11,7 +11,7 @@ from ..errors import OrbitError
 from ..lowering import Scene
 from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Trajectory
-from ..variation import Carried, Course, Past, Shift, Strand, Walk
+from ..variation import Carried, Course, PastVariation, Shift, Strand, Walk
 
 
 def carried(
@@ -20,7 +20,7 @@ def carried(
     strands: Sequence[Strand],
     shifts: Sequence[Shift] = (),
     breaks: Iterable[float] = (),
-) -> tuple[Carried, Past]:
+) -> tuple[Carried, PastVariation]:
     """A change of a run's start and of its past, carried along the run.
 
     Parameters
@@ -45,7 +45,7 @@ def carried(
             )
     walk = Walk(Course.of(None, run))
     size = max(np.abs(part.first).max() for part in run.arcs) or 1.0
-    past = Past(
+    past = PastVariation(
         walk, np.zeros((0, now.shape[1])), np.full(now.shape[1], size), strands, shifts, breaks
     )
     found = Carried(walk, now, past.given)

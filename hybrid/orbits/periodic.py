@@ -22,7 +22,7 @@ from .remembering import HistoryShooting
 from .restarting import RestartShooting
 from .returns import with_tolerances
 from .search import Search, depends_on_time, given
-from .shooting import Shooting, Turn
+from .shooting import Shooting, Shot
 
 #: A multiplier nearer than this to the unit circle is not said to lie inside or outside.
 NEUTRAL = 1e-6
@@ -217,7 +217,7 @@ def shooting_of(scene: Scene, options: dict[str, Any]) -> type[Shooting]:
     return RestartShooting if options.get("memory") == "restart" else HistoryShooting
 
 
-def _describe(shooting: Shooting, turn: Turn) -> PeriodicOrbit:
+def _describe(shooting: Shooting, turn: Shot) -> PeriodicOrbit:
     scene, run, autonomous = shooting.scene, turn.run, not shooting.timed
     found = shooting.describe(turn)
     values = found.multipliers
@@ -254,7 +254,7 @@ def _besides(multipliers: np.ndarray, autonomous: bool) -> bool:
     return bool(np.any(np.abs(_others(multipliers, autonomous) - 1.0) < NEUTRAL))
 
 
-def _require_closed(shooting: Shooting, turn: Turn) -> None:
+def _require_closed(shooting: Shooting, turn: Shot) -> None:
     """Refuse a turn that drifts, where no change of its start would make it close.
 
     Raises

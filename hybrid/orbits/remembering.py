@@ -19,7 +19,7 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from ..delay.hindsight import Hindsight, Record
+from ..delay.hindsight import Hindsight, PastRecord
 from ..delay.history import Before
 from ..delay.pieces import Piece, constant
 from ..errors import OptionError, OrbitError
@@ -29,7 +29,7 @@ from ..trajectory.log import Log
 from ..trajectory.trajectory import Trajectory
 from ..variation import Carried, Shift, Strand, descendants, distinct
 from .delayed import carried
-from .shooting import LEAST, Description, Guess, Shooting, Turn
+from .shooting import LEAST, Description, Guess, Shooting, Shot
 
 #: Degree on each piece of the record, and on the finer set.
 DEGREE, FINER = 18, 26
@@ -59,7 +59,7 @@ class Leap:
     after: np.ndarray
 
 
-def leaps(record: Record, low: float, high: float, seen: Sequence[int]) -> list[Leap]:
+def leaps(record: PastRecord, low: float, high: float, seen: Sequence[int]) -> list[Leap]:
     """Where the record jumps between two times, in the elements that are seen."""
     found = []
     for earlier, later in pairwise(record.pieces):
@@ -99,7 +99,7 @@ class Frame:
         moved = {leap.t: end.t for leap, end in zip(self.leaps, ends, strict=True)}
         return [(moved.get(a, a + later), moved.get(b, b + later)) for a, b in self.pieces]
 
-    def states(self, record: Record, later: float, ends: Sequence[Leap]) -> np.ndarray:
+    def states(self, record: PastRecord, later: float, ends: Sequence[Leap]) -> np.ndarray:
         """A record at the points some time later; shape ``(pieces, degree + 1, n)``."""
         found = []
         for times, (a, b) in zip(self.points, self.bounds(later, ends), strict=True):
@@ -141,7 +141,9 @@ def _seen(run: Trajectory) -> list[int]:
     return sorted({element for each in run.hindsight.scene.code.seen for element in each})
 
 
-def _resolved(record: Record, piece: tuple[float, float], depth: int) -> list[tuple[float, float]]:
+def _resolved(
+    record: PastRecord, piece: tuple[float, float], depth: int
+) -> list[tuple[float, float]]:
     """A piece, or parts of it on which the record is resolved."""
     a, b = piece
     room = INSIDE * (b - a)
@@ -203,7 +205,7 @@ def _row(shifts: Iterable[Shift], t: float) -> np.ndarray:
 
 
 @attrs.frozen(eq=False)
-class Remembering(Turn):
+class Remembering(Shot):
     """A turn, and the pieces of the record before it."""
 
     frame: Frame
@@ -254,10 +256,10 @@ class HistoryShooting(Shooting):
         residual = float(np.max(np.abs(miss) / scale)) + self._apart(run)
         return Remembering(guess, run, miss, scale, residual, frame)
 
-    def _measure(self, turn: Turn) -> np.ndarray:
+    def _measure(self, turn: Shot) -> np.ndarray:
         return turn.scale
 
-    def _step(self, turn: Turn) -> tuple[np.ndarray, float]:
+    def _step(self, turn: Shot) -> tuple[np.ndarray, float]:
         """Changes of the record and of the period."""
         assert isinstance(turn, Remembering)
         run, frame, scale, size = turn.run, turn.frame, turn.scale, len(turn.guess.x)
@@ -277,13 +279,13 @@ class HistoryShooting(Shooting):
         stretch = 0.0 if self.timed else float(found[-1]) * turn.guess.period
         return found[: len(scale)] * scale, stretch
 
-    def moved(self, turn: Turn, step: np.ndarray, stretch: float) -> Guess:
+    def moved(self, turn: Shot, step: np.ndarray, stretch: float) -> Guess:
         """Where the record changed by a step leads after the longest lag at least."""
         changed = self.changed(turn, step, stretch)
         length = self._covering(changed.period) * changed.period
         return self.after(self.fly(changed, length), changed.period)
 
-    def changed(self, turn: Turn, step: np.ndarray, stretch: float) -> Guess:
+    def changed(self, turn: Shot, step: np.ndarray, stretch: float) -> Guess:
         """The guess of a turn with the record and the period changed by a step."""
         assert isinstance(turn, Remembering)
         frame, guess = turn.frame, turn.guess
@@ -301,7 +303,7 @@ class HistoryShooting(Shooting):
         period, last = guess.period + stretch, states[-1, -1]
         return attrs.evolve(guess, x=last, period=period, history=Before(pieces))
 
-    def describe(self, turn: Turn) -> Description:
+    def describe(self, turn: Shot) -> Description:
         """The leading multipliers, as many as both sets of points agree on.
 
         Raises

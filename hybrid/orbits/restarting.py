@@ -15,7 +15,7 @@ from ..trajectory.trajectory import Trajectory
 from ..variation import Strand
 from .delayed import carried
 from .section import Return, cut
-from .shooting import MOVES, Description, Guess, Shooting, Turn
+from .shooting import MOVES, Description, Guess, Shooting, Shot
 
 #: How long a turn is flown, in periods, for its jump to come.
 BEYOND = 1.5
@@ -54,7 +54,7 @@ class RestartShooting(Shooting):
             return x
         return np.array(self.scene.contact(edge).land(t, x.tolist()))
 
-    def turn(self, guess: Guess) -> Turn:
+    def turn(self, guess: Guess) -> Shot:
         """The run from just after a jump to just after the one that comes a period later."""
         assert isinstance(guess, Landed)
         x = self._closed(guess.edge, guess.t, guess.x)
@@ -70,7 +70,7 @@ class RestartShooting(Shooting):
         miss = np.append(row.after - x, lasted - period)
         sizes = np.append(scale, period)
         apart = self._apart(run)
-        return Turn(guess, run, miss, sizes, float(np.max(np.abs(miss) / sizes)) + apart)
+        return Shot(guess, run, miss, sizes, float(np.max(np.abs(miss) / sizes)) + apart)
 
     def _nearest(self, run: Trajectory, guess: Landed) -> int:
         """The jump of a guess's edge that comes nearest to a period after it."""
@@ -79,10 +79,10 @@ class RestartShooting(Shooting):
             raise OrbitError(f"{run.spec.model}: the run has no jump {guess.edge} again")
         return min(rows, key=lambda i: abs(rows[i].t - guess.t - guess.period))
 
-    def _measure(self, turn: Turn) -> np.ndarray:
+    def _measure(self, turn: Shot) -> np.ndarray:
         return turn.scale
 
-    def _step(self, turn: Turn) -> tuple[np.ndarray, float]:
+    def _step(self, turn: Shot) -> tuple[np.ndarray, float]:
         """Changes of the state after the jump, and of its time."""
         matrix = self._carried(turn).matrix - np.eye(len(turn.scale))
         count = len(turn.scale) if self.timed else len(turn.scale) - 1
@@ -90,12 +90,12 @@ class RestartShooting(Shooting):
         found = np.linalg.lstsq(system, -(turn.miss / turn.scale)[:count], rcond=1e-12)[0]
         return np.append(found, np.zeros(len(turn.scale) - count)) * turn.scale, 0.0
 
-    def moved(self, turn: Turn, step: np.ndarray, stretch: float) -> Guess:
+    def moved(self, turn: Shot, step: np.ndarray, stretch: float) -> Guess:
         """The guess of a turn changed by a step."""
         guess = turn.guess
         return attrs.evolve(guess, x=guess.x + step[:-1], t=guess.t + float(step[-1]))
 
-    def again(self, turn: Turn, period: float) -> np.ndarray:
+    def again(self, turn: Shot, period: float) -> np.ndarray:
         """The state after the jump a shorter period later; not a number where there is none."""
         guess = attrs.evolve(turn.guess, period=period)
         assert isinstance(guess, Landed)
@@ -103,14 +103,14 @@ class RestartShooting(Shooting):
         there = abs(row.t - guess.t - period) <= MOVES * period
         return np.where(there, row.after, np.nan)
 
-    def describe(self, turn: Turn) -> Description:
+    def describe(self, turn: Shot) -> Description:
         """Multipliers of the states after the jump and its time; one of ``1 + n`` is always 0."""
         found = self._carried(turn)
         values = np.linalg.eigvals(found.matrix).astype(complex)
         values = values[np.argsort(-np.abs(values))][:-1]
         return attrs.evolve(found, multipliers=values)
 
-    def _carried(self, turn: Turn) -> Description:
+    def _carried(self, turn: Shot) -> Description:
         """The derivative of state and time after the last jump by those after the first."""
         run, size = turn.run, len(turn.guess.x)
         start = np.eye(size, 1 + size)

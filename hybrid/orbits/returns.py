@@ -16,7 +16,7 @@ from ..errors import OptionError, OrbitError
 from ..lowering import scene_of
 from ..simulation import simulate
 from ..trajectory.trajectory import Status, Trajectory
-from .section import Edge, Period, Return, Section, Surface, cut, section_of
+from .section import EdgeSection, Period, Return, Section, Surface, cut, section_of
 
 #: The first window in which a return is sought, of the longest, and how they grow: the time in
 #: which a model lives is not known, and no more than a few times too much is flown.
@@ -90,7 +90,7 @@ class ReturnMap:
         self.options = with_tolerances(options, 1e-11, 1e-12)
         self.scene = scene_of(model)
         self.section: Section = section_of(model, self.scene, section, crossing)
-        if mode is None and isinstance(self.section, Edge):
+        if mode is None and isinstance(self.section, EdgeSection):
             self.mode = _mode_after(self.scene.spec, self.section.name)
         self._took: float | None = None
 

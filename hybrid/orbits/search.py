@@ -12,7 +12,7 @@ from ..errors import HybridError, OptionError, OrbitError
 from ..lowering import Scene
 from ..trajectory.trajectory import Trajectory
 from .returns import ReturnMap
-from .shooting import MOVES, Guess, Shooting, Turn
+from .shooting import MOVES, Guess, Shooting, Shot
 
 #: Turns flown before Newton's method is tried again.
 ROUNDS = (0, 8, 64)
@@ -69,7 +69,7 @@ class Search:
     period: float | None
     t_max: float
 
-    def find(self, guess: Guess, settle: int) -> Turn:
+    def find(self, guess: Guess, settle: int) -> Shot:
         """A closed turn, from the guess or from where it leads."""
         reached: list[str] = []
         for turns in ROUNDS:
@@ -125,7 +125,7 @@ class Search:
             return guess
         return self.shooting.after(self.shooting.fly(guess, turns * guess.period), guess.period)
 
-    def moving(self, turn: Turn) -> Turn:
+    def moving(self, turn: Shot) -> Shot:
         """Refuse an equilibrium for a periodic orbit."""
         shooting, guess = self.shooting, turn.guess
         rate = np.abs(shooting.flow(guess)) / turn.scale[: len(guess.x)]
@@ -137,7 +137,7 @@ class Search:
             f"{shooting.scene.spec.record(guess.x)}; give a guess nearer to the orbit"
         )
 
-    def lasting(self, turn: Turn) -> Turn:
+    def lasting(self, turn: Shot) -> Shot:
         """Refuse a turn after which the model is not what it was: the period is not its own."""
         shooting, guess = self.shooting, turn.guess
         later = attrs.evolve(guess, t=guess.t + guess.period)
@@ -151,7 +151,7 @@ class Search:
             "the forcing, or a multiple of it"
         )
 
-    def shortest(self, turn: Turn) -> Turn:
+    def shortest(self, turn: Shot) -> Shot:
         """An orbit that goes round several times, once."""
         spread = self.shooting.spread(turn.run)
         for part in () if self.shooting.timed else DIVISORS:

@@ -43,7 +43,7 @@ class Period:
 
 
 @attrs.frozen
-class Edge:
+class EdgeSection:
     """The states just after the jumps of an edge, a contact, a switching or a release."""
 
     name: str
@@ -89,7 +89,7 @@ class Surface:
             order = 0
 
 
-Section = Period | Edge | Surface
+Section = Period | EdgeSection | Surface
 
 
 def section_of(model: Any, scene: Scene, section: Any, crossing: Crossing = RISING) -> Section:
@@ -107,7 +107,7 @@ def section_of(model: Any, scene: Scene, section: Any, crossing: Crossing = RISI
                 f"{scene.spec.model}: section={section!r}: there are the jumps {', '.join(known)}; "
                 "or give a surface (self, t, s), or a period"
             )
-        return Edge(section)
+        return EdgeSection(section)
     if callable(section):
         return _surface(model, scene, section, crossing)
     try:

@@ -60,7 +60,7 @@ class Guess:
 
 
 @attrs.frozen(eq=False)
-class Turn:
+class Shot:
     """A run of one period and how far it is from being closed.
 
     Attributes
@@ -107,7 +107,7 @@ class Shooting:
         self.model, self.timed, self.tol, self.options = model, timed, tol, options
         self.scene: Scene = scene_of(model)
 
-    def turn(self, guess: Guess) -> Turn:
+    def turn(self, guess: Guess) -> Shot:
         """The run from a guess for one period."""
         field = None if guess.mode is None else self.scene.field(guess.mode)
         x = guess.x
@@ -117,7 +117,7 @@ class Shooting:
         run = self.fly(guess, guess.period)
         miss, scale = run.parts[-1].last - run.parts[0].first, self._scale(run)  # type: ignore[union-attr]
         residual = float(np.max(np.abs(miss) / scale)) + self._apart(run)
-        return Turn(guess, run, miss, scale, residual)
+        return Shot(guess, run, miss, scale, residual)
 
     def fly(self, guess: Guess, length: float) -> Trajectory:
         """A run from a guess that lasts a time."""
@@ -178,7 +178,7 @@ class Shooting:
         t = arc.t0 + (arc.low + half) if self.timed else guess.t
         return Guess(t, arc.local(np.array(half)), arc.mode, guess.period)
 
-    def refine(self, guess: Guess) -> Turn:
+    def refine(self, guess: Guess) -> Shot:
         """Newton's method from a guess, as far as it goes."""
         turn = self.turn(guess)
         for _ in range(STEPS):
@@ -188,7 +188,7 @@ class Shooting:
             turn = better
         return turn
 
-    def _improved(self, turn: Turn) -> Turn | None:
+    def _improved(self, turn: Shot) -> Shot | None:
         """A step of Newton's method, shortened until it gains; None where it does not."""
         step, stretch = self._step(turn)
         far = float(np.max(np.abs(step) / self._measure(turn)))
@@ -204,12 +204,12 @@ class Shooting:
                 return found
         return None
 
-    def moved(self, turn: Turn, step: np.ndarray, stretch: float) -> Guess:
+    def moved(self, turn: Shot, step: np.ndarray, stretch: float) -> Guess:
         """The guess of a turn changed by a step."""
         guess = turn.guess
         return attrs.evolve(guess, x=guess.x + step, period=guess.period + stretch)
 
-    def _step(self, turn: Turn) -> tuple[np.ndarray, float]:
+    def _step(self, turn: Shot) -> tuple[np.ndarray, float]:
         """Changes of the state and of the period."""
         guess, run, scale = turn.guess, turn.run, self._measure(turn)
         matrix = self.variation(run)[0] - np.eye(len(scale))
@@ -226,7 +226,7 @@ class Shooting:
         step: np.ndarray = found[: len(scale)] * scale
         return step, 0.0 if self.timed else float(found[-1]) * guess.period
 
-    def _measure(self, turn: Turn) -> np.ndarray:
+    def _measure(self, turn: Shot) -> np.ndarray:
         """What a change of the unknowns is measured by: how far they go, wherever that is."""
         return self.spread(turn.run)
 
@@ -239,11 +239,11 @@ class Shooting:
         mode = guess.mode or scene.spec.initial
         return np.array(scene.field(mode).rhs(guess.t, guess.x.tolist()))
 
-    def again(self, turn: Turn, period: float) -> np.ndarray:
+    def again(self, turn: Shot, period: float) -> np.ndarray:
         """The state a shorter period later."""
         return np.concatenate([np.ravel(v) for v in turn.run(turn.guess.t + period)])
 
-    def describe(self, turn: Turn) -> Description:
+    def describe(self, turn: Shot) -> Description:
         """The first variation over a turn, and its multipliers."""
         matrix, saltations = self.variation(turn.run)
         values = np.linalg.eigvals(matrix).astype(complex)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import attrs
 import numpy as np
 
-from ..delay.hindsight import Hindsight, Record
+from ..delay.hindsight import Hindsight, PastRecord
 from ..lowering import Field, Kind
 from ..segment import nodes
 from ..trajectory.arcs import Arc
@@ -71,7 +71,7 @@ def standing(run: Trajectory) -> Standing | None:
     if moves is not None:
         return Standing(arc.t1, None, None, moves[0], still=False, doubtful=moves[1])
     lag = sight.longest
-    record = sight.record(part) if sight.lags else Record([])
+    record = sight.record(part) if sight.lags else PastRecord([])
     seen = sorted({element for each in field.code.seen for element in each})
     begun = arc.t0 if part or not sight.lags else -np.inf
     since = max(arc.t0, max(begun, _stands(record, arc, seen, size_of(run))) + lag)
@@ -126,7 +126,7 @@ def _grow(run: Trajectory, arc: Arc, places: list[int]) -> list[bool]:
     return [bool(each) for each in always | (largest[-1] > MUCH * largest[0])]
 
 
-def _stands(record: Record, arc: Arc, seen: list[int], size: np.ndarray) -> float:
+def _stands(record: PastRecord, arc: Arc, seen: list[int], size: np.ndarray) -> float:
     """From when on the record shows the last state, in what is seen of it."""
     for piece in reversed(record.pieces):
         start = piece.start if np.isfinite(piece.start) else piece.end - 1.0

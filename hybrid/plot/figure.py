@@ -12,7 +12,7 @@ LINE, OTHER, IMPACT, LIMIT, SURFACE = "#1f5a96", "#d07c1a", "#c44e52", "#2e8b57"
 
 
 @attrs.frozen(kw_only=True)
-class Look:
+class Style:
     """How a curve is drawn: a line of some width, dots of some size, or both."""
 
     color: str
@@ -23,19 +23,19 @@ class Look:
 
 #: What a curve may be; the names say what it shows.
 LOOKS = {
-    "line": Look(color=LINE, width=1.1),
-    "rest": Look(color=LINE, width=2.6),
-    "other": Look(color=OTHER, width=1.1),
-    "other rest": Look(color=OTHER, width=2.6),
-    "dashed": Look(color=OTHER, width=1.3, dash=True),
-    "impact": Look(color=IMPACT, dot=4.0),
-    "fall": Look(color=IMPACT, width=0.8, dash=True),
-    "series": Look(color=IMPACT, width=0.8, dot=4.0),
-    "other series": Look(color=OTHER, width=0.8, dot=4.0),
-    "limit": Look(color=LIMIT, width=1.2, dash=True),
-    "mark": Look(color="#1c2733", dot=2.5),
-    "point": Look(color=LIMIT, dot=7.0),
-    "surface": Look(color=SURFACE, width=1.3),
+    "line": Style(color=LINE, width=1.1),
+    "rest": Style(color=LINE, width=2.6),
+    "other": Style(color=OTHER, width=1.1),
+    "other rest": Style(color=OTHER, width=2.6),
+    "dashed": Style(color=OTHER, width=1.3, dash=True),
+    "impact": Style(color=IMPACT, dot=4.0),
+    "fall": Style(color=IMPACT, width=0.8, dash=True),
+    "series": Style(color=IMPACT, width=0.8, dot=4.0),
+    "other series": Style(color=OTHER, width=0.8, dot=4.0),
+    "limit": Style(color=LIMIT, width=1.2, dash=True),
+    "mark": Style(color="#1c2733", dot=2.5),
+    "point": Style(color=LIMIT, dot=7.0),
+    "surface": Style(color=SURFACE, width=1.3),
 }
 
 

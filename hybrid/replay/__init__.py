@@ -1,6 +1,6 @@
 """A finished run flown again by JAX, arc for arc, for its derivatives."""
 
+from .itinerary import Itinerary, blank, plan_of
 from .laws import laws_of
-from .plan import Plan, blank, plan_of
 
-__all__ = ["Plan", "blank", "laws_of", "plan_of"]
+__all__ = ["Itinerary", "blank", "laws_of", "plan_of"]

@@ -17,17 +17,17 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 
 from ..variation.arcs import gauss
+from .itinerary import TOGETHER, Itinerary
 from .laws import END, LENGTH, Laws, chosen
-from .plan import TOGETHER, Plan
 
 #: Orders of the derivatives that are right.
 ORDERS = 2
 
 
-class Flight:
+class ReplayedRun:
     """What a run of a class gives, by what it is given."""
 
-    def __init__(self, laws: Laws, plan: Plan, parameters: Any, t1: Any) -> None:
+    def __init__(self, laws: Laws, plan: Itinerary, parameters: Any, t1: Any) -> None:
         self.laws, self.plan, self.parameters, self.t1 = laws, plan, parameters, t1
         self.end = list(laws.guards).index(END)
         self.fixed = list(laws.guards).index(LENGTH)
@@ -47,7 +47,7 @@ class Flight:
         return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), rows), end
 
     def _step(self, carry: Any, steps: Any) -> Any:
-        plan = Plan._make([*steps, self.plan.jumps])
+        plan = Itinerary._make([*steps, self.plan.jumps])
         flow, guard, reset, onto = plan.laws
         t, x = carry
         points, inner, weights, _ = gauss()

@@ -15,9 +15,9 @@ from jax.lax import stop_gradient
 
 from ..errors import OptionError
 from ..lowering.lowered import lowered
-from .fly import ORDERS, Flight
+from .fly import ORDERS, ReplayedRun
+from .itinerary import Itinerary, blank
 from .laws import Laws, laws_of
-from .plan import Plan, blank
 
 
 class Replay:
@@ -72,11 +72,11 @@ class Replay:
 
     def fly(self, plan: Any, row: Any) -> Any:
         """What a run gives, by the row of numbers of which this is the plan, and there alone."""
-        plan = Plan._make(plan)
+        plan = Itinerary._make(plan)
         row, n = bounded(ORDERS, row), self.code.spec.dimension
         pairs = zip(pairwise(self.ends), self.shapes, strict=True)
         parameters = tuple(row[a:b].reshape(shape) for (a, b), shape in pairs)
-        flight = Flight(self.laws, plan, parameters, row[-1])
+        flight = ReplayedRun(self.laws, plan, parameters, row[-1])
         (times, before, after), (t, x) = flight(row[-2], row[-2 - n : -2])
         found = {"t": t, "final": x}
         for name, states in (("times", times), ("before", before), ("after", after)):

@@ -39,7 +39,7 @@ STEPS, STEPS_EACH, STEPS_MORE = 2000, 40, 2
 BLURRED = 1e-13
 
 
-class Shown(NamedTuple):
+class Compared(NamedTuple):
     """An accumulation as runs are compared by it."""
 
     t: float
@@ -60,7 +60,7 @@ class Made:
     plan: Plan
     history: Sequence[Piece] | None
     log: Log
-    zeno: list[Shown]
+    zeno: list[Compared]
     limits: list[Tail | CycleLimit | None]
     jumps: int
     steps: int
@@ -72,7 +72,7 @@ class Made:
     def of(cls, driver: Driver) -> Made:
         """What a driver has left."""
         record, watched, plan = driver.record, driver.watchful, driver.plan
-        zeno = [Shown(point.t, point.edges, point.state) for point in record.zeno]
+        zeno = [Compared(point.t, point.edges, point.state) for point in record.zeno]
         found = record.log, zeno, record.tails, record.made, driver.steps
         plan = plan if plan.progress is None else attrs.evolve(plan, progress=None)
         seen = driver.solver.exact, watched.blurred, watched.cut
@@ -196,10 +196,10 @@ def _errors(made: Made, index: int, pairs: list[tuple[Made, Made]]) -> tuple[flo
     return float(t_error), record(x_error)
 
 
-def _shows(run: Made, index: int, point: Shown) -> bool:
+def _shows(run: Made, index: int, point: Compared) -> bool:
     """Whether a run has come to the same accumulation."""
     return index < len(run.zeno) and run.zeno[index].edges == point.edges
 
 
-def _vector(point: Shown) -> np.ndarray:
+def _vector(point: Compared) -> np.ndarray:
     return np.concatenate([np.ravel(value) for value in point.state])

@@ -2,7 +2,7 @@
 
 from .carried import At, Carried
 from .derivatives import Derivatives
-from .past import Past, Shift, Strand, descendants, distinct
+from .past import PastVariation, Shift, Strand, descendants, distinct
 from .slopes import Owned
 from .walk import Course, Factor, Moment, Walk, factors
 
@@ -14,7 +14,7 @@ __all__ = [
     "Factor",
     "Moment",
     "Owned",
-    "Past",
+    "PastVariation",
     "Shift",
     "Strand",
     "Walk",

@@ -63,7 +63,7 @@ class Flowing(Protocol):
 
 
 @attrs.frozen(eq=False)
-class Piece:
+class ArcPiece:
     """A part of a step of an arc that begins at ``t``, in its local time."""
 
     t: float
@@ -92,11 +92,11 @@ class Piece:
         """The local time there."""
         return self.end - self.beside if ends else self.start + self.beside
 
-    def halves(self) -> list[Piece]:
+    def halves(self) -> list[ArcPiece]:
         """Its two halves."""
         half = 0.5 * self.length
         starts = self.start, self.start + half
-        return [Piece(self.t, self.segment, start, half) for start in starts]
+        return [ArcPiece(self.t, self.segment, start, half) for start in starts]
 
     def flow(self, field: Flowing, ends: bool) -> tuple[np.ndarray, np.ndarray]:
         """The flow at one of its ends, as it is on this side of it; and its size about there."""
@@ -138,7 +138,7 @@ def along(
         segments = told(segments)
         largest = np.max([middle(field, t, segment) for segment in segments], axis=0)
         kinks = of.kinks(("flow", field.name), field, lambda g: g.flow(bool(field.held)))
-    last: Piece | None = None
+    last: ArcPiece | None = None
     for segment in segments:
         for piece in pieces(kinks, t, segment):
             if kinks is not None and last is not None:
@@ -150,13 +150,13 @@ def along(
             last = piece
 
 
-def _resolve(rate: Matrix, piece: Piece, units: np.ndarray) -> np.ndarray:
+def _resolve(rate: Matrix, piece: ArcPiece, units: np.ndarray) -> np.ndarray:
     """The matrix of a piece, halved until it is resolved."""
     open_pieces, left, found = [(piece, *collocate(rate, piece))], HALVINGS, None
     while open_pieces:
         piece, once, ripple = open_pieces.pop()
         allowed = RESOLVED * sizes(piece, once, units)
-        both, halves = once, list[tuple[Piece, np.ndarray, np.ndarray]]()
+        both, halves = once, list[tuple[ArcPiece, np.ndarray, np.ndarray]]()
         if left and np.any(ripple > allowed):
             halves = [(half, *collocate(rate, half)) for half in piece.halves()]
             both = composed(halves[1][1], halves[0][1])
@@ -169,7 +169,7 @@ def _resolve(rate: Matrix, piece: Piece, units: np.ndarray) -> np.ndarray:
     return found
 
 
-def sizes(piece: Piece, matrix: np.ndarray, units: np.ndarray) -> np.ndarray:
+def sizes(piece: ArcPiece, matrix: np.ndarray, units: np.ndarray) -> np.ndarray:
     """What a matrix is measured by: changes of the state by the largest, those by a parameter by
     their own and by what they are where they change the state by its size."""
     size, largest = len(matrix), np.abs(matrix).max(axis=0)
@@ -182,7 +182,7 @@ def sizes(piece: Piece, matrix: np.ndarray, units: np.ndarray) -> np.ndarray:
     )
 
 
-def collocate(rate: Matrix, piece: Piece) -> tuple[np.ndarray, np.ndarray]:
+def collocate(rate: Matrix, piece: ArcPiece) -> tuple[np.ndarray, np.ndarray]:
     """The matrix of a piece, and the last terms of the series whose integral it is: where they are
     nothing, so is what is left out."""
     points, inner, weights, series = gauss()
@@ -231,10 +231,10 @@ def told(segments: Sequence[Segment]) -> list[Segment]:
     return kept
 
 
-def pieces(kinks: Matrix | None, t: float, segment: Segment) -> list[Piece]:
+def pieces(kinks: Matrix | None, t: float, segment: Segment) -> list[ArcPiece]:
     """A step, cut where a formula of the flow changes inside it."""
     if kinks is None:
-        return [Piece(t, segment, segment.start, segment.length)]
+        return [ArcPiece(t, segment, segment.start, segment.length)]
     known = kinks
     shares = SAMPLES.tolist()
 
@@ -249,7 +249,7 @@ def pieces(kinks: Matrix | None, t: float, segment: Segment) -> list[Piece]:
             if all(abs(at - cut) > BESIDE for cut in cuts):
                 cuts.append(at)
     ends = [segment.start + share * segment.length for share in sorted(cuts)[:-1]] + [segment.end]
-    return [Piece(t, segment, a, b - a) for a, b in pairwise(ends)]
+    return [ArcPiece(t, segment, a, b - a) for a, b in pairwise(ends)]
 
 
 def _zero(values: Callable[[float], np.ndarray], k: int, a: float, b: float) -> float:
@@ -269,7 +269,7 @@ def middle(field: Flowing, t: float, segment: Segment) -> np.ndarray:
 
 
 def bend(
-    kinks: Matrix, field: Flowing, before: Piece, after: Piece, largest: np.ndarray
+    kinks: Matrix, field: Flowing, before: ArcPiece, after: ArcPiece, largest: np.ndarray
 ) -> np.ndarray | None:
     """The saltation from a piece of an arc to the next; None where the flow does not jump."""
     there, here = before.flow(field, True), after.flow(field, False)
@@ -280,7 +280,7 @@ def bend(
     return np.eye(len(jump), len(row)) - np.outer(jump, row)
 
 
-def passing(kinks: Matrix, piece: Piece, flow: np.ndarray) -> np.ndarray:
+def passing(kinks: Matrix, piece: ArcPiece, flow: np.ndarray) -> np.ndarray:
     """When neighbours pass the kinks at the end of a piece: the derivative of that time by a
     change of state and parameters.
 

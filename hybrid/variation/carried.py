@@ -16,8 +16,8 @@ from ..segment import from_values, nodes
 from ..trajectory.arcs import Arc, JumpRow
 from .derivatives import Derivatives
 from .limit import through
-from .past import NOTHING, Past, Shift, Strand
-from .walk import Chatter, Course, Factor, Stretch, Walk
+from .past import NOTHING, PastVariation, Shift, Strand
+from .walk import Chatter, Course, DelayedArc, Factor, Walk
 
 #: Change of what decides which jump comes first, against the terms of which it is made, that is
 #: rounding of them.
@@ -50,7 +50,7 @@ class Carried:
     state : array, shape (n, m)
     given : array, shape (q, m)
         That of the parameters, as far as the walk has columns for them.
-    past : Past or None
+    past : PastVariation or None
         That of what is remembered; a model with delays needs it before it begins.
     none : array of bool, shape (m,)
         The numbers by which there is no derivative any more.
@@ -66,11 +66,11 @@ class Carried:
         self.walk, self.state, self.given = walk, state, given
         self.touched, self.limits = list(touched), 0
         self.none = np.zeros(state.shape[1], dtype=bool)
-        self.past: Past | None = None
+        self.past: PastVariation | None = None
         self.last: At | None = None
         self.saltations = list[Factor]()
 
-    def remember(self, past: Past) -> None:
+    def remember(self, past: PastVariation) -> None:
         """Carry the change of what is remembered as well."""
         self.past = past
         self.walk.arrival = past.arrives
@@ -91,9 +91,9 @@ class Carried:
                 none[-1] = True
         return self.state * np.where(none, np.nan, 1.0)
 
-    def through(self, piece: Factor | Stretch | Chatter) -> Iterator[At]:
+    def through(self, piece: Factor | DelayedArc | Chatter) -> Iterator[At]:
         """Through a piece of the run; gives what happens at its end."""
-        if isinstance(piece, Stretch):
+        if isinstance(piece, DelayedArc):
             assert self.past is not None
             self._touch(piece.arc.t1)
             self.state = self.past.along(piece.index, piece.arc, self.state)
@@ -157,7 +157,7 @@ class Carried:
         found: np.ndarray = np.any(np.abs(moved) > TIED * sizes, axis=0)
         return found
 
-    def _remembered(self, past: Past, factor: Factor, change: np.ndarray) -> None:
+    def _remembered(self, past: PastVariation, factor: Factor, change: np.ndarray) -> None:
         first, last = factor.moments[0], factor.moments[-1]
         if first.ratio is not None:
             x = self.walk.course.parts[first.part].last
@@ -194,7 +194,9 @@ class Carried:
             past.add(Strand(past.strands[-1].b, part.t1, ends))
         yield from self._applied(factor, change)
 
-    def _windows(self, past: Past, chatter: Chatter) -> tuple[list[np.ndarray], np.ndarray]:
+    def _windows(
+        self, past: PastVariation, chatter: Chatter
+    ) -> tuple[list[np.ndarray], np.ndarray]:
         """Windows on what each lag sees on the way to a limit, and how their numbers change."""
         part, sight = chatter.part, past.sight
         shapes, shown = sight.scene.code.shapes, part.tail.field.parameters
@@ -219,7 +221,9 @@ class Carried:
             rows += [np.zeros((2, moved.shape[2])), series.reshape(-1, moved.shape[2])]
         return windows, np.vstack(rows)
 
-    def _require_same(self, past: Past, limit: np.ndarray, t: float, x: np.ndarray) -> None:
+    def _require_same(
+        self, past: PastVariation, limit: np.ndarray, t: float, x: np.ndarray
+    ) -> None:
         """After each impact another state is seen: that must not matter for derivatives either."""
         seen = sorted({e for each in past.sight.scene.code.seen for e in each})
         sizes = np.abs(past.fresh).max(axis=0) + np.abs(limit).max(axis=0)
@@ -230,7 +234,7 @@ class Carried:
                 'the flight after it (memory="restart"); no derivative of that is known'
             )
 
-    def _flights(self, past: Past, chatter: Chatter) -> None:
+    def _flights(self, past: PastVariation, chatter: Chatter) -> None:
         """Remember the change along the flights on the way to a limit, one by one."""
         part, walk, before = chatter.part, self.walk, (self.saltations, self.none)
         seen = {e for each in past.sight.scene.code.seen for e in each}
@@ -245,7 +249,7 @@ class Carried:
         self.walk = past.walk = Walk(course, walk.parameters)
         self.saltations = []
         for piece in self.walk.pieces():
-            if isinstance(piece, Stretch):
+            if isinstance(piece, DelayedArc):
                 self.state = past.along(piece.index, piece.arc, self.state)
             elif isinstance(piece, Factor):
                 for _ in self._applied(piece, self._change(piece)):

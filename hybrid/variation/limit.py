@@ -11,10 +11,10 @@ from ..rules import unit
 from ..rules.limits import USABLE
 from ..zeno.accumulate import Tail
 from .derivatives import Derivatives
-from .slopes import Tables
+from .slopes import SlopeTables
 
 
-class Limit(NamedTuple):
+class LimitVariation(NamedTuple):
     """From a change of the state after a tail's first impact to one at its limit.
 
     The last columns are those of the parameters, or of directions of these.
@@ -33,7 +33,7 @@ class Limit(NamedTuple):
     ratio: np.ndarray
 
 
-def through(of: Derivatives, tail: Tail, directions: np.ndarray | None = None) -> Limit:
+def through(of: Derivatives, tail: Tail, directions: np.ndarray | None = None) -> LimitVariation:
     """Through an accumulation.
 
     Parameters
@@ -47,7 +47,7 @@ def through(of: Derivatives, tail: Tail, directions: np.ndarray | None = None) -
         Where the impacts of the tail do not depend smoothly on its start.
     """
     where = f"mode {tail.field.name}, t = {tail.t!r}"
-    tables, guard = Tables(of), tail.field.guards[tail.column]
+    tables, guard = SlopeTables(of), tail.field.guards[tail.column]
     try:
         row = tables.contact(tail.field, guard)
     except TraceError as error:
@@ -66,4 +66,4 @@ def through(of: Derivatives, tail: Tail, directions: np.ndarray | None = None) -
             f"{where}: the derivative of the limit of the impacts "
             f"of {tail.contact.name} is not resolved (it changes by {left:.2g} of its size)"
         )
-    return Limit(out[1 + size : -1], out[0], out[1 : 1 + size], out[-1])
+    return LimitVariation(out[1 + size : -1], out[0], out[1 : 1 + size], out[-1])

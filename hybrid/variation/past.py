@@ -30,7 +30,7 @@ from numpy.polynomial.legendre import leggauss
 from ..errors import OrbitError
 from ..segment import from_values, nodes
 from ..trajectory.arcs import Arc
-from .arcs import Piece, bend, middle, pieces, told
+from .arcs import ArcPiece, bend, middle, pieces, told
 from .derivatives import Matrix
 from .walk import Walk
 
@@ -100,7 +100,7 @@ def distinct(times: Iterable[float]) -> list[float]:
     return found
 
 
-class Past:
+class PastVariation:
     """The change of a run's record, as a linear function of ``m`` numbers.
 
     Attributes
@@ -201,7 +201,7 @@ class Past:
         """Whether a jump of the record is seen at a time."""
         return next(self.seen(index, t), None) is not None
 
-    def arrival(self, index: int, arc: Arc, piece: Piece, now: np.ndarray) -> np.ndarray:
+    def arrival(self, index: int, arc: Arc, piece: ArcPiece, now: np.ndarray) -> np.ndarray:
         """How the time changes at which a jump is seen at the end of a piece.
 
         Raises
@@ -226,7 +226,7 @@ class Past:
             )
         return rows[0]
 
-    def turned(self, index: int, arc: Arc, piece: Piece) -> np.ndarray:
+    def turned(self, index: int, arc: Arc, piece: ArcPiece) -> np.ndarray:
         """How much the flow falls where a jump is seen at the end of a piece."""
         t, x = piece.t + piece.end, piece.segment(piece.end).tolist()
         before, after = (
@@ -253,7 +253,7 @@ class Past:
             last = piece
         return now
 
-    def _pieces(self, arc: Arc, kinks: Matrix | None) -> Iterator[Piece]:
+    def _pieces(self, arc: Arc, kinks: Matrix | None) -> Iterator[ArcPiece]:
         """The steps of an arc, cut at breaking points and where a formula of the flow changes."""
         t = arc.t0 + arc.low
         stops = [*self.breaks, *(shift.t + g for shift in self.shifts for g in self.sight.lags)]
@@ -262,15 +262,15 @@ class Past:
                 room = SAME * max(1.0, abs(t + piece.end))
                 inner = [s - t for s in stops if piece.start + room < s - t < piece.end - room]
                 ends = [piece.start, *distinct(inner), piece.end]
-                yield from (Piece(t, segment, a, b - a) for a, b in pairwise(ends))
+                yield from (ArcPiece(t, segment, a, b - a) for a, b in pairwise(ends))
 
     def _passed(
         self,
         index: int,
         arc: Arc,
         field: _Seeing,
-        before: Piece,
-        after: Piece,
+        before: ArcPiece,
+        after: ArcPiece,
         largest: np.ndarray,
         now: np.ndarray,
     ) -> np.ndarray:

@@ -17,7 +17,7 @@ from ..rules.limits import MOST as POINTS
 from ..solvers.taylor_backend import HIGHEST
 
 if TYPE_CHECKING:
-    from .arcs import Piece
+    from .arcs import ArcPiece
 
 
 def room_for(
@@ -93,7 +93,7 @@ class Series:
         rows, columns = self.shape
         return room_for(self.jets.tape.needs, len(self.places), rows, 1 + columns)
 
-    def carried(self, piece: Piece) -> np.ndarray | None:
+    def carried(self, piece: ArcPiece) -> np.ndarray | None:
         """The matrix of a piece on which no formula changes; None where there are no series."""
         found, inside, start = np.empty(self.shape), piece.start, piece.first
         beside = start.copy()

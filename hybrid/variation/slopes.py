@@ -22,7 +22,7 @@ from .series import POINTS, room_for
 HOT = 1000
 
 
-class Tables:
+class SlopeTables:
     """The fields and the guards whose derivatives have been asked for, as rows of tables.
 
     ``parts`` are the programs in order.
@@ -131,7 +131,7 @@ class Tables:
         return self._programs.add(jets)
 
 
-class Owned(Tables):
+class Owned(SlopeTables):
     """Those of the fields and guards of an automaton, by its numbers, as runs ask for them."""
 
     def __init__(self, of: Derivatives, automaton: Automaton) -> None:

@@ -26,9 +26,9 @@ from ..lowering import Field, Guard, Kind, Scene, scene_of
 from ..rules.guards import NEAR
 from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
 from ..trajectory.trajectory import Trajectory
-from .arcs import Piece, along, passing, told
+from .arcs import ArcPiece, along, passing, told
 from .derivatives import Derivatives
-from .limit import Limit, through
+from .limit import LimitVariation, through
 
 #: Change of a guard, against the terms of which it is made, that is rounding of them.
 TIED = 1e-9
@@ -124,7 +124,7 @@ class Factor:
 
 
 @attrs.frozen(eq=False)
-class Stretch:
+class DelayedArc:
     """An arc of a run with delays, along which what is seen changes too."""
 
     index: int
@@ -207,8 +207,8 @@ class Walk:
         """The flow at the start, and what must not change there by time, state and parameters."""
         return self._flow(0, False), self._brinks(0, False)
 
-    def pieces(self) -> Iterator[Factor | Stretch | Chatter]:
-        """Piece by piece, in order (:func:`factors`)."""
+    def pieces(self) -> Iterator[Factor | DelayedArc | Chatter]:
+        """ArcPiece by piece, in order (:func:`factors`)."""
         group: list[Row] = []  # jumps with no time between them
         parts, jumps = self.course.parts, self.course.jumps
         yield from self.onto(0)
@@ -241,15 +241,15 @@ class Walk:
             onto = self._widened(of.project(field)(part.t0, part.first)[:, 1:])
             yield Factor(part.t0, None, cleared(onto, np.ones_like(onto), ROUNDING), part=index)
 
-    def arc(self, index: int, arc: Arc) -> Iterator[Factor | Stretch]:
+    def arc(self, index: int, arc: Arc) -> Iterator[Factor | DelayedArc]:
         if self.course.sight:
-            yield Stretch(index, arc)
+            yield DelayedArc(index, arc)
             return
         t = arc.t0 + arc.low
         for end, matrix in along(self.of, self.scene.field(arc.mode), t, arc.segments):
             yield Factor(t + end, None, matrix)
 
-    def limit(self, index: int, part: TailPart, found: Limit | None = None) -> Factor:
+    def limit(self, index: int, part: TailPart, found: LimitVariation | None = None) -> Factor:
         """Through an accumulation; by derivatives of another scene, if these are ``found``."""
         found = found or through(self.of, part.tail)
         moment = Moment(index, found.time, found.state, found.state, found.ratio)
@@ -374,7 +374,7 @@ class Walk:
         guard: Guard,
         row: JumpRow,
         flow: np.ndarray,
-        jumped: Piece | None,
+        jumped: ArcPiece | None,
     ) -> np.ndarray:
         """How the time changes at which a guard fires; of one that has jumped over its zero at the
         end of a piece, that at which its formula changes."""
@@ -392,7 +392,7 @@ class Walk:
             )
         return self._widened(-gradient[None, 1:] / rate)[0]
 
-    def _jumps(self, index: int, guard: Guard, field: Field, piece: Piece) -> bool:
+    def _jumps(self, index: int, guard: Guard, field: Field, piece: ArcPiece) -> bool:
         """Whether a guard that fires at the end of a piece is not zero there, seen from it."""
         if not guard.jumps:
             return False
@@ -444,11 +444,11 @@ class Walk:
         t, x = (part.t1, part.last) if ends else (part.t0, part.first)
         return np.array(field.rhs(t, x.tolist()))
 
-    def piece(self, index: int, ends: bool) -> Piece | None:
+    def piece(self, index: int, ends: bool) -> ArcPiece | None:
         """The first or last step of an arc."""
         part = self.course.parts[index]
         if not isinstance(part, Arc) or not part.segments:
             return None
         changes = self.of.scene.field(part.mode).changes
         segment = (told(part.segments) if changes else part.segments)[-1 if ends else 0]
-        return Piece(part.t0 + part.low, segment, segment.start, segment.length)
+        return ArcPiece(part.t0 + part.low, segment, segment.start, segment.length)

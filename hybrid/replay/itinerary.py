@@ -13,7 +13,7 @@ from ..lowering import Field
 from ..segment import Segment
 from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
 from ..variation import Course, Walk
-from ..variation.arcs import HALVINGS, Piece, collocate, gauss, pieces, sizes
+from ..variation.arcs import HALVINGS, ArcPiece, collocate, gauss, pieces, sizes
 from ..variation.derivatives import Derivatives, Matrix
 from .laws import END, LENGTH, SAME, Laws, laws_of
 
@@ -25,7 +25,7 @@ RESOLVED = 1e-6
 TOGETHER = 32
 
 
-class Plan(NamedTuple):
+class Itinerary(NamedTuple):
     """The steps of a run, one after the other; unused rows repeat the last.
 
     Attributes
@@ -58,7 +58,7 @@ class Plan(NamedTuple):
     jumps: np.ndarray
 
 
-def blank(laws: Laws, room: int, rows: int) -> Plan:
+def blank(laws: Laws, room: int, rows: int) -> Itinerary:
     """A plan without steps.
 
     Parameters
@@ -70,7 +70,7 @@ def blank(laws: Laws, room: int, rows: int) -> Plan:
     """
     n, stages = laws.spec.dimension, len(gauss()[0])
     steps = -(-room // TOGETHER) * TOGETHER
-    return Plan(
+    return Itinerary(
         np.zeros((steps, 4), int),
         np.zeros(steps, bool),
         np.zeros(steps),
@@ -84,7 +84,9 @@ def blank(laws: Laws, room: int, rows: int) -> Plan:
     )
 
 
-def plan_of(course: Course, touched: Sequence[float], ends: bool, room: int, rows: int) -> Plan:
+def plan_of(
+    course: Course, touched: Sequence[float], ends: bool, room: int, rows: int
+) -> Itinerary:
     """The plan of a run.
 
     Parameters
@@ -126,8 +128,8 @@ def plan_of(course: Course, touched: Sequence[float], ends: bool, room: int, row
 
 
 @attrs.frozen(eq=False)
-class _Step:
-    piece: Piece
+class _Leg:
+    piece: ArcPiece
     mask: list[float]
     laws: list[int]
     first: np.ndarray
@@ -135,7 +137,7 @@ class _Step:
     after: np.ndarray
     end: float
 
-    def write(self, plan: Plan, place: int) -> None:
+    def write(self, plan: Itinerary, place: int) -> None:
         piece, points = self.piece, gauss()[0]
         plan.laws[place], plan.masks[place] = self.laws, self.mask
         plan.lengths[place], plan.ends[place] = piece.length, self.end
@@ -159,7 +161,7 @@ class _Maker:
         self.model, self.count = course.scene.spec.model, 0
         self.jumps: list[int] = []
 
-    def steps(self, ends: bool) -> Iterator[_Step]:
+    def steps(self, ends: bool) -> Iterator[_Leg]:
         """Steps in order."""
         parts, jumps = self.course.parts, self.course.jumps
         self._smooth(parts[0].t0, self.walk.begin()[1])
@@ -204,7 +206,7 @@ class _Maker:
                 "neighbours have before it or after it: there are no derivatives"
             )
 
-    def _arc(self, arc: Arc, jump: JumpRow | None, ends: bool) -> Iterator[_Step]:
+    def _arc(self, arc: Arc, jump: JumpRow | None, ends: bool) -> Iterator[_Leg]:
         field, t = self.scene.field(arc.mode), arc.t0 + arc.low
         found = [piece for segment in arc.segments for piece in self._pieces(field, t, segment)]
         if not found:
@@ -230,11 +232,11 @@ class _Maker:
                 _number(self.laws.resets, reset),
                 _number(self.laws.onto, onto),
             ]
-            yield _Step(piece, mask, numbers, first, before, after, end)
+            yield _Leg(piece, mask, numbers, first, before, after, end)
             self.count += 1
             first, onto = before, SAME
 
-    def _pieces(self, field: Field, t: float, segment: Segment) -> Iterator[Piece]:
+    def _pieces(self, field: Field, t: float, segment: Segment) -> Iterator[ArcPiece]:
         """A step of the run in parts short enough for the collocation."""
         if field.changes:
             raise OrbitError(
@@ -246,7 +248,7 @@ class _Maker:
             yield from _resolved(rate, piece, self.of.units)
 
 
-def _resolved(rate: Matrix, piece: Piece, units: np.ndarray) -> Iterator[Piece]:
+def _resolved(rate: Matrix, piece: ArcPiece, units: np.ndarray) -> Iterator[ArcPiece]:
     """A piece, halved until the last terms of its series are small."""
     waiting, left = [piece], HALVINGS
     while waiting:
