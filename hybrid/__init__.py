@@ -67,13 +67,17 @@ _LAZY = {
     "Trajectory": "trajectory",
 }
 
+#: Names that users knew, and where they went.
+_MOVED = {
+    "study": "the paper's section 2, paper/transient.py of a checkout "
+    "(from paper.transient import transient)",
+    "function": "hybrid.functions (from hybrid.functions import REASONS)",
+}
+
 
 def __getattr__(name: str) -> Any:
-    if name == "study":
-        raise AttributeError(
-            "hybrid.study has moved: it is the paper's section 2, paper/transient.py of a checkout "
-            "(from paper.transient import transient)"
-        )
+    if name in _MOVED:
+        raise AttributeError(f"hybrid.{name} has moved: it is {_MOVED[name]}")
     if name not in _LAZY:
         raise AttributeError(f"module 'hybrid' has no attribute {name!r}")
     value = getattr(import_module(f".{_LAZY[name]}", __name__), name)
