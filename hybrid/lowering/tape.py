@@ -217,8 +217,8 @@ class Tape:
     given
         Places of parameters among them, and their numbers.
     room
-        Length of the array in which equations are solved, and behind them a state and the sides of
-        all kinks are put aside.
+        Length of the array in which equations are solved, and behind them a state, its rates and
+        the sides of all kinks are put aside.
     """
 
     size: int
@@ -533,7 +533,7 @@ class _Recorder:
             steady=_table(self.steady, 6),
             numbers=np.array(self.numbers),
             given=_table(self.given, 2).T,
-            room=self.room + self.size + len(kinks),
+            room=self.room + 2 * self.size + len(kinks),
         )
 
     def _row(self, number: int) -> int:

@@ -61,22 +61,25 @@ def follows(
     aside
         As many rows as ``c``, and two columns.
     work
-        As :func:`look` takes it.
+        As :func:`look` takes it, and before that the rates of the polynomials are put aside. A
+        step that holds leaves its end there.
     """
-    first = place(p, program, work)
-    point = work[first : first + states(p, program)]
+    n, first = states(p, program), place(p, program, work)
+    point, rates = work[first : first + n], work[first - n : first]
     scale, fastest = 0.0, 1.0 if held else 0.0
-    for i in range(states(p, program)):
+    for i in range(n):
         scale = max(scale, SMALLEST * abs(c[i, 0]))
         fastest = max(fastest, abs(c[i, 1]))
     for share in (MIDDLE, BEFORE if kink else 1.0):
         s = share * h
-        along(c, s, point)
+        for i in range(n):
+            point[i], rates[i] = power_value(c[i], 0, c.shape[1] - 1, s)
         look(p, program, 0, t + s, point, False, sides, aside, work)
         _set_apart(p, program, aside)
-        if not _agrees(p, program, s, h, scale, fastest, c, aside):
+        if not _agrees(p, program, s, h, scale, fastest, rates, c, aside):
             look(p, program, 0, beside(t + s, point), point, False, sides, aside, work)
-            if not _agrees(p, program, s, h, scale, fastest, c, aside):
+            along(c, s, point)
+            if not _agrees(p, program, s, h, scale, fastest, rates, c, aside):
                 return False
     return True
 
@@ -129,12 +132,13 @@ def arrives(
 ) -> bool:
     """Put the state at the end of a step into ``end``; whether the flow is finite there.
 
-    With ``seen`` it is what :func:`follows` has found there, and kept in the second column.
+    With ``seen`` that is what :func:`follows` has left in ``work``, and the flow in the second
+    column.
     """
     first = place(p, program, work)
     point = work[first : first + states(p, program)]
-    along(c, h, point)
     if not seen:
+        along(c, h, point)
         look(p, program, 0, t + h, point, False, sides, aside, work)
     finite = True
     for i in range(point.shape[0]):
@@ -212,11 +216,12 @@ def _agrees(
     h: float,
     scale: float,
     fastest: float,
+    rates: Floats,
     c: Matrix,
     aside: Matrix,
 ) -> bool:
     """Whether both hold; what rounding shows beside the point is nothing before that is read."""
-    if not _directs(p, program, s, h, scale, fastest, c, aside):
+    if not _directs(p, program, s, h, scale, fastest, rates, c, aside):
         return False
     return _decides(p, program, s, c, aside)
 
@@ -228,6 +233,7 @@ def _directs(
     h: float,
     scale: float,
     fastest: float,
+    rates: Floats,
     c: Matrix,
     aside: Matrix,
 ) -> bool:
@@ -236,14 +242,15 @@ def _directs(
     finite = True
     close = True
     for i in range(states(p, program)):
-        _, along = power_value(c[i], 0, c.shape[1] - 1, s)
         rate, other = _rate(p, program, i, aside, 1), _rate(p, program, i, aside, 0)
         finite = finite and math.isfinite(rate) and math.isfinite(other)
+        if abs(rate - rates[i]) <= MISSED * EPS * fastest:
+            continue  # what follows allows more
         rounding = fastest + abs(2.0 * c[i, 2] * s) + abs(3.0 * c[i, 3] * s * s)
         rounding += max(abs(c[i, 0]), abs(c[i, 1]), scale) / h
         left = (c.shape[1] - 1) * behind(c[i], s) / s  # of the slope, as of its last terms
         allowed = max(MISSED * EPS * rounding, left) + SHOWN * abs(rate - other) + NOTHING
-        close = close and not abs(rate - along) > allowed
+        close = close and not abs(rate - rates[i]) > allowed
     return close or not finite
 
 

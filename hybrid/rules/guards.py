@@ -38,7 +38,7 @@ from .places import (
     T,
 )
 from .polynomials import power_size, power_value, shift
-from .zeros import EPS, NEVER, series, soon
+from .zeros import EPS, NEVER, outweighs, series, soon
 
 __all__ = ("event_along",)
 
@@ -110,14 +110,17 @@ def zero_of(
         return 0.0
     if starting and a.guards[guard, BOUNDS] == 1 and c[order] * crossing > 0.0:
         return 0.0
-    degree = c.shape[0] - 1
+    degree, near = c.shape[0] - 1, tolerance if order == 0 else NEVER
+    if (order == 0 or left == 0.0) and outweighs(c, order, degree, h, near):
+        now.signs[place] = 1 if c[order] > 0.0 else -1
+        return math.inf
     program = a.fields[field, PROGRAM]
     kinked = a.programs.index[program, KINKS] < a.programs.index[program, KINKS + 1]
     if not kinked and (crossing == 0 or c[order] * crossing < 0.0):
         s = soon(c, order, degree, h)
         if s < math.inf:
             return fires(a, now, room, c, guard, order, s, tolerance)
-    count = series(c, degree, h, order, NEVER if order else tolerance, room.rows, room.found)
+    count = series(c, degree, h, order, near, room.rows, room.found)
     if count < 0:
         return 0.0
     side = c[order]

@@ -63,7 +63,7 @@ def _within(c: Floats, relative: float, absolute: float, length: float) -> float
     own = absolute + relative * abs(c[0])
     for k in range(order, order - 2, -1):
         last = abs(c[k])
-        if last != 0.0 and last * length**k > own:
+        if last != 0.0 and last * power(length, k) > own:
             reach, size = (own / last) ** (1.0 / k), own
             for j in range(1, MOVES):
                 moved = relative * abs(c[j])
@@ -89,7 +89,17 @@ def own_length(c: Floats, share: float) -> float:
 def behind(c: Floats, s: float) -> float:
     """What is left of a series behind its last terms, by their size: they fall."""
     order = c.shape[0] - 1
-    return (abs(c[order - 1]) + abs(c[order]) * s) * s ** (order - 1)
+    return (abs(c[order - 1]) + abs(c[order]) * s) * power(s, order - 1)
+
+
+def power(s: float, k: int) -> float:
+    """``s^k`` by squares, for ``k`` not below zero."""
+    value = 1.0
+    while k > 0:
+        value *= s if k % 2 == 1 else 1.0
+        s *= s
+        k //= 2
+    return value
 
 
 def _reach(c: Floats, last: int, share: float) -> float:

@@ -75,7 +75,7 @@ def operate(
 
 def integrate(out: int, a: int, s: Floats, c: Matrix, k: int) -> None:
     """The next coefficient of a state, from that of its flow: ``x_{k+1} = f_k / (k + 1)``."""
-    c[out, k + 1] = at(c, s, a, k) / (k + 1)
+    c[out, k + 1] = at(c, s, a, k) * (1.0 / (k + 1))
 
 
 def at(c: Matrix, s: Floats, r: int, k: int) -> float:
@@ -98,7 +98,7 @@ def _arithmetic(op: int, out: int, a: int, b: int, s: Floats, c: Matrix, k: int)
     elif op == SUB:
         c[out, k] = at(c, s, a, k) - at(c, s, b, k)
     elif op == MUL:
-        c[out, k] = _product(c, a, b, 0, k)
+        c[out, k] = _product(c, a, b, k)
     elif op == SCALE:
         c[out, k] = at(c, s, b, 0) * c[a, k]
     elif op == SQUARE:
@@ -111,37 +111,49 @@ def _arithmetic(op: int, out: int, a: int, b: int, s: Floats, c: Matrix, k: int)
         c[out, k] = at(c, s, a, k)
 
 
-def _product(c: Matrix, a: int, b: int, first: int, k: int) -> float:
-    """The sum of ``a_i b_{k-i}`` from ``i = first``, in two parts, of which neither waits for the
-    other."""
+def _product(c: Matrix, a: int, b: int, k: int) -> float:
+    """The sum of ``a_i b_{k-i}``, from the middle out: the coefficients that are known last come
+    last, and the sum of the others need not wait for them. In two parts, of which neither waits for
+    the other."""
     total, beside = 0.0, 0.0
-    for i in range(first, k, 2):
+    if k % 2 == 0:
+        total = c[a, k // 2] * c[b, k // 2]
+    for i in range((k + 1) // 2 - 1, -1, -1):
         total += c[a, i] * c[b, k - i]
-        beside += c[a, i + 1] * c[b, k - i - 1]
-    if (k - first) % 2 == 0:
-        total += c[a, k] * c[b, 0]
+        beside += c[a, k - i] * c[b, i]
+    return total + beside
+
+
+def _rest(c: Matrix, a: int, b: int, k: int) -> float:
+    """The sum of ``a_i b_{k-i}`` from ``i = 1``, last what ``b`` has last."""
+    total, beside = 0.0, 0.0
+    if k % 2 == 1:
+        total = c[a, k] * c[b, 0]
+    for i in range(k - k % 2, 0, -2):
+        beside += c[a, i] * c[b, k - i]
+        total += c[a, i - 1] * c[b, k - i + 1]
     return total + beside
 
 
 def _square(c: Matrix, a: int, k: int) -> float:
+    """As the product of a row with itself, each pair once."""
     half = (k + 1) // 2
     total, beside = 0.0, 0.0
-    for i in range(0, half - 1, 2):
-        total += c[a, i] * c[a, k - i]
-        beside += c[a, i + 1] * c[a, k - i - 1]
-    if half % 2 == 1:
-        total += c[a, half - 1] * c[a, k - half + 1]
-    total = 2.0 * (total + beside)
     if k % 2 == 0:
-        total += c[a, k // 2] * c[a, k // 2]
-    return total
+        total = 0.5 * c[a, k // 2] * c[a, k // 2]
+    if half % 2 == 1:
+        beside = c[a, half - 1] * c[a, k - half + 1]
+    for i in range(half - half % 2 - 1, 0, -2):
+        beside += c[a, i] * c[a, k - i]
+        total += c[a, i - 1] * c[a, k - i + 1]
+    return 2.0 * (total + beside)
 
 
 def _quotient(c: Matrix, s: Floats, y: int, a: int, b: int, k: int) -> float:
     """``y = a / b`` by ``b y = a``."""
     if b < 0:
         return _ratio(at(c, s, a, k), s[-1 - b])
-    return _ratio(at(c, s, a, k) - _product(c, b, y, 1, k), c[b, 0])
+    return _ratio(at(c, s, a, k) - _rest(c, b, y, k), c[b, 0])
 
 
 def _total(
@@ -154,15 +166,13 @@ def _total(
             total += at(c, s, more[i], k)
     else:
         for i in range(first, first + 2 * count, 2):
-            total += _times(c, s, more[i], more[i + 1], 0, k)
+            total += _times(c, s, more[i], more[i + 1], k)
     c[out, k] = total
 
 
-def _times(c: Matrix, s: Floats, a: int, b: int, first: int, k: int) -> float:
-    """The sum of ``a_i b_{k-i}`` from ``i = first``; if one is steady, ``a`` is."""
-    if a >= 0:
-        return _product(c, a, b, first, k)
-    return s[-1 - a] * at(c, s, b, k) if first == 0 else 0.0
+def _times(c: Matrix, s: Floats, a: int, b: int, k: int) -> float:
+    """A product; if one is steady, ``a`` is."""
+    return _product(c, a, b, k) if a >= 0 else s[-1 - a] * at(c, s, b, k)
 
 
 # -- equations --------------------------------------------------------------------------------
@@ -200,7 +210,7 @@ def _solve(
             for m in range(n):
                 a = more[first + equation * n + m]
                 if a >= 0 and k > 0:
-                    total -= _product(c, a, out + m, 1, k)
+                    total -= _rest(c, a, out + m, k)
             work[room + n * n + i] = total
     _substitute(work, room, n, more, mask, c, s, out, k)
 
@@ -353,7 +363,7 @@ def _power(op: int, y: int, a: int, b: int, s: Floats, c: Matrix, k: int) -> flo
     if i == 0:
         return _root(op, c[a, zeros], p)
     total = 0.0
-    for m in range(1, i + 1):
+    for m in range(i, 0, -1):
         total += (p * m - (i - m)) * c[a, zeros + m] * c[y, k - m]
     return _ratio(total, i * c[a, zeros])
 
@@ -386,16 +396,16 @@ def _pair(op: int, out: int, a: int, other: int, clock: bool, c: Matrix, k: int)
     """
     if k > 0:
         total, turn = 0.0, 0.0
-        for i in range(1, 2 if clock else k + 1):
+        for i in range(1 if clock else k, 0, -1):
             slope = i * c[a, i]
             total += slope * c[other, k - i]
             turn += slope * c[out, k - i]
-        c[out, k] = total / k
-        c[other, k] = -turn / k if op == SINE else turn / k
+        c[out, k] = total * (1.0 / k)
+        c[other, k] = (-turn if op == SINE else turn) * (1.0 / k)
+    elif op == SINE and not math.isfinite(c[a, 0]):
+        c[out, 0] = c[other, 0] = math.nan
     elif op == SINE:
-        inside = math.isfinite(c[a, 0])
-        c[out, 0] = math.sin(c[a, 0]) if inside else math.nan
-        c[other, 0] = math.cos(c[a, 0]) if inside else math.nan
+        c[out, 0], c[other, 0] = math.sin(c[a, 0]), math.cos(c[a, 0])
     elif abs(c[a, 0]) < LARGEST:
         c[out, 0] = math.sinh(c[a, 0])
         c[other, 0] = math.cosh(c[a, 0])
@@ -407,12 +417,12 @@ def _pair(op: int, out: int, a: int, other: int, clock: bool, c: Matrix, k: int)
 def _along(c: Matrix, a: int, slope: int, k: int) -> float:
     """The coefficient of ``y`` where ``y' = slope a'``."""
     total, beside = 0.0, 0.0
-    for i in range(1, k, 2):
-        total += i * c[a, i] * c[slope, k - i]
-        beside += (i + 1) * c[a, i + 1] * c[slope, k - i - 1]
     if k % 2 == 1:
-        total += k * c[a, k] * c[slope, 0]
-    return (total + beside) / k
+        total = k * c[a, k] * c[slope, 0]
+    for i in range(k - k % 2, 0, -2):
+        beside += i * c[a, i] * c[slope, k - i]
+        total += (i - 1) * c[a, i - 1] * c[slope, k - i + 1]
+    return (total + beside) * (1.0 / k)
 
 
 def _chain(op: int, out: int, a: int, slope: int, c: Matrix, k: int) -> None:
@@ -489,10 +499,10 @@ def _angle(
     """``atan2(y, x)``, by its slopes along ``y`` and ``x``; left of 0 it jumps where y is 0."""
     if k > 0:
         total = 0.0
-        for i in range(1, k + 1):
+        for i in range(k, 0, -1):
             total += i * at(c, s, y, i) * at(c, s, more[first], k - i)
             total += i * at(c, s, x, i) * at(c, s, more[first + 1], k - i)
-        c[out, k] = total / k
+        c[out, k] = total * (1.0 / k)
         return
     at_y = at(c, s, y, 0)
     if kink >= 0 and sides[kink] != 0:

@@ -197,13 +197,13 @@ def last_power(c: Floats, low: int, degree: int) -> int:
 def outweighs(c: Floats, low: int, degree: int, reach: float, tolerance: float) -> bool:
     """Whether the first three terms stay further from zero than all others go, as far as
     ``reach``: the cheapest test."""
-    rest = 0.0
-    for k in range(degree, low + 2, -1):
-        rest = (rest + abs(c[k])) * reach
+    rest = abs(c[degree]) if degree > low + 2 else 0.0
+    for k in range(degree - 1, low + 2, -1):
+        rest = rest * reach + abs(c[k])
     side = 1.0 if c[low] > 0.0 else -1.0
     one = side * c[low + 1] * reach if degree > low else 0.0
     two = side * c[low + 2] * reach * reach if degree > low + 1 else 0.0
-    rest = rest * reach * reach if degree > low + 2 else 0.0
+    rest = rest * reach * reach * reach if degree > low + 2 else 0.0
     drop = min(0.0, one + two)
     if 0.0 < -one < 2.0 * two:
         drop = -0.25 * one * one / two
