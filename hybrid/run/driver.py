@@ -299,7 +299,8 @@ class Driver:
         ``signs``: by edge the sign of its guard at the end of the last step.
         """
         field = self.entry.field
-        self.begin(field, x, lambda: Jumped(held=field.held, passing=signs))
+        known = self._came().vanishing if self.record.young else {}
+        self.begin(field, x, lambda: Jumped(known, field.held, passing=signs))
         self.seen = np.maximum(self.seen, np.abs(x))
 
     def pass_window(self, fired: Guard | None, x: np.ndarray) -> None:
@@ -310,7 +311,8 @@ class Driver:
             self.plan.progress(t)
         signs = signs_at_end(self.entry, t, x, self._reach(x))
         memory.passed(t, x, field, fired.edge if fired else None)
-        self.enter(field.mode, x, Jumped(held=field.held, passing=signs))
+        known = self._jumped.vanishing if self.record.young else {}
+        self.enter(field.mode, x, Jumped(known, field.held, passing=signs))
 
     # -- jumps --------------------------------------------------------------------------
 

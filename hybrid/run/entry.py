@@ -410,7 +410,8 @@ class _Here:
         value = guard.value(t, x)
         if not isfinite(value):
             raise FlowError(f"{self.where()}: the guard of {guard.edge} is {value}")
-        if jumped.passing is not None and value * jumped.passing.get(guard.edge, 0) > 0:
+        passing = None if least else jumped.passing
+        if passing is not None and value * passing.get(guard.edge, 0) > 0:
             return 0, 1 if value > 0 else -1
         if least or (guard.kind == "contact" and -self.lost(guard) <= value <= 0):
             return self.decide(guard, index, max(least, 1))

@@ -16,6 +16,7 @@ from ..delay.memory import Memory
 from ..errors import JumpLoopError
 from ..events import CAUGHT, STRUCK
 from ..lowering import Field
+from ..rules.guards import TIE
 from ..segment import Segment, from_values, nodes
 from ..trajectory.accumulation import Accumulation
 from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
@@ -85,6 +86,13 @@ class Recorder:
         """Where an arc ends: at the run's last time, to the last bit, if it was to flow so far."""
         last = self.plan.t1
         return Instant(last) if length == self.now.until(last) else self.now.after(length)
+
+    @property
+    def young(self) -> bool:
+        """Whether an arc that is still going began at this time, but for rounding."""
+        if self._begun is None:
+            return False
+        return self._begun[0].until(self.now.t) <= TIE * ulp(self.now.t)
 
     def extend(
         self, field: Field, first: np.ndarray, last: np.ndarray, length: float, segments: Any
