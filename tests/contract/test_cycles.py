@@ -15,8 +15,9 @@ from tests.test_cycles import Twisting
 from .ways import later
 
 #: Lanes and functions, which tell less, are in ``test_cycles_in_lanes.py``. A limit is found from
-#: jumps, whatever made the steps between them: one method of SciPy stands for all.
-WAYS = ["DOP853", "taylor", "Dopri8", *later("Radau")]
+#: jumps, whatever made the steps between them: one method of SciPy stands for all, and Diffrax's
+#: steps find some in ``tests/test_cycles.py``.
+WAYS = ["DOP853", "taylor", *later("Radau", "Dopri8")]
 
 
 #: A wheel of which a strike leaves a fourteenth of the speed.
