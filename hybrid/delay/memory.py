@@ -1,4 +1,4 @@
-"""What a run with delays remembers, and the windows through which its flows look back.
+"""What a run with delays remembers, and until when its flows look through the same windows.
 
 Between two breaking points of what they see, flows with delays are flows that depend on time: the
 record at ``t - lag`` is smooth there, and is handed to them as a polynomial (a *window*). The
@@ -17,18 +17,17 @@ See ``docs/notes/delays.md``.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
-from math import isfinite, isinf
+from math import isfinite
 from typing import Any
 
 import attrs
 import numpy as np
 
 from ..automaton.past import DEGREE, blank
-from ..errors import FlowError, OptionError
+from ..errors import FlowError
 from ..lowering import Field, Scene, window_edge
 from ..lowering.taylor import flat
 from ..rules import unit
@@ -64,9 +63,9 @@ from .pieces import (
     constant,
     piece_of,
     slack_of,
-    states,
     swept,
 )
+from .reader import Reader
 from .windows import NO_LINKS, SHARE, SMOOTH, TO_POWERS, Links
 
 #: Windows in a row that are one step long before longer ones are guessed.
@@ -86,10 +85,6 @@ REST, LONGEST = 30, 1 << 16
 #: Most guesses at a window before a shorter one is tried.
 GUESSES = 12
 
-#: Longest window of a lag that depends on time or state, against the run, and what part of it may
-#: lie behind, against the part ahead.
-MOST, SIDE = 0.1, 0.25
-
 #: Highest order of breaking points that are noted once a lag has turned back over its past: each
 #: is seen many times, and those times are themselves seen many times.
 TURNING = 2
@@ -97,20 +92,11 @@ TURNING = 2
 #: First length of windows to guess where a lag vanishes, against that of the run.
 LEAST = 1e-4
 
-#: How far the last piece is taken to go on, against its length.
-FAR = 2.0
-
 #: Guesses at a window up to which the next is longer.
 EASY = 2
 
 #: Times between which times are one that a guess spans at least.
 LITTLE = 100.0
-
-#: Places at which a record may be rough within a time this short against the run.
-ROUGH, NEAR = 20, 1e-3
-
-#: Keeps ratios finite.
-TINY = 1e-300
 
 #: Degree up to which dense output falls behind a method of higher order.
 CUBIC = 3
@@ -171,6 +157,7 @@ class Memory:
         self.breaks.add(plan.t0, self._start(x))
         self.windows: list[Window] = []
         self._frames = np.tile([0.0, 0.0, np.inf], (len(self._lags), 1))
+        self.reader = Reader(scene, plan, self.pieces, self.breaks, self._frames)
         self.shown, self.bound, self.told = np.array(hidden[-self._size :]), False, False
         self.sights = np.empty((SUMS, self._size))
         self._fixed = self._all_fixed(x)
@@ -180,9 +167,7 @@ class Memory:
         self._dear, self._rest, self._looks_back = 1, REST, False
         self._from = plan.t0, x
         self._stride, self._shortest, self._guesses = 0.0, 0.0, 0
-        self._backwards: set[int] = set()
         self._wrong, self._most = np.inf, np.inf
-        self._rough: deque[float] = deque(maxlen=ROUGH)
 
     @property
     def start(self) -> np.ndarray:
@@ -230,6 +215,8 @@ class Memory:
         other.floats, other.ints = self.floats.copy(), self.ints.copy()
         other.pieces, other.breaks = self.pieces.copy(other.ints), self.breaks.copy(other.ints)
         other._frames, other.shown = self._frames.copy(), self.shown.copy()
+        other.reader = Reader(self.scene, self.plan, other.pieces, other.breaks, other._frames)
+        other.reader.backwards = self.reader.backwards
         other.sights, other._begun = self.sights.copy(), self._begun.copy()
         other.bound, other.told, other._past = False, False, None
         return other
@@ -320,11 +307,7 @@ class Memory:
     def _near(self, there: np.ndarray, x: np.ndarray) -> bool:
         """Whether what is seen of some states cannot be told from a state."""
         seen = self.all_seen
-        return bool(np.all(np.abs(there - x)[..., seen] <= self._allowed(x)[seen]))
-
-    def _allowed(self, x: np.ndarray) -> np.ndarray:
-        size = np.abs(x)
-        return SHARE * (self.plan.atol + self.plan.rtol * size) + 4e-16 * size
+        return bool(np.all(np.abs(there - x)[..., seen] <= self.reader.allowed(x)[seen]))
 
     # -- windows --------------------------------------------------------------------------
 
@@ -353,7 +336,7 @@ class Memory:
         end = min(self.plan.t1, t + stride) if stride else self.plan.t1
         self.windows = []
         for k, s in enumerate(places):
-            window = self._window(k, t, s, np.inf if stride else t, end - t)
+            window = self.reader.window(k, t, s, np.inf if stride else t, end - t, x)
             if not self.moving[k]:
                 end = min(end, window.b + (t - s))
             self.windows.append(window)
@@ -486,117 +469,6 @@ class Memory:
             self._stride = max((4.0 if self._dear == 1 else 8.0 * self._dear) * shortest, least)
         return self._stride
 
-    def _window(self, k: int, t: float, s: float, known: float, length: float) -> Window:
-        """A window of a lag that looks at ``s``."""
-        slack = slack_of(t, s)
-        a, b, pad = *self._ends(k, s, known, length, slack), 0.5 * slack if self.moving[k] else 0.0
-        whole = b - a
-        while True:
-            pieces = self.pieces.within(a, min(b, t), slack)
-            try:
-                window = self._sampled(a - pad, b + pad, t, pieces)
-            except (FlowError, OptionError):
-                if not self.moving[k] or b - a <= 1e3 * slack:
-                    raise
-                a, b = self._nearer(a, s, b, slack)  # it need not look there
-                continue
-            exact = len(pieces) == 1 and pieces[0].degree <= DEGREE and not window.guess.any()
-            fine = exact or self._resolved(k, window)
-            if fine or b - a <= 1e3 * slack:
-                self._note_rough(fine, s)
-                if b - a < whole or whole >= self._frames[k, 2]:
-                    self._frames[k, 2] = 2.0 * (b - a)
-                return window
-            if k in self._backwards:
-                a = 0.5 * (a + b)
-            else:
-                b = self._shorter(s, b, t, pieces, slack)
-                a = max(a, s - SIDE * (b - s))
-
-    @staticmethod
-    def _nearer(a: float, s: float, b: float, slack: float) -> tuple[float, float]:
-        """Nearer ends on both sides of a place, that behind it first."""
-        if s - a > 1e3 * slack:
-            return s - 0.25 * (s - a), b
-        return (s, b) if a < s else (a, s + 0.5 * (b - s))
-
-    def _note_rough(self, fine: bool, s: float) -> None:
-        """Refuse a record that is rough everywhere, not at some places only."""
-        if fine:
-            return
-        self._rough.append(s)
-        near = abs(self._rough[-1] - self._rough[0]) < NEAR * (self.plan.t1 - self.plan.t0)
-        if len(self._rough) == ROUGH and near:
-            raise FlowError(
-                f"{self.scene.spec.model}: the record at {s!r} is rough: no polynomial shows it to "
-                "rtol and atol (a history in 32 bits, or of measured numbers?); give a smooth one, "
-                "or larger tolerances"
-            )
-
-    def _ends(
-        self, k: int, s: float, known: float, length: float, slack: float
-    ) -> tuple[float, float]:
-        """Both ends of a window, if it is resolved: where there is room, more than is needed."""
-        span, end = self._frames[k, 2], min(self.breaks.after(s, slack), known)
-        if not self.moving[k]:
-            return s, max(min(end, s + length, s + span), s + slack)
-        span = min(span, MOST * (self.plan.t1 - self.plan.t0))
-        if isinf(known):  # a guess need not go further than it is flown over
-            span = min(span, 2.0 * length + 1e4 * slack)
-        if k in self._backwards:
-            return max(self.breaks.before(s, slack), s - span), min(s + slack, end)
-        b = min(end, s + span)
-        return min(s, max(self.breaks.until(s, slack), s - SIDE * (b - s))), b
-
-    @staticmethod
-    def _shorter(s: float, b: float, t: float, pieces: list[Piece], slack: float) -> float:
-        """A nearer end: half as far in what is guessed, that of a piece, the middle."""
-        if b - t > 0.25 * (t - s):
-            return t + 0.5 * (b - t)
-        ends = [p.end for p in pieces if s + slack < p.end < b - slack]
-        return ends[len(ends) // 2] if ends else 0.5 * (s + b)
-
-    def _sampled(self, a: float, b: float, t: float, pieces: list[Piece]) -> Window:
-        """A window: the record at its nodes; beyond the present, a guess."""
-        since, slack = (b - a) * nodes(DEGREE), slack_of(t)
-        here = t - a
-        guess = since > (here + slack if here > slack else -1.0)
-        with np.errstate(all="ignore"):
-            values = np.empty((len(since), self.scene.spec.dimension))
-            if not guess.all():
-                values[~guess] = states(pieces, a, since[~guess])
-            if guess.any():
-                values[guess] = self._ahead(a, since[guess])
-        if not np.isfinite(values).all():
-            bad = a + float(since[~np.isfinite(values).all(axis=1)][0])
-            raise FlowError(
-                f"{self.scene.spec.model}, t = {t!r}: the record at {bad!r} is not finite; give a "
-                "history that reaches back that far"
-            ).by("forgotten")
-        noise = 0.5 * slack_of(t, a) / (b - a) * (values.max(axis=0) - values.min(axis=0))
-        return Window(a, b, values, guess, noise)
-
-    def _ahead(self, s: float, since: np.ndarray) -> np.ndarray:
-        """A first guess at what comes: the last piece goes on, or the state stays as it is.
-
-        Far beyond its end a polynomial leads nowhere: from there on it is a straight line.
-        """
-        x, last = self._from[1], self.pieces.last
-        orders = self.breaks.at(last.end, slack_of(last.end))
-        jumps = orders is not None and orders.min() == 0
-        if jumps or last.rows is None:
-            return np.broadcast_to(x, (len(since), len(x)))
-        if s + float(since[-1]) <= last.end + FAR * (last.end - last.start):
-            return last.state(s, since)
-        return x + np.multiply.outer((s - last.end) + since, last.slope)
-
-    def _resolved(self, k: int, window: Window) -> bool:
-        """Whether the polynomial is the record, as far as the run can tell."""
-        seen = list(self.seen[k])
-        rest = np.abs(window.series[-3:]).sum(axis=0)
-        allowed = self._allowed(np.abs(window.values).max(axis=0)) + window.noise
-        return bool(np.all(rest[seen] <= allowed[seen]))
-
     # -- at the end of a window -------------------------------------------------------------
 
     def confirm(self, now: Instant, length: float, segments: Sequence[Segment]) -> Scene | None:
@@ -604,7 +476,9 @@ class Memory:
         if not self.guessing or not segments:
             return None
         flown = [piece_of(segment, now.t, now.low) for segment in segments]
-        corrected = [self._corrected(k, window, flown) for k, window in enumerate(self.windows)]
+        corrected = [
+            self.reader.corrected(k, window, flown) for k, window in enumerate(self.windows)
+        ]
         before, self._wrong = self._wrong, max(wrong for wrong, _ in corrected)
         stuck = self._wrong > 0.5 * before
         if self._wrong <= 1.0 or (stuck and self._wrong <= 1.0 / SHARE):
@@ -642,20 +516,6 @@ class Memory:
                 "is seen through it cannot be found; write the state itself where the lag is 0"
             )
 
-    def _corrected(self, k: int, window: Window, flown: list[Piece]) -> tuple[float, Window]:
-        """A window with what was flown in place of guesses; how wrong they were, against what may
-        be."""
-        low, high = max(window.a, flown[0].start), min(window.b, flown[-1].end)
-        if not window.guess.any() or not low < high:
-            return 0.0, window
-        since, seen = (low - window.a) + (high - low) * nodes(DEGREE), list(self.seen[k])
-        there, values = states(flown, window.a, since), window.values.copy()
-        change = np.abs(window.shown(since) - there)
-        values[window.guess] = states(flown, window.a, window.since[window.guess])
-        allowed = self._allowed(np.abs(there).max(axis=0)) + window.noise + TINY
-        wrong = float(np.max((change / allowed)[:, seen], initial=0.0))
-        return wrong, attrs.evolve(window, values=values)
-
     def ends(self, t: float) -> bool:
         """Whether the windows end within rounding of a time."""
         if self.told:
@@ -667,8 +527,10 @@ class Memory:
 
         ``fired`` is the edge of the guard by which a lag that moves came to the end of its own.
         """
-        self._backwards = {k for k in range(len(self.windows)) if fired == window_edge(k, "a")}
-        if self._backwards:
+        self.reader.backwards = {
+            k for k in range(len(self.windows)) if fired == window_edge(k, "a")
+        }
+        if self.reader.backwards:
             self.ints[HIGHEST] = min(self.ints[HIGHEST], TURNING)
         met = {}
         for k, window in enumerate(self.windows):
@@ -688,7 +550,7 @@ class Memory:
         self, k: int, window: Window, t: float, x: np.ndarray, fired: str | None
     ) -> float | None:
         """The end of its window that a lag has come to; None if it is on its way."""
-        if k in self._backwards:
+        if k in self.reader.backwards:
             return window.a
         here = self._place(k, t, x)
         slack = slack_of(t, here) * (1e2 if self.moving[k] else 1.0)
