@@ -184,7 +184,7 @@ def main():
         f"{BEADS} contacts held": (column(BEADS), ["falls"], True),
     }
     unit("jets").jets  # noqa: B018  the rules are loaded once for a process
-    native.operation()
+    native.operations()
     heads = "first ms", "jet us", "rule us", "code ms", "code us", "first ms", "jet us", "apart"
     print(f"{'':>18} {'tape':>54} {'written out':>21}")
     print(f"{'':>18}" + "".join(f" {head:>10}" for head in heads))

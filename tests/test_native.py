@@ -15,6 +15,8 @@ from hybrid.lowering.lowered import ORDER
 from hybrid.lowering.scene import rest_name, scene_of
 from hybrid.lowering.tape import linked
 from hybrid.rules import unit
+from hybrid.rules.jets import FLOW
+from hybrid.solvers.taylor_backend import HIGHEST
 
 from .test_advance import Duffing
 from .test_readers import EXPRESSIONS
@@ -84,11 +86,13 @@ def test_every_program_of_a_model_gives_the_bits_of_the_rule(cls):
 
 @pytest.mark.parametrize("name", EXPRESSIONS)
 def test_every_operation_gives_the_bits_of_the_rule(name):
-    """Functions, powers, vectors and matrices, and kinks on all their sides."""
+    """Functions, powers, vectors and matrices, and kinks on all their sides; also where it is
+    written out for an order, at that and at others."""
     programs, draw = linked([_jets(EXPRESSIONS[name])[1]]), np.random.default_rng(0)
-    native.compile_all(programs)
-    for _ in range(4):
-        _held(programs, 0, 2, draw)
+    for order in (0, 5):
+        native.compile_all(programs, order=order)
+        for _ in range(4):
+            _held(programs, 0, 2, draw)
 
 
 @pytest.mark.parametrize("save", ["jumps", "dense"])
@@ -102,8 +106,10 @@ def test_a_long_run_is_the_same_with_its_own_machine_code_and_without(save, monk
     made = hy.simulate(Duffing(), start, span, **options)
     native.compile_all(scene.tables.automaton.programs)
     own = hy.simulate(Duffing(), start, span, **options)
+    native.compile_all(scene.tables.automaton.programs, order=HIGHEST)
+    written = hy.simulate(Duffing(), start, span, **options)
     assert len(expected.jumps) > 100
-    for run in (made, own):
+    for run in (made, own, written):
         assert run.jumps.t.tobytes() == expected.jumps.t.tobytes()
         assert run.jumps.table.after.tobytes() == expected.jumps.table.after.tobytes()
 
@@ -113,13 +119,48 @@ def test_programs_are_compiled_behind_a_long_run():
     own = tables.Tables(scene_of(Duffing()))
     own.number(own.scene.field("flight"))
     programs = own.automaton.programs
-    own.flown(tables.HOT)
+    own.flown(tables.HOT, ORDER)
     assert not programs.code.any()
     until = time.monotonic() + 60.0
     while not programs.code.all() and time.monotonic() < until:
-        own.flown(1)
+        own.flown(1, ORDER)
         time.sleep(0.01)
     assert programs.code.all()
+
+
+def test_programs_are_written_out_for_the_order_of_the_steps_that_are_many():
+    """Those with a flow, of which alone series are made; other orders of few steps leave it so."""
+    own = tables.Tables(scene_of(Duffing()))
+    own.number(own.scene.field("flight"))
+    programs = own.automaton.programs
+    native.compile_all(programs)
+    before = programs.code.tolist()
+    own.flown(tables.HOTTER + 1, ORDER)
+    until = time.monotonic() + 60.0
+    while programs.code.tolist() == before and time.monotonic() < until:
+        own.flown(1, ORDER)
+        own.flown(1, 3)
+        time.sleep(0.01)
+    flows = programs.index[:, FLOW] < programs.index[:, FLOW + 1]
+    changed = programs.code != before
+    assert changed.any()
+    assert not changed[~flows].any()
+    draw = np.random.default_rng(0)
+    for number in np.flatnonzero(changed):
+        _held(programs, number, 2, draw)
+
+
+def test_code_that_is_written_out_is_recalled_for_its_order():
+    """By another process; for other orders that which is for all."""
+    one = linked([_jets(lambda t, x, y: x * y - jnp.cos(t))[1]])
+    found = {}
+    for order in (0, 4):
+        native.compile_all(one, order=order)
+        found[order] = one.code.tolist()
+    assert found[0] != found[4]
+    for order in (4, 0, 5):
+        native.recall(one, 0, order)
+        assert one.code.tolist() == found[order if order == 4 else 0]
 
 
 def test_what_has_been_compiled_is_kept_when_a_field_is_added():
@@ -196,7 +237,7 @@ def test_long_programs_and_plain_python_have_no_code(monkeypatch):
 def test_two_threads_that_ask_at_once_have_the_same_code():
     """What the other has made is let go: nobody may have its address."""
     programs = linked([_jets(lambda t, x, y: x * y - jnp.cos(t))[1]])
-    content = programs.ops.tobytes(), programs.flow.tobytes()
+    content = programs.ops.tobytes(), programs.flow.tobytes(), 0
     with ThreadPoolExecutor(4) as pool:
         found = set(pool.map(lambda _: native.address(*content), range(4)))
     assert found == {native.address(*content)}

@@ -128,7 +128,7 @@ class Abreast:
         """What becomes of the lanes, some at a time, in any order."""
         few, rest = np.split(np.arange(len(self.given.starts)), [FEW])
         yield from self.complete(few)
-        self.tables.flown(self.steps * len(rest) // FEW)  # those to come, by these
+        self.tables.flown(self.steps * len(rest) // FEW, self.loop.order)  # those to come, by these
         yield from self.complete(rest)
 
     def mode(self, number: int) -> str:
@@ -201,7 +201,7 @@ class Abreast:
         automaton = self.tables.automaton
         if len(which) <= size:
             flown, steps = self._block(automaton, which)
-            self.tables.flown(steps)
+            self.tables.flown(steps, self.loop.order)
             yield flown
             return
         blocks = np.split(which, range(size, len(which), size))
@@ -209,7 +209,7 @@ class Abreast:
         try:
             for done in as_completed([pool.submit(self._block, automaton, b) for b in blocks]):
                 flown, steps = done.result()
-                self.tables.flown(steps)
+                self.tables.flown(steps, self.loop.order)
                 self.steps += steps
                 yield flown
         finally:

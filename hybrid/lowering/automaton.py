@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -40,8 +41,9 @@ if TYPE_CHECKING:
     Sight = Callable[[Field, Contact], Any]
 
 #: Steps of runs after which programs are compiled: those of a small flow take as long as compiling
-#: it does, 0.1 s.
-HOT = 1 << 16
+#: it does, 0.1 s. After so many of one order they are written out for that: it takes three times
+#: as long.
+HOT, HOTTER = 1 << 16, 1 << 18
 
 Nodes = Callable[[], Sequence[int]]
 
@@ -77,7 +79,8 @@ class Tables:
         self._uses: list[int] = []
         self._made: Automaton | None = None
         self.free: dict[tuple[int, ...], list[Any]] = {}  # arrays that no run is using
-        self._steps, self._recalled, self._native = 0, 0, Native()
+        self._steps: Counter[int] = Counter()  # by their order
+        self._recalled, self._order, self._native = 0, 0, Native()
 
     def plain(self, number: int) -> bool:
         """Whether the rules' own loop may fly the arcs of a field."""
@@ -100,18 +103,20 @@ class Tables:
             fields, uses = (np.array(rows, dtype=np.int64) for rows in (self._fields, self._uses))
             guards = np.array(self._rows, dtype=np.int64).reshape(-1, DEPENDS + 1)
             programs = self._programs.programs()
-            recall(programs, self._recalled)
+            recall(programs, self._recalled, self._order)
             self._recalled = len(programs.code)
             self._made = Automaton(programs, fields, guards, uses, self.bounds.arrays())
         if library.how() != "machine":  # plain Python calls no address
             self._made.programs.code[:] = 0
         return self._made
 
-    def flown(self, steps: int) -> None:
-        """Count steps that runs have made; where they are many, go on compiling the programs."""
-        self._steps += steps
-        if self._steps > HOT:
-            self._native.go_on(self.automaton.programs)
+    def flown(self, steps: int, order: int) -> None:
+        """Count steps of an order that runs have made; where they are many, go on compiling the
+        programs."""
+        self._steps[order] += steps
+        if self._steps.total() > HOT:
+            written = order if self._steps[order] > HOTTER else 0
+            self._native.go_on(self.automaton.programs, written)
 
     @property
     def needs(self) -> tuple[int, ...]:
@@ -121,6 +126,7 @@ class Tables:
 
     def room(self, order: int) -> Room:
         """Arrays to work in, for one run."""
+        self._order = order
         return room(self._most, self.scene.spec.dimension, order)
 
     def complete(self, number: int, sight: Sight) -> None:

@@ -2,8 +2,9 @@
 
 A rule reads a program operation by operation (:mod:`hybrid.rules.jets`). Here the text of one
 operation, as LLVM has it from numba, is put in once for each of the program's with its numbers: all
-that they decide falls away, and the lengths of loops are left. Nothing is contracted and nothing is
-reckoned in another order, so that the code gives the bits that the rule gives
+that they decide falls away, and the lengths of loops are left. For one order, that of a run's
+steps, the program may be written out, and no loop is left either. Nothing is contracted and nothing
+is reckoned in another order, so that the code gives the bits that the rule gives
 (``docs/notes/tape.md``). It is kept beside the rules' own, by the content of the operations, and
 another process has it at once.
 """
@@ -33,26 +34,57 @@ from ..rules.operations import INTEGRAL
 #: that ends never waits for a second.
 LONGEST = 64
 
+#: Longer ones, and those without a flow, are not written out for an order: that takes 10 to 20 ms
+#: an operation, and the code would be longer than what a processor keeps at hand.
+WRITTEN_OUT = 24
+
 #: What an operation is given, by numba's names: its row, the arrays, and what makes up an array. As
 #: no index is below zero, of all lengths that of the matrix's rows alone is looked at.
-NUMBERS = tuple(f"arg.{name}" for name in ("op", "out", "a", "b", "d", "e"))
+NUMBERS = ("out", "a", "b", "d", "e")
 ARRAYS = ("more", "s", "sides", "c", "work")
 PARTS = {"0": "null", "1": "null", "2": "0", "3": "8", "5.0": "0", "6.0": "8"}
 GIVEN = {
     **dict.fromkeys(("retptr", "excinfo"), "%unused"),
     **{f"arg.{name}.{part}": value for name in ARRAYS for part, value in PARTS.items()},
     **{f"arg.{name}.4": f"%{name}" for name in ARRAYS},
+    **{f"arg.{name}": f"%{name}" for name in (*NUMBERS, "k")},
     **{"arg.c.5.1": "%columns", "arg.c.6.0": "%stride", "arg.c.6.1": "8"},
 }
 
+#: What an operation that is known takes: numbers of its row, the order, and the arrays.
+TAKES = ", ".join(f"i64 %{name}" for name in (*NUMBERS, "k", "columns", "stride"))
+TAKES += "".join(f", ptr noalias %{name}" for name in ARRAYS)
+
+#: An operation that is known, at order 0 and at others.
+KNOWN = """
+define void @first{op}({takes}) {{
+  %unused = alloca i64
+  call i32 @{operation}({first})
+  ret void
+}}
+define void @later{op}({takes}) {{
+  %unused = alloca i64
+  %positive = icmp sgt i64 %k, 0
+  call void @llvm.assume(i1 %positive)
+  call i32 @{operation}({later})
+  ret void
+}}
+"""
+
 #: The code of a program: for each order all its operations, then the next order of the states.
 PROGRAM = """
-declare i32 @{operation}({types})
-
+{declarations}
 define void @program(i64 %order, i64 %columns, {arrays}) {{
 entry:
-  %unused = alloca i64
   %stride = mul i64 %columns, 8
+  %is.order = icmp eq i64 %order, {order}
+  %is.wide = icmp eq i64 %columns, {columns}
+  %is.written = and i1 %is.order, %is.wide
+  br i1 %is.written, label %written, label %any
+written:
+{written}
+  br label %done
+any:
 {first}
   %none = icmp slt i64 %order, 1
   br i1 %none, label %done, label %second
@@ -74,57 +106,54 @@ done:
 """
 
 
-class Operation(NamedTuple):
-    """One operation in LLVM's language.
-
-    Attributes
-    ----------
-    name : str
-    code : bytes
-    arguments : list of (type, name)
-        As numba has arranged them; an array is several.
-    """
-
-    name: str
-    code: bytes
-    arguments: list[tuple[str, str]]
-
-
 class Native:
     """Has programs compiled behind a run, one after another.
 
     One at a time, so that a process that ends waits for one at most.
+
+    Attributes
+    ----------
+    order : int
+        That for which they are written out; 0: none.
     """
 
     def __init__(self) -> None:
-        self.asked = 0
+        self.order = self.asked = 0
         self._going: tuple[int, Future[int]] | None = None
 
-    def go_on(self, programs: Programs) -> None:
-        """Take up the code that is done, and ask for that of the next program."""
+    def go_on(self, programs: Programs, order: int = 0) -> None:
+        """Take up the code that is done, and ask for that of the next program; with an order,
+        written out for it."""
+        if order and order != self.order:
+            self.order, self.asked = order, 0
         if (going := self._going) is not None:
             number, code = going
             if not code.done():
                 return
             programs.code[number] = code.result()
             self._going = None
-        if self.asked < len(programs.code):
-            code = _thread().submit(address, *_content(programs, self.asked))
-            self._going = self.asked, code
+        while self.asked < len(programs.code) and self._going is None:
+            content = _content(programs, self.asked, self.order)
+            if (known := _known(content)) is None:
+                self._going = self.asked, _thread().submit(address, *content)
+            else:
+                programs.code[self.asked] = known.address
             self.asked += 1
 
 
-def compile_all(programs: Programs, numbers: Iterable[int] | None = None) -> None:
-    """Compile programs now: all, or those with some numbers."""
+def compile_all(programs: Programs, numbers: Iterable[int] | None = None, order: int = 0) -> None:
+    """Compile programs now: all, or those with some numbers; with an order, written out for it."""
     for number in range(len(programs.code)) if numbers is None else numbers:
-        programs.code[number] = address(*_content(programs, number))
+        programs.code[number] = address(*_content(programs, number, order))
 
 
-def recall(programs: Programs, first: int) -> None:
+def recall(programs: Programs, first: int, order: int = 0) -> None:
     """Take up code that there is, of other runs and processes, from a program on."""
     if library.how() == "machine":
         for number in range(first, len(programs.code)):
-            programs.code[number] = (_known(_content(programs, number)) or NONE).address
+            contents = {_content(programs, number, given): None for given in (order, 0)}
+            found = (code for content in contents if (code := _known(content)))
+            programs.code[number] = next(found, NONE).address
 
 
 @cache
@@ -132,15 +161,17 @@ def _thread() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1, "hybrid-native")
 
 
-#: What a program is known by.
-Content = tuple[bytes, bytes]
+#: What a program is known by: its operations, the places of its flow, and for which order it is
+#: written out.
+Content = tuple[bytes, bytes, int]
 
 
-def _content(programs: Programs, number: int) -> Content:
-    """The operations of a program, and the places of its flow."""
+def _content(programs: Programs, number: int, order: int) -> Content:
     index = programs.index[number]
     ops, flow = (slice(*index[begin : begin + 2]) for begin in (OPS, FLOW))
-    return programs.ops[ops].tobytes(), programs.flow[flow].tobytes()
+    short = flow.start < flow.stop and ops.stop - ops.start <= WRITTEN_OUT
+    written = order if short else 0
+    return programs.ops[ops].tobytes(), programs.flow[flow].tobytes(), written
 
 
 class Code(NamedTuple):
@@ -157,12 +188,13 @@ NONE = Code(0, None)
 _MADE: dict[Content, Code] = {}
 
 
-def address(ops: bytes, flow: bytes) -> int:
+def address(ops: bytes, flow: bytes, order: int) -> int:
     """Where the code of a program is, as long as the process lasts; 0: it is left to the rule."""
     if library.how() != "machine":
         return 0
-    made = _known((ops, flow)) or _made((ops, flow))
-    return _MADE.setdefault((ops, flow), made).address  # another thread may have been first
+    content = ops, flow, order
+    made = _known(content) or _made(content)
+    return _MADE.setdefault(content, made).address  # another thread may have been first
 
 
 def _known(content: Content) -> Code | None:
@@ -175,17 +207,18 @@ def _known(content: Content) -> Code | None:
 
 def _made(content: Content) -> Code:
     """Compile a program, if it is short enough, and keep the code."""
-    ops, flow = (np.frombuffer(part, dtype=np.int64) for part in content)
+    *arrays, order = content
+    ops, flow = (np.frombuffer(part, dtype=np.int64) for part in arrays)
     rows = ops.reshape(-1, 6).tolist()
-    if len(rows) > LONGEST or (rule := operation()) is None:
+    if len(rows) > LONGEST or (known := operations()) is None:
         return NONE
     try:
-        called, code = _compiled(rule, _text(rule, rows, flow.tolist()))
+        called, code = _compiled(known, _text(rows, flow.tolist(), order))
         made = _loaded(called, code)
     except RuntimeError as error:
         warnings.warn(f"LLVM makes no code of a model ({error})", stacklevel=2)
         return NONE
-    _keep(content, called, code)
+    _keep(_name(content), " ".join(called).encode() + b"\n" + code)
     return made
 
 
@@ -208,58 +241,76 @@ def _own() -> bytes:
 
 def _name(content: Content) -> str:
     """The name of a program's file: a hash of all that the code depends on, the folder apart."""
-    parts = (hashlib.sha256(part).digest() for part in (_own(), *content))
+    *arrays, order = content
+    parts = (hashlib.sha256(part).digest() for part in (_own(), *arrays, b"%d" % order))
     return hashlib.sha256(b"".join(parts)).hexdigest()[:32]
 
 
 def _kept(content: Content) -> Code | None:
-    """The code in a program's file, if that is as it was written; LLVM does not look."""
-    try:
-        written = (folder() / _name(content)).read_bytes()
-    except OSError:
-        return None
-    digest, body = written[:DIGEST], written[DIGEST:]
-    if hashlib.sha256(body).digest() != digest:
+    """The code in a program's file: the names of the functions that it calls in a line, and the
+    code."""
+    if (body := _read(_name(content))) is None:
         return None
     called, _, code = body.partition(b"\n")
     return _loaded(called.decode().split(), code)
 
 
-def _keep(content: Content, called: Sequence[str], code: bytes) -> None:
-    """Write a program's file, whole or not at all: a hash, the names of the functions that it
-    calls in a line, and the code."""
-    body = " ".join(called).encode() + b"\n" + code
+def _read(name: str) -> bytes | None:
+    """What is in a file, if that is as it was written; LLVM does not look."""
+    try:
+        written = (folder() / name).read_bytes()
+    except OSError:
+        return None
+    digest, body = written[:DIGEST], written[DIGEST:]
+    return body if hashlib.sha256(body).digest() == digest else None
+
+
+def _keep(name: str, body: bytes) -> None:
+    """Write a file, whole or not at all, and a hash before it."""
     with contextlib.suppress(OSError):
         folder().mkdir(exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=folder(), delete=False) as draft:
             draft.write(hashlib.sha256(body).digest() + body)
-        os.replace(draft.name, folder() / _name(content))
+        os.replace(draft.name, folder() / name)
 
 
 # -- text ------------------------------------------------------------------------------------
 
 
-def _text(operation: Operation, rows: Sequence[Sequence[int]], flow: Sequence[int]) -> str:
+def _text(rows: Sequence[Sequence[int]], flow: Sequence[int], order: int) -> str:
     """A program in LLVM's language."""
     growth = [(INTEGRAL, i, place, 0, 0, 0) for i, place in enumerate(flow)]
+    codes = {row[0] for row in (*rows, *growth)}
+    names = [f"{when}{code}" for code in codes for when in ("first", "later")]
+    wide = order + 1
+    written = [
+        _calls(each, k, str(wide), str(8 * wide))
+        for k in range(wide if order else 0)
+        for each in ((rows, growth) if k < order else (rows,))
+    ]
     return PROGRAM.format(
-        operation=operation.name,
-        types=", ".join(kind for kind, _ in operation.arguments),
+        declarations="\n".join(f"declare void @{name}({TAKES})" for name in names),
         arrays=", ".join(f"ptr noalias %{name}" for name in ARRAYS),
-        first=_calls(operation, rows, "0"),
-        flow=_calls(operation, growth, "0"),
-        ops=_calls(operation, rows, "%k"),
-        flows=_calls(operation, growth, "%k"),
+        order=order or -1,
+        columns=wide,
+        written="\n".join(written),
+        first=_calls(rows, 0),
+        flow=_calls(growth, 0),
+        ops=_calls(rows, "%k"),
+        flows=_calls(growth, "%k"),
     )
 
 
-def _calls(operation: Operation, rows: Sequence[Sequence[int]], k: str) -> str:
+def _calls(
+    rows: Sequence[Sequence[int]], k: int | str, columns: str = "%columns", stride: str = "%stride"
+) -> str:
     """Operations at one order."""
+    when = "first" if k == 0 else "later"
+    arrays = ", ".join(f"ptr %{name}" for name in ARRAYS)
     lines = []
-    for row in rows:
-        values = {**GIVEN, **dict(zip(NUMBERS, row, strict=True)), "arg.k": k}
-        given = ", ".join(f"{kind} {values[name]}" for kind, name in operation.arguments)
-        lines.append(f"  call i32 @{operation.name}({given})")
+    for code, *numbers in rows:
+        given = ", ".join(f"i64 {value}" for value in (*numbers, k, columns, stride))
+        lines.append(f"  call void @{when}{code}({given}, {arrays})")
     return "\n".join(lines)
 
 
@@ -267,32 +318,67 @@ def _calls(operation: Operation, rows: Sequence[Sequence[int]], k: str) -> str:
 
 
 @cache
-def operation() -> Operation | None:
-    """The operation, as the loader of the rules keeps it; None where numba has it otherwise."""
-    module = binding().parse_assembly(library.text("operation"))
+def operations() -> bytes | None:
+    """Each operation in LLVM's language, as far as its code alone decides; None where numba has
+    arranged what they are given otherwise.
+
+    What decides between the operations then falls away once, and not in each program.
+    """
+    name = "operations-" + hashlib.sha256(_own()).hexdigest()[:32]
+    if (known := _read(name)) is None and (known := _taken_apart()) is not None:
+        _keep(name, known)
+    return known
+
+
+def _taken_apart() -> bytes | None:
+    """One operation, as the loader of the rules keeps it, with each code."""
+    llvm = binding()
+    module = llvm.parse_assembly(library.text("operation"))
     own = [f for f in module.functions if not f.is_declaration]
     if len(own) != 1:
         return None
-    arguments = [(str(argument.type), argument.name) for argument in own[0].arguments]
-    if {name for _, name in arguments} - {*GIVEN, *NUMBERS, "arg.k"}:
+    name, arguments = own[0].name, [(str(a.type), a.name) for a in own[0].arguments]
+    if {each for _, each in arguments} - {*GIVEN, "arg.op"}:
         return None
-    for function in module.functions:
-        if not function.is_declaration and function.name != own[0].name:
+    types = ", ".join(kind for kind, _ in arguments)
+    text = [f"declare i32 @{name}({types})\ndeclare void @llvm.assume(i1)"]
+    for code in range(INTEGRAL + 1):
+        first, later = (
+            ", ".join(
+                f"{kind} {({**GIVEN, 'arg.op': code, **also})[each]}" for kind, each in arguments
+            )
+            for also in ({"arg.k": "0"}, {})
+        )
+        text.append(KNOWN.format(op=code, takes=TAKES, operation=name, first=first, later=later))
+    for function in _defined(module):
+        if function.name != name:
             function.linkage = "internal"
     own[0].add_function_attribute("alwaysinline")
-    return Operation(own[0].name, module.as_bitcode(), arguments)
+    apart = llvm.parse_assembly("\n".join(text))
+    apart.link_in(module)
+    for function in _defined(apart):
+        if not function.name.startswith(("first", "later")):
+            function.linkage = "internal"
+    _optimise(apart, machine())
+    for function in _defined(apart):
+        function.add_function_attribute("alwaysinline")
+    return bytes(apart.as_bitcode())
 
 
-def _compiled(operation: Operation, text: str) -> tuple[list[str], bytes]:
+def _defined(module: Any) -> list[Any]:
+    return [function for function in module.functions if not function.is_declaration]
+
+
+def _compiled(operations: bytes, text: str) -> tuple[list[str], bytes]:
     """The names of the functions that a program calls, and its code."""
     llvm = binding()
     module = llvm.parse_assembly(text)
-    module.link_in(llvm.parse_bitcode(operation.code))
-    for function in module.functions:
-        if not function.is_declaration and function.name != "program":
+    module.link_in(llvm.parse_bitcode(operations))
+    for function in _defined(module):
+        if function.name != "program":
             function.linkage = "internal"
     made_for = machine()
-    _optimise(module, made_for)
+    _optimise(module, made_for, True)
     others = (f.name for f in module.functions if f.is_declaration)
     called = [name for name in others if not name.startswith("llvm.")]
     return called, made_for.emit_object(module)
@@ -306,11 +392,12 @@ def _loaded(called: Sequence[str], code: bytes) -> Code:
     return Code(int(own.get_function_address("program")), own)
 
 
-def _optimise(module: Any, machine: Any) -> None:
-    """Put the operations in, and simplify what is left; no loop is unrolled or made of vectors."""
+def _optimise(module: Any, machine: Any, unrolls: bool = False) -> None:
+    """Put the operations in, and simplify what is left; no loop is made of vectors, and those alone
+    unrolled of which the length is known."""
     llvm = binding()
     options = llvm.create_pipeline_tuning_options(speed_level=1)
-    options.loop_unrolling = options.loop_interleaving = False
+    options.loop_unrolling, options.loop_interleaving = unrolls, False
     options.loop_vectorization = options.slp_vectorization = False
     builder = llvm.create_pass_builder(machine, options)
     first = llvm.create_new_module_pass_manager()

@@ -238,7 +238,7 @@ class Machine:
         solver, made = self.driver.solver, int(self.ints[EXPANSIONS])
         if self.outside is None:
             solver.evaluations = (solver.evaluations or 0) + made
-            self.tables.flown(made)
+            self.tables.flown(made, self.order)
 
     def _advance(self, left: Left) -> int:
         """Call the loop, and make the steps and the tables that it asks for."""
