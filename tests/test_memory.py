@@ -412,3 +412,33 @@ def test_an_edge_that_waits_for_either_sign_fires_at_zeros_only(solver):
     assert len(run.jumps) == 7
     # landed on to the spacing of times, at speeds of about 1
     np.testing.assert_allclose([jump.before.y for jump in run.jumps], 0.1, atol=1e-13)
+
+
+@pytest.mark.parametrize("solver", ["scipy", "taylor"])
+def test_an_interrupted_run_keeps_the_arc_that_goes_on_through_windows(solver):
+    """It was stopped at the end of a window beyond 2, without a jump since the start."""
+
+    def stop(t):
+        if t > 2.0:
+            raise KeyboardInterrupt
+
+    model, start = moving(lambda t, y: 1.0 + 0.2 * t), {"y": 1.0}
+    run = hy.simulate(model, start, (0.0, 6.0), solver=solver, progress=stop, **TIGHT)
+    whole = hy.simulate(model, start, (0.0, 6.0), solver=solver, **TIGHT)
+    assert 2.0 < run.t1 < 6.0
+    assert len(run.arcs) == 1
+    assert run.final.y == pytest.approx(whole(run.t1).y, abs=1e-9)
+
+
+@pytest.mark.parametrize("solver", ["scipy", "taylor"])
+def test_a_kicked_run_that_is_interrupted_keeps_the_arc_after_the_kick(solver):
+    """The arcs before it are kept anyway."""
+
+    def stop(t):
+        if t > 2.0:
+            raise KeyboardInterrupt
+
+    start = {"y": 1.0, "v": 0.0}
+    run = hy.simulate(Swung(), start, (0.0, 20.0), solver=solver, progress=stop, **TIGHT)
+    assert [jump.edge for jump in run.jumps] == ["push"]
+    assert run.t1 > 2.0

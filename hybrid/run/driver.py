@@ -115,6 +115,7 @@ class Driver:
             self.go_on()
         except KeyboardInterrupt:
             self.status = Status.INTERRUPTED
+            self.record.close(self.entry.field)
             if not self.record.log.kept:  # before the first step: nothing but the start
                 self.record.arc(self.entry.field, self.entry.x, self.entry.x, 0.0, [])
         finally:  # nothing refers to itself, so that what is kept of a run goes with the run

@@ -350,6 +350,8 @@ class Machine:
         memory.passed(driver.t, driver.entry.x, driver.entry.field, fired)
         driver.look(driver.entry.x)
         self._tell(0.0, left)
+        if driver.steps >= self.plan.max_steps:
+            return FULL
         self.ints[ENTERED], self.now.orders[:] = 1, 0
         x = driver.entry.x.tolist()
         pairs = zip(driver.field.guards, values, strict=True)

@@ -102,8 +102,13 @@ class Recorder:
         if self._begun is None:
             self._begun = self.now, first
         self._open += _later(segments, self._begun[0], self.now)
-        self.now = self.now.after(length)
+        self.now, self._reached = self.now.after(length), last
         return last
+
+    def close(self, field: Field) -> None:
+        """End an arc that is still going where it has gone on through windows of the past."""
+        if self._begun is not None:
+            self.arc(field, self._begun[1], self._reached, 0.0, [])
 
     def _flown(
         self, field: Field, last: np.ndarray, length: float, segments: Any
