@@ -442,3 +442,14 @@ def test_a_kicked_run_that_is_interrupted_keeps_the_arc_after_the_kick(solver):
     run = hy.simulate(Swung(), start, (0.0, 20.0), solver=solver, progress=stop, **TIGHT)
     assert [jump.edge for jump in run.jumps] == ["push"]
     assert run.t1 > 2.0
+
+
+@pytest.mark.parametrize("solver", ["scipy", "taylor"])
+def test_a_run_out_of_steps_keeps_the_arc_that_goes_on_through_windows(solver):
+    """It has come somewhere, and is there what the whole run is."""
+    model = moving(lambda t, y: 1.0 + 0.2 * t)
+    lanes = hy.ensemble(model, {"y": [1.0]}, (0.0, 6.0), solver=solver, max_steps=3, **TIGHT)
+    whole = hy.simulate(model, {"y": 1.0}, (0.0, 6.0), solver=solver, **TIGHT)
+    assert lanes.status.item() == "max_steps"
+    assert 0.0 < lanes.t.item() < 6.0
+    assert lanes.y.item() == pytest.approx(whole(lanes.t.item()).y, abs=1e-9)

@@ -136,6 +136,7 @@ class Driver:
         """Arc after arc until something ends the run."""
         while self.status is None:
             if self.steps >= self.plan.max_steps:
+                self.record.close(self.entry.field)
                 self.status = Status.MAX_STEPS
             elif self.entry.at_once:
                 guard = self.entry.field.guards[self.entry.at_once[0]]
