@@ -237,8 +237,11 @@ class Lowered:
         return self.once(("window", number, side), lambda: self.trace(inside))
 
     def asked(self, closed: Any, extra: Sequence[str] = ()) -> list[set[tuple[int, int]]]:
-        """For each element of a result, what it asks of the past: lags and elements."""
-        graph, first = Graph(), sum(map(_count, self._own_shapes))
+        """For each element of a result, what it asks of the past: lags and elements.
+
+        As the author wrote it: a flow that is called so reads what it multiplies by 0.
+        """
+        graph, first = Graph(exact=True), sum(map(_count, self._own_shapes))
         (outputs,) = graph.outputs(closed, self.inputs(graph, extra))
         return [self._past_in(graph, int(i), first) for i in outputs.reshape(-1)]
 
