@@ -13,7 +13,7 @@ import numpy as np
 from ..automaton.markers import Crossing
 from ..errors import DomainError, FlowError, StartError
 from ..events import EPS, NOTHING, fires
-from ..lowering import Field, Guard, Kink, Scene
+from ..lowering import Field, Guard, Kink, Scene, released
 from ..lowering.local import near
 from ..rules import unit
 from ..rules.guards import NEAR
@@ -83,6 +83,8 @@ class Jumped:
     series : bool
         The jump was an impact of the contact that made the one before: they are summed, however
         slow.
+    tried : tuple
+        Of contacts found closed on entering: those held before, time after time.
     """
 
     vanishing: dict[str, int] = attrs.Factory(dict)
@@ -95,6 +97,7 @@ class Jumped:
     spent: frozenset[str] = frozenset()
     limit: frozenset[str] = frozenset()
     series: bool = False
+    tried: tuple[tuple[str, ...], ...] = ()
 
 
 def enter(
@@ -123,7 +126,7 @@ def enter(
     if jumped.starting:
         _require_on_surface(scene, field, t, x)
     if field.project is not None:
-        x = np.array(field.project(t, x.tolist()))
+        x = _projected(scene, field, t, x, jumped.starting)
     here = _Here(scene, field, t, x, seen, 0.0 * off if jumped.starting else off)
     orders, at_once, signs = [], [], []
     for index, guard in enumerate(field.guards):
@@ -131,13 +134,34 @@ def enter(
         if sign == 0 and here.stays(guard, jumped):
             order, sign = 0, 1
         if here.closed(guard, order, sign, jumped):
-            more = attrs.evolve(jumped, held=(*jumped.held, guard.edge))
+            more = _with(jumped, (*jumped.held, guard.edge))
             return enter(scene, t, mode, x, more, seen, off)
+        if here.pulls(guard, sign, jumped):
+            fewer = _with(jumped, tuple(c for c in jumped.held if c != released(guard.edge)))
+            if fewer.held not in jumped.tried:
+                return enter(scene, t, mode, x, fewer, seen, off)
         if here.fires(guard, order, sign, jumped):
             at_once.append(index)
         orders.append(order)
         signs.append(sign)
     return Entry(field, x, here, orders, at_once, signs)
+
+
+def _with(jumped: Jumped, held: tuple[str, ...]) -> Jumped:
+    """The same with other contacts held."""
+    return attrs.evolve(jumped, held=held, tried=(*jumped.tried, jumped.held))
+
+
+def _projected(scene: Scene, field: Field, t: float, x: np.ndarray, starting: bool) -> np.ndarray:
+    """The state on the contacts that are held, which must be fewer than ways to move."""
+    there = np.array(field.onto(t, x.tolist()))
+    if len(field.held) > 1 and np.isfinite(x).all() and not np.isfinite(there).all():
+        raise (StartError if starting else DomainError)(
+            f"{describe(scene, field, t, x)}: {', '.join(field.held)} are closed at once and "
+            "depend on each other: what each of them bears is not known; leave out those that "
+            "follow from others"
+        ).by("undecided")
+    return there
 
 
 def _from_corners(
@@ -209,7 +233,7 @@ def opened(scene: Scene, mode: str, contact: str, t: float, x: np.ndarray) -> bo
     sizes = scene.rounding(guard, field)(t, x.tolist())
     gap, speed, force = guard.lie(t, x.tolist())
     late = 64 * float(np.spacing(abs(t)))  # the place at which it opens is known no better
-    far = abs(gap) > 64 * EPS * sizes[0] + late * abs(speed)
+    far = abs(gap) > 64 * EPS * sizes[0] + late * (abs(speed) + late * abs(force))
     return far or abs(speed) > 64 * EPS * sizes[1] + late * abs(force)
 
 
@@ -347,6 +371,12 @@ class _Here:
             height = max(8 * EPS * sizes[0], abs(gap))
             slow = abs(speed) <= 64 * EPS * fast or speed**2 <= -2.0 * force * height
         return slow and force < -NEAR * sizes[2]
+
+    def pulls(self, guard: Guard, sign: int, jumped: Jumped) -> bool:
+        """Whether, at the start of a run, a contact found closed would have to pull: others that
+        have been found since bear the body without it."""
+        found = jumped.starting and jumped.tried and guard.kind == "release"
+        return bool(found and sign < 0 and released(guard.edge) not in jumped.tried[0])
 
     def stays(self, guard: Guard, jumped: Jumped) -> bool:
         """Whether a guard that is zero for good fires no more: where delays see the end of a
