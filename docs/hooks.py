@@ -15,7 +15,7 @@ from mkdocs.structure.files import File
 from typer.testing import CliRunner
 
 from hybrid import gallery
-from hybrid.cli import app as cli
+from hybrid.cli import app
 
 ROOT = Path(__file__).parent.parent
 
@@ -62,7 +62,7 @@ def flown(name, digest):
         for old in KEPT.glob(f"{name}-*"):
             old.unlink(missing_ok=True)
         draft = KEPT / f"{os.getpid()}.png"
-        done = CliRunner().invoke(cli.app, ["run", name, "--oracle", "--plot", str(draft)])
+        done = CliRunner().invoke(app, ["run", name, "--oracle", "--plot", str(draft)])
         if done.exit_code:
             raise RuntimeError(f"hybrid run {name}: {done.output}")
         draft.replace(picture)

@@ -25,15 +25,15 @@ OUTSIDE = ()
 #: What is in the reference beside the public names.
 MADE = (
     "Trajectory.__call__",
-    "accumulation.Accumulation.verdict",
-    "arcs.Arc",
-    "function.Outcome",
+    "functions.Outcome",
     "orbits.exponents.Exponents",
     "orbits.periodic.PeriodicOrbit",
     "orbits.returns.ReturnMap.__call__",
     "orbits.settling.Settled",
     "solvers.base.Stepper.land",
-    "trajectory.Jumps.gaps",
+    "trajectory.accumulation.Accumulation.verdict",
+    "trajectory.arcs.Arc",
+    "trajectory.trajectory.Jumps.gaps",
 )
 
 
