@@ -312,7 +312,7 @@ def nothing(o: Outer) -> None:
 
 ASK_MIXED = """
 from hybrid.rules.load import Library
-from hybrid.rules.code import held
+from hybrid.rules.calls import held
 from toy.arrays import Inner, Outer
 import numpy as np
 unit = Library("toy").unit("mixed")

@@ -34,10 +34,10 @@ from queue import SimpleQueue
 from types import SimpleNamespace
 from typing import Any
 
-from . import code
+from . import calls, code
 
 #: Modules of a package of rules that are no rules.
-APART = ("__init__", "__main__", "code", "load", "references")
+APART = ("__init__", "__main__", "calls", "code", "load", "references")
 
 #: What an annotation of an argument means to numba.
 TYPES = {
@@ -197,7 +197,7 @@ class Library:
         if not self._mark(name).exists():
             with locked(self.folder / "lock"):
                 self._build_for(name)
-        return {placed.rule.name: code.Call(placed) for placed in code.placed(self._mark(name))}
+        return {placed.rule.name: calls.Call(placed) for placed in code.placed(self._mark(name))}
 
     def _build_for(self, name: str) -> None:
         """Compile a unit, and what is needed together with it, unless another process has."""
@@ -426,8 +426,9 @@ def compiled(
     names = {signature([kind], package)[0]: kind for kind in code.NUMBERS} | {numba.types.none: ""}
     several = isinstance(result, numba.types.BaseTuple)
     returned = tuple(names[plain(part)] for part in result) if several else names[plain(result)]
-    made = own.library.codegen._tm.emit_object(module)
     name = own.fndesc.llvm_func_name
+    module.link_in(code.binding().parse_assembly(code.entry(name, kinds)))
+    made = own.library.codegen._tm.emit_object(module)
     return code.Rule(rule.__name__, name, kinds, returned, needs, made), written
 
 

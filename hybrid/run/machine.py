@@ -19,7 +19,7 @@ from ..delay.windows import Links, Shown
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.arrays import Left, Look, Now, Room, Sums
-from ..rules.code import held
+from ..rules.calls import held
 from ..rules.places import (
     AT_REST,
     BEFORE,
