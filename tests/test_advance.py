@@ -12,6 +12,7 @@ from hybrid import gallery
 from hybrid.rules.load import Library
 from hybrid.rules.places import END, FULL, LOOK
 from hybrid.run import machine
+from hybrid.run.driver import Driver
 from hybrid.solvers.taylor_backend import TaylorSolver
 from hybrid.trajectory.log import Flights
 
@@ -93,7 +94,55 @@ class Soft(hy.Automaton):
     )
 
 
+class Row(hy.Automaton):
+    """Three equal balls between two walls, which may touch, and a line that makes them go on."""
+
+    a = hy.state()
+    u = hy.state()
+    b = hy.state()
+    v = hy.state()
+    c = hy.state()
+    w = hy.state()
+    r = hy.parameter(1.0)
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.u, 0.0, s.v, 0.0, s.w, 0.0
+
+    left = hy.contact(flight, gap=lambda self, t, s: s.b - s.a, restitution="r")
+    right = hy.contact(flight, gap=lambda self, t, s: s.c - s.b, restitution="r")
+    near = hy.contact(flight, gap=lambda self, t, s: s.a + 1.0, restitution="r")
+    far = hy.contact(flight, gap=lambda self, t, s: 2.3 - s.c, restitution="r")
+
+
+class Chain(hy.Automaton):
+    """Three modes; the reset of the first edge leads onto the guard of the second."""
+
+    x = hy.state()
+    n = hy.state()
+
+    @hy.mode(initial=True)
+    def low(self, t, s):
+        return 1.0 + 0.1 * jnp.cos(t), 0.0
+
+    @hy.mode
+    def high(self, t, s):
+        return 2.0 + 0.1 * jnp.cos(t), 0.0
+
+    @hy.edge(low, to=high, guard=lambda self, t, s: s.x - 1.0, crossing=hy.RISING)
+    def up(self, t, s):
+        return s.x + 1.0, s.n + 1.0
+
+    @hy.edge(high, to=low, guard=lambda self, t, s: s.x - 2.0, crossing=hy.RISING)
+    def back(self, t, s):
+        return 0.25 * s.x, s.n + 10.0
+
+
+ROW = {"a": 0.0, "u": 2.0, "b": 0.0, "v": 0.7, "c": 0.0, "w": -0.1}
+
 SCENES = {
+    "row": (Row(), ROW, (0.0, 6.0)),
+    "chain": (Chain(), {"x": 0.5, "n": 0.0}, (0.0, 6.0)),
     "soft": (Soft(), {"x": 0.5, "v": 0.0}, (0.0, 3.0)),
     "duffing": (Duffing(), {"x": 0.3, "v": 0.0}, (0.0, 20.0)),
     "thermostat": (Thermostat(), {"T": 3.0, "spent": 0.0}, (0.0, 40.0)),
@@ -417,6 +466,27 @@ def test_low_flights_as_plain_python_agree(monkeypatch):
     monkeypatch.setenv("HYBRID_RULES", "checked")
     monkeypatch.setattr(machine, "unit", Library("hybrid.rules").unit)
     same(run, taylor(scene, zeno="ignore", max_jumps=60), scene[2])
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize("name", ["row", "chain"])
+def test_jumps_before_any_flow_are_made_in_the_loop(name, solver, monkeypatch):
+    """Impacts of bodies that touch, and a reset onto a guard: the driver makes no jump."""
+    model, start, span = SCENES[name]
+    expected = hy.simulate(model, start, span, solver=solver)
+    monkeypatch.setattr(Driver, "jump", None)
+    run = hy.simulate(model, start, span, solver=solver)
+    assert np.count_nonzero(np.diff(run.jumps.t) == 0.0) >= 2
+    assert np.array_equal(run.jumps.t, expected.jumps.t)
+
+
+def test_balls_that_touch_hand_their_speeds_on():
+    """Equal and elastic they swap speeds: the last of three leaves with the first one's."""
+    run = taylor(SCENES["row"])
+    assert list(run.jumps.edge[:3]) == ["left", "right", "left"]
+    assert not run.jumps.t[:3].any()
+    after = [run.jumps[2].after[name] for name in "uvw"]
+    assert after == pytest.approx([-0.1, 0.7, 2.0], abs=1e-15)  # some roundings of the speeds
 
 
 @pytest.mark.parametrize("name", ["soft", "hard_spring", "bead_on_table", "bouncing_ball"])

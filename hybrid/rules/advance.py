@@ -100,8 +100,7 @@ def jump(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
     watch(now, guard, kind)
     now.ints[WAS_LOW] = 0
     now.floats[T], now.floats[LOW] = t, low
-    now.ints[FIRED] = guard if stays and to == now.ints[FIELD] else -1
-    now.ints[FIELD], now.ints[ENTERED], now.ints[POWER] = to, 0, 1
+    now.ints[FIELD], now.ints[ENTERED], now.ints[POWER] = to, 0, 1 if stays else 0
     copied(left.after[place], now.x)
     enlarged(now, now.x)
     return LANDED

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 
-from .arrays import Automaton, Floats, Left, Now, Room
+from .arrays import Automaton, Floats, Left, Matrix, Now, Room
 from .checks import along
 from .entries import starts
 from .guards import SMALL, TIE, event_along, first_event, foreseen, resolved, row_of
@@ -39,6 +39,7 @@ from .places import (
     GOES_ON,
     GUARDS,
     GUARDS_END,
+    HARD,
     HELD,
     JUMPS,
     KIND,
@@ -53,6 +54,7 @@ from .places import (
     MADE,
     MAX_STEP,
     NEXT,
+    NONE,
     ORDER,
     PHASE,
     PLAIN,
@@ -71,6 +73,8 @@ from .places import (
 )
 from .steps import step
 from .zeros import EPS
+
+__all__ = ("first_step",)
 
 #: Most steps onto a guard: Newton's method, from a zero of its series.
 LANDINGS = 10
@@ -121,11 +125,22 @@ def begins(a: Automaton, run: Floats, now: Now, room: Room) -> int:
     program, order = a.fields[now.ints[FIELD], PROGRAM], room.c.shape[1] - 1
     if jets(a.programs, program, order, now.floats[T], now.x, room.sides, room.c, room.work) < 0:
         return LOOK
-    if not starts(a, now, room):
-        return LOOK
-    now.floats[FIRST] = first_step(run, now, room)
+    fires = starts(a, now, room)
+    if fires != NONE:
+        return at_once(now, fires)
+    n, absolute = now.x.shape[0], run[TOLERANCES:]
+    now.floats[FIRST] = first_step(room.c, n, int(run[ORDER]), run[RELATIVE], absolute)
     now.floats[AIM] = aim(a, now, room, True)
     return GOES_ON
+
+
+def at_once(now: Now, guard: int) -> int:
+    """End the arc where it begins: a guard fires before any flow."""
+    if guard < 0:
+        return LOOK
+    copied(now.x, now.end)
+    now.ints[FIRED] = guard
+    return LANDED
 
 
 def walks(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
@@ -164,8 +179,9 @@ def walks(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
         now.end,
     )
     now.ints[EXPANSIONS] += 1
-    if status < 0 or (now.ints[MADE] == 0 and not starts(a, now, room)):
-        return LOOK
+    fires = NONE if now.ints[MADE] > 0 else HARD if status < 0 else starts(a, now, room)
+    if fires != NONE or status < 0:
+        return at_once(now, fires)
     shown = resolved(a, run, now, room, now.floats[T] + tau, h)
     if not shown > 0.0:
         return LOOK
@@ -260,15 +276,14 @@ def lands(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
     return LANDED
 
 
-def first_step(run: Floats, now: Now, room: Room) -> float:
-    """Where the first term that another method neglects reaches the tolerance."""
-    most = room.c.shape[1] - 1
-    power, first = min(int(run[ORDER]) + 1, most), math.inf
-    for i in range(now.x.shape[0]):
-        allowed = run[TOLERANCES + i] + run[RELATIVE] * abs(room.c[i, 0])
+def first_step(c: Matrix, n: int, order: int, relative: float, absolute: Floats) -> float:
+    """Where the first term that another method neglects reaches the tolerance, of ``n`` states."""
+    first, power = math.inf, min(order + 1, c.shape[1] - 1)
+    for i in range(n):
+        allowed = absolute[i] + relative * abs(c[i, 0])
         for k in range(power - 1, power + 1):
-            if room.c[i, k] != 0.0:
-                first = min(first, (allowed / abs(room.c[i, k])) ** (1.0 / k))
+            if c[i, k] != 0.0:
+                first = min(first, (allowed / abs(c[i, k])) ** (1.0 / k))
     return SAFETY * first
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from .arrays import Automaton, Floats, Now, Room
+from .arrays import Automaton, Floats, Matrix, Now, Room
 from .guards import NEAR, ROUNDED, largest, row_of, sizes_of
 from .hops import drowns
 from .lengths import step_length
@@ -21,7 +21,9 @@ from .places import (
     FIRED,
     GUARDS,
     GUARDS_END,
+    HARD,
     KIND,
+    NONE,
     OTHER,
     POWER,
     PROGRAM,
@@ -33,137 +35,166 @@ from .places import (
 )
 from .zeros import EPS
 
-__all__ = ("far", "may_vanish", "own_time", "starts", "vanishes", "vanishes_later")
+__all__ = ("does", "far", "own_time", "start", "starts")
 
 #: Power of the time from which on the coefficients of a guard are compared with each other: what
 #: those below are made of is known.
 HIGHER = 3
 
+#: What a guard does where an arc begins (:func:`does`): it waits for its next zero; it fires before
+#: any flow; its contact comes to rest. What is a fault: nothing decides; the state is outside the
+#: domain; the flow leads out of it through the edge just taken; or may be one: it leaves a surface.
+ARMED, FIRES, RESTS, UNDECIDED, OUTSIDE, BEYOND, LEAVES = range(7)
 
-def starts(a: Automaton, now: Now, room: Room) -> bool:
-    """Whether the start of an arc leaves nothing to weigh; notes the guards' orders.
 
-    No guard fires at once, no contact comes to rest, and no state is outside the domain.
-    """
-    field = now.ints[FIELD]
+def starts(a: Automaton, now: Now, room: Room) -> int:
+    """The guard that fires first before any flow where an arc begins; ``NONE``, or ``HARD`` where
+    something is to be weighed. Notes the guards' orders."""
+    field, fires = now.ints[FIELD], NONE
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
         if now.ints[ENTERED] == 0:
             c = room.c[row_of(a, a.fields[field, PROGRAM], field, g)]
-            order, sign = start_of(a, now, room, g, c)
-            now.orders[g - first] = order
-            if not armed(a, now, g, c, order, sign):
-                return False
-    return True
+            now.orders[g - first], what = start_of(a, now, room, g, c)
+            if what == FIRES:
+                fires = g if fires == NONE else fires
+            elif what != ARMED:
+                return HARD
+    return fires
 
 
 def start_of(a: Automaton, now: Now, room: Room, guard: int, c: Floats) -> tuple[int, int]:
-    """By which power of the time a guard vanishes at the start of an arc, and its sign next; 0
-    where that is not plain."""
-    t, seen, kind = now.floats[T], largest(now.seen), a.guards[guard, KIND]
-    least = now.ints[POWER] if guard == now.ints[FIRED] else 0
-    side = 1 if c[0] > 0.0 else -1
-    if least == 0 and far(c[0], max(seen, largest(now.x))):
-        return 0, side
-    size, rate, bend = sizes_of(a, room, guard, t, now.x)
-    if not math.isfinite(c[0]) or not size < math.inf:
-        return 0, 0
-    if least == 0:
+    """By which power of the time a guard vanishes at the start of an arc after a jump that was
+    plain, and what it does; ``HARD`` where that is to be weighed, or more jumps are to be known."""
+    kind, bounds = a.guards[guard, KIND], a.guards[guard, BOUNDS] == 1
+    t, n, reach = now.floats[T], now.x.shape[0], max(largest(now.seen), largest(now.x))
+    used, order, sign = guard == now.ints[FIRED], 0, 1 if c[0] > 0.0 else -1
+    least = now.ints[POWER] if used else 0
+    if least > 0 or not far(c[0], reach):
+        size, rate, bend = sizes_of(a, room, guard, t, now.x)
         high, fast = 0.0, math.inf
-        if kind == CONTACT:
+        if not math.isfinite(c[0]) or not size < math.inf:
+            return 0, HARD
+        if kind == CONTACT and least == 0:
             high, fast, _ = sizes_of(a, room, guard, t, now.seen)
             high = max(size, high) if high < math.inf else size
             fast = max(rate, fast) if fast < math.inf else rate
-        elif kind != RELEASE:
+        elif kind != RELEASE and least == 0:
             for k in range(a.guards[guard, USES], a.guards[guard, USES_END]):
                 high = max(high, now.seen[a.uses[k]])
-        if not may_vanish(c[0], c[1], t, size, high, fast):
-            return 0, side
-        if kind == CONTACT and not abs(c[1]) > ROUNDED * EPS * fast:
-            return 0, 0
-    order, sign = vanishes(c, size, rate, bend, max(least, 1))
-    if sign != 0:
-        return order, sign
-    own = min(own_time(c, 0.0), step_length(room.c, now.x.shape[0]))
-    return vanishes_later(c, own if own < math.inf else 1.0, least)
+        order, sign = start(c, room.c, n, c[0], c[1], t, size, rate, bend, high, fast, least)
+        low = order == 1 and drowns(c[1], 2.0 * c[2], reach)
+        slow = least == 0 and not abs(c[1]) > ROUNDED * EPS * fast
+        hard = kind == OTHER or (kind == CONTACT and (low or slow))
+        if order > RISES or (order > 0 and hard):
+            return order, HARD
+    crossing, other = a.guards[guard, CROSSING], False
+    what = does(kind, crossing, bounds, order, sign, True, used, other, other, other, 0)
+    known = kind == CONTACT or (kind == EDGE and bounds)
+    return order, HARD if what == FIRES and not known else what
 
 
-def armed(a: Automaton, now: Now, guard: int, c: Floats, order: int, sign: int) -> bool:
-    """Whether a guard waits for its next zero, and its contact does not come to rest."""
-    kind, free = a.guards[guard, KIND], a.guards[guard, BOUNDS] == 0
-    used, outwards = guard == now.ints[FIRED], sign * a.guards[guard, CROSSING] > 0
-    if sign == 0 or order > RISES:
-        return False
-    if order == 0:
-        return not outwards or (kind == EDGE and free)
-    if kind == OTHER:
-        return False
-    if kind == CONTACT and not used and order == 1:
-        size = max(largest(now.seen), largest(now.x))
-        return not outwards and not drowns(c[1], 2.0 * c[2], size)
-    return not outwards or (kind == EDGE and free and used)
-
-
-def far(value: float, size: float) -> bool:
-    """Whether a guard is far from zero, against the largest state: nothing is to be weighed."""
-    return abs(value) > NEAR * size
-
-
-def may_vanish(
-    value: float,
-    rate: float,
-    t: float,
-    size: float,
-    high: float,
-    fast: float,
-) -> bool:
-    """Whether a guard that is not far from zero is zero but for rounding.
+def does(
+    kind: int,
+    crossing: int,
+    bounds: bool,
+    order: int,
+    sign: int,
+    rests: bool,
+    used: bool,
+    spent: bool,
+    derived: bool,
+    passing: bool,
+    before: int,
+) -> int:
+    """What a guard does where an arc begins (3).
 
     Parameters
     ----------
-    size : float
-        The sum of the terms that it is made of.
+    order, sign
+        As :func:`start` gives them.
+    rests : bool
+        A contact whose gap and gap speed are zero may come to rest.
+    used, spent : bool
+        Its edge is the one just taken; it has been taken at this time.
+    derived : bool
+        It is no guard of the model's, and may jump.
+    passing : bool
+        There was no jump, but what delays see may have jumped.
+    before : int
+        The sign that it had before this time, at which it was zero; 0 where nobody knows.
+    """
+    outwards = sign == crossing or (crossing == 0 and sign != 0)
+    if kind == CONTACT and rests and order > 1 and sign <= 0:
+        return RESTS
+    if sign == 0:
+        return UNDECIDED
+    if order == 0:
+        if outwards and (derived or before == -sign or (passing and before != sign)):
+            return FIRES
+        return OUTSIDE if outwards and crossing != 0 and bounds and not passing else ARMED
+    if crossing == 0:
+        return FIRES if before == -sign else ARMED
+    if not outwards:
+        return LEAVES if kind == OTHER else ARMED
+    if kind == EDGE and used:
+        return BEYOND if bounds else ARMED
+    return ARMED if spent and not bounds else FIRES
+
+
+def start(
+    c: Floats,
+    states: Matrix,
+    n: int,
+    value: float,
+    slope: float,
+    t: float,
+    size: float,
+    rate: float,
+    bend: float,
+    high: float,
+    fast: float,
+    least: int,
+) -> tuple[int, int]:
+    """By which power of the time a guard that is not :func:`far` from zero vanishes, and the sign
+    that it takes next: 0 where none of the coefficients of its series along the flow decides.
+
+    Parameters
+    ----------
+    c, states, n
+        That series, and those of ``n`` states.
+    value, slope : float
+        The guard and its rate.
+    size, rate, bend : float
+        The sums of the terms that it and its first two derivatives are made of.
     high : float
         What it is made of where states are as large as the run has seen them; a gap that clearly
         moves is not measured by it.
     fast : float
         The same of the rate of a gap, infinite of other guards.
-    """
-    moves = value > 0.0 and abs(rate) > ROUNDED * EPS * fast
-    return abs(value) <= ROUNDED * EPS * (size + abs(t) * abs(rate) + (0.0 if moves else high))
-
-
-def vanishes(c: Floats, size: float, rate: float, bend: float, least: int) -> tuple[int, int]:
-    """By which power of the time a guard vanishes, and the sign that it takes next: 0 where none of
-    the first coefficients of its series along the flow decides.
-
-    Parameters
-    ----------
-    size, rate, bend : float
-        The sums of the terms that it and its first two derivatives are made of.
     least : int
         The power by which it is known to vanish at least.
     """
-    for k in range(least, min(HIGHER, c.shape[0])):
-        terms = size if k == 0 else rate if k == 1 else bend
-        if abs(c[k]) > ROUNDED * EPS * terms:
+    moves = value > 0.0 and abs(slope) > ROUNDED * EPS * fast
+    noise = ROUNDED * EPS * (size + abs(t) * abs(slope) + (0.0 if moves else high))
+    if least == 0 and not abs(value) <= noise:
+        return 0, 1 if value > 0.0 else -1
+    for k in range(max(least, 1), min(HIGHER, c.shape[0])):
+        if abs(c[k]) > ROUNDED * EPS * (rate if k == 1 else bend):
             return k, 1 if c[k] > 0.0 else -1
-    return HIGHER, 0
-
-
-def vanishes_later(c: Floats, own: float, least: int) -> tuple[int, int]:
-    """The same by its other coefficients, compared with each other in a time in which the terms of
-    its series are comparable."""
-    most, scale = 0.0, own**HIGHER
+    own, most = min(own_time(c, 0.0), step_length(states, n)), 0.0
+    own = own if own < math.inf else 1.0
     for k in range(HIGHER, c.shape[0]):
-        most = max(most, abs(c[k]) * scale)
-        scale *= own
-    scale = own**HIGHER
-    for k in range(HIGHER, c.shape[0]):
-        if k >= least and abs(c[k]) * scale > ROUNDED * EPS * most:
+        most = max(most, abs(c[k]) * own**k)
+    for k in range(max(least, HIGHER), c.shape[0]):
+        if abs(c[k]) * own**k > ROUNDED * EPS * most:
             return k, 1 if c[k] > 0.0 else -1
-        scale *= own
     return c.shape[0], 0
+
+
+def far(value: float, size: float) -> bool:
+    """Whether a guard is far from zero, against the largest state: nothing is to be weighed."""
+    return abs(value) > NEAR * size
 
 
 def own_time(c: Floats, size: float) -> float:

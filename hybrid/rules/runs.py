@@ -312,7 +312,7 @@ def begun(
         room.sides[i] = 0
     program, order = a.fields[field, PROGRAM], room.c.shape[1] - 1
     fit = jets(a.programs, program, order, t, now.x, room.sides, room.c, room.work) == 0
-    if not (fit and starts(a, now, room)):
+    if not (fit and starts(a, now, room) == NONE):
         now.ints[FIELD], now.ints[FIRED], now.ints[POWER] = own, guard, 1
         return False
     now.ints[SERIES], now.ints[ENTERED], now.ints[PHASE] = -1, 1, BEGINS

@@ -249,16 +249,11 @@ class ArcFlow:
             return min(self.plan.longest(0.0), length)
         if self.series is None:
             return None
-        k = min(self.solver.order + 1, ORDER)
-        first = float("inf")
-        atol = np.broadcast_to(self.plan.atol, self.x.shape)
-        for c, absolute in zip(self.series[0], atol.tolist(), strict=True):
-            allowed = absolute + self.plan.rtol * abs(c[0])
-            for power in (k - 1, k):
-                if c[power]:
-                    first = min(first, (allowed / abs(c[power])) ** (1.0 / power))
-        most = length / SAFETY if self.scene.spec.lags else length  # a window may be one step
-        return SAFETY * min(most, first) if first > 0 else None
+        c, lags = np.array(self.series[0]), self.scene.spec.lags
+        atol = np.broadcast_to(self.plan.atol, self.x.shape).astype(float)
+        first = unit("arcs").first_step(c, len(c), self.solver.order, self.plan.rtol, atol)
+        most = length if lags else SAFETY * length  # a window may be one step
+        return min(most, first) if first > 0 else None
 
     def predict(self, length: float) -> float | None:
         """The end of a short flight onto a contact, or back onto a guard, from its series (2)."""
@@ -508,33 +503,17 @@ class ArcFlow:
         t, x = self.now.t + segment.end, stepper.x.tolist()
         if outside <= self._rounding(index, t, x):
             return False
-        if guard.kind != "contact" and not self._inside(index):
-            return False
-        if guard.kind != "contact" and not self.orders[index]:
-            raise DomainError(lost(self._where(segment.end, stepper.x), guard, t, x))
-        return True
-
-    def _inside(self, index: int) -> bool:
-        """Whether a guard bounds the domain, and began inside or about to be."""
-        guard = self.field.guards[index]
-        return guard.bounds and bool(self.signs) and _outside(guard, self.signs[index]) < 0
-
-    def outside(self, tau: float, x: np.ndarray) -> list[int]:
-        """Guards of edges that are beyond zero at a state, by more than can be told from zero."""
-        t, state, found = self.now.t + tau, x.tolist(), []
-        for index, guard in enumerate(self.field.guards):
-            if guard.kind in ("edge", "switch"):
-                least = max(self._tolerance(guard, t, x), self._rounding(index, t, state))
-                if _outside(guard, guard.value(t, state)) > least:
-                    found.append(index)
-        return found
-
-    def require_inside(self, tau: float, x: np.ndarray) -> None:
-        """Refuse a state that has left the domain with no zero of a guard seen."""
-        for index in self.outside(tau, x):
-            if self._inside(index):
-                t, guard = self.now.t + tau, self.field.guards[index]
-                raise DomainError(lost(self._where(tau, x), guard, t, x.tolist()))
+        if guard.kind == "contact":
+            return True
+        inside = guard.bounds and bool(self.signs) and _outside(guard, self.signs[index]) < 0
+        if inside and not self.orders[index]:
+            raise DomainError(
+                f"{self._where(segment.end, stepper.x)}: the run is outside the mode's domain: the "
+                f"guard of {guard.edge} is {guard.value(t, x):.6g} and was not seen to reach zero; "
+                "a guard must be continuous, and where flights become as low as the solver's error "
+                "smaller tolerances may help"
+            )
+        return inside
 
     def _tolerance(self, guard: Guard, t: float, x: np.ndarray) -> float:
         """What the tolerances leave open of a guard.
@@ -623,12 +602,3 @@ class ArcFlow:
 def _outside(guard: Guard, value: float) -> float:
     """How far a guard is outside the domain; below zero inside, and where it has no inside."""
     return {Crossing.FALLING: -value, Crossing.RISING: value}.get(guard.crossing, -float("inf"))
-
-
-def lost(where: str, guard: Guard, t: float, x: list[float]) -> str:
-    """What is said of a state outside the domain that no zero of a guard has led to."""
-    return (
-        f"{where}: the run is outside the mode's domain: the guard of {guard.edge} is "
-        f"{guard.value(t, x):.6g} and was not seen to reach zero; a guard must be continuous, and "
-        "where flights become as low as the solver's error smaller tolerances may help"
-    )

@@ -59,7 +59,7 @@ class Driver:
     entry: Entry
     mode: str
     loop: Machine | None
-    _came: Callable[[], Jumped]
+    came: Callable[[], Jumped]
 
     def __init__(
         self,
@@ -80,7 +80,7 @@ class Driver:
         self.steps = 0
         self._jumped = Jumped()
         self._tied: dict[str, int] = {}
-        self._spent: frozenset[str] = frozenset()
+        self.spent: frozenset[str] = frozenset()
         self._struck: set[str] = set()
         self.loop = Machine(self) if solver.whole or solver.asked else None
 
@@ -110,7 +110,7 @@ class Driver:
             if self.solver.whole and not any(self.scene.code.moving):
                 self.record.memory.looped()
         base, held = parted(mode)
-        self.start(base, x, held)
+        self.enter(base, x, Jumped(held=held, starting=True))
         try:
             self.go_on()
         except KeyboardInterrupt:
@@ -119,18 +119,7 @@ class Driver:
             if not self.record.log.kept:  # before the first step: nothing but the start
                 self.record.arc(self.entry.field, self.entry.x, self.entry.x, 0.0, [])
         finally:  # nothing refers to itself, so that what is kept of a run goes with the run
-            self.loop, self._came = None, Jumped
-
-    def start(self, mode: str, x: np.ndarray, held: tuple[str, ...]) -> None:
-        """Begin the run; where its start leaves nothing to weigh the rules' own loop does."""
-        starting, field = Jumped(held=held, starting=True), self.scene.field(mode)
-        plain = self.loop is not None and not held and not self.wary and self.loop.may(field)
-        if plain:
-            self.look(x)
-            self.begin(field, x, lambda: starting)
-            self.seen = np.abs(x)
-        else:
-            self.enter(mode, x, starting)
+            self.loop, self.came = None, Jumped
 
     def go_on(self) -> None:
         """Arc after arc until something ends the run."""
@@ -139,24 +128,38 @@ class Driver:
                 self.record.close(self.entry.field)
                 self.status = Status.MAX_STEPS
             elif self.entry.at_once:
-                guard = self.entry.field.guards[self.entry.at_once[0]]
+                index = self.entry.at_once[0]
+                guard = self.entry.field.guards[index]
                 if guard.kind != "window":
                     self.record.arc(self.entry.field, self.entry.x, self.entry.x, 0.0, [])
-                self.jump(guard, self.entry.x, self._overdue(guard))
+                self.jump(guard, self.entry.x, self.entry.orders[index] == 0)  # carried over it
             else:
                 self.flow()
 
     def enter(self, mode: str, x: np.ndarray, jumped: Jumped) -> None:
-        """Begin an arc, unless the run has ended."""
+        """Begin an arc, unless the run has ended; the loop looks at its start first where all that
+        need be known is the jump that led to it."""
         self.mode = self.scene.name(mode, jumped.held)
         if self.status is None:
             self.look(x)
-            jumped.tied, jumped.spent = self._tied, self._spent
-            self.entry = self._entered(mode, x, jumped, self.seen)
-            self._jumped = jumped
+            if self._lean(jumped):
+                self.begin(self.model.field(self.mode), x, lambda: jumped)
+            else:
+                self.entry = self._entered(mode, x, jumped, self.seen)
+                self._jumped = jumped
             self.seen = np.maximum(self.seen, np.abs(x))
 
+    def _lean(self, jumped: Jumped) -> bool:
+        """Whether the loop may look at the start of the present mode's arc, and knows enough."""
+        more = jumped.held or jumped.limit or jumped.passing is not None or self._tied or self.wary
+        if self.loop is None or more or len(jumped.vanishing) > 1:
+            return False
+        alone = jumped.starting or self.record.memory is None
+        alone = alone and self.record.now.until(self.plan.t1) > 0
+        return alone and self.loop.may(self.scene.field(self.mode))
+
     def _entered(self, mode: str, x: np.ndarray, jumped: Jumped, seen: np.ndarray) -> Entry:
+        jumped.tied, jumped.spent = self._tied, self.spent
         try:
             return enter(self.scene, self.t, mode, x, jumped, seen, self._off(x))
         except StartError as fault:
@@ -200,7 +203,7 @@ class Driver:
         """Flow an arc, or as many as need no judgement, and carry out the jump that ends it."""
         loop = self.loop if self._declared and not self.wary else None
         if loop is not None and loop.takes():
-            self._spent, self._tied = frozenset(), {}
+            self._tied = {}
             loop.fly()
         else:
             self.look_again()
@@ -221,20 +224,16 @@ class Driver:
 
         With delays the field is the model's own, which sees nothing of the past.
         """
-        self.entry, self._came, self.mode = Entry(field, x, None, [], []), came, field.name
+        self.entry, self.came, self.mode = Entry(field, x, None, [], []), came, field.name
 
     def arrive(self, field: Field, x: np.ndarray, guard: Guard, before: np.ndarray) -> None:
         """Begin an arc after a jump that needed no judgement."""
 
         def came() -> Jumped:
-            spent = frozenset({guard.edge})
             if guard.kind == "contact":
-                return Jumped({guard.edge: 1}, series=self.watch.count > 1, spent=spent)
+                return Jumped({guard.edge: 1}, series=self.watch.count > 1)
             own = [g for g in self.field.guards if g.edge == guard.edge and not self.forgets]
-            stays = any(_stays(each, self.t, before, x) for each in own)
-            onwards = any(_onwards(each, self.t, before, x) for each in own)
-            known = {guard.edge: 1} if stays else {}
-            return Jumped(known, used=guard.edge, onwards=onwards, spent=spent)
+            return self._came_by(own[0], before, x) if own else Jumped(used=guard.edge)
 
         self.begin(field, x, came)
 
@@ -249,10 +248,9 @@ class Driver:
         entry = self.entry
         if entry.here is not None or not (entry.field.guards or self.record.memory):
             return
-        self._jumped = jumped = self._came()
-        mode, x, self._spent = entry.field.mode, entry.x, jumped.spent
+        self._jumped = jumped = self.came()
         seen = 0.0 * self.seen if jumped.starting else self.seen
-        self.entry = self._entered(mode, x, jumped, seen)
+        self.entry = self._entered(entry.field.mode, entry.x, jumped, seen)
 
     def flow_arc(self) -> None:
         """Flow an arc and carry out the jump that ends it."""
@@ -282,8 +280,7 @@ class Driver:
         if self.plan.progress is not None:
             self.plan.progress(self.t)
         self._tied = flown.tied
-        if flown.length > 0:
-            self._spent = frozenset()
+        self.passed(flown.length)
         if fired is None:
             self.status = Status.INTERRUPTED if flown.interrupted else Status.REACHED_END
         else:
@@ -295,13 +292,18 @@ class Driver:
             return fired.kind == "window"
         return self.horizon < self.plan.t1 and not flown.interrupted
 
+    def passed(self, length: float) -> None:
+        """Note that an arc has been flown: edges taken before it may be taken again."""
+        if length > 0:
+            self.spent = frozenset()
+
     def go_on_through(self, signs: dict[str, int], x: np.ndarray) -> None:
         """Go on within an arc of the rules' own loop, on other windows of the past.
 
         ``signs``: by edge the sign of its guard at the end of the last step.
         """
-        field = self.entry.field
-        known = self._came().vanishing if self.record.young else {}
+        field, self.spent = self.entry.field, frozenset()
+        known = self.came().vanishing if self.record.young else {}
         self.begin(field, x, lambda: Jumped(known, field.held, passing=signs))
         self.seen = np.maximum(self.seen, np.abs(x))
 
@@ -321,7 +323,7 @@ class Driver:
     def jump(self, guard: Guard, x: np.ndarray, carried: bool = False) -> None:
         """Carry out the jump of a guard that fired; ``carried``: without having been zero."""
         self._tied = {edge: sign for edge, sign in self._tied.items() if edge != guard.edge}
-        self._spent |= {guard.edge}
+        self.spent |= {guard.edge}
         if guard.kind == "contact":
             self._impact(guard, x)
         elif guard.kind == "release":
@@ -339,14 +341,21 @@ class Driver:
         t = self.t
         after = np.array(self.scene.reset(guard.edge)(t, before.tolist()))
         self._require_finite(guard.edge, before, after)
-        stays = _stays(guard, t, before, after) and not self._has_jumped(guard, before)
-        held = self._still_held(guard.to, after)
+        came = self._came_by(guard, before, after)
+        if carried or self.forgets or self._has_jumped(guard, before):
+            came.vanishing = {}
+        came.held = self._still_held(guard.to, after)
         self.watch.reset()
-        if self.add_jump(guard.edge, before, after) and pass_limit(self, guard.to):
-            return
-        known = {guard.edge: 1} if stays and not carried and not self.forgets else {}
-        onwards = _onwards(guard, t, before, after)
-        self.enter(guard.to, after, Jumped(known, held, used=guard.edge, onwards=onwards))
+        if not (self.add_jump(guard.edge, before, after) and pass_limit(self, guard.to)):
+            self.enter(guard.to, after, came)
+
+    def _came_by(self, guard: Guard, before: np.ndarray, after: np.ndarray) -> Jumped:
+        """What is known of a state from the reset that led to it: whether that leaves the guard
+        where it is, and some of its motion, which it does not turn round."""
+        here, there = (guard.lie(self.t, x.tolist()) for x in (before, after))
+        onwards = here[1] * there[1] > 64 * EPS * here[1] * here[1]
+        known = {guard.edge: 1} if here[0] == there[0] else {}
+        return Jumped(known, used=guard.edge, onwards=bool(onwards))
 
     def _has_jumped(self, guard: Guard, x: np.ndarray) -> bool:
         """Whether a guard that fired is not zero: it may jump up from zero there, as a saw does."""
@@ -359,11 +368,6 @@ class Driver:
     def forgets(self) -> bool:
         """Whether a jump changes what delays see, and with it flows and guards at once."""
         return self.record.memory is not None and self.plan.memory == "restart"
-
-    def _overdue(self, guard: Guard) -> bool:
-        """Whether a guard fires at once without being zero: carried over it by what delays see."""
-        index = self.entry.field.column(guard.edge)
-        return index in self.entry.at_once and self.entry.orders[index] == 0
 
     def _release(self, guard: Guard, x: np.ndarray, carried: bool) -> None:
         field = self.entry.field
@@ -379,7 +383,7 @@ class Driver:
         mode = self.entry.field.mode
         self.record.end_on(x)
         contact, held = self._released(guard, x)
-        jumped = Jumped({contact: RISES}, held, spent=frozenset({guard.edge}))
+        self.spent, jumped = frozenset({guard.edge}), Jumped({contact: RISES}, held)
         self.begin(self.model.field(self.scene.name(mode, held)), x, lambda: jumped)
         self.seen = np.maximum(self.seen, np.abs(x))
 
@@ -531,6 +535,9 @@ class Driver:
 
         clocks = self._clocks(flights)
         self.record.flights(flights, where, clocks)
+        last = max(np.flatnonzero(flights.lengths), default=0)
+        self.passed(float(flights.lengths[last]))
+        self.spent = self.spent.union(jumps.edge[last:])
         self.seen = np.maximum(self.seen, np.maximum.reduce(np.abs(jumps.after)))
         memory = self.record.memory
         if memory is not None and memory.ends(self.t):
@@ -709,19 +716,8 @@ class Driver:
         elif len(record.zeno) == self.plan.accumulations:
             self.status = Status.ZENO_STOPPED
         if after and at_rest is not None:
-            jumped = Jumped(held=after[1], spent=frozenset(edges))
+            self.spent, jumped = frozenset(edges), Jumped(held=after[1])
             self.begin(self.model.field(self.scene.name(*after)), at_rest, lambda: jumped)
             self.seen = np.maximum(self.seen, np.abs(limit.x_inf))
         elif after:
             self.enter(after[0], limit.x_inf, Jumped(held=after[1], limit=frozenset(edges)))
-
-
-def _onwards(guard: Guard, t: float, before: np.ndarray, after: np.ndarray) -> bool:
-    """Whether a reset leaves its guard some of its motion, and does not turn it round."""
-    here, there = (guard.lie(t, x.tolist())[1] for x in (before, after))
-    return bool(here * there > 64 * EPS * here * here)
-
-
-def _stays(guard: Guard, t: float, before: np.ndarray, after: np.ndarray) -> bool:
-    """Whether a reset leaves its guard where it is."""
-    return bool(guard.value(t, after.tolist()) == guard.value(t, before.tolist()))

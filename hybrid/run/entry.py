@@ -14,9 +14,12 @@ from ..automaton.markers import Crossing
 from ..errors import DomainError, FlowError, StartError
 from ..events import EPS, NOTHING, fires
 from ..lowering import Field, Guard, Kink, Scene, released
+from ..lowering.automaton import DIRECTIONS, NUMBERED
 from ..lowering.local import near
 from ..rules import unit
+from ..rules.entries import BEYOND, FIRES, LEAVES, OUTSIDE, UNDECIDED
 from ..rules.guards import NEAR
+from ..rules.places import OTHER
 
 #: Doublings of a step of rounding's size in which a deciding function that is zero must leave it:
 #: it is a difference of numbers that may move at very different rates.
@@ -340,10 +343,6 @@ class _Here:
     def where(self) -> str:
         return describe(self.scene, self.field, self.t, self.x)
 
-    def extent(self, guard: Guard) -> list[float]:
-        """Sizes of what the guard and its derivatives are made of, as far as the run has seen."""
-        return extent(self.scene, guard, self.field, self.t, self.x, self.seen)
-
     def lost(self, guard: Guard) -> float:
         """What the states that a guard is made of may be off, by the tolerances; little, however
         loose they are."""
@@ -364,7 +363,7 @@ class _Here:
         t, x = self.t, self.x.tolist()
         gap, speed, force = guard.lie(t, x)
         sizes = self.scene.rounding(guard, self.field)(t, x)
-        fast = self.extent(guard)[1]
+        fast = extent(self.scene, guard, self.field, self.t, self.x, self.seen)[1]
         if jumped.series and guard.edge in jumped.vanishing:
             slow = abs(speed) <= NOTHING * fast
         else:
@@ -386,34 +385,26 @@ class _Here:
 
     def fires(self, guard: Guard, order: int, sign: int, jumped: Jumped) -> bool:
         """Whether a guard fires at once; refuses a state outside the domain."""
+        edge, passing = guard.edge, jumped.passing is not None
         if guard.kind == "window":
             return order > 0 and sign < 0
-        if sign == 0:
+        kind, crossing = NUMBERED.get(guard.kind, OTHER), DIRECTIONS[guard.crossing]
+        before = int((jumped.tied if jumped.passing is None else jumped.passing).get(edge, 0))
+        own = guard.kind in ("release", "leave") and not (passing or jumped.starting)
+        known = edge == jumped.used, edge in jumped.spent, own, passing, before
+        what = unit("entries").does(kind, crossing, guard.bounds, order, sign, False, *known)
+        if what == UNDECIDED:
             raise StartError(
-                f"{self.where()}: the guard of {guard.edge} is zero and no derivative along "
+                f"{self.where()}: the guard of {edge} is zero and no derivative along "
                 f"the flow decides which way it goes{OFF}"
             ).by("undecided")
-        if order == 0 and jumped.passing is not None:
-            return fires(guard.crossing, sign) and jumped.passing.get(guard.edge) != sign
-        if order == 0:
-            derived = guard.kind in ("release", "leave")
-            if derived and fires(guard.crossing, sign) and not jumped.starting:
-                return True
-            if jumped.tied.get(guard.edge, 0) == -sign and fires(guard.crossing, sign):
-                return True  # tied with the event before, whose landing has passed it by rounding
-            self.require_inside(guard, sign, jumped.starting)
-            return False
-        if guard.crossing is Crossing.EITHER:
-            before = jumped.tied if jumped.passing is None else jumped.passing
-            return before.get(guard.edge, 0) == -sign
-        used = guard.kind == "edge" and guard.edge == jumped.used
-        if used and guard.bounds and not jumped.onwards and fires(guard.crossing, sign):
+        if what == OUTSIDE:
+            self.refuse_outside(guard, jumped.starting)
+        elif what == BEYOND and not jumped.onwards:
             self.refuse_beyond(guard)
-        used = used or (not guard.bounds and guard.edge in jumped.spent)
-        leaves = not used and fires(guard.crossing, sign)
-        if guard.kind == "switch" and not leaves and guard.edge not in jumped.vanishing:
+        elif what == LEAVES and guard.kind == "switch" and edge not in jumped.vanishing:
             self.require_way(guard, sign, jumped.starting)
-        return leaves
+        return bool(what == FIRES)
 
     def refuse_beyond(self, guard: Guard) -> NoReturn:
         """Refuse to leave the mode's domain through a guard whose edge has led back to it."""
@@ -434,40 +425,37 @@ class _Here:
         ).by("undecided")
 
     def start_of(self, guard: Guard, index: int, jumped: Jumped) -> tuple[int, int]:
-        least = jumped.vanishing.get(guard.edge, 0)
-        t, state = beyond_kinks(self.field, guard.kinks, self.t, self.x)
-        x = state.tolist()
-        value = guard.value(t, x)
+        least, (t, x) = jumped.vanishing.get(guard.edge, 0), self.beyond(guard)
+        value, passing = guard.value(t, x.tolist()), {} if least else jumped.passing or {}
         if not isfinite(value):
             raise FlowError(f"{self.where()}: the guard of {guard.edge} is {value}")
-        passing = None if least else jumped.passing
-        if passing is not None and value * passing.get(guard.edge, 0) > 0:
+        if guard.kind == "contact" and -self.lost(guard) <= value <= 0:
+            least = max(least, 1)
+        far = not least and unit("entries").far(value, max(self.reach, float(np.abs(x).max())))
+        if far or value * passing.get(guard.edge, 0) > 0:
             return 0, 1 if value > 0 else -1
-        if least or (guard.kind == "contact" and -self.lost(guard) <= value <= 0):
-            return self.decide(guard, index, max(least, 1))
-        rules, side = unit("entries"), 1 if value > 0 else -1
-        if rules.far(value, max(self.reach, float(np.abs(state).max()))):
-            return 0, side
-        size, high, fast = self.scene.rounding(guard, self.field)(t, x)[0], 0.0, float("inf")
-        if guard.kind == "contact":
-            high, fast, _ = self.extent(guard)
-        elif guard.kind != "release" and len(self.seen):
-            high = max((float(self.seen[i]) for i in guard.uses), default=0.0)
-        near = rules.may_vanish(value, guard.lie(t, x)[1], t, size, high, fast)
-        return self.decide(guard, index, 1) if near else (0, side)
+        return self.decide(guard, index, least)
+
+    def beyond(self, guard: Guard) -> tuple[float, np.ndarray]:
+        """Time and state, beyond the kinks of a guard."""
+        return beyond_kinks(self.field, guard.kinks, self.t, self.x)
 
     def decide(self, guard: Guard, index: int, least: int) -> tuple[int, int]:
-        t, state = beyond_kinks(self.field, guard.kinks, self.t, self.x)
-        x = state.tolist()
+        t, state = self.beyond(guard)
+        x, high, fast = state.tolist(), 0.0, float("inf")
+        value, rate, bend = guard.lie(t, x)
         if self.series is None:
-            _, first, second = guard.lie(t, x)
-            series = [0.0, first, second / 2, *(self.third(guard, index) if least > 2 else [])]
+            states = np.zeros((0, 2))
+            c = [0.0, rate, bend / 2, *(self.third(guard, index) if least > 2 else [])]
         else:
-            series = self.series[1][index]
-        c, sizes = np.array(series), self.scene.rounding(guard, self.field)(t, x)
-        order, sign = unit("entries").vanishes(c, *sizes, least)
-        if not sign:
-            order, sign = unit("entries").vanishes_later(c, self.own_time(c), least)
+            states, c = np.array(self.series[0]), self.series[1][index]
+        if guard.kind == "contact":
+            high, fast, _ = extent(self.scene, guard, self.field, self.t, self.x, self.seen)
+        elif guard.kind != "release" and len(self.seen):
+            high = max((float(self.seen[i]) for i in guard.uses), default=0.0)
+        sizes = self.scene.rounding(guard, self.field)(t, x)
+        given = np.array(c), states, len(states), value, rate, t, *sizes, high, fast, least
+        order, sign = unit("entries").start(*given)
         return order, sign
 
     def third(self, guard: Guard, index: int) -> list[float]:
@@ -478,20 +466,10 @@ class _Here:
         series = None if local is None else expand(local, self.t, self.x)
         return [] if series is None else [series[1][index][3]]
 
-    def own_time(self, series: np.ndarray) -> float:
-        """A time in which the terms of a guard's series are comparable."""
-        own = unit("entries").own_time(series, 0.0)
-        if self.series is not None:
-            states = np.array(self.series[0])
-            own = min(own, unit("lengths").step_length(states, len(states)))
-        return own if isfinite(own) else 1.0
-
-    def require_inside(self, guard: Guard, sign: int, starting: bool) -> None:
-        wanted = {Crossing.FALLING: 1, Crossing.RISING: -1}.get(guard.crossing)
-        if wanted is None or sign == wanted or not guard.bounds:
-            return
+    def refuse_outside(self, guard: Guard, starting: bool) -> NoReturn:
+        """Refuse a state outside the mode's domain."""
         value = guard.value(self.t, self.x.tolist())
-        side = "positive" if wanted > 0 else "negative"
+        side = "positive" if guard.crossing is Crossing.FALLING else "negative"
         what = "starts" if starting else "jumped"
         kind = StartError if starting else DomainError
         other = f"; there flows {guard.to}" if guard.kind == "switch" else ""

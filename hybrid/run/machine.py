@@ -79,6 +79,7 @@ from ..trajectory.trajectory import Status
 from ..zeno.accumulate import Tail, room_for_sums
 from ..zeno.narrow import bounded
 from .cycles import pass_limit
+from .entry import Jumped
 from .outside import Outside
 from .watch import Watch
 
@@ -360,7 +361,7 @@ class Machine:
     def _sees_anew(self, left: Left) -> None:
         """A guard that has fired may not be zero where a jump has changed what it sees."""
         if self.tables.guards[left.fired[0]].kind == "edge":
-            self.ints[FIRED] = -1
+            self.ints[POWER] = 0
 
     def _through(self, tau: float, x: np.ndarray, steps: Steps | None, signs: np.ndarray) -> None:
         """Keep the present arc up to where it goes on through other windows of the past."""
@@ -431,9 +432,13 @@ class Machine:
         floats, ints = self.floats, self.ints
         floats[T], floats[LOW], floats[TAU] = now.t, now.low, 0.0
         judged = int(entry.here is not None)
-        ints[FIELD], ints[FIRED], ints[ENTERED], ints[PHASE] = field, -1, judged, BEGINS
+        jumped = Jumped() if judged or self.past is not None else driver.came()
+        edge, power = next(iter(jumped.vanishing.items()), (jumped.used, 0))
+        used = [g for g, guard in enumerate(guards, first) if guard.edge == edge]
+        ints[FIELD], ints[ENTERED], ints[PHASE] = field, judged, BEGINS
+        ints[FIRED], ints[POWER] = used[0] if used else -1, power
         ints[SERIES], ints[COUNT] = series[0] if series else -1, driver.watch.count
-        floats[TRIED], ints[POWER] = driver.watch.tried, 1
+        floats[TRIED] = driver.watch.tried
         ints[LOW_AHEAD] = ints[WAS_LOW] = 0
         self.states[0], self.states[2] = entry.x, driver.seen
         orders = np.zeros(self.tables.widest, dtype=np.int64)
@@ -539,8 +544,8 @@ class Machine:
     def _flown_in(self, left: Left, begin: int, end: int) -> tuple[Steps | None, int]:
         """The steps of some of the arcs, if they are kept, and how many; the first has the held."""
         if self.outside is not None:
-            steps = self.outside.steps(begin, end) if self.dense else None
-            return steps, self.outside.count(begin, end)
+            count = self.outside.count(begin, end)
+            return self.outside.steps(begin, end) if self.dense and count else None, count
         owner = left.owner[: max(int(self.ints[STEPS]), 0)]
         first, last = owner.searchsorted((begin, end)).tolist()
         count, held = self.opened + last - first, self.open
@@ -569,6 +574,7 @@ class Machine:
         driver, (steps, count) = self.driver, self._flown_in(left, place, place + 1)
         segments = [] if steps is None else steps.segments(np.array([tau]))
         driver.steps += count
+        driver.passed(tau)
         return driver.record.arc(self._field, driver.entry.x, end, tau, segments)
 
     @property
