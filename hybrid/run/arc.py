@@ -167,7 +167,7 @@ class ArcFlow:
         Where two are next to each other the step's polynomial may show them in the wrong order: it
         ends on the one that has already fired where the other does.
         """
-        landed, first = None, found[0]
+        landed, first, length = None, found[0], segment.length
         for attempt in range(len(found)):
             landed = None
             if first.tau > segment.start:
@@ -176,28 +176,40 @@ class ArcFlow:
                 stepper.tau, stepper.x = segment.start, x
                 break
             stepper.tau = landed.end
-            earlier = self._earlier(found, first, stepper, segment.length)
-            if earlier is None:
+            ago, other = max(
+                ((self._ago(each, first, stepper, length), each) for each in found),
+                key=lambda pair: pair[0],
+            )
+            if not ago > 0.0:
                 break
-            first = earlier
-        found = [first, *(each for each in found if each.index != first.index)]
-        fired = self._first_declared(found, stepper, segment.length)
+            first = attrs.evolve(other, tau=stepper.tau - ago)
+        others = (each for each in found if each.index != first.index)
+        tied = [each for each in others if self._ago(each, first, stepper, length) >= 0.0]
+        guards, tied = self.field.guards, [first, *tied]
+        self.tied = {guards[each.index].edge: -each.direction for each in tied}
+        fired = min(tied, key=lambda each: each.index)  # the one declared first (4)
         return fired, [] if landed is None else [landed]
 
-    def _earlier(
-        self, found: list[Fired], first: Fired, stepper: Stepper, length: float
-    ) -> Fired | None:
-        """Of the guards that fire next to one in a step, that which has fired the longest ago."""
-        t, x, best = self.now.t + stepper.tau, stepper.x.tolist(), None
-        for other in found:
-            if other.index == first.index or other.cut or other.tau - first.tau > BESIDE * length:
-                continue
-            value, rate, _ = self.field.guards[other.index].lie(t, x)
-            ago = value / rate if rate * other.direction > 0 else 0.0
-            noise = TIE * float(np.spacing(abs(t))) * abs(rate) + self._rounding(other.index, t, x)
-            if abs(value) > noise and ago > (0.0 if best is None else stepper.tau - best.tau):
-                best = attrs.evolve(other, tau=stepper.tau - ago)
-        return best
+    def _ago(self, other: Fired, first: Fired, stepper: Stepper, length: float) -> float:
+        """How long ago a guard has fired where a step ends on another, next to which it fires.
+
+        0 at the same time (4), below zero if it has not fired yet. It is judged at the event's time
+        and state, in spacings of that time and in what rounding makes of the guard.
+        """
+        t, x, apart = self.now.t + stepper.tau, stepper.x.tolist(), other.tau - first.tau
+        spacing = TIE * float(np.spacing(abs(t)))
+        if other.index == first.index:
+            return 0.0
+        if apart > spacing + BESIDE * length:
+            return -1.0
+        if other.cut is not None:
+            return 0.0 if apart <= spacing + (other.cut.after - other.cut.before) * length else -1.0
+        value, rate, _ = self.field.guards[other.index].lie(t, x)
+        if abs(value) <= spacing * abs(rate) + self._rounding(other.index, t, x):
+            return 0.0
+        if value * other.direction <= 0.0:
+            return -1.0
+        return value / rate if rate * other.direction > 0.0 else 0.0
 
     def _where(self, tau: float = 0.0, x: np.ndarray | None = None) -> str:
         return describe(self.scene, self.field, self.now.t + tau, self.x if x is None else x)
@@ -312,31 +324,6 @@ class ArcFlow:
             if not found or tau < found[0].tau:
                 self.grazes.append((tau, index, segment(tau)))
         return found
-
-    def _first_declared(self, found: list[Fired], stepper: Stepper, length: float) -> Fired:
-        """Of the guards that are zero where the first has fired, the one declared first (4).
-
-        It is judged there: at the event's time and state, in spacings of that time and in what
-        rounding makes of each guard. Only guards that fire next to it in the step are looked at.
-        """
-        first, t, x = found[0], self.now.t + stepper.tau, stepper.x.tolist()
-        spacing = TIE * float(np.spacing(abs(t)))
-        tied = [first]
-        for other in found[1:]:
-            if other.tau - first.tau > spacing + BESIDE * length:
-                continue
-            if other.cut is not None:
-                width = (other.cut.after - other.cut.before) * length
-                same = other.tau - first.tau <= spacing + width
-            else:
-                value, rate, _ = self.field.guards[other.index].lie(t, x)
-                same = abs(value) <= spacing * abs(rate) + self._rounding(other.index, t, x)
-                same = same or value * other.direction > 0  # the landing's rounding has passed it
-            if same:
-                tied.append(other)
-        guards = self.field.guards
-        self.tied = {guards[each.index].edge: -each.direction for each in tied}
-        return min(tied, key=lambda each: each.index)
 
     def _guard_event(
         self,

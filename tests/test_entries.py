@@ -1,0 +1,80 @@
+"""What a guard does where an arc begins: the table of rule 3, and by which power it leaves zero."""
+
+import numpy as np
+import pytest
+
+from hybrid.rules import unit
+from hybrid.rules.entries import ARMED, BEYOND, FIRES, LEAVES, OUTSIDE, RESTS, UNDECIDED
+from hybrid.rules.places import CONTACT, EDGE, OTHER, RELEASE
+
+#: A guard that bounds its mode, is positive inside, and of which nothing else is known.
+PLAIN = {
+    "kind": EDGE,
+    "crossing": -1,
+    "bounds": True,
+    "order": 1,
+    "sign": 1,
+    "rests": False,
+    "used": False,
+    "spent": False,
+    "derived": False,
+    "passing": False,
+    "before": 0,
+}
+
+
+@pytest.mark.parametrize(
+    ("what", "known"),
+    [
+        (ARMED, {}),
+        (ARMED, {"order": 0}),
+        (FIRES, {"sign": -1}),
+        (FIRES, {"sign": 1, "crossing": 1}),
+        (OUTSIDE, {"order": 0, "sign": -1}),
+        (ARMED, {"order": 0, "sign": -1, "bounds": False}),
+        (UNDECIDED, {"sign": 0}),
+        # a contact rests where nothing opens it
+        (RESTS, {"kind": CONTACT, "rests": True, "order": 2, "sign": -1}),
+        (RESTS, {"kind": CONTACT, "rests": True, "order": 3, "sign": 0}),
+        (ARMED, {"kind": CONTACT, "rests": True, "order": 2}),
+        (FIRES, {"kind": CONTACT, "rests": True, "sign": -1}),
+        # the edge just taken, and one taken at this time
+        (BEYOND, {"used": True, "sign": -1}),
+        (ARMED, {"used": True, "sign": -1, "bounds": False}),
+        (ARMED, {"spent": True, "sign": -1, "bounds": False}),
+        (FIRES, {"spent": True, "sign": -1}),
+        # no inside: only where it was crossing zero at this very time
+        (ARMED, {"crossing": 0, "sign": -1}),
+        (FIRES, {"crossing": 0, "sign": -1, "before": 1}),
+        (ARMED, {"crossing": 0, "sign": -1, "before": -1}),
+        # passed by the rounding of a tie, a load that has jumped, what delays see that has
+        (FIRES, {"order": 0, "sign": -1, "before": 1}),
+        (FIRES, {"kind": RELEASE, "order": 0, "sign": -1, "derived": True}),
+        (FIRES, {"order": 0, "sign": -1, "passing": True, "before": 1}),
+        (ARMED, {"order": 0, "sign": -1, "passing": True, "before": -1}),
+        # on a surface: whether the other flow leaves it as well is still to be asked
+        (LEAVES, {"kind": OTHER}),
+        (FIRES, {"kind": OTHER, "sign": -1}),
+    ],
+)
+def test_one_rule_says_what_a_guard_does(what, known):
+    """At the start of an arc."""
+    assert unit("entries").does(*{**PLAIN, **known}.values()) == what
+
+
+@pytest.mark.parametrize("power", [1, 2, 3, 5])
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_guard_leaves_zero_by_its_first_power(power, side):
+    """Below it there are roundings of terms of size 1; from the third on coefficients compare."""
+    c = np.array([3e-16, -2e-16, 1e-16, 0.0, 0.0, 0.0, 0.0, 0.0])
+    c[power] = side * 0.5
+    given = c, np.zeros((0, 8)), 0, c[0], c[1], 0.0, 1.0, 1.0, 1.0, 1.0, np.inf, 0
+    assert unit("entries").start(*given) == (power, side)
+
+
+def test_a_gap_that_clearly_moves_is_zero_by_its_own_terms_only():
+    """Not by those of states as large as the run has seen: a small gap is none."""
+    c = np.array([1e-12, 1.0, 0.0, 0.0, 0.0])
+    own = c, np.zeros((0, 5)), 0, c[0], c[1], 0.0, 1.0, 1.0, 1.0, 1e6
+    assert unit("entries").start(*own, 1.0, 0) == (0, 1)  # a gap
+    assert unit("entries").start(*own, np.inf, 0) == (1, 1)  # another guard
