@@ -238,9 +238,12 @@ class Driver:
         self.begin(field, x, came)
 
     def look_again(self) -> None:
-        """Fly the present arc with all the rules, unless a guard fires before any flow."""
+        """Fly the present arc with all the rules, unless a guard fires before any flow; where some
+        are zero at its start, and that is judged now, the loop tries once more."""
+        judged = self.entry.here is not None or self.record.memory is not None
         self.renew()
-        if not self.entry.at_once:
+        tries = not judged and self.loop is not None and not self.wary and any(self.entry.orders)
+        if not (self.entry.at_once or tries):
             self.flow_arc()
 
     def renew(self) -> None:
