@@ -436,3 +436,19 @@ def loops(calls):
             frontier += new
         found |= {name} & reached
     return found
+
+
+def test_threads_that_ask_for_a_unit_at_once_have_the_same_machine_code():
+    """It is loaded once: a second engine in its place would let go what the first one runs."""
+    code = (
+        "import time\n"
+        "from concurrent.futures import ThreadPoolExecutor\n"
+        "from hybrid.rules import code, library, unit\n"
+        "made, engine = [], code.engine\n"
+        "slow = lambda own: (made.append(own), time.sleep(0.05), own)[-1]\n"
+        "code.engine = lambda codes: slow(engine(codes))\n"
+        "with ThreadPoolExecutor(4) as pool:\n"
+        "    assert len(set(map(id, pool.map(unit, ['zeros'] * 4)))) == 1\n"
+        "assert len(made) == code.placed.cache_info().currsize or library.how() != 'machine'\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=300)

@@ -3,6 +3,9 @@
 ``docs/notes/rules.md`` says what a rule file may contain, and how one is added.
 """
 
+from threading import RLock
+from typing import Any
+
 from .load import Library
 
 #: A run of any solver needs the first two; where contacts are, the loop and the sum, and where it
@@ -12,5 +15,13 @@ library = Library(
     together=(("zeros", "jets"), ("runs", "sums", "bounds", "operation")),
 )
 
-#: ``unit("zeros").first(...)``: the rules of one file by name, compiled when first asked for.
-unit = library.unit
+_loading = RLock()
+
+
+def unit(name: str) -> Any:
+    """The rules of one file by name, compiled when first asked for: ``unit("zeros").first(...)``.
+
+    One thread at a time loads them: of two that do, one lets go what the other runs.
+    """
+    with _loading:
+        return library.unit(name)
