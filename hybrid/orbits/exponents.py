@@ -16,11 +16,11 @@ from ..variation import factors
 #: Parts of a run whose means are compared.
 BATCHES = 20
 
-#: Running estimates that are kept.
-KEPT = 200
+#: Running estimates of the exponents that are returned, evenly over the run.
+RUNNING_ESTIMATES = 200
 
-#: Growth, against the largest of a piece, that is rounding: the direction is lost.
-LOST = 1e-14
+#: Growth of a direction that is rounding beside the largest of the same piece: some 50 roundings.
+LOST_GROWTH = 1e-14
 
 
 @attrs.frozen(eq=False, repr=False)
@@ -160,7 +160,7 @@ def _carry(
     for factor in factors(model, run):
         frame, upper = np.linalg.qr(factor.matrix @ frame)
         sizes = np.abs(np.diag(upper))
-        sizes[sizes <= LOST * np.abs(factor.matrix).max()] = 0.0
+        sizes[sizes <= LOST_GROWTH * np.abs(factor.matrix).max()] = 0.0
         with np.errstate(divide="ignore"):
             growth.append(np.log(sizes))
         times.append(factor.t)
@@ -169,7 +169,7 @@ def _carry(
 
 def _exponents(times: np.ndarray, growth: np.ndarray, run: Trajectory) -> Exponents:
     total, spans = np.cumsum(growth, axis=0), times - run.t0
-    at = np.unique(np.linspace(np.argmax(spans > 0), len(times) - 1, KEPT).astype(int))
+    at = np.unique(np.linspace(np.argmax(spans > 0), len(times) - 1, RUNNING_ESTIMATES).astype(int))
     running = total[at] / spans[at, None]
     order = np.argsort(-running[-1], kind="stable")
     error = _error(times, total, run.t0)

@@ -13,14 +13,12 @@ from ..lowering import Field, Guard
 from ..segment import from_values, nodes
 from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Trajectory
-from ..variation.walk import SMOOTH
+from ..variation.walk import SMOOTH_KINDS
+from .section import SAMPLED_DEGREE
 
 #: A guard's rate at a jump, against its largest, below which the jump is said to graze; the
 #: square of this is what a guard that turns back has come to, against its largest value.
 GRAZES = 1e-3
-
-#: Degree at which a guard is sampled along a step.
-DEGREE = 16
 
 
 @attrs.frozen(eq=False)
@@ -88,7 +86,7 @@ def near_grazing(run: Trajectory) -> list[str]:
         for t, value in along.nearest():
             near = f"comes to {abs(value):.2g} of zero at t = {t:.9g} and turns back"
             found.append(f"the guard of {edge} {near}")
-        if along.guard.kind in SMOOTH or edge in summed:
+        if along.guard.kind in SMOOTH_KINDS or edge in summed:
             continue
         for index, row in run.own_jumps.items():
             if row.edge != edge or run.parts[index].mode != along.field.name:
@@ -116,7 +114,7 @@ def _guards(run: Trajectory) -> Iterator[Along]:
 
 
 def _steps(run: Trajectory, guard: Guard, index: int, arc: Arc) -> list[Step]:
-    shares, found = nodes(DEGREE), []
+    shares, found = nodes(SAMPLED_DEGREE), []
     looks = any(run.hindsight.scene.code.asked(guard.closed))
     for segment in arc.segments:
         start = arc.t0 + arc.low + segment.start
@@ -124,7 +122,9 @@ def _steps(run: Trajectory, guard: Guard, index: int, arc: Arc) -> list[Step]:
         pairs = zip(times.tolist(), states.tolist(), strict=True)
         value = _looking(run, guard, index, arc.mode) if looks else guard.value
         values = np.array([value(t, x) for t, x in pairs])
-        found.append(Step(start, segment.length, from_values(DEGREE) @ values, times, values))
+        found.append(
+            Step(start, segment.length, from_values(SAMPLED_DEGREE) @ values, times, values)
+        )
     return found
 
 

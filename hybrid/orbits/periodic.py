@@ -29,7 +29,7 @@ NEUTRAL = 1e-6
 
 #: By how much the tolerances of a second run are finer, the finest that methods take, how many
 #: times a drift must exceed what that changes, and what rounding alone may make of a turn.
-FINER, FINEST, SURE, ROUNDING = 30.0, 3e-14, 10.0, 3e-13
+FINER_BY, FINEST_RTOL, SURE, TURN_ROUNDING = 30.0, 3e-14, 10.0, 3e-13
 
 
 @attrs.frozen
@@ -263,10 +263,10 @@ def _require_closed(shooting: Shooting, turn: Shot) -> None:
     """
     options = dict(shooting.options)
     rtol, atol = options["rtol"], np.asarray(options["atol"], dtype=float)
-    options |= {"rtol": min(rtol, max(rtol / FINER, FINEST)), "atol": atol / FINER}
+    options |= {"rtol": min(rtol, max(rtol / FINER_BY, FINEST_RTOL)), "atol": atol / FINER_BY}
     finer = type(shooting)(shooting.model, shooting.timed, shooting.tol, options).turn(turn.guess)
     miss, error = np.abs(finer.miss) / turn.scale, np.abs(finer.miss - turn.miss) / turn.scale
-    if np.max(miss) > max(SURE * np.max(error), ROUNDING):
+    if np.max(miss) > max(SURE * np.max(error), TURN_ROUNDING):
         raise OrbitError(
             f"{shooting.scene.spec.model}: the run of {turn.guess.period:.9g} from "
             f"{shooting.scene.spec.record(turn.guess.x)} is no periodic orbit: it drifts by "

@@ -29,25 +29,25 @@ from ..trajectory.log import Log
 from ..trajectory.trajectory import Trajectory
 from ..variation import Carried, Shift, Strand, descendants, distinct
 from .delayed import carried
-from .shooting import LEAST, Description, Guess, Shooting, Shot
+from .shooting import SHORTEST_ARC, Description, Guess, Shooting, Shot
 
 #: Degree on each piece of the record, and on the finer set.
-DEGREE, FINER = 18, 26
+RECORD_DEGREE, FINE_DEGREE = 18, 26
 
 #: Pieces are halved until their last coefficients are this small, relative; and most halvings.
-RESOLVED, DEPTH = 1e-9, 4
+RECORD_TOLERANCE, RECORD_HALVINGS = 1e-9, 4
 
-#: Pieces of the record that are this far apart, against its size, do not join: it jumps.
-JUMPS = 1e-10
+#: The record jumps where two pieces are further apart than this, against its size.
+RECORD_JUMP = 1e-10
 
-#: Where in a piece, from its ends, its side of a breaking point is told.
-INSIDE = 1e-7
+#: Share of a piece at whose distance from its ends its side of a breaking point is told.
+RECORD_SIDE = 1e-7
 
 #: Multipliers that differ by this between the two sets of points are no longer given ...
-KNOWN = 1e-5
+KNOWN_MULTIPLIER = 1e-5
 
 #: ... and those that are not known may be as large as this.
-HIDDEN = 0.5
+HIDDEN_MULTIPLIER = 0.5
 
 
 @attrs.frozen(eq=False)
@@ -67,7 +67,7 @@ def leaps(record: PastRecord, low: float, high: float, seen: Sequence[int]) -> l
         if low < t < high:
             before, after = (piece.state(t, np.zeros(1))[0] for piece in (earlier, later))
             size = np.maximum(np.abs(before), np.abs(after)) + 1.0
-            if np.any((np.abs(before - after) > JUMPS * size)[list(seen)]):
+            if np.any((np.abs(before - after) > RECORD_JUMP * size)[list(seen)]):
                 found.append(Leap(t, before, after))
     return found
 
@@ -103,7 +103,7 @@ class Frame:
         """A record at the points some time later; shape ``(pieces, degree + 1, n)``."""
         found = []
         for times, (a, b) in zip(self.points, self.bounds(later, ends), strict=True):
-            room = INSIDE * (b - a)
+            room = RECORD_SIDE * (b - a)
             found.append(record.states(times + later, a + room, b - room))
         return np.array(found)
 
@@ -117,7 +117,7 @@ class Frame:
 
     def finer(self) -> Frame:
         """The same pieces with more points."""
-        return attrs.evolve(self, degree=FINER)
+        return attrs.evolve(self, degree=FINE_DEGREE)
 
 
 def framed(run: Trajectory) -> Frame:
@@ -133,8 +133,10 @@ def framed(run: Trajectory) -> Frame:
     breaks = [b for b in descendants(jumps, sight.lags, high) if low < b < high]
     breaks = [b for b in breaks if all(abs(b - t) > room for t in exact)]
     ends = distinct([*exact, *breaks])
-    pieces = [half for piece in pairwise(ends) for half in _resolved(record, piece, DEPTH)]
-    return Frame(pieces, seen, DEGREE)
+    pieces = [
+        half for piece in pairwise(ends) for half in _resolved(record, piece, RECORD_HALVINGS)
+    ]
+    return Frame(pieces, seen, RECORD_DEGREE)
 
 
 def _seen(run: Trajectory) -> list[int]:
@@ -146,10 +148,10 @@ def _resolved(
 ) -> list[tuple[float, float]]:
     """A piece, or parts of it on which the record is resolved."""
     a, b = piece
-    room = INSIDE * (b - a)
-    states = record.states(a + (b - a) * nodes(DEGREE), a + room, b - room)
-    series = np.abs(from_values(DEGREE) @ states)
-    if not depth or np.all(series[-2:] <= RESOLVED * (series.max(axis=0) + 1e-300)):
+    room = RECORD_SIDE * (b - a)
+    states = record.states(a + (b - a) * nodes(RECORD_DEGREE), a + room, b - room)
+    series = np.abs(from_values(RECORD_DEGREE) @ states)
+    if not depth or np.all(series[-2:] <= RECORD_TOLERANCE * (series.max(axis=0) + 1e-300)):
         return [piece]
     halves = (a, 0.5 * (a + b)), (0.5 * (a + b), b)
     return [part for half in halves for part in _resolved(record, half, depth - 1)]
@@ -233,7 +235,7 @@ class HistoryShooting(Shooting):
         since = run.t1 - guess.period
         arcs = [(i, arc) for i, arc in enumerate(run.parts) if isinstance(arc, Arc)]
         spans = {i: (max(arc.t0, since), arc.t1) for i, arc in arcs if arc.t1 > since}
-        long = [i for i, (a, b) in spans.items() if b - a > LEAST * guess.period]
+        long = [i for i, (a, b) in spans.items() if b - a > SHORTEST_ARC * guess.period]
         plain = [i for i in long if not run.parts[i].constrained]
         index = max(plain or long, key=lambda i: spans[i][1] - spans[i][0])
         arc, t = run.parts[index], 0.5 * sum(spans[index])
@@ -316,14 +318,14 @@ class HistoryShooting(Shooting):
         values = _sorted(monodromy(turn.run, turn.frame.finer())[0])
         others = _sorted(matrix)[: len(values)]
         errors = np.array([np.abs(others - value).min() for value in values])
-        known = int(np.argmax(np.append(errors, np.inf) > KNOWN))
+        known = int(np.argmax(np.append(errors, np.inf) > KNOWN_MULTIPLIER))
         known -= int(0 < known < len(values) and values[known - 1].imag > 0)
-        if known == 0 or np.abs(values[min(known, len(values) - 1)]) > HIDDEN:
+        if known == 0 or np.abs(values[min(known, len(values) - 1)]) > HIDDEN_MULTIPLIER:
             raise OrbitError(
                 f"{turn.run.spec.model}: the multipliers of the orbit of period "
                 f"{turn.guess.period:.9g} are not resolved beyond the {known} largest"
             )
-        lasting = np.abs(values[:known]) > KNOWN
+        lasting = np.abs(values[:known]) > KNOWN_MULTIPLIER
         return Description(
             matrix, found.saltations, values[:known][lasting], errors[:known][lasting]
         )

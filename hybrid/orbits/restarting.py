@@ -15,7 +15,7 @@ from ..trajectory.trajectory import Trajectory
 from ..variation import Strand
 from .delayed import carried
 from .section import Return, cut
-from .shooting import MOVES, Description, Guess, Shooting, Shot
+from .shooting import EQUILIBRIUM_MOVE, Description, Guess, Shooting, Shot
 
 #: How long a turn is flown, in periods, for its jump to come.
 BEYOND = 1.5
@@ -100,7 +100,7 @@ class RestartShooting(Shooting):
         guess = attrs.evolve(turn.guess, period=period)
         assert isinstance(guess, Landed)
         row = turn.run.own_jumps[self._nearest(turn.run, guess)]
-        there = abs(row.t - guess.t - period) <= MOVES * period
+        there = abs(row.t - guess.t - period) <= EQUILIBRIUM_MOVE * period
         return np.where(there, row.after, np.nan)
 
     def describe(self, turn: Shot) -> Description:

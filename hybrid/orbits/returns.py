@@ -16,14 +16,15 @@ from ..errors import OptionError, OrbitError
 from ..lowering import scene_of
 from ..simulation import simulate
 from ..trajectory.trajectory import Status, Trajectory
+from ..variation.carried import WINDOW_SPACINGS
 from .section import EdgeSection, Period, Return, Section, Surface, cut, section_of
 
 #: The first window in which a return is sought, of the longest, and how they grow: the time in
 #: which a model lives is not known, and no more than a few times too much is flown.
-SHARE, WIDER = 4.0**-20, 4.0
+FIRST_WINDOW, WINDOW_GROWTH = 4.0**-20, 4.0
 
-#: A window against the return time seen last, and least in spacings of the time.
-MARGIN, LEAST = 1.25, 64.0
+#: Length of a window, against the return time seen last.
+MARGIN = 1.25
 
 
 @attrs.frozen(eq=False)
@@ -164,16 +165,16 @@ class ReturnMap:
     def _flown(self, start: Any, point: Point, count: int) -> tuple[Trajectory, list[Return]]:
         """A run in windows that grow until it has returned so often, and where."""
         assert not isinstance(self.section, Period)
-        window = MARGIN * self._took if self._took else SHARE * self.t_max
+        window = MARGIN * self._took if self._took else FIRST_WINDOW * self.t_max
         while True:
-            window = min(max(window, LEAST * float(np.spacing(abs(point.t)))), self.t_max)
+            window = min(max(window, WINDOW_SPACINGS * float(np.spacing(abs(point.t)))), self.t_max)
             run = self._simulate(start, point, window)
             found = list(islice(self.section.returns(run), count))
             if len(found) == count:
                 return run, found
             if window == self.t_max or run.status is not Status.REACHED_END:
                 self._returned(run, None)
-            window *= WIDER
+            window *= WINDOW_GROWTH
 
     def lap(self, state: Any, t: float = 0.0) -> tuple[Trajectory, float]:
         """A run from a return to the next, without a start on the section; and how long it takes.

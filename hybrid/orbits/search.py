@@ -11,8 +11,9 @@ from ..automaton.markers import RISING
 from ..errors import HybridError, OptionError, OrbitError
 from ..lowering import Scene
 from ..trajectory.trajectory import Trajectory
-from .returns import ReturnMap
-from .shooting import MOVES, Guess, Shooting, Shot
+from ..variation.carried import WINDOW_SPACINGS
+from .returns import FIRST_WINDOW, ReturnMap
+from .shooting import EQUILIBRIUM_MOVE, Guess, Shooting, Shot
 
 #: Turns flown before Newton's method is tried again.
 ROUNDS = (0, 8, 64)
@@ -25,10 +26,7 @@ LASTS = 1e-6
 
 #: A turn that moves so many times farther than it fails to close, and farther than rounding in its
 #: states, is no equilibrium, however small it is beside the state.
-OPEN, NOISE = 1e3, 1e-12
-
-#: A time that is short against any other, of the longest; and in spacings of the time.
-SHORT, LEAST = 4.0**-20, 64.0
+OPEN, TURN_NOISE = 1e3, 1e-12
 
 
 def depends_on_time(scene: Scene) -> bool:
@@ -116,7 +114,7 @@ class Search:
 
     def _entered(self, guess: Guess, mode: str) -> str:
         """The mode in which time passes first: that of the guess, or one that it is left for."""
-        short = max(SHORT * self.t_max, LEAST * float(np.spacing(abs(guess.t))))
+        short = max(FIRST_WINDOW * self.t_max, WINDOW_SPACINGS * float(np.spacing(abs(guess.t))))
         return str(self.shooting.fly(attrs.evolve(guess, mode=mode), short).mode)
 
     def advanced(self, guess: Guess, turns: int) -> Guess:
@@ -130,7 +128,11 @@ class Search:
         shooting, guess = self.shooting, turn.guess
         rate = np.abs(shooting.flow(guess)) / turn.scale[: len(guess.x)]
         moves = float(np.max(rate)) * guess.period
-        if shooting.timed or moves > MOVES or moves > max(OPEN * turn.residual, NOISE):
+        if (
+            shooting.timed
+            or moves > EQUILIBRIUM_MOVE
+            or moves > max(OPEN * turn.residual, TURN_NOISE)
+        ):
             return turn
         raise OrbitError(
             f"{shooting.scene.spec.model}: the search ended at an equilibrium, "
@@ -157,7 +159,7 @@ class Search:
         for part in () if self.shooting.timed else DIVISORS:
             guess = attrs.evolve(turn.guess, period=turn.guess.period / part)
             apart = np.abs(self.shooting.again(turn, guess.period) - guess.x)
-            if np.max(apart / spread) <= MOVES:
+            if np.max(apart / spread) <= EQUILIBRIUM_MOVE:
                 once = self.shooting.refine(guess)
                 if once.residual <= self.shooting.tol:
                     return self.shortest(once)

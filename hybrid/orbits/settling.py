@@ -17,49 +17,49 @@ from ..solvers.taylor_backend import TaylorSolver
 from ..trajectory.arcs import Arc
 from ..trajectory.log import Log
 from ..trajectory.trajectory import Trajectory
-from .standing import Standing, size_of, standing
+from .section import SAMPLED_DEGREE
+from .standing import RATE_PARTS, Standing, size_of, standing
 
 #: Distances below this many times ``rtol``, three turns in a row, are those of a closed orbit.
-CLOSE = 10.0
+CLOSED_RTOLS = 10.0
 
-#: Moves of this many times ``atol`` are none.
-STILL = 100.0
+#: Moves of less than this many times ``atol`` are none.
+STILL_ATOLS = 100.0
 
 #: Longest orbit, in returns, that is looked for.
-LONGEST = 16
+LONGEST_ORBIT = 16
 
-#: Least number of turns that is looked at, and what they must be sure to come to: the distance to
-#: the orbit that they tend to, against its size.
-SHRINKING, NEAR = 5, 1e-3
+#: Least number of turns that is looked at; and how far all turns to come may lead, against the size
+#: of the orbit.
+SHRINKING, REMAINING_DISTANCE = 5, 1e-3
 
 #: Distances must have fallen by this factor at least, and are looked at back to that factor. A slow
 #: passage, or a beat, falls by much too, but not at an even rate.
-FALL, FAR = 10.0, 1e4
+LEAST_FALL, LOOKED_AT_FALL = 10.0, 1e4
 
-#: How unevenly: the turns for one half of the fall (of its logarithm), against those for the other.
-#: Distances like 1/k^2, those of the slowest passage, give 3.2 over a factor of 100, 1.8 over 10.
-EVEN, TURN = 1.4, 2.0
+#: Turns for one half of the fall (of its logarithm), at most, against those for the other: so many
+#: times as many, and so many more. Distances like 1/k^2, those of the slowest passage, give 3.2
+#: times as many over a factor of 100, 1.8 over 10.
+EVEN_RATIO, EVEN_TURNS = 1.4, 2.0
 
 #: Distances are compared by the largest of so many: those of complex multipliers rise and fall.
 WAVE = 3
 
 #: A closed orbit must have been one for this share of the run, or been approached evenly.
-SHARE = 0.25
+SETTLED_SHARE = 0.25
 
 #: Distances of this ratio are much the same.
 ALIKE = 10.0
 
-#: Where along a step the state is looked at.
-SHARES = (0.0, 0.25, 0.5, 0.75)
+#: Shares of a step at which the state is looked at.
+STEP_SHARES = (0.0, 0.25, 0.5, 0.75)
 
-#: Degree at which a step is searched for a crossing.
-LOOK = 16
+#: A zero found in Bernstein's form, which has lost some digits of the highest terms, moves by no
+#: more than this in a step of Newton's method on the Chebyshev series.
+NEWTON_MOVE = 1e-6
 
-#: A zero of a Chebyshev series that was sought in another form moves by less in Newton's step.
-NEARLY = 1e-6
-
-#: Turns of which a mean rate is made, and parts of the run that are compared.
-TURNS, PARTS = 12, 6
+#: The last turns from which the rate of approach is taken.
+MEAN_TURNS = 12
 
 #: Digits of a period that are ever shown.
 DIGITS = 12
@@ -122,7 +122,7 @@ class Turns:
 
 def settles(run: Trajectory) -> Settled:
     """See :meth:`hybrid.Trajectory.settles`."""
-    tol = CLOSE * max(_tolerances(run)[0], 1e-13)
+    tol = CLOSED_RTOLS * max(_tolerances(run)[0], 1e-13)
     scale = _scale(run)
     stands = standing(run)
     if stands is not None and stands.but is None:
@@ -185,7 +185,7 @@ def _states(run: Trajectory, since: float) -> tuple[np.ndarray, np.ndarray]:
     times, states = [], []
     for arc in run.arcs:
         if arc.t1 >= since:
-            inside = [s.start + share * s.length for s in arc.segments for share in SHARES]
+            inside = [s.start + share * s.length for s in arc.segments for share in STEP_SHARES]
             tau = np.array([0.0, *inside, arc.length])
             tau = tau[arc.t0 + tau >= since]
             times.append(arc.t0 + tau)
@@ -198,7 +198,7 @@ def _moves(run: Trajectory, states: np.ndarray, scale: np.ndarray) -> float:
 
     It makes nothing of a run whose states are all below it: ``atol`` is then in other units.
     """
-    slack = STILL * _tolerances(run)[1]
+    slack = STILL_ATOLS * _tolerances(run)[1]
     slack = slack if np.any(size_of(run) > slack) else 0.0 * slack
     return float(np.max(np.maximum(np.ptp(states, axis=0) - slack, 0.0) / scale))
 
@@ -261,16 +261,18 @@ def _still(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
     if len(run.jumps) and run.jumps.t[-1] > middle:
         return None
     times, states = _states(run, middle)
-    part = np.minimum(((times - middle) / (run.t1 - middle) * PARTS).astype(int), PARTS - 1)
-    if len(np.unique(part)) < PARTS:
+    part = np.minimum(
+        ((times - middle) / (run.t1 - middle) * RATE_PARTS).astype(int), RATE_PARTS - 1
+    )
+    if len(np.unique(part)) < RATE_PARTS:
         states = np.array([np.concatenate([np.ravel(v) for v in run(t)]) for t in _even(run)])
-        part = np.repeat(np.arange(PARTS), len(states) // PARTS)
-    moves = np.array([_moves(run, states[part == k], scale) for k in range(PARTS)])
-    each, (first, last) = (run.t1 - middle) / PARTS, (float(moves[0]), float(moves[-1]))
+        part = np.repeat(np.arange(RATE_PARTS), len(states) // RATE_PARTS)
+    moves = np.array([_moves(run, states[part == k], scale) for k in range(RATE_PARTS)])
+    each, (first, last) = (run.t1 - middle) / RATE_PARTS, (float(moves[0]), float(moves[-1]))
     said = f"tends to a point: the moves in times of {each:.6g}"
     if np.all(moves <= tol):
         said += " are no more than the tolerances tell"
-    elif _falls(moves) and _beyond(moves) <= NEAR:
+    elif _falls(moves) and _beyond(moves) <= REMAINING_DISTANCE:
         said += f" fall from {first:.3g} to {last:.3g} of its size"
     else:
         return None
@@ -279,7 +281,7 @@ def _still(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
 
 def _even(run: Trajectory) -> np.ndarray:
     """Times that part the last half of a run evenly."""
-    return np.linspace(0.5 * (run.t0 + run.t1), run.t1, 16 * PARTS)
+    return np.linspace(0.5 * (run.t0 + run.t1), run.t1, 16 * RATE_PARTS)
 
 
 # ---------------------------------------------------------------------------------------
@@ -306,7 +308,7 @@ def _returns(run: Trajectory) -> list[Returns]:
 
 def _longest(times: np.ndarray) -> float:
     """Twice the longest time between the last returns: later than that they have ceased."""
-    return 2.0 * float(np.max(np.diff(times[-LONGEST:])))
+    return 2.0 * float(np.max(np.diff(times[-LONGEST_ORBIT:])))
 
 
 def _crossings(run: Trajectory) -> Returns:
@@ -318,7 +320,7 @@ def _crossings(run: Trajectory) -> Returns:
     times, points = [], []
     for arc in run.arcs:
         for segment in arc.segments:
-            above = segment.at(nodes(LOOK))[:, i] > level
+            above = segment.at(nodes(SAMPLED_DEGREE))[:, i] > level
             if above.any() and not above.all():
                 for xi in _rising(segment.coefficients[:, i], level):
                     tau = segment.start + 0.5 * (xi + 1.0) * segment.length
@@ -334,14 +336,14 @@ def _rising(series: np.ndarray, level: float) -> list[float]:
     b = bernstein_from_chebyshev(len(series) - 1) @ series
     xi = np.array([2.0 * s - 1.0 for s, direction in roots(b, 0, 0.0) if direction > 0])
     steps = chebyshev.chebval(xi, series) / chebyshev.chebval(xi, chebyshev.chebder(series))
-    near = np.abs(steps) <= NEARLY  # Bernstein's form has lost some digits of the highest terms
+    near = np.abs(steps) <= NEWTON_MOVE
     return np.where(near, np.minimum(xi - steps, 1.0), xi).tolist()
 
 
 def _turns(returns: Returns, scale: np.ndarray) -> Iterator[Turns]:
     """Turns of 1, 2, ... returns, each with the distances between one turn and the next."""
     t, x = returns.t, returns.x / scale
-    for length in range(1, LONGEST + 1):
+    for length in range(1, LONGEST_ORBIT + 1):
         if len(t) < (SHRINKING + 1) * length + 1:
             return
         lasts = t[length:] - t[:-length]
@@ -358,10 +360,10 @@ def _settled(turns: Turns, run: Trajectory, tol: float) -> bool:
     """Whether turns have come to an orbit, or tend to one at a rate that leaves no doubt."""
     distances = _highest(turns.distances, WAVE)
     if distances[-1] > tol:
-        return _falls(distances) and _beyond(distances) <= NEAR
+        return _falls(distances) and _beyond(distances) <= REMAINING_DISTANCE
     arrived = int(np.flatnonzero(np.append(True, distances[:-1] > tol))[-1])
     closed = (len(distances) - arrived + WAVE) * turns.period
-    return closed >= SHARE * (run.t1 - run.t0) or _falls(distances[: arrived + 1])
+    return closed >= SETTLED_SHARE * (run.t1 - run.t0) or _falls(distances[: arrived + 1])
 
 
 def _highest(values: np.ndarray, count: int) -> np.ndarray:
@@ -379,19 +381,19 @@ def _falls(distances: np.ndarray) -> bool:
     point faster and faster.
     """
     last = float(distances[-1])
-    if last > distances.min() or not distances.max() >= FALL * last:
+    if last > distances.min() or not distances.max() >= LEAST_FALL * last:
         return False
-    top = min(float(distances.max()), FAR * last)
+    top = min(float(distances.max()), LOOKED_AT_FALL * last)
     start = int(np.flatnonzero(distances >= top)[-1])
     half = int(np.flatnonzero(distances >= np.sqrt(top * last))[-1])
     before, after = half - start, len(distances) - 1 - half
-    return after <= EVEN * before + TURN and before <= EVEN * after + TURN
+    return after <= EVEN_RATIO * before + EVEN_TURNS and before <= EVEN_RATIO * after + EVEN_TURNS
 
 
 def _beyond(distances: np.ndarray) -> float:
     """How far all turns to come lead, if they go on as they did of late."""
     last = float(distances[-1])
-    start = int(np.flatnonzero(distances >= FALL * last)[-1])
+    start = int(np.flatnonzero(distances >= LEAST_FALL * last)[-1])
     if not last:
         return 0.0
     rate = (last / float(distances[start])) ** (1.0 / (len(distances) - 1 - start))
@@ -411,7 +413,7 @@ def _shortest(turns: Turns, tried: list[Turns]) -> Turns:
 
 def _rate(distances: np.ndarray, tol: float) -> float | None:
     """Mean factor from one distance to the next, where they are more than rounding."""
-    recent = distances[-TURNS:]
+    recent = distances[-MEAN_TURNS:]
     ratios = [after / before for before, after in pairwise(recent) if after > 1e-2 * tol]
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else None
 
@@ -444,7 +446,7 @@ def _none(run: Trajectory, tried: list[Turns]) -> Settled:
     how = "shrinks too slowly to tell" if falls else "does not shrink"
     return Settled(
         "none",
-        f"not at rest, and no orbit of up to {LONGEST} returns closes: the nearest, of "
+        f"not at rest, and no orbit of up to {LONGEST_ORBIT} returns closes: the nearest, of "
         f"{best.length} return{'s' * (best.length > 1)} to {best.returns.to}, is {distance:.3g} of "
         f"its size apart from turn to turn, and {how}",
         distance=distance,

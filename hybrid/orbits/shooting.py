@@ -27,25 +27,25 @@ from ..trajectory.trajectory import Trajectory
 from ..variation import Factor, factors
 
 #: Most steps of Newton's method, and most halvings of one.
-STEPS, HALVINGS = 40, 8
+NEWTON_STEPS, NEWTON_HALVINGS = 40, 8
 
-#: What a step may change, against the size of the orbit and the period.
-REACH = 0.5
+#: What a step of Newton's method may change, against the size of the orbit and the period.
+NEWTON_REACH = 0.5
 
 #: An element of the state smaller than this many times ``atol`` is measured by that.
-FLOOR = 1e3
+FLOOR_ATOLS = 1e3
 
-#: What is added to the residual where the ends of a turn are in different modes.
-APART = 1.0
+#: What the residual is more by where the ends of a turn are in different modes.
+OTHER_MODE = 1.0
 
 #: An orbit that moves less than this, against its size, in a period, is an equilibrium.
-MOVES = 1e-6
+EQUILIBRIUM_MOVE = 1e-6
 
 #: An element that moves less than this, against its size, is measured as if it did so much.
 HARDLY = 1e-9
 
 #: Shortest arc of a plain mode, against the period, in which an orbit is begun.
-LEAST = 1e-2
+SHORTEST_ARC = 1e-2
 
 
 @attrs.frozen(eq=False)
@@ -149,14 +149,14 @@ class Shooting:
     def _apart(self, run: Trajectory) -> float:
         """What the residual is more by where the ends of a turn are in different modes."""
         same = run.mode == run.parts[0].mode
-        return 0.0 if same else APART
+        return 0.0 if same else OTHER_MODE
 
     def _scale(self, run: Trajectory) -> np.ndarray:
         ends = [part.last for part in run.parts]
         inside = [s(s.start + 0.5 * s.length) for a in run.arcs for s in a.segments]
         atol = np.broadcast_to(np.asarray(self.options["atol"], dtype=float), ends[0].shape)
         sizes: np.ndarray = np.abs(np.array(ends + inside)).max(axis=0)
-        return np.maximum(sizes, np.maximum(FLOOR * atol, 1e-300))
+        return np.maximum(sizes, np.maximum(FLOOR_ATOLS * atol, 1e-300))
 
     def spread(self, run: Trajectory) -> np.ndarray:
         """How far each element goes along a run; that of one that hardly moves, from its size."""
@@ -172,7 +172,7 @@ class Shooting:
         """
         run = self.turn(guess).run
         arcs = [arc for arc in run.parts if isinstance(arc, Arc)]
-        plain = [a for a in arcs if not a.constrained and a.length > LEAST * guess.period]
+        plain = [a for a in arcs if not a.constrained and a.length > SHORTEST_ARC * guess.period]
         arc = max(plain or arcs, key=lambda arc: arc.length)
         half = 0.5 * arc.length
         t = arc.t0 + (arc.low + half) if self.timed else guess.t
@@ -181,7 +181,7 @@ class Shooting:
     def refine(self, guess: Guess) -> Shot:
         """Newton's method from a guess, as far as it goes."""
         turn = self.turn(guess)
-        for _ in range(STEPS):
+        for _ in range(NEWTON_STEPS):
             better = self._improved(turn)
             if better is None:
                 break
@@ -193,8 +193,8 @@ class Shooting:
         step, stretch = self._step(turn)
         far = float(np.max(np.abs(step) / self._measure(turn)))
         size = max(far, abs(stretch) / turn.guess.period)
-        share = min(1.0, REACH / size) if size else 1.0
-        for halving in range(1 if turn.residual <= self.tol else HALVINGS):
+        share = min(1.0, NEWTON_REACH / size) if size else 1.0
+        for halving in range(1 if turn.residual <= self.tol else NEWTON_HALVINGS):
             part = share * 0.5**halving
             try:
                 found = self.turn(self.moved(turn, part * step, part * stretch))

@@ -20,7 +20,7 @@ from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Trajectory
 
 #: Differences below this, against the size of an element along the run, are rounding.
-ROUNDING = 1e-14
+CHANGE_ROUNDING = 1e-14
 
 #: A guard nearer to zero than this, against the terms it is made of (a load: against the largest
 #: that it was), is not away from it: what integration loses may have brought it there.
@@ -28,10 +28,10 @@ AWAY = 1e-6
 
 #: Parts of the last half of a run in which the rates of what moves are compared, and times in each.
 #: Noise grows in all of them once in 720 times, and by no power of ten from the first to the last.
-PARTS, TIMES, MUCH = 6, 4, 10.0
+RATE_PARTS, TIMES, MUCH = 6, 4, 10.0
 
 #: Places along a step at which loads are looked at.
-LOOK = nodes(8)
+LOAD_PLACES = nodes(8)
 
 
 @attrs.frozen
@@ -114,14 +114,14 @@ def _held(field: Field) -> set[int]:
 def _grow(run: Trajectory, arc: Arc, places: list[int]) -> list[bool]:
     """Whether the rates of some elements grow all through the last half of a run."""
     first = max(arc.t0, 0.5 * (run.t0 + run.t1))
-    times = np.linspace(first, arc.t1, PARTS * TIMES)
+    times = np.linspace(first, arc.t1, RATE_PARTS * TIMES)
     states = arc.local(np.clip((times - arc.t0) - arc.low, 0.0, arc.length))
     part = len(run.parts) - 1
     rates = [
         np.abs(run.hindsight.at(part, t).field(arc.mode).rhs(t, x.tolist()))[places]
         for t, x in zip(times.tolist(), states, strict=True)
     ]
-    largest = np.array(rates).reshape(PARTS, TIMES, len(places)).max(axis=1)
+    largest = np.array(rates).reshape(RATE_PARTS, TIMES, len(places)).max(axis=1)
     always = np.all(np.diff(largest, axis=0) > 0, axis=0)
     return [bool(each) for each in always | (largest[-1] > MUCH * largest[0])]
 
@@ -130,8 +130,8 @@ def _stands(record: PastRecord, arc: Arc, seen: list[int], size: np.ndarray) -> 
     """From when on the record shows the last state, in what is seen of it."""
     for piece in reversed(record.pieces):
         start = piece.start if np.isfinite(piece.start) else piece.end - 1.0
-        states = piece.state(start, (piece.end - start) * LOOK)[:, seen]
-        allowed = ROUNDING * size[seen]
+        states = piece.state(start, (piece.end - start) * LOAD_PLACES)[:, seen]
+        allowed = CHANGE_ROUNDING * size[seen]
         if np.any(np.abs(states - arc.last[seen]) > allowed):
             return piece.end
         if piece.degree > 64:
@@ -143,8 +143,8 @@ def _loads(sight: Hindsight, part: int, arc: Arc) -> list[list[float]]:
     """Loads of the contacts held, along an arc."""
     found = []
     for segment in arc.segments:
-        times = arc.t0 + arc.low + segment.start + segment.length * LOOK
-        for t, x in zip(times.tolist(), segment.at(LOOK).tolist(), strict=True):
+        times = arc.t0 + arc.low + segment.start + segment.length * LOAD_PLACES
+        for t, x in zip(times.tolist(), segment.at(LOAD_PLACES).tolist(), strict=True):
             field = sight.at(part, t).field(arc.mode)
             loads = [guard.value(t, x) for guard in field.guards if guard.kind is Kind.RELEASE]
             found += [loads] if loads else []

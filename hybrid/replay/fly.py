@@ -18,7 +18,7 @@ from jax.lax import stop_gradient
 
 from ..variation.arcs import gauss
 from .itinerary import TOGETHER, Itinerary
-from .laws import END, LENGTH, Laws, chosen
+from .laws import AT_END, AT_LENGTH, Laws, chosen
 
 #: Orders of the derivatives that are right.
 ORDERS = 2
@@ -29,8 +29,8 @@ class ReplayedRun:
 
     def __init__(self, laws: Laws, plan: Itinerary, parameters: Any, t1: Any) -> None:
         self.laws, self.plan, self.parameters, self.t1 = laws, plan, parameters, t1
-        self.end = list(laws.guards).index(END)
-        self.fixed = list(laws.guards).index(LENGTH)
+        self.end = list(laws.guards).index(AT_END)
+        self.fixed = list(laws.guards).index(AT_LENGTH)
 
     def __call__(self, t0: Any, x: Any) -> tuple[tuple[Any, Any, Any], tuple[Any, Any]]:
         """Times of the steps' ends, states before and after what happens there; and time and state

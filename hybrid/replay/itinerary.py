@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -13,13 +14,21 @@ from ..lowering import Field
 from ..segment import Segment
 from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
 from ..variation import Course, Walk
-from ..variation.arcs import HALVINGS, ArcPiece, collocate, gauss, pieces, sizes
+from ..variation.arcs import (
+    COLLOCATION_HALVINGS,
+    COLLOCATION_TOLERANCE,
+    ArcPiece,
+    collocate,
+    gauss,
+    pieces,
+    sizes,
+)
 from ..variation.derivatives import Derivatives, Matrix
-from .laws import END, LENGTH, SAME, Laws, laws_of
+from .laws import AT_END, AT_LENGTH, IDENTITY, Laws, laws_of
 
 #: Last terms of the series of a step's slopes, relative, that are small enough: a collocation at
 #: Gauss's points errs at its end by about their square.
-RESOLVED = 1e-6
+SLOPE_RIPPLE = math.sqrt(COLLOCATION_TOLERANCE)
 
 #: Steps that are skipped together where a run has fewer than there is room for.
 TOGETHER = 32
@@ -215,16 +224,21 @@ class _Maker:
             )
         mask = [float(name in field.held) for name in self.laws.contacts]
         flow = _number(self.laws.flows, (field.mode, bool(field.held)))
-        first, onto = arc.first, SAME if field.project is None else field.mode
+        first, onto = arc.first, IDENTITY if field.project is None else field.mode
         for place, piece in enumerate(found):
             last = place + 1 == len(found)
-            guard, reset, end = LENGTH, SAME, t + piece.end
+            guard, reset, end = AT_LENGTH, IDENTITY, t + piece.end
             before = after = piece.segment(piece.end)
             if last:
-                guard, end, before, after = END if ends else LENGTH, arc.t1, arc.last, arc.last
+                guard, end, before, after = (
+                    AT_END if ends else AT_LENGTH,
+                    arc.t1,
+                    arc.last,
+                    arc.last,
+                )
             if last and jump is not None:
                 guard, before, after = jump.edge, jump.before, jump.after
-                reset = jump.edge if jump.edge in self.laws.resets else SAME
+                reset = jump.edge if jump.edge in self.laws.resets else IDENTITY
                 self.jumps.append(self.count)
             numbers = [
                 flow,
@@ -234,7 +248,7 @@ class _Maker:
             ]
             yield _Leg(piece, mask, numbers, first, before, after, end)
             self.count += 1
-            first, onto = before, SAME
+            first, onto = before, IDENTITY
 
     def _pieces(self, field: Field, t: float, segment: Segment) -> Iterator[ArcPiece]:
         """A step of the run in parts short enough for the collocation."""
@@ -250,11 +264,11 @@ class _Maker:
 
 def _resolved(rate: Matrix, piece: ArcPiece, units: np.ndarray) -> Iterator[ArcPiece]:
     """A piece, halved until the last terms of its series are small."""
-    waiting, left = [piece], HALVINGS
+    waiting, left = [piece], COLLOCATION_HALVINGS
     while waiting:
         piece = waiting.pop()
         matrix, ripple = collocate(rate, piece)
-        if left and np.any(ripple > RESOLVED * sizes(piece, matrix, units)):
+        if left and np.any(ripple > SLOPE_RIPPLE * sizes(piece, matrix, units)):
             waiting, left = waiting + piece.halves()[::-1], left - 1
         else:
             yield piece

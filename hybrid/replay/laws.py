@@ -21,10 +21,10 @@ from ..lowering.mode import RELEASE
 Law = Callable[..., Any]
 
 #: What ends a step of a replay, beside the guards: its length does not change; the last time.
-LENGTH, END = "length", "end"
+AT_LENGTH, AT_END = "length", "end"
 
 #: A reset, or a projection, that leaves the state as it is.
-SAME = "same"
+IDENTITY = "same"
 
 
 class Laws:
@@ -49,9 +49,9 @@ class Laws:
         rests = [e for e in self.spec.transitions if isinstance(e, ContactSpec) and e.rests]
         self.contacts = tuple(edge.name for edge in rests)
         self.flows: dict[tuple[str, bool], Law] = {}
-        self.guards: dict[str, Law] = {LENGTH: _nothing, END: _nothing}
-        self.resets: dict[str, Law] = {SAME: _same}
-        self.onto: dict[str, Law] = {SAME: _same}
+        self.guards: dict[str, Law] = {AT_LENGTH: _nothing, AT_END: _nothing}
+        self.resets: dict[str, Law] = {IDENTITY: _same}
+        self.onto: dict[str, Law] = {IDENTITY: _same}
         slides = [switching.mode for switching in self.spec.switchings if switching.slides]
         for mode in (*(mode.name for mode in self.spec.modes), *slides):
             self._add(mode)

@@ -19,40 +19,27 @@ from numpy.polynomial import legendre
 
 from ..errors import OrbitError
 from ..lowering import Field
+from ..rules.limits import BESIDE, NOTHING, ROUNDED, SAME
 from ..segment import Segment, nodes
 from .derivatives import Derivatives, Matrix
 
 #: Stages of the collocation, whose order is twice as many.
 STAGES = 8
 
-#: Steps are halved until both halves say the same, relative; and most halvings of one: where a
-#: formula bends, as many as a double has bits, a few times.
-RESOLVED, HALVINGS = 1e-12, 200
+#: Relative error of a collocation at which a step is no longer halved; and most halvings of one:
+#: where a formula bends, as many as a double has bits, a few times.
+COLLOCATION_TOLERANCE, COLLOCATION_HALVINGS = 1e-12, 200
 
-#: Places of a step at which it is asked on which side of its kinks it is.
-SAMPLES = nodes(8)
+#: Shares of a step at which it is asked on which side of its kinks it is, and how large the state.
+STEP_PLACES = nodes(8)
 
-#: The start of a step.
+#: The share at which a step starts.
 START = np.zeros(1)
 
-#: Share of a piece at whose distance from its end the flow is read on its side of a kink. It is
-#: drawn out to the end along a straight line, which errs by the square of this.
-BESIDE = 1e-6
-
-#: The same where steps are so short that rounding would decide on the side: against the time since
-#: the arc began; and the largest share.
-APART, MOST = 1e-10, 0.25
-
-#: A change of the flow below this, relative to its size along the arc, is none: a thousand times
-#: what the straight line errs by.
-NOTHING = 1e-9
-
-#: What rounding of time and state makes of a kink, against its terms.
-ROUNDED = 16 * 2.0**-52
-
-#: Kinks at one instant are one where the neighbours reach them at times that differ by less than
-#: this, relative.
-SAME = 1e-6
+#: The distance from a piece's end at which the flow is read on its side of a kink is at least this,
+#: against the time since the arc began, as rounding would decide on the side of a shorter one; and
+#: at most this share of the piece.
+TOLD_APART, MOST_ASIDE = 1e-10, 0.25
 
 
 class Flowing(Protocol):
@@ -85,8 +72,8 @@ class ArcPiece:
     @property
     def beside(self) -> float:
         """How far from an end its side of a kink is told."""
-        share = max(BESIDE, APART * self.segment.end / self.length)
-        return min(share, MOST) * self.length
+        share = max(BESIDE, TOLD_APART * self.segment.end / self.length)
+        return min(share, MOST_ASIDE) * self.length
 
     def inside(self, ends: bool) -> float:
         """The local time there."""
@@ -152,10 +139,10 @@ def along(
 
 def _resolve(rate: Matrix, piece: ArcPiece, units: np.ndarray) -> np.ndarray:
     """The matrix of a piece, halved until it is resolved."""
-    open_pieces, left, found = [(piece, *collocate(rate, piece))], HALVINGS, None
+    open_pieces, left, found = [(piece, *collocate(rate, piece))], COLLOCATION_HALVINGS, None
     while open_pieces:
         piece, once, ripple = open_pieces.pop()
-        allowed = RESOLVED * sizes(piece, once, units)
+        allowed = COLLOCATION_TOLERANCE * sizes(piece, once, units)
         both, halves = once, list[tuple[ArcPiece, np.ndarray, np.ndarray]]()
         if left and np.any(ripple > allowed):
             halves = [(half, *collocate(rate, half)) for half in piece.halves()]
@@ -173,7 +160,7 @@ def sizes(piece: ArcPiece, matrix: np.ndarray, units: np.ndarray) -> np.ndarray:
     """What a matrix is measured by: changes of the state by the largest, those by a parameter by
     their own and by what they are where they change the state by its size."""
     size, largest = len(matrix), np.abs(matrix).max(axis=0)
-    rows = np.abs(piece.segment.at(SAMPLES)).max(axis=0)
+    rows = np.abs(piece.segment.at(STEP_PLACES)).max(axis=0)
     return np.hstack(
         [
             np.full((size, size), largest[:size].max()),
@@ -222,7 +209,7 @@ def told(segments: Sequence[Segment]) -> list[Segment]:
     """
     kept: list[Segment] = []
     for segment in segments:
-        if MOST * segment.length >= APART * segment.end:
+        if MOST_ASIDE * segment.length >= TOLD_APART * segment.end:
             kept.append(segment)
         elif kept:
             kept[-1] = kept[-1].cut(segment.end - kept[-1].start)
@@ -236,7 +223,7 @@ def pieces(kinks: Matrix | None, t: float, segment: Segment) -> list[ArcPiece]:
     if kinks is None:
         return [ArcPiece(t, segment, segment.start, segment.length)]
     known = kinks
-    shares = SAMPLES.tolist()
+    shares = STEP_PLACES.tolist()
 
     def values(share: float) -> np.ndarray:
         tau = segment.start + share * segment.length

@@ -12,23 +12,20 @@ from ..automaton.past import DEGREE
 from ..delay.pieces import Window
 from ..delay.windows import TO_POWERS
 from ..errors import OrbitError
+from ..rules.limits import NOTHING
 from ..segment import from_values, nodes
 from ..trajectory.arcs import Arc, JumpRow
 from .derivatives import Derivatives
 from .limit import through
-from .past import NOTHING, PastVariation, Shift, Strand
-from .walk import Chatter, Course, DelayedArc, Factor, Walk
-
-#: Change of what decides which jump comes first, against the terms of which it is made, that is
-#: rounding of them.
-TIED = 1e-9
+from .past import PastVariation, Shift, Strand
+from .walk import TIED, Chatter, Course, DelayedArc, Factor, Walk
 
 #: Flights of a series of impacts shorter than this, against the first, are remembered as one; the
-#: same where what jumps at impacts is seen.
-BRIEF, BRIEFER = 1e-6, 1e-9
+#: same where what jumps at impacts is seen by the flow.
+SHORT_FLIGHT, SHORT_SEEN_FLIGHT = 1e-6, 1e-9
 
 #: Least length of a window, in spacings of the time.
-LEAST = 64.0
+WINDOW_SPACINGS = 64.0
 
 
 @attrs.frozen(eq=False)
@@ -201,7 +198,7 @@ class Carried:
         part, sight = chatter.part, past.sight
         shapes, shown = sight.scene.code.shapes, part.tail.field.parameters
         own = len(shapes) - len(sight.scene.spec.windows)
-        width = max(part.tail.remaining, LEAST * ulp(part.t1))
+        width = max(part.tail.remaining, WINDOW_SPACINGS * ulp(part.t1))
         windows, rows = list[np.ndarray](), list[np.ndarray]()
         for k, lag in enumerate(sight.lags):
             frame, powers = (np.asarray(each) for each in shown[own + 2 * k : own + 2 * k + 2])
@@ -241,7 +238,7 @@ class Carried:
         jump = part.jump(1) if part.tail.count else None
         shows = jump is not None and any(jump.before[e] != jump.after[e] for e in seen)
         arcs, jumps = [part.arc(0)], dict[int, JumpRow]()
-        least = (BRIEFER if shows else BRIEF) * arcs[0].length
+        least = (SHORT_SEEN_FLIGHT if shows else SHORT_FLIGHT) * arcs[0].length
         while len(arcs) < part.tail.count and arcs[-1].length > least:
             jumps[len(arcs) - 1] = part.jump(len(arcs))
             arcs.append(part.arc(len(arcs)))

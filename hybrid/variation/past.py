@@ -28,29 +28,24 @@ from numpy.polynomial import chebyshev
 from numpy.polynomial.legendre import leggauss
 
 from ..errors import OrbitError
+from ..rules.limits import BESIDE, NOTHING
 from ..segment import from_values, nodes
 from ..trajectory.arcs import Arc
-from .arcs import ArcPiece, bend, middle, pieces, told
+from .arcs import COLLOCATION_TOLERANCE, ArcPiece, bend, middle, pieces, told
 from .derivatives import Matrix
 from .walk import Walk
 
 #: Degree of the collocation on a step.
-DEGREE = 14
+COLLOCATION_DEGREE = 14
 
-#: Steps are halved until their last coefficients are this small, relative; and most halvings.
-RESOLVED, DEPTH = 1e-12, 6
+#: Most halvings of a step.
+DELAYED_HALVINGS = 6
 
 #: Breaking points are followed through this many lags.
 GENERATIONS = 6
 
-#: Times nearer than this, relative, are one; of lags that depend on time or state.
-SAME, NEARLY = 1e-13, 1e-11
-
-#: Where in a step, from its ends, its side of a breaking point is told.
-INSIDE = 1e-6
-
-#: A change of the flow, or of a time, below this, relative, is none.
-NOTHING = 1e-9
+#: Times nearer than this, relative, are one; the same of lags that depend on time or state.
+SAME_TIME, SAME_MOVING_TIME = 1e-13, 1e-11
 
 
 @attrs.frozen(eq=False)
@@ -95,7 +90,7 @@ def distinct(times: Iterable[float]) -> list[float]:
     """Times in order, those that are nearly one once."""
     found: list[float] = []
     for t in sorted(times):
-        if not found or t - found[-1] > SAME * max(1.0, abs(t)):
+        if not found or t - found[-1] > SAME_TIME * max(1.0, abs(t)):
             found.append(t)
     return found
 
@@ -168,7 +163,7 @@ class PastVariation:
 
     def within(self, times: np.ndarray, low: float, high: float) -> np.ndarray:
         """The same on the smooth piece between two times."""
-        room = INSIDE * max(high - low, 0.0)
+        room = BESIDE * max(high - low, 0.0)
         return self.at(times, np.clip(times, low + room, high - room))
 
     def shown(self, index: int, t: float, near: float, now: np.ndarray) -> np.ndarray:
@@ -192,7 +187,7 @@ class PastVariation:
         """The jumps of the record that are seen at a time, and by which lag."""
         code = self.sight.scene.code
         for k, place in enumerate(self.sight.places(index, t)):
-            room = (NEARLY if code.moving[k] else SAME) * max(1.0, abs(t))
+            room = (SAME_MOVING_TIME if code.moving[k] else SAME_TIME) * max(1.0, abs(t))
             for shift in self.shifts:
                 if place < t and abs(shift.t - place) <= room and shift.shows(code.seen[k]):
                     yield k, shift
@@ -249,7 +244,9 @@ class PastVariation:
         for piece in self._pieces(arc, kinks):
             if last is not None:
                 now = self._passed(index, arc, field, last, piece, largest, now)
-            now = self._step(index, arc, piece.t + piece.start, piece.t + piece.end, now, DEPTH)
+            now = self._step(
+                index, arc, piece.t + piece.start, piece.t + piece.end, now, DELAYED_HALVINGS
+            )
             last = piece
         return now
 
@@ -259,7 +256,7 @@ class PastVariation:
         stops = [*self.breaks, *(shift.t + g for shift in self.shifts for g in self.sight.lags)]
         for segment in arc.segments if kinks is None else told(arc.segments):
             for piece in pieces(kinks, t, segment):
-                room = SAME * max(1.0, abs(t + piece.end))
+                room = SAME_TIME * max(1.0, abs(t + piece.end))
                 inner = [s - t for s in stops if piece.start + room < s - t < piece.end - room]
                 ends = [piece.start, *distinct(inner), piece.end]
                 yield from (ArcPiece(t, segment, a, b - a) for a, b in pairwise(ends))
@@ -293,9 +290,9 @@ class PastVariation:
         if not b > a:  # nothing but rounding of the time
             return now
         values, states = self._collocated(index, arc, a, b, now)
-        sizes = np.abs(np.tensordot(from_values(DEGREE), values, 1))
+        sizes = np.abs(np.tensordot(from_values(COLLOCATION_DEGREE), values, 1))
         least = np.abs(states).max() / self.units
-        allowed = RESOLVED * np.maximum(sizes.max(axis=(0, 1)), least)
+        allowed = COLLOCATION_TOLERANCE * np.maximum(sizes.max(axis=(0, 1)), least)
         if depth and np.any(sizes[-2:].max(axis=(0, 1)) > allowed):
             middle = 0.5 * (a + b)
             now = self._step(index, arc, a, middle, now, depth - 1)
@@ -308,7 +305,7 @@ class PastVariation:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Values of the change at the Chebyshev points of a step, and states in it."""
         size, (points, inner, whole) = self.size, _gauss()
-        times, count = a + (b - a) * points, DEGREE + 1
+        times, count = a + (b - a) * points, COLLOCATION_DEGREE + 1
         states = arc.local((times - arc.t0) - arc.low)
         places = np.array([self.sight.places(index, t) for t in times.tolist()])
         pairs, field = zip(times.tolist(), states, strict=True), self.walk.scene.field(arc.mode)
@@ -319,8 +316,8 @@ class PastVariation:
         for k, at in enumerate(places.T):
             seen = rates[:, :, size * (1 + k) : size * (2 + k)]
             own = at > a
-            within = chebyshev.chebvander(2.0 * (at - a) / (b - a) - 1.0, DEGREE)
-            weights = np.where(own[:, None], within @ from_values(DEGREE), 0.0)
+            within = chebyshev.chebvander(2.0 * (at - a) / (b - a) - 1.0, COLLOCATION_DEGREE)
+            weights = np.where(own[:, None], within @ from_values(COLLOCATION_DEGREE), 0.0)
             unknown += seen[:, :, None, :] * weights[:, None, :, None]
             if not own.all():
                 known[~own] += seen[~own] @ self.at(at[~own], at[~own])
@@ -335,12 +332,14 @@ class PastVariation:
 def _gauss() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gauss points, which are inside of a step; the matrices from values at Chebyshev points to
     values there, and from those back to integrals."""
-    points = 0.5 + 0.5 * leggauss(DEGREE)[0]
+    points = 0.5 + 0.5 * leggauss(COLLOCATION_DEGREE)[0]
     places = 2.0 * points - 1.0
-    inner = chebyshev.chebvander(places, DEGREE) @ from_values(DEGREE)
-    sums = [0.5 * chebyshev.chebint(row, lbnd=-1.0) for row in np.eye(DEGREE)]
-    ends = np.array([chebyshev.chebval(2.0 * nodes(DEGREE) - 1.0, row) for row in sums]).T
-    return points, inner, ends @ np.linalg.inv(chebyshev.chebvander(places, DEGREE - 1))
+    inner = chebyshev.chebvander(places, COLLOCATION_DEGREE) @ from_values(COLLOCATION_DEGREE)
+    sums = [0.5 * chebyshev.chebint(row, lbnd=-1.0) for row in np.eye(COLLOCATION_DEGREE)]
+    ends = np.array(
+        [chebyshev.chebval(2.0 * nodes(COLLOCATION_DEGREE) - 1.0, row) for row in sums]
+    ).T
+    return points, inner, ends @ np.linalg.inv(chebyshev.chebvander(places, COLLOCATION_DEGREE - 1))
 
 
 class _Seeing:

@@ -19,7 +19,7 @@ from .derivatives import Derivatives, Rows
 from .series import POINTS, room_for
 
 #: Runs after which programs are compiled: the changes of those take as long as that does, 0.3 s.
-HOT = 1000
+HOT_RUNS = 1000
 
 
 class SlopeTables:
@@ -146,7 +146,7 @@ class Owned(SlopeTables):
     def flown(self, runs: int) -> None:
         """Count runs whose changes are carried; where they are many, go on compiling programs."""
         self._runs += runs
-        if self._runs > HOT:
+        if self._runs > HOT_RUNS:
             self._native.go_on(self.slopes.programs)
 
     def add_field(self, number: int) -> None:

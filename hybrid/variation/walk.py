@@ -24,24 +24,23 @@ import numpy as np
 from ..errors import OrbitError
 from ..lowering import Field, Guard, Kind, Scene, scene_of
 from ..rules.guards import NEAR
+from ..rules.limits import ROUNDING
 from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
 from ..trajectory.trajectory import Trajectory
 from .arcs import ArcPiece, along, passing, told
 from .derivatives import Derivatives
 from .limit import LimitVariation, through
 
-#: Change of a guard, against the terms of which it is made, that is rounding of them.
+#: Change of a guard, or of what decides which jump comes first, against the terms of which it is
+#: made, that is rounding of them.
 TIED = 1e-9
 
 #: A guard that fires further from its zero than this, against what it jumps by when a jump of the
 #: past is seen, has fired because of that.
 SEEN = 1e-6
 
-#: What is left of a difference, relative, that is rounding.
-ROUNDING = 1e-14
-
 #: Kinds of jumps that leave the state and, where they begin, the flow as they are.
-SMOOTH = (Kind.RELEASE, Kind.LEAVE)
+SMOOTH_KINDS = (Kind.RELEASE, Kind.LEAVE)
 
 
 def cleared(matrix: np.ndarray, sizes: np.ndarray, relative: float) -> np.ndarray:
@@ -296,7 +295,7 @@ class Walk:
         for place, row in group:
             resets = self._after(self._reset(place, row), resets)
         reset = self._widened(resets[:, 1:])
-        if guard.kind not in SMOOTH or jumped is not None or waits or len(group) > 1:
+        if guard.kind not in SMOOTH_KINDS or jumped is not None or waits or len(group) > 1:
             moves = resets[:, 1 : 1 + self.size] @ before + resets[:, 0]
             change = moves - (moves if after is None else self._flow(after, False))
             later = np.outer(change, time)
