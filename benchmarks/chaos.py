@@ -182,7 +182,7 @@ def simulated(solver, method, impacts, tolerance=TOLERANCE):
 
 def by_taylor(coded, impacts, tolerance=TOLERANCE):
     """With the model's own machine code from the start, or never."""
-    automaton.HOT = math.inf
+    automaton.HOT_STEPS = math.inf
     simulated("taylor", None, 1)
     programs = scene_of(MODEL).tables.automaton.programs
     native.compile_all(programs)

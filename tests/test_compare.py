@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 import hybrid as hy
 from hybrid import gallery
 from hybrid.cli import app
-from hybrid.cli.compare import CLOSE, METHODS, SAME, compare
+from hybrid.cli.compare import CLOSE_QUANTITIES, METHODS, SAME_QUANTITIES, compare
 from hybrid.run import cycles
 from models.two_tanks import TwoTanks
 
@@ -49,7 +49,7 @@ def test_what_the_tolerance_does_not_explain_is_seen():
         systems.Drag(), {"x": 1.0, "v": 0.0}, (0, 2), methods={"exact": exact, "loose": loose}
     )
     assert not found.explained
-    assert all(d.size > 0 for d in found.differences if d.quantity in CLOSE[:2])
+    assert all(d.size > 0 for d in found.differences if d.quantity in CLOSE_QUANTITIES[:2])
     assert compare(
         entry.cls(), entry.start, entry.until, methods={"a": exact, "b": exact}
     ).explained
@@ -92,7 +92,7 @@ def test_turns_of_a_cycle_are_compared_as_far_as_both_went_through_them(monkeypa
     sizes = passed_off(monkeypatch, same)
     series = hy.simulate(Ticks(), {"x1": 8.0, "x2": 6.0}, (0, 30), solver="taylor")
     assert len(runs[0].jumps) > len(series.jumps)
-    assert [sizes[name] for name in SAME] == [0.0] * 3
+    assert [sizes[name] for name in SAME_QUANTITIES] == [0.0] * 3
     assert sizes["times"] < 1e-10
 
 
@@ -100,7 +100,7 @@ def test_a_jump_that_only_one_run_has_is_seen(monkeypatch):
     """The last of a run, which moves no state and no time."""
     model = Ticks(mark=3.0)
     sizes = passed_off(monkeypatch, lambda _, *a: hy.simulate(model, *a[:2], **a[2]))
-    assert [sizes[name] for name in SAME] == [1.0, 0.0, 0.0]
+    assert [sizes[name] for name in SAME_QUANTITIES] == [1.0, 0.0, 0.0]
 
 
 def test_the_order_of_modes_before_a_limit_is_compared(monkeypatch):
@@ -131,5 +131,5 @@ def test_a_method_that_fails_is_named():
 def test_the_command_prints_a_line_for_each_quantity():
     result = CliRunner().invoke(app, ["compare", "two_walls"])
     assert result.exit_code == 0, result.output
-    for quantity in ("edges", "modes", "verdicts", *CLOSE):
+    for quantity in ("edges", "modes", "verdicts", *CLOSE_QUANTITIES):
         assert f"\n{quantity} " in result.output

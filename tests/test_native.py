@@ -101,7 +101,7 @@ def test_a_long_run_is_the_same_with_its_own_machine_code_and_without(save, monk
     start, span, options = {"x": 0.3, "v": 0.0}, (0.0, 300.0), {"solver": "taylor", "save": save}
     expected = hy.simulate(Duffing(), start, span, **options)
     scene = scene_of(Duffing())
-    monkeypatch.setattr(tables, "HOT", 0)
+    monkeypatch.setattr(tables, "HOT_STEPS", 0)
     monkeypatch.setattr(scene, "tables", tables.Tables(scene))
     made = hy.simulate(Duffing(), start, span, **options)
     native.compile_all(scene.tables.automaton.programs)
@@ -119,7 +119,7 @@ def test_programs_are_compiled_behind_a_long_run():
     own = tables.Tables(scene_of(Duffing()))
     own.number(own.scene.field("flight"))
     programs = own.automaton.programs
-    own.flown(tables.HOT, ORDER)
+    own.flown(tables.HOT_STEPS, ORDER)
     assert not programs.code.any()
     until = time.monotonic() + 60.0
     while not programs.code.all() and time.monotonic() < until:
@@ -135,7 +135,7 @@ def test_programs_are_written_out_for_the_order_of_the_steps_that_are_many():
     programs = own.automaton.programs
     native.compile_all(programs)
     before = programs.code.tolist()
-    own.flown(tables.HOTTER + 1, ORDER)
+    own.flown(tables.HOT_ORDER_STEPS + 1, ORDER)
     until = time.monotonic() + 60.0
     while programs.code.tolist() == before and time.monotonic() < until:
         own.flown(1, ORDER)
@@ -220,11 +220,11 @@ def test_long_programs_and_plain_python_have_no_code(monkeypatch):
     """They are left to the rule."""
     programs = linked([_jets(lambda t, x, y: x * y + jnp.sin(t))[1]])
     monkeypatch.setattr(native, "_MADE", {})
-    monkeypatch.setattr(native, "LONGEST", 2)
+    monkeypatch.setattr(native, "LONGEST_PROGRAM", 2)
     native.compile_all(programs)
     assert not programs.code.any()
     monkeypatch.setattr(native, "_MADE", {})
-    monkeypatch.setattr(native, "LONGEST", 64)
+    monkeypatch.setattr(native, "LONGEST_PROGRAM", 64)
     native.compile_all(programs)
     assert programs.code.all()
     monkeypatch.setenv("HYBRID_RULES", "checked")

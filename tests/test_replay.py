@@ -206,7 +206,7 @@ def test_gradients_by_many_weights_are_those_of_the_first_variation(monkeypatch)
     cls, weights = neural.learner(3)
     losses = []
     for many in (0, len(weights)):
-        monkeypatch.setattr(function, "MANY", many)
+        monkeypatch.setattr(function, "MANY_PARAMETERS", many)
         losses.append(jit.jit(jax.value_and_grad(neural.loss_of(cls)))(weights))
     (value, slopes), (same, others) = losses
     assert float(value) == float(same)
@@ -224,7 +224,7 @@ def test_with_many_parameters_accumulations_have_first_derivatives(monkeypatch):
     """One of three runs accumulates: its gradient is that of the first variation."""
     rows, found = np.array([AT, 1.01 * AT, [0.3, 9.81, 1.0]]), []
     for many in (0, 3):
-        monkeypatch.setattr(function, "MANY", many)
+        monkeypatch.setattr(function, "MANY_PARAMETERS", many)
         run = fall()
         slope = jax.grad(lambda p, run=run: run(p).final["x"] + run(p).jumps.t[0])
         found.append(jit.jit(jax.vmap(slope))(rows))

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import hybrid as hy
-from hybrid.plot.figure import IMPACT, LIMIT, LINE, SURFACE
+from hybrid.plot.figure import IMPACT_COLOR, LIMIT_COLOR, LINE_COLOR, SURFACE_COLOR
 
 HERE = Path(__file__).parent
 WIDTH, INK = 6.4, "#333333"
@@ -34,7 +34,7 @@ def panels(count, height, **options):
     return figure, np.atleast_1d(figure.subplots(count, 1, **options))
 
 
-def curve(axes, run, name="x", color=LINE, until=None, **options):
+def curve(axes, run, name="x", color=LINE_COLOR, until=None, **options):
     """A coordinate over time; thicker at rest, in a mode that slides, or after a limit."""
     for arc in run.arcs:
         if until is None or arc.t0 < until:
@@ -46,7 +46,7 @@ def curve(axes, run, name="x", color=LINE, until=None, **options):
 
 def mark(axes, t, label):
     """A limit of jumps."""
-    axes.axvline(t, color=LIMIT, lw=1, ls="--")
+    axes.axvline(t, color=LIMIT_COLOR, lw=1, ls="--")
     axes.annotate(
         label,
         (t, 1),
@@ -54,7 +54,7 @@ def mark(axes, t, label):
         xycoords=("data", "axes fraction"),
         textcoords="offset points",
         va="top",
-        color=LIMIT,
+        color=LIMIT_COLOR,
         fontsize=9,
     )
 
@@ -65,7 +65,7 @@ def ball(page):
     limit = run.zeno[0].t
     figure, (over, left) = panels(2, 4.8)
     curve(over, run)
-    over.plot(run.jumps.t, 0 * run.jumps.t, ".", color=IMPACT, ms=4)
+    over.plot(run.jumps.t, 0 * run.jumps.t, ".", color=IMPACT_COLOR, ms=4)
     mark(over, limit, "t_inf")
     over.set(xlabel="t", ylabel="x")
     flights = [arc for arc in run.arcs if arc.mode == "flight"][:26]
@@ -73,7 +73,7 @@ def ball(page):
     for arc, end in zip(flights, ends[1:], strict=False):
         tau = arc.length * np.sin(np.linspace(0.0, np.pi / 2, 200)) ** 2
         height = np.maximum(run.spec.record(arc.local(tau)).x, 1e-12)
-        left.loglog(end + arc.length - tau, height, color=LINE, lw=1.1)
+        left.loglog(end + arc.length - tau, height, color=LINE_COLOR, lw=1.1)
     left.set(xlim=(3.0, 3e-4), ylim=(3e-9, 3.0), xlabel="t_inf - t", ylabel="x")
     return figure
 
@@ -84,21 +84,21 @@ def bead(page):
     t = np.linspace(run.t0, run.t1, 1500)
     omega = model.omega
     figure, (heights, force) = panels(2, 4.8, sharex=True)
-    heights.plot(t, np.sin(omega * t), color=SURFACE, lw=1.2, zorder=0)
+    heights.plot(t, np.sin(omega * t), color=SURFACE_COLOR, lw=1.2, zorder=0)
     curve(heights, run)
     heights.set_ylabel("x")
-    force.axhline(0.0, color=SURFACE, lw=0.8)
+    force.axhline(0.0, color=SURFACE_COLOR, lw=0.8)
     load = 9.8 - omega**2 * np.sin(omega * t)
-    force.plot(t, load, color=SURFACE, lw=0.8, ls=":")
+    force.plot(t, load, color=SURFACE_COLOR, lw=0.8, ls=":")
     for point in run.zeno:
         last = point.t_release or run.t1
         held = (t >= point.t) & (t <= last)
-        force.plot(t[held], load[held], color=LINE, lw=2.6)
+        force.plot(t[held], load[held], color=LINE_COLOR, lw=2.6)
         for axes in (heights, force):
-            axes.axvline(point.t, color=LIMIT, lw=1, ls="--")
+            axes.axvline(point.t, color=LIMIT_COLOR, lw=1, ls="--")
         if point.t_release:
-            force.plot(last, 0.0, "o", color=IMPACT, ms=5)
-            heights.plot(last, np.sin(omega * last), "o", color=IMPACT, ms=5)
+            force.plot(last, 0.0, "o", color=IMPACT_COLOR, ms=5)
+            heights.plot(last, np.sin(omega * last), "o", color=IMPACT_COLOR, ms=5)
     force.set(xlabel="t", ylabel="force at rest")
     return figure
 
@@ -107,10 +107,10 @@ def tanks(page):
     """Two levels in turn, ever faster, then both in the mode that follows."""
     run = page["tanks"]
     figure, (axes,) = panels(1, 2.8)
-    for name, color in (("x1", LINE), ("x2", IMPACT)):
+    for name, color in (("x1", LINE_COLOR), ("x2", IMPACT_COLOR)):
         curve(axes, run, name, color)
         axes.annotate(name, (0.4, run(0.0)[name]), (0, 4), textcoords="offset points", color=color)
-    axes.axhline(5.0, color=SURFACE, lw=0.8)
+    axes.axhline(5.0, color=SURFACE_COLOR, lw=0.8)
     mark(axes, run.zeno[0].t, "t_inf")
     axes.set(xlabel="t", ylabel="level")
     return figure
@@ -120,9 +120,9 @@ def gaps(page):
     """Length of the flights against their number."""
     figure, (axes,) = panels(1, 3.2)
     for name, label, color in (
-        ("ball", "ball, r = 0.7: has a limit", LINE),
-        ("square", "1/k^2: has a limit", LIMIT),
-        ("harmonic", "1/k: has none", IMPACT),
+        ("ball", "ball, r = 0.7: has a limit", LINE_COLOR),
+        ("square", "1/k^2: has a limit", LIMIT_COLOR),
+        ("harmonic", "1/k: has none", IMPACT_COLOR),
         ("lets_go", "forced oscillator: has none", INK),
     ):
         flights = [arc.length for arc in page[name].arcs if arc.mode == "flight"]
@@ -137,9 +137,9 @@ def cut(page):
     """All impacts, and three of them."""
     full, few = page["ball"], page["cut"]
     figure, (axes,) = panels(1, 2.8)
-    curve(axes, full, color=SURFACE)
+    curve(axes, full, color=SURFACE_COLOR)
     curve(axes, few)
-    axes.plot(few.jumps.t[:3], 0 * few.jumps.t[:3], "o", color=IMPACT, ms=4)
+    axes.plot(few.jumps.t[:3], 0 * few.jumps.t[:3], "o", color=IMPACT_COLOR, ms=4)
     mark(axes, few.zeno[0].t, "cut off")
     mark(axes, full.zeno[0].t, "t_inf")
     axes.set(xlabel="t", ylabel="x")

@@ -23,13 +23,13 @@ PURE = ("jax", "math", "cmath", "numpy", "builtins", "operator", "functools", "h
 RANDOM = "random"
 
 #: Types whose values cannot change.
-PLAIN = (int, float, complex, str, bytes, bool, type(None), np.generic)
+IMMUTABLE = (int, float, complex, str, bytes, bool, type(None), np.generic)
 
 #: Longest text of a value, in characters, that a message shows.
-SHOWN = 40
+SHOWN_CHARACTERS = 40
 
 #: Depth to which lists, mappings and objects are compared.
-DEPTH = 3
+COMPARED_DEPTH = 3
 
 
 @attrs.frozen(eq=False)
@@ -61,7 +61,7 @@ class Captured:
         if _same(self.value, now):
             return None
         then, now = repr(self.value), repr(now)
-        if max(len(then), len(now)) > SHOWN:
+        if max(len(then), len(now)) > SHOWN_CHARACTERS:
             return f"{self.name} has changed since the class was made"
         return f"{self.name} was {then} when the class was made and is {now} now"
 
@@ -101,7 +101,7 @@ def may_vary(cls: type, function: Any) -> bool:
 
 
 def _varies(reader: types.FunctionType, value: Any) -> bool:
-    if isinstance(value, (*PLAIN, types.FunctionType, np.ndarray)):
+    if isinstance(value, (*IMMUTABLE, types.FunctionType, np.ndarray)):
         return False
     if isinstance(value, list | dict | set):  # may hold a counter
         return True
@@ -149,7 +149,7 @@ def _is_attribute(cls: type | None, name: str) -> bool:
     if owner is None or owner.__module__.split(".")[0] in ("hybrid", "builtins"):
         return False
     return isinstance(
-        vars(owner)[name], (*PLAIN, np.ndarray, list, tuple, dict, types.FunctionType, property)
+        vars(owner)[name], (*IMMUTABLE, np.ndarray, list, tuple, dict, types.FunctionType, property)
     )
 
 
@@ -194,9 +194,9 @@ def _stores(function: Any) -> bool:
     return any(name not in code.co_cellvars for name in changed)
 
 
-def _copy(value: Any, depth: int = DEPTH) -> Any:
+def _copy(value: Any, depth: int = COMPARED_DEPTH) -> Any:
     """A value that can be compared later, whatever happens to the one given."""
-    if isinstance(value, (*PLAIN, _Missing)):
+    if isinstance(value, (*IMMUTABLE, _Missing)):
         return value
     if isinstance(value, types.FunctionType):
         return _code_of(value.__code__)

@@ -20,24 +20,23 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..errors import TraceError
+from ..rules.zeros import EPS
 
 if TYPE_CHECKING:
     from ..lowering.scene import Field
     from ..segment import Segment
     from .series import Bound
 
-EPS = float(np.finfo(float).eps)
-
 #: Most pieces of a step: some fifty halvings find a jump to rounding, a few times over.
-PIECES = 400
+DEFECT_PIECES = 400
 
-#: Where the defect of a step is sampled, and how far it may be above the median of the samples:
+#: Shares of a step at which its defect is sampled, and how far it may be above the median of these:
 #: that of a Runge-Kutta method has zeros among them and is about five times the median at most.
-POINTS, ABOVE = (np.arange(15) + 0.5) / 15, 32.0
+DEFECT_PLACES, ABOVE_MEDIAN = (np.arange(15) + 0.5) / 15, 32.0
 
 #: Points of a step at which a flow is asked that nothing encloses: each is a call, some ten
 #: microseconds. What acts for less than a part between two of them may be passed over.
-SAMPLES = 256
+FLOW_SAMPLES = 256
 
 #: How far a step's polynomial may be off between its ends, against the tolerance at its end: those
 #: of an order less by one are, at a tolerance of 1e-12, off by some hundred times that.
@@ -45,24 +44,24 @@ LOOSE = 1e3
 
 #: Rounding of the flow and of a polynomial's slope, in units of rounding of the rates and of the
 #: state over the step: a polynomial of degree 24 has slopes of up to 576 times its values.
-ROUNDING = 1024 * EPS
+SLOPE_ROUNDING = 1024 * EPS
 
 #: Bits of a double.
 DOUBLE = 53
 
 
 @attrs.frozen(eq=False)
-class _Piece:
+class _StepPart:
     """A part of a step: its middle and half length in time, powers of ``[-1, 1]`` of the states."""
 
     middle: Any
     half: Any
     powers: np.ndarray
 
-    def halves(self) -> tuple[_Piece, _Piece]:
+    def halves(self) -> tuple[_StepPart, _StepPart]:
         left, right = (matrix @ self.powers for matrix in _halving(len(self.powers) - 1))
         half = self.half / 2
-        return _Piece(self.middle - half, half, left), _Piece(self.middle + half, half, right)
+        return _StepPart(self.middle - half, half, left), _StepPart(self.middle + half, half, right)
 
 
 class Defect:
@@ -149,8 +148,8 @@ class Defect:
         half = arb(length) / 2
         whole = _to_powers(len(coefficients) - 1) @ coefficients
         start = arb(t)
-        pieces = [_Piece(start + half, half, whole)]
-        for _ in range(PIECES):
+        pieces = [_StepPart(start + half, half, whole)]
+        for _ in range(DEFECT_PIECES):
             piece = pieces.pop()
             bound, least = self._bound(field, piece)
             small = bound <= np.maximum(rates, speck / (2.0 * float(piece.half)))
@@ -162,7 +161,7 @@ class Defect:
                 return 1.0
         return _share(pieces[-1], start, length)
 
-    def _bound(self, field: Field, piece: _Piece) -> tuple[np.ndarray, np.ndarray]:
+    def _bound(self, field: Field, piece: _StepPart) -> tuple[np.ndarray, np.ndarray]:
         """An upper bound on the defect of a piece, and a lower one, each element's own."""
         from flint import arb
 
@@ -188,7 +187,7 @@ class Defect:
             least[i] = float(off[0].lower())
         return np.where(np.isfinite(most), most, inf), least
 
-    def _plainly(self, field: Field, piece: _Piece, around: np.ndarray) -> np.ndarray:
+    def _plainly(self, field: Field, piece: _StepPart, around: np.ndarray) -> np.ndarray:
         """The same where the flow is no series on the piece: from its bounds on a box."""
         from flint import arb
 
@@ -212,12 +211,12 @@ class Sampled:
         """The share of a step up to which its polynomial follows the flow at points."""
         rates, _ = _allowed(field, t, length, coefficients, lost)
         slope = chebyshev.chebder(coefficients) * (2.0 / length)
-        for k in range(1, SAMPLES):
-            place = 2.0 * k / SAMPLES - 1.0
+        for k in range(1, FLOW_SAMPLES):
+            place = 2.0 * k / FLOW_SAMPLES - 1.0
             x, way = (chebyshev.chebval(place, c) for c in (coefficients, slope))
-            found = np.array(field.rhs(t + k * length / SAMPLES, x.tolist()))
+            found = np.array(field.rhs(t + k * length / FLOW_SAMPLES, x.tolist()))
             if np.any(np.abs(found - way) > rates):
-                return (k - 1) / SAMPLES
+                return (k - 1) / FLOW_SAMPLES
         return 1.0
 
     def left_open(self, field: Field, t: float, x: np.ndarray, off: np.ndarray) -> np.ndarray:
@@ -256,7 +255,7 @@ def follows(field: Field, t: float, segments: Iterable[Segment]) -> bool:
     )
 
 
-def _share(piece: _Piece, start: Any, length: float) -> float:
+def _share(piece: _StepPart, start: Any, length: float) -> float:
     return max(0.0, float(piece.middle - piece.half - start) / length)
 
 
@@ -265,7 +264,7 @@ def _numbers(field: Field) -> dict[str, Any]:
     return {f"p{i}": value for i, value in enumerate(field.numbers)}
 
 
-def _inputs(piece: _Piece, around: np.ndarray | None) -> dict[str, Any]:
+def _inputs(piece: _StepPart, around: np.ndarray | None) -> dict[str, Any]:
     """Time and states as series on a piece: about its middle, or with balls about all of it."""
     from flint import arb, arb_series
 
@@ -316,22 +315,22 @@ def _allowed(
     degree = len(coefficients) - 1
     values, slopes = _sampling(degree)
     states, slopes = values @ coefficients, slopes @ coefficients * (2.0 / length)
-    times = t + POINTS * length
+    times = t + DEFECT_PLACES * length
     beside = states * (1.0 + (8 - 16 * (np.arange(n) % 2)) * EPS)
     rates = np.array([field.rhs(*at) for at in zip(times.tolist(), states.tolist(), strict=True)])
     moved = zip((times * (1.0 + 8 * EPS)).tolist(), beside.tolist(), strict=True)
     noise = np.abs(np.array([field.rhs(*at) for at in moved]) - rates).max(axis=0)
-    off = np.sort(np.abs(rates - slopes), axis=0)[len(POINTS) // 2]
+    off = np.sort(np.abs(rates - slopes), axis=0)[len(DEFECT_PLACES) // 2]
     size = np.maximum(np.abs(states).max(axis=0), 1e-3 * np.abs(states).max())
     typical = np.minimum(off, LOOSE * np.asarray(lost) / length)
-    rounding = ROUNDING * (np.abs(rates).max() + size / length) + 8.0 * noise
-    return ABOVE * typical + rounding, 8.0 * EPS * size
+    rounding = SLOPE_ROUNDING * (np.abs(rates).max() + size / length) + 8.0 * noise
+    return ABOVE_MEDIAN * typical + rounding, 8.0 * EPS * size
 
 
 @cache
 def _sampling(degree: int) -> tuple[np.ndarray, np.ndarray]:
     """Matrices from Chebyshev coefficients to values and slopes at the samples, on ``[-1, 1]``."""
-    places = 2.0 * POINTS - 1.0
+    places = 2.0 * DEFECT_PLACES - 1.0
     slopes = chebyshev.chebder(np.eye(degree + 1))
     return chebyshev.chebvander(places, degree), chebyshev.chebval(places, slopes).T
 

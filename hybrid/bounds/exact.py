@@ -17,13 +17,13 @@ from ..lowering.graph import Graph, Ids, fold
 from ..lowering.python import needed
 
 #: Operations of which a float's result is always exact.
-EXACT = {
+EXACT_OPERATIONS = {
     *("neg", "abs", "sign", "max", "min", "floor", "ceil", "round", "trunc", "real", "select"),
     *("gt", "ge", "lt", "le", "eq", "ne", "and", "or", "xor", "not", "is_finite"),
 }
 
 #: Operations whose result is finite wherever their arguments are.
-TOTAL = EXACT | {
+TOTAL = EXACT_OPERATIONS | {
     *("const", "input", "add", "sub", "mul", "sin", "cos", "atan", "tanh", "asinh", "exp"),
     *("sinh", "cosh", "exp2", "expm1", "logistic", "cbrt", "erf", "erfc", "away"),
 }
@@ -73,7 +73,7 @@ def _vanishes(op: str, values: Sequence[Any]) -> bool:
 
 def _exact(op: str, values: Sequence[Any]) -> bool:
     """Whether the folded value of an operation is the exact one."""
-    if op in EXACT:
+    if op in EXACT_OPERATIONS:
         return True
     if op not in ("add", "sub", "mul") or not all(math.isfinite(v) for v in values):
         return False

@@ -17,7 +17,7 @@ import attrs
 from ..lowering.graph import Graph
 from ..lowering.python import needed
 from .balls import BALLS, Undefined, high, low, span
-from .interval import SAME
+from .interval import OF_ONE_NODE
 
 #: A logarithm grows more slowly than any power; this one is below the roots that models take.
 SLOWLY = 0.125
@@ -110,8 +110,8 @@ def _apply(op: str, places: list[int], args: list[Any]) -> Any:
     for argument in args:
         if isinstance(argument, Undefined):
             return argument
-    if same and op in SAME:
-        return _constant(SAME[op])
+    if same and op in OF_ONE_NODE:
+        return _constant(OF_ONE_NODE[op])
     if same and op == "mul":
         return _square(args[0])
     if op in TESTS:
@@ -244,12 +244,15 @@ def _pow(a: Growth, b: Growth) -> Any:
     if not whole and a.low < 0.0:
         return Undefined("a power of what may be negative")
     if whole and exponent % 2:
-        upper, lower = _power(_max(a, ZERO), exponent), _power(_max(_neg(a), ZERO), exponent)
+        upper, lower = (
+            _power(_max(a, NO_GROWTH), exponent),
+            _power(_max(_neg(a), NO_GROWTH), exponent),
+        )
         return Growth(-lower.high, upper.high, upper.up, lower.up, a.least * exponent)
     return _power(_abs(a), exponent)
 
 
-ZERO = Growth(0.0, 0.0)
+NO_GROWTH = Growth(0.0, 0.0)
 
 
 def _power(a: Growth, exponent: float) -> Growth:

@@ -24,8 +24,8 @@ from ..rules.arrays import Bounds
 #: Bits of the balls' midpoints: rounding stays far below a double's.
 PRECISION = 96
 
-#: Results of operations on twice the same node.
-SAME = {"ge": True, "le": True, "eq": True, "gt": False, "lt": False, "ne": False, "sub": 0}
+#: What operations give whose two arguments are one node.
+OF_ONE_NODE = {"ge": True, "le": True, "eq": True, "gt": False, "lt": False, "ne": False, "sub": 0}
 
 
 class Undecided(Exception):
@@ -219,8 +219,8 @@ def _step(graph: Graph, node: tuple[Any, ...], place: Mapping[int, int]) -> _Ste
     if op == "const":
         return _Step(op, given=number(arguments[0]), number=float(arguments[0]))
     if len(arguments) == 2 and arguments[0] == arguments[1]:
-        if op in SAME:
-            result = number(SAME[op])
+        if op in OF_ONE_NODE:
+            result = number(OF_ONE_NODE[op])
             return _Step(op, (place[arguments[0]],), rule=lambda a: result)
         op, arguments = ("square", arguments[:1]) if op == "mul" else (op, arguments)
     if op not in BALLS and op != "select":

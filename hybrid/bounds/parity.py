@@ -20,11 +20,11 @@ Parity = Literal["even", "odd", "unknown"]
 #: A sign and a term: the numbers +1 or -1 and the place in a table of terms.
 Signed = tuple[int, int]
 
-ODD = {
+ODD_FUNCTIONS = {
     *("sin", "tan", "asin", "atan", "sinh", "tanh", "asinh", "atanh", "cbrt", "erf"),
     *("sign", "round", "away", "trunc"),
 }
-EVEN = {"cos", "cosh", "abs", "is_finite"}
+EVEN_FUNCTIONS = {"cos", "cosh", "abs", "is_finite"}
 
 #: Operations whose two arguments may change places.
 SYMMETRIC = {"eq", "ne", "and", "or", "xor"}
@@ -100,8 +100,8 @@ class _Forms:
             "pow": self.power,
             "ceil": lambda op, a: self.ceiling(a[0]),
             "select": self.choice,
-            **dict.fromkeys(ODD, lambda op, a: (a[0][0], self.term(op, a[0][1]))),
-            **dict.fromkeys(EVEN, lambda op, a: (1, self.term(op, a[0][1]))),
+            **dict.fromkeys(ODD_FUNCTIONS, lambda op, a: (a[0][0], self.term(op, a[0][1]))),
+            **dict.fromkeys(EVEN_FUNCTIONS, lambda op, a: (1, self.term(op, a[0][1]))),
             **dict.fromkeys(("gt", "ge", "lt", "le"), self.test),
         }
         return rules.get(op, self.opaque)

@@ -23,8 +23,8 @@ from .balls import BALLS, Undefined
 #: 1e-12 of what it does, and more would cost more than they spare pieces.
 TERMS = 12
 
-#: Operations on numbers that are constant on a piece where their result is one number there.
-STEPS = {"floor", "ceil", "round", "away", "trunc", "sign"}
+#: Step functions: they are constant on a piece where their result is one number there.
+STEP_FUNCTIONS = {"floor", "ceil", "round", "away", "trunc", "sign"}
 
 #: Tests, and what joins them.
 TESTS = {"gt", "ge", "lt", "le", "eq", "ne"}
@@ -74,7 +74,7 @@ class Bound:
             elif fixed.issuperset(given):
                 values[place] = _apply(op, [values[p] for p in given])
             else:
-                self.steps.append((place, op, PLAIN.get(op), given))
+                self.steps.append((place, op, ARITHMETIC.get(op), given))
                 continue
             fixed.add(place)
         if series:
@@ -113,7 +113,7 @@ def _placed(node: tuple[Any, ...], place: Mapping[int, int]) -> tuple[str, list[
 
 
 #: Operations that are the same on balls and on series. Narrow balls lose nothing by them.
-PLAIN = {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "neg": operator.neg}
+ARITHMETIC = {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "neg": operator.neg}
 
 
 def _constant(value: Any) -> Any:
@@ -129,7 +129,7 @@ def _apply(op: str, args: list[Any]) -> Any:
     bad = next((a for a in args if isinstance(a, Undefined)), None)
     if bad is not None:
         return bad
-    if op in TESTS or op in LOGIC or op in STEPS or op == "real":
+    if op in TESTS or op in LOGIC or op in STEP_FUNCTIONS or op == "real":
         return _whole(op, [_first(a) for a in args])
     if not any(isinstance(a, arb_series) for a in args):
         return BALLS[op](*args)

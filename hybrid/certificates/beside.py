@@ -24,7 +24,7 @@ from ..bounds.balls import Undefined
 from ..bounds.extrema import Bounds, ScalarFunction, extrema
 from ..bounds.growth import ANYTHING, GROWING, LOWER, UPPER, Growth, between, growth
 from ..lowering.python import needed
-from .question import TIME, Question, Traced
+from .question import TIME_NAME, Question, Traced
 from .result import Fault
 
 #: Accuracy of the rates of states that must stay within their bounds.
@@ -51,7 +51,7 @@ class Beside:
         """From where the bounds are not left within a time; None where there is nothing left."""
         low, high = box[name]
         far = math.nextafter(self.drifts[name] * time, math.inf)
-        start = low if name == TIME else math.nextafter(low + far, math.inf)
+        start = low if name == TIME_NAME else math.nextafter(low + far, math.inf)
         end = math.nextafter(high - far, -math.inf)
         return (start, end) if start < end else None
 
@@ -84,7 +84,7 @@ def _drifts(q: Question, flow: Traced, relied: list[str], known: dict[str, Bound
     """The rates of the states that are within bounds, which must be bounded too."""
     found = {}
     for name in relied:
-        drift, why = (1.0, "") if name == TIME else fastest(q, _rate(q, flow, name), known)
+        drift, why = (1.0, "") if name == TIME_NAME else fastest(q, _rate(q, flow, name), known)
         if not math.isfinite(drift):
             reason = f"the rate of {q.labels[name]} has no bounds on the box: {why}"
             repair = f"bounds of {q.labels[name]} within which it has"
@@ -171,7 +171,7 @@ class _Rates:
     def fault(self, group: list[str], known: Mapping[str, Bounds]) -> str | None:
         """Why a group may cease to exist; None where it cannot."""
         around = {name: between(*known[name]) for name in known}
-        free = dict.fromkeys([*self.roots, TIME], ANYTHING) | around
+        free = dict.fromkeys([*self.roots, TIME_NAME], ANYTHING) | around
         if len(group) == 1:
             return self.alone(group[0], free)
         why = self.together(group, free)
@@ -187,7 +187,9 @@ class _Rates:
         """States in a circle: all their rates must be bounded in proportion to them."""
         grown = free | dict.fromkeys(group, GROWING)
         found = [growth(self.graph, self.roots[name], grown) for name in group]
-        return next((why for rate in found for end in ENDS if (why := _why(rate, end))), None)
+        return next(
+            (why for rate in found for end in GROWTH_ENDS if (why := _why(rate, end))), None
+        )
 
     def oscillates(self, group: list[str], free: dict[str, Growth]) -> bool:
         """A position and its velocity, in a potential that does not drive it away for ever.
@@ -208,13 +210,13 @@ class _Rates:
         else:
             halves = [attrs.evolve(half, least=-math.inf) for half in (UPPER, LOWER)]
             regions = [free | {place: GROWING, speed: half} for half in halves]
-        ends = ENDS if sign > 0 else ENDS[::-1]
+        ends = GROWTH_ENDS if sign > 0 else GROWTH_ENDS[::-1]
         pairs = zip(regions, ends, strict=True)
         return not any(_why(growth(self.graph, node, region), end) for region, end in pairs)
 
 
 #: The exponents of growth upward and downward.
-ENDS = ("up", "down")
+GROWTH_ENDS = ("up", "down")
 
 
 def _why(rate: Any, end: str) -> str | None:

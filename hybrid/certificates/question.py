@@ -22,7 +22,7 @@ from ..lowering.taylor import flat
 from .result import Certificate
 
 #: Names of the coordinates relative to a contact.
-GAP, SPEED, TIME = "gap", "speed", "t"
+GAP_NAME, SPEED_NAME, TIME_NAME = "gap", "speed", "t"
 
 Traced = Callable[..., Any]
 
@@ -66,8 +66,8 @@ class Question:
         """The inputs of the functions (``x0``, ``t``) to the names in the box."""
         names = {f"x{i}": name for i, name in enumerate(self.spec.element_names)}
         if self.relative:
-            names |= {f"x{self.position}": GAP, f"x{self.velocity}": SPEED}
-        return {**names, TIME: TIME}
+            names |= {f"x{self.position}": GAP_NAME, f"x{self.velocity}": SPEED_NAME}
+        return {**names, TIME_NAME: TIME_NAME}
 
     def bounds(self, *functions: ScalarFunction) -> dict[str, Bounds]:
         """Bounds of the inputs of these functions.
@@ -121,7 +121,7 @@ class Question:
             return jnp.concatenate([jnp.ravel(part) for part in parts])
 
         value = self._program(lambda *given: call(*given)[None], exact=True)
-        names = [TIME, *(f"x{i}" for i in range(self.spec.dimension))]
+        names = [TIME_NAME, *(f"x{i}" for i in range(self.spec.dimension))]
         kept = [i for i, name in enumerate(names) if name in value.inputs]
         try:
             gradient = self._program(slopes, exact=False, kept=kept)
@@ -194,7 +194,9 @@ def ask(model: Any, box: Any, mode: str | None, contact: str | None) -> Question
     _require_own_derivatives(scene.code, chosen)
     values = tuple(flat(model.parameters))
     checked = _box(scene.spec, box)
-    relative = any(name in checked and name not in scene.spec.names for name in (GAP, SPEED))
+    relative = any(
+        name in checked and name not in scene.spec.names for name in (GAP_NAME, SPEED_NAME)
+    )
     return Question(scene.spec, scene.code, values, chosen, checked, relative)
 
 
@@ -228,7 +230,7 @@ def _contact(spec: Spec, mode: str | None, contact: str | None) -> ContactSpec:
 
 
 def _box(spec: Spec, box: Any) -> dict[str, Bounds]:
-    known = [*spec.element_names, GAP, SPEED, TIME]
+    known = [*spec.element_names, GAP_NAME, SPEED_NAME, TIME_NAME]
     if not isinstance(box, Mapping) or not box:
         raise OptionError(f"{spec.model}: box={box!r}; give bounds by name: {{'x': (a, b), ...}}")
     checked = {}

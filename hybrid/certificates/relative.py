@@ -20,13 +20,13 @@ import attrs
 from ..bounds.extrema import Bounds, Extreme, ScalarFunction, continuous, extrema
 from ..zeno.lemma import chattering, largest_speed
 from .beside import Beside, beside, fastest
-from .question import GAP, SPEED, TIME, Question, Traced, solved
+from .question import GAP_NAME, SPEED_NAME, TIME_NAME, Question, Traced, solved
 from .restitution import Restitution
 from .result import Certificate, Fault, shown
 from .setting import constant_slope
 from .theorem import COARSE, FINE, TRIALS, edges_fault
 
-STATEMENT = "the lemma without (C2), relative to the contact"
+RELATIVE_LEMMA = "the lemma without (C2), relative to the contact"
 
 
 def by_lemma(question: Question) -> Certificate:
@@ -72,13 +72,13 @@ def _law(q: Question, place: Any) -> ScalarFunction:
 
 def _own_bounds(q: Question) -> tuple[float, float]:
     """Bounds of the gap and of the absolute gap speed."""
-    for name in (GAP, SPEED):
+    for name in (GAP_NAME, SPEED_NAME):
         if name not in q.box:
             q.refuse(f"box has no bounds for {name!r}; add {name!r}: (0, largest)")
         low, high = q.box[name]
-        if low > 0.0 or high <= 0.0 or (name == GAP and low < 0.0):
+        if low > 0.0 or high <= 0.0 or (name == GAP_NAME and low < 0.0):
             q.refuse(f"box {name}=({low}, {high}); a contact is at 0: give {name!r}: (0, largest)")
-    return q.box[GAP][1], q.box[SPEED][1]
+    return q.box[GAP_NAME][1], q.box[SPEED_NAME][1]
 
 
 # ---------------------------------------------------------------------------------------
@@ -156,12 +156,16 @@ class RelativeSetting:
     def smaller(self, scale: float, span: float) -> RelativeSetting:
         """The same on a box with smaller gaps and speeds, and a shorter time."""
         q = self.question
-        box = {**q.box, GAP: (0.0, scale**2 * self.height), SPEED: (0.0, scale * self.speed)}
-        if TIME in box:
-            first, last = box[TIME]
-            box[TIME] = (first, first + span * (last - first))
+        box = {
+            **q.box,
+            GAP_NAME: (0.0, scale**2 * self.height),
+            SPEED_NAME: (0.0, scale * self.speed),
+        }
+        if TIME_NAME in box:
+            first, last = box[TIME_NAME]
+            box[TIME_NAME] = (first, first + span * (last - first))
         smaller = attrs.evolve(self, question=attrs.evolve(q, box=box))
-        return attrs.evolve(smaller, height=box[GAP][1], speed=box[SPEED][1])
+        return attrs.evolve(smaller, height=box[GAP_NAME][1], speed=box[SPEED_NAME][1])
 
     def drifts(self) -> Beside:
         """The largest rates of the other states on which the proof depends, and of those beside."""
@@ -174,7 +178,7 @@ class RelativeSetting:
                 rate = q.function(lambda p, t, z, k=k: flow(p, t, z)[k])
                 found[k], _ = fastest(q, rate, self.box())
                 queue.append(rate)
-        known = {f"x{k}" for k in own | set(found)} | {TIME}
+        known = {f"x{k}" for k in own | set(found)} | {TIME_NAME}
         bounds = {name: ends for name, ends in self.box().items() if name in known}
         others = beside(q, flow, bounds)
         relied = {q.spec.element_names[k]: drift for k, drift in found.items()}
@@ -224,7 +228,7 @@ def _answer(setting: RelativeSetting, law: Restitution, fault: Fault | None) -> 
     found: dict[str, Any] = {"right": 1.0}
     if law.ends is None:
         assert fault is not None
-        return q.answer(STATEMENT, *fault, **found)
+        return q.answer(RELATIVE_LEMMA, *fault, **found)
     found["restitution"] = law.bounds
     trial = _trial(setting, law, FINE)
     found.update(m_at=q.named(trial.most.at), M_at=q.named(trial.least.at))
@@ -232,13 +236,13 @@ def _answer(setting: RelativeSetting, law: Restitution, fault: Fault | None) -> 
         found.update(m=-trial.most.high, M=-trial.least.low)
         found.update(left=trial.rho[1], margin=1.0 - trial.rho[1])
     if fault is not None:
-        return q.answer(STATEMENT, *fault, **found)
+        return q.answer(RELATIVE_LEMMA, *fault, **found)
     if trial.rho is not None and trial.rho[1] < 1.0:
         starts = _starts(setting, law, trial)
         if not isinstance(starts, dict):
-            return q.answer(STATEMENT, *starts, **found)
+            return q.answer(RELATIVE_LEMMA, *starts, **found)
         reason = "the gap's acceleration and r sqrt(M / m) < 1 are proved on the box"
-        return q.answer(STATEMENT, "certified", reason, **found, **starts)
+        return q.answer(RELATIVE_LEMMA, "certified", reason, **found, **starts)
     return _smaller(setting, law, trial, found)
 
 
@@ -262,9 +266,9 @@ def _starts(
     remaining = chattering(v, m, M, law.bounds).remaining
     assert remaining is not None
     low_, high_ = low(remaining[0]), high(remaining[1])
-    start: dict[str, Any] = {GAP: 0.0, SPEED: (0.0, v)}
+    start: dict[str, Any] = {GAP_NAME: 0.0, SPEED_NAME: (0.0, v)}
     for name, (a, b) in q.box.items():
-        if name == TIME:
+        if name == TIME_NAME:
             start[name] = (a, b - high_)
         elif name in others.drifts:
             start[name] = others.inside(q.box, name, high_)
@@ -276,7 +280,7 @@ def _room(q: Question, drifts: dict[str, float]) -> float:
 
     The other states, too, may drift by a quarter of their bounds to either side.
     """
-    rooms = [0.5 * (b - a) for name, (a, b) in q.box.items() if name == TIME]
+    rooms = [0.5 * (b - a) for name, (a, b) in q.box.items() if name == TIME_NAME]
     for name, drift in drifts.items():
         a, b = q.box[name]
         rooms.append(0.25 * (b - a) / drift if drift > 0.0 else float("inf"))
@@ -289,7 +293,7 @@ def _smaller(
     """The condition that fails, and a smaller box on which it holds."""
     q, repair = setting.question, "no smaller box was found on which the conditions hold"
     shares = [(0.5**k, 1.0) for k in range(1, TRIALS)]
-    if TIME in setting.acceleration.inputs:
+    if TIME_NAME in setting.acceleration.inputs:
         shares += [(0.5**k, 0.5**k) for k in range(1, TRIALS)]
     for scale, span in shares:
         smaller = setting.smaller(scale, span)
@@ -303,12 +307,12 @@ def _smaller(
     at = ", ".join(f"{q.labels[n]} = {value:.12g}" for n, value in trial.most.at.items())
     if trial.most.low >= 0.0:
         reason = f"the gap's acceleration is {trial.most.low:.12g} at {at}: it must be below 0"
-        return q.answer(STATEMENT, "refuted", reason, repair, **found)
+        return q.answer(RELATIVE_LEMMA, "refuted", reason, repair, **found)
     if trial.rho is None:
         why = trial.most.reason or trial.least.reason or "the bounds are not close enough"
         reason = f"the gap's acceleration could not be shown to be below 0: {why}"
-        return q.answer(STATEMENT, "undecided", reason, repair, **found)
+        return q.answer(RELATIVE_LEMMA, "undecided", reason, repair, **found)
     reason = f"r sqrt(M / m) = {trial.rho[1]:.12g} is not below 1"
     return q.answer(
-        STATEMENT, "refuted" if trial.rho[0] >= 1.0 else "undecided", reason, repair, **found
+        RELATIVE_LEMMA, "refuted" if trial.rho[0] >= 1.0 else "undecided", reason, repair, **found
     )

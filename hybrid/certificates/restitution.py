@@ -11,7 +11,7 @@ from ..bounds.extrema import Bounds, Extreme, ScalarFunction, extrema
 from .result import Fault
 
 #: Shares of the box's largest speed at which it is asked what a restitution at rest hints at.
-SPEEDS = tuple(0.5**k for k in (1, 4, 10, 30, 100, 300, 900))
+HINT_SPEEDS = tuple(0.5**k for k in (1, 4, 10, 30, 100, 300, 900))
 
 
 @attrs.frozen(eq=False)
@@ -69,6 +69,6 @@ class Restitution:
         if extreme.at.get(self.velocity, 1.0) != 0.0:
             return True
         low, high = self.box[self.velocity]
-        points = [{**extreme.at, self.velocity: share * (low + high)} for share in SPEEDS]
+        points = [{**extreme.at, self.velocity: share * (low + high)} for share in HINT_SPEEDS]
         values = [self.law.at(point) for point in points]
         return any(value is not None and wrong(value) for value in values)

@@ -9,7 +9,7 @@ import attrs
 from ..bounds.extrema import Bounds, ScalarFunction
 from ..bounds.interval import IntervalProgram
 from ..lowering.python import needed
-from .question import TIME, Question
+from .question import TIME_NAME, Question
 from .restitution import Restitution
 
 #: A box may begin so far (relative to its place) from the wall and count as touching it.
@@ -80,7 +80,7 @@ def setting_of(q: Question) -> Setting | str:
         q.function(h) for h in (q.laws.gap, q.laws.speed, q.laws.acceleration)
     )
     names = ", ".join(q.labels[name] for name in sorted(gap.inputs - {x}))
-    if TIME in gap.inputs:
+    if TIME_NAME in gap.inputs:
         return "Theorem 1 is for a fixed obstacle; this gap depends on the time"
     if names:
         return f"Theorem 1 is for a gap of one position; this gap depends on {names} too"
@@ -91,7 +91,7 @@ def setting_of(q: Question) -> Setting | str:
         return "Theorem 1 is for x' = v; here the position's derivative is another function"
     others = acceleration.inputs - {x, v}
     if others:
-        names = ", ".join("the time" if n == TIME else q.labels[n] for n in sorted(others))
+        names = ", ".join("the time" if n == TIME_NAME else q.labels[n] for n in sorted(others))
         return f"Theorem 1 is for forces of position and velocity; these depend on {names} too"
     wall = -gap.at({x: 0.0}) / slope
     _require_bounds(q)

@@ -20,7 +20,7 @@ from .restitution import Restitution
 from .result import Certificate, Fault
 from .setting import Setting, setting_of
 
-STATEMENT = "Theorem 1 (fixed obstacle, (C1), (C2))"
+THEOREM = "Theorem 1 (fixed obstacle, (C1), (C2))"
 
 #: Accuracy of the extrema in the answer, and in trials on the way to a repair.
 FINE, COARSE = 1e-13, 1e-6
@@ -58,7 +58,7 @@ def by_theorem(question: Question) -> Certificate:
     """The certificate by Theorem 1."""
     setting = setting_of(question)
     if isinstance(setting, str):
-        return question.answer(STATEMENT, "undecided", setting, repair=_relative(question))
+        return question.answer(THEOREM, "undecided", setting, repair=_relative(question))
     trial = _trial(setting, setting.far, setting.speed, FINE)
     found: dict[str, Any] = _numbers(question, trial)
     box = setting.box(setting.far, setting.speed)
@@ -72,7 +72,7 @@ def by_theorem(question: Question) -> Certificate:
     ]
     bad = next((fault for fault in faults if fault), None)
     if bad:
-        return question.answer(STATEMENT, *bad, **found)
+        return question.answer(THEOREM, *bad, **found)
     if trial.holds:
         return _certified(setting, trial, law, found)
     return _refused(setting, trial, law, found)
@@ -183,14 +183,14 @@ def _certified(
     q = setting.question
     start = _starts(setting, setting.far, trial, law)
     if not isinstance(start, dict):
-        return q.answer(STATEMENT, *start, **found)
+        return q.answer(THEOREM, *start, **found)
     with ctx.workprec(PRECISION):
         room = 2 * setting.room(setting.far)
         smallest = high(arb(trial.M) ** 2 * room / arb(trial.limit[0]) ** 2)
     reason = "(C1), (C2) and the inequality hold on the box"
     largest = -trial.most.high
     return q.answer(
-        STATEMENT, "certified", reason, m_range=(smallest, largest), initial_set=start, **found
+        THEOREM, "certified", reason, m_range=(smallest, largest), initial_set=start, **found
     )
 
 
@@ -250,7 +250,7 @@ def _refused(
         else:
             repairs[-1] += f" (and {start[2]})"
     repair = ", or ".join(repairs) or "no smaller box was found on which the conditions hold"
-    return q.answer(STATEMENT, *_failure(setting, trial), repair=repair, **found)
+    return q.answer(THEOREM, *_failure(setting, trial), repair=repair, **found)
 
 
 def _failure(setting: Setting, trial: Trial) -> tuple[str, str]:

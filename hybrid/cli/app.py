@@ -28,10 +28,10 @@ app = typer.Typer(
 )
 
 #: Accumulations that are printed, at most.
-SHOWN = 20
+PRINTED_LIMITS = 20
 
 #: Seconds after which a run shows its progress.
-PATIENCE = 1.0
+SILENT_SECONDS = 1.0
 
 
 ModelName = Annotated[str, typer.Argument(help="A name in the gallery, FILE.py, or FILE.py:Class.")]
@@ -184,7 +184,7 @@ def compare(
 
 def _table(found: Any) -> None:
     """Each quantity's largest difference from the reference, and what is explained."""
-    from .compare import CLOSE, SAME, STEPS
+    from .compare import CLOSE_QUANTITIES, ERROR_STEPS, SAME_QUANTITIES
 
     for label, run in found.runs.items():
         if isinstance(run, HybridError):
@@ -194,15 +194,15 @@ def _table(found: Any) -> None:
     if not found.differences:
         return
     typer.echo(f"largest differences from {found.reference}:")
-    for quantity in SAME:
+    for quantity in SAME_QUANTITIES:
         worst = found.worst(quantity)
         typer.echo(f"{quantity:10} {'the same' if worst.explained else 'NOT the same'}")
-    for quantity in CLOSE:
+    for quantity in CLOSE_QUANTITIES:
         worst, growth = found.worst(quantity), found.growth[quantity]
         verdict = "explained by" if worst.explained else "NOT explained by"
         typer.echo(
             f"{quantity:10} {worst.size:9.1e}  {worst.method:16} {verdict} {worst.allowed:.1e} "
-            f"= {STEPS} steps of rtol {found.rtol:g}, grown {growth:.3g}"
+            f"= {ERROR_STEPS} steps of rtol {found.rtol:g}, grown {growth:.3g}"
         )
 
 
@@ -362,7 +362,7 @@ def _bar(span: tuple[float, float]) -> Iterator[Callable[[float], None]]:
     task = bar.add_task("simulating", total=span[1] - span[0])
 
     def progress(t: float) -> None:
-        if time.monotonic() - begun > PATIENCE:
+        if time.monotonic() - begun > SILENT_SECONDS:
             bar.start()
             bar.update(task, completed=t - span[0])
 
@@ -378,14 +378,14 @@ def _report(result: Trajectory) -> None:
         f"{result.spec.model}({parameters}), {result.options['solver']} {result.options['method']}"
     )
     typer.echo(f"{len(result.jumps)} jumps listed; t = {result.t0:.12g} to {result.t1:.12g}")
-    for point in result.zeno[:SHOWN]:
+    for point in result.zeno[:PRINTED_LIMITS]:
         if point.truncation is None:
             _ = point.t_error, point.verdict  # looked for here: the line tells them
         typer.echo(f"  {point}")
         if point.t_release is not None:
             typer.echo(f"    released at t = {point.t_release!r}")
-    if len(result.zeno) > SHOWN:
-        typer.echo(f"  ... and {len(result.zeno) - SHOWN} more accumulations")
+    if len(result.zeno) > PRINTED_LIMITS:
+        typer.echo(f"  ... and {len(result.zeno) - PRINTED_LIMITS} more accumulations")
     for graze in result.grazings:
         typer.echo(f"  grazing of {graze.edge} at t = {graze.t!r}")
     typer.echo(f"final: {result.final} in {result.mode}")

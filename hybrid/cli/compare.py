@@ -31,12 +31,12 @@ METHODS: dict[str, dict[str, Any]] = {
     "diffrax Kvaerno5": {"solver": "diffrax", "method": "Kvaerno5"},
 }
 
-#: Steps whose errors may add up, and the change of the start that measures their growth.
-STEPS, BESIDE = 30, 1e-7
+#: Steps whose errors may add up, and the relative change of the start that measures their growth.
+ERROR_STEPS, GROWTH_PROBE = 30, 1e-7
 
 #: Quantities that must be the same, and those that may differ by an explained amount.
-SAME = ("edges", "modes", "verdicts")
-CLOSE = ("times", "states", "t_inf", "releases")
+SAME_QUANTITIES = ("edges", "modes", "verdicts")
+CLOSE_QUANTITIES = ("times", "states", "t_inf", "releases")
 
 
 @attrs.frozen
@@ -134,7 +134,8 @@ def compare(
         if label == reference or isinstance(run, HybridError):
             continue
         for quantity, value in _differences(first, run).items():
-            allowed = STEPS * (rtol * size + atol) * growth[quantity] if quantity in CLOSE else 0.0
+            error = ERROR_STEPS * (rtol * size + atol)
+            allowed = error * growth[quantity] if quantity in CLOSE_QUANTITIES else 0.0
             rows.append(Difference(label, quantity, value, allowed))
     return Comparison(reference, runs, rows, growth, rtol)
 
@@ -150,12 +151,12 @@ def _growth(model: Any, run: Trajectory, t: Any, options: Any) -> dict[str, floa
     """By how much an error of the start grows, at least 1."""
     first = run.arcs[0].first
     for sign in (1.0, -1.0):
-        x = first + sign * BESIDE * np.maximum(np.abs(first), 1.0)
+        x = first + sign * GROWTH_PROBE * np.maximum(np.abs(first), 1.0)
         beside = _run(model, run.spec.record(x), t, {**options, "mode": run.arcs[0].mode})
         if not isinstance(beside, HybridError):
             found = _differences(run, beside)
-            return {name: max(1.0, found[name] / BESIDE) for name in CLOSE}
-    return dict.fromkeys(CLOSE, 1.0)
+            return {name: max(1.0, found[name] / GROWTH_PROBE) for name in CLOSE_QUANTITIES}
+    return dict.fromkeys(CLOSE_QUANTITIES, 1.0)
 
 
 def _differences(a: Trajectory, b: Trajectory) -> dict[str, float]:

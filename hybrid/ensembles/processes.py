@@ -37,7 +37,7 @@ PAYS = 8.0
 
 #: Seconds of a block, and the share of what is left that it is at most, for each that calls: so
 #: that all end together.
-BLOCK, SHARE = 0.5, 0.5
+BLOCK_SECONDS, BLOCK_SHARE = 0.5, 0.5
 
 #: What a process runs.
 CODE = "from hybrid.ensembles.processes import serve; serve()"
@@ -141,9 +141,9 @@ class Shared:
 
     def _block(self) -> list[int]:
         """Numbers from the end of the line."""
-        fair = SHARE * len(self.left) / (1 + self.running)
+        fair = BLOCK_SHARE * len(self.left) / (1 + self.running)
         block: list[int] = []
-        while len(block) < max(1.0, min(fair, BLOCK / self.pace)) and self.left:
+        while len(block) < max(1.0, min(fair, BLOCK_SECONDS / self.pace)) and self.left:
             block += _taken(self.left, True)
         return block
 

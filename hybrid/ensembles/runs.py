@@ -22,7 +22,7 @@ from ..solvers import renamed
 from ..trajectory.trajectory import Status
 from .processes import Shared, Unfit
 from .starts import Lane, Lanes
-from .threads import Flown, Given, abreast
+from .threads import FlownLanes, GivenLanes, abreast
 
 if TYPE_CHECKING:
     import xarray
@@ -167,7 +167,7 @@ def _asked(scene: Scene, options: dict[str, Any]) -> Asked:
 
 def _flier(
     known: str, model: Any, given: Any, options: dict[str, Any], mode: str, certify: bool
-) -> Callable[[int], _Flown]:
+) -> Callable[[int], _Ended]:
     """What flies a lane, by its number, in another process; ``known`` is the model's digest."""
     if digest(type(model)) != known:
         raise Unfit(f"{type(model).__name__} is another class there: its file has changed")
@@ -221,14 +221,14 @@ class _Rows:
             self.columns[name][where] = value
 
 
-class _Flown(NamedTuple):
+class _Ended(NamedTuple):
     """What became of a lane; ``refused`` says why it cannot use the options."""
 
     row: _Row
     refused: OptionError | None
 
 
-def _same(one: _Flown, other: _Flown) -> bool:
+def _same(one: _Ended, other: _Ended) -> bool:
     """Whether a lane is the same to the last bit."""
     rows = [[np.asarray(value).tolist() for value in each.row] for each in (one, other)]
     return repr(rows[0]) == repr(rows[1])
@@ -261,13 +261,13 @@ class _Runs:
             driver = self.asked.driver(scene, lanes.t[0].tolist(), lanes.x[0], lanes.before(0))
         except HybridError:  # it is the lanes' own
             return
-        given = Given(lanes.values, lanes.t, lanes.x)
+        given = GivenLanes(lanes.values, lanes.t, lanes.x)
         together = abreast(scene, driver, self.mode, given)
         for flown in together.fly() if together else ():
             self._put(together, flown)
             yield
 
-    def _put(self, together: Any, flown: Flown) -> None:
+    def _put(self, together: Any, flown: FlownLanes) -> None:
         """Put down lanes that machine code has flown; one to be certified needs its run."""
         for outcome, status in ENDS.items():
             fit = flown.told[:, OUTCOME] == outcome
@@ -294,7 +294,7 @@ class _Runs:
                     self.refused.append(flown.refused)
                 yield
 
-    def row(self, lane: Lane) -> _Flown:
+    def row(self, lane: Lane) -> _Ended:
         """Fly a lane."""
         driver = None
         try:
@@ -302,12 +302,12 @@ class _Runs:
             self._fly(driver, lane.x)
         except HybridError as fault:
             refused = fault if isinstance(fault, OptionError) else None
-            return _Flown(self._ended(lane, driver, fault.status, str(fault)), refused)
+            return _Ended(self._ended(lane, driver, fault.status, str(fault)), refused)
         if driver.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         assert driver.status is not None
         status = driver.status.name.lower(), str(driver.status)
-        return _Flown(self._ended(lane, driver, *status), None)
+        return _Ended(self._ended(lane, driver, *status), None)
 
     def _fly(self, driver: Driver, x: np.ndarray) -> None:
         try:

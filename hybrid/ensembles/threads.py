@@ -26,16 +26,16 @@ from ..run import Driver
 from ..run.machine import rooms
 from ..zeno.narrow import bounded
 
-#: Lanes in a call, at most and at least: between two of them progress is told. Of fewer than that
-#: there are so many calls for each thread, that all end together.
-BLOCK, LEAST, CALLS = 256, 8, 4
+#: Lanes in a call, at most and at least: between two calls progress is told. Within these
+#: bounds there are so many calls for each thread, that all end together.
+BLOCK_LANES, LEAST_LANES, CALLS = 256, 8, 4
 
 #: Lanes that are flown first, to see what the tables of all must have.
-FEW = 16
+FIRST_LANES = 16
 
 #: Most jumps, steps and sums of a lane that is flown here: some tenths of a second, after which the
 #: keyboard is heard.
-JUMPS, STEPS, SUMS = 8192, 65536, 64
+LANE_JUMPS, LANE_STEPS, LANE_SUMS = 8192, 65536, 64
 
 
 @cache
@@ -44,7 +44,7 @@ def _threads() -> int:
     return os.cpu_count() or 1
 
 
-class Flown(NamedTuple):
+class FlownLanes(NamedTuple):
     """What became of some lanes: which they are, what the rule tells of each, and of its first
     jumps the times, the guards, and the states before and after."""
 
@@ -55,9 +55,9 @@ class Flown(NamedTuple):
     fired: np.ndarray
     around: np.ndarray
 
-    def those(self, fit: np.ndarray) -> Flown:
+    def those(self, fit: np.ndarray) -> FlownLanes:
         """Those that a mask says."""
-        return self if fit.all() else Flown(*(column[fit] for column in self))
+        return self if fit.all() else FlownLanes(*(column[fit] for column in self))
 
 
 @contextmanager
@@ -74,7 +74,7 @@ def lent(free: dict[Any, list[Any]], needs: Any, make: Callable[[], Any]) -> Ite
         unused.append(rooms)
 
 
-class Given(NamedTuple):
+class GivenLanes(NamedTuple):
     """Parameters, first and last times, and starts: a row for each lane."""
 
     values: np.ndarray
@@ -86,7 +86,7 @@ def abreast(
     scene: Scene,
     driver: Driver,
     mode: str,
-    lanes: Given,
+    lanes: GivenLanes,
     rows: int = 0,
     flies: type[Any] | None = None,
 ) -> Any:
@@ -112,30 +112,33 @@ def _alike(scene: Scene, values: np.ndarray) -> bool:
 class Abreast:
     """Flies the lanes of an ensemble whose runs are plain."""
 
-    def __init__(self, scene: Scene, driver: Driver, mode: str, lanes: Given, rows: int) -> None:
+    def __init__(
+        self, scene: Scene, driver: Driver, mode: str, lanes: GivenLanes, rows: int
+    ) -> None:
         assert driver.loop is not None
         self.rows = rows
         self.scene, self.tables, self.given = scene, scene.tables, lanes
         self.loop, plan = driver.loop, driver.plan
         self.field = self.tables.number(scene.field(mode))
         self.watched = plan.zeno != "ignore"
-        self.most = min(plan.max_jumps, JUMPS), int(min(plan.max_steps - 1, STEPS))
+        self.most = min(plan.max_jumps, LANE_JUMPS), int(min(plan.max_steps - 1, LANE_STEPS))
         self.stop, self.steps = np.zeros(1, dtype=np.int64), 0
         self.laid_out: dict[Any, Any] = {}
-        self.whole = plan.max_jumps <= JUMPS  # else a lane with more is left to the driver
+        self.whole = plan.max_jumps <= LANE_JUMPS  # else a lane with more is left to the driver
 
-    def fly(self) -> Iterator[Flown]:
+    def fly(self) -> Iterator[FlownLanes]:
         """What becomes of the lanes, some at a time, in any order."""
-        few, rest = np.split(np.arange(len(self.given.starts)), [FEW])
+        few, rest = np.split(np.arange(len(self.given.starts)), [FIRST_LANES])
         yield from self.complete(few)
-        self.tables.flown(self.steps * len(rest) // FEW, self.loop.order)  # those to come, by these
+        to_come = self.steps * len(rest) // FIRST_LANES
+        self.tables.flown(to_come, self.loop.order)
         yield from self.complete(rest)
 
     def mode(self, number: int) -> str:
         """The name of a field."""
         return self.tables.fields[number].name
 
-    def final(self, flown: Flown) -> np.ndarray:
+    def final(self, flown: FlownLanes) -> np.ndarray:
         """The states at the ends of lanes."""
         n = self.given.starts.shape[1]
         until, x = flown.ends[:, FLOWN_TO].tolist(), flown.ends[:, STATE : STATE + n].copy()
@@ -154,7 +157,7 @@ class Abreast:
         numbers = (*self.given.values[lane].tolist(), *mask)
         return np.array(graph.projection(field.held, numbers)(t, x.tolist()))
 
-    def complete(self, which: np.ndarray) -> Iterator[Flown]:
+    def complete(self, which: np.ndarray) -> Iterator[FlownLanes]:
         """Fly lanes, again those that ask for what the tables do not have yet."""
         while len(which):
             self._lay_out()
@@ -195,9 +198,9 @@ class Abreast:
             np.concatenate([part.tape.more for part in parts]),
         )
 
-    def _in_threads(self, which: np.ndarray) -> Iterator[Flown]:
+    def _in_threads(self, which: np.ndarray) -> Iterator[FlownLanes]:
         threads = _threads()
-        size = min(BLOCK, max(LEAST, len(which) // (CALLS * threads)))
+        size = min(BLOCK_LANES, max(LEAST_LANES, len(which) // (CALLS * threads)))
         automaton = self.tables.automaton
         if len(which) <= size:
             flown, steps = self._block(automaton, which)
@@ -217,7 +220,7 @@ class Abreast:
             pool.shutdown(cancel_futures=True)
             self.stop[0] = 0
 
-    def _block(self, automaton: Automaton, which: np.ndarray) -> tuple[Flown, int]:
+    def _block(self, automaton: Automaton, which: np.ndarray) -> tuple[FlownLanes, int]:
         """Some lanes, with arrays of their own."""
         asked = [np.ascontiguousarray(rows[which]) for rows in self.given]
         count, n = asked[-1].shape
@@ -239,7 +242,7 @@ class Abreast:
         if not self.whole:
             told[told[:, OUTCOME] == LAST_JUMP, OUTCOME] = LEFT
         around = around.reshape(count, self.rows, 2, n)
-        return Flown(which, ends, told, when, fired, around), steps
+        return FlownLanes(which, ends, told, when, fired, around), steps
 
     def _call(self, which: np.ndarray, automaton: tuple[Any, ...], lanes: tuple[Any, ...]) -> int:
         """Fly some lanes; returns the steps made."""
@@ -273,6 +276,6 @@ class Abreast:
             np.empty(steps, dtype=np.int64),
             np.empty((steps, 2)),
             np.empty((0, self.loop.order + 1)),
-            np.empty((SUMS, REMAINING + 1)),
-            np.empty((SUMS * CURVE_ROWS, n + 2)),
+            np.empty((LANE_SUMS, REMAINING + 1)),
+            np.empty((LANE_SUMS * CURVE_ROWS, n + 2)),
         )

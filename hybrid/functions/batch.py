@@ -15,8 +15,8 @@ from typing import Any, TypeVar
 import attrs
 import numpy as np
 
-from ..ensembles.threads import FEW as FIRST
-from ..ensembles.threads import Abreast, Flown, Given, abreast, lent
+from ..ensembles.threads import FIRST_LANES as FIRST
+from ..ensembles.threads import Abreast, FlownLanes, GivenLanes, abreast, lent
 from ..errors import HybridError
 from ..lowering import Scene, scene_with
 from ..lowering.tape import room
@@ -35,10 +35,10 @@ from ..rules.lanes import (
 )
 from ..run import Driver
 from ..variation import Derivatives, Owned
-from .derivatives import NUMBERS, Runs
+from .derivatives import REASON_NUMBERS, Runs
 
 #: Rows from which on they are flown together: to begin takes as long as two or three runs.
-FEW = 4
+FEWEST_ROWS = 4
 
 Flies = TypeVar("Flies", bound=Abreast)
 
@@ -55,7 +55,7 @@ def values(runs: Runs, rows: Any) -> tuple[np.ndarray, np.ndarray]:
     numbers = np.full((len(flat), runs.layout.length), np.nan)
     ints = np.full((len(flat), runs.layout.rows + 2), -1)
     done = np.zeros(len(flat), dtype=bool)
-    if len(flat) >= FEW:
+    if len(flat) >= FEWEST_ROWS:
         _together(runs, flat, numbers, ints, done)
     for k in np.flatnonzero(~done).tolist():
         numbers[k], ints[k] = runs.values(flat[k])
@@ -83,10 +83,10 @@ def _usual(rows: np.ndarray) -> np.ndarray:
     return fit
 
 
-def _parted(runs: Runs, rows: np.ndarray) -> Given:
+def _parted(runs: Runs, rows: np.ndarray) -> GivenLanes:
     """Parameters, times and starts."""
     first = -2 - runs.layout.size
-    return Given(rows[:, :first], rows[:, -2:], rows[:, first:-2])
+    return GivenLanes(rows[:, :first], rows[:, -2:], rows[:, first:-2])
 
 
 def _first(runs: Runs, rows: np.ndarray, flies: type[Flies]) -> Flies | None:
@@ -101,7 +101,7 @@ def _first(runs: Runs, rows: np.ndarray, flies: type[Flies]) -> Flies | None:
     return abreast(scene, driver, runs.mode, lanes, kept, flies)
 
 
-def _given(runs: Runs, together: Abreast, flown: Flown) -> tuple[np.ndarray, np.ndarray]:
+def _given(runs: Runs, together: Abreast, flown: FlownLanes) -> tuple[np.ndarray, np.ndarray]:
     """What some lanes give, as :meth:`hybrid.functions.derivatives.Runs.values` does for one."""
     layout, ends, told = runs.layout, flown.ends, flown.told
     places = {edge: place for place, edge in enumerate(runs.edges)}
@@ -124,7 +124,7 @@ def _given(runs: Runs, together: Abreast, flown: Flown) -> tuple[np.ndarray, np.
         views["error"][...] = ends[:, T_ERROR]
         views["x_inf"][:, summed] = ends[summed, STATE + layout.size :].T
     ended = told[:, OUTCOME] == ENDED
-    ints[:, -1] = np.where(ended, NUMBERS["reached_end"], NUMBERS["max_jumps"])
+    ints[:, -1] = np.where(ended, REASON_NUMBERS["reached_end"], REASON_NUMBERS["max_jumps"])
     return numbers.T, ints
 
 
@@ -188,12 +188,14 @@ class Changing(Abreast):
     asked: np.ndarray
     found: np.ndarray
 
-    def __init__(self, scene: Scene, driver: Driver, mode: str, lanes: Given, rows: int) -> None:
+    def __init__(
+        self, scene: Scene, driver: Driver, mode: str, lanes: GivenLanes, rows: int
+    ) -> None:
         super().__init__(scene, driver, mode, lanes, rows)
         self.derived = Owned(Derivatives(scene, True), self.tables)
         self.derived.add_field(self.field)
 
-    def of(self, lanes: Given) -> Changing:
+    def of(self, lanes: GivenLanes) -> Changing:
         """The same for other lanes."""
         other, (count, n), columns = copy(self), lanes.starts.shape, lanes.values.shape[1]
         other.given, other.stop = lanes, np.zeros(1, dtype=np.int64)
@@ -202,7 +204,7 @@ class Changing(Abreast):
         other.found = np.empty((count, rows, columns + n + 2))
         return other
 
-    def changes(self) -> Iterator[tuple[Flown, np.ndarray]]:
+    def changes(self) -> Iterator[tuple[FlownLanes, np.ndarray]]:
         """What becomes of the lanes whose changes are known, and these."""
         everyone = np.arange(len(self.given.starts))
         for lanes in (everyone[:FIRST], everyone[FIRST:]):

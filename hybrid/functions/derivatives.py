@@ -44,7 +44,7 @@ REASONS = {
     13: ("failed", "the run failed; hy.simulate says why"),
 }
 
-NUMBERS = {name: number for number, (name, _) in REASONS.items()}
+REASON_NUMBERS = {name: number for number, (name, _) in REASONS.items()}
 
 
 @attrs.frozen(eq=False)
@@ -203,7 +203,7 @@ class _Run:
         views["t"][...], final = (self.t0, self.x) if end is None else end[:2]
         if "final" in views:
             views["final"][:] = final
-        ints[-2:] = 0, NUMBERS.get(self.status, NUMBERS["failed"])
+        ints[-2:] = 0, REASON_NUMBERS.get(self.status, REASON_NUMBERS["failed"])
         if driver is not None and "times" in views:
             self._table(views, ints)
         if driver is not None and "t_inf" in views and driver.record.zeno:

@@ -20,20 +20,20 @@ from ..replay.function import Replay, when
 from ..run.options import Asked, mode_of
 from ..solvers import renamed
 from .batch import Gradients, values
-from .derivatives import NUMBERS, REASONS, Layout, Runs
+from .derivatives import REASON_NUMBERS, REASONS, Layout, Runs
 
 OUTPUTS = ("final", "jumps", "zeno")
 
 #: How accumulations may be passed.
-ZENO = ("rest", "stop", "ignore")
+ZENO_CHOICES = ("rest", "stop", "ignore")
 
 #: Elements of the parameters above which a run is flown again for its first derivatives, too: a
 #: gradient by the weights of a network takes 1.3 times as long so with 205 of them as the first
 #: variation does, and an eighth with 697.
-MANY = 256
+MANY_PARAMETERS = 256
 
-#: Its square is no number any more.
-FAR = 1e300
+#: A finite number whose square is none.
+OVERFLOWS_SQUARED = 1e300
 
 #: Under ``vmap`` a callback is given all rows at once.
 ABREAST = "expand_dims"
@@ -166,7 +166,7 @@ def as_function(
     unknown = [name for name in outputs if name not in OUTPUTS]
     if unknown:
         raise OptionError(f"outputs: {unknown[0]!r} is none of {', '.join(OUTPUTS)}")
-    if zeno not in ZENO:
+    if zeno not in ZENO_CHOICES:
         raise OptionError(
             f"zeno={zeno!r}: functions know 'rest', 'stop' and 'ignore' (impacts one by one); for "
             "'truncate' and 'raise' use hy.simulate"
@@ -237,7 +237,7 @@ def _outcome(spec: Spec, parts: dict[str, Any], ints: Any) -> Outcome:
     if "t_inf" in parts:
         limit = Limit(parts["t_inf"], named(parts["x_inf"]), parts["ratio"], parts["error"])
     final = named(parts["final"]) if "final" in parts else None
-    cut = (status == NUMBERS["max_jumps"]) | (status == NUMBERS["max_steps"])
+    cut = (status == REASON_NUMBERS["max_jumps"]) | (status == REASON_NUMBERS["max_steps"])
     return Outcome(parts["t"], final, jumps, limit, status, cut)
 
 
@@ -335,7 +335,10 @@ def _differentiable(runs: Runs) -> Callable[[Any], tuple[Any, Any]]:
     found = jax.custom_jvp(whole)
     found.defjvp(rule)
     delayed = runs.asked.spec.lags
-    many = not delayed and sum(int(np.prod(shape, dtype=int)) for shape in runs.shapes) > MANY
+    many = (
+        not delayed
+        and sum(int(np.prod(shape, dtype=int)) for shape in runs.shapes) > MANY_PARAMETERS
+    )
     return by_replay if many and _replay(runs).written else found
 
 
@@ -366,5 +369,5 @@ def _along(slopes: Any, change: Any) -> Any:
     and all else to NaN: beyond all numbers, then times 0, from either side.
     """
     none = jnp.isnan(slopes)
-    far, known = jnp.where(none, FAR, 1.0), jnp.where(none, 0.0, slopes)
+    far, known = jnp.where(none, OVERFLOWS_SQUARED, 1.0), jnp.where(none, 0.0, slopes)
     return jnp.sum(change * far * far * known * far * far, axis=-1)

@@ -29,8 +29,7 @@ from ..rules.places import (
     TO,
     UNKNOWN,
 )
-from .mode import RELEASE as RELEASED
-from .mode import Kind
+from .mode import RELEASE_SUFFIX, Kind
 from .native import Native, recall
 from .ranges import Ranges
 from .tape import Jets, Linked, room
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
 #: Steps of runs after which programs are compiled: those of a small flow take as long as compiling
 #: it does, 0.1 s. After so many of one order they are written out for that: it takes three times
 #: as long.
-HOT, HOTTER = 1 << 16, 1 << 18
+HOT_STEPS, HOT_ORDER_STEPS = 1 << 16, 1 << 18
 
 Nodes = Callable[[], Sequence[int]]
 
@@ -114,8 +113,8 @@ class Tables:
         """Count steps of an order that runs have made; where they are many, go on compiling the
         programs."""
         self._steps[order] += steps
-        if self._steps.total() > HOT:
-            written = order if self._steps[order] > HOTTER else 0
+        if self._steps.total() > HOT_STEPS:
+            written = order if self._steps[order] > HOT_ORDER_STEPS else 0
             self._native.go_on(self.automaton.programs, written)
 
     @property
@@ -140,7 +139,7 @@ class Tables:
         if row[TO] == UNKNOWN:
             self.number(self.scene.field(guard.to))
         elif guard.kind is Kind.RELEASE:
-            to, contact = self.scene.field(guard.to), guard.edge.removesuffix(RELEASED)
+            to, contact = self.scene.field(guard.to), guard.edge.removesuffix(RELEASE_SUFFIX)
             row[AT] = self._at(field, contact)
             row[REST] = self.first(self.numbers[guard.to]) + to.column(contact)
         elif row[AT] == UNKNOWN:

@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from ..errors import TraceError
-from .graph import WHOLE, Graph
+from .graph import WHOLE_VALUED, Graph
 from .python import needed
 from .taylor import SLOPES
 
 #: Operations whose derivative is 0 wherever there is one.
-FLAT = WHOLE | {
+FLAT = WHOLE_VALUED | {
     "floor",
     "ceil",
     "round",

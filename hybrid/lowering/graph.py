@@ -34,7 +34,7 @@ ELEMENTWISE = {
 OTHER_NAMES = {"add_any": "add", "lt_to": "lt", "le_to": "le"}
 
 #: Operations whose results are flags or whole numbers.
-WHOLE = {"gt", "ge", "lt", "le", "eq", "ne", "and", "or", "xor", "not", "is_finite", "trunc"}
+WHOLE_VALUED = {"gt", "ge", "lt", "le", "eq", "ne", "and", "or", "xor", "not", "is_finite", "trunc"}
 
 #: Linear algebra that is written as arithmetic on the elements (:mod:`.matrices`).
 MATRICES = ("custom_linear_solve", "triangular_solve", "cholesky")
@@ -44,11 +44,11 @@ MATRICES = ("custom_linear_solve", "triangular_solve", "cholesky")
 CHOICES = 64
 
 #: Sums of up to so many terms are written out.
-FEW = 3
+WRITTEN_TERMS = 3
 
 #: Primitives that only move data; JAX itself moves the node numbers where numpy is not
 #: told how below.
-MOVES = {"gather", "pad", "dynamic_slice", "dynamic_update_slice", "scatter"}
+DATA_MOVES = {"gather", "pad", "dynamic_slice", "dynamic_update_slice", "scatter"}
 
 
 class Graph:
@@ -104,14 +104,14 @@ class Graph:
     def total(self, terms: Sequence[int]) -> int:
         """The node of a sum."""
         kept = [i for i in terms if self.exact or self.value(i) != 0]
-        if self.long and len(kept) > FEW:
+        if self.long and len(kept) > WRITTEN_TERMS:
             return self.node("sum", *kept)
         return reduce(partial(self.node, "add"), kept or [self.const(0.0)])
 
     def dot(self, pairs: Sequence[tuple[int, int]]) -> int:
         """The node of a sum of products."""
         kept = [p for p in pairs if self.exact or 0 not in map(self.value, p)]
-        if self.long and len(kept) > FEW:
+        if self.long and len(kept) > WRITTEN_TERMS:
             return self.node("dot", *itertools.chain.from_iterable(kept))
         return self.total([self.node("mul", *pair) for pair in kept])
 
@@ -272,7 +272,7 @@ def _apply(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
     if inner is not None and name not in ("while", "scan"):
         closed_consts = getattr(inner, "consts", [])
         return _evaluate(graph, getattr(inner, "jaxpr", inner), closed_consts, inputs)
-    if name in MOVES and _placed(graph, name, inputs):
+    if name in DATA_MOVES and _placed(graph, name, inputs):
         return [_move(graph, equation, inputs)]
     if name == "scatter-add" and _placed(graph, name, inputs):
         return [_scatter_add(graph, equation, inputs)]
@@ -498,7 +498,7 @@ def _cond(graph: Graph, params: Any, inputs: list[Ids]) -> list[Ids]:
 
 
 #: Of the inputs of a primitive, those that are moved, where it is not the first alone.
-MOVED = {
+MOVED_INPUTS = {
     "pad": (0, 1),
     "dynamic_update_slice": (0, 1),
     "scatter": (0, 2),
@@ -508,7 +508,7 @@ MOVED = {
 
 def _places(name: str, inputs: list[Ids]) -> list[int]:
     """Nodes of the positions that a primitive moves numbers from or to."""
-    moved = MOVED.get(name, (0,))
+    moved = MOVED_INPUTS.get(name, (0,))
     return [i for k, ids in enumerate(inputs) if k not in moved for i in ids.reshape(-1).tolist()]
 
 
@@ -530,7 +530,7 @@ def _move(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
         return _map(graph, "select", [np.array(condition), *cases])
     operands: list[Any] = []
     for place, ids in enumerate(inputs):
-        if place in MOVED.get(name, (0,)):
+        if place in MOVED_INPUTS.get(name, (0,)):
             operands.append(ids.astype(float) if name.startswith("scatter") else ids)
         else:
             operands.append(_each(graph.value, ids))
@@ -580,7 +580,9 @@ def _convert(graph: Graph, params: Any, x: Ids) -> Ids:
     if kind.kind == "b":
         return _map(graph, "ne", [x, _constant(graph, 0)])
     flat = [
-        graph.node("real", int(i)) if graph.nodes[i][0] in WHOLE or _is_whole(graph.value(i)) else i
+        graph.node("real", int(i))
+        if graph.nodes[i][0] in WHOLE_VALUED or _is_whole(graph.value(i))
+        else i
         for i in x.reshape(-1)
     ]
     return np.array(flat, dtype=np.int64).reshape(x.shape)

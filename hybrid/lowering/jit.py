@@ -8,9 +8,9 @@ from typing import Any
 
 from ..automaton.trace import wide
 
-#: XLA's newer emitters take twice as long to compile these programs, which then run no faster;
-#: its library for reductions costs more to call than these small sums do.
-WANTED = {"xla_cpu_use_fusion_emitters": False, "xla_cpu_experimental_ynn_fusion_type": ""}
+#: Options of XLA. Its newer emitters take twice as long to compile these programs, which then run
+#: no faster; its library for reductions costs more to call than these small sums do.
+XLA_OPTIONS = {"xla_cpu_use_fusion_emitters": False, "xla_cpu_experimental_ynn_fusion_type": ""}
 
 
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -51,7 +51,7 @@ def _array(value: Any) -> Any:
 @cache
 def _options() -> dict[str, Any]:
     """Those of the settings that this version of XLA knows."""
-    return {name: value for name, value in WANTED.items() if _known(name, value)}
+    return {name: value for name, value in XLA_OPTIONS.items() if _known(name, value)}
 
 
 def _known(name: str, value: Any) -> bool:

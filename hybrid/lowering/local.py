@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .scene import Field
 
 #: Most arguments of a function that is replaced: its curvatures are half as many as their square.
-MOST = 12
+MOST_ARGUMENTS = 12
 
 
 class LocalGraph(ModeGraph):
@@ -61,8 +61,8 @@ class LocalGraph(ModeGraph):
     ) -> dict[int, int]:
         """A polynomial for each result of a call that the flow needs."""
         graph, size = self.graph, len(own)
-        if size > MOST:
-            raise TraceError(f"a function of more than {MOST} numbers is called")
+        if size > MOST_ARGUMENTS:
+            raise TraceError(f"a function of more than {MOST_ARGUMENTS} numbers is called")
         parts = [graph.nodes[n] for n in needed(graph, roots) if graph.nodes[n][0] == "part"]
         results = sorted({int(graph.value(i)) for _, call, i in parts if call == number})
         self.calls.append((graph.foreign[int(graph.value(graph.nodes[number][1]))], own, results))

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 ORDER = 16
 
 #: Stands for the time among places in the state vector.
-TIME = -1
+TIME_PLACE = -1
 
 #: What becomes of a value where an operation changes its formula: it may jump, or bends only, or
 #: has no value beyond.
@@ -44,7 +44,7 @@ CHANGES = {
 
 #: Points at which it is asked whether a reset turns a guard's motion round: what it does at half of
 #: all points goes unseen once in a million.
-POINTS = 20
+RESET_SAMPLES = 20
 
 #: Of two operations that change at one place the one that says more.
 _SEVERITY = ("ends", "jumps", "bends")
@@ -253,7 +253,7 @@ class Lowered:
         for ids in rows if not any(self.moving) else ():
             ids[1:] = graph.const(0.0)  # a window that shows the same everywhere
         (outputs,) = graph.outputs(closed, inputs)
-        return any(TIME in _states_in(graph, int(i)) for i in outputs.reshape(-1))
+        return any(TIME_PLACE in _states_in(graph, int(i)) for i in outputs.reshape(-1))
 
     def reach(self, mode: str, held: tuple[str, ...]) -> Reach:
         """For each element's derivative: elements, and lags with elements, that it depends on."""
@@ -261,7 +261,7 @@ class Lowered:
 
     def _reach(self, mode: str, held: tuple[str, ...]) -> Reach:
         flow = self.field_closed(mode, held)
-        states = [uses - {TIME} for uses in self.dependencies(flow)]
+        states = [uses - {TIME_PLACE} for uses in self.dependencies(flow)]
         pairs = list(zip(states, self.asked(flow), strict=True))
         return [self._felt(i, *pair, flow) for i, pair in enumerate(pairs)] if held else pairs
 
@@ -377,7 +377,7 @@ class Lowered:
         pairs = kicked.bind([*parameters[:own], *self.defaults()[own:]])
         direction = {Crossing.FALLING: -1, Crossing.RISING: 1}.get(crossing, 0)
         draw = random.Random(0)
-        for _ in range(POINTS):
+        for _ in range(RESET_SAMPLES):
             x = [draw.uniform(-1.5, 1.5) for _ in range(self.spec.dimension)]
             *_, before, after = pairs(draw.uniform(0.0, 1.5), x)
             towards = before * direction > 0 or (not direction and before)
@@ -418,7 +418,7 @@ class Lowered:
             contact = self.contact_spec(name)
             flow = self.closed("flow", contact.source)
             (gap,) = self.dependencies(self.closed("gap", name))
-            gap, flows = gap - {TIME}, [d - {TIME} for d in self.dependencies(flow)]
+            gap, flows = gap - {TIME_PLACE}, [d - {TIME_PLACE} for d in self.dependencies(flow)]
             return contacts.pair(self.spec, contact, gap, flows, self._unit(contact.source))
 
         return self.once(("pairing", name), make)
@@ -464,7 +464,7 @@ def _inputs_of(graph: Graph, root: int) -> list[str]:
 def _states_in(graph: Graph, root: int) -> set[int]:
     names = _inputs_of(graph, root)
     places = {int(name[1:]) for name in names if name.startswith("x")}
-    return places | ({TIME} if "t" in names else set())
+    return places | ({TIME_PLACE} if "t" in names else set())
 
 
 def lowered(cls: Any, shapes: tuple[tuple[int, ...], ...]) -> Lowered:
@@ -487,7 +487,7 @@ def guard_shape(code: Lowered, closed: Any) -> tuple[bool, tuple[int, ...]]:
 
 def node_shape(graph: Graph, root: int) -> tuple[bool, tuple[int, ...]]:
     """The same of a node."""
-    return degree(graph, root) <= 1, tuple(sorted(_states_in(graph, root) - {TIME}))
+    return degree(graph, root) <= 1, tuple(sorted(_states_in(graph, root) - {TIME_PLACE}))
 
 
 def deciding(graph: Graph, roots: Sequence[int]) -> dict[int, str]:

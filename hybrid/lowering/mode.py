@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 Scalar = Callable[..., Any]
 
 #: How a guard is named that is the load of a contact.
-RELEASE = ".release"
+RELEASE_SUFFIX = ".release"
 
 
 class Kind(StrEnum):
@@ -239,7 +239,7 @@ class ModeGraph:
         return self._guards[name]
 
     def _guard(self, name: str) -> int:
-        contact = name.removesuffix(RELEASE)
+        contact = name.removesuffix(RELEASE_SUFFIX)
         if contact != name:
             return times(self.graph, self.forces[contact], self.contact(contact).weight)
         (value,) = self.values(self.closed[name]())
@@ -250,7 +250,7 @@ class ModeGraph:
     def deciding(self, name: str) -> list[int]:
         """Nodes by whose formula a guard changes: of a load also gap, gap speed and free
         acceleration of its contact, which end its rest too."""
-        held = name.removesuffix(RELEASE)
+        held = name.removesuffix(RELEASE_SUFFIX)
         if held == name:
             return [self.guard(name)]
         contact = self.contact(held)
@@ -347,7 +347,7 @@ class ModeGraph:
 
     def watched(self, held: bool) -> list[str]:
         """Names of the guards: all that are declared, and with contacts held their loads."""
-        return [*self.closed, *(f"{name}{RELEASE}" for name in self.resting if held)]
+        return [*self.closed, *(f"{name}{RELEASE_SUFFIX}" for name in self.resting if held)]
 
     def projection(self, held: Sequence[str], numbers: Sequence[float]) -> Scalar:
         """The state moved onto all gaps 0 (two Newton steps) and all gap speeds 0.

@@ -32,7 +32,7 @@ from ..rules.operations import INTEGRAL
 
 #: A longer program is left to the rule: an operation takes 5 to 10 ms to compile, so that a process
 #: that ends never waits for a second.
-LONGEST = 64
+LONGEST_PROGRAM = 64
 
 #: Longer ones, and those without a flow, are not written out for an order: that takes 10 to 20 ms
 #: an operation, and the code would be longer than what a processor keeps at hand.
@@ -40,23 +40,23 @@ WRITTEN_OUT = 24
 
 #: What an operation is given, by numba's names: its row, the arrays, and what makes up an array. As
 #: no index is below zero, of all lengths that of the matrix's rows alone is looked at.
-NUMBERS = ("out", "a", "b", "d", "e")
+ROW_NUMBERS = ("out", "a", "b", "d", "e")
 ARRAYS = ("more", "s", "sides", "c", "work")
-PARTS = {"0": "null", "1": "null", "2": "0", "3": "8", "5.0": "0", "6.0": "8"}
+ARRAY_PARTS = {"0": "null", "1": "null", "2": "0", "3": "8", "5.0": "0", "6.0": "8"}
 GIVEN = {
     **dict.fromkeys(("retptr", "excinfo"), "%unused"),
-    **{f"arg.{name}.{part}": value for name in ARRAYS for part, value in PARTS.items()},
+    **{f"arg.{name}.{part}": value for name in ARRAYS for part, value in ARRAY_PARTS.items()},
     **{f"arg.{name}.4": f"%{name}" for name in ARRAYS},
-    **{f"arg.{name}": f"%{name}" for name in (*NUMBERS, "k")},
+    **{f"arg.{name}": f"%{name}" for name in (*ROW_NUMBERS, "k")},
     **{"arg.c.5.1": "%columns", "arg.c.6.0": "%stride", "arg.c.6.1": "8"},
 }
 
 #: What an operation that is known takes: numbers of its row, the order, and the arrays.
-TAKES = ", ".join(f"i64 %{name}" for name in (*NUMBERS, "k", "columns", "stride"))
+TAKES = ", ".join(f"i64 %{name}" for name in (*ROW_NUMBERS, "k", "columns", "stride"))
 TAKES += "".join(f", ptr noalias %{name}" for name in ARRAYS)
 
 #: An operation that is known, at order 0 and at others.
-KNOWN = """
+OPERATION_TEXT = """
 define void @first{op}({takes}) {{
   %unused = alloca i64
   call i32 @{operation}({first})
@@ -72,7 +72,7 @@ define void @later{op}({takes}) {{
 """
 
 #: The code of a program: for each order all its operations, then the next order of the states.
-PROGRAM = """
+PROGRAM_TEXT = """
 {declarations}
 define void @program(i64 %order, i64 %columns, {arrays}) {{
 entry:
@@ -153,7 +153,7 @@ def recall(programs: Programs, first: int, order: int = 0) -> None:
         for number in range(first, len(programs.code)):
             contents = {_content(programs, number, given): None for given in (order, 0)}
             found = (code for content in contents if (code := _known(content)))
-            programs.code[number] = next(found, NONE).address
+            programs.code[number] = next(found, NO_CODE).address
 
 
 @cache
@@ -182,7 +182,7 @@ class Code(NamedTuple):
 
 
 #: What a program has that is left to the rule.
-NONE = Code(0, None)
+NO_CODE = Code(0, None)
 
 #: All code of the process, by the content of the programs.
 _MADE: dict[Content, Code] = {}
@@ -210,14 +210,14 @@ def _made(content: Content) -> Code:
     *arrays, order = content
     ops, flow = (np.frombuffer(part, dtype=np.int64) for part in arrays)
     rows = ops.reshape(-1, 6).tolist()
-    if len(rows) > LONGEST or (known := operations()) is None:
-        return NONE
+    if len(rows) > LONGEST_PROGRAM or (known := operations()) is None:
+        return NO_CODE
     try:
         called, code = _compiled(known, _text(rows, flow.tolist(), order))
         made = _loaded(called, code)
     except RuntimeError as error:
         warnings.warn(f"LLVM makes no code of a model ({error})", stacklevel=2)
-        return NONE
+        return NO_CODE
     _keep(_name(content), " ".join(called).encode() + b"\n" + code)
     return made
 
@@ -288,7 +288,7 @@ def _text(rows: Sequence[Sequence[int]], flow: Sequence[int], order: int) -> str
         for k in range(wide if order else 0)
         for each in ((rows, growth) if k < order else (rows,))
     ]
-    return PROGRAM.format(
+    return PROGRAM_TEXT.format(
         declarations="\n".join(f"declare void @{name}({TAKES})" for name in names),
         arrays=", ".join(f"ptr noalias %{name}" for name in ARRAYS),
         order=order or -1,
@@ -349,7 +349,8 @@ def _taken_apart() -> bytes | None:
             )
             for also in ({"arg.k": "0"}, {})
         )
-        text.append(KNOWN.format(op=code, takes=TAKES, operation=name, first=first, later=later))
+        given = {"op": code, "takes": TAKES, "operation": name, "first": first, "later": later}
+        text.append(OPERATION_TEXT.format(**given))
     for function in _defined(module):
         if function.name != name:
             function.linkage = "internal"
@@ -387,7 +388,7 @@ def _compiled(operations: bytes, text: str) -> tuple[list[str], bytes]:
 def _loaded(called: Sequence[str], code: bytes) -> Code:
     """A program's code, put where it can run; none where it calls a function that is not there."""
     if missing(called):
-        return NONE
+        return NO_CODE
     own = engine([code])
     return Code(int(own.get_function_address("program")), own)
 

@@ -29,7 +29,7 @@ from ..errors import TraceError
 from .automaton import Tables
 from .derivatives import gradient
 from .lowered import ORDER, Lowered, deciders, lowered, node_shape
-from .mode import RELEASE, Kind, ModeGraph
+from .mode import RELEASE_SUFFIX, Kind, ModeGraph
 from .python import Program
 from .tape import Jets, Tape
 from .taylor import flat
@@ -340,7 +340,7 @@ class Scene:
             rhs, project = program.bind(self.values), None
         edges = [edge for edge in self.spec.leaving(mode) if edge.name not in held]
         watched: list[tuple[Transition, Kind]] = [(edge, _kind(edge)) for edge in edges]
-        watched += [(_unwritten(f"{c}{RELEASE}", name, mode), Kind.RELEASE) for c in held]
+        watched += [(_unwritten(f"{c}{RELEASE_SUFFIX}", name, mode), Kind.RELEASE) for c in held]
         windows = list(code.guards_closed(mode))[len(self.spec.leaving(mode)) :]
         watched += [(_unwritten(window, mode, mode), Kind.WINDOW) for window in windows]
         guards = tuple(self._guard(*each, mode, held) for each in watched)

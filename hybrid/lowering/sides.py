@@ -24,10 +24,10 @@ CHOICES: dict[str, Callable[..., int]] = {
 }
 
 #: Operations that have the formula of below zero where the function that decides is zero.
-BELOW = {"gt", "le"}
+LOW_AT_ZERO = {"gt", "le"}
 
 #: Random points at which the ratio of two functions is taken: what is one number there is one.
-POINTS = 20
+RATIO_SAMPLES = 20
 
 
 def choosers(graph: Graph, roots: Sequence[int]) -> list[int]:
@@ -102,14 +102,14 @@ def _belongs(graph: Graph, root: int) -> dict[int, int]:
     sides: dict[int, set[int]] = {}
     for op, *rest in (graph.nodes[number] for number in needed(graph, [root])):
         if op in CHOICES:
-            sides.setdefault(decider_of(graph, op, rest), set()).add(-1 if op in BELOW else 1)
+            sides.setdefault(decider_of(graph, op, rest), set()).add(-1 if op in LOW_AT_ZERO else 1)
     return {n: min(sides[n]) for n in choosers(graph, [root]) if len(sides[n]) == 1}
 
 
 def _ratios(values: Callable[..., tuple[float, ...]], size: int) -> tuple[float, float]:
     """The constant ratios of two functions to a first one; not a number where they are none."""
     draw, found = Random(0), set()
-    for _ in range(POINTS):
+    for _ in range(RATIO_SAMPLES):
         x = [draw.uniform(-1.5, 1.5) for _ in range(size)]
         own, *others = values(draw.uniform(0.0, 1.5), x)
         if not own or not all(map(math.isfinite, others)):

@@ -32,7 +32,7 @@ from .python import needed
 from .taylor import SLOPES
 
 #: Operations that the rule has under the same name.
-SAME = {
+NUMBERED_OPS = {
     **{"add": rule.ADD, "sub": rule.SUB, "neg": rule.NEG, "div": rule.DIV, "gt": rule.GT},
     **{"ge": rule.GE, "lt": rule.LT, "le": rule.LE, "eq": rule.EQ, "ne": rule.NE},
     **{"and": rule.AND, "or": rule.OR, "xor": rule.XOR, "not": rule.NOT},
@@ -45,11 +45,11 @@ SAME = {
 ORDERED, EQUAL = ("gt", "ge", "lt", "le"), ("eq", "ne")
 
 #: Of each operation's columns: which name rows or numbers, and which a list of such.
-NAMED, LISTED = np.zeros((2, rule.LGAMMA + 1, 6), dtype=bool)
-NAMED[:, 2:4] = True
-NAMED[rule.SELECT, 4], NAMED[rule.FLOOR, 3] = True, False
-NAMED[[rule.SUM, rule.DOT, rule.SOLVE], 2:4] = False
-LISTED[[rule.SUM, rule.DOT, rule.SOLVE], 2] = LISTED[rule.ATAN2, 4] = True
+NAME_COLUMNS, LIST_COLUMNS = np.zeros((2, rule.LGAMMA + 1, 6), dtype=bool)
+NAME_COLUMNS[:, 2:4] = True
+NAME_COLUMNS[rule.SELECT, 4], NAME_COLUMNS[rule.FLOOR, 3] = True, False
+NAME_COLUMNS[[rule.SUM, rule.DOT, rule.SOLVE], 2:4] = False
+LIST_COLUMNS[[rule.SUM, rule.DOT, rule.SOLVE], 2] = LIST_COLUMNS[rule.ATAN2, 4] = True
 
 #: Pairs of functions that are made together: the operation, and the place in the pair.
 PAIRS = {
@@ -337,7 +337,7 @@ class Linked:
         """Put a program behind the others, whose number is returned."""
         ops, more, numbers, kinks, bands, output, flow, affine, code = _arrays(part)
         ends, move = self._ends, partial(_moved, by=self._ends[2])
-        named, listed = NAMED[ops[:, 0]], LISTED[ops[:, 0]]
+        named, listed = NAME_COLUMNS[ops[:, 0]], LIST_COLUMNS[ops[:, 0]]
         ops = np.where(named, move(ops), ops + ends[1] * listed)
         arrays = [ops, move(more), numbers, kinks, bands, output, move(flow), affine, code]
         self._ends = [end + len(array) for end, array in zip(ends, arrays, strict=True)]
@@ -566,8 +566,10 @@ class _Recorder:
             n = unknowns(len(named))
             written.append((rule.SOLVE, out, self._list(named), n, self.room))
             self.room += n * n + 2 * n
-        elif op in SAME:
-            written.append((SAME[op], out, *named, *self._besides_named(number, op, arguments)))
+        elif op in NUMBERED_OPS:
+            written.append(
+                (NUMBERED_OPS[op], out, *named, *self._besides_named(number, op, arguments))
+            )
         elif op == "atan2":
             slopes = [self.place[i] for i in self.slopes.get(number, ())]
             kink = self._side(op, arguments)

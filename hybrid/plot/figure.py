@@ -8,7 +8,8 @@ from typing import Any
 import attrs
 import numpy as np
 
-LINE, OTHER, IMPACT, LIMIT, SURFACE = "#1f5a96", "#d07c1a", "#c44e52", "#2e8b57", "#8c8c8c"
+LINE_COLOR, OTHER_COLOR, IMPACT_COLOR = "#1f5a96", "#d07c1a", "#c44e52"
+LIMIT_COLOR, SURFACE_COLOR = "#2e8b57", "#8c8c8c"
 
 
 @attrs.frozen(kw_only=True)
@@ -22,20 +23,20 @@ class Style:
 
 
 #: What a curve may be; the names say what it shows.
-LOOKS = {
-    "line": Style(color=LINE, width=1.1),
-    "rest": Style(color=LINE, width=2.6),
-    "other": Style(color=OTHER, width=1.1),
-    "other rest": Style(color=OTHER, width=2.6),
-    "dashed": Style(color=OTHER, width=1.3, dash=True),
-    "impact": Style(color=IMPACT, dot=4.0),
-    "fall": Style(color=IMPACT, width=0.8, dash=True),
-    "series": Style(color=IMPACT, width=0.8, dot=4.0),
-    "other series": Style(color=OTHER, width=0.8, dot=4.0),
-    "limit": Style(color=LIMIT, width=1.2, dash=True),
+STYLES = {
+    "line": Style(color=LINE_COLOR, width=1.1),
+    "rest": Style(color=LINE_COLOR, width=2.6),
+    "other": Style(color=OTHER_COLOR, width=1.1),
+    "other rest": Style(color=OTHER_COLOR, width=2.6),
+    "dashed": Style(color=OTHER_COLOR, width=1.3, dash=True),
+    "impact": Style(color=IMPACT_COLOR, dot=4.0),
+    "fall": Style(color=IMPACT_COLOR, width=0.8, dash=True),
+    "series": Style(color=IMPACT_COLOR, width=0.8, dot=4.0),
+    "other series": Style(color=OTHER_COLOR, width=0.8, dot=4.0),
+    "limit": Style(color=LIMIT_COLOR, width=1.2, dash=True),
     "mark": Style(color="#1c2733", dot=2.5),
-    "point": Style(color=LIMIT, dot=7.0),
-    "surface": Style(color=SURFACE, width=1.3),
+    "point": Style(color=LIMIT_COLOR, dot=7.0),
+    "surface": Style(color=SURFACE_COLOR, width=1.3),
 }
 
 
@@ -53,7 +54,7 @@ class Curve:
     name : str
         In the legend; empty: not in it. Curves of one name are one entry.
     look : str
-        A key of ``LOOKS``.
+        A key of ``STYLES``.
     notes : sequence of str
         What is shown when a point is hovered; one a point, or none.
     """
@@ -61,7 +62,7 @@ class Curve:
     x: np.ndarray = attrs.field(converter=_floats)
     y: np.ndarray = attrs.field(converter=_floats)
     name: str = ""
-    look: str = attrs.field(default="line", validator=attrs.validators.in_(LOOKS))
+    look: str = attrs.field(default="line", validator=attrs.validators.in_(STYLES))
     notes: Sequence[str] = ()
 
 

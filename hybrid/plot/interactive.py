@@ -11,11 +11,11 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from .figure import LOOKS, Cells, Columns, Curve, Figure, Panel
+from .figure import STYLES, Cells, Columns, Curve, Figure, Panel
 
 #: Pixels: a panel, the space between two, and what stands above and below all of them (a name
 #: of an axis, and a legend of three lines on a phone).
-PANEL, BETWEEN, ABOVE, BELOW = 230, 72, 34, 110
+PANEL, BETWEEN, TOP_MARGIN, BOTTOM_MARGIN = 230, 72, 34, 110
 
 #: Pixels for a slider below, for a menu above.
 SLIDER, MENU = 84, 40
@@ -68,7 +68,7 @@ def draw(figure: Figure, path: Any = None) -> go.Figure:
         counts.append(len(drawn.data) - before)
     for row, panel in enumerate(panels, start=1):
         _axes(drawn, row, panel, panels)
-    below, above = BELOW, ABOVE
+    below, above = BOTTOM_MARGIN, TOP_MARGIN
     if figure.slider is not None:
         below += SLIDER
         _slide(drawn, figure, counts)
@@ -107,7 +107,7 @@ def _add(drawn: go.Figure, panels: Sequence[Panel]) -> None:
 
 
 def _curve(curve: Curve) -> go.Scatter:
-    look = LOOKS[curve.look]
+    look = STYLES[curve.look]
     mode = "+".join(["lines"] * bool(look.width) + ["markers"] * bool(look.dot))
     return go.Scatter(
         x=curve.x,

@@ -15,11 +15,11 @@ from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Trajectory
 from .figure import Curve, Figure, Panel
 
-#: Points an arc, at most and at least, and in all; arcs of a long run get fewer.
-POINTS, FEWEST, IN_ALL = 200, 17, 20000
+#: Points drawn of an arc, at most and at least, and of a run; arcs of a long run get fewer.
+ARC_POINTS, LEAST_POINTS, ALL_POINTS = 200, 17, 20000
 
-#: How near an accumulation is shown, of the time to it: arcs end where doubles do.
-NEAREST = 1e-12
+#: How near to an accumulation arcs are shown, of the time to it: beyond, doubles tell no more.
+NEAREST_TO_LIMIT = 1e-12
 
 #: Jumps that a phase portrait shows, at most; in a run of more, flights that are too short to be
 #: seen are left out, but for those before the first accumulation, which one may zoom into.
@@ -36,7 +36,7 @@ def figure(run: Trajectory) -> Figure:
     series is a straight line. Where no dense output was kept there are dots at what was: the ends
     of arcs, and the times asked for.
     """
-    names, drawn = run.spec.element_names, _sampled(run, IN_ALL)
+    names, drawn = run.spec.element_names, _sampled(run, ALL_POINTS)
     states = tuple(_states(run, name, drawn) for name in names)
     phase = (_phase(run, drawn),) if len(names) > 1 else ()
     aside = (*phase, *(panel for panel in [gaps_panel(run)] if panel.curves[0].x.size))
@@ -44,19 +44,21 @@ def figure(run: Trajectory) -> Figure:
     return Figure(name="run", title=title(run), columns=columns, zooms=zooms(run))
 
 
-def states_panel(run: Trajectory, name: str, *, look: str = "line", points: int = IN_ALL) -> Panel:
+def states_panel(
+    run: Trajectory, name: str, *, look: str = "line", points: int = ALL_POINTS
+) -> Panel:
     """One element of the state over time, with impacts, rests, limits and the obstacle."""
     return _states(run, name, _sampled(run, points), look)
 
 
 def path(
-    run: Trajectory, index: int, *, look: str = "line", name: str = "", points: int = IN_ALL
+    run: Trajectory, index: int, *, look: str = "line", name: str = "", points: int = ALL_POINTS
 ) -> list[Curve]:
     """One element over time: a curve for the flights, a thicker one for the rests."""
     return _path(run, index, _sampled(run, points), look, name)
 
 
-def phase_panel(run: Trajectory, *, points: int = IN_ALL) -> Panel:
+def phase_panel(run: Trajectory, *, points: int = ALL_POINTS) -> Panel:
     """Velocity over position of the first contact (else the first two elements)."""
     return _phase(run, _sampled(run, points))
 
@@ -82,7 +84,9 @@ def _gaps(run: Trajectory) -> list[tuple[int, float]]:
     ]
 
 
-def approach_panel(run: Trajectory, name: str, place: int = 0, *, points: int = IN_ALL) -> Panel:
+def approach_panel(
+    run: Trajectory, name: str, place: int = 0, *, points: int = ALL_POINTS
+) -> Panel:
     """An element that vanishes in the limit, over the time that is left, on a logarithmic axis.
 
     The impacts, which crowd together over time, are equally far apart on it.
@@ -94,7 +98,7 @@ def approach_panel(run: Trajectory, name: str, place: int = 0, *, points: int = 
     count, parts = _count(len(arcs), points), []
     for arc, end in zip(arcs, ends, strict=True):
         grid = np.linspace(0.0, 1.0, count) * arc.length
-        left = np.where(end - grid > NEAREST * ends[0], end - grid, np.nan)
+        left = np.where(end - grid > NEAREST_TO_LIMIT * ends[0], end - grid, np.nan)
         parts.append((left, arc.local(grid)[:, index] / left))
     x, y = _joined(parts)
     label = f"{name} / (t_inf - t)"
@@ -134,7 +138,7 @@ def _power(value: float) -> str:
 
 
 def _count(arcs: int, points: int) -> int:
-    return int(np.clip(points // max(arcs, 1), FEWEST, POINTS))
+    return int(np.clip(points // max(arcs, 1), LEAST_POINTS, ARC_POINTS))
 
 
 class _Drawn(NamedTuple):
@@ -157,7 +161,7 @@ def _sampled(run: Trajectory, points: int) -> _Drawn:
 
 def _seen(run: Trajectory) -> list[Arc]:
     """The arcs; in a long run those of the first tail, and of the others what can be seen."""
-    least, arcs = (run.t1 - run.t0) / IN_ALL if len(run.jumps) > FALLS else 0.0, []
+    least, arcs = (run.t1 - run.t0) / ALL_POINTS if len(run.jumps) > FALLS else 0.0, []
     for part in run.parts:
         if isinstance(part, Arc):
             arcs.append(part)
@@ -179,7 +183,9 @@ def _kept(run: Trajectory, arcs: Sequence[Arc]) -> list[tuple[np.ndarray, np.nda
 def _along(arcs: Sequence[Arc], points: int) -> list[tuple[np.ndarray, np.ndarray]]:
     """Times and states of each arc; long arcs have more points."""
     sizes = np.sqrt([arc.length for arc in arcs])
-    counts = np.clip(points * sizes / max(np.sum(sizes), 1e-300), FEWEST, POINTS).astype(int)
+    counts = np.clip(points * sizes / max(np.sum(sizes), 1e-300), LEAST_POINTS, ARC_POINTS).astype(
+        int
+    )
     sampled = []
     for arc, count in zip(arcs, counts.tolist(), strict=True):
         grid = np.linspace(0.0, 1.0, count) * arc.length

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from .figure import LOOKS, Curve, Figure, Panel
+from .figure import STYLES, Curve, Figure, Panel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Drawn
 
 #: Inches: width of one column and of several, height of a row.
-ONE, SEVERAL, ROW = 8.0, 11.0, 2.1
+COLUMN_WIDTH, COLUMNS_WIDTH, ROW_HEIGHT = 8.0, 11.0, 2.1
 
 
 def draw(figure: Figure, path: Any = None) -> Drawn:
@@ -19,7 +19,10 @@ def draw(figure: Figure, path: Any = None) -> Drawn:
     from matplotlib.figure import Figure as Drawn
 
     rows = max(len(column) for column in figure.columns)
-    size = (SEVERAL if len(figure.columns) > 1 else ONE, ROW * max(rows, 1.5) + 0.8)
+    size = (
+        COLUMNS_WIDTH if len(figure.columns) > 1 else COLUMN_WIDTH,
+        ROW_HEIGHT * max(rows, 1.5) + 0.8,
+    )
     drawn = Drawn(figsize=size, layout="constrained")
     widths = [1.7, *[1.0] * (len(figure.columns) - 1)]
     parts = drawn.subfigures(1, len(figure.columns), width_ratios=widths, squeeze=False)[0]
@@ -67,7 +70,7 @@ def _panel(axes: Axes, panel: Panel) -> None:
 
 
 def _curve(axes: Axes, curve: Curve) -> None:
-    look = LOOKS[curve.look]
+    look = STYLES[curve.look]
     axes.plot(
         curve.x,
         curve.y,

@@ -15,7 +15,7 @@ from ..automaton.spec import ContactSpec, EdgeSpec
 from ..automaton.trace import again
 from ..lowering.contact import Held
 from ..lowering.lowered import Lowered
-from ..lowering.mode import RELEASE
+from ..lowering.mode import RELEASE_SUFFIX
 
 #: ``(parameters, mask, t, x)``, and what a function gives.
 Law = Callable[..., Any]
@@ -76,9 +76,9 @@ class Laws:
             self.flows[mode, True] = lambda p, m, t, x: held(m).rest(p, t, x)
             self.onto[mode] = lambda p, m, t, x: held(m).project(p, t, x)
         for place, name in enumerate(own):
-            self.guards[f"{name}{RELEASE}"] = lambda p, m, t, x, place=place: held(m).load(place)(
-                p, t, x
-            )
+            self.guards[f"{name}{RELEASE_SUFFIX}"] = lambda p, m, t, x, place=place: held(m).load(
+                place
+            )(p, t, x)
 
     def _held(self, mode: str, names: Sequence[str]) -> Callable[[Any], Held]:
         """Contacts of a mode, held as a mask says."""

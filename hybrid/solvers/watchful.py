@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from ..bounds.defect import EPS, Defect, Sampled, defect_of
+from ..bounds.defect import Defect, Sampled, defect_of
 from ..errors import FlowError
 from ..lowering import Field
+from ..rules.zeros import EPS
 from ..segment import Segment
 from .base import Solver, Stepper
 

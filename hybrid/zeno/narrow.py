@@ -24,7 +24,6 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from ..bounds.defect import EPS
 from ..errors import TraceError
 from ..lowering.derivatives import along
 from ..lowering.python import needed
@@ -45,6 +44,7 @@ from ..rules.sights import (
     WIDER,
 )
 from ..rules.sums import FLOOR, LOSS
+from ..rules.zeros import EPS
 from ..segment import from_values, nodes
 from .accumulate import Tail
 from .flight import fly

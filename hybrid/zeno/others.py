@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..bounds.defect import EPS
 from ..bounds.exact import FixedGraph
 from ..errors import TraceError
 from ..rules.sights import HALVINGS
+from ..rules.zeros import EPS
 from .accumulate import Tail
 from .narrow import Stretch, named, parameters
 

@@ -8,9 +8,9 @@ import attrs
 import numpy as np
 
 from hybrid.plot.figure import (
-    IMPACT,
-    LINE,
-    OTHER,
+    IMPACT_COLOR,
+    LINE_COLOR,
+    OTHER_COLOR,
     Cells,
     Columns,
     Curve,
@@ -40,9 +40,9 @@ SLACK = 1e-5
 #: Kinds of lanes; of the last two nothing can be proved.
 REST, RELEASED, INCOMPLETE, NONE = range(4)
 KINDS = (
-    ("complete chattering, rest for ever", LINE),
-    ("complete chattering, then released", OTHER),
-    ("incomplete: a series that ends", IMPACT),
+    ("complete chattering, rest for ever", LINE_COLOR),
+    ("complete chattering, then released", OTHER_COLOR),
+    ("incomplete: a series that ends", IMPACT_COLOR),
     ("no such series", "#d5d5d5"),
 )
 PROVED = (*KINDS[:2], ("nothing proved", "#f0f0f0"))
