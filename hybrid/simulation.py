@@ -76,8 +76,8 @@ def simulate(
         at most ``max_jumps`` (or ``[1/r]``) impacts, then hold the contact; raise; simulate jumps
         one by one, as many as ``max_jumps`` permits.
     max_jumps : int, optional
-        The run stops (with that status) after this many computed jumps; a million if
-        omitted. With ``zeno="truncate"`` the number of impacts of a series.
+        The run stops (with that status) behind this many computed jumps, in the state after the
+        last; a million if omitted. With ``zeno="truncate"`` the number of impacts of a series.
     save : "dense", "jumps" or array of times
         Keep dense output; only jumps and the ends of arcs; or the states at these times.
     history : optional

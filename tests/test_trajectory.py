@@ -169,6 +169,19 @@ def test_zeno_stop_raise_and_max_jumps():
     assert len(short.jumps) == 5
 
 
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+def test_a_run_of_so_many_jumps_ends_behind_the_last(solver):
+    """In the state and the mode after it, as a lane does."""
+    options = {"max_jumps": 3, "zeno": "ignore", "solver": solver}
+    ball = hy.simulate(BouncingBall(), [1.0, 0.0], (0, 9), **options)
+    assert ball.final == ball.jumps[-1].after
+    assert ball.final.v > 0.0
+    lane = hy.ensemble(BouncingBall(), {"x": [1.0], "v": 0.0}, (0, 9), **options)
+    assert (lane.t.item(), lane.x.item(), lane.v.item()) == (ball.t1, ball.final.x, ball.final.v)
+    heated = hy.simulate(systems.Thermostat(), {"T": 18.0}, (0, 9), max_jumps=1, solver=solver)
+    assert heated.mode == "off"
+
+
 def test_a_contact_that_does_not_rest_ends_the_run():
     """rests=False: the run ends at the accumulation and says why."""
 

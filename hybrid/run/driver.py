@@ -113,6 +113,9 @@ class Driver:
         self.enter(base, x, Jumped(held=held, starting=True))
         try:
             self.go_on()
+            if self.status is Status.MAX_JUMPS and self.end is not None:  # behind the last jump
+                _, x, mode = self.end
+                self.record.arc(self.model.field(mode), x, x, 0.0, [])
         except KeyboardInterrupt:
             self.status = Status.INTERRUPTED
             self.record.close(self.entry.field)
