@@ -175,7 +175,15 @@ def turns(c: Floats, s: float, tolerance: float) -> bool:
     """Whether a guard that crosses zero turns back before it is deeper than a tolerance."""
     _, slope = power_value(c, 0, c.shape[0] - 1, s)
     bend, _ = second(c, s)
-    return slope * bend <= 0.0 and slope * slope <= 2.0 * abs(bend) * tolerance
+    return shallow(slope, bend, tolerance)
+
+
+def shallow(slope: float, bend: float, tolerance: float) -> bool:
+    """Whether a guard that crosses zero with these derivatives turns back within a tolerance.
+
+    As quotients: a guard may be so small that its squares are no numbers.
+    """
+    return slope == 0.0 or -2.0 * (bend / slope) * tolerance >= abs(slope)
 
 
 def has_left(a: Automaton, now: Now, room: Room, c: Floats, guard: int, s: float) -> bool:

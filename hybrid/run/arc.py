@@ -16,7 +16,7 @@ from ..lowering import Guard, Kink, Scene, released
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.arcs import FAR, LANDINGS, SAFETY
-from ..rules.guards import BESIDE, TIE
+from ..rules.guards import BESIDE, TIE, shallow
 from ..segment import Segment
 from ..solvers import Solver, Stepper
 from ..trajectory.clock import Instant
@@ -449,7 +449,7 @@ class ArcFlow:
     def _touches(self, guard: Guard, tau: float, segment: Segment, tolerance: float) -> bool:
         """Whether a crossing goes no deeper than the tolerance: a tangency (1)."""
         _, first, second = guard.lie(self.now.t + tau, segment(tau).tolist())
-        return first * second <= 0 and first * first <= 2 * abs(second) * tolerance
+        return shallow(first, second, tolerance)
 
     def _near_end(self, index: int, segment: Segment, stepper: Stepper) -> Fired | None:
         """A step made onto a predicted event ends next to it, on either side; so it does of what

@@ -130,3 +130,28 @@ def test_sliding_begins_and_ends_at_the_same_times(way, unit):
         assert result.status == "reached_end"
         assert result.times[1] / time == pytest.approx(2.0, abs=1e-6)
         assert result.final.y / unit == pytest.approx(1.0, abs=1e-6)
+
+
+class Scaled(hy.Automaton):
+    """A crossing of ``1 - x**2 / 2`` on a line, the guard in any unit."""
+
+    x = hy.state()
+    unit = hy.parameter(1.0)
+
+    @hy.mode(initial=True)
+    def before(self, t, s):
+        return 1.0
+
+    @hy.mode
+    def behind(self, t, s):
+        return 0.0
+
+    cross = hy.edge(before, to=behind, guard=lambda self, t, s: self.unit * (1.0 - 0.5 * s.x**2))
+
+
+@pytest.mark.parametrize("unit", [1e-250, 1e-200, 1e-160, 1e160, 1e250])
+def test_a_guard_may_have_any_unit(way, unit):
+    """Squares of its derivatives are no numbers there: a crossing is not taken for a touch."""
+    result = way.run(Scaled(unit=unit), {"x": 0.0}, (0.0, 3.0))
+    assert result.jumps == 1
+    assert result.final.x == pytest.approx(np.sqrt(2.0), rel=1e-7)  # the ways' own tolerances
