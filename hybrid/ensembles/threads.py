@@ -21,9 +21,8 @@ from ..lowering.tape import Jets
 from ..rules import unit
 from ..rules.arrays import Automaton, Left, Now
 from ..rules.lanes import ASKS, ENDED, FLOWN_TO, LAST_JUMP, LEFT, MODE, OUTCOME, STATE, TOLD
-from ..rules.places import CURVE_ROWS, REMAINING
 from ..run import Driver
-from ..run.machine import rooms
+from ..run.machine import left_for, rooms
 from ..zeno.narrow import bounded
 
 #: Lanes in a call, at most and at least: between two calls progress is told. Within these
@@ -267,15 +266,4 @@ class Abreast:
 
     def _left(self, n: int) -> Left:
         """Arrays for the jumps, steps and sums of one lane after another."""
-        jumps, steps = self.most
-        return Left(
-            np.empty((jumps, 3)),
-            np.empty(jumps, dtype=np.int64),
-            np.empty((jumps, n)),
-            np.empty((jumps, n)),
-            np.empty(steps, dtype=np.int64),
-            np.empty((steps, 2)),
-            np.empty((0, self.loop.order + 1)),
-            np.empty((LANE_SUMS, REMAINING + 1)),
-            np.empty((LANE_SUMS * CURVE_ROWS, n + 2)),
-        )
+        return left_for(n, *self.most, (0, self.loop.order + 1), LANE_SUMS)

@@ -107,6 +107,21 @@ def rooms(tables: Tables, n: int, order: int) -> tuple[Room, Sums, Look]:
     return tables.room(order), room_for_sums(needs, n), look
 
 
+def left_for(n: int, jumps: int, steps: int, expansions: tuple[int, int], sums: int) -> Left:
+    """Arrays for so many jumps, steps, rows of expansions and sums of ``n`` states."""
+    return Left(
+        np.empty((jumps, 3)),
+        np.empty(jumps, dtype=np.int64),
+        np.empty((jumps, n)),
+        np.empty((jumps, n)),
+        np.empty(steps, dtype=np.int64),
+        np.empty((steps, 2)),
+        np.empty(expansions),
+        np.empty((sums, REMAINING + 1)),
+        np.empty((sums * CURVE_ROWS, n + 2)),
+    )
+
+
 class Machine:
     """Flies a driver's plain arcs by the rules' own loop: with Taylor series, or with another
     solver's steps.
@@ -462,17 +477,8 @@ class Machine:
         steps = int(min(steps, max(self.plan.max_steps - self.driver.steps - self.opened, 1)))
         self.ints[JUMPS], self.ints[STEPS], self.ints[EXPANSIONS] = 0, -self._going, 0
         self.ints[TAILS] = 0
-        return Left(
-            np.empty((jumps, 3)),
-            np.empty(jumps, dtype=np.int64),
-            np.empty((jumps, n)),
-            np.empty((jumps, n)),
-            np.empty(steps, dtype=np.int64),
-            np.empty((steps, 2)),
-            np.empty((steps * n if self.dense or self.past else 0, self.order + 1)),
-            np.empty((SUMS_KEPT, REMAINING + 1)),
-            np.empty((SUMS_KEPT * CURVE_ROWS, n + 2)),
-        )
+        rows = steps * n if self.dense or self.past else 0
+        return left_for(n, jumps, steps, (rows, self.order + 1), SUMS_KEPT)
 
     # -- what a call left -------------------------------------------------------------------
 
