@@ -24,7 +24,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from hybrid.rules import load
-from hybrid.rules.zeros import SPARE
+from hybrid.rules.zeros import SPARE_ROWS
 
 ROOT = Path(__file__).parent.parent
 
@@ -124,7 +124,7 @@ def main():
     print(f"\n{'zeros':14} {'degree':>6} {'rules, us':>10} {'error':>8} {'plain':>8} {'numpy':>8}")
     for name, n, roots in CASES:
         powers, b = with_zeros(roots, n)
-        work, found = np.empty((n + SPARE, n + 5)), np.empty((2 * n + 4, 2))
+        work, found = np.empty((n + SPARE_ROWS, n + 5)), np.empty((2 * n + 4, 2))
         arguments = b, n, 0, 0.0, work, found
         off = error(found[: rules(*arguments), 0], roots)
         off_too = error(eigenvalues(powers), roots)

@@ -25,7 +25,7 @@ from numpy.polynomial import chebyshev
 from .automaton.markers import Crossing
 from .errors import FlowError
 from .rules import unit
-from .rules.zeros import FULL, SPARE, UNFIT
+from .rules.zeros import SPARE_ROWS, UNFIT, WORK_FULL
 from .segment import Segment, from_values, nodes
 
 if TYPE_CHECKING:
@@ -422,11 +422,11 @@ def turning_points(series: np.ndarray) -> list[float]:
 
 def room(degree: int) -> tuple[np.ndarray, np.ndarray]:
     """Arrays for the rules on zeros: to work in, and for what is found."""
-    return np.empty((degree + SPARE, degree + 5)), np.empty((2 * degree + 4, 2))
+    return np.empty((degree + SPARE_ROWS, degree + 5)), np.empty((2 * degree + 4, 2))
 
 
 def _listed(found: np.ndarray, count: int) -> list[list[float]]:
-    if count in (UNFIT, FULL):
+    if count in (UNFIT, WORK_FULL):
         raise FlowError("a polynomial whose zeros are asked for is not finite")
     rows: list[list[float]] = found[: max(count, 0)].tolist()
     return rows

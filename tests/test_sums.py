@@ -11,7 +11,7 @@ import hybrid as hy
 from hybrid.lowering import scene_of
 from hybrid.rules import unit
 from hybrid.rules.load import Library
-from hybrid.rules.sums import DEGREE, FLIGHTS, POINTS_EACH, SAMPLES
+from hybrid.rules.sums import FORCE_SAMPLES, MOST_DEGREE, POINTS_EACH, STRETCH_FLIGHTS
 from hybrid.segment import from_values, nodes
 from hybrid.zeno import accumulate, close
 from hybrid.zeno.flight import fly
@@ -32,10 +32,10 @@ def rules(request, monkeypatch):
 # polynomials
 
 
-@pytest.mark.parametrize("degree", [1, 2, 5, 11, DEGREE])
+@pytest.mark.parametrize("degree", [1, 2, 5, 11, MOST_DEGREE])
 def test_values_become_coefficients(rules, degree):
     """A cosine sum is the inverse of the matrix of Chebyshev polynomials at the points."""
-    to, w = np.full((DEGREE + 1, DEGREE + 1), np.nan), np.full(DEGREE + 1, np.nan)
+    to, w = np.full((MOST_DEGREE + 1, MOST_DEGREE + 1), np.nan), np.full(MOST_DEGREE + 1, np.nan)
     rules("chebyshev").from_values(degree, to)
     rules("chebyshev").nodes(degree, w)
     # from_values of hybrid.segment inverts a matrix, with a condition below 10
@@ -45,12 +45,12 @@ def test_values_become_coefficients(rules, degree):
 
 def test_polynomials_side_by_side_have_their_values(rules):
     """At points in and around [0, 1], as numpy has them."""
-    c = np.random.default_rng(1).normal(size=(DEGREE + 1, 3))
-    line, found = np.empty(DEGREE + 1), np.empty(3)
+    c = np.random.default_rng(1).normal(size=(MOST_DEGREE + 1, 3))
+    line, found = np.empty(MOST_DEGREE + 1), np.empty(3)
     for w in (0.0, 1e-9, 0.3, 0.77, 1.0):
-        rules("chebyshev").evaluate(c, DEGREE, w, line, found)
+        rules("chebyshev").evaluate(c, MOST_DEGREE, w, line, found)
         exact = chebyshev.chebval(2 * w - 1, c)
-        one = [rules("chebyshev").value(c, DEGREE, j, w) for j in range(3)]
+        one = [rules("chebyshev").value(c, MOST_DEGREE, j, w) for j in range(3)]
         # 17 terms of size 1; the recurrence carries an error of a spacing 16 times
         assert found == pytest.approx(exact, abs=300 * EPS)
         assert one == pytest.approx(exact, abs=300 * EPS)
@@ -59,15 +59,15 @@ def test_polynomials_side_by_side_have_their_values(rules):
 @pytest.mark.parametrize("r", [1 - 1e-11, 1 - 1e-3, 0.5, 0.01])
 def test_differences_lose_no_digits_where_the_ratio_is_near_one(rules, r):
     """``T_k(2 r w - 1) - T_k(2 w - 1)`` to relative accuracy, in 40 digits' reckoning."""
-    line = np.empty(DEGREE + 1)
-    for w in nodes(DEGREE)[1:].tolist():
-        rules("chebyshev").differences(DEGREE, r, w, line)
+    line = np.empty(MOST_DEGREE + 1)
+    for w in nodes(MOST_DEGREE)[1:].tolist():
+        rules("chebyshev").differences(MOST_DEGREE, r, w, line)
         with mp.workdps(40):
             a, b = 2 * mp.mpf(r) * w - 1, 2 * mp.mpf(w) - 1
-            exact = [float(mp.chebyt(k, a) - mp.chebyt(k, b)) for k in range(DEGREE + 1)]
+            exact = [float(mp.chebyt(k, a) - mp.chebyt(k, b)) for k in range(MOST_DEGREE + 1)]
         # each is at most k^2 times the step, which is the scale of their rounding
         step = 2 * (1 - r) * w
-        assert np.abs(line - exact).max() <= 4 * DEGREE**3 * EPS * step
+        assert np.abs(line - exact).max() <= 4 * MOST_DEGREE**3 * EPS * step
 
 
 # ---------------------------------------------------------------------------------------
@@ -92,24 +92,24 @@ def test_equations_without_a_solution_are_told(rules):
 
 def test_a_fit_leaves_what_no_polynomial_gives(rules):
     """The rest of a fit as numpy's, and none of a polynomial of the degree, but for rounding."""
-    w = np.linspace(0.0, 1.0, SAMPLES) ** 2
-    basis = chebyshev.chebvander(2 * w - 1, DEGREE)
-    within, beyond = basis @ np.linspace(1.0, 2.0, DEGREE + 1), np.abs(w - 0.4)
+    w = np.linspace(0.0, 1.0, FORCE_SAMPLES) ** 2
+    basis = chebyshev.chebvander(2 * w - 1, MOST_DEGREE)
+    within, beyond = basis @ np.linspace(1.0, 2.0, MOST_DEGREE + 1), np.abs(w - 0.4)
     fitted = basis @ np.linalg.lstsq(basis, beyond, rcond=None)[0]
     for values, exact in ((within, 0.0 * w), (beyond, beyond - fitted)):
         rest = values.copy()
-        rules("linear").unfitted(basis.copy(), SAMPLES, DEGREE + 1, rest)
+        rules("linear").unfitted(basis.copy(), FORCE_SAMPLES, MOST_DEGREE + 1, rest)
         assert np.abs(rest - exact).max() <= 1e3 * EPS * np.abs(values).max()
 
 
 def test_a_fit_of_powers_keeps_its_digits(rules):
     """A condition of 1e12: the product of the matrix with itself would leave nothing of it."""
-    w = np.linspace(0.0, 1.0, SAMPLES)
-    powers = np.ascontiguousarray(np.vander(w, DEGREE + 1, increasing=True))
+    w = np.linspace(0.0, 1.0, FORCE_SAMPLES)
+    powers = np.ascontiguousarray(np.vander(w, MOST_DEGREE + 1, increasing=True))
     assert np.linalg.cond(powers) > 1e11
-    rest = powers @ np.ones(DEGREE + 1)
+    rest = powers @ np.ones(MOST_DEGREE + 1)
     size = np.abs(rest).max()
-    rules("linear").unfitted(powers, SAMPLES, DEGREE + 1, rest)
+    rules("linear").unfitted(powers, FORCE_SAMPLES, MOST_DEGREE + 1, rest)
     assert np.abs(rest).max() <= 1e3 * EPS * size
 
 
@@ -265,7 +265,7 @@ def test_points_shown_of_a_tail_are_on_its_flights(rules, monkeypatch):
     *points, least, most = tail.shown(1.0, 0.2, 0.0, 1.0)
     assert np.array_equal(least, np.min(points, axis=0))
     assert np.array_equal(most, np.max(points, axis=0))
-    for k, w in enumerate(np.linspace(0.2, 1.0, FLIGHTS).tolist()):
+    for k, w in enumerate(np.linspace(0.2, 1.0, STRETCH_FLIGHTS).tolist()):
         since, x, v = tail.point(w)
         flight = fly(field, 0, 1.0 + since, x.tolist(), v)
         (whole,) = flight.segments()

@@ -17,7 +17,7 @@ from hypothesis import strategies as some
 
 from hybrid.rules import unit
 from hybrid.rules.load import Library
-from hybrid.rules.zeros import SPARE, UNFIT, VANISHES
+from hybrid.rules.zeros import SPARE_ROWS, UNFIT, VANISHES
 
 EPS = 2.0**-52
 
@@ -32,7 +32,7 @@ def plain(monkeypatch):
 
 
 def room(n):
-    return np.full((n + SPARE, n + 5), np.nan), np.full((2 * n + 4, 2), np.nan)
+    return np.full((n + SPARE_ROWS, n + 5), np.nan), np.full((2 * n + 4, 2), np.nan)
 
 
 def crossings(b, order=0, tolerance=0.0):

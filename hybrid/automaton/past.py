@@ -14,8 +14,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-#: Degree of the polynomial on a window.
-DEGREE = 12
+from ..rules.places import WINDOW_DEGREE
 
 
 @attrs.frozen
@@ -50,12 +49,12 @@ def window_shapes(lags: Iterable[LagSpec], dimension: int) -> tuple[tuple[int, .
     The frame is the middle and half the length of the window; the coefficients are those of the
     powers of the place in it, from -1 to 1, one row each.
     """
-    return ((2,), (DEGREE + 1, dimension)) * len(tuple(lags))
+    return ((2,), (WINDOW_DEGREE + 1, dimension)) * len(tuple(lags))
 
 
 def blank(lags: Iterable[LagSpec], dimension: int, shown: float = np.nan) -> list[np.ndarray]:
     """Windows that show the same everywhere; at first nothing."""
-    rows = np.zeros((DEGREE + 1, dimension))
+    rows = np.zeros((WINDOW_DEGREE + 1, dimension))
     rows[0] = shown
     return [np.array([0.0, 1.0]), rows] * len(tuple(lags))
 
@@ -78,7 +77,7 @@ class Past:
         frame, rows = self.windows[2 * (number := next(self.numbers)) : 2 * number + 2]
         place = ((self.t - lag) - frame[0]) / frame[1]
         powers = [place**0, place]
-        for _ in range(DEGREE - 1):
+        for _ in range(WINDOW_DEGREE - 1):
             powers.append(powers[-1] * place)
         return self.spec.record(jnp.stack(powers) @ rows)
 

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from ..automaton.past import DEGREE, blank
+from ..automaton.past import blank
 from ..lowering import Scene
 from ..lowering.taylor import flat
+from ..rules.places import WINDOW_DEGREE
 from ..segment import nodes
 from ..trajectory.arcs import Arc, Part
 from ..trajectory.log import Log
@@ -136,7 +137,7 @@ class Hindsight:
         record = self.record(part)
         places = self.places(part, t)
         which = [record.index(place, side) for place in places]
-        plain = all(record.pieces[i].degree <= DEGREE for i in which)
+        plain = all(record.pieces[i].degree <= WINDOW_DEGREE for i in which)
         key = (part if self.memory == "restart" else 0, *which)
         if plain and key in self._scenes:
             return self._scenes[key]
@@ -149,11 +150,11 @@ class Hindsight:
     def _window(self, piece: Piece, place: float) -> Window:
         """A piece as a window: all of it, or where it is no short polynomial a narrow part."""
         a, b = piece.start, piece.end
-        if piece.degree > DEGREE or not np.isfinite(a):
+        if piece.degree > WINDOW_DEGREE or not np.isfinite(a):
             width = NARROW * (self.longest or 1.0)
             b = min(b, place + width)
             a = max(a, b - 2.0 * width)
-        values = piece.state(a, (b - a) * nodes(DEGREE))
+        values = piece.state(a, (b - a) * nodes(WINDOW_DEGREE))
         known = np.zeros(len(values), dtype=bool)
         return Window(a, b, values, known, np.zeros(values.shape[1]))
 

@@ -26,28 +26,29 @@ from typing import Any
 import attrs
 import numpy as np
 
-from ..automaton.past import DEGREE, blank
+from ..automaton.past import blank
 from ..errors import FlowError
 from ..lowering import Field, Scene, window_edge
 from ..lowering.taylor import flat
 from ..rules import unit
-from ..rules.arrays import Past
+from ..rules.arrays import PastArrays
 from ..rules.places import (
     AGAIN,
+    BREAK_ORDER,
     BREAKS,
     FINAL,
-    FLIGHTS,
+    FLIGHTS_DONE,
     GOES_ON,
-    HIGHEST,
     IN_ARC,
     RTOL,
+    SERVES_UNTIL,
     SINCE,
     SINCE_LOW,
     STEPPED,
     STEPS_DONE,
     TIGHT,
     TIGHTEST,
-    UNTIL,
+    WINDOW_DEGREE,
 )
 from ..segment import Segment, from_powers, from_values, nodes
 from ..trajectory.arcs import Arc, TailPart
@@ -108,7 +109,7 @@ BRIEF = 1e4
 TURN = np.ascontiguousarray(from_powers(WIDTH - 1))
 
 #: From values at the nodes of a window to Chebyshev coefficients, and from these to powers.
-FROM_VALUES, TO_PLACES = map(np.ascontiguousarray, (from_values(DEGREE), TO_POWERS))
+FROM_VALUES, TO_PLACES = map(np.ascontiguousarray, (from_values(WINDOW_DEGREE), TO_POWERS))
 
 
 @attrs.define
@@ -147,8 +148,12 @@ class Memory:
         self._lags = [code.lag(k).bind(hidden) for k in range(len(spec.lags))]
         self.names = [lag.name for lag in spec.lags]
         self.floats, self.ints = np.zeros(6), np.zeros(12, dtype=np.int64)
-        self.floats[FINAL], self.floats[RTOL], self.floats[UNTIL] = plan.t1, plan.rtol, plan.t0
-        self.ints[HIGHEST], self.ints[AGAIN] = order + 1, GOES_ON
+        self.floats[FINAL], self.floats[RTOL], self.floats[SERVES_UNTIL] = (
+            plan.t1,
+            plan.rtol,
+            plan.t0,
+        )
+        self.ints[BREAK_ORDER], self.ints[AGAIN] = order + 1, GOES_ON
         self.ints[TIGHTEST], self.ints[IN_ARC] = PATIENT, -1
         self.pieces, self.breaks = Pieces(self.ints, history, len(x)), Breaks(self.ints, len(x))
         for piece in history:
@@ -161,7 +166,7 @@ class Memory:
         self.shown, self.bound, self.told = np.array(hidden[-self._size :]), False, False
         self.sights = np.empty((SUMS, self._size))
         self._fixed = self._all_fixed(x)
-        self._past: Past | None = None
+        self._past: PastArrays | None = None
         self._made: tuple[Any, ...] = ()
         self._begun, self._joins = np.zeros(len(x)), False
         self._dear, self._rest, self._looks_back = 1, REST, False
@@ -182,7 +187,7 @@ class Memory:
     @property
     def _size(self) -> int:
         """Numbers of all windows."""
-        return len(self._lags) * (2 + (DEGREE + 1) * self.scene.spec.dimension)
+        return len(self._lags) * (2 + (WINDOW_DEGREE + 1) * self.scene.spec.dimension)
 
     def _all_fixed(self, x: np.ndarray) -> np.ndarray | None:
         """The lags, if all are constant and may be."""
@@ -194,11 +199,11 @@ class Memory:
     @property
     def until(self) -> float:
         """The present windows serve until this time."""
-        return float(self.floats[UNTIL])
+        return float(self.floats[SERVES_UNTIL])
 
     @until.setter
     def until(self, t: float) -> None:
-        self.floats[UNTIL] = t
+        self.floats[SERVES_UNTIL] = t
 
     def due(self, t: float) -> bool:
         """Whether other windows are due at a time."""
@@ -384,7 +389,7 @@ class Memory:
     def begins(self, going: int, arc: int, t: float, low: float) -> None:
         """Begin a call of the rules' own loop, in the middle of an arc or before one."""
         within = going and self.ints[IN_ARC] == arc
-        self.ints[STEPS_DONE : FLIGHTS + 1], self.ints[IN_ARC] = 0, 0 if within else -1
+        self.ints[STEPS_DONE : FLIGHTS_DONE + 1], self.ints[IN_ARC] = 0, 0 if within else -1
         self.ints[AGAIN], self.floats[SINCE], self.floats[SINCE_LOW] = GOES_ON, t, low
 
     def make_room(self, t: float) -> None:
@@ -416,7 +421,7 @@ class Memory:
                     array[:] = was
                 vars(self).update(others)
 
-    def past(self, links: Links | None = None) -> Past:
+    def past(self, links: Links | None = None) -> PastArrays:
         """The record and the windows as the rules take them; with the links given last."""
         links = links or (self._made[-1] if self._made else NO_LINKS)
         arrays = self.pieces.rows, self.breaks.arrays[0], links
@@ -424,18 +429,18 @@ class Memory:
             self._past, self._made = self._as_arrays(links), arrays
         return self._past
 
-    def _as_arrays(self, links: Links) -> Past:
+    def _as_arrays(self, links: Links) -> PastArrays:
         n, pieces = self.scene.spec.dimension, self.pieces
         lags = np.zeros(0) if self._fixed is None else self._fixed
         seen = np.array([[int(e in s) for e in range(n)] for s in self.seen], dtype=np.int64)
         atol = np.broadcast_to(np.asarray(self.plan.atol, dtype=float), (n,)).copy()
-        return Past(
+        return PastArrays(
             *(self.floats, self.ints, lags, pieces.spans, pieces.degrees, pieces.rows),
             *(*self.breaks.arrays, self._frames, seen, seen.max(axis=0), links.uses, links.asks),
             *(atol, links.given, links.ranged, links.parts, links.ops, links.more, links.numbers),
-            *(self.shown, self.sights, nodes(DEGREE).copy(), FROM_VALUES, TO_PLACES, TURN),
+            *(self.shown, self.sights, nodes(WINDOW_DEGREE).copy(), FROM_VALUES, TO_PLACES, TURN),
             *(np.zeros(n, dtype=np.int64), np.zeros((len(lags), n), dtype=np.int64)),
-            *(np.zeros((2, DEGREE + 1)), self._begun, links.signs),
+            *(np.zeros((2, WINDOW_DEGREE + 1)), self._begun, links.signs),
         )
 
     def _place(self, k: int, t: float, x: np.ndarray) -> float:
@@ -531,7 +536,7 @@ class Memory:
             k for k in range(len(self.windows)) if fired == window_edge(k, "a")
         }
         if self.reader.backwards:
-            self.ints[HIGHEST] = min(self.ints[HIGHEST], TURNING)
+            self.ints[BREAK_ORDER] = min(self.ints[BREAK_ORDER], TURNING)
         met = {}
         for k, window in enumerate(self.windows):
             end = self._met(k, window, t, x, fired)
@@ -540,7 +545,7 @@ class Memory:
                 met[k] = orders
         if met:
             orders = self._carried(field, met)
-            if orders[self.all_seen].min(initial=SMOOTH) <= self.ints[HIGHEST]:
+            if orders[self.all_seen].min(initial=SMOOTH) <= self.ints[BREAK_ORDER]:
                 self.breaks.add(t, orders)
         few, tight = self.ints[STEPPED] <= 2 and not met, int(self.ints[TIGHT])
         self.ints[TIGHT] = tight + 1 if few else min(tight, 0)

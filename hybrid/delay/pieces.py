@@ -10,10 +10,9 @@ from math import isfinite, ulp
 import attrs
 import numpy as np
 
-from ..automaton.past import DEGREE
 from ..lowering import Field
 from ..rules.past import UP_TO
-from ..rules.places import BREAKS, PIECES
+from ..rules.places import BREAKS, PIECES_KEPT, WINDOW_DEGREE
 from ..segment import Segment, from_values, integrals, nodes
 from ..trajectory.clock import Instant
 from .windows import ROUNDING, TO_POWERS
@@ -146,14 +145,14 @@ class Pieces:
 
     def forget_all(self, pieces: Iterable[Piece]) -> None:
         """Begin anew."""
-        self.ints[PIECES], self._others = 0, {}
+        self.ints[PIECES_KEPT], self._others = 0, {}
         for piece in pieces:
             self.add(piece)
 
     @property
     def count(self) -> int:
         """How many there are."""
-        return int(self.ints[PIECES])
+        return int(self.ints[PIECES_KEPT])
 
     @property
     def ends(self) -> np.ndarray:
@@ -174,7 +173,7 @@ class Pieces:
         else:
             self.degrees[place] = len(piece.rows) - 1
             self.rows[place * n : place * n + n, : len(piece.rows)] = piece.rows.T
-        self.ints[PIECES] += 1
+        self.ints[PIECES_KEPT] += 1
 
     def grow(self) -> None:
         """Make room for as many again."""
@@ -192,12 +191,12 @@ class Pieces:
         for array, size in ((self.spans, 1), (self.degrees, 1), (self.rows, n)):
             array[: (kept - count) * size] = array[count * size : kept * size].copy()
         self._others = {k - count: p for k, p in self._others.items() if k >= count}
-        self.ints[PIECES] = kept - count
+        self.ints[PIECES_KEPT] = kept - count
 
     def back_to(self, t: float) -> None:
         """Drop what begins at a time or after it."""
         begins = self.spans[: self.count, 0]
-        self.ints[PIECES] = int(np.searchsorted(begins, t - 0.5 * slack_of(t)))
+        self.ints[PIECES_KEPT] = int(np.searchsorted(begins, t - 0.5 * slack_of(t)))
 
     def copy(self, ints: np.ndarray) -> Pieces:
         """One that grows by itself."""
@@ -327,7 +326,7 @@ class Window:
     @property
     def since(self) -> np.ndarray:
         """Nodes, counted from the start."""
-        return (self.b - self.a) * nodes(DEGREE)
+        return (self.b - self.a) * nodes(WINDOW_DEGREE)
 
     def shown(self, since: np.ndarray) -> np.ndarray:
         """What the polynomial shows at times counted from the start."""
@@ -338,12 +337,14 @@ class Window:
         known, b = np.zeros(len(self.values), dtype=bool), min(self.b, t)
         if not self.a < b < self.b:
             return attrs.evolve(self, guess=known)
-        return Window(self.a, b, self.shown((b - self.a) * nodes(DEGREE)), known, 0.0 * self.noise)
+        return Window(
+            self.a, b, self.shown((b - self.a) * nodes(WINDOW_DEGREE)), known, 0.0 * self.noise
+        )
 
     @property
     def series(self) -> np.ndarray:
         """Chebyshev coefficients, one row each."""
-        return from_values(DEGREE) @ self.values
+        return from_values(WINDOW_DEGREE) @ self.values
 
     def arrays(self) -> list[np.ndarray]:
         """Frame and coefficients, as the trace takes them; what is rounding is left out.

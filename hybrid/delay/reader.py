@@ -12,9 +12,9 @@ from math import isinf
 import attrs
 import numpy as np
 
-from ..automaton.past import DEGREE
 from ..errors import FlowError, OptionError
 from ..lowering import Scene
+from ..rules.places import WINDOW_DEGREE
 from ..segment import nodes
 from ..trajectory.plan import Plan
 from .pieces import Breaks, Piece, Pieces, Window, slack_of, states
@@ -86,7 +86,9 @@ class Reader:
                     raise
                 a, b = self._nearer(a, s, b, slack)  # it need not look there
                 continue
-            exact = len(pieces) == 1 and pieces[0].degree <= DEGREE and not window.guess.any()
+            exact = (
+                len(pieces) == 1 and pieces[0].degree <= WINDOW_DEGREE and not window.guess.any()
+            )
             fine = exact or self._resolved(k, window)
             if fine or b - a <= 1e3 * slack:
                 self._note_rough(fine, s)
@@ -144,7 +146,7 @@ class Reader:
 
     def _sampled(self, a: float, b: float, t: float, x: np.ndarray, pieces: list[Piece]) -> Window:
         """A window: the record at its nodes; beyond the present, a guess."""
-        since, slack = (b - a) * nodes(DEGREE), slack_of(t)
+        since, slack = (b - a) * nodes(WINDOW_DEGREE), slack_of(t)
         here = t - a
         guess = since > (here + slack if here > slack else -1.0)
         with np.errstate(all="ignore"):
@@ -189,7 +191,7 @@ class Reader:
         low, high = max(window.a, flown[0].start), min(window.b, flown[-1].end)
         if not window.guess.any() or not low < high:
             return 0.0, window
-        since, seen = (low - window.a) + (high - low) * nodes(DEGREE), list(self.seen[k])
+        since, seen = (low - window.a) + (high - low) * nodes(WINDOW_DEGREE), list(self.seen[k])
         there, values = states(flown, window.a, since), window.values.copy()
         change = np.abs(window.shown(since) - there)
         values[window.guess] = states(flown, window.a, window.since[window.guess])

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..automaton.past import DEGREE, blank
-from ..rules.places import KIND, NONE, RELEASE, TO
+from ..automaton.past import blank
+from ..rules.places import KIND, NONE, RELEASE, TO, WINDOW_DEGREE
 
 if TYPE_CHECKING:
     from ..lowering.automaton import Tables
-    from ..rules.arrays import Automaton
+    from ..rules.arrays import AutomatonArrays
 
 #: What a window may differ from the record, against the tolerance of a step.
 SHARE = 0.1
@@ -25,8 +25,8 @@ SMOOTH = 10**6
 
 def _to_powers() -> np.ndarray:
     """From Chebyshev coefficients to those of powers of the place in the window."""
-    columns = [np.polynomial.chebyshev.cheb2poly(row) for row in np.eye(DEGREE + 1)]
-    return np.array([np.pad(column, (0, DEGREE + 1 - len(column))) for column in columns]).T
+    columns = [np.polynomial.chebyshev.cheb2poly(row) for row in np.eye(WINDOW_DEGREE + 1)]
+    return np.array([np.pad(column, (0, WINDOW_DEGREE + 1 - len(column))) for column in columns]).T
 
 
 TO_POWERS = _to_powers()
@@ -34,7 +34,7 @@ TO_POWERS = _to_powers()
 
 class Links(NamedTuple):
     """Where the windows of the past are in the programs of the rules' own loop, as
-    :class:`hybrid.rules.arrays.Past` says."""
+    :class:`hybrid.rules.arrays.PastArrays` says."""
 
     uses: np.ndarray
     asks: np.ndarray
@@ -69,9 +69,9 @@ class Shown:
         spec = tables.scene.spec
         self.tables, self.count = tables, sum(map(np.size, blank(spec.lags, spec.dimension)))
         self.first = len(tables.scene.values) - self.count
-        self._of: Automaton | None = None
+        self._of: AutomatonArrays | None = None
 
-    def linked(self) -> tuple[Automaton, Links]:
+    def linked(self) -> tuple[AutomatonArrays, Links]:
         """The automaton, and where its windows are."""
         known = self.tables.automaton
         if known is not self._of:
@@ -89,7 +89,7 @@ class Shown:
             )
         return self._own, self._links
 
-    def _found(self, known: Automaton) -> Links:
+    def _found(self, known: AutomatonArrays) -> Links:
         """Where the windows are in the programs of all runs."""
         if self.tables.links is None or self.tables.links[0] is not known:
             self.tables.links = known, self._find()

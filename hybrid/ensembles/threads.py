@@ -19,7 +19,7 @@ import numpy as np
 from ..lowering import Scene
 from ..lowering.tape import Jets
 from ..rules import unit
-from ..rules.arrays import Automaton, Left, Now
+from ..rules.arrays import AutomatonArrays, Left, Now
 from ..rules.lanes import ASKS, ENDED, FLOWN_TO, LAST_JUMP, LEFT, MODE, OUTCOME, STATE, TOLD
 from ..run import Driver
 from ..run.machine import left_for, rooms
@@ -219,7 +219,7 @@ class Abreast:
             pool.shutdown(cancel_futures=True)
             self.stop[0] = 0
 
-    def _block(self, automaton: Automaton, which: np.ndarray) -> tuple[FlownLanes, int]:
+    def _block(self, automaton: AutomatonArrays, which: np.ndarray) -> tuple[FlownLanes, int]:
         """Some lanes, with arrays of their own."""
         asked = [np.ascontiguousarray(rows[which]) for rows in self.given]
         count, n = asked[-1].shape

@@ -11,7 +11,7 @@ import numpy as np
 from ..automaton.markers import Crossing
 from ..errors import TraceError
 from ..rules import library
-from ..rules.arrays import Automaton, Room
+from ..rules.arrays import AutomatonArrays, Room
 from ..rules.places import (
     AT,
     CONTACT,
@@ -76,7 +76,7 @@ class Tables:
         self._fields: list[list[int]] = []
         self._rows: list[list[int]] = []
         self._uses: list[int] = []
-        self._made: Automaton | None = None
+        self._made: AutomatonArrays | None = None
         self.free: dict[tuple[int, ...], list[Any]] = {}  # arrays that no run is using
         self._steps: Counter[int] = Counter()  # by their order
         self._recalled, self._order, self._native = 0, 0, Native()
@@ -96,7 +96,7 @@ class Tables:
         return self.numbers[field.name]
 
     @property
-    def automaton(self) -> Automaton:
+    def automaton(self) -> AutomatonArrays:
         """The automaton, as far as its fields have been asked for."""
         if self._made is None:
             fields, uses = (np.array(rows, dtype=np.int64) for rows in (self._fields, self._uses))
@@ -104,7 +104,7 @@ class Tables:
             programs = self._programs.programs()
             recall(programs, self._recalled, self._order)
             self._recalled = len(programs.code)
-            self._made = Automaton(programs, fields, guards, uses, self.bounds.arrays())
+            self._made = AutomatonArrays(programs, fields, guards, uses, self.bounds.arrays())
         if library.how() != "machine":  # plain Python calls no address
             self._made.programs.code[:] = 0
         return self._made

@@ -11,9 +11,10 @@ import numpy as np
 
 from ..automaton import trace
 from ..automaton.markers import Crossing
-from ..automaton.past import DEGREE, blank
+from ..automaton.past import blank
 from ..automaton.spec import ContactSpec, EdgeSpec, LeaveSpec, SideSpec, Transition
 from ..errors import TraceError
+from ..rules.places import WINDOW_DEGREE
 from . import contact as contacts
 from .derivatives import degree
 from .graph import Graph
@@ -274,7 +275,7 @@ class Lowered:
         """
         rhs = self.program(("felt", id(flow)), lambda: flow)
         first = self.spec.dimension + sum(map(_count, self._own_shapes))
-        size = 2 + (DEGREE + 1) * self.spec.dimension
+        size = 2 + (WINDOW_DEGREE + 1) * self.spec.dimension
         draw = random.Random(0)
 
         def moves(place: int) -> bool:
@@ -302,7 +303,7 @@ class Lowered:
         return bool(self._past_in(graph, root, sum(map(_count, self._own_shapes))))
 
     def _past_in(self, graph: Graph, root: int, first: int) -> set[tuple[int, int]]:
-        found, size = set(), 2 + (DEGREE + 1) * self.spec.dimension
+        found, size = set(), 2 + (WINDOW_DEGREE + 1) * self.spec.dimension
         for name in _inputs_of(graph, root):
             place = int(name[1:]) - first if name[0] == "p" else -1
             number, rest = divmod(place, size)

@@ -12,9 +12,8 @@ from ..rules.arrays import Bounds
 
 #: Operations on bounds, as the rule numbers them.
 RANGES = {
-    **{"add": rule.ADD, "sub": rule.SUB, "neg": rule.NEG, "mul": rule.MUL, "div": rule.DIV},
-    **{"square": rule.SQUARE, "sqrt": rule.SQRT, "exp": rule.EXP, "sin": rule.SIN},
-    **{"cos": rule.COS, "abs": rule.ABS},
+    name: int(getattr(rule, f"{name.upper()}_BOUNDS"))
+    for name in ("add", "sub", "neg", "mul", "div", "square", "sqrt", "exp", "sin", "cos", "abs")
 }
 
 

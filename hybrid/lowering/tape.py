@@ -25,7 +25,7 @@ from ..errors import TraceError
 from ..rules import operations as rule
 from ..rules import unit
 from ..rules.arrays import Programs, Room
-from ..rules.zeros import SPARE
+from ..rules.zeros import SPARE_ROWS
 from .derivatives import degree, unknowns
 from .graph import Graph, Ids
 from .python import needed
@@ -48,8 +48,8 @@ ORDERED, EQUAL = ("gt", "ge", "lt", "le"), ("eq", "ne")
 NAME_COLUMNS, LIST_COLUMNS = np.zeros((2, rule.LGAMMA + 1, 6), dtype=bool)
 NAME_COLUMNS[:, 2:4] = True
 NAME_COLUMNS[rule.SELECT, 4], NAME_COLUMNS[rule.FLOOR, 3] = True, False
-NAME_COLUMNS[[rule.SUM, rule.DOT, rule.SOLVE], 2:4] = False
-LIST_COLUMNS[[rule.SUM, rule.DOT, rule.SOLVE], 2] = LIST_COLUMNS[rule.ATAN2, 4] = True
+NAME_COLUMNS[[rule.SUM_OF, rule.DOT, rule.SOLVE], 2:4] = False
+LIST_COLUMNS[[rule.SUM_OF, rule.DOT, rule.SOLVE], 2] = LIST_COLUMNS[rule.ATAN2, 4] = True
 
 #: Pairs of functions that are made together: the operation, and the place in the pair.
 PAIRS = {
@@ -317,7 +317,7 @@ def room(needs: Iterable[int], states: int, order: int) -> Room:
         np.empty((rows, order + 1)),
         np.empty((rows, 3)),
         np.empty(beside),
-        np.empty((order + SPARE, order + 5)),
+        np.empty((order + SPARE_ROWS, order + 5)),
         np.empty((2 * order + 4, 2)),
         np.zeros(kinks, dtype=np.int64),
         np.zeros(kinks, dtype=np.int64),
@@ -557,7 +557,7 @@ class _Recorder:
         elif op == "mul":
             written.append(_product(out, *named))
         elif op == "sum":
-            written.append((rule.SUM, out, self._list(named), len(named)))
+            written.append((rule.SUM_OF, out, self._list(named), len(named)))
         elif op == "dot":
             pairs = zip(named[::2], named[1::2], strict=True)
             flat = [place for pair in pairs for place in sorted(pair)]

@@ -18,7 +18,7 @@ from .section import Return, cut
 from .shooting import EQUILIBRIUM_MOVE, Description, Guess, Shooting, Shot
 
 #: How long a turn is flown, in periods, for its jump to come.
-BEYOND = 1.5
+PERIODS_FLOWN = 1.5
 
 
 @attrs.frozen(eq=False)
@@ -33,9 +33,9 @@ class RestartShooting(Shooting):
 
     def centred(self, guess: Guess) -> Guess:
         """The turn begun just after a jump, that which a longer arc follows than any other."""
-        run = self.fly(guess, BEYOND * guess.period + guess.period)
+        run = self.fly(guess, PERIODS_FLOWN * guess.period + guess.period)
         jumps = {i: row for i, row in run.own_jumps.items() if isinstance(run.parts[i + 1], Arc)}
-        chosen = [i for i, row in jumps.items() if row.t >= run.t1 - BEYOND * guess.period]
+        chosen = [i for i, row in jumps.items() if row.t >= run.t1 - PERIODS_FLOWN * guess.period]
         if not chosen:
             raise OrbitError(
                 f"{run.spec.model}: no jump in a turn from t = {guess.t:.9g}: nothing restarts; "
@@ -59,7 +59,7 @@ class RestartShooting(Shooting):
         assert isinstance(guess, Landed)
         x = self._closed(guess.edge, guess.t, guess.x)
         guess = attrs.evolve(guess, x=x, history=None)
-        whole = self.fly(guess, BEYOND * guess.period)
+        whole = self.fly(guess, PERIODS_FLOWN * guess.period)
         index = self._nearest(whole, guess)
         run = cut(whole, Return(index, whole.parts[index].length))  # type: ignore[union-attr]
         row = run.own_jumps[index]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from .arcs import arc, copied
-from .arrays import Automaton, Floats, Left, Now, Room
+from .arrays import AutomatonArrays, Floats, Left, Now, Room
 from .guards import largest, row_of
 from .hops import drowns
 from .jets import OUTPUT, jets
@@ -16,16 +16,20 @@ from .places import (
     AT,
     BEGINS,
     CONTACT,
-    COUNT,
+    CONTACTS_HELD,
     EDGE,
     ENTERED,
     FIELD,
+    FIELD_PROGRAM,
     FIRED,
+    FIRST_SUMMED,
     FULL,
-    HELD,
+    GAP_SPEED,
+    GUARD_POWER,
     HOPS,
+    IMPACT_COUNT,
     JUMP,
-    JUMPS,
+    JUMPS_MADE,
     KIND,
     LAND,
     LANDED,
@@ -34,15 +38,11 @@ from .places import (
     MAKE,
     NONE,
     OPENS,
-    PATIENT,
     PHASE,
-    POWER,
-    PROGRAM,
     RELEASE,
     RESET,
     SERIES,
-    SHARE,
-    SPEED,
+    SPEED_FALL,
     STRIKES,
     SUM,
     TAU,
@@ -56,12 +56,12 @@ from .places import (
 __all__ = ("advance",)
 
 
-def advance(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
+def advance(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
     """Go on from ``now``; returns what the driver is asked for (see :mod:`.places`)."""
     status = LANDED
     while status == LANDED:
         if now.ints[PHASE] != STRIKES:
-            if now.ints[JUMPS] == left.fired.shape[0]:
+            if now.ints[JUMPS_MADE] == left.fired.shape[0]:
                 return FULL
             if now.ints[LOW_AHEAD] == 1:
                 return HOPS
@@ -71,12 +71,12 @@ def advance(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
     return status
 
 
-def jump(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
+def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
     """Carry out the jump of the guard that fired, and begin the next arc; ``JUMP`` if not plain.
 
     With ``SUM``, ``OPENS`` and ``MAKE`` it is still to come.
     """
-    guard, place = now.ints[FIRED], now.ints[JUMPS]
+    guard, place = now.ints[FIRED], now.ints[JUMPS_MADE]
     kind, to = a.guards[guard, KIND], a.guards[guard, TO]
     t, low = after(now.floats[T], now.floats[LOW], now.floats[TAU])
     status = JUMP
@@ -100,7 +100,7 @@ def jump(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
     watch(now, guard, kind)
     now.ints[WAS_LOW] = 0
     now.floats[T], now.floats[LOW] = t, low
-    now.ints[FIELD], now.ints[ENTERED], now.ints[POWER] = to, 0, 1 if stays else 0
+    now.ints[FIELD], now.ints[ENTERED], now.ints[GUARD_POWER] = to, 0, 1 if stays else 0
     copied(left.after[place], now.x)
     enlarged(now, now.x)
     return LANDED
@@ -108,9 +108,9 @@ def jump(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
 
 def added(now: Now, left: Left, guard: int, t: float, low: float) -> None:
     """Keep a jump."""
-    place = now.ints[JUMPS]
+    place = now.ints[JUMPS_MADE]
     left.when[place, 0], left.when[place, 1], left.when[place, 2] = t, low, now.floats[TAU]
-    left.fired[place], now.ints[JUMPS] = guard, place + 1
+    left.fired[place], now.ints[JUMPS_MADE] = guard, place + 1
 
 
 def enlarged(now: Now, x: Floats) -> None:
@@ -128,7 +128,9 @@ def after(t: float, low: float, duration: float) -> tuple[float, float]:
     return now, low - (now - total)
 
 
-def values(a: Automaton, program: int, t: float, x: Floats, room: Room, written: Floats) -> bool:
+def values(
+    a: AutomatonArrays, program: int, t: float, x: Floats, room: Room, written: Floats
+) -> bool:
     """The state that a program gives; whether it is finite."""
     if jets(a.programs, program, 0, t, x, room.still, room.aside, room.work) < 0:
         return False
@@ -141,7 +143,7 @@ def values(a: Automaton, program: int, t: float, x: Floats, room: Room, written:
 
 
 def impact(
-    a: Automaton, run: Floats, now: Now, room: Room, t: float, before: Floats, behind: Floats
+    a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float, before: Floats, behind: Floats
 ) -> int:
     """The states before and after an impact; ``LANDED`` if the next flight is one like others (7).
 
@@ -151,20 +153,20 @@ def impact(
     guard = now.ints[FIRED]
     if now.ints[WAS_LOW] == 0 and not struck(a, now, room, t, before, behind):
         return JUMP
-    speed = now.floats[SPEED]
-    count = now.ints[COUNT] + 1 if guard == now.ints[SERIES] else 1
+    speed = now.floats[GAP_SPEED]
+    count = now.ints[IMPACT_COUNT] + 1 if guard == now.ints[SERIES] else 1
     tried = now.floats[TRIED] if count > 1 else math.inf
     if not speed > 0.0:
         return JUMP
-    if count >= run[PATIENT] and speed <= run[SHARE] * tried:
+    if count >= run[FIRST_SUMMED] and speed <= run[SPEED_FALL] * tried:
         return SUM
-    flow = a.fields[now.ints[FIELD], PROGRAM]
+    flow = a.fields[now.ints[FIELD], FIELD_PROGRAM]
     if jets(a.programs, flow, 2, t, behind, room.still, room.aside, room.work) < 0:
         return JUMP
     force = 2.0 * room.aside[row_of(a, flow, now.ints[FIELD], guard), 2]
     if not drowns(speed, force, max(largest(now.seen), largest(behind))):
         return LANDED
-    if a.fields[now.ints[FIELD], HELD] == 1 or a.guards[guard, AT] < UNKNOWN:
+    if a.fields[now.ints[FIELD], CONTACTS_HELD] == 1 or a.guards[guard, AT] < UNKNOWN:
         return JUMP
     if a.guards[guard, AT] == UNKNOWN:
         return MAKE
@@ -172,7 +174,9 @@ def impact(
     return LANDED
 
 
-def struck(a: Automaton, now: Now, room: Room, t: float, before: Floats, behind: Floats) -> bool:
+def struck(
+    a: AutomatonArrays, now: Now, room: Room, t: float, before: Floats, behind: Floats
+) -> bool:
     """Put down the states before and after an impact, and the gap speed; whether all are finite."""
     guard, n = now.ints[FIRED], now.x.shape[0]
     if not values(a, a.guards[guard, LAND], t, now.end, room, before):
@@ -181,14 +185,16 @@ def struck(a: Automaton, now: Now, room: Room, t: float, before: Floats, behind:
     if not values(a, program, t, before, room, behind):
         return False
     place = a.programs.index[program, OUTPUT] + n
-    now.floats[SPEED] = room.aside[a.programs.output[place], 0]
+    now.floats[GAP_SPEED] = room.aside[a.programs.output[place], 0]
     return True
 
 
-def unchanged(a: Automaton, now: Now, room: Room, t: float, before: Floats, behind: Floats) -> bool:
+def unchanged(
+    a: AutomatonArrays, now: Now, room: Room, t: float, before: Floats, behind: Floats
+) -> bool:
     """Whether a reset leaves its guard where it is."""
     field = now.ints[FIELD]
-    program = a.fields[field, PROGRAM]
+    program = a.fields[field, FIELD_PROGRAM]
     row = row_of(a, program, field, now.ints[FIRED])
     jets(a.programs, program, 0, t, before, room.still, room.aside, room.work)
     here = room.aside[row, 0]
@@ -201,6 +207,6 @@ def watch(now: Now, guard: int, kind: int) -> None:
     if kind != CONTACT:
         now.ints[SERIES] = -1
     elif guard == now.ints[SERIES]:
-        now.ints[COUNT] += 1
+        now.ints[IMPACT_COUNT] += 1
     else:
-        now.ints[SERIES], now.ints[COUNT], now.floats[TRIED] = guard, 1, math.inf
+        now.ints[SERIES], now.ints[IMPACT_COUNT], now.floats[TRIED] = guard, 1, math.inf

@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import math
 
-from .arrays import Automaton, Floats, Left, Matrix, Now, Room
+from .arrays import AutomatonArrays, Floats, Left, Matrix, Now, Room
 from .checks import along
 from .entries import starts
-from .guards import SMALL, TIE, event_along, first_event, foreseen, resolved, row_of
+from .guards import SMALL_SHIFT, TIE, event_along, first_event, foreseen, resolved, row_of
 from .jets import jets
 from .kinks import turn
 from .lengths import falls
@@ -25,6 +25,7 @@ from .places import (
     AIM,
     BEGINS,
     CONTACT,
+    CONTACTS_HELD,
     CROSSED,
     CROSSING,
     EDGE,
@@ -32,42 +33,41 @@ from .places import (
     EVENT,
     EXPANSIONS,
     FIELD,
+    FIELD_PROGRAM,
     FIRED,
-    FIRST,
+    FIRST_LENGTH,
     FIRST_STEP,
     FULL,
     GOES_ON,
     GUARDS,
     GUARDS_END,
     HARD,
-    HELD,
-    JUMPS,
+    JUMPS_MADE,
     KIND,
     LAND_ON,
     LANDED,
+    LANDINGS_TRIED,
     LANDS,
-    LAST,
+    LAST_TIME,
     LOOK,
     LOOKS,
-    LOSS,
     LOW,
     MADE,
     MAX_STEP,
-    NEXT,
+    METHOD_ORDER,
     NONE,
-    ORDER,
     PHASE,
     PLAIN,
-    PROGRAM,
     RELATIVE,
     SEES,
     SHOW,
     STEP,
-    STEPS,
+    STEP_END,
+    STEP_LOSS,
+    STEPS_MADE,
     TAU,
     TO_TAU,
     TOLERANCES,
-    TRIES,
     WALKS,
     T,
 )
@@ -81,13 +81,13 @@ LANDINGS = 10
 
 #: An arc's end is predicted as far as the last terms of its series are this many times rounding,
 #: 1e-6: that is what a step that was made to end there may be off.
-FAR = 1e10
+FORESEEN_FAR = 1e10
 
 #: An arc's first step, against that at which the method's error reaches the tolerance.
 SAFETY = 0.5
 
 
-def arc(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
+def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
     """Fly the arc that begins at ``now`` to its end, which is put into ``now.end``.
 
     Returns
@@ -114,22 +114,24 @@ def arc(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
     return status
 
 
-def begins(a: Automaton, run: Floats, now: Now, room: Room) -> int:
+def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     """At the start of an arc. Another solver is told how to begin."""
     copied(now.x, now.end)
     for i in range(room.sides.shape[0]):
         room.sides[i] = 0
     now.floats[TAU], now.ints[MADE], now.ints[PHASE] = 0.0, 0, WALKS
-    if run[ORDER] == 0.0:
+    if run[METHOD_ORDER] == 0.0:
         return GOES_ON
-    program, order = a.fields[now.ints[FIELD], PROGRAM], room.c.shape[1] - 1
+    program, order = a.fields[now.ints[FIELD], FIELD_PROGRAM], room.c.shape[1] - 1
     if jets(a.programs, program, order, now.floats[T], now.x, room.sides, room.c, room.work) < 0:
         return LOOK
     fires = starts(a, now, room)
     if fires != NONE:
         return at_once(now, fires)
     n, absolute = now.x.shape[0], run[TOLERANCES:]
-    now.floats[FIRST] = first_step(room.c, n, int(run[ORDER]), run[RELATIVE], absolute)
+    now.floats[FIRST_LENGTH] = first_step(
+        room.c, n, int(run[METHOD_ORDER]), run[RELATIVE], absolute
+    )
     now.floats[AIM] = aim(a, now, room, True)
     return GOES_ON
 
@@ -143,18 +145,18 @@ def at_once(now: Now, guard: int) -> int:
     return LANDED
 
 
-def walks(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
+def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
     """Make a step, or ask for it."""
-    tau, length = now.floats[TAU], (run[LAST] - now.floats[T]) - now.floats[LOW]
+    tau, length = now.floats[TAU], (run[LAST_TIME] - now.floats[T]) - now.floats[LOW]
     if tau >= length:
         now.floats[TAU] = length
-        now.ints[STEPS] += now.ints[MADE]
+        now.ints[STEPS_MADE] += now.ints[MADE]
         return END
-    if run[ORDER] == 0.0 and now.ints[STEPS] + now.ints[MADE] >= left.owner.shape[0]:
+    if run[METHOD_ORDER] == 0.0 and now.ints[STEPS_MADE] + now.ints[MADE] >= left.owner.shape[0]:
         return FULL
     now.ints[PHASE] = LOOKS
     longest = run[FIRST_STEP] if now.ints[MADE] == 0 else run[MAX_STEP]
-    if run[ORDER] > 0.0:
+    if run[METHOD_ORDER] > 0.0:
         if now.ints[MADE] > 0:
             now.floats[AIM] = aimed(a, now, room)
         until = length if now.floats[AIM] <= tau else min(length, now.floats[AIM])
@@ -163,13 +165,13 @@ def walks(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
     field = now.ints[FIELD]
     status, h, crossed = step(
         a.programs,
-        a.fields[field, PROGRAM],
-        a.fields[field, HELD] == 1,
+        a.fields[field, FIELD_PROGRAM],
+        a.fields[field, CONTACTS_HELD] == 1,
         now.floats[T] + tau,
         tau,
         now.end,
         min(length - tau, longest),
-        run[LOSS:],
+        run[STEP_LOSS:],
         room.sides,
         room.c,
         room.aside,
@@ -188,15 +190,15 @@ def walks(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
     if shown < h:
         h, crossed = shown, -1
         along(room.c, h, now.end)
-    now.floats[NEXT], now.ints[CROSSED] = length if tau + h >= length else tau + h, crossed
+    now.floats[STEP_END], now.ints[CROSSED] = length if tau + h >= length else tau + h, crossed
     return GOES_ON
 
 
-def looks(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
+def looks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
     """Look for the first guard that fires in a step; go on to its end, or land on the guard."""
-    tau, next_tau = now.floats[TAU], now.floats[NEXT]
+    tau, next_tau = now.floats[TAU], now.floats[STEP_END]
     h, starting = next_tau - tau, now.ints[MADE] == 0
-    if run[ORDER] == 0.0:
+    if run[METHOD_ORDER] == 0.0:
         guard, s = first_event(a, run, now, room, h, starting)
     elif now.ints[PHASE] == LOOKS:
         guard, s = -1, 0.0
@@ -209,15 +211,15 @@ def looks(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
         guard, s = event_along(a, run, now, room, h, starting)
     if not s > 0.0:
         return LOOK
-    now.ints[EVENT], now.ints[TRIES] = guard, 0
+    now.ints[EVENT], now.ints[LANDINGS_TRIED] = guard, 0
     if guard < 0:
         return passes(a, run, now, room, left)
     now.ints[PHASE] = LANDS
-    if run[ORDER] == 0.0:
+    if run[METHOD_ORDER] == 0.0:
         now.floats[TO_TAU] = tau + s
         along(room.c, s, now.end)
         return GOES_ON
-    if h - s > SMALL * s:
+    if h - s > SMALL_SHIFT * s:
         now.floats[TO_TAU] = tau + s
         return LAND_ON if tau + s > beyond(now, tau) else LOOK
     now.floats[TO_TAU] = next_tau
@@ -229,28 +231,31 @@ def beyond(now: Now, tau: float) -> float:
     return tau + TIE * EPS * (abs(now.floats[T]) + tau)
 
 
-def passes(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
+def passes(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
     """Go on to the end of a step in which no guard fires."""
-    tau, next_tau = now.floats[TAU], now.floats[NEXT]
-    if run[ORDER] == 0.0:
+    tau, next_tau = now.floats[TAU], now.floats[STEP_END]
+    if run[METHOD_ORDER] == 0.0:
         kept(now, room, left, tau, next_tau - tau)
         along(room.c, next_tau - tau, now.end)
-        program = a.fields[now.ints[FIELD], PROGRAM]
+        program = a.fields[now.ints[FIELD], FIELD_PROGRAM]
         turn(a.programs, program, now.ints[CROSSED], room.c, room.sides)
     now.floats[TAU], now.ints[PHASE] = next_tau, WALKS
     now.ints[MADE] += 1
     return GOES_ON
 
 
-def lands(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
+def lands(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
     """The time at which a guard is zero, to rounding, and the state there (5): Newton's method."""
     tau, at, guard = now.floats[TAU], now.floats[TO_TAU], now.ints[EVENT]
     field = now.ints[FIELD]
-    program, row = a.fields[field, PROGRAM], row_of(a, a.fields[field, PROGRAM], field, guard)
+    program, row = (
+        a.fields[field, FIELD_PROGRAM],
+        row_of(a, a.fields[field, FIELD_PROGRAM], field, guard),
+    )
     t, least = now.floats[T] + at, beyond(now, tau)
-    length = (run[LAST] - now.floats[T]) - now.floats[LOW]
-    most = min(length, now.floats[NEXT] + SMALL * (now.floats[NEXT] - tau))
-    if not least < at <= most or now.ints[TRIES] == LANDINGS:
+    length = (run[LAST_TIME] - now.floats[T]) - now.floats[LOW]
+    most = min(length, now.floats[STEP_END] + SMALL_SHIFT * (now.floats[STEP_END] - tau))
+    if not least < at <= most or now.ints[LANDINGS_TRIED] == LANDINGS:
         return LOOK
     if jets(a.programs, program, 1, t, now.end, room.still, room.aside, room.work) < 0:
         return LOOK
@@ -258,10 +263,10 @@ def lands(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
     if rate == 0.0:
         return LOOK
     further = -room.aside[row, 0] / rate
-    now.ints[TRIES] += 1
-    if abs(further) > SMALL * (at - tau):
+    now.ints[LANDINGS_TRIED] += 1
+    if abs(further) > SMALL_SHIFT * (at - tau):
         now.floats[TO_TAU] = at + further
-        if run[ORDER] > 0.0:
+        if run[METHOD_ORDER] > 0.0:
             return LAND_ON if least < at + further <= most else LOOK
         along(room.c, at + further - tau, now.end)
         return GOES_ON
@@ -269,10 +274,10 @@ def lands(a: Automaton, run: Floats, now: Now, room: Room, left: Left) -> int:
         return LOOK
     for i in range(now.end.shape[0]):
         now.end[i] += further * room.aside[i, 1]
-    if run[ORDER] == 0.0:
+    if run[METHOD_ORDER] == 0.0:
         kept(now, room, left, tau, at + further - tau)
     now.floats[TAU], now.ints[FIRED] = at + further, guard
-    now.ints[STEPS] += now.ints[MADE] + 1
+    now.ints[STEPS_MADE] += now.ints[MADE] + 1
     return LANDED
 
 
@@ -287,10 +292,10 @@ def first_step(c: Matrix, n: int, order: int, relative: float, absolute: Floats)
     return SAFETY * first
 
 
-def aimed(a: Automaton, now: Now, room: Room) -> float:
+def aimed(a: AutomatonArrays, now: Now, room: Room) -> float:
     """Where an arc is expected to end, from series of the flow where another solver's step begins;
     -1 without them."""
-    program, order = a.fields[now.ints[FIELD], PROGRAM], room.c.shape[1] - 1
+    program, order = a.fields[now.ints[FIELD], FIELD_PROGRAM], room.c.shape[1] - 1
     tau = now.floats[TAU]
     t = now.floats[T] + tau
     if jets(a.programs, program, order, t, now.end, room.sides, room.c, room.work) < 0:
@@ -298,7 +303,7 @@ def aimed(a: Automaton, now: Now, room: Room) -> float:
     return tau + aim(a, now, room, False)
 
 
-def aim(a: Automaton, now: Now, room: Room, starting: bool) -> float:
+def aim(a: AutomatonArrays, now: Now, room: Room, starting: bool) -> float:
     """The end of a short flight from its series (2); at the start of an arc of one onto a contact,
     or back onto a guard."""
     field, best = now.ints[FIELD], math.inf
@@ -308,12 +313,12 @@ def aim(a: Automaton, now: Now, room: Room, starting: bool) -> float:
         order = now.orders[g - first] if starting else 0
         back = kind == EDGE and order == 1
         if (kind == CONTACT and order <= 1) or (crossing != 0 and (back or not starting)):
-            c = room.c[row_of(a, a.fields[field, PROGRAM], field, g)]
+            c = room.c[row_of(a, a.fields[field, FIELD_PROGRAM], field, g)]
             value = c[0]
             c[0] = 0.0 if order == 1 else value
             side = -1.0 if crossing > 0 else 1.0
             scaled(c, side)
-            far = FAR ** (1.0 / (c.shape[0] - 1))
+            far = FORESEEN_FAR ** (1.0 / (c.shape[0] - 1))
             best = min(best, falls(room.c, now.x.shape[0], c, far, room.rows, room.found))
             scaled(c, side)
             c[0] = value
@@ -334,8 +339,8 @@ def copied(x: Floats, y: Floats) -> None:
 
 def kept(now: Now, room: Room, left: Left, tau: float, h: float) -> None:
     """Keep a step: the arc it belongs to, where it begins, how long it is, and its series."""
-    place = now.ints[STEPS] + now.ints[MADE]
-    left.owner[place] = now.ints[JUMPS]
+    place = now.ints[STEPS_MADE] + now.ints[MADE]
+    left.owner[place] = now.ints[JUMPS_MADE]
     left.spans[place, 0] = tau
     left.spans[place, 1] = h
     n = now.x.shape[0]

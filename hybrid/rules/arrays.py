@@ -73,7 +73,7 @@ class Bounds(NamedTuple):
     results: Ints
 
 
-class Automaton(NamedTuple):
+class AutomatonArrays(NamedTuple):
     """An automaton as data.
 
     Attributes
@@ -321,7 +321,7 @@ class Changes(NamedTuple):
     out: Matrix
 
 
-class Past(NamedTuple):
+class PastArrays(NamedTuple):
     """What flows look back on, of ``n`` states and some constant lags (:mod:`.past`).
 
     Attributes

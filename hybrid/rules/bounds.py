@@ -16,11 +16,12 @@ __all__ = ("ranges",)
 EXACT = True
 
 #: Operations: a row of the box, a number; and those on bounds.
-INPUT, NUMBER, ADD, SUB, NEG, MUL, SQUARE, DIV, SQRT, EXP, SIN, COS, ABS = range(13)
+INPUT, NUMBER, ADD_BOUNDS, SUB_BOUNDS, NEG_BOUNDS, MUL_BOUNDS, SQUARE_BOUNDS = range(7)
+DIV_BOUNDS, SQRT_BOUNDS, EXP_BOUNDS, SIN_BOUNDS, COS_BOUNDS, ABS_BOUNDS = range(7, 13)
 
 #: What a function of the C library may be off, against its size: several spacings, where the usual
 #: ones are off by one.
-OFF = 2.0**-50
+LIBRARY_ERROR = 2.0**-50
 
 #: Beyond this the exponential is more than a double can be; a quarter of a turn.
 LARGEST, QUARTER = 709.782712893384, 0.5 * math.pi
@@ -50,28 +51,28 @@ def ranges(b: Bounds, program: int, box: Matrix, found: Matrix) -> int:
 
 def bounds(op: int, a: float, b: float, c: float, d: float) -> tuple[float, float]:
     """Bounds of an operation on ``[a, b]`` and ``[c, d]``; NaN where nothing is said."""
-    if op == ADD:
+    if op == ADD_BOUNDS:
         return outwards(a + c, b + d)
-    if op == SUB:
+    if op == SUB_BOUNDS:
         return outwards(a - d, b - c)
-    if op == NEG:
+    if op == NEG_BOUNDS:
         return -b, -a
-    if op == MUL:
+    if op == MUL_BOUNDS:
         return products(a * c, a * d, b * c, b * d)
-    if op == SQUARE:
+    if op == SQUARE_BOUNDS:
         low, high = outwards(min(a * a, b * b), max(a * a, b * b))
         return (0.0 if a <= 0.0 <= b else low), high
-    if op == ABS:
+    if op == ABS_BOUNDS:
         return (0.0 if a <= 0.0 <= b else min(abs(a), abs(b))), max(abs(a), abs(b))
-    if op == DIV and not c <= 0.0 <= d:
+    if op == DIV_BOUNDS and not c <= 0.0 <= d:
         return products(a / c, a / d, b / c, b / d)
-    if op == SQRT and a >= 0.0:
+    if op == SQRT_BOUNDS and a >= 0.0:
         return outwards(math.sqrt(a), math.sqrt(b))
-    if op == EXP and b < LARGEST:
-        return outwards(math.exp(a) * (1.0 - OFF), math.exp(b) * (1.0 + OFF))
-    if op == SIN and max(-a, b) <= TURNS:
+    if op == EXP_BOUNDS and b < LARGEST:
+        return outwards(math.exp(a) * (1.0 - LIBRARY_ERROR), math.exp(b) * (1.0 + LIBRARY_ERROR))
+    if op == SIN_BOUNDS and max(-a, b) <= TURNS:
         return wave(math.sin(a), math.sin(b), half_turns(a - QUARTER), half_turns(b - QUARTER))
-    if op == COS and max(-a, b) <= TURNS:
+    if op == COS_BOUNDS and max(-a, b) <= TURNS:
         return wave(math.cos(a), math.cos(b), half_turns(a), half_turns(b))
     return math.nan, math.nan
 
@@ -99,4 +100,4 @@ def wave(one: float, other: float, before: int, after: int) -> tuple[float, floa
         low, high = (-1.0, high) if after % 2 == 1 else (low, 1.0)
     if after > before + 1:
         low, high = -1.0, 1.0
-    return low - OFF, high + OFF
+    return low - LIBRARY_ERROR, high + LIBRARY_ERROR

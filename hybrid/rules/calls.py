@@ -17,18 +17,23 @@ import numpy as np
 from .code import Kind, Placed
 
 #: Numbers: to C, and packed into eight bytes.
-NUMBERS = {"float": ctypes.c_double, "int": ctypes.c_int64, "bool": ctypes.c_bool}
+C_TYPES = {"float": ctypes.c_double, "int": ctypes.c_int64, "bool": ctypes.c_bool}
 PACKED = {"float": "d", "int": "q", "bool": "?7x"}
 
 #: Arrays: the type of their elements, and how many axes they have.
-REAL, WHOLE = np.dtype("f8"), np.dtype("i8")
-ARRAYS = {"Floats": (REAL, 1), "Matrix": (REAL, 2), "Ints": (WHOLE, 1), "Table": (WHOLE, 2)}
+REAL_TYPE, WHOLE_TYPE = np.dtype("f8"), np.dtype("i8")
+ARRAY_TYPES = {
+    "Floats": (REAL_TYPE, 1),
+    "Matrix": (REAL_TYPE, 2),
+    "Ints": (WHOLE_TYPE, 1),
+    "Table": (WHOLE_TYPE, 2),
+}
 
 #: Tuples of arrays whose structs are kept, for those who hand on the same again and again.
 TUPLES = 32
 
 #: Of no length, at the place of what is contiguous and may be written; others are refused.
-AT = ctypes.c_char * 0
+EMPTY = ctypes.c_char * 0
 
 #: What packs the arguments of a rule, and what owns them.
 PACK = """
@@ -75,8 +80,8 @@ def held(rule: Callable[..., Any], *given: Any) -> Callable[[], Any]:
 def _packing(kinds: Sequence[Kind]) -> Callable[..., tuple[bytes, Any]]:
     """What packs arguments of some kinds."""
     names = [f"a{place}" for place in range(len(kinds))]
-    known: dict[str, Any] = {"refuse": refuse, "AT": AT, "address": ctypes.addressof}
-    known |= {"REAL": REAL, "WHOLE": WHOLE}
+    known: dict[str, Any] = {"refuse": refuse, "AT": EMPTY, "address": ctypes.addressof}
+    known |= {"REAL": REAL_TYPE, "WHOLE": WHOLE_TYPE}
     lines, values, packed = [], [], ""
     for a, kind in zip(names, kinds, strict=True):
         if not isinstance(kind, str):
@@ -88,8 +93,8 @@ def _packing(kinds: Sequence[Kind]) -> Callable[..., tuple[bytes, Any]]:
             values.append(a)
             packed += PACKED[kind]
         else:
-            of, axes = ARRAYS[kind]
-            name = "REAL" if of is REAL else "WHOLE"
+            of, axes = ARRAY_TYPES[kind]
+            name = "REAL" if of is REAL_TYPE else "WHOLE"
             lines.append(f"if {a}.dtype is not {name} or {a}.ndim != {axes}:")
             lines.append(f"    refuse({a}, {name}, {axes})")
             values.append(f"{a}.size, address(AT.from_buffer({a})), *{a}.shape, *{a}.strides")
@@ -141,8 +146,8 @@ class Struct:
                 flat.append(made.address)
                 owned.append(made)
             else:
-                refuse(value, *ARRAYS[part])
-                where = ctypes.addressof(AT.from_buffer(value))
+                refuse(value, *ARRAY_TYPES[part])
+                where = ctypes.addressof(EMPTY.from_buffer(value))
                 flat += (0, 0, value.size, 8, where, *value.shape, *value.strides)
         made_of = (ctypes.c_int64 * len(flat))(*flat)
         return Made(ctypes.addressof(made_of), (made_of, *owned))
@@ -153,8 +158,8 @@ def _results(kinds: Any) -> tuple[Any, Callable[[Any], Any]]:
     if not kinds:
         return ctypes.c_void_p, lambda out: None
     if isinstance(kinds, str):
-        return NUMBERS[kinds], lambda out: out.value
+        return C_TYPES[kinds], lambda out: out.value
     names = [f"n{place}" for place in range(len(kinds))]
-    fields = [(name, NUMBERS[kind]) for name, kind in zip(names, kinds, strict=True)]
+    fields = [(name, C_TYPES[kind]) for name, kind in zip(names, kinds, strict=True)]
     layout = type("Result", (ctypes.Structure,), {"_fields_": fields})
     return layout, lambda out: tuple([getattr(out, name) for name in names])

@@ -11,7 +11,7 @@ import math
 
 from .advance import after
 from .arrays import (
-    Automaton,
+    AutomatonArrays,
     Changes,
     Floats,
     Ints,
@@ -29,39 +29,48 @@ from .lanes import ENDED, LAST_JUMP, MADE_JUMPS, OUTCOME, SUMMED, bound, lanes
 from .limits import USABLE, limit
 from .places import (
     AT,
+    AT_LIMIT,
     AT_REST,
-    BEFORE,
+    CURVE_DEGREE,
     CURVE_ROWS,
-    DEGREE,
+    FIELD_PROGRAM,
     GUARDS,
+    JUMPS_BEFORE,
     KIND,
-    LAST,
-    LEAVES,
-    LIMIT,
+    LAST_SPEED,
+    LAST_TIME,
     RATIO,
     RELEASE,
     REMAINING,
+    REST,
     TAU,
     TO,
     UNKNOWN,
 )
-from .places import PROGRAM as FLOW
-from .places import REST as RESTS_IN
 from .slopes import onto_contacts, product, rates, reset
-from .variation import FROM, GRADIENT, HELD, ONTO, PROGRAM, RESET, UNTIL, carried
+from .variation import (
+    GRADIENT,
+    HELD_COUNT,
+    ONTO,
+    RESET_SLOPES,
+    SLOPES_FROM,
+    SLOPES_PROGRAM,
+    SLOPES_UNTIL,
+    carried,
+)
 
 __all__ = ("flown",)
 
 #: What becomes of the change of a run: it is known, or left to Python; or it asks for something of
 #: a field, or of a guard.
-KNOWN, OTHER, OF_FIELD, OF_GUARD = 0, 1, 2, 3
+KNOWN, LEFT_TO_PYTHON, OF_FIELD, OF_GUARD = 0, 1, 2, 3
 
 # Rows of ``lines``: the start of an arc; the flow before a jump, and behind it; a gradient.
-BEGINS, ARRIVES, LEAVING, ACROSS = 0, 1, 2, 3
+ARC_START, FLOW_BEFORE, FLOW_BEHIND, GRADIENT_ROW = 0, 1, 2, 3
 
 
 def flown(
-    a: Automaton,
+    a: AutomatonArrays,
     run: Floats,
     now: Now,
     room: Room,
@@ -119,7 +128,7 @@ def flown(
             told[lane:one], when[lane:one], fired[lane:one],
             around[lane * shown : one * shown], stop,
         )  # fmt: skip
-        asked[lane, 0], asked[lane, 1] = OTHER, 0
+        asked[lane, 0], asked[lane, 1] = LEFT_TO_PYTHON, 0
         outcome = told[lane, OUTCOME]
         if outcome in (ENDED, LAST_JUMP):
             bound(
@@ -135,7 +144,7 @@ def flown(
 
 
 def along(
-    a: Automaton,
+    a: AutomatonArrays,
     run: Floats,
     now: Now,
     left: Left,
@@ -158,37 +167,37 @@ def along(
     for j in range(jumps + int(ends)):
         own = s.of_fields[field]
         if own < 0:
-            return OF_FIELD if own == UNKNOWN else OTHER, field
+            return OF_FIELD if own == UNKNOWN else LEFT_TO_PYTHON, field
         row, length = s.fields[own], now.floats[TAU] if j == jumps else left.when[j, 2]
         if j == 0:
             begun(s, row, t, x, room)
         if not length > 0.0 or not carries(s, row, t, x, length, room):
-            return OTHER, field
+            return LEFT_TO_PYTHON, field
         if j == jumps:
-            ended(s, row, run[LAST], now.end, room, found)
+            ended(s, row, run[LAST_TIME], now.end, room, found)
             return KNOWN, 0
-        guard, sums_up = left.fired[j], tail < tails and left.sums[tail, BEFORE] == j + 1
+        guard, sums_up = left.fired[j], tail < tails and left.sums[tail, JUMPS_BEFORE] == j + 1
         own = s.of_guards[guard]
         if own < 0:
-            return OF_GUARD if own == UNKNOWN else OTHER, guard
+            return OF_GUARD if own == UNKNOWN else LEFT_TO_PYTHON, guard
         to = field if sums_up else a.guards[guard, TO]
         if s.of_fields[to] < 0:
-            return OF_FIELD if s.of_fields[to] == UNKNOWN else OTHER, to
+            return OF_FIELD if s.of_fields[to] == UNKNOWN else LEFT_TO_PYTHON, to
         later = s.fields[s.of_fields[to]]
         t, x = left.when[j, 0], left.after[j]
         first, smooth = 3 + 2 * n + j * (1 + 2 * n), a.guards[guard, KIND] == RELEASE
         if not jumped(
             s, s.guards[own], row, later, t, left.before[j], x, smooth, first, room, found
         ):
-            return OTHER, guard
+            return LEFT_TO_PYTHON, guard
         if sums_up:
-            flow, column = a.fields[field, FLOW], guard - a.fields[field, GUARDS]
+            flow, column = a.fields[field, FIELD_PROGRAM], guard - a.fields[field, GUARDS]
             if not accumulated(
                 a, flow, a.guards[guard, AT], column, s, own, t, x, left, tail, sums, room, found
             ):
-                return OTHER, guard
+                return LEFT_TO_PYTHON, guard
             t, _ = after(t, left.when[j, 1], left.sums[tail, REMAINING])
-            field, x = a.guards[guard, RESTS_IN], left.curves[tail * CURVE_ROWS + AT_REST, :n]
+            field, x = a.guards[guard, REST], left.curves[tail * CURVE_ROWS + AT_REST, :n]
             tail += 1
         else:
             field = to
@@ -208,9 +217,9 @@ def put(change: Matrix, row: int, found: Matrix, place: int) -> None:
 
 def begun(s: Slopes, row: Ints, t: float, x: Floats, room: Changes) -> None:
     """The change at the start of a run."""
-    n, state, flow = x.shape[0], room.state, room.lines[LEAVING]
+    n, state, flow = x.shape[0], room.state, room.lines[FLOW_BEHIND]
     first = state.shape[1] - n - 2
-    rates(s, row[PROGRAM], t, x, room, flow)
+    rates(s, row[SLOPES_PROGRAM], t, x, room, flow)
     for i in range(n + 1):
         for k in range(state.shape[1]):
             state[i, k] = 1.0 if i > 0 and k == first + i - 1 else 0.0
@@ -221,15 +230,17 @@ def begun(s: Slopes, row: Ints, t: float, x: Floats, room: Changes) -> None:
 def carries(s: Slopes, row: Ints, t: float, x: Floats, length: float, room: Changes) -> bool:
     """Carry a change along an arc. On contacts it begins with its start's projection."""
     n, state, moved, arc = x.shape[0], room.state, room.moved, room.arc
-    columns, begins = 1 + arc.shape[1], room.lines[BEGINS, :n]
+    columns, begins = 1 + arc.shape[1], room.lines[ARC_START, :n]
     for k in range(state.shape[1]):
         state[0, k] = 0.0
-    if row[ONTO] >= 0 and not onto_contacts(s, row[ONTO], row[HELD], t, x, 0, columns, state, room):
+    if row[ONTO] >= 0 and not onto_contacts(
+        s, row[ONTO], row[HELD_COUNT], t, x, 0, columns, state, room
+    ):
         return False
     for i in range(n):
         begins[i] = x[i]
-    places = s.places[row[FROM] : row[UNTIL]]
-    if carried(s.programs, row[PROGRAM], places, t, begins, length, t, x, room, arc) < 0:
+    places = s.places[row[SLOPES_FROM] : row[SLOPES_UNTIL]]
+    if carried(s.programs, row[SLOPES_PROGRAM], places, t, begins, length, t, x, room, arc) < 0:
         return False
     mapped(arc, 0, n, state, moved)
     for i in range(n):
@@ -271,10 +282,14 @@ def jumped(
     ``smooth``: the flow goes on as it was.
     """
     n, state, moved = before.shape[0], room.state, room.moved
-    arrives, leaves, across = room.lines[ARRIVES], room.lines[LEAVING], room.lines[ACROSS]
+    arrives, leaves, across = (
+        room.lines[FLOW_BEFORE],
+        room.lines[FLOW_BEHIND],
+        room.lines[GRADIENT_ROW],
+    )
     columns = 1 + room.arc.shape[1]
-    rates(s, row[PROGRAM], t, before, room, arrives)
-    rates(s, later[PROGRAM], t, behind, room, leaves)
+    rates(s, row[SLOPES_PROGRAM], t, before, room, arrives)
+    rates(s, later[SLOPES_PROGRAM], t, behind, room, leaves)
     values(s.programs, own[GRADIENT], t, before, room.sides, room.c, room.work, across)
     rate = across[0]
     for i in range(n):
@@ -288,8 +303,8 @@ def jumped(
             state[1 + i, k] += arrives[i] * state[0, k]
     for i in range(1 + n):
         put(state, i, found, first + i)
-    if own[RESET] >= 0:
-        reset(s, own[RESET], t, before, 0, columns, state, moved, room)
+    if own[RESET_SLOPES] >= 0:
+        reset(s, own[RESET_SLOPES], t, before, 0, columns, state, moved, room)
     else:
         for i in range(1 + n):
             for k in range(state.shape[1]):
@@ -303,7 +318,7 @@ def jumped(
 
 
 def accumulated(
-    a: Automaton,
+    a: AutomatonArrays,
     flow: int,
     at: int,
     column: int,
@@ -319,11 +334,11 @@ def accumulated(
 ) -> bool:
     """Carry a change through a sum of impacts."""
     n, row, first = x.shape[0], left.sums[tail], tail * CURVE_ROWS
-    curve = left.curves[first : first + int(row[DEGREE]) + 1]
-    x_inf, out, state, moved = left.curves[first + LIMIT, :n], room.out, room.state, room.moved
+    curve = left.curves[first : first + int(row[CURVE_DEGREE]) + 1]
+    x_inf, out, state, moved = left.curves[first + AT_LIMIT, :n], room.out, room.state, room.moved
     none = room.maps[:0]
     usable = limit(
-        a.programs, flow, at, column, False, s, contact, t, x, row[LEAVES], row[RATIO],
+        a.programs, flow, at, column, False, s, contact, t, x, row[LAST_SPEED], row[RATIO],
         row[REMAINING], curve, x_inf, none, sums, room, out,
     )  # fmt: skip
     if not usable <= USABLE:
@@ -342,8 +357,8 @@ def accumulated(
 
 def ended(s: Slopes, row: Ints, t: float, x: Floats, room: Changes, found: Matrix) -> None:
     """The change of the last time, and of the state there."""
-    n, flow, last = x.shape[0], room.lines[ARRIVES], found.shape[1] - 1
-    rates(s, row[PROGRAM], t, x, room, flow)
+    n, flow, last = x.shape[0], room.lines[FLOW_BEFORE], found.shape[1] - 1
+    rates(s, row[SLOPES_PROGRAM], t, x, room, flow)
     for k in range(found.shape[1]):
         found[0, k] = 1.0 if k == last else 0.0
         for i in range(n):

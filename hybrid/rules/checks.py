@@ -11,7 +11,7 @@ import math
 
 from .arrays import Floats, Ints, Matrix, Programs
 from .jets import FLOW, KINKS, jets
-from .kinks import KIND, POINT, ROW, STEP, WHOLE, count, states
+from .kinks import KINK_KIND, KINK_ROW, POINT, STEP_KINK, WHOLE_ROW, count, states
 from .lengths import behind
 from .polynomials import power_size, power_value
 from .zeros import EPS
@@ -20,7 +20,7 @@ __all__ = ("arrives", "bends", "follows")
 
 #: Where, besides its end, the series of a step is held against the flow (at a kink just before
 #: that), and how far it may be off, as a multiple of rounding.
-MIDDLE, BEFORE, MISSED = 0.55, 1.0 - 1e-9, 256.0
+HELD_INSIDE, HELD_BEFORE, MISSED = 0.55, 1.0 - 1e-9, 256.0
 
 #: Roundings by which elements of a state are moved to see what rounding does, and the time.
 SHIFTS = (8, -8, 11, -11, 14, -14)
@@ -30,10 +30,10 @@ SHIFT = 8
 SMALLEST = 1e-3
 
 #: What rounding shows beside a point, counted so many times: it may be more elsewhere.
-SHOWN = 8.0
+ROUNDING_BESIDE = 8.0
 
 #: Numbers next to the smallest lose digits; what they may be off is less than this.
-NOTHING = 1e-290
+DENORMAL_LOSS = 1e-290
 
 
 def follows(
@@ -70,7 +70,7 @@ def follows(
     for i in range(n):
         scale = max(scale, SMALLEST * abs(c[i, 0]))
         fastest = max(fastest, abs(c[i, 1]))
-    for share in (MIDDLE, BEFORE if kink else 1.0):
+    for share in (HELD_INSIDE, HELD_BEFORE if kink else 1.0):
         s = share * h
         for i in range(n):
             point[i], rates[i] = power_value(c[i], 0, c.shape[1] - 1, s)
@@ -105,14 +105,14 @@ def bends(
     """
     first = place(p, program, work)
     point = work[first : first + states(p, program)]
-    for share in (MIDDLE, BEFORE if ends else 1.0):
+    for share in (HELD_INSIDE, HELD_BEFORE if ends else 1.0):
         s = share * h
         along(c, s, point)
         look(p, program, 2, t + s, point, True, sides, aside, work)
         here = 2.0 * aside[row, 2]
         look(p, program, 2, beside(t + s, point), point, True, sides, aside, work)
         bend, size = second(c[row], s)
-        allowed = MISSED * EPS * size + SHOWN * abs(here - 2.0 * aside[row, 2])
+        allowed = MISSED * EPS * size + ROUNDING_BESIDE * abs(here - 2.0 * aside[row, 2])
         if abs(here - bend) > allowed:
             return False
     return True
@@ -199,7 +199,7 @@ def _set_apart(p: Programs, program: int, aside: Matrix) -> None:
         if row >= 0:
             aside[row, 1] = aside[row, 0]
     for j in range(p.index[program, KINKS], p.index[program, KINKS + 1]):
-        row = p.kinks[j, WHOLE]
+        row = p.kinks[j, WHOLE_ROW]
         aside[row, 1] = aside[row, 0]
 
 
@@ -249,7 +249,9 @@ def _directs(
         rounding = fastest + abs(2.0 * c[i, 2] * s) + abs(3.0 * c[i, 3] * s * s)
         rounding += max(abs(c[i, 0]), abs(c[i, 1]), scale) / h
         left = (c.shape[1] - 1) * behind(c[i], s) / s  # of the slope, as of its last terms
-        allowed = max(MISSED * EPS * rounding, left) + SHOWN * abs(rate - other) + NOTHING
+        allowed = (
+            max(MISSED * EPS * rounding, left) + ROUNDING_BESIDE * abs(rate - other) + DENORMAL_LOSS
+        )
         close = close and not abs(rate - rates[i]) > allowed
     return close or not finite
 
@@ -258,16 +260,16 @@ def _decides(p: Programs, program: int, s: float, c: Matrix, aside: Matrix) -> b
     """Whether the series of what is watched have its values, but for rounding."""
     order = c.shape[1] - 1
     for j in range(p.index[program, KINKS], p.index[program, KINKS + 1]):
-        if p.kinks[j, KIND] == POINT:
+        if p.kinks[j, KINK_KIND] == POINT:
             continue
-        series = c[p.kinks[j, ROW]]
-        value, other = aside[p.kinks[j, WHOLE], 1], aside[p.kinks[j, WHOLE], 0]
+        series = c[p.kinks[j, KINK_ROW]]
+        value, other = aside[p.kinks[j, WHOLE_ROW], 1], aside[p.kinks[j, WHOLE_ROW], 0]
         off = abs(value - power_value(series, 0, order, s)[0])
         size = power_size(series, 0, order, s)
-        if p.kinks[j, KIND] == STEP:
+        if p.kinks[j, KINK_KIND] == STEP_KINK:
             size += abs(value)
             off = min(off % 1.0, 1.0 - off % 1.0)  # from the nearest whole number
-        if off > MISSED * EPS * size + SHOWN * (abs(value - other) + behind(series, s)):
+        if off > MISSED * EPS * size + ROUNDING_BESIDE * (abs(value - other) + behind(series, s)):
             return False
     return True
 

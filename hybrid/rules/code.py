@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 #: Numbers, as they are to LLVM; and the axes of arrays.
-NUMBERS = {"float": "double", "int": "i64", "bool": "i8"}
+LLVM_TYPES = {"float": "double", "int": "i64", "bool": "i8"}
 AXES = {"Floats": 1, "Matrix": 2, "Ints": 1, "Table": 2}
 
 #: What Python calls of a rule: ``args`` has eight bytes for each number, for the address of the
@@ -190,7 +190,7 @@ def entry(symbol: str, kinds: Sequence[Kind]) -> str:
             size, *rest = [_read(of, lines) for of in read]
             given += ["ptr null", "ptr null", size, "i64 8", *rest]
         else:
-            given.append(_read(NUMBERS[kind] if isinstance(kind, str) else "ptr", lines))
+            given.append(_read(LLVM_TYPES[kind] if isinstance(kind, str) else "ptr", lines))
     types = ", ".join(["ptr", "ptr", *(value.split()[0] for value in given)])
     return ENTRY.format(symbol=symbol, types=types, lines="\n".join(lines), given=", ".join(given))
 

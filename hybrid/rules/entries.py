@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 
-from .arrays import Automaton, Floats, Matrix, Now, Room
-from .guards import NEAR, ROUNDED, largest, row_of, sizes_of
+from .arrays import AutomatonArrays, Floats, Matrix, Now, Room
+from .guards import GUARD_ROUNDING, NEAR, largest, row_of, sizes_of
 from .hops import drowns
 from .lengths import step_length
 from .places import (
@@ -18,15 +18,15 @@ from .places import (
     EDGE,
     ENTERED,
     FIELD,
+    FIELD_PROGRAM,
     FIRED,
+    GUARD_POWER,
     GUARDS,
     GUARDS_END,
     HARD,
     KIND,
     NONE,
     OTHER,
-    POWER,
-    PROGRAM,
     RELEASE,
     RISES,
     USES,
@@ -47,14 +47,14 @@ HIGHER = 3
 ARMED, FIRES, RESTS, UNDECIDED, OUTSIDE, BEYOND, LEAVES = range(7)
 
 
-def starts(a: Automaton, now: Now, room: Room) -> int:
+def starts(a: AutomatonArrays, now: Now, room: Room) -> int:
     """The guard that fires first before any flow where an arc begins; ``NONE``, or ``HARD`` where
     something is to be weighed. Notes the guards' orders."""
     field, fires = now.ints[FIELD], NONE
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
         if now.ints[ENTERED] == 0:
-            c = room.c[row_of(a, a.fields[field, PROGRAM], field, g)]
+            c = room.c[row_of(a, a.fields[field, FIELD_PROGRAM], field, g)]
             now.orders[g - first], what = start_of(a, now, room, g, c)
             if what == FIRES:
                 fires = g if fires == NONE else fires
@@ -63,13 +63,13 @@ def starts(a: Automaton, now: Now, room: Room) -> int:
     return fires
 
 
-def start_of(a: Automaton, now: Now, room: Room, guard: int, c: Floats) -> tuple[int, int]:
+def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) -> tuple[int, int]:
     """By which power of the time a guard vanishes at the start of an arc after a jump that was
     plain, and what it does; ``HARD`` where that is to be weighed, or more jumps are to be known."""
     kind, bounds = a.guards[guard, KIND], a.guards[guard, BOUNDS] == 1
     t, n, reach = now.floats[T], now.x.shape[0], max(largest(now.seen), largest(now.x))
     used, order, sign = guard == now.ints[FIRED], 0, 1 if c[0] > 0.0 else -1
-    least = now.ints[POWER] if used else 0
+    least = now.ints[GUARD_POWER] if used else 0
     if least > 0 or not far(c[0], reach):
         size, rate, bend = sizes_of(a, room, guard, t, now.x)
         high, fast = 0.0, math.inf
@@ -84,7 +84,7 @@ def start_of(a: Automaton, now: Now, room: Room, guard: int, c: Floats) -> tuple
                 high = max(high, now.seen[a.uses[k]])
         order, sign = start(c, room.c, n, c[0], c[1], t, size, rate, bend, high, fast, least)
         low = order == 1 and drowns(c[1], 2.0 * c[2], reach)
-        slow = least == 0 and not abs(c[1]) > ROUNDED * EPS * fast
+        slow = least == 0 and not abs(c[1]) > GUARD_ROUNDING * EPS * fast
         hard = kind == OTHER or (kind == CONTACT and (low or slow))
         if order > RISES or (order > 0 and hard):
             return order, HARD
@@ -175,19 +175,19 @@ def start(
     least : int
         The power by which it is known to vanish at least.
     """
-    moves = value > 0.0 and abs(slope) > ROUNDED * EPS * fast
-    noise = ROUNDED * EPS * (size + abs(t) * abs(slope) + (0.0 if moves else high))
+    moves = value > 0.0 and abs(slope) > GUARD_ROUNDING * EPS * fast
+    noise = GUARD_ROUNDING * EPS * (size + abs(t) * abs(slope) + (0.0 if moves else high))
     if least == 0 and not abs(value) <= noise:
         return 0, 1 if value > 0.0 else -1
     for k in range(max(least, 1), min(HIGHER, c.shape[0])):
-        if abs(c[k]) > ROUNDED * EPS * (rate if k == 1 else bend):
+        if abs(c[k]) > GUARD_ROUNDING * EPS * (rate if k == 1 else bend):
             return k, 1 if c[k] > 0.0 else -1
     own, most = min(own_time(c, 0.0), step_length(states, n)), 0.0
     own = own if own < math.inf else 1.0
     for k in range(HIGHER, c.shape[0]):
         most = max(most, abs(c[k]) * own**k)
     for k in range(max(least, HIGHER), c.shape[0]):
-        if abs(c[k]) * own**k > ROUNDED * EPS * most:
+        if abs(c[k]) * own**k > GUARD_ROUNDING * EPS * most:
             return k, 1 if c[k] > 0.0 else -1
     return c.shape[0], 0
 
@@ -207,7 +207,7 @@ def own_time(c: Floats, size: float) -> float:
     for k in range(HIGHER + 1, c.shape[0]):
         bound = 0.0
         for j in range(HIGHER + 1 if c[k] != 0.0 else 0):
-            low = max(abs(c[0]), ROUNDED * EPS * size) if j == 0 else abs(c[j])
+            low = max(abs(c[0]), GUARD_ROUNDING * EPS * size) if j == 0 else abs(c[j])
             if low > 0.0:
                 bound = max(bound, (low / abs(c[k])) ** (1.0 / (k - j)))
         if bound > 0.0:

@@ -13,10 +13,10 @@ from .arrays import Floats, Ints, Matrix, Programs
 from .checks import bends, follows
 from .jets import KINKS, OUTPUT
 from .kinks import (
-    KIND,
+    KINK_KIND,
+    KINK_ROW,
     NOT_FINITE,
     POINT,
-    ROW,
     count,
     expanded,
     first_change,
@@ -24,7 +24,7 @@ from .kinks import (
     states,
     turn,
 )
-from .lengths import CONVERGED, ROUNDING, behind, own_length, step_length, zero_of
+from .lengths import CONVERGED, LAST_TERMS, behind, own_length, step_length, zero_of
 from .polynomials import power_value
 from .zeros import outweighs
 from .zeros import series as zeros
@@ -34,15 +34,15 @@ __all__ = ("fly",)
 #: Most Taylor steps in a flight (kinks apart, each of which may be crossed twice); a longer flight
 #: belongs to the solver. Over a wall that shakes a step is a tenth of a turn, and low flights last
 #: a few turns.
-PIECES = 32
+FLIGHT_STEPS = 32
 
 #: Status codes besides those of :mod:`.kinks`: a step has no length, or no end; its series is not
 #: that of the flow, or of the gap; the flight is too long; the gap does not fall where it is zero;
 #: another guard may be zero on the way.
-NO_LENGTH, LEAVES, TOO_LONG, RISES, REACHED = -3, -4, -5, -6, -7
+NO_LENGTH, OFF_SERIES, TOO_LONG, GAP_RISES, REACHED = -3, -4, -5, -6, -7
 
 #: A piece at whose end the gap is zero.
-LANDS = 1
+ENDS_AT_ZERO = 1
 
 
 def fly(
@@ -120,8 +120,8 @@ def fly(
             return status, time, speed, piece, crossings
         _keep(piece, time, h, c, starts, lengths, series, end)
         time += h
-        if status == LANDS:
-            return 0 if speed < 0.0 else RISES, time, speed, piece + 1, crossings
+        if status == ENDS_AT_ZERO:
+            return 0 if speed < 0.0 else GAP_RISES, time, speed, piece + 1, crossings
         if crossed >= 0:
             branch[kinks + crossings] = crossed
             crossings += 1
@@ -131,16 +131,16 @@ def fly(
 
 def most_pieces(kinks: int) -> int:
     """How many pieces a flight may have."""
-    return PIECES + 2 * kinks + 1
+    return FLIGHT_STEPS + 2 * kinks + 1
 
 
 def _begin(p: Programs, program: int, sides: Ints, c: Matrix, branch: Ints) -> None:
     """On which sides of its kinks a flight begins."""
     first = p.index[program, KINKS]
     for i in range(count(p, program)):
-        own = sides[i] if sides[i] != 0 else c[p.kinks[first + i, ROW], 0]
+        own = sides[i] if sides[i] != 0 else c[p.kinks[first + i, KINK_ROW], 0]
         branch[i] = 1 if own > 0 else -1
-        if p.kinks[first + i, KIND] == POINT:
+        if p.kinks[first + i, KINK_KIND] == POINT:
             branch[i] = 0
 
 
@@ -215,15 +215,15 @@ def _piece(
         return NOT_FINITE, h, -1, gap, speed
     kink = crossed >= 0
     if not follows(p, program, held, t, h, kink, sides, c, aside, work):
-        return LEAVES, h, -1, gap, speed
+        return OFF_SERIES, h, -1, gap, speed
     lands = h == zero
     of_states = p.affine[place] == 1  # its series is theirs
     if not (of_states or bends(p, program, row, t, h, kink or lands, sides, c, aside, work)):
-        return LEAVES, h, -1, gap, speed
+        return OFF_SERIES, h, -1, gap, speed
     rest, slope = power_value(c[row], 2, c.shape[1] - 1, h)
     gap += (speed + rest * h) * h
     speed += (2.0 * rest + slope * h) * h
-    return LANDS if lands else 0, h, crossed, gap, speed
+    return ENDS_AT_ZERO if lands else 0, h, crossed, gap, speed
 
 
 def _reach(
@@ -240,7 +240,7 @@ def _reach(
     reach = min(step_length(c, states(p, program)), holding(p, program, c))
     height, rate = c[row, 0], c[row, 1]  # of an element of the state, it may be
     c[row, 0], c[row, 1] = gap, speed
-    reach = min(reach, own_length(c[row], ROUNDING))
+    reach = min(reach, own_length(c[row], LAST_TERMS))
     zero = zero_of(c[row], reach, rows, found)
     c[row, 0], c[row, 1] = height, rate
     return reach, zero

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 
-from .arrays import Automaton, Floats, Now, Room
-from .checks import MIDDLE, MISSED, SHOWN, along, second
+from .arrays import AutomatonArrays, Floats, Now, Room
+from .checks import HELD_INSIDE, MISSED, ROUNDING_BESIDE, along, second
 from .jets import KINKS, OUTPUT, jets
-from .lengths import CONVERGED, ROUNDING, behind, own_length
+from .lengths import CONVERGED, LAST_TERMS, behind, own_length
 from .places import (
     ABSOLUTE,
     AFFINE,
@@ -19,17 +19,17 @@ from .places import (
     BOUNDS,
     CROSSING,
     FIELD,
+    FIELD_PROGRAM,
     GUARDS,
     GUARDS_END,
-    LAST,
-    LOSS,
+    LAST_TIME,
     LOW,
-    NEXT,
     PHASE,
-    PROGRAM,
     RELATIVE,
     SEES,
     SIZES,
+    STEP_END,
+    STEP_LOSS,
     TAU,
     TOLERANCES,
     USES,
@@ -46,25 +46,25 @@ __all__ = ("event_along",)
 NEAR = 1e-6
 
 #: Rounding of a guard, in spacings of the terms that it is made of.
-ROUNDED = 64.0
+GUARD_ROUNDING = 64.0
 
 #: Events this near in time, in spacings of floats, are at one time; those looked at for that lie
 #: this near in the step, as landing may move the first by as much.
-TIE, BESIDE = 4.0, 1e-6
+TIE, TIED_IN_STEP = 4.0, 1e-6
 
 #: Most parts of another solver's step in which guards are expanded: such steps may be long against
 #: the time in which a guard changes.
-PARTS = 64
+EXPANDED_PARTS = 64
 
 #: A series of the flow and another solver's step may differ by so many times what a step may lose.
 AGREES = 4.0
 
 #: A shift onto a guard that is so small beside the way to it is made along a straight line.
-SMALL = 1e-6
+SMALL_SHIFT = 1e-6
 
 
 def first_event(
-    a: Automaton, run: Floats, now: Now, room: Room, h: float, starting: bool
+    a: AutomatonArrays, run: Floats, now: Now, room: Room, h: float, starting: bool
 ) -> tuple[int, float]:
     """The guard that fires first in a step (-1: none), and when (1); at 0 if that is not plain."""
     field = now.ints[FIELD]
@@ -79,13 +79,13 @@ def first_event(
         if a.guards[g, AFFINE] == 0 and 0.0 < s < math.inf:
             width += blurred(room.c[row_of(a, series_of(a, now), field, g)], s)
     spacing = EPS * abs(now.floats[T])
-    if second - best <= max(BESIDE * h + TIE * spacing, width):
+    if second - best <= max(TIED_IN_STEP * h + TIE * spacing, width):
         return fired, 0.0
     return fired, best
 
 
 def zero_of(
-    a: Automaton,
+    a: AutomatonArrays,
     run: Floats,
     now: Now,
     room: Room,
@@ -105,7 +105,7 @@ def zero_of(
     c = room.c[row_of(a, series_of(a, now), field, guard)]
     left = behind(c, h) if a.guards[guard, AFFINE] == 0 else 0.0
     crossing = a.guards[guard, CROSSING]
-    tolerance = max(left_open(a, run, guard, now.end), SHOWN * left)
+    tolerance = max(left_open(a, run, guard, now.end), ROUNDING_BESIDE * left)
     if not starting and not c[0] * now.signs[place] > 0.0:
         return 0.0
     if starting and a.guards[guard, BOUNDS] == 1 and c[order] * crossing > 0.0:
@@ -114,7 +114,7 @@ def zero_of(
     if (order == 0 or left == 0.0) and outweighs(c, order, degree, h, near):
         now.signs[place] = 1 if c[order] > 0.0 else -1
         return math.inf
-    program = a.fields[field, PROGRAM]
+    program = a.fields[field, FIELD_PROGRAM]
     kinked = a.programs.index[program, KINKS] < a.programs.index[program, KINKS + 1]
     if not kinked and (crossing == 0 or c[order] * crossing < 0.0):
         s = soon(c, order, degree, h)
@@ -136,12 +136,14 @@ def zero_of(
     value, _ = power_value(c, 0, degree, h)
     size = power_size(c, 0, degree, h)
     now.signs[place] = 1 if value > 0.0 else -1
-    clear = value * side > 0.0 and abs(value) > max(ROUNDED * EPS * size, SHOWN * left)
+    clear = value * side > 0.0 and abs(value) > max(
+        GUARD_ROUNDING * EPS * size, ROUNDING_BESIDE * left
+    )
     return math.inf if clear else 0.0
 
 
 def fires(
-    a: Automaton,
+    a: AutomatonArrays,
     now: Now,
     room: Room,
     c: Floats,
@@ -155,7 +157,7 @@ def fires(
     return s if gone and not turns(c, s, tolerance) else 0.0
 
 
-def left_open(a: Automaton, run: Floats, guard: int, x: Floats) -> float:
+def left_open(a: AutomatonArrays, run: Floats, guard: int, x: Floats) -> float:
     """What the tolerances leave open of a guard."""
     size = 0.0
     for k in range(a.guards[guard, USES], a.guards[guard, USES_END]):
@@ -167,7 +169,7 @@ def blurred(c: Floats, s: float) -> float:
     """By how much what a series leaves open may move its zero; a zero of order two is blurred by no
     more than where it is."""
     _, slope = power_value(c, 0, c.shape[0] - 1, s)
-    left = SHOWN * behind(c, s)
+    left = ROUNDING_BESIDE * behind(c, s)
     return left / abs(slope) if left < abs(slope) * s else s
 
 
@@ -186,10 +188,10 @@ def shallow(slope: float, bend: float, tolerance: float) -> bool:
     return slope == 0.0 or -2.0 * (bend / slope) * tolerance >= abs(slope)
 
 
-def has_left(a: Automaton, now: Now, room: Room, c: Floats, guard: int, s: float) -> bool:
+def has_left(a: AutomatonArrays, now: Now, room: Room, c: Floats, guard: int, s: float) -> bool:
     """Whether a guard that was zero has been larger than its rounding on the way (2)."""
     size, _, _ = sizes_of(a, room, guard, now.floats[T], now.x)
-    noise = ROUNDED * EPS * size + 2.0 * abs(c[0])
+    noise = GUARD_ROUNDING * EPS * size + 2.0 * abs(c[0])
     for k in range(1, 4):
         value, _ = power_value(c, 0, c.shape[0] - 1, 0.25 * k * s)
         if abs(value) > noise:
@@ -197,30 +199,30 @@ def has_left(a: Automaton, now: Now, room: Room, c: Floats, guard: int, s: float
     return False
 
 
-def resolved(a: Automaton, run: Floats, now: Now, room: Room, t: float, h: float) -> float:
+def resolved(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float, h: float) -> float:
     """How far of a step the guards' series have converged, to what a step may lose; -1 where they
     do not follow them."""
     field, program = now.ints[FIELD], series_of(a, now)
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
         if a.guards[g, AFFINE] == 0:
-            share = min(max(run[LOSS], ROUNDING), CONVERGED)
+            share = min(max(run[STEP_LOSS], LAST_TERMS), CONVERGED)
             h = min(h, own_length(room.c[row_of(a, program, field, g)], share))
     for g in range(first, a.fields[field, GUARDS_END]):
         if a.guards[g, AFFINE] == 0:
-            for share in (MIDDLE, 1.0):
+            for share in (HELD_INSIDE, 1.0):
                 if not follows(a, now, room, program, g, t, share * h):
                     return -1.0
     return h
 
 
 def follows(
-    a: Automaton, now: Now, room: Room, made_by: int, guard: int, t: float, s: float
+    a: AutomatonArrays, now: Now, room: Room, made_by: int, guard: int, t: float, s: float
 ) -> bool:
     """Whether the series of a guard gives its value at a later time, but for rounding and what its
     last terms leave open."""
     field = now.ints[FIELD]
-    program = a.fields[field, PROGRAM]
+    program = a.fields[field, FIELD_PROGRAM]
     along(room.c, s, room.there)
     c = room.c[row_of(a, made_by, field, guard)]
     value, _ = power_value(c, 0, c.shape[0] - 1, s)
@@ -229,11 +231,11 @@ def follows(
     if jets(a.programs, program, 0, t + s, room.there, room.still, room.aside, room.work) < 0:
         return False
     exact = room.aside[row_of(a, program, field, guard), 0]
-    return abs(exact - value) <= max(MISSED * EPS * size, SHOWN * behind(c, s))
+    return abs(exact - value) <= max(MISSED * EPS * size, ROUNDING_BESIDE * behind(c, s))
 
 
 def foreseen(
-    a: Automaton, run: Floats, now: Now, room: Room, h: float, starting: bool
+    a: AutomatonArrays, run: Floats, now: Now, room: Room, h: float, starting: bool
 ) -> tuple[int, float]:
     """As :func:`event_along`, by series of the flow from where another solver's step begins, which
     ``room.c`` has; at 0 where these do not show that no guard fires, or one at the step's end, and
@@ -253,22 +255,22 @@ def foreseen(
     if not (starting or continues(a, now, room)):
         return -1, -1.0
     guard, s = first_event(a, run, now, room, reach, starting)
-    if abs(s - h) <= SMALL * h or (s == math.inf and keeps(a, now, room, t + h)):
+    if abs(s - h) <= SMALL_SHIFT * h or (s == math.inf and keeps(a, now, room, t + h)):
         return guard, s
     field = now.ints[FIELD]
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
-        value = room.c[row_of(a, a.fields[field, PROGRAM], field, g), 0]
+        value = room.c[row_of(a, a.fields[field, FIELD_PROGRAM], field, g), 0]
         now.signs[g - first] = 1 if value > 0.0 else -1
     return -1, 0.0
 
 
-def continues(a: Automaton, now: Now, room: Room) -> bool:
+def continues(a: AutomatonArrays, now: Now, room: Room) -> bool:
     """Whether guards begin a step with the signs with which they ended the last."""
     field = now.ints[FIELD]
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
-        value = room.c[row_of(a, a.fields[field, PROGRAM], field, g), 0]
+        value = room.c[row_of(a, a.fields[field, FIELD_PROGRAM], field, g), 0]
         if not value * now.signs[g - first] > 0.0:
             return False
     return True
@@ -276,14 +278,14 @@ def continues(a: Automaton, now: Now, room: Room) -> bool:
 
 def reached(run: Floats, now: Now, h: float) -> float:
     """How far a step is looked at: a little beyond its end, if it was made to end on a guard."""
-    if now.floats[NEXT] != now.floats[AIM]:
+    if now.floats[STEP_END] != now.floats[AIM]:
         return h
-    length = (run[LAST] - now.floats[T]) - now.floats[LOW]
-    return min(h * (1.0 + SMALL), length - now.floats[TAU])
+    length = (run[LAST_TIME] - now.floats[T]) - now.floats[LOW]
+    return min(h * (1.0 + SMALL_SHIFT), length - now.floats[TAU])
 
 
 def event_along(
-    a: Automaton, run: Floats, now: Now, room: Room, h: float, starting: bool
+    a: AutomatonArrays, run: Floats, now: Now, room: Room, h: float, starting: bool
 ) -> tuple[int, float]:
     """As :func:`first_event`, in a step of another solver, of which ``room.c`` has the polynomial.
 
@@ -292,7 +294,7 @@ def event_along(
     """
     field, n, reach = now.ints[FIELD], now.x.shape[0], reached(run, now, h)
     t, done = now.floats[T] + now.floats[TAU], 0.0
-    for part in range(PARTS):
+    for part in range(EXPANDED_PARTS):
         if not expanded(a, field, t + done, n, room):
             return -1, 0.0
         shown = resolved(a, run, now, room, t + done, reach - done)
@@ -309,7 +311,7 @@ def event_along(
     return -1, 0.0
 
 
-def expanded(a: Automaton, field: int, t: float, n: int, room: Room) -> bool:
+def expanded(a: AutomatonArrays, field: int, t: float, n: int, room: Room) -> bool:
     """The guards' series, from those of the states."""
     for i in range(n):
         room.there[i] = room.c[i, 0]
@@ -317,10 +319,10 @@ def expanded(a: Automaton, field: int, t: float, n: int, room: Room) -> bool:
     return jets(a.programs, program, order, t, room.there, room.still, room.c, room.work) == 0
 
 
-def keeps(a: Automaton, now: Now, room: Room, t: float) -> bool:
+def keeps(a: AutomatonArrays, now: Now, room: Room, t: float) -> bool:
     """Whether the guards have at the end of a step the signs that its polynomial gives them."""
     field = now.ints[FIELD]
-    program, first = a.fields[field, PROGRAM], a.fields[field, GUARDS]
+    program, first = a.fields[field, FIELD_PROGRAM], a.fields[field, GUARDS]
     if jets(a.programs, program, 0, t, now.end, room.still, room.aside, room.work) < 0:
         return False
     for g in range(first, a.fields[field, GUARDS_END]):
@@ -330,19 +332,19 @@ def keeps(a: Automaton, now: Now, room: Room, t: float) -> bool:
     return True
 
 
-def row_of(a: Automaton, program: int, field: int, guard: int) -> int:
+def row_of(a: AutomatonArrays, program: int, field: int, guard: int) -> int:
     """The row of a guard in one of the programs of a field."""
     first = a.programs.index[program, OUTPUT]
     return a.programs.output[first + guard - a.fields[field, GUARDS]]
 
 
-def series_of(a: Automaton, now: Now) -> int:
+def series_of(a: AutomatonArrays, now: Now) -> int:
     """The program that has made the guards' series along a step."""
-    return a.fields[now.ints[FIELD], WATCH if now.ints[PHASE] == SEES else PROGRAM]
+    return a.fields[now.ints[FIELD], WATCH if now.ints[PHASE] == SEES else FIELD_PROGRAM]
 
 
 def sizes_of(
-    a: Automaton, room: Room, guard: int, t: float, x: Floats
+    a: AutomatonArrays, room: Room, guard: int, t: float, x: Floats
 ) -> tuple[float, float, float]:
     """The sums of the terms of which a guard and its first two derivatives are made."""
     program = a.guards[guard, SIZES]

@@ -9,7 +9,7 @@ from .arrays import Floats, Ints, Programs, Sums
 from .flights import fly
 from .guards import NEAR
 from .jets import values
-from .sums import LAND, READ, TURN, restitution, turned
+from .sums import ONTO_CONTACT, READ, SPEED_CHANGE, restitution, turned
 
 __all__ = ("drowns", "hop")
 
@@ -62,11 +62,11 @@ def hop(
     if status < 0:
         return status, time, 0.0, 0
     end, read, n = t + time, room.lines[READ], x.shape[0]
-    values(p, at + LAND, end, room.end, room.sides, room.c, room.work, before)
+    values(p, at + ONTO_CONTACT, end, room.end, room.sides, room.c, room.work, before)
     speed = restitution(p, at, end, before, u, room) * -u
     if not speed >= 0.0:
         return NO_SPEED, time, speed, pieces
-    values(p, at + TURN, end, before, room.sides, room.c, room.work, read)
+    values(p, at + SPEED_CHANGE, end, before, room.sides, room.c, room.work, read)
     for j in range(n):
         after[j] = before[j]
     turned(after, speed - read[n], read)

@@ -23,13 +23,16 @@ from .zeros import EPS, VANISHES, series
 
 __all__ = ("expanded", "first_change", "holding", "turn")
 
+#: A product and a sum are never one operation: where a kink is passed, plain Python says the same.
+EXACT = True
+
 #: Kinds of what is watched (:data:`hybrid.lowering.tape.KINDS`). A point is not, along a flow.
-STEP, BAND, POLE, POINT = 1, 2, 3, 4
+STEP_KINK, BAND, POLE, POINT = 1, 2, 3, 4
 
 #: Columns of the table of kinks: the row of what is watched; whether the formula is another beyond
 #: its zero; its kind; the row of the function itself, of which a step has the nearest whole number
 #: taken off.
-ROW, SWITCHES, KIND, WHOLE = 0, 1, 2, 3
+KINK_ROW, SWITCHES, KINK_KIND, WHOLE_ROW = 0, 1, 2, 3
 
 #: Status codes: there are no series, or they are not finite.
 NO_SERIES, NOT_FINITE = -1, -2
@@ -37,20 +40,20 @@ NO_SERIES, NOT_FINITE = -1, -2
 #: By how much the argument of a step function may change in a step: the whole number next to it
 #: is then the only one passed; and that of ``exp``, as a share of the order: up to that the last
 #: terms of its series are as large as all that follow, and half of it leaves room for a square.
-HALF, CHANGE = 0.5, 0.5
+STEP_CHANGE, EXP_CHANGE = 0.5, 0.5
 
 #: Rounding of a kink's polynomial in Bernstein form, as a multiple of the sum of its terms: as many
 #: roundings as its highest degree.
-BLURRED = 24.0 * EPS
+KINK_BLUR = 24.0 * EPS
 
 #: Share of the way to a zero that is blurred which is made before it is looked for again.
 APPROACH = 0.9
 
 #: Share of the way to a zero on which it is asked whether another is hidden.
-BEFORE = 0.999
+SHORT_OF_ZERO = 0.999
 
 #: A zero is as exact as the time is if it is off by no more than so many of its roundings.
-EXACT = 16.0
+ZERO_SPACINGS = 16.0
 
 #: Where a function comes near zero and rounding hides whether it passes, what is hidden is narrower
 #: than 1e-7 of the way there: nearer than this share of the time nothing is left of it.
@@ -79,7 +82,7 @@ def expanded(
     order = c.shape[1] - 1
     first = p.index[program, KINKS]
     for i in range(count(p, program)):
-        if p.kinks[first + i, KIND] == POINT:
+        if p.kinks[first + i, KINK_KIND] == POINT:
             sides[i] = 0
     if jets(p, program, order, t, x, sides, c, work) < 0:
         return NO_SERIES
@@ -88,8 +91,8 @@ def expanded(
             if not math.isfinite(c[i, k]):
                 return NOT_FINITE
     for j in range(first, p.index[program, KINKS + 1]):
-        if p.kinks[j, KIND] != POINT:
-            _let_stand(c[p.kinks[j, ROW]])
+        if p.kinks[j, KINK_KIND] != POINT:
+            _let_stand(c[p.kinks[j, KINK_ROW]])
     return 0
 
 
@@ -105,13 +108,13 @@ def _let_stand(c: Floats) -> None:
 
 def holding(p: Programs, program: int, c: Matrix) -> float:
     """Length over which the series of what is watched have converged, and change by little."""
-    change = CHANGE * (c.shape[1] - 1)
+    change = EXP_CHANGE * (c.shape[1] - 1)
     length = math.inf
     for j in range(p.index[program, KINKS], p.index[program, KINKS + 1]):
-        kind, row = p.kinks[j, KIND], p.kinks[j, ROW]
+        kind, row = p.kinks[j, KINK_KIND], p.kinks[j, KINK_ROW]
         most = math.inf
-        if kind == STEP:
-            most = HALF
+        if kind == STEP_KINK:
+            most = STEP_CHANGE
         elif kind == POLE:
             most = abs(c[row, 0])
         elif kind == BAND and p.bands[j, 0] - change < c[row, 0] < p.bands[j, 1] + change:
@@ -152,9 +155,9 @@ def first_change(
     chosen = -1
     first = p.index[program, KINKS]
     for i in range(count(p, program)):
-        row = p.kinks[first + i, ROW]
+        row = p.kinks[first + i, KINK_ROW]
         start = c[row, 0]
-        level = _level(p, first + i, start, CHANGE * (c.shape[1] - 1))
+        level = _level(p, first + i, start, EXP_CHANGE * (c.shape[1] - 1))
         if not math.isnan(level):
             c[row, 0] = start - level
             begin = 1 if sides[i] != 0 else 0
@@ -170,7 +173,7 @@ def first_change(
 
 def _level(p: Programs, kink: int, value: float, change: float) -> float:
     """The value at which what is watched changes something; NaN if it is not ahead."""
-    kind = p.kinks[kink, KIND]
+    kind = p.kinks[kink, KINK_KIND]
     if kind in (POLE, POINT):
         return math.nan
     if kind != BAND:
@@ -190,13 +193,13 @@ def _first_zero(
     """
     order = c.shape[0] - 1
     rest = power_size(c, 1, order, h)
-    if abs(c[0]) > rest * (1.0 + BLURRED) + behind(c, h) or rest == 0.0:
+    if abs(c[0]) > rest * (1.0 + KINK_BLUR) + behind(c, h) or rest == 0.0:
         return math.inf, False
     own = side if side != 0 else 1 if c[0] > 0.0 else -1
     listed = _zeros(c, own, h, rows, found)
     crossing = _crossing(listed, found, own)
     if crossing < math.inf and own * c[0] > 0.0:
-        listed = _zeros(c, own, BEFORE * crossing, rows, found)
+        listed = _zeros(c, own, SHORT_OF_ZERO * crossing, rows, found)
     if listed < 0:
         return math.nan, False
     hidden = _hidden(listed, found, own, t, crossing)
@@ -211,7 +214,7 @@ def _zeros(c: Floats, own: int, h: float, rows: Matrix, found: Matrix) -> int:
     """List where a series comes to zero in ``(0, h]``, also where it comes so near that rounding
     hides what it does; how many, or a status code."""
     order = c.shape[0] - 1
-    noise = BLURRED * power_size(c, 0, order, h) + behind(c, h)
+    noise = KINK_BLUR * power_size(c, 0, order, h) + behind(c, h)
     listed = series(c, order, h, 0, noise, rows, found)
     return 0 if listed == VANISHES else listed
 
@@ -242,7 +245,7 @@ def _exact(c: Floats, t: float, s: float) -> bool:
     order = c.shape[0] - 1
     _, slope = power_value(c, 0, order, s)
     off = EPS * power_size(c, 0, order, s) + behind(c, s)
-    return off <= EXACT * EPS * max(abs(t), s) * abs(slope)
+    return off <= ZERO_SPACINGS * EPS * max(abs(t), s) * abs(slope)
 
 
 def crossed_to(c: Matrix, row: int, side: int) -> int:
@@ -256,7 +259,7 @@ def turn(p: Programs, program: int, crossed: int, c: Matrix, sides: Ints) -> int
     """Sides for what follows a step that has ended on a kink (-1: on none); the side crossed to."""
     side = 0
     if crossed >= 0:
-        row = p.kinks[p.index[program, KINKS] + crossed, ROW]
+        row = p.kinks[p.index[program, KINKS] + crossed, KINK_ROW]
         side = crossed_to(c, row, sides[crossed])
     for i in range(sides.shape[0]):
         sides[i] = side if i == crossed else 0

@@ -11,14 +11,13 @@ import math
 
 from .advance import after
 from .arcs import copied
-from .arrays import Automaton, Floats, Ints, Left, Look, Matrix, Now, Room, Sums, Table
+from .arrays import AutomatonArrays, Floats, Ints, Left, Look, Matrix, Now, Room, Sums, Table
 from .jets import steady
 from .places import (
     AT,
-    BEFORE,
+    AT_LIMIT,
     BEGINS,
     CONTACT,
-    COUNT,
     END,
     ENTERED,
     ERRORS,
@@ -26,20 +25,21 @@ from .places import (
     FIELD,
     FIRED,
     FULL,
-    JUMPS,
+    GUARD_POWER,
+    IMPACT_COUNT,
+    JUMPS_BEFORE,
+    JUMPS_MADE,
     KIND,
-    LAST,
-    LIMIT,
+    LAST_TIME,
     LOW,
     LOW_AHEAD,
     MADE,
     MAKE,
     PHASE,
-    POWER,
     RATIO,
     REMAINING,
     SERIES,
-    STEPS,
+    STEPS_MADE,
     TAILS,
     TAU,
     TO,
@@ -64,23 +64,35 @@ OUTCOME, MODE, MADE_JUMPS, MADE_STEPS, SUMMED, TOLD = range(6)
 AT_TIME, FLOWN_TO, T_INF, T_ERROR, RATIO_OF, STATE = range(6)
 
 #: The driver looks for a limit of cycles now and then, and whenever two turns of so few jumps at
-#: most are shorter than a share of the one before, or so many jumps take no time: as
-#: ``run/cycles.py`` says, a little more often, so that rounding does not decide. First when it has
-#: seen two windows of so many jumps, and then if the second is the shorter.
-LONGEST, FAST, STILL, SHORT = 8, 0.125 * (1.0 + 1e-9), 24, 1e-3
-WINDOW, SHORTER, PART, LEAST = 12, 0.97 * (1.0 + 1e-9), 8, 4
+#: most are shorter than a share of the one before (what such a sequence hides behind its first
+#: ratio falls faster still, and shows at once after so many turns), or so many jumps take no time:
+#: a few turns of the longest cycle.
+LONGEST_CYCLE, FAST_FALL, FEW_TURNS = 8, 0.125, 3
+STILL_JUMPS = FEW_TURNS * LONGEST_CYCLE
+
+#: Flights longer than this share of the longest are taken to have left their guard: a flight lower
+#: than rounding is shorter than the square root of rounding, and so much shorter.
+IDLE_FLIGHT = 1e-3
+
+#: It looks first when it has seen two windows of so many jumps, and then if the second is shorter
+#: by this factor; a window, and the wait from look to look, is this part of the jumps seen, so that
+#: looking stays cheap, and a wait so many jumps at least.
+LEAST_WINDOW, WINDOW_FALL, WINDOW_PART, LEAST_WAIT = 12, 0.97, 8, 4
+
+#: Lanes ask the driver a little more often than it would look, so that rounding does not decide.
+SOONER = 1.0 + 1e-9
 
 #: It goes over none where as many jumps as this were impacts of one contact, with a restitution
 #: below this where they are slow: those are summed.
-SAME, DAMPED = 4, 1.0 - 2e-12
+SUMMED_IMPACTS, DAMPED = 4, 1.0 - 2e-12
 
 #: So many jumps in so many spacings of the time, and the driver says that they follow each other
 #: with no time between them; twice as many are left to it.
-CAUGHT, SPACINGS = 100, 800.0
+CAUGHT, CAUGHT_SPACINGS = 100, 800.0
 
 
 def lanes(
-    a: Automaton,
+    a: AutomatonArrays,
     run: Floats,
     now: Now,
     room: Room,
@@ -119,7 +131,7 @@ def lanes(
         if stop[0] != 0:
             return made
         bound(a, parts, given, ranged, ops, more, numbers, values[lane], room)
-        run[LAST] = spans[lane, 1]
+        run[LAST_TIME] = spans[lane, 1]
         begun(now, spans[lane, 0], starts[lane], field)
         status = go(a, run, now, room, left, sums, look)
         made += now.ints[EXPANSIONS]
@@ -128,15 +140,15 @@ def lanes(
             outcome = ENDED
         elif status == MAKE:
             outcome = ASKS
-        elif status == FULL and now.ints[JUMPS] == left.fired.shape[0]:
+        elif status == FULL and now.ints[JUMPS_MADE] == left.fired.shape[0]:
             outcome = LAST_JUMP
-        jumps, tails = now.ints[JUMPS], now.ints[TAILS]
-        if outcome == LAST_JUMP and tails > 0 and left.sums[tails - 1, BEFORE] == jumps:
+        jumps, tails = now.ints[JUMPS_MADE], now.ints[TAILS]
+        if outcome == LAST_JUMP and tails > 0 and left.sums[tails - 1, JUMPS_BEFORE] == jumps:
             tails -= 1  # behind the last jump nothing is summed
         if stuck(left, jumps) or (watched and looks(a, left, jumps, tails, sums)):
             outcome = LEFT
         told[lane, OUTCOME], told[lane, MADE_JUMPS], told[lane, SUMMED] = outcome, jumps, tails
-        told[lane, MADE_STEPS] = now.ints[STEPS]
+        told[lane, MADE_STEPS] = now.ints[STEPS_MADE]
         if outcome != LEFT:
             shown(a, run, now, left, outcome, tails, ends[lane], told[lane])
             listed(left, jumps, lane, when, fired, around)
@@ -144,7 +156,7 @@ def lanes(
 
 
 def shown(
-    a: Automaton,
+    a: AutomatonArrays,
     run: Floats,
     now: Now,
     left: Left,
@@ -154,12 +166,12 @@ def shown(
     told: Ints,
 ) -> None:
     """Tell where a lane has come to, and its first accumulation."""
-    last, n = now.ints[JUMPS] - 1, now.x.shape[0]
+    last, n = now.ints[JUMPS_MADE] - 1, now.x.shape[0]
     if outcome == ASKS:
         told[MODE] = now.ints[FIRED]
     elif outcome == ENDED:
         told[MODE] = now.ints[FIELD]
-        end[AT_TIME], end[FLOWN_TO] = run[LAST], now.floats[T] + now.floats[TAU]
+        end[AT_TIME], end[FLOWN_TO] = run[LAST_TIME], now.floats[T] + now.floats[TAU]
         copied(now.end, end[STATE : STATE + n])
     else:
         told[MODE] = a.guards[left.fired[last], TO]
@@ -167,8 +179,8 @@ def shown(
         copied(left.after[last], end[STATE : STATE + n])
     end[T_INF] = end[T_ERROR] = end[RATIO_OF] = math.nan
     if tails > 0:
-        copied(left.curves[LIMIT, :n], end[STATE + n :])
-        jump = int(left.sums[0, BEFORE]) - 1
+        copied(left.curves[AT_LIMIT, :n], end[STATE + n :])
+        jump = int(left.sums[0, JUMPS_BEFORE]) - 1
         end[T_INF], _ = after(left.when[jump, 0], left.when[jump, 1], left.sums[0, REMAINING])
         end[T_ERROR], end[RATIO_OF] = left.curves[ERRORS, 0], left.sums[0, RATIO]
 
@@ -184,7 +196,7 @@ def listed(left: Left, jumps: int, lane: int, when: Matrix, fired: Table, around
 
 
 def bound(
-    a: Automaton,
+    a: AutomatonArrays,
     parts: Table,
     given: Table,
     ranged: Table,
@@ -213,9 +225,9 @@ def bound(
 def begun(now: Now, t: float, x: Floats, field: int) -> None:
     """A state at the start of a run."""
     now.floats[T], now.floats[LOW], now.floats[TAU], now.floats[TRIED] = t, 0.0, 0.0, math.inf
-    now.ints[FIELD], now.ints[FIRED], now.ints[SERIES], now.ints[COUNT] = field, -1, -1, 0
-    now.ints[ENTERED], now.ints[PHASE], now.ints[MADE], now.ints[POWER] = 0, BEGINS, 0, 1
-    now.ints[JUMPS], now.ints[STEPS], now.ints[EXPANSIONS], now.ints[TAILS] = 0, 0, 0, 0
+    now.ints[FIELD], now.ints[FIRED], now.ints[SERIES], now.ints[IMPACT_COUNT] = field, -1, -1, 0
+    now.ints[ENTERED], now.ints[PHASE], now.ints[MADE], now.ints[GUARD_POWER] = 0, BEGINS, 0, 1
+    now.ints[JUMPS_MADE], now.ints[STEPS_MADE], now.ints[EXPANSIONS], now.ints[TAILS] = 0, 0, 0, 0
     now.ints[LOW_AHEAD], now.ints[WAS_LOW] = 0, 0
     copied(x, now.x)
     for i in range(x.shape[0]):
@@ -224,22 +236,22 @@ def begun(now: Now, t: float, x: Floats, field: int) -> None:
         now.signs[g] = 0
 
 
-def looks(a: Automaton, left: Left, jumps: int, tails: int, sums: Sums) -> bool:
+def looks(a: AutomatonArrays, left: Left, jumps: int, tails: int, sums: Sums) -> bool:
     """Whether the driver would look for a limit of cycles, or might, and not leave it to a sum; it
     begins anew behind each sum."""
     first, longest = 0, 0.0
     for j in range(jumps):
         longest = max(longest, left.when[j, 2])
     for tail in range(tails + 1):
-        last = int(left.sums[tail, BEFORE]) if tail < tails else jumps
-        due, still = 2 * WINDOW, 0
+        last = int(left.sums[tail, JUMPS_BEFORE]) if tail < tails else jumps
+        due, still = 2 * LEAST_WINDOW, 0
         for j in range(first, last):
             still = still + 1 if idle(left, j, longest) else 1
-            look = still >= STILL
+            look = still >= STILL_JUMPS
             if j - first + 1 == due:
-                due += max(LEAST, due // PART)
+                due += max(LEAST_WAIT, due // WINDOW_PART)
                 look = look or shrinks(left, first, j)
-            for length in range(1, LONGEST + 1):
+            for length in range(1, LONGEST_CYCLE + 1):
                 look = look or (j - first >= 3 * length and falls(left, j, length))
             if look and not damps(a, left, first, j, sums):
                 return True
@@ -249,20 +261,22 @@ def looks(a: Automaton, left: Left, jumps: int, tails: int, sums: Sums) -> bool:
 
 def idle(left: Left, j: int, longest: float) -> bool:
     """Whether the flight before a jump took next to no time, against the longest of the lane."""
-    return left.when[j, 2] <= max(SHORT * longest, SPACINGS * EPS * abs(left.when[j, 0]))
+    return left.when[j, 2] <= max(
+        IDLE_FLIGHT * longest, CAUGHT_SPACINGS * EPS * abs(left.when[j, 0])
+    )
 
 
 def shrinks(left: Left, first: int, j: int) -> bool:
     """Whether the last jumps took less time than as many before."""
-    window = max(WINDOW, (j - first) // PART)
+    window = max(LEAST_WINDOW, (j - first) // WINDOW_PART)
     middle, begin = j - window, max(first, j - 2 * window)
-    return between(left, middle, j) < SHORTER * between(left, begin, middle)
+    return between(left, middle, j) < SOONER * WINDOW_FALL * between(left, begin, middle)
 
 
-def damps(a: Automaton, left: Left, first: int, j: int, sums: Sums) -> bool:
+def damps(a: AutomatonArrays, left: Left, first: int, j: int, sums: Sums) -> bool:
     """Whether the last jumps were impacts of one contact that damps slow ones."""
     guard = left.fired[j]
-    for k in range(SAME):
+    for k in range(SUMMED_IMPACTS):
         if j - k < first or left.fired[j - k] != guard:
             return False
     at = a.guards[guard, AT]
@@ -281,13 +295,13 @@ def falls(left: Left, j: int, length: int) -> bool:
     last = left.when[j, 0] - left.when[j - length, 0]
     before = left.when[j - length, 0] - left.when[j - 2 * length, 0]
     first = left.when[j - 2 * length, 0] - left.when[j - 3 * length, 0]
-    return last <= FAST * before and before <= FAST * first
+    return last <= SOONER * FAST_FALL * before and before <= SOONER * FAST_FALL * first
 
 
 def stuck(left: Left, jumps: int) -> bool:
     """Whether jumps follow each other with next to no time between them."""
     for j in range(CAUGHT - 1, jumps):
         t = left.when[j, 0]
-        if t - left.when[j - CAUGHT + 1, 0] <= SPACINGS * EPS * abs(t):
+        if t - left.when[j - CAUGHT + 1, 0] <= CAUGHT_SPACINGS * EPS * abs(t):
             return True
     return False

@@ -15,20 +15,20 @@ from .zeros import first
 __all__ = ("falls", "own_length", "step_length", "tolerated_length")
 
 #: Size, relative to the state, to which the last terms of a step are held.
-ROUNDING = 1e-16
+LAST_TERMS = 1e-16
 
 #: Size, relative to the largest, of the last terms up to which a series may be used at all: what
 #: follows is then no more than they are.
 CONVERGED = 1e-3
 
 #: An element of the state is measured by its first terms, so many.
-MOVES = 3
+FIRST_TERMS = 3
 
 
 def falls(c: Matrix, size: int, gap: Floats, far: float, rows: Matrix, found: Matrix) -> float:
     """Where a gap first falls to zero, within ``far`` times the length over which the series of a
     gap and of a state have converged; infinity if it does not."""
-    reach = far * min(step_length(c, size), own_length(gap, ROUNDING))
+    reach = far * min(step_length(c, size), own_length(gap, LAST_TERMS))
     return zero_of(gap, reach, rows, found)
 
 
@@ -36,7 +36,7 @@ def step_length(c: Matrix, size: int) -> float:
     """Length at which the last two terms of every element of the state fall to rounding."""
     length = math.inf
     for i in range(size):
-        length = _within(c[i], ROUNDING, 0.0, length)
+        length = _within(c[i], LAST_TERMS, 0.0, length)
     return length
 
 
@@ -48,7 +48,7 @@ def tolerated_length(c: Matrix, size: int, loss: Floats) -> float:
     for i in range(size):
         if loss[0] > CONVERGED or loss[1 + i] > CONVERGED * abs(c[i, 0]):
             length = _within(c[i], CONVERGED, 0.0, length)
-        length = _within(c[i], max(loss[0], ROUNDING), loss[1 + i], length)
+        length = _within(c[i], max(loss[0], LAST_TERMS), loss[1 + i], length)
     return length
 
 
@@ -65,7 +65,7 @@ def _within(c: Floats, relative: float, absolute: float, length: float) -> float
         last = abs(c[k])
         if last != 0.0 and last * power(length, k) > own:
             reach, size = (own / last) ** (1.0 / k), own
-            for j in range(1, MOVES):
+            for j in range(1, FIRST_TERMS):
                 moved = relative * abs(c[j])
                 own_move = moved * (reach if j == 1 else reach * reach)
                 if reach == 0.0 or own_move > size:

@@ -26,50 +26,53 @@ from .arrays import Changes, Floats, Ints, Matrix, Programs, Slopes, Sums
 from .chebyshev import differences, from_values, nodes
 from .flights import fly
 from .jets import KINKS, jets, values
-from .kinks import ROW, count
+from .kinks import KINK_ROW, count
 from .linear import solve
 from .polynomials import power_value
 from .slopes import onto_contacts, product, rates, read, reset
-from .sums import READ, STATE, TURN, on_curve
+from .sums import READ, SPEED_CHANGE, STATE_THERE, on_curve
 from .variation import (
-    FROM,
     GRADIENT,
-    HELD,
+    HELD_COUNT,
     KINKED,
-    LAW,
+    LAW_SLOPES,
     ONTO,
-    PROGRAM,
-    RESET,
-    REST,
-    SPEED,
-    UNTIL,
+    RESET_SLOPES,
+    REST_ROW,
+    SLOPES_FROM,
+    SLOPES_PROGRAM,
+    SLOPES_UNTIL,
+    SPEED_SLOPES,
     carried,
     composed,
     unmoved,
 )
+from .zeros import EPS
 
 __all__ = ("limit",)
 
 #: Points, which are doubled, and most of them: the last are among those before.
-FEWEST, MOST = 3, 24
+FEWEST_POINTS, MOST_POINTS = 3, 24
 
 #: What is left of a derivative, relative, at which it is taken as it is; and at most.
 SETTLED, USABLE = 1e-11, 1e-6
 
 #: What is left of a difference, relative, that is rounding: a lost rank stays lost.
-ROUNDING = 1e-14
+DIFFERENCE_ROUNDING = 1e-14
 
 #: Share of a piece at whose distance from its end it is on its side of a kink; what rounding of
 #: time and state makes of a kink, against its terms; a change of the flow below this, relative, is
 #: none; and kinks are passed at one time by neighbours if those differ by less than this, relative.
-BESIDE, ROUNDED, NOTHING, SAME = 1e-6, 16 * 2.0**-52, 1e-9, 1e-6
+KINK_SIDE, KINK_ROUNDING, SAME_FLOW, SAME_KINK_TIME = 1e-6, 16 * EPS, 1e-9, 1e-6
 
 # Rows of ``lines``: flows where a flight begins and ends; the state there, and next to its start;
 # how flow and time jump at a kink; the gradient of a gap, the flow at rest, and the speed.
-LEAVES, ARRIVES, BEGINS, INSIDE, JUMP, WHEN, ACROSS, DRIFT, HERE, LINES = range(10)
+FLOW_AT_START, FLOW_AT_END, STATE_AT_START, STATE_INSIDE, FLOW_JUMP = range(5)
+TIME_JUMP, GAP_GRADIENT, DRIFT, FLOW_HERE, LIMIT_LINES = range(5, 10)
 
 # Rows of ``small``: from values to coefficients; the points; and polynomials at one of them.
-TO, POINTS, LINE, SMALL = 0, MOST + 1, MOST + 2, MOST + 3
+TO_SERIES, LIMIT_POINTS = 0, MOST_POINTS + 1
+LIMIT_BASIS, LIMIT_SMALL = MOST_POINTS + 2, MOST_POINTS + 3
 
 
 def limit(
@@ -115,16 +118,16 @@ def limit(
         What they may be off, relative; infinity where the impacts do not depend smoothly on their
         start: nothing is written where it is not below :data:`USABLE`.
     """
-    own, least, before, degree = s.guards[contact], math.inf, math.inf, FEWEST
-    for i in range(MOST + 1):
+    own, least, before, degree = s.guards[contact], math.inf, math.inf, FEWEST_POINTS
+    for i in range(MOST_POINTS + 1):
         room.known[i] = 0
     if not at_rest(p, at, s, own, t + remaining, x_inf, r, directions, sums, room):
         return math.inf
-    while degree <= MOST and least > SETTLED:
+    while degree <= MOST_POINTS and least > SETTLED:
         for k in range(1, degree + 1):
-            place = k * (MOST // degree)
-            nodes(degree, room.small[POINTS])
-            w = room.small[POINTS, k]
+            place = k * (MOST_POINTS // degree)
+            nodes(degree, room.small[LIMIT_POINTS])
+            w = room.small[LIMIT_POINTS, k]
             if room.known[place] == 0:
                 if not mapped(
                     p, flow, at, column, held, s, own, t, x, v, w, curve, place, sums, room
@@ -135,7 +138,7 @@ def limit(
                 room.known[place] = 1
         if not solved(degree, r, x, directions, room):
             return math.inf
-        if degree > FEWEST:
+        if degree > FEWEST_POINTS:
             change = compared(x, directions, room)
             left = change * min(1.0, change / before) if before < math.inf else change
             before = change
@@ -181,7 +184,7 @@ def directed(row: Floats, x: Floats, directions: Matrix, aside: Floats) -> None:
 
 def onto_gap(s: Slopes, own: Ints, t: float, x: Floats, change: Matrix, room: Changes) -> None:
     """Take away of a change what leads off the gap."""
-    n, columns, across = x.shape[0], change.shape[1], room.lines[ACROSS]
+    n, columns, across = x.shape[0], change.shape[1], room.lines[GAP_GRADIENT]
     values(s.programs, own[GRADIENT], t, x, room.sides, room.c, room.work, across)
     square = squared(across, n)
     for k in range(columns):
@@ -221,7 +224,7 @@ def mapped(
 ) -> bool:
     """``DF`` at an impact of the curve, on the contact, in its place among the maps."""
     n, change, moved = x.shape[0], room.before, room.after
-    columns, state, degree = change.shape[1], sums.lines[STATE, :n], curve.shape[0] - 1
+    columns, state, degree = change.shape[1], sums.lines[STATE_THERE, :n], curve.shape[0] - 1
     begins, speed = on_curve(p, at, curve, degree, t, x, v, w, 1.0, sums, state)
     status, length, u, pieces, crossed = fly(
         p, flow, column, held, begins, state, speed, sums.starts, sums.lengths, sums.series,
@@ -232,9 +235,9 @@ def mapped(
         return False
     unmoved(change)
     onto_gap(s, own, begins, state, change, room)
-    start, arrives, ends = room.lines[LEAVES], room.lines[ARRIVES], begins + length
-    rates(s, own[PROGRAM], begins, state, room, start)
-    rates(s, own[PROGRAM], ends, sums.end, room, arrives)
+    start, arrives, ends = room.lines[FLOW_AT_START], room.lines[FLOW_AT_END], begins + length
+    rates(s, own[SLOPES_PROGRAM], begins, state, room, start)
+    rates(s, own[SLOPES_PROGRAM], ends, sums.end, room, arrives)
     for k in range(columns):
         for i in range(n + 1):
             total = room.flight[i, k] if k > n else 0.0
@@ -246,9 +249,9 @@ def mapped(
         moved[0, k] = (speed * change[0, k] - moved[1 + n, k]) / u
         for i in range(n):
             moved[1 + i, k] += arrives[i] * moved[0, k]
-    reset(s, own[RESET], ends, sums.end, 1 + n, columns, moved, change, room)
+    reset(s, own[RESET_SLOPES], ends, sums.end, 1 + n, columns, moved, change, room)
     if own[ONTO] >= 0 and not onto_contacts(
-        s, own[ONTO], own[HELD], ends, sums.end, 1 + n, columns, change, room
+        s, own[ONTO], own[HELD_COUNT], ends, sums.end, 1 + n, columns, change, room
     ):
         return False
     onto_gap(s, own, ends, sums.end, change, room)
@@ -275,16 +278,16 @@ def flown(
     It is carried at once where no formula changes on the way, else piece by piece.
     """
     x, inside, places = (
-        room.lines[BEGINS, :n],
-        room.lines[INSIDE, :n],
-        s.places[own[FROM] : own[UNTIL]],
+        room.lines[STATE_AT_START, :n],
+        room.lines[STATE_INSIDE, :n],
+        s.places[own[SLOPES_FROM] : own[SLOPES_UNTIL]],
     )
     unmoved(room.flight)
     for piece in range(pieces if crossed > 0 else 1):
         last = piece if crossed > 0 else pieces - 1
         begins = sums.starts[piece]
         length = sums.starts[last] + sums.lengths[last] - begins
-        beside = BESIDE * sums.lengths[piece]
+        beside = KINK_SIDE * sums.lengths[piece]
         for j in range(n):
             series = sums.series[piece * n + j]
             x[j] = series[0]
@@ -292,8 +295,8 @@ def flown(
         if piece > 0 and not bent(p, flow, s, own, t, n, piece, crossed, sums, room):
             return False
         status = carried(
-            s.programs, own[PROGRAM], places, t + begins, x, length, t + begins + beside, inside,
-            room, room.piece,
+            s.programs, own[SLOPES_PROGRAM], places, t + begins, x, length, t + begins + beside,
+            inside, room, room.piece,
         )  # fmt: skip
         if status < 0:
             return False
@@ -318,17 +321,17 @@ def bent(
 ) -> bool:
     """Through the start of a piece, where the flow may jump: ``1 + (f+ - f-) k_x / (k_t + k_x f-)``
     with ``k`` what is zero there. Whether neighbours have that at a time that is smooth."""
-    jump, here, jumps = room.lines[JUMP], room.lines[HERE], False
+    jump, here, jumps = room.lines[FLOW_JUMP], room.lines[FLOW_HERE], False
     length = sums.lengths[piece - 1]
     for j in range(n):
         series = sums.series[(piece - 1) * n + j]
         _, here[j] = power_value(series, 0, series.shape[0] - 1, length)
         later = sums.series[piece * n + j, 1]
         jump[j] = later - here[j]
-        jumps = jumps or abs(jump[j]) > NOTHING * max(abs(later), abs(here[j]))
+        jumps = jumps or abs(jump[j]) > SAME_FLOW * max(abs(later), abs(here[j]))
     if not jumps:
         return True
-    now, x, columns = t + sums.starts[piece], room.lines[BEGINS, :n], room.flight.shape[1]
+    now, x, columns = t + sums.starts[piece], room.lines[STATE_AT_START, :n], room.flight.shape[1]
     for i in range(sums.sides.shape[0]):
         sums.sides[i] = 0
     jets(p, flow, 0, now, x, sums.sides, sums.aside, sums.work)
@@ -336,31 +339,31 @@ def bent(
     found = False
     for k in range(crossed):
         kink = sums.branch[count(p, flow) + k]
-        value = sums.aside[p.kinks[p.index[flow, KINKS] + kink, ROW], 0]
+        value = sums.aside[p.kinks[p.index[flow, KINKS] + kink, KINK_ROW], 0]
         row = room.read[kink * columns : (kink + 1) * columns]
         rate, size = row[0], abs(row[0] * now)
         for j in range(n):
             rate += row[1 + j] * here[j]
             size += abs(row[1 + j] * x[j])
-        if abs(value) <= BESIDE * length * abs(rate) + ROUNDED * size and rate != 0.0:
+        if abs(value) <= KINK_SIDE * length * abs(rate) + KINK_ROUNDING * size and rate != 0.0:
             if not passed(row, rate, n, found, room):
                 return False
             found = True
     for k in range(columns):
         for j in range(n):
-            room.flight[j, k] -= jump[j] * room.lines[WHEN, k]
+            room.flight[j, k] -= jump[j] * room.lines[TIME_JUMP, k]
     return found
 
 
 def passed(row: Floats, rate: float, n: int, known: bool, room: Changes) -> bool:
     """When neighbours pass a kink; whether that is, if it is known of another, at the same time."""
-    when, columns = room.lines[WHEN], room.flight.shape[1]
+    when, columns = room.lines[TIME_JUMP], room.flight.shape[1]
     for k in range(columns):
         total = row[k] if k > n else 0.0
         for j in range(n):
             total += row[1 + j] * room.flight[j, k]
         time = -total / rate
-        if known and abs(time - when[k]) > SAME * abs(when[k]):
+        if known and abs(time - when[k]) > SAME_KINK_TIME * abs(when[k]):
             return False
         when[k] = time
     return True
@@ -384,17 +387,24 @@ def at_rest(
 ) -> bool:
     """``G(0)``: a speed of ``u`` is gone after ``2 u / (a (1 - r))``; and the flow at rest."""
     n, columns, turn = x.shape[0], room.before.shape[1], sums.lines[READ]
-    drift, across, rest = room.lines[DRIFT], room.lines[ACROSS], room.rest
-    values(p, at + TURN, t, x, sums.sides, sums.c, sums.work, turn)
+    drift, across, rest = room.lines[DRIFT], room.lines[GAP_GRADIENT], room.rest
+    values(p, at + SPEED_CHANGE, t, x, sums.sides, sums.c, sums.work, turn)
     fall = -turn[n + 1]
     if not fall > 0.0:
         return False
-    lasts, resting = 2.0 / (fall * (1.0 - r)), own[REST] >= 0
-    rates(s, s.fields[own[REST], PROGRAM] if resting else own[PROGRAM], t, x, room, drift)
+    lasts, resting = 2.0 / (fall * (1.0 - r)), own[REST_ROW] >= 0
+    rates(
+        s,
+        s.fields[own[REST_ROW], SLOPES_PROGRAM] if resting else own[SLOPES_PROGRAM],
+        t,
+        x,
+        room,
+        drift,
+    )
     if not resting:
         for j in range(n):
             drift[j] += fall * turn[j]
-    read(s, own[SPEED], t, x, room)
+    read(s, own[SPEED_SLOPES], t, x, room)
     for i in range(1 + n):
         gone = lasts if i == 0 else lasts * drift[i - 1] - turn[i - 1]
         for k in range(columns):
@@ -414,14 +424,14 @@ def at_rest(
 def solved(degree: int, r: float, x: Floats, directions: Matrix, room: Changes) -> bool:
     """``G(1)``, from values at as many points as the degree."""
     small, lower, size = room.small, room.lower, 1 + x.shape[0]
-    nodes(degree, small[POINTS])
+    nodes(degree, small[LIMIT_POINTS])
     from_values(degree, small)
     for k in range(1, degree + 1):
-        differences(degree, r, small[POINTS, k], small[LINE])
+        differences(degree, r, small[LIMIT_POINTS, k], small[LIMIT_BASIS])
         for j in range(degree + 1):
             total = 0.0
             for m in range(degree + 1):
-                total += small[LINE, m] * small[TO + m, j]
+                total += small[LIMIT_BASIS, m] * small[TO_SERIES + m, j]
             lower[k, j] = total
     return _by_states(degree, size, room) and _by_others(
         degree, size, width(x, directions, room), room
@@ -432,7 +442,7 @@ def _by_states(degree: int, size: int, room: Changes) -> bool:
     """By time and state, for all points at once."""
     lower, equations, right = room.lower, room.equations, room.right
     for k in range(1, degree + 1):
-        first = k * (MOST // degree) * size
+        first = k * (MOST_POINTS // degree) * size
         for a in range(size):
             row = (k - 1) * size + a
             for j in range(1, degree + 1):
@@ -457,7 +467,7 @@ def _by_others(degree: int, size: int, columns: int, room: Changes) -> bool:
     """By the parameters, or along directions, once it is known by states."""
     lower, shares, others = room.lower, room.shares, columns - size
     for k in range(1, degree + 1):
-        first = k * (MOST // degree) * size
+        first = k * (MOST_POINTS // degree) * size
         for j in range(1, degree + 1):
             room.equations[k - 1, j - 1] = -lower[k, j]
         for i in range(size):
@@ -507,12 +517,12 @@ def at_limit(
 ) -> None:
     """From a change after the first impact, at equal times, to the moment of the limit, and to a
     change at equal times there."""
-    n, found, drift, start = x.shape[0], room.best, room.lines[DRIFT], room.lines[LEAVES]
-    size, law, across = 1 + n, room.lines[HERE], room.lines[ACROSS]
+    n, found, drift, start = x.shape[0], room.best, room.lines[DRIFT], room.lines[FLOW_AT_START]
+    size, law, across = 1 + n, room.lines[FLOW_HERE], room.lines[GAP_GRADIENT]
     values(s.programs, own[GRADIENT], t, x, room.sides, room.c, room.work, across)
     directed(across, x, directions, room.read)
-    rates(s, own[PROGRAM], t, x, room, start)
-    values(s.programs, own[LAW], t_inf, x_inf, room.sides, room.c, room.work, law)
+    rates(s, own[SLOPES_PROGRAM], t, x, room, start)
+    values(s.programs, own[LAW_SLOPES], t_inf, x_inf, room.sides, room.c, room.work, law)
     directed(law, x, directions, room.read)
     for k in range(1, width(x, directions, room)):
         time, terms_of_time = -across[k] / v, 0.0  # the first impact is so much later
@@ -530,7 +540,7 @@ def at_limit(
                 terms_of_time = terms
             else:
                 later = total - drift[i - 1] * out[0, k - 1]
-                least = ROUNDING * (terms + abs(drift[i - 1]) * terms_of_time)
+                least = DIFFERENCE_ROUNDING * (terms + abs(drift[i - 1]) * terms_of_time)
                 out[n + i, k - 1] = later if abs(later) > least else 0.0
         ratio = law[k] if k > n else 0.0
         for i in range(size):

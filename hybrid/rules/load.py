@@ -62,7 +62,7 @@ KEPT, FRESH = 4, 86400.0
 LEVEL = {"NUMBA_OPT": "1"}
 
 #: A process that compiles the units whose names it is told, and answers when each is done.
-BESIDE = "from {loader} import Library; Library({package!r}).serve()"
+COMPILER = "from {loader} import Library; Library({package!r}).serve()"
 
 #: What is put below the text of a rule file. A product and a sum may be contracted to one
 #: operation where the file does not say ``EXACT = True``; nothing may assume that there is no NaN
@@ -295,7 +295,7 @@ class Library:
 
     def _serving(self) -> subprocess.Popen[str]:
         """A process that compiles units."""
-        code = BESIDE.format(loader=__name__, package=self.package)
+        code = COMPILER.format(loader=__name__, package=self.package)
         env = {**LEVEL, **os.environ, "HYBRID_CACHE": str(self.folder.parent)}
         env["PYTHONPATH"] = os.pathsep.join(map(os.path.abspath, sys.path))
         command, pipe = [sys.executable or "python", "-P", "-c", code], subprocess.PIPE
@@ -423,7 +423,9 @@ def compiled(
     others = [f.name for f in module.functions if f.is_declaration]
     needs = tuple(name for name in others if not name.startswith("llvm."))
     result, plain = own.signature.return_type, numba.types.unliteral
-    names = {signature([kind], package)[0]: kind for kind in code.NUMBERS} | {numba.types.none: ""}
+    names = {signature([kind], package)[0]: kind for kind in code.LLVM_TYPES} | {
+        numba.types.none: ""
+    }
     several = isinstance(result, numba.types.BaseTuple)
     returned = tuple(names[plain(part)] for part in result) if several else names[plain(result)]
     name = own.fndesc.llvm_func_name

@@ -17,7 +17,7 @@ EXACT = True
 # Operations, as the first number of each row of ``ops``; then come the row that is written, and
 # the arguments. They are in groups, each with its own function below.
 COPY, ADD, SUB, NEG, MUL, SQUARE, SCALE, DIV = 0, 1, 2, 3, 4, 5, 6, 7
-SUM, DOT, SOLVE = 8, 9, 10
+SUM_OF, DOT, SOLVE = 8, 9, 10
 GT, GE, LT, LE, EQ, NE = 11, 12, 13, 14, 15, 16
 AND, OR, XOR, NOT, FINITE = 17, 18, 19, 20, 21
 SELECT, NEAREST, FLOOR = 22, 23, 24
@@ -161,7 +161,7 @@ def _total(
 ) -> None:
     """A sum of many, or of products of many pairs."""
     total = 0.0
-    if op == SUM:
+    if op == SUM_OF:
         for i in range(first, first + count):
             total += at(c, s, more[i], k)
     else:

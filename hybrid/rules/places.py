@@ -3,7 +3,7 @@
 #: Columns of the table of fields: its program, where its guards begin and end, whether its arcs may
 #: be plain, whether contacts are held in it, and a program of its guards alone, for the steps of
 #: other solvers.
-PROGRAM, GUARDS, GUARDS_END, PLAIN, HELD, WATCH = 0, 1, 2, 3, 4, 5
+FIELD_PROGRAM, GUARDS, GUARDS_END, PLAIN, CONTACTS_HELD, WATCH = 0, 1, 2, 3, 4, 5
 
 #: Columns of the table of guards. ``TO`` is a field, -1 where it is not known yet; ``RESET``,
 #: ``LAND`` and ``SIZES`` are programs, -1 where there is none; ``USES`` is where the elements of
@@ -28,21 +28,21 @@ RISES = 3
 #: first of an arc and the others; whether a run goes on from an accumulation, at rest, and the
 #: tolerance of a sum against the run's; the order of another solver (0 where steps are made here),
 #: and what a step may lose: a share, and from the last place on a number for each element.
-LAST, ABSOLUTE, RELATIVE, SHARE, PATIENT, FIRST_STEP, MAX_STEP, RESTS, CLOSING = range(9)
-ORDER, LOSS, TOLERANCES = range(9, 12)
+LAST_TIME, ABSOLUTE, RELATIVE, SPEED_FALL, FIRST_SUMMED, FIRST_STEP = range(6)
+MAX_STEP, REST_AFTER, CLOSING, METHOD_ORDER, STEP_LOSS, TOLERANCES = range(6, 12)
 
 #: Places in a state's floats: the time in two; the local time; the speed at which a sum was tried
 #: last; the local time at which a step ends; where the solver is to step to, or to land; where the
 #: arc is expected to end; the length of its first step; the gap speed after an impact.
-T, LOW, TAU, TRIED, NEXT, TO_TAU, AIM, FIRST, SPEED = range(9)
+T, LOW, TAU, TRIED, STEP_END, TO_TAU, AIM, FIRST_LENGTH, GAP_SPEED = range(9)
 
 #: Places in a state's integers: the field and the guard last used; the series of impacts; whether
 #: the driver has looked at the arc's start; jumps and steps kept, and expansions made; then what
 #: comes next in the arc, its steps so far, the guard that fires, the kink at which the step ends,
 #: landings tried, sums kept, by which power of the time the guard last used vanishes; whether the
 #: flight that begins is one so low that the gap would drown in rounding, and whether one ends.
-FIELD, FIRED, SERIES, COUNT, ENTERED, JUMPS, STEPS, EXPANSIONS = range(8)
-PHASE, MADE, EVENT, CROSSED, TRIES, TAILS, POWER, LOW_AHEAD, WAS_LOW = range(8, 17)
+FIELD, FIRED, SERIES, IMPACT_COUNT, ENTERED, JUMPS_MADE, STEPS_MADE, EXPANSIONS = range(8)
+PHASE, MADE, EVENT, CROSSED, LANDINGS_TRIED, TAILS, GUARD_POWER, LOW_AHEAD, WAS_LOW = range(8, 17)
 
 #: What comes next in an arc: its start; a step; to look at a step, another solver's by series of
 #: the flow; to land; the jump at its end; to look at another solver's step by its polynomial.
@@ -50,11 +50,11 @@ BEGINS, WALKS, LOOKS, LANDS, STRIKES, SEES = 0, 1, 2, 3, 4, 5
 
 #: Columns of the table of sums: jumps before it, and the degree of its curve; the gap speed after
 #: the last of them, the ratio of the series, and the time from there to the limit.
-BEFORE, DEGREE, LEAVES, RATIO, REMAINING = range(5)
+JUMPS_BEFORE, CURVE_DEGREE, LAST_SPEED, RATIO, REMAINING = range(5)
 
 #: Rows of each sum's curve: its coefficients, then bounds on the errors at the limit, the state
 #: there, and that from which the run goes on at rest.
-ERRORS, LIMIT, AT_REST, CURVE_ROWS = 17, 18, 19, 20
+ERRORS, AT_LIMIT, AT_REST, CURVE_ROWS = 17, 18, 19, 20
 
 #: Why a call comes back: the run is at its end; the arrays are full; an arc has to be looked at
 #: with all the rules; a jump has; another solver is to make a step, or to land; impacts are to be
@@ -68,15 +68,18 @@ WINDOW, NO_ROOM = range(13, 15)
 #: Places in the floats of a past: the last time, the relative tolerance, until when the windows
 #: serve; the start of the arc whose steps are put down next, in two floats; the local time at which
 #: the present arc has gone on through windows.
-FINAL, RTOL, UNTIL, SINCE, SINCE_LOW, BEGAN = range(6)
+FINAL, RTOL, SERVES_UNTIL, SINCE, SINCE_LOW, BEGAN = range(6)
 
 #: Places in its integers: pieces and breaking points; of what a call leaves steps, jumps, sums, and
 #: flights of a sum, that have been put down; steps since the windows were read, windows in a row
 #: that were one step long, and after how many the driver is asked; the highest order of breaking
 #: points that are noted; the arc that has gone on through windows; a status to be given once there
 #: is room.
-PIECES, BREAKS, STEPS_DONE, JUMPS_DONE, SUMS_DONE, FLIGHTS = range(6)
-STEPPED, TIGHT, TIGHTEST, HIGHEST, IN_ARC, AGAIN = range(6, 12)
+PIECES_KEPT, BREAKS, STEPS_DONE, JUMPS_DONE, SUMS_DONE, FLIGHTS_DONE = range(6)
+STEPPED, TIGHT, TIGHTEST, BREAK_ORDER, IN_ARC, AGAIN = range(6, 12)
+
+#: Degree of the polynomial on a window of the past.
+WINDOW_DEGREE = 12
 
 #: A guard has fired, and the state is on it. The arc goes on.
 LANDED, GOES_ON = 0, -1

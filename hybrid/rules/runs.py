@@ -8,63 +8,63 @@ from __future__ import annotations
 
 from .advance import added, advance, after, enlarged
 from .arcs import copied
-from .arrays import Automaton, Floats, Left, Look, Now, Programs, Room, Sums
+from .arrays import AutomatonArrays, Floats, Left, Look, Now, Programs, Room, Sums
 from .entries import starts
-from .guards import ROUNDED, largest
+from .guards import GUARD_ROUNDING, largest
 from .hops import hop
 from .jets import jets
 from .places import (
     ABSOLUTE,
     AT,
+    AT_LIMIT,
     AT_REST,
-    BEFORE,
     BEGINS,
     BOUNDS,
     CLOSING,
     CROSSING,
+    CURVE_DEGREE,
     CURVE_ROWS,
-    DEGREE,
     DEPENDS,
     ENTERED,
     ERRORS,
     EXPANSIONS,
     FIELD,
+    FIELD_PROGRAM,
     FIRED,
     FLOWN,
     FULL,
+    GAP_SPEED,
     GOES_ON,
+    GUARD_POWER,
     GUARDS,
     GUARDS_END,
     HARD,
     HOPS,
     JUMP,
-    JUMPS,
-    LAST,
-    LEAVES,
-    LIMIT,
+    JUMPS_BEFORE,
+    JUMPS_MADE,
+    LAST_SPEED,
+    LAST_TIME,
     LOCAL,
     LOOK,
     LOW,
     LOW_AHEAD,
     MADE,
     MAKE,
+    METHOD_ORDER,
     NONE,
     OPENS,
-    ORDER,
     PHASE,
     PLAIN,
-    POWER,
-    PROGRAM,
     RATIO,
     RELATIVE,
     REMAINING,
     REST,
-    RESTS,
+    REST_AFTER,
     RISES,
     SERIES,
     SIGHT,
-    SPEED,
-    STEPS,
+    STEPS_MADE,
     STRIKES,
     SUM,
     TAILS,
@@ -75,24 +75,26 @@ from .places import (
     WAS_LOW,
     T,
 )
-from .sights import CAUTION, EXCESS, damped, seen, slows
+from .sights import EXCESS, LAW_CAUTION, damped, seen, slows
 from .sums import (
     ERROR,
-    FLOOR,
     READ,
-    STATE,
+    STATE_THERE,
+    SUM_FLOOR,
     close,
     touch,
     turned,
 )
-from .sums import LIMIT as LIMITS
+from .sums import TO_LIMIT as LIMITS
 from .tails import clear, count
 from .zeros import EPS
 
 __all__ = ("go",)
 
 
-def go(a: Automaton, run: Floats, now: Now, room: Room, left: Left, sums: Sums, look: Look) -> int:
+def go(
+    a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, sums: Sums, look: Look
+) -> int:
     """Go on from ``now``; returns what the driver is asked for (see :mod:`.places`)."""
     status = GOES_ON
     while status == GOES_ON:
@@ -109,7 +111,7 @@ def go(a: Automaton, run: Floats, now: Now, room: Room, left: Left, sums: Sums, 
 
 
 def accumulated(
-    a: Automaton, run: Floats, now: Now, room: Room, left: Left, sums: Sums, look: Look
+    a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, sums: Sums, look: Look
 ) -> int:
     """Sum the impacts from the one at hand on, and go over their limit.
 
@@ -119,16 +121,16 @@ def accumulated(
         ``GOES_ON`` behind the limit, or with the impact as it is; ``FULL`` behind the limit;
         ``MAKE``, to be called again; or ``JUMP``, and nothing has changed.
     """
-    guard, place, field = now.ints[FIRED], now.ints[JUMPS], now.ints[FIELD]
-    if run[RESTS] == 0.0:
+    guard, place, field = now.ints[FIRED], now.ints[JUMPS_MADE], now.ints[FIELD]
+    if run[REST_AFTER] == 0.0:
         return JUMP
-    flow, at = a.fields[field, PROGRAM], a.guards[guard, AT]
+    flow, at = a.fields[field, FIELD_PROGRAM], a.guards[guard, AT]
     if at == UNKNOWN:
         return MAKE
     if at < 0:
         return JUMP
     t, low = after(now.floats[T], now.floats[LOW], now.floats[TAU])
-    x, v, column = left.after[place], now.floats[SPEED], guard - a.fields[field, GUARDS]
+    x, v, column = left.after[place], now.floats[GAP_SPEED], guard - a.fields[field, GUARDS]
     rtol, atol = run[CLOSING] * run[RELATIVE], run[CLOSING] * run[ABSOLUTE]
     local = a.guards[guard, LOCAL] == 1
     degree, r = close(a.programs, flow, at, column, False, local, t, x, v, rtol, atol, sums)
@@ -147,7 +149,7 @@ def accumulated(
     if not believed(a, run, now, flow, at, guard, tail, t, x, left, sums, look):
         return JUMP
     end, rest = after(t, low, left.sums[tail, REMAINING])
-    if (run[LAST] - end) - rest < 0.0:
+    if (run[LAST_TIME] - end) - rest < 0.0:
         now.floats[TRIED] = v
         return GOES_ON
     return rests(a, now, room, left, sums, t, low)
@@ -156,16 +158,16 @@ def accumulated(
 def put(tail: int, degree: int, r: float, v: float, jumps: int, left: Left, sums: Sums) -> None:
     """Put a sum down."""
     row, first = left.sums[tail], tail * CURVE_ROWS
-    row[BEFORE], row[DEGREE], row[LEAVES], row[RATIO] = jumps, degree, v, r
+    row[JUMPS_BEFORE], row[CURVE_DEGREE], row[LAST_SPEED], row[RATIO] = jumps, degree, v, r
     row[REMAINING] = sums.lines[LIMITS, 0]
     for k in range(degree + 1):
         copied(sums.lines[k], left.curves[first + k])
     copied(sums.lines[ERROR], left.curves[first + ERRORS])
-    copied(sums.lines[STATE], left.curves[first + LIMIT])
+    copied(sums.lines[STATE_THERE], left.curves[first + AT_LIMIT])
 
 
 def believed(
-    a: Automaton,
+    a: AutomatonArrays,
     run: Floats,
     now: Now,
     flow: int,
@@ -180,15 +182,15 @@ def believed(
 ) -> bool:
     """Whether nothing hides between the flights of a sum, as far as doubles tell."""
     sight, row, first = a.guards[guard, SIGHT], left.sums[tail], tail * CURVE_ROWS
-    curve = left.curves[first : first + int(row[DEGREE]) + 1]
+    curve = left.curves[first : first + int(row[CURVE_DEGREE]) + 1]
     if sight == HARD:
         return False
     if a.guards[guard, DEPENDS] == 1:
         column = guard - a.fields[now.ints[FIELD], GUARDS]
-        v, r, remaining, end = row[LEAVES], row[RATIO], row[REMAINING], t + row[REMAINING]
-        error = max(left.curves[first + ERRORS, 0], FLOOR * abs(end))
-        allowed = CAUTION * error * (1.0 - r) / remaining
-        limit = left.curves[first + LIMIT, : x.shape[0]]
+        v, r, remaining, end = row[LAST_SPEED], row[RATIO], row[REMAINING], t + row[REMAINING]
+        error = max(left.curves[first + ERRORS, 0], SUM_FLOOR * abs(end))
+        allowed = LAW_CAUTION * error * (1.0 - r) / remaining
+        limit = left.curves[first + AT_LIMIT, : x.shape[0]]
         most = count(t, r, remaining)
         if not damped(
             a, flow, at, column, curve, t, x, v, r, most, allowed, sums, look
@@ -197,17 +199,19 @@ def believed(
     if sight == NONE:
         return True
     excess = EXCESS * run[CLOSING] ** 0.5
-    return seen(a, flow, at, sight, curve, t, x, row[LEAVES], row[RATIO], excess, sums, look)
+    return seen(a, flow, at, sight, curve, t, x, row[LAST_SPEED], row[RATIO], excess, sums, look)
 
 
-def rests(a: Automaton, now: Now, room: Room, left: Left, sums: Sums, t: float, low: float) -> int:
+def rests(
+    a: AutomatonArrays, now: Now, room: Room, left: Left, sums: Sums, t: float, low: float
+) -> int:
     """Begin the rest that follows a sum, where its start leaves nothing to weigh."""
-    guard, place, tail, n = now.ints[FIRED], now.ints[JUMPS], now.ints[TAILS], now.x.shape[0]
+    guard, place, tail, n = now.ints[FIRED], now.ints[JUMPS_MADE], now.ints[TAILS], now.x.shape[0]
     field, first = a.guards[guard, REST], tail * CURVE_ROWS
     if a.fields[field, PLAIN] == 0:
         return JUMP
     x, (end, rest) = left.curves[first + AT_REST, :n], after(t, low, left.sums[tail, REMAINING])
-    held(a.programs, a.guards[guard, AT], end, left.curves[first + LIMIT, :n], x, sums)
+    held(a.programs, a.guards[guard, AT], end, left.curves[first + AT_LIMIT, :n], x, sums)
     if not begun(a, now, room, field, -1, 1, end, rest, x):
         return JUMP
     added(now, left, guard, t, low)
@@ -217,7 +221,7 @@ def rests(a: Automaton, now: Now, room: Room, left: Left, sums: Sums, t: float, 
     return FULL if tail + 1 == left.sums.shape[0] else GOES_ON
 
 
-def opened(a: Automaton, now: Now, room: Room, left: Left, sums: Sums) -> int:
+def opened(a: AutomatonArrays, now: Now, room: Room, left: Left, sums: Sums) -> int:
     """End the rest of a contact whose load is zero, where what follows begins plainly.
 
     Returns
@@ -225,7 +229,7 @@ def opened(a: Automaton, now: Now, room: Room, left: Left, sums: Sums) -> int:
     status : int
         As that of :func:`accumulated`.
     """
-    guard, place, at = now.ints[FIRED], now.ints[JUMPS], a.guards[now.ints[FIRED], AT]
+    guard, place, at = now.ints[FIRED], now.ints[JUMPS_MADE], a.guards[now.ints[FIRED], AT]
     if a.guards[guard, TO] == UNKNOWN or at == UNKNOWN:
         return MAKE
     if at < 0 or a.fields[a.guards[guard, TO], PLAIN] == 0:
@@ -241,7 +245,7 @@ def opened(a: Automaton, now: Now, room: Room, left: Left, sums: Sums) -> int:
     return GOES_ON
 
 
-def hopped(a: Automaton, run: Floats, now: Now, room: Room, left: Left, sums: Sums) -> int:
+def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, sums: Sums) -> int:
     """Fly the flight that begins here, which is so low that the gap would drown in the rounding of
     the state (7), by its series, in which gap and gap speed are coordinates of their own.
 
@@ -252,37 +256,42 @@ def hopped(a: Automaton, run: Floats, now: Now, room: Room, left: Left, sums: Su
         that; ``FULL``, and it is still to be flown; or ``LOOK``, where it is long, goes beyond the
         end of the run, another guard comes near, or there is no room for it.
     """
-    field, guard, place = now.ints[FIELD], now.ints[FIRED], now.ints[JUMPS]
-    flow, at, t, v = a.fields[field, PROGRAM], a.guards[guard, AT], now.floats[T], now.floats[SPEED]
+    field, guard, place = now.ints[FIELD], now.ints[FIRED], now.ints[JUMPS_MADE]
+    flow, at, t, v = (
+        a.fields[field, FIELD_PROGRAM],
+        a.guards[guard, AT],
+        now.floats[T],
+        now.floats[GAP_SPEED],
+    )
     before, behind = left.before[place], left.after[place]
-    rounding = ROUNDED * EPS * max(largest(now.seen), largest(now.x))
+    rounding = GUARD_ROUNDING * EPS * max(largest(now.seen), largest(now.x))
     status, time, speed, pieces = hop(
         a.programs, flow, at, guard - a.fields[field, GUARDS], False, t, now.x, v, rounding,
         now.signs[: domain(a, now)], before, behind, sums,
     )  # fmt: skip
     end, low = after(t, now.floats[LOW], time)
-    if status < 0 or (run[LAST] - end) - low < 0.0:
+    if status < 0 or (run[LAST_TIME] - end) - low < 0.0:
         return LOOK
-    own = run[ORDER] == 0.0
-    if own and now.ints[STEPS] + pieces > left.owner.shape[0]:
-        return FULL if now.ints[STEPS] + now.ints[JUMPS] > 0 else LOOK
+    own = run[METHOD_ORDER] == 0.0
+    if own and now.ints[STEPS_MADE] + pieces > left.owner.shape[0]:
+        return FULL if now.ints[STEPS_MADE] + now.ints[JUMPS_MADE] > 0 else LOOK
     copied(before, now.end)
-    now.floats[TAU], now.floats[SPEED] = time, speed
+    now.floats[TAU], now.floats[GAP_SPEED] = time, speed
     now.ints[LOW_AHEAD], now.ints[WAS_LOW], now.ints[PHASE] = 0, 1, STRIKES
     if not own:
         now.ints[MADE] = pieces
         return FLOWN
     for piece in range(pieces):
         taken(now, left, sums, piece)
-    now.ints[STEPS] += pieces
+    now.ints[STEPS_MADE] += pieces
     now.ints[EXPANSIONS] += pieces
     return GOES_ON
 
 
 def taken(now: Now, left: Left, sums: Sums, piece: int) -> None:
     """Keep a piece of a flight as a step."""
-    place, n = now.ints[STEPS] + piece, now.x.shape[0]
-    left.owner[place] = now.ints[JUMPS]
+    place, n = now.ints[STEPS_MADE] + piece, now.x.shape[0]
+    left.owner[place] = now.ints[JUMPS_MADE]
     left.spans[place, 0], left.spans[place, 1] = sums.starts[piece], sums.lengths[piece]
     if left.series.shape[0] > 0:
         for i in range(n):
@@ -292,7 +301,7 @@ def taken(now: Now, left: Left, sums: Sums, piece: int) -> None:
 
 
 def begun(
-    a: Automaton,
+    a: AutomatonArrays,
     now: Now,
     room: Room,
     field: int,
@@ -307,13 +316,18 @@ def begun(
     own, guard = now.ints[FIELD], now.ints[FIRED]
     copied(x, now.x)
     now.floats[T], now.floats[LOW] = t, low
-    now.ints[FIELD], now.ints[FIRED], now.ints[POWER], now.ints[ENTERED] = field, used, power, 0
+    now.ints[FIELD], now.ints[FIRED], now.ints[GUARD_POWER], now.ints[ENTERED] = (
+        field,
+        used,
+        power,
+        0,
+    )
     for i in range(room.sides.shape[0]):
         room.sides[i] = 0
-    program, order = a.fields[field, PROGRAM], room.c.shape[1] - 1
+    program, order = a.fields[field, FIELD_PROGRAM], room.c.shape[1] - 1
     fit = jets(a.programs, program, order, t, now.x, room.sides, room.c, room.work) == 0
     if not (fit and starts(a, now, room) == NONE):
-        now.ints[FIELD], now.ints[FIRED], now.ints[POWER] = own, guard, 1
+        now.ints[FIELD], now.ints[FIRED], now.ints[GUARD_POWER] = own, guard, 1
         return False
     now.ints[SERIES], now.ints[ENTERED], now.ints[PHASE] = -1, 1, BEGINS
     now.ints[WAS_LOW] = 0
@@ -321,7 +335,7 @@ def begun(
 
 
 def untouched(
-    a: Automaton,
+    a: AutomatonArrays,
     now: Now,
     left: Left,
     sums: Sums,
@@ -333,15 +347,15 @@ def untouched(
 ) -> bool:
     """Whether no other guard is reached along the tail."""
     begin, n, row = now.ints[TAILS] * CURVE_ROWS, x.shape[0], left.sums[now.ints[TAILS]]
-    curve = left.curves[begin : begin + int(row[DEGREE]) + 1]
-    limit, signs = left.curves[begin + LIMIT, :n], now.signs[: domain(a, now)]
+    curve = left.curves[begin : begin + int(row[CURVE_DEGREE]) + 1]
+    limit, signs = left.curves[begin + AT_LIMIT, :n], now.signs[: domain(a, now)]
     return clear(
-        a.programs, flow, at, column, False, signs, ROUNDED * EPS * largest(limit), curve, t, x,
-        row[LEAVES], row[RATIO], row[REMAINING], limit, sums,
+        a.programs, flow, at, column, False, signs, GUARD_ROUNDING * EPS * largest(limit), curve, t,
+        x, row[LAST_SPEED], row[RATIO], row[REMAINING], limit, sums,
     )  # fmt: skip
 
 
-def domain(a: Automaton, now: Now) -> int:
+def domain(a: AutomatonArrays, now: Now) -> int:
     """Put down the signs that guards have inside the domain, 0 of those that bound nothing; how
     many there are."""
     first, last = a.fields[now.ints[FIELD], GUARDS], a.fields[now.ints[FIELD], GUARDS_END]

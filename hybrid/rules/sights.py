@@ -8,12 +8,23 @@ from __future__ import annotations
 
 import math
 
-from .arrays import Automaton, Floats, Look, Matrix, Sums
+from .arrays import AutomatonArrays, Floats, Look, Matrix, Sums
 from .bounds import ranges
 from .chebyshev import from_values, nodes, value
 from .flights import fly
 from .jets import values
-from .sums import LAW, LINE, LOSS, READ, SHOWN, STATE, TURN, on_curve, restitution, shown
+from .sums import (
+    CURVE_BASIS,
+    LEAST_LOSS,
+    READ,
+    RESTITUTION_LAW,
+    SPEED_CHANGE,
+    STATE_THERE,
+    STRETCH_POINTS,
+    on_curve,
+    restitution,
+    shown,
+)
 
 __all__ = ("damped", "seen", "slows")
 
@@ -23,35 +34,35 @@ EXCESS = 0.02
 
 #: How often a tail is halved, at most. Three or four halvings leave one flight, five more a
 #: thirty-second of it, over which bounds of position and speed are as small.
-HALVINGS = 9
+TAIL_HALVINGS = 9
 
 #: How much wider a box is than the points in it, on either side.
-WIDER = 0.25
+BOX_MARGIN = 0.25
 
 #: Slowest impacts that are asked for their restitution (as slow as a float can be, but for a
 #: square), impacts of a tail that are asked one by one, and steps from there to the slowest.
-SLOWEST, IMPACTS, STEPS = 1e-300, 400, 1500
+SLOWEST, ASKED_IMPACTS, SLOW_STEPS = 1e-300, 400, 1500
 
 #: Flights between which the restitution along a tail is interpolated.
-POINTS = 12
+LAW_POINTS = 12
 
 #: What the restitution may be off, in what that does to the limit, against the sum's own error.
-CAUTION = 64.0
+LAW_CAUTION = 64.0
 
 # Columns of ``laws``, besides the restitution.
-GROWTH = 0
+SPEED_GROWTH = 0
 
 # Columns of ``stretches``: the first impact and the last, ``first > last``; which shares of each
 # flight after them; how often it may yet be halved. Rows of ``box``: time, gap speed before an
 # impact, states. What is bounded: the gap's acceleration, and the restitution; behind them the
 # guards of other edges.
-FIRST, LAST, BEGIN, END, LEFT = 0, 1, 2, 3, 4
-TIME, SPEED, STATES = 0, 1, 2
-ACCELERATION, RESTITUTION, COUNT = 0, 1, 2
+FIRST_IMPACT, LAST_IMPACT, SHARE_FROM, SHARE_TO, HALVINGS_LEFT = 0, 1, 2, 3, 4
+TIME_ROW, SPEED_ROW, STATE_ROWS = 0, 1, 2
+ACCELERATION, RESTITUTION, OTHER_GUARDS = 0, 1, 2
 
 
 def seen(
-    a: Automaton,
+    a: AutomatonArrays,
     flow: int,
     at: int,
     sight: int,
@@ -65,18 +76,18 @@ def seen(
     look: Look,
 ) -> bool:
     """Whether bounds along a tail are what is there at its points, as far as doubles tell."""
-    put(look.stretches[0], 1.0, 0.0, 0.0, 1.0, HALVINGS)
+    put(look.stretches[0], 1.0, 0.0, 0.0, 1.0, TAIL_HALVINGS)
     count = 1
     while count > 0:
         count -= 1
         s = look.stretches[count]
         shown(
-            a.programs, flow, at, curve, t, x, v, r, s[FIRST], s[LAST], s[BEGIN], s[END], room,
-            look.shown,
+            a.programs, flow, at, curve, t, x, v, r, s[FIRST_IMPACT], s[LAST_IMPACT], s[SHARE_FROM],
+            s[SHARE_TO], room, look.shown,
         )  # fmt: skip
-        boxed(s[LAST] > 0.0, look)
+        boxed(s[LAST_IMPACT] > 0.0, look)
         if not fits(a, at, sight, x.shape[0], excess, room, look):
-            if s[LEFT] == 0.0:
+            if s[HALVINGS_LEFT] == 0.0:
                 return False
             halved(look.stretches, count, r)
             count += 2
@@ -84,7 +95,7 @@ def seen(
 
 
 def damped(
-    a: Automaton,
+    a: AutomatonArrays,
     flow: int,
     at: int,
     column: int,
@@ -105,30 +116,30 @@ def damped(
     """
     if not laws(a, flow, at, column, curve, t, x, v, r, room, look):
         return False
-    n, degree, found = x.shape[0], curve.shape[0] - 1, look.laws[POINTS + 1 :]
-    w, state = 1.0, room.lines[STATE, :n]
-    for _ in range(min(impacts, IMPACTS)):
+    n, degree, found = x.shape[0], curve.shape[0] - 1, look.laws[LAW_POINTS + 1 :]
+    w, state = 1.0, room.lines[STATE_THERE, :n]
+    for _ in range(min(impacts, ASKED_IMPACTS)):
         when, _ = on_curve(a.programs, at, curve, degree, t, x, v, r * w, 1.0, room, state)
-        bend = value(curve, degree, n + 1, w) + value(found, POINTS, GROWTH, w)
+        bend = value(curve, degree, n + 1, w) + value(found, LAW_POINTS, SPEED_GROWTH, w)
         law = restitution(a.programs, at, when, state, -v * w * math.exp(bend), room)
-        expected = math.exp(value(found, POINTS, RESTITUTION, w))
-        if not law < 1.0 - LOSS or abs(law / expected - 1.0) * w > allowed:
+        expected = math.exp(value(found, LAW_POINTS, RESTITUTION, w))
+        if not law < 1.0 - LEAST_LOSS or abs(law / expected - 1.0) * w > allowed:
             return False
         w *= r
     return True
 
 
-def slows(a: Automaton, at: int, t: float, x: Floats, v: float, room: Sums) -> bool:
+def slows(a: AutomatonArrays, at: int, t: float, x: Floats, v: float, room: Sums) -> bool:
     """Whether the restitution is below 1 down to the slowest impacts, at a state."""
-    fall = math.log(SLOWEST / v) / (STEPS - 1)
-    for k in range(STEPS):
-        if not restitution(a.programs, at, t, x, -v * math.exp(fall * k), room) < 1.0 - LOSS:
+    fall = math.log(SLOWEST / v) / (SLOW_STEPS - 1)
+    for k in range(SLOW_STEPS):
+        if not restitution(a.programs, at, t, x, -v * math.exp(fall * k), room) < 1.0 - LEAST_LOSS:
             return False
     return True
 
 
 def laws(
-    a: Automaton,
+    a: AutomatonArrays,
     flow: int,
     at: int,
     column: int,
@@ -142,11 +153,11 @@ def laws(
 ) -> bool:
     """Polynomials through the growth of the speed in a flight, and the restitution after it, in the
     place on the curve from which the flight begins; False where one is not to be had."""
-    p, state = a.programs, room.lines[STATE, : x.shape[0]]
-    look.laws[0, GROWTH], look.laws[0, RESTITUTION] = 0.0, math.log(r)
-    for k in range(1, POINTS + 1):
-        nodes(POINTS, room.small[LINE])
-        w = room.small[LINE, k]
+    p, state = a.programs, room.lines[STATE_THERE, : x.shape[0]]
+    look.laws[0, SPEED_GROWTH], look.laws[0, RESTITUTION] = 0.0, math.log(r)
+    for k in range(1, LAW_POINTS + 1):
+        nodes(LAW_POINTS, room.small[CURVE_BASIS])
+        w = room.small[CURVE_BASIS, k]
         when, speed = on_curve(p, at, curve, curve.shape[0] - 1, t, x, v, w, 1.0, room, state)
         status, length, u, _, _ = fly(
             p, flow, column, False, when, state, speed, room.starts, room.lengths, room.series,
@@ -158,26 +169,38 @@ def laws(
         law = restitution(p, at, when + length, room.end, u, room)
         if not law > 0.0:
             return False
-        look.laws[k, GROWTH], look.laws[k, RESTITUTION] = math.log(-u / speed), math.log(law)
-    from_values(POINTS, room.small)
-    for k in range(POINTS + 1):
+        look.laws[k, SPEED_GROWTH], look.laws[k, RESTITUTION] = math.log(-u / speed), math.log(law)
+    from_values(LAW_POINTS, room.small)
+    for k in range(LAW_POINTS + 1):
         for j in range(2):
             total = 0.0
-            for i in range(POINTS + 1):
+            for i in range(LAW_POINTS + 1):
                 total += room.small[k, i] * look.laws[i, j]
-            look.laws[POINTS + 1 + k, j] = total
+            look.laws[LAW_POINTS + 1 + k, j] = total
     return True
 
 
 def put(s: Floats, first: float, last: float, begin: float, end: float, left: float) -> None:
     """Put a stretch down."""
-    s[FIRST], s[LAST], s[BEGIN], s[END], s[LEFT] = first, last, begin, end, left
+    s[FIRST_IMPACT], s[LAST_IMPACT], s[SHARE_FROM], s[SHARE_TO], s[HALVINGS_LEFT] = (
+        first,
+        last,
+        begin,
+        end,
+        left,
+    )
 
 
 def halved(stretches: Matrix, place: int, r: float) -> None:
     """Two stretches of about half the time each; of a single flight, its two parts."""
     s, other = stretches[place], stretches[place + 1]
-    first, last, begin, end, left = s[FIRST], s[LAST], s[BEGIN], s[END], s[LEFT] - 1.0
+    first, last, begin, end, left = (
+        s[FIRST_IMPACT],
+        s[LAST_IMPACT],
+        s[SHARE_FROM],
+        s[SHARE_TO],
+        s[HALVINGS_LEFT] - 1.0,
+    )
     if last >= r * first:
         put(s, first, last, begin, 0.5 * (begin + end), left)
         put(other, first, last, 0.5 * (begin + end), end, left)
@@ -189,44 +212,46 @@ def halved(stretches: Matrix, place: int, r: float) -> None:
 def boxed(moves: bool, look: Look) -> None:
     """Bounds of time (a flight more than the stretch itself), of gap speeds before impacts (down
     to rest where the stretch ends there), and of states."""
-    box, least, most = look.box, look.shown[SHOWN], look.shown[SHOWN + 1]
-    n = box.shape[0] - STATES
-    box[TIME, 0], box[TIME, 1] = least[n + 2], most[n + 3]
-    box[SPEED, 0], box[SPEED, 1] = least[n + 1], most[n + 1] if moves else 0.0
+    box, least, most = look.box, look.shown[STRETCH_POINTS], look.shown[STRETCH_POINTS + 1]
+    n = box.shape[0] - STATE_ROWS
+    box[TIME_ROW, 0], box[TIME_ROW, 1] = least[n + 2], most[n + 3]
+    box[SPEED_ROW, 0], box[SPEED_ROW, 1] = least[n + 1], most[n + 1] if moves else 0.0
     for j in range(n):
-        wider = WIDER * (most[j + 1] - least[j + 1])
-        box[STATES + j, 0] = math.nextafter(least[j + 1] - wider, -math.inf)
-        box[STATES + j, 1] = math.nextafter(most[j + 1] + wider, math.inf)
+        wider = BOX_MARGIN * (most[j + 1] - least[j + 1])
+        box[STATE_ROWS + j, 0] = math.nextafter(least[j + 1] - wider, -math.inf)
+        box[STATE_ROWS + j, 1] = math.nextafter(most[j + 1] + wider, math.inf)
 
 
-def fits(a: Automaton, at: int, sight: int, n: int, excess: float, room: Sums, look: Look) -> bool:
+def fits(
+    a: AutomatonArrays, at: int, sight: int, n: int, excess: float, room: Sums, look: Look
+) -> bool:
     """Whether what is bounded is in the box what it is at the points, but for an excess, and no
     other guard is zero there."""
     if ranges(a.bounds, sight, look.box, look.found) < 0:
         return False
     results = a.bounds.index[sight, 2]
     fit = True
-    for k in range(COUNT):
+    for k in range(OTHER_GUARDS):
         low, high = math.inf, -math.inf
-        for i in range(SHOWN):
+        for i in range(STRETCH_POINTS):
             value = there(a, at, k, n, look.shown[i], room)
             low, high = min(low, value), max(high, value)
             fit = fit and not math.isnan(value)
         size = max(-low, high) if k == ACCELERATION else 1.0
         wide = high - low + excess * size
-        top = math.nextafter(0.0, -math.inf) if k == ACCELERATION else 1.0 - LOSS
+        top = math.nextafter(0.0, -math.inf) if k == ACCELERATION else 1.0 - LEAST_LOSS
         found = look.found[a.bounds.results[results + k]]
         fit = fit and low - wide <= found[0] and found[1] <= min(high + wide, top)
-    for k in range(COUNT, a.bounds.index[sight, 3]):
+    for k in range(OTHER_GUARDS, a.bounds.index[sight, 3]):
         found = look.found[a.bounds.results[results + k]]
         fit = fit and (found[0] > 0.0 or found[1] < 0.0)
     return fit
 
 
-def there(a: Automaton, at: int, what: int, n: int, point: Floats, room: Sums) -> float:
+def there(a: AutomatonArrays, at: int, what: int, n: int, point: Floats, room: Sums) -> float:
     """The gap's acceleration, or the restitution, at a point that is shown."""
     read = room.lines[READ]
-    program = at + (TURN if what == ACCELERATION else LAW)
+    program = at + (SPEED_CHANGE if what == ACCELERATION else RESTITUTION_LAW)
     state = point[1 : n + 2] if what == RESTITUTION else point[1 : n + 1]
     values(a.programs, program, point[0], state, room.sides, room.c, room.work, read)
     return read[n + 1] if what == ACCELERATION else read[0]

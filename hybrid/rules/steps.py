@@ -12,7 +12,7 @@ import math
 from .arrays import Floats, Ints, Matrix, Programs
 from .checks import arrives, follows
 from .jets import KINKS
-from .kinks import NOT_FINITE, ROW, count, crossed_to, expanded, first_change, holding, states
+from .kinks import KINK_ROW, NOT_FINITE, count, crossed_to, expanded, first_change, holding, states
 from .lengths import tolerated_length
 from .zeros import EPS
 
@@ -22,13 +22,13 @@ __all__ = ("step",)
 NO_STEP = -3
 
 #: On so short a way to a kink, against the time, rounding decides on which side of it the flow is.
-BLURRED = 32.0 * EPS
+SIDE_BLUR = 32.0 * EPS
 
 #: A step that is cut to less than this share of what its last terms allow cannot be made.
-SHORT = 1e-12
+SHORTEST_CUT = 1e-12
 
 #: No step is shorter: numbers next to the smallest have too few digits.
-LEAST = 1e-300
+SHORTEST_STEP = 1e-300
 
 
 def step(
@@ -88,9 +88,9 @@ def step(
             return status, 0.0, -1
         if crossed < 0 or tau + h > tau:
             break
-        row = p.kinks[p.index[program, KINKS] + crossed, ROW]
+        row = p.kinks[p.index[program, KINKS] + crossed, KINK_ROW]
         sides[crossed] = crossed_to(c, row, sides[crossed])
-    if not h > LEAST or (tau + h == tau and h < most):
+    if not h > SHORTEST_STEP or (tau + h == tau and h < most):
         return NO_STEP, 0.0, -1
     if not arrives(p, program, t, h, crossed < 0, sides, c, aside, work, end):
         return NOT_FINITE, 0.0, -1
@@ -117,12 +117,12 @@ def _length(
     if watched:
         longest = min(longest, holding(p, program, c))
     h = longest
-    while h > SHORT * longest:
+    while h > SHORTEST_CUT * longest:
         if watched:
             h, crossed = first_change(p, program, t, h, sides, c, rows, found)
         if math.isnan(h):
             return NOT_FINITE, h, -1
-        if crossed >= 0 and h <= BLURRED * abs(t):
+        if crossed >= 0 and h <= SIDE_BLUR * abs(t):
             return 0, h, crossed
         if follows(p, program, held, t, h, crossed >= 0, sides, c, aside, work):
             return 0, h, crossed

@@ -37,42 +37,42 @@ __all__ = ("close", "on_curve", "restitution", "shown", "touch")
 # turn has changed, and at last bounds on the error; the limit before; what may change. The start of
 # a flight since the first impact, the state there, and what a program gives. Of a flight that is
 # shown: where it has left the contact, where it strikes it, and the rates behind each.
-CURVE, KNOWN, STEPS = 0, 17, 34
-LIMIT, ERROR, BEFORE, ALLOWED, HERE, STATE, READ = 51, 52, 53, 54, 55, 56, 57
-LEFT, STRUCK, LINES = 58, 60, 62
+CURVE, FLIGHT_ROWS, VALUE_ROWS = 0, 17, 34
+TO_LIMIT, ERROR, OLD_LIMIT, ALLOWED, ON_CURVE, STATE_THERE, READ = 51, 52, 53, 54, 55, 56, 57
+LEFT_CONTACT, STRUCK_CONTACT, SUM_LINES = 58, 60, 62
 
 # Rows of ``small``: from values to coefficients; equations; the points; Chebyshev polynomials at
 # one of them; what each turn has changed, against what may change; the gap's acceleration.
-TO, EQUATIONS, POINTS, LINE, HISTORY, FIT = 0, 17, 34, 35, 36, 37
+TO_SERIES, EQUATIONS, CURVE_POINTS, CURVE_BASIS, HISTORY, FIT = 0, 17, 34, 35, 36, 37
 
 # Places in ``times`` of where the curve is; in ``ints`` of how many kinks the first flight has
 # crossed (-1 if none was flown), and of its branch.
-GRID, FIRST, BRANCH = 64, 17, 18
+GRID, KINKS_CROSSED, BRANCH = 64, 17, 18
 
 #: Programs of what happens at a contact, from the first of them on: the state moved onto it; change
 #: of the state that changes the gap's speed by one, then gap speed and acceleration; the
 #: restitution.
-LAND, TURN, LAW = 0, 1, 2
+ONTO_CONTACT, SPEED_CHANGE, RESTITUTION_LAW = 0, 1, 2
 
 #: Most points on the curve.
-DEGREE = 16
+MOST_DEGREE = 16
 
 #: Flights of a stretch of a tail at which it is looked, and points of each; then come two rows, of
 #: the least and the most of each column.
-FLIGHTS, POINTS_EACH = 5, 3
-SHOWN = FLIGHTS * POINTS_EACH
+STRETCH_FLIGHTS, POINTS_EACH = 5, 3
+STRETCH_POINTS = STRETCH_FLIGHTS * POINTS_EACH
 
 #: Rounding floor of an accumulation, relative.
-FLOOR = 4e-15
+SUM_FLOOR = 4e-15
 
 #: Share of the tolerances that a sum may be off: it is a small part of a run's error.
-SHARE = 1e-3
+SUM_SHARE = 1e-3
 
 #: Logarithms of the speed's ratio below which the forces are taken to be even in the speed.
 IDLE = 1e-13
 
 #: Least loss at the impacts of a sum: ten thousand roundings of the restitution.
-LOSS = 1e-12
+LEAST_LOSS = 1e-12
 
 #: The speed of an impact at rest. The formula of a restitution may have a pole at zero, where it
 #: has a limit: ``min(r, |u|^(-1/4))``. The square of this is the smallest normal float.
@@ -83,20 +83,20 @@ PROBES = (0.3, 0.1, 0.03, 0.01, 1e-3)
 
 #: Times along a tail at which the forces are looked at, and how smooth they must be; degrees that
 #: they may have beyond those of the curve.
-SAMPLES, SMOOTH, MORE = 64, 1e-5, 2
+FORCE_SAMPLES, FORCE_SMOOTHNESS, MORE_DEGREES = 64, 1e-5, 2
 
 #: The last of the points of the curve between which its place at a time is interpolated: there are
 #: four of them for each time.
-LAST = 255
+LAST_POINT = 255
 
 #: What is left after a turn, against what the turn changed: it shrinks, but not evenly.
-CAUTION = 8.0
+TURN_CAUTION = 8.0
 
 #: Rounding of one flight, relative, as seen in the change from turn to turn.
-ROUNDING = 3e-15
+FLIGHT_ROUNDING = 3e-15
 
 #: The smallest that anything is compared with, and the largest logarithm of a speed's growth.
-TINY, GROWTH = 1e-300, 700.0
+SMALLEST_DIVISOR, LARGEST_GROWTH = 1e-300, 700.0
 
 
 def close(
@@ -140,7 +140,7 @@ def close(
     begin(lines, room.ints)
     steady, tested, degree, turns = local, False, 1, 0
     r = at_rest(p, at, t, x, room)
-    while degree <= DEGREE and r > 0.0:
+    while degree <= MOST_DEGREE and r > 0.0:
         fine, steady = flown(p, flow, at, column, held, steady, tested, degree, t, x, v, r, room)
         if not fine:
             break
@@ -155,11 +155,11 @@ def close(
             if steady and turns > 1:
                 history[turns - 1] *= doubled(history, turns, lines)
             tested = history[turns - 1] <= 1.0
-            if not (tested or steady or hopeful(history, turns, DEGREE - degree)):
+            if not (tested or steady or hopeful(history, turns, MOST_DEGREE - degree)):
                 break
         if not tested:
             for j in range(n + 1):
-                lines[BEFORE, j] = lines[LIMIT, j]
+                lines[OLD_LIMIT, j] = lines[TO_LIMIT, j]
             turns += 1
             degree = 2 * degree if steady else degree + 1
     return 0, r
@@ -167,8 +167,8 @@ def close(
 
 def begin(lines: Matrix, ints: Ints) -> None:
     """Forget what is in the room."""
-    ints[FIRST] = -1
-    for i in range(DEGREE + 1):
+    ints[KINKS_CROSSED] = -1
+    for i in range(MOST_DEGREE + 1):
         ints[i] = 0
         for j in range(lines.shape[1]):
             lines[i, j] = 0.0
@@ -184,17 +184,17 @@ def restitution(p: Programs, at: int, t: float, x: Floats, u: float, room: Sums)
     for j in range(n):
         asked[j] = x[j]
     asked[n] = u
-    values(p, at + LAW, t, asked[: n + 1], room.sides, room.c, room.work, asked)
+    values(p, at + RESTITUTION_LAW, t, asked[: n + 1], room.sides, room.c, room.work, asked)
     return asked[0]
 
 
 def touch(p: Programs, at: int, t: float, x: Floats, room: Sums) -> None:
     """Move a state onto the contact, and read there how it turns."""
     read = room.lines[READ]
-    values(p, at + LAND, t, x, room.sides, room.c, room.work, read)
+    values(p, at + ONTO_CONTACT, t, x, room.sides, room.c, room.work, read)
     for j in range(x.shape[0]):
         x[j] = read[j]
-    values(p, at + TURN, t, x, room.sides, room.c, room.work, read)
+    values(p, at + SPEED_CHANGE, t, x, room.sides, room.c, room.work, read)
 
 
 def turned(x: Floats, change: float, read: Floats) -> None:
@@ -206,16 +206,16 @@ def turned(x: Floats, change: float, read: Floats) -> None:
 def at_rest(p: Programs, at: int, t: float, x: Floats, room: Sums) -> float:
     """The restitution at rest; NaN where its series has no sum."""
     r = restitution(p, at, t, x, -SLOW, room)
-    return r if 0.0 < r < 1.0 - LOSS else math.nan
+    return r if 0.0 < r < 1.0 - LEAST_LOSS else math.nan
 
 
 def at_limit(p: Programs, at: int, t: float, x: Floats, room: Sums) -> float:
     """The restitution at the limit; NaN where nothing pushes the contact together there."""
     n, lines = x.shape[0], room.lines
-    state, end = lines[STATE, :n], t + lines[LIMIT, 0]
+    state, end = lines[STATE_THERE, :n], t + lines[TO_LIMIT, 0]
     for j in range(n):
-        state[j] = x[j] + lines[LIMIT, j + 1]
-    values(p, at + TURN, end, state, room.sides, room.c, room.work, lines[READ])
+        state[j] = x[j] + lines[TO_LIMIT, j + 1]
+    values(p, at + SPEED_CHANGE, end, state, room.sides, room.c, room.work, lines[READ])
     return at_rest(p, at, end, state, room) if lines[READ, n + 1] < 0.0 else math.nan
 
 
@@ -249,11 +249,11 @@ def flown(
     steady : bool
         Whether moving the curve has changed nothing.
     """
-    lines, points, known = room.lines, room.small[POINTS], room.ints
+    lines, points, known = room.lines, room.small[CURVE_POINTS], room.ints
     nodes(degree, points)
     for i in range(len(PROBES) if tested else degree, 0, -1):
         w = PROBES[len(PROBES) - i] if tested else points[i]
-        place = 0 if tested else i * DEGREE // degree
+        place = 0 if tested else i * MOST_DEGREE // degree
         if known[place] == 0 or not (steady or i == degree):
             if not flight(p, flow, at, column, held, degree, t, x, v, w, place, room):
                 return False, steady
@@ -263,8 +263,8 @@ def flown(
         if not tested:
             known[place] = 1
             for j in range(x.shape[0] + 1):
-                lines[STEPS + i - 1, j] = lines[KNOWN + place, j]
-            lines[STEPS + i - 1, x.shape[0] + 1] = bend(lines, place, r)
+                lines[VALUE_ROWS + i - 1, j] = lines[FLIGHT_ROWS + place, j]
+            lines[VALUE_ROWS + i - 1, x.shape[0] + 1] = bend(lines, place, r)
     return True, steady
 
 
@@ -287,7 +287,7 @@ def flight(
     Known are then its length, what is added to the state, and by what the gap speed is multiplied.
     """
     n, lines = x.shape[0], room.lines
-    state = lines[STATE, :n]
+    state = lines[STATE_THERE, :n]
     begins, speed = on_curve(p, at, lines, degree, t, x, v, w, 1.0, room, state)
     status, length, u, _, crossed = fly(
         p, flow, column, held, begins, state, speed, room.starts, room.lengths, room.series,
@@ -302,10 +302,10 @@ def flight(
         return False
     touch(p, at, begins + length, room.end, room)
     turned(room.end, after - u, lines[READ])
-    lines[KNOWN + place, 0] = length
+    lines[FLIGHT_ROWS + place, 0] = length
     for j in range(n):
-        lines[KNOWN + place, j + 1] = room.end[j] - state[j]
-    lines[KNOWN + place, n + 1] = after / speed
+        lines[FLIGHT_ROWS + place, j + 1] = room.end[j] - state[j]
+    lines[FLIGHT_ROWS + place, n + 1] = after / speed
     return True
 
 
@@ -325,10 +325,10 @@ def on_curve(
     """The time of the impact ``y(w)``, and a share of the gap speed after it, with which the state
     is put down."""
     n, lines = x.shape[0], room.lines
-    evaluate(curve, degree, w, room.small[LINE], lines[HERE])
-    when, speed = t + lines[HERE, 0], share * v * w * grown(lines[HERE, n + 1])
+    evaluate(curve, degree, w, room.small[CURVE_BASIS], lines[ON_CURVE])
+    when, speed = t + lines[ON_CURVE, 0], share * v * w * grown(lines[ON_CURVE, n + 1])
     for j in range(n):
-        state[j] = x[j] + lines[HERE, j + 1]
+        state[j] = x[j] + lines[ON_CURVE, j + 1]
     touch(p, at, when, state, room)
     turned(state, speed - lines[READ, n], lines[READ])
     return when, speed
@@ -336,16 +336,16 @@ def on_curve(
 
 def grown(bend: float) -> float:
     """The factor of a logarithm; NaN where it is none that a speed could have."""
-    return math.exp(bend) if abs(bend) < GROWTH else math.nan
+    return math.exp(bend) if abs(bend) < LARGEST_GROWTH else math.nan
 
 
 def same_branch(signs: int, crossed: int, branch: Ints, ints: Ints) -> bool:
     """Whether a flight is on the branch of the first one, which is put down."""
-    if ints[FIRST] < 0:
-        ints[FIRST] = crossed
+    if ints[KINKS_CROSSED] < 0:
+        ints[KINKS_CROSSED] = crossed
         for i in range(signs + crossed):
             ints[BRANCH + i] = branch[i]
-    same = ints[FIRST] == crossed
+    same = ints[KINKS_CROSSED] == crossed
     for i in range(signs + crossed):
         same = same and ints[BRANCH + i] == branch[i]
     return same
@@ -353,14 +353,14 @@ def same_branch(signs: int, crossed: int, branch: Ints, ints: Ints) -> bool:
 
 def follows(degree: int, r: float, w: float, lines: Matrix) -> bool:
     """Whether a flight of the test fulfils the curve's equation."""
-    length = lines[KNOWN, 0]
+    length = lines[FLIGHT_ROWS, 0]
     change = value(lines, degree, 0, r * w) - value(lines, degree, 0, w)
-    return abs(length - change) <= lines[ALLOWED, 0] + CAUTION * ROUNDING * length
+    return abs(length - change) <= lines[ALLOWED, 0] + TURN_CAUTION * FLIGHT_ROUNDING * length
 
 
 def bend(lines: Matrix, place: int, r: float) -> float:
     """``E`` of a flight: how the speed shrinks, against the ratio at rest."""
-    ratio = lines[KNOWN + place, lines.shape[1] - 1] / r
+    ratio = lines[FLIGHT_ROWS + place, lines.shape[1] - 1] / r
     return math.log(ratio) if 0.0 < ratio < math.inf else math.nan
 
 
@@ -386,23 +386,30 @@ def shown(
     at which this begins and ends. The state is a cubic through those at its ends and their rates.
     """
     n, lines, leaves, lands = x.shape[0], room.lines, 0.0, 0.0
-    for i in range(SHOWN):
+    for i in range(STRETCH_POINTS):
         share = begin + (end - begin) * (i % POINTS_EACH) / (POINTS_EACH - 1)
         if i % POINTS_EACH == 0:
-            w = last + (first - last) * (i // POINTS_EACH) / (FLIGHTS - 1)
-            leaves = end_of_flight(p, flow, at, curve, t, x, v, w, 1.0, LEFT, room)
-            lands = end_of_flight(p, flow, at, curve, t, x, v, r * w, -1.0 / r, STRUCK, room)
+            w = last + (first - last) * (i // POINTS_EACH) / (STRETCH_FLIGHTS - 1)
+            leaves = end_of_flight(p, flow, at, curve, t, x, v, w, 1.0, LEFT_CONTACT, room)
+            lands = end_of_flight(
+                p, flow, at, curve, t, x, v, r * w, -1.0 / r, STRUCK_CONTACT, room
+            )
         length = lands - leaves
         for j in range(n):
-            chord = lines[STRUCK, j] - lines[LEFT, j]
-            early, late = length * lines[LEFT + 1, j] - chord, length * lines[STRUCK + 1, j] - chord
+            chord = lines[STRUCK_CONTACT, j] - lines[LEFT_CONTACT, j]
+            early, late = (
+                length * lines[LEFT_CONTACT + 1, j] - chord,
+                length * lines[STRUCK_CONTACT + 1, j] - chord,
+            )
             bow = share * (1.0 - share) * ((1.0 - share) * early - share * late)
-            out[i, j + 1] = lines[LEFT, j] + share * chord + bow
-        out[i, 0], out[i, n + 1] = leaves + share * length, lines[STRUCK, n]
+            out[i, j + 1] = lines[LEFT_CONTACT, j] + share * chord + bow
+        out[i, 0], out[i, n + 1] = leaves + share * length, lines[STRUCK_CONTACT, n]
         out[i, n + 2], out[i, n + 3] = leaves, lands
         for j in range(n + 4):
-            out[SHOWN, j] = out[i, j] if i == 0 else min(out[SHOWN, j], out[i, j])
-            out[SHOWN + 1, j] = out[i, j] if i == 0 else max(out[SHOWN + 1, j], out[i, j])
+            out[STRETCH_POINTS, j] = out[i, j] if i == 0 else min(out[STRETCH_POINTS, j], out[i, j])
+            out[STRETCH_POINTS + 1, j] = (
+                out[i, j] if i == 0 else max(out[STRETCH_POINTS + 1, j], out[i, j])
+            )
     return 0
 
 
@@ -440,45 +447,47 @@ def solved(degree: int, n: int, r: float, lines: Matrix, small: Matrix) -> bool:
     """Solve for the values of the curve at its points, and put its coefficients down."""
     from_values(degree, small)
     for i in range(1, degree + 1):
-        differences(degree, r, small[POINTS, i], small[LINE])
+        differences(degree, r, small[CURVE_POINTS, i], small[CURVE_BASIS])
         for j in range(degree):
             total = 0.0
             for k in range(1, degree + 1):
-                total += small[LINE, k] * small[TO + k, j]
+                total += small[CURVE_BASIS, k] * small[TO_SERIES + k, j]
             small[EQUATIONS + i - 1, j] = total
-    if not solve(small[EQUATIONS:], degree, lines[STEPS:], n + 2):
+    if not solve(small[EQUATIONS:], degree, lines[VALUE_ROWS:], n + 2):
         return False
     finite = True
     for j in range(n + 2):
         for k in range(degree + 1):
             total = 0.0
             for i in range(degree):
-                total += small[TO + k, i] * lines[STEPS + i, j]
+                total += small[TO_SERIES + k, i] * lines[VALUE_ROWS + i, j]
             lines[CURVE + k, j] = total
             finite = finite and math.isfinite(total)
-        lines[LIMIT, j] = lines[STEPS, j]
-    return finite and lines[LIMIT, 0] > 0.0
+        lines[TO_LIMIT, j] = lines[VALUE_ROWS, j]
+    return finite and lines[TO_LIMIT, 0] > 0.0
 
 
 def scale(t: float, x: Floats, j: int, lines: Matrix) -> float:
     """Size of time (0) or of an element of the state, over the tail."""
-    return abs(lines[LIMIT, j]) + abs(t if j == 0 else x[j - 1])
+    return abs(lines[TO_LIMIT, j]) + abs(t if j == 0 else x[j - 1])
 
 
 def rounding(t: float, x: Floats, j: int, r: float, lines: Matrix) -> float:
     """Rounding of one flight, added up over the ``1 / (1 - r)`` flights that count."""
-    size = lines[LIMIT, 0] if j == 0 else scale(t, x, j, lines)
-    return ROUNDING / (1.0 - r) * size
+    size = lines[TO_LIMIT, 0] if j == 0 else scale(t, x, j, lines)
+    return FLIGHT_ROUNDING / (1.0 - r) * size
 
 
 def compared(t: float, x: Floats, r: float, rtol: float, atol: float, lines: Matrix) -> float:
     """What the last turn has changed, against what may change."""
     worst = 0.0
     for j in range(x.shape[0] + 1):
-        allowed = max(SHARE * rtol, FLOOR) * scale(t, x, j, lines) + rounding(t, x, j, r, lines)
-        lines[ALLOWED, j] = allowed + (SHARE * atol if j > 0 else 0.0)
-        lines[ERROR, j] = abs(lines[LIMIT, j] - lines[BEFORE, j])
-        worst = max(worst, lines[ERROR, j] / max(lines[ALLOWED, j], TINY))
+        allowed = max(SUM_SHARE * rtol, SUM_FLOOR) * scale(t, x, j, lines) + rounding(
+            t, x, j, r, lines
+        )
+        lines[ALLOWED, j] = allowed + (SUM_SHARE * atol if j > 0 else 0.0)
+        lines[ERROR, j] = abs(lines[TO_LIMIT, j] - lines[OLD_LIMIT, j])
+        worst = max(worst, lines[ERROR, j] / max(lines[ALLOWED, j], SMALLEST_DIVISOR))
     return worst
 
 
@@ -506,42 +515,57 @@ def finished(p: Programs, at: int, t: float, x: Floats, r: float, room: Sums) ->
     """Put down bounds on the error, and the state at the limit."""
     n, lines = x.shape[0], room.lines
     for j in range(n + 1):
-        least = FLOOR * scale(t, x, j, lines) + rounding(t, x, j, r, lines)
-        lines[ERROR, j] = CAUTION * lines[ERROR, j] + least
-    state = lines[STATE, :n]
+        least = SUM_FLOOR * scale(t, x, j, lines) + rounding(t, x, j, r, lines)
+        lines[ERROR, j] = TURN_CAUTION * lines[ERROR, j] + least
+    state = lines[STATE_THERE, :n]
     for j in range(n):
-        state[j] = x[j] + lines[LIMIT, j + 1]
-    touch(p, at, t + lines[LIMIT, 0], state, room)
+        state[j] = x[j] + lines[TO_LIMIT, j + 1]
+    touch(p, at, t + lines[TO_LIMIT, 0], state, room)
     turned(state, -lines[READ, n], lines[READ])
     return True
 
 
 def smooth(p: Programs, at: int, degree: int, t: float, x: Floats, room: Sums) -> bool:
     """Whether forces vary along the tail, in steps of time, as a polynomial of its degree does."""
-    n, lines, line, times, place = x.shape[0], room.lines, room.small[LINE], room.times, LAST
-    for m in range(LAST + 1):
-        times[GRID + m] = value(lines, degree, 0, m / LAST)
-    columns = min(degree + 1 + MORE, DEGREE) + 1
-    state, most = lines[STATE, :n], 0.0
-    for i in range(SAMPLES):
-        since = lines[LIMIT, 0] * i / (SAMPLES - 1)
+    n, lines, line, times, place = (
+        x.shape[0],
+        room.lines,
+        room.small[CURVE_BASIS],
+        room.times,
+        LAST_POINT,
+    )
+    for m in range(LAST_POINT + 1):
+        times[GRID + m] = value(lines, degree, 0, m / LAST_POINT)
+    columns = min(degree + 1 + MORE_DEGREES, MOST_DEGREE) + 1
+    state, most = lines[STATE_THERE, :n], 0.0
+    for i in range(FORCE_SAMPLES):
+        since = lines[TO_LIMIT, 0] * i / (FORCE_SAMPLES - 1)
         while place > 1 and times[GRID + place - 1] < since:
             place -= 1
-        w = (place - within(since, times[GRID + place], times[GRID + place - 1])) / LAST
-        evaluate(lines, columns - 1, w, line, lines[HERE])
+        w = (place - within(since, times[GRID + place], times[GRID + place - 1])) / LAST_POINT
+        evaluate(lines, columns - 1, w, line, lines[ON_CURVE])
         for j in range(n):
-            state[j] = x[j] + lines[HERE, j + 1]
-        touch(p, at, t + lines[HERE, 0], state, room)
+            state[j] = x[j] + lines[ON_CURVE, j + 1]
+        touch(p, at, t + lines[ON_CURVE, 0], state, room)
         turned(state, -lines[READ, n], lines[READ])
-        values(p, at + TURN, t + lines[HERE, 0], state, room.sides, room.c, room.work, lines[READ])
+        values(
+            p,
+            at + SPEED_CHANGE,
+            t + lines[ON_CURVE, 0],
+            state,
+            room.sides,
+            room.c,
+            room.work,
+            lines[READ],
+        )
         times[i] = lines[READ, n + 1]
         most = max(most, abs(times[i]))
         for k in range(columns):
             room.small[FIT + i, k] = line[k]
-    unfitted(room.small[FIT:], SAMPLES, columns, times)
+    unfitted(room.small[FIT:], FORCE_SAMPLES, columns, times)
     fits = True
-    for i in range(SAMPLES):
-        fits = fits and abs(times[i]) <= SMOOTH * most
+    for i in range(FORCE_SAMPLES):
+        fits = fits and abs(times[i]) <= FORCE_SMOOTHNESS * most
     return fits
 
 

@@ -8,13 +8,13 @@ from .arrays import Floats, Ints, Matrix, Programs, Sums
 from .chebyshev import value
 from .flights import REACHED, fly
 from .jets import OUTPUT, jets
-from .sums import STATE, TINY, on_curve
+from .sums import SMALLEST_DIVISOR, STATE_THERE, on_curve
 
 __all__ = ("clear",)
 
 #: Flights of a tail along which other guards are looked at: the highest, and those at so many times
 #: from the first impact to the limit; so many where a guard is no sum of states.
-FLIGHTS, FEW, MANY = 4, 8, 200
+TAIL_FLIGHTS, TAIL_TIMES, TAIL_POINTS = 4, 8, 200
 
 
 def clear(
@@ -45,13 +45,13 @@ def clear(
     rounding : float
         How far a guard may be beyond zero at the limit.
     """
-    times, last, state = FEW, -1, room.lines[STATE, : x.shape[0]]
+    times, last, state = TAIL_TIMES, -1, room.lines[STATE_THERE, : x.shape[0]]
     for g in range(signs.shape[0]):
         if g != column and p.affine[p.index[flow, OUTPUT] + g] == 0:
-            times = MANY
-    for i in range(FLIGHTS + times if signs.shape[0] > 1 else 0):
-        n, since = i, remaining * (i - FLIGHTS) / times
-        if i >= FLIGHTS:
+            times = TAIL_POINTS
+    for i in range(TAIL_FLIGHTS + times if signs.shape[0] > 1 else 0):
+        n, since = i, remaining * (i - TAIL_FLIGHTS) / times
+        if i >= TAIL_FLIGHTS:
             n = covering(curve, r, count(t, r, remaining), since)
         if n > last:
             when, speed = on_curve(
@@ -93,8 +93,8 @@ def kept(
 def count(t: float, r: float, remaining: float) -> int:
     """Impacts of a tail that a double can still tell from the limit."""
     end = abs(t + remaining)
-    share = max(math.nextafter(end, math.inf) - end, TINY) / remaining
-    return max(0, math.ceil(math.log(min(max(share, TINY), 1.0)) / math.log(r)))
+    share = max(math.nextafter(end, math.inf) - end, SMALLEST_DIVISOR) / remaining
+    return max(0, math.ceil(math.log(min(max(share, SMALLEST_DIVISOR), 1.0)) / math.log(r)))
 
 
 def covering(curve: Matrix, r: float, most: int, since: float) -> int:

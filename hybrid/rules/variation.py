@@ -11,7 +11,7 @@ from .arrays import Changes, Floats, Ints, Matrix, Programs, Table
 from .checks import along
 from .jets import KINKS, OUTPUT, jets
 from .kinks import POINT
-from .lengths import MOVES, own_length, step_length
+from .lengths import FIRST_TERMS, LAST_TERMS, own_length, step_length
 from .polynomials import power_value
 
 __all__ = ("carried",)
@@ -21,14 +21,11 @@ __all__ = ("carried",)
 #: projection onto contacts held (-1: none is), and how many are. Of a guard besides: its gradient,
 #: the derivatives of its jump (-1: the state stays as it is); of a contact those of its gap's
 #: speed, of its restitution, of what the flow watches; and the row of the field of its rest (-1).
-PROGRAM, FROM, UNTIL, ONTO, HELD = range(5)
-GRADIENT, RESET, SPEED, LAW, KINKED, REST = range(5, 11)
-
-#: Size of the last terms of a series, relative to its largest, at the end of a step.
-ROUNDING = 1e-16
+SLOPES_PROGRAM, SLOPES_FROM, SLOPES_UNTIL, ONTO, HELD_COUNT = range(5)
+GRADIENT, RESET_SLOPES, SPEED_SLOPES, LAW_SLOPES, KINKED, REST_ROW = range(5, 11)
 
 #: Most steps: a formula that needs more is not one that is smooth.
-MOST = 10_000
+VARIATION_STEPS = 10_000
 
 #: Status codes: there is no series, or no end.
 NO_SERIES, NO_END = -1, -2
@@ -70,7 +67,7 @@ def carried(
     begin, order = _sides(p, program, beside, inside, sides, c, room.work), c.shape[1] - 1
     done, steps = 0.0, 0
     while begin and done < length:
-        if steps == MOST:
+        if steps == VARIATION_STEPS:
             return NO_END
         if jets(p, program, order, t + done, x, sides, c, room.work) < 0:
             return NO_SERIES
@@ -93,11 +90,11 @@ def _step(c: Matrix, n: int, terms: Matrix, count: int, most: float) -> float:
     tried first: a length that fits is cheap to see, and expensive to find."""
     h = most
     for i in range(n):
-        if not small(c[i], MOVES, h):
+        if not small(c[i], FIRST_TERMS, h):
             h = min(h, step_length(c, n))
     for i in range(count):
         if not small(terms[i], terms.shape[1] - 2, h):
-            h = min(h, own_length(terms[i], ROUNDING))
+            h = min(h, own_length(terms[i], LAST_TERMS))
     return h
 
 
@@ -108,7 +105,7 @@ def small(c: Floats, measure: int, h: float) -> bool:
         if k < measure:
             size = max(size, abs(c[k]) * power)
         power *= h
-    return max(abs(c[order - 1]), abs(c[order]) * h) * power <= ROUNDING * size
+    return max(abs(c[order - 1]), abs(c[order]) * h) * power <= LAST_TERMS * size
 
 
 def _sides(

@@ -29,24 +29,24 @@ from .polynomials import (
 __all__ = ("crossings", "first", "series", "turns")
 
 #: Status codes: a coefficient is not finite; the work array is too small; all are zero.
-UNFIT, FULL, VANISHES = -1, -2, -3
+UNFIT, WORK_FULL, VANISHES = -1, -2, -3
 
 #: Rows of the work array: the polynomial, one to reckon in, and from here on the stack. On it lie
 #: parts with a sign change each, or with a zero exactly at their start: no more than the degree.
-STACK, SPARE = 2, 8
+STACK, SPARE_ROWS = 2, 8
 
 #: Steps of Newton's method after which the bracket is halved every second time, and most steps:
 #: a bracket from 0 to 1 has an exponent after 11 halvings, and 53 digits after 53 more.
-PATIENCE, MOST = 8, 160
+NEWTON_PATIENCE, ZERO_STEPS = 8, 160
 
 #: A tolerance for touching that nothing meets.
 NEVER = -1.0
 
 #: Two neighbouring floats, relative to them; the smallest normal float.
-EPS, TINY = 2.0**-52, 2.0**-1022
+EPS, SMALLEST_NORMAL = 2.0**-52, 2.0**-1022
 
 #: Sizes beyond which a polynomial is scaled (by a power of two), so that binomials fit.
-LARGE, SMALL = 2.0**900, 2.0**-900
+SCALED_ABOVE, SCALED_BELOW = 2.0**900, 2.0**-900
 
 #: A zero in Bernstein's form, improved by one step in powers, moves by rounding only; and what a
 #: step of Newton's method, by which it moves so little, leaves of it is less than that.
@@ -174,7 +174,7 @@ def prepared(b: Floats, degree: int, order: int, work: Matrix) -> float:
             largest = max(largest, abs(b[k]))
     if largest == 0.0:
         return VANISHES
-    scale = 2.0**-200 if largest > LARGE else 2.0**200 if largest < SMALL else 1.0
+    scale = 2.0**-200 if largest > SCALED_ABOVE else 2.0**200 if largest < SCALED_BELOW else 1.0
     for k in range(degree - order + 1):
         value = b[k + order] * scale
         for j in range(order):
@@ -232,7 +232,7 @@ def soon(c: Floats, low: int, degree: int, reach: float) -> float:
     if not (crosses and abs(c[low + 1]) > slope * (1.0 + 64.0 * EPS)):
         return math.inf
     before = 0.0
-    for _ in range(MOST):
+    for _ in range(ZERO_STEPS):
         if not before < s < high:
             s = 0.5 * (before + high)
         value, slope = power_value(c, low, degree, s)
@@ -289,7 +289,7 @@ def isolate(work: Matrix, n: int, found: Matrix, count: int) -> int:
         right = left + work[top, n + 2]
         if changes >= 2 and left < middle < right:
             if top + 1 >= work.shape[0]:
-                return FULL
+                return WORK_FULL
             top = split(work, top, n, middle)
             continue
         if work[top, 0] == 0.0 and work[top, n + 3] * sign < 0.0:
@@ -363,8 +363,8 @@ def one_zero(work: Matrix, row: int, n: int, last: float) -> float:
     low = 0.0
     high = 1.0
     s = of_polygon(work, row, n)
-    for step in range(MOST):
-        if not low < s < high or (step >= PATIENCE and step % 2 == 0):
+    for step in range(ZERO_STEPS):
+        if not low < s < high or (step >= NEWTON_PATIENCE and step % 2 == 0):
             s = between(low, high)
         value, new = newton(work, 1, degree, s)
         if value == 0.0 or not low < s < high:
@@ -397,7 +397,7 @@ def of_polygon(work: Matrix, row: int, n: int) -> float:
 def between(low: float, high: float) -> float:
     """The middle of a bracket: of the exponents, where they differ."""
     if high > 4.0 * low:
-        return math.sqrt(max(low, TINY)) * math.sqrt(high)
+        return math.sqrt(max(low, SMALLEST_NORMAL)) * math.sqrt(high)
     return 0.5 * (low + high)
 
 

@@ -15,8 +15,8 @@ from ..events import EPS, SHARES, Cut, Zero, fires, zeros
 from ..lowering import Guard, Kink, Scene, released
 from ..lowering.lowered import ORDER
 from ..rules import unit
-from ..rules.arcs import FAR, LANDINGS, SAFETY
-from ..rules.guards import BESIDE, TIE, shallow
+from ..rules.arcs import FORESEEN_FAR, LANDINGS, SAFETY
+from ..rules.guards import TIE, TIED_IN_STEP, shallow
 from ..segment import Segment
 from ..solvers import Solver, Stepper
 from ..trajectory.clock import Instant
@@ -200,7 +200,7 @@ class ArcFlow:
         spacing = TIE * float(np.spacing(abs(t)))
         if other.index == first.index:
             return 0.0
-        if apart > spacing + BESIDE * length:
+        if apart > spacing + TIED_IN_STEP * length:
             return -1.0
         if other.cut is not None:
             return 0.0 if apart <= spacing + (other.cut.after - other.cut.before) * length else -1.0
@@ -275,7 +275,7 @@ class ArcFlow:
         for index in filter(self._predicts, range(len(self.field.guards))):
             gap = [self._side(index) * c for c in self.series[1][index]]
             gap[0] = 0.0 if self.entered[index] else gap[0]
-            zero = falls(self.series[0], gap, FAR ** (1.0 / ORDER))
+            zero = falls(self.series[0], gap, FORESEEN_FAR ** (1.0 / ORDER))
             if zero is not None and zero < length:
                 found[index] = zero
         best = min(found.values(), default=float("inf"))

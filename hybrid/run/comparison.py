@@ -16,7 +16,7 @@ from ..errors import HybridError
 from ..events import EPS
 from ..lowering import Scene
 from ..rules.guards import NEAR
-from ..rules.sums import FLOOR
+from ..rules.sums import SUM_FLOOR
 from ..solvers import Solver, own_rtol
 from ..solvers.base import FINEST
 from ..trajectory.log import Log
@@ -182,7 +182,7 @@ def _errors(made: Made, index: int, pairs: list[tuple[Made, Made]]) -> tuple[flo
     dimension = made.scene.spec.dimension
     if not all(_shows(run, index, point) for pair in pairs for run in pair):
         return float("inf"), record(np.full(dimension, np.inf))
-    floor = 4 * FLOOR * np.sqrt(1.0 + made.jumps)
+    floor = 4 * SUM_FLOOR * np.sqrt(1.0 + made.jumps)
     t_error, x_error = floor * abs(point.t), floor * np.abs(_vector(point))
     second = pairs[0][1].limits[index]
     extrapolated = [second] if isinstance(second, CycleLimit) else []  # from as few jumps

@@ -18,7 +18,7 @@ from ..events import CLOSED, EPS
 from ..lowering import Contact, Field, Guard, Scene, released
 from ..lowering.scene import parted
 from ..rules import unit
-from ..rules.guards import NEAR, ROUNDED
+from ..rules.guards import GUARD_ROUNDING, NEAR
 from ..rules.places import RISES
 from ..segment import Segment
 from ..solvers import Solver
@@ -499,7 +499,7 @@ class Driver:
             return None
         if unit("hops").drowns(v, force, NEAR * reach):  # a dozen digits of the gap are rounding
             self._require_series(contact.name, x, field)
-        flown = hop(field, contact, column, t, x, v, ROUNDED * EPS * reach)
+        flown = hop(field, contact, column, t, x, v, GUARD_ROUNDING * EPS * reach)
         if flown is None or self.record.now.after(flown[0]).until(self.known) < 0:
             return None
         time, segments, before, after, speed = flown

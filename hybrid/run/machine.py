@@ -21,11 +21,10 @@ from ..rules import unit
 from ..rules.arrays import Left, Look, Now, Room, Sums
 from ..rules.calls import held
 from ..rules.places import (
+    AT_LIMIT,
     AT_REST,
-    BEFORE,
     BEGAN,
     BEGINS,
-    COUNT,
     CURVE_ROWS,
     END,
     ENTERED,
@@ -35,32 +34,33 @@ from ..rules.places import (
     FIRED,
     FLOWN,
     FULL,
+    GAP_SPEED,
     GOES_ON,
+    GUARD_POWER,
+    IMPACT_COUNT,
     IN_ARC,
     JUMP,
-    JUMPS,
+    JUMPS_BEFORE,
+    JUMPS_MADE,
     LAND_ON,
     LANDS,
-    LAST,
-    LIMIT,
+    LAST_TIME,
     LOOK,
     LOW,
     LOW_AHEAD,
     MADE,
     MAKE,
-    NEXT,
     NO_ROOM,
     PHASE,
-    POWER,
     REMAINING,
     RISES,
     SEES,
     SERIES,
     SHOW,
-    SPEED,
     STEP,
-    STEPS,
+    STEP_END,
     STEPS_DONE,
+    STEPS_MADE,
     STRIKES,
     TAILS,
     TAU,
@@ -70,8 +70,8 @@ from ..rules.places import (
     WINDOW,
     T,
 )
-from ..rules.sights import HALVINGS, POINTS, STATES
-from ..rules.sums import SHOWN
+from ..rules.sights import LAW_POINTS, STATE_ROWS, TAIL_HALVINGS
+from ..rules.sums import STRETCH_POINTS
 from ..segment import nodes, terms
 from ..trajectory.log import Flights, Steps, Table, joined
 from ..trajectory.plan import PATIENCE
@@ -101,8 +101,8 @@ ASKS = {STEP: "step", SHOW: "show", LAND_ON: "land", FLOWN: "flown"}
 def rooms(tables: Tables, n: int, order: int) -> tuple[Room, Sums, Look]:
     """Arrays for one run to work in."""
     *needs, bounds = tables.needs
-    stretches, shown = np.zeros((HALVINGS + 2, 5)), np.zeros((SHOWN + 2, n + 4))
-    pairs = [np.zeros((rows, 2)) for rows in (STATES + n, bounds, 2 * POINTS + 2)]
+    stretches, shown = np.zeros((TAIL_HALVINGS + 2, 5)), np.zeros((STRETCH_POINTS + 2, n + 4))
+    pairs = [np.zeros((rows, 2)) for rows in (STATE_ROWS + n, bounds, 2 * LAW_POINTS + 2)]
     look = Look(stretches, shown, *pairs)
     return tables.room(order), room_for_sums(needs, n), look
 
@@ -220,14 +220,14 @@ class Machine:
         """Keep the steps of the arc that goes on; returns the local time reached in it."""
         if not self._going:
             return 0.0
-        rows, tau = left.owner == self.ints[JUMPS], float(self.floats[TAU])
+        rows, tau = left.owner == self.ints[JUMPS_MADE], float(self.floats[TAU])
         if not self.opened:
             self.driver.watch_pace()
         made = int(np.count_nonzero(rows))
         self.opened += made
         self.driver.count_steps(tau, self.states[1], made)
         if self.dense:
-            self.open.append(self._made(left, rows, int(self.ints[JUMPS])))
+            self.open.append(self._made(left, rows, int(self.ints[JUMPS_MADE])))
         return tau
 
     def _spent(self, status: int, left: Left) -> bool:
@@ -297,7 +297,7 @@ class Machine:
         if not memory.bound or links is not self.links:
             unit("past").bound(automaton, past, room)
             self.links, memory.bound = links, True
-        self.run[LAST] = until
+        self.run[LAST_TIME] = until
         if self.windowed:
             return int(unit("runs").go(automaton, self.run, now, room, left, sums, look))
         go = unit("past").look_back
@@ -316,7 +316,7 @@ class Machine:
         Where the present arc has gone on through windows, and is to be judged, what has been flown
         up to there is kept.
         """
-        driver, memory, place = self.driver, self.driver.record.memory, int(self.ints[JUMPS])
+        driver, memory, place = self.driver, self.driver.record.memory, int(self.ints[JUMPS_MADE])
         if memory is None:
             return status
         if self.windowed:
@@ -350,7 +350,7 @@ class Machine:
     def _passes_window(self, left: Left, status: int, memory: Memory) -> int:
         """The same where the loop comes back at the end of each window: with other solvers' steps,
         and where a lag moves, whose window ends where a guard fires."""
-        driver, place, fired = self.driver, int(self.ints[JUMPS]), None
+        driver, place, fired = self.driver, int(self.ints[JUMPS_MADE]), None
         if status == FULL and place and self.plan.memory == "restart":
             self._sees_anew(left)
         if status == JUMP and self._fired.kind == "window":
@@ -376,7 +376,7 @@ class Machine:
     def _sees_anew(self, left: Left) -> None:
         """A guard that has fired may not be zero where a jump has changed what it sees."""
         if self.tables.guards[left.fired[0]].kind == "edge":
-            self.ints[POWER] = 0
+            self.ints[GUARD_POWER] = 0
 
     def _through(self, tau: float, x: np.ndarray, steps: Steps | None, signs: np.ndarray) -> None:
         """Keep the present arc up to where it goes on through other windows of the past."""
@@ -427,13 +427,13 @@ class Machine:
         if self.ints[PHASE] in (SEES, LANDS):
             self.outside.undo(now)
         elif self.ints[MADE] and self.ints[PHASE] != STRIKES:
-            self.floats[TAU] = self.floats[NEXT]
+            self.floats[TAU] = self.floats[STEP_END]
         if self.ints[MADE]:
             self._last(left)
 
     def _series(self) -> tuple[str | None, int, float]:
         """The series of impacts that goes on: the contact, how many, and the speed last tried."""
-        guard, count = int(self.ints[SERIES]), int(self.ints[COUNT])
+        guard, count = int(self.ints[SERIES]), int(self.ints[IMPACT_COUNT])
         contact = self.tables.guards[guard].edge if guard >= 0 else None
         return contact, count, float(self.floats[TRIED])
 
@@ -451,8 +451,8 @@ class Machine:
         edge, power = next(iter(jumped.vanishing.items()), (jumped.used, 0))
         used = [g for g, guard in enumerate(guards, first) if guard.edge == edge]
         ints[FIELD], ints[ENTERED], ints[PHASE] = field, judged, BEGINS
-        ints[FIRED], ints[POWER] = used[0] if used else -1, power
-        ints[SERIES], ints[COUNT] = series[0] if series else -1, driver.watch.count
+        ints[FIRED], ints[GUARD_POWER] = used[0] if used else -1, power
+        ints[SERIES], ints[IMPACT_COUNT] = series[0] if series else -1, driver.watch.count
         floats[TRIED] = driver.watch.tried
         ints[LOW_AHEAD] = ints[WAS_LOW] = 0
         self.states[0], self.states[2] = entry.x, driver.seen
@@ -472,10 +472,10 @@ class Machine:
             jumps = 1
         memory = self.driver.record.memory
         if memory is not None:
-            memory.begins(self._going, int(self.ints[JUMPS]), *self.floats[:2].tolist())
+            memory.begins(self._going, int(self.ints[JUMPS_MADE]), *self.floats[:2].tolist())
         jumps = min(jumps, self.plan.max_jumps - self.driver.record.made)
         steps = int(min(steps, max(self.plan.max_steps - self.driver.steps - self.opened, 1)))
-        self.ints[JUMPS], self.ints[STEPS], self.ints[EXPANSIONS] = 0, -self._going, 0
+        self.ints[JUMPS_MADE], self.ints[STEPS_MADE], self.ints[EXPANSIONS] = 0, -self._going, 0
         self.ints[TAILS] = 0
         rows = steps * n if self.dense or self.past else 0
         return left_for(n, jumps, steps, (rows, self.order + 1), SUMS_KEPT)
@@ -484,8 +484,8 @@ class Machine:
 
     def _keep(self, left: Left) -> None:
         """Add the arcs that ended with a jump."""
-        driver, begin, made = self.driver, 0, int(self.ints[JUMPS])
-        sums = list(map(int, left.sums[: self.ints[TAILS], BEFORE].tolist()))
+        driver, begin, made = self.driver, 0, int(self.ints[JUMPS_MADE])
+        sums = list(map(int, left.sums[: self.ints[TAILS], JUMPS_BEFORE].tolist()))
         guards = [self.tables.guards[g] for g in left.fired[:made].tolist()]
         opened = [place for place, guard in enumerate(guards) if guard.kind == "release"]
         while begin < made and driver.status is None and not self.passed:
@@ -527,7 +527,7 @@ class Machine:
             seen = driver.model.through([memory.sights[place]])
         field, contact = seen.field(entry.field.name), seen.contact(guard.edge)
         column = field.column(guard.edge)
-        errors, x_inf, at_rest = rows[ERRORS, :-1], rows[LIMIT, :-2], rows[AT_REST, :-2]
+        errors, x_inf, at_rest = rows[ERRORS, :-1], rows[AT_LIMIT, :-2], rows[AT_REST, :-2]
         curve = r, rows[: int(degree) + 1], remaining, x_inf, float(errors[0]), errors[1:]
         driver.pass_sum(Tail(field, contact, column, now.t, now.low, entry.x, v, *curve), at_rest)
 
@@ -552,7 +552,7 @@ class Machine:
         if self.outside is not None:
             count = self.outside.count(begin, end)
             return self.outside.steps(begin, end) if self.dense and count else None, count
-        owner = left.owner[: max(int(self.ints[STEPS]), 0)]
+        owner = left.owner[: max(int(self.ints[STEPS_MADE]), 0)]
         first, last = owner.searchsorted((begin, end)).tolist()
         count, held = self.opened + last - first, self.open
         self.open, self.opened = [], 0
@@ -572,7 +572,7 @@ class Machine:
     def _last(self, left: Left) -> np.ndarray:
         """Add the arc that no jump of the loop has ended; returns the state at its end."""
         return self._arc(
-            left, int(self.ints[JUMPS]), float(self.floats[TAU]), self.states[1].copy()
+            left, int(self.ints[JUMPS_MADE]), float(self.floats[TAU]), self.states[1].copy()
         )
 
     def _arc(self, left: Left, place: int, tau: float, end: np.ndarray) -> np.ndarray:
@@ -591,7 +591,11 @@ class Machine:
 
     def _stand(self, left: Left, status: int) -> None:
         """Where the loop stopped: at the end, at a jump to judge, or at an arc to fly anew."""
-        driver, place, speed = self.driver, int(self.ints[JUMPS]), float(self.floats[SPEED])
+        driver, place, speed = (
+            self.driver,
+            int(self.ints[JUMPS_MADE]),
+            float(self.floats[GAP_SPEED]),
+        )
         if status == END:
             self._last(left)
             driver.status = Status.REACHED_END

@@ -15,11 +15,11 @@ from ..rules.arrays import Now, Room, Sums
 from ..rules.places import (
     AIM,
     FIELD,
-    FIRST,
-    JUMPS,
+    FIRST_LENGTH,
+    JUMPS_MADE,
     LOW,
     MADE,
-    NEXT,
+    STEP_END,
     TAU,
     TO_TAU,
     T,
@@ -77,7 +77,7 @@ class Outside:
         if self.dense:
             self.made.append(self._last)
         self._ends(now)
-        self.arcs.append(int(now.ints[JUMPS]))
+        self.arcs.append(int(now.ints[JUMPS_MADE]))
 
     def land(self, now: Now, room: Room) -> None:
         """End the last step where a guard is zero."""
@@ -93,7 +93,7 @@ class Outside:
     def flown(self, now: Now, sums: Sums) -> None:
         """Keep the pieces of a low flight as steps."""
         n, pieces = len(now.x), int(now.ints[MADE])
-        self.arcs += [int(now.ints[JUMPS])] * pieces
+        self.arcs += [int(now.ints[JUMPS_MADE])] * pieces
         for piece in range(pieces if self.dense else 0):
             start, length = float(sums.starts[piece]), float(sums.lengths[piece])
             scaled = terms(sums.series[piece * n : piece * n + n], length)
@@ -109,7 +109,7 @@ class Outside:
     def _begin_arc(self, now: Now, room: Room) -> None:
         plan, seen = self.driver.plan, self.driver.record.memory is not None
         length = (self.driver.horizon - float(now.floats[T])) - float(now.floats[LOW])
-        first, aim, sizes = float(now.floats[FIRST]), float(now.floats[AIM]), None
+        first, aim, sizes = float(now.floats[FIRST_LENGTH]), float(now.floats[AIM]), None
         first = min(first, length if seen else SAFETY * length)  # a window may be one step
         if plan.first_step < np.inf:
             first = min(plan.longest(0.0), length)
@@ -132,7 +132,7 @@ class Outside:
 
     def _ends(self, now: Now) -> None:
         """Tell the loop where the last step ends."""
-        now.end[:], now.floats[NEXT] = self.stepper.x, self.stepper.tau
+        now.end[:], now.floats[STEP_END] = self.stepper.x, self.stepper.tau
 
     @property
     def _last(self) -> tuple[float, float, np.ndarray, np.ndarray]:

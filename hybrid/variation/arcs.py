@@ -19,7 +19,7 @@ from numpy.polynomial import legendre
 
 from ..errors import OrbitError
 from ..lowering import Field
-from ..rules.limits import BESIDE, NOTHING, ROUNDED, SAME
+from ..rules.limits import KINK_ROUNDING, KINK_SIDE, SAME_FLOW, SAME_KINK_TIME
 from ..segment import Segment, nodes
 from .derivatives import Derivatives, Matrix
 
@@ -72,7 +72,7 @@ class ArcPiece:
     @property
     def beside(self) -> float:
         """How far from an end its side of a kink is told."""
-        share = max(BESIDE, TOLD_APART * self.segment.end / self.length)
+        share = max(KINK_SIDE, TOLD_APART * self.segment.end / self.length)
         return min(share, MOST_ASIDE) * self.length
 
     def inside(self, ends: bool) -> float:
@@ -233,7 +233,7 @@ def pieces(kinks: Matrix | None, t: float, segment: Segment) -> list[ArcPiece]:
     for (a, low), (b, high) in pairwise(zip(shares, found, strict=True)):
         for k in np.flatnonzero(low * high < 0).tolist():
             at = _zero(values, k, a, b)
-            if all(abs(at - cut) > BESIDE for cut in cuts):
+            if all(abs(at - cut) > KINK_SIDE for cut in cuts):
                 cuts.append(at)
     ends = [segment.start + share * segment.length for share in sorted(cuts)[:-1]] + [segment.end]
     return [ArcPiece(t, segment, a, b - a) for a, b in pairwise(ends)]
@@ -261,7 +261,7 @@ def bend(
     """The saltation from a piece of an arc to the next; None where the flow does not jump."""
     there, here = before.flow(field, True), after.flow(field, False)
     jump = here[0] - there[0]
-    if np.all(np.abs(jump) <= NOTHING * np.maximum(largest, np.maximum(there[1], here[1]))):
+    if np.all(np.abs(jump) <= SAME_FLOW * np.maximum(largest, np.maximum(there[1], here[1]))):
         return None
     row = passing(kinks, before, there[0])
     return np.eye(len(jump), len(row)) - np.outer(jump, row)
@@ -282,9 +282,9 @@ def passing(kinks: Matrix, piece: ArcPiece, flow: np.ndarray) -> np.ndarray:
         found[:, 1] + slopes @ flow,
         np.abs(found[:, 1] * t) + np.abs(slopes * state).sum(1),
     )
-    there = np.abs(found[:, 0]) < piece.beside * np.abs(rates) + ROUNDED * size
+    there = np.abs(found[:, 0]) < piece.beside * np.abs(rates) + KINK_ROUNDING * size
     rows = -found[there, 2:] / rates[there, None]
-    if not len(rows) or np.any(np.abs(rows - rows[0]) > SAME * np.abs(rows[0])):
+    if not len(rows) or np.any(np.abs(rows - rows[0]) > SAME_KINK_TIME * np.abs(rows[0])):
         raise OrbitError(
             f"t = {t!r}: a flow or a guard jumps there, and neighbours do not have that at a time "
             "that depends smoothly on them: there is no first variation"

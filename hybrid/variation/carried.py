@@ -8,11 +8,11 @@ from math import ulp
 import attrs
 import numpy as np
 
-from ..automaton.past import DEGREE
 from ..delay.pieces import Window
 from ..delay.windows import TO_POWERS
 from ..errors import OrbitError
-from ..rules.limits import NOTHING
+from ..rules.limits import SAME_FLOW
+from ..rules.places import WINDOW_DEGREE
 from ..segment import from_values, nodes
 from ..trajectory.arcs import Arc, JumpRow
 from .derivatives import Derivatives
@@ -202,7 +202,7 @@ class Carried:
         windows, rows = list[np.ndarray](), list[np.ndarray]()
         for k, lag in enumerate(sight.lags):
             frame, powers = (np.asarray(each) for each in shown[own + 2 * k : own + 2 * k + 2])
-            a, points = part.t0 - lag, width * nodes(DEGREE)
+            a, points = part.t0 - lag, width * nodes(WINDOW_DEGREE)
             if not a + width <= part.t0:
                 raise OrbitError(
                     f"{self.walk.model}, t = {part.t0:.9g}: impacts accumulate within "
@@ -210,11 +210,11 @@ class Carried:
                     "shorter, or depends on time or state; no derivative of that is known"
                 )
             places = ((a - frame[0]) + points) / frame[1]
-            values = np.vander(places, DEGREE + 1, increasing=True) @ powers
+            values = np.vander(places, WINDOW_DEGREE + 1, increasing=True) @ powers
             known = np.zeros(len(values), dtype=bool)
             windows += Window(a, a + width, values, known, np.zeros(values.shape[1])).arrays()
             moved = past.within(a + points, a, a + width)
-            series = np.tensordot(TO_POWERS @ from_values(DEGREE), moved, 1)
+            series = np.tensordot(TO_POWERS @ from_values(WINDOW_DEGREE), moved, 1)
             rows += [np.zeros((2, moved.shape[2])), series.reshape(-1, moved.shape[2])]
         return windows, np.vstack(rows)
 
@@ -225,7 +225,7 @@ class Carried:
         seen = sorted({e for each in past.sight.scene.code.seen for e in each})
         sizes = np.abs(past.fresh).max(axis=0) + np.abs(limit).max(axis=0)
         sizes += np.abs(x).max() / past.units
-        if np.any(np.abs(past.fresh - limit)[seen] > NOTHING * sizes):
+        if np.any(np.abs(past.fresh - limit)[seen] > SAME_FLOW * sizes):
             raise OrbitError(
                 f"{self.walk.model}, t = {t:.9g}: each of the impacts that accumulate is seen by "
                 'the flight after it (memory="restart"); no derivative of that is known'

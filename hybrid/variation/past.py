@@ -28,7 +28,7 @@ from numpy.polynomial import chebyshev
 from numpy.polynomial.legendre import leggauss
 
 from ..errors import OrbitError
-from ..rules.limits import BESIDE, NOTHING
+from ..rules.limits import KINK_SIDE, SAME_FLOW
 from ..segment import from_values, nodes
 from ..trajectory.arcs import Arc
 from .arcs import COLLOCATION_TOLERANCE, ArcPiece, bend, middle, pieces, told
@@ -163,7 +163,7 @@ class PastVariation:
 
     def within(self, times: np.ndarray, low: float, high: float) -> np.ndarray:
         """The same on the smooth piece between two times."""
-        room = BESIDE * max(high - low, 0.0)
+        room = KINK_SIDE * max(high - low, 0.0)
         return self.at(times, np.clip(times, low + room, high - room))
 
     def shown(self, index: int, t: float, near: float, now: np.ndarray) -> np.ndarray:
@@ -213,7 +213,7 @@ class PastVariation:
             lag = of.lag(k, field)(t, x)[0]
             rate = 1.0 - lag[0] - lag[1 : 1 + self.size] @ flow
             rows.append((shift.row + lag[1:] @ change) / rate)
-        apart = [np.abs(row - rows[0]) > NOTHING * np.abs(rows[0]) for row in rows]
+        apart = [np.abs(row - rows[0]) > SAME_FLOW * np.abs(rows[0]) for row in rows]
         if np.any(apart):
             raise OrbitError(
                 f"{self.walk.model}, t = {t:.9g}: two jumps of the past are seen there; which is "
@@ -229,7 +229,7 @@ class PastVariation:
             for s in (-piece.beside, piece.beside)
         )
         change = before - after
-        large = np.abs(change).max() > NOTHING * (np.abs(before).max() + np.abs(after).max())
+        large = np.abs(change).max() > SAME_FLOW * (np.abs(before).max() + np.abs(after).max())
         return change if large else np.zeros(self.size)
 
     # -- along an arc -----------------------------------------------------------------------

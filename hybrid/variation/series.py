@@ -12,8 +12,8 @@ import numpy as np
 from ..lowering.tape import Jets
 from ..rules import unit
 from ..rules.arrays import Changes
-from ..rules.limits import LINES, SMALL
-from ..rules.limits import MOST as POINTS
+from ..rules.limits import LIMIT_LINES, LIMIT_SMALL
+from ..rules.limits import MOST_POINTS as POINTS
 from ..solvers.taylor_backend import HIGHEST
 
 if TYPE_CHECKING:
@@ -50,14 +50,14 @@ def room_for(
         flight=np.empty((own, columns)),
         before=np.empty((own, columns)),
         after=np.empty((1 + own, columns)),
-        lines=np.empty((LINES, wide)),
+        lines=np.empty((LIMIT_LINES, wide)),
         maps=np.empty(((1 + points) * own, wide)),
         rest=np.empty((own, wide)),
         now=np.empty((own, narrow)),
         last=np.empty((own, narrow)),
         best=np.empty((own, narrow)),
         lower=np.empty((1 + points, 1 + points)),
-        small=np.empty((SMALL, 1 + points)),
+        small=np.empty((LIMIT_SMALL, 1 + points)),
         equations=np.empty((max(squares, most), max(squares, most))),
         right=np.empty((squares, own)),
         shares=np.empty((most, max(own * (narrow - own), 1 + columns))),

@@ -8,13 +8,12 @@ import numpy as np
 
 from ..errors import TraceError
 from ..lowering import Field, Guard, Kind
-from ..lowering.automaton import NUMBERED
-from ..lowering.automaton import Tables as Automaton
+from ..lowering.automaton import NUMBERED, Tables
 from ..lowering.native import Native
 from ..lowering.tape import Jets, Linked
 from ..rules.arrays import Changes, Slopes
 from ..rules.places import HARD, NONE, UNKNOWN
-from ..rules.variation import GRADIENT, RESET, REST
+from ..rules.variation import GRADIENT, RESET_SLOPES, REST_ROW
 from .derivatives import Derivatives, Rows
 from .series import POINTS, room_for
 
@@ -60,7 +59,7 @@ class SlopeTables:
             np.array(self._guards, dtype=np.int64),
         )
         places = np.concatenate([np.zeros((0, 2), dtype=np.int64), *self._places])
-        fields, guards = (each.reshape(-1, REST + 1) for each in (fields, guards))
+        fields, guards = (each.reshape(-1, REST_ROW + 1) for each in (fields, guards))
         return Slopes(self._programs.programs(), places, fields, guards, none, none)
 
     def _owners(self) -> list[np.ndarray]:
@@ -75,7 +74,7 @@ class SlopeTables:
     def field(self, field: Field) -> int:
         """The row of a field, which is added if it is new."""
         if field.name not in self._fields:
-            row = [*self._along(field, None), *self._onto(field), *[NONE] * (REST - 4)]
+            row = [*self._along(field, None), *self._onto(field), *[NONE] * (REST_ROW - 4)]
             self._fields[field.name] = len(self._rows)
             self._rows.append(row)
             self._slopes = None
@@ -85,7 +84,9 @@ class SlopeTables:
         """The row of a guard that fires."""
         if guard.kind is Kind.CONTACT:
             return self.contact(field, guard)
-        return self._add([*[NONE] * GRADIENT, *self._jump(field, guard), *[NONE] * (REST - RESET)])
+        return self._add(
+            [*[NONE] * GRADIENT, *self._jump(field, guard), *[NONE] * (REST_ROW - RESET_SLOPES)]
+        )
 
     def contact(self, field: Field, guard: Guard) -> int:
         """The row of a contact whose impacts may be summed."""
@@ -134,7 +135,7 @@ class SlopeTables:
 class Owned(SlopeTables):
     """Those of the fields and guards of an automaton, by its numbers, as runs ask for them."""
 
-    def __init__(self, of: Derivatives, automaton: Automaton) -> None:
+    def __init__(self, of: Derivatives, automaton: Tables) -> None:
         super().__init__(of)
         self.automaton = automaton
         self._runs, self._native = 0, Native()

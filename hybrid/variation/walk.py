@@ -24,7 +24,7 @@ import numpy as np
 from ..errors import OrbitError
 from ..lowering import Field, Guard, Kind, Scene, scene_of
 from ..rules.guards import NEAR
-from ..rules.limits import ROUNDING
+from ..rules.limits import DIFFERENCE_ROUNDING
 from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
 from ..trajectory.trajectory import Trajectory
 from .arcs import ArcPiece, along, passing, told
@@ -238,7 +238,9 @@ class Walk:
         field = scene.field(part.mode)
         if isinstance(part, Arc) and field.project is not None:
             onto = self._widened(of.project(field)(part.t0, part.first)[:, 1:])
-            yield Factor(part.t0, None, cleared(onto, np.ones_like(onto), ROUNDING), part=index)
+            yield Factor(
+                part.t0, None, cleared(onto, np.ones_like(onto), DIFFERENCE_ROUNDING), part=index
+            )
 
     def arc(self, index: int, arc: Arc) -> Iterator[Factor | DelayedArc]:
         if self.course.sight:
@@ -299,7 +301,7 @@ class Walk:
             moves = resets[:, 1 : 1 + self.size] @ before + resets[:, 0]
             change = moves - (moves if after is None else self._flow(after, False))
             later = np.outer(change, time)
-            reset = cleared(reset + later, np.abs(reset) + np.abs(later), ROUNDING)
+            reset = cleared(reset + later, np.abs(reset) + np.abs(later), DIFFERENCE_ROUNDING)
         return Factor(
             first.t, " ".join(row.edge for _, row in group), reset, moments, ties, waits, index
         )

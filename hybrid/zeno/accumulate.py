@@ -22,22 +22,22 @@ from ..lowering.taylor import polynomial
 from ..rules import unit
 from ..rules.arrays import Programs, Sums
 from ..rules.flights import most_pieces
-from ..rules.guards import ROUNDED
+from ..rules.guards import GUARD_ROUNDING
 from ..rules.sums import (
     BRANCH,
-    DEGREE,
     ERROR,
     FIT,
-    FLOOR,
+    FORCE_SAMPLES,
     GRID,
-    HERE,
-    LAST,
-    LIMIT,
-    LINES,
-    SAMPLES,
-    SHARE,
-    SHOWN,
-    STATE,
+    LAST_POINT,
+    MOST_DEGREE,
+    ON_CURVE,
+    STATE_THERE,
+    STRETCH_POINTS,
+    SUM_FLOOR,
+    SUM_LINES,
+    SUM_SHARE,
+    TO_LIMIT,
 )
 from ..rules.zeros import EPS
 from .flight import Flight, fly, pieces_of, segments
@@ -104,7 +104,7 @@ class Tail:
         about = 1, self.curve, len(self.curve) - 1, self.t, self.x, self.v, w, 1.0
         with chatter.lent() as given:
             _, v = unit("sums").on_curve(chatter.programs, *about, given, x)
-            return float(given.lines[HERE, 0]), x, v
+            return float(given.lines[ON_CURVE, 0]), x, v
 
     @cached_property
     def count(self) -> int:
@@ -187,7 +187,7 @@ class Tail:
         """
         tail, out = (
             (self.curve, self.t, self.x, self.v, self.r),
-            np.empty((SHOWN + 2, len(self.x) + 4)),
+            np.empty((STRETCH_POINTS + 2, len(self.x) + 4)),
         )
         with self.programs() as (programs, given):
             unit("sums").shown(programs, 0, 1, *tail, first, last, begin, end, given, out)
@@ -236,7 +236,11 @@ def close(
         if not degree:
             return None
         lines = given.lines.copy()
-    remaining, x_inf, error = float(lines[LIMIT, 0]), lines[STATE, : len(x)], lines[ERROR, :-1]
+    remaining, x_inf, error = (
+        float(lines[TO_LIMIT, 0]),
+        lines[STATE_THERE, : len(x)],
+        lines[ERROR, :-1],
+    )
     found = r, lines[: degree + 1], remaining, x_inf, float(error[0]), error[1:]
     tail = Tail(field, contact, column, t, low, x, v, *found)
     return _compared(tail, rtol, atol) if called else tail
@@ -246,7 +250,7 @@ def clear(tail: Tail, field: Field, column: int) -> bool:
     """Whether no other guard of a field is reached along a tail, impacts and flights."""
     chatter, signs = _chatter(tail.field, tail.contact), _inside(field)
     of = chatter.programs, 0, 1, column, tail.field.project is not None
-    rounding = ROUNDED * EPS * float(np.max(np.abs(tail.x_inf)))
+    rounding = GUARD_ROUNDING * EPS * float(np.max(np.abs(tail.x_inf)))
     curve = tail.curve, tail.t, tail.x, tail.v, tail.r, tail.remaining, tail.x_inf
     with chatter.lent() as given:
         return bool(unit("tails").clear(*of, signs, rounding, *curve, given))
@@ -300,8 +304,8 @@ def _compared(tail: Tail, rtol: float, atol: float) -> Tail | None:
     t_error = share * tail.remaining
     x_error = tail.remaining * (CAUTION * change + share * rates)
     sizes = np.abs(tail.x_inf) + np.abs(tail.x)
-    allowed = max(SHARE * rtol, FLOOR) * (abs(tail.t) + tail.remaining)
-    if not t_error <= allowed or not np.all(x_error <= SHARE * (rtol * sizes + atol)):
+    allowed = max(SUM_SHARE * rtol, SUM_FLOOR) * (abs(tail.t) + tail.remaining)
+    if not t_error <= allowed or not np.all(x_error <= SUM_SHARE * (rtol * sizes + atol)):
         return None
     return attrs.evolve(tail, t_error=tail.t_error + t_error, x_error=tail.x_error + x_error)
 
@@ -357,13 +361,13 @@ class _Chatter:
 
 def room_for_sums(needs: Sequence[int], n: int) -> Sums:
     """Room for the sums of ``n`` states by programs none of which needs more than this."""
-    work, points = room(needs, n, ORDER), DEGREE + 1
+    work, points = room(needs, n, ORDER), MOST_DEGREE + 1
     kinks = len(work.sides)
     most = most_pieces(kinks)
     return Sums(
-        lines=np.zeros((LINES, n + 2)),
-        small=np.zeros((FIT + SAMPLES, points)),
-        times=np.zeros(GRID + LAST + 1),
+        lines=np.zeros((SUM_LINES, n + 2)),
+        small=np.zeros((FIT + FORCE_SAMPLES, points)),
+        times=np.zeros(GRID + LAST_POINT + 1),
         ints=np.zeros(BRANCH + kinks + most, dtype=np.int64),
         starts=np.zeros(most),
         lengths=np.zeros(most),

@@ -31,19 +31,19 @@ from ..lowering.sides import choosers, on_zero, one_sided
 from ..lowering.taylor import flat
 from ..rules.places import HARD, NONE
 from ..rules.sights import (
-    CAUTION,
+    ASKED_IMPACTS,
+    BOX_MARGIN,
     EXCESS,
-    HALVINGS,
-    IMPACTS,
-    POINTS,
+    LAW_CAUTION,
+    LAW_POINTS,
+    SLOW_STEPS,
     SLOWEST,
-    SPEED,
-    STATES,
-    STEPS,
-    TIME,
-    WIDER,
+    SPEED_ROW,
+    STATE_ROWS,
+    TAIL_HALVINGS,
+    TIME_ROW,
 )
-from ..rules.sums import FLOOR, LOSS
+from ..rules.sums import LEAST_LOSS, SUM_FLOOR
 from ..rules.zeros import EPS
 from ..segment import from_values, nodes
 from .accumulate import Tail
@@ -94,17 +94,19 @@ def _damped(tail: Tail) -> bool:
         return False
     speeds, laws = series
     t_inf, x_inf = tail.t + tail.remaining, tail.x_inf.tolist()
-    allowed = CAUTION * max(tail.t_error, FLOOR * abs(t_inf)) * (1.0 - tail.r) / tail.remaining
-    for w in (tail.r ** np.arange(min(tail.count, IMPACTS))).tolist():
+    allowed = (
+        LAW_CAUTION * max(tail.t_error, SUM_FLOOR * abs(t_inf)) * (1.0 - tail.r) / tail.remaining
+    )
+    for w in (tail.r ** np.arange(min(tail.count, ASKED_IMPACTS))).tolist():
         since, x, _ = tail.point(tail.r * w)
         place = 2.0 * w - 1.0
         bend, growth = (float(chebyshev.chebval(place, c)) for c in (tail.curve[:, -1], speeds))
         law = tail.contact.law(tail.t + since, x.tolist(), -tail.v * w * exp(bend + growth))
         expected = exp(float(chebyshev.chebval(place, laws)))
-        if not law < 1.0 - LOSS or abs(law / expected - 1.0) * w > allowed:
+        if not law < 1.0 - LEAST_LOSS or abs(law / expected - 1.0) * w > allowed:
             return False
-    slow = tail.v * np.exp(np.linspace(0.0, log(SLOWEST / tail.v), STEPS))
-    return all(tail.contact.law(t_inf, x_inf, -u) < 1.0 - LOSS for u in slow.tolist())
+    slow = tail.v * np.exp(np.linspace(0.0, log(SLOWEST / tail.v), SLOW_STEPS))
+    return all(tail.contact.law(t_inf, x_inf, -u) < 1.0 - LEAST_LOSS for u in slow.tolist())
 
 
 def _flown(tail: Tail) -> tuple[np.ndarray, np.ndarray] | None:
@@ -113,7 +115,7 @@ def _flown(tail: Tail) -> tuple[np.ndarray, np.ndarray] | None:
     Chebyshev coefficients in the place on the curve from which the flight begins.
     """
     rows = [[0.0, log(tail.r)]]
-    for w in nodes(POINTS)[1:].tolist():
+    for w in nodes(LAW_POINTS)[1:].tolist():
         since, x, v = tail.point(w)
         flight = fly(tail.field, tail.column, tail.t + since, x.tolist(), v)
         if flight is None:
@@ -122,7 +124,7 @@ def _flown(tail: Tail) -> tuple[np.ndarray, np.ndarray] | None:
         if not law > 0:
             return None
         rows.append([log(-flight.u / v), log(law)])
-    growth, laws = (from_values(POINTS) @ np.array(rows)).T
+    growth, laws = (from_values(LAW_POINTS) @ np.array(rows)).T
     return growth, laws
 
 
@@ -134,12 +136,12 @@ def damps(contact: Contact, t: float, x: list[float], speed: float, ratio: float
     will not go on to; and as ``dn = -dv / (v lost(v))`` impacts have a speed about ``v``, each for
     a time like ``v``, their times have a sum only if ``v / lost(v)`` falls with ``v``.
     """
-    fades = 1.0 - contact.law(t, x, -0.0) < LOSS
+    fades = 1.0 - contact.law(t, x, -0.0) < LEAST_LOSS
     if fades and ratio < 1.0:
         return False
-    fall = min((SLOWEST / speed) ** (1.0 / STEPS), 1.0) if speed > 0 else 1.0
+    fall = min((SLOWEST / speed) ** (1.0 / SLOW_STEPS), 1.0) if speed > 0 else 1.0
     before, pace = 1.0, inf
-    for k in range(STEPS + 1):
+    for k in range(SLOW_STEPS + 1):
         u = speed * fall**k
         lost = 1.0 - contact.law(t, x, -u)
         if lost < -8.0 * EPS or (lost < LOST and before > LOST / fall**2):
@@ -182,7 +184,7 @@ class Stretch:
         """Bounds of time (a flight more than the stretch itself), states, and gap speeds before
         impacts."""
         (_, *low, slow, begin, _), (_, *high, fast, _, end) = self._shown[-2:]
-        rooms = [WIDER * (b - a) for a, b in zip(low, high, strict=True)]
+        rooms = [BOX_MARGIN * (b - a) for a, b in zip(low, high, strict=True)]
         ends = zip(low, high, rooms, strict=True)
         inputs = named("x", ((nextafter(a - s, -inf), nextafter(b + s, inf)) for a, b, s in ends))
         return inputs | {"t": (begin, end), "u": (slow, fast if self.last else 0.0)}
@@ -203,7 +205,7 @@ def _bounded(tail: Tail, excess: float) -> bool:
     if find_spec("flint") is None:
         return True
     try:
-        look, stretches = _look(tail), [(HALVINGS, Stretch(tail, 1.0, 0.0))]
+        look, stretches = _look(tail), [(TAIL_HALVINGS, Stretch(tail, 1.0, 0.0))]
     except TraceError:  # an operation of which there are no balls
         return True
     while stretches:
@@ -223,7 +225,7 @@ def _fits(look: _Look, stretch: Stretch, excess: float) -> bool:
     rooms = [b - a + excess * size for a, b, size in zip(low, high, sizes, strict=True)]
     least = [a - room for a, room in zip(low, rooms, strict=True)]
     most = [b + room for b, room in zip(high, rooms, strict=True)]
-    most[0], most[-1] = min(most[0], nextafter(0.0, -inf)), min(most[-1], 1.0 - LOSS)
+    most[0], most[-1] = min(most[0], nextafter(0.0, -inf)), min(most[-1], 1.0 - LEAST_LOSS)
     ranges = look.program.ranges(box)
     if ranges and all(map(_within, *zip(*ranges, strict=True), least, most)):
         return True
@@ -271,8 +273,8 @@ def _ranged(field: Field, contact: Contact) -> Any:
         program = gap.program({}, *gap.guards(field, contact.name))
     except TraceError:
         return NONE
-    rows = {f"x{i}": STATES + i for i in range(len(gap.states))}
-    return program, {"t": TIME, "u": SPEED, **rows}, parameters(field)
+    rows = {f"x{i}": STATE_ROWS + i for i in range(len(gap.states))}
+    return program, {"t": TIME_ROW, "u": SPEED_ROW, **rows}, parameters(field)
 
 
 def _gap(field: Field, contact: Contact) -> _Gap:

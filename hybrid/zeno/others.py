@@ -14,7 +14,7 @@ import numpy as np
 
 from ..bounds.exact import FixedGraph
 from ..errors import TraceError
-from ..rules.sights import HALVINGS
+from ..rules.sights import TAIL_HALVINGS
 from ..rules.zeros import EPS
 from .accumulate import Tail
 from .narrow import Stretch, named, parameters
@@ -32,7 +32,7 @@ def apart(tail: Tail) -> bool:
     others = [i for i in range(len(field.guards)) if i != tail.column]
     rounding = 64 * EPS * float(np.max(np.abs(tail.x_inf)))
     last = [i for i in others if abs(field.guards[i].value(t_inf, x_inf)) > rounding]
-    stretches = [(HALVINGS, Stretch(tail, 1.0, 0.0))] if others else []
+    stretches = [(TAIL_HALVINGS, Stretch(tail, 1.0, 0.0))] if others else []
     while stretches:
         left, stretch = stretches.pop()
         ending = not left and stretch.last == 0.0
