@@ -25,7 +25,7 @@ from numpy.polynomial import chebyshev
 from .automaton.markers import Crossing
 from .errors import FlowError
 from .rules import unit
-from .rules.zeros import SPARE_ROWS, UNFIT, WORK_FULL
+from .rules.zeros import EPS, SPARE_ROWS, UNFIT, WORK_FULL
 from .segment import Segment, from_values, nodes
 
 if TYPE_CHECKING:
@@ -41,11 +41,11 @@ SHARES = 100
 RESOLVED = 1e-6
 
 #: Most pieces at first, and most halvings of one.
-PIECES, DEPTH = 4096, 12
+GUARD_PIECES, DEPTH = 4096, 12
 
 #: Most halvings in a step. To come down to a narrow place takes DEPTH of them; a guard that is
 #: resolved nowhere is rounding, and halving it tells no more.
-HALVINGS = 128
+GUARD_HALVINGS = 128
 
 #: A deciding function that has changed its sign for good at this share of a step is taken to
 #: cross; one that comes back sooner touches. Far above rounding, far below what a step resolves.
@@ -53,22 +53,20 @@ WIDEST = 1e-4
 
 #: A guard that ends (``sqrt`` at 0) has reached zero there if it is this small beside what it was:
 #: the nearest place that rounding can tell is 1e-16 from the end, its fourth root 1e-4.
-ENDED = 1e-4
+DOMAIN_END = 1e-4
 
 #: Gap and gap speed, relative to the states seen, below which a held contact stays closed.
 CLOSED = 1e-12
 
 #: A gap speed, against those seen, at which a series of impacts that has no sum is over.
-NOTHING = 1e-20
+SPENT_SPEED = 1e-20
 
-#: Jumps with no time between them after which a run is taken to be caught in a loop; impacts,
-#: which slow down bodies in contact that strike each other again and again.
-CAUGHT, STRUCK = 100, 10_000
+#: Impacts with no time between them after which a run is taken to be caught in a loop: they slow
+#: down bodies in contact that strike each other again and again.
+STRUCK = 10_000
 
 #: Where, between its start and a zero, a guard is looked at for having left zero.
 SHARES_OF_FLIGHT = np.array([0.25, 0.5, 0.75])
-
-EPS = float(np.finfo(float).eps)
 
 
 @attrs.frozen
@@ -221,7 +219,7 @@ def _between(
     if polynomial:
         degree, pieces = max(segment.degree, order, 1), 1
     else:
-        degree, pieces = SAMPLED, max(1, int(np.ceil(min(segment.length / scale, PIECES))))
+        degree, pieces = SAMPLED, max(1, int(np.ceil(min(segment.length / scale, GUARD_PIECES))))
     depth = 0 if polynomial else DEPTH
     piece = _Piece(guard, segment, t0, degree, tolerance, ends, noise, not cuts)
     for cut, left, right in _spans(pieces, cuts):
@@ -260,7 +258,7 @@ class _Piece:
     ends: dict[Any, float]
     noise: float
     whole: bool
-    halvings: int = HALVINGS
+    halvings: int = GUARD_HALVINGS
 
     def over(self, cut: Cut) -> int:
         """The direction in which a guard passes over zero at a cut; 0 where it does not.
@@ -283,7 +281,7 @@ class _Piece:
             if cut.before > 0:  # else the step begins beyond it
                 least = min(least, abs(old) - abs(old - self.at(cut.before - width)))
             return -int(np.sign(old)) if least <= 64 * EPS * largest else 0
-        if not np.isfinite(new) and abs(old) > ENDED * largest:
+        if not np.isfinite(new) and abs(old) > DOMAIN_END * largest:
             raise FlowError(f"the guard of {edge} ends before it is zero: beyond it is not finite")
         return -int(np.sign(old))
 

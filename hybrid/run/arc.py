@@ -11,12 +11,13 @@ import numpy as np
 
 from ..automaton.markers import Crossing
 from ..errors import DomainError, FlowError, OptionError
-from ..events import EPS, SHARES, Cut, Zero, fires, zeros
+from ..events import SHARES, Cut, Zero, fires, zeros
 from ..lowering import Guard, Kink, Scene, released
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.arcs import FORESEEN_FAR, LANDINGS, SAFETY
 from ..rules.guards import TIE, TIED_IN_STEP, shallow
+from ..rules.zeros import EPS
 from ..segment import Segment
 from ..solvers import Solver, Stepper
 from ..trajectory.clock import Instant

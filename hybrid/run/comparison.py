@@ -13,10 +13,10 @@ import numpy as np
 from ..automaton.record import Record
 from ..delay.pieces import Piece
 from ..errors import HybridError
-from ..events import EPS
 from ..lowering import Scene
 from ..rules.guards import NEAR
 from ..rules.sums import SUM_FLOOR
+from ..rules.zeros import EPS
 from ..solvers import Solver, own_rtol
 from ..solvers.base import FINEST
 from ..trajectory.log import Log
@@ -32,11 +32,11 @@ NUDGE = 8e-15
 #: Steps of the second run, for each jump, and for each step that the first made one by one: it
 #: takes a tenth of that where nothing acts briefly, and more steps than the first where the flow
 #: swings so fast that both need one for a swing.
-STEPS, STEPS_EACH, STEPS_MORE = 2000, 40, 2
+SECOND_RUN_STEPS, STEPS_EACH, STEPS_MORE = 2000, 40, 2
 
 #: Rounding of the time in a run, against the states, from which on it is measured by a third run:
 #: where no force acts briefly it is some roundings.
-BLURRED = 1e-13
+TIME_BLUR = 1e-13
 
 
 class Compared(NamedTuple):
@@ -115,7 +115,7 @@ class _Again:
         parts, _ = made.log.apart()
         series = all(made.scene.field(part.mode).jets is not None for part in parts)
         name = "series" if series else "own"
-        if made.exact and self._run(name, True).blurred <= BLURRED:
+        if made.exact and self._run(name, True).blurred <= TIME_BLUR:
             finest = self._run("finest")
             if _shows(finest, index, made.zeno[index]):
                 return _errors(made, index, [(made, finest), (made, self._run(name, True))])
@@ -157,7 +157,7 @@ class _Again:
             accumulations=len(made.zeno),
             closing=1e-2,
             patience=4,
-            watchful=STEPS + STEPS_EACH * made.jumps + STEPS_MORE * made.steps,
+            watchful=SECOND_RUN_STEPS + STEPS_EACH * made.jumps + STEPS_MORE * made.steps,
             trusted=alike is not None and not alike.cut,
             shaken=moved,
             zeno="rest" if made.plan.zeno == "raise" else made.plan.zeno,

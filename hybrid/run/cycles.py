@@ -8,10 +8,22 @@ from typing import TYPE_CHECKING, NamedTuple
 import attrs
 import numpy as np
 
-from ..events import EPS
 from ..lowering import Field, Guard, Scene
+from ..rules.lanes import (
+    FAST_FALL,
+    FEW_TURNS,
+    IDLE_FLIGHT,
+    LEAST_WAIT,
+    LEAST_WINDOW,
+    LONGEST_CYCLE,
+    STILL_JUMPS,
+    WINDOW_FALL,
+    WINDOW_PART,
+)
+from ..rules.sights import BOX_MARGIN
+from ..rules.zeros import EPS
 from ..trajectory.clock import Instant
-from ..zeno.cycle import FAST, FEW, LONGEST, CycleLimit, accelerated, limit, period
+from ..zeno.cycle import CycleLimit, accelerated, limit, period
 from ..zeno.narrow import damps
 from ..zeno.others import excluded, hull
 from .instant import collapse
@@ -20,39 +32,25 @@ if TYPE_CHECKING:
     from ..trajectory.plan import Plan
     from .driver import Driver
 
-#: Jumps, at least, in the windows that are compared, and by how much the later must be shorter.
-WINDOW, SHORTER = 12, 0.97
-
-#: Such a window, and the time from look to look, against the jumps seen: looking stays cheap.
-SHARE = 8
-
 #: Most jumps that are remembered.
-MOST = 1 << 14
+REMEMBERED_JUMPS = 1 << 14
 
 #: What guards, and what resets change, may be at the limit, against their size in the cycle.
 ZERO = 1e-6
 
-#: Jumps after which it is seen that no time passes: a few turns of the longest cycle.
-STILL = FEW * LONGEST
-
 #: Spacings of floats by which a jump may be late or early, and still be said to be at one time.
 TICKS = 4
-
-#: Flights longer than this share of the longest are taken to have left their guard: a flight lower
-#: than rounding is shorter than the square root of rounding, and so much shorter.
-SHORT = 1e-3
 
 #: Where so small a share of the longest flight is left, the way over a guard may be its square,
 #: 1e-12 of the state: rounding knows the last flights to 2e-4 then, and the limit to ``DROWNED``.
 #: Later turns show less of it: it is taken as it is known there, whatever the tolerances.
-LITTLE, DROWNED = 1e-6, EPS / 1e-6
+DROWNING, DROWNED = 1e-6, EPS / 1e-6
 
 #: Points on the way to the limit at which flows are looked at, and how straight they must be.
-SAMPLES, SMOOTH = 64, 1e-2
+SAMPLES, STRAIGHTNESS = 64, 1e-2
 
-#: Steps of the midpoint rule along the last flight of a jump, and how much wider a box is than the
-#: points along it.
-FLIGHT, WIDER = 8, 0.25
+#: Steps of the midpoint rule along the last flight of a jump.
+FLIGHT = 8
 
 
 class Seen(NamedTuple):
@@ -129,7 +127,7 @@ class Cycles:
 
     def __init__(self) -> None:
         self.seen: list[Seen] = []
-        self.next = 2 * WINDOW
+        self.next = 2 * LEAST_WINDOW
         self.stands = self.asked = False
         self.longest = self.spent = 0.0
 
@@ -137,7 +135,7 @@ class Cycles:
         self, scene: Scene, field: Field, guard: Guard, t: float, x: np.ndarray, s: float
     ) -> float:
         """The time without idle flights, after one more flight, of length ``s``."""
-        if s > SHORT * self.longest:
+        if s > IDLE_FLIGHT * self.longest:
             self.longest = max(s, self.longest)
         elif s > 0 and idle(scene, field, guard, t, x, s):
             self.spent += s
@@ -147,7 +145,7 @@ class Cycles:
         """Whether no flight of several in a row is so short that it may be idle; noted if so."""
         longest = self.longest
         for length in lengths.tolist():
-            if not length > SHORT * longest:
+            if not length > IDLE_FLIGHT * longest:
                 return False
             longest = max(longest, length)
         self.longest = longest
@@ -158,19 +156,19 @@ class Cycles:
         if self.asked:
             return min(len(times), 1)
         count = min(len(times), self.next - len(self.seen))
-        known = [seen.t for seen in self.seen[-STILL:]]
-        if len(known) + count <= FEW:  # not one turn more than there must be
+        known = [seen.t for seen in self.seen[-STILL_JUMPS:]]
+        if len(known) + count <= FEW_TURNS:  # not one turn more than there must be
             return count
         together = np.concatenate([known, times[:count]])
         number = np.arange(len(together))
-        short = np.diff(together, prepend=-np.inf) <= SHORT * self.longest
+        short = np.diff(together, prepend=-np.inf) <= IDLE_FLIGHT * self.longest
         run = number - np.maximum.accumulate(np.where(short, -1, number))
-        looks = (run > 0) & (run % STILL == 0)
-        for length in range(1, LONGEST + 1):
+        looks = (run > 0) & (run % STILL_JUMPS == 0)
+        for length in range(1, LONGEST_CYCLE + 1):
             turns = together[length:] - together[:-length]
             if len(turns) > 2 * length:
-                falls = turns[length:] <= FAST * turns[:-length]
-                looks[FEW * length :] |= falls[length:] & falls[:-length]
+                falls = turns[length:] <= FAST_FALL * turns[:-length]
+                looks[FEW_TURNS * length :] |= falls[length:] & falls[:-length]
         found = np.flatnonzero(looks[len(known) :])
         return int(found[0]) + 1 if len(found) else count
 
@@ -182,30 +180,30 @@ class Cycles:
         self.asked = False
         if len(seen) < self.next:
             return due
-        if len(seen) > MOST:
-            del seen[: MOST // 2]
-        window = max(WINDOW, (len(seen) - 1) // SHARE)
-        self.next = len(seen) + max(4, len(seen) // SHARE)
+        if len(seen) > REMEMBERED_JUMPS:
+            del seen[: REMEMBERED_JUMPS // 2]
+        window = max(LEAST_WINDOW, (len(seen) - 1) // WINDOW_PART)
+        self.next = len(seen) + max(LEAST_WAIT, len(seen) // WINDOW_PART)
         first, middle = seen[max(0, len(seen) - 1 - 2 * window)], seen[-window - 1]
-        return due or _between(middle, seen[-1]) < SHORTER * _between(first, middle)
+        return due or _between(middle, seen[-1]) < WINDOW_FALL * _between(first, middle)
 
     def _falls(self) -> bool:
         """Whether the last turns of a cycle fall so fast that there will not be many."""
         seen = self.seen
-        for length in range(1, min(LONGEST, (len(seen) - 1) // FEW) + 1):
-            last = seen[-1 : -2 - FEW * length : -length]
+        for length in range(1, min(LONGEST_CYCLE, (len(seen) - 1) // FEW_TURNS) + 1):
+            last = seen[-1 : -2 - FEW_TURNS * length : -length]
             if all(jump.edge == last[0].edge for jump in last):
                 turns = [_between(b, a) for a, b in pairwise(last)]
-                if all(0 < a <= FAST * b for a, b in pairwise(turns)):
+                if all(0 < a <= FAST_FALL * b for a, b in pairwise(turns)):
                     return True
         return False
 
     def _stops(self) -> bool:
         """Whether some jumps have taken no time: said once, while they do."""
         stood, self.stands = self.stands, False
-        if len(self.seen) >= STILL:
-            first, last = self.seen[-STILL], self.seen[-1]
-            self.stands = last.clock - first.clock <= _tick(STILL, last.t)
+        if len(self.seen) >= STILL_JUMPS:
+            first, last = self.seen[-STILL_JUMPS], self.seen[-1]
+            self.stands = last.clock - first.clock <= _tick(STILL_JUMPS, last.t)
         return self.stands and not stood
 
     def first_of(self, edge: str) -> float:
@@ -219,12 +217,14 @@ class Cycles:
     def forget(self) -> None:
         """Start anew, after an accumulation."""
         self.seen.clear()
-        self.next, self.stands = 2 * WINDOW, False
+        self.next, self.stands = 2 * LEAST_WINDOW, False
 
     @property
     def period(self) -> int:
         """Jumps in a turn of the edges, as far as the last few turns show; 0 for none."""
-        return period([seen.edge for seen in self.seen[-LONGEST * (FEW + 1) :]], FEW)
+        return period(
+            [seen.edge for seen in self.seen[-LONGEST_CYCLE * (FEW_TURNS + 1) :]], FEW_TURNS
+        )
 
     def counts(self) -> list[int]:
         """The elements of the state that a turn of the last jumps changes by no less than the turn
@@ -232,8 +232,8 @@ class Cycles:
         length = self.period
         if not length:
             return []
-        turns = np.abs(np.diff(_columns(self._closings(length)[-FEW:])[1], axis=0))
-        return np.flatnonzero((turns[-1] > 0) & (turns[-1] >= SHORTER * turns[-2])).tolist()  # type: ignore[no-any-return]
+        turns = np.abs(np.diff(_columns(self._closings(length)[-FEW_TURNS:])[1], axis=0))
+        return np.flatnonzero((turns[-1] > 0) & (turns[-1] >= WINDOW_FALL * turns[-2])).tolist()  # type: ignore[no-any-return]
 
     def limit(self, rtol: float, atol: float) -> tuple[CycleLimit, Turn] | None:
         """Where the last jumps accumulate, if they do, and the turn that leads there.
@@ -241,7 +241,7 @@ class Cycles:
         The states may come round after several turns of the edges: a reset may change a sign.
         """
         shortest = self.period
-        for length in range(shortest, LONGEST + 1, shortest) if shortest else ():
+        for length in range(shortest, LONGEST_CYCLE + 1, shortest) if shortest else ():
             times, states = _columns(_shrinking(self._closings(length)))
             found = limit(self._cycle(shortest), times, states, rtol, atol)
             turn = None if found is None else self._turn(length, found)
@@ -256,18 +256,18 @@ class Cycles:
         shrink.
         """
         shortest, now = self.period, self.seen[-1]
-        for length in range(shortest, LONGEST + 1, shortest) if shortest else ():
+        for length in range(shortest, LONGEST_CYCLE + 1, shortest) if shortest else ():
             closings = self._closings(length)
-            if len(closings) > FEW:
+            if len(closings) > FEW_TURNS:
                 turn = self._standing(length)
                 slack = [rtol * np.abs(x) + atol for x in turn.limits]
                 if all(np.all(e <= s) for e, s in zip(turn.errors, slack, strict=True)):
                     times = np.diff([seen.clock for seen in closings])
                     times = times[times > _tick(length, now.t)]
-                    shrinks = len(times) > 1 and times[-1] < SHORTER * times[-2]
+                    shrinks = len(times) > 1 and times[-1] < WINDOW_FALL * times[-2]
                     ratio = (times[-1] / times[-2]) ** (shortest / length) if shrinks else 0.0
-                    error = _between(self.seen[-STILL:][0], now) + _tick(STILL, now.t)
-                    last = float(ratio), error, turn.errors[-1], FEW + 1
+                    error = _between(self.seen[-STILL_JUMPS:][0], now) + _tick(STILL_JUMPS, now.t)
+                    last = float(ratio), error, turn.errors[-1], FEW_TURNS + 1
                     return CycleLimit(self._cycle(shortest), 0.0, now.x, *last), turn
         return None
 
@@ -290,7 +290,7 @@ class Cycles:
         limits, errors = [found.x_inf], [found.x_error]
         for back in range(length - 1, 0, -1):
             closings = self._closings(length, back)[-found.turns :]
-            if len(closings) <= FEW:
+            if len(closings) <= FEW_TURNS:
                 return None
             x_inf, error, _ = accelerated(_columns(closings)[1], found.ratio == 1.0)
             limits.append(x_inf)
@@ -302,7 +302,7 @@ class Cycles:
     def _standing(self, length: int) -> Turn:
         """The last turn of a cycle that stands, with what each jump's states still move."""
         last = self.seen[-1 - length :]
-        phases = [self._closings(length, back)[-FEW:] for back in range(length, -1, -1)]
+        phases = [self._closings(length, back)[-FEW_TURNS:] for back in range(length, -1, -1)]
         errors = [np.ptp(_columns(phase)[1], axis=0) for phase in phases]
         return Turn(last, last, [seen.x for seen in last], errors)
 
@@ -363,7 +363,7 @@ def _alone(
         if not ours and abs(here) > _moved(guard, t, x, known):
             others.append(column)
     way = _way(field, now, _between(now, jump), t, x)
-    return not others or t <= now.t or excluded(field, others, hull(way, WIDER))
+    return not others or t <= now.t or excluded(field, others, hull(way, BOX_MARGIN))
 
 
 def _way(field: Field, now: Seen, length: float, t: float, x: np.ndarray) -> np.ndarray:
@@ -385,7 +385,7 @@ def _steady(field: Field, now: Seen, t: float, x: np.ndarray) -> bool:
     times = now.t + shares * (t - now.t)
     rates = np.array([rhs(s, y) for s, y in zip(times.tolist(), states.tolist(), strict=True)])
     straight = rates[0] + shares[:, None] * (rates[-1] - rates[0])
-    return bool(np.abs(rates - straight).max() <= SMOOTH * np.abs(rates).max())
+    return bool(np.abs(rates - straight).max() <= STRAIGHTNESS * np.abs(rates).max())
 
 
 def _allowed(guard: Guard, t: float, x: np.ndarray, slack: np.ndarray, first: list[Seen]) -> float:
@@ -451,8 +451,8 @@ def _at_once(driver: Driver, mode: str) -> CycleLimit | None:
     """The limit of impacts that stand, and slow down for ever at one instant."""
     if driver.record.memory is not None:  # what delays see may change with each of them
         return None
-    recent = driver.cycles.seen[-STILL:]
-    spent = _between(recent[0], recent[-1]) + _tick(STILL, recent[-1].t)
+    recent = driver.cycles.seen[-STILL_JUMPS:]
+    spent = _between(recent[0], recent[-1]) + _tick(STILL_JUMPS, recent[-1].t)
     return collapse(driver.scene, mode, recent, spent)
 
 
@@ -462,7 +462,7 @@ def _sought(cycles: Cycles, plan: Plan) -> tuple[CycleLimit, Turn] | None:
     if cycles.stands:
         return cycles.reached(rtol, atol)
     own = [(plan.rtol, plan.limit, rtol)] if plan.closing < 1.0 else []
-    for *known, left in [(rtol, atol, np.inf), *own, (DROWNED, 0.0, LITTLE)]:
+    for *known, left in [(rtol, atol, np.inf), *own, (DROWNED, 0.0, DROWNING)]:
         sought = cycles.limit(*known)
         if sought is not None and sought[0].remaining <= left * cycles.longest:
             return sought

@@ -14,12 +14,13 @@ from ..bounds.defect import follows
 from ..delay.memory import Memory
 from ..delay.pieces import Piece
 from ..errors import FlowError, JumpLoopError, StartError
-from ..events import CLOSED, EPS
+from ..events import CLOSED
 from ..lowering import Contact, Field, Guard, Scene, released
 from ..lowering.scene import parted
 from ..rules import unit
 from ..rules.guards import GUARD_ROUNDING, NEAR
 from ..rules.places import RISES
+from ..rules.zeros import EPS
 from ..segment import Segment
 from ..solvers import Solver
 from ..solvers.watchful import Watchful

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..automaton.markers import Crossing
 from ..errors import DomainError, FlowError, StartError
-from ..events import EPS, NOTHING, fires
+from ..events import SPENT_SPEED, fires
 from ..lowering import Field, Guard, Kink, Scene, released
 from ..lowering.automaton import DIRECTIONS, NUMBERED
 from ..lowering.local import near
@@ -20,6 +20,7 @@ from ..rules import unit
 from ..rules.entries import BEYOND, FIRES, LEAVES, OUTSIDE, UNDECIDED
 from ..rules.guards import NEAR
 from ..rules.places import OTHER
+from ..rules.zeros import EPS
 
 #: Doublings of a step of rounding's size in which a deciding function that is zero must leave it:
 #: it is a difference of numbers that may move at very different rates.
@@ -365,7 +366,7 @@ class _Here:
         sizes = self.scene.rounding(guard, self.field)(t, x)
         fast = extent(self.scene, guard, self.field, self.t, self.x, self.seen)[1]
         if jumped.series and guard.edge in jumped.vanishing:
-            slow = abs(speed) <= NOTHING * fast
+            slow = abs(speed) <= SPENT_SPEED * fast
         else:
             height = max(8 * EPS * sizes[0], abs(gap))
             slow = abs(speed) <= 64 * EPS * fast or speed**2 <= -2.0 * force * height

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import attrs
 import numpy as np
 
-from ..events import EPS
 from ..lowering import Guard, Scene
 from ..rules.guards import NEAR
+from ..rules.zeros import EPS
 from ..zeno.cycle import CycleLimit
 from ..zeno.instant import impulses, shrinking
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 SPEEDS = (1.0, 0.3, 1e-3, 1e-9, 0.0)
 
 #: By how little restitutions may differ that are one: a few roundings.
-ONE = 64 * EPS
+SAME_RESTITUTION = 64 * EPS
 
 #: The time in which hidden flights end, against that of a gap which rounding leaves open at the
 #: speed with which they began, over all turns.
-CAUTION = 8.0
+HIDDEN_CAUTION = 8.0
 
 
 @attrs.frozen(eq=False)
@@ -73,7 +73,7 @@ def collapse(scene: Scene, mode: str, recent: Sequence[Seen], t_error: float) ->
     error = np.full(len(x), 64 * EPS * max(np.abs(seen.x).max() for seen in recent))
     edges = tuple(found.guards[i].edge for i in struck)
     fast = float(np.abs(_speeds([found.guards[i] for i in struck], t, recent[0].x)).max())
-    late = CAUTION * found.open / (fast * (1.0 - turn.ratio)) if fast else np.inf
+    late = HIDDEN_CAUTION * found.open / (fast * (1.0 - turn.ratio)) if fast else np.inf
     return CycleLimit(edges, 0.0, x_inf, turn.ratio, t_error + late, error, len(recent))
 
 
@@ -120,4 +120,4 @@ def _speeds(guards: Sequence[Guard], t: float, x: np.ndarray) -> np.ndarray:
 def _law(scene: Scene, name: str, t: float, x: list[float], top: float) -> float | None:
     """A contact's restitution; None where it depends on the speed."""
     laws = [scene.contact(name).law(t, x, -share * top) for share in SPEEDS]
-    return laws[-1] if max(laws) - min(laws) <= ONE else None
+    return laws[-1] if max(laws) - min(laws) <= SAME_RESTITUTION else None

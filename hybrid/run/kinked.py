@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from ..events import EPS, SHARES, Cut, cuts
+from ..events import SHARES, Cut, cuts
 from ..lowering import Field, Kink
+from ..rules.zeros import EPS
 from ..segment import Segment
 from ..solvers import Solver, Stepper
 from .entry import MOVES, beyond_kinks

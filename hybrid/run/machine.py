@@ -91,11 +91,11 @@ if TYPE_CHECKING:
 #: Jumps and steps for which there is room at first; how many times more there is after each call
 #: that has filled it, and at most: the keyboard is heard between calls. Sums for which there is
 #: room.
-JUMPS_KEPT, STEPS_KEPT, MORE, MOST = 64, 512, 4, 1 << 15
+JUMPS_KEPT, STEPS_KEPT, ROOM_GROWTH, MOST_ROOM = 64, 512, 4, 1 << 15
 SUMS_KEPT = SUMS
 
 #: What is asked for of another solver: methods of :class:`Outside`.
-ASKS = {STEP: "step", SHOW: "show", LAND_ON: "land", FLOWN: "flown"}
+OUTSIDE_METHODS = {STEP: "step", SHOW: "show", LAND_ON: "land", FLOWN: "flown"}
 
 
 def rooms(tables: Tables, n: int, order: int) -> tuple[Room, Sums, Look]:
@@ -207,7 +207,7 @@ class Machine:
             if status != FULL:
                 self._stand(left, status)
                 return
-            self.size = tuple(min(MORE * size, MOST) for size in self.size)
+            self.size = tuple(min(ROOM_GROWTH * size, MOST_ROOM) for size in self.size)
             if self.past is not None and not self.takes():
                 return
 
@@ -267,14 +267,14 @@ class Machine:
                         self._make()
                         call = self._call(left)
                         continue
-                    if self.outside is None or status not in ASKS:
+                    if self.outside is None or status not in OUTSIDE_METHODS:
                         return status
                     made = len(self.outside.arcs)
                     if status == STEP and self.driver.steps + made >= self.plan.max_steps:
                         return STEP
                     room, sums, _ = self.rooms
                     given = sums if status == FLOWN else room
-                    getattr(self.outside, ASKS[status])(self.now, given)
+                    getattr(self.outside, OUTSIDE_METHODS[status])(self.now, given)
         except KeyboardInterrupt:
             self._interrupted(self.now, left)
             raise

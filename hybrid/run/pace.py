@@ -12,11 +12,11 @@ from ..solvers.base import LEADS_BACK
 #: in a row, twice as many steps have gone less than this share as far as those before them, counted
 #: from so many steps on, and at the last step's length more than so many are left. One that falls
 #: with a power p > 1 of the time left has shares 2^(-1/(p-1)): 1/2 for sin(1/x).
-ROWS, SHARE, COUNTED, LEFT = 4, 0.8, 512, 1e6
+ROWS, SWING_SHARE, COUNTED, STEPS_LEFT = 4, 0.8, 512, 1e6
 
 #: A method that goes back and forth over a jump of the flow is never further from it than a few of
 #: its steps.
-FEW = 4.0
+FEW_STEPS = 4.0
 
 
 class Pace:
@@ -47,13 +47,14 @@ class Pace:
         if self.count < self.due:
             return
         made, gone = self.count - self.begun[0], end - self.begun[1]
-        self.falls = self.falls + 1 if self.due > COUNTED and gone < SHARE * self.gone else 0
+        self.falls = self.falls + 1 if self.due > COUNTED and gone < SWING_SHARE * self.gone else 0
         self.begun, self.gone, self.due = (self.count, end), gone, 2 * self.count
         left, mean = self.length - end, gone / made
-        if left > LEFT * mean and any(self._leads_back(k, end, x, mean) for k in self._jumps()):
+        many = left > STEPS_LEFT * mean
+        if many and any(self._leads_back(k, end, x, mean) for k in self._jumps()):
             raise FlowError(f"after {self.count} steps the last are of {mean:.3g}: {LEADS_BACK}")
-        stuck = mean <= FEW * np.spacing(end)  # the time itself tells no shorter ones apart
-        if (stuck or self.falls >= ROWS) and left > LEFT * last:
+        stuck = mean <= FEW_STEPS * np.spacing(end)  # the time itself tells no shorter ones apart
+        if (stuck or self.falls >= ROWS) and left > STEPS_LEFT * last:
             raise FlowError(
                 f"the steps become ever shorter: {self.count} in this arc, the last of "
                 f"{last:.3g} with {left:.3g} to go; the flow swings faster and "
@@ -67,7 +68,7 @@ class Pace:
         """Whether the flow leads back, from both sides, to a jump of it that is next to a state."""
         t, flow = self.t0 + tau, self._flow(self.t0 + tau, x)
         value, rate = self._moves(kink, t, x, flow, h)
-        if not abs(value) <= FEW * h * abs(rate):
+        if not abs(value) <= FEW_STEPS * h * abs(rate):
             return False
         zero = -value / rate if rate else 0.0
         beside = [(t + zero + s, x + (zero + s) * flow) for s in (-h, h)]

@@ -14,9 +14,10 @@ import numpy as np
 
 from ..delay.memory import Memory
 from ..errors import JumpLoopError
-from ..events import CAUGHT, STRUCK
+from ..events import STRUCK
 from ..lowering import Field
 from ..rules.guards import TIE
+from ..rules.lanes import CAUGHT
 from ..segment import Segment, from_values, nodes
 from ..trajectory.accumulation import Accumulation
 from ..trajectory.arcs import Arc, JumpRow, Part, TailPart

@@ -48,14 +48,14 @@ if TYPE_CHECKING:
     from .enclose import Proof
 
 #: Impacts of a tail from which a proof is tried, and shares of all that are listed.
-STAGES, SHARES_LISTED = (0, 3, 10, 30, 60, 100, 160, 250, 400, 1000, 4000), (0.25, 0.5, 0.75)
+PROOF_IMPACTS, SHARES_LISTED = (0, 3, 10, 30, 60, 100, 160, 250, 400, 1000, 4000), (0.25, 0.5, 0.75)
 
 #: Flights, and times, of a tail at which a flow is compared with what it is near a point; for what
 #: is between them.
-COMPARED, CAUTION = 16, 4.0
+COMPARED, BETWEEN_CAUTION = 16, 4.0
 
 #: Most impacts that are flown to find one from which a proof succeeds: half a second of them.
-FLOWN = 400
+FLOWN_IMPACTS = 400
 
 
 @attrs.frozen(eq=False)
@@ -152,7 +152,7 @@ class Tail:
         if first is None:
             return []
         late = (int(share * self.count) for share in SHARES_LISTED)
-        stages = sorted({*(n for n in STAGES if n <= self.count), *late})
+        stages = sorted({*(n for n in PROOF_IMPACTS if n <= self.count), *late})
         points = [self.point(self.r**n) for n in stages if n > stage]
         found = [self._prove(self.t + since, x, v) for since, x, v in points if v > 0]
         within = [p for p in found if p is not None and first.low <= p.low <= p.high <= first.high]
@@ -161,8 +161,8 @@ class Tail:
     def _flown_proof(self) -> tuple[Proof | None, int]:
         """The proof from the earliest impact flown from which there is one, and which."""
         t, x, v = self.t, self.x, self.v
-        for n in range(FLOWN + 1):
-            if n in STAGES:
+        for n in range(FLOWN_IMPACTS + 1):
+            if n in PROOF_IMPACTS:
                 proof = self._prove(t, x, v)
                 if proof is not None:
                     return proof, n
@@ -298,11 +298,11 @@ def _compared(tail: Tail, rtol: float, atol: float) -> Tail | None:
     mids = (0.5 * (a + b) for a, b in pairwise(tail.times[:COMPARED].tolist()))
     since = [*np.linspace(0.0, tail.remaining, COMPARED)[:-1].tolist(), *mids]
     found = [off(tail.field, tail.column, tail.t + s, tail.state(s)) for s in since]
-    share = CAUTION * max(force for _, force in found)
+    share = BETWEEN_CAUTION * max(force for _, force in found)
     rates = np.max([np.abs(tail.field.rhs(tail.t + s, tail.state(s))) for s in since], axis=0)
     change = np.max([rate for rate, _ in found], axis=0)
     t_error = share * tail.remaining
-    x_error = tail.remaining * (CAUTION * change + share * rates)
+    x_error = tail.remaining * (BETWEEN_CAUTION * change + share * rates)
     sizes = np.abs(tail.x_inf) + np.abs(tail.x)
     allowed = max(SUM_SHARE * rtol, SUM_FLOOR) * (abs(tail.t) + tail.remaining)
     if not t_error <= allowed or not np.all(x_error <= SUM_SHARE * (rtol * sizes + atol)):

@@ -30,34 +30,32 @@ from collections.abc import Sequence
 import attrs
 import numpy as np
 
-#: Cycles that show a cycle; cycles that do where durations fall like a power; longest period.
-LEAST, MOST, LONGEST = 6, 48, 8
+from ..rules.lanes import FAST_FALL, FEW_TURNS, LONGEST_CYCLE
 
-#: Share to which durations fall at least, from turn to turn, that needs only so many of them: what
-#: such a sequence hides behind its first ratio falls faster still, and shows at once.
-FAST, FEW = 0.125, 3
+#: Turns that show a cycle, and turns that do where durations fall like a power.
+LEAST_CYCLES, POWER_CYCLES = 6, 48
 
 #: Power of the cycle's number by which durations must fall, at least.
 RAABE = 1.1
 
 #: Growth of Raabe's quantity above which durations fall like a power.
-POWER = 0.05
+RAABE_GROWTH = 0.05
 
 #: Most terms of Levin's transformation, and how its places thin out towards the start.
 TERMS, THIN = 12, 0.7
 
 #: Largest share of the time since the first cycle that may be left to the limit.
-LEFT = 1e-3
+LEFT_TO_LIMIT = 1e-3
 
 #: Share of its largest distance to the limit at which a state must have arrived. (The sum of a
 #: sequence that only changes sign has a value, but no limit.)
 NEARER = 0.5
 
 #: What is left, against what the last estimates changed.
-CAUTION = 8.0
+ESTIMATE_CAUTION = 8.0
 
 #: Rounding of times and states, relative.
-ROUNDING = 4e-16
+CYCLE_ROUNDING = 4e-16
 
 
 @attrs.frozen(eq=False)
@@ -93,12 +91,12 @@ class CycleLimit:
     limits: tuple[tuple[str, np.ndarray], ...] = ()
 
 
-def period(edges: Sequence[str], turns: int = LEAST) -> int:
+def period(edges: Sequence[str], turns: int = LEAST_CYCLES) -> int:
     """Edges in the shortest cycle of which the last ones are repetitions; 0 if there is none.
 
     The turns before the last, which it repeats, must be as many as ``turns``.
     """
-    for length in range(1, LONGEST + 1):
+    for length in range(1, LONGEST_CYCLE + 1):
         needed = length * (turns + 1)
         if len(edges) < needed:
             return 0
@@ -126,19 +124,19 @@ def limit(
     if not (np.all(durations > 0) and np.all(np.diff(durations) < 0)):
         return None
     turns = _fast(durations)
-    if turns >= FEW:
+    if turns >= FEW_TURNS:
         times, states, growth = times[-turns - 1 :], states[-turns - 1 :], 0.0
-    elif len(durations) >= LEAST:
+    elif len(durations) >= LEAST_CYCLES:
         growth = _raabe(durations)
     else:
         return None
     if not growth < 1.0 / RAABE:
         return None
-    power = growth > POWER
+    power = growth > RAABE_GROWTH
     now, error, scale = accelerated(np.column_stack([times, states]), power)
     elapsed, remaining = float(durations.sum()), float(now[0] - times[-1])
     settled = np.all(error <= max(rtol, 1e-13) * np.maximum(scale, scale[0]) + atol)
-    near = remaining <= LEFT * elapsed or (power and len(times) >= MOST)
+    near = remaining <= LEFT_TO_LIMIT * elapsed or (power and len(times) >= POWER_CYCLES)
     if not (remaining > 0 and settled and near and np.all(np.isfinite(now))):
         return None
     off = np.abs(states - now[1:])
@@ -153,12 +151,12 @@ def accelerated(columns: np.ndarray, power: bool) -> tuple[np.ndarray, np.ndarra
     with np.errstate(all="ignore"):  # steps that vanish to rounding: no estimate is best there
         now, error = np.array([_accelerated(column, power) for column in columns.T]).T
     scale = np.abs(now) + np.ptp(columns, axis=0)
-    return now, error + ROUNDING * len(columns) * scale, scale
+    return now, error + CYCLE_ROUNDING * len(columns) * scale, scale
 
 
 def _fast(durations: np.ndarray) -> int:
     """How many of the last durations are each a small part of the one before."""
-    slow = np.flatnonzero(durations[1:] > FAST * durations[:-1])
+    slow = np.flatnonzero(durations[1:] > FAST_FALL * durations[:-1])
     return len(durations) - (int(slow[-1]) + 1 if len(slow) else 0)
 
 
@@ -171,23 +169,23 @@ def _raabe(durations: np.ndarray) -> float:
 
 def _accelerated(sequence: np.ndarray, power: bool) -> tuple[float, float]:
     """The limit of a sequence, and a bound on its error."""
-    if len(sequence) <= LEAST:
+    if len(sequence) <= LEAST_CYCLES:
         before, now = _aitken(sequence[:-1]), _aitken(sequence)
-        return now, CAUTION * abs(now - before)
-    tables = [_levin(sequence)] if power else [_epsilon(sequence[-MOST:]), _levin(sequence)]
+        return now, ESTIMATE_CAUTION * abs(now - before)
+    tables = [_levin(sequence)] if power else [_epsilon(sequence[-POWER_CYCLES:]), _levin(sequence)]
     best = (float(sequence[-1]), float("inf"))
     for estimates in tables:
         steps = np.abs(np.diff(estimates))
         for value, *two in zip(estimates[2:], steps, steps[1:], strict=False):
-            if CAUTION * max(two) < best[1]:
-                best = (value, CAUTION * float(max(two)))
+            if ESTIMATE_CAUTION * max(two) < best[1]:
+                best = (value, ESTIMATE_CAUTION * float(max(two)))
     return best
 
 
 def _aitken(sequence: np.ndarray) -> float:
     """Aitken's formula on the last three: the limit, if the steps are a geometric sequence."""
     before, last = np.diff(sequence[-3:])
-    still = abs(last) <= ROUNDING * len(sequence) * abs(sequence[-1])
+    still = abs(last) <= CYCLE_ROUNDING * len(sequence) * abs(sequence[-1])
     return float(sequence[-1] + (0.0 if still else last * last / (before - last)))
 
 

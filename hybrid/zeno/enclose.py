@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from ..lowering import Field
 
 #: Boxes that are tried, and how far a box reaches, against what is needed of it.
-TRIES, WIDER = 12, 1.5
+BOX_TRIES, BOX_REACH = 12, 1.5
 
 
 @attrs.frozen(eq=False)
@@ -105,7 +105,7 @@ def prove(field: Field, contact: str, t: float, x: np.ndarray, v: float) -> Proo
 
 def _prove(question: _Question, parameters: Any, t: float, x: np.ndarray, v: float) -> Proof | None:
     box = _Box(0.0, np.zeros(len(x)), 2.0 * v)
-    for _ in range(TRIES):
+    for _ in range(BOX_TRIES):
         bounds = _Bounds(question, parameters, t, x, box)
         if not bounds.pushes:
             return None
@@ -115,7 +115,7 @@ def _prove(question: _Question, parameters: Any, t: float, x: np.ndarray, v: flo
         needed = bounds.needed(says)
         if needed.within(box):
             return None if bounds.others else _proof(t, x, v, bounds, says, needed)
-        box = _Box(WIDER * needed.time, WIDER * needed.reach, WIDER * needed.speed)
+        box = _Box(BOX_REACH * needed.time, BOX_REACH * needed.reach, BOX_REACH * needed.speed)
     return None
 
 

@@ -15,11 +15,11 @@ import attrs
 import numpy as np
 
 #: Most impacts that are made to see whether they come round: a tenth of a second of them.
-MOST = 1 << 16
+MOST_IMPACTS = 1 << 16
 
 #: How nearly speeds come round, and by how much they must shrink: the turn's map is made of a few
 #: hundred products at most, and what is left of other directions falls from turn to turn.
-SAME, SHORTER = 1e-10, 1.0 - 1e-6
+SPEEDS_ALIKE, SPEEDS_FALL = 1e-10, 1.0 - 1e-6
 
 
 @attrs.frozen(eq=False)
@@ -50,14 +50,14 @@ def shrinking(gain: np.ndarray, laws: Sequence[float], speeds: Sequence[float]) 
     ]
     seen: list[int] = []  # contacts struck since the speeds ``known`` of the last mark
     known, turn = list(u), 1
-    for _ in range(MOST):
+    for _ in range(MOST_IMPACTS):
         j = next((i for i in range(count) if u[i] < 0.0), None)
         if j is None:
             return None
         if seen and j == seen[0]:
             struck = sorted(set(seen))
             ratio = _ratio([known[i] for i in struck], [u[i] for i in struck])
-            if ratio < SHORTER and _stays(gain, struck, u):
+            if ratio < SPEEDS_FALL and _stays(gain, struck, u):
                 period = _period(seen)
                 return Shrinking(tuple(struck), ratio ** (period / len(seen)))
         if len(seen) == turn:  # Brent's: the next mark holds twice as long
@@ -79,7 +79,7 @@ def impulses(gain: np.ndarray, struck: Sequence[int], speeds: Sequence[float]) -
 def _ratio(before: list[float], now: list[float]) -> float:
     """By what speeds have shrunk that keep their direction; infinity where they do not."""
     first, last = max(map(abs, before)), max(map(abs, now))
-    same = all(abs(a / first - b / last) <= SAME for a, b in zip(before, now, strict=True))
+    same = all(abs(a / first - b / last) <= SPEEDS_ALIKE for a, b in zip(before, now, strict=True))
     return last / first if same else float("inf")
 
 
