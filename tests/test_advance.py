@@ -205,7 +205,7 @@ def test_little_room_changes_nothing(scene, monkeypatch):
     run = taylor(scene)
     monkeypatch.setattr(machine, "JUMPS_KEPT", 1)
     monkeypatch.setattr(machine, "STEPS_KEPT", 2)
-    monkeypatch.setattr(machine, "MORE", 1)
+    monkeypatch.setattr(machine, "ROOM_GROWTH", 1)
     other = taylor(scene)
     assert np.array_equal(run.jumps.t, other.jumps.t)
     assert np.array_equal(run.jumps.table.after, other.jumps.table.after)
@@ -261,9 +261,9 @@ def test_the_keyboard_stops_the_loop():
 
 def test_an_arc_may_have_more_steps_than_the_arrays_ever_hold(monkeypatch):
     """Far from its start a swing is still a cosine, and each step is made once."""
-    monkeypatch.setattr(machine, "MOST", machine.STEPS_KEPT)
+    monkeypatch.setattr(machine, "MOST_ROOM", machine.STEPS_KEPT)
     run = hy.simulate(Oscillator(wall=-5.0), {"x": 1.0, "v": 0.0}, (0.0, 12000.0), solver="taylor")
-    assert run.stats.steps > 10 * machine.MOST
+    assert run.stats.steps > 10 * machine.MOST_ROOM
     assert run.stats.evaluations == run.stats.steps
     # a rounding of the state in each step, and of the time, grow to this
     assert run.final.x == pytest.approx(np.cos(12000.0), abs=1e-16 * run.stats.steps + 1e-12)
@@ -399,7 +399,7 @@ def test_little_room_changes_no_sum(seed, monkeypatch):
     """In arrays of one jump, two steps and one sum a run is the same to the last digit."""
     scene = drawn(seed)
     run = taylor(scene)
-    for name, size in {"JUMPS_KEPT": 1, "STEPS_KEPT": 2, "SUMS_KEPT": 1, "MORE": 1}.items():
+    for name, size in {"JUMPS_KEPT": 1, "STEPS_KEPT": 2, "SUMS_KEPT": 1, "ROOM_GROWTH": 1}.items():
         monkeypatch.setattr(machine, name, size)
     other = taylor(scene)
     assert len(run.zeno) > 1

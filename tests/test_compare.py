@@ -85,7 +85,7 @@ def test_turns_of_a_cycle_are_compared_as_far_as_both_went_through_them(monkeypa
 
     def same(model, start, t, options):
         with monkeypatch.context() as patch:
-            patch.setattr(cycles, "WINDOW", 20)  # the limit is looked for later
+            patch.setattr(cycles, "LEAST_WINDOW", 20)  # the limit is looked for later
             runs.append(hy.simulate(model, start, t, **options))
         return runs[-1]
 

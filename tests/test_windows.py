@@ -113,9 +113,9 @@ def test_little_room_changes_nothing(scene, monkeypatch):
     for module, name, size in (
         (machine, "JUMPS_KEPT", 1),
         (machine, "STEPS_KEPT", 2),
-        (machine, "MORE", 1),
+        (machine, "ROOM_GROWTH", 1),
         (machine, "SUMS_KEPT", 1),
-        (pieces, "FIRST", 2),
+        (pieces, "FIRST_ROOM", 2),
     ):
         monkeypatch.setattr(module, name, size)
     other = flown(scene)

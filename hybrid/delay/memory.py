@@ -32,6 +32,7 @@ from ..lowering import Field, Scene, window_edge
 from ..lowering.taylor import flat
 from ..rules import unit
 from ..rules.arrays import PastArrays
+from ..rules.past import BRIEF_FLIGHT, SMOOTH_ORDER, WINDOW_SHARE
 from ..rules.places import (
     AGAIN,
     BREAK_ORDER,
@@ -67,10 +68,10 @@ from .pieces import (
     swept,
 )
 from .reader import Reader
-from .windows import NO_LINKS, SHARE, SMOOTH, TO_POWERS, Links
+from .windows import NO_LINKS, TO_POWERS, Links
 
 #: Windows in a row that are one step long before longer ones are guessed.
-PATIENT = 3
+TIGHT_WINDOWS = 3
 
 #: Sums that a call of the rules' own loop makes at most.
 SUMS = 8
@@ -81,7 +82,7 @@ DEAR, OFTEN = 16, 64
 
 #: Windows without a guess after one that was not worth it; after each more of these twice as many,
 #: up to so many.
-REST, LONGEST = 30, 1 << 16
+GUESS_REST, LONGEST_REST = 30, 1 << 16
 
 #: Most guesses at a window before a shorter one is tried.
 GUESSES = 12
@@ -91,19 +92,16 @@ GUESSES = 12
 TURNING = 2
 
 #: First length of windows to guess where a lag vanishes, against that of the run.
-LEAST = 1e-4
+VANISHING_WINDOW = 1e-4
 
 #: Guesses at a window up to which the next is longer.
 EASY = 2
 
 #: Times between which times are one that a guess spans at least.
-LITTLE = 100.0
+GUESS_SPAN = 100.0
 
 #: Degree up to which dense output falls behind a method of higher order.
 CUBIC = 3
-
-#: A flight as short as this many spacings of the time is no longer a piece of its own.
-BRIEF = 1e4
 
 #: From terms of powers of the fraction of a step to Chebyshev coefficients.
 TURN = np.ascontiguousarray(from_powers(WIDTH - 1))
@@ -154,7 +152,7 @@ class Memory:
             plan.t0,
         )
         self.ints[BREAK_ORDER], self.ints[AGAIN] = order + 1, GOES_ON
-        self.ints[TIGHTEST], self.ints[IN_ARC] = PATIENT, -1
+        self.ints[TIGHTEST], self.ints[IN_ARC] = TIGHT_WINDOWS, -1
         self.pieces, self.breaks = Pieces(self.ints, history, len(x)), Breaks(self.ints, len(x))
         for piece in history:
             if piece.orders is not None:
@@ -169,7 +167,7 @@ class Memory:
         self._past: PastArrays | None = None
         self._made: tuple[Any, ...] = ()
         self._begun, self._joins = np.zeros(len(x)), False
-        self._dear, self._rest, self._looks_back = 1, REST, False
+        self._dear, self._rest, self._looks_back = 1, GUESS_REST, False
         self._from = plan.t0, x
         self._stride, self._shortest, self._guesses = 0.0, 0.0, 0
         self._wrong, self._most = np.inf, np.inf
@@ -282,7 +280,7 @@ class Memory:
             return
         for n in range(tail.count + 1):
             arc = part.arc(n)
-            last = n == tail.count or arc.length <= BRIEF * np.spacing(part.t1)
+            last = n == tail.count or arc.length <= BRIEF_FLIGHT * np.spacing(part.t1)
             if last or self._low(arc, tail.x_inf):
                 break
             self.flown(Instant(arc.t0, arc.low), arc.segments)
@@ -470,7 +468,7 @@ class Memory:
         if self._stride and self._stride <= shortest:
             self.ints[TIGHT], self._stride = 0, 0.0
         if (nothing or self.ints[TIGHT] >= self.ints[TIGHTEST]) and not self._stride:
-            least = LEAST * (self.plan.t1 - self.plan.t0) if nothing else 0.0
+            least = VANISHING_WINDOW * (self.plan.t1 - self.plan.t0) if nothing else 0.0
             self._stride = max((4.0 if self._dear == 1 else 8.0 * self._dear) * shortest, least)
         return self._stride
 
@@ -486,13 +484,13 @@ class Memory:
         ]
         before, self._wrong = self._wrong, max(wrong for wrong, _ in corrected)
         stuck = self._wrong > 0.5 * before
-        if self._wrong <= 1.0 or (stuck and self._wrong <= 1.0 / SHARE):
+        if self._wrong <= 1.0 or (stuck and self._wrong <= 1.0 / WINDOW_SHARE):
             self._pays(length)
             return None
         self._guesses += 1
         t = self._from[0]
         if length < 0.9 * (self.until - t):
-            self._stride = max(length, LITTLE * slack_of(t))  # an edge fired
+            self._stride = max(length, GUESS_SPAN * slack_of(t))  # an edge fired
         elif self._guesses <= GUESSES and not stuck:
             self.windows = [window for _, window in corrected]
             return self._scene()
@@ -508,13 +506,13 @@ class Memory:
         self._stride = min((2.0 if self._guesses <= EASY else 1.0) * length, self._most)
         if length < (1 + self._guesses) * self._dear * self._shortest:
             self._stride, self.ints[TIGHT] = 0.0, -self._rest
-            self._rest, self._most = min(2 * self._rest, LONGEST), np.inf
+            self._rest, self._most = min(2 * self._rest, LONGEST_REST), np.inf
         else:
-            self._rest = REST
+            self._rest = GUESS_REST
 
     def _require_stride(self, t: float) -> None:
         """Refuse guesses at nothing, where there is nothing else."""
-        if self._stride < LITTLE * slack_of(t) and self._shortest <= slack_of(t):
+        if self._stride < GUESS_SPAN * slack_of(t) and self._shortest <= slack_of(t):
             state = self.scene.spec.record(self._from[1])
             raise FlowError(
                 f"{self.scene.spec.model}, t = {t!r}, {state}: a lag is next to nothing, and what "
@@ -545,7 +543,7 @@ class Memory:
                 met[k] = orders
         if met:
             orders = self._carried(field, met)
-            if orders[self.all_seen].min(initial=SMOOTH) <= self.ints[BREAK_ORDER]:
+            if orders[self.all_seen].min(initial=SMOOTH_ORDER) <= self.ints[BREAK_ORDER]:
                 self.breaks.add(t, orders)
         few, tight = self.ints[STEPPED] <= 2 and not met, int(self.ints[TIGHT])
         self.ints[TIGHT] = tight + 1 if few else min(tight, 0)
@@ -566,12 +564,12 @@ class Memory:
         """Orders of the elements where some lags see breaking points."""
         reach = field.code.reach(field.mode, field.held)
         own = [
-            1 + min((int(seen[k][e]) for k, e in past if k in seen), default=SMOOTH)
+            1 + min((int(seen[k][e]) for k, e in past if k in seen), default=SMOOTH_ORDER)
             for _, past in reach
         ]
         for _ in own:
             own = [
-                min(order, 1 + min((own[j] for j in uses if j != i), default=SMOOTH))
+                min(order, 1 + min((own[j] for j in uses if j != i), default=SMOOTH_ORDER))
                 for i, (order, (uses, _)) in enumerate(zip(own, reach, strict=True))
             ]
         return np.array(own)

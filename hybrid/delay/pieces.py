@@ -11,18 +11,18 @@ import attrs
 import numpy as np
 
 from ..lowering import Field
-from ..rules.past import UP_TO
+from ..rules.past import UP_TO, WINDOW_ROUNDING
 from ..rules.places import BREAKS, PIECES_KEPT, WINDOW_DEGREE
 from ..segment import Segment, from_values, integrals, nodes
 from ..trajectory.clock import Instant
-from .windows import ROUNDING, TO_POWERS
+from .windows import TO_POWERS
 
 #: Rounding of places at the ends of a piece.
 INSIDE = 1e-12
 
 #: Pieces and breaking points for which there is room at first, the columns of a piece's row, and
 #: the most coefficients that one may have: those of the highest steps.
-FIRST, COLUMNS, WIDTH = 256, 6, 25
+FIRST_ROOM, COLUMNS, WIDTH = 256, 6, 25
 
 
 @attrs.frozen(eq=False)
@@ -137,9 +137,9 @@ class Pieces:
 
     def __init__(self, ints: np.ndarray, pieces: Sequence[Piece], dimension: int) -> None:
         self.ints, self.dimension = ints, dimension
-        self.spans = np.empty((FIRST, COLUMNS))
-        self.degrees = np.empty(FIRST, dtype=np.int64)
-        self.rows = np.empty((FIRST * dimension, WIDTH))
+        self.spans = np.empty((FIRST_ROOM, COLUMNS))
+        self.degrees = np.empty(FIRST_ROOM, dtype=np.int64)
+        self.rows = np.empty((FIRST_ROOM * dimension, WIDTH))
         self._others: dict[int, Piece] = {}
         self.forget_all(pieces)
 
@@ -239,7 +239,8 @@ class Breaks:
 
     def __init__(self, ints: np.ndarray, dimension: int) -> None:
         self.ints = ints
-        self._times, self._orders = np.empty(FIRST), np.empty((FIRST, dimension), dtype=np.int64)
+        self._times = np.empty(FIRST_ROOM)
+        self._orders = np.empty((FIRST_ROOM, dimension), dtype=np.int64)
         self.ints[BREAKS] = 0
 
     @property
@@ -353,6 +354,6 @@ class Window:
         """
         frame = np.array([0.5 * self.a + 0.5 * self.b, 0.5 * (self.b - self.a)])
         series = self.series
-        noise = ROUNDING * np.abs(self.values).max(axis=0) + self.noise
+        noise = WINDOW_ROUNDING * np.abs(self.values).max(axis=0) + self.noise
         heard = np.maximum.accumulate(np.abs(series)[::-1] > noise, axis=0)[::-1]
         return [frame, TO_POWERS @ np.where(heard, series, 0.0)]

@@ -14,24 +14,22 @@ import numpy as np
 
 from ..errors import FlowError, OptionError
 from ..lowering import Scene
+from ..rules.past import SHOWN_ROUNDING, WINDOW_SHARE
 from ..rules.places import WINDOW_DEGREE
+from ..rules.sums import SMALLEST_DIVISOR
 from ..segment import nodes
 from ..trajectory.plan import Plan
 from .pieces import Breaks, Piece, Pieces, Window, slack_of, states
-from .windows import SHARE
 
 #: Longest window of a lag that depends on time or state, against the run, and what part of it may
 #: lie behind, against the part ahead.
-MOST, SIDE = 0.1, 0.25
+LONGEST_WINDOW, SIDE = 0.1, 0.25
 
-#: How far the last piece is taken to go on, against its length.
-FAR = 2.0
+#: How far the last piece of a record is taken to go on, against its length.
+GOES_ON_FOR = 2.0
 
 #: Places at which a record may be rough within a time this short against the run.
-ROUGH, NEAR = 20, 1e-3
-
-#: Keeps ratios finite.
-TINY = 1e-300
+ROUGH, ROUGH_NEAR = 20, 1e-3
 
 
 class Reader:
@@ -57,7 +55,7 @@ class Reader:
     def allowed(self, x: np.ndarray) -> np.ndarray:
         """What a window may differ from a state of the record."""
         size = np.abs(x)
-        return SHARE * (self.plan.atol + self.plan.rtol * size) + 4e-16 * size
+        return WINDOW_SHARE * (self.plan.atol + self.plan.rtol * size) + SHOWN_ROUNDING * size
 
     def window(
         self, k: int, t: float, s: float, known: float, length: float, x: np.ndarray
@@ -113,7 +111,7 @@ class Reader:
         if fine:
             return
         self._rough.append(s)
-        near = abs(self._rough[-1] - self._rough[0]) < NEAR * (self.plan.t1 - self.plan.t0)
+        near = abs(self._rough[-1] - self._rough[0]) < ROUGH_NEAR * (self.plan.t1 - self.plan.t0)
         if len(self._rough) == ROUGH and near:
             raise FlowError(
                 f"{self.scene.spec.model}: the record at {s!r} is rough: no polynomial shows it to "
@@ -128,7 +126,7 @@ class Reader:
         span, end = self.frames[k, 2], min(self.breaks.after(s, slack), known)
         if not self.moving[k]:
             return s, max(min(end, s + length, s + span), s + slack)
-        span = min(span, MOST * (self.plan.t1 - self.plan.t0))
+        span = min(span, LONGEST_WINDOW * (self.plan.t1 - self.plan.t0))
         if isinf(known):  # a guess need not go further than it is flown over
             span = min(span, 2.0 * length + 1e4 * slack)
         if k in self.backwards:
@@ -174,7 +172,7 @@ class Reader:
         jumps = orders is not None and orders.min() == 0
         if jumps or last.rows is None:
             return np.broadcast_to(x, (len(since), len(x)))
-        if s + float(since[-1]) <= last.end + FAR * (last.end - last.start):
+        if s + float(since[-1]) <= last.end + GOES_ON_FOR * (last.end - last.start):
             return last.state(s, since)
         return x + np.multiply.outer((s - last.end) + since, last.slope)
 
@@ -195,6 +193,6 @@ class Reader:
         there, values = states(flown, window.a, since), window.values.copy()
         change = np.abs(window.shown(since) - there)
         values[window.guess] = states(flown, window.a, window.since[window.guess])
-        allowed = self.allowed(np.abs(there).max(axis=0)) + window.noise + TINY
+        allowed = self.allowed(np.abs(there).max(axis=0)) + window.noise + SMALLEST_DIVISOR
         wrong = float(np.max((change / allowed)[:, seen], initial=0.0))
         return wrong, attrs.evolve(window, values=values)

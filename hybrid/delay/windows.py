@@ -13,15 +13,6 @@ if TYPE_CHECKING:
     from ..lowering.automaton import Tables
     from ..rules.arrays import AutomatonArrays
 
-#: What a window may differ from the record, against the tolerance of a step.
-SHARE = 0.1
-
-#: Rounding of a window's series, relative to what it shows.
-ROUNDING = 1e-15
-
-#: Order of an element that is smooth.
-SMOOTH = 10**6
-
 
 def _to_powers() -> np.ndarray:
     """From Chebyshev coefficients to those of powers of the place in the window."""
@@ -52,9 +43,9 @@ def _table(rows: Any, width: int) -> np.ndarray:
 
 
 #: Where there are no programs.
-NOTHING = np.zeros(0, dtype=np.int64)
-TABLES = [_table([], width) for width in (1, 1, 2, 2, 6, 6)]
-NO_LINKS = Links(*TABLES, NOTHING, np.zeros((0, 1)), NOTHING)  # type: ignore[call-arg]
+NO_PROGRAMS = np.zeros(0, dtype=np.int64)
+EMPTY_TABLES = [_table([], width) for width in (1, 1, 2, 2, 6, 6)]
+NO_LINKS = Links(*EMPTY_TABLES, NO_PROGRAMS, np.zeros((0, 1)), NO_PROGRAMS)  # type: ignore[call-arg]
 
 
 class Shown:
@@ -115,9 +106,9 @@ class Shown:
             np.ascontiguousarray(self._windows(_table(self.tables.bounds.given, 2))),
             _table(parts, 6),
             np.concatenate([_table([], 6), *(tape.steady for tape in tapes)]),
-            np.concatenate([NOTHING, *(tape.more for tape in tapes)]),
+            np.concatenate([NO_PROGRAMS, *(tape.more for tape in tapes)]),
             NO_LINKS.numbers,
-            NOTHING,
+            NO_PROGRAMS,
         )
 
     def _windows(self, given: np.ndarray) -> np.ndarray:
