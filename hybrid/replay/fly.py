@@ -21,7 +21,7 @@ from .itinerary import TOGETHER, Itinerary
 from .laws import AT_END, AT_LENGTH, Laws, chosen
 
 #: Orders of the derivatives that are right.
-ORDERS = 2
+DERIVATIVE_ORDERS = 2
 
 
 class ReplayedRun:
@@ -91,4 +91,4 @@ def _implicit(residual: Any, known: Any) -> Any:
         off = residual(found)
         return found - jnp.linalg.solve(slopes, at(0.0, off)), None
 
-    return jax.lax.scan(better, known, length=ORDERS)[0]
+    return jax.lax.scan(better, known, length=DERIVATIVE_ORDERS)[0]

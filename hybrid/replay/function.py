@@ -15,7 +15,7 @@ from jax.lax import stop_gradient
 
 from ..errors import OptionError
 from ..lowering.lowered import lowered
-from .fly import ORDERS, ReplayedRun
+from .fly import DERIVATIVE_ORDERS, ReplayedRun
 from .itinerary import Itinerary, blank
 from .laws import Laws, laws_of
 
@@ -73,7 +73,7 @@ class Replay:
     def fly(self, plan: Any, row: Any) -> Any:
         """What a run gives, by the row of numbers of which this is the plan, and there alone."""
         plan = Itinerary._make(plan)
-        row, n = bounded(ORDERS, row), self.code.spec.dimension
+        row, n = bounded(DERIVATIVE_ORDERS, row), self.code.spec.dimension
         pairs = zip(pairwise(self.ends), self.shapes, strict=True)
         parameters = tuple(row[a:b].reshape(shape) for (a, b), shape in pairs)
         flight = ReplayedRun(self.laws, plan, parameters, row[-1])

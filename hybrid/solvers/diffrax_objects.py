@@ -44,7 +44,7 @@ DEGREES = {
 
 #: Degree at which other dense output is sampled, of whatever form it is: none of Diffrax's has a
 #: higher.
-DEGREE = 8
+OTHER_DEGREE = 8
 
 #: Sweeps of Picard's iteration that raise an interpolant to the order of its method.
 SWEEPS = {"Dopri8": 2}
@@ -61,17 +61,18 @@ AHEAD, NUMBERS = 32, 8192
 SHORTEST = 1e-14
 
 #: Most attempts between two looks from Python, where nobody asks for steps one by one.
-MOST = 100_000
+ATTEMPTS_AT_ONCE = 100_000
 
 #: What a program is told, before the state, the absolute tolerances and the parameters.
-INDEX, T0, TAU, WANTED, LIMIT, LENGTH, COUNT, FORCED, RTOL, STATE = range(10)
+INDEX, T0, ASKED_TAU, ASKED_TO, ASKED_LIMIT, ASKED_LENGTH, ASKED_STEPS = range(7)
+FORCED, ASKED_RTOL, ASKED_STATE = range(7, 10)
 
 #: What each step leaves before its states: its end, that of the step that comes next, and the
 #: attempts refused so far.
-END, NEXT, REFUSED, STATES = range(4)
+MADE_END, MADE_NEXT, MADE_REFUSED, MADE_STATES = range(4)
 
 
-class Memory(NamedTuple):
+class MethodMemory(NamedTuple):
     """What a method and a controller remember."""
 
     method: Any
@@ -108,7 +109,7 @@ class DiffraxSolver(Solver):
         except TypeError:  # what has arrays in it is no key
             self.order = _order.__wrapped__(method)
         self.ahead = 1
-        self._programs: dict[Any, Program] = {}
+        self._programs: dict[Any, StepProgram] = {}
 
     def begin(
         self,
@@ -122,12 +123,12 @@ class DiffraxSolver(Solver):
         first = first_step or min(length, 1e-3)
         return DiffraxStepper(self, field, t0, x0, length, min(first, length))
 
-    def program(self, field: Field) -> Program:
+    def program(self, field: Field) -> StepProgram:
         """Compiled once for a class and mode; found again without a look at the object's values."""
         short = field.code, field.name
         if short not in self._programs:
             key = ("diffrax", field.name, self.key)
-            made = field.code.once(key, lambda: Program(self, field))
+            made = field.code.once(key, lambda: StepProgram(self, field))
             self._programs[short] = made
         return self._programs[short]
 
@@ -207,10 +208,10 @@ class DiffraxStepper(Stepper):
         self.memories, self.index, self.made, self.used = program.empty, -1, 0, 0
         self._end: np.ndarray | None = None
         self._powers: np.ndarray | None = None
-        self.numbers = np.empty(STATE + 2 * program.n + program.parameters)
-        self.numbers[T0], self.numbers[LENGTH], self.numbers[RTOL] = t0, length, solver.rtol
-        self.numbers[STATE + program.n : -program.parameters or None] = solver.atol
-        self.numbers[STATE + 2 * program.n :] = program.flat(field.parameters)
+        self.numbers = np.empty(ASKED_STATE + 2 * program.n + program.parameters)
+        self.numbers[[T0, ASKED_LENGTH, ASKED_RTOL]] = t0, length, solver.rtol
+        self.numbers[ASKED_STATE + program.n : -program.parameters or None] = solver.atol
+        self.numbers[ASKED_STATE + 2 * program.n :] = program.flat(field.parameters)
         self.ahead, solver.ahead = solver.ahead, 1
 
     def step(self, limit: float) -> None:
@@ -254,7 +255,7 @@ class DiffraxStepper(Stepper):
     def powers(self) -> tuple[float, float, np.ndarray]:
         if self._powers is None:
             degree = self.program.states - 1
-            values = self.rows[: self.made, STATES:].reshape(self.made, degree + 1, -1)
+            values = self.rows[: self.made, MADE_STATES:].reshape(self.made, degree + 1, -1)
             from_start = to_powers(degree) @ from_values(degree) @ (values - values[:, :1])
             from_start[:, 0] += values[:, 0]
             self._powers = from_start.transpose(0, 2, 1)
@@ -276,7 +277,7 @@ class DiffraxStepper(Stepper):
             raise OptionError(f"method={self.solver.method}: {fault}") from None
         left = np.asarray(left)
         self.made, self.used, self._limit, self._refused = int(left[0]), 0, limit, 0.0
-        self.rows = left[2:].reshape(-1, STATES + n * self.program.states)
+        self.rows = left[2:].reshape(-1, MADE_STATES + n * self.program.states)
         self._powers = None
         if not self.made:
             self.solver.rejected += int(left[1])
@@ -285,17 +286,17 @@ class DiffraxStepper(Stepper):
     def _asked(self, limit: float, count: int = 1, forced: bool = False) -> np.ndarray:
         """What a program is told."""
         numbers, n = self.numbers, self.program.n
-        numbers[INDEX], numbers[TAU], numbers[WANTED] = self.index, self.tau, self.wanted
-        numbers[LIMIT], numbers[COUNT], numbers[FORCED] = limit, count, forced
-        numbers[STATE : STATE + n] = self.x
+        numbers[INDEX], numbers[ASKED_TAU], numbers[ASKED_TO] = self.index, self.tau, self.wanted
+        numbers[ASKED_LIMIT], numbers[ASKED_STEPS], numbers[FORCED] = limit, count, forced
+        numbers[ASKED_STATE : ASKED_STATE + n] = self.x
         return numbers
 
     def _take(self) -> None:
         """Go on to the end of the next step made."""
         row = self.rows[self.used]
         self._before = self.tau, self.x, self.used
-        self._last = self.tau, row[STATES:].reshape(self.program.states, -1)
-        self.tau, self.wanted, refused = row[:STATES].tolist()
+        self._last = self.tau, row[MADE_STATES:].reshape(self.program.states, -1)
+        self.tau, self.wanted, refused = row[:MADE_STATES].tolist()
         self.x = self._end = self._last[1][-1]
         self.used += 1
         self.index = self.used
@@ -311,7 +312,7 @@ class DiffraxStepper(Stepper):
         return "the solver gave up: the step became too small, or the flow is not finite"
 
 
-class Program:
+class StepProgram:
     """Steps of a method along a field, one after another, as a compiled function.
 
     Attributes
@@ -333,15 +334,15 @@ class Program:
         self.flow, self.n = again(field.closed), field.code.spec.dimension
         self.shapes = [np.shape(value) for value in field.parameters]
         self.parameters = sum(int(np.prod(shape)) for shape in self.shapes)
-        degree = DEGREES[solver.method] if solver.known else DEGREE
+        degree = DEGREES[solver.method] if solver.known else OTHER_DEGREE
         self.sweeps = SWEEPS.get(solver.method, 0) if solver.known else 0
         self.states = degree + 1
         self.places = min(AHEAD, 1 + NUMBERS // (self.n * self.states))
         self.run, self.whole = jit(self._run), jit(self._whole)
         self._flat: tuple[Any, Any] = None, None
         with wide():
-            numbers = np.zeros(STATE + 2 * self.n + self.parameters)
-            one = jax.eval_shape(lambda given: self._begin(Given(self, given))[0], numbers)
+            numbers = np.zeros(ASKED_STATE + 2 * self.n + self.parameters)
+            one = jax.eval_shape(lambda given: self._begin(StepInputs(self, given))[0], numbers)
             self.empty = jax.tree.map(
                 lambda leaf: jnp.zeros((self.places + 1, *leaf.shape), leaf.dtype), one
             )
@@ -354,7 +355,7 @@ class Program:
             self._flat = parameters, row
         return row
 
-    def _begin(self, given: Given) -> tuple[Memory, Any]:
+    def _begin(self, given: StepInputs) -> tuple[MethodMemory, Any]:
         """What is remembered at the start of an arc, and the end of its first step."""
         begun = given.controller.init(
             given.term,
@@ -367,17 +368,17 @@ class Program:
             given.order,
         )
         memory = given.method.init(given.term, given.tau, begun[0], given.x, None)
-        return _strong((Memory(memory, begun[1]), begun[0]))
+        return _strong((MethodMemory(memory, begun[1]), begun[0]))
 
     def _run(self, numbers: Any, memories: Any) -> Any:
-        given = Given(self, numbers)
+        given = StepInputs(self, numbers)
         index = given.index.astype(int)
         memory, wanted = jax.lax.cond(
             index < 0,
             lambda: self._begin(given),
             lambda: (jax.tree.map(lambda leaf: leaf[index], memories), given.wanted),
         )
-        rows = jnp.zeros((self.places, STATES + self.n * self.states))
+        rows = jnp.zeros((self.places, MADE_STATES + self.n * self.states))
         zero = jnp.array(0)
         start = Going(zero, zero, zero, given.tau, wanted, given.x, memory, rows, memories)
         start = start._replace(memories=_put(memories, zero, memory))
@@ -390,7 +391,7 @@ class Program:
         return jnp.concatenate([counts, going.rows.ravel()]), going.memories
 
     def _whole(self, numbers: Any) -> Any:
-        given = Given(self, numbers)
+        given = StepInputs(self, numbers)
         solution = diffrax.diffeqsolve(
             given.term,
             given.method,
@@ -399,7 +400,7 @@ class Program:
             given.wanted - given.tau,
             given.x,
             stepsize_controller=given.controller,
-            max_steps=MOST,
+            max_steps=ATTEMPTS_AT_ONCE,
             throw=False,
         )
         reached, stats = solution.ts[-1], solution.stats
@@ -407,7 +408,7 @@ class Program:
         mean = (reached - given.tau) / stats["num_steps"]
         return jnp.concatenate([jnp.stack([reached, mean, *counts]), solution.ys[-1]])
 
-    def _attempt(self, given: Given, going: Going) -> Going:
+    def _attempt(self, given: StepInputs, going: Going) -> Going:
         """One attempt at a step."""
         tau, x, forced = going.tau, going.x, given.forced
         end = jnp.where(forced, given.limit, jnp.minimum(going.wanted, given.limit))
@@ -424,7 +425,7 @@ class Program:
         wanted = jnp.where(kept, end, tau) + (stop - begin)
         longer = jnp.maximum(wanted, end + (going.wanted - tau))
         wanted = jnp.where(kept & (end < going.wanted), longer, wanted)
-        after = Memory(_where(kept, memory, going.memory.method), controller)
+        after = MethodMemory(_where(kept, memory, going.memory.method), controller)
         after = jax.tree.map(lambda new, old: jnp.asarray(new, old.dtype), after, going.memory)
         refused, place = going.refused + ~kept, going.made
         values = self._values(given, tau, end, x, y, dense)
@@ -443,7 +444,7 @@ class Program:
             _put(going.memories, place + 1, after),
         )
 
-    def _values(self, given: Given, tau: Any, end: Any, x: Any, y: Any, dense: Any) -> Any:
+    def _values(self, given: StepInputs, tau: Any, end: Any, x: Any, y: Any, dense: Any) -> Any:
         """The states at the nodes of a step.
 
         The interpolant may be brought nearer to the solution between the ends of the step: each
@@ -469,18 +470,19 @@ class Going(NamedTuple):
     tau: Any
     wanted: Any
     x: Any
-    memory: Memory
+    memory: MethodMemory
     rows: Any
-    memories: Memory
+    memories: MethodMemory
 
 
-class Given:
+class StepInputs:
     """What a program is given, taken apart."""
 
-    def __init__(self, program: Program, numbers: Any) -> None:
-        self.index, self.t0, self.tau, self.wanted, self.limit, self.length = numbers[:COUNT]
-        self.count, self.forced, rtol = numbers[COUNT], numbers[FORCED] > 0, numbers[RTOL]
-        self.x, atol, flat = jnp.split(numbers[STATE:], [program.n, 2 * program.n])
+    def __init__(self, program: StepProgram, numbers: Any) -> None:
+        self.index, self.t0, self.tau, self.wanted, self.limit, self.length = numbers[:ASKED_STEPS]
+        self.count, self.forced = numbers[ASKED_STEPS], numbers[FORCED] > 0
+        rtol = numbers[ASKED_RTOL]
+        self.x, atol, flat = jnp.split(numbers[ASKED_STATE:], [program.n, 2 * program.n])
         ends = np.cumsum([int(np.prod(shape)) for shape in program.shapes])
         parts = jnp.split(flat, ends[:-1]) if len(ends) else []
         parameters = [p.reshape(s) for p, s in zip(parts, program.shapes, strict=True)]

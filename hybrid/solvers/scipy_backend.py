@@ -36,10 +36,10 @@ ORDERS = {"DOP853": 8, "RK45": 5, "RK23": 3, "Radau": 5, "BDF": 2, "LSODA": 2}
 RUNGE_KUTTA = (DOP853, RK45, RK23)
 
 #: Degree of the dense output of the methods whose polynomial is sampled.
-DEGREES = {"Radau": 3, "BDF": 5, "LSODA": 12}
+SAMPLED_DEGREES = {"Radau": 3, "BDF": 5, "LSODA": 12}
 
 #: The same of a class of the user's, and its order as far as an arc's first step is chosen by it.
-DEGREE, LOWEST = 8, 1
+OTHER_DEGREE, LOWEST = 8, 1
 
 
 class SciPySolver(Solver):
@@ -115,7 +115,7 @@ class SciPySolver(Solver):
         to its extent: at order one, the absolute ones would lose it altogether.
         """
         known = self.cls in METHODS.values()
-        degree = DEGREES[self.method] if known else DEGREE
+        degree = SAMPLED_DEGREES[self.method] if known else OTHER_DEGREE
         given = {"jac": slopes} if known and slopes is not None else {}
         if sizes is None:
             solver = self._construct(flow, x0, length, first, self.atol, **given)
