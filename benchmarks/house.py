@@ -17,13 +17,7 @@ def main(root: Path) -> None:
     trees = {path: ast.parse(text) for path, text in files.items()}
     functions = [node for tree in trees.values() for node in ast.walk(tree) if _is_function(node)]
     said = [each for node in functions for each in _annotations(node)]
-    classes = Counter(
-        node.name
-        for tree in trees.values()
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ClassDef)
-    )
-    constants = _constants(trees.values())
+    named = constants(trees.values())
     circles = _circles(_imports(root / "hybrid", trees))
     rows = {
         "files": len(files),
@@ -38,11 +32,9 @@ def main(root: Path) -> None:
         ),
         "annotations": len(said),
         "of which Any": f"{sum(each == 'Any' for each in said) / len(said):.1%}",
-        "class names used twice": sum(count > 1 for count in classes.values()),
-        "named constants": sum(map(len, constants.values())),
-        "names of constants with two values": sum(
-            len(set(each)) > 1 for each in constants.values()
-        ),
+        "class names used twice": len(shared_classes(trees.values())),
+        "named constants": sum(map(len, named.values())),
+        "names of constants with two values": len(ambiguous(named)),
         "modules in circles of imports, those in functions too": sum(map(len, circles)),
     }
     for what, value in rows.items():
@@ -80,21 +72,33 @@ def _code(tree: ast.Module) -> int:
     return len(lines)
 
 
-def _constants(trees) -> dict[str, list[str]]:
+def shared_classes(trees) -> set[str]:
+    """Names of classes that there are two of."""
+    nodes = (node for tree in trees for node in ast.walk(tree))
+    names = Counter(node.name for node in nodes if isinstance(node, ast.ClassDef))
+    return {name for name, count in names.items() if count > 1}
+
+
+def constants(trees) -> dict[str, list[str]]:
     """Names in capitals at the top of a module, with their values."""
     found = defaultdict(list)
     for tree in trees:
         for node in tree.body:
-            if isinstance(node, ast.Assign):
-                values = _values(node)
-                for name, value in values:
+            if isinstance(node, ast.Assign | ast.AnnAssign) and node.value:
+                for name, value in _values(node):
                     if name.isupper():
                         found[name].append(value)
     return found
 
 
-def _values(node: ast.Assign):
-    target, value = node.targets[0], node.value
+def ambiguous(named: dict[str, list[str]]) -> set[str]:
+    """Names of constants that have two values."""
+    return {name for name, values in named.items() if len(set(values)) > 1}
+
+
+def _values(node: ast.Assign | ast.AnnAssign):
+    target = node.target if isinstance(node, ast.AnnAssign) else node.targets[0]
+    value = node.value
     if isinstance(target, ast.Name):
         yield target.id, ast.unparse(value)
     elif isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):

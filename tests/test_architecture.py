@@ -1,12 +1,16 @@
 """The layout: imports point one way, importing is light, files stay readable."""
 
 import ast
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "hybrid"
+
+#: What measures the package; here its names are held to it.
+HOUSE = runpy.run_path(str(ROOT / "benchmarks" / "house.py"))
 
 #: Lowest first: a module imports from its own layer or from those before it.
 LAYERS = [
@@ -53,6 +57,11 @@ def modules():
     for path in PACKAGE.rglob("*.py"):
         parts = path.relative_to(PACKAGE).with_suffix("").parts
         yield ".".join(parts[:-1] if parts[-1] == "__init__" and len(parts) > 1 else parts), path
+
+
+def trees():
+    """Each module as it is parsed."""
+    return [ast.parse(path.read_text()) for _, path in modules()]
 
 
 def layer(module):
@@ -103,6 +112,16 @@ def test_no_module_imports_itself_by_way_of_others():
 def test_imports_that_are_meant_are_made():
     """The list has nothing that is gone."""
     assert set(imported()) >= MEANT
+
+
+def test_no_two_classes_share_a_name():
+    """Whoever reads of one knows which."""
+    assert HOUSE["shared_classes"](trees()) == set()
+
+
+def test_no_constant_has_two_values_under_one_name():
+    """What differs has names that say how; what is the same is imported."""
+    assert HOUSE["ambiguous"](HOUSE["constants"](trees())) == set()
 
 
 def test_few_files_stand_at_the_top():

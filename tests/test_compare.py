@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 import hybrid as hy
 from hybrid import gallery
 from hybrid.cli import app
-from hybrid.cli.compare import CLOSE_QUANTITIES, METHODS, SAME_QUANTITIES, compare
+from hybrid.cli.compare import CLOSE_QUANTITIES, COMPARED_METHODS, SAME_QUANTITIES, compare
 from hybrid.run import cycles
 from models.two_tanks import TwoTanks
 
@@ -19,7 +19,10 @@ FIVE = ("taylor", "scipy DOP853", "scipy Radau", "scipy LSODA", "diffrax Dopri8"
 
 @pytest.mark.parametrize(
     "methods",
-    [{name: METHODS[name] for name in FIVE}, pytest.param(None, marks=pytest.mark.every_way)],
+    [
+        {name: COMPARED_METHODS[name] for name in FIVE},
+        pytest.param(None, marks=pytest.mark.every_way),
+    ],
     ids=["five", "all"],
 )
 @pytest.mark.parametrize("name", gallery.names())
@@ -29,7 +32,7 @@ def test_solvers_agree_on_a_model(name, methods):
     options = {"methods": methods, "history": entry.history}
     found = compare(entry.cls(), entry.start, entry.until, **options)
     assert found.explained, [d for d in found.differences if not d.explained]
-    assert list(found.runs) == list(methods or METHODS)
+    assert list(found.runs) == list(methods or COMPARED_METHODS)
 
 
 def test_all_methods_are_compared_unless_some_are_chosen():
@@ -37,7 +40,7 @@ def test_all_methods_are_compared_unless_some_are_chosen():
     entry = gallery.find("bouncing_ball")
     found = compare(entry.cls(), entry.start, entry.until)
     assert found.explained
-    assert list(found.runs) == list(METHODS)
+    assert list(found.runs) == list(COMPARED_METHODS)
     assert len(found.runs) == 8
 
 

@@ -114,9 +114,9 @@ def _apply(op: str, places: list[int], args: list[Any]) -> Any:
         return _constant(OF_ONE_NODE[op])
     if same and op == "mul":
         return _square(args[0])
-    if op in TESTS:
-        return TESTS[op](*args)
-    found = RULES[op](*map(_number, args)) if op in RULES else _by_balls(op, args)
+    if op in GROWTH_TESTS:
+        return GROWTH_TESTS[op](*args)
+    found = GROWTH_RULES[op](*map(_number, args)) if op in GROWTH_RULES else _by_balls(op, args)
     return found.settled() if isinstance(found, Growth) else found
 
 
@@ -343,7 +343,7 @@ _NAMED: dict[str, Callable[..., Any]] = {
     "cosh": _cosh,
 }
 
-RULES: dict[str, Callable[..., Any]] = {
+GROWTH_RULES: dict[str, Callable[..., Any]] = {
     "neg": _neg,
     "add": _add,
     "sub": lambda a, b: _add(a, _neg(b)),
@@ -381,7 +381,7 @@ def _not(a: bool | None) -> bool | None:
     return None if a is None else not a
 
 
-TESTS: dict[str, Callable[..., Any]] = {
+GROWTH_TESTS: dict[str, Callable[..., Any]] = {
     "gt": _greater,
     "ge": _at_least,
     "lt": lambda a, b: _greater(b, a),

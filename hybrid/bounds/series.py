@@ -133,7 +133,7 @@ def _apply(op: str, args: list[Any]) -> Any:
         return _whole(op, [_first(a) for a in args])
     if not any(isinstance(a, arb_series) for a in args):
         return BALLS[op](*args)
-    rule = RULES.get(op)
+    rule = SERIES_RULES.get(op)
     if rule is None:
         return Undefined(f"{op} has no series of balls")
     try:
@@ -224,7 +224,7 @@ def _tanh(a: Any) -> Any:
     return (1 - falls) / (1 + falls)
 
 
-RULES: dict[str, Callable[..., Any]] = {
+SERIES_RULES: dict[str, Callable[..., Any]] = {
     "add": lambda a, b: _series(a) + _series(b),
     "sub": lambda a, b: _series(a) - _series(b),
     "neg": lambda a: -a,

@@ -20,7 +20,7 @@ from ..trajectory.arcs import Arc, JumpRow
 from ..trajectory.trajectory import Trajectory
 
 #: What is run, by label; the first is the reference.
-METHODS: dict[str, dict[str, Any]] = {
+COMPARED_METHODS: dict[str, dict[str, Any]] = {
     "taylor": {"solver": "taylor"},
     "scipy DOP853": {"solver": "scipy", "method": "DOP853"},
     "scipy RK45": {"solver": "scipy", "method": "RK45"},
@@ -121,7 +121,7 @@ def compare(
     Comparison
         Jumps are compared in order; states in the middle of each arc and after each jump.
     """
-    chosen = dict(METHODS if methods is None else methods)
+    chosen = dict(COMPARED_METHODS if methods is None else methods)
     options = {"rtol": rtol, "atol": atol, **options}
     runs = {label: _run(model, start, t, {**options, **choice}) for label, choice in chosen.items()}
     reference, first = next(iter(runs.items()))

@@ -43,9 +43,9 @@ BLOCK_SECONDS, BLOCK_SHARE = 0.5, 0.5
 CODE = "from hybrid.ensembles.processes import serve; serve()"
 
 #: Interrupts from the keyboard are for this process; it ends the others.
-APART: dict[str, Any] = {"start_new_session": True}
+NEW_SESSION: dict[str, Any] = {"start_new_session": True}
 if sys.platform == "win32":
-    APART = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+    NEW_SESSION = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
 
 Call = Callable[[int], Any]
 
@@ -180,7 +180,7 @@ class _Process:
             stdin=pipe,
             stdout=pipe,
             env={**os.environ, "PYTHONPATH": path},
-            **APART,
+            **NEW_SESSION,
         )
         self.job: bytes | None = job
 

@@ -69,7 +69,7 @@ def _angle(g: Graph, y: int, x: int) -> list[int]:
 
 
 #: The slope of an operation along each of its arguments.
-LOCAL: dict[str, Callable[..., list[int]]] = {
+LOCAL_SLOPES: dict[str, Callable[..., list[int]]] = {
     "add": lambda g, a, b: [g.const(1.0)] * 2,
     "sub": lambda g, a, b: [g.const(1.0), g.const(-1.0)],
     "neg": lambda g, a: [g.const(-1.0)],
@@ -107,9 +107,9 @@ def _slopes(g: Graph, number: int) -> list[int]:
     op, *arguments = g.nodes[number]
     if op in SLOPES:
         return [SLOPES[op](g, arguments[0], number)]
-    if op not in LOCAL:
+    if op not in LOCAL_SLOPES:
         raise TraceError(f"the derivative of {op!r} cannot be written as scalar code")
-    return LOCAL[op](g, *arguments)
+    return LOCAL_SLOPES[op](g, *arguments)
 
 
 def along(g: Graph, root: int, rates: Mapping[int, int]) -> int:

@@ -41,7 +41,7 @@ MATRICES = ("custom_linear_solve", "triangular_solve", "cholesky")
 
 #: Most whole numbers among which a choice is written out, as that of a place in a table; of two
 #: together as many as of each. Places are found by halves, in steps that share their conditions.
-CHOICES = 64
+MOST_CHOICES = 64
 
 #: Sums of up to so many terms are written out.
 WRITTEN_TERMS = 3
@@ -258,8 +258,8 @@ def _apply(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
         return [_each(partial(_whole, graph, name), *inputs)]
     if name in ELEMENTWISE:
         return [_map(graph, name, inputs)]
-    if name in RULES:
-        return [RULES[name](graph, params, *inputs)]
+    if name in PRIMITIVES:
+        return [PRIMITIVES[name](graph, params, *inputs)]
     if name == "scan":
         return _scan(graph, params, inputs)
     if name == "cond":
@@ -369,7 +369,7 @@ def _choosing(graph: Graph, numbers: Sequence[int]) -> int | None:
 
 def _few(counts: Sequence[int]) -> bool:
     """Whether there are choices among whole numbers only, not too many of them together."""
-    return 0 < math.prod(counts) <= CHOICES**2 and max(counts, default=1) <= CHOICES
+    return 0 < math.prod(counts) <= MOST_CHOICES**2 and max(counts, default=1) <= MOST_CHOICES
 
 
 def _taken(graph: Graph, condition: int, way: int, number: int) -> int:
@@ -597,7 +597,7 @@ def _same(graph: Graph, params: Any, x: Ids) -> Ids:
 
 
 #: Primitive name to the rule that gives its single result.
-RULES: dict[str, Callable[..., Ids]] = {
+PRIMITIVES: dict[str, Callable[..., Ids]] = {
     "integer_pow": _integer_pow,
     "pow": _power,
     "square": lambda g, p, x: _map(g, "mul", [x, x]),

@@ -166,7 +166,7 @@ class Watched:
 
 
 #: Operations made of others.
-MADE: dict[str, Callable[..., int]] = {
+MADE_OF_OTHERS: dict[str, Callable[..., int]] = {
     "abs": _size,
     "sign": _sign,
     "max": lambda g, a, b: _choice(g, a, b, a, b),
@@ -396,7 +396,7 @@ def tape(graph: Graph, size: int, flow: Ids, functions: Sequence[int], where: st
 
 
 def _made(graph: Graph, node: tuple[Any, ...]) -> int | None:
-    return MADE[node[0]](graph, *node[1:]) if node[0] in MADE else None
+    return MADE_OF_OTHERS[node[0]](graph, *node[1:]) if node[0] in MADE_OF_OTHERS else None
 
 
 class _Recorder:

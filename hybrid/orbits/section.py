@@ -23,9 +23,6 @@ from ..trajectory.trajectory import Status, Trajectory
 #: A surface on which a run starts is zero there, relative to the terms that it is made of.
 STARTS = 1e-8
 
-#: Degree at which a function of the state is sampled along a step to find its zeros.
-SAMPLED_DEGREE = 16
-
 
 @attrs.frozen
 class Return:

@@ -17,8 +17,7 @@ from ..solvers.taylor_backend import TaylorSolver
 from ..trajectory.arcs import Arc
 from ..trajectory.log import Log
 from ..trajectory.trajectory import Trajectory
-from .section import SAMPLED_DEGREE
-from .standing import RATE_PARTS, Standing, size_of, standing
+from .standing import RATE_PARTS, SAMPLED_DEGREE, Standing, size_of, standing
 
 #: Distances below this many times ``rtol``, three turns in a row, are those of a closed orbit.
 CLOSED_RTOLS = 10.0

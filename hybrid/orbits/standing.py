@@ -30,6 +30,9 @@ AWAY = 1e-6
 #: Noise grows in all of them once in 720 times, and by no power of ten from the first to the last.
 RATE_PARTS, TIMES, MUCH = 6, 4, 10.0
 
+#: Degree at which a function of the state is sampled along a step to find its zeros.
+SAMPLED_DEGREE = 16
+
 #: Places along a step at which loads are looked at.
 LOAD_PLACES = nodes(8)
 

@@ -48,7 +48,7 @@ class Compared(NamedTuple):
 
 
 @attrs.frozen(eq=False)
-class Made:
+class FinishedRun:
     """What a run has left, as far as it is compared with others: no more of it is kept for that,
     and nothing that refers to it.
 
@@ -69,7 +69,7 @@ class Made:
     cut: bool
 
     @classmethod
-    def of(cls, driver: Driver) -> Made:
+    def of(cls, driver: Driver) -> FinishedRun:
         """What a driver has left."""
         record, watched, plan = driver.record, driver.watchful, driver.plan
         zeno = [Compared(point.t, point.edges, point.state) for point in record.zeno]
@@ -82,7 +82,7 @@ class Made:
 def give_errors(driver: Driver, solver: str, method: Any, mode: str, x: np.ndarray) -> None:
     """Let each accumulation measure its error when asked: by a second and a third run for all."""
     if driver.record.zeno:
-        again = _Again(Made.of(driver), solver, method, mode, x)
+        again = _Again(FinishedRun.of(driver), solver, method, mode, x)
         for index, point in enumerate(driver.record.zeno):
             point._errors = partial(again.errors, index)
 
@@ -100,10 +100,12 @@ class _Again:
     no step of it had to be cut, this one needs no watch: what it steps over is a difference.
     """
 
-    def __init__(self, made: Made, solver: str, method: Any, mode: str, x: np.ndarray) -> None:
+    def __init__(
+        self, made: FinishedRun, solver: str, method: Any, mode: str, x: np.ndarray
+    ) -> None:
         self.made, self.own = made, (solver, method)
         self.mode, self.x = mode, x
-        self._runs: dict[tuple[str, bool], Made] = {}
+        self._runs: dict[tuple[str, bool], FinishedRun] = {}
 
     def __reduce__(self) -> Any:
         """Pickled without the runs: they are made again where they are needed."""
@@ -122,7 +124,7 @@ class _Again:
         second = self._run(name)
         return _errors(made, index, [(made, second), (second, self._run(name, True))])
 
-    def _run(self, name: str, moved: bool = False) -> Made:
+    def _run(self, name: str, moved: bool = False) -> FinishedRun:
         """A run, as far as it gets: what it does not get to has no bound."""
         if (name, moved) not in self._runs:
             made = self.made
@@ -133,7 +135,7 @@ class _Again:
                 again.run(self.mode, x)
             if again.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt
-            self._runs[name, moved] = Made.of(again)
+            self._runs[name, moved] = FinishedRun.of(again)
         return self._runs[name, moved]
 
     def _solver(self, name: str) -> Solver:
@@ -164,7 +166,7 @@ class _Again:
         )
 
 
-def _nudged(made: Made, mode: str, x: np.ndarray) -> np.ndarray:
+def _nudged(made: FinishedRun, mode: str, x: np.ndarray) -> np.ndarray:
     """The start moved by rounding, so that what rounding grows to is seen as well.
 
     A start on a guard is left where it is.
@@ -176,7 +178,9 @@ def _nudged(made: Made, mode: str, x: np.ndarray) -> np.ndarray:
     return x * (1.0 + NUDGE * (-1.0) ** np.arange(len(x)))
 
 
-def _errors(made: Made, index: int, pairs: list[tuple[Made, Made]]) -> tuple[float, Record]:
+def _errors(
+    made: FinishedRun, index: int, pairs: list[tuple[FinishedRun, FinishedRun]]
+) -> tuple[float, Record]:
     """Bounds from the distances between runs; infinite where they do not show the same."""
     point, record = made.zeno[index], made.scene.spec.record
     dimension = made.scene.spec.dimension
@@ -196,7 +200,7 @@ def _errors(made: Made, index: int, pairs: list[tuple[Made, Made]]) -> tuple[flo
     return float(t_error), record(x_error)
 
 
-def _shows(run: Made, index: int, point: Compared) -> bool:
+def _shows(run: FinishedRun, index: int, point: Compared) -> bool:
     """Whether a run has come to the same accumulation."""
     return index < len(run.zeno) and run.zeno[index].edges == point.edges
 

@@ -176,7 +176,7 @@ class _Bounds:
         }
         inputs |= {"t": (t, nextafter(t + box.time, inf)), "u": (-box.speed, 0.0)}
         found = question.program.enclose(inputs)
-        self.pair, count = question.pair, SLOPES if question.pair else 0
+        self.pair, count = question.pair, GAP_SLOPES if question.pair else 0
         slopes = found[4 + 2 * n : 4 + 2 * n + count]
         del found[4 + 2 * n : 4 + 2 * n + count]
         gap, speed, *rest = found
@@ -226,7 +226,7 @@ class _Bounds:
 
 
 #: Derivatives of gap and gap speed by the time, the position and the velocity.
-SLOPES = 5
+GAP_SLOPES = 5
 
 
 def _question(field: Field, contact: str) -> _Question | None:
