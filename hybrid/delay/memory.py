@@ -146,11 +146,7 @@ class Memory:
         self._lags = [code.lag(k).bind(hidden) for k in range(len(spec.lags))]
         self.names = [lag.name for lag in spec.lags]
         self.floats, self.ints = np.zeros(6), np.zeros(12, dtype=np.int64)
-        self.floats[FINAL], self.floats[RTOL], self.floats[SERVES_UNTIL] = (
-            plan.t1,
-            plan.rtol,
-            plan.t0,
-        )
+        self.floats[[FINAL, RTOL, SERVES_UNTIL]] = plan.t1, plan.rtol, plan.t0
         self.ints[BREAK_ORDER], self.ints[AGAIN] = order + 1, GOES_ON
         self.ints[TIGHTEST], self.ints[IN_ARC] = TIGHT_WINDOWS, -1
         self.pieces, self.breaks = Pieces(self.ints, history, len(x)), Breaks(self.ints, len(x))

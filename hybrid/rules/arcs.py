@@ -129,9 +129,8 @@ def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     if fires != NONE:
         return at_once(now, fires)
     n, absolute = now.x.shape[0], run[TOLERANCES:]
-    now.floats[FIRST_LENGTH] = first_step(
-        room.c, n, int(run[METHOD_ORDER]), run[RELATIVE], absolute
-    )
+    order = int(run[METHOD_ORDER])
+    now.floats[FIRST_LENGTH] = first_step(room.c, n, order, run[RELATIVE], absolute)
     now.floats[AIM] = aim(a, now, room, True)
     return GOES_ON
 
@@ -248,10 +247,8 @@ def lands(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
     """The time at which a guard is zero, to rounding, and the state there (5): Newton's method."""
     tau, at, guard = now.floats[TAU], now.floats[TO_TAU], now.ints[EVENT]
     field = now.ints[FIELD]
-    program, row = (
-        a.fields[field, FIELD_PROGRAM],
-        row_of(a, a.fields[field, FIELD_PROGRAM], field, guard),
-    )
+    program = a.fields[field, FIELD_PROGRAM]
+    row = row_of(a, program, field, guard)
     t, least = now.floats[T] + at, beyond(now, tau)
     length = (run[LAST_TIME] - now.floats[T]) - now.floats[LOW]
     most = min(length, now.floats[STEP_END] + SMALL_SHIFT * (now.floats[STEP_END] - tau))

@@ -233,9 +233,8 @@ def carries(s: Slopes, row: Ints, t: float, x: Floats, length: float, room: Chan
     columns, begins = 1 + arc.shape[1], room.lines[ARC_START, :n]
     for k in range(state.shape[1]):
         state[0, k] = 0.0
-    if row[ONTO] >= 0 and not onto_contacts(
-        s, row[ONTO], row[HELD_COUNT], t, x, 0, columns, state, room
-    ):
+    onto, held = row[ONTO], row[HELD_COUNT]
+    if onto >= 0 and not onto_contacts(s, onto, held, t, x, 0, columns, state, room):
         return False
     for i in range(n):
         begins[i] = x[i]
@@ -282,11 +281,8 @@ def jumped(
     ``smooth``: the flow goes on as it was.
     """
     n, state, moved = before.shape[0], room.state, room.moved
-    arrives, leaves, across = (
-        room.lines[FLOW_BEFORE],
-        room.lines[FLOW_BEHIND],
-        room.lines[GRADIENT_ROW],
-    )
+    arrives, leaves = room.lines[FLOW_BEFORE], room.lines[FLOW_BEHIND]
+    across = room.lines[GRADIENT_ROW]
     columns = 1 + room.arc.shape[1]
     rates(s, row[SLOPES_PROGRAM], t, before, room, arrives)
     rates(s, later[SLOPES_PROGRAM], t, behind, room, leaves)

@@ -249,9 +249,8 @@ def _directs(
         rounding = fastest + abs(2.0 * c[i, 2] * s) + abs(3.0 * c[i, 3] * s * s)
         rounding += max(abs(c[i, 0]), abs(c[i, 1]), scale) / h
         left = (c.shape[1] - 1) * behind(c[i], s) / s  # of the slope, as of its last terms
-        allowed = (
-            max(MISSED * EPS * rounding, left) + ROUNDING_BESIDE * abs(rate - other) + DENORMAL_LOSS
-        )
+        allowed = max(MISSED * EPS * rounding, left) + ROUNDING_BESIDE * abs(rate - other)
+        allowed += DENORMAL_LOSS
         close = close and not abs(rate - rates[i]) > allowed
     return close or not finite
 

@@ -136,9 +136,8 @@ def zero_of(
     value, _ = power_value(c, 0, degree, h)
     size = power_size(c, 0, degree, h)
     now.signs[place] = 1 if value > 0.0 else -1
-    clear = value * side > 0.0 and abs(value) > max(
-        GUARD_ROUNDING * EPS * size, ROUNDING_BESIDE * left
-    )
+    least = max(GUARD_ROUNDING * EPS * size, ROUNDING_BESIDE * left)
+    clear = value * side > 0.0 and abs(value) > least
     return math.inf if clear else 0.0
 
 

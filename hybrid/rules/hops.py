@@ -9,7 +9,7 @@ from .arrays import Floats, Ints, Programs, Sums
 from .flights import fly
 from .guards import NEAR
 from .jets import values
-from .sums import ONTO_CONTACT, READ, SPEED_CHANGE, restitution, turned
+from .sums import KICK, ONTO_CONTACT, READ, restitution, turned
 
 __all__ = ("drowns", "hop")
 
@@ -66,7 +66,7 @@ def hop(
     speed = restitution(p, at, end, before, u, room) * -u
     if not speed >= 0.0:
         return NO_SPEED, time, speed, pieces
-    values(p, at + SPEED_CHANGE, end, before, room.sides, room.c, room.work, read)
+    values(p, at + KICK, end, before, room.sides, room.c, room.work, read)
     for j in range(n):
         after[j] = before[j]
     turned(after, speed - read[n], read)

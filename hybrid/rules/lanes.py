@@ -261,9 +261,8 @@ def looks(a: AutomatonArrays, left: Left, jumps: int, tails: int, sums: Sums) ->
 
 def idle(left: Left, j: int, longest: float) -> bool:
     """Whether the flight before a jump took next to no time, against the longest of the lane."""
-    return left.when[j, 2] <= max(
-        IDLE_FLIGHT * longest, CAUGHT_SPACINGS * EPS * abs(left.when[j, 0])
-    )
+    spacings = CAUGHT_SPACINGS * EPS * abs(left.when[j, 0])
+    return left.when[j, 2] <= max(IDLE_FLIGHT * longest, spacings)
 
 
 def shrinks(left: Left, first: int, j: int) -> bool:

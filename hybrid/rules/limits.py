@@ -30,7 +30,7 @@ from .kinks import KINK_ROW, count
 from .linear import solve
 from .polynomials import power_value
 from .slopes import onto_contacts, product, rates, read, reset
-from .sums import READ, SPEED_CHANGE, STATE_THERE, on_curve
+from .sums import KICK, READ, STATE_THERE, on_curve
 from .variation import (
     GRADIENT,
     HELD_COUNT,
@@ -388,19 +388,13 @@ def at_rest(
     """``G(0)``: a speed of ``u`` is gone after ``2 u / (a (1 - r))``; and the flow at rest."""
     n, columns, turn = x.shape[0], room.before.shape[1], sums.lines[READ]
     drift, across, rest = room.lines[DRIFT], room.lines[GAP_GRADIENT], room.rest
-    values(p, at + SPEED_CHANGE, t, x, sums.sides, sums.c, sums.work, turn)
+    values(p, at + KICK, t, x, sums.sides, sums.c, sums.work, turn)
     fall = -turn[n + 1]
     if not fall > 0.0:
         return False
     lasts, resting = 2.0 / (fall * (1.0 - r)), own[REST_ROW] >= 0
-    rates(
-        s,
-        s.fields[own[REST_ROW], SLOPES_PROGRAM] if resting else own[SLOPES_PROGRAM],
-        t,
-        x,
-        room,
-        drift,
-    )
+    program = s.fields[own[REST_ROW], SLOPES_PROGRAM] if resting else own[SLOPES_PROGRAM]
+    rates(s, program, t, x, room, drift)
     if not resting:
         for j in range(n):
             drift[j] += fall * turn[j]

@@ -249,10 +249,8 @@ def tail_kept(
     shortest = BRIEF_FLIGHT * (math.nextafter(abs(end), math.inf) - abs(end))
     state = sums.lines[STATE_THERE, :n]
     while True:
-        if (
-            ints[PIECES_KEPT] + SPARE_PIECES > past.degrees.shape[0]
-            or ints[BREAKS] + 2 > past.times.shape[0]
-        ):
+        full = ints[PIECES_KEPT] + SPARE_PIECES > past.degrees.shape[0]
+        if full or ints[BREAKS] + 2 > past.times.shape[0]:
             return False
         w = row[RATIO] ** ints[FLIGHTS_DONE]
         since = value(curve, degree, 0, w) if ints[FLIGHTS_DONE] > 0 else 0.0

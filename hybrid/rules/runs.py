@@ -257,12 +257,8 @@ def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, su
         end of the run, another guard comes near, or there is no room for it.
     """
     field, guard, place = now.ints[FIELD], now.ints[FIRED], now.ints[JUMPS_MADE]
-    flow, at, t, v = (
-        a.fields[field, FIELD_PROGRAM],
-        a.guards[guard, AT],
-        now.floats[T],
-        now.floats[GAP_SPEED],
-    )
+    flow, at = a.fields[field, FIELD_PROGRAM], a.guards[guard, AT]
+    t, v = now.floats[T], now.floats[GAP_SPEED]
     before, behind = left.before[place], left.after[place]
     rounding = GUARD_ROUNDING * EPS * max(largest(now.seen), largest(now.x))
     status, time, speed, pieces = hop(
@@ -316,12 +312,8 @@ def begun(
     own, guard = now.ints[FIELD], now.ints[FIRED]
     copied(x, now.x)
     now.floats[T], now.floats[LOW] = t, low
-    now.ints[FIELD], now.ints[FIRED], now.ints[GUARD_POWER], now.ints[ENTERED] = (
-        field,
-        used,
-        power,
-        0,
-    )
+    now.ints[FIELD], now.ints[FIRED] = field, used
+    now.ints[GUARD_POWER], now.ints[ENTERED] = power, 0
     for i in range(room.sides.shape[0]):
         room.sides[i] = 0
     program, order = a.fields[field, FIELD_PROGRAM], room.c.shape[1] - 1

@@ -15,10 +15,10 @@ from .flights import fly
 from .jets import values
 from .sums import (
     CURVE_BASIS,
+    KICK,
     LEAST_LOSS,
     READ,
     RESTITUTION_LAW,
-    SPEED_CHANGE,
     STATE_THERE,
     STRETCH_POINTS,
     on_curve,
@@ -182,25 +182,15 @@ def laws(
 
 def put(s: Floats, first: float, last: float, begin: float, end: float, left: float) -> None:
     """Put a stretch down."""
-    s[FIRST_IMPACT], s[LAST_IMPACT], s[SHARE_FROM], s[SHARE_TO], s[HALVINGS_LEFT] = (
-        first,
-        last,
-        begin,
-        end,
-        left,
-    )
+    s[FIRST_IMPACT], s[LAST_IMPACT] = first, last
+    s[SHARE_FROM], s[SHARE_TO], s[HALVINGS_LEFT] = begin, end, left
 
 
 def halved(stretches: Matrix, place: int, r: float) -> None:
     """Two stretches of about half the time each; of a single flight, its two parts."""
     s, other = stretches[place], stretches[place + 1]
-    first, last, begin, end, left = (
-        s[FIRST_IMPACT],
-        s[LAST_IMPACT],
-        s[SHARE_FROM],
-        s[SHARE_TO],
-        s[HALVINGS_LEFT] - 1.0,
-    )
+    first, last, left = s[FIRST_IMPACT], s[LAST_IMPACT], s[HALVINGS_LEFT] - 1.0
+    begin, end = s[SHARE_FROM], s[SHARE_TO]
     if last >= r * first:
         put(s, first, last, begin, 0.5 * (begin + end), left)
         put(other, first, last, 0.5 * (begin + end), end, left)
@@ -251,7 +241,7 @@ def fits(
 def there(a: AutomatonArrays, at: int, what: int, n: int, point: Floats, room: Sums) -> float:
     """The gap's acceleration, or the restitution, at a point that is shown."""
     read = room.lines[READ]
-    program = at + (SPEED_CHANGE if what == ACCELERATION else RESTITUTION_LAW)
+    program = at + (KICK if what == ACCELERATION else RESTITUTION_LAW)
     state = point[1 : n + 2] if what == RESTITUTION else point[1 : n + 1]
     values(a.programs, program, point[0], state, room.sides, room.c, room.work, read)
     return read[n + 1] if what == ACCELERATION else read[0]

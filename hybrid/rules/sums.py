@@ -39,7 +39,7 @@ __all__ = ("close", "on_curve", "restitution", "shown", "touch")
 # shown: where it has left the contact, where it strikes it, and the rates behind each.
 CURVE, FLIGHT_ROWS, VALUE_ROWS = 0, 17, 34
 TO_LIMIT, ERROR, OLD_LIMIT, ALLOWED, ON_CURVE, STATE_THERE, READ = 51, 52, 53, 54, 55, 56, 57
-LEFT_CONTACT, STRUCK_CONTACT, SUM_LINES = 58, 60, 62
+LEAVING, STRIKING, SUM_LINES = 58, 60, 62
 
 # Rows of ``small``: from values to coefficients; equations; the points; Chebyshev polynomials at
 # one of them; what each turn has changed, against what may change; the gap's acceleration.
@@ -52,7 +52,7 @@ GRID, KINKS_CROSSED, BRANCH = 64, 17, 18
 #: Programs of what happens at a contact, from the first of them on: the state moved onto it; change
 #: of the state that changes the gap's speed by one, then gap speed and acceleration; the
 #: restitution.
-ONTO_CONTACT, SPEED_CHANGE, RESTITUTION_LAW = 0, 1, 2
+ONTO_CONTACT, KICK, RESTITUTION_LAW = 0, 1, 2
 
 #: Most points on the curve.
 MOST_DEGREE = 16
@@ -194,7 +194,7 @@ def touch(p: Programs, at: int, t: float, x: Floats, room: Sums) -> None:
     values(p, at + ONTO_CONTACT, t, x, room.sides, room.c, room.work, read)
     for j in range(x.shape[0]):
         x[j] = read[j]
-    values(p, at + SPEED_CHANGE, t, x, room.sides, room.c, room.work, read)
+    values(p, at + KICK, t, x, room.sides, room.c, room.work, read)
 
 
 def turned(x: Floats, change: float, read: Floats) -> None:
@@ -215,7 +215,7 @@ def at_limit(p: Programs, at: int, t: float, x: Floats, room: Sums) -> float:
     state, end = lines[STATE_THERE, :n], t + lines[TO_LIMIT, 0]
     for j in range(n):
         state[j] = x[j] + lines[TO_LIMIT, j + 1]
-    values(p, at + SPEED_CHANGE, end, state, room.sides, room.c, room.work, lines[READ])
+    values(p, at + KICK, end, state, room.sides, room.c, room.work, lines[READ])
     return at_rest(p, at, end, state, room) if lines[READ, n + 1] < 0.0 else math.nan
 
 
@@ -386,30 +386,25 @@ def shown(
     at which this begins and ends. The state is a cubic through those at its ends and their rates.
     """
     n, lines, leaves, lands = x.shape[0], room.lines, 0.0, 0.0
+    least, most = out[STRETCH_POINTS], out[STRETCH_POINTS + 1]
     for i in range(STRETCH_POINTS):
         share = begin + (end - begin) * (i % POINTS_EACH) / (POINTS_EACH - 1)
         if i % POINTS_EACH == 0:
             w = last + (first - last) * (i // POINTS_EACH) / (STRETCH_FLIGHTS - 1)
-            leaves = end_of_flight(p, flow, at, curve, t, x, v, w, 1.0, LEFT_CONTACT, room)
-            lands = end_of_flight(
-                p, flow, at, curve, t, x, v, r * w, -1.0 / r, STRUCK_CONTACT, room
-            )
+            leaves = end_of_flight(p, flow, at, curve, t, x, v, w, 1.0, LEAVING, room)
+            lands = end_of_flight(p, flow, at, curve, t, x, v, r * w, -1.0 / r, STRIKING, room)
         length = lands - leaves
         for j in range(n):
-            chord = lines[STRUCK_CONTACT, j] - lines[LEFT_CONTACT, j]
-            early, late = (
-                length * lines[LEFT_CONTACT + 1, j] - chord,
-                length * lines[STRUCK_CONTACT + 1, j] - chord,
-            )
+            chord = lines[STRIKING, j] - lines[LEAVING, j]
+            early = length * lines[LEAVING + 1, j] - chord
+            late = length * lines[STRIKING + 1, j] - chord
             bow = share * (1.0 - share) * ((1.0 - share) * early - share * late)
-            out[i, j + 1] = lines[LEFT_CONTACT, j] + share * chord + bow
-        out[i, 0], out[i, n + 1] = leaves + share * length, lines[STRUCK_CONTACT, n]
+            out[i, j + 1] = lines[LEAVING, j] + share * chord + bow
+        out[i, 0], out[i, n + 1] = leaves + share * length, lines[STRIKING, n]
         out[i, n + 2], out[i, n + 3] = leaves, lands
         for j in range(n + 4):
-            out[STRETCH_POINTS, j] = out[i, j] if i == 0 else min(out[STRETCH_POINTS, j], out[i, j])
-            out[STRETCH_POINTS + 1, j] = (
-                out[i, j] if i == 0 else max(out[STRETCH_POINTS + 1, j], out[i, j])
-            )
+            least[j] = out[i, j] if i == 0 else min(least[j], out[i, j])
+            most[j] = out[i, j] if i == 0 else max(most[j], out[i, j])
     return 0
 
 
@@ -482,9 +477,8 @@ def compared(t: float, x: Floats, r: float, rtol: float, atol: float, lines: Mat
     """What the last turn has changed, against what may change."""
     worst = 0.0
     for j in range(x.shape[0] + 1):
-        allowed = max(SUM_SHARE * rtol, SUM_FLOOR) * scale(t, x, j, lines) + rounding(
-            t, x, j, r, lines
-        )
+        allowed = max(SUM_SHARE * rtol, SUM_FLOOR) * scale(t, x, j, lines)
+        allowed += rounding(t, x, j, r, lines)
         lines[ALLOWED, j] = allowed + (SUM_SHARE * atol if j > 0 else 0.0)
         lines[ERROR, j] = abs(lines[TO_LIMIT, j] - lines[OLD_LIMIT, j])
         worst = max(worst, lines[ERROR, j] / max(lines[ALLOWED, j], SMALLEST_DIVISOR))
@@ -527,13 +521,8 @@ def finished(p: Programs, at: int, t: float, x: Floats, r: float, room: Sums) ->
 
 def smooth(p: Programs, at: int, degree: int, t: float, x: Floats, room: Sums) -> bool:
     """Whether forces vary along the tail, in steps of time, as a polynomial of its degree does."""
-    n, lines, line, times, place = (
-        x.shape[0],
-        room.lines,
-        room.small[CURVE_BASIS],
-        room.times,
-        LAST_POINT,
-    )
+    n, lines, line = x.shape[0], room.lines, room.small[CURVE_BASIS]
+    times, place, here = room.times, LAST_POINT, lines[ON_CURVE]
     for m in range(LAST_POINT + 1):
         times[GRID + m] = value(lines, degree, 0, m / LAST_POINT)
     columns = min(degree + 1 + MORE_DEGREES, MOST_DEGREE) + 1
@@ -543,21 +532,12 @@ def smooth(p: Programs, at: int, degree: int, t: float, x: Floats, room: Sums) -
         while place > 1 and times[GRID + place - 1] < since:
             place -= 1
         w = (place - within(since, times[GRID + place], times[GRID + place - 1])) / LAST_POINT
-        evaluate(lines, columns - 1, w, line, lines[ON_CURVE])
+        evaluate(lines, columns - 1, w, line, here)
         for j in range(n):
-            state[j] = x[j] + lines[ON_CURVE, j + 1]
-        touch(p, at, t + lines[ON_CURVE, 0], state, room)
+            state[j] = x[j] + here[j + 1]
+        touch(p, at, t + here[0], state, room)
         turned(state, -lines[READ, n], lines[READ])
-        values(
-            p,
-            at + SPEED_CHANGE,
-            t + lines[ON_CURVE, 0],
-            state,
-            room.sides,
-            room.c,
-            room.work,
-            lines[READ],
-        )
+        values(p, at + KICK, t + here[0], state, room.sides, room.c, room.work, lines[READ])
         times[i] = lines[READ, n + 1]
         most = max(most, abs(times[i]))
         for k in range(columns):

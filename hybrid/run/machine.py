@@ -591,11 +591,8 @@ class Machine:
 
     def _stand(self, left: Left, status: int) -> None:
         """Where the loop stopped: at the end, at a jump to judge, or at an arc to fly anew."""
-        driver, place, speed = (
-            self.driver,
-            int(self.ints[JUMPS_MADE]),
-            float(self.floats[GAP_SPEED]),
-        )
+        driver, place = self.driver, int(self.ints[JUMPS_MADE])
+        speed = float(self.floats[GAP_SPEED])
         if status == END:
             self._last(left)
             driver.status = Status.REACHED_END

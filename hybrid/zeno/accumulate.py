@@ -236,11 +236,8 @@ def close(
         if not degree:
             return None
         lines = given.lines.copy()
-    remaining, x_inf, error = (
-        float(lines[TO_LIMIT, 0]),
-        lines[STATE_THERE, : len(x)],
-        lines[ERROR, :-1],
-    )
+    remaining, error = float(lines[TO_LIMIT, 0]), lines[ERROR, :-1]
+    x_inf = lines[STATE_THERE, : len(x)]
     found = r, lines[: degree + 1], remaining, x_inf, float(error[0]), error[1:]
     tail = Tail(field, contact, column, t, low, x, v, *found)
     return _compared(tail, rtol, atol) if called else tail

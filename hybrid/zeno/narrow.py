@@ -94,9 +94,8 @@ def _damped(tail: Tail) -> bool:
         return False
     speeds, laws = series
     t_inf, x_inf = tail.t + tail.remaining, tail.x_inf.tolist()
-    allowed = (
-        LAW_CAUTION * max(tail.t_error, SUM_FLOOR * abs(t_inf)) * (1.0 - tail.r) / tail.remaining
-    )
+    off = LAW_CAUTION * max(tail.t_error, SUM_FLOOR * abs(t_inf))
+    allowed = off * (1.0 - tail.r) / tail.remaining
     for w in (tail.r ** np.arange(min(tail.count, ASKED_IMPACTS))).tolist():
         since, x, _ = tail.point(tail.r * w)
         place = 2.0 * w - 1.0
