@@ -6,8 +6,8 @@ Newton's method finds within a bracket; where there are more, both halves are lo
 explicit stack. A half has no more sign changes than the whole, in floating point as well, and the
 signs at its ends are those of the whole: crossings are never lost or doubled but in pairs.
 
-``work`` has ``degree + SPARE`` rows and ``degree + 5`` columns, ``found`` two columns (a point, and
-1 where the polynomial rises there, -1 where it falls, 0 where it touches zero) and
+``work`` has ``degree + SPARE_ROWS`` rows and ``degree + 5`` columns, ``found`` two columns (a
+point, and 1 where the polynomial rises there, -1 where it falls, 0 where it touches zero) and
 ``2 degree + 4`` rows. Nothing need be in them.
 """
 
