@@ -118,10 +118,11 @@ def along(
     t : float
         Time at the start of the arc to which the segments belong.
     segments : sequence of Segment
+        None where the arc has no length.
     """
     series, rates = of.series(field), partial(of.flow, field)
     kinks, largest = None, np.zeros(of.size)
-    if field.changes:
+    if field.changes and segments:
         segments = told(segments)
         largest = np.max([middle(field, t, segment) for segment in segments], axis=0)
         kinks = of.kinks(("flow", field.name), field, lambda g: g.flow(bool(field.held)))

@@ -239,7 +239,7 @@ class PastVariation:
         field, last = _Seeing(self.walk, index, arc), None
         kinks = field.kinks if field.changes else None
         largest = np.zeros(self.size)
-        if kinks is not None:
+        if kinks is not None and arc.segments:
             largest = np.max([middle(field, arc.t0 + arc.low, s) for s in arc.segments], axis=0)
         for piece in self._pieces(arc, kinks):
             if last is not None:
