@@ -77,8 +77,11 @@ def held(rule: Callable[..., Any], *given: Any) -> Callable[[], Any]:
     return rule.held(*given) if isinstance(rule, Call) else partial(rule, *given)
 
 
-def _packing(kinds: Sequence[Kind]) -> Callable[..., tuple[bytes, Any]]:
-    """What packs arguments of some kinds."""
+def _packing(kinds: Sequence[Kind], owners: str = "", size: str = "") -> Callable[..., Any]:
+    """What packs values of some kinds; an array as its owners, length, element size, place, axes.
+
+    Of what a rule is given the owners and the size of an element are put in by :data:`.code.ENTRY`.
+    """
     names = [f"a{place}" for place in range(len(kinds))]
     known: dict[str, Any] = {"refuse": refuse, "AT": EMPTY, "address": ctypes.addressof}
     known |= {"REAL": REAL_TYPE, "WHOLE": WHOLE_TYPE}
@@ -97,8 +100,9 @@ def _packing(kinds: Sequence[Kind]) -> Callable[..., tuple[bytes, Any]]:
             name = "REAL" if of is REAL_TYPE else "WHOLE"
             lines.append(f"if {a}.dtype is not {name} or {a}.ndim != {axes}:")
             lines.append(f"    refuse({a}, {name}, {axes})")
-            values.append(f"{a}.size, address(AT.from_buffer({a})), *{a}.shape, *{a}.strides")
-            packed += "q" * (2 + 2 * axes)
+            where = f"{size}address(AT.from_buffer({a}))"
+            values.append(f"{owners}{a}.size, {where}, *{a}.shape, *{a}.strides")
+            packed += "q" * (2 + 2 * axes + owners.count(",") + size.count(","))
     text = "\n".join(f"    {line}" for line in lines)
     known["packed"] = struct.Struct(packed).pack
     exec(PACK.format(names=", ".join(names), lines=text, values=", ".join(values)), known)
@@ -123,7 +127,7 @@ class Struct:
 
     def __init__(self, kind: Kind) -> None:
         self.name, parts = kind
-        self._parts = [part if isinstance(part, str) else Struct(part) for part in parts]
+        self._pack = _packing(parts, owners="0, 0, ", size="8, ")
         self._kept: dict[int, Made] = {}
 
     def __call__(self, given: Any) -> Made:
@@ -138,19 +142,9 @@ class Struct:
     def _make(self, given: Any) -> Made:
         if type(given).__name__ != self.name:
             raise TypeError(f"a tuple {self.name} is asked for, not {type(given).__name__}")
-        flat: list[int] = []
-        owned: list[Any] = [given]
-        for part, value in zip(self._parts, given, strict=True):
-            if isinstance(part, Struct):
-                made = part(value)
-                flat.append(made.address)
-                owned.append(made)
-            else:
-                refuse(value, *ARRAY_TYPES[part])
-                where = ctypes.addressof(EMPTY.from_buffer(value))
-                flat += (0, 0, value.size, 8, where, *value.shape, *value.strides)
-        made_of = (ctypes.c_int64 * len(flat))(*flat)
-        return Made(ctypes.addressof(made_of), (made_of, *owned))
+        packed, owned = self._pack(*given)
+        made_of = bytearray(packed)
+        return Made(ctypes.addressof(EMPTY.from_buffer(made_of)), (made_of, given, owned))
 
 
 def _results(kinds: Any) -> tuple[Any, Callable[[Any], Any]]:
