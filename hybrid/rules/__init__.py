@@ -3,6 +3,7 @@
 ``docs/notes/rules.md`` says what a rule file may contain, and how one is added.
 """
 
+from functools import cache
 from threading import RLock
 from typing import Any
 
@@ -18,6 +19,7 @@ library = Library(
 _loading = RLock()
 
 
+@cache
 def unit(name: str) -> Any:
     """The rules of one file by name, compiled when first asked for: ``unit("zeros").first(...)``.
 
