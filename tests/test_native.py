@@ -15,6 +15,7 @@ from hybrid.lowering.lowered import ORDER
 from hybrid.lowering.scene import rest_name, scene_of
 from hybrid.lowering.tape import linked
 from hybrid.rules import unit
+from hybrid.rules.code import DIGEST
 from hybrid.rules.jets import FLOW
 from hybrid.solvers.taylor_backend import HIGHEST
 
@@ -202,7 +203,7 @@ def test_a_file_that_is_no_code_is_passed_over(monkeypatch):
     native.compile_all(programs)
     (file,) = native.folder().iterdir()
     code = file.read_bytes()
-    _, _, machine = code[native.DIGEST :].partition(b"\n")
+    _, _, machine = code[DIGEST:].partition(b"\n")
     missing = b"no_such_function\n" + machine
     for wrong in (b"", code[:-1], code + b"0", sha256(missing).digest() + missing):
         file.write_bytes(wrong)

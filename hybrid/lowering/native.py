@@ -13,8 +13,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
-import tempfile
 import warnings
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -26,7 +24,7 @@ import numpy as np
 
 from ..rules import library
 from ..rules.arrays import Programs
-from ..rules.code import binding, engine, machine, missing
+from ..rules.code import binding, engine, keep, kept, machine, missing
 from ..rules.jets import FLOW, OPS
 from ..rules.operations import INTEGRAL
 
@@ -225,10 +223,6 @@ def _made(content: Content) -> Code:
 # -- files -----------------------------------------------------------------------------------
 
 
-#: Bytes of the hash of a file's content.
-DIGEST = 32
-
-
 def folder() -> Path:
     """Where code is kept: what changes the rules, LLVM or the processor changes it."""
     return library.folder / "programs"
@@ -256,22 +250,17 @@ def _kept(content: Content) -> Code | None:
 
 
 def _read(name: str) -> bytes | None:
-    """What is in a file, if that is as it was written; LLVM does not look."""
-    try:
-        written = (folder() / name).read_bytes()
-    except OSError:
-        return None
-    digest, body = written[:DIGEST], written[DIGEST:]
-    return body if hashlib.sha256(body).digest() == digest else None
+    """What is in a file, if that is as it was written."""
+    with contextlib.suppress(OSError):
+        return kept(folder() / name)
+    return None
 
 
 def _keep(name: str, body: bytes) -> None:
-    """Write a file, whole or not at all, and a hash before it."""
+    """Write a file, where that can be done."""
     with contextlib.suppress(OSError):
         folder().mkdir(exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=folder(), delete=False) as draft:
-            draft.write(hashlib.sha256(body).digest() + body)
-        os.replace(draft.name, folder() / name)
+        keep(folder() / name, body)
 
 
 # -- text ------------------------------------------------------------------------------------

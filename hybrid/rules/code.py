@@ -74,16 +74,15 @@ class Unit(NamedTuple):
 # -- files ----------------------------------------------------------------------------------
 
 
-def write(path: Path, unit: Unit) -> None:
-    """Write a unit's file, whole or not at all."""
-    body = marshal.dumps((unit.calls, tuple(map(tuple, unit.rules))))
+def keep(path: Path, body: bytes) -> None:
+    """Write a file, whole or not at all, with a hash before its content."""
     with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as draft:
         draft.write(hashlib.sha256(body).digest() + body)
     os.replace(draft.name, path)
 
 
-def read(path: Path) -> Unit:
-    """A unit's file.
+def kept(path: Path) -> bytes:
+    """The content of such a file.
 
     Raises
     ------
@@ -93,8 +92,18 @@ def read(path: Path) -> Unit:
     written = path.read_bytes()
     digest, body = written[:DIGEST], written[DIGEST:]
     if hashlib.sha256(body).digest() != digest:
-        raise OSError(f"{path} is damaged: remove it, and the rules are compiled again")
-    calls, rules = marshal.loads(body)
+        raise OSError(f"{path} is damaged: remove it, and it is made again")
+    return body
+
+
+def write(path: Path, unit: Unit) -> None:
+    """Write a unit's file."""
+    keep(path, marshal.dumps((unit.calls, tuple(map(tuple, unit.rules)))))
+
+
+def read(path: Path) -> Unit:
+    """A unit's file; errors as for :func:`kept`."""
+    calls, rules = marshal.loads(kept(path))
     return Unit(calls, tuple(Rule(*rule) for rule in rules))
 
 
