@@ -18,7 +18,7 @@ def main(root: Path) -> None:
     functions = [node for tree in trees.values() for node in ast.walk(tree) if _is_function(node)]
     said = [each for node in functions for each in _annotations(node)]
     named = constants(trees.values())
-    circles = _circles(_imports(root / "hybrid", trees))
+    circles = _circles(imports(root / "hybrid", trees))
     rows = {
         "files": len(files),
         "files and folders at the top": len(
@@ -109,7 +109,7 @@ def _values(node: ast.Assign | ast.AnnAssign):
             yield ast.unparse(each), f"{ast.unparse(value)}[{place}]"
 
 
-def _imports(package: Path, trees) -> dict[str, set[str]]:
+def imports(package: Path, trees) -> dict[str, set[str]]:
     """What each module imports, at its top or in functions, but not for types alone."""
     known = {_name(package, path): path for path in trees}
     found = {name: set() for name in known}

@@ -52,57 +52,34 @@ MEANT = {
 }
 
 
-def modules():
-    """Each module of the package by its name below it: ``trajectory.log``, ``errors``."""
-    for path in PACKAGE.rglob("*.py"):
-        parts = path.relative_to(PACKAGE).with_suffix("").parts
-        yield ".".join(parts[:-1] if parts[-1] == "__init__" and len(parts) > 1 else parts), path
-
-
 def trees():
-    """Each module as it is parsed."""
-    return [ast.parse(path.read_text()) for _, path in modules()]
+    """Each file of the package, parsed."""
+    return {path: ast.parse(path.read_text()) for path in PACKAGE.rglob("*.py")}
+
+
+def imported():
+    """What each module of the package imports, at its top and in functions; by names below it."""
+    return HOUSE["imports"](PACKAGE, trees())
+
+
+def pairs():
+    """Pairs of modules of which the first imports the second."""
+    return {(a, b) for a, found in imported().items() for b in found}
 
 
 def layer(module):
     return next(i for i, names in enumerate(LAYERS) if module.split(".")[0] in names)
 
 
-def imports(tree):
-    """The imports of a file that are ever made: at its top and in its functions."""
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            continue
-        if isinstance(node, ast.ImportFrom) and node.level:
-            yield node
-        yield from imports(node)
-
-
-def imported():
-    """Pairs of modules of the package of which the first imports the second."""
-    known = dict(modules())
-    for name, path in known.items():
-        here = path.relative_to(PACKAGE).parts[:-1]
-        for node in imports(ast.parse(path.read_text())):
-            base = [*here[: len(here) - node.level + 1], *(node.module or "").split(".")]
-            module = ".".join(filter(None, base))
-            for alias in node.names:
-                full = f"{module}.{alias.name}".lstrip(".")
-                yield name, full if full in known else module or "__init__"
-
-
 def test_imports_point_down():
     """Declaration, lowering, solver, trajectory, analysis: never back, in functions neither."""
-    up = {(a, b) for a, b in imported() if layer(b) > layer(a)}
+    up = {(a, b) for a, b in pairs() if layer(b) > layer(a)}
     assert up <= MEANT
 
 
 def test_no_module_imports_itself_by_way_of_others():
     """But for what is meant."""
-    then = {name: set() for name, _ in modules()}
-    for a, b in imported():
-        if (a, b) not in MEANT and a != b:
-            then[a].add(b)
+    then = {a: {b for b in found if (a, b) not in MEANT} - {a} for a, found in imported().items()}
     free = set()
     while ready := {name for name in then if name not in free and then[name] <= free}:
         free |= ready
@@ -111,17 +88,17 @@ def test_no_module_imports_itself_by_way_of_others():
 
 def test_imports_that_are_meant_are_made():
     """The list has nothing that is gone."""
-    assert set(imported()) >= MEANT
+    assert pairs() >= MEANT
 
 
 def test_no_two_classes_share_a_name():
     """Whoever reads of one knows which."""
-    assert HOUSE["shared_classes"](trees()) == set()
+    assert HOUSE["shared_classes"](trees().values()) == set()
 
 
 def test_no_constant_has_two_values_under_one_name():
     """What differs has names that say how; what is the same is imported."""
-    assert HOUSE["ambiguous"](HOUSE["constants"](trees())) == set()
+    assert HOUSE["ambiguous"](HOUSE["constants"](trees().values())) == set()
 
 
 def test_few_files_stand_at_the_top():
