@@ -17,8 +17,8 @@ import numpy as np
 
 import hybrid as hy
 from hybrid.lowering import native
+from hybrid.lowering.arithmetic import OPERATIONS
 from hybrid.lowering.lowered import ORDER, Lowered
-from hybrid.lowering.python import OPERATIONS
 from hybrid.rules import unit
 from tests import recurrences
 

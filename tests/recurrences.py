@@ -9,8 +9,9 @@ up to its first zero.
 import math
 
 from hybrid.errors import TraceError
-from hybrid.lowering.graph import Graph
-from hybrid.lowering.python import _fixed, _index, literal, needed
+from hybrid.lowering.graph import Graph, needed
+from hybrid.lowering.jaxpr import read
+from hybrid.lowering.python import _fixed, _index, literal
 from hybrid.lowering.taylor import SLOPES
 
 #: Operations whose two or three cases meet at a kink.
@@ -22,7 +23,7 @@ def written(code, flow, functions, order, operations):
     """The Taylor code of a flow, and of a vector along it; both are jaxprs."""
     graph = Graph()
     inputs = code.inputs(graph)
-    (states,), (values,) = graph.outputs(flow, inputs), graph.outputs(functions, inputs)
+    (states,), (values,) = read(graph, flow, inputs), read(graph, functions, inputs)
     size, functions = code.spec.dimension, list(map(int, values))
     return TaylorProgram(graph, size, states, functions, order, operations)
 

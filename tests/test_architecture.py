@@ -46,9 +46,6 @@ MEANT = {
     ("trajectory.trajectory", "orbits.settling"),
     # the version
     ("trajectory.stats", "__init__"),
-    # a graph folds its constants by the code that reads it, and spells out small matrices
-    ("lowering.graph", "lowering.python"),
-    ("lowering.graph", "lowering.matrices"),
 }
 
 

@@ -15,9 +15,10 @@ from hybrid.bounds.balls import BALLS, Undefined, high, low
 from hybrid.bounds.exact import FixedGraph
 from hybrid.bounds.extrema import ScalarFunction, continuous, extrema
 from hybrid.bounds.interval import IntervalProgram, Undecided, ball
-from hybrid.lowering.graph import ELEMENTWISE, Graph
+from hybrid.lowering.arithmetic import FORGIVING, OPERATIONS
+from hybrid.lowering.graph import Graph
+from hybrid.lowering.jaxpr import ELEMENTWISE, read
 from hybrid.lowering.lowered import Lowered
-from hybrid.lowering.python import _FORGIVING, OPERATIONS
 from hybrid.lowering.ranges import RANGES
 from tests.test_readers import EXPRESSIONS, automaton
 
@@ -55,7 +56,7 @@ def plain(op, arguments):
         try:
             return OPERATIONS[op](*arguments)
         except (ValueError, OverflowError, ZeroDivisionError):
-            value = _FORGIVING[op](*map(np.float64, arguments))
+            value = FORGIVING[op](*map(np.float64, arguments))
             return value if np.isfinite(value) else math.nan
 
 
@@ -146,7 +147,7 @@ def test_tests_that_are_not_decided(flag, other):
 def program_of(expression):
     code = Lowered(automaton(expression), ((),))
     graph = Graph()
-    (roots,) = graph.outputs(code.closed("flow", "flow"), code.inputs(graph))
+    (roots,) = read(graph, code.closed("flow", "flow"), code.inputs(graph))
     return IntervalProgram(graph, roots), code.flow("flow").bind([0.7])
 
 
@@ -209,7 +210,7 @@ def test_the_lie_derivatives_of_a_moving_gap():
     closed = code.closed("gap", "impact"), code.closed("flow", "flight")
     graph = FixedGraph(exact=True)
     lies = code.lie_closed(("impact", "flight"), *closed)
-    enclosure = IntervalProgram(graph, graph.outputs(lies, code.inputs(graph))[0])
+    enclosure = IntervalProgram(graph, read(graph, lies, code.inputs(graph))[0])
     lies = code.lie_closed(("impact", "flight"), *closed)
     exact = code.program("lies", lambda: lies).bind([9.8, 2.0])
     bounds = enclosure([9.8, (1.999, 2.001)], (0.3, 0.31), [(1.0, 1.1), (-0.5, 0.5)])
@@ -238,7 +239,7 @@ def function_of(expression):
         return jnp.stack([value, slopes[0], *slopes[1]])
 
     code, graph = Lowered(Model, ()), Graph()
-    (roots,) = graph.outputs(code.trace(stacked), code.inputs(graph))
+    (roots,) = read(graph, code.trace(stacked), code.inputs(graph))
     value, slopes = IntervalProgram(graph, roots[:1]), IntervalProgram(graph, roots[1:])
     return ScalarFunction(value, slopes, ["t", "x0", "x1"])
 

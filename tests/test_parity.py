@@ -6,6 +6,7 @@ import pytest
 
 from hybrid.bounds.parity import parity
 from hybrid.lowering.graph import Graph
+from hybrid.lowering.jaxpr import read
 from hybrid.lowering.lowered import Lowered
 from tests.test_readers import EXPRESSIONS, automaton
 
@@ -48,7 +49,7 @@ CASES = {
 def root_of(expression):
     code = Lowered(automaton(expression), ((),))
     graph = Graph()
-    (roots,) = graph.outputs(code.closed("flow", "flow"), code.inputs(graph))
+    (roots,) = read(graph, code.closed("flow", "flow"), code.inputs(graph))
     return graph, int(roots[0]), code.flow("flow").bind([0.7])
 
 

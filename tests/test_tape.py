@@ -15,9 +15,10 @@ import models
 from hybrid.automaton import trace
 from hybrid.errors import OptionError, TraceError
 from hybrid.lowering import tape as reader
+from hybrid.lowering.arithmetic import OPERATIONS
 from hybrid.lowering.graph import Graph
+from hybrid.lowering.jaxpr import read
 from hybrid.lowering.lowered import ORDER
-from hybrid.lowering.python import OPERATIONS
 from hybrid.lowering.scene import rest_name, scene_of
 from hybrid.lowering.taylor import flat, polynomial
 from hybrid.rules.load import Library
@@ -70,8 +71,8 @@ def _recorded(scene, name, where="here"):
     """The tape of a field of a scene, and the graph that it was made from."""
     field, graph = scene.field(name), Graph(long=True)
     inputs = scene.code.inputs(graph)
-    (states,) = graph.outputs(field.closed, inputs)
-    guards = [int(graph.outputs(g.closed, inputs)[0].reshape(())) for g in field.guards]
+    (states,) = read(graph, field.closed, inputs)
+    guards = [int(read(graph, g.closed, inputs)[0].reshape(())) for g in field.guards]
     return reader.tape(graph, scene.spec.dimension, states, guards, where)
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..errors import TraceError
+from ..lowering.jaxpr import read
 from ..rules.zeros import EPS
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ class Defect:
         code = field.code
         graph = FixedGraph(exact=True)
         closed = code.field_closed(field.mode, field.held)
-        (found,) = graph.outputs(closed, code.inputs(graph))
+        (found,) = read(graph, closed, code.inputs(graph))
         roots = [int(i) for i in found.reshape(-1)]
         self.balls = Balls(graph, roots)
         self.program = IntervalProgram(graph, roots)

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..lowering.graph import Graph, Ids, fold
-from ..lowering.python import needed
+from ..lowering.graph import Graph, Ids, fold, needed
 
 #: Operations of which a float's result is always exact.
 EXACT_OPERATIONS = {

@@ -14,8 +14,7 @@ from typing import Any
 
 import attrs
 
-from ..lowering.graph import Graph
-from ..lowering.python import needed
+from ..lowering.graph import Graph, needed
 from .balls import BALLS, Undefined, high, low, span
 from .interval import OF_ONE_NODE
 

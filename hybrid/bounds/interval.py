@@ -15,8 +15,7 @@ import attrs
 import numpy as np
 
 from ..errors import PROOFS, TraceError, need
-from ..lowering.graph import Graph
-from ..lowering.python import needed
+from ..lowering.graph import Graph, needed
 from ..lowering.ranges import RANGES, Ranges
 from ..rules import unit
 from ..rules.arrays import Bounds

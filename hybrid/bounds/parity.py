@@ -12,8 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from typing import Any, Literal
 
-from ..lowering.graph import Graph
-from ..lowering.python import needed
+from ..lowering.graph import Graph, needed
 
 Parity = Literal["even", "odd", "unknown"]
 

@@ -15,8 +15,7 @@ from typing import Any
 
 from flint import arb, arb_series, ctx
 
-from ..lowering.graph import Graph
-from ..lowering.python import needed
+from ..lowering.graph import Graph, needed
 from .balls import BALLS, Undefined
 
 #: Terms of the series. Twelve: a piece of a tenth of the radius of convergence is then known to

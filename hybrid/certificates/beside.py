@@ -23,7 +23,7 @@ import attrs
 from ..bounds.balls import Undefined
 from ..bounds.extrema import Bounds, ScalarFunction, extrema
 from ..bounds.growth import ANYTHING, GROWING, LOWER, UPPER, Growth, between, growth
-from ..lowering.python import needed
+from ..lowering.graph import needed
 from .question import TIME_NAME, Question, Traced
 from .result import Fault
 

@@ -17,6 +17,7 @@ from ..bounds.interval import IntervalProgram
 from ..errors import DeclarationError, OptionError, TraceError
 from ..lowering import scene_of
 from ..lowering.contact import ContactLaws
+from ..lowering.jaxpr import read
 from ..lowering.lowered import Lowered
 from ..lowering.taylor import flat
 from .result import Certificate
@@ -141,7 +142,7 @@ class Question:
         closed = trace.trace(self.spec, call, 0, shapes)
         graph = FixedGraph(exact)
         inputs = self.code.inputs(graph)[len(shapes) :]
-        (roots,) = graph.outputs(closed, [*graph.arguments(shapes, self.values), *inputs])
+        (roots,) = read(graph, closed, [*graph.arguments(shapes, self.values), *inputs])
         try:
             return IntervalProgram(graph, [roots[i] for i in kept])
         except TraceError as fault:

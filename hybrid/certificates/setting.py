@@ -8,7 +8,7 @@ import attrs
 
 from ..bounds.extrema import Bounds, ScalarFunction
 from ..bounds.interval import IntervalProgram
-from ..lowering.python import needed
+from ..lowering.graph import needed
 from .question import TIME_NAME, Question
 from .restitution import Restitution
 

@@ -22,7 +22,7 @@ import numpy as np
 from ..automaton.spec import ContactSpec, Spec
 from ..automaton.trace import Traced, again, caller
 from ..errors import DeclarationError
-from .python import solve
+from .arithmetic import solve
 
 
 @attrs.frozen

@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from ..errors import TraceError
-from .graph import WHOLE_VALUED, Graph
-from .python import needed
+from .graph import WHOLE_VALUED, Graph, needed
 from .taylor import SLOPES
 
 #: Operations whose derivative is 0 wherever there is one.

@@ -15,8 +15,9 @@ import attrs
 import numpy as np
 
 from ..errors import TraceError
+from .graph import needed
 from .mode import ModeGraph
-from .python import Program, needed
+from .python import Program
 
 if TYPE_CHECKING:
     from .foreign import Foreign

@@ -17,9 +17,10 @@ from ..errors import TraceError
 from ..rules.places import WINDOW_DEGREE
 from . import contact as contacts
 from .derivatives import degree
-from .graph import Graph
+from .graph import Graph, needed
+from .jaxpr import read
 from .mode import ModeGraph
-from .python import Program, needed
+from .python import Program
 from .sides import decider_of
 from .sliding import Sliding
 from .tape import Tape
@@ -116,7 +117,7 @@ class Lowered:
         def make() -> Program:
             graph = Graph(exact)
             try:
-                (outputs,) = graph.outputs(closed(), self.inputs(graph, extra))
+                (outputs,) = read(graph, closed(), self.inputs(graph, extra))
             except TraceError as fault:
                 what = " ".join(map(str, key))
                 raise TraceError(f"{self.spec.model}, {what}: {fault}") from None
@@ -130,7 +131,7 @@ class Lowered:
     def dependencies(self, closed: Any, extra: Sequence[str] = ()) -> list[set[int]]:
         """For each element of a result, the elements of ``x`` it depends on; -1 is time."""
         graph = Graph()
-        (outputs,) = graph.outputs(closed, self.inputs(graph, extra))
+        (outputs,) = read(graph, closed, self.inputs(graph, extra))
         return [_states_in(graph, int(i)) for i in outputs.reshape(-1)]
 
     def local(self, name: str) -> bool:
@@ -243,7 +244,7 @@ class Lowered:
         As the author wrote it: a flow that is called so reads what it multiplies by 0.
         """
         graph, first = Graph(exact=True), sum(map(_count, self._own_shapes))
-        (outputs,) = graph.outputs(closed, self.inputs(graph, extra))
+        (outputs,) = read(graph, closed, self.inputs(graph, extra))
         return [self._past_in(graph, int(i), first) for i in outputs.reshape(-1)]
 
     def timed(self, closed: Any, extra: Sequence[str] = ()) -> bool:
@@ -253,7 +254,7 @@ class Lowered:
         rows = inputs[len(self._own_shapes) + 1 : len(self.shapes) : 2]
         for ids in rows if not any(self.moving) else ():
             ids[1:] = graph.const(0.0)  # a window that shows the same everywhere
-        (outputs,) = graph.outputs(closed, inputs)
+        (outputs,) = read(graph, closed, inputs)
         return any(TIME_PLACE in _states_in(graph, int(i)) for i in outputs.reshape(-1))
 
     def reach(self, mode: str, held: tuple[str, ...]) -> Reach:
@@ -367,7 +368,7 @@ class Lowered:
             return jnp.array(both)
 
         closed, graph = self.trace(pairs), Graph()
-        ((here, there), (before, after)), *_ = graph.outputs(closed, self.inputs(graph))
+        ((here, there), (before, after)), *_ = read(graph, closed, self.inputs(graph))
         if here != there or before == after:
             return bool(here == there), None
         return True, self.program(("kick", edge.name), lambda: closed)
@@ -482,7 +483,7 @@ def lowered(cls: Any, shapes: tuple[tuple[int, ...], ...]) -> Lowered:
 def guard_shape(code: Lowered, closed: Any) -> tuple[bool, tuple[int, ...]]:
     """Whether a guard is affine, and the elements of the state that it is made of."""
     graph = Graph()
-    (output,) = graph.outputs(closed, code.inputs(graph))
+    (output,) = read(graph, closed, code.inputs(graph))
     return node_shape(graph, int(output.reshape(())))
 
 

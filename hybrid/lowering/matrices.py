@@ -9,7 +9,7 @@ nodes that nothing needs.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import permutations
 from typing import Any
 
@@ -18,22 +18,27 @@ import numpy as np
 from .derivatives import parts, solved
 from .graph import Graph, Ids
 
+#: Nodes of a closed jaxpr's results (:mod:`.jaxpr`).
+Read = Callable[[Graph, Any, list[Ids]], list[Ids]]
+
 #: Most unknowns found by determinants: of four, the products are more than elimination makes.
 BY_DETERMINANTS = 3
 
 
-def linear_solve(graph: Graph, params: Any, inputs: list[Ids]) -> list[Ids]:
-    """The unknowns of ``A y = b``, where ``A`` is given by what it makes of a vector."""
+def linear_solve(graph: Graph, params: Any, inputs: list[Ids], read: Read) -> list[Ids]:
+    """The unknowns of ``A y = b``, where ``A`` is given by what it makes of a vector, a jaxpr."""
     counts = params["const_lengths"]
     matvec, own = params["jaxprs"].matvec, inputs[: counts.matvec]
     rights = inputs[sum(counts) :]
-    matrix = _matrix(graph, matvec, own, [r.shape for r in rights])
+    matrix = _matrix(graph, matvec, read, own, [r.shape for r in rights])
     found = _solved(graph, matrix, np.concatenate([r.reshape(-1) for r in rights]))
     ends = np.cumsum([r.size for r in rights])[:-1]
     return [f.reshape(r.shape) for f, r in zip(np.split(found, ends), rights, strict=True)]
 
 
-def _matrix(graph: Graph, matvec: Any, own: list[Ids], shapes: list[tuple[int, ...]]) -> Ids:
+def _matrix(
+    graph: Graph, matvec: Any, read: Read, own: list[Ids], shapes: list[tuple[int, ...]]
+) -> Ids:
     """Nodes of a linear function's matrix, from what it makes of each unit vector.
 
     It is read by itself, with its matrices as inputs: a graph that is not exact leaves of sums with
@@ -48,7 +53,7 @@ def _matrix(graph: Graph, matvec: Any, own: list[Ids], shapes: list[tuple[int, .
         vectors = np.array([alone.const(v) for v in unit.tolist()])
         pieces = np.split(vectors, np.cumsum(sizes)[:-1])
         vector = [piece.reshape(shape) for piece, shape in zip(pieces, shapes, strict=True)]
-        results = alone.outputs(matvec, [*inputs, *vector])
+        results = read(alone, matvec, [*inputs, *vector])
         columns.append(np.concatenate([ids.reshape(-1) for ids in results]))
     known = dict(enumerate(names))
     translated = [[_there(graph, alone, known, i) for i in column] for column in columns]

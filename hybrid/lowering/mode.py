@@ -18,10 +18,12 @@ import attrs
 import numpy as np
 
 from ..automaton.spec import ContactSpec, LeaveSpec
+from .arithmetic import solve
 from .contact import Pairing
 from .derivatives import along, gradient, parts, solved, times
 from .graph import Graph
-from .python import Program, solve
+from .jaxpr import read
+from .python import Program
 from .sides import on_zero
 from .tape import Tape, rebuilt, tape
 
@@ -89,7 +91,7 @@ class ModeGraph:
     def values(self, closed: Any, *extra: int) -> list[int]:
         """Nodes of what a trace gives."""
         given = [np.array(i) for i in extra]
-        (outputs,) = self.graph.outputs(closed, [*self.own, *given])
+        (outputs,) = read(self.graph, closed, [*self.own, *given])
         return [int(i) for i in outputs.reshape(-1)]
 
     @cached_property

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from .graph import Graph
-from .python import Program, needed
+from .graph import Graph, needed
+from .python import Program
 from .tape import rebuilt
 
 #: What an operation is where the function that decides is above zero, or below.

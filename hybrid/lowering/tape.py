@@ -27,8 +27,7 @@ from ..rules import unit
 from ..rules.arrays import Programs, Room
 from ..rules.zeros import SPARE_ROWS
 from .derivatives import degree, unknowns
-from .graph import Graph, Ids
-from .python import needed
+from .graph import Graph, Ids, needed
 from .taylor import SLOPES
 
 #: Operations that the rule has under the same name.

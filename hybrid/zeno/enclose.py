@@ -24,7 +24,8 @@ from ..bounds.exact import FixedGraph, hides_derivatives
 from ..bounds.parity import parity
 from ..errors import TraceError
 from ..lowering.contact import lie
-from ..lowering.python import needed
+from ..lowering.graph import needed
+from ..lowering.jaxpr import read
 from ..lowering.taylor import flat
 from .lemma import Chattering, chattering
 
@@ -246,7 +247,7 @@ def _question(field: Field, contact: str) -> _Question | None:
     inputs = code.inputs(graph)
 
     def nodes(closed: Any, *extra: Any) -> list[int]:
-        (found,) = graph.outputs(closed, [*inputs, *extra])
+        (found,) = read(graph, closed, [*inputs, *extra])
         return [int(i) for i in found.reshape(-1)]
 
     lies = nodes(code.lie_closed((contact, field.name), gap, flow))

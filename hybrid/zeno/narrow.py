@@ -26,7 +26,8 @@ from numpy.polynomial import chebyshev
 
 from ..errors import TraceError
 from ..lowering.derivatives import along
-from ..lowering.python import needed
+from ..lowering.graph import needed
+from ..lowering.jaxpr import read
 from ..lowering.sides import choosers, on_zero, one_sided
 from ..lowering.taylor import flat
 from ..rules.places import HARD, NONE
@@ -73,7 +74,7 @@ def _depends(field: Field, contact: str) -> bool:
 
         graph = Graph()
         law = code.closed("restitution", contact)
-        (found,) = graph.outputs(law, code.inputs(graph, ["u"]))
+        (found,) = read(graph, law, code.inputs(graph, ["u"]))
         nodes_ = needed(graph, [int(found.reshape(()))])
         names = [graph.nodes[n][1] for n in nodes_ if graph.nodes[n][0] == "input"]
         return any(name[0] != "p" for name in names)
@@ -327,7 +328,7 @@ class _Gap:
         self.deciding = IntervalProgram(self.graph, self.choosers) if self.choosers else None
 
     def _nodes(self, closed: Any, inputs: list[Any]) -> list[int]:
-        (found,) = self.graph.outputs(closed, inputs)
+        (found,) = read(self.graph, closed, inputs)
         return [int(i) for i in found.reshape(-1)]
 
     def signs(self, tail: Tail) -> dict[int, int]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..bounds.exact import FixedGraph
 from ..errors import TraceError
+from ..lowering.jaxpr import read
 from ..rules.sights import TAIL_HALVINGS
 from ..rules.zeros import EPS
 from .accumulate import Tail
@@ -70,7 +71,7 @@ def _looks(field: Field) -> list[Any]:
     looks: list[Any] = []
     for guard in field.guards:
         try:
-            (found,) = graph.outputs(guard.closed, inputs)
+            (found,) = read(graph, guard.closed, inputs)
             looks.append(IntervalProgram(graph, [int(found.reshape(()))]))
         except TraceError:
             looks.append(None)
