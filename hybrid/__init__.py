@@ -40,6 +40,7 @@ from .errors import (
 )
 
 if TYPE_CHECKING:
+    from .benchmark import Bench, bench
     from .certificates import Certificate, certify
     from .ensembles import ensemble
     from .functions import as_function
@@ -53,6 +54,8 @@ __version__ = "0.1.0"
 
 #: Names that load SciPy or xarray when first used.
 _LAZY = {
+    "Bench": "benchmark",
+    "bench": "benchmark",
     "Certificate": "certificates",
     "as_function": "functions",
     "certify": "certificates",
@@ -94,6 +97,7 @@ __all__ = [
     "FALLING",
     "RISING",
     "Automaton",
+    "Bench",
     "Certificate",
     "DeclarationError",
     "DomainError",
@@ -111,6 +115,7 @@ __all__ = [
     "Trajectory",
     "ZenoError",
     "as_function",
+    "bench",
     "certify",
     "contact",
     "edge",

@@ -31,6 +31,7 @@ LAYERS = [
     ["functions"],
     ["simulation"],
     ["certificates", "orbits"],
+    ["benchmark"],
     ["gallery", "models"],
     ["cli", "__main__", "__init__"],
 ]

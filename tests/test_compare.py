@@ -6,8 +6,8 @@ from typer.testing import CliRunner
 
 import hybrid as hy
 from hybrid import gallery
+from hybrid.benchmark.agreement import CLOSE_QUANTITIES, COMPARED_METHODS, SAME_QUANTITIES, compare
 from hybrid.cli import app
-from hybrid.cli.compare import CLOSE_QUANTITIES, COMPARED_METHODS, SAME_QUANTITIES, compare
 from hybrid.run import cycles
 from models.two_tanks import TwoTanks
 
@@ -76,7 +76,7 @@ def passed_off(monkeypatch, change):
             change(model, start, t, options) if changed else hy.simulate(model, start, t, **options)
         )
 
-    monkeypatch.setattr("hybrid.cli.compare.simulate", run)
+    monkeypatch.setattr("hybrid.benchmark.agreement.simulate", run)
     methods = {"one": {"solver": "taylor"}, "other": {"solver": "scipy", "changed": True}}
     found = compare(Ticks(), {"x1": 8.0, "x2": 6.0}, (0, 30), methods=methods)
     return {d.quantity: d.size for d in found.differences}

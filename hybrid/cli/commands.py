@@ -1,4 +1,5 @@
-"""The command line: ``hybrid run``, ``list``, ``check``, ``compare``, ``certify``, ``report``.
+"""The command line: ``hybrid run``, ``list``, ``check``, ``compare``, ``bench``,
+``certify``, ``report``.
 
 Exit codes: 0 done (``certify``: certified); 1 solvers differ by more than the tolerance
 explains (``certify``: refuted); 2 something asked for cannot be done (one line says what);
@@ -8,6 +9,7 @@ explains (``certify``: refuted); 2 something asked for cannot be done (one line 
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -162,7 +164,7 @@ def compare(
     atol: Annotated[float, typer.Option(help="Absolute tolerance, of all alike.")] = 1e-11,
 ) -> None:
     """Run a model with all solvers side by side: what differs, and what explains it."""
-    from .compare import compare as run_all
+    from ..benchmark.agreement import compare as run_all
 
     with _one_line():
         entry = gallery.find(model)
@@ -182,9 +184,89 @@ def compare(
         raise typer.Exit(1)
 
 
+@app.command()
+def bench(
+    model: ModelName,
+    set_: Parameters = None,
+    start: States = None,
+    since: Since = None,
+    until: Until = None,
+    history: Before = None,
+    memory: MemoryKind = "keep",
+    solvers: Annotated[
+        str | None, typer.Option(help="scipy:DOP853,taylor,diffrax:Tsit5 ...; these are a few.")
+    ] = None,
+    rtol: Annotated[
+        str, typer.Option(help="Tolerances: 1e-4,1e-8, or 1e-4..1e-12, one for each power of ten.")
+    ] = "1e-4,1e-6,1e-8,1e-10,1e-12",
+    repeats: Annotated[
+        int, typer.Option(help="Rounds of timings, of which medians are taken.")
+    ] = 7,
+    out: Annotated[
+        Path | None, typer.Option(help="A folder for the table, the figure and the numbers.")
+    ] = None,
+) -> None:
+    """Speed against error on a model: several solvers at several tolerances, timed in turns.
+
+    Errors are those of the exact values in the model's file; where it has none, or its run has been
+    changed, those against a run of another method, accurate to rounding.
+    """
+    from ..benchmark import bench as measure
+    from ..benchmark.precision import TIMED_SOLVERS
+
+    with _one_line():
+        if out is not None:
+            need("--out", PLOT)
+        entry = gallery.find(model)
+        values, first = _pairs(set_ or [], "--set"), _pairs(start or [], "--start")
+        before = _pairs(history or [], "--history")
+        own = not (values or first or before or since or until or memory != "keep")
+        found = measure(
+            entry.cls(**values),
+            _start(entry, first),
+            _span(entry, since, until),
+            solvers=[name.strip() for name in solvers.split(",")] if solvers else TIMED_SOLVERS,
+            rtol=_tolerances(rtol),
+            oracle=getattr(entry.module, "oracle", None) if own else None,
+            repeats=repeats,
+            progress=_say if sys.stderr.isatty() else None,
+            history=_history(entry, before),
+            memory=memory,
+        )
+        typer.echo(str(found))
+        if out is not None:
+            name = entry.module.__name__.rpartition(".")[2]
+            _write(lambda: _keep(found, out, name))
+            typer.echo(f"table, figure, numbers: {out / name}.txt, .png, .json")
+
+
+def _say(line: str) -> None:
+    typer.echo(line, err=True)
+
+
+def _keep(found: Any, out: Path, name: str) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    (out / f"{name}.txt").write_text(f"{found}\n", encoding="utf-8")
+    found.plot(out / f"{name}.png")
+    found.save(out / f"{name}.json")
+
+
+def _tolerances(text: str) -> list[float]:
+    """Tolerances listed, or a range of powers of ten."""
+    first, dots, last = text.partition("..")
+    try:
+        if not dots:
+            return [float(value) for value in text.split(",")]
+        high, low = (round(math.log10(float(end))) for end in (first, last))
+    except ValueError:
+        raise OptionError(f"--rtol {text}: write 1e-4,1e-8 or 1e-4..1e-12") from None
+    step = 1 if low >= high else -1
+    return [float(f"1e{power}") for power in range(high, low + step, step)]
+
+
 def _table(found: Any) -> None:
     """Each quantity's largest difference from the reference, and what is explained."""
-    from .compare import CLOSE_QUANTITIES, ERROR_STEPS, SAME_QUANTITIES
+    from ..benchmark.agreement import CLOSE_QUANTITIES, ERROR_STEPS, SAME_QUANTITIES
 
     for label, run in found.runs.items():
         if isinstance(run, HybridError):

@@ -11,6 +11,9 @@ import numpy as np
 LINE_COLOR, OTHER_COLOR, IMPACT_COLOR = "#1f5a96", "#d07c1a", "#c44e52"
 LIMIT_COLOR, SURFACE_COLOR = "#2e8b57", "#8c8c8c"
 
+#: Colours of the methods in a comparison, which the colour-blind tell apart (Okabe and Ito, 2008).
+METHOD_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
+
 
 @attrs.frozen(kw_only=True)
 class Style:
@@ -37,6 +40,8 @@ STYLES = {
     "mark": Style(color="#1c2733", dot=2.5),
     "point": Style(color=LIMIT_COLOR, dot=7.0),
     "surface": Style(color=SURFACE_COLOR, width=1.3),
+    **{f"method {i}": Style(color=c, width=1.3, dot=6.0) for i, c in enumerate(METHOD_COLORS)},
+    **{f"method {i} bar": Style(color=c, width=0.9) for i, c in enumerate(METHOD_COLORS)},
 }
 
 

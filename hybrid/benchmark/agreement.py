@@ -8,16 +8,15 @@ from a start a little beside the first.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import zip_longest
-from typing import Any, NamedTuple
+from typing import Any
 
 import attrs
 import numpy as np
 
 from ..errors import HybridError
 from ..simulation import simulate
-from ..trajectory.arcs import Arc, JumpRow
 from ..trajectory.trajectory import Trajectory
+from .differences import differences
 
 #: What is run, by label; the first is the reference.
 COMPARED_METHODS: dict[str, dict[str, Any]] = {
@@ -133,7 +132,7 @@ def compare(
     for label, run in runs.items():
         if label == reference or isinstance(run, HybridError):
             continue
-        for quantity, value in _differences(first, run).items():
+        for quantity, value in differences(first, run).items():
             error = ERROR_STEPS * (rtol * size + atol)
             allowed = error * growth[quantity] if quantity in CLOSE_QUANTITIES else 0.0
             rows.append(Difference(label, quantity, value, allowed))
@@ -154,85 +153,6 @@ def _growth(model: Any, run: Trajectory, t: Any, options: Any) -> dict[str, floa
         x = first + sign * GROWTH_PROBE * np.maximum(np.abs(first), 1.0)
         beside = _run(model, run.spec.record(x), t, {**options, "mode": run.arcs[0].mode})
         if not isinstance(beside, HybridError):
-            found = _differences(run, beside)
+            found = differences(run, beside)
             return {name: max(1.0, found[name] / GROWTH_PROBE) for name in CLOSE_QUANTITIES}
     return dict.fromkeys(CLOSE_QUANTITIES, 1.0)
-
-
-def _differences(a: Trajectory, b: Trajectory) -> dict[str, float]:
-    """Each quantity's largest difference between two runs.
-
-    Arcs and jumps are paired in order, from the start and from each accumulation on.
-    """
-    empty: list[_Move] = []
-    stretches = list(zip_longest(_stretches(a), _stretches(b), fillvalue=empty))
-    pairs = [pair for ours, theirs in stretches for pair in zip(ours, theirs, strict=False)]
-    jumps = [(p.jump, q.jump) for p, q in pairs if p.jump and q.jump]
-    cycles = [set(p.edges) & set(q.edges) for p, q in zip(a.zeno, b.zeno, strict=False)]
-    cycles += [set()] * (len(stretches) - len(cycles))
-    left = [_left(*each) for each in zip(stretches, cycles, strict=False)]
-    return {
-        "edges": float(sum(left) + sum(p.edge != q.edge for p, q in jumps)),
-        "modes": float(sum(p.arc.mode != q.arc.mode for p, q in pairs)),
-        "verdicts": _unequal([z.verdict for z in a.zeno], [z.verdict for z in b.zeno]),
-        "times": max([abs(p.t - q.t) for p, q in jumps], default=0.0),
-        "states": _states(a, b, [(p, q) for p, q in pairs if p.jump and q.jump]),
-        "t_inf": _largest([z.t for z in a.zeno], [z.t for z in b.zeno]),
-        "releases": _largest([z.t_release for z in a.zeno], [z.t_release for z in b.zeno]),
-    }
-
-
-class _Move(NamedTuple):
-    """An arc, and the jump after it; None where it led to a limit, or to the end of the run."""
-
-    arc: Arc
-    jump: JumpRow | None
-
-
-def _stretches(run: Trajectory) -> list[list[_Move]]:
-    """Arcs from one limit to the next, which lies between two arcs of the same ``j``."""
-    table = run.jumps.table
-    found: list[list[_Move]] = [[]]
-    for arc, after in zip_longest(run.arcs, run.arcs[1:]):
-        limit = after is not None and after.j == arc.j
-        jumped = not limit and arc.j < len(table.t)
-        row = JumpRow(*(column[arc.j] for column in table)) if jumped else None
-        found[-1].append(_Move(arc, row))
-        found += [[]] if limit else []
-    return found
-
-
-def _left(stretch: tuple[list[_Move], list[_Move]], cycle: set[str]) -> int:
-    """Jumps beyond those that two runs share in a stretch.
-
-    On the way to an accumulation those of its cycle do not count: how many turns a run goes through
-    before it goes over to the limit is its own affair.
-    """
-    edges = [[step.jump.edge for step in steps if step.jump] for steps in stretch]
-    return sum(edge not in cycle for edge in max(edges, key=len)[min(map(len, edges)) :])
-
-
-def _states(a: Trajectory, b: Trajectory, jumped: list[tuple[_Move, _Move]]) -> float:
-    """States in the middle of the arcs and after the jumps, and at the end."""
-    largest = _gap(a.arcs[-1].last, b.arcs[-1].last)
-    for steps in jumped:
-        after = [step.jump.after for step in steps if step.jump]
-        middle = [step.arc.local(0.5 * step.arc.length) for step in steps]
-        largest = max(largest, _gap(*after), _gap(*middle))
-    return largest
-
-
-def _gap(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.max(np.abs(a - b)))
-
-
-def _unequal(a: list[Any], b: list[Any]) -> float:
-    return float(sum(p != q for p, q in zip(a, b, strict=False)) + abs(len(a) - len(b)))
-
-
-def _largest(a: list[Any], b: list[Any]) -> float:
-    """The largest difference; infinite where one has what the other lacks."""
-    pairs = list(zip(a, b, strict=False))
-    if len(a) != len(b) or any((p is None) != (q is None) for p, q in pairs):
-        return float("inf")
-    return max((abs(p - q) for p, q in pairs if p is not None), default=0.0)

@@ -1,0 +1,448 @@
+"""Speed against error on a user's own model: each solver at several tolerances, in turns."""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import platform
+import time
+import tracemalloc
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import pairwise
+from math import inf, isfinite, nan
+from typing import Any, Protocol
+
+import attrs
+import numpy as np
+
+from ..errors import PLOT, HybridError, OptionError, need
+from ..plot.figure import METHOD_COLORS, Curve, Figure, Panel, column
+from ..simulation import simulate
+from ..solvers.base import FINEST
+from ..trajectory.stats import versions
+from ..trajectory.trajectory import Status, Trajectory
+from .differences import differences
+
+#: Solvers and tolerances that are timed where none are named.
+TIMED_SOLVERS = ("taylor", "scipy:DOP853", "scipy:LSODA", "diffrax:Dopri8", "diffrax:Tsit5")
+TIMED_TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
+
+#: Absolute tolerances, against the relative ones: the share of the solvers' own.
+ABSOLUTE_SHARE = 1e-2
+
+#: Seconds that one timing takes at least, so that the clock and the scheduler do not show: as many
+#: calls are made.
+LEAST_TIMING = 5e-3
+
+#: Runs of which one of another method is taken for exact, where the model has no exact values.
+REFERENCES: dict[str, dict[str, Any]] = {
+    "taylor": {"solver": "taylor"},
+    "scipy:DOP853": {"solver": "scipy", "method": "DOP853", "rtol": FINEST, "atol": 1e-2 * FINEST},
+}
+
+#: What a run has computed beside what it should be: a name, the value, the exact one.
+Oracle = Callable[[Trajectory], Iterable[Sequence[Any]]]
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class Timing:
+    """One solver at one tolerance.
+
+    Attributes
+    ----------
+    solver : str
+        ``"solver:method"``.
+    rtol : float
+    error : float
+        Relative (see :func:`bench`); infinite where the run made other jumps than the exact one,
+        NaN where it failed.
+    seconds : float
+        Of a call, the median; ``low`` and ``high`` are the quartiles.
+    first : float
+        Seconds of the first call of this solver, which compiles what is not compiled yet; NaN but
+        at its first tolerance.
+    steps, evaluations : int or None
+        As in ``run.stats``.
+    memory : int
+        Bytes, the most that were held at one time during a call.
+    reason : str
+        Why there is no number; empty if there is.
+    """
+
+    solver: str
+    rtol: float
+    error: float = nan
+    seconds: float = nan
+    low: float = nan
+    high: float = nan
+    first: float = nan
+    steps: int | None = None
+    evaluations: int | None = None
+    memory: int = 0
+    reason: str = ""
+
+
+@attrs.frozen(eq=False)
+class Bench:
+    """Speed against error of some solvers on one run.
+
+    Attributes
+    ----------
+    model : str
+        The model with its parameters.
+    timings : list of Timing
+    against : str
+        What errors are measured against.
+    resolution : float
+        Errors below this are not told from 0, as two runs taken for exact differ by it; 0 with
+        exact values.
+    versions, machine : dict
+        What computed, and on what.
+    """
+
+    model: str
+    timings: list[Timing]
+    against: str
+    resolution: float
+    versions: dict[str, str]
+    machine: dict[str, Any]
+
+    @property
+    def front(self) -> list[Timing]:
+        """The timings that no other beats in both time and error, the fastest first."""
+        told = [(max(t.error, self.resolution), t.seconds, t) for t in self.timings]
+        found: list[Timing] = []
+        for error, _, timing in sorted(
+            (row for row in told if isfinite(row[0]) and isfinite(row[1])), key=lambda row: row[1]
+        ):
+            if not found or error < max(found[-1].error, self.resolution):
+                found.append(timing)
+        return found
+
+    @property
+    def advice(self) -> str:
+        """Which solver to take for which error."""
+        front = self.front
+        if not front:
+            return "No solver has come to the end of this run on the same course."
+        last = [a for a, b in pairwise(front) if a.solver != b.solver] + front[-1:]
+        parts = [
+            f"down to {self._error(timing)} take {timing.solver} "
+            f"(rtol={timing.rtol:g}: {_time(timing.seconds)})"
+            for timing in last
+        ]
+        return f"For errors {', '.join(parts)}."
+
+    def _error(self, timing: Timing) -> str:
+        below = timing.error <= self.resolution
+        return f"{'below ' if below else ''}{max(timing.error, self.resolution):.0e}"
+
+    def __str__(self) -> str:
+        """A table, what errors are measured against, and which solver to take."""
+        head = (
+            f"{'':18}{'rtol':>8}{'error':>10}{'time':>10}{'quartiles':>20}{'first call':>12}"
+            f"{'steps':>9}{'flow':>9}{'memory':>10}"
+        )
+        rows = [self._row(timing) for timing in self.timings]
+        return "\n".join([self.model, head, *rows, f"Errors against {self.against}.", self.advice])
+
+    def _row(self, timing: Timing) -> str:
+        start = f"{timing.solver:18}{timing.rtol:>8.0e}"
+        if timing.reason:
+            return f"{start}  {timing.reason}"
+        counts = (
+            "-" if count is None else f"{count:,}" for count in (timing.steps, timing.evaluations)
+        )
+        steps, evaluations = counts
+        first = _time(timing.first) if isfinite(timing.first) else ""
+        return (
+            f"{start}{timing.error:>10.1e}{_time(timing.seconds):>10}"
+            f"{_time(timing.low) + ' - ' + _time(timing.high):>20}{first:>12}"
+            f"{steps:>9}{evaluations:>9}{timing.memory / 1024:>7.0f} KiB"
+        )
+
+    def save(self, path: Any) -> None:
+        """Write all numbers as JSON, with the versions and the machine."""
+        fields = {
+            "model": self.model,
+            "against": self.against,
+            "resolution": self.resolution,
+            "advice": self.advice,
+            "versions": self.versions,
+            "machine": self.machine,
+            "timings": [_plain(attrs.asdict(timing)) for timing in self.timings],
+        }
+        with open(path, "w", encoding="utf-8") as file:
+            json.dump(fields, file, indent=1)
+
+    def plot(self, path: Any = None) -> Any:
+        """Draw time against error, a line a solver, with quartiles as bars.
+
+        Parameters
+        ----------
+        path : str or path, optional
+            Also write the figure there.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        OptionError
+            If matplotlib is missing.
+        """
+        need("bench.plot", PLOT)
+        from ..plot.static import draw
+
+        curves: list[Curve] = []
+        for number, solver in enumerate(dict.fromkeys(t.solver for t in self.timings)):
+            own = [t for t in self.timings if t.solver == solver and isfinite(t.error)]
+            if own:
+                curves += _drawn(own, number, self.resolution)
+        panel = Panel(curves=curves, x="relative error", y="seconds", log="xy", reverse=True)
+        return draw(Figure(name="bench", title=self.model, columns=column(panel)), path)
+
+
+def bench(
+    model: Any,
+    start: Any,
+    t: tuple[float, float],
+    *,
+    solvers: Sequence[str] = TIMED_SOLVERS,
+    rtol: Sequence[float] = TIMED_TOLERANCES,
+    oracle: Oracle | None = None,
+    repeats: int = 7,
+    progress: Callable[[str], None] | None = None,
+    **options: Any,
+) -> Bench:
+    """Time several solvers at several tolerances on one run, and measure their errors.
+
+    Parameters
+    ----------
+    model, start, t
+        As in :func:`hybrid.simulate`.
+    solvers : sequence of str
+        ``"scipy:DOP853"``, ``"taylor"``: a solver, and after a colon its method.
+    rtol : sequence of float
+        Relative tolerances; the absolute ones are a hundredth of each, unless ``atol`` is given.
+    oracle : callable, optional
+        Of a run, gives rows ``(name, computed, exact)``, as that of a gallery's file does. The
+        error is then the largest difference in a row, against the exact value where that is not 0.
+        Without it a run is compared with one of another method, accurate to rounding (Taylor
+        series; for those, DOP853): the largest difference of a state against the largest state, or
+        of the time of a jump, a limit or a release against the length of the run.
+    repeats : int
+        Rounds of timings. In each round every solver is timed at every tolerance, so that
+        what else the machine does falls on all of them.
+    progress : callable, optional
+        Given a line of text at each first call.
+    options
+        Handed to :func:`hybrid.simulate`.
+
+    Returns
+    -------
+    Bench
+        ``print(found)`` is a table that ends with advice; ``found.plot(path)`` draws it,
+        ``found.save(path)`` writes it as JSON.
+
+    Raises
+    ------
+    OptionError
+        Where nothing is to be timed.
+    """
+    if not solvers or not len(rtol) or repeats < 1:
+        raise OptionError(
+            f"bench: solvers={list(solvers)}, rtol={list(rtol)}, repeats={repeats}: "
+            "at least one of each is needed"
+        )
+    runners = [_Runner(model, start, t, name, float(r), options) for name in solvers for r in rtol]
+    judge = _Exact(oracle) if oracle else _Tighter(model, start, t, options)
+    for before, runner in zip([None, *runners], runners, strict=False):
+        if progress is not None:
+            progress(f"{runner.solver} at rtol={runner.rtol:g}")
+        runner.begin(judge, before is None or before.solver != runner.solver)
+    for _ in range(repeats):
+        for runner in runners:
+            runner.time()
+    timings = [runner.timing() for runner in runners]
+    return Bench(str(model), timings, judge.name, judge.resolution, versions(), machine())
+
+
+class _Judge(Protocol):
+    """What knows the error of a run."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def resolution(self) -> float: ...
+    def error(self, run: Trajectory, solver: str) -> float: ...
+
+
+class _Exact:
+    """Against exact values."""
+
+    name, resolution = "the exact values of the model's file", 0.0
+
+    def __init__(self, oracle: Oracle) -> None:
+        self.oracle = oracle
+
+    def error(self, run: Trajectory, solver: str) -> float:
+        try:
+            rows = [
+                (np.asarray(a, float), np.asarray(b, float)) for _, a, b, *_ in self.oracle(run)
+            ]
+        except IndexError:  # a jump or a limit that it looks at is missing
+            return inf
+        except Exception as fault:  # whatever the user's function raises, in one line
+            raise OptionError(f"oracle: {type(fault).__name__}: {fault}") from fault
+        return max(float(np.max(np.abs(a - b) / np.where(b == 0, 1.0, np.abs(b)))) for a, b in rows)
+
+
+class _Tighter:
+    """Against a run of another method, accurate to rounding."""
+
+    def __init__(self, model: Any, start: Any, t: Any, options: Mapping[str, Any]) -> None:
+        self.length = abs(t[1] - t[0])
+        self.runs: dict[str, Trajectory] = {}
+        fault: HybridError | None = None
+        for name, choice in REFERENCES.items():
+            try:
+                self.runs[name] = simulate(model, start, t, **{**options, **choice})
+            except HybridError as failed:
+                fault = failed
+        if not self.runs:
+            assert fault is not None
+            raise fault
+        self.resolution = self._between(*self.runs.values()) if len(self.runs) > 1 else 0.0
+
+    @property
+    def name(self) -> str:
+        runs = " and ".join(f"a run of {name} to rounding" for name in self.runs)
+        apart = f", which differ by {self.resolution:.0e}" if len(self.runs) > 1 else ""
+        return runs + apart
+
+    def error(self, run: Trajectory, solver: str) -> float:
+        others = [exact for name, exact in self.runs.items() if name != solver]
+        return self._between((others or list(self.runs.values()))[0], run)
+
+    def _between(self, exact: Trajectory, run: Trajectory) -> float:
+        found = differences(exact, run)
+        if found["edges"] or found["modes"]:
+            return inf
+        size = max(float(np.max(np.abs(arc.first))) for arc in exact.arcs) or 1.0
+        times = max(found["times"], found["t_inf"], found["releases"]) / self.length
+        return max(found["states"] / size, times)
+
+
+class _Runner:
+    """One solver at one tolerance: called, and timed."""
+
+    def __init__(
+        self, model: Any, start: Any, t: Any, solver: str, rtol: float, options: Mapping[str, Any]
+    ) -> None:
+        name, _, method = solver.partition(":")
+        own = {"rtol": rtol, "atol": ABSOLUTE_SHARE * rtol, **options}
+        self.arguments, self.solver, self.rtol = (model, start, t), solver, rtol
+        self.options = {**own, "solver": name, "method": method or None}
+        self.found: dict[str, Any] = {}
+        self.calls, self.samples, self.reason = 1, [], ""  # type: int, list[float], str
+
+    def _run(self) -> Trajectory:
+        return simulate(*self.arguments, **self.options)
+
+    def begin(self, judge: _Judge, first: bool) -> None:
+        """The first call, the error, what was needed, and how many calls are timed at a time."""
+        begun = time.perf_counter()
+        try:
+            run = self._run()
+        except OptionError:
+            raise
+        except HybridError as fault:
+            self.reason = str(fault)
+            return
+        taken = time.perf_counter() - begun
+        if run.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        stats = run.stats
+        self.found["error"] = judge.error(run, self.solver)
+        self.found["first"] = taken if first else nan
+        if stats is not None:
+            self.found.update(steps=stats.steps, evaluations=stats.evaluations)
+        del run
+        self.found["memory"] = self._most()
+        self.calls = max(1, round(LEAST_TIMING / self._seconds(1)))
+
+    def _most(self) -> int:
+        """Bytes held by a call, at most."""
+        tracemalloc.start()
+        try:
+            self._run()
+            return tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    def _seconds(self, calls: int) -> float:
+        collects = gc.isenabled()
+        gc.disable()
+        try:
+            begun = time.perf_counter()
+            for _ in range(calls):
+                self._run()
+            return (time.perf_counter() - begun) / calls
+        finally:
+            if collects:
+                gc.enable()
+
+    def time(self) -> None:
+        """One timing more."""
+        if not self.reason:
+            self.samples.append(self._seconds(self.calls))
+
+    def timing(self) -> Timing:
+        """What has been found."""
+        if self.reason:
+            return Timing(solver=self.solver, rtol=self.rtol, reason=self.reason)
+        low, middle, high = np.percentile(self.samples, (25, 50, 75)).tolist()
+        return Timing(
+            solver=self.solver, rtol=self.rtol, seconds=middle, low=low, high=high, **self.found
+        )
+
+
+def machine() -> dict[str, Any]:
+    """What the numbers were taken on."""
+    return {
+        "system": platform.system(),
+        "processor": platform.processor() or platform.machine(),
+        "cores": os.cpu_count(),
+    }
+
+
+def _drawn(own: Sequence[Timing], number: int, resolution: float) -> list[Curve]:
+    """A solver's line, and its bars."""
+    x = [max(timing.error, resolution, np.finfo(float).eps) for timing in own]
+    bars = [
+        (e, v) for e, timing in zip(x, own, strict=True) for v in (timing.low, timing.high, nan)
+    ]
+    notes = [f"{t.solver} at rtol={t.rtol:g}: {_time(t.seconds)}" for t in own]
+    look = f"method {number % len(METHOD_COLORS)}"
+    return [
+        Curve(x=x, y=[t.seconds for t in own], name=own[0].solver, look=look, notes=notes),
+        Curve(x=[e for e, _ in bars], y=[v for _, v in bars], look=f"{look} bar"),
+    ]
+
+
+def _plain(row: dict[str, Any]) -> dict[str, Any]:
+    """Numbers that are none, or infinite, as JSON has them."""
+    return {
+        key: None if isinstance(value, float) and not isfinite(value) else value
+        for key, value in row.items()
+    }
+
+
+def _time(seconds: float) -> str:
+    for unit, size in (("s", 1.0), ("ms", 1e-3)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds * 1e6:.3g} us"
