@@ -277,3 +277,69 @@ def test_points_shown_of_a_tail_are_on_its_flights(rules, monkeypatch):
             assert speed == pytest.approx(flight.u, abs=1e-8)
             # a cubic leaves h^4 / 384 of the fourth derivative, which is 0.01, and h is 0.1
             assert state == pytest.approx(whole(share * flight.time), abs=1e-8)
+
+
+class Spring(hy.Automaton):
+    """A body on a hard spring before a wall, in a unit of time; beside it what moves by itself."""
+
+    x = hy.state()
+    v = hy.state()
+    fading = hy.state()
+    unit: float = hy.parameter(1.0, positive=True)
+
+    @hy.mode
+    def flight(self, t, s):
+        u, speed = self.unit, s.v * self.unit
+        return s.v, (-jnp.cos(speed) - s.x**3) / u**2, -s.fading / u
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x - 2.0, restitution=0.8)
+
+
+class Alone(hy.Automaton):
+    """The same with nothing beside it."""
+
+    x = hy.state()
+    v = hy.state()
+    r: float = hy.parameter(0.8)
+    unit: float = hy.parameter(1.0, positive=True)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, (-jnp.cos(s.v * self.unit) - s.x**3) / self.unit**2
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x - 2.0, restitution="r")
+
+
+def summed(model, speed, rtol, *beside):
+    """The sum from an impact before the wall at 2."""
+    scene = scene_of(model)
+    field, contact = scene.field("flight"), scene.contact("impact")
+    return close(field, contact, 0, 0.0, 0.0, np.array([2.0, speed, *beside]), speed, rtol, rtol)
+
+
+def test_states_that_move_by_themselves_do_not_delay_a_sum():
+    """A flight is then not the same from each place on the curve, which the turns must follow."""
+    tail, alone = summed(Spring(), 0.1, 1e-9, 1.0), summed(Alone(), 0.1, 1e-9)
+    assert tail is not None
+    # each is known to a thousandth of the tolerance, and better
+    assert tail.remaining == pytest.approx(alone.remaining, rel=1e-12)
+    assert tail.x_inf[2] == pytest.approx(np.exp(-tail.remaining), rel=1e-12)
+
+
+@pytest.mark.parametrize("r", [0.5, 0.8, 0.95])
+@pytest.mark.parametrize("speed", [1.2, 0.8, 0.3, 0.01])
+def test_bounds_of_a_sum_hold_what_more_points_change(r, speed):
+    """Where points are added until the last coefficients are small enough."""
+    exact = summed(Alone(r=r), speed, 1e-15)
+    for rtol in (1e-5, 1e-7, 1e-9):
+        tail = summed(Alone(r=r), speed, rtol)
+        assert abs(tail.remaining - exact.remaining) <= tail.t_error + exact.t_error
+        assert tail.t_error <= 1e-2 * rtol * tail.remaining
+    assert exact.t_error <= 1e-13 * exact.remaining / (1 - r)
+
+
+def test_a_sum_is_the_same_in_a_unit_in_which_high_orders_overflow():
+    """A unit of 1e14 times: coefficients of order 24 are up to 1e340."""
+    tail, small = summed(Alone(), 0.5, 1e-9), summed(Alone(unit=1e-14), 0.5e14, 1e-9)
+    # the flights are of other orders, to the same accuracy
+    assert small.remaining == pytest.approx(1e-14 * tail.remaining, rel=1e-12)

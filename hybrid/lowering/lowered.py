@@ -144,7 +144,7 @@ class Lowered:
         flows = self.dependencies(self.closed("flow", contact.source))
         (gap,) = self.dependencies(self.closed("gap", name))
         (law,) = self.dependencies(self.closed("restitution", name), ["u"])
-        used = set().union(gap, law, *(flows[i] for i in own))
+        used = set().union(gap, law, *flows)
         return len(own) == 2 and used <= own and not callable(contact.inverse_mass)
 
     # -- modes --------------------------------------------------------------------------

@@ -233,8 +233,8 @@ class Field:
 class Contact:
     """The derived laws of a contact (see :mod:`.contact`), as scalar functions.
 
-    ``local``: a fixed obstacle before one position, whose forces depend on that position
-    and its velocity only; all flights see the same forces, whenever they are.
+    ``local``: a fixed obstacle before one position, and a flow that depends on that position
+    and its velocity only: flights with one speed are alike, whenever they are.
     """
 
     name: str

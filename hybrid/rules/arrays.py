@@ -188,7 +188,9 @@ class Sums(NamedTuple):
     times : Floats
         The gap's acceleration, and where the curve is, at some times.
     ints : Ints
-        Which flights are known, and the branch of the first.
+        How many flights are known, and the branch of the first.
+    high : Matrix
+        As ``c``, for series of a higher order.
     starts, lengths, series, branch, end, c, aside, work, rows, found, sides
         Of flights, see :func:`.flights.fly`.
     """
@@ -197,6 +199,7 @@ class Sums(NamedTuple):
     small: Matrix
     times: Floats
     ints: Ints
+    high: Matrix
     starts: Floats
     lengths: Floats
     series: Matrix

@@ -24,9 +24,9 @@ from .kinks import (
     states,
     turn,
 )
-from .lengths import CONVERGED, LAST_TERMS, behind, own_length, step_length, zero_of
+from .lengths import CONVERGED, behind, held_length, min_own_length, own_length, zero_of
 from .polynomials import power_value
-from .zeros import outweighs
+from .zeros import outweighs, soon
 from .zeros import series as zeros
 
 __all__ = ("fly",)
@@ -66,6 +66,7 @@ def fly(
     sides: Ints,
     signs: Ints,
     rounding: float,
+    terms: float,
 ) -> tuple[int, float, float, int, int]:
     """The flight that leaves a contact with gap speed ``v > 0``.
 
@@ -77,7 +78,8 @@ def fly(
         As :func:`.checks.follows` takes it.
     starts, lengths, series
         Get the pieces of the flight: when each begins, from 0, how long it is, and the series of
-        the state, a row for each element. :func:`most_pieces` says how many there may be.
+        the state, a row for each element, unless there are no rows. :func:`most_pieces` says how
+        many there may be.
     branch
         Gets the sign of each kink where the flight begins (0 of a point, which is not watched), and
         the kinks that it crosses, in order: a place for each kink and each piece.
@@ -89,6 +91,8 @@ def fly(
         For each guard the sign that it must have on the way, 0 where it is that which it has at the
         start, which is put down; and nearer to zero than rounding none may come. With no signs
         guards are not looked at.
+    terms
+        To what share of a state, and of the gap, the last terms of its series fall in a piece.
 
     Returns
     -------
@@ -112,7 +116,7 @@ def fly(
             _begin(p, program, sides, c, branch)
         status, h, crossed, gap, speed = _piece(
             p, program, column, held, t + time, gap, speed, c, aside, work, rows, found, sides,
-            _converged(p, program, signs, c),
+            _converged(p, program, signs, c), terms,
         )  # fmt: skip
         if status >= 0 and not _apart(p, program, column, h, rounding, signs, c, rows, found):
             status = REACHED
@@ -201,12 +205,13 @@ def _piece(
     found: Matrix,
     sides: Ints,
     most: float,
+    terms: float,
 ) -> tuple[int, float, int, float, float]:
     """A step of a flight, no longer than ``most``: its status, how long it is, the kink that ends
     it, and the gap and its speed there."""
     place = p.index[program, OUTPUT] + column
     row = p.output[place]
-    reach, zero = _reach(p, program, row, gap, speed, c, rows, found)
+    reach, zero = _reach(p, program, row, gap, speed, terms, c, rows, found)
     h = min(reach, zero, most)
     if not 0.0 < h < math.inf:
         return NO_LENGTH, h, -1, gap, speed
@@ -232,16 +237,26 @@ def _reach(
     row: int,
     gap: float,
     speed: float,
+    terms: float,
     c: Matrix,
     rows: Matrix,
     found: Matrix,
 ) -> tuple[float, float]:
-    """How far the series hold, and where the gap, as a coordinate of its own, falls to zero."""
-    reach = min(step_length(c, states(p, program)), holding(p, program, c))
+    """How far the series hold, no further than to the zero that is found there: the first of the
+    gap, as a coordinate of its own."""
     height, rate = c[row, 0], c[row, 1]  # of an element of the state, it may be
+    order, low, zero = c.shape[1] - 1, 1 if gap == 0.0 else 0, math.inf
     c[row, 0], c[row, 1] = gap, speed
-    reach = min(reach, own_length(c[row], LAST_TERMS))
-    zero = zero_of(c[row], reach, rows, found)
+    if c[row, low] > 0.0 and count(p, program) == 0:
+        zero = soon(c[row], low, order, math.inf)
+    c[row, 0], c[row, 1] = height, rate
+    reach = min(held_length(c, states(p, program), terms, zero), holding(p, program, c))
+    c[row, 0], c[row, 1] = gap, speed
+    reach = min_own_length(c[row], terms, reach)
+    if zero == math.inf:
+        zero = zero_of(c[row], reach, rows, found)
+    elif reach < zero:
+        zero = math.inf
     c[row, 0], c[row, 1] = height, rate
     return reach, zero
 
@@ -260,5 +275,5 @@ def _keep(
     starts[piece], lengths[piece] = time, h
     for i in range(x.shape[0]):
         x[i], _ = power_value(c[i], 0, c.shape[1] - 1, h)
-        for k in range(c.shape[1]):
+        for k in range(c.shape[1] if series.shape[0] > 0 else 0):
             series[piece * x.shape[0] + i, k] = c[i, k]

@@ -9,6 +9,7 @@ from .arrays import Floats, Ints, Programs, Sums
 from .flights import fly
 from .guards import NEAR
 from .jets import values
+from .lengths import LAST_TERMS
 from .sums import KICK, ONTO_CONTACT, READ, restitution, turned
 
 __all__ = ("drowns", "hop")
@@ -58,6 +59,7 @@ def hop(
     status, time, u, pieces, _ = fly(
         p, flow, column, held, t, x, v, room.starts, room.lengths, room.series, room.branch,
         room.end, room.c, room.aside, room.work, room.rows, room.found, room.sides, signs, rounding,
+        LAST_TERMS,
     )  # fmt: skip
     if status < 0:
         return status, time, 0.0, 0

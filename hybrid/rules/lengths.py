@@ -12,7 +12,14 @@ import math
 from .arrays import Floats, Matrix
 from .zeros import first
 
-__all__ = ("falls", "own_length", "step_length", "tolerated_length")
+__all__ = (
+    "falls",
+    "held_length",
+    "min_own_length",
+    "own_length",
+    "step_length",
+    "tolerated_length",
+)
 
 #: Size, relative to the state, to which the last terms of a step are held.
 LAST_TERMS = 1e-16
@@ -34,9 +41,13 @@ def falls(c: Matrix, size: int, gap: Floats, far: float, rows: Matrix, found: Ma
 
 def step_length(c: Matrix, size: int) -> float:
     """Length at which the last two terms of every element of the state fall to rounding."""
-    length = math.inf
+    return held_length(c, size, LAST_TERMS, math.inf)
+
+
+def held_length(c: Matrix, size: int, share: float, length: float) -> float:
+    """The length, or the shorter one at which they fall to a share of the element."""
     for i in range(size):
-        length = _within(c[i], LAST_TERMS, 0.0, length)
+        length = _within(c[i], share, 0.0, length)
     return length
 
 
@@ -84,6 +95,16 @@ def own_length(c: Floats, share: float) -> float:
             reach = _reach(c, last, share)
             length = min(length, reach) if reach >= 0.0 else length
     return length
+
+
+def min_own_length(c: Floats, share: float, length: float) -> float:
+    """The length, or :func:`own_length` where that is shorter, which takes longer to find."""
+    last, power_of_length, largest = c.shape[0] - 1, 1.0, 0.0
+    for k in range(last - 1):
+        largest = max(largest, abs(c[k]) * power_of_length)
+        power_of_length *= length
+    ends = max(abs(c[last - 1]), abs(c[last]) * length) * power_of_length
+    return length if ends <= share * largest else min(length, own_length(c, share))
 
 
 def behind(c: Floats, s: float) -> float:

@@ -27,6 +27,7 @@ from .chebyshev import differences, from_values, nodes
 from .flights import fly
 from .jets import KINKS, jets, values
 from .kinks import KINK_ROW, count
+from .lengths import LAST_TERMS
 from .linear import solve
 from .polynomials import power_value
 from .slopes import onto_contacts, product, rates, read, reset
@@ -229,7 +230,7 @@ def mapped(
     status, length, u, pieces, crossed = fly(
         p, flow, column, held, begins, state, speed, sums.starts, sums.lengths, sums.series,
         sums.branch, sums.end, sums.c, sums.aside, sums.work, sums.rows, sums.found, sums.sides,
-        sums.sides[:0], 0.0,
+        sums.sides[:0], 0.0, LAST_TERMS,
     )  # fmt: skip
     if status < 0 or not flown(p, flow, s, own, begins, n, pieces, crossed, sums, room):
         return False

@@ -16,6 +16,7 @@ from .arrays import AutomatonArrays, Floats, Left, Look, Now, PastArrays, Room, 
 from .chebyshev import value
 from .flights import fly
 from .jets import steady
+from .lengths import LAST_TERMS
 from .places import (
     AGAIN,
     AT,
@@ -262,7 +263,7 @@ def tail_kept(
         status, length, _, pieces, _ = fly(
             a.programs, flow, column, False, t + since, state, v, sums.starts, sums.lengths,
             sums.series, sums.branch, sums.end, sums.c, sums.aside, sums.work, sums.rows,
-            sums.found, sums.sides, sums.sides[:0], 0.0,
+            sums.found, sums.sides, sums.sides[:0], 0.0, LAST_TERMS,
         )  # fmt: skip
         ends = status < 0 or ints[FLIGHTS_DONE] == most or length <= shortest
         if ends or near(limit, sums, past, pieces):

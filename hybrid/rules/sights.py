@@ -13,6 +13,7 @@ from .bounds import ranges
 from .chebyshev import from_values, nodes, value
 from .flights import fly
 from .jets import values
+from .lengths import LAST_TERMS
 from .sums import (
     CURVE_BASIS,
     KICK,
@@ -160,9 +161,9 @@ def laws(
         w = room.small[CURVE_BASIS, k]
         when, speed = on_curve(p, at, curve, curve.shape[0] - 1, t, x, v, w, 1.0, room, state)
         status, length, u, _, _ = fly(
-            p, flow, column, False, when, state, speed, room.starts, room.lengths, room.series,
+            p, flow, column, False, when, state, speed, room.starts, room.lengths, room.series[:0],
             room.branch, room.end, room.c, room.aside, room.work, room.rows, room.found, room.sides,
-            room.sides[:0], 0.0,
+            room.sides[:0], 0.0, LAST_TERMS,
         )  # fmt: skip
         if status < 0:
             return False

@@ -9,13 +9,12 @@ where flow, gap and restitution are. With ``D(w) = F(y(w)) - y(w)`` for time and
 
     y(r w) - y(w) = D(w),    log v = log w + l(w),    l(r w) - l(w) = E(w).
 
-The curve is held by its values at a few points of ``[0, 1]``. ``D`` and ``E`` there are
-computed by one Taylor flight each; the equations are solved, which moves the curve; and so
+The curve is a polynomial, for which they hold at a few points of ``[0, 1]``. ``D`` and ``E`` there
+are computed by one Taylor flight each; the equations are solved, which moves the curve; and so
 on by turns, each of which gains an order and takes one point more. Where moving the curve
-changes nothing (a fixed wall, forces that depend on nothing but the gap and the speed
-squared), the points are doubled instead and the old ones kept. What the last turn changed
-bounds what is left. This is the map of Nordmark & Piiroinen (Nonlinear Dynamics 58,
-2009) to any order; see ``docs/notes/chatter.md``.
+changes nothing (a fixed wall, a flow that depends on nothing but the gap and the speed squared),
+the flights that are known are kept. What the last turn changed bounds what is left. This is the map
+of Nordmark & Piiroinen (Nonlinear Dynamics 58, 2009) to any order; see ``docs/notes/chatter.md``.
 
 A model is given as programs: the flow with its guards, and three of what happens at the contact.
 """
@@ -25,9 +24,11 @@ from __future__ import annotations
 import math
 
 from .arrays import Floats, Ints, Matrix, Programs, Sums
-from .chebyshev import differences, evaluate, from_values, nodes, value
-from .flights import fly
+from .chebyshev import differences, evaluate, value
+from .flights import NO_LENGTH, fly
 from .jets import KINKS, jets, values
+from .kinks import NO_SERIES
+from .lengths import LAST_TERMS
 from .linear import solve, unfitted
 
 __all__ = ("close", "on_curve", "restitution", "shown", "touch")
@@ -41,13 +42,13 @@ CURVE, FLIGHT_ROWS, VALUE_ROWS = 0, 17, 34
 TO_LIMIT, ERROR, OLD_LIMIT, ALLOWED, ON_CURVE, STATE_THERE, READ = 51, 52, 53, 54, 55, 56, 57
 LEAVING, STRIKING, SUM_LINES = 58, 60, 62
 
-# Rows of ``small``: from values to coefficients; equations; the points; Chebyshev polynomials at
-# one of them; what each turn has changed, against what may change; the gap's acceleration.
-TO_SERIES, EQUATIONS, CURVE_POINTS, CURVE_BASIS, HISTORY, FIT = 0, 17, 34, 35, 36, 37
+# Rows of ``small``: equations; Chebyshev polynomials at a point; the points; what each turn has
+# changed, against what may change; the gap's acceleration.
+EQUATIONS, CURVE_BASIS, CURVE_POINTS, HISTORY, FIT = 0, 17, 18, 19, 20
 
-# Places in ``times`` of where the curve is; in ``ints`` of how many kinks the first flight has
-# crossed (-1 if none was flown), and of its branch.
-GRID, KINKS_CROSSED, BRANCH = 64, 17, 18
+# Places in ``times`` of where the curve is; in ``ints`` of how many flights are known, of the
+# pieces of the first, of how many kinks it has crossed (-1 if none was flown), and of its branch.
+GRID, KNOWN, PIECES, KINKS_CROSSED, BRANCH = 64, 0, 1, 2, 3
 
 #: Programs of what happens at a contact, from the first of them on: the state moved onto it; change
 #: of the state that changes the gap's speed by one, then gap speed and acceleration; the
@@ -56,6 +57,16 @@ ONTO_CONTACT, KICK, RESTITUTION_LAW = 0, 1, 2
 
 #: Most points on the curve.
 MOST_DEGREE = 16
+
+#: Points to which more are added: Leja's, each where those before, and 0, leave most room.
+ADDED_POINTS = (
+    1.0, 0.5, 0.2113, 0.8294, 0.0804, 0.935, 0.6528, 0.3391,
+    0.0285, 0.9763, 0.7397, 0.1437, 0.422, 0.8874, 0.0103, 0.5806,
+)  # fmt: skip
+
+#: Order of the series of a flight: that of ``high``. Those of ``c`` do for flights of less than
+#: half a piece, and where coefficients grow beyond what a double can be.
+HIGH_ORDER, HALF_A_PIECE = 24, 0.5
 
 #: Flights of a stretch of a tail at which it is looked, and points of each; then come two rows, of
 #: the least and the most of each column.
@@ -89,11 +100,14 @@ FORCE_SAMPLES, FORCE_SMOOTHNESS, MORE_DEGREES = 64, 1e-5, 2
 #: four of them for each time.
 LAST_POINT = 255
 
-#: What is left after a turn, against what the turn changed: it shrinks, but not evenly.
-TURN_CAUTION = 8.0
+#: What is left after a turn, against what the turn changed: it shrinks, but not evenly. Where only
+#: points are added it is compared with this share of the last two coefficients, of which it was
+#: 0.0004 to 1.3 in sums along hard springs and soft ones.
+TURN_CAUTION, LAST_COEFFICIENTS = 8.0, 0.25
 
-#: Rounding of one flight, relative, as seen in the change from turn to turn.
-FLIGHT_ROUNDING = 3e-15
+#: Rounding of one flight, relative, as seen in the change from turn to turn; and the share of what
+#: a sum may be off that is left to the last terms of its flights.
+FLIGHT_ROUNDING, LAST_TERMS_SHARE = 3e-15, 0.1
 
 #: The smallest that anything is compared with, and the largest logarithm of a speed's growth.
 SMALLEST_DIVISOR, LARGEST_GROWTH = 1e-300, 700.0
@@ -138,38 +152,37 @@ def close(
     """
     lines, history, n = room.lines, room.small[HISTORY], x.shape[0]
     begin(lines, room.ints)
-    steady, tested, degree, turns = local, False, 1, 0
+    steady, degree = local, 1
     r = at_rest(p, at, t, x, room)
+    terms = max(LAST_TERMS, LAST_TERMS_SHARE * SUM_SHARE * rtol * (1.0 - r))
     while degree <= MOST_DEGREE and r > 0.0:
-        fine, steady = flown(p, flow, at, column, held, steady, tested, degree, t, x, v, r, room)
-        if not fine:
+        fine, steady = flown(p, flow, at, column, held, steady, degree, t, x, v, r, terms, room)
+        if not (fine and solved(degree, n, r, lines, room.small)):
             break
-        if tested:
-            fits = steady or smooth(p, at, degree, t, x, room)
-            return degree if fits and finished(p, at, t, x, r, room) else 0, r
-        if not solved(degree, n, r, lines, room.small):
-            break
-        r = at_limit(p, at, t, x, room)
+        if not steady:
+            r = at_limit(p, at, t, x, room)
+        turns = degree - 1
         if turns > 0:
-            history[turns - 1] = compared(t, x, r, rtol, atol, lines)
-            if steady and turns > 1:
-                history[turns - 1] *= doubled(history, turns, lines)
-            tested = history[turns - 1] <= 1.0
-            if not (tested or steady or hopeful(history, turns, MOST_DEGREE - degree)):
+            history[turns - 1] = compared(steady, degree, t, x, r, rtol, atol, terms, lines)
+            if history[turns - 1] <= 1.0:
+                r = at_limit(p, at, t, x, room)
+                fits = r > 0.0 and tested(
+                    p, flow, at, column, held, degree, t, x, v, r, terms, room
+                )
+                fits = fits and (steady or smooth(p, at, degree, t, x, room))
+                return degree if fits and finished(p, at, t, x, r, terms, room) else 0, r
+            if not (steady or hopeful(history, turns, MOST_DEGREE - degree)):
                 break
-        if not tested:
-            for j in range(n + 1):
-                lines[OLD_LIMIT, j] = lines[TO_LIMIT, j]
-            turns += 1
-            degree = 2 * degree if steady else degree + 1
+        for j in range(n + 1):
+            lines[OLD_LIMIT, j] = lines[TO_LIMIT, j]
+        degree += 1
     return 0, r
 
 
 def begin(lines: Matrix, ints: Ints) -> None:
     """Forget what is in the room."""
-    ints[KINKS_CROSSED] = -1
+    ints[KINKS_CROSSED], ints[KNOWN], ints[PIECES] = -1, 0, 0
     for i in range(MOST_DEGREE + 1):
-        ints[i] = 0
         for j in range(lines.shape[1]):
             lines[i, j] = 0.0
 
@@ -230,42 +243,65 @@ def flown(
     column: int,
     held: bool,
     steady: bool,
-    tested: bool,
     degree: int,
     t: float,
     x: Floats,
     v: float,
     r: float,
+    terms: float,
     room: Sums,
 ) -> tuple[bool, bool]:
-    """Make the flights from the curve's points, or those of the test.
+    """Make the flights from the curve's points.
 
     Known are kept while the curve's place is idle; its start stays where it is.
 
     Returns
     -------
     fine : bool
-        False where a flight is not to be had, or does not pass the test.
+        False where a flight is not to be had.
     steady : bool
         Whether moving the curve has changed nothing.
     """
-    lines, points, known = room.lines, room.small[CURVE_POINTS], room.ints
-    nodes(degree, points)
-    for i in range(len(PROBES) if tested else degree, 0, -1):
-        w = PROBES[len(PROBES) - i] if tested else points[i]
-        place = 0 if tested else i * MOST_DEGREE // degree
-        if known[place] == 0 or not (steady or i == degree):
-            if not flight(p, flow, at, column, held, degree, t, x, v, w, place, room):
-                return False, steady
-            if tested and not follows(degree, r, w, lines):
-                return False, steady
-            steady = steady and (tested or abs(bend(lines, place, r)) <= IDLE)
-        if not tested:
-            known[place] = 1
-            for j in range(x.shape[0] + 1):
-                lines[VALUE_ROWS + i - 1, j] = lines[FLIGHT_ROWS + place, j]
-            lines[VALUE_ROWS + i - 1, x.shape[0] + 1] = bend(lines, place, r)
-    return True, steady
+    lines, points, n, idle = room.lines, room.small[CURVE_POINTS], x.shape[0], steady
+    for k in range(degree):
+        points[k] = (
+            ADDED_POINTS[k] if steady or k == 0 else 0.5 - 0.5 * math.cos(math.pi * k / degree)
+        )
+        if k >= room.ints[KNOWN] or not (steady or k == 0):
+            if not flight(
+                p, flow, at, column, held, degree - 1, t, x, v, points[k], k, terms, room
+            ):
+                return False, False
+            idle = idle and abs(bend(lines, k, r)) <= IDLE
+        for j in range(n + 1):
+            lines[VALUE_ROWS + k, j] = lines[FLIGHT_ROWS + k, j]
+        lines[VALUE_ROWS + k, n + 1] = bend(lines, k, r)
+    room.ints[KNOWN] = degree
+    return True, idle
+
+
+def tested(
+    p: Programs,
+    flow: int,
+    at: int,
+    column: int,
+    held: bool,
+    degree: int,
+    t: float,
+    x: Floats,
+    v: float,
+    r: float,
+    terms: float,
+    room: Sums,
+) -> bool:
+    """Whether flights from points between fulfil the curve's equation."""
+    for k in range(len(PROBES)):
+        w, place = PROBES[k], MOST_DEGREE
+        if not flight(p, flow, at, column, held, degree, t, x, v, w, place, terms, room):
+            return False
+        if not follows(degree, r, w, place, terms, room.lines):
+            return False
+    return True
 
 
 def flight(
@@ -280,6 +316,7 @@ def flight(
     v: float,
     w: float,
     place: int,
+    terms: float,
     room: Sums,
 ) -> bool:
     """Make a flight and an impact from a point of the curve.
@@ -289,13 +326,21 @@ def flight(
     n, lines = x.shape[0], room.lines
     state = lines[STATE_THERE, :n]
     begins, speed = on_curve(p, at, lines, degree, t, x, v, w, 1.0, room, state)
-    status, length, u, _, crossed = fly(
-        p, flow, column, held, begins, state, speed, room.starts, room.lengths, room.series,
-        room.branch, room.end, room.c, room.aside, room.work, room.rows, room.found, room.sides,
-        room.sides[:0], 0.0,
-    )  # fmt: skip
+    status, length, u, pieces, crossed = NO_SERIES, 0.0, 0.0, 0, 0
+    if w * room.ints[PIECES] >= HALF_A_PIECE or room.ints[PIECES] == 0:
+        status, length, u, pieces, crossed = fly(
+            p, flow, column, held, begins, state, speed, room.starts, room.lengths,
+            room.series[:0], room.branch, room.end, room.high, room.aside, room.work, room.rows,
+            room.found, room.sides, room.sides[:0], 0.0, terms,
+        )  # fmt: skip
+    if NO_LENGTH <= status < 0:
+        status, length, u, pieces, crossed = fly(
+            p, flow, column, held, begins, state, speed, room.starts, room.lengths,
+            room.series[:0], room.branch, room.end, room.c, room.aside, room.work, room.rows,
+            room.found, room.sides, room.sides[:0], 0.0, terms,
+        )  # fmt: skip
     signs = p.index[flow, KINKS + 1] - p.index[flow, KINKS]
-    if status < 0 or not same_branch(signs, crossed, room.branch, room.ints):
+    if status < 0 or not same_branch(signs, pieces, crossed, room.branch, room.ints):
         return False
     after = -u * restitution(p, at, begins + length, room.end, u, room)
     if not after > 0.0:
@@ -339,10 +384,10 @@ def grown(bend: float) -> float:
     return math.exp(bend) if abs(bend) < LARGEST_GROWTH else math.nan
 
 
-def same_branch(signs: int, crossed: int, branch: Ints, ints: Ints) -> bool:
+def same_branch(signs: int, pieces: int, crossed: int, branch: Ints, ints: Ints) -> bool:
     """Whether a flight is on the branch of the first one, which is put down."""
     if ints[KINKS_CROSSED] < 0:
-        ints[KINKS_CROSSED] = crossed
+        ints[KINKS_CROSSED], ints[PIECES] = crossed, pieces
         for i in range(signs + crossed):
             ints[BRANCH + i] = branch[i]
     same = ints[KINKS_CROSSED] == crossed
@@ -351,11 +396,12 @@ def same_branch(signs: int, crossed: int, branch: Ints, ints: Ints) -> bool:
     return same
 
 
-def follows(degree: int, r: float, w: float, lines: Matrix) -> bool:
+def follows(degree: int, r: float, w: float, place: int, terms: float, lines: Matrix) -> bool:
     """Whether a flight of the test fulfils the curve's equation."""
-    length = lines[FLIGHT_ROWS, 0]
+    length = lines[FLIGHT_ROWS + place, 0]
     change = value(lines, degree, 0, r * w) - value(lines, degree, 0, w)
-    return abs(length - change) <= lines[ALLOWED, 0] + TURN_CAUTION * FLIGHT_ROUNDING * length
+    own = TURN_CAUTION * (FLIGHT_ROUNDING + terms) * length
+    return abs(length - change) <= lines[ALLOWED, 0] + own
 
 
 def bend(lines: Matrix, place: int, r: float) -> float:
@@ -439,26 +485,26 @@ def end_of_flight(
 
 
 def solved(degree: int, n: int, r: float, lines: Matrix, small: Matrix) -> bool:
-    """Solve for the values of the curve at its points, and put its coefficients down."""
-    from_values(degree, small)
-    for i in range(1, degree + 1):
-        differences(degree, r, small[CURVE_POINTS, i], small[CURVE_BASIS])
+    """Solve for the coefficients of the curve, which is zero where it starts."""
+    for k in range(degree):
+        differences(degree, r, small[CURVE_POINTS, k], small[CURVE_BASIS])
         for j in range(degree):
-            total = 0.0
-            for k in range(1, degree + 1):
-                total += small[CURVE_BASIS, k] * small[TO_SERIES + k, j]
-            small[EQUATIONS + i - 1, j] = total
+            small[EQUATIONS + k, j] = small[CURVE_BASIS, j + 1]
     if not solve(small[EQUATIONS:], degree, lines[VALUE_ROWS:], n + 2):
         return False
     finite = True
     for j in range(n + 2):
-        for k in range(degree + 1):
-            total = 0.0
-            for i in range(degree):
-                total += small[TO_SERIES + k, i] * lines[VALUE_ROWS + i, j]
-            lines[CURVE + k, j] = total
-            finite = finite and math.isfinite(total)
-        lines[TO_LIMIT, j] = lines[VALUE_ROWS, j]
+        even, odd = 0.0, 0.0
+        for k in range(degree, 0, -1):
+            own = lines[VALUE_ROWS + k - 1, j]
+            lines[CURVE + k, j] = own
+            if k % 2 == 0:
+                even += own
+            else:
+                odd += own
+        lines[CURVE, j] = -(even + odd)
+        lines[TO_LIMIT, j] = -2.0 * odd
+        finite = finite and math.isfinite(even + odd)
     return finite and lines[TO_LIMIT, 0] > 0.0
 
 
@@ -467,30 +513,36 @@ def scale(t: float, x: Floats, j: int, lines: Matrix) -> float:
     return abs(lines[TO_LIMIT, j]) + abs(t if j == 0 else x[j - 1])
 
 
-def rounding(t: float, x: Floats, j: int, r: float, lines: Matrix) -> float:
-    """Rounding of one flight, added up over the ``1 / (1 - r)`` flights that count."""
+def rounding(t: float, x: Floats, j: int, r: float, terms: float, lines: Matrix) -> float:
+    """Rounding of one flight, and its last terms, added up over the ``1 / (1 - r)`` flights that
+    count."""
     size = lines[TO_LIMIT, 0] if j == 0 else scale(t, x, j, lines)
-    return FLIGHT_ROUNDING / (1.0 - r) * size
+    return (FLIGHT_ROUNDING + terms) / (1.0 - r) * size
 
 
-def compared(t: float, x: Floats, r: float, rtol: float, atol: float, lines: Matrix) -> float:
-    """What the last turn has changed, against what may change."""
+def compared(
+    steady: bool,
+    degree: int,
+    t: float,
+    x: Floats,
+    r: float,
+    rtol: float,
+    atol: float,
+    terms: float,
+    lines: Matrix,
+) -> float:
+    """What is left, against what may be: what the last turn has changed; where only points were
+    added, as the last coefficients say."""
     worst = 0.0
     for j in range(x.shape[0] + 1):
         allowed = max(SUM_SHARE * rtol, SUM_FLOOR) * scale(t, x, j, lines)
-        allowed += rounding(t, x, j, r, lines)
+        allowed += rounding(t, x, j, r, terms, lines)
         lines[ALLOWED, j] = allowed + (SUM_SHARE * atol if j > 0 else 0.0)
-        lines[ERROR, j] = abs(lines[TO_LIMIT, j] - lines[OLD_LIMIT, j])
+        last = abs(lines[CURVE + degree, j]) + abs(lines[CURVE + degree - 1, j])
+        change = abs(lines[TO_LIMIT, j] - lines[OLD_LIMIT, j])
+        lines[ERROR, j] = LAST_COEFFICIENTS * last if steady else change
         worst = max(worst, lines[ERROR, j] / max(lines[ALLOWED, j], SMALLEST_DIVISOR))
     return worst
-
-
-def doubled(history: Floats, turns: int, lines: Matrix) -> float:
-    """Doubling the points squares what is left, or better: its share of the last change."""
-    left = min(1.0, history[turns - 1] / history[turns - 2])
-    for j in range(lines.shape[1]):
-        lines[ERROR, j] *= left
-    return left
 
 
 def hopeful(history: Floats, turns: int, left: int) -> bool:
@@ -505,11 +557,11 @@ def hopeful(history: Floats, turns: int, left: int) -> bool:
 # the end
 
 
-def finished(p: Programs, at: int, t: float, x: Floats, r: float, room: Sums) -> bool:
+def finished(p: Programs, at: int, t: float, x: Floats, r: float, terms: float, room: Sums) -> bool:
     """Put down bounds on the error, and the state at the limit."""
     n, lines = x.shape[0], room.lines
     for j in range(n + 1):
-        least = SUM_FLOOR * scale(t, x, j, lines) + rounding(t, x, j, r, lines)
+        least = SUM_FLOOR * scale(t, x, j, lines) + rounding(t, x, j, r, terms, lines)
         lines[ERROR, j] = TURN_CAUTION * lines[ERROR, j] + least
     state = lines[STATE_THERE, :n]
     for j in range(n):

@@ -8,6 +8,7 @@ from .arrays import Floats, Ints, Matrix, Programs, Sums
 from .chebyshev import value
 from .flights import REACHED, fly
 from .jets import OUTPUT, jets
+from .lengths import LAST_TERMS
 from .sums import SMALLEST_DIVISOR, STATE_THERE, on_curve
 
 __all__ = ("clear",)
@@ -58,9 +59,9 @@ def clear(
                 p, at, curve, curve.shape[0] - 1, t, x, v, r**n, 1.0, room, state
             )
             status, _, _, _, _ = fly(
-                p, flow, column, held, when, state, speed, room.starts, room.lengths, room.series,
-                room.branch, room.end, room.c, room.aside, room.work, room.rows, room.found,
-                room.sides, signs, 0.0,
+                p, flow, column, held, when, state, speed, room.starts, room.lengths,
+                room.series[:0], room.branch, room.end, room.c, room.aside, room.work, room.rows,
+                room.found, room.sides, signs, 0.0, LAST_TERMS,
             )  # fmt: skip
             if status == REACHED:
                 return False

@@ -29,6 +29,7 @@ from ..rules.sums import (
     FIT,
     FORCE_SAMPLES,
     GRID,
+    HIGH_ORDER,
     LAST_POINT,
     MOST_DEGREE,
     ON_CURVE,
@@ -358,7 +359,7 @@ class _Chatter:
 
 def room_for_sums(needs: Sequence[int], n: int) -> Sums:
     """Room for the sums of ``n`` states by programs none of which needs more than this."""
-    work, points = room(needs, n, ORDER), MOST_DEGREE + 1
+    work, points = room(needs, n, HIGH_ORDER), MOST_DEGREE + 1
     kinks = len(work.sides)
     most = most_pieces(kinks)
     return Sums(
@@ -366,12 +367,13 @@ def room_for_sums(needs: Sequence[int], n: int) -> Sums:
         small=np.zeros((FIT + FORCE_SAMPLES, points)),
         times=np.zeros(GRID + LAST_POINT + 1),
         ints=np.zeros(BRANCH + kinks + most, dtype=np.int64),
+        high=work.c,
         starts=np.zeros(most),
         lengths=np.zeros(most),
         series=np.zeros((n * most, ORDER + 1)),
         branch=np.zeros(kinks + most, dtype=np.int64),
         end=np.zeros(n),
-        c=work.c,
+        c=np.empty((len(work.c), ORDER + 1)),
         aside=work.aside,
         work=work.work,
         rows=work.rows,

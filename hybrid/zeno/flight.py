@@ -16,6 +16,7 @@ from ..lowering.lowered import ORDER
 from ..lowering.taylor import polynomial
 from ..rules import unit
 from ..rules.flights import most_pieces
+from ..rules.lengths import LAST_TERMS
 from ..segment import Segment, from_powers, terms
 
 if TYPE_CHECKING:
@@ -67,6 +68,7 @@ def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight
     status, time, u, pieces, crossed = unit("flights").fly(
         *(field.jets.alone, 0, column, field.project is not None, t, np.array(x, dtype=float), v),
         *(starts, lengths, series, branch, end, *work[:6], np.empty(0, dtype=np.int64), 0.0),
+        LAST_TERMS,
     )
     if status < 0:
         return None
