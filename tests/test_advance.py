@@ -16,6 +16,7 @@ from hybrid.run.driver import Driver
 from hybrid.solvers.taylor_backend import TaylorSolver
 from hybrid.trajectory.log import Flights
 
+from .switched import Quadrants, Rings, StickSlip
 from .systems import Oscillator
 
 #: What two ways to the same jumps may differ by: rounding, grown along the run.
@@ -138,10 +139,63 @@ class Chain(hy.Automaton):
         return 0.25 * s.x, s.n + 10.0
 
 
+class Hysteresis(hy.Automaton):
+    """A body that rubs, and is pushed back hard beyond a place; what sticks is kicked in time."""
+
+    x = hy.state()
+    v = hy.state()
+    n = hy.state()
+
+    @hy.mode(initial=True)
+    def faster(self, t, s):
+        return s.v, -s.x - 0.8 - 0.1 * s.v + 0.9 * jnp.sin(t), 0.0
+
+    @hy.mode
+    def slower(self, t, s):
+        return s.v, -s.x + 0.8 - 0.1 * s.v + 0.9 * jnp.sin(t), 0.0
+
+    @hy.mode
+    def pushed(self, t, s):
+        return s.v, -9.0 * s.x + 0.2 * jnp.cos(t), 1.0
+
+    friction = hy.switching(faster, slower, surface=lambda self, t, s: s.v)
+
+    @hy.edge(faster, to=pushed, guard=lambda self, t, s: s.x - 1.0, crossing=hy.RISING)
+    def far(self, t, s):
+        return s
+
+    @hy.edge(pushed, to=slower, guard=lambda self, t, s: s.x - 0.5)
+    def near(self, t, s):
+        return s.replace(n=s.n + 1.0)
+
+    @hy.edge(
+        "slide(friction)",
+        to=faster,
+        guard=lambda self, t, s: jnp.sin(0.7 * t) - 0.9,
+        crossing=hy.RISING,
+    )
+    def kick(self, t, s):
+        return s.replace(v=1.6)
+
+
+class Led(Quadrants):
+    """Sliding along one half of a line, then along the other."""
+
+    south = hy.switching("south_east", "south_west", surface=lambda self, t, s: s.x)
+
+    @hy.edge("slide(north)", to="south_east", guard=lambda self, t, s: s.y)
+    def past(self, t, s):
+        return s
+
+
 ROW = {"a": 0.0, "u": 2.0, "b": 0.0, "v": 0.7, "c": 0.0, "w": -0.1}
 
 SCENES = {
     "row": (Row(), ROW, (0.0, 6.0)),
+    "stick_slip": (StickSlip(), {"x": 0.0, "v": 0.0}, (0.0, 40.0)),
+    "hysteresis": (Hysteresis(), {"x": 0.1, "v": 1.0, "n": 0.0}, (0.0, 40.0)),
+    "led": (Led(), {"x": 0.5, "y": 1.0}, (0.0, 2.0)),
+    "rings": (Rings(), {"x": 2.0, "y": 0.0}, (0.0, 10.0)),
     "chain": (Chain(), {"x": 0.5, "n": 0.0}, (0.0, 6.0)),
     "soft": (Soft(), {"x": 0.5, "v": 0.0}, (0.0, 3.0)),
     "duffing": (Duffing(), {"x": 0.3, "v": 0.0}, (0.0, 20.0)),
@@ -199,6 +253,22 @@ def test_the_loop_gives_the_run_of_the_rules_one_by_one(scene, monkeypatch):
     np.testing.assert_allclose(x, y, rtol=1e-9, atol=1e-9 * (1 + np.abs(y).max()))
 
 
+@pytest.mark.parametrize("name", ["stick_slip", "hysteresis", "dry_friction", "relay"])
+def test_the_driver_judges_no_switching_and_flies_no_arc_that_slides(name, monkeypatch):
+    """All of it is the loop's: crossing, sliding, its ends, edges that end it, and lanes."""
+    model, start, span = SCENES[name]
+    judged = []
+    monkeypatch.setattr(Driver, "jump", lambda self, guard, *_: judged.append(guard.edge))
+    monkeypatch.setattr(Driver, "flow_arc", lambda self: judged.append(self.entry.field.name))
+    run = taylor(SCENES[name])
+    lanes = hy.ensemble(model, {k: np.full(2, v) for k, v in start.items()}, span)
+    assert any(arc.sliding for arc in run.arcs)
+    assert judged == []
+    assert lanes.jumps.values.tolist() == 2 * [len(run.jumps)]
+    assert lanes["mode"].values.tolist() == 2 * [run.mode]
+    assert all(np.array_equal(lanes[k].values, 2 * [getattr(run.final, k)]) for k in start)
+
+
 def test_little_room_changes_nothing(scene, monkeypatch):
     """In arrays of one jump and two steps an arc goes on from call to call: jumps, steps and dense
     output are those of large arrays, to the last digit, though a limit may be seen earlier."""
@@ -215,7 +285,7 @@ def test_little_room_changes_nothing(scene, monkeypatch):
     assert all(map(np.array_equal, run(at), other(at)))
 
 
-@pytest.mark.parametrize("name", ["duffing", "thermostat", "sections", "hard_spring"])
+@pytest.mark.parametrize("name", ["duffing", "thermostat", "sections", "hard_spring", "relay"])
 def test_machine_code_and_python_agree(name, monkeypatch):
     """The loop as plain Python, in which no index is below zero, gives the same run."""
     run = taylor(SCENES[name], save="jumps")

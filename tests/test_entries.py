@@ -5,7 +5,7 @@ import pytest
 
 from hybrid.rules import unit
 from hybrid.rules.entries import ARMED, BEYOND, FIRES, LEAVES, OUTSIDE, RESTS, UNDECIDED
-from hybrid.rules.places import CONTACT, EDGE, OTHER, RELEASE
+from hybrid.rules.places import CONTACT, EDGE, RELEASE, SWITCH
 
 #: A guard that bounds its mode, is positive inside, and of which nothing else is known.
 PLAIN = {
@@ -53,8 +53,8 @@ PLAIN = {
         (FIRES, {"order": 0, "sign": -1, "passing": True, "before": 1}),
         (ARMED, {"order": 0, "sign": -1, "passing": True, "before": -1}),
         # on a surface: whether the other flow leaves it as well is still to be asked
-        (LEAVES, {"kind": OTHER}),
-        (FIRES, {"kind": OTHER, "sign": -1}),
+        (LEAVES, {"kind": SWITCH}),
+        (FIRES, {"kind": SWITCH, "sign": -1}),
     ],
 )
 def test_one_rule_says_what_a_guard_does(what, known):

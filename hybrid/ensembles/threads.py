@@ -147,14 +147,13 @@ class Abreast:
         return x
 
     def onto(self, number: int, lane: int, t: float, x: np.ndarray) -> np.ndarray:
-        """The state at the end of an arc in a field: on the contacts held, as a run keeps it."""
-        field, scene = self.tables.fields[number], self.scene
-        if not field.held:
+        """The state at the end of an arc in a field: on the contacts held, or the surface on which
+        it slides, as a run keeps it."""
+        field, values = self.tables.fields[number], tuple(self.given.values[lane].tolist())
+        if field.project is None:
             return x
-        graph = scene.code.mode(field.mode)
-        mask = [float(name in field.held) for name in graph.resting]
-        numbers = (*self.given.values[lane].tolist(), *mask)
-        return np.array(graph.projection(field.held, numbers)(t, x.tolist()))
+        onto = self.scene.projection(field.mode, field.held, values)
+        return np.array(onto(t, x.tolist()))
 
     def complete(self, which: np.ndarray) -> Iterator[FlownLanes]:
         """Fly lanes, again those that ask for what the tables do not have yet."""

@@ -14,11 +14,13 @@ from ..rules import library
 from ..rules.arrays import AutomatonArrays, Room
 from ..rules.places import (
     AT,
+    CONSTRAINED,
     CONTACT,
     DEPENDS,
     EDGE,
     GUARDS,
     HARD,
+    LEAVE,
     LOCAL,
     NONE,
     OTHER,
@@ -26,6 +28,7 @@ from ..rules.places import (
     RELEASE,
     REST,
     SIGHT,
+    SWITCH,
     TO,
     UNKNOWN,
 )
@@ -47,7 +50,13 @@ HOT_STEPS, HOT_ORDER_STEPS = 1 << 16, 1 << 18
 Nodes = Callable[[], Sequence[int]]
 
 #: Kinds of guards as the rules number them; others are judged by the driver.
-NUMBERED = {Kind.EDGE: EDGE, Kind.CONTACT: CONTACT, Kind.RELEASE: RELEASE}
+NUMBERED = {
+    Kind.EDGE: EDGE,
+    Kind.CONTACT: CONTACT,
+    Kind.RELEASE: RELEASE,
+    Kind.SWITCH: SWITCH,
+    Kind.LEAVE: LEAVE,
+}
 
 #: Directions in which a guard fires.
 DIRECTIONS = {Crossing.FALLING: -1, Crossing.RISING: 1, Crossing.EITHER: 0}
@@ -84,6 +93,10 @@ class Tables:
     def plain(self, number: int) -> bool:
         """Whether the rules' own loop may fly the arcs of a field."""
         return bool(self._fields[number][PLAIN])
+
+    def constrained(self, guard: int) -> bool:
+        """Whether a guard, by number, is watched where contacts are held or the state slides."""
+        return bool(self._fields[self.numbers[self.modes[guard]]][CONSTRAINED])
 
     def first(self, number: int) -> int:
         """The number of the first guard of a field."""
@@ -138,6 +151,9 @@ class Tables:
         field = self.fields[self.numbers[self.modes[number]]]
         if row[TO] == UNKNOWN:
             self.number(self.scene.field(guard.to))
+        elif guard.kind in (Kind.SWITCH, Kind.LEAVE):
+            column = AT if row[AT] == UNKNOWN else REST
+            row[column] = self._beyond(guard) if column == AT else self._slides(guard)
         elif guard.kind is Kind.RELEASE:
             to, contact = self.scene.field(guard.to), guard.edge.removesuffix(RELEASE_SUFFIX)
             row[AT] = self._at(field, contact)
@@ -152,6 +168,18 @@ class Tables:
                 found = HARD if among is None else among
             row[SIGHT], row[REST] = found, self._rest(field, guard)
         self._made = None
+
+    def _beyond(self, guard: Guard) -> int:
+        """The guard of a surface in the mode across, or behind an end of sliding."""
+        name = guard.edge.rpartition(".")[0] if guard.kind is Kind.LEAVE else guard.edge
+        to = self.scene.field(guard.to)
+        number = self.number(to)
+        return self.first(number) + to.column(name) if self.plain(number) else HARD
+
+    def _slides(self, guard: Guard) -> int:
+        """The field that slides on a surface."""
+        switching = self.scene.spec.switching(guard.edge)
+        return self.number(self.scene.field(switching.mode)) if switching.slides else NONE
 
     def _at(self, field: Field, contact: str) -> int:
         """The first of the programs of what happens at a contact."""
@@ -175,15 +203,17 @@ class Tables:
         plain = plain and jets is not None
         watch = self._watch(field) if plain and self.others else -1
         plain = plain and (not self.others or watch >= 0)
+        surface = self._surface(field) if plain else -1
+        plain = plain and surface != HARD
         number = self.numbers[field.name] = len(self.fields)
         self.fields.append(field)
         program = self._program(jets) if plain and jets else -1
         self._rows += [self._row(field, guard) for guard in field.guards] if plain else []
         self.guards += field.guards if plain else ()
         self.modes += [field.name] * (len(self._rows) - first)
-        held, count = int(bool(field.held)), len(self._rows) - first
+        held, count = int(field.project is not None), len(self._rows) - first
         self.widest = max(self.widest, count)
-        self._fields.append([program, first, first + count, int(plain), held, watch])
+        self._fields.append([program, first, first + count, int(plain), held, watch, surface])
         for row, guard in zip(self._rows, self.guards, strict=True):
             if guard.to == field.name and row[TO] == UNKNOWN:
                 row[TO] = number
@@ -195,12 +225,14 @@ class Tables:
         self._uses += guard.uses
         graph, name = code.mode(field.mode), guard.edge
         programs, held = [-1, -1], bool(field.held)
+        slides = field.project is not None and not held
         if guard.kind is Kind.CONTACT and not held:
             programs = [
                 self._of_values(field, ("impact", name), lambda: graph.impact(name)),
                 self._of_values(field, ("land", name), lambda: graph.land(name)),
             ]
-        elif guard.kind is Kind.EDGE and not held:  # what stays held after a jump is judged
+        elif guard.kind is Kind.EDGE and not (held or (slides and self._again(guard))):
+            # what stays held after a jump is judged, and an edge that is watched behind it, too
             reset = ("reset", name)
             programs[0] = self._of_values(field, reset, lambda: graph.values(code.closed(*reset)))
         sizes = self._of_values(field, ("sizes", name, held), lambda: graph.sizes(name, held))
@@ -209,7 +241,23 @@ class Tables:
         later = [UNKNOWN, 0, UNKNOWN, UNKNOWN, 0]
         if guard.kind is Kind.RELEASE and len(field.held) > 1:  # what follows is judged
             shape[2] = NONE
+        if guard.kind is Kind.SWITCH and (slides or self.scene.spec.lags):  # and so is this
+            later[0] = HARD
         return [kind, crossing, *shape, *programs, sizes, uses, len(self._uses), *later]
+
+    def _again(self, guard: Guard) -> bool:
+        """Whether an edge is watched in the mode to which it leads."""
+        return any(edge.name == guard.edge for edge in self.scene.spec.leaving(guard.to))
+
+    def _surface(self, field: Field) -> int:
+        """The number of the program back onto the surface on which a field slides; -1 where it
+        slides on none, ``HARD`` where there is no such program."""
+        code, switching = self.scene.code, self.scene.spec.sliding(field.mode)
+        if switching is None:
+            return -1
+        onto = lambda: code.mode(field.mode).values(code.onto_closed(switching.name))  # noqa: E731
+        number = self._of_values(field, ("onto surface",), onto)
+        return HARD if number < 0 else number
 
     def _watch(self, field: Field) -> int:
         """The number of a program of a field's guards alone.

@@ -180,7 +180,12 @@ class Lowered:
 
     def onto(self, name: str) -> Program:
         """Projection onto a switching's surface."""
-        return self.program(("onto", name), lambda: self.trace(self.sliding(name).project))
+        return self.program(("onto", name), lambda: self.onto_closed(name))
+
+    def onto_closed(self, name: str) -> Any:
+        """The jaxpr of that."""
+        key = "onto closed", name
+        return self.once(key, lambda: self.trace(self.sliding(name).project))
 
     def field_closed(self, mode: str, held: tuple[str, ...]) -> Any:
         """The jaxpr of the flow of a mode, or of it with contacts held, or on a surface."""

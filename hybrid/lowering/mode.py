@@ -88,6 +88,10 @@ class ModeGraph:
         self._contacts: dict[str, Normal] = {}
         self._guards: dict[str, int] = {}
 
+    def masked(self, held: Collection[str]) -> tuple[float, ...]:
+        """Which contacts are held, as numbers."""
+        return tuple(float(name in held) for name in self.resting)
+
     def values(self, closed: Any, *extra: int) -> list[int]:
         """Nodes of what a trace gives."""
         given = [np.array(i) for i in extra]

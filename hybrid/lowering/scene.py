@@ -22,7 +22,6 @@ from ..automaton.spec import (
     LeaveSpec,
     SideSpec,
     Spec,
-    SwitchingSpec,
     Transition,
 )
 from ..errors import TraceError
@@ -182,7 +181,7 @@ class Field:
     @property
     def leans(self) -> bool:
         """Whether where contacts are at rest, or the state slides, may depend on the past."""
-        slides = self.project is not None and not self.held
+        slides = self.project is not None and not self.held and bool(self.code.spec.lags)
         return slides or (bool(self.held) and self.code.mode(self.mode).leans)
 
     @cached_property
@@ -333,7 +332,7 @@ class Scene:
         if held or switching is not None:
             along = code.mode(mode)
             rhs = along.program(("flow", bool(held)), lambda: along.flow(bool(held))).bind(numbers)
-            project = self._projection(switching, mode, held)
+            project = self.projection(mode, held, self.values)
         else:
             closed = lambda: code.closed("flow", mode)  # noqa: E731
             program = code.program(("field", mode), closed, exact=True)
@@ -400,7 +399,7 @@ class Scene:
 
     def numbers(self, mode: str, held: tuple[str, ...]) -> tuple[float, ...]:
         """Values of the parameters, and of a mode's mask: which of its contacts are held."""
-        return (*self.values, *(float(name in held) for name in self.code.mode(mode).resting))
+        return (*self.values, *self.code.mode(mode).masked(held))
 
     def _series(
         self,
@@ -416,12 +415,13 @@ class Scene:
         order = self.code.mode(mode).watched(bool(held))
         return tape.bind(self.numbers(mode, held), [order.index(guard) for guard in guards])
 
-    def _projection(
-        self, switching: SwitchingSpec | None, mode: str, held: tuple[str, ...]
-    ) -> Scalar:
+    def projection(self, mode: str, held: tuple[str, ...], values: tuple[float, ...]) -> Scalar:
+        """Back onto the surface on which a mode slides, or onto contacts held in it, for some
+        values of the parameters."""
+        switching, graph = self.spec.sliding(mode), self.code.mode(mode)
         if switching is not None:
-            return self.code.onto(switching.name).bind(self.values)
-        return self.code.mode(mode).projection(held, self.numbers(mode, held))
+            return self.code.onto(switching.name).bind(values)
+        return graph.projection(held, (*values, *graph.masked(held)))
 
     def _guard(self, edge: Transition, kind: Kind, mode: str, held: tuple[str, ...]) -> Guard:
         code, graph, name = self.code, self.code.mode(mode), edge.name

@@ -15,8 +15,8 @@ from .jets import OUTPUT, jets
 from .places import (
     AT,
     BEGINS,
+    CONSTRAINED,
     CONTACT,
-    CONTACTS_HELD,
     EDGE,
     ENTERED,
     FIELD,
@@ -33,6 +33,7 @@ from .places import (
     KIND,
     LAND,
     LANDED,
+    LEAVE,
     LOW,
     LOW_AHEAD,
     MAKE,
@@ -41,10 +42,13 @@ from .places import (
     PHASE,
     RELEASE,
     RESET,
+    REST,
     SERIES,
     SPEED_FALL,
     STRIKES,
     SUM,
+    SURFACE,
+    SWITCH,
     TAU,
     TO,
     TRIED,
@@ -52,6 +56,7 @@ from .places import (
     WAS_LOW,
     T,
 )
+from .switches import CROSSES, SLIDES, follows
 
 __all__ = ("advance",)
 
@@ -79,31 +84,71 @@ def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> i
     guard, place = now.ints[FIRED], now.ints[JUMPS_MADE]
     kind, to = a.guards[guard, KIND], a.guards[guard, TO]
     t, low = after(now.floats[T], now.floats[LOW], now.floats[TAU])
-    status = JUMP
+    before, behind = left.before[place], left.after[place]
+    status, used, power = JUMP, guard, 1
     if kind == RELEASE:
         status = OPENS if to != NONE else JUMP
+    elif kind in (SWITCH, LEAVE):
+        status, to, used, power = on_surface(a, now, room, t, before, behind)
     elif a.guards[guard, RESET] < 0:
         status = JUMP
     elif to == UNKNOWN:
         status = MAKE
     elif kind == EDGE:
-        copied(now.end, left.before[place])
-        if values(a, a.guards[guard, RESET], t, now.end, room, left.after[place]):
-            status = LANDED
+        known = arrived(a, now, room, now.ints[FIELD], t, before)
+        if known and values(a, a.guards[guard, RESET], t, before, room, behind):
+            status, power = LANDED, 1 if unchanged(a, now, room, t, before, behind) else 0
     elif to == now.ints[FIELD]:
-        status = impact(a, run, now, room, t, left.before[place], left.after[place])
+        status = impact(a, run, now, room, t, before, behind)
     now.ints[PHASE] = BEGINS if status in (LANDED, JUMP) else STRIKES
     if status != LANDED:
         return status
-    stays = kind == CONTACT or unchanged(a, now, room, t, left.before[place], left.after[place])
     added(now, left, guard, t, low)
     watch(now, guard, kind)
     now.ints[WAS_LOW] = 0
     now.floats[T], now.floats[LOW] = t, low
-    now.ints[FIELD], now.ints[ENTERED], now.ints[GUARD_POWER] = to, 0, 1 if stays else 0
-    copied(left.after[place], now.x)
+    now.ints[FIELD], now.ints[ENTERED] = to, 0
+    now.ints[FIRED], now.ints[GUARD_POWER] = used, power
+    copied(behind, now.x)
     enlarged(now, now.x)
     return LANDED
+
+
+def on_surface(
+    a: AutomatonArrays, now: Now, room: Room, t: float, before: Floats, behind: Floats
+) -> tuple[int, int, int, int]:
+    """The states before and after a jump from the surface of a switching, which are equal (8): a
+    status; the field that follows, the guard of the surface there, and by which power of the time
+    that vanishes."""
+    guard = now.ints[FIRED]
+    to, own, slides = a.guards[guard, TO], a.guards[guard, AT], a.guards[guard, REST]
+    if own < UNKNOWN:
+        return JUMP, to, own, 0
+    if own == UNKNOWN or to == UNKNOWN:
+        return MAKE, to, own, 0
+    fit = arrived(a, now, room, now.ints[FIELD], t, before)
+    copied(before, behind)
+    if a.guards[guard, KIND] == LEAVE:
+        return LANDED if fit else JUMP, to, own, 2
+    what = follows(a, now, room, t, before)
+    if what == CROSSES:
+        return LANDED, to, own, 1
+    if what == SLIDES and slides == UNKNOWN:
+        return MAKE, to, own, 0
+    if what != SLIDES or slides < 0 or a.fields[slides, SURFACE] < 0:
+        return JUMP, to, own, 0
+    fit = arrived(a, now, room, slides, t, before)
+    copied(before, behind)
+    return LANDED if fit else JUMP, slides, NONE, 0
+
+
+def arrived(a: AutomatonArrays, now: Now, room: Room, field: int, t: float, x: Floats) -> bool:
+    """Put down the state where an arc has ended, on the surface on which a field slides; whether
+    it is finite."""
+    if a.fields[field, SURFACE] >= 0:
+        return values(a, a.fields[field, SURFACE], t, now.end, room, x)
+    copied(now.end, x)
+    return True
 
 
 def added(now: Now, left: Left, guard: int, t: float, low: float) -> None:
@@ -166,7 +211,7 @@ def impact(
     force = 2.0 * room.aside[row_of(a, flow, now.ints[FIELD], guard), 2]
     if not drowns(speed, force, max(largest(now.seen), largest(behind))):
         return LANDED
-    if a.fields[now.ints[FIELD], CONTACTS_HELD] == 1 or a.guards[guard, AT] < UNKNOWN:
+    if a.fields[now.ints[FIELD], CONSTRAINED] == 1 or a.guards[guard, AT] < UNKNOWN:
         return JUMP
     if a.guards[guard, AT] == UNKNOWN:
         return MAKE

@@ -24,8 +24,8 @@ from .lengths import falls
 from .places import (
     AIM,
     BEGINS,
+    CONSTRAINED,
     CONTACT,
-    CONTACTS_HELD,
     CROSSED,
     CROSSING,
     EDGE,
@@ -65,6 +65,7 @@ from .places import (
     STEP_END,
     STEP_LOSS,
     STEPS_MADE,
+    SWITCH,
     TAU,
     TO_TAU,
     TOLERANCES,
@@ -165,7 +166,7 @@ def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
     status, h, crossed = step(
         a.programs,
         a.fields[field, FIELD_PROGRAM],
-        a.fields[field, CONTACTS_HELD] == 1,
+        a.fields[field, CONSTRAINED] == 1,
         now.floats[T] + tau,
         tau,
         now.end,
@@ -308,7 +309,7 @@ def aim(a: AutomatonArrays, now: Now, room: Room, starting: bool) -> float:
     for g in range(first, a.fields[field, GUARDS_END]):
         kind, crossing = a.guards[g, KIND], a.guards[g, CROSSING]
         order = now.orders[g - first] if starting else 0
-        back = kind == EDGE and order == 1
+        back = kind in (EDGE, SWITCH) and order == 1
         if (kind == CONTACT and order <= 1) or (crossing != 0 and (back or not starting)):
             c = room.c[row_of(a, a.fields[field, FIELD_PROGRAM], field, g)]
             value = c[0]

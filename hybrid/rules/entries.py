@@ -29,6 +29,7 @@ from .places import (
     OTHER,
     RELEASE,
     RISES,
+    SWITCH,
     USES,
     USES_END,
     T,
@@ -43,7 +44,8 @@ HIGHER = 3
 
 #: What a guard does where an arc begins (:func:`does`): it waits for its next zero; it fires before
 #: any flow; its contact comes to rest. What is a fault: nothing decides; the state is outside the
-#: domain; the flow leads out of it through the edge just taken; or may be one: it leaves a surface.
+#: domain; the flow leads out of it through the edge just taken; or may be one: it leaves the
+#: surface of a switching.
 ARMED, FIRES, RESTS, UNDECIDED, OUTSIDE, BEYOND, LEAVES = range(7)
 
 
@@ -90,7 +92,9 @@ def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) ->
             return order, HARD
     crossing, other = a.guards[guard, CROSSING], False
     what = does(kind, crossing, bounds, order, sign, True, used, other, other, other, 0)
-    known = kind == CONTACT or (kind == EDGE and bounds)
+    if what == LEAVES and used:
+        return order, ARMED
+    known = kind in (CONTACT, SWITCH) or (kind == EDGE and bounds)
     return order, HARD if what == FIRES and not known else what
 
 
@@ -136,7 +140,7 @@ def does(
     if crossing == 0:
         return FIRES if before == -sign else ARMED
     if not outwards:
-        return LEAVES if kind == OTHER else ARMED
+        return LEAVES if kind == SWITCH else ARMED
     if kind == EDGE and used:
         return BEYOND if bounds else ARMED
     return ARMED if spent and not bounds else FIRES

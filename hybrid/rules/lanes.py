@@ -174,7 +174,8 @@ def shown(
         end[AT_TIME], end[FLOWN_TO] = run[LAST_TIME], now.floats[T] + now.floats[TAU]
         copied(now.end, end[STATE : STATE + n])
     else:
-        told[MODE] = a.guards[left.fired[last], TO]
+        summed = tails < now.ints[TAILS]  # behind that jump
+        told[MODE] = a.guards[left.fired[last], TO] if summed else now.ints[FIELD]
         end[AT_TIME] = end[FLOWN_TO] = left.when[last, 0]
         copied(left.after[last], end[STATE : STATE + n])
     end[T_INF] = end[T_ERROR] = end[RATIO_OF] = math.nan

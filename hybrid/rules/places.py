@@ -1,25 +1,29 @@
 """Where things are in the arrays of the loop, and what its numbers mean (:mod:`.advance`)."""
 
 #: Columns of the table of fields: its program, where its guards begin and end, whether its arcs may
-#: be plain, whether contacts are held in it, and a program of its guards alone, for the steps of
-#: other solvers.
-FIELD_PROGRAM, GUARDS, GUARDS_END, PLAIN, CONTACTS_HELD, WATCH = 0, 1, 2, 3, 4, 5
+#: be plain, whether contacts are held in it or it slides, and a program of its guards alone, for
+#: the steps of other solvers; of one that slides the program of the way back onto the surface, of
+#: others -1.
+FIELD_PROGRAM, GUARDS, GUARDS_END, PLAIN, CONSTRAINED, WATCH, SURFACE = range(7)
 
 #: Columns of the table of guards. ``TO`` is a field, -1 where it is not known yet; ``RESET``,
 #: ``LAND`` and ``SIZES`` are programs, -1 where there is none; ``USES`` is where the elements of
 #: the state begin that it is made of. Of a contact whose impacts were to be summed: the first of
 #: the programs of what happens there, whether all flights see the same forces; and where a sum was
 #: found, the program of its bounds, the field of its rest, and whether its restitution is no
-#: constant. Of a load whose contact alone is at
-#: rest: the same programs, and at ``REST`` the contact's own guard in the field that follows.
+#: constant. Of a load whose contact alone is at rest: the same programs, and at ``REST`` the
+#: contact's own guard in the field that follows. Of the surface of a switching: at ``AT`` its guard
+#: on the other side, and at ``REST`` the field that slides on it, where one is to be entered; of an
+#: end of sliding at ``AT`` the surface's guard in the field that follows.
 KIND, CROSSING, BOUNDS, AFFINE, TO, RESET, LAND, SIZES, USES, USES_END = range(10)
 AT, LOCAL, SIGHT, REST, DEPENDS = range(10, 15)
 
 #: What has not been asked for yet; what there is none of; what only the driver looks at.
 UNKNOWN, NONE, HARD = -1, -2, -3
 
-#: Kinds of guards whose jumps are made here; others.
-EDGE, CONTACT, RELEASE, OTHER = 0, 1, 2, 3
+#: Kinds of guards whose jumps are made here, the surface of a switching and the ends of sliding
+#: among them; others.
+EDGE, CONTACT, RELEASE, OTHER, SWITCH, LEAVE = range(6)
 
 #: By which power of the time a gap opens where its load has come to be zero.
 RISES = 3

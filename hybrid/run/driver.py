@@ -158,9 +158,10 @@ class Driver:
         more = jumped.held or jumped.limit or jumped.passing is not None or self._tied or self.wary
         if self.loop is None or more or len(jumped.vanishing) > 1:
             return False
-        alone = jumped.starting or self.record.memory is None
+        field, alone = self.scene.field(self.mode), jumped.starting or self.record.memory is None
         alone = alone and self.record.now.until(self.plan.t1) > 0
-        return alone and self.loop.may(self.scene.field(self.mode))
+        alone = alone and not (jumped.starting and field.project is not None)
+        return alone and self.loop.may(field)
 
     def _entered(self, mode: str, x: np.ndarray, jumped: Jumped, seen: np.ndarray) -> Entry:
         jumped.tied, jumped.spent = self._tied, self.spent
@@ -236,10 +237,24 @@ class Driver:
         def came() -> Jumped:
             if guard.kind == "contact":
                 return Jumped({guard.edge: 1}, series=self.watch.count > 1)
+            if guard.kind in ("switch", "leave"):
+                return Jumped(switch.vanishing(guard, field))
             own = [g for g in self.field.guards if g.edge == guard.edge and not self.forgets]
             return self._came_by(own[0], before, x) if own else Jumped(used=guard.edge)
 
         self.begin(field, x, came)
+
+    def arrive_from(
+        self, field: Field, guard: Guard, before: np.ndarray, after: np.ndarray
+    ) -> bool:
+        """The same from an arc on a surface, which is kept, and ends at ``before``; whether it is
+        time to look for cycles."""
+        self.record.end_on(before)
+        due = self.add_jump(guard.edge, before, after)
+        self.spent |= {guard.edge}
+        self.arrive(field, after, guard, before)
+        self.seen = np.maximum(self.seen, np.abs(after))
+        return due
 
     def look_again(self) -> None:
         """Fly the present arc with all the rules, unless a guard fires before any flow; where some

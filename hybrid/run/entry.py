@@ -403,7 +403,7 @@ class _Here:
             self.refuse_outside(guard, jumped.starting)
         elif what == BEYOND and not jumped.onwards:
             self.refuse_beyond(guard)
-        elif what == LEAVES and guard.kind == "switch" and edge not in jumped.vanishing:
+        elif what == LEAVES and edge not in jumped.vanishing:
             self.require_way(guard, sign, jumped.starting)
         return bool(what == FIRES)
 

@@ -486,17 +486,15 @@ class Machine:
         """Add the arcs that ended with a jump."""
         driver, begin, made = self.driver, 0, int(self.ints[JUMPS_MADE])
         sums = list(map(int, left.sums[: self.ints[TAILS], JUMPS_BEFORE].tolist()))
-        guards = [self.tables.guards[g] for g in left.fired[:made].tolist()]
-        opened = [place for place, guard in enumerate(guards) if guard.kind == "release"]
+        fired = left.fired[:made].tolist()
+        guards = [self.tables.guards[g] for g in fired]
+        alone = [place for place, guard in enumerate(fired) if self.tables.constrained(guard)]
         while begin < made and driver.status is None and not self.passed:
-            if begin in opened:
-                tau, end = float(left.when[begin, 2]), left.before[begin]
-                self._arc(left, begin, tau, end)
-                driver.entry = attrs.evolve(driver.entry, field=driver.field)
-                driver.open(guards[begin], end)
+            if begin in alone:
+                self.passed = self._constrained(left, begin, guards[begin])
                 begin += 1
                 continue
-            last = min((place for place in sums + opened if place > begin), default=made)
+            last = min((place for place in sums + alone if place > begin), default=made)
             end = begin + driver.room(left.when[begin:last, 0])
             due = self._flown(left, begin, end)
             if end not in sums:
@@ -504,6 +502,32 @@ class Machine:
             elif driver.status is None:
                 self._summed(left, sums.index(end))
             begin = end
+
+    def _constrained(self, left: Left, place: int, guard: Guard) -> bool:
+        """Add an arc along a surface, and the jump that ends it; whether the run has gone over the
+        limit of a cycle."""
+        driver, before = self.driver, left.before[place]
+        self._arc(left, place, float(left.when[place, 2]), before)
+        driver.entry = attrs.evolve(driver.entry, field=driver.field)
+        if guard.kind == "release":
+            driver.open(guard, before)
+            return False
+        field = self._led_to(left, place, guard)
+        due = driver.arrive_from(field, guard, before, left.after[place])
+        return due and self._pass_limit()
+
+    def _led_to(self, left: Left, place: int, guard: Guard) -> Field:
+        """The model's field to which a jump has led: from a surface that on the far side, or that
+        which slides on it."""
+        tables, name = self.tables, guard.to
+        if guard.kind == "switch":
+            last = place + 1 == self.ints[JUMPS_MADE]
+            name = (
+                tables.fields[self.ints[FIELD]].name
+                if last
+                else tables.modes[left.fired[place + 1]]
+            )
+        return self.driver.model.field(name)
 
     def _pass_limit(self) -> bool:
         """Whether the run has gone over the limit of a cycle; of what it sees, only what was."""
@@ -544,7 +568,8 @@ class Machine:
         flights = Flights(driver.record.j, modes, now.t, now.low, first, lengths, jumps, steps)
         driver.steps += count
         due, guard = driver.flown(flights), tables.guards[fired[-1]]
-        driver.arrive(driver.model.field(guard.to), jumps.after[-1], guard, jumps.before[-1])
+        to = self._led_to(left, end - 1, guard)
+        driver.arrive(to, jumps.after[-1], guard, jumps.before[-1])
         return due
 
     def _flown_in(self, left: Left, begin: int, end: int) -> tuple[Steps | None, int]:

@@ -1,8 +1,4 @@
-"""What happens on the surface of a switching: cross, slide, or refuse to choose (rule 8).
-
-On the surface each of the two flows goes to one side: that of the first derivative of the
-surface function along it that is not zero.
-"""
+"""What happens on the surface of a switching: cross, slide, or refuse to choose (rule 8)."""
 
 from __future__ import annotations
 
@@ -11,7 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import DomainError, StartError
-from ..lowering import Guard
+from ..lowering import Field, Guard
+from ..lowering.automaton import DIRECTIONS
+from ..rules import unit
+from ..rules.switches import CROSSES, UNSETTLED
 from .cycles import pass_limit
 from .entry import Jumped, heading
 
@@ -22,23 +21,31 @@ if TYPE_CHECKING:
 def meet(driver: Driver, guard: Guard, x: np.ndarray) -> None:
     """On the surface of a switching: into the other mode, or to slide."""
     mode = onward(driver, guard, x)
-    project = driver.scene.field(mode).project
-    if project is not None:
-        x = np.array(project(driver.t, x.tolist()))
+    field = driver.scene.field(mode)
+    if field.project is not None:
+        x = np.array(field.project(driver.t, x.tolist()))
         driver.record.end_on(x)
     driver.watch.reset()
     if driver.add_jump(guard.edge, x, x) and pass_limit(driver, mode):
         return
-    driver.enter(mode, x, Jumped({} if project is not None else {guard.edge: 1}))
+    driver.enter(mode, x, Jumped(vanishing(guard, field)))
 
 
 def leave(driver: Driver, guard: Guard, x: np.ndarray) -> None:
     """Sliding ends: the surface function and its rate vanish in the mode that follows."""
-    switching = guard.edge.rpartition(".")[0]
     overdue = bool(driver.entry.at_once) or driver.forgets
     driver.watch.reset()
     driver.add_jump(guard.edge, x, x)
-    driver.enter(guard.to, x, Jumped({switching: 1 if overdue else 2}))
+    known = vanishing(guard, driver.scene.field(guard.to))
+    driver.enter(guard.to, x, Jumped(dict.fromkeys(known, 1) if overdue else known))
+
+
+def vanishing(guard: Guard, field: Field) -> dict[str, int]:
+    """By which power of the time the surface function vanishes in the field that a jump from the
+    surface leads to: nothing is to be known of it while the state slides."""
+    if guard.kind == "leave":
+        return {guard.edge.rpartition(".")[0]: 2}
+    return {guard.edge: 1} if field.project is None else {}
 
 
 def onward(driver: Driver, guard: Guard, x: np.ndarray) -> str:
@@ -61,11 +68,11 @@ def onward(driver: Driver, guard: Guard, x: np.ndarray) -> str:
             f'"{mode}" with this surface as its guard'
         ).by("undecided")
     order, _ = heading(scene, at, mode, x, name, driver.seen)
-    other, sign = heading(scene, at, guard.to, x, name, driver.seen)
-    inside = 1 if guard.to == switching.positive else -1
-    if sign == inside:
+    across = heading(scene, at, guard.to, x, name, driver.seen)
+    follows = unit("switches").goes(order, *across, DIRECTIONS[guard.crossing])
+    if follows == CROSSES:
         return guard.to
-    if sign == 0 or order > 1 < other:
+    if follows == UNSETTLED:
         raise kind(
             f"{where}: on the surface of {name} neither flow leads away, and no first derivative "
             "decides whether the state slides; start beside the surface"

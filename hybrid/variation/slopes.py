@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import TraceError
 from ..lowering import Field, Guard, Kind
-from ..lowering.automaton import NUMBERED, Tables
+from ..lowering.automaton import Tables
 from ..lowering.native import Native
 from ..lowering.tape import Jets, Linked
 from ..rules.arrays import Changes, Slopes
@@ -19,6 +19,9 @@ from .series import POINTS, room_for
 
 #: Runs after which programs are compiled: the changes of those take as long as that does, 0.3 s.
 HOT_RUNS = 1000
+
+#: Kinds of guards whose jumps the rules carry changes through.
+CARRIED = (Kind.EDGE, Kind.CONTACT, Kind.RELEASE)
 
 
 class SlopeTables:
@@ -162,7 +165,7 @@ class Owned(SlopeTables):
         """Add a guard; where it changes its formula, that is left to Python."""
         guard, mode = self.automaton.guards[number], self.automaton.modes[number]
         self._of_guards[number] = HARD
-        if guard.kind in NUMBERED and not guard.jumps:
+        if guard.kind in CARRIED and not guard.jumps:
             with suppress(TraceError):
                 self._of_guards[number] = self.guard(self.of.scene.field(mode), guard)
 

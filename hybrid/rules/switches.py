@@ -1,0 +1,63 @@
+"""On the surface of a switching: cross it, or slide along it (8).
+
+Each of the two flows goes to one side: that of the first derivative of the surface function along
+it that is not zero.
+"""
+
+from __future__ import annotations
+
+import math
+
+from .arrays import AutomatonArrays, Floats, Now, Room
+from .entries import start
+from .guards import row_of, sizes_of
+from .jets import jets
+from .places import AT, CROSSING, FIELD, FIELD_PROGRAM, FIRED, TO
+
+__all__ = ("follows", "goes")
+
+#: What follows where a flow has reached the surface: the mode across; sliding; nothing decides.
+CROSSES, SLIDES, UNSETTLED = range(3)
+
+
+def follows(a: AutomatonArrays, now: Now, room: Room, t: float, x: Floats) -> int:
+    """What follows at a state on the surface whose guard has fired."""
+    guard = now.ints[FIRED]
+    order, _ = heads(a, room, now.ints[FIELD], guard, t, x)
+    other, sign = heads(a, room, a.guards[guard, TO], a.guards[guard, AT], t, x)
+    return goes(order, other, sign, a.guards[guard, CROSSING])
+
+
+def goes(order: int, other: int, sign: int, crossing: int) -> int:
+    """What follows where a flow has reached the surface.
+
+    Parameters
+    ----------
+    order, other : int
+        By which powers of the time the surface function vanishes along the flow that has reached
+        it, and along that of the mode across.
+    sign : int
+        The sign that it takes along the latter; 0 where no derivative decides.
+    crossing : int
+        That which it has across.
+    """
+    if sign == crossing:
+        return CROSSES
+    return UNSETTLED if sign == 0 or order > 1 < other else SLIDES
+
+
+def heads(
+    a: AutomatonArrays, room: Room, field: int, guard: int, t: float, x: Floats
+) -> tuple[int, int]:
+    """From a zero of a guard: the power of the time by which it vanishes along a field, and the
+    sign that it takes; sign 0 where nothing decides."""
+    program, order = a.fields[field, FIELD_PROGRAM], room.c.shape[1] - 1
+    size, rate, bend = sizes_of(a, room, guard, t, x)
+    for i in range(room.sides.shape[0]):
+        room.sides[i] = 0
+    fit = jets(a.programs, program, order, t, x, room.sides, room.c, room.work) == 0
+    if not fit or not size < math.inf:
+        return 0, 0
+    c = room.c[row_of(a, program, field, guard)]
+    n, value, slope = x.shape[0], c[0], c[1]
+    return start(c, room.c, n, value, slope, t, size, rate, bend, 0.0, math.inf, 1)
