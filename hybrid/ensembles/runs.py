@@ -127,7 +127,8 @@ def ensemble(
 
     Notes
     -----
-    With the same options a lane equals its run to the last bit, whatever else is in the ensemble.
+    With the same options a lane equals its run to the last bit, whatever else is in the ensemble;
+    with an explicit Runge-Kutta pair of SciPy or Diffrax but for rounding.
     """
     need("hy.ensemble", TABLES)
     require_model(model)

@@ -1,8 +1,9 @@
 """Lanes flown by machine code alone, several at once: no Python, and so no lock, is in their way.
 
 A lane is one for :mod:`hybrid.rules.lanes` as long as the driver of a run would have left all of it
-to the rules' own loop. What that makes of a lane is then what its run is, to the last bit; the
-others are left to the driver.
+to the rules' own loop. What that makes of a lane is then what its run is, to the last bit, or with
+an explicit Runge-Kutta pair, which steps here by tables, but for rounding; the others are left to
+the driver.
 """
 
 from __future__ import annotations
@@ -19,10 +20,11 @@ import numpy as np
 from ..lowering import Scene
 from ..lowering.tape import Jets
 from ..rules import unit
-from ..rules.arrays import AutomatonArrays, Left, Now
+from ..rules.arrays import AutomatonArrays, Left, Now, Pair
 from ..rules.lanes import ASKS, ENDED, FLOWN_TO, LAST_JUMP, LEFT, MODE, OUTCOME, STATE, TOLD
 from ..run import Driver
 from ..run.machine import left_for, rooms
+from ..solvers.pairs import NO_TABLES
 from ..zeno.narrow import bounded
 
 #: Lanes in a call, at most and at least: between two calls progress is told. Within these
@@ -92,8 +94,10 @@ def abreast(
     """What flies the lanes of an ensemble by machine code alone; None where their runs are not
     plain. ``driver`` is the run of one of them, which has not begun; ``rows`` says how many jumps
     of each are kept."""
-    plan, loop = driver.plan, driver.loop
-    if loop is None or not driver.solver.whole or plan.bounded or plan.zeno == "truncate":
+    plan, loop, solver = driver.plan, driver.loop, driver.solver
+    if loop is None or plan.bounded or plan.zeno == "truncate":
+        return None
+    if not solver.whole and (solver.tables is None or flies is not None or scene.spec.lags):
         return None
     declared = mode in [each.name for each in scene.spec.modes]
     plain = declared and loop.may(scene.field(mode)) and _alike(scene, lanes.values)
@@ -116,8 +120,9 @@ class Abreast:
     ) -> None:
         assert driver.loop is not None
         self.rows = rows
-        self.scene, self.tables, self.given = scene, scene.tables, lanes
-        self.loop, plan = driver.loop, driver.plan
+        self.scene, self.tables, self.given = scene, driver.loop.tables, lanes
+        self.loop, self.solver, plan = driver.loop, driver.solver, driver.plan
+        self.pair = self._pair()
         self.field = self.tables.number(scene.field(mode))
         self.watched = plan.zeno != "ignore"
         self.most = min(plan.max_jumps, LANE_JUMPS), int(min(plan.max_steps - 1, LANE_STEPS))
@@ -234,8 +239,9 @@ class Abreast:
         )
         fired = np.full(when.shape, -1)
         lanes = *asked, self.field, self.watched, ends, told, when, fired, around, self.stop
+        pair = self._pair() if self.solver.tables else self.pair
         with lent(self.tables.free, self._needs, lambda: self._rooms(n)) as rooms:
-            flown = own, self.loop.run.copy(), self._now(), *rooms, *self.programs
+            flown = own, self.loop.run.copy(), self._now(), *rooms, pair, *self.programs
             steps = self._call(which, (*flown, numbers.reshape(-1, 1)), lanes)
         if not self.whole:
             told[told[:, OUTCOME] == LAST_JUMP, OUTCOME] = LEFT
@@ -251,6 +257,11 @@ class Abreast:
     def _needs(self) -> tuple[Any, ...]:
         """What the arrays to work in depend on."""
         return "lanes", *self.tables.needs, self.loop.order, *self.most
+
+    def _pair(self) -> Pair:
+        """What makes steps that are not of Taylor series."""
+        solver, n = self.solver, self.scene.spec.dimension
+        return (solver.tables or NO_TABLES).pair(n, solver.rtol, solver.atol)
 
     def _rooms(self, n: int) -> tuple[Any, ...]:
         room, sums, look = rooms(self.tables, n, self.loop.order)

@@ -237,6 +237,37 @@ class Look(NamedTuple):
     laws: Matrix
 
 
+class Pair(NamedTuple):
+    """An explicit Runge-Kutta pair, and where its steps along an arc are (:mod:`.pairs`).
+
+    Attributes
+    ----------
+    matrix : Matrix
+        A row for each stage, of weights of the stages before it. Behind those of the step stands
+        that at its end, and then those that only dense output asks for.
+    fractions : Floats
+        Where in the step they are.
+    errors : Matrix
+        One or two rows of weights of stages up to that at the step's end.
+    dense : Matrix
+        Weights of all stages, a column for each power of the fraction of the step from the first
+        on.
+    control, going : Floats
+        How the lengths of steps follow from errors; what is remembered along an arc.
+    states, rates : Matrix
+        States to work in, and the flow at each stage.
+    """
+
+    matrix: Matrix
+    fractions: Floats
+    errors: Matrix
+    dense: Matrix
+    control: Floats
+    going: Floats
+    states: Matrix
+    rates: Matrix
+
+
 class Slopes(NamedTuple):
     """Derivatives of an automaton's functions, by time, state and parameters.
 

@@ -19,6 +19,7 @@ from .arrays import (
     Look,
     Matrix,
     Now,
+    Pair,
     Room,
     Slopes,
     Sums,
@@ -77,6 +78,7 @@ def flown(
     left: Left,
     sums: Sums,
     look: Look,
+    pair: Pair,
     parts: Table,
     given: Table,
     ranged: Table,
@@ -123,7 +125,7 @@ def flown(
     for lane in range(starts.shape[0]):
         one, shown = lane + 1, 2 * when.shape[1]
         made += lanes(
-            a, run, now, room, left, sums, look, parts, given, ranged, ops, more, numbers,
+            a, run, now, room, left, sums, look, pair, parts, given, ranged, ops, more, numbers,
             parameters[lane:one], spans[lane:one], starts[lane:one], field, watched, ends[lane:one],
             told[lane:one], when[lane:one], fired[lane:one],
             around[lane * shown : one * shown], stop,

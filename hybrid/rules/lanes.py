@@ -11,8 +11,21 @@ import math
 
 from .advance import after
 from .arcs import copied
-from .arrays import AutomatonArrays, Floats, Ints, Left, Look, Matrix, Now, Room, Sums, Table
+from .arrays import (
+    AutomatonArrays,
+    Floats,
+    Ints,
+    Left,
+    Look,
+    Matrix,
+    Now,
+    Pair,
+    Room,
+    Sums,
+    Table,
+)
 from .jets import steady
+from .pairs import answers
 from .places import (
     AT,
     AT_LIMIT,
@@ -35,6 +48,7 @@ from .places import (
     LOW_AHEAD,
     MADE,
     MAKE,
+    METHOD_ORDER,
     PHASE,
     RATIO,
     REMAINING,
@@ -99,6 +113,7 @@ def lanes(
     left: Left,
     sums: Sums,
     look: Look,
+    pair: Pair,
     parts: Table,
     given: Table,
     ranged: Table,
@@ -120,6 +135,7 @@ def lanes(
     """Fly some lanes; returns the steps made. Those that are not begun when ``stop`` is set are
     left.
 
+    ``pair`` makes steps where they are not of Taylor series.
     ``parts`` has a row for each program: where its ``given``, its ``ops`` and its list of arguments
     in ``more`` begin and end, and its ``numbers``, which are those that ``a`` has. ``given`` are
     places of parameters and their columns in ``values``, and ``ranged`` those of the bounds.
@@ -134,6 +150,8 @@ def lanes(
         run[LAST_TIME] = spans[lane, 1]
         begun(now, spans[lane, 0], starts[lane], field)
         status = go(a, run, now, room, left, sums, look)
+        while run[METHOD_ORDER] > 0.0 and answers(status, a, run, now, room, left, pair):
+            status = go(a, run, now, room, left, sums, look)
         made += now.ints[EXPANSIONS]
         outcome = LEFT
         if status == END:

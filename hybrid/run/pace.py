@@ -6,17 +6,8 @@ import numpy as np
 
 from ..errors import FlowError
 from ..lowering import Field, Kink
+from ..rules.pairs import COUNTED, FEW_STEPS, ROWS, STEPS_LEFT, SWING_SHARE
 from ..solvers.base import LEADS_BACK
-
-#: A flow is taken to swing ever faster up to a time that is never reached where, this many times
-#: in a row, twice as many steps have gone less than this share as far as those before them, counted
-#: from so many steps on, and at the last step's length more than so many are left. One that falls
-#: with a power p > 1 of the time left has shares 2^(-1/(p-1)): 1/2 for sin(1/x).
-ROWS, SWING_SHARE, COUNTED, STEPS_LEFT = 4, 0.8, 512, 1e6
-
-#: A method that goes back and forth over a jump of the flow is never further from it than a few of
-#: its steps.
-FEW_STEPS = 4.0
 
 
 class Pace:

@@ -33,6 +33,7 @@ from ..segment import Segment, to_powers
 
 if TYPE_CHECKING:
     from ..lowering import Field
+    from .pairs import PairTables
 
 #: No step can be held to less, relative to the state.
 FINEST = 2.3e-14
@@ -156,6 +157,8 @@ class Solver(abc.ABC):
     cuts : bool
         Whether it looks itself for the places at which a flow changes its formula, and ends steps
         there.
+    tables : PairTables or None
+        Of an explicit Runge-Kutta pair, with which that loop makes its steps in lanes.
     own_rtol : float
         The relative tolerance where the caller gives none; the absolute one is then a hundredth
         of it. Of the class, for it is asked before one is made.
@@ -174,6 +177,7 @@ class Solver(abc.ABC):
     asked: bool = True
     exact: bool = False
     cuts: bool = False
+    tables: PairTables | None = None
     rtol: float = FINEST
     atol: Any = 0.0
 

@@ -26,6 +26,7 @@ from ..lowering import Field
 from ..lowering.jit import jit
 from ..segment import Segment, apply, from_values, integrals, interpolated, nodes, to_powers
 from .base import FINEST, Solver, Stepper, method_of
+from .pairs import PairTables, lower
 
 #: Methods known by name, with the degree of their dense output in the fraction of the step; the
 #: first is the default.
@@ -145,6 +146,42 @@ class DiffraxSolver(Solver):
     def known(self) -> bool:
         """Whether the method is one of those known by name, with nothing about it changed."""
         return self.method in DEGREES and bool(self.object == _named(self.method))
+
+    @property
+    def tables(self) -> PairTables | None:  # type: ignore[override]
+        explicit = isinstance(self.object, diffrax.AbstractERK)
+        return _tables(self.method) if explicit and self.known and not self.controller else None
+
+
+@cache
+def _tables(name: str) -> PairTables:
+    """An explicit method known by name as tables; its own dense output is asked for those of unit
+    vectors, which sweeps of Picard's iteration continue with stages of their own."""
+    method, degree = _named(name), DEGREES[name]
+    table, s = method.tableau, nodes(degree)
+    count, rows = table.num_stages, [[], *table.a_lower]
+    fractions = [table.c1, *table.c]
+    if not table.ssal:
+        rows, fractions = [*rows, table.b_sol], [*fractions, 1.0]
+    errors = lower([table.b_error], len(rows))[:1]
+    with wide():
+        start, end, units = jnp.zeros(count), jnp.array(table.b_sol), jnp.eye(count)
+        path = method.interpolation_cls(t0=0.0, t1=1.0, y0=start, y1=end, k=units)
+        values = np.array([path.evaluate(place) for place in s])
+    for _ in range(SWEEPS.get(name, 0)):
+        before, rates = len(rows), integrals(degree)
+        rows, fractions = [*rows, *values], [*fractions, *s]
+        values = np.hstack([np.zeros((len(s), before)), rates - np.outer(s, rates[-1])])
+        values[:, :count] += np.outer(s, table.b_sol)
+    values[0], values[-1] = 0.0, lower([table.b_sol], values.shape[1])[0]
+    dense = np.zeros((len(rows), degree))
+    dense[: values.shape[1]] = (to_powers(degree) @ from_values(degree) @ values)[1:].T
+    own, order = diffrax.PIDController(1.0, 1.0), method.error_order(diffrax.ODETerm(_order))
+    control = (
+        *(own.safety, -own.icoeff / order, own.factormin, 1.0, own.factormax, own.factormax),
+        *(0.0, 1.0, 1.0),
+    )
+    return PairTables(lower(rows, len(rows)), np.array(fractions), errors, dense, control)
 
 
 def solver_of(method: Any, rtol: float, atol: Any, controller: Any = None) -> Solver:

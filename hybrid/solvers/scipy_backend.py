@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from functools import cache
+from importlib import import_module
 from math import isfinite
 from typing import Any
 
@@ -21,6 +22,7 @@ from ..errors import FlowError, OptionError
 from ..lowering import Field
 from ..segment import Segment, from_powers, interpolated, nodes
 from .base import FINEST, Solver, Stepper, method_of
+from .pairs import PairTables, lower
 
 METHODS: dict[str, Any] = {
     "DOP853": DOP853,
@@ -34,6 +36,9 @@ ORDERS = {"DOP853": 8, "RK45": 5, "RK23": 3, "Radau": 5, "BDF": 2, "LSODA": 2}
 
 #: Those that are started afresh, and count the steps that they reject.
 RUNGE_KUTTA = (DOP853, RK45, RK23)
+
+#: Their shortest step, in spacings of the time.
+SCIPY_SPACINGS = 10.0
 
 #: Degree of the dense output of the methods whose polynomial is sampled.
 SAMPLED_DEGREES = {"Radau": 3, "BDF": 5, "LSODA": 12}
@@ -62,6 +67,10 @@ class SciPySolver(Solver):
         self.evaluations = 0
         self.rejected = 0 if self.cls in RUNGE_KUTTA else None
         self._kept: dict[int, Any] = {}
+
+    @property
+    def tables(self) -> PairTables | None:  # type: ignore[override]
+        return _tables(self.cls) if self.cls in RUNGE_KUTTA else None
 
     def begin(
         self,
@@ -152,6 +161,24 @@ def _pattern(cls: Any, n: int) -> Any:
     return cls(lambda t, y: y, 0.0, np.zeros(n), 1.0, first_step=1.0)
 
 
+@cache
+def _tables(cls: Any) -> PairTables:
+    """A Runge-Kutta class as tables; its own dense output is asked for those of unit vectors."""
+    count, extra = cls.n_stages, getattr(cls, "A_EXTRA", ())
+    units = np.eye(count + 1 + len(extra))
+    matrix = lower([*cls.A, cls.B, *extra], len(units))
+    fractions = np.array([*cls.C, 1.0, *getattr(cls, "C_EXTRA", ())])
+    errors = np.array([cls.E5, cls.E3] if cls is DOP853 else [cls.E])
+    solver, more = copy(_pattern(cls, len(units))), iter(units[count + 1 :])
+    solver.K, solver.K_extended, solver.fun = units[: count + 1], units, lambda t, y: next(more)
+    solver.t_old, solver.t, solver.h_previous = 0.0, 1.0, 1.0
+    solver.y_old, solver.y, solver.f = 0.0 * units[0], matrix[count], units[count]
+    dense = RungeKuttaStepper(solver, None).powers()[2][:, 1:]
+    own, power = import_module(cls.__module__), -1.0 / (cls.error_estimator_order + 1)
+    control = own.SAFETY, power, own.MIN_FACTOR, 0.0, own.MAX_FACTOR, 1.0, SCIPY_SPACINGS, 0.0, 0.0
+    return PairTables(matrix, fractions, errors, dense, control)
+
+
 def _jacobian(field: Field, t0: float) -> Any:
     """The flow's derivatives by the state, in local time; None where there are none."""
     slopes = field.jacobian
@@ -210,7 +237,7 @@ class RungeKuttaStepper(_OdeStepper):
     repeats = True
     _made: tuple[float, float, np.ndarray] | None = None
 
-    def __init__(self, solver: Any, counts: SciPySolver) -> None:
+    def __init__(self, solver: Any, counts: Any) -> None:
         super().__init__(solver)
         self.counts = counts
 

@@ -1,0 +1,45 @@
+"""Explicit Runge-Kutta pairs as the rules' own loop takes them (:mod:`hybrid.rules.pairs`).
+
+Tables are read from the library that has the method, and its dense output too: it is asked for that
+of a step of length one whose stages are unit vectors.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..rules.arrays import Pair
+from ..rules.pairs import PACE_PLACES, STEP_STATES
+
+
+class PairTables(NamedTuple):
+    """A pair: the first arrays of :class:`hybrid.rules.arrays.Pair`, and the first numbers of its
+    control."""
+
+    matrix: np.ndarray
+    fractions: np.ndarray
+    errors: np.ndarray
+    dense: np.ndarray
+    control: tuple[float, ...]
+
+    def pair(self, n: int, rtol: float, atol: Any) -> Pair:
+        """The same for ``n`` states, with arrays to work in."""
+        control = np.array([*self.control, rtol, *np.broadcast_to(atol, n)])
+        going, states = np.zeros(PACE_PLACES), np.zeros((STEP_STATES, n))
+        rates = np.zeros((len(self.matrix), n))
+        matrix, fractions, errors, dense = map(np.ascontiguousarray, self[:4])
+        return Pair(matrix, fractions, errors, dense, control, going, states, rates)
+
+
+#: Of a solver whose steps are others.
+NO_TABLES = PairTables(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), ())
+
+
+def lower(rows: Any, count: int) -> np.ndarray:
+    """A matrix of so many rows and columns, of rows that are shorter."""
+    matrix = np.zeros((count, count))
+    for s, row in enumerate(rows):
+        matrix[s, : len(row)] = row
+    return matrix
