@@ -237,6 +237,8 @@ class Driver:
         def came() -> Jumped:
             if guard.kind == "contact":
                 return Jumped({guard.edge: 1}, series=self.watch.count > 1)
+            if guard.kind == "release":
+                return Jumped({released(guard.edge): RISES}, field.held)
             if guard.kind in ("switch", "leave"):
                 return Jumped(switch.vanishing(guard, field))
             own = [g for g in self.field.guards if g.edge == guard.edge and not self.forgets]
@@ -250,6 +252,8 @@ class Driver:
         """The same from an arc on a surface, which is kept, and ends at ``before``; whether it is
         time to look for cycles."""
         self.record.end_on(before)
+        if guard.kind == "release":
+            self.record.released(released(guard.edge))
         due = self.add_jump(guard.edge, before, after)
         self.spent |= {guard.edge}
         self.arrive(field, after, guard, before)
@@ -399,15 +403,6 @@ class Driver:
         if carried and opened(self.scene, field.mode, contact, self.t, x):
             known = {}
         self.enter(field.mode, x, Jumped(known, held))
-
-    def open(self, guard: Guard, x: np.ndarray) -> None:
-        """End a rest into an arc that begins plainly; that at rest is kept, and ends here."""
-        mode = self.entry.field.mode
-        self.record.end_on(x)
-        contact, held = self._released(guard, x)
-        self.spent, jumped = frozenset({guard.edge}), Jumped({contact: RISES}, held)
-        self.begin(self.model.field(self.scene.name(mode, held)), x, lambda: jumped)
-        self.seen = np.maximum(self.seen, np.abs(x))
 
     def _released(self, guard: Guard, x: np.ndarray) -> tuple[str, tuple[str, ...]]:
         """Record a release; the contact, and those that are still held."""

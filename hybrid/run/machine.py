@@ -509,12 +509,10 @@ class Machine:
         driver, before = self.driver, left.before[place]
         self._arc(left, place, float(left.when[place, 2]), before)
         driver.entry = attrs.evolve(driver.entry, field=driver.field)
-        if guard.kind == "release":
-            driver.open(guard, before)
-            return False
         field = self._led_to(left, place, guard)
         due = driver.arrive_from(field, guard, before, left.after[place])
-        return due and self._pass_limit()
+        looks = due and guard.kind not in ("release", "leave")
+        return looks and self._pass_limit()
 
     def _led_to(self, left: Left, place: int, guard: Guard) -> Field:
         """The model's field to which a jump has led: from a surface that on the far side, or that
