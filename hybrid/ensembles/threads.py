@@ -20,7 +20,7 @@ import numpy as np
 from ..lowering import Scene
 from ..lowering.tape import Jets
 from ..rules import unit
-from ..rules.arrays import AutomatonArrays, Left, Now, Pair
+from ..rules.arrays import AutomatonArrays, Left, Now
 from ..rules.lanes import ASKS, ENDED, FLOWN_TO, LAST_JUMP, LEFT, MODE, OUTCOME, STATE, TOLD
 from ..run import Driver
 from ..run.machine import left_for, rooms
@@ -122,7 +122,6 @@ class Abreast:
         self.rows = rows
         self.scene, self.tables, self.given = scene, driver.loop.tables, lanes
         self.loop, self.solver, plan = driver.loop, driver.solver, driver.plan
-        self.pair = self._pair()
         self.field = self.tables.number(scene.field(mode))
         self.watched = plan.zeno != "ignore"
         self.most = min(plan.max_jumps, LANE_JUMPS), int(min(plan.max_steps - 1, LANE_STEPS))
@@ -167,10 +166,11 @@ class Abreast:
             asking = []
             for flown in self._in_threads(which):
                 outcome = flown.told[:, OUTCOME]
-                asks = flown.those(outcome == ASKS)
-                asking.append(asks)
+                asks = outcome == ASKS
+                if asks.any():
+                    asking.append(flown.those(asks))
                 yield flown.those((outcome == ENDED) | (outcome == LAST_JUMP))
-            which = np.concatenate([asks.lanes for asks in asking])
+            which = np.concatenate([which[:0], *(asks.lanes for asks in asking)])
             for guard in sorted({g for asks in asking for g in asks.told[:, MODE].tolist()}):
                 self.tables.complete(guard, bounded)
 
@@ -227,11 +227,6 @@ class Abreast:
         """Some lanes, with arrays of their own."""
         asked = [np.ascontiguousarray(rows[which]) for rows in self.given]
         count, n = asked[-1].shape
-        numbers, ranged = automaton.programs.numbers.copy(), automaton.bounds.numbers.copy()
-        own = automaton._replace(
-            programs=automaton.programs._replace(numbers=numbers),
-            bounds=automaton.bounds._replace(numbers=ranged),
-        )
         ends, told = np.empty((count, STATE + 2 * n)), np.zeros((count, TOLD), dtype=np.int64)
         when, around = (
             np.full((count, self.rows), np.nan),
@@ -239,10 +234,15 @@ class Abreast:
         )
         fired = np.full(when.shape, -1)
         lanes = *asked, self.field, self.watched, ends, told, when, fired, around, self.stop
-        pair = self._pair() if self.solver.tables else self.pair
-        with lent(self.tables.free, self._needs, lambda: self._rooms(n)) as rooms:
-            flown = own, self.loop.run.copy(), self._now(), *rooms, pair, *self.programs
-            steps = self._call(which, (*flown, numbers.reshape(-1, 1)), lanes)
+        with (
+            lent(self.laid_out, ("own", id(automaton)), lambda: self._own(automaton)) as given,
+            lent(self.tables.free, self._needs, lambda: self._rooms(n)) as rooms,
+        ):
+            _, own, numbers, run, now, pair = given
+            numbers[:, 0] = automaton.programs.numbers
+            own.bounds.numbers[:], run[:] = automaton.bounds.numbers, self.loop.run
+            flown = own, run, now, *rooms, pair, *self.programs, numbers
+            steps = self._call(which, flown, lanes)
         if not self.whole:
             told[told[:, OUTCOME] == LAST_JUMP, OUTCOME] = LEFT
         around = around.reshape(count, self.rows, 2, n)
@@ -258,10 +258,17 @@ class Abreast:
         """What the arrays to work in depend on."""
         return "lanes", *self.tables.needs, self.loop.order, *self.most
 
-    def _pair(self) -> Pair:
-        """What makes steps that are not of Taylor series."""
+    def _own(self, automaton: AutomatonArrays) -> tuple[Any, ...]:
+        """An automaton, and it with numbers of its own, these, and what else a thread writes to."""
         solver, n = self.solver, self.scene.spec.dimension
-        return (solver.tables or NO_TABLES).pair(n, solver.rtol, solver.atol)
+        numbers, ranged = automaton.programs.numbers.copy(), automaton.bounds.numbers.copy()
+        own = automaton._replace(
+            programs=automaton.programs._replace(numbers=numbers),
+            bounds=automaton.bounds._replace(numbers=ranged),
+        )
+        pair = (solver.tables or NO_TABLES).pair(n, solver.rtol, solver.atol)
+        run = self.loop.run.copy()
+        return automaton, own, numbers.reshape(-1, 1), run, self._now(), pair
 
     def _rooms(self, n: int) -> tuple[Any, ...]:
         room, sums, look = rooms(self.tables, n, self.loop.order)

@@ -104,8 +104,6 @@ def _first(runs: Runs, rows: np.ndarray, flies: type[Flies]) -> Flies | None:
 def _given(runs: Runs, together: Abreast, flown: FlownLanes) -> tuple[np.ndarray, np.ndarray]:
     """What some lanes give, as :meth:`hybrid.functions.derivatives.Runs.values` does for one."""
     layout, ends, told = runs.layout, flown.ends, flown.told
-    places = {edge: place for place, edge in enumerate(runs.edges)}
-    edges = np.array([*(places.get(g.edge, -1) for g in together.tables.guards), -1])
     numbers = np.full((layout.length, len(ends)), np.nan)
     ints = np.full((len(ends), layout.rows + 2), -1)
     views = layout.views(numbers)
@@ -114,6 +112,8 @@ def _given(runs: Runs, together: Abreast, flown: FlownLanes) -> tuple[np.ndarray
         views["final"][...] = together.final(flown).T
     ints[:, -2] = 0
     if "times" in views:
+        places = {edge: place for place, edge in enumerate(runs.edges)}
+        edges = np.array([*(places.get(g.edge, -1) for g in together.tables.guards), -1])
         views["times"][...] = flown.when.T
         views["before"][...], views["after"][...] = flown.around.transpose(2, 1, 3, 0)
         ints[:, :-2] = edges[flown.fired]
@@ -239,12 +239,18 @@ class Changing(Abreast):
         fly: Any = unit("changes").flown
         asked, found = self.asked[which], self.found[which]
         parts, given, _, ops, more = self.own
-        programs = self.slopes.programs
-        numbers, n = programs.numbers.copy(), self.given.starts.shape[1]
-        slopes = self.slopes._replace(programs=programs._replace(numbers=numbers))
-        make = lambda: (room(self.derived.needs, n, 1), self.derived.room())  # noqa: E731
-        with lent(self.laid_out, ("free", len(self.derived.parts)), make) as (still, changing):
-            own = parts, given, ops, more, numbers.reshape(-1, 1), still, slopes, changing
+        known = *map(id, self.slopes), len(self.derived.parts)
+        with lent(self.laid_out, known, self._changing) as (_, slopes, numbers, still, changing):
+            numbers[:, 0] = self.slopes.programs.numbers
+            own = parts, given, ops, more, numbers, still, slopes, changing
             made = fly(*automaton, *own, *lanes, asked, found.reshape(-1, found.shape[2]))
         self.asked[which], self.found[which] = asked, found
         return made  # type: ignore[no-any-return]
+
+    def _changing(self) -> tuple[Any, ...]:
+        """Derivatives, and they with numbers of their own, these, and arrays to work in."""
+        programs, n = self.slopes.programs, self.scene.spec.dimension
+        numbers = programs.numbers.copy()
+        slopes = self.slopes._replace(programs=programs._replace(numbers=numbers))
+        rooms = room(self.derived.needs, n, 1), self.derived.room()
+        return self.slopes, slopes, numbers.reshape(-1, 1), *rooms
