@@ -278,8 +278,7 @@ class Abreast:
         """A state, to be begun by each lane."""
         floats, ints = np.zeros_like(self.loop.floats), np.zeros_like(self.loop.ints)
         x, end, seen = np.zeros_like(self.loop.states)
-        orders, signs = np.zeros((2, self.tables.widest), dtype=np.int64)
-        return Now(floats, ints, x, end, seen, orders, signs)
+        return Now(floats, ints, x, end, seen, *self.tables.watches())
 
     def _left(self, n: int) -> Left:
         """Arrays for the jumps, steps and sums of one lane after another."""

@@ -23,6 +23,7 @@ from ..rules.places import (
     LEAVE,
     LOCAL,
     NONE,
+    OFF,
     OTHER,
     PLAIN,
     RELEASE,
@@ -141,6 +142,13 @@ class Tables:
         self._order = order
         return room(self._most, self.scene.spec.dimension, order)
 
+    def watches(self) -> tuple[np.ndarray, ...]:
+        """What a run notes of guards: see :class:`.rules.arrays.Now`, from ``orders`` on."""
+        own, all_ = (
+            np.zeros((2, count), dtype=np.int64) for count in (self.widest, len(self.guards))
+        )
+        return (*own, np.zeros((self.widest, OFF + 1)), *all_)
+
     def complete(self, number: int, sight: Sight) -> None:
         """Add what the loop has asked for of a guard: the field it leads to; or what a sum needs;
         or what is needed once there is one.
@@ -199,8 +207,7 @@ class Tables:
 
     def _add(self, field: Field) -> None:
         jets, first = field.jets, len(self._rows)
-        plain = not field.leans and not any(guard.kinks for guard in field.guards)
-        plain = plain and jets is not None
+        plain = not field.leans and jets is not None and all(map(self._may, field.guards))
         watch = self._watch(field) if plain and self.others else -1
         plain = plain and (not self.others or watch >= 0)
         surface = self._surface(field) if plain else -1
@@ -219,31 +226,42 @@ class Tables:
                 row[TO] = number
         self._made = None
 
+    def _may(self, guard: Guard) -> bool:
+        """Whether the loop may look at a guard: at one that changes its formula where it may not
+        end, with steps that end there."""
+        if not guard.kinks:
+            return True
+        known = guard.kind in (Kind.EDGE, Kind.CONTACT) and not self.scene.spec.lags
+        return known and not self.others and all(kink.change != "ends" for kink in guard.kinks)
+
     def _row(self, field: Field, guard: Guard) -> list[int]:
         """A guard's row; its columns are named in :mod:`hybrid.rules.places`."""
         code, uses = self.scene.code, len(self._uses)
         self._uses += guard.uses
         graph, name = code.mode(field.mode), guard.edge
-        programs, held = [-1, -1], bool(field.held)
+        programs, held, corner = [-1, -1], bool(field.held), guard.kind is Kind.CONTACT
         slides = field.project is not None and not held
-        if guard.kind is Kind.CONTACT and not held:
+        judged = held or (guard.kinks and (corner or guard.jumps))
+        if guard.kind is Kind.CONTACT and not judged:
             programs = [
                 self._of_values(field, ("impact", name), lambda: graph.impact(name)),
                 self._of_values(field, ("land", name), lambda: graph.land(name)),
             ]
-        elif guard.kind is Kind.EDGE and not (held or (slides and self._again(guard))):
+        elif guard.kind is Kind.EDGE and not (judged or (slides and self._again(guard))):
             # what stays held after a jump is judged, and an edge that is watched behind it, too
             reset = ("reset", name)
             programs[0] = self._of_values(field, reset, lambda: graph.values(code.closed(*reset)))
         sizes = self._of_values(field, ("sizes", name, held), lambda: graph.sizes(name, held))
         kind, crossing = NUMBERED.get(guard.kind, OTHER), DIRECTIONS[guard.crossing]
         shape = [int(guard.bounds), int(guard.affine), self.numbers.get(guard.to, UNKNOWN)]
-        later = [UNKNOWN, 0, UNKNOWN, UNKNOWN, 0]
+        kinked = any(other.kinks for other in field.guards)
+        later = [HARD if kinked else UNKNOWN, 0, UNKNOWN, UNKNOWN, 0]
         if guard.kind is Kind.RELEASE and len(field.held) > 1:  # what follows is judged
             shape[2] = NONE
         if guard.kind is Kind.SWITCH and (slides or self.scene.spec.lags):  # and so is this
             later[0] = HARD
-        return [kind, crossing, *shape, *programs, sizes, uses, len(self._uses), *later]
+        own = [sizes, uses, len(self._uses), int(bool(guard.kinks))]
+        return [kind, crossing, *shape, *programs, *own, *later]
 
     def _again(self, guard: Guard) -> bool:
         """Whether an edge is watched in the mode to which it leads."""

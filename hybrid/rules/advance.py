@@ -23,6 +23,7 @@ from .places import (
     FIELD_PROGRAM,
     FIRED,
     FIRST_SUMMED,
+    FLIGHTS,
     FULL,
     GAP_SPEED,
     GUARD_POWER,
@@ -57,6 +58,7 @@ from .places import (
     T,
 )
 from .switches import CROSSES, SLIDES, follows
+from .ties import remembered
 
 __all__ = ("advance",)
 
@@ -88,6 +90,8 @@ def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> i
     status, used, power = JUMP, guard, 1
     if kind == RELEASE:
         status = OPENS if to != NONE else JUMP
+    elif surfaced(a, now, kind) and remembered(a, now, guard):
+        status = JUMP
     elif kind in (SWITCH, LEAVE):
         status, to, used, power = on_surface(a, now, room, t, before, behind)
     elif a.guards[guard, RESET] < 0:
@@ -104,6 +108,7 @@ def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> i
     if status != LANDED:
         return status
     added(now, left, guard, t, low)
+    now.tied[guard], now.spent[guard] = 0, now.ints[FLIGHTS]
     watch(now, guard, kind)
     now.ints[WAS_LOW] = 0
     now.floats[T], now.floats[LOW] = t, low
@@ -112,6 +117,12 @@ def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> i
     copied(behind, now.x)
     enlarged(now, now.x)
     return LANDED
+
+
+def surfaced(a: AutomatonArrays, now: Now, kind: int) -> bool:
+    """Whether a jump may lead to where the edges that are watched now are watched by other
+    numbers."""
+    return kind in (SWITCH, LEAVE) or a.fields[now.ints[FIELD], SURFACE] >= 0
 
 
 def on_surface(

@@ -17,7 +17,7 @@ import math
 from .arrays import AutomatonArrays, Floats, Left, Matrix, Now, Room
 from .checks import along
 from .entries import starts
-from .guards import SMALL_SHIFT, TIE, event_along, first_event, foreseen, resolved, row_of
+from .guards import SMALL_SHIFT, TIE, event_along, first_event, foreseen, goes_on, resolved, row_of
 from .jets import jets
 from .kinks import turn
 from .lengths import falls
@@ -73,6 +73,7 @@ from .places import (
     T,
 )
 from .steps import step
+from .ties import latest, together
 from .zeros import EPS
 
 __all__ = ("first_step",)
@@ -184,7 +185,7 @@ def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
     fires = NONE if now.ints[MADE] > 0 else HARD if status < 0 else starts(a, now, room)
     if fires != NONE or status < 0:
         return at_once(now, fires)
-    shown = resolved(a, run, now, room, now.floats[T] + tau, h)
+    shown = resolved(a, run, now, room, now.floats[T] + tau, h, crossed >= 0)
     if not shown > 0.0:
         return LOOK
     if shown < h:
@@ -239,13 +240,19 @@ def passes(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) ->
         along(room.c, next_tau - tau, now.end)
         program = a.fields[now.ints[FIELD], FIELD_PROGRAM]
         turn(a.programs, program, now.ints[CROSSED], room.c, room.sides)
+        if now.ints[CROSSED] >= 0 and not goes_on(a, now, room, now.floats[T] + next_tau):
+            return LOOK
     now.floats[TAU], now.ints[PHASE] = next_tau, WALKS
     now.ints[MADE] += 1
     return GOES_ON
 
 
 def lands(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
-    """The time at which a guard is zero, to rounding, and the state there (5): Newton's method."""
+    """The time at which a guard is zero, to rounding, and the state there (5): Newton's method.
+
+    Where the step's series have put guards that are next to each other in the wrong order, that of
+    the one that fired before.
+    """
     tau, at, guard = now.floats[TAU], now.floats[TO_TAU], now.ints[EVENT]
     field = now.ints[FIELD]
     program = a.fields[field, FIELD_PROGRAM]
@@ -263,20 +270,30 @@ def lands(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
     further = -room.aside[row, 0] / rate
     now.ints[LANDINGS_TRIED] += 1
     if abs(further) > SMALL_SHIFT * (at - tau):
-        now.floats[TO_TAU] = at + further
-        if run[METHOD_ORDER] > 0.0:
-            return LAND_ON if least < at + further <= most else LOOK
-        along(room.c, at + further - tau, now.end)
-        return GOES_ON
+        return again(run, now, room, at + further, least, most)
     if not least < at + further <= most:
         return LOOK
     for i in range(now.end.shape[0]):
         now.end[i] += further * room.aside[i, 1]
+    other, ago = latest(a, now, room, now.floats[T] + at + further)
+    if ago > 0.0:
+        now.ints[EVENT] = other
+        return again(run, now, room, at + further - ago, least, most)
     if run[METHOD_ORDER] == 0.0:
         kept(now, room, left, tau, at + further - tau)
-    now.floats[TAU], now.ints[FIRED] = at + further, guard
+    now.ints[FIRED] = together(a, now, room, now.floats[T] + at + further)
+    now.floats[TAU] = at + further
     now.ints[STEPS_MADE] += now.ints[MADE] + 1
     return LANDED
+
+
+def again(run: Floats, now: Now, room: Room, at: float, least: float, most: float) -> int:
+    """End the step at another time."""
+    now.floats[TO_TAU] = at
+    if run[METHOD_ORDER] > 0.0:
+        return LAND_ON if least < at <= most else LOOK
+    along(room.c, at - now.floats[TAU], now.end)
+    return GOES_ON
 
 
 def first_step(c: Matrix, n: int, order: int, relative: float, absolute: Floats) -> float:

@@ -105,7 +105,13 @@ class Now(NamedTuple):
     orders : Ints
         By which power of the time each guard vanishes where the arc begins.
     signs : Ints
-        The sign that each guard has where the last step ended.
+        The sign that each guard has where the last step ended; of one that fires that before.
+    zeros : Matrix
+        For each guard of the present field its zero in a step; columns as in :mod:`.places`.
+    tied, spent : Ints
+        For each guard of the automaton: with the sign that it had before its zero the flight at
+        whose end it was zero beside the one that fired; and that after which it has fired. Flights
+        are counted from one.
     """
 
     floats: Floats
@@ -115,6 +121,9 @@ class Now(NamedTuple):
     seen: Floats
     orders: Ints
     signs: Ints
+    zeros: Matrix
+    tied: Ints
+    spent: Ints
 
 
 class Room(NamedTuple):

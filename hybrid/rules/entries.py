@@ -12,6 +12,7 @@ from .guards import GUARD_ROUNDING, NEAR, largest, row_of, sizes_of
 from .hops import drowns
 from .lengths import step_length
 from .places import (
+    BENDS,
     BOUNDS,
     CONTACT,
     CROSSING,
@@ -20,6 +21,7 @@ from .places import (
     FIELD,
     FIELD_PROGRAM,
     FIRED,
+    FLIGHTS,
     GUARD_POWER,
     GUARDS,
     GUARDS_END,
@@ -71,8 +73,11 @@ def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) ->
     kind, bounds = a.guards[guard, KIND], a.guards[guard, BOUNDS] == 1
     t, n, reach = now.floats[T], now.x.shape[0], max(largest(now.seen), largest(now.x))
     used, order, sign = guard == now.ints[FIRED], 0, 1 if c[0] > 0.0 else -1
-    least = now.ints[GUARD_POWER] if used else 0
-    if least > 0 or not far(c[0], reach):
+    least, flights = now.ints[GUARD_POWER] if used else 0, now.ints[FLIGHTS]
+    crossing, other, spent = a.guards[guard, CROSSING], False, now.spent[guard] == flights
+    before = 1 if now.tied[guard] == flights else -1 if now.tied[guard] == -flights else 0
+    beyond = before != 0 or (bounds and c[0] * crossing > 0.0)  # rounding, of a guard that is large
+    if least > 0 or beyond or not far(c[0], reach):
         size, rate, bend = sizes_of(a, room, guard, t, now.x)
         high, fast = 0.0, math.inf
         if not math.isfinite(c[0]) or not size < math.inf:
@@ -84,17 +89,17 @@ def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) ->
         elif kind != RELEASE and least == 0:
             for k in range(a.guards[guard, USES], a.guards[guard, USES_END]):
                 high = max(high, now.seen[a.uses[k]])
+            high = min(high, max(size, sizes_of(a, room, guard, t, now.seen)[0]))
         order, sign = start(c, room.c, n, c[0], c[1], t, size, rate, bend, high, fast, least)
         low = order == 1 and drowns(c[1], 2.0 * c[2], reach)
         slow = least == 0 and not abs(c[1]) > GUARD_ROUNDING * EPS * fast
-        hard = kind == OTHER or (kind == CONTACT and (low or slow))
+        hard = kind == OTHER or (kind == CONTACT and (low or slow or a.guards[guard, BENDS] == 1))
         if order > RISES or (order > 0 and hard):
             return order, HARD
-    crossing, other = a.guards[guard, CROSSING], False
-    what = does(kind, crossing, bounds, order, sign, True, used, other, other, other, 0)
+    what = does(kind, crossing, bounds, order, sign, True, used, spent, other, other, before)
     if what == LEAVES and used:
         return order, ARMED
-    known = kind in (CONTACT, SWITCH) or (kind == EDGE and bounds)
+    known = order > 0 and kind in (CONTACT, EDGE, SWITCH)
     return order, HARD if what == FIRES and not known else what
 
 

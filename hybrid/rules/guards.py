@@ -9,13 +9,15 @@ from __future__ import annotations
 import math
 
 from .arrays import AutomatonArrays, Floats, Now, Room
-from .checks import HELD_INSIDE, MISSED, ROUNDING_BESIDE, along, second
+from .checks import HELD_BEFORE, HELD_INSIDE, MISSED, ROUNDING_BESIDE, along, second
 from .jets import KINKS, OUTPUT, jets
 from .lengths import CONVERGED, LAST_TERMS, behind, own_length
 from .places import (
     ABSOLUTE,
     AFFINE,
     AIM,
+    BENDS,
+    BLUR,
     BOUNDS,
     CROSSING,
     FIELD,
@@ -24,6 +26,7 @@ from .places import (
     GUARDS_END,
     LAST_TIME,
     LOW,
+    OFF,
     PHASE,
     RELATIVE,
     SEES,
@@ -35,6 +38,7 @@ from .places import (
     USES,
     USES_END,
     WATCH,
+    WHEN,
     T,
 )
 from .polynomials import power_size, power_value, shift
@@ -66,21 +70,21 @@ SMALL_SHIFT = 1e-6
 def first_event(
     a: AutomatonArrays, run: Floats, now: Now, room: Room, h: float, starting: bool
 ) -> tuple[int, float]:
-    """The guard that fires first in a step (-1: none), and when (1); at 0 if that is not plain."""
+    """The guard that fires first in a step (-1: none), and when (1); at 0 if that is not plain.
+    Notes when others fire."""
     field = now.ints[FIELD]
     first = a.fields[field, GUARDS]
-    fired, best, second, width = -1, math.inf, math.inf, 0.0
+    fired, best = -1, math.inf
     for g in range(first, a.fields[field, GUARDS_END]):
-        s = zero_of(a, run, now, room, g, now.orders[g - first] if starting else 0, h, starting)
+        zero, c = now.zeros[g - first], room.c[row_of(a, series_of(a, now), field, g)]
+        order = now.orders[g - first] if starting else 0
+        if starting:
+            zero[OFF] = abs(c[0]) if order == 1 else 0.0
+        s = zero_of(a, run, now, room, g, order, h, starting)
         if s < best:
-            fired, best, second = g, s, best
-        else:
-            second = min(second, s)
-        if a.guards[g, AFFINE] == 0 and 0.0 < s < math.inf:
-            width += blurred(room.c[row_of(a, series_of(a, now), field, g)], s)
-    spacing = EPS * abs(now.floats[T])
-    if second - best <= max(TIED_IN_STEP * h + TIE * spacing, width):
-        return fired, 0.0
+            fired, best = g, s
+        curved = a.guards[g, AFFINE] == 0 and 0.0 < s < math.inf
+        zero[WHEN], zero[BLUR] = s, blurred(c, s) if curved else 0.0
     return fired, best
 
 
@@ -119,7 +123,7 @@ def zero_of(
     if not kinked and (crossing == 0 or c[order] * crossing < 0.0):
         s = soon(c, order, degree, h)
         if s < math.inf:
-            return fires(a, now, room, c, guard, order, s, tolerance)
+            return fires(a, now, room, c, guard, order, s, c[order], tolerance)
     count = series(c, degree, h, order, near, room.rows, room.found)
     if count < 0:
         return 0.0
@@ -130,7 +134,7 @@ def zero_of(
         if direction == 0.0:
             return 0.0
         if crossing == 0 or direction * crossing > 0.0:
-            return fires(a, now, room, c, guard, order, s, tolerance)
+            return fires(a, now, room, c, guard, order, s, -direction, tolerance)
         if a.guards[guard, BOUNDS] == 1:
             return 0.0
     value, _ = power_value(c, 0, degree, h)
@@ -149,9 +153,12 @@ def fires(
     guard: int,
     order: int,
     s: float,
+    before: float,
     tolerance: float,
 ) -> float:
-    """When a guard fires that crosses zero at ``s``; 0 where that is not plain."""
+    """When a guard fires that crosses zero at ``s``, with a sign before that; 0 where that is not
+    plain."""
+    now.signs[guard - a.fields[now.ints[FIELD], GUARDS]] = 1 if before > 0.0 else -1
     gone = order != 1 or has_left(a, now, room, c, guard, s)
     return s if gone and not turns(c, s, tolerance) else 0.0
 
@@ -198,9 +205,12 @@ def has_left(a: AutomatonArrays, now: Now, room: Room, c: Floats, guard: int, s:
     return False
 
 
-def resolved(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float, h: float) -> float:
+def resolved(
+    a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float, h: float, kink: bool
+) -> float:
     """How far of a step the guards' series have converged, to what a step may lose; -1 where they
-    do not follow them."""
+    do not follow them. ``kink``: the step ends where some may change their formula."""
+    end = HELD_BEFORE if kink else 1.0
     field, program = now.ints[FIELD], series_of(a, now)
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
@@ -209,7 +219,7 @@ def resolved(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float, h:
             h = min(h, own_length(room.c[row_of(a, program, field, g)], share))
     for g in range(first, a.fields[field, GUARDS_END]):
         if a.guards[g, AFFINE] == 0:
-            for share in (HELD_INSIDE, 1.0):
+            for share in (HELD_INSIDE, end):
                 if not follows(a, now, room, program, g, t, share * h):
                     return -1.0
     return h
@@ -249,7 +259,7 @@ def foreseen(
         if not max(behind(room.c[i], h), abs(value - now.end[i]) / AGREES) <= allowed:
             return -1, 0.0
     reach = reached(run, now, h)
-    if resolved(a, run, now, room, t, reach) != reach:
+    if resolved(a, run, now, room, t, reach, False) != reach:
         return -1, 0.0
     if not (starting or continues(a, now, room)):
         return -1, -1.0
@@ -296,7 +306,7 @@ def event_along(
     for part in range(EXPANDED_PARTS):
         if not expanded(a, field, t + done, n, room):
             return -1, 0.0
-        shown = resolved(a, run, now, room, t + done, reach - done)
+        shown = resolved(a, run, now, room, t + done, reach - done, False)
         if not shown > 0.0:
             return -1, 0.0
         guard, s = first_event(a, run, now, room, shown, starting and part == 0)
@@ -328,6 +338,25 @@ def keeps(a: AutomatonArrays, now: Now, room: Room, t: float) -> bool:
         value = room.aside[row_of(a, program, field, g), 0]
         if not value * now.signs[g - first] > 0.0:
             return False
+    return True
+
+
+def goes_on(a: AutomatonArrays, now: Now, room: Room, t: float) -> bool:
+    """Whether guards that may change their formula are, beyond a kink, on the side of zero on which
+    they were, by more than rounding (1)."""
+    field = now.ints[FIELD]
+    program, first = a.fields[field, FIELD_PROGRAM], a.fields[field, GUARDS]
+    for g in range(first, a.fields[field, GUARDS_END]):
+        if a.guards[g, BENDS] == 1:
+            if jets(a.programs, program, 0, t, now.end, room.sides, room.aside, room.work) < 0:
+                return False
+            value = room.aside[row_of(a, program, field, g), 0]
+            least = 0.0
+            if not abs(value) > NEAR * largest(now.end):
+                size, _, _ = sizes_of(a, room, g, t, now.end)
+                least = GUARD_ROUNDING * EPS * size
+            if not value * now.signs[g - first] > least:
+                return False
     return True
 
 

@@ -37,6 +37,7 @@ from .places import (
     EXPANSIONS,
     FIELD,
     FIRED,
+    FLIGHTS,
     FULL,
     GUARD_POWER,
     IMPACT_COUNT,
@@ -248,6 +249,7 @@ def begun(now: Now, t: float, x: Floats, field: int) -> None:
     now.ints[ENTERED], now.ints[PHASE], now.ints[MADE], now.ints[GUARD_POWER] = 0, BEGINS, 0, 1
     now.ints[JUMPS_MADE], now.ints[STEPS_MADE], now.ints[EXPANSIONS], now.ints[TAILS] = 0, 0, 0, 0
     now.ints[LOW_AHEAD], now.ints[WAS_LOW] = 0, 0
+    now.ints[FLIGHTS] += 1  # what was tied, or spent, is so no more
     copied(x, now.x)
     for i in range(x.shape[0]):
         now.seen[i] = abs(x[i])

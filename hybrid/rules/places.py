@@ -8,15 +8,16 @@ FIELD_PROGRAM, GUARDS, GUARDS_END, PLAIN, CONSTRAINED, WATCH, SURFACE = range(7)
 
 #: Columns of the table of guards. ``TO`` is a field, -1 where it is not known yet; ``RESET``,
 #: ``LAND`` and ``SIZES`` are programs, -1 where there is none; ``USES`` is where the elements of
-#: the state begin that it is made of. Of a contact whose impacts were to be summed: the first of
-#: the programs of what happens there, whether all flights see the same forces; and where a sum was
-#: found, the program of its bounds, the field of its rest, and whether its restitution is no
-#: constant. Of a load whose contact alone is at rest: the same programs, and at ``REST`` the
-#: contact's own guard in the field that follows. Of the surface of a switching: at ``AT`` its guard
-#: on the other side, and at ``REST`` the field that slides on it, where one is to be entered; of an
-#: end of sliding at ``AT`` the surface's guard in the field that follows.
-KIND, CROSSING, BOUNDS, AFFINE, TO, RESET, LAND, SIZES, USES, USES_END = range(10)
-AT, LOCAL, SIGHT, REST, DEPENDS = range(10, 15)
+#: the state begin that it is made of; ``BENDS`` whether it may change its formula. Of a contact
+#: whose impacts were to be summed: the first of the programs of what happens there, whether all
+#: flights see the same forces; and where a sum was found, the program of its bounds, the field of
+#: its rest, and whether its restitution is no constant. Of a load whose contact alone is at rest:
+#: the same programs, and at ``REST`` the contact's own guard in the field that follows. Of the
+#: surface of a switching: at ``AT`` its guard on the other side, and at ``REST`` the field that
+#: slides on it, where one is to be entered; of an end of sliding at ``AT`` the surface's guard in
+#: the field that follows.
+KIND, CROSSING, BOUNDS, AFFINE, TO, RESET, LAND, SIZES, USES, USES_END, BENDS = range(11)
+AT, LOCAL, SIGHT, REST, DEPENDS = range(11, 16)
 
 #: What has not been asked for yet; what there is none of; what only the driver looks at.
 UNKNOWN, NONE, HARD = -1, -2, -3
@@ -44,9 +45,15 @@ T, LOW, TAU, TRIED, STEP_END, TO_TAU, AIM, FIRST_LENGTH, GAP_SPEED = range(9)
 #: the driver has looked at the arc's start; jumps and steps kept, and expansions made; then what
 #: comes next in the arc, its steps so far, the guard that fires, the kink at which the step ends,
 #: landings tried, sums kept, by which power of the time the guard last used vanishes; whether the
-#: flight that begins is one so low that the gap would drown in rounding, and whether one ends.
+#: flight that begins is one so low that the gap would drown in rounding, and whether one ends; and
+#: arcs flown that take time.
 FIELD, FIRED, SERIES, IMPACT_COUNT, ENTERED, JUMPS_MADE, STEPS_MADE, EXPANSIONS = range(8)
 PHASE, MADE, EVENT, CROSSED, LANDINGS_TRIED, TAILS, GUARD_POWER, LOW_AHEAD, WAS_LOW = range(8, 17)
+FLIGHTS = 17
+
+#: Columns of the zeros of guards in a step: when each fires; by how much what its series leaves
+#: open may move that; and how far it was off zero where the arc began, if it vanishes there.
+WHEN, BLUR, OFF = 0, 1, 2
 
 #: What comes next in an arc: its start; a step; to look at a step, another solver's by series of
 #: the flow; to land; the jump at its end; to look at another solver's step by its polynomial.

@@ -31,6 +31,7 @@ from .places import (
     FIELD,
     FIELD_PROGRAM,
     FIRED,
+    FLIGHTS,
     FLOWN,
     FULL,
     GAP_SPEED,
@@ -274,6 +275,7 @@ def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, su
     copied(before, now.end)
     now.floats[TAU], now.floats[GAP_SPEED] = time, speed
     now.ints[LOW_AHEAD], now.ints[WAS_LOW], now.ints[PHASE] = 0, 1, STRIKES
+    now.ints[FLIGHTS] += 1
     if not own:
         now.ints[MADE] = pieces
         return FLOWN

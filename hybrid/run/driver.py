@@ -37,7 +37,7 @@ from . import switch, truncate
 from .arc import ArcFlow, Flown
 from .cycles import Cycles, Seen, pass_limit
 from .entry import (
-    OFF,
+    STARTS_OFF,
     Entry,
     Jumped,
     before_impact,
@@ -80,7 +80,7 @@ class Driver:
         self.seen = np.zeros(scene.spec.dimension)
         self.steps = 0
         self._jumped = Jumped()
-        self._tied: dict[str, int] = {}
+        self.tied: dict[str, int] = {}
         self.spent: frozenset[str] = frozenset()
         self._struck: set[str] = set()
         self.loop = Machine(self) if solver.whole or solver.asked else None
@@ -155,7 +155,7 @@ class Driver:
 
     def _lean(self, jumped: Jumped) -> bool:
         """Whether the loop may look at the start of the present mode's arc, and knows enough."""
-        more = jumped.held or jumped.limit or jumped.passing is not None or self._tied or self.wary
+        more = jumped.held or jumped.limit or jumped.passing is not None or self.wary
         if self.loop is None or more or len(jumped.vanishing) > 1:
             return False
         field, alone = self.scene.field(self.mode), jumped.starting or self.record.memory is None
@@ -164,7 +164,7 @@ class Driver:
         return alone and self.loop.may(field)
 
     def _entered(self, mode: str, x: np.ndarray, jumped: Jumped, seen: np.ndarray) -> Entry:
-        jumped.tied, jumped.spent = self._tied, self.spent
+        jumped.tied, jumped.spent = self.tied, self.spent
         try:
             return enter(self.scene, self.t, mode, x, jumped, seen, self._off(x))
         except StartError as fault:
@@ -173,9 +173,9 @@ class Driver:
                 raise
             names = ", ".join(self.scene.spec.element_names[i] for i in counts)
             raise JumpLoopError(
-                f"{str(fault).removesuffix(OFF)}; it has been so again and again, ever sooner, and "
-                f"each time a reset has changed {names}, which has no limit: leave that out of the "
-                "resets (run.jumps has what there is to count)"
+                f"{str(fault).removesuffix(STARTS_OFF)}; it has been so again and again, ever "
+                f"sooner, and each time a reset has changed {names}, which has no limit: leave "
+                "that out of the resets (run.jumps has what there is to count)"
             ) from None
 
     def _off(self, x: np.ndarray) -> np.ndarray:
@@ -208,7 +208,6 @@ class Driver:
         """Flow an arc, or as many as need no judgement, and carry out the jump that ends it."""
         loop = self.loop if self._declared and not self.wary else None
         if loop is not None and loop.takes():
-            self._tied = {}
             loop.fly()
         else:
             self.look_again()
@@ -305,7 +304,7 @@ class Driver:
         )
         if self.plan.progress is not None:
             self.plan.progress(self.t)
-        self._tied = flown.tied
+        self.tied = flown.tied
         self.passed(flown.length)
         if fired is None:
             self.status = Status.INTERRUPTED if flown.interrupted else Status.REACHED_END
@@ -348,7 +347,7 @@ class Driver:
 
     def jump(self, guard: Guard, x: np.ndarray, carried: bool = False) -> None:
         """Carry out the jump of a guard that fired; ``carried``: without having been zero."""
-        self._tied = {edge: sign for edge, sign in self._tied.items() if edge != guard.edge}
+        self.tied = {edge: sign for edge, sign in self.tied.items() if edge != guard.edge}
         self.spent |= {guard.edge}
         if guard.kind == "contact":
             self._impact(guard, x)

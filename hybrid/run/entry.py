@@ -27,7 +27,7 @@ from ..rules.zeros import EPS
 MOVES = 27
 
 #: What there is to do about a start on a guard that nothing decides on.
-OFF = "; start off the guard"
+STARTS_OFF = "; start off the guard"
 
 
 @attrs.frozen(eq=False)
@@ -397,7 +397,7 @@ class _Here:
         if what == UNDECIDED:
             raise StartError(
                 f"{self.where()}: the guard of {edge} is zero and no derivative along "
-                f"the flow decides which way it goes{OFF}"
+                f"the flow decides which way it goes{STARTS_OFF}"
             ).by("undecided")
         if what == OUTSIDE:
             self.refuse_outside(guard, jumped.starting)
@@ -432,7 +432,9 @@ class _Here:
             raise FlowError(f"{self.where()}: the guard of {guard.edge} is {value}")
         if guard.kind == "contact" and -self.lost(guard) <= value <= 0:
             least = max(least, 1)
-        far = not least and unit("entries").far(value, max(self.reach, float(np.abs(x).max())))
+        beyond = guard.bounds and value * DIRECTIONS[guard.crossing] > 0
+        known = least or beyond or guard.edge in jumped.tied
+        far = not known and unit("entries").far(value, max(self.reach, float(np.abs(x).max())))
         if far or value * passing.get(guard.edge, 0) > 0:
             return 0, 1 if value > 0 else -1
         return self.decide(guard, index, least)
@@ -454,6 +456,7 @@ class _Here:
             high, fast, _ = extent(self.scene, guard, self.field, self.t, self.x, self.seen)
         elif guard.kind != "release" and len(self.seen):
             high = max((float(self.seen[i]) for i in guard.uses), default=0.0)
+            high = min(high, extent(self.scene, guard, self.field, self.t, self.x, self.seen)[0])
         sizes = self.scene.rounding(guard, self.field)(t, x)
         given = np.array(c), states, len(states), value, rate, t, *sizes, high, fast, least
         order, sign = unit("entries").start(*given)

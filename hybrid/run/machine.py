@@ -32,6 +32,7 @@ from ..rules.places import (
     EXPANSIONS,
     FIELD,
     FIRED,
+    FLIGHTS,
     FLOWN,
     FULL,
     GAP_SPEED,
@@ -153,7 +154,7 @@ class Machine:
         sums = float(summed), plan.closing
         given = [plan.t1, plan.limit, plan.rtol, *series, *steps, *sums, *last]
         self.run = np.array(given, dtype=float)
-        self.floats, self.ints = np.zeros(9), np.zeros(17, dtype=np.int64)
+        self.floats, self.ints = np.zeros(9), np.zeros(FLIGHTS + 1, dtype=np.int64)
         self.states = np.zeros((3, n))
         self.size: tuple[int, ...] = (JUMPS_KEPT, STEPS_KEPT)
         self.passed = False
@@ -403,8 +404,10 @@ class Machine:
             self.tables.complete(int(self.ints[FIRED]), bounded)
         self._give_back()
         self.rooms = self._take()
-        orders = np.zeros(self.tables.widest, dtype=np.int64)
-        self.now = self.now._replace(orders=orders, signs=orders.copy())
+        floats, ints, x, end, seen, *_ = self.now
+        now = Now(floats, ints, x, end, seen, *self.tables.watches())
+        now.tied[: len(self.now.tied)], now.spent[: len(self.now.spent)] = self.now[-2:]
+        self.now = now
 
     def _take(self) -> tuple[Room, Sums, Look]:
         """Arrays to work in: such as no run is using, or new ones."""
@@ -456,11 +459,13 @@ class Machine:
         floats[TRIED] = driver.watch.tried
         ints[LOW_AHEAD] = ints[WAS_LOW] = 0
         self.states[0], self.states[2] = entry.x, driver.seen
-        orders = np.zeros(self.tables.widest, dtype=np.int64)
-        orders[: len(entry.orders)] = entry.orders
-        x, end, seen = self.states
-        signs = np.zeros(len(orders), dtype=np.int64)
-        self.now = Now(floats, ints, x, end, seen, orders, signs)
+        ints[FLIGHTS] = 1
+        self.now = Now(floats, ints, *self.states, *self.tables.watches())
+        self.now.orders[: len(entry.orders)] = entry.orders
+        for g, guard in enumerate(self.tables.guards if driver.tied or driver.spent else ()):
+            self.now.tied[g] = driver.tied.get(guard.edge, 0)
+            self.now.spent[g] = guard.edge in driver.spent
+        driver.tied = {}
 
     def _left(self) -> Left:
         """Arrays for what a call leaves, and the counts at zero."""
@@ -620,6 +625,7 @@ class Machine:
             self._last(left)
             driver.status = Status.REACHED_END
         elif status == JUMP:
+            driver.tied = self._tied()
             before = self._last(left)
             if driver.record.memory is not None:
                 driver.record.memory.told = False
@@ -629,4 +635,11 @@ class Machine:
             else:
                 driver.jump(self._fired, before)
         else:
+            driver.tied = self._tied()
             driver.look_again()
+
+    def _tied(self) -> dict[str, int]:
+        """By edge the sign before its zero, of guards that were zero when the last flight ended."""
+        tied, flights = self.now.tied, int(self.ints[FLIGHTS])
+        rows = np.flatnonzero((np.abs(tied) == flights) & (tied != 0)).tolist()
+        return {self.tables.guards[g].edge: int(tied[g]) // flights for g in rows}

@@ -1,0 +1,94 @@
+"""Guards that are zero at one time: in which order they fire (4).
+
+Events next to each other in a step are judged at the event on which it ends, in spacings of its
+time and in what rounding makes of each guard there. Numbers in brackets are the rules of
+``docs/semantics.md``.
+"""
+
+from __future__ import annotations
+
+from .arrays import AutomatonArrays, Now, Room
+from .guards import GUARD_ROUNDING, TIE, TIED_IN_STEP, row_of, sizes_of
+from .jets import jets
+from .places import (
+    BLUR,
+    EVENT,
+    FIELD,
+    FIELD_PROGRAM,
+    FLIGHTS,
+    GUARDS,
+    GUARDS_END,
+    OFF,
+    STEP_END,
+    TAU,
+    WHEN,
+    T,
+)
+from .zeros import EPS
+
+__all__ = ("latest",)
+
+
+def latest(a: AutomatonArrays, now: Now, room: Room, t: float) -> tuple[int, float]:
+    """Of the guards next to that on which a step ends, at ``now.end``, the one that fired longest
+    before it, and how long before; 0 where none did."""
+    field, fired, most = now.ints[FIELD], now.ints[EVENT], 0.0
+    for g in range(a.fields[field, GUARDS], a.fields[field, GUARDS_END]):
+        if beside(a, now, g):
+            before = ago(a, now, room, g, t)
+            if before > most:
+                fired, most = g, before
+    return fired, most
+
+
+def together(a: AutomatonArrays, now: Now, room: Room, t: float) -> int:
+    """The guard declared first of those that are zero where a step ends; of the others the sign
+    that each had before is noted."""
+    field, event = now.ints[FIELD], now.ints[EVENT]
+    first, fires = a.fields[field, GUARDS], event
+    now.ints[FLIGHTS] += 1
+    for g in range(first, a.fields[field, GUARDS_END]):
+        if beside(a, now, g) and ago(a, now, room, g, t) == 0.0:
+            now.tied[g] = now.signs[g - first] * now.ints[FLIGHTS]
+            now.tied[event] = now.signs[event - first] * now.ints[FLIGHTS]
+            fires = min(fires, g)
+    now.tied[fires] = 0
+    return fires
+
+
+def remembered(a: AutomatonArrays, now: Now, fired: int) -> bool:
+    """Whether anything is known of guards besides the one that fired: that they were zero at this
+    time, too, or have fired."""
+    field, flights = now.ints[FIELD], now.ints[FLIGHTS]
+    for g in range(a.fields[field, GUARDS], a.fields[field, GUARDS_END]):
+        if g != fired and (abs(now.tied[g]) == flights or now.spent[g] == flights):
+            return True
+    return False
+
+
+def beside(a: AutomatonArrays, now: Now, guard: int) -> bool:
+    """Whether a guard fires next to the one on which a step ends, as far as series tell."""
+    first, event = a.fields[now.ints[FIELD], GUARDS], now.ints[EVENT]
+    if guard == event:
+        return False
+    own, other = now.zeros[guard - first], now.zeros[event - first]
+    near = TIED_IN_STEP * (now.floats[STEP_END] - now.floats[TAU]) + TIE * EPS * abs(now.floats[T])
+    return own[WHEN] - other[WHEN] <= max(near, own[BLUR] + other[BLUR])
+
+
+def ago(a: AutomatonArrays, now: Now, room: Room, guard: int, t: float) -> float:
+    """How long ago a guard has fired, by its value and rate at ``now.end``: 0 where that is now,
+    below zero if it has not fired yet."""
+    field = now.ints[FIELD]
+    program, place = a.fields[field, FIELD_PROGRAM], guard - a.fields[field, GUARDS]
+    if jets(a.programs, program, 1, t, now.end, room.still, room.aside, room.work) < 0:
+        return -1.0
+    row, before = row_of(a, program, field, guard), now.signs[place]
+    value, rate = room.aside[row, 0], room.aside[row, 1]
+    size, _, _ = sizes_of(a, room, guard, t, now.end)
+    rounding = GUARD_ROUNDING * EPS * size + 2.0 * now.zeros[place, OFF]
+    if abs(value) <= TIE * EPS * abs(t) * abs(rate) + rounding:
+        return 0.0
+    if value * before >= 0.0:
+        return -1.0
+    return value / rate if rate * before < 0.0 else 0.0
