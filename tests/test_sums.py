@@ -9,7 +9,7 @@ from numpy.polynomial import chebyshev
 
 import hybrid as hy
 from hybrid.lowering import scene_of
-from hybrid.rules import unit
+from hybrid.rules import flights, sums, unit
 from hybrid.rules.load import Library
 from hybrid.rules.sums import FORCE_SAMPLES, MOST_DEGREE, POINTS_EACH, STRETCH_FLIGHTS
 from hybrid.segment import from_values, nodes
@@ -336,6 +336,17 @@ def test_bounds_of_a_sum_hold_what_more_points_change(r, speed):
         assert abs(tail.remaining - exact.remaining) <= tail.t_error + exact.t_error
         assert tail.t_error <= 1e-2 * rtol * tail.remaining
     assert exact.t_error <= 1e-13 * exact.remaining / (1 - r)
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-8, 1e-12])
+def test_a_flight_that_nothing_moves_is_made_once(rtol, monkeypatch):
+    """One for each point, and one for each probe: what its last terms leave is no odd force."""
+    made = []
+    monkeypatch.setenv("HYBRID_RULES", "python")
+    monkeypatch.setattr(accumulate, "unit", Library("hybrid.rules").unit)
+    monkeypatch.setattr(sums, "fly", lambda *a: made.append(flights.fly(*a)) or made[-1])
+    tail = summed(Alone(), 0.8, rtol)
+    assert len(made) == len(tail.curve) - 1 + len(sums.PROBES)
 
 
 def test_a_sum_is_the_same_in_a_unit_in_which_high_orders_overflow():

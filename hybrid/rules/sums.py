@@ -105,9 +105,10 @@ LAST_POINT = 255
 #: 0.0004 to 1.3 in sums along hard springs and soft ones.
 TURN_CAUTION, LAST_COEFFICIENTS = 8.0, 0.25
 
-#: Rounding of one flight, relative, as seen in the change from turn to turn; and the share of what
-#: a sum may be off that is left to the last terms of its flights.
-FLIGHT_ROUNDING, LAST_TERMS_SHARE = 3e-15, 0.1
+#: Rounding of one flight, relative, as seen in the change from turn to turn; what the last terms of
+#: its series leave of its length and of the speed at its end, against their own share: it was up to
+#: 1.9; and their share of what the sum may be off.
+FLIGHT_ROUNDING, TERMS_CAUTION, LAST_TERMS_SHARE = 3e-15, 4.0, 0.025
 
 #: The smallest that anything is compared with, and the largest logarithm of a speed's growth.
 SMALLEST_DIVISOR, LARGEST_GROWTH = 1e-300, 700.0
@@ -272,7 +273,7 @@ def flown(
                 p, flow, at, column, held, degree - 1, t, x, v, points[k], k, terms, room
             ):
                 return False, False
-            idle = idle and abs(bend(lines, k, r)) <= IDLE
+            idle = idle and abs(bend(lines, k, r)) <= IDLE + TERMS_CAUTION * terms
         for j in range(n + 1):
             lines[VALUE_ROWS + k, j] = lines[FLIGHT_ROWS + k, j]
         lines[VALUE_ROWS + k, n + 1] = bend(lines, k, r)
@@ -400,7 +401,7 @@ def follows(degree: int, r: float, w: float, place: int, terms: float, lines: Ma
     """Whether a flight of the test fulfils the curve's equation."""
     length = lines[FLIGHT_ROWS + place, 0]
     change = value(lines, degree, 0, r * w) - value(lines, degree, 0, w)
-    own = TURN_CAUTION * (FLIGHT_ROUNDING + terms) * length
+    own = (TURN_CAUTION * FLIGHT_ROUNDING + TERMS_CAUTION * terms) * length
     return abs(length - change) <= lines[ALLOWED, 0] + own
 
 
@@ -517,7 +518,7 @@ def rounding(t: float, x: Floats, j: int, r: float, terms: float, lines: Matrix)
     """Rounding of one flight, and its last terms, added up over the ``1 / (1 - r)`` flights that
     count."""
     size = lines[TO_LIMIT, 0] if j == 0 else scale(t, x, j, lines)
-    return (FLIGHT_ROUNDING + terms) / (1.0 - r) * size
+    return (FLIGHT_ROUNDING + TERMS_CAUTION * terms) / (1.0 - r) * size
 
 
 def compared(
