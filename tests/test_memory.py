@@ -1,6 +1,7 @@
 """What a run with delays remembers: hard lags, rounding, histories, and what is refused."""
 
 import math
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 import hybrid as hy
 from hybrid.delay.memory import Memory
 from hybrid.delay.pieces import Breaks
+from hybrid.rules import record
 from hybrid.rules.places import BREAKS
 from hybrid.run import driver
 from models.bouncing_ball import BouncingBall
@@ -56,7 +58,7 @@ def test_breaking_points_within_rounding_are_one():
     breaks.add(1.0, np.array([1, 2]))
     breaks.add(1.0 + 4e-16, np.array([2, 0]))
     assert breaks.times.tolist() == [1.0]
-    assert breaks.at(1.0, 1e-15).tolist() == [1, 0]
+    assert breaks.arrays[1][0].tolist() == [1, 0]
 
 
 def test_breaking_points_are_told_apart_as_well_as_the_present_time_is():
@@ -65,8 +67,9 @@ def test_breaking_points_are_told_apart_as_well_as_the_present_time_is():
     breaks.add(0.0, np.array([1]))
     breaks.add(1e-14, np.array([0]))
     breaks.add(1.0, np.array([3]))
-    assert breaks.after(-1e-14, 1e-12) == 1.0
-    assert breaks.at(0.0, 1e-12).tolist() == [0]
+    seen = SimpleNamespace(ints=breaks.ints, times=breaks.times)
+    assert record.next_break(seen, -1e-14, 1e-12) == 1.0
+    assert record.last_break(seen, -1e-12, there=True) == -math.inf
 
 
 @pytest.mark.parametrize("lag", [10.0, 1000.0, 1e5])
@@ -377,7 +380,7 @@ def test_a_look_back_leaves_the_record_as_it_was_whatever_happens_in_it(monkeypa
 
     def kept():
         arrays = memory.floats, memory.ints, memory.shown, memory.pieces.ends, memory.breaks.times
-        return [array.tolist() for array in arrays], memory.told, memory.windows
+        return [array.tolist() for array in arrays], memory.told
 
     def look():
         with memory.as_at(2.5, np.array([0.0])):
@@ -428,6 +431,21 @@ def test_an_interrupted_run_keeps_the_arc_that_goes_on_through_windows(solver):
     assert 2.0 < run.t1 < 6.0
     assert len(run.arcs) == 1
     assert run.final.y == pytest.approx(whole(run.t1).y, abs=1e-9)
+
+
+@pytest.mark.parametrize("tau", [1.0, 0.01])
+@pytest.mark.parametrize("solver", ["scipy", "taylor"])
+def test_a_run_that_is_interrupted_where_it_ends_keeps_its_last_arc(solver, tau):
+    """A call of the rules' own loop may have flown all of it; its last time is told."""
+
+    def stop(t):
+        if t >= 3.0:
+            raise KeyboardInterrupt
+
+    run = hy.simulate(delayed.Lagged(tau=tau), {"y": 1.0}, (0, 3), solver=solver, progress=stop)
+    assert run.status is hy.Status.INTERRUPTED
+    assert run.t1 == 3.0
+    assert len(run.arcs) == 1
 
 
 @pytest.mark.parametrize("solver", ["scipy", "taylor"])

@@ -16,7 +16,7 @@ from models.delay_bounce import DelayBounce
 from models.delay_jump import DelayJump
 from models.pyragas import Pyragas
 
-from .delayed import Relay
+from .delayed import Ball, Lagged, Relay
 from .test_advance import same
 
 
@@ -67,6 +67,8 @@ SCENES = {
     "room": (Room(), {"T": 15.0, "water": 15.0}, (0.0, 5.0), {}),
     "function": (Pyragas(), {"x1": 3.0, "x2": 0.0}, (0.0, 3.0), {"history": {"x1": jnp.cosh}}),
     "relay": (Relay(), {"y": 0.3}, (0.0, 4.0), {}),
+    "short": (Lagged(tau=1e-2), {"y": 1.0}, (0.0, 4.0), {}),
+    "hops": (Ball(g=1.0, k=-0.5, tau=1e-2, r=0.6), {"y": 1.0, "v": 0.0}, (0.0, 7.0), {}),
 }
 
 #: What is seen of the record may differ from it by a tenth of the tolerance (``SHARE``), and is
@@ -123,7 +125,7 @@ def test_little_room_changes_nothing(scene, monkeypatch):
     alike(run, other, *scene[2])
 
 
-@pytest.mark.parametrize("name", ["released", "room"])
+@pytest.mark.parametrize("name", ["released", "room", "hops"])
 def test_machine_code_and_python_agree(name, monkeypatch):
     """As plain Python that refuses indices below zero."""
     run = flown(SCENES[name])
@@ -133,7 +135,7 @@ def test_machine_code_and_python_agree(name, monkeypatch):
     alike(run, flown(SCENES[name]), *SCENES[name][2])
 
 
-@pytest.mark.parametrize("name", ["pyragas", "room"])
+@pytest.mark.parametrize("name", ["pyragas", "room", "short"])
 def test_a_run_is_one_call(name, monkeypatch):
     """From its start to its end, through all windows, sums, rests and releases."""
     flown(SCENES[name])
@@ -151,6 +153,20 @@ def test_a_run_is_one_call(name, monkeypatch):
     monkeypatch.setattr(machine, "unit", unit)
     flown(SCENES[name])
     assert found == [END]
+
+
+def test_what_a_short_lag_sees_is_guessed_far_ahead():
+    """Twenty thousand lags in a hundred steps; nothing happens that would make them shorter.
+
+    y' = -y(t - lag) is solved by an exponential once the start is forgotten."""
+    lag = 1e-3
+    run = hy.simulate(Lagged(tau=lag), {"y": 1.0}, (0, 20), solver="taylor", rtol=1e-9, atol=1e-12)
+    assert run.stats.steps < 200
+    rate = 1.0
+    for _ in range(50):
+        rate = np.exp(rate * lag)  # contracts by a thousandth each time
+    at = np.array([5.0, 10.0])
+    assert np.log(run(at[0]).y / run(at[1]).y) / 5.0 == pytest.approx(rate, rel=1e-6)
 
 
 @pytest.mark.each_method

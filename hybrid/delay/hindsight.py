@@ -22,7 +22,7 @@ from ..segment import nodes
 from ..trajectory.arcs import Arc, Part
 from ..trajectory.log import Log
 from .history import Before, until
-from .pieces import Piece, Window, constant, piece_of
+from .pieces import Piece, constant, piece_of, window_on
 
 #: Width of the window on a piece that is no polynomial of low degree, against the longest lag.
 NARROW = 1e-2
@@ -142,12 +142,12 @@ class Hindsight:
         if plain and key in self._scenes:
             return self._scenes[key]
         windows = [self._window(record.pieces[i], s) for i, s in zip(which, places, strict=True)]
-        scene = self.scene.through([array for w in windows for array in w.arrays()])
+        scene = self.scene.through([array for window in windows for array in window])
         if plain:
             self._scenes[key] = scene
         return scene
 
-    def _window(self, piece: Piece, place: float) -> Window:
+    def _window(self, piece: Piece, place: float) -> list[np.ndarray]:
         """A piece as a window: all of it, or where it is no short polynomial a narrow part."""
         a, b = piece.start, piece.end
         if piece.degree > WINDOW_DEGREE or not np.isfinite(a):
@@ -155,8 +155,7 @@ class Hindsight:
             b = min(b, place + width)
             a = max(a, b - 2.0 * width)
         values = piece.state(a, (b - a) * nodes(WINDOW_DEGREE))
-        known = np.zeros(len(values), dtype=bool)
-        return Window(a, b, values, known, np.zeros(values.shape[1]))
+        return window_on(a, b, values)
 
 
 def _arcs(part: Part) -> Iterator[Arc]:

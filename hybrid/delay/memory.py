@@ -27,30 +27,51 @@ import attrs
 import numpy as np
 
 from ..automaton.past import blank
-from ..errors import FlowError
+from ..errors import FlowError, OptionError
 from ..lowering import Field, Scene, window_edge
 from ..lowering.taylor import flat
 from ..rules import unit
 from ..rules.arrays import PastArrays
-from ..rules.past import BRIEF_FLIGHT, SMOOTH_ORDER, WINDOW_SHARE
+from ..rules.guesses import GUESS_REST
+from ..rules.past import BRIEF_FLIGHT
 from ..rules.places import (
     AGAIN,
+    ASKED,
+    ASKED_FROM,
+    ASKED_UNTIL,
+    ASKED_UP_TO,
+    ASKING,
+    ASKS_VALUES,
     BREAK_ORDER,
     BREAKS,
     FINAL,
     FLIGHTS_DONE,
     GOES_ON,
+    GUESSED,
+    HOLDS,
     IN_ARC,
+    MOST,
+    NEXT_TO_NOTHING,
+    PAST_FLOATS,
+    PAST_INTS,
+    PIECES_KEPT,
+    PIECES_KNOWN,
+    RECORD_NOT_FINITE,
+    REST_OF_GUESSES,
+    ROUGH,
     RTOL,
     SERVES_UNTIL,
     SINCE,
     SINCE_LOW,
+    STARTED,
+    STATE_FLOATS,
+    STATE_INTS,
     STEPPED,
     STEPS_DONE,
-    TIGHT,
-    TIGHTEST,
     WINDOW_DEGREE,
 )
+from ..rules.record import SHOWN_ROUNDING, WINDOW_SHARE
+from ..rules.windows import FIXED, MOVES_ON
 from ..segment import Segment, from_powers, from_values, nodes
 from ..trajectory.arcs import Arc, TailPart
 from ..trajectory.clock import Instant
@@ -61,44 +82,16 @@ from .pieces import (
     Breaks,
     Piece,
     Pieces,
-    Window,
     constant,
     piece_of,
     slack_of,
+    states,
     swept,
 )
-from .reader import Reader
-from .windows import NO_LINKS, TO_POWERS, Links
-
-#: Windows in a row that are one step long before longer ones are guessed.
-TIGHT_WINDOWS = 3
+from .windows import NO_LINKS, TO_POWERS, Links, reach
 
 #: Sums that a call of the rules' own loop makes at most.
 SUMS = 8
-
-#: Where the rules' own loop reads windows: of how many a guess costs as much, and how many in a row
-#: are one step long before it is tried.
-DEAR, OFTEN = 16, 64
-
-#: Windows without a guess after one that was not worth it; after each more of these twice as many,
-#: up to so many.
-GUESS_REST, LONGEST_REST = 30, 1 << 16
-
-#: Most guesses at a window before a shorter one is tried.
-GUESSES = 12
-
-#: Highest order of breaking points that are noted once a lag has turned back over its past: each
-#: is seen many times, and those times are themselves seen many times.
-TURNING = 2
-
-#: First length of windows to guess where a lag vanishes, against that of the run.
-VANISHING_WINDOW = 1e-4
-
-#: Guesses at a window up to which the next is longer.
-EASY = 2
-
-#: Times between which times are one that a guess spans at least.
-GUESS_SPAN = 100.0
 
 #: Degree up to which dense output falls behind a method of higher order.
 CUBIC = 3
@@ -145,28 +138,30 @@ class Memory:
         hidden = flat([*scene.parameters[: len(spec.parameters)], *blank(spec.lags, len(x))])
         self._lags = [code.lag(k).bind(hidden) for k in range(len(spec.lags))]
         self.names = [lag.name for lag in spec.lags]
-        self.floats, self.ints = np.zeros(6), np.zeros(12, dtype=np.int64)
+        self.floats, self.ints = np.zeros(PAST_FLOATS), np.zeros(PAST_INTS, dtype=np.int64)
         self.floats[[FINAL, RTOL, SERVES_UNTIL]] = plan.t1, plan.rtol, plan.t0
+        self.floats[[STARTED, MOST]] = plan.t0, np.inf
         self.ints[BREAK_ORDER], self.ints[AGAIN] = order + 1, GOES_ON
-        self.ints[TIGHTEST], self.ints[IN_ARC] = TIGHT_WINDOWS, -1
+        self.ints[REST_OF_GUESSES], self.ints[IN_ARC], self.ints[ASKING] = GUESS_REST, -1, -1
         self.pieces, self.breaks = Pieces(self.ints, history, len(x)), Breaks(self.ints, len(x))
         for piece in history:
             if piece.orders is not None:
                 self.breaks.add(piece.start, piece.orders)
         self.breaks.add(plan.t0, self._start(x))
-        self.windows: list[Window] = []
-        self._frames = np.tile([0.0, 0.0, np.inf], (len(self._lags), 1))
-        self.reader = Reader(scene, plan, self.pieces, self.breaks, self._frames)
+        self._frames = np.tile([0.0, 0.0, np.inf, 0.0], (len(self._lags), 1))
         self.shown, self.bound, self.told = np.array(hidden[-self._size :]), False, False
         self.sights = np.empty((SUMS, self._size))
         self._fixed = self._all_fixed(x)
+        self._now = np.zeros(len(self._lags)) if self._fixed is None else self._fixed
+        self._moves = np.array([MOVES_ON if moves else FIXED for moves in self.moving])
+        self._told, self._present = np.zeros((len(x), WINDOW_DEGREE + 1)), np.array(x, dtype=float)
         self._past: PastArrays | None = None
         self._made: tuple[Any, ...] = ()
+        ints = np.zeros(STATE_INTS, dtype=np.int64)
+        self._before = np.zeros(STATE_FLOATS), ints, np.zeros((2, len(x)))
         self._begun, self._joins = np.zeros(len(x)), False
-        self._dear, self._rest, self._looks_back = 1, GUESS_REST, False
+        self._looks_back, self._reach = False, dict[Any, Any]()
         self._from = plan.t0, x
-        self._stride, self._shortest, self._guesses = 0.0, 0.0, 0
-        self._wrong, self._most = np.inf, np.inf
 
     @property
     def start(self) -> np.ndarray:
@@ -214,8 +209,8 @@ class Memory:
         other.floats, other.ints = self.floats.copy(), self.ints.copy()
         other.pieces, other.breaks = self.pieces.copy(other.ints), self.breaks.copy(other.ints)
         other._frames, other.shown = self._frames.copy(), self.shown.copy()
-        other.reader = Reader(self.scene, self.plan, other.pieces, other.breaks, other._frames)
-        other.reader.backwards = self.reader.backwards
+        other._now, other._moves = self._now.copy(), self._moves.copy()
+        other._told, other._present = self._told.copy(), self._present.copy()
         other.sights, other._begun = self.sights.copy(), self._begun.copy()
         other.bound, other.told, other._past = False, False, None
         return other
@@ -306,14 +301,16 @@ class Memory:
     def _near(self, there: np.ndarray, x: np.ndarray) -> bool:
         """Whether what is seen of some states cannot be told from a state."""
         seen = self.all_seen
-        return bool(np.all(np.abs(there - x)[..., seen] <= self.reader.allowed(x)[seen]))
+        size = np.abs(x)
+        allowed = WINDOW_SHARE * (self.plan.atol + self.plan.rtol * size) + SHOWN_ROUNDING * size
+        return bool(np.all(np.abs(there - x)[..., seen] <= allowed[seen]))
 
     # -- windows --------------------------------------------------------------------------
 
     @property
     def guessing(self) -> bool:
         """Whether a window shows what is not yet flown."""
-        return any(window.guess.any() for window in self.windows)
+        return bool(self.ints[GUESSED])
 
     @property
     def known(self) -> float:
@@ -321,64 +318,80 @@ class Memory:
         return self._from[0] if self.guessing else self.until
 
     def look(self, t: float, x: np.ndarray) -> Scene:
-        """The scene as it looks back from a time; ``until`` says for how long."""
-        self._from, self._guesses, self._wrong = (t, x), 0, np.inf
-        if self._goes_on(t, x):
-            return self._scene()
-        if self._fixed is not None and unit("past").read(t, self.past()):
-            self._forget((t - self._fixed).tolist())
-            return self.read()
-        self.ints[STEPPED] = 0
-        places = [self._place(k, t, x) for k in range(len(self._lags))]
-        self._forget(places)
-        stride = self._wanted(t, places)
-        end = min(self.plan.t1, t + stride) if stride else self.plan.t1
-        self.windows = []
-        for k, s in enumerate(places):
-            window = self.reader.window(k, t, s, np.inf if stride else t, end - t, x)
-            if not self.moving[k]:
-                end = min(end, window.b + (t - s))
-            self.windows.append(window)
-        self.until = min(self.plan.t1, max(end, t + slack_of(t)))
-        return self._scene()
+        """The scene as it looks back from a time; ``until`` says for how long.
 
-    def _goes_on(self, t: float, x: np.ndarray) -> bool:
-        """Whether behind a jump lags look through the same windows, up to the jump.
+        Behind a jump lags look through the same windows, up to the jump, while they can.
 
-        A guard that has fired is zero through these: through others only to the tolerance.
+        Raises
+        ------
+        FlowError
+            Where the record is not finite, or rough everywhere.
+        OptionError
+            Where the caller's history cannot be asked.
         """
         joins, self._joins = self._joins, False
-        if not joins:
-            return False
-        places = [self._place(k, t, x) for k in range(len(self._lags))]
-        windows, slack = [window.cut(t) for window in self.windows], slack_of(t)
-        if not all(w.a + slack < s < w.b - slack for w, s in zip(windows, places, strict=True)):
-            return False
-        ends = [
-            window.b + (t - s)
-            for window, s, moves in zip(windows, places, self.moving, strict=True)
-            if not moves
-        ]
-        self.windows, self.until = windows, min([self.plan.t1, *ends])
-        self.ints[TIGHT], self._stride = 0, 0.0
-        return True
+        self._from = t, x
+        self._looks(t, x)
+        if not (joins and unit("windows").stays(t, self.past())):
+            if not any(self.moving) and not self._looks_back:
+                self.pieces.forget(t - self._now.max())
+                self.breaks.forget(t - self._now.max())
+            self.ints[ASKING] = -1
+            self._found(self._read())
+        return self.read()
 
-    def _scene(self) -> Scene:
-        arrays = [a.reshape(-1) for w in self.windows for a in w.arrays()]
-        self.shown[:], self.bound = np.concatenate(arrays), False
-        self._frames[:, :2] = [(window.a, window.b) for window in self.windows]
-        return self.scene.through([self.shown])
+    def _looks(self, t: float, x: np.ndarray) -> None:
+        """Note where the lags look from a time."""
+        self._present[:] = x
+        if self._fixed is None:
+            self._now[:] = [t - self._place(k, t, x) for k in range(len(self._lags))]
+
+    def _read(self) -> int:
+        """Read windows, or go on doing so; what comes of it."""
+        if self.pieces.full:
+            self.pieces.grow()
+        return int(unit("windows").read(self._from[0], False, self.past()))
+
+    def _found(self, status: int) -> None:
+        """See to it that windows are found."""
+        fault = None
+        while status == ASKS_VALUES:
+            fault = self._tell()
+            status = self._read()
+        (t, x), bad, model = self._from, float(self.floats[ASKED_FROM]), self.scene.spec.model
+        if status == RECORD_NOT_FINITE:
+            raise fault or FlowError(
+                f"{model}, t = {t!r}: the record at {bad!r} is not finite; give a "
+                "history that reaches back that far"
+            ).by("forgotten")
+        if status == ROUGH:
+            raise FlowError(
+                f"{model}: the record at {bad!r} is rough: no polynomial shows it to "
+                "rtol and atol (a history in 32 bits, or of measured numbers?); give a smooth one, "
+                "or larger tolerances"
+            )
+        if status == NEXT_TO_NOTHING:
+            raise FlowError(
+                f"{model}, t = {t!r}, {self.scene.spec.record(x)}: a lag is next to nothing, and "
+                "what is seen through it cannot be found; write the state itself where the lag is 0"
+            )
+
+    def _tell(self) -> OptionError | None:
+        """Put down what is asked for of the caller's history; why there is none."""
+        a, b = self.floats[[ASKED_FROM, ASKED_UNTIL]].tolist()
+        pieces = [self.pieces.piece(k) for k in range(*self.ints[[ASKED, ASKED_UP_TO]].tolist())]
+        try:
+            with np.errstate(all="ignore"):
+                self._told[:] = states(pieces, a, (b - a) * nodes(WINDOW_DEGREE)).T
+        except OptionError as fault:
+            self._told[:] = np.nan
+            return fault
+        return None
 
     def read(self) -> Scene:
-        """The scene as it looks back through windows that the rules have read off the record."""
-        nothing, known = np.zeros((1, self.scene.spec.dimension)), np.zeros(1, dtype=bool)
-        ends, self.bound = self._frames[:, :2].tolist(), False
-        self.windows = [Window(a, b, nothing, known, nothing[0]) for a, b in ends]
+        """The scene as it looks back through the windows that have been read."""
+        self.bound = False
         return self.scene.through([self.shown])
-
-    def looped(self) -> None:
-        """Be remembered by the rules' own loop."""
-        self._dear, self.ints[TIGHTEST] = DEAR, OFTEN
 
     def begins(self, going: int, arc: int, t: float, low: float) -> None:
         """Begin a call of the rules' own loop, in the middle of an arc or before one."""
@@ -388,8 +401,8 @@ class Memory:
 
     def make_room(self, t: float) -> None:
         """Room for more pieces and breaking points than what is seen from a time on."""
-        assert self._fixed is not None
-        self._forget((t - self._fixed).tolist())
+        self.pieces.forget(t - self._now.max())
+        self.breaks.forget(t - self._now.max())
         self.pieces.grow()
         self.breaks.grow()
 
@@ -399,7 +412,7 @@ class Memory:
 
         Unless that is kept all is as before.
         """
-        arrays = self.floats, self.ints, self._frames, self.shown
+        arrays = self.floats, self.ints, self._frames, self.shown, self._now, self._moves
         were, others = [array.copy() for array in arrays], vars(self).copy()
         then = Then(self.scene)
         try:
@@ -425,16 +438,17 @@ class Memory:
 
     def _as_arrays(self, links: Links) -> PastArrays:
         n, pieces = self.scene.spec.dimension, self.pieces
-        lags = np.zeros(0) if self._fixed is None else self._fixed
         seen = np.array([[int(e in s) for e in range(n)] for s in self.seen], dtype=np.int64)
         atol = np.broadcast_to(np.asarray(self.plan.atol, dtype=float), (n,)).copy()
         return PastArrays(
-            *(self.floats, self.ints, lags, pieces.spans, pieces.degrees, pieces.rows),
+            *(self.floats, self.ints, self._now, self._moves),
+            *(pieces.spans, pieces.degrees, pieces.rows),
             *(*self.breaks.arrays, self._frames, seen, seen.max(axis=0), links.uses, links.asks),
             *(atol, links.given, links.ranged, links.parts, links.ops, links.more, links.numbers),
             *(self.shown, self.sights, nodes(WINDOW_DEGREE).copy(), FROM_VALUES, TO_PLACES, TURN),
-            *(np.zeros(n, dtype=np.int64), np.zeros((len(lags), n), dtype=np.int64)),
-            *(np.zeros((2, WINDOW_DEGREE + 1)), self._begun, links.signs),
+            *(np.zeros(n, dtype=np.int64), np.zeros((len(self._now), n), dtype=np.int64)),
+            *(np.zeros((2, WINDOW_DEGREE + 1)), self._told, self._present),
+            *(self._begun, links.signs, *self._before),
         )
 
     def _place(self, k: int, t: float, x: np.ndarray) -> float:
@@ -448,72 +462,22 @@ class Memory:
             ).by("forgotten")
         return t - lag
 
-    def _forget(self, places: list[float]) -> None:
-        if not any(self.moving) and not self._looks_back:
-            self.pieces.forget(min(places))
-            self.breaks.forget(min(places))
-
-    def _wanted(self, t: float, places: list[float]) -> float:
-        """Length of windows to guess; 0 where the record reaches far enough."""
-        slack, latest = slack_of(t), max(places)
-        self._shortest = shortest = t - latest
-        nothing = shortest <= slack
-        if not nothing and self.breaks.after(latest, slack) <= t:
-            self.ints[TIGHT], self._stride = 0, 0.0
-            return 0.0
-        if self._stride and self._stride <= shortest:
-            self.ints[TIGHT], self._stride = 0, 0.0
-        if (nothing or self.ints[TIGHT] >= self.ints[TIGHTEST]) and not self._stride:
-            least = VANISHING_WINDOW * (self.plan.t1 - self.plan.t0) if nothing else 0.0
-            self._stride = max((4.0 if self._dear == 1 else 8.0 * self._dear) * shortest, least)
-        return self._stride
-
     # -- at the end of a window -------------------------------------------------------------
 
     def confirm(self, now: Instant, length: float, segments: Sequence[Segment]) -> Scene | None:
         """After a flight: None if its windows showed what was flown, else the scene to fly anew."""
         if not self.guessing or not segments:
             return None
-        flown = [piece_of(segment, now.t, now.low) for segment in segments]
-        corrected = [
-            self.reader.corrected(k, window, flown) for k, window in enumerate(self.windows)
-        ]
-        before, self._wrong = self._wrong, max(wrong for wrong, _ in corrected)
-        stuck = self._wrong > 0.5 * before
-        if self._wrong <= 1.0 or (stuck and self._wrong <= 1.0 / WINDOW_SHARE):
-            self._pays(length)
+        for segment in segments:
+            self.pieces.add(piece_of(segment, now.t, now.low))
+        if self.pieces.full:
+            self.pieces.grow()
+        status = unit("windows").confirmed(self._from[0], length, self.past())
+        if status == HOLDS:
+            self.ints[PIECES_KEPT] = self.ints[PIECES_KNOWN]
             return None
-        self._guesses += 1
-        t = self._from[0]
-        if length < 0.9 * (self.until - t):
-            self._stride = max(length, GUESS_SPAN * slack_of(t))  # an edge fired
-        elif self._guesses <= GUESSES and not stuck:
-            self.windows = [window for _, window in corrected]
-            return self._scene()
-        else:
-            self._stride *= 0.25
-            self._most = 2.0 * self._stride
-            self._require_stride(t)
-        return self.look(*self._from)
-
-    def _pays(self, length: float) -> None:
-        """Longer guesses next where they are easy, none for a while where they cost too much."""
-        self._most *= 1.2
-        self._stride = min((2.0 if self._guesses <= EASY else 1.0) * length, self._most)
-        if length < (1 + self._guesses) * self._dear * self._shortest:
-            self._stride, self.ints[TIGHT] = 0.0, -self._rest
-            self._rest, self._most = min(2 * self._rest, LONGEST_REST), np.inf
-        else:
-            self._rest = GUESS_REST
-
-    def _require_stride(self, t: float) -> None:
-        """Refuse guesses at nothing, where there is nothing else."""
-        if self._stride < GUESS_SPAN * slack_of(t) and self._shortest <= slack_of(t):
-            state = self.scene.spec.record(self._from[1])
-            raise FlowError(
-                f"{self.scene.spec.model}, t = {t!r}, {state}: a lag is next to nothing, and what "
-                "is seen through it cannot be found; write the state itself where the lag is 0"
-            )
+        self._found(status)
+        return self.read()
 
     def ends(self, t: float) -> bool:
         """Whether the windows end within rounding of a time."""
@@ -526,46 +490,12 @@ class Memory:
 
         ``fired`` is the edge of the guard by which a lag that moves came to the end of its own.
         """
-        self.reader.backwards = {
-            k for k in range(len(self.windows)) if fired == window_edge(k, "a")
-        }
-        if self.reader.backwards:
-            self.ints[BREAK_ORDER] = min(self.ints[BREAK_ORDER], TURNING)
-        met = {}
-        for k, window in enumerate(self.windows):
-            end = self._met(k, window, t, x, fired)
-            orders = None if end is None else self.breaks.at(end, slack_of(t, end))
-            if orders is not None:
-                met[k] = orders
-        if met:
-            orders = self._carried(field, met)
-            if orders[self.all_seen].min(initial=SMOOTH_ORDER) <= self.ints[BREAK_ORDER]:
-                self.breaks.add(t, orders)
-        few, tight = self.ints[STEPPED] <= 2 and not met, int(self.ints[TIGHT])
-        self.ints[TIGHT] = tight + 1 if few else min(tight, 0)
+        edges = [window_edge(k, side) for k in range(len(self._lags)) for side in "ab"]
+        key = field.mode, field.held
+        if key not in self._reach:
+            self._reach[key] = reach([field])
+        uses, asks = self._reach[key]
+        self._looks(t, x)
+        past = self.past()._replace(uses=uses, asks=asks)
+        unit("past").ended(t, 0, edges.index(fired) if fired else -1, past)
         self.until = t
-
-    def _met(
-        self, k: int, window: Window, t: float, x: np.ndarray, fired: str | None
-    ) -> float | None:
-        """The end of its window that a lag has come to; None if it is on its way."""
-        if k in self.reader.backwards:
-            return window.a
-        here = self._place(k, t, x)
-        slack = slack_of(t, here) * (1e2 if self.moving[k] else 1.0)
-        ended = fired == window_edge(k, "b") or here >= window.b - slack
-        return window.b if ended else None
-
-    def _carried(self, field: Field, seen: dict[int, np.ndarray]) -> np.ndarray:
-        """Orders of the elements where some lags see breaking points."""
-        reach = field.code.reach(field.mode, field.held)
-        own = [
-            1 + min((int(seen[k][e]) for k, e in past if k in seen), default=SMOOTH_ORDER)
-            for _, past in reach
-        ]
-        for _ in own:
-            own = [
-                min(order, 1 + min((own[j] for j in uses if j != i), default=SMOOTH_ORDER))
-                for i, (order, (uses, _)) in enumerate(zip(own, reach, strict=True))
-            ]
-        return np.array(own)

@@ -11,8 +11,9 @@ import attrs
 import numpy as np
 
 from ..lowering import Field
-from ..rules.past import UP_TO, WINDOW_ROUNDING
-from ..rules.places import BREAKS, PIECES_KEPT, WINDOW_DEGREE
+from ..rules.places import BREAKS, PIECES_KEPT, PIECES_KNOWN, WINDOW_DEGREE
+from ..rules.record import UP_TO
+from ..rules.windows import WINDOW_ROUNDING
 from ..segment import Segment, from_values, integrals, nodes
 from ..trajectory.clock import Instant
 from .windows import TO_POWERS
@@ -51,13 +52,6 @@ class Piece:
     orders: np.ndarray | None = None
     rows: np.ndarray | None = None
     frame: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
-
-    @property
-    def slope(self) -> np.ndarray | float:
-        """The rate at its end; 0 where it is no polynomial."""
-        if self.rows is None:
-            return 0.0
-        return (np.arange(len(self.rows)) ** 2) @ self.rows / self.frame[-1]
 
 
 def piece_of(segment: Segment, t0: float, low: float, orders: np.ndarray | None = None) -> Piece:
@@ -155,6 +149,11 @@ class Pieces:
         return int(self.ints[PIECES_KEPT])
 
     @property
+    def full(self) -> bool:
+        """Whether there is no room for one more."""
+        return self.count == len(self.degrees)
+
+    @property
     def ends(self) -> np.ndarray:
         """When they end."""
         return self.spans[: self.count, UP_TO]
@@ -164,7 +163,7 @@ class Pieces:
         if not piece.end > piece.start:
             return
         place, n = self.count, self.dimension
-        if place == len(self.degrees):
+        if self.full:
             self.grow()
         self.spans[place] = (piece.start, piece.end, *piece.frame)
         self.degrees[place] = -1
@@ -192,6 +191,7 @@ class Pieces:
             array[: (kept - count) * size] = array[count * size : kept * size].copy()
         self._others = {k - count: p for k, p in self._others.items() if k >= count}
         self.ints[PIECES_KEPT] = kept - count
+        self.ints[PIECES_KNOWN] -= count
 
     def back_to(self, t: float) -> None:
         """Drop what begins at a time or after it."""
@@ -222,19 +222,11 @@ class Pieces:
         """The latest piece."""
         return self.piece(self.count - 1)
 
-    def within(self, a: float, b: float, slack: float) -> list[Piece]:
-        """Pieces that have a part between two times; the nearest if none has."""
-        first = min(int(np.searchsorted(self.ends, a + slack, side="right")), self.count - 1)
-        begins = self.spans[first : self.count, 0]
-        last = first + int(np.searchsorted(begins, b - slack))
-        return [self.piece(place) for place in range(first, max(last, first + 1))]
-
 
 class Breaks:
     """Breaking points of the record: times in order, and the order of each element there.
 
-    They, too, are in arrays that the rules' own loop adds to. ``slack`` is the distance at which
-    two times are one.
+    They, too, are in arrays that the rules' own loop adds to.
     """
 
     def __init__(self, ints: np.ndarray, dimension: int) -> None:
@@ -283,77 +275,19 @@ class Breaks:
         other.ints, other._times, other._orders = ints, self._times.copy(), self._orders.copy()
         return other
 
-    def after(self, s: float, slack: float) -> float:
-        """The next after a time, infinity if there is none."""
-        place = int(np.searchsorted(self.times, s + slack, side="right"))
-        return float(self.times[place]) if place < len(self.times) else np.inf
-
-    def until(self, s: float, slack: float) -> float:
-        """The last up to a time, minus infinity if there is none."""
-        place = int(np.searchsorted(self.times, s + slack, side="right"))
-        return float(self.times[place - 1]) if place else -np.inf
-
-    def before(self, s: float, slack: float) -> float:
-        """The last before a time, minus infinity if there is none."""
-        place = int(np.searchsorted(self.times, s - slack))
-        return float(self.times[place - 1]) if place else -np.inf
-
-    def at(self, s: float, slack: float) -> np.ndarray | None:
-        """Orders at a time, the least of those that are one; None if there is none."""
-        first = int(np.searchsorted(self.times, s - slack))
-        last = int(np.searchsorted(self.times, s + slack, side="right"))
-        return np.min(self._orders[first:last], axis=0) if first < last else None
-
 
 def slack_of(*times: float) -> float:
     """Times nearer than this are one, if sums of such times are rounded."""
     return 8.0 * ulp(max(map(abs, times)))
 
 
-@attrs.define(eq=False)
-class Window:
-    """A part of the record as one polynomial.
+def window_on(a: float, b: float, values: np.ndarray) -> list[np.ndarray]:
+    """A window through states at its nodes, as the trace takes it: its frame and coefficients.
 
-    ``values`` are the states at its nodes, ``guess`` says which of them are guessed; ``noise`` is
-    what the rounding of times makes of them.
+    What is rounding is left out: on a short window the derivatives of rounding are large.
     """
-
-    a: float
-    b: float
-    values: np.ndarray
-    guess: np.ndarray
-    noise: np.ndarray
-
-    @property
-    def since(self) -> np.ndarray:
-        """Nodes, counted from the start."""
-        return (self.b - self.a) * nodes(WINDOW_DEGREE)
-
-    def shown(self, since: np.ndarray) -> np.ndarray:
-        """What the polynomial shows at times counted from the start."""
-        return chebyshev_sum(2.0 * since / (self.b - self.a) - 1.0, self.series)
-
-    def cut(self, t: float) -> Window:
-        """The same polynomial up to a time, none of it a guess."""
-        known, b = np.zeros(len(self.values), dtype=bool), min(self.b, t)
-        if not self.a < b < self.b:
-            return attrs.evolve(self, guess=known)
-        return Window(
-            self.a, b, self.shown((b - self.a) * nodes(WINDOW_DEGREE)), known, 0.0 * self.noise
-        )
-
-    @property
-    def series(self) -> np.ndarray:
-        """Chebyshev coefficients, one row each."""
-        return from_values(WINDOW_DEGREE) @ self.values
-
-    def arrays(self) -> list[np.ndarray]:
-        """Frame and coefficients, as the trace takes them; what is rounding is left out.
-
-        (On a short window the derivatives of rounding are large.)
-        """
-        frame = np.array([0.5 * self.a + 0.5 * self.b, 0.5 * (self.b - self.a)])
-        series = self.series
-        noise = WINDOW_ROUNDING * np.abs(self.values).max(axis=0) + self.noise
-        heard = np.maximum.accumulate(np.abs(series)[::-1] > noise, axis=0)[::-1]
-        return [frame, TO_POWERS @ np.where(heard, series, 0.0)]
+    frame = np.array([0.5 * a + 0.5 * b, 0.5 * (b - a)])
+    series = from_values(WINDOW_DEGREE) @ values
+    noise = WINDOW_ROUNDING * np.abs(values).max(axis=0)
+    heard = np.maximum.accumulate(np.abs(series)[::-1] > noise, axis=0)[::-1]
+    return [frame, TO_POWERS @ np.where(heard, series, 0.0)]

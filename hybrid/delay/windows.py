@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from ..automaton.past import blank
 from ..rules.places import KIND, NONE, RELEASE, TO, WINDOW_DEGREE
 
 if TYPE_CHECKING:
+    from ..lowering import Field
     from ..lowering.automaton import Tables
     from ..rules.arrays import AutomatonArrays
 
@@ -101,7 +103,7 @@ class Shown:
                 after[:2] = ends[:2]
             ends = after
         return Links(
-            *self._reach(),
+            *reach(self.tables.fields),
             np.ascontiguousarray(np.concatenate([_table([], 2), *given])),
             np.ascontiguousarray(self._windows(_table(self.tables.bounds.given, 2))),
             _table(parts, 6),
@@ -116,12 +118,13 @@ class Shown:
         among = (given[:, 1] >= self.first) & (given[:, 1] < self.first + self.count)
         return given[among] - [0, self.first]
 
-    def _reach(self) -> tuple[np.ndarray, np.ndarray]:
-        """What each element's derivative depends on, at present and of the past."""
-        spec, uses, asks = self.tables.scene.spec, [], []
-        n, lags = spec.dimension, len(spec.lags)
-        for field in self.tables.fields:
-            for used, asked in field.code.reach(field.mode, field.held):
-                uses.append([int(j in used) for j in range(n)])
-                asks.append([int((k, e) in asked) for k in range(lags) for e in range(n)])
-        return _table(uses, n), _table(asks, lags * n)
+
+def reach(fields: Sequence[Field]) -> tuple[np.ndarray, np.ndarray]:
+    """What each element's derivative depends on in some fields, at present and of the past."""
+    spec, uses, asks = fields[0].code.spec, [], []
+    n, lags = spec.dimension, len(spec.lags)
+    for field in fields:
+        for used, asked in field.code.reach(field.mode, field.held):
+            uses.append([int(j in used) for j in range(n)])
+            asks.append([int((k, e) in asked) for k in range(lags) for e in range(n)])
+    return _table(uses, n), _table(asks, lags * n)

@@ -365,15 +365,16 @@ class Changes(NamedTuple):
 
 
 class PastArrays(NamedTuple):
-    """What flows look back on, of ``n`` states and some constant lags (:mod:`.past`).
+    """What flows look back on, of ``n`` states and some lags (:mod:`.past`).
 
     Attributes
     ----------
     floats, ints : Floats, Ints
         Places as in :mod:`.places`.
-    lags : Floats
+    lags, moves : Floats, Ints
+        The lags, as they are when windows are read, and how each of them moves.
     spans : Matrix
-        A row for each piece of the record, columns as in :mod:`.past`.
+        A row for each piece of the record, columns as in :mod:`.windows`.
     degrees : Ints
         Their degrees; below zero where a piece is no polynomial.
     rows : Matrix
@@ -381,7 +382,7 @@ class PastArrays(NamedTuple):
     times, orders : Floats, Table
         Breaking points, and the orders of the elements there.
     windows : Matrix
-        For each lag where its window begins and ends, and how long the next may be.
+        A row for each lag, columns as in :mod:`.windows`.
     seen, heard : Table, Ints
         The elements that are seen through a lag, and through any.
     uses, asks : Table
@@ -398,13 +399,20 @@ class PastArrays(NamedTuple):
         from these to powers; and from terms of a step to Chebyshev coefficients.
     own, least, values
         To work in.
+    told : Matrix
+        Values of the record that have been asked for, a row for each element of the state.
+    present : Floats
+        The state when windows are read.
     start, signs : Floats, Ints
         The state where the present arc has gone on through windows, and the signs of guards.
+    floats_before, ints_before, before : Floats, Ints, Matrix
+        What the loop's state was where the present guess began, but for those.
     """
 
     floats: Floats
     ints: Ints
     lags: Floats
+    moves: Ints
     spans: Matrix
     degrees: Ints
     rows: Matrix
@@ -431,5 +439,10 @@ class PastArrays(NamedTuple):
     own: Ints
     least: Table
     values: Matrix
+    told: Matrix
+    present: Floats
     start: Floats
     signs: Ints
+    floats_before: Floats
+    ints_before: Ints
+    before: Matrix

@@ -1,9 +1,10 @@
 """The loop of a run whose flows look a constant lag back: from window to window of the past.
 
 :mod:`.runs` flies as far as the present windows hold. Here what has been flown is put down as the
-record, in pieces, with its breaking points; at the end of a window the next one is read off the
-record, as ``docs/notes/delays.md`` says. What is not plain is left to :mod:`hybrid.delay.memory`,
-which has the same record: windows on functions of the caller's, and such as are guessed.
+record, in pieces, with its breaking points; at the end of a window the next one is read
+(:mod:`.windows`), as ``docs/notes/delays.md`` says; if it was a guess that does not hold, what has
+been flown is taken back. What is not plain is left to :mod:`hybrid.delay.memory`, which has the
+same record: windows on functions of the caller's, and guesses in which something fires.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from .arcs import copied
 from .arrays import AutomatonArrays, Floats, Left, Look, Now, PastArrays, Room, Sums
 from .chebyshev import value
 from .flights import fly
+from .guesses import SINCE_PLACE, TO_PLACE
 from .jets import steady
 from .lengths import LAST_TERMS
 from .places import (
@@ -27,14 +29,20 @@ from .places import (
     CURVE_DEGREE,
     CURVE_ROWS,
     END,
+    EXPANSIONS,
     FIELD,
     FIELD_PROGRAM,
     FINAL,
+    FLIGHTS,
     FLIGHTS_DONE,
+    FOUND,
     FULL,
     GOES_ON,
     GUARDS,
     GUARDS_END,
+    GUESSED,
+    GUESSED_FROM,
+    HOLDS,
     IN_ARC,
     JUMPS_BEFORE,
     JUMPS_DONE,
@@ -49,43 +57,37 @@ from .places import (
     PIECES_KEPT,
     RATIO,
     REMAINING,
-    RTOL,
     SERVES_UNTIL,
     SINCE,
     SINCE_LOW,
     STEPPED,
+    STEPS_BEFORE,
     STEPS_DONE,
     STEPS_MADE,
     SUMS_DONE,
     TAILS,
     TAU,
     TIGHT,
-    TIGHTEST,
     WALKS,
     WINDOW,
-    WINDOW_DEGREE,
     T,
 )
 from .polynomials import power_value
+from .record import UP_TO, allowed, broken, following, kept, put, slack
 from .runs import go
 from .sums import STATE_THERE, on_curve
 from .tails import count
+from .windows import BACKWARDS, FIXED, MOVES_ON, confirmed, nearer_guess, read
 
-__all__ = ("bound", "look_back", "read")
+__all__ = ("bound", "ended", "look_back")
 
-#: Numbers of a window's frame.
-FRAME = 2
+#: The order of an element that is smooth; the highest of breaking points that are noted once a lag
+#: has turned back over its past: each is seen many times, and those times are themselves seen many
+#: times.
+SMOOTH_ORDER, TURNING = 1000000, 2
 
-#: Columns of a piece's row: where it begins and ends; the time from which it is counted, in two
-#: floats, and there its middle and half its length.
-BEGIN, UP_TO, FROM, FROM_LOW, PIECE_MIDDLE, PIECE_HALF = range(6)
-
-#: What a window may differ from the record, against the tolerance of a step; rounding of what it
-#: shows, and of its series; the order of an element that is smooth.
-WINDOW_SHARE, SHOWN_ROUNDING, WINDOW_ROUNDING, SMOOTH_ORDER = 0.1, 4e-16, 1e-15, 1000000
-
-#: Times nearer than this many roundings are one; windows this many times as long are not halved.
-SAME_TIME_ROUNDINGS, UNHALVED = 8.0, 1e3
+#: A lag that moves is at the end of its window as far as this many of the times that are one.
+AT_THE_END = 1e2
 
 #: A flight as short as this many spacings of the time is no longer a piece of its own.
 BRIEF_FLIGHT = 1e4
@@ -113,20 +115,74 @@ def look_back(
     while True:
         if status == GOES_ON:
             status = go(a, run, now, room, left, sums, look)
-        if status == MAKE:
+        t, _ = after(now.floats[T], now.floats[LOW], now.floats[TAU])
+        if past.ints[GUESSED] == 1 and (status != END or now.ints[JUMPS_MADE] > past.ints[IN_ARC]):
+            first = (
+                left.when[past.ints[IN_ARC], 0] if now.ints[JUMPS_MADE] > past.ints[IN_ARC] else t
+            )
+            back(now, past)
+            found = nearer_guess(past.floats[GUESSED_FROM], first, past)
+        elif status == MAKE:
             return status
-        if not recorded(a, now, left, sums, past, status):
+        elif not recorded(a, now, left, sums, past, status):
             past.ints[AGAIN] = status
             return NO_ROOM
-        if status != END or past.floats[SERVES_UNTIL] >= past.floats[FINAL]:
-            return status
-        t, _ = after(now.floats[T], now.floats[LOW], now.floats[TAU])
-        passed(now, t, past)
-        if read(t, past) == 0:
+        else:
+            found = holds(now, t, past) if past.ints[GUESSED] == 1 else HOLDS
+        if found == HOLDS:
+            if status != END or past.floats[SERVES_UNTIL] >= past.floats[FINAL]:
+                return status
+            if past.ints[PIECES_KEPT] == past.degrees.shape[0]:  # a guess is a piece, too
+                past.ints[AGAIN] = status
+                return NO_ROOM
+            passed(now, t, past)
+            found = read(t, False, past)
+            tried(now, t, past)
+        if found != FOUND:
             return WINDOW
         run[LAST_TIME] = past.floats[SERVES_UNTIL]
         bound(a, past, room)
         status = GOES_ON
+
+
+# -- guesses --------------------------------------------------------------------------------
+
+
+def tried(now: Now, t: float, past: PastArrays) -> None:
+    """Keep the state from which windows are flown that may be guesses."""
+    copied(now.floats, past.floats_before)
+    copied(now.x, past.before[0])
+    copied(now.seen, past.before[1])
+    for k in range(now.ints.shape[0]):
+        past.ints_before[k] = now.ints[k]
+    past.floats[GUESSED_FROM], past.ints[STEPS_BEFORE] = t, past.ints[STEPS_DONE]
+
+
+def holds(now: Now, t: float, past: PastArrays) -> int:
+    """Whether a guess, flown up to a time, holds; if not it is taken back, and other windows have
+    been read. The status as in :func:`.confirmed`."""
+    since = past.floats[GUESSED_FROM]
+    found = confirmed(since, t - since, past)
+    if found == HOLDS:
+        past.ints[GUESSED] = 0
+    else:
+        back(now, past)
+    return found
+
+
+def back(now: Now, past: PastArrays) -> None:
+    """Be again where a guess began: behind steps of an arc that goes on."""
+    copied(past.floats_before, now.floats)
+    copied(past.before[0], now.x)
+    copied(past.before[1], now.seen)
+    copied(past.start, now.end)
+    for k in range(now.ints.shape[0]):
+        if k != EXPANSIONS and k != FLIGHTS:
+            now.ints[k] = past.ints_before[k]
+    now.ints[FLIGHTS] += 1  # what was tied, or spent, in what is taken back is so no more
+    for g in range(now.signs.shape[0]):
+        now.signs[g] = past.signs[g]
+    past.ints[STEPS_DONE] = past.ints[STEPS_BEFORE]
 
 
 # -- the record ---------------------------------------------------------------------------
@@ -174,23 +230,6 @@ def step(left: Left, past: PastArrays, place: int, n: int) -> None:
     kept(past)
 
 
-def put(past: PastArrays, t: float, low: float, start: float, length: float) -> None:
-    """The row of a new piece; its series are still to be put down."""
-    place = past.ints[PIECES_KEPT]
-    span = past.spans[place]
-    span[BEGIN], span[UP_TO] = t + (low + start), t + (low + (start + length))
-    span[FROM], span[FROM_LOW] = t, low
-    span[PIECE_MIDDLE], span[PIECE_HALF] = start + 0.5 * length, 0.5 * length
-    past.degrees[place] = 0
-
-
-def kept(past: PastArrays) -> None:
-    """Keep the piece that has been put down, if it has a length."""
-    span = past.spans[past.ints[PIECES_KEPT]]
-    if span[UP_TO] > span[BEGIN]:
-        past.ints[PIECES_KEPT] += 1
-
-
 def turned(past: PastArrays, i: int, c: Floats, length: float, n: int) -> None:
     """An element's power series over a step, by Chebyshev polynomials; nothing if nobody sees it.
 
@@ -217,19 +256,6 @@ def jumped(left: Left, past: PastArrays, jump: int, t: float) -> None:
     for i in range(past.own.shape[0]):
         past.own[i] = 1 if left.before[jump, i] == left.after[jump, i] else 0
     broken(past, t)
-
-
-def broken(past: PastArrays, t: float) -> None:
-    """Note a breaking point, of the orders in ``past.own``; those at one time are one."""
-    place = past.ints[BREAKS]
-    if place > 0 and t <= past.times[place - 1] + slack(t):
-        for i in range(past.own.shape[0]):
-            past.orders[place - 1, i] = min(past.orders[place - 1, i], past.own[i])
-        return
-    past.times[place] = t
-    for i in range(past.own.shape[0]):
-        past.orders[place, i] = past.own[i]
-    past.ints[BREAKS] = place + 1
 
 
 def tail_kept(
@@ -303,44 +329,56 @@ def near(limit: Floats, sums: Sums, past: PastArrays, pieces: int) -> bool:
     return True
 
 
-def allowed(past: PastArrays, i: int, size: float) -> float:
-    """What a window may differ from an element of the record of this size."""
-    return WINDOW_SHARE * (past.atol[i] + past.floats[RTOL] * size) + SHOWN_ROUNDING * size
-
-
-def slack(t: float) -> float:
-    """Times nearer to this one are it, if sums of such times are rounded."""
-    return SAME_TIME_ROUNDINGS * (math.nextafter(abs(t), math.inf) - abs(t))
-
-
 # -- the end of windows -------------------------------------------------------------------
 
 
 def passed(now: Now, t: float, past: PastArrays) -> None:
-    """Let the arc go on where windows end: note the breaking point that follows from theirs."""
-    n, lags, any_met = past.own.shape[0], past.lags.shape[0], False
-    for k in range(lags):
-        here, b, place = t - past.lags[k], past.windows[k, 1], -1
-        for e in range(n):
-            past.least[k, e] = SMOOTH_ORDER
-        if here >= b - max(slack(t), slack(here)):
-            apart = max(slack(t), slack(b))
-            place = following(past, b - apart, False)
-            while place < past.ints[BREAKS] and past.times[place] <= b + apart:
-                any_met = True
-                for e in range(n):
-                    past.least[k, e] = min(past.least[k, e], past.orders[place, e])
-                place += 1
-    if any_met and carried(now.ints[FIELD], past) <= past.ints[BREAK_ORDER]:
-        broken(past, t)
-    few = past.ints[STEPPED] <= 2 and not any_met
-    past.ints[TIGHT] = past.ints[TIGHT] + 1 if few else min(past.ints[TIGHT], 0)
+    """Let the arc go on where windows end."""
+    ended(t, now.ints[FIELD], -1, past)
     now.ints[PHASE] = WALKS
     now.ints[STEPS_MADE] -= now.ints[MADE]
     past.ints[IN_ARC], past.floats[BEGAN] = now.ints[JUMPS_MADE], now.floats[TAU]
     copied(now.end, past.start)
+    copied(now.end, past.present)
     for g in range(now.signs.shape[0]):
         past.signs[g] = now.signs[g]
+
+
+def ended(t: float, field: int, fired: int, past: PastArrays) -> None:
+    """Note the breaking point that follows, in a field, from those at which windows end.
+
+    ``fired``: of lags that move, that which has come to the end of its window times two, and one
+    more at the end ahead; -1 if none has.
+    """
+    n, any_met = past.own.shape[0], False
+    for k in range(past.lags.shape[0]):
+        met, end = meets(k, t, fired, past)
+        for e in range(n):
+            past.least[k, e] = SMOOTH_ORDER
+        if met:
+            apart = max(slack(t), slack(end))
+            place = following(past, end - apart, False)
+            while place < past.ints[BREAKS] and past.times[place] <= end + apart:
+                any_met = True
+                for e in range(n):
+                    past.least[k, e] = min(past.least[k, e], past.orders[place, e])
+                place += 1
+    if any_met and carried(field, past) <= past.ints[BREAK_ORDER]:
+        broken(past, t)
+    few = past.ints[STEPPED] <= 2 and not any_met
+    past.ints[TIGHT] = past.ints[TIGHT] + 1 if few else min(past.ints[TIGHT], 0)
+
+
+def meets(k: int, t: float, fired: int, past: PastArrays) -> tuple[bool, float]:
+    """Whether a lag has come to the end of its window; which one that is."""
+    here, apart, frame = t - past.lags[k], max(slack(t), slack(t - past.lags[k])), past.windows[k]
+    if past.moves[k] == FIXED:
+        return here >= frame[TO_PLACE] - apart, frame[TO_PLACE]
+    past.moves[k] = BACKWARDS if fired == 2 * k else MOVES_ON
+    if past.moves[k] == BACKWARDS:
+        past.ints[BREAK_ORDER] = min(past.ints[BREAK_ORDER], TURNING)
+        return True, frame[SINCE_PLACE]
+    return fired == 2 * k + 1 or here >= frame[TO_PLACE] - AT_THE_END * apart, frame[TO_PLACE]
 
 
 def carried(field: int, past: PastArrays) -> int:
@@ -366,151 +404,6 @@ def carried(field: int, past: PastArrays) -> int:
         if past.heard[i] == 1:
             least = min(least, own[i])
     return least
-
-
-def following(past: PastArrays, t: float, later: bool) -> int:
-    """The place of the first breaking point at a time or after it; or ``later``, after it."""
-    low, high = 0, past.ints[BREAKS]
-    while low < high:
-        middle = (low + high) // 2
-        if past.times[middle] < t or (later and past.times[middle] == t):
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-def next_break(past: PastArrays, s: float, apart: float) -> float:
-    """The first breaking point after a time."""
-    place = following(past, s + apart, True)
-    return past.times[place] if place < past.ints[BREAKS] else math.inf
-
-
-# -- windows ------------------------------------------------------------------------------
-
-
-def read(t: float, past: PastArrays) -> int:
-    """Read windows off the record, into ``past.shown``; 1 if it could be done.
-
-    It cannot where the record is a function, where a lag is shorter than steps, and where the
-    record is rough or not finite.
-    """
-    end, shortest = past.floats[FINAL], math.inf
-    for k in range(past.lags.shape[0]):
-        shortest = min(shortest, past.lags[k])
-    if not shortest > slack(t):
-        return 0
-    if next_break(past, t - shortest, slack(t)) <= t:
-        past.ints[TIGHT] = 0
-    elif past.ints[TIGHT] >= past.ints[TIGHTEST]:
-        return 0
-    for k in range(past.lags.shape[0]):
-        s = t - past.lags[k]
-        b = window(k, t, s, end - t, past)
-        if math.isnan(b):
-            return 0
-        end = min(end, b + (t - s))
-    past.floats[SERVES_UNTIL] = min(past.floats[FINAL], max(end, t + slack(t)))
-    past.ints[STEPPED] = 0
-    return 1
-
-
-def window(k: int, t: float, s: float, length: float, past: PastArrays) -> float:
-    """The end of a window of a lag that looks at ``s``; NaN if there is none."""
-    apart = max(slack(t), slack(s))
-    b = min(min(next_break(past, s, apart), t), min(s + length, s + past.windows[k, 2]))
-    b = max(b, s + apart)
-    whole, first, high = b - s, 0, past.ints[PIECES_KEPT]
-    while first < high:
-        middle = (first + high) // 2
-        if past.spans[middle, UP_TO] > s + apart:
-            high = middle
-        else:
-            first = middle + 1
-    first = min(first, past.ints[PIECES_KEPT] - 1)
-    while True:
-        last = first + 1
-        while last < past.ints[PIECES_KEPT] and past.spans[last, BEGIN] < min(b, t) - apart:
-            last += 1
-        for piece in range(first, last):
-            if past.degrees[piece] < 0:
-                return math.nan
-        exact = last == first + 1 and past.degrees[first] <= WINDOW_DEGREE
-        fine, finite = shown(k, t, s, b, first, last, past)
-        if not finite:
-            return math.nan
-        if exact or fine:
-            if b - s < whole or whole >= past.windows[k, 2]:
-                past.windows[k, 2] = 2.0 * (b - s)
-            past.windows[k, 0], past.windows[k, 1] = s, b
-            return b
-        if b - s <= UNHALVED * apart:
-            return math.nan
-        b = shorter(s, b, first, last, apart, past)
-
-
-def shorter(s: float, b: float, first: int, last: int, apart: float, past: PastArrays) -> float:
-    """A nearer end: that of a piece, the middle one of them, or the middle."""
-    low, high = first, last
-    while low < high and not past.spans[low, UP_TO] > s + apart:
-        low += 1
-    while high > low and not past.spans[high - 1, UP_TO] < b - apart:
-        high -= 1
-    return past.spans[low + (high - low) // 2, UP_TO] if high > low else 0.5 * (s + b)
-
-
-def shown(
-    k: int, t: float, a: float, b: float, first: int, last: int, past: PastArrays
-) -> tuple[bool, bool]:
-    """Put down what a window shows of pieces of the record; whether its polynomial is the record,
-    as far as the run can tell, and whether that is finite."""
-    n, fine, share = past.own.shape[0], True, 0.5 * max(slack(t), slack(a)) / (b - a)
-    base = k * (FRAME + (WINDOW_DEGREE + 1) * n)
-    past.shown[base], past.shown[base + 1] = 0.5 * a + 0.5 * b, 0.5 * (b - a)
-    for i in range(n):
-        if past.seen[k, i] == 1:
-            low, high, size, piece = math.inf, -math.inf, 0.0, first
-            for j in range(WINDOW_DEGREE + 1):
-                since = (b - a) * past.nodes[j]
-                while piece + 1 < last and past.spans[piece + 1, BEGIN] - a <= since:
-                    piece += 1
-                value = at(past, piece, i, a, since)
-                if not math.isfinite(value):
-                    return False, False
-                past.values[0, j] = value
-                low, high, size = min(low, value), max(high, value), max(size, abs(value))
-            noise, rest = share * (high - low), 0.0
-            heard = False
-            for j in range(WINDOW_DEGREE, -1, -1):
-                term = 0.0
-                for m in range(WINDOW_DEGREE + 1):
-                    term += past.series[j, m] * past.values[0, m]
-                rest += abs(term) if j > WINDOW_DEGREE - 3 else 0.0
-                heard = heard or abs(term) > WINDOW_ROUNDING * size + noise
-                past.values[1, j] = term if heard else 0.0
-            fine = fine and rest <= allowed(past, i, size) + noise
-            for j in range(WINDOW_DEGREE + 1):
-                power = 0.0
-                for m in range(j, WINDOW_DEGREE + 1):
-                    power += past.powers[j, m] * past.values[1, m]
-                past.shown[base + FRAME + j * n + i] = power
-    return fine, True
-
-
-def at(past: PastArrays, piece: int, i: int, s: float, since: float) -> float:
-    """An element of the record at ``s + since``, by Clenshaw's rule.
-
-    In two parts, so that on a short window it does not drown in the rounding of the time.
-    """
-    row, degree = past.rows[piece * past.own.shape[0] + i], past.degrees[piece]
-    if degree == 0:
-        return row[0]
-    span = past.spans[piece]
-    here = ((((s - span[FROM]) - span[FROM_LOW]) - span[PIECE_MIDDLE]) + since) / span[PIECE_HALF]
-    value, before = 0.0, 0.0
-    for j in range(degree, 0, -1):
-        value, before = row[j] + 2.0 * here * value - before, value
-    return row[0] + here * value - before
 
 
 def bound(a: AutomatonArrays, past: PastArrays, room: Room) -> None:

@@ -38,8 +38,9 @@ MAX_STEP, REST_AFTER, CLOSING, METHOD_ORDER, STEP_LOSS, TOLERANCES = range(6, 12
 
 #: Places in a state's floats: the time in two; the local time; the speed at which a sum was tried
 #: last; the local time at which a step ends; where the solver is to step to, or to land; where the
-#: arc is expected to end; the length of its first step; the gap speed after an impact.
-T, LOW, TAU, TRIED, STEP_END, TO_TAU, AIM, FIRST_LENGTH, GAP_SPEED = range(9)
+#: arc is expected to end; the length of its first step; the gap speed after an impact; how
+#: many there are.
+T, LOW, TAU, TRIED, STEP_END, TO_TAU, AIM, FIRST_LENGTH, GAP_SPEED, STATE_FLOATS = range(10)
 
 #: Places in a state's integers: the field and the guard last used; the series of impacts; whether
 #: the driver has looked at the arc's start; jumps and steps kept, and expansions made; then what
@@ -48,8 +49,8 @@ T, LOW, TAU, TRIED, STEP_END, TO_TAU, AIM, FIRST_LENGTH, GAP_SPEED = range(9)
 #: flight that begins is one so low that the gap would drown in rounding, and whether one ends; and
 #: arcs flown that take time.
 FIELD, FIRED, SERIES, IMPACT_COUNT, ENTERED, JUMPS_MADE, STEPS_MADE, EXPANSIONS = range(8)
-PHASE, MADE, EVENT, CROSSED, LANDINGS_TRIED, TAILS, GUARD_POWER, LOW_AHEAD, WAS_LOW = range(8, 17)
-FLIGHTS = 17
+PHASE, MADE, EVENT, CROSSED, LANDINGS_TRIED, TAILS, GUARD_POWER, LOW_AHEAD = range(8, 16)
+WAS_LOW, FLIGHTS, STATE_INTS = range(16, 19)
 
 #: Columns of the zeros of guards in a step: when each fires; by how much what its series leaves
 #: open may move that; and how far it was off zero where the arc began, if it vanishes there.
@@ -78,16 +79,29 @@ WINDOW, NO_ROOM = range(13, 15)
 
 #: Places in the floats of a past: the last time, the relative tolerance, until when the windows
 #: serve; the start of the arc whose steps are put down next, in two floats; the local time at which
-#: the present arc has gone on through windows.
-FINAL, RTOL, SERVES_UNTIL, SINCE, SINCE_LOW, BEGAN = range(6)
+#: the present arc has gone on through windows; the first time. Of guesses: the length of windows,
+#: 0 without any, the shortest lag, how wrong the last was, the most that the next may span, and
+#: when the present one began. Where the record was rough first; between which times values of it
+#: are asked for, or where it is wrong.
+FINAL, RTOL, SERVES_UNTIL, SINCE, SINCE_LOW, BEGAN, STARTED = range(7)
+STRIDE, SHORTEST_LAG, WRONG, MOST, GUESSED_FROM, ROUGH_FROM = range(7, 13)
+ASKED_FROM, ASKED_UNTIL, PAST_FLOATS = range(13, 16)
 
 #: Places in its integers: pieces and breaking points; of what a call leaves steps, jumps, sums, and
 #: flights of a sum, that have been put down; steps since the windows were read, windows in a row
-#: that were one step long, and after how many the driver is asked; the highest order of breaking
-#: points that are noted; the arc that has gone on through windows; a status to be given once there
-#: is room.
+#: that were one step long; the highest order of breaking points that are noted; the arc that has
+#: gone on through windows; a status to be given once there is room. Whether the windows show a
+#: guess, guesses at them so far, how many windows without any follow one that was not worth it, the
+#: pieces that are known, and the steps that were put down before it. Places at which the record was
+#: rough; the lag for whose window values are asked for, -1 if none are, and of which pieces.
 PIECES_KEPT, BREAKS, STEPS_DONE, JUMPS_DONE, SUMS_DONE, FLIGHTS_DONE = range(6)
-STEPPED, TIGHT, TIGHTEST, BREAK_ORDER, IN_ARC, AGAIN = range(6, 12)
+STEPPED, TIGHT, BREAK_ORDER, IN_ARC, AGAIN = range(6, 11)
+GUESSED, GUESSES, REST_OF_GUESSES, PIECES_KNOWN, STEPS_BEFORE, ROUGH_PLACES = range(11, 17)
+ASKING, ASKED, ASKED_UP_TO, PAST_INTS = range(17, 21)
+
+#: What comes of reading windows: they are found; values of the record are asked for; it is not
+#: finite, or rough; what was guessed holds; a lag is next to nothing, and no guess does.
+FOUND, ASKS_VALUES, RECORD_NOT_FINITE, ROUGH, HOLDS, NEXT_TO_NOTHING = range(6)
 
 #: Degree of the polynomial on a window of the past.
 WINDOW_DEGREE = 12

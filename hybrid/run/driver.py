@@ -108,8 +108,6 @@ class Driver:
         if self.history is not None:
             order = self.solver.order
             self.record.memory = Memory(self.scene, self.plan, order, self.history, x)
-            if self.solver.whole and not any(self.scene.code.moving):
-                self.record.memory.looped()
         base, held = parted(mode)
         self.enter(base, x, Jumped(held=held, starting=True))
         try:

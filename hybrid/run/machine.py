@@ -58,6 +58,8 @@ from ..rules.places import (
     SEES,
     SERIES,
     SHOW,
+    STATE_FLOATS,
+    STATE_INTS,
     STEP,
     STEP_END,
     STEPS_DONE,
@@ -154,7 +156,7 @@ class Machine:
         sums = float(summed), plan.closing
         given = [plan.t1, plan.limit, plan.rtol, *series, *steps, *sums, *last]
         self.run = np.array(given, dtype=float)
-        self.floats, self.ints = np.zeros(9), np.zeros(FLIGHTS + 1, dtype=np.int64)
+        self.floats, self.ints = np.zeros(STATE_FLOATS), np.zeros(STATE_INTS, dtype=np.int64)
         self.states = np.zeros((3, n))
         self.size: tuple[int, ...] = (JUMPS_KEPT, STEPS_KEPT)
         self.passed = False
@@ -201,12 +203,17 @@ class Machine:
                     continue
                 driver.watch = Watch(*self._series())
                 return
-            self._tell(0.0 if ended else self._hold(left), left)
-            if ended or self._spent(status, left):
+            stands = not ended and status in (END, JUMP)
+            if stands:
+                driver.watch = Watch(*self._series())
+                self._stand(left, status)
+            self._tell(0.0 if ended or stands else self._hold(left), left)
+            if ended or stands or self._spent(status, left):
                 return
             driver.watch = Watch(*self._series())
             if status != FULL:
-                self._stand(left, status)
+                driver.tied = self._tied()
+                driver.look_again()
                 return
             self.size = tuple(min(ROOM_GROWTH * size, MOST_ROOM) for size in self.size)
             if self.past is not None and not self.takes():
@@ -618,13 +625,13 @@ class Machine:
         return field.guards[field.column(guard.edge)]
 
     def _stand(self, left: Left, status: int) -> None:
-        """Where the loop stopped: at the end, at a jump to judge, or at an arc to fly anew."""
+        """Where the loop stopped: at the end, or at a jump to judge."""
         driver, place = self.driver, int(self.ints[JUMPS_MADE])
         speed = float(self.floats[GAP_SPEED])
         if status == END:
             self._last(left)
             driver.status = Status.REACHED_END
-        elif status == JUMP:
+        else:
             driver.tied = self._tied()
             before = self._last(left)
             if driver.record.memory is not None:
@@ -634,9 +641,6 @@ class Machine:
                 driver.bounce(self._fired, before, left.after[place], speed)
             else:
                 driver.jump(self._fired, before)
-        else:
-            driver.tied = self._tied()
-            driver.look_again()
 
     def _tied(self) -> dict[str, int]:
         """By edge the sign before its zero, of guards that were zero when the last flight ended."""

@@ -8,7 +8,7 @@ from math import ulp
 import attrs
 import numpy as np
 
-from ..delay.pieces import Window
+from ..delay.pieces import window_on
 from ..delay.windows import TO_POWERS
 from ..errors import OrbitError
 from ..rules.limits import SAME_FLOW
@@ -211,8 +211,7 @@ class Carried:
                 )
             places = ((a - frame[0]) + points) / frame[1]
             values = np.vander(places, WINDOW_DEGREE + 1, increasing=True) @ powers
-            known = np.zeros(len(values), dtype=bool)
-            windows += Window(a, a + width, values, known, np.zeros(values.shape[1])).arrays()
+            windows += window_on(a, a + width, values)
             moved = past.within(a + points, a, a + width)
             series = np.tensordot(TO_POWERS @ from_values(WINDOW_DEGREE), moved, 1)
             rows += [np.zeros((2, moved.shape[2])), series.reshape(-1, moved.shape[2])]
