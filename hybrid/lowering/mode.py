@@ -8,7 +8,6 @@ grows as a power of its contacts, and not with their subsets.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from enum import StrEnum
 from functools import cached_property
@@ -18,7 +17,6 @@ import attrs
 import numpy as np
 
 from ..automaton.spec import ContactSpec, LeaveSpec
-from .arithmetic import solve
 from .contact import Pairing
 from .derivatives import along, gradient, parts, solved, times
 from .graph import Graph
@@ -66,6 +64,12 @@ class Normal:
     normal: list[int]
     push: list[int]
     weight: int
+
+    def way(self, of_speed: bool) -> dict[int, int]:
+        """How an impulse moves the velocities, or the gradient the positions: by element."""
+        if of_speed:
+            return dict(zip(self.pairing.velocities, self.push, strict=True))
+        return dict(zip(self.pairing.positions, self.normal, strict=True))
 
 
 class ModeGraph:
@@ -178,23 +182,29 @@ class ModeGraph:
 
     # -- contacts held --------------------------------------------------------------------
 
-    def acts(self, one: Normal, other: Normal) -> int:
-        """Change of a gap's speed by an impulse of another contact."""
-        pushed = dict(zip(other.pairing.velocities, other.push, strict=True))
-        felt = zip(one.pairing.velocities, one.normal, strict=True)
-        return self.graph.dot([(n, pushed[place]) for place, n in felt if place in pushed])
-
     @cached_property
     def forces(self) -> dict[str, int]:
         """Multipliers that hold the gaps' accelerations at zero; 0 for those that are not held."""
+        return self._shares("acceleration", True)
+
+    def _shares(self, rate: str, of_speed: bool) -> dict[str, int]:
+        """What moves along the contacts, of the velocities or of the positions, together take away
+        from the gaps of those held, or from a rate of these; 0 for the others."""
         contacts = {name: self.contact(name) for name in self.resting}
+        ways = {name: contact.way(of_speed) for name, contact in contacts.items()}
+        felt = {
+            name: dict(zip(ways[name], contact.normal, strict=True))
+            for name, contact in contacts.items()
+        }
         matrix = {
-            (i, j): self.acts(contacts[i], contacts[j]) for i in self.resting for j in self.resting
+            (i, j): self.graph.dot([(n, ways[j][k]) for k, n in felt[i].items() if k in ways[j]])
+            for i in self.resting
+            for j in self.resting
         }
         linked = {pair: self.graph.value(a) != 0 for pair, a in matrix.items()}
         found: dict[str, int] = {}
         for group in _groups(self.resting, linked):
-            wanted = [self.graph.node("neg", contacts[i].acceleration) for i in group]
+            wanted = [self.graph.node("neg", getattr(contacts[i], rate)) for i in group]
             rows = [[matrix[i, j] for j in group] for i in group]
             mask = [self.mask[self.resting.index(i)] for i in group]
             if len(group) == 1:
@@ -214,13 +224,23 @@ class ModeGraph:
     @cached_property
     def along_contacts(self) -> list[int]:
         """The flow along the contacts held."""
-        graph, forces = self.graph, self.forces
-        changes: list[list[int]] = [[] for _ in self.x]
+        return self._along_contacts(self.free, self.forces, True)
+
+    def onto(self, of_speed: bool) -> list[int]:
+        """The state moved along the contacts held: their gaps, or gap speeds, are taken away to
+        first order."""
+        shares = self._shares("speed" if of_speed else "gap", of_speed)
+        return self._along_contacts(self.x, shares, of_speed)
+
+    def _along_contacts(
+        self, start: Sequence[int], shares: Mapping[str, int], of_speed: bool
+    ) -> list[int]:
+        graph = self.graph
+        changes: list[list[int]] = [[] for _ in start]
         for name, mask in zip(self.resting, self.mask, strict=True):
-            contact = self.contact(name)
-            for place, push in zip(contact.pairing.velocities, contact.push, strict=True):
-                changes[place].append(self._if_held(mask, times(graph, forces[name], push)))
-        pairs = zip(self.free, changes, strict=True)
+            for place, way in self.contact(name).way(of_speed).items():
+                changes[place].append(self._if_held(mask, times(graph, shares[name], way)))
+        pairs = zip(start, changes, strict=True)
         return [graph.node("add", f, graph.total(c)) for f, c in pairs]
 
     @cached_property
@@ -355,7 +375,7 @@ class ModeGraph:
         """Names of the guards: all that are declared, and with contacts held their loads."""
         return [*self.closed, *(f"{name}{RELEASE_SUFFIX}" for name in self.resting if held)]
 
-    def projection(self, held: Sequence[str], numbers: Sequence[float]) -> Scalar:
+    def projection(self, numbers: Sequence[float]) -> Scalar:
         """The state moved onto all gaps 0 (two Newton steps) and all gap speeds 0.
 
         Parameters
@@ -363,79 +383,9 @@ class ModeGraph:
         numbers
             Values of parameters and mask.
         """
-        program, of_gap, of_speed = self.code.once(
-            ("onto", self.kept, *held), lambda: self._onto(held)
-        )
-        geometry, onto = program.bind(numbers), (of_gap, of_gap, of_speed)
-
-        def project(t: float, x: Sequence[float]) -> tuple[float, ...]:
-            known, values, made = None, (), None
-            for step in onto:
-                if x != known:
-                    known, values, made = x, geometry(t, x), None
-                if step is not made:  # the same step from the same state leads no further
-                    x, made = step(values, x), step
-            return tuple(x)
-
-        return project
-
-    def _onto(self, held: Sequence[str]) -> tuple[Any, Onto, Onto]:
-        """Gaps, gap speeds and directions of the contacts, and the steps onto those held."""
-        contacts = [self.contact(name) for name in self.resting]
-        rows = [[c.gap, c.speed, *c.normal, *c.push] for c in contacts]
-        program = self.program("geometry", lambda: [i for row in rows for i in row])
-        begins = np.cumsum([0, *(len(row) for row in rows)]).tolist()
-        known = dict(zip(self.resting, zip(contacts, begins, strict=False), strict=True))
-        chosen = [known[name] for name in held]
-        return program, Onto.of(chosen, False), Onto.of(chosen, True)
-
-
-@attrs.frozen
-class Onto:
-    """A step onto contacts: their gaps, or gap speeds, taken away to first order.
-
-    All are places in the list of what is known of the contacts at a state.
-
-    Attributes
-    ----------
-    off : list
-        Gaps, or gap speeds.
-    products : list
-        For each two contacts the pairs whose products add up to what a move along the second
-        changes of the first.
-    moves : list
-        For each element of the state that moves: the contacts along which it does, and how.
-    """
-
-    off: list[int]
-    products: list[list[list[tuple[int, int]]]]
-    moves: dict[int, list[tuple[int, int]]]
-
-    @classmethod
-    def of(cls, contacts: Sequence[tuple[Normal, int]], of_speed: bool) -> Onto:
-        """From contacts, and where their gap, gap speed, normal and push begin."""
-        feels, moves = [], []
-        for contact, begin in contacts:
-            pairing, count = contact.pairing, len(contact.normal)
-            places = pairing.velocities if of_speed else pairing.positions
-            normal, push = begin + 2, begin + 2 + (count if of_speed else 0)
-            feels.append({place: normal + i for i, place in enumerate(places)})
-            moves.append({place: push + i for i, place in enumerate(places)})
-        products = [[[(n, d[i]) for i, n in f.items() if i in d] for d in moves] for f in feels]
-        elements = {i: [(k, d[i]) for k, d in enumerate(moves) if i in d] for d in moves for i in d}
-        return cls([begin + of_speed for _, begin in contacts], products, elements)
-
-    def __call__(self, values: Sequence[float], x: Sequence[float]) -> list[float]:
-        """The state moved."""
-        matrix = [[sum(values[a] * values[b] for a, b in p) for p in row] for row in self.products]
-        try:
-            steps = solve(matrix, [values[place] for place in self.off])
-        except ZeroDivisionError:
-            return [math.nan] * len(x)
-        moved = [*x]
-        for i, terms in self.moves.items():
-            moved[i] -= sum(steps[k] * values[place] for k, place in terms)
-        return moved
+        gaps = self.program(("onto", False), lambda: self.onto(False)).bind(numbers)
+        speeds = self.program(("onto", True), lambda: self.onto(True)).bind(numbers)
+        return lambda t, x: speeds(t, gaps(t, gaps(t, x)))
 
 
 def _groups(names: Sequence[str], linked: Mapping[tuple[str, str], bool]) -> list[list[str]]:

@@ -421,7 +421,7 @@ class Scene:
         switching, graph = self.spec.sliding(mode), self.code.mode(mode)
         if switching is not None:
             return self.code.onto(switching.name).bind(values)
-        return graph.projection(held, (*values, *graph.masked(held)))
+        return graph.projection((*values, *graph.masked(held)))
 
     def _guard(self, edge: Transition, kind: Kind, mode: str, held: tuple[str, ...]) -> Guard:
         code, graph, name = self.code, self.code.mode(mode), edge.name

@@ -32,6 +32,10 @@ from ..zeno.cycle import CycleLimit
 #: last to so small a share of the first.
 HEAP, VANISHING = 8, 1e-5
 
+#: Limits of impacts no longer do where so many take so small a share of the time so far, and no
+#: less, to this factor, than as many before: states are known to 1e-16, and times to its root.
+STALLED, STALL, STALL_FALL = 50, 1e-9, 0.9
+
 
 class Recorder:
     """Grows as the run goes on; ``now`` and ``j`` are its hybrid time, ``made`` its own jumps.
@@ -255,6 +259,21 @@ class Recorder:
         if len(gaps) < HEAP or gaps[0] > VANISHING * gaps[-1]:
             return None
         return float(self.zeno[-1].t + gaps[0] * gaps[0] / (gaps[1] - gaps[0]))
+
+    def stalls(self) -> float | None:
+        """The time at which accumulations follow each other with next to no time between them, and
+        no sooner than before: rounding keeps bodies from coming to rest. None where they do not."""
+        last = [point.t for point in self.zeno[-2 * STALLED - 1 :]]
+        if len(last) <= 2 * STALLED:
+            return None
+        early, late = last[STALLED] - last[0], last[-1] - last[STALLED]
+        still = late <= STALL * (last[-1] - self.plan.t0) and late >= STALL_FALL * early
+        return last[-1] if still else None
+
+    def latest(self) -> list[str]:
+        """The edges of the accumulations that follow each other at present."""
+        points = self.zeno[-HEAP:]
+        return list(dict.fromkeys(edge for point in points for edge in point.edges))
 
     def released(self, contact: str) -> None:
         """Note the release in the contact's last accumulation."""

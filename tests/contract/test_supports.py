@@ -67,3 +67,29 @@ def test_supports_that_follow_from_others_are_named(way):
     result = way.run(Table(), [0.0] * 4, (0.0, 1.0))
     assert result.status == "refused"
     assert "left, middle, right are closed at once" in result.said
+
+
+class Valley(hy.Automaton):
+    """A body between two slopes, down which it slides by turns."""
+
+    x = hy.state()
+    v = hy.state()
+    y = hy.state()
+    w = hy.state()
+
+    @hy.mode
+    def falls(self, t, s):
+        return s.v, 0.0, s.w, -9.8
+
+    left = hy.contact(falls, gap=lambda self, t, s: s.y - 0.2 * s.x, restitution=0.6)
+    right = hy.contact(falls, gap=lambda self, t, s: s.y + 0.2 * s.x, restitution=0.6)
+
+
+def test_rests_that_follow_each_other_ever_sooner_are_told():
+    """Where rounding keeps the body from coming to rest on both slopes, the run does not go on
+    for ever."""
+    with pytest.raises(hy.JumpLoopError, match=r"left, right|right, left") as told:
+        hy.simulate(
+            Valley(), {"x": 0.1, "v": 0.3, "y": 1.0, "w": 0.0}, (0.0, 60.0), solver="taylor"
+        )
+    assert "accumulate in turn, about at t = 16.7128" in str(told.value)
