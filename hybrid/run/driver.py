@@ -477,12 +477,13 @@ class Driver:
     def _require_apart(self, x: np.ndarray) -> None:
         """Refuse to go on where accumulations accumulate in turn: no sum of sums is made.
 
-        Impacts go on until rounding holds the contact; an edge's guard that rounding hides is
-        passed over.
+        Impacts go on until rounding holds the contact, or keeps it from that; an edge's guard that
+        rounding hides is passed over.
         """
-        t = self.record.heaps()
+        impacts = self.scene.contacts.intersection(self.record.zeno[-1].edges)
+        t = self.record.stalls() if impacts else self.record.heaps()
         if t is not None:
-            edges = ", ".join(self.record.zeno[-1].edges)
+            edges = ", ".join(self.record.latest())
             raise JumpLoopError(
                 f"{self.where(x)}: the accumulations of {edges} accumulate in turn, about at "
                 f"t = {t:.8g}, and what is beyond is not known; end the run before that, or at "
@@ -721,8 +722,7 @@ class Driver:
             named = ((edge, self.scene.spec.record(x)) for edge, x in limit.limits)
             point.limits = tuple(named)
         record.limit_point(point, limit)
-        if not self.scene.contacts.intersection(edges):
-            self._require_apart(limit.x_inf)
+        self._require_apart(limit.x_inf)
         self.watch.reset()
         self.cycles.forget()
         if rest is None:
