@@ -20,10 +20,10 @@ import numpy as np
 from ..lowering import Scene
 from ..lowering.tape import Jets
 from ..rules import unit
-from ..rules.arrays import AutomatonArrays, Left, Now
+from ..rules.arrays import AutomatonArrays, Left
 from ..rules.lanes import ASKS, ENDED, FLOWN_TO, LAST_JUMP, LEFT, MODE, OUTCOME, STATE, TOLD
 from ..run import Driver
-from ..run.machine import left_for, rooms
+from ..run.rooms import left_for, now_for, work_for
 from ..solvers.pairs import NO_TABLES
 from ..zeno.narrow import bounded
 
@@ -268,17 +268,11 @@ class Abreast:
         )
         pair = (solver.tables or NO_TABLES).pair(n, solver.rtol, solver.atol)
         run = self.loop.run.copy()
-        return automaton, own, numbers.reshape(-1, 1), run, self._now(), pair
+        return automaton, own, numbers.reshape(-1, 1), run, now_for(self.tables, n), pair
 
     def _rooms(self, n: int) -> tuple[Any, ...]:
-        room, sums, look = rooms(self.tables, n, self.loop.order)
+        room, sums, look = work_for(self.tables, n, self.loop.order)
         return room, self._left(n), sums, look
-
-    def _now(self) -> Now:
-        """A state, to be begun by each lane."""
-        floats, ints = np.zeros_like(self.loop.floats), np.zeros_like(self.loop.ints)
-        x, end, seen = np.zeros_like(self.loop.states)
-        return Now(floats, ints, x, end, seen, *self.tables.watches())
 
     def _left(self, n: int) -> Left:
         """Arrays for the jumps, steps and sums of one lane after another."""

@@ -87,6 +87,7 @@ class Tables:
         self._rows: list[list[int]] = []
         self._uses: list[int] = []
         self._made: AutomatonArrays | None = None
+        self.named: np.ndarray  # for each guard the field and the edge, by name
         self.free: dict[tuple[int, ...], list[Any]] = {}  # arrays that no run is using
         self._steps: Counter[int] = Counter()  # by their order
         self._recalled, self._order, self._native = 0, 0, Native()
@@ -119,6 +120,8 @@ class Tables:
             recall(programs, self._recalled, self._order)
             self._recalled = len(programs.code)
             self._made = AutomatonArrays(programs, fields, guards, uses, self.bounds.arrays())
+            names = [*self.modes, *(guard.edge for guard in self.guards)]
+            self.named = np.array(names, dtype=object).reshape(2, -1)
         if library.how() != "machine":  # plain Python calls no address
             self._made.programs.code[:] = 0
         return self._made

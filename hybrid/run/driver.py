@@ -121,6 +121,8 @@ class Driver:
             if not self.record.log.kept:  # before the first step: nothing but the start
                 self.record.arc(self.entry.field, self.entry.x, self.entry.x, 0.0, [])
         finally:  # nothing refers to itself, so that what is kept of a run goes with the run
+            if self.loop is not None:
+                self.loop.give_back()
             self.loop, self.came = None, Jumped
 
     def go_on(self) -> None:

@@ -18,7 +18,7 @@ from ..delay.memory import SUMS, Memory
 from ..delay.windows import Links, Shown
 from ..lowering.lowered import ORDER
 from ..rules import unit
-from ..rules.arrays import Left, Look, Now, Room, Sums
+from ..rules.arrays import Left, Now
 from ..rules.calls import held
 from ..rules.places import (
     AT_LIMIT,
@@ -53,13 +53,10 @@ from ..rules.places import (
     MAKE,
     NO_ROOM,
     PHASE,
-    REMAINING,
     RISES,
     SEES,
     SERIES,
     SHOW,
-    STATE_FLOATS,
-    STATE_INTS,
     STEP,
     STEP_END,
     STEPS_DONE,
@@ -73,22 +70,20 @@ from ..rules.places import (
     WINDOW,
     T,
 )
-from ..rules.sights import LAW_POINTS, STATE_ROWS, TAIL_HALVINGS
-from ..rules.sums import STRETCH_POINTS
 from ..segment import nodes, terms
 from ..trajectory.log import Flights, Steps, Table, joined
 from ..trajectory.plan import PATIENCE
 from ..trajectory.trajectory import Status
-from ..zeno.accumulate import Tail, room_for_sums
+from ..zeno.accumulate import Tail
 from ..zeno.narrow import bounded
 from .cycles import pass_limit
 from .entry import Jumped
 from .outside import Outside
+from .rooms import Rooms, left_for
 from .watch import Watch
 
 if TYPE_CHECKING:
     from ..lowering import Field, Guard
-    from ..lowering.automaton import Tables
     from .driver import Driver
 
 #: Jumps and steps for which there is room at first; how many times more there is after each call
@@ -101,30 +96,6 @@ SUMS_KEPT = SUMS
 OUTSIDE_METHODS = {STEP: "step", SHOW: "show", LAND_ON: "land", FLOWN: "flown"}
 
 
-def rooms(tables: Tables, n: int, order: int) -> tuple[Room, Sums, Look]:
-    """Arrays for one run to work in."""
-    *needs, bounds = tables.needs
-    stretches, shown = np.zeros((TAIL_HALVINGS + 2, 5)), np.zeros((STRETCH_POINTS + 2, n + 4))
-    pairs = [np.zeros((rows, 2)) for rows in (STATE_ROWS + n, bounds, 2 * LAW_POINTS + 2)]
-    look = Look(stretches, shown, *pairs)
-    return tables.room(order), room_for_sums(needs, n), look
-
-
-def left_for(n: int, jumps: int, steps: int, expansions: tuple[int, int], sums: int) -> Left:
-    """Arrays for so many jumps, steps, rows of expansions and sums of ``n`` states."""
-    return Left(
-        np.empty((jumps, 3)),
-        np.empty(jumps, dtype=np.int64),
-        np.empty((jumps, n)),
-        np.empty((jumps, n)),
-        np.empty(steps, dtype=np.int64),
-        np.empty((steps, 2)),
-        np.empty(expansions),
-        np.empty((sums, REMAINING + 1)),
-        np.empty((sums * CURVE_ROWS, n + 2)),
-    )
-
-
 class Machine:
     """Flies a driver's plain arcs by the rules' own loop: with Taylor series, or with another
     solver's steps.
@@ -134,8 +105,9 @@ class Machine:
     """
 
     now: Now
-    rooms: tuple[Room, Sums, Look]
-    needs: tuple[int, ...]
+    floats: np.ndarray
+    ints: np.ndarray
+    rooms: Rooms
 
     def __init__(self, driver: Driver) -> None:
         scene, solver, plan = driver.scene, driver.solver, driver.plan
@@ -156,12 +128,10 @@ class Machine:
         sums = float(summed), plan.closing
         given = [plan.t1, plan.limit, plan.rtol, *series, *steps, *sums, *last]
         self.run = np.array(given, dtype=float)
-        self.floats, self.ints = np.zeros(STATE_FLOATS), np.zeros(STATE_INTS, dtype=np.int64)
-        self.states = np.zeros((3, n))
-        self.size: tuple[int, ...] = (JUMPS_KEPT, STEPS_KEPT)
-        self.passed = False
+        self.n = n
+        self.needs: tuple[int, ...] = ()
         self.open: list[Steps] = []
-        self.opened = 0
+        self.size: tuple[int, ...] = (JUMPS_KEPT, STEPS_KEPT)
 
     def takes(self) -> bool:
         """Whether the arc that begins at the driver's entry may be plain.
@@ -180,13 +150,12 @@ class Machine:
     def fly(self) -> None:
         """Go on until something needs judgement, or the run ends."""
         self._begin()
-        self.passed, self.open, self.opened, self.rooms = False, [], 0, self._take()
+        self.passed, self.open, self.opened = False, [], 0
         try:
             self._go_on()
         finally:
             if self.driver.record.memory is not None:
                 self.driver.record.memory.told = False
-        self._give_back()
 
     def _go_on(self) -> None:
         driver = self.driver
@@ -233,7 +202,7 @@ class Machine:
             self.driver.watch_pace()
         made = int(np.count_nonzero(rows))
         self.opened += made
-        self.driver.count_steps(tau, self.states[1], made)
+        self.driver.count_steps(tau, self.now.end, made)
         if self.dense:
             self.open.append(self._made(left, rows, int(self.ints[JUMPS_MADE])))
         return tau
@@ -280,7 +249,7 @@ class Machine:
                     made = len(self.outside.arcs)
                     if status == STEP and self.driver.steps + made >= self.plan.max_steps:
                         return STEP
-                    room, sums, _ = self.rooms
+                    room, sums, _ = self.rooms.work
                     given = sums if status == FLOWN else room
                     getattr(self.outside, OUTSIDE_METHODS[status])(self.now, given)
         except KeyboardInterrupt:
@@ -291,13 +260,15 @@ class Machine:
         """What calls the loop: with delays, that which passes from window to window."""
         if self.past is not None and self.driver.record.memory is not None:
             return lambda: self._looked_back(left)
-        room, sums, look = self.rooms
-        given = self.tables.automaton, self.run, self.now, room, left, sums, look
-        return held(unit("runs").go, *given)
+        rooms, go, automaton = self.rooms, unit("runs").go, self.tables.automaton
+        if left is rooms.left:
+            return rooms.call(go, automaton)
+        room, sums, look = rooms.work
+        return held(go, automaton, self.run, self.now, room, left, sums, look)
 
     def _looked_back(self, left: Left) -> int:
         """Call the loop with what flows look back on."""
-        memory, now, (room, sums, look) = self.driver.record.memory, self.now, self.rooms
+        memory, now, (room, sums, look) = self.driver.record.memory, self.now, self.rooms.work
         assert self.past is not None
         assert memory is not None
         automaton, links = self.past.linked()
@@ -367,10 +338,10 @@ class Machine:
             return status
         steps, made = self._flown_in(left, place, place + 1)
         driver.steps += made
-        before, tau, x = driver.field.guards, float(self.floats[TAU]), self.states[1].tolist()
+        before, tau, x = driver.field.guards, float(self.floats[TAU]), self.now.end.tolist()
         now = driver.record.now.after(tau)
         values = [1.0 if g.edge == fired else g.value(now.t, x) for g in before]
-        self._through(tau, self.states[1], steps, np.sign(values))
+        self._through(tau, self.now.end, steps, np.sign(values))
         memory.passed(driver.t, driver.entry.x, driver.entry.field, fired)
         driver.look(driver.entry.x)
         self._tell(0.0, left)
@@ -395,7 +366,7 @@ class Machine:
         driver.go_on_through(dict(zip(edges, signs.tolist(), strict=False)), x)
         now = driver.record.now
         self.floats[T], self.floats[LOW], self.floats[TAU] = now.t, now.low, 0.0
-        self.states[:2], self.states[2] = x, driver.seen
+        self.now.x[:], self.now.end[:], self.now.seen[:] = x, x, driver.seen
         if self.ints[PHASE] == WALKS:
             self.ints[MADE], self.ints[ENTERED] = 1, 0
 
@@ -409,25 +380,40 @@ class Machine:
         """Complete the tables, with room for what is new in them."""
         with np.errstate(all="ignore"):
             self.tables.complete(int(self.ints[FIRED]), bounded)
-        self._give_back()
-        self.rooms = self._take()
-        floats, ints, x, end, seen, *_ = self.now
-        now = Now(floats, ints, x, end, seen, *self.tables.watches())
-        now.tied[: len(self.now.tied)], now.spent[: len(self.now.spent)] = self.now[-2:]
-        self.now = now
+        tied, spent = self.now.tied.copy(), self.now.spent.copy()
+        self._take()
+        self._forget()
+        self.now.tied[: len(tied)], self.now.spent[: len(spent)] = tied, spent
 
-    def _take(self) -> tuple[Room, Sums, Look]:
-        """Arrays to work in: such as no run is using, or new ones."""
-        tables, n = self.tables, self.states.shape[1]
-        self.needs = (*tables.needs, self.order)
+    def _take(self) -> None:
+        """Work in arrays that are large enough for the tables as they are."""
+        tables, before = self.tables, self.needs
+        needs = *tables.needs, tables.widest, len(tables.guards), self.order
+        if needs == before:
+            return
         try:
-            return tables.free[self.needs].pop()  # type: ignore[no-any-return]
+            rooms = tables.free[needs].pop()
         except (KeyError, IndexError):
-            return rooms(tables, n, self.order)
+            size = JUMPS_KEPT, 0 if self.outside is not None else STEPS_KEPT
+            rooms = Rooms(tables, self.n, self.order, size, SUMS_KEPT)
+        rooms.run[:] = self.run
+        rooms.now.floats[:], rooms.now.ints[:], rooms.now.end[:] = 0.0, 0, 0.0
+        for own, was in zip(rooms.now[:5], self.now if before else (), strict=False):
+            own[:] = was
+        self.give_back()
+        self.needs, self.rooms, self.now = needs, rooms, rooms.now
+        self.floats, self.ints = rooms.now.floats, rooms.now.ints
 
-    def _give_back(self) -> None:
+    def _forget(self) -> None:
+        """Note nothing of guards."""
+        for array in self.now[5:]:
+            array[:] = 0
+
+    def give_back(self) -> None:
         """Let other runs use the arrays."""
-        self.tables.free.setdefault(self.needs, []).append(self.rooms)
+        if self.needs:
+            self.tables.free.setdefault(self.needs, []).append(self.rooms)
+            self.needs = ()
 
     def _interrupted(self, now: Now, left: Left) -> None:
         """Keep the arcs that have ended, and of the present one the steps that have been made."""
@@ -454,6 +440,7 @@ class Machine:
         field = self.tables.number(entry.field)
         first, contact = self.tables.first(field), driver.watch.contact
         series = [g for g, guard in enumerate(guards, first) if guard.edge == contact]
+        self._take()
         floats, ints = self.floats, self.ints
         floats[T], floats[LOW], floats[TAU] = now.t, now.low, 0.0
         judged = int(entry.here is not None)
@@ -465,9 +452,9 @@ class Machine:
         ints[SERIES], ints[IMPACT_COUNT] = series[0] if series else -1, driver.watch.count
         floats[TRIED] = driver.watch.tried
         ints[LOW_AHEAD] = ints[WAS_LOW] = 0
-        self.states[0], self.states[2] = entry.x, driver.seen
-        ints[FLIGHTS] = 1
-        self.now = Now(floats, ints, *self.states, *self.tables.watches())
+        x, _, seen = self.now[2:5]
+        x[:], seen[:], ints[FLIGHTS] = entry.x, driver.seen, 1
+        self._forget()
         self.now.orders[: len(entry.orders)] = entry.orders
         for g, guard in enumerate(self.tables.guards if driver.tied or driver.spent else ()):
             self.now.tied[g] = driver.tied.get(guard.edge, 0)
@@ -476,7 +463,7 @@ class Machine:
 
     def _left(self) -> Left:
         """Arrays for what a call leaves, and the counts at zero."""
-        n, (jumps, steps) = self.states.shape[1], self.size
+        n, (jumps, steps) = self.n, self.size
         if self.outside is not None:
             self.outside.begin()
             jumps, steps = 1 if self.plan.progress is not None else jumps, 0
@@ -490,6 +477,8 @@ class Machine:
         self.ints[JUMPS_MADE], self.ints[STEPS_MADE], self.ints[EXPANSIONS] = 0, -self._going, 0
         self.ints[TAILS] = 0
         rows = steps * n if self.dense or self.past else 0
+        if self.past is None and not rows and (jumps, steps) == self.rooms.size:
+            return self.rooms.left
         return left_for(n, jumps, steps, (rows, self.order + 1), SUMS_KEPT)
 
     # -- what a call left -------------------------------------------------------------------
@@ -518,11 +507,11 @@ class Machine:
     def _constrained(self, left: Left, place: int, guard: Guard) -> bool:
         """Add an arc along a surface, and the jump that ends it; whether the run has gone over the
         limit of a cycle."""
-        driver, before = self.driver, left.before[place]
+        driver, before = self.driver, left.before[place].copy()
         self._arc(left, place, float(left.when[place, 2]), before)
         driver.entry = attrs.evolve(driver.entry, field=driver.field)
         field = self._led_to(left, place, guard)
-        due = driver.arrive_from(field, guard, before, left.after[place])
+        due = driver.arrive_from(field, guard, before, left.after[place].copy())
         looks = due and guard.kind not in ("release", "leave")
         return looks and self._pass_limit()
 
@@ -552,7 +541,7 @@ class Machine:
 
     def _summed(self, left: Left, place: int) -> None:
         """Add the impacts that were summed, and begin the rest after them."""
-        driver, rows = self.driver, left.curves[place * CURVE_ROWS :][:CURVE_ROWS]
+        driver, rows = self.driver, left.curves[place * CURVE_ROWS :][:CURVE_ROWS].copy()
         before, degree, v, r, remaining = left.sums[place].tolist()
         guard = self.tables.guards[left.fired[int(before) - 1]]
         entry, now, memory = driver.entry, driver.record.now, driver.record.memory
@@ -568,11 +557,9 @@ class Machine:
     def _flown(self, left: Left, begin: int, end: int) -> bool:
         """Add the arcs that end with some of the jumps; whether it is time to look for cycles."""
         driver, tables, now = self.driver, self.tables, self.driver.record.now
-        fired = left.fired[begin:end].tolist()
-        edges = np.array([tables.guards[g].edge for g in fired], dtype=object)
-        t, low, lengths = left.when[begin:end].T
-        jumps = Table(t, low, edges, left.before[begin:end], left.after[begin:end])
-        modes = [tables.modes[g] for g in fired]
+        fired, (t, low, lengths) = left.fired[begin:end], left.when[begin:end].T.copy()
+        modes, edges = tables.named[:, fired]
+        jumps = Table(t, low, edges, left.before[begin:end].copy(), left.after[begin:end].copy())
         steps, count = self._flown_in(left, begin, end)
         first = driver.entry.x
         flights = Flights(driver.record.j, modes, now.t, now.low, first, lengths, jumps, steps)
@@ -598,7 +585,7 @@ class Machine:
     def _made(self, left: Left, rows: slice | np.ndarray, begin: int) -> Steps:
         """Steps as states at the nodes of each, those of arc ``begin`` being the first's."""
         start, length = left.spans[rows].T
-        series = left.series.reshape(-1, self.states.shape[1], self.order + 1)[rows]
+        series = left.series.reshape(-1, self.n, self.order + 1)[rows]
         scaled = terms(series, length[:, None, None])
         powers = nodes(self.order)[:, None] ** np.arange(self.order + 1)
         values = np.einsum("sik,jk->sji", scaled, powers)
@@ -607,7 +594,7 @@ class Machine:
     def _last(self, left: Left) -> np.ndarray:
         """Add the arc that no jump of the loop has ended; returns the state at its end."""
         return self._arc(
-            left, int(self.ints[JUMPS_MADE]), float(self.floats[TAU]), self.states[1].copy()
+            left, int(self.ints[JUMPS_MADE]), float(self.floats[TAU]), self.now.end.copy()
         )
 
     def _arc(self, left: Left, place: int, tau: float, end: np.ndarray) -> np.ndarray:
@@ -638,7 +625,7 @@ class Machine:
                 driver.record.memory.told = False
             driver.entry = attrs.evolve(driver.entry, field=driver.field)
             if self.ints[WAS_LOW]:
-                driver.bounce(self._fired, before, left.after[place], speed)
+                driver.bounce(self._fired, before, left.after[place].copy(), speed)
             else:
                 driver.jump(self._fired, before)
 

@@ -85,7 +85,7 @@ class Flights:
     ----------
     j : int
         Number of jumps before the first of them.
-    modes : list of str
+    modes : array of str
         Of each arc.
     t, low : float
         Where the first arc starts.
@@ -99,7 +99,7 @@ class Flights:
     """
 
     j: int
-    modes: list[str]
+    modes: np.ndarray
     t: float
     low: float
     x: np.ndarray
@@ -109,7 +109,7 @@ class Flights:
 
     @property
     def mode(self) -> str:
-        return self.modes[-1]
+        return self.modes[-1]  # type: ignore[no-any-return]
 
     @property
     def t0(self) -> float:

@@ -1,0 +1,82 @@
+"""Arrays for the rules' own loop: to work in, and for what a call leaves.
+
+What a run has worked in is kept by the tables of its scene, with the call of the loop on it, for
+the next run: to make such arrays, and to look at them before a call, takes longer than a step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..rules.arrays import AutomatonArrays, Left, Look, Now, Room, Sums
+from ..rules.calls import held
+from ..rules.places import CURVE_ROWS, REMAINING, STATE_FLOATS, STATE_INTS, TOLERANCES
+from ..rules.sights import LAW_POINTS, STATE_ROWS, TAIL_HALVINGS
+from ..rules.sums import STRETCH_POINTS
+from ..zeno.accumulate import room_for_sums
+
+if TYPE_CHECKING:
+    from ..lowering.automaton import Tables
+
+
+def work_for(tables: Tables, n: int, order: int) -> tuple[Room, Sums, Look]:
+    """Arrays for one run to work in."""
+    *needs, bounds = tables.needs
+    stretches, shown = np.zeros((TAIL_HALVINGS + 2, 5)), np.zeros((STRETCH_POINTS + 2, n + 4))
+    pairs = [np.zeros((rows, 2)) for rows in (STATE_ROWS + n, bounds, 2 * LAW_POINTS + 2)]
+    look = Look(stretches, shown, *pairs)
+    return tables.room(order), room_for_sums(needs, n), look
+
+
+def now_for(tables: Tables, n: int) -> Now:
+    """The state of a run of ``n`` states."""
+    floats, ints = np.zeros(STATE_FLOATS), np.zeros(STATE_INTS, dtype=np.int64)
+    return Now(floats, ints, *np.zeros((3, n)), *tables.watches())
+
+
+def left_for(n: int, jumps: int, steps: int, expansions: tuple[int, int], sums: int) -> Left:
+    """Arrays for so many jumps, steps, rows of expansions and sums of ``n`` states."""
+    return Left(
+        np.empty((jumps, 3)),
+        np.empty(jumps, dtype=np.int64),
+        np.empty((jumps, n)),
+        np.empty((jumps, n)),
+        np.empty(steps, dtype=np.int64),
+        np.empty((steps, 2)),
+        np.empty(expansions),
+        np.empty((sums, REMAINING + 1)),
+        np.empty((sums * CURVE_ROWS, n + 2)),
+    )
+
+
+class Rooms:
+    """What one run works in, and the call of the loop on it.
+
+    Attributes
+    ----------
+    run : array
+        The numbers of the run, places as in :mod:`hybrid.rules.places`.
+    now : Now
+    work : (Room, Sums, Look)
+    left : Left
+        For what a first call leaves, where no expansions are kept; copied by those who keep it.
+    size : (jumps, steps)
+        For how many of these it has room.
+    """
+
+    def __init__(self, tables: Tables, n: int, order: int, size: tuple[int, int], sums: int):
+        self.run, self.now = np.zeros(TOLERANCES + n), now_for(tables, n)
+        self.work, self.size = work_for(tables, n, order), size
+        self.left = left_for(n, *size, (0, order + 1), sums)
+        self._of: tuple[Any, ...] = (None, None)
+
+    def call(self, go: Callable[..., int], automaton: AutomatonArrays) -> Callable[[], int]:
+        """What calls a loop on these arrays."""
+        if self._of[0] is not go or self._of[1] is not automaton:
+            room, sums, look = self.work
+            given = automaton, self.run, self.now, room, self.left, sums, look
+            self._of, self._call = (go, automaton), held(go, *given)
+        return self._call
