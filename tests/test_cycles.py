@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import hybrid as hy
+from hybrid.run import cycles
 from hybrid.zeno.cycle import limit, period
 from models.two_tanks import TwoTanks
 
@@ -448,3 +449,35 @@ def test_a_count_has_no_limit():
     times = 1.0 - 0.5**k
     assert limit(("e",), times, k[:, None], 1e-8, 0.0) is None
     assert limit(("e",), times, np.sqrt(k)[:, None], 1e-8, 0.0) is None
+
+
+def sequences():
+    """Times of jumps: chaotic ones, such as fall, such as fall fast for a while, and equal ones."""
+    rng = np.random.default_rng(3)
+    yield np.cumsum(rng.uniform(0.1, 1.0, 900))
+    yield np.cumsum(0.97 ** np.arange(300))
+    yield np.cumsum(np.concatenate([rng.uniform(1, 2, 50), 0.1 ** np.arange(9), np.ones(60)]))
+    yield np.arange(400.0)
+
+
+@pytest.mark.parametrize("t", list(sequences()))
+@pytest.mark.parametrize("most", [1 << 14, 64])
+def test_looks_are_due_whether_jumps_come_singly_or_in_rows(t, most, monkeypatch):
+    """The same jumps are remembered, and a limit is looked for at the same of them."""
+    monkeypatch.setattr(cycles, "REMEMBERED_JUMPS", most)
+    edges, modes = np.array([["ab"[k % 2] for k in range(len(t))], ["m"] * len(t)], dtype=object)
+    low, states = 1e-18 * np.sin(t), np.array([t, np.cos(t)]).T
+    jumps = cycles.Columns(edges, modes, t, low, t, states)
+    one, rows = cycles.Cycles(), cycles.Cycles()
+    one.longest = rows.longest = 1.0
+    due = [k + 1 for k in range(len(t)) if one.saw(jumps.part(slice(k, k + 1)))]
+    found, begin, calls = [], 0, 0
+    while begin < len(t):
+        calls, end = calls + 1, begin + rows.room(t[begin:], low[begin:])
+        if rows.saw(jumps.part(slice(begin, end))):
+            found.append(end)
+        begin = end
+    assert found == due
+    assert calls == 1 or due or most < len(t)
+    assert all(map(np.array_equal, one.seen, rows.seen))
+    assert np.array_equal(rows.seen.t, t[-len(rows.seen.t) :])

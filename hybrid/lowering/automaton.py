@@ -88,6 +88,7 @@ class Tables:
         self._uses: list[int] = []
         self._made: AutomatonArrays | None = None
         self.named: np.ndarray  # for each guard the field and the edge, by name
+        self.constrained: np.ndarray  # whether contacts are held there, or the state slides
         self.free: dict[tuple[int, ...], list[Any]] = {}  # arrays that no run is using
         self._steps: Counter[int] = Counter()  # by their order
         self._recalled, self._order, self._native = 0, 0, Native()
@@ -95,10 +96,6 @@ class Tables:
     def plain(self, number: int) -> bool:
         """Whether the rules' own loop may fly the arcs of a field."""
         return bool(self._fields[number][PLAIN])
-
-    def constrained(self, guard: int) -> bool:
-        """Whether a guard, by number, is watched where contacts are held or the state slides."""
-        return bool(self._fields[self.numbers[self.modes[guard]]][CONSTRAINED])
 
     def first(self, number: int) -> int:
         """The number of the first guard of a field."""
@@ -119,9 +116,10 @@ class Tables:
             programs = self._programs.programs()
             recall(programs, self._recalled, self._order)
             self._recalled = len(programs.code)
-            self._made = AutomatonArrays(programs, fields, guards, uses, self.bounds.arrays())
             names = [*self.modes, *(guard.edge for guard in self.guards)]
             self.named = np.array(names, dtype=object).reshape(2, -1)
+            self.constrained = fields[[self.numbers[m] for m in self.modes], CONSTRAINED] > 0
+            self._made = AutomatonArrays(programs, fields, guards, uses, self.bounds.arrays())
         if library.how() != "machine":  # plain Python calls no address
             self._made.programs.code[:] = 0
         return self._made

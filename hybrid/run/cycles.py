@@ -1,9 +1,13 @@
-"""Cycles of jumps that accumulate: watched as a run goes on, and passed like a chattering tail."""
+"""Cycles of jumps that accumulate, as a run goes on: when to look for a limit, and where it is.
+
+Whether the run goes over it is judged in :mod:`.limits`.
+"""
 
 from __future__ import annotations
 
-from itertools import pairwise, takewhile
-from typing import TYPE_CHECKING, NamedTuple
+from itertools import accumulate, takewhile
+from math import ulp
+from typing import Any, NamedTuple
 
 import attrs
 import numpy as np
@@ -20,17 +24,9 @@ from ..rules.lanes import (
     WINDOW_FALL,
     WINDOW_PART,
 )
-from ..rules.sights import BOX_MARGIN
 from ..rules.zeros import EPS
 from ..trajectory.clock import Instant
 from ..zeno.cycle import CycleLimit, accelerated, limit, period
-from ..zeno.narrow import damps
-from ..zeno.others import excluded, hull
-from .instant import collapse
-
-if TYPE_CHECKING:
-    from ..trajectory.plan import Plan
-    from .driver import Driver
 
 #: Most jumps that are remembered.
 REMEMBERED_JUMPS = 1 << 14
@@ -41,16 +37,8 @@ ZERO = 1e-6
 #: Spacings of floats by which a jump may be late or early, and still be said to be at one time.
 TICKS = 4
 
-#: Where so small a share of the longest flight is left, the way over a guard may be its square,
-#: 1e-12 of the state: rounding knows the last flights to 2e-4 then, and the limit to ``DROWNED``.
-#: Later turns show less of it: it is taken as it is known there, whatever the tolerances.
-DROWNING, DROWNED = 1e-6, EPS / 1e-6
-
-#: Points on the way to the limit at which flows are looked at, and how straight they must be.
-SAMPLES, STRAIGHTNESS = 64, 1e-2
-
-#: Steps of the midpoint rule along the last flight of a jump.
-FLIGHT = 8
+#: Of cycles of one jump, of two and so on: the last jumps of some turns, the latest first.
+LAST_TURNS = -1 - np.outer(np.arange(1, LONGEST_CYCLE + 1), np.arange(FEW_TURNS + 1))
 
 
 class Seen(NamedTuple):
@@ -69,6 +57,50 @@ class Seen(NamedTuple):
     @property
     def now(self) -> Instant:
         return Instant(self.t, self.low)
+
+    def until(self, last: Seen) -> float:
+        """The time from here to another."""
+        return (last.t - self.t) + (last.low - self.low)
+
+
+class Columns(NamedTuple):
+    """Jumps as columns: see :class:`Seen`."""
+
+    edge: Any
+    mode: Any
+    t: Any
+    low: Any
+    clock: Any
+    x: Any
+
+    @classmethod
+    def of(cls, *jump: Any) -> Columns:
+        """One jump."""
+        kinds = object, object, float, float, float, float
+        return cls(*[np.array([own], kind) for own, kind in zip(jump, kinds, strict=True)])
+
+    def put(self, begin: int, others: Columns) -> None:
+        """Put others in their places."""
+        for column, own in zip(self, others, strict=True):
+            column[begin : begin + len(own)] = own
+
+    def part(self, places: slice) -> Columns:
+        """Some of them; they are not copied."""
+        return Columns(*[column[places] for column in self])
+
+    def rows(self) -> list[Seen]:
+        """One by one."""
+        t, low, clock = self.t.tolist(), self.low.tolist(), self.clock.tolist()
+        rows = zip(self.edge, self.mode, t, low, clock, self.x.copy(), strict=True)
+        return [Seen(*row) for row in rows]
+
+    def since(self, places: np.ndarray) -> np.ndarray:
+        """The times of some since the first of them."""
+        t, low = self.t[places], self.low[places]
+        return (t - t[0]) + (low - low[0])  # type: ignore[no-any-return]
+
+
+NO_JUMPS = Columns.of("", "", 0.0, 0.0, 0.0, [0.0]).part(slice(0))
 
 
 def idle(scene: Scene, field: Field, guard: Guard, t: float, x: np.ndarray, s: float) -> bool:
@@ -119,6 +151,8 @@ class Cycles:
 
     Attributes
     ----------
+    seen : Columns
+        As many of them as are remembered.
     longest : float
         The longest flight of the run.
     spent : float
@@ -126,10 +160,10 @@ class Cycles:
     """
 
     def __init__(self) -> None:
-        self.seen: list[Seen] = []
-        self.next = 2 * LEAST_WINDOW
-        self.stands = self.asked = False
         self.longest = self.spent = 0.0
+        self.asked = self.stands = False
+        self.next = 2 * LEAST_WINDOW
+        self.seen = self._room = NO_JUMPS
 
     def clock(
         self, scene: Scene, field: Field, guard: Guard, t: float, x: np.ndarray, s: float
@@ -143,72 +177,96 @@ class Cycles:
 
     def plain(self, lengths: np.ndarray) -> bool:
         """Whether no flight of several in a row is so short that it may be idle; noted if so."""
-        longest = self.longest
-        for length in lengths.tolist():
-            if not length > IDLE_FLIGHT * longest:
+        known = lengths.tolist()
+        longest = max(self.longest, *known)
+        if not min(known) > IDLE_FLIGHT * longest:
+            before = accumulate(known, max, initial=self.longest)
+            if not all(s > IDLE_FLIGHT * most for s, most in zip(known, before, strict=False)):
                 return False
-            longest = max(longest, length)
         self.longest = longest
         return True
 
-    def room(self, times: np.ndarray) -> int:
+    def room(self, t: np.ndarray, low: np.ndarray) -> int:
         """Of jumps at these times, how many there are before it may be time to look for a limit."""
         if self.asked:
-            return min(len(times), 1)
-        count = min(len(times), self.next - len(self.seen))
-        known = [seen.t for seen in self.seen[-STILL_JUMPS:]]
+            return min(len(t), 1)
+        kept, known = len(self.seen.t), self.seen.t[-STILL_JUMPS:]
+        if self.next <= kept + len(t):
+            self._wait(np.append(self.seen.t, t), np.append(self.seen.low, low))
+        count = min(len(t), self.next - kept)
         if len(known) + count <= FEW_TURNS:  # not one turn more than there must be
             return count
-        together = np.concatenate([known, times[:count]])
-        number = np.arange(len(together))
-        short = np.diff(together, prepend=-np.inf) <= IDLE_FLIGHT * self.longest
-        run = number - np.maximum.accumulate(np.where(short, -1, number))
-        looks = (run > 0) & (run % STILL_JUMPS == 0)
-        for length in range(1, LONGEST_CYCLE + 1):
+        together = np.append(known, t[:count])
+        looks, gaps = np.zeros(len(together), dtype=bool), together[1:] - together[:-1]
+        short = gaps <= IDLE_FLIGHT * np.maximum(self.longest, np.maximum.accumulate(gaps))
+        if short.any():
+            number = np.arange(1, len(together))
+            run = number - np.maximum.accumulate(np.where(short, 0, number))
+            looks[1:] = (run > 0) & (run % STILL_JUMPS == 0)
+        for length in range(1, min(LONGEST_CYCLE, (len(together) - 1) // FEW_TURNS) + 1):
             turns = together[length:] - together[:-length]
-            if len(turns) > 2 * length:
-                falls = turns[length:] <= FAST_FALL * turns[:-length]
-                looks[FEW_TURNS * length :] |= falls[length:] & falls[:-length]
+            falls = turns[length:] <= FAST_FALL * turns[:-length]
+            looks[FEW_TURNS * length :] |= falls[length:] & falls[:-length]
         found = np.flatnonzero(looks[len(known) :])
         return int(found[0]) + 1 if len(found) else count
 
-    def saw(self, jumps: list[Seen]) -> bool:
+    def _wait(self, t: np.ndarray, low: np.ndarray) -> None:
+        """Wait for longer where windows of the jumps that are known do not ask for a look."""
+        while self.next <= min(len(t), REMEMBERED_JUMPS) and not _shrinks(t, low, self.next):
+            self.next += max(LEAST_WAIT, self.next // WINDOW_PART)
+
+    def saw(self, jumps: Columns) -> bool:
         """Note jumps, no more than there is room for; whether it is time to look for a limit."""
-        seen = self.seen
-        seen += jumps
+        self._note(jumps)
         due = self._falls() or self._stops() or self.asked
         self.asked = False
-        if len(seen) < self.next:
+        if len(self.seen.t) < self.next:
             return due
-        if len(seen) > REMEMBERED_JUMPS:
-            del seen[: REMEMBERED_JUMPS // 2]
-        window = max(LEAST_WINDOW, (len(seen) - 1) // WINDOW_PART)
-        self.next = len(seen) + max(LEAST_WAIT, len(seen) // WINDOW_PART)
-        first, middle = seen[max(0, len(seen) - 1 - 2 * window)], seen[-window - 1]
-        return due or _between(middle, seen[-1]) < WINDOW_FALL * _between(first, middle)
+        if len(self.seen.t) > REMEMBERED_JUMPS:
+            self.seen, self._room = self.seen.part(slice(REMEMBERED_JUMPS // 2, None)), NO_JUMPS
+        self.next = count = len(self.seen.t)
+        self.next += max(LEAST_WAIT, count // WINDOW_PART)
+        return due or _shrinks(self.seen.t, self.seen.low, count)
+
+    def _note(self, jumps: Columns) -> None:
+        """Keep jumps behind those before, with room for as many again."""
+        begin = len(self.seen.t)
+        end = begin + len(jumps.t)
+        if not begin:
+            self.seen, self._room = jumps, NO_JUMPS
+            return
+        if end > len(self._room.t):
+            shapes = [(2 * end, *own.shape[1:]) for own in jumps]
+            self._room = Columns(*map(np.empty, shapes, [own.dtype for own in jumps]))
+            self._room.put(0, self.seen)
+        self._room.put(begin, jumps)
+        self.seen = self._room.part(slice(end))
 
     def _falls(self) -> bool:
         """Whether the last turns of a cycle fall so fast that there will not be many."""
-        seen = self.seen
-        for length in range(1, min(LONGEST_CYCLE, (len(seen) - 1) // FEW_TURNS) + 1):
-            last = seen[-1 : -2 - FEW_TURNS * length : -length]
-            if all(jump.edge == last[0].edge for jump in last):
-                turns = [_between(b, a) for a, b in pairwise(last)]
-                if all(0 < a <= FAST_FALL * b for a, b in pairwise(turns)):
-                    return True
-        return False
+        lengths = min(LONGEST_CYCLE, (len(self.seen.t) - 1) // FEW_TURNS)
+        if not lengths:
+            return False
+        places = LAST_TURNS[:lengths]
+        t, low = self.seen.t[places], self.seen.low[places]
+        turns = (t[:, :-1] - t[:, 1:]) + (low[:, :-1] - low[:, 1:])
+        last, before = turns[:, :-1], turns[:, 1:]
+        fast = ((last > 0) & (last <= FAST_FALL * before)).all(axis=1)
+        edges = [self.seen.edge[own].tolist() for own in places[fast]]
+        return any(own.count(own[0]) == len(own) for own in edges)
 
     def _stops(self) -> bool:
         """Whether some jumps have taken no time: said once, while they do."""
-        stood, self.stands = self.stands, False
-        if len(self.seen) >= STILL_JUMPS:
-            first, last = self.seen[-STILL_JUMPS], self.seen[-1]
-            self.stands = last.clock - first.clock <= _tick(STILL_JUMPS, last.t)
+        stood, self.stands, clock = self.stands, False, self.seen.clock
+        if len(clock) >= STILL_JUMPS:
+            spent = clock[-1] - clock[-STILL_JUMPS]
+            self.stands = bool(spent <= _tick(STILL_JUMPS, self.seen.t[-1]))
         return self.stands and not stood
 
     def first_of(self, edge: str) -> float:
         """When the last jumps, all of this edge, began."""
-        return min(seen.t for seen in takewhile(lambda seen: seen.edge == edge, self.seen[::-1]))
+        count = sum(1 for _ in takewhile(edge.__eq__, reversed(self.seen.edge.tolist())))
+        return float(self.seen.t[-count])
 
     def again(self) -> None:
         """Look for a limit at the next jump again."""
@@ -216,15 +274,14 @@ class Cycles:
 
     def forget(self) -> None:
         """Start anew, after an accumulation."""
-        self.seen.clear()
+        self.seen = NO_JUMPS
         self.next, self.stands = 2 * LEAST_WINDOW, False
 
     @property
     def period(self) -> int:
         """Jumps in a turn of the edges, as far as the last few turns show; 0 for none."""
-        return period(
-            [seen.edge for seen in self.seen[-LONGEST_CYCLE * (FEW_TURNS + 1) :]], FEW_TURNS
-        )
+        edges = self.seen.edge[-LONGEST_CYCLE * (FEW_TURNS + 1) :]
+        return period(edges.tolist(), FEW_TURNS)
 
     def counts(self) -> list[int]:
         """The elements of the state that a turn of the last jumps changes by no less than the turn
@@ -232,7 +289,8 @@ class Cycles:
         length = self.period
         if not length:
             return []
-        turns = np.abs(np.diff(_columns(self._closings(length)[-FEW_TURNS:])[1], axis=0))
+        last = self.seen.x[self._closings(length)[-FEW_TURNS:]]
+        turns = np.abs(np.diff(last, axis=0))
         return np.flatnonzero((turns[-1] > 0) & (turns[-1] >= WINDOW_FALL * turns[-2])).tolist()  # type: ignore[no-any-return]
 
     def limit(self, rtol: float, atol: float) -> tuple[CycleLimit, Turn] | None:
@@ -242,7 +300,8 @@ class Cycles:
         """
         shortest = self.period
         for length in range(shortest, LONGEST_CYCLE + 1, shortest) if shortest else ():
-            times, states = _columns(_shrinking(self._closings(length)))
+            closings = self._shrinking(length)
+            times, states = self.seen.since(closings), self.seen.x[closings]
             found = limit(self._cycle(shortest), times, states, rtol, atol)
             turn = None if found is None else self._turn(length, found)
             if found is not None and turn is not None:
@@ -255,35 +314,52 @@ class Cycles:
         Its ratio is that of the last turns that took time; 0 where these had not been seen to
         shrink.
         """
-        shortest, now = self.period, self.seen[-1]
+        shortest, t = self.period, float(self.seen.t[-1])
         for length in range(shortest, LONGEST_CYCLE + 1, shortest) if shortest else ():
             closings = self._closings(length)
             if len(closings) > FEW_TURNS:
                 turn = self._standing(length)
                 slack = [rtol * np.abs(x) + atol for x in turn.limits]
                 if all(np.all(e <= s) for e, s in zip(turn.errors, slack, strict=True)):
-                    times = np.diff([seen.clock for seen in closings])
-                    times = times[times > _tick(length, now.t)]
+                    times = np.diff(self.seen.clock[closings])
+                    times = times[times > _tick(length, t)]
                     shrinks = len(times) > 1 and times[-1] < WINDOW_FALL * times[-2]
                     ratio = (times[-1] / times[-2]) ** (shortest / length) if shrinks else 0.0
-                    error = _between(self.seen[-STILL_JUMPS:][0], now) + _tick(STILL_JUMPS, now.t)
-                    last = float(ratio), error, turn.errors[-1], FEW_TURNS + 1
-                    return CycleLimit(self._cycle(shortest), 0.0, now.x, *last), turn
+                    last = float(ratio), self.still, turn.errors[-1], FEW_TURNS + 1
+                    return CycleLimit(self._cycle(shortest), 0.0, turn.limits[-1], *last), turn
         return None
+
+    @property
+    def still(self) -> float:
+        """The time that the last jumps have taken, of some that are taken to stand."""
+        first = max(0, len(self.seen.t) - STILL_JUMPS)
+        spent = _between(self.seen.t, self.seen.low, first, -1)
+        return spent + _tick(STILL_JUMPS, float(self.seen.t[-1]))
+
+    def last(self, count: int, before: int = 0) -> list[Seen]:
+        """The last jumps one by one; those before the last few."""
+        end = len(self.seen.t) - before
+        return self.seen.part(slice(max(0, end - count), end)).rows()
 
     def _cycle(self, length: int) -> tuple[str, ...]:
         """The edges of a turn, from the same one on whichever comes last."""
-        edges = [seen.edge for seen in self.seen[-length:]]
+        edges = self.seen.edge[-length:].tolist()
         return min(tuple(edges[k:] + edges[:k]) for k in range(length))
 
-    def _closings(self, length: int, back: int = 0) -> list[Seen]:
-        """Every so many jumps one, as far back as they are the same, up to some jumps ago."""
-        last, closings = self.seen[-1 - back], []
-        for seen in self.seen[-1 - back :: -length]:
-            if (seen.edge, seen.mode) != (last.edge, last.mode):
-                break
-            closings.append(seen)
-        return closings[::-1]
+    def _closings(self, length: int, back: int = 0) -> np.ndarray:
+        """Every so many jumps one, as far back as they are the same, up to some jumps ago: their
+        places."""
+        places = np.arange(len(self.seen.t) - 1 - back, -1, -length)
+        edges, modes = self.seen.edge[places], self.seen.mode[places]
+        other = np.flatnonzero((edges != edges[0]) | (modes != modes[0]))
+        return places[: other[0] if len(other) else None][::-1]
+
+    def _shrinking(self, length: int) -> np.ndarray:
+        """The last closings, as far back as each turn was longer than the next."""
+        closings = self._closings(length)
+        turns = np.diff(self.seen.since(closings))
+        longer = np.flatnonzero(~(turns[:-1] > turns[1:]))
+        return closings[int(longer[-1]) + 1 if len(longer) else 0 :]
 
     def _turn(self, length: int, found: CycleLimit) -> Turn | None:
         """The last turn of a cycle whose limit was found, with each jump's own limit."""
@@ -292,205 +368,32 @@ class Cycles:
             closings = self._closings(length, back)[-found.turns :]
             if len(closings) <= FEW_TURNS:
                 return None
-            x_inf, error, _ = accelerated(_columns(closings)[1], found.ratio == 1.0)
+            x_inf, error, _ = accelerated(self.seen.x[closings], found.ratio == 1.0)
             limits.append(x_inf)
             errors.append(error)
-        first = self.seen[-1 - length * (found.turns - 1) :][: length + 1]
-        last = self.seen[-1 - length :]
-        return Turn(last, first, [*limits, found.x_inf], [*errors, found.x_error])
+        first = self.last(length + 1, length * (found.turns - 2))
+        limits, errors = [*limits, found.x_inf], [*errors, found.x_error]
+        return Turn(self.last(length + 1), first, limits, errors)
 
     def _standing(self, length: int) -> Turn:
         """The last turn of a cycle that stands, with what each jump's states still move."""
-        last = self.seen[-1 - length :]
+        last = self.last(length + 1)
         phases = [self._closings(length, back)[-FEW_TURNS:] for back in range(length, -1, -1)]
-        errors = [np.ptp(_columns(phase)[1], axis=0) for phase in phases]
+        errors = [np.ptp(self.seen.x[phase], axis=0) for phase in phases]
         return Turn(last, last, [seen.x for seen in last], errors)
+
+
+def _shrinks(t: np.ndarray, low: np.ndarray, count: int) -> bool:
+    """Whether the last window of so many jumps is shorter than the one before."""
+    window = max(LEAST_WINDOW, (count - 1) // WINDOW_PART)
+    first, middle = max(0, count - 1 - 2 * window), count - 1 - window
+    return _between(t, low, middle, count - 1) < WINDOW_FALL * _between(t, low, first, middle)
+
+
+def _between(t: np.ndarray, low: np.ndarray, first: int, last: int) -> float:
+    return float((t[last] - t[first]) + (low[last] - low[first]))
 
 
 def _tick(count: int, t: float) -> float:
     """What rounding makes of the time of so many jumps."""
-    return TICKS * count * float(np.spacing(abs(t)))
-
-
-def _between(first: Seen, last: Seen) -> float:
-    return (last.t - first.t) + (last.low - first.low)
-
-
-def _columns(turns: list[Seen]) -> tuple[np.ndarray, np.ndarray]:
-    """Times since the first, and states."""
-    times = [_between(turns[0], turn) for turn in turns]
-    return np.array(times), np.array([turn.x for turn in turns])
-
-
-def _shrinking(closings: list[Seen]) -> list[Seen]:
-    """The last closings, as far back as each turn was longer than the next."""
-    turns = np.diff(_columns(closings)[0])
-    longer = np.flatnonzero(~(turns[:-1] > turns[1:]))
-    return closings[int(longer[-1]) + 1 if len(longer) else 0 :]
-
-
-def persists(scene: Scene, turn: Turn, t: float, cycle: tuple[str, ...], rtol: float) -> bool:
-    """Whether the cause of a cycle is there at its limit.
-
-    For each jump of a turn, at the limit of the state that the one before leads to: its guard is
-    zero, its reset leads to the limit after it, no other guard of the mode has changed sign on the
-    way or may be zero there, and the flow there changes no faster than along a straight line.
-    """
-    for k, jump in enumerate(turn.seen[1:]):
-        field, x, slack = scene.field(jump.mode), turn.limits[k], turn.slack(k, rtol)
-        fired = next((guard for guard in field.guards if guard.edge == jump.edge), None)
-        if fired is None or not _steady(field, turn.seen[k], t, x):
-            return False
-        if not _alone(field, turn, k, t, cycle, slack):
-            return False
-        off = np.abs(_after(scene, fired, t, x) - turn.limits[k + 1])
-        if np.any(off > slack + turn.slack(k + 1, rtol)):
-            return False
-    return True
-
-
-def _alone(
-    field: Field, turn: Turn, k: int, t: float, cycle: tuple[str, ...], slack: np.ndarray
-) -> bool:
-    """Whether no guard but those of the cycle is zero from the last flight before a jump on."""
-    now, jump, x, others = turn.seen[k], turn.seen[k + 1], turn.limits[k], []
-    known = 10 * turn.errors[k] + 64 * EPS * np.abs(x)
-    for column, guard in enumerate(field.guards):
-        here, before = guard.value(t, x.tolist()), guard.value(now.t, now.x.tolist())
-        ours = guard.edge in cycle and abs(here) <= _allowed(guard, t, x, slack, turn.first)
-        if not ours and (guard.edge == jump.edge or here * before <= 0):
-            return False
-        if not ours and abs(here) > _moved(guard, t, x, known):
-            others.append(column)
-    way = _way(field, now, _between(now, jump), t, x)
-    return not others or t <= now.t or excluded(field, others, hull(way, BOX_MARGIN))
-
-
-def _way(field: Field, now: Seen, length: float, t: float, x: np.ndarray) -> np.ndarray:
-    """Times and states along the flight after a jump, and at the limit at last."""
-    step, state, rows = length / FLIGHT, now.x, [[now.t, *now.x]]
-    for k in range(FLIGHT):
-        begin = now.t + k * step
-        rate = np.array(field.rhs(begin, state.tolist()))
-        middle = (state + 0.5 * step * rate).tolist()
-        state = state + step * np.array(field.rhs(begin + 0.5 * step, middle))
-        rows.append([begin + step, *state])
-    return np.array([*rows, [t, *x]])
-
-
-def _steady(field: Field, now: Seen, t: float, x: np.ndarray) -> bool:
-    """Whether a mode's flow changes along the way to the limit as a straight line does."""
-    rhs, shares = field.rhs, np.linspace(0.0, 1.0, SAMPLES)
-    states = now.x + shares[:, None] * (x - now.x)
-    times = now.t + shares * (t - now.t)
-    rates = np.array([rhs(s, y) for s, y in zip(times.tolist(), states.tolist(), strict=True)])
-    straight = rates[0] + shares[:, None] * (rates[-1] - rates[0])
-    return bool(np.abs(rates - straight).max() <= STRAIGHTNESS * np.abs(rates).max())
-
-
-def _allowed(guard: Guard, t: float, x: np.ndarray, slack: np.ndarray, first: list[Seen]) -> float:
-    """What a guard may be at the limit: little against its size, or what the slack makes of it."""
-    size, length = 0.0, _between(first[0], first[-1])
-    for seen in first:
-        value, rate, _ = guard.lie(seen.t, seen.x.tolist())
-        size = max(size, abs(value), abs(rate) * length)
-    return ZERO * size + _moved(guard, t, x, slack)
-
-
-def _moved(guard: Guard, t: float, x: np.ndarray, slack: np.ndarray) -> float:
-    """What the slack of a state makes of a guard."""
-    here = guard.value(t, x.tolist())
-    return sum(abs(guard.value(t, (x + step).tolist()) - here) for step in np.diag(slack))
-
-
-def _after(scene: Scene, guard: Guard, t: float, x: np.ndarray) -> np.ndarray:
-    """The state after a jump."""
-    if guard.kind == "contact":
-        contact = scene.contact(guard.edge)
-        return np.array(contact.impact(t, list(contact.land(t, x.tolist())))[:-1])
-    if guard.kind == "edge":
-        return np.array(scene.reset(guard.edge)(t, x.tolist()))
-    return x
-
-
-def pass_limit(driver: Driver, mode: str) -> bool:
-    """Go over the limit of a cycle, if the last jumps have one; False if they have none.
-
-    ``mode`` is where the last jump leads.
-    """
-    plan, cycles = driver.plan, driver.cycles
-    passes = plan.zeno in ("truncate", "ignore") or driver.status is not None
-    if passes or _summed(driver.scene, cycles):
-        return False
-    slower = _at_once(driver, mode) if cycles.stands else None
-    if slower is not None:
-        driver.pass_cycle(slower, cycles.seen[-1].x, mode)
-        return True
-    sought = _sought(cycles, plan)
-    if sought is None or driver.record.now.after(sought[0].remaining).until(driver.known) < 0:
-        return False
-    found, turn = sought
-    if not _tire(driver, found):
-        return False
-    after = driver.scene.spec.mode_after(found.edges)
-    if found.ratio == 0.0 and after is None:
-        return False
-    t = driver.record.now.after(found.remaining).t
-    if not persists(driver.scene, turn, t, found.edges, plan.rtol):
-        return False
-    if not turn.stays(plan.rtol):
-        if cycles.seen[-1].edge != (after.limit_of if after else found.edges)[-1]:
-            cycles.again()
-            return False
-        found = attrs.evolve(found, limits=_named(turn))
-    driver.pass_cycle(found, cycles.seen[-1].x, mode)
-    return True
-
-
-def _at_once(driver: Driver, mode: str) -> CycleLimit | None:
-    """The limit of impacts that stand, and slow down for ever at one instant."""
-    if driver.record.memory is not None:  # what delays see may change with each of them
-        return None
-    recent = driver.cycles.seen[-STILL_JUMPS:]
-    spent = _between(recent[0], recent[-1]) + _tick(STILL_JUMPS, recent[-1].t)
-    return collapse(driver.scene, mode, recent, spent)
-
-
-def _sought(cycles: Cycles, plan: Plan) -> tuple[CycleLimit, Turn] | None:
-    """The limit of the last jumps, as well as it is wanted, or as the little time left shows it."""
-    rtol, atol = plan.closing * plan.rtol, plan.closing * plan.limit
-    if cycles.stands:
-        return cycles.reached(rtol, atol)
-    own = [(plan.rtol, plan.limit, rtol)] if plan.closing < 1.0 else []
-    for *known, left in [(rtol, atol, np.inf), *own, (DROWNED, 0.0, DROWNING)]:
-        sought = cycles.limit(*known)
-        if sought is not None and sought[0].remaining <= left * cycles.longest:
-            return sought
-    return None
-
-
-def _named(turn: Turn) -> tuple[tuple[str, np.ndarray], ...]:
-    """The jumps of a turn, and the limits of the states after them."""
-    edges = [seen.edge for seen in turn.seen[1:]]
-    return tuple(zip(edges, turn.limits[1:], strict=True))
-
-
-def _summed(scene: Scene, cycles: Cycles) -> bool:
-    """Whether a cycle is left to the chatter map: impacts of one contact that damps them all."""
-    last = cycles.seen[-1]
-    if cycles.period != 1 or not scene.is_contact(last.edge):
-        return False
-    return scene.contact(last.edge).law(last.t, last.x.tolist(), -0.0) < 1.0 - 1e-12
-
-
-def _tire(driver: Driver, found: CycleLimit) -> bool:
-    """Whether each contact of a cycle damps slow impacts as well, down to rest."""
-    scene, turn = driver.scene, driver.cycles.seen[-len(found.edges) :]
-    for seen in turn:
-        if scene.is_contact(seen.edge):
-            guard = scene.field(seen.mode).guards[scene.field(seen.mode).column(seen.edge)]
-            speed = abs(guard.lie(seen.t, seen.x.tolist())[1])
-            contact, x = scene.contact(seen.edge), seen.x.tolist()
-            if not damps(contact, seen.t, x, speed, found.ratio):
-                return False
-    return True
+    return TICKS * count * ulp(t)

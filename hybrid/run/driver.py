@@ -35,7 +35,7 @@ from ..zeno.narrow import seen
 from ..zeno.others import apart
 from . import switch, truncate
 from .arc import ArcFlow, Flown
-from .cycles import Cycles, Seen, pass_limit
+from .cycles import Columns, Cycles
 from .entry import (
     STARTS_OFF,
     Entry,
@@ -48,6 +48,7 @@ from .entry import (
     opened,
     signs_at_end,
 )
+from .limits import pass_limit
 from .machine import Machine
 from .pace import Pace
 from .recorder import Recorder
@@ -534,12 +535,12 @@ class Driver:
         self.look(after)
         if self.record.made >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
-        return self.cycles.saw([Seen(edge, field.name, now.t, now.low, clock, after)])
+        return self.cycles.saw(Columns.of(edge, field.name, now.t, now.low, clock, after))
 
-    def room(self, times: np.ndarray) -> int:
+    def room(self, t: np.ndarray, low: np.ndarray) -> int:
         """Of jumps at these times, how many there are before the run has to be looked at."""
         ignored = self.plan.zeno == "ignore"  # no limit is gone over, wherever it may be
-        most = len(times) if ignored else self.cycles.room(times)
+        most = len(t) if ignored else self.cycles.room(t, low)
         return min(self.plan.max_jumps - self.record.made, most)
 
     def flown(self, flights: Flights) -> bool:
@@ -552,8 +553,9 @@ class Driver:
 
         clocks = self._clocks(flights)
         self.record.flights(flights, where, clocks)
-        last = max(np.flatnonzero(flights.lengths), default=0)
-        self.passed(float(flights.lengths[last]))
+        lengths = flights.lengths.tolist()
+        last = next((k for k in range(len(lengths) - 1, 0, -1) if lengths[k]), 0)
+        self.passed(lengths[last])
         self.spent = self.spent.union(jumps.edge[last:])
         self.seen = np.maximum(self.seen, np.maximum.reduce(np.abs(jumps.after)))
         memory = self.record.memory
@@ -562,8 +564,8 @@ class Driver:
         self.look(jumps.after[-1])
         if self.record.made >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
-        times = jumps.t.tolist(), jumps.low.tolist(), clocks.tolist()
-        return self.cycles.saw(list(map(Seen, jumps.edge, flights.modes, *times, jumps.after)))
+        times = jumps.t, jumps.low, clocks
+        return self.cycles.saw(Columns(jumps.edge, flights.modes, *times, jumps.after))
 
     def _clocks(self, flights: Flights) -> np.ndarray:
         """The time without idle flights, at each of some jumps."""

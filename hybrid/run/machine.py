@@ -76,8 +76,8 @@ from ..trajectory.plan import PATIENCE
 from ..trajectory.trajectory import Status
 from ..zeno.accumulate import Tail
 from ..zeno.narrow import bounded
-from .cycles import pass_limit
 from .entry import Jumped
+from .limits import pass_limit
 from .outside import Outside
 from .rooms import Rooms, left_for
 from .watch import Watch
@@ -487,16 +487,14 @@ class Machine:
         """Add the arcs that ended with a jump."""
         driver, begin, made = self.driver, 0, int(self.ints[JUMPS_MADE])
         sums = list(map(int, left.sums[: self.ints[TAILS], JUMPS_BEFORE].tolist()))
-        fired = left.fired[:made].tolist()
-        guards = [self.tables.guards[g] for g in fired]
-        alone = [place for place, guard in enumerate(fired) if self.tables.constrained(guard)]
+        alone = np.flatnonzero(self.tables.constrained[left.fired[:made]]).tolist()
         while begin < made and driver.status is None and not self.passed:
             if begin in alone:
-                self.passed = self._constrained(left, begin, guards[begin])
+                self.passed = self._constrained(left, begin, self.tables.guards[left.fired[begin]])
                 begin += 1
                 continue
             last = min((place for place in sums + alone if place > begin), default=made)
-            end = begin + driver.room(left.when[begin:last, 0])
+            end = begin + driver.room(*left.when[begin:last, :2].T)
             due = self._flown(left, begin, end)
             if end not in sums:
                 self.passed = due and self._pass_limit()

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
-from functools import partial
 from itertools import takewhile
 from math import ulp
 from typing import Any
@@ -55,8 +53,8 @@ class Recorder:
         self.memory: Memory | None = None
         self._begun: tuple[Instant, np.ndarray] | None = None
         self._open: list[Segment] = []
-        self._impacts, self._stuck = impacts, 0
-        self._recent: deque[tuple[float, str]] = deque(maxlen=CAUGHT)
+        self._impacts, self._stuck = impacts, CAUGHT - 1
+        self._clocks, self._edges = np.empty(0), np.empty(0, dtype=object)  # of the last jumps
 
     def arc(
         self,
@@ -149,10 +147,7 @@ class Recorder:
         self.now = Instant(float(jumps.t[-1]), float(jumps.low[-1]))
         self.j += len(jumps.t)
         self.made += len(jumps.t)
-        if len(clocks) >= CAUGHT and self._pass(clocks, jumps.edge):
-            return
-        for k, (clock, edge) in enumerate(zip(clocks.tolist(), jumps.edge, strict=True)):
-            self._count(clock, edge, partial(where, k))
+        self._count(clocks, jumps.edge, where)
 
     def _keep_flights(self, flights: Flights) -> None:
         """Keep arcs in a row; the first may have begun on an earlier window of the past."""
@@ -211,34 +206,31 @@ class Recorder:
         self.log.jump(JumpRow(now.t, now.low, edge, before, after))
         self.j += 1
         self.made += 1
-        self._count(clock, edge, partial(where, before))
+        one = np.array([clock]), np.array([edge], dtype=object)
+        self._count(*one, lambda _: where(before))
 
-    def _pass(self, clocks: np.ndarray, edges: np.ndarray) -> bool:
-        """Count jumps, where there is time between all of them."""
-        known = np.append([t for t, _ in self._recent], clocks)
-        spent = known[CAUGHT - 1 :] - known[: 1 - CAUGHT]
-        if np.any(spent <= 4 * CAUGHT * np.spacing(known[CAUGHT - 1 :])):
-            return False
-        last = slice(-CAUGHT, None)
-        self._recent.extend(zip(clocks[last].tolist(), edges[last], strict=True))
-        self._stuck = CAUGHT - 1
-        return True
-
-    def _count(self, t: float, edge: str, where: Callable[[], str]) -> None:
+    def _count(self, clocks: np.ndarray, edges: np.ndarray, where: Callable[[int], str]) -> None:
         """Count jumps with no time between them; there must not be too many."""
-        self._recent.append((t, edge))
-        spent = t - self._recent[0][0]
-        if len(self._recent) < CAUGHT or spent > 4 * CAUGHT * ulp(t):
+        new, clocks = len(clocks), np.concatenate([self._clocks, clocks])
+        edges = np.concatenate([self._edges, edges])
+        self._clocks, self._edges = clocks[1 - CAUGHT :], edges[1 - CAUGHT :]
+        if len(clocks) < CAUGHT:
+            return
+        last = clocks[CAUGHT - 1 :]
+        caught = last - clocks[: 1 - CAUGHT] <= 4 * CAUGHT * np.spacing(last)
+        if not caught.any():
             self._stuck = CAUGHT - 1
             return
-        self._stuck += 1
-        edges = dict.fromkeys(name for _, name in self._recent)
-        if self._stuck >= (STRUCK if self._impacts.issuperset(edges) else CAUGHT):
-            raise JumpLoopError(
-                f"{where()}: {self._stuck} jumps with no time to speak of between them: "
-                f"{' -> '.join(edges)}; a reset must leave its guard, a contact needs rests=True, "
-                "and a cycle of edges has a limit only where its resets lead back to where it began"
-            )
+        for k, stuck in enumerate(caught.tolist()):
+            self._stuck = self._stuck + 1 if stuck else CAUGHT - 1
+            among = dict.fromkeys(edges[k : k + CAUGHT].tolist())
+            if self._stuck >= (STRUCK if self._impacts.issuperset(among) else CAUGHT):
+                raise JumpLoopError(
+                    f"{where(new - len(caught) + k)}: {self._stuck} jumps with no time to speak of "
+                    f"between them: {' -> '.join(among)}; a reset must leave its guard, a contact "
+                    "needs rests=True, and a cycle of edges has a limit only where its resets lead "
+                    "back to where it began"
+                )
 
     def limit_point(self, point: Accumulation, tail: Tail | CycleLimit | None) -> None:
         """Add an accumulation, and the tail that was summed."""

@@ -11,8 +11,8 @@ from ..lowering import Field, Guard
 from ..lowering.automaton import DIRECTIONS
 from ..rules import unit
 from ..rules.switches import CROSSES, UNSETTLED
-from .cycles import pass_limit
 from .entry import Jumped, heading
+from .limits import pass_limit
 
 if TYPE_CHECKING:
     from .driver import Driver

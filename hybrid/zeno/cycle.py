@@ -15,7 +15,7 @@ of which may say no.
    Computer Physics Reports 10 (1989).
 3. *The cause.* Shrinking gaps are a suspicion only. At the limit the guard of each jump must be
    zero where the jump before it leads, and the resets of a turn must lead back to where it began;
-   :mod:`hybrid.run.cycles` asks that of the model.
+   :mod:`hybrid.run.limits` asks that of the model.
 
 A cycle that shrinks to an eighth or less a turn is at rounding after a few turns, too few for the
 first two steps. There each duration is a small part of the one before, so that Aitken's formula,

@@ -1,0 +1,199 @@
+"""The limit of a cycle of jumps: whether its cause is there, and the run goes over it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import attrs
+import numpy as np
+
+from ..lowering import Field, Guard, Scene
+from ..rules.lanes import STILL_JUMPS
+from ..rules.sights import BOX_MARGIN
+from ..rules.zeros import EPS
+from ..zeno.cycle import CycleLimit
+from ..zeno.narrow import damps
+from ..zeno.others import excluded, hull
+from .cycles import ZERO, Cycles, Seen, Turn
+from .instant import collapse
+
+if TYPE_CHECKING:
+    from ..trajectory.plan import Plan
+    from .driver import Driver
+
+#: Where so small a share of the longest flight is left, the way over a guard may be its square,
+#: 1e-12 of the state: rounding knows the last flights to 2e-4 then, and the limit to ``DROWNED``.
+#: Later turns show less of it: it is taken as it is known there, whatever the tolerances.
+DROWNING, DROWNED = 1e-6, EPS / 1e-6
+
+#: Points on the way to the limit at which flows are looked at, and how straight they must be.
+SAMPLES, STRAIGHTNESS = 64, 1e-2
+
+#: Steps of the midpoint rule along the last flight of a jump.
+FLIGHT = 8
+
+
+def persists(scene: Scene, turn: Turn, t: float, cycle: tuple[str, ...], rtol: float) -> bool:
+    """Whether the cause of a cycle is there at its limit.
+
+    For each jump of a turn, at the limit of the state that the one before leads to: its guard is
+    zero, its reset leads to the limit after it, no other guard of the mode has changed sign on the
+    way or may be zero there, and the flow there changes no faster than along a straight line.
+    """
+    for k, jump in enumerate(turn.seen[1:]):
+        field, x, slack = scene.field(jump.mode), turn.limits[k], turn.slack(k, rtol)
+        fired = next((guard for guard in field.guards if guard.edge == jump.edge), None)
+        if fired is None or not _steady(field, turn.seen[k], t, x):
+            return False
+        if not _alone(field, turn, k, t, cycle, slack):
+            return False
+        off = np.abs(_after(scene, fired, t, x) - turn.limits[k + 1])
+        if np.any(off > slack + turn.slack(k + 1, rtol)):
+            return False
+    return True
+
+
+def _alone(
+    field: Field, turn: Turn, k: int, t: float, cycle: tuple[str, ...], slack: np.ndarray
+) -> bool:
+    """Whether no guard but those of the cycle is zero from the last flight before a jump on."""
+    now, jump, x, others = turn.seen[k], turn.seen[k + 1], turn.limits[k], []
+    known = 10 * turn.errors[k] + 64 * EPS * np.abs(x)
+    for column, guard in enumerate(field.guards):
+        here, before = guard.value(t, x.tolist()), guard.value(now.t, now.x.tolist())
+        ours = guard.edge in cycle and abs(here) <= _allowed(guard, t, x, slack, turn.first)
+        if not ours and (guard.edge == jump.edge or here * before <= 0):
+            return False
+        if not ours and abs(here) > _moved(guard, t, x, known):
+            others.append(column)
+    way = _way(field, now, now.until(jump), t, x)
+    return not others or t <= now.t or excluded(field, others, hull(way, BOX_MARGIN))
+
+
+def _way(field: Field, now: Seen, length: float, t: float, x: np.ndarray) -> np.ndarray:
+    """Times and states along the flight after a jump, and at the limit at last."""
+    step, state, rows = length / FLIGHT, now.x, [[now.t, *now.x]]
+    for k in range(FLIGHT):
+        begin = now.t + k * step
+        rate = np.array(field.rhs(begin, state.tolist()))
+        middle = (state + 0.5 * step * rate).tolist()
+        state = state + step * np.array(field.rhs(begin + 0.5 * step, middle))
+        rows.append([begin + step, *state])
+    return np.array([*rows, [t, *x]])
+
+
+def _steady(field: Field, now: Seen, t: float, x: np.ndarray) -> bool:
+    """Whether a mode's flow changes along the way to the limit as a straight line does."""
+    rhs, shares = field.rhs, np.linspace(0.0, 1.0, SAMPLES)
+    states = now.x + shares[:, None] * (x - now.x)
+    times = now.t + shares * (t - now.t)
+    rates = np.array([rhs(s, y) for s, y in zip(times.tolist(), states.tolist(), strict=True)])
+    straight = rates[0] + shares[:, None] * (rates[-1] - rates[0])
+    return bool(np.abs(rates - straight).max() <= STRAIGHTNESS * np.abs(rates).max())
+
+
+def _allowed(guard: Guard, t: float, x: np.ndarray, slack: np.ndarray, first: list[Seen]) -> float:
+    """What a guard may be at the limit: little against its size, or what the slack makes of it."""
+    size, length = 0.0, first[0].until(first[-1])
+    for seen in first:
+        value, rate, _ = guard.lie(seen.t, seen.x.tolist())
+        size = max(size, abs(value), abs(rate) * length)
+    return ZERO * size + _moved(guard, t, x, slack)
+
+
+def _moved(guard: Guard, t: float, x: np.ndarray, slack: np.ndarray) -> float:
+    """What the slack of a state makes of a guard."""
+    here = guard.value(t, x.tolist())
+    return sum(abs(guard.value(t, (x + step).tolist()) - here) for step in np.diag(slack))
+
+
+def _after(scene: Scene, guard: Guard, t: float, x: np.ndarray) -> np.ndarray:
+    """The state after a jump."""
+    if guard.kind == "contact":
+        contact = scene.contact(guard.edge)
+        return np.array(contact.impact(t, list(contact.land(t, x.tolist())))[:-1])
+    if guard.kind == "edge":
+        return np.array(scene.reset(guard.edge)(t, x.tolist()))
+    return x
+
+
+def pass_limit(driver: Driver, mode: str) -> bool:
+    """Go over the limit of a cycle, if the last jumps have one; False if they have none.
+
+    ``mode`` is where the last jump leads.
+    """
+    plan, cycles = driver.plan, driver.cycles
+    passes = plan.zeno in ("truncate", "ignore") or driver.status is not None
+    if passes or _summed(driver.scene, cycles):
+        return False
+    slower = _at_once(driver, mode) if cycles.stands else None
+    if slower is not None:
+        driver.pass_cycle(slower, cycles.seen.x[-1].copy(), mode)
+        return True
+    sought = _sought(cycles, plan)
+    if sought is None or driver.record.now.after(sought[0].remaining).until(driver.known) < 0:
+        return False
+    found, turn = sought
+    if not _tire(driver, found):
+        return False
+    after = driver.scene.spec.mode_after(found.edges)
+    if found.ratio == 0.0 and after is None:
+        return False
+    t = driver.record.now.after(found.remaining).t
+    if not persists(driver.scene, turn, t, found.edges, plan.rtol):
+        return False
+    if not turn.stays(plan.rtol):
+        if cycles.seen.edge[-1] != (after.limit_of if after else found.edges)[-1]:
+            cycles.again()
+            return False
+        found = attrs.evolve(found, limits=_named(turn))
+    driver.pass_cycle(found, cycles.seen.x[-1].copy(), mode)
+    return True
+
+
+def _at_once(driver: Driver, mode: str) -> CycleLimit | None:
+    """The limit of impacts that stand, and slow down for ever at one instant."""
+    if driver.record.memory is not None:  # what delays see may change with each of them
+        return None
+    cycles = driver.cycles
+    return collapse(driver.scene, mode, cycles.last(STILL_JUMPS), cycles.still)
+
+
+def _sought(cycles: Cycles, plan: Plan) -> tuple[CycleLimit, Turn] | None:
+    """The limit of the last jumps, as well as it is wanted, or as the little time left shows it."""
+    rtol, atol = plan.closing * plan.rtol, plan.closing * plan.limit
+    if cycles.stands:
+        return cycles.reached(rtol, atol)
+    own = [(plan.rtol, plan.limit, rtol)] if plan.closing < 1.0 else []
+    for *known, left in [(rtol, atol, np.inf), *own, (DROWNED, 0.0, DROWNING)]:
+        sought = cycles.limit(*known)
+        if sought is not None and sought[0].remaining <= left * cycles.longest:
+            return sought
+    return None
+
+
+def _named(turn: Turn) -> tuple[tuple[str, np.ndarray], ...]:
+    """The jumps of a turn, and the limits of the states after them."""
+    edges = [seen.edge for seen in turn.seen[1:]]
+    return tuple(zip(edges, turn.limits[1:], strict=True))
+
+
+def _summed(scene: Scene, cycles: Cycles) -> bool:
+    """Whether a cycle is left to the chatter map: impacts of one contact that damps them all."""
+    (last,) = cycles.last(1)
+    if cycles.period != 1 or not scene.is_contact(last.edge):
+        return False
+    return scene.contact(last.edge).law(last.t, last.x.tolist(), -0.0) < 1.0 - 1e-12
+
+
+def _tire(driver: Driver, found: CycleLimit) -> bool:
+    """Whether each contact of a cycle damps slow impacts as well, down to rest."""
+    scene, turn = driver.scene, driver.cycles.last(len(found.edges))
+    for seen in turn:
+        if scene.is_contact(seen.edge):
+            guard = scene.field(seen.mode).guards[scene.field(seen.mode).column(seen.edge)]
+            speed = abs(guard.lie(seen.t, seen.x.tolist())[1])
+            contact, x = scene.contact(seen.edge), seen.x.tolist()
+            if not damps(contact, seen.t, x, speed, found.ratio):
+                return False
+    return True
