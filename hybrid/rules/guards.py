@@ -123,18 +123,21 @@ def zero_of(
     if not kinked and (crossing == 0 or c[order] * crossing < 0.0):
         s = soon(c, order, degree, h)
         if s < math.inf:
-            return fires(a, now, room, c, guard, order, s, c[order], tolerance)
+            return fires(a, run, now, room, c, guard, order, s, c[order], tolerance)
     count = series(c, degree, h, order, near, room.rows, room.found)
     if count < 0:
         return 0.0
     side = c[order]
     for k in range(count):
         s, direction = room.found[k, 0], room.found[k, 1]
-        side = direction
         if direction == 0.0:
-            return 0.0
+            value, _ = power_value(c, 0, degree, s)
+            if abs(value) <= own_open(a, run, now, room, guard):
+                return 0.0
+            continue
+        side = direction
         if crossing == 0 or direction * crossing > 0.0:
-            return fires(a, now, room, c, guard, order, s, -direction, tolerance)
+            return fires(a, run, now, room, c, guard, order, s, -direction, tolerance)
         if a.guards[guard, BOUNDS] == 1:
             return 0.0
     value, _ = power_value(c, 0, degree, h)
@@ -147,6 +150,7 @@ def zero_of(
 
 def fires(
     a: AutomatonArrays,
+    run: Floats,
     now: Now,
     room: Room,
     c: Floats,
@@ -159,16 +163,43 @@ def fires(
     """When a guard fires that crosses zero at ``s``, with a sign before that; 0 where that is not
     plain."""
     now.signs[guard - a.fields[now.ints[FIELD], GUARDS]] = 1 if before > 0.0 else -1
-    gone = order != 1 or has_left(a, now, room, c, guard, s)
-    return s if gone and not turns(c, s, tolerance) else 0.0
+    if order == 1 and not has_left(a, now, room, c, guard, s):
+        return 0.0
+    back = turns(c, s, tolerance) and turns(c, s, own_open(a, run, now, room, guard))
+    return 0.0 if back else s
 
 
 def left_open(a: AutomatonArrays, run: Floats, guard: int, x: Floats) -> float:
-    """What the tolerances leave open of a guard."""
+    """What the tolerances leave open of the states that a guard is made of."""
+    return run[ABSOLUTE] + run[RELATIVE] * used(a, guard, x)
+
+
+def used(a: AutomatonArrays, guard: int, x: Floats) -> float:
+    """The size of the states that a guard is made of."""
     size = 0.0
     for k in range(a.guards[guard, USES], a.guards[guard, USES_END]):
         size = max(size, abs(x[a.uses[k]]))
-    return run[ABSOLUTE] + run[RELATIVE] * size
+    return size
+
+
+def own_open(a: AutomatonArrays, run: Floats, now: Now, room: Room, guard: int) -> float:
+    """What the tolerances leave open of a guard, in its own unit (:func:`in_unit`)."""
+    own, _, _ = sizes_of(a, room, guard, now.floats[T], now.end)
+    return in_unit(left_open(a, run, guard, now.end), used(a, guard, now.end), own, run[RELATIVE])
+
+
+def in_unit(left: float, size: float, own: float, rtol: float) -> float:
+    """What is left open of a guard, in its own unit, in which it may be far smaller than the
+    states.
+
+    Parameters
+    ----------
+    left, size : float
+        What is left open of the states that it is made of, and their size.
+    own : float
+        The sum of the terms of which it is made.
+    """
+    return min(left, (left / size if size > 0.0 else rtol) * own)
 
 
 def blurred(c: Floats, s: float) -> float:

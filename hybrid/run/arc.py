@@ -16,7 +16,7 @@ from ..lowering import Guard, Kink, Scene, released
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.arcs import FORESEEN_FAR, LANDINGS, SAFETY
-from ..rules.guards import TIE, TIED_IN_STEP, shallow
+from ..rules.guards import TIE, TIED_IN_STEP, in_unit, shallow
 from ..rules.zeros import EPS
 from ..segment import Segment
 from ..solvers import Solver, Stepper
@@ -504,16 +504,11 @@ class ArcFlow:
         return inside
 
     def _tolerance(self, guard: Guard, t: float, x: np.ndarray) -> float:
-        """What the tolerances leave open of a guard.
-
-        A load is an acceleration, in units in which it may be far smaller than the states.
-        """
+        """What the tolerances leave open of a guard, in its own unit."""
         size = max((abs(float(x[i])) for i in guard.uses), default=0.0)
-        open_ = self.plan.limit + self.plan.rtol * size
-        if guard.kind != "release":
-            return open_
+        left, rtol = self.plan.limit + self.plan.rtol * size, self.plan.rtol
         own = float(self.scene.rounding(guard, self.field)(t, x.tolist())[0])
-        return min(open_, self.plan.rtol * own)
+        return in_unit(left, 0.0 if guard.kind == "release" else size, own, rtol)
 
     def _land(
         self, stepper: Stepper, segment: Segment, fired: Fired, again: bool = False

@@ -97,3 +97,50 @@ def test_a_pile_comes_to_rest_and_flies_again(way, unit):
     np.testing.assert_allclose(*times, rtol=1e-8)
     states = [np.array(list(r.final)) for r in (result, own)]
     np.testing.assert_allclose(states[0] / unit, states[1], rtol=1e-6)
+
+
+class Walls(hy.Automaton):
+    """A body between two walls, whose guards are in a unit of their own."""
+
+    x = hy.state()
+    v = hy.state()
+    unit = hy.parameter(1.0)
+
+    @hy.mode(initial=True)
+    def fly(self, t, s):
+        return s.v, -0.3 * jnp.sin(s.x)
+
+    @hy.edge(fly, to=fly, guard=lambda self, t, s: self.unit * (1.0 - s.x))
+    def right(self, t, s):
+        return s.replace(v=-s.v)
+
+    @hy.edge(fly, to=fly, guard=lambda self, t, s: self.unit * (1.0 + s.x))
+    def left(self, t, s):
+        return s.replace(v=-s.v)
+
+
+class Room(hy.Automaton):
+    """The same with both walls as one guard."""
+
+    x = hy.state()
+    v = hy.state()
+    unit = hy.parameter(1.0)
+
+    @hy.mode(initial=True)
+    def fly(self, t, s):
+        return s.v, -0.3 * jnp.sin(s.x)
+
+    @hy.edge(fly, to=fly, guard=lambda self, t, s: self.unit * (1.0 - jnp.abs(s.x)))
+    def wall(self, t, s):
+        return s.replace(v=-s.v)
+
+
+@pytest.mark.parametrize("model", [Walls, Room])
+def test_a_guard_may_be_in_any_unit(way, model):
+    """One that is far smaller than what the tolerances leave open of the states is no touch."""
+    units = (1.0, 1e-10, 1e-20, 1e-60, 1e60)
+    start, times = {"x": 0.0, "v": 1.3}, (0.0, 12.0)
+    found = [way.run(model(unit=unit), start, times, rtol=1e-9, atol=1e-11) for unit in units]
+    assert [each.jumps for each in found] == [8] * len(units)
+    for each in found[1:]:  # errors of 1e-9 a step, in some tens of steps
+        assert each.final.x == pytest.approx(found[0].final.x, abs=1e-6)
