@@ -202,6 +202,17 @@ def test_the_length_of_a_geometric_series(unit):
     assert unit("lengths").step_length(np.ones((1, ORDER + 1)), 1) == pytest.approx(0.1, rel=0.15)
 
 
+def test_the_length_of_a_series_whose_last_terms_are_next_to_nothing(unit):
+    """It is that of the series up to those that are not."""
+    c = 1e20 ** -np.arange(ORDER + 1.0)
+    assert 0.0 < c[ORDER] < c[ORDER - 1] < 1e-290
+    assert unit("lengths").own_length(c, 1e-16) == pytest.approx(10 ** (-16 / 13) * 1e20, rel=1e-9)
+    short = c[: ORDER - 1].copy()
+    c[ORDER - 1 :] = 0.0
+    step = unit("lengths").step_length
+    assert step(c[None], 1) == step(short[None], 1)
+
+
 def test_polynomials_are_exact_everywhere(unit):
     """No last terms, no end; a state that is zero and at rest asks for nothing."""
     c = np.zeros((2, ORDER + 1))
@@ -310,7 +321,7 @@ def test_a_long_flight_belongs_to_the_solver(unit):
     made = unit("flights").fly(
         *(one.jets.alone, 0, 0, False, 0.0, np.array([0.0, 1e3]), 1e3),
         *(starts[:most], lengths[:most], series[:-2], branch, end, *room),
-        *(np.zeros(0, dtype=np.int64), 0.0),  # no guards are looked at
+        *(np.zeros(0, dtype=np.int64), 0.0, 1e-16),  # no guards are looked at
     )
     assert made[0] == TOO_LONG
     assert made[3] == most

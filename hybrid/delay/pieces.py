@@ -15,6 +15,7 @@ from ..rules.places import BREAKS, PIECES_KEPT, PIECES_KNOWN, WINDOW_DEGREE
 from ..rules.record import UP_TO
 from ..rules.windows import WINDOW_ROUNDING
 from ..segment import Segment, from_values, integrals, nodes
+from ..solvers.taylor_backend import HIGHEST
 from ..trajectory.clock import Instant
 from .windows import TO_POWERS
 
@@ -23,7 +24,7 @@ INSIDE = 1e-12
 
 #: Pieces and breaking points for which there is room at first, the columns of a piece's row, and
 #: the most coefficients that one may have: those of the highest steps.
-FIRST_ROOM, COLUMNS, WIDTH = 256, 6, 25
+FIRST_ROOM, COLUMNS, WIDTH = 256, 6, HIGHEST + 1
 
 
 @attrs.frozen(eq=False)

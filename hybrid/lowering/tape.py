@@ -216,8 +216,8 @@ class Tape:
     given
         Places of parameters among them, and their numbers.
     room
-        Length of the array in which equations are solved, and behind them a state, its rates and
-        the sides of all kinks are put aside.
+        Length of the array in which equations are solved, and behind them two states, their rates
+        and the sides of all kinks are put aside.
     """
 
     size: int
@@ -300,6 +300,13 @@ class Jets:
         sides[:] = all_sides[self.places].tolist() if sides else []
         watched = self._watched(c) if sides else []
         return c[: tape.size].tolist(), c[self.output].tolist(), watched
+
+    def finite(self, t: float, x: Sequence[float], order: int) -> bool:
+        """Whether the coefficients of the states are there, and numbers."""
+        try:
+            return bool(np.isfinite(self(t, x, [], order)[0]).all())
+        except ValueError:
+            return False
 
     def _watched(self, c: np.ndarray) -> list[list[float]]:
         """The series of what is watched; on a branch that is not taken nothing happens."""
@@ -532,7 +539,7 @@ class _Recorder:
             steady=_table(self.steady, 6),
             numbers=np.array(self.numbers),
             given=_table(self.given, 2).T,
-            room=self.room + 2 * self.size + len(kinks),
+            room=self.room + 4 * self.size + len(kinks),
         )
 
     def _row(self, number: int) -> int:

@@ -164,7 +164,7 @@ def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
         now.floats[TO_TAU] = min(until, tau + longest)
         return STEP
     field = now.ints[FIELD]
-    status, h, crossed = step(
+    status, made, crossed = step(
         a.programs,
         a.fields[field, FIELD_PROGRAM],
         a.fields[field, CONSTRAINED] == 1,
@@ -185,13 +185,15 @@ def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
     fires = NONE if now.ints[MADE] > 0 else HARD if status < 0 else starts(a, now, room)
     if fires != NONE or status < 0:
         return at_once(now, fires)
-    shown = resolved(a, run, now, room, now.floats[T] + tau, h, crossed >= 0)
+    h, shown = made, resolved(a, run, now, room, now.floats[T] + tau, made, crossed >= 0)
     if not shown > 0.0:
         return LOOK
     if shown < h:
         h, crossed = shown, -1
-        along(room.c, h, now.end)
-    now.floats[STEP_END], now.ints[CROSSED] = length if tau + h >= length else tau + h, crossed
+    end = length if tau + h >= length else tau + h
+    if end - tau != made:
+        along(room.c, end - tau, now.end)
+    now.floats[STEP_END], now.ints[CROSSED] = end, crossed
     return GOES_ON
 
 
@@ -237,7 +239,6 @@ def passes(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) ->
     tau, next_tau = now.floats[TAU], now.floats[STEP_END]
     if run[METHOD_ORDER] == 0.0:
         kept(now, room, left, tau, next_tau - tau)
-        along(room.c, next_tau - tau, now.end)
         program = a.fields[now.ints[FIELD], FIELD_PROGRAM]
         turn(a.programs, program, now.ints[CROSSED], room.c, room.sides)
         if now.ints[CROSSED] >= 0 and not goes_on(a, now, room, now.floats[T] + next_tau):

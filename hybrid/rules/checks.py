@@ -13,7 +13,7 @@ from .arrays import Floats, Ints, Matrix, Programs
 from .jets import FLOW, KINKS, jets
 from .kinks import KINK_KIND, KINK_ROW, POINT, STEP_KINK, WHOLE_ROW, count, states
 from .lengths import behind
-from .polynomials import power_size, power_value
+from .polynomials import power_size, power_value, two_values
 from .zeros import EPS
 
 __all__ = ("arrives", "bends", "follows")
@@ -61,27 +61,48 @@ def follows(
     aside
         As many rows as ``c``, and two columns.
     work
-        As :func:`look` takes it, and before that the rates of the polynomials are put aside. A
-        step that holds leaves its end there.
+        As :func:`look` takes it; before that a point inside, and the rates of the polynomials
+        there and at the end, are put aside. A step that holds leaves its end there.
     """
-    n, first = states(p, program), place(p, program, work)
-    point, rates = work[first : first + n], work[first - n : first]
+    n, end = states(p, program), place(p, program, work)
+    inside, last = HELD_INSIDE * h, HELD_BEFORE * h if kink else h
     scale, fastest = 0.0, 1.0 if held else 0.0
     for i in range(n):
         scale = max(scale, SMALLEST * abs(c[i, 0]))
         fastest = max(fastest, abs(c[i, 1]))
-    for share in (HELD_INSIDE, HELD_BEFORE if kink else 1.0):
-        s = share * h
-        for i in range(n):
-            point[i], rates[i] = power_value(c[i], 0, c.shape[1] - 1, s)
-        look(p, program, 0, t + s, point, False, sides, aside, work)
-        _set_apart(p, program, aside)
-        if not _agrees(p, program, s, h, scale, fastest, rates, c, aside):
-            look(p, program, 0, beside(t + s, point), point, False, sides, aside, work)
-            along(c, s, point)
-            if not _agrees(p, program, s, h, scale, fastest, rates, c, aside):
-                return False
-    return True
+        there, slope, value, rate = two_values(c[i], inside, last)
+        work[end - 3 * n + i], work[end - 2 * n + i] = there, slope
+        work[end - n + i], work[end + i] = rate, value
+    point, rates = work[end - 3 * n : end - 2 * n], work[end - 2 * n : end - n]
+    if not _held(p, program, t, inside, h, scale, fastest, point, rates, sides, c, aside, work):
+        return False
+    point, rates = work[end : end + n], work[end - n : end]
+    return _held(p, program, t, last, h, scale, fastest, point, rates, sides, c, aside, work)
+
+
+def _held(
+    p: Programs,
+    program: int,
+    t: float,
+    s: float,
+    h: float,
+    scale: float,
+    fastest: float,
+    point: Floats,
+    rates: Floats,
+    sides: Ints,
+    c: Matrix,
+    aside: Matrix,
+    work: Floats,
+) -> bool:
+    """Whether both hold at a point of the way, whose state and rates are given."""
+    look(p, program, 0, t + s, point, False, sides, aside, work)
+    _set_apart(p, program, aside)
+    if _agrees(p, program, s, h, scale, fastest, rates, c, aside):
+        return True
+    look(p, program, 0, beside(t + s, point), point, False, sides, aside, work)
+    along(c, s, point)
+    return _agrees(p, program, s, h, scale, fastest, rates, c, aside)
 
 
 def bends(

@@ -62,10 +62,10 @@ def jets(
         if not _decided(p, program, order, sides, c):
             break
     for i in range(n):
-        if _missing(c, i, order):
+        if missing(c, i, order):
             return -1
     for i in range(p.index[program, OUTPUT], p.index[program, OUTPUT + 1]):
-        if _missing(c, p.output[i], order):
+        if missing(c, p.output[i], order):
             return -1
     return 0
 
@@ -122,11 +122,15 @@ def _recur(p: Programs, program: int, order: int, sides: Ints, c: Matrix, work: 
                 integrate(i, p.flow[flow + i], p.numbers, c, k)
 
 
-def _missing(c: Matrix, row: int, order: int) -> bool:
-    k = 0
-    while k < order and not math.isnan(c[row, k]):
-        k += 1
-    return math.isnan(c[row, k])
+def missing(c: Matrix, row: int, order: int) -> bool:
+    """Whether one of the coefficients of a row does not exist, where those of the states do.
+
+    Then none of those behind it exists: each of an operation's has all before it in it. Only a
+    value may be missing alone, as that of ``log``, whose slope is known, and of ``floor``; a state
+    that grows by such a value misses its coefficient of order 1.
+    """
+    last = math.isnan(c[row, order])
+    return last or math.isnan(c[row, 0]) or math.isnan(c[row, min(1, order)])
 
 
 def _decided(p: Programs, program: int, order: int, sides: Ints, c: Matrix) -> bool:

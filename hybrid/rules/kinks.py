@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 
 from .arrays import Floats, Ints, Matrix, Programs
-from .jets import FLOW, KINKS, jets
+from .jets import FLOW, KINKS, jets, missing
 from .lengths import CONVERGED, behind, own_length
 from .polynomials import power_size, power_value
 from .zeros import EPS, VANISHES, series
@@ -87,23 +87,19 @@ def expanded(
     if jets(p, program, order, t, x, sides, c, work) < 0:
         return NO_SERIES
     for i in range(x.shape[0]):
-        for k in range(order + 1):
-            if not math.isfinite(c[i, k]):
-                return NOT_FINITE
+        if not (math.isfinite(c[i, 0]) and math.isfinite(c[i, order])):  # so are those between
+            return NOT_FINITE
     for j in range(first, p.index[program, KINKS + 1]):
         if p.kinks[j, KINK_KIND] != POINT:
-            _let_stand(c[p.kinks[j, KINK_ROW]])
+            _let_stand(c, p.kinks[j, KINK_ROW], order)
     return 0
 
 
-def _let_stand(c: Floats) -> None:
+def _let_stand(c: Matrix, row: int, order: int) -> None:
     """A series of which a coefficient is missing becomes that of the constant 1."""
-    missing = False
-    for k in range(c.shape[0]):
-        missing = missing or math.isnan(c[k])
-    if missing:
-        for k in range(c.shape[0]):
-            c[k] = 1.0 if k == 0 else 0.0
+    if missing(c, row, order):
+        for k in range(order + 1):
+            c[row, k] = 1.0 if k == 0 else 0.0
 
 
 def holding(p: Programs, program: int, c: Matrix) -> float:

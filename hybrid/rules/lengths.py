@@ -31,6 +31,10 @@ CONVERGED = 1e-3
 #: An element of the state is measured by its first terms, so many.
 FIRST_TERMS = 3
 
+#: Below this coefficients have lost digits, or all of them; and a series of which the next one
+#: would be smaller than this has not ended where they are zero.
+FAINT, REPRESENTED = 1e-290, 1e-200
+
 
 def falls(c: Matrix, size: int, gap: Floats, far: float, rows: Matrix, found: Matrix) -> float:
     """Where a gap first falls to zero, within ``far`` times the length over which the series of a
@@ -70,7 +74,7 @@ def _within(c: Floats, relative: float, absolute: float, length: float) -> float
     neither the unit of time nor other elements matter. One that is zero and at rest is measured by
     its other terms.
     """
-    order = c.shape[0] - 1
+    order = known(c)
     own = absolute + relative * abs(c[0])
     for k in range(order, order - 2, -1):
         last = abs(c[k])
@@ -88,18 +92,18 @@ def _within(c: Floats, relative: float, absolute: float, length: float) -> float
 
 def own_length(c: Floats, share: float) -> float:
     """Length at which the last two terms of a series fall to a share of the largest."""
-    order = c.shape[0] - 1
+    order = known(c)
     length = math.inf
     for last in range(order - 1, order + 1):
         if c[last] != 0.0:
-            reach = _reach(c, last, share)
+            reach = _reach(c, order, last, share)
             length = min(length, reach) if reach >= 0.0 else length
     return length
 
 
 def min_own_length(c: Floats, share: float, length: float) -> float:
     """The length, or :func:`own_length` where that is shorter, which takes longer to find."""
-    last, power_of_length, largest = c.shape[0] - 1, 1.0, 0.0
+    last, power_of_length, largest = known(c), 1.0, 0.0
     for k in range(last - 1):
         largest = max(largest, abs(c[k]) * power_of_length)
         power_of_length *= length
@@ -108,9 +112,37 @@ def min_own_length(c: Floats, share: float, length: float) -> float:
 
 
 def behind(c: Floats, s: float) -> float:
-    """What is left of a series behind its last terms, by their size: they fall."""
+    """What is left of a series behind its last terms, by their size: they fall.
+
+    Where time has a small unit they are next to nothing, and the power may be no number.
+    """
+    order = known(c)
+    left, far = abs(c[order - 1]) + abs(c[order]) * s, power(s, order - 1)
+    if far < math.inf:
+        return left * far
+    for _ in range(order - 1):
+        left *= s
+    return left
+
+
+def known(c: Floats) -> int:
+    """The order of a series; a lower one where time has so small a unit that the last coefficients
+    are next to nothing, or zero, which says nothing of how it converges.
+
+    They are zero of polynomials, too, of which those before do not lead there.
+    """
     order = c.shape[0] - 1
-    return (abs(c[order - 1]) + abs(c[order]) * s) * power(s, order - 1)
+    if abs(c[order]) >= FAINT or abs(c[order - 1]) >= FAINT:
+        return order
+    first, last = 0, order
+    while last > 0 and abs(c[last]) < FAINT:
+        last -= 1
+    while first < last and abs(c[first]) < FAINT:
+        first += 1
+    if last < FIRST_TERMS or first == last:
+        return order
+    ratio = (abs(c[last]) / abs(c[first])) ** (1.0 / (last - first))
+    return order if abs(c[last]) * ratio * ratio >= REPRESENTED else last
 
 
 def power(s: float, k: int) -> float:
@@ -123,11 +155,11 @@ def power(s: float, k: int) -> float:
     return value
 
 
-def _reach(c: Floats, last: int, share: float) -> float:
+def _reach(c: Floats, order: int, last: int, share: float) -> float:
     """Where a term is as large as a share of the largest of the others, the last two left out; -1
     where these are all zero."""
     reach, least = -1.0, 0.0  # shares of terms, against the last, that are not above it reach less
-    for k in range(c.shape[0] - 2):
+    for k in range(order - 1):
         size = share * abs(c[k] / c[last])
         if c[k] != 0.0 and not (least > 0.0 and size <= least):
             reach = max(reach, size ** (1.0 / (last - k)))

@@ -17,6 +17,19 @@ def power_value(c: Floats, low: int, degree: int, s: float) -> tuple[float, floa
     return value, slope
 
 
+def two_values(c: Floats, s: float, t: float) -> tuple[float, float, float, float]:
+    """Values and slopes of the sum of ``c[k] s^k`` at two places, as :func:`power_value` gives
+    them: neither sum waits for the other."""
+    at_s = at_t = c[c.shape[0] - 1]
+    slope_s = slope_t = 0.0
+    for k in range(c.shape[0] - 2, -1, -1):
+        slope_s = slope_s * s + at_s
+        slope_t = slope_t * t + at_t
+        at_s = at_s * s + c[k]
+        at_t = at_t * t + c[k]
+    return at_s, slope_s, at_t, slope_t
+
+
 def power_size(c: Floats, low: int, degree: int, s: float) -> float:
     """The sum of the sizes of the terms ``c[k] s^k``, from ``c[low]`` up to ``c[degree]``."""
     size = 0.0

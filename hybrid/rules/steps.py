@@ -82,7 +82,7 @@ def step(
         status = expanded(p, program, t, x, sides, c, work)
         if status == 0:
             status, h, crossed = _length(
-                p, program, held, t, most, loss, sides, c, aside, work, rows, found
+                p, program, held, t, tau, most, loss, sides, c, aside, work, rows, found
             )
         if status < 0:
             return status, 0.0, -1
@@ -102,6 +102,7 @@ def _length(
     program: int,
     held: bool,
     t: float,
+    tau: float,
     most: float,
     loss: Floats,
     sides: Ints,
@@ -124,6 +125,8 @@ def _length(
             return NOT_FINITE, h, -1
         if crossed >= 0 and h <= SIDE_BLUR * abs(t):
             return 0, h, crossed
+        rounded = (tau + h) - tau  # as the time will be
+        h = rounded if 0.0 < rounded < most else h
         if follows(p, program, held, t, h, crossed >= 0, sides, c, aside, work):
             return 0, h, crossed
         h *= 0.5

@@ -182,6 +182,7 @@ class Machine:
             driver.watch = Watch(*self._series())
             if status != FULL:
                 driver.tied = self._tied()
+                self._lower()
                 driver.look_again()
                 return
             self.size = tuple(min(ROOM_GROWTH * size, MOST_ROOM) for size in self.size)
@@ -220,7 +221,7 @@ class Machine:
         """Say how far the run is; if it is stopped there, keep what has been flown of the arc."""
         try:
             if self.plan.progress is not None:
-                self.plan.progress(self.driver.t + tau)
+                self.plan.progress(self.driver.record.now.after(tau).t)
         except KeyboardInterrupt:
             if tau > 0.0:
                 self._last(left)
@@ -632,3 +633,12 @@ class Machine:
         tied, flights = self.now.tied, int(self.ints[FLIGHTS])
         rows = np.flatnonzero((np.abs(tied) == flights) & (tied != 0)).tolist()
         return {self.tables.guards[g].edge: int(tied[g]) // flights for g in rows}
+
+    def _lower(self) -> None:
+        """Go on by series of the driver's order, if where the loop stopped only those are numbers:
+        of time in a small unit the highest coefficients are beyond them."""
+        low, jets = self.driver.solver.order, self.driver.entry.field.jets
+        if self.outside is None and jets is not None and self.order > low:
+            here = self.driver.t, self.driver.entry.x.tolist()
+            if not jets.finite(*here, self.order) and jets.finite(*here, low):
+                self.order = low

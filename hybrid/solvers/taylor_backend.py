@@ -29,19 +29,24 @@ REFUSED = {
 
 
 #: Order of the steps that the loop makes to rounding (measured, ``docs/notes/loop.md``). Those of
-#: the driver, which are few, are of a lower one: the last coefficients of steps of 1e-12 would be
-#: beyond what a double can be.
-HIGHEST = 24
+#: the driver, which are few, are of a lower one: the last coefficients of steps of 1e-10 would be
+#: beyond what a double can be. Where they are the loop takes that, too.
+HIGHEST = 28
 
-#: Terms more than would cost least if a step cost nothing besides: to hold it against the flow,
-#: kinks and guards costs about as much as these (measured, ``docs/notes/loop.md``).
-MORE = 5
+#: A tolerance no larger asks for series that are exact to rounding.
+LEAST_TOLERANCE = 1e-14
+
+#: To hold a step against the flow, kinks and guards costs as well: so many times the order pay that
+#: would cost least if a step cost only its terms (measured, ``docs/notes/loop.md``).
+ORDER_FACTOR = 1.65
 
 
 def order_at(rtol: float) -> int:
     """The order that costs least. If a step cost only its terms, the k-th k times the first, it
     would be that at which the radius of convergence is e^2 steps (Jorba & Zou)."""
-    return min(HIGHEST, MORE + math.ceil(1.0 - 0.5 * math.log(rtol)))
+    if rtol <= LEAST_TOLERANCE:
+        return HIGHEST
+    return min(HIGHEST, math.ceil(ORDER_FACTOR * (1.0 - 0.5 * math.log(rtol))))
 
 
 class TaylorSolver(Solver):
@@ -53,14 +58,14 @@ class TaylorSolver(Solver):
     evaluations: int
 
     #: Its steps lose some roundings each: what is weighed against the tolerances is known as well.
-    own_rtol = 1e-14
+    own_rtol = LEAST_TOLERANCE
 
     def __init__(self, method: str | None, rtol: float, atol: Any) -> None:
         if method not in (None, "taylor"):
             raise OptionError(f"method={method!r}: solver 'taylor' has one method; leave it out")
         self.rejected = self.evaluations = 0
         self.exact = rtol <= self.own_rtol
-        self.highest = HIGHEST if self.exact else order_at(rtol)
+        self.highest = order_at(rtol)
         self.order = min(self.highest, ORDER)
         if not self.exact:
             self.rtol, self.atol = rtol, atol

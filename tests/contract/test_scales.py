@@ -118,6 +118,18 @@ def test_events_fire_once_at_each_crossing(way, unit):
         assert result.times[0] / time == pytest.approx(np.arccos(0.3), rel=1e-7)
 
 
+@pytest.mark.parametrize("time", [1e-18, 1e-12, 1e-10, 1e10, 1e12, 1e14, 1e18])
+def test_steps_to_rounding_know_any_unit_of_time(time):
+    """The highest coefficients are no numbers there, or next to nothing, which is no last term."""
+    swing, start = Swing(w=1.0 / time, level=0.3), {"x": 1.0, "v": 0.0, "n": 0.0}
+    run = hy.simulate(swing, start, (0.0, 100.0 * time), solver="taylor")
+    turns = 2 * np.pi * np.arange(17)[:, None] + [-np.arccos(0.3), np.arccos(0.3)]
+    due = turns[(turns > 0.0) & (turns < 100.0)]
+    assert len(run.jumps) == len(due)
+    # a step with no last terms is held against the flow alone, to 256 roundings
+    assert run.jumps.t / time == pytest.approx(due, rel=1e-12)
+
+
 @in_units_of_length
 def test_sliding_begins_and_ends_at_the_same_times(way, unit):
     """From 1/4 it slides until the flow above turns upwards, at 2."""
