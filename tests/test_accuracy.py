@@ -62,6 +62,15 @@ def test_example_1(backend, reference, r, tolerance):
         np.testing.assert_allclose(run.jumps.t[: len(first)], first, rtol=0, atol=1e-10)
 
 
+@pytest.mark.parametrize("r", ["0.8", "0.5", "0.99"])
+def test_example_1_to_rounding(reference, r):
+    """As exact as ``1 / (1 - r)`` flights, each of which is off by some roundings of the time."""
+    exact = float(reference["example_1"][f"r={r},x0=2.1"]["t_inf"])
+    run = hy.simulate(HardSpring(r=float(r)), {"x": 2.1, "v": 0.0}, (0, 31), solver="taylor")
+    assert abs(run.zeno[0].t - exact) <= 8 * np.spacing(exact) / (1 - float(r))
+    assert abs(run.zeno[0].t - exact) <= run.zeno[0].t_error
+
+
 @pytest.mark.parametrize("tolerance", TOLERANCES)
 def test_example_2(backend, reference, tolerance):
     """A moving table: t_inf, the point on the table, and the first impacts."""

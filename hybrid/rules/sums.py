@@ -105,6 +105,10 @@ LAST_POINT = 255
 #: 0.0004 to 1.3 in sums along hard springs and soft ones.
 TURN_CAUTION, LAST_COEFFICIENTS = 8.0, 0.25
 
+#: What is left after a point more, against what was before, that still falls: rounding, of which
+#: what may be is a cautious bound, does not.
+STILL_FALLS = 0.5
+
 #: Rounding of one flight, relative, as seen in the change from turn to turn; what the last terms of
 #: its series leave of its length and of the speed at its end, against their own share: it was up to
 #: 1.9; and their share of what the sum may be off.
@@ -164,8 +168,11 @@ def close(
             r = at_limit(p, at, t, x, room)
         turns = degree - 1
         if turns > 0:
-            history[turns - 1] = compared(steady, degree, t, x, r, rtol, atol, terms, lines)
-            if history[turns - 1] <= 1.0:
+            left, clear = compared(steady, degree, t, x, r, rtol, atol, terms, lines)
+            history[turns - 1] = left
+            falls = turns < 2 or left < STILL_FALLS * history[turns - 2]
+            last = clear <= 1.0 or not (steady and falls) or degree == MOST_DEGREE
+            if left <= 1.0 and last:
                 r = at_limit(p, at, t, x, room)
                 fits = r > 0.0 and tested(
                     p, flow, at, column, held, degree, t, x, v, r, terms, room
@@ -531,19 +538,20 @@ def compared(
     atol: float,
     terms: float,
     lines: Matrix,
-) -> float:
-    """What is left, against what may be: what the last turn has changed; where only points were
-    added, as the last coefficients say."""
-    worst = 0.0
+) -> tuple[float, float]:
+    """What is left, against what may be, with rounding and without: what the last turn has changed;
+    where only points were added, as the last coefficients say."""
+    worst, clear = 0.0, 0.0
     for j in range(x.shape[0] + 1):
-        allowed = max(SUM_SHARE * rtol, SUM_FLOOR) * scale(t, x, j, lines)
-        allowed += rounding(t, x, j, r, terms, lines)
-        lines[ALLOWED, j] = allowed + (SUM_SHARE * atol if j > 0 else 0.0)
+        asked = max(SUM_SHARE * rtol, SUM_FLOOR) * scale(t, x, j, lines)
+        asked += SUM_SHARE * atol if j > 0 else 0.0
+        lines[ALLOWED, j] = asked + rounding(t, x, j, r, terms, lines)
         last = abs(lines[CURVE + degree, j]) + abs(lines[CURVE + degree - 1, j])
         change = abs(lines[TO_LIMIT, j] - lines[OLD_LIMIT, j])
         lines[ERROR, j] = LAST_COEFFICIENTS * last if steady else change
         worst = max(worst, lines[ERROR, j] / max(lines[ALLOWED, j], SMALLEST_DIVISOR))
-    return worst
+        clear = max(clear, lines[ERROR, j] / max(asked, SMALLEST_DIVISOR))
+    return worst, clear
 
 
 def hopeful(history: Floats, turns: int, left: int) -> bool:
