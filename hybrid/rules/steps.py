@@ -117,7 +117,7 @@ def _length(
     watched = count(p, program) > 0
     if watched:
         longest = min(longest, holding(p, program, c))
-    h = longest
+    h, tried = longest, math.inf
     while h > SHORTEST_CUT * longest:
         if watched:
             h, crossed = first_change(p, program, t, h, sides, c, rows, found)
@@ -126,8 +126,8 @@ def _length(
         if crossed >= 0 and h <= SIDE_BLUR * abs(t):
             return 0, h, crossed
         rounded = (tau + h) - tau  # as the time will be
-        h = rounded if 0.0 < rounded < most else h
+        h = rounded if 0.0 < rounded < min(most, tried) else h
         if follows(p, program, held, t, h, crossed >= 0, sides, c, aside, work):
             return 0, h, crossed
-        h *= 0.5
+        h, tried = 0.5 * h, h
     return NO_STEP, 0.0, -1
