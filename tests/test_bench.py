@@ -112,6 +112,7 @@ def test_what_fails_is_a_row_with_its_reason(monkeypatch):
         ({"solvers": ["scipy:RK46"]}, "RK46"),
         ({"solvers": ["matlab"]}, "matlab"),
         ({"oracle": lambda run: 1 / 0}, "ZeroDivisionError"),
+        ({"oracle": lambda run: []}, "no rows"),
     ],
 )
 def test_what_cannot_be_timed_is_refused(options, what):
@@ -180,7 +181,29 @@ def test_the_file_s_exact_values_hold_for_its_own_run_only():
     assert "a run of scipy:DOP853 to rounding" in done.output
 
 
-@pytest.mark.parametrize("text", ["fast", "1e-4..", "1e-4,,1e-8", "0..1e-3"])
+def test_an_error_that_is_no_number_is_not_hidden_by_another():
+    """Wherever it stands among the rows."""
+    for rows in ([("a", 1.0, 1.0), ("b", math.nan, 1.0)], [("b", math.nan, 1.0), ("a", 1.0, 1.0)]):
+        judge = precision._Exact(lambda run, rows=rows: rows)
+        assert math.isnan(judge.error(None, "taylor"))
+
+
+def test_where_the_exact_runs_differ_nothing_is_advised(tmp_path):
+    """No error is known there, which JSON has as null."""
+    assert "no error is known" in made(math.inf).advice
+    made(math.inf).save(tmp_path / "bench.json")
+    assert json.loads((tmp_path / "bench.json").read_text())["resolution"] is None
+
+
+def test_a_first_time_of_zero_is_another_run():
+    """The file's exact values do not hold for it."""
+    arguments = ["--solvers", "taylor", "--rtol", "1e-6", "--repeats", "1", "--from", "0"]
+    done = CliRunner().invoke(app, ["bench", "bouncing_ball", *arguments])
+    assert done.exit_code == 0, done.output
+    assert "a run of scipy:DOP853 to rounding" in done.output
+
+
+@pytest.mark.parametrize("text", ["fast", "1e-4..", "1e-4,,1e-8", "0..1e-3", "1e-4..3e-8"])
 def test_a_wrong_tolerance_is_one_line(text):
     """With what to write instead."""
     done = CliRunner().invoke(app, ["bench", "bouncing_ball", "--rtol", text])

@@ -123,6 +123,10 @@ class Bench:
     @property
     def advice(self) -> str:
         """Which solver to take for which error."""
+        if not isfinite(self.resolution):
+            return (
+                "The runs taken for exact differ in their jumps: no error is known; end it sooner."
+            )
         front = self.front
         if not front:
             return "No solver has come to the end of this run on the same course."
@@ -174,7 +178,7 @@ class Bench:
             "timings": [_plain(attrs.asdict(timing)) for timing in self.timings],
         }
         with open(path, "w", encoding="utf-8") as file:
-            json.dump(fields, file, indent=1)
+            json.dump(_plain(fields), file, indent=1, allow_nan=False)
 
     def plot(self, path: Any = None) -> Any:
         """Draw time against error, a line a solver, with quartiles as bars.
@@ -283,7 +287,7 @@ class _Judge(Protocol):
 class _Exact:
     """Against exact values."""
 
-    name, resolution = "the exact values of the model's file", 0.0
+    name, resolution = "exact values", 0.0
 
     def __init__(self, oracle: Oracle) -> None:
         self.oracle = oracle
@@ -297,7 +301,11 @@ class _Exact:
             return inf
         except Exception as fault:  # whatever the user's function raises, in one line
             raise OptionError(f"oracle: {type(fault).__name__}: {fault}") from fault
-        return max(float(np.max(np.abs(a - b) / np.where(b == 0, 1.0, np.abs(b)))) for a, b in rows)
+        if not rows:
+            raise OptionError("oracle: it yields no rows (name, computed, exact)")
+        return float(
+            np.max([np.max(np.abs(a - b) / np.where(b == 0, 1.0, np.abs(b))) for a, b in rows])
+        )
 
 
 class _Tighter:
@@ -332,8 +340,8 @@ class _Tighter:
         if found["edges"] or found["modes"]:
             return inf
         size = max(float(np.max(np.abs(arc.first))) for arc in exact.arcs) or 1.0
-        times = max(found["times"], found["t_inf"], found["releases"]) / self.length
-        return max(found["states"] / size, times)
+        times = [found[what] / self.length for what in ("times", "t_inf", "releases")]
+        return float(np.max([found["states"] / size, *times]))
 
 
 class _Runner:
@@ -347,7 +355,8 @@ class _Runner:
         self.arguments, self.solver, self.rtol = (model, start, t), solver, rtol
         self.options = {**own, "solver": name, "method": method or None}
         self.found: dict[str, Any] = {}
-        self.calls, self.samples, self.reason = 1, [], ""  # type: int, list[float], str
+        self.samples: list[float] = []
+        self.calls, self.reason = 1, ""
 
     def _run(self) -> Trajectory:
         return simulate(*self.arguments, **self.options)

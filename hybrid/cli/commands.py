@@ -220,7 +220,8 @@ def bench(
         entry = gallery.find(model)
         values, first = _pairs(set_ or [], "--set"), _pairs(start or [], "--start")
         before = _pairs(history or [], "--history")
-        own = not (values or first or before or since or until or memory != "keep")
+        spans = since is not None or until is not None
+        own = not (values or first or before or spans or memory != "keep")
         found = measure(
             entry.cls(**values),
             _start(entry, first),
@@ -235,7 +236,7 @@ def bench(
         )
         typer.echo(str(found))
         if out is not None:
-            name = entry.module.__name__.rpartition(".")[2]
+            name = Path(model.partition(":")[0]).stem
             _write(lambda: _keep(found, out, name))
             typer.echo(f"table, figure, numbers: {out / name}.txt, .png, .json")
 
@@ -258,6 +259,8 @@ def _tolerances(text: str) -> list[float]:
         if not dots:
             return [float(value) for value in text.split(",")]
         high, low = (round(math.log10(float(end))) for end in (first, last))
+        if [float(first), float(last)] != [float(f"1e{power}") for power in (high, low)]:
+            raise ValueError
     except ValueError:
         raise OptionError(f"--rtol {text}: write 1e-4,1e-8 or 1e-4..1e-12") from None
     step = 1 if low >= high else -1
