@@ -485,15 +485,8 @@ def lowered(cls: Any, shapes: tuple[tuple[int, ...], ...]) -> Lowered:
     return store[shapes]
 
 
-def guard_shape(code: Lowered, closed: Any) -> tuple[bool, tuple[int, ...]]:
-    """Whether a guard is affine, and the elements of the state that it is made of."""
-    graph = Graph()
-    (output,) = read(graph, closed, code.inputs(graph))
-    return node_shape(graph, int(output.reshape(())))
-
-
 def node_shape(graph: Graph, root: int) -> tuple[bool, tuple[int, ...]]:
-    """The same of a node."""
+    """Whether a node is affine, and the elements of the state that it is made of."""
     return degree(graph, root) <= 1, tuple(sorted(_states_in(graph, root) - {TIME_PLACE}))
 
 

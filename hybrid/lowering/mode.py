@@ -305,15 +305,17 @@ class ModeGraph:
 
     def sizes(self, name: str, held: bool) -> list[int]:
         """Sums of the absolute terms of which a guard and its derivatives are made."""
-        graph, guard = self.graph, self.guard(name)
-        zeros = dict.fromkeys(self.x, graph.const(0.0))
-        (offset,) = rebuilt(graph, [guard], lambda n: zeros.get(graph.known(*n) or -1))
+        guard, moving = self.guard(name), [self.graph.const(1.0), *self.flow(held)]
+        first = self.rate(guard, self.flow(held))
+        return [self.size(guard), self._terms(guard, moving), self._terms(first, moving)]
+
+    def size(self, node: int) -> int:
+        """The sum of the absolute terms of which a node is made."""
+        graph, zeros = self.graph, dict.fromkeys(self.x, self.graph.const(0.0))
+        (offset,) = rebuilt(graph, [node], lambda n: zeros.get(graph.known(*n) or -1))
         known = graph.node("is_finite", offset)
         absolute = graph.node("select", known, graph.node("abs", offset), graph.const(0.0))
-        moving = [graph.const(1.0), *self.flow(held)]
-        size = graph.node("add", self._terms(guard, [self.t, *self.x]), absolute)
-        first = self.rate(guard, self.flow(held))
-        return [size, self._terms(guard, moving), self._terms(first, moving)]
+        return graph.node("add", self._terms(node, [self.t, *self.x]), absolute)
 
     def _terms(self, node: int, changes: Sequence[int]) -> int:
         graph = self.graph

@@ -9,11 +9,11 @@ from typing import Any
 import attrs
 
 from ..automaton.markers import RISING, Crossing
-from ..automaton.trace import again, caller, scalar, trace
+from ..automaton.trace import caller, scalar, trace
 from ..errors import OptionError
 from ..events import fires, zeros
 from ..lowering import Guard, Kind, Scene
-from ..lowering.lowered import guard_shape
+from ..lowering.lowered import node_shape
 from ..lowering.scene import Scalar
 from ..trajectory.arcs import Arc, Part
 from ..trajectory.clock import Instant
@@ -138,30 +138,18 @@ def _surface(model: Any, scene: Scene, function: Callable[..., Any], crossing: C
     except Exception as fault:  # whatever the caller's function raises
         reason = str(fault).split("\n")[0]
         raise OptionError(f"{spec.model}: section {function!r}: {reason}") from fault
-    value = scene.bind(code.program(("section", function), lambda: closed))
-    affine, uses = guard_shape(code, closed)
-    name, free = "section", lambda *_: (0.0, 0.0, 0.0)
-    guard = Guard(name, Kind.EDGE, "", crossing, value, free, affine, uses, closed)
-    sizes = code.program(
-        ("section", "size", function), lambda: trace(spec, _terms(closed), 0, code.shapes)
-    )
-    return Surface(scene, guard, scene.bind(sizes))
+    graph, numbers = code.mode(spec.initial), scene.numbers(spec.initial, ())
 
+    def bound(what: str, made: int) -> Scalar:
+        program = graph.program(("section", what, function), lambda: [made])
+        call = scene.bind(program, numbers)
+        return lambda t, x: call(t, x)[0]
 
-def _terms(closed: Any) -> Callable[..., Any]:
-    """The sum of the absolute terms of a function of time and state, to first order."""
-    function = again(closed)
-
-    def terms(parameters: Any, t: Any, x: Any) -> Any:
-        import jax
-        import jax.numpy as jnp
-
-        by_t, by_x = jax.grad(function, argnums=(1, 2))(parameters, t, x)
-        offset = jnp.abs(function(parameters, t, jnp.zeros_like(x)))
-        varies = jnp.abs(by_t * t) + jnp.abs(by_x) @ jnp.abs(x)
-        return varies + jnp.where(jnp.isfinite(offset), offset, 0.0)
-
-    return terms
+    (node,) = graph.values(closed)
+    free, shape = lambda *_: (0.0, 0.0, 0.0), node_shape(graph.graph, node)
+    made = bound("value", node), free, *shape, lambda: closed
+    size = bound("size", graph.size(node))
+    return Surface(scene, Guard("section", Kind.EDGE, "", crossing, *made), size)
 
 
 def cut(run: Trajectory, at: Return) -> Trajectory:

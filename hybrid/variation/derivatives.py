@@ -188,9 +188,19 @@ class Derivatives:
     def project(self, field: Field) -> Matrix:
         """``(t, x) -> (n, columns)``: of the way back onto the contacts held, or the surface, at
         a state that is there."""
-        if self.scene.spec.sliding(field.mode) is not None:
-            return self._onto_surface(field)
-        return self._onto_contacts(field)
+        switching, code = self.scene.spec.sliding(field.mode), self.scene.code
+        if switching is not None:
+            onto = lambda g: g.values(code.onto_closed(switching.name))  # noqa: E731
+            return self.matrix(self._slopes(("onto", field.name), field.mode, (), onto))
+        gaps, speeds = (
+            self._slopes(("onto", of_speed, field.name), field.mode, field.held, moved)
+            for of_speed, moved in (
+                (False, lambda g: g.onto(False)),
+                (True, lambda g: g.onto(True)),
+            )
+        )
+        first, second = self.matrix(gaps), self.matrix(speeds)
+        return lambda t, x: after(second(t, x), first(t, x))
 
     def of_contacts(self, field: Field) -> Rows:
         """Of the gap of each contact held its derivatives and the direction in which it is taken
@@ -212,45 +222,6 @@ class Derivatives:
 
         key = "onto", field.name
         return Rows(key, field.mode, field.held, rows, self.columns + size)
-
-    def _onto_contacts(self, field: Field) -> Matrix:
-        """Gaps are taken away along their gradients, then gap speeds along impulses."""
-        size, count, held = self.size, self.columns, len(field.held)
-        known = self.matrix(self.of_contacts(field))
-
-        def onto(t: float, x: np.ndarray) -> np.ndarray:
-            moved, values = np.eye(count), known(t, x).reshape(held, 2, count + size)
-            for place in range(2):
-                off, along = values[:, place, :count], values[:, place, count:]
-                shares = np.linalg.solve(off[:, 1 : 1 + size] @ along.T, off @ moved)
-                moved[1 : 1 + size] -= along.T @ shares
-            return moved[1 : 1 + size]
-
-        return onto
-
-    def _onto_surface(self, field: Field) -> Matrix:
-        """The surface function is taken away along the difference of the two flows."""
-        code, size, switching = self.scene.code, self.size, self.scene.spec.sliding(field.mode)
-        assert switching is not None
-        sides = switching.positive, switching.negative
-
-        def rows(graph: ModeGraph) -> list[int]:
-            (surface,) = graph.values(code.closed("surface", switching.name))
-            flows = [graph.values(code.closed("flow", side)) for side in sides]
-            across = [graph.graph.node("sub", *pair) for pair in zip(*flows, strict=True)]
-            return [*gradient(graph.graph, surface, self._inputs(graph)), *across]
-
-        key = "onto", field.name
-        known = self.matrix(Rows(key, field.mode, (), rows, self.columns + size))
-
-        def onto(t: float, x: np.ndarray) -> np.ndarray:
-            (row,) = known(t, x)
-            off, across = row[: self.columns], row[self.columns :]
-            share = off / (off[1 : 1 + size] @ across)
-            moved: np.ndarray = np.eye(size, self.columns, 1) - np.outer(across, share)
-            return moved
-
-        return onto
 
     # -- how they are made ----------------------------------------------------------------
 
@@ -299,6 +270,16 @@ class Derivatives:
         parameters = [i for ids in graph.inputs[: len(shapes)] for i in np.reshape(ids, -1)]
         inputs = [graph.t, *graph.x, *(i for row in shown for i in row)]
         return [int(i) for i in [*inputs, *parameters[: self.count]]]
+
+
+def after(later: np.ndarray, earlier: np.ndarray) -> np.ndarray:
+    """The derivatives of what follows another at the same time, of theirs by time, state, and all
+    else; shapes ``(n, columns)``."""
+    end = 1 + len(later)
+    found: np.ndarray = later[:, 1:end] @ earlier
+    found[:, 0] += later[:, 0]
+    found[:, end:] += later[:, end:]
+    return found
 
 
 def _node(graph: ModeGraph, guard: Guard) -> int:

@@ -29,6 +29,7 @@ from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
 from ..trajectory.trajectory import Trajectory
 from .arcs import ArcPiece, along, passing, told
 from .derivatives import Derivatives
+from .derivatives import after as after_reset
 from .limit import LimitVariation, through
 
 #: Change of a guard, or of what decides which jump comes first, against the terms of which it is
@@ -295,7 +296,7 @@ class Walk:
         ties = np.vstack([ties, *self._sides(index, after, moments)])
         resets = np.eye(self.size, self.of.columns, 1)
         for place, row in group:
-            resets = self._after(self._reset(place, row), resets)
+            resets = after_reset(self._reset(place, row), resets)
         reset = self._widened(resets[:, 1:])
         if guard.kind not in SMOOTH_KINDS or jumped is not None or waits or len(group) > 1:
             moves = resets[:, 1 : 1 + self.size] @ before + resets[:, 0]
@@ -355,13 +356,6 @@ class Walk:
     def _reset(self, place: int, row: JumpRow) -> np.ndarray:
         kind, of = self.fired(place, row)[1].kind, self.beside(place, True)[1]
         return of.reset(row.edge, kind)(row.t, row.before)
-
-    def _after(self, reset: np.ndarray, earlier: np.ndarray) -> np.ndarray:
-        """A reset after what came before it at the same time, by time, state and parameters."""
-        found: np.ndarray = reset[:, 1 : 1 + self.size] @ earlier
-        found[:, 0] += reset[:, 0]
-        found[:, 1 + self.size :] += reset[:, 1 + self.size :]
-        return found
 
     def _moved(self, time: np.ndarray, state: np.ndarray) -> np.ndarray:
         """Changes of time, state and parameters, one below the other."""
