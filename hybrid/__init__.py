@@ -45,9 +45,9 @@ if TYPE_CHECKING:
     from .ensembles import ensemble
     from .functions import as_function
     from .orbits import lyapunov, periodic_orbit, return_map
+    from .result import Trajectory, load
     from .simulation import simulate
-    from .trajectory import Status, Trajectory
-    from .trajectory.files import load
+    from .trajectory import Status
     from .trajectory.stats import Stats
 
 __version__ = "0.1.0"
@@ -64,10 +64,10 @@ _LAZY = {
     "return_map": "orbits",
     "ensemble": "ensembles",
     "simulate": "simulation",
-    "load": "trajectory.files",
+    "load": "result",
     "Stats": "trajectory.stats",
     "Status": "trajectory",
-    "Trajectory": "trajectory",
+    "Trajectory": "result",
 }
 
 #: Names that users knew, and where they went.

@@ -11,12 +11,12 @@ import numpy as np
 from .automaton.base import require_model
 from .delay.hindsight import Hindsight
 from .lowering import Scene, scene_of
+from .result import Trajectory
 from .run import Driver
 from .run.comparison import give_errors
 from .run.options import Asked, mode_of, start_of
 from .solvers import renamed
 from .trajectory.stats import Stats, versions
-from .trajectory.trajectory import Trajectory
 
 
 def simulate(

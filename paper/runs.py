@@ -13,8 +13,8 @@ from hybrid.certificates import certify
 from hybrid.lowering import scene_of
 from hybrid.plot.figure import Figure, Panel
 from hybrid.plot.of_run import gaps_panel, states_panel, zooms
+from hybrid.result import Trajectory
 from hybrid.simulation import simulate
-from hybrid.trajectory import Trajectory
 
 from .claims import Number
 

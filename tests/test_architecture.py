@@ -29,6 +29,7 @@ LAYERS = [
     ["replay"],
     ["ensembles"],
     ["functions"],
+    ["result"],
     ["simulation"],
     ["certificates", "orbits"],
     ["benchmark"],
@@ -38,13 +39,6 @@ LAYERS = [
 
 #: Imports within functions that go up, or close a circle, and why.
 MEANT = {
-    # what a run does for its user stands above it
-    ("trajectory.trajectory", "plot"),
-    ("trajectory.trajectory", "plot.interactive"),
-    ("trajectory.trajectory", "plot.of_run"),
-    ("trajectory.trajectory", "plot.static"),
-    ("trajectory.trajectory", "trajectory.files"),
-    ("trajectory.trajectory", "orbits.settling"),
     # the version
     ("trajectory.stats", "__init__"),
 }

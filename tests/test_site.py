@@ -29,7 +29,7 @@ MADE = (
     "orbits.exponents.Exponents",
     "orbits.periodic.PeriodicOrbit",
     "orbits.returns.ReturnMap.__call__",
-    "orbits.settling.Settled",
+    "result.settling.Settled",
     "solvers.base.Stepper.land",
     "trajectory.accumulation.Accumulation.verdict",
     "trajectory.arcs.Arc",

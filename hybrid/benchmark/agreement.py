@@ -14,8 +14,8 @@ import attrs
 import numpy as np
 
 from ..errors import HybridError
+from ..result import Trajectory
 from ..simulation import simulate
-from ..trajectory.trajectory import Trajectory
 from .differences import differences
 
 #: What is run, by label; the first is the reference.

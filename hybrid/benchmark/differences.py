@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..result import Trajectory
 from ..trajectory.arcs import Arc, JumpRow
-from ..trajectory.trajectory import Trajectory
 
 
 def differences(a: Trajectory, b: Trajectory) -> dict[str, float]:

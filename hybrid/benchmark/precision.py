@@ -18,10 +18,11 @@ import numpy as np
 
 from ..errors import PLOT, HybridError, OptionError, need
 from ..plot.figure import METHOD_COLORS, Curve, Figure, Panel, column
+from ..result import Trajectory
 from ..simulation import simulate
 from ..solvers.base import FINEST
 from ..trajectory.stats import versions
-from ..trajectory.trajectory import Status, Trajectory
+from ..trajectory.trajectory import Status
 from .differences import differences
 
 #: Solvers and tolerances that are timed where none are named.

@@ -22,8 +22,9 @@ import typer
 from .. import gallery
 from ..errors import FILES, HTML, PLOT, DeclarationError, HybridError, OptionError, StartError, need
 from ..plot import is_page
+from ..result import Trajectory
 from ..trajectory.stats import versions
-from ..trajectory.trajectory import Status, Trajectory
+from ..trajectory.trajectory import Status
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Simulate hybrid automata through Zeno points."

@@ -14,7 +14,7 @@ from ..automaton.spec import Spec
 from ..automaton.trace import wide
 from ..errors import OptionError
 from ..trajectory.arcs import Arc
-from ..trajectory.trajectory import Trajectory
+from ..trajectory.trajectory import Solution
 from .pieces import Piece, constant, piece_of
 
 
@@ -30,7 +30,7 @@ def pieces(spec: Spec, history: Any, t0: float, x: np.ndarray, memory: str = "ke
 
     Parameters
     ----------
-    history : None, mapping, record, sequence, callable or Trajectory
+    history : None, mapping, record, sequence, callable or Solution
         Nothing: the start, for ever. By state (or in declared order) a number, an array or a
         function of time; states left out are as at the start. A function of time that gives all
         states. A trajectory: its record up to ``t0``, and before it what was before that run.
@@ -48,7 +48,7 @@ def pieces(spec: Spec, history: Any, t0: float, x: np.ndarray, memory: str = "ke
         return [constant(x, t0)]
     if isinstance(history, Before):
         return history.pieces
-    if isinstance(history, Trajectory):
+    if isinstance(history, Solution):
         return _of_run(spec, history, t0, memory)
     if callable(history):
         return [_of_function(spec, partial(_all_states, spec, history), t0)]
@@ -118,7 +118,7 @@ def _called(
         return np.array([at(t) for t in (s + since).tolist()])
 
 
-def _of_run(spec: Spec, run: Trajectory, t0: float, memory: str) -> list[Piece]:
+def _of_run(spec: Spec, run: Solution, t0: float, memory: str) -> list[Piece]:
     """The pieces of an earlier run, which must reach ``t0``, and of what was before it."""
     if run.spec.names != spec.names:
         theirs, own = ", ".join(run.spec.names), ", ".join(spec.names)

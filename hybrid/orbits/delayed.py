@@ -9,8 +9,8 @@ import numpy as np
 
 from ..errors import OrbitError
 from ..lowering import Scene
+from ..result import Trajectory
 from ..trajectory.arcs import Arc
-from ..trajectory.trajectory import Trajectory
 from ..variation import Carried, Course, PastVariation, Shift, Strand, Walk
 
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from ..automaton.base import require_model
 from ..errors import OptionError, OrbitError
+from ..result import Trajectory
 from ..simulation import simulate
-from ..trajectory.trajectory import Status, Trajectory
+from ..trajectory.trajectory import Status
 from ..variation import factors
 
 #: Parts of a run whose means are compared.

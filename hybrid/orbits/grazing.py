@@ -10,11 +10,11 @@ from numpy.polynomial import chebyshev
 
 from ..events import turning_points
 from ..lowering import Field, Guard
+from ..result import Trajectory
+from ..result.standing import SAMPLED_DEGREE
 from ..segment import from_values, nodes
 from ..trajectory.arcs import Arc
-from ..trajectory.trajectory import Trajectory
 from ..variation.walk import SMOOTH_KINDS
-from .standing import SAMPLED_DEGREE
 
 #: A guard's rate at a jump, against its largest, below which the jump is said to graze; the
 #: square of this is what a guard that turns back has come to, against its largest value.

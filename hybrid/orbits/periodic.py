@@ -14,7 +14,7 @@ from ..automaton.base import require_model
 from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
 from ..lowering import Scene, scene_of
-from ..trajectory.trajectory import Trajectory
+from ..result import Trajectory
 from ..variation import Factor
 from .delayed import require_constant
 from .grazing import near_grazing, turning

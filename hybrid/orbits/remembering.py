@@ -23,10 +23,10 @@ from ..delay.hindsight import Hindsight, PastRecord
 from ..delay.history import Before
 from ..delay.pieces import Piece, constant
 from ..errors import OptionError, OrbitError
+from ..result import Trajectory
 from ..segment import from_values, nodes
 from ..trajectory.arcs import Arc
 from ..trajectory.log import Log
-from ..trajectory.trajectory import Trajectory
 from ..variation import Carried, Shift, Strand, descendants, distinct
 from .delayed import carried
 from .shooting import SHORTEST_ARC, Description, Guess, Shooting, Shot

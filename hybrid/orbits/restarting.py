@@ -10,8 +10,8 @@ import attrs
 import numpy as np
 
 from ..errors import OrbitError
+from ..result import Trajectory
 from ..trajectory.arcs import Arc
-from ..trajectory.trajectory import Trajectory
 from ..variation import Strand
 from .delayed import carried
 from .section import Return, cut

@@ -14,8 +14,9 @@ from ..automaton.markers import RISING, Crossing
 from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
 from ..lowering import scene_of
+from ..result import Trajectory
 from ..simulation import simulate
-from ..trajectory.trajectory import Status, Trajectory
+from ..trajectory.trajectory import Status
 from ..variation.carried import WINDOW_SPACINGS
 from .section import EdgeSection, Period, Return, Section, Surface, cut, section_of
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..automaton.markers import RISING
 from ..errors import HybridError, OptionError, OrbitError
 from ..lowering import Scene
-from ..trajectory.trajectory import Trajectory
+from ..result import Trajectory
 from ..variation.carried import WINDOW_SPACINGS
 from .returns import FIRST_WINDOW, ReturnMap
 from .shooting import EQUILIBRIUM_MOVE, Guess, Shooting, Shot

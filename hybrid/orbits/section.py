@@ -15,10 +15,11 @@ from ..events import fires, zeros
 from ..lowering import Guard, Kind, Scene
 from ..lowering.lowered import node_shape
 from ..lowering.scene import Scalar
+from ..result import Trajectory
 from ..trajectory.arcs import Arc, Part
 from ..trajectory.clock import Instant
 from ..trajectory.log import Log
-from ..trajectory.trajectory import Status, Trajectory
+from ..trajectory.trajectory import Status
 
 #: A surface on which a run starts is zero there, relative to the terms that it is made of.
 STARTS = 1e-8

@@ -20,10 +20,10 @@ from ..delay.hindsight import Hindsight
 from ..delay.history import pieces
 from ..errors import HybridError, OrbitError
 from ..lowering import Scene, scene_of
+from ..result import Trajectory
 from ..simulation import simulate
 from ..trajectory.arcs import Arc
 from ..trajectory.log import Log
-from ..trajectory.trajectory import Trajectory
 from ..variation import Factor, factors
 
 #: Most steps of Newton's method, and most halvings of one.

@@ -12,7 +12,7 @@ import numpy as np
 from ..lowering import Kind
 from ..trajectory.accumulation import Accumulation
 from ..trajectory.arcs import Arc
-from ..trajectory.trajectory import Trajectory
+from ..trajectory.trajectory import Solution
 from .figure import Curve, Figure, Panel
 
 #: Points drawn of an arc, at most and at least, and of a run; arcs of a long run get fewer.
@@ -26,7 +26,7 @@ NEAREST_TO_LIMIT = 1e-12
 FALLS = 2000
 
 
-def figure(run: Trajectory) -> Figure:
+def figure(run: Solution) -> Figure:
     """A run on one figure.
 
     Left: each element of the state over time, impacts marked, accumulations as lines,
@@ -45,25 +45,25 @@ def figure(run: Trajectory) -> Figure:
 
 
 def states_panel(
-    run: Trajectory, name: str, *, look: str = "line", points: int = ALL_POINTS
+    run: Solution, name: str, *, look: str = "line", points: int = ALL_POINTS
 ) -> Panel:
     """One element of the state over time, with impacts, rests, limits and the obstacle."""
     return _states(run, name, _sampled(run, points), look)
 
 
 def path(
-    run: Trajectory, index: int, *, look: str = "line", name: str = "", points: int = ALL_POINTS
+    run: Solution, index: int, *, look: str = "line", name: str = "", points: int = ALL_POINTS
 ) -> list[Curve]:
     """One element over time: a curve for the flights, a thicker one for the rests."""
     return _path(run, index, _sampled(run, points), look, name)
 
 
-def phase_panel(run: Trajectory, *, points: int = ALL_POINTS) -> Panel:
+def phase_panel(run: Solution, *, points: int = ALL_POINTS) -> Panel:
     """Velocity over position of the first contact (else the first two elements)."""
     return _phase(run, _sampled(run, points))
 
 
-def gaps_panel(run: Trajectory) -> Panel:
+def gaps_panel(run: Solution) -> Panel:
     """Time between jumps, by number, on a logarithmic axis."""
     pairs = _gaps(run)
     title = "time between jumps" if pairs else "fewer than two jumps"
@@ -73,7 +73,7 @@ def gaps_panel(run: Trajectory) -> Panel:
     return Panel(curves=[curve], x="jump", y="", log="y", title=title)
 
 
-def _gaps(run: Trajectory) -> list[tuple[int, float]]:
+def _gaps(run: Solution) -> list[tuple[int, float]]:
     """Jumps by number, and the time to the next: down to the last double, but in long runs."""
     if len(run.jumps) > FALLS:
         return [(j, gap) for j, gap in enumerate(run.jumps.gaps.tolist(), 1) if gap > 0.0]
@@ -84,9 +84,7 @@ def _gaps(run: Trajectory) -> list[tuple[int, float]]:
     ]
 
 
-def approach_panel(
-    run: Trajectory, name: str, place: int = 0, *, points: int = ALL_POINTS
-) -> Panel:
+def approach_panel(run: Solution, name: str, place: int = 0, *, points: int = ALL_POINTS) -> Panel:
     """An element that vanishes in the limit, over the time that is left, on a logarithmic axis.
 
     The impacts, which crowd together over time, are equally far apart on it.
@@ -105,7 +103,7 @@ def approach_panel(
     return Panel(curves=[Curve(x=x, y=y)], x="t_inf - t", y=label, log="x", reverse=True)
 
 
-def zooms(run: Trajectory, place: int = 0) -> list[tuple[str, tuple[float, float]]]:
+def zooms(run: Solution, place: int = 0) -> list[tuple[str, tuple[float, float]]]:
     """The whole run, and nearer and nearer to an accumulation."""
     whole = [("whole run", (run.t0, run.t1))]
     if not run.zeno:
@@ -115,7 +113,7 @@ def zooms(run: Trajectory, place: int = 0) -> list[tuple[str, tuple[float, float
     return whole + [(f"last {_power(d)}", (t - d, t + 0.1 * d)) for d in near]
 
 
-def title(run: Trajectory) -> str:
+def title(run: Solution) -> str:
     """How many jumps, and where they accumulate; with a bound, if it has been asked for."""
     head = f"{run.spec.model}: {len(run.jumps)} jumps listed"
     if not run.zeno:
@@ -150,7 +148,7 @@ class _Drawn(NamedTuple):
     dots: list[tuple[np.ndarray, np.ndarray]]
 
 
-def _sampled(run: Trajectory, points: int) -> _Drawn:
+def _sampled(run: Solution, points: int) -> _Drawn:
     """The whole run, with about so many points."""
     seen = _seen(run)
     dense = [arc for arc in seen if arc.segments]
@@ -159,7 +157,7 @@ def _sampled(run: Trajectory, points: int) -> _Drawn:
     return _Drawn(_along(flights, points), _along(rests, points), _kept(run, seen))
 
 
-def _seen(run: Trajectory) -> list[Arc]:
+def _seen(run: Solution) -> list[Arc]:
     """The arcs; in a long run those of the first tail, and of the others what can be seen."""
     least, arcs = (run.t1 - run.t0) / ALL_POINTS if len(run.jumps) > FALLS else 0.0, []
     for part in run.parts:
@@ -173,7 +171,7 @@ def _seen(run: Trajectory) -> list[Arc]:
     return arcs
 
 
-def _kept(run: Trajectory, arcs: Sequence[Arc]) -> list[tuple[np.ndarray, np.ndarray]]:
+def _kept(run: Solution, arcs: Sequence[Arc]) -> list[tuple[np.ndarray, np.ndarray]]:
     """The ends of arcs without dense output, and the states that were asked for."""
     bare = [arc for arc in arcs if not arc.segments and arc.length > 0.0]
     kept = [(np.array([arc.t0, arc.t1]), np.array([arc.first, arc.last])) for arc in bare]
@@ -193,7 +191,7 @@ def _along(arcs: Sequence[Arc], points: int) -> list[tuple[np.ndarray, np.ndarra
     return sampled
 
 
-def _states(run: Trajectory, name: str, drawn: _Drawn, look: str = "line") -> Panel:
+def _states(run: Solution, name: str, drawn: _Drawn, look: str = "line") -> Panel:
     index = run.spec.element_names.index(name)
     curves = [*_obstacle(run, index), *_path(run, index, drawn, look)]
     curves += [*_impacts(run, index), *_limits(run, curves)]
@@ -201,7 +199,7 @@ def _states(run: Trajectory, name: str, drawn: _Drawn, look: str = "line") -> Pa
     return Panel(curves=curves, y=f"{name} [{unit}]" if unit else name)
 
 
-def _path(run: Trajectory, index: int, drawn: _Drawn, look: str, name: str = "") -> list[Curve]:
+def _path(run: Solution, index: int, drawn: _Drawn, look: str, name: str = "") -> list[Curve]:
     still = look if look not in ("line", "other") else "rest" if look == "line" else "other rest"
     flying = _joined([(t, x[:, index]) for t, x in drawn.flights])
     resting = _joined([(t, x[:, index]) for t, x in drawn.rests])
@@ -212,7 +210,7 @@ def _path(run: Trajectory, index: int, drawn: _Drawn, look: str, name: str = "")
     return [*curves, Curve(x=kept[0], y=kept[1], look="mark")] if kept[0].size else curves
 
 
-def _phase(run: Trajectory, drawn: _Drawn) -> Panel:
+def _phase(run: Solution, drawn: _Drawn) -> Panel:
     names = run.spec.element_names
     i, k = (run.pairs or [(0, min(1, len(names) - 1))])[0]
     curves = []
@@ -238,11 +236,11 @@ def _joined(parts: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(x or empty)[:-1], np.concatenate(y or empty)[:-1]
 
 
-def _staying(run: Trajectory) -> str:
+def _staying(run: Solution) -> str:
     return "at rest" if any(part.held for part in run.parts) else "sliding"
 
 
-def _impacts(run: Trajectory, index: int) -> list[Curve]:
+def _impacts(run: Solution, index: int) -> list[Curve]:
     """Jumps at their places after them; not releases, where nothing jumps."""
     names = run.spec.element_names
     shown = np.array([not str(edge).endswith(".release") for edge in run.jumps.edge], dtype=bool)
@@ -258,7 +256,7 @@ def _impacts(run: Trajectory, index: int) -> list[Curve]:
     return [Curve(x=t, y=after[:, index], look="impact", name="jump", notes=notes)]
 
 
-def _limits(run: Trajectory, curves: Sequence[Curve]) -> list[Curve]:
+def _limits(run: Solution, curves: Sequence[Curve]) -> list[Curve]:
     """Accumulations, as lines as high as what is drawn."""
     values = np.concatenate([curve.y[np.isfinite(curve.y)] for curve in curves])
     ends = [values.min(), values.max()] if values.size else [0.0, 1.0]
@@ -280,7 +278,7 @@ def _elements(record: object) -> np.ndarray:
     return np.concatenate([p.reshape(len(p), -1) for p in parts], axis=1)
 
 
-def _obstacle(run: Trajectory, index: int) -> list[Curve]:
+def _obstacle(run: Solution, index: int) -> list[Curve]:
     """The obstacle, where a gap grows as fast as this coordinate: ``x - gap(t, x)``."""
     times = np.linspace(run.t0, run.t1, 600)
     state = np.concatenate([np.ravel(v) for v in run.final])
@@ -298,7 +296,7 @@ def _obstacle(run: Trajectory, index: int) -> list[Curve]:
     return curves
 
 
-def _unit(run: Trajectory, index: int) -> str:
+def _unit(run: Solution, index: int) -> str:
     for state in run.spec.states:
         if state.offset <= index < state.offset + state.size:
             return state.unit

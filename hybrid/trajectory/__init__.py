@@ -1,5 +1,5 @@
-"""What a run is asked for, what it keeps as it goes on, and what it returns."""
+"""What a run is asked for, what it keeps as it goes on, and what it has found: data."""
 
-from .trajectory import Status, Trajectory
+from .trajectory import Solution, Status
 
-__all__ = ["Status", "Trajectory"]
+__all__ = ["Solution", "Status"]

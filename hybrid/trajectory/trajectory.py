@@ -1,4 +1,4 @@
-"""What a run returns: hybrid time first. Arcs joined by jumps, and limit points of jumps.
+"""What a run has found: hybrid time first. Arcs joined by jumps, and limit points of jumps.
 
 A trajectory is a list of arcs; between two of them lies a jump or an accumulation of
 jumps. The arcs of a chattering tail, of which there are infinitely many, are made from its
@@ -11,24 +11,18 @@ import enum
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import attrs
 import numpy as np
 
 from ..automaton.record import Record
 from ..automaton.spec import Spec
-from ..errors import HTML, PLOT, OptionError, need
+from ..errors import OptionError
 from .accumulation import Accumulation, explain, unfinished
 from .arcs import Arc, JumpRow, Part, TailPart
 from .log import Log, Table
 from .stats import Stats
-
-if TYPE_CHECKING:
-    import xarray
-
-    from ..orbits.settling import Settled
-
 
 #: Accumulations that a run lists when it is printed, and explains unless all are asked for.
 LISTED, EXPLAINED = 9, 36
@@ -125,41 +119,10 @@ class Jumps(Sequence[Jump]):
 
 
 @attrs.define(eq=False)
-class Trajectory:
-    """The result of a run, in hybrid time.
+class Solution:
+    """What a run has found, in hybrid time: data, and words for it.
 
-    ``run(t)`` is the state at a time, ``run.arcs`` and ``run.jumps`` the tables, ``run.final``
-    and ``run.mode`` where it ended.
-
-    Attributes
-    ----------
-    parameters : dict
-        Values of the model's parameters.
-    log : Log
-        What was kept: ``parts``, arcs and chattering tails, and ``own_jumps``, the jumps by the
-        place of the part they led from.
-    zeno : list of Accumulation
-        Limit points of jumps, in order.
-    samples : array, shape (number of times, n), or None
-        With ``save=times``: the states at these times.
-    grazings : list of Jump
-        Tangencies of a guard, which fire no edge (``before`` and ``after`` are the same).
-    status : Status
-        An enumeration whose text is a sentence.
-    options : dict
-        What the run was made with: the options of :func:`hybrid.simulate` by name. Where no method,
-        tolerances or mode were given, those that were taken. ``save`` is ``"times"``, and ``times``
-        has them, where the states at some times were asked for. What was before the start of a
-        model with delays is not among them.
-    pairs : list of (int, int)
-        Places of a contact's positions and velocities in the state vector.
-    hindsight : Hindsight or None
-        How the model looked at each time of the run (:mod:`hybrid.delay.hindsight`); None in a run
-        that was loaded.
-    stats : Stats or None
-        Steps, and what they took; None in a run from a file that does not say.
-    versions : dict
-        Of this package, Python, and what computes; empty in a run from a file that does not say.
+    Its attributes are described where they are read: at :class:`hybrid.Trajectory`.
     """
 
     spec: Spec
@@ -325,7 +288,7 @@ class Trajectory:
         """The mode at the end."""
         return self.log.kept[-1].mode
 
-    # -- words, pictures, files ---------------------------------------------------------
+    # -- words ------------------------------------------------------------------------
 
     def explain(self, *, whole: bool = False) -> str:
         """What happened, in a few sentences.
@@ -344,83 +307,6 @@ class Trajectory:
             rows = list(self.own_jumps.values())
             lines.append(unfinished([row.edge for row in rows], [row.t for row in rows]))
         return "\n".join([*lines, str(self.status)])
-
-    def settles(self) -> Settled:
-        """Whether the run has come to rest, or to a periodic orbit, as far as it shows.
-
-        Returns
-        -------
-        Settled
-            ``.kind`` is ``"rest"``, ``"periodic"`` or ``"none"``, ``.reason`` a sentence with the
-            evidence, ``.period``, ``.jumps`` (a period), ``.distance`` and ``.rate`` its numbers;
-            ``.for_ever`` is true of a rest that nothing can end.
-
-        Raises
-        ------
-        OptionError
-            If no dense output was kept where it is needed.
-
-        Notes
-        -----
-        An orbit is taken for one if its turns have been closer than 10 ``rtol`` for a quarter of
-        the run, or have come so close, or are coming closer, at an even rate that leaves less
-        than a thousandth of its size to go. Moves of less than 100 ``atol`` count as none. (With
-        Taylor series and no tolerances given, 1e-8 and 1e-10 are meant, as on other solvers.) A
-        rest is for ever where neither flow nor guards, nor the gaps that are held, depend on
-        time, the state does not change at all, and delays have seen nothing else for the
-        longest lag; where it may end, the reason says so.
-        """
-        from ..orbits.settling import settles
-
-        return settles(self)
-
-    def plot(self, path: Any = None) -> Any:
-        """Draw the run: states, phase portrait, gaps between impacts.
-
-        Parameters
-        ----------
-        path : str or path, optional
-            Also write the figure there. ``.html``: a page that zooms and answers the pointer,
-            and needs no network (extra ``report``).
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            With ``.html`` plotly's ``Figure``.
-
-        Raises
-        ------
-        OptionError
-            If matplotlib, or for a page plotly, is missing.
-        """
-        from ..plot import is_page
-        from ..plot.of_run import figure
-
-        if is_page(path):
-            need("run.plot to .html", HTML)
-            from ..plot.interactive import draw
-        else:
-            need("run.plot", PLOT)
-            from ..plot.static import draw
-        return draw(figure(self), path)
-
-    def to_xarray(self, t: Any = None) -> xarray.Dataset:
-        """The states as a dataset.
-
-        Parameters
-        ----------
-        t : array, optional
-            Times; where omitted, those the run was asked to save, or 16 points an arc.
-        """
-        from .files import to_xarray
-
-        return to_xarray(self, t)
-
-    def save(self, path: Any) -> None:
-        """Write the whole trajectory, dense output included, to a NetCDF file."""
-        from .files import save
-
-        save(self, path)
 
     def __repr__(self) -> str:
         head = f"{self.spec.model}: {self.t0:g} <= t <= {self.t1:g}, {len(self.jumps)} jumps listed"

@@ -26,7 +26,7 @@ from ..lowering import Field, Guard, Kind, Scene, scene_of
 from ..rules.guards import NEAR
 from ..rules.limits import DIFFERENCE_ROUNDING
 from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
-from ..trajectory.trajectory import Trajectory
+from ..trajectory.trajectory import Solution
 from .arcs import ArcPiece, along, passing, told
 from .derivatives import Derivatives
 from .derivatives import after as after_reset
@@ -60,7 +60,7 @@ class Course:
     sight: Any = None
 
     @classmethod
-    def of(cls, model: Any, run: Trajectory) -> Course:
+    def of(cls, model: Any, run: Solution) -> Course:
         """That of a trajectory."""
         sight = run.hindsight if run.spec.lags else None
         return cls(sight.scene if sight else scene_of(model), run.parts, run.own_jumps, sight)
@@ -139,14 +139,14 @@ class Chatter:
     part: TailPart
 
 
-def factors(model: Any, run: Trajectory) -> Iterator[Factor]:
+def factors(model: Any, run: Solution) -> Iterator[Factor]:
     """The first variation along a run, piece by piece, in order.
 
     Parameters
     ----------
     model : Automaton
         The model of the run.
-    run : Trajectory
+    run : Solution
         With dense output.
 
     Yields

@@ -13,8 +13,8 @@ from hybrid.certificates import certify
 from hybrid.certificates.result import Certificate
 from hybrid.plot.figure import Figure
 from hybrid.plot.of_run import phase_panel
+from hybrid.result import Trajectory
 from hybrid.simulation import simulate
-from hybrid.trajectory import Trajectory
 
 from ..claims import Claim, Number, Section, known, rounds_to, verdict
 from ..runs import POINTS, flight_figure

@@ -12,8 +12,8 @@ from hybrid import gallery
 from hybrid.orbits import PeriodicOrbit, periodic_orbit
 from hybrid.plot.figure import Figure, column
 from hybrid.plot.of_run import gaps_panel, states_panel
+from hybrid.result import Trajectory
 from hybrid.simulation import simulate
-from hybrid.trajectory import Trajectory
 
 from ..claims import Claim, Number, shown, verdict
 from .chart import DELTAS, GAMMAS, INCOMPLETE, KINDS, SERIES, SLICES, map_figure, safe_gamma, whole

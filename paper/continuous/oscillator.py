@@ -11,8 +11,8 @@ import attrs
 import numpy as np
 
 from hybrid import gallery
+from hybrid.result import Trajectory
 from hybrid.simulation import simulate
-from hybrid.trajectory import Trajectory
 from hybrid.trajectory.arcs import Arc
 
 #: Damping, stiffness and drive of the oscillator, as printed.

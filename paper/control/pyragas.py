@@ -14,8 +14,8 @@ import numpy as np
 
 from hybrid import gallery
 from hybrid.orbits import ReturnMap, periodic_orbit, return_map
+from hybrid.result import Trajectory
 from hybrid.simulation import simulate
-from hybrid.trajectory import Trajectory
 from hybrid.trajectory.arcs import Arc
 
 #: The starts of Table 1, and the one of which the paper says that it chatters.

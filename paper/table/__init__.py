@@ -7,7 +7,7 @@ from math import pi, sqrt
 import numpy as np
 
 from hybrid.plot.figure import Curve, Figure, Panel, column
-from hybrid.trajectory import Trajectory
+from hybrid.result import Trajectory
 
 from ..claims import Claim, Number, Section, known, rounds_to, verdict
 from ..runs import flight_figure, twice

@@ -11,8 +11,8 @@ import numpy as np
 from hybrid import gallery
 from hybrid.certificates import certify
 from hybrid.certificates.result import Certificate
+from hybrid.result import Trajectory
 from hybrid.simulation import simulate
-from hybrid.trajectory import Trajectory
 
 from ..runs import OTHER
 

@@ -16,7 +16,7 @@ from ..solvers import Solver
 from ..solvers.taylor_backend import TaylorSolver
 from ..trajectory.arcs import Arc
 from ..trajectory.log import Log
-from ..trajectory.trajectory import Trajectory
+from ..trajectory.trajectory import Solution
 from .standing import RATE_PARTS, SAMPLED_DEGREE, Standing, size_of, standing
 
 #: Distances below this many times ``rtol``, three turns in a row, are those of a closed orbit.
@@ -119,7 +119,7 @@ class Turns:
         return float(self.returns.t[-1] - self.returns.t[-1 - self.length])
 
 
-def settles(run: Trajectory) -> Settled:
+def settles(run: Solution) -> Settled:
     """See :meth:`hybrid.Trajectory.settles`."""
     tol = CLOSED_RTOLS * max(_tolerances(run)[0], 1e-13)
     scale = _scale(run)
@@ -131,7 +131,7 @@ def settles(run: Trajectory) -> Settled:
     return attrs.evolve(found, reason=f"{found.reason}; {but}") if but else found
 
 
-def _tolerances(run: Trajectory) -> tuple[float, np.ndarray]:
+def _tolerances(run: Solution) -> tuple[float, np.ndarray]:
     """Up to what the caller means states to be the same: the run's tolerances.
 
     Those at which Taylor series run where none are given say how accurate they are, not what is
@@ -157,7 +157,7 @@ def _doubt(found: Settled, stands: Standing | None) -> str | None:
     return None
 
 
-def _turning(run: Trajectory, scale: np.ndarray, tol: float) -> Settled:
+def _turning(run: Solution, scale: np.ndarray, tol: float) -> Settled:
     """An orbit, or nothing."""
     tried = [turns for returns in _returns(run) for turns in _turns(returns, scale)]
     for turns in tried:
@@ -172,14 +172,14 @@ def _turning(run: Trajectory, scale: np.ndarray, tol: float) -> Settled:
 # rest
 
 
-def _scale(run: Trajectory) -> np.ndarray:
+def _scale(run: Solution) -> np.ndarray:
     """Size of each element of the state over the last half of a run."""
     states = _states(run, 0.5 * (run.t0 + run.t1))[1]
     size: np.ndarray = np.abs(states).max(axis=0)
     return np.where(size > 0, size, 1.0)
 
 
-def _states(run: Trajectory, since: float) -> tuple[np.ndarray, np.ndarray]:
+def _states(run: Solution, since: float) -> tuple[np.ndarray, np.ndarray]:
     """Times and states along a run from a time on: at the ends of arcs and along their steps."""
     times, states = [], []
     for arc in run.arcs:
@@ -192,7 +192,7 @@ def _states(run: Trajectory, since: float) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(times), np.concatenate(states)
 
 
-def _moves(run: Trajectory, states: np.ndarray, scale: np.ndarray) -> float:
+def _moves(run: Solution, states: np.ndarray, scale: np.ndarray) -> float:
     """How far the states lie apart, beyond what the tolerance makes of it.
 
     It makes nothing of a run whose states are all below it: ``atol`` is then in other units.
@@ -202,7 +202,7 @@ def _moves(run: Trajectory, states: np.ndarray, scale: np.ndarray) -> float:
     return float(np.max(np.maximum(np.ptp(states, axis=0) - slack, 0.0) / scale))
 
 
-def _for_ever(run: Trajectory, stands: Standing) -> Settled:
+def _for_ever(run: Solution, stands: Standing) -> Settled:
     lag = run.hindsight.longest
     still = f"since t = {stands.since:.9g} everything that"
     if stands.load is None:
@@ -218,7 +218,7 @@ def _for_ever(run: Trajectory, stands: Standing) -> Settled:
     return Settled("rest", said, None, 0, 0.0, None, for_ever=True)
 
 
-def _held(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
+def _held(run: Solution, scale: np.ndarray, tol: float) -> Settled | None:
     """Held still by contacts, or on a surface, over the last quarter of the run at least."""
     arc = run.parts[-1]
     whole = run.t1 - run.t0
@@ -243,7 +243,7 @@ def _held(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
     return Settled("rest", f"{said}; the state {changes}", distance=moved)
 
 
-def _loads(run: Trajectory, times: np.ndarray, states: np.ndarray) -> list[float]:
+def _loads(run: Solution, times: np.ndarray, states: np.ndarray) -> list[float]:
     """The smallest load of the contacts held at the end, at some times; none if not known."""
     if run.hindsight is None:
         return []
@@ -254,7 +254,7 @@ def _loads(run: Trajectory, times: np.ndarray, states: np.ndarray) -> list[float
     return found
 
 
-def _still(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
+def _still(run: Solution, scale: np.ndarray, tol: float) -> Settled | None:
     """The last half of the run tends to a point, without a jump."""
     middle = 0.5 * (run.t0 + run.t1)
     if len(run.jumps) and run.jumps.t[-1] > middle:
@@ -278,7 +278,7 @@ def _still(run: Trajectory, scale: np.ndarray, tol: float) -> Settled | None:
     return Settled("rest", said, None, 0, last, _rate(moves, tol))
 
 
-def _even(run: Trajectory) -> np.ndarray:
+def _even(run: Solution) -> np.ndarray:
     """Times that part the last half of a run evenly."""
     return np.linspace(0.5 * (run.t0 + run.t1), run.t1, 16 * RATE_PARTS)
 
@@ -287,7 +287,7 @@ def _even(run: Trajectory) -> np.ndarray:
 # returns and turns
 
 
-def _returns(run: Trajectory) -> list[Returns]:
+def _returns(run: Solution) -> list[Returns]:
     """What a run comes back to: limits of jumps, jumps of each edge, a level; rarest first."""
     found = []
     for edges in {point.edges for point in run.zeno}:
@@ -310,7 +310,7 @@ def _longest(times: np.ndarray) -> float:
     return 2.0 * float(np.max(np.diff(times[-LONGEST_ORBIT:])))
 
 
-def _crossings(run: Trajectory) -> Returns:
+def _crossings(run: Solution) -> Returns:
     """Rising crossings of the middle of the coordinate that varies most, against its size."""
     states = _states(run, 0.5 * (run.t0 + run.t1))[1]
     spread, size = np.ptp(states, axis=0), np.abs(states).max(axis=0)
@@ -355,7 +355,7 @@ def _turns(returns: Returns, scale: np.ndarray) -> Iterator[Turns]:
         yield Turns(returns, length, each[-count * length :].reshape(count, length).max(axis=1))
 
 
-def _settled(turns: Turns, run: Trajectory, tol: float) -> bool:
+def _settled(turns: Turns, run: Solution, tol: float) -> bool:
     """Whether turns have come to an orbit, or tend to one at a rate that leaves no doubt."""
     distances = _highest(turns.distances, WAVE)
     if distances[-1] > tol:
@@ -417,7 +417,7 @@ def _rate(distances: np.ndarray, tol: float) -> float | None:
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else None
 
 
-def _periodic(run: Trajectory, turns: Turns, tol: float) -> Settled:
+def _periodic(run: Solution, turns: Turns, tol: float) -> Settled:
     last, first = turns.returns.t[-1], turns.returns.t[-1 - turns.length]
     inside = (run.jumps.t > first) & (run.jumps.t <= last)
     limits = [point for point in run.zeno if first < point.t <= last]
@@ -435,7 +435,7 @@ def _periodic(run: Trajectory, turns: Turns, tol: float) -> Settled:
     return Settled("periodic", f"{said}; {how}", turns.period, jumps, float(distances[-1]), rate)
 
 
-def _none(run: Trajectory, tried: list[Turns]) -> Settled:
+def _none(run: Solution, tried: list[Turns]) -> Settled:
     if not tried:
         few = f"fewer than {SHRINKING + 2} returns to anything in t = {run.t0:.6g} to {run.t1:.6g}"
         return Settled("none", f"neither at rest nor long enough to show a period: {few}")

@@ -17,7 +17,7 @@ from ..delay.hindsight import Hindsight, PastRecord
 from ..lowering import Field, Kind
 from ..segment import nodes
 from ..trajectory.arcs import Arc
-from ..trajectory.trajectory import Trajectory
+from ..trajectory.trajectory import Solution
 
 #: Differences below this, against the size of an element along the run, are rounding.
 CHANGE_ROUNDING = 1e-14
@@ -63,7 +63,7 @@ class Standing:
     doubtful: bool = True
 
 
-def standing(run: Trajectory) -> Standing | None:
+def standing(run: Solution) -> Standing | None:
     """How a run stands still at its end; None if its model, or how it ended, is not known."""
     arc, sight = run.parts[-1], run.hindsight
     if sight is None or not isinstance(arc, Arc) or not arc.segments:
@@ -83,13 +83,13 @@ def standing(run: Trajectory) -> Standing | None:
     return Standing(since, load, least, _but(run, arc, field, since, lag, loads))
 
 
-def size_of(run: Trajectory) -> np.ndarray:
+def size_of(run: Solution) -> np.ndarray:
     """Largest size of each element over the run."""
     states = [state for arc in run.arcs for state in (arc.first, arc.last)]
     return np.abs(states).max(axis=0)
 
 
-def _moves(run: Trajectory, arc: Arc, field: Field) -> tuple[str, bool] | None:
+def _moves(run: Solution, arc: Arc, field: Field) -> tuple[str, bool] | None:
     """What moves, and whether that may end a rest; None where nothing does."""
     for contact in field.held:
         if field.code.timed(field.code.closed("gap", contact)):
@@ -114,7 +114,7 @@ def _held(field: Field) -> set[int]:
     return {int(place) for pair in single for place in (*pair.positions, *pair.velocities)}
 
 
-def _grow(run: Trajectory, arc: Arc, places: list[int]) -> list[bool]:
+def _grow(run: Solution, arc: Arc, places: list[int]) -> list[bool]:
     """Whether the rates of some elements grow all through the last half of a run."""
     first = max(arc.t0, 0.5 * (run.t0 + run.t1))
     times = np.linspace(first, arc.t1, RATE_PARTS * TIMES)
@@ -155,7 +155,7 @@ def _loads(sight: Hindsight, part: int, arc: Arc) -> list[list[float]]:
 
 
 def _but(
-    run: Trajectory, arc: Arc, field: Field, since: float, lag: float, loads: np.ndarray
+    run: Solution, arc: Arc, field: Field, since: float, lag: float, loads: np.ndarray
 ) -> str | None:
     """Why a run that stands still may move again; None if it cannot."""
     code, x = field.code, arc.last.tolist()

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import mkstemp
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import attrs
 import numpy as np
@@ -23,20 +23,22 @@ from ..automaton.record import Record
 from ..automaton.spec import Spec, StateSpec
 from ..errors import FILES, TABLES, StoreError, need
 from ..segment import Segment
-from .accumulation import Accumulation, Truncation
-from .arcs import Arc, JumpRow
-from .log import Log
-from .stats import Stats
-from .trajectory import Jump, Status, Trajectory
+from ..trajectory.accumulation import Accumulation, Truncation
+from ..trajectory.arcs import Arc, JumpRow
+from ..trajectory.log import Log
+from ..trajectory.stats import Stats
+from ..trajectory.trajectory import Jump, Solution, Status
 
 if TYPE_CHECKING:
     import xarray
+
+Kind = TypeVar("Kind", bound=Solution)
 
 #: Raised when the layout changes.
 FORMAT = 1
 
 
-def to_xarray(run: Trajectory, t: Any = None) -> xarray.Dataset:
+def to_xarray(run: Solution, t: Any = None) -> xarray.Dataset:
     """The states at times ``t`` as variables over the dimension ``time``.
 
     Where ``t`` is omitted: the times that the run was asked to save, or both ends of each
@@ -75,7 +77,7 @@ def _numbers(parameters: dict[str, Any]) -> dict[str, Any]:
     return {name: np.asarray(value, dtype=float).tolist() for name, value in parameters.items()}
 
 
-def save(run: Trajectory, path: Any) -> None:
+def save(run: Solution, path: Any) -> None:
     """Write a trajectory to a NetCDF file.
 
     The file appears whole or not at all: an older one of this name is lost only when the new one
@@ -154,7 +156,7 @@ def _permissions(path: Path) -> int:
     return 0o666 & ~mask
 
 
-def _meta(run: Trajectory, modes: list[str], edges: list[str]) -> dict[str, Any]:
+def _meta(run: Solution, modes: list[str], edges: list[str]) -> dict[str, Any]:
     options = {k: v for k, v in run.options.items() if k != "times"}
     return {
         "model": run.spec.model,
@@ -191,19 +193,8 @@ def _accumulation(spec: Spec, point: Accumulation) -> dict[str, Any]:
     }
 
 
-def load(path: Any) -> Trajectory:
-    """Read a trajectory written by ``run.save(path)``.
-
-    Raises
-    ------
-    StoreError
-        If there is no such file, it was not written by this package, or it is damaged.
-
-    Notes
-    -----
-    The file is read by HDF5, some versions of which crash on a file that was made to do so: load
-    files of strangers in a process that may end.
-    """
+def read(path: Any, cls: type[Kind]) -> Kind:
+    """What is in a file that :func:`save` wrote, as one of a class: see :func:`hybrid.load`."""
     need("hy.load", FILES)
     import xarray as xr
 
@@ -211,7 +202,7 @@ def load(path: Any) -> Trajectory:
         raise StoreError(f"cannot read {path}: no such file")
     try:
         _require_own_numbers(Path(path))
-        return _trajectory(xr.load_dataset(Path(path), engine="h5netcdf"))
+        return _trajectory(xr.load_dataset(Path(path), engine="h5netcdf"), cls)
     except StoreError as fault:
         raise StoreError(f"cannot read {path}: {fault}") from None
     except Exception as fault:  # a damaged file may fail anywhere in HDF5, or in what reads it
@@ -242,7 +233,7 @@ def _require_own_numbers(path: Path) -> None:
         raise StoreError("it declares more numbers than it holds: it is cut short or damaged")
 
 
-def _trajectory(data: Any) -> Trajectory:
+def _trajectory(data: Any, cls: type[Kind]) -> Kind:
     """A trajectory from the dataset that :func:`save` writes."""
     if int(data.attrs["format"]) != FORMAT:
         raise StoreError(f"layout {data.attrs['format']}; this version reads {FORMAT}")
@@ -256,10 +247,10 @@ def _trajectory(data: Any) -> Trajectory:
     options, samples = meta["options"], None
     if "sample_t" in data:
         options["times"], samples = data.sample_t.values, data.sample_state.values
-    return Trajectory(
+    return cls(
         spec,
         meta["parameters"],
-        Log(arcs, _by_arc(_jumps(data, meta["edges"]), arcs, zeno)),
+        Log(arcs, _by_arc(_jumps(data, meta["edges"]), arcs)),
         zeno,
         [_read_grazing(spec, *row) for row in meta["grazings"]],
         Status[meta["status"]],
@@ -289,9 +280,7 @@ def _jumps(data: Any, edges: list[str]) -> dict[int, JumpRow]:
     return {index: JumpRow(*row) for index, row in enumerate(columns)}
 
 
-def _by_arc(
-    jumps: dict[int, JumpRow], arcs: list[Arc], zeno: list[Accumulation]
-) -> dict[int, JumpRow]:
+def _by_arc(jumps: dict[int, JumpRow], arcs: list[Arc]) -> dict[int, JumpRow]:
     """The arc each jump leads from: the last arc with as many jumps before it as the jump."""
     last = {arc.j: index for index, arc in enumerate(arcs)}
     return {last[j]: row for j, row in jumps.items()}
@@ -340,4 +329,4 @@ def _read_grazing(spec: Spec, t: float, j: int, edge: str, state: list[float]) -
     return Jump(t, j, edge, record, record)
 
 
-__all__ = ["load", "save", "to_xarray"]
+__all__ = ["read", "save", "to_xarray"]

@@ -1,0 +1,141 @@
+"""What a run returns: its data, and what is done with them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import attrs
+
+from ..errors import HTML, PLOT, need
+from ..plot import is_page
+from ..trajectory.trajectory import Solution
+from . import files
+from .settling import Settled, settles
+
+if TYPE_CHECKING:
+    import xarray
+
+
+@attrs.define(eq=False, repr=False)
+class Trajectory(Solution):
+    """The result of a run, in hybrid time.
+
+    ``run(t)`` is the state at a time, ``run.arcs`` and ``run.jumps`` the tables, ``run.final``
+    and ``run.mode`` where it ended.
+
+    Attributes
+    ----------
+    parameters : dict
+        Values of the model's parameters.
+    log : Log
+        What was kept: ``parts``, arcs and chattering tails, and ``own_jumps``, the jumps by the
+        place of the part they led from.
+    zeno : list of Accumulation
+        Limit points of jumps, in order.
+    samples : array, shape (number of times, n), or None
+        With ``save=times``: the states at these times.
+    grazings : list of Jump
+        Tangencies of a guard, which fire no edge (``before`` and ``after`` are the same).
+    status : Status
+        An enumeration whose text is a sentence.
+    options : dict
+        What the run was made with: the options of :func:`hybrid.simulate` by name. Where no method,
+        tolerances or mode were given, those that were taken. ``save`` is ``"times"``, and ``times``
+        has them, where the states at some times were asked for. What was before the start of a
+        model with delays is not among them.
+    pairs : list of (int, int)
+        Places of a contact's positions and velocities in the state vector.
+    hindsight : Hindsight or None
+        How the model looked at each time of the run (:mod:`hybrid.delay.hindsight`); None in a run
+        that was loaded.
+    stats : Stats or None
+        Steps, and what they took; None in a run from a file that does not say.
+    versions : dict
+        Of this package, Python, and what computes; empty in a run from a file that does not say.
+    """
+
+    def settles(self) -> Settled:
+        """Whether the run has come to rest, or to a periodic orbit, as far as it shows.
+
+        Returns
+        -------
+        Settled
+            ``.kind`` is ``"rest"``, ``"periodic"`` or ``"none"``, ``.reason`` a sentence with the
+            evidence, ``.period``, ``.jumps`` (a period), ``.distance`` and ``.rate`` its numbers;
+            ``.for_ever`` is true of a rest that nothing can end.
+
+        Raises
+        ------
+        OptionError
+            If no dense output was kept where it is needed.
+
+        Notes
+        -----
+        An orbit is taken for one if its turns have been closer than 10 ``rtol`` for a quarter of
+        the run, or have come so close, or are coming closer, at an even rate that leaves less
+        than a thousandth of its size to go. Moves of less than 100 ``atol`` count as none. (With
+        Taylor series and no tolerances given, 1e-8 and 1e-10 are meant, as on other solvers.) A
+        rest is for ever where neither flow nor guards, nor the gaps that are held, depend on
+        time, the state does not change at all, and delays have seen nothing else for the
+        longest lag; where it may end, the reason says so.
+        """
+        return settles(self)
+
+    def plot(self, path: Any = None) -> Any:
+        """Draw the run: states, phase portrait, gaps between impacts.
+
+        Parameters
+        ----------
+        path : str or path, optional
+            Also write the figure there. ``.html``: a page that zooms and answers the pointer,
+            and needs no network (extra ``report``).
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            With ``.html`` plotly's ``Figure``.
+
+        Raises
+        ------
+        OptionError
+            If matplotlib, or for a page plotly, is missing.
+        """
+        from ..plot.of_run import figure
+
+        if is_page(path):
+            need("run.plot to .html", HTML)
+            from ..plot.interactive import draw
+        else:
+            need("run.plot", PLOT)
+            from ..plot.static import draw
+        return draw(figure(self), path)
+
+    def to_xarray(self, t: Any = None) -> xarray.Dataset:
+        """The states as a dataset.
+
+        Parameters
+        ----------
+        t : array, optional
+            Times; where omitted, those the run was asked to save, or 16 points an arc.
+        """
+        return files.to_xarray(self, t)
+
+    def save(self, path: Any) -> None:
+        """Write the whole trajectory, dense output included, to a NetCDF file."""
+        files.save(self, path)
+
+
+def load(path: Any) -> Trajectory:
+    """Read a trajectory written by ``run.save(path)``.
+
+    Raises
+    ------
+    StoreError
+        If there is no such file, it was not written by this package, or it is damaged.
+
+    Notes
+    -----
+    The file is read by HDF5, some versions of which crash on a file that was made to do so: load
+    files of strangers in a process that may end.
+    """
+    return files.read(path, Trajectory)
