@@ -55,12 +55,6 @@ WIDEST = 1e-4
 #: the nearest place that rounding can tell is 1e-16 from the end, its fourth root 1e-4.
 DOMAIN_END = 1e-4
 
-#: Gap and gap speed, relative to the states seen, below which a held contact stays closed.
-CLOSED = 1e-12
-
-#: A gap speed, against those seen, at which a series of impacts that has no sum is over.
-SPENT_SPEED = 1e-20
-
 #: Impacts with no time between them after which a run is taken to be caught in a loop: they slow
 #: down bodies in contact that strike each other again and again.
 STRUCK = 10_000

@@ -9,6 +9,7 @@ import pytest
 
 import hybrid as hy
 from hybrid import gallery
+from hybrid.lowering.scene import scene_of
 from hybrid.rules.load import Library
 from hybrid.rules.places import END, FULL, LOOK
 from hybrid.run import machine
@@ -17,7 +18,7 @@ from hybrid.solvers.taylor_backend import TaylorSolver
 from hybrid.trajectory.log import Flights
 
 from .switched import Quadrants, Rings, StickSlip
-from .systems import Oscillator
+from .systems import Oscillator, Pile
 
 #: What two ways to the same jumps may differ by: rounding, grown along the run.
 ROUNDING = 1e-11
@@ -602,3 +603,83 @@ def test_the_loop_goes_on_by_a_lower_order_where_the_higher_has_no_numbers(monke
     due = 1e-12 * (2 / 3 + 4 / 3 * np.arange(24)) * np.pi
     assert looked == [0.0]
     assert run.jumps.t == pytest.approx(due, rel=1e-13)  # some hundred roundings, of as many steps
+
+
+class Corner(hy.Automaton):
+    """A puck in a corner, pressed there by a force that turns, and kicked now and then."""
+
+    x = hy.state()
+    v = hy.state()
+    y = hy.state()
+    w = hy.state()
+    n = hy.state()
+    r = hy.parameter(0.5)
+    q = hy.parameter(0.4)
+    turn = hy.parameter(1.0)
+    kick = hy.parameter(0.6)
+
+    @hy.mode(initial=True)
+    def slides(self, t, s):
+        a, b = 5.0 * jnp.cos(self.turn * t), 5.0 * jnp.sin(self.turn * t + 0.4)
+        return s.v, -a - 0.3 * s.v, s.w, -b - 0.3 * s.w, 1.0
+
+    floor = hy.contact(slides, gap=lambda self, t, s: s.x, restitution="r")
+    wall = hy.contact(slides, gap=lambda self, t, s: s.y, restitution="q")
+    far = hy.contact(slides, gap=lambda self, t, s: 2.0 - s.y, restitution="q")
+
+    @hy.edge(slides, to=slides, guard=lambda self, t, s: s.n - 1.3, crossing=hy.RISING)
+    def kicks(self, t, s):
+        return s.x, s.v, s.y, s.w + self.kick, 0.0
+
+
+def together(seed):
+    """A scene in which contacts are held, struck and released beside each other, by chance."""
+    rng = np.random.default_rng(seed)
+    if seed % 2:
+        a, b = 0.0 if seed == 5 else rng.uniform(0.1, 0.7), rng.uniform(0.1, 0.6)
+        start = {"x": 0.5, "y": 0.5 + rng.uniform(0.1, 0.6), "v": -1.0, "w": rng.uniform(-1, 1)}
+        return Pile(a=a, b=b, size=rng.uniform(0.02, 0.1)), start, (0.0, 2.0)
+    start = {"x": rng.uniform(0.1, 1), "v": 0.0, "y": rng.uniform(0.1, 1), "w": 0.5, "n": 0.0}
+    return Corner(r=rng.uniform(0, 0.7), turn=rng.uniform(0.4, 2.0)), start, (0.0, 6.0)
+
+
+@pytest.mark.parametrize("options", [{}, {"zeno": "stop"}], ids=str)
+@pytest.mark.parametrize("seed", range(8))
+def test_contacts_held_at_once_are_those_of_the_rules_one_by_one(seed, options, monkeypatch):
+    """Impacts, resets and releases beside contacts at rest, with the loop and without it."""
+    scene = together(seed)
+    run = taylor(scene, **options)
+    assert options or any(".rest(" in arc.mode for arc in run.arcs)
+    monkeypatch.setattr(TaylorSolver, "whole", False)
+    slow = taylor(scene, **options)
+    assert run.status is slow.status
+    assert list(run.jumps.edge) == list(slow.jumps.edge)
+    assert [arc.mode for arc in run.arcs] == [arc.mode for arc in slow.arcs]
+    assert [point.edges for point in run.zeno] == [point.edges for point in slow.zeno]
+    # a rounding of a release, by which the load is small, grows along the flight that follows
+    close = {"rtol": 0, "atol": 1e-8}
+    np.testing.assert_allclose(run.jumps.t, slow.jumps.t, **close)
+    np.testing.assert_allclose(run.jumps.table.after, slow.jumps.table.after, **close)
+    for arc in run.arcs:  # a body is on what bears it, all along
+        field = scene_of(scene[0]).field(arc.mode)
+        for name in field.held:
+            guard = scene_of(scene[0]).field(field.mode)
+            guard = guard.guards[guard.column(name)]
+            ends = (arc.t0, arc.first), (arc.t1, arc.last)
+            assert max(abs(guard.value(t, x.tolist())) for t, x in ends) < 1e-14
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_driver_judges_no_impact_beside_contacts_held(seed, monkeypatch):
+    """Nor a reset there, nor which contacts stay held, join those or leave them."""
+    scene, known = together(2 * seed), Driver.jump
+    seen = []
+
+    def jump(self, guard, *rest):
+        seen.append((guard.edge, self.entry.field.held))
+        return known(self, guard, *rest)
+
+    monkeypatch.setattr(Driver, "jump", jump)
+    run = taylor(scene)
+    assert sum(bool(arc.mode.partition(".")[2]) for arc in run.arcs) > 3
+    assert not any(held for _, held in seen)

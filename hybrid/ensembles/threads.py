@@ -21,7 +21,7 @@ from ..lowering import Scene
 from ..lowering.tape import Jets
 from ..rules import unit
 from ..rules.arrays import AutomatonArrays, Left
-from ..rules.lanes import ASKS, ENDED, FLOWN_TO, LAST_JUMP, LEFT, MODE, OUTCOME, STATE, TOLD
+from ..rules.lanes import ASKS, ENDED, FLOWN_TO, LAST_JUMP, LEFT, MODE, OUTCOME, STATE, SUMMED, TOLD
 from ..run import Driver
 from ..run.rooms import left_for, now_for, work_for
 from ..solvers.pairs import NO_TABLES
@@ -171,8 +171,9 @@ class Abreast:
                     asking.append(flown.those(asks))
                 yield flown.those((outcome == ENDED) | (outcome == LAST_JUMP))
             which = np.concatenate([which[:0], *(asks.lanes for asks in asking)])
-            for guard in sorted({g for asks in asking for g in asks.told[:, MODE].tolist()}):
-                self.tables.complete(guard, bounded)
+            rows = [row for asks in asking for row in asks.told[:, [MODE, SUMMED]].tolist()]
+            for guard, column in sorted(map(tuple, rows)):
+                self.tables.complete(guard, column, bounded)
 
     def _lay_out(self) -> None:
         """What the lanes' own numbers are put into."""

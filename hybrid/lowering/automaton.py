@@ -19,12 +19,14 @@ from ..rules.places import (
     DEPENDS,
     EDGE,
     GUARDS,
+    GUARDS_END,
     HARD,
     LEAVE,
     LOCAL,
     NONE,
     OFF,
     OTHER,
+    OWN,
     PLAIN,
     RELEASE,
     REST,
@@ -67,8 +69,9 @@ class Tables:
     """The fields of a scene that have been asked for, as rows of tables.
 
     ``fields`` are as numbered, ``numbers`` those by name; ``guards`` are in the order of their own,
-    and ``modes`` the field that each is watched in. ``widest``: guards of the field that has the
-    most; ``parts`` are the programs in order. ``others``: steps are those of another solver.
+    ``modes`` the field that each is watched in, and ``_leads`` the one that it leads to.
+    ``widest``: guards of the field that has the most; ``parts`` are the programs in order.
+    ``others``: steps are those of another solver.
     """
 
     def __init__(self, scene: Scene, others: bool = False) -> None:
@@ -77,6 +80,7 @@ class Tables:
         self.fields: list[Field] = []
         self.guards: list[Guard] = []
         self.modes: list[str] = []
+        self._leads: list[str] = []
         self._programs = Linked()
         self.bounds = Ranges()
         self.parts: list[Jets] = []
@@ -101,6 +105,11 @@ class Tables:
         """The number of the first guard of a field."""
         return self._fields[number][GUARDS]
 
+    def own(self, number: int) -> list[int]:
+        """The numbers of a field's guards where no contact is held."""
+        first, last = self._fields[number][GUARDS : GUARDS_END + 1]
+        return [row[OWN] for row in self._rows[first:last]]
+
     def number(self, field: Field) -> int:
         """The number of a field, which is added if it is new."""
         if field.name not in self.numbers:
@@ -112,7 +121,7 @@ class Tables:
         """The automaton, as far as its fields have been asked for."""
         if self._made is None:
             fields, uses = (np.array(rows, dtype=np.int64) for rows in (self._fields, self._uses))
-            guards = np.array(self._rows, dtype=np.int64).reshape(-1, DEPENDS + 1)
+            guards = np.array(self._rows, dtype=np.int64).reshape(-1, OWN + 1)
             programs = self._programs.programs()
             recall(programs, self._recalled, self._order)
             self._recalled = len(programs.code)
@@ -150,32 +159,30 @@ class Tables:
         )
         return (*own, np.zeros((self.widest, OFF + 1)), *all_)
 
-    def complete(self, number: int, sight: Sight) -> None:
-        """Add what the loop has asked for of a guard: the field it leads to; or what a sum needs;
-        or what is needed once there is one.
+    def complete(self, number: int, column: int, sight: Sight) -> None:
+        """Add what the loop has asked for of a guard: the field that it leads to, or in which it is
+        held besides; what low flights and sums need; or what is needed once there is a sum.
 
         ``sight``: what is bounded at a contact of a field; see :func:`hybrid.zeno.narrow.bounded`.
         """
         row, guard = self._rows[number], self.guards[number]
         field = self.fields[self.numbers[self.modes[number]]]
-        if row[TO] == UNKNOWN:
-            self.number(self.scene.field(guard.to))
+        if column == TO:
+            self.number(self.scene.field(self._leads[number]))
         elif guard.kind in (Kind.SWITCH, Kind.LEAVE):
-            column = AT if row[AT] == UNKNOWN else REST
             row[column] = self._beyond(guard) if column == AT else self._slides(guard)
-        elif guard.kind is Kind.RELEASE:
-            to, contact = self.scene.field(guard.to), guard.edge.removesuffix(RELEASE_SUFFIX)
-            row[AT] = self._at(field, contact)
-            row[REST] = self.first(self.numbers[guard.to]) + to.column(contact)
-        elif row[AT] == UNKNOWN:
-            row[AT], row[LOCAL] = self._at(field, guard.edge), self.scene.contact(guard.edge).local
+        elif column == AT:
+            local = self.scene.contact(guard.edge).local and not field.held
+            row[AT], row[LOCAL] = self._at(field, guard.edge), local
         else:
+            row[REST] = self._rest(field, guard)
+        if column == SIGHT:
             row[DEPENDS], found = sight(field, self.scene.contact(guard.edge))
             if not isinstance(found, int):
                 program, *given = found
                 among = program.ranged(self.bounds, *given)
                 found = HARD if among is None else among
-            row[SIGHT], row[REST] = found, self._rest(field, guard)
+            row[SIGHT] = found
         self._made = None
 
     def _beyond(self, guard: Guard) -> int:
@@ -200,31 +207,36 @@ class Tables:
         return first
 
     def _rest(self, field: Field, guard: Guard) -> int:
-        """The field of a contact at rest."""
+        """The field of a contact at rest, with those that are held."""
         scene = self.scene
         if not scene.contact(guard.edge).rests:
             return NONE
-        return self.number(scene.field(scene.name(field.mode, (guard.edge,))))
+        return self.number(scene.field(scene.name(field.mode, (*field.held, guard.edge))))
 
     def _add(self, field: Field) -> None:
+        base = self.number(self.scene.field(field.mode)) if field.held else len(self.fields)
         jets, first = field.jets, len(self._rows)
         plain = not field.leans and jets is not None and all(map(self._may, field.guards))
+        plain = plain and (not field.held or self.plain(base))
         watch = self._watch(field) if plain and self.others else -1
         plain = plain and (not self.others or watch >= 0)
         surface = self._surface(field) if plain else -1
-        plain = plain and surface != HARD
-        number = self.numbers[field.name] = len(self.fields)
+        onto = [self._onto(field, k) if plain and field.held else -1 for k in (False, True)]
+        plain = plain and surface != HARD and (not field.held or min(onto) >= 0)
+        self.numbers[field.name] = len(self.fields)
         self.fields.append(field)
         program = self._program(jets) if plain and jets else -1
-        self._rows += [self._row(field, guard) for guard in field.guards] if plain else []
-        self.guards += field.guards if plain else ()
-        self.modes += [field.name] * (len(self._rows) - first)
-        held, count = int(field.project is not None), len(self._rows) - first
-        self.widest = max(self.widest, count)
-        self._fields.append([program, first, first + count, int(plain), held, watch, surface])
-        for row, guard in zip(self._rows, self.guards, strict=True):
-            if guard.to == field.name and row[TO] == UNKNOWN:
-                row[TO] = number
+        guards = field.guards if plain else ()
+        self._rows += [self._row(field, guard, base) for guard in guards]
+        self._leads += [self._lead(field, guard) for guard in guards]
+        self.guards += guards
+        self.modes += [field.name] * len(guards)
+        self.widest = max(self.widest, len(guards))
+        known = [program, first, first + len(guards), int(plain), int(field.project is not None)]
+        joins = int(not self.scene.spec.lags)
+        self._fields.append([*known, watch, surface, joins, base, *onto])
+        for row, lead in zip(self._rows, self._leads, strict=True):
+            row[TO] = self.numbers.get(lead, row[TO])
         self._made = None
 
     def _may(self, guard: Guard) -> bool:
@@ -235,34 +247,52 @@ class Tables:
         known = guard.kind in (Kind.EDGE, Kind.CONTACT) and not self.scene.spec.lags
         return known and not self.others and all(kink.change != "ends" for kink in guard.kinks)
 
-    def _row(self, field: Field, guard: Guard) -> list[int]:
+    def _lead(self, field: Field, guard: Guard) -> str:
+        """The name of the field that a guard leads to; of a jump within the mode that in which all
+        contacts stay held. None where what is held is judged: see :data:`.places.JOINS`."""
+        if guard.kind is Kind.RELEASE:
+            if len(field.held) > 1 and self.scene.spec.lags:
+                return ""
+            released = guard.edge.removesuffix(RELEASE_SUFFIX)
+            return self.scene.name(field.mode, tuple(c for c in field.held if c != released))
+        return field.name if guard.to == field.mode else guard.to
+
+    def _onto(self, field: Field, of_speed: bool) -> int:
+        """The number of a program that moves a state along the contacts held."""
+        graph = self.scene.code.mode(field.mode)
+        return self._of_values(field, ("onto", of_speed), lambda: graph.onto(of_speed))
+
+    def _row(self, field: Field, guard: Guard, base: int) -> list[int]:
         """A guard's row; its columns are named in :mod:`hybrid.rules.places`."""
         code, uses = self.scene.code, len(self._uses)
         self._uses += guard.uses
         graph, name = code.mode(field.mode), guard.edge
         programs, held, corner = [-1, -1], bool(field.held), guard.kind is Kind.CONTACT
         slides = field.project is not None and not held
-        judged = held or (guard.kinks and (corner or guard.jumps))
+        lags, bends = bool(self.scene.spec.lags), bool(guard.kinks)
+        # what stays held after a jump that delays see is judged, and a guard that may have jumped
+        judged = (held and lags) or (bends and (corner or guard.jumps))
         if guard.kind is Kind.CONTACT and not judged:
             programs = [
                 self._of_values(field, ("impact", name), lambda: graph.impact(name)),
                 self._of_values(field, ("land", name), lambda: graph.land(name)),
             ]
         elif guard.kind is Kind.EDGE and not (judged or (slides and self._again(guard))):
-            # what stays held after a jump is judged, and an edge that is watched behind it, too
+            # an edge that is watched behind it, too, is judged
             reset = ("reset", name)
             programs[0] = self._of_values(field, reset, lambda: graph.values(code.closed(*reset)))
         sizes = self._of_values(field, ("sizes", name, held), lambda: graph.sizes(name, held))
         kind, crossing = NUMBERED.get(guard.kind, OTHER), DIRECTIONS[guard.crossing]
-        shape = [int(guard.bounds), int(guard.affine), self.numbers.get(guard.to, UNKNOWN)]
+        to = UNKNOWN if self._lead(field, guard) else NONE
+        shape = [int(guard.bounds), int(guard.affine), to, *programs, sizes, uses, len(self._uses)]
         kinked = any(other.kinks for other in field.guards)
-        later = [HARD if kinked else UNKNOWN, 0, UNKNOWN, UNKNOWN, 0]
-        if guard.kind is Kind.RELEASE and len(field.held) > 1:  # what follows is judged
-            shape[2] = NONE
-        if guard.kind is Kind.SWITCH and (slides or self.scene.spec.lags):  # and so is this
-            later[0] = HARD
-        own = [sizes, uses, len(self._uses), int(bool(guard.kinks))]
-        return [kind, crossing, *shape, *programs, *own, *later]
+        judged = guard.kind is Kind.SWITCH and (slides or lags)  # and so is this
+        at = HARD if judged or kinked else UNKNOWN
+        own, rest = len(self._rows) + field.column(name), UNKNOWN
+        if held:
+            free = self.first(base) + self.fields[base].column(name.removesuffix(RELEASE_SUFFIX))
+            own, rest = (own, free) if guard.kind is Kind.RELEASE else (free, UNKNOWN)
+        return [kind, crossing, *shape, int(bends), at, 0, UNKNOWN, rest, 0, own]
 
     def _again(self, guard: Guard) -> bool:
         """Whether an edge is watched in the mode to which it leads."""

@@ -169,6 +169,10 @@ class Field:
         assert self.project is not None
         return self.project(t, x)
 
+    def along(self, t: float, x: np.ndarray) -> np.ndarray:
+        """A state on the contacts held, or on the surface; where there is neither, as it is."""
+        return x if self.project is None else np.array(self.project(t, x.tolist()))
+
     @property
     def closed(self) -> Any:
         """The flow's jaxpr."""

@@ -9,13 +9,13 @@ import math
 
 from .arcs import arc, copied
 from .arrays import AutomatonArrays, Floats, Left, Now, Room
+from .contacts import asks, onto, still_held, twin, values
 from .guards import largest, row_of
 from .hops import drowns
 from .jets import OUTPUT, jets
 from .places import (
     AT,
     BEGINS,
-    CONSTRAINED,
     CONTACT,
     EDGE,
     ENTERED,
@@ -27,6 +27,7 @@ from .places import (
     FULL,
     GAP_SPEED,
     GUARD_POWER,
+    HARD,
     HOPS,
     IMPACT_COUNT,
     JUMP,
@@ -34,16 +35,21 @@ from .places import (
     KIND,
     LAND,
     LANDED,
+    LAST_USED,
+    LASTED,
     LEAVE,
     LOW,
     LOW_AHEAD,
     MAKE,
     NONE,
-    OPENS,
+    ONTO_GAPS,
+    OWN,
     PHASE,
+    PULLED,
     RELEASE,
     RESET,
     REST,
+    RISES,
     SERIES,
     SPEED_FALL,
     STRIKES,
@@ -81,41 +87,41 @@ def advance(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -
 def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
     """Carry out the jump of the guard that fired, and begin the next arc; ``JUMP`` if not plain.
 
-    With ``SUM``, ``OPENS`` and ``MAKE`` it is still to come.
+    With ``SUM`` and ``MAKE`` it is still to come.
     """
     guard, place = now.ints[FIRED], now.ints[JUMPS_MADE]
     kind, to = a.guards[guard, KIND], a.guards[guard, TO]
     t, low = after(now.floats[T], now.floats[LOW], now.floats[TAU])
-    before, behind = left.before[place], left.after[place]
-    status, used, power = JUMP, guard, 1
-    if kind == RELEASE:
-        status = OPENS if to != NONE else JUMP
-    elif surfaced(a, now, kind) and remembered(a, now, guard):
+    before, behind, low_flight = left.before[place], left.after[place], now.ints[WAS_LOW] == 1
+    status, used, power = JUMP, a.guards[guard, OWN], 1
+    made = to != NONE and (kind == RELEASE or a.guards[guard, RESET] >= 0)
+    if surfaced(a, now, kind) and remembered(a, now, guard):
         status = JUMP
     elif kind in (SWITCH, LEAVE):
         status, to, used, power = on_surface(a, now, room, t, before, behind)
-    elif a.guards[guard, RESET] < 0:
-        status = JUMP
-    elif to == UNKNOWN:
-        status = MAKE
-    elif kind == EDGE:
-        known = arrived(a, now, room, now.ints[FIELD], t, before)
-        if known and values(a, a.guards[guard, RESET], t, before, room, behind):
-            status, power = LANDED, 1 if unchanged(a, now, room, t, before, behind) else 0
-    elif to == now.ints[FIELD]:
-        status = impact(a, run, now, room, t, before, behind)
+    elif made and to == UNKNOWN:
+        status = asks(now, guard, TO)
+    elif made and (low_flight or onto(a, now.ints[FIELD], t, now.end, room, now.end)):
+        if kind == RELEASE:
+            status, used = LANDED, a.guards[guard, REST]
+            power = RISES if now.floats[TAU] > 0.0 else PULLED
+            copied(now.end, before)
+            copied(now.end, behind)
+        elif kind == EDGE:
+            copied(now.end, before)
+            if values(a, a.guards[guard, RESET], t, now.end, room, behind):
+                status, to = stays(a, now, room, t, behind, to)
+                power = 1 if unchanged(a, now, room, t, before, behind) else 0
+        elif to == now.ints[FIELD]:
+            status, to = impact(a, run, now, room, t, before, behind)
+            power = 1 if now.floats[GAP_SPEED] > 0.0 else PULLED
     now.ints[PHASE] = BEGINS if status in (LANDED, JUMP) else STRIKES
     if status != LANDED:
         return status
     added(now, left, guard, t, low)
-    now.tied[guard], now.spent[guard] = 0, now.ints[FLIGHTS]
-    watch(now, guard, kind)
-    now.ints[WAS_LOW] = 0
-    now.floats[T], now.floats[LOW] = t, low
-    now.ints[FIELD], now.ints[ENTERED] = to, 0
-    now.ints[FIRED], now.ints[GUARD_POWER] = used, power
-    copied(behind, now.x)
-    enlarged(now, now.x)
+    now.tied[a.guards[guard, OWN]], now.spent[a.guards[guard, OWN]] = 0, now.ints[FLIGHTS]
+    watch(a, now, guard, kind)
+    entered(a, now, to, used, power, t, low, behind)
     return LANDED
 
 
@@ -136,8 +142,8 @@ def on_surface(
     if own < UNKNOWN:
         return JUMP, to, own, 0
     if own == UNKNOWN or to == UNKNOWN:
-        return MAKE, to, own, 0
-    fit = arrived(a, now, room, now.ints[FIELD], t, before)
+        return asks(now, guard, AT if own == UNKNOWN else TO), to, own, 0
+    fit = onto(a, now.ints[FIELD], t, now.end, room, before)
     copied(before, behind)
     if a.guards[guard, KIND] == LEAVE:
         return LANDED if fit else JUMP, to, own, 2
@@ -145,21 +151,45 @@ def on_surface(
     if what == CROSSES:
         return LANDED, to, own, 1
     if what == SLIDES and slides == UNKNOWN:
-        return MAKE, to, own, 0
+        return asks(now, guard, REST), to, own, 0
     if what != SLIDES or slides < 0 or a.fields[slides, SURFACE] < 0:
         return JUMP, to, own, 0
-    fit = arrived(a, now, room, slides, t, before)
+    fit = onto(a, slides, t, now.end, room, before)
     copied(before, behind)
     return LANDED if fit else JUMP, slides, NONE, 0
 
 
-def arrived(a: AutomatonArrays, now: Now, room: Room, field: int, t: float, x: Floats) -> bool:
-    """Put down the state where an arc has ended, on the surface on which a field slides; whether
-    it is finite."""
-    if a.fields[field, SURFACE] >= 0:
-        return values(a, a.fields[field, SURFACE], t, now.end, room, x)
-    copied(now.end, x)
-    return True
+def entered(
+    a: AutomatonArrays,
+    now: Now,
+    field: int,
+    own: int,
+    power: int,
+    t: float,
+    low: float,
+    x: Floats,
+) -> None:
+    """Go on from a state in a field, to which a guard has led (``OWN``, or none), which vanishes
+    there by a power of the time."""
+    now.floats[T], now.floats[LOW] = t, low
+    now.ints[FIELD], now.ints[LAST_USED], now.ints[GUARD_POWER] = field, own, power
+    now.ints[ENTERED], now.ints[WAS_LOW] = 0, 0
+    now.ints[LASTED] = 1 if now.floats[TAU] > 0.0 else 0
+    if now.ints[LOW_AHEAD] == 1:
+        now.ints[FIRED] = twin(a, field, own)
+    copied(x, now.x)
+    enlarged(now, now.x)
+
+
+def stays(
+    a: AutomatonArrays, now: Now, room: Room, t: float, x: Floats, to: int
+) -> tuple[int, int]:
+    """Whether a jump to a field is plain, and the field: of the contacts held those are held in it
+    that the jump has left closed."""
+    if to != now.ints[FIELD] or a.fields[to, ONTO_GAPS] < 0:
+        return LANDED, to
+    field = still_held(a, now, room, t, x)
+    return MAKE if field == UNKNOWN else JUMP if field < 0 else LANDED, field
 
 
 def added(now: Now, left: Left, guard: int, t: float, low: float) -> None:
@@ -184,50 +214,42 @@ def after(t: float, low: float, duration: float) -> tuple[float, float]:
     return now, low - (now - total)
 
 
-def values(
-    a: AutomatonArrays, program: int, t: float, x: Floats, room: Room, written: Floats
-) -> bool:
-    """The state that a program gives; whether it is finite."""
-    if jets(a.programs, program, 0, t, x, room.still, room.aside, room.work) < 0:
-        return False
-    first = a.programs.index[program, OUTPUT]
-    fit = True
-    for i in range(written.shape[0]):
-        written[i] = room.aside[a.programs.output[first + i], 0]
-        fit = fit and math.isfinite(written[i])
-    return fit
-
-
 def impact(
     a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float, before: Floats, behind: Floats
-) -> int:
-    """The states before and after an impact; ``LANDED`` if the next flight is one like others (7).
+) -> tuple[int, int]:
+    """The states before and after an impact; ``LANDED`` if the next flight is one like others (7),
+    and its field.
 
     ``SUM`` where impacts are to be summed from here. Where it is so low that the gap would drown in
     the rounding of the state that is noted; ``JUMP`` where it cannot be flown here, and ``MAKE``.
     """
-    guard = now.ints[FIRED]
+    guard, own = now.ints[FIRED], a.guards[now.ints[FIRED], OWN]
     if now.ints[WAS_LOW] == 0 and not struck(a, now, room, t, before, behind):
-        return JUMP
+        return JUMP, HARD
     speed = now.floats[GAP_SPEED]
-    count = now.ints[IMPACT_COUNT] + 1 if guard == now.ints[SERIES] else 1
+    if not speed >= 0.0:
+        return JUMP, HARD
+    status, field = stays(a, now, room, t, behind, now.ints[FIELD])
+    if status != LANDED:
+        return status, field
+    count = now.ints[IMPACT_COUNT] + 1 if own == now.ints[SERIES] else 1
     tried = now.floats[TRIED] if count > 1 else math.inf
-    if not speed > 0.0:
-        return JUMP
-    if count >= run[FIRST_SUMMED] and speed <= run[SPEED_FALL] * tried:
-        return SUM
-    flow = a.fields[now.ints[FIELD], FIELD_PROGRAM]
+    alike = speed > 0.0 and field == now.ints[FIELD]
+    if alike and count >= run[FIRST_SUMMED] and speed <= run[SPEED_FALL] * tried:
+        return SUM, field
+    flow = a.fields[field, FIELD_PROGRAM]
+    guard = twin(a, field, own)
     if jets(a.programs, flow, 2, t, behind, room.still, room.aside, room.work) < 0:
-        return JUMP
-    force = 2.0 * room.aside[row_of(a, flow, now.ints[FIELD], guard), 2]
+        return JUMP, HARD
+    force = 2.0 * room.aside[row_of(a, flow, field, guard), 2]
     if not drowns(speed, force, max(largest(now.seen), largest(behind))):
-        return LANDED
-    if a.fields[now.ints[FIELD], CONSTRAINED] == 1 or a.guards[guard, AT] < UNKNOWN:
-        return JUMP
+        return LANDED, field
+    if a.guards[guard, AT] < UNKNOWN:
+        return JUMP, HARD
     if a.guards[guard, AT] == UNKNOWN:
-        return MAKE
+        return asks(now, guard, AT), HARD
     now.ints[LOW_AHEAD] = 1
-    return LANDED
+    return LANDED, field
 
 
 def struck(
@@ -258,11 +280,12 @@ def unchanged(
     return here == room.aside[row, 0]
 
 
-def watch(now: Now, guard: int, kind: int) -> None:
+def watch(a: AutomatonArrays, now: Now, guard: int, kind: int) -> None:
     """Count the impacts of a series: of one contact, with no other jump between."""
+    own = a.guards[guard, OWN]
     if kind != CONTACT:
         now.ints[SERIES] = -1
-    elif guard == now.ints[SERIES]:
+    elif own == now.ints[SERIES]:
         now.ints[IMPACT_COUNT] += 1
     else:
-        now.ints[SERIES], now.ints[IMPACT_COUNT], now.floats[TRIED] = guard, 1, math.inf
+        now.ints[SERIES], now.ints[IMPACT_COUNT], now.floats[TRIED] = own, 1, math.inf

@@ -42,6 +42,7 @@ from .places import (
     GUARDS,
     GUARDS_END,
     HARD,
+    JOINED,
     JUMPS_MADE,
     KIND,
     LAND_ON,
@@ -53,6 +54,7 @@ from .places import (
     LOOKS,
     LOW,
     MADE,
+    MAKE,
     MAX_STEP,
     METHOD_ORDER,
     NONE,
@@ -70,6 +72,7 @@ from .places import (
     TO_TAU,
     TOLERANCES,
     WALKS,
+    WANTED,
     T,
 )
 from .steps import step
@@ -96,7 +99,8 @@ def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> in
     -------
     status : int
         ``LANDED``, or ``END``; ``STEP``, ``SHOW`` or ``LAND_ON``, to be called again with the
-        answer, or ``FULL``, with empty arrays; or ``LOOK``, and nothing has changed.
+        answer, or ``FULL``, with empty arrays, or ``MAKE``; or ``LOOK``, and nothing has changed
+        but for contacts that have come to be held.
     """
     if a.fields[now.ints[FIELD], PLAIN] == 0:
         return LOOK
@@ -138,7 +142,11 @@ def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
 
 
 def at_once(now: Now, guard: int) -> int:
-    """End the arc where it begins: a guard fires before any flow."""
+    """End the arc where it begins: a guard fires before any flow. Where a contact has come to be
+    held it begins anew."""
+    if guard in (JOINED, WANTED):
+        now.ints[PHASE] = BEGINS
+        return GOES_ON if guard == JOINED else MAKE
     if guard < 0:
         return LOOK
     copied(now.x, now.end)

@@ -109,9 +109,9 @@ class Now(NamedTuple):
     zeros : Matrix
         For each guard of the present field its zero in a step; columns as in :mod:`.places`.
     tied, spent : Ints
-        For each guard of the automaton: with the sign that it had before its zero the flight at
-        whose end it was zero beside the one that fired; and that after which it has fired. Flights
-        are counted from one.
+        For each guard of the automaton, at its ``OWN``: with the sign that it had before its zero
+        the flight at whose end it was zero beside the one that fired; and that after which it has
+        fired. Flights are counted from one.
     """
 
     floats: Floats

@@ -34,12 +34,15 @@ from .places import (
     AT_REST,
     CURVE_DEGREE,
     CURVE_ROWS,
+    FIELD,
     FIELD_PROGRAM,
     GUARDS,
+    GUARDS_END,
     JUMPS_BEFORE,
     KIND,
     LAST_SPEED,
     LAST_TIME,
+    ONTO_GAPS,
     RATIO,
     RELEASE,
     REMAINING,
@@ -170,6 +173,8 @@ def along(
         own = s.of_fields[field]
         if own < 0:
             return OF_FIELD if own == UNKNOWN else LEFT_TO_PYTHON, field
+        if not followed(a, now, left, field, j, jumps):
+            return LEFT_TO_PYTHON, field
         row, length = s.fields[own], now.floats[TAU] if j == jumps else left.when[j, 2]
         if j == 0:
             begun(s, row, t, x, room)
@@ -208,6 +213,19 @@ def along(
         for i in range(n):
             put(room.moved, 1 + i, found, 1 + i)
     return KNOWN, 0
+
+
+def followed(a: AutomatonArrays, now: Now, left: Left, field: int, arc: int, jumps: int) -> bool:
+    """Whether an arc was flown in a field, and ends as changes are carried: where contacts are held
+    that is by a release of the only one, or with the run."""
+    if arc == jumps:
+        return now.ints[FIELD] == field
+    guard = left.fired[arc]
+    own = a.fields[field, GUARDS] <= guard < a.fields[field, GUARDS_END]
+    if not own or a.fields[field, ONTO_GAPS] < 0:
+        return own
+    to = a.guards[guard, TO]
+    return a.guards[guard, KIND] == RELEASE and a.fields[to, ONTO_GAPS] < 0
 
 
 def put(change: Matrix, row: int, found: Matrix, place: int) -> None:

@@ -8,10 +8,12 @@ from __future__ import annotations
 import math
 
 from .arrays import AutomatonArrays, Floats, Matrix, Now, Room
+from .contacts import joined
 from .guards import GUARD_ROUNDING, NEAR, largest, row_of, sizes_of
 from .hops import drowns
 from .lengths import step_length
 from .places import (
+    AT_START,
     BENDS,
     BOUNDS,
     CONTACT,
@@ -20,17 +22,22 @@ from .places import (
     ENTERED,
     FIELD,
     FIELD_PROGRAM,
-    FIRED,
     FLIGHTS,
     GUARD_POWER,
     GUARDS,
     GUARDS_END,
     HARD,
+    IMPACT_COUNT,
+    JOINS,
     KIND,
+    LAST_USED,
+    LASTED,
     NONE,
     OTHER,
+    OWN,
     RELEASE,
     RISES,
+    SERIES,
     SWITCH,
     USES,
     USES_END,
@@ -38,33 +45,43 @@ from .places import (
 )
 from .zeros import EPS
 
-__all__ = ("does", "far", "own_time", "start", "starts")
+__all__ = ("at_rest", "does", "far", "own_time", "start", "starts")
 
 #: Power of the time from which on the coefficients of a guard are compared with each other: what
 #: those below are made of is known.
 HIGHER = 3
 
+#: A gap speed, against those seen, at which a series of impacts that has no sum is over.
+SPENT_SPEED = 1e-20
+
+#: Positions are known to so many spacings: a flight no higher is none.
+POSITION_ROUNDING = 8.0
+
 #: What a guard does where an arc begins (:func:`does`): it waits for its next zero; it fires before
 #: any flow; its contact comes to rest. What is a fault: nothing decides; the state is outside the
 #: domain; the flow leads out of it through the edge just taken; or may be one: it leaves the
-#: surface of a switching.
-ARMED, FIRES, RESTS, UNDECIDED, OUTSIDE, BEYOND, LEAVES = range(7)
+#: surface of a switching. And it waits, but begins a flight so low that its gap drowns in rounding.
+ARMED, FIRES, RESTS, UNDECIDED, OUTSIDE, BEYOND, LEAVES, DROWNS = range(8)
 
 
 def starts(a: AutomatonArrays, now: Now, room: Room) -> int:
     """The guard that fires first before any flow where an arc begins; ``NONE``, or ``HARD`` where
-    something is to be weighed. Notes the guards' orders."""
-    field, fires = now.ints[FIELD], NONE
+    something is to be weighed; ``JOINED`` or ``WANTED`` where a contact comes to rest. Notes the
+    guards' orders."""
+    field, fires, drowned = now.ints[FIELD], NONE, False
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
         if now.ints[ENTERED] == 0:
             c = room.c[row_of(a, a.fields[field, FIELD_PROGRAM], field, g)]
             now.orders[g - first], what = start_of(a, now, room, g, c)
+            if what == RESTS:
+                return joined(a, now, room, g)
             if what == FIRES:
                 fires = g if fires == NONE else fires
-            elif what != ARMED:
+            elif what not in (ARMED, DROWNS):
                 return HARD
-    return fires
+            drowned = drowned or what == DROWNS
+    return HARD if drowned and fires == NONE else fires
 
 
 def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) -> tuple[int, int]:
@@ -72,10 +89,11 @@ def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) ->
     plain, and what it does; ``HARD`` where that is to be weighed, or more jumps are to be known."""
     kind, bounds = a.guards[guard, KIND], a.guards[guard, BOUNDS] == 1
     t, n, reach = now.floats[T], now.x.shape[0], max(largest(now.seen), largest(now.x))
-    used, order, sign = guard == now.ints[FIRED], 0, 1 if c[0] > 0.0 else -1
+    used, order, sign = a.guards[guard, OWN] == now.ints[LAST_USED], 0, 1 if c[0] > 0.0 else -1
+    own, loads, low = a.guards[guard, OWN], kind == RELEASE, False
     least, flights = now.ints[GUARD_POWER] if used else 0, now.ints[FLIGHTS]
-    crossing, other, spent = a.guards[guard, CROSSING], False, now.spent[guard] == flights
-    before = 1 if now.tied[guard] == flights else -1 if now.tied[guard] == -flights else 0
+    crossing, other, spent = a.guards[guard, CROSSING], False, now.spent[own] == flights
+    before = 1 if now.tied[own] == flights else -1 if now.tied[own] == -flights else 0
     beyond = before != 0 or (bounds and c[0] * crossing > 0.0)  # rounding, of a guard that is large
     if least > 0 or beyond or not far(c[0], reach):
         size, rate, bend = sizes_of(a, room, guard, t, now.x)
@@ -91,16 +109,44 @@ def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) ->
                 high = max(high, now.seen[a.uses[k]])
             high = min(high, max(size, sizes_of(a, room, guard, t, now.seen)[0]))
         order, sign = start(c, room.c, n, c[0], c[1], t, size, rate, bend, high, fast, least)
-        low = order == 1 and drowns(c[1], 2.0 * c[2], reach)
+        if kind == CONTACT and order == 1 and a.guards[guard, BENDS] == 0:
+            series = used and own == now.ints[SERIES] and now.ints[IMPACT_COUNT] > 1
+            series = series and now.ints[LASTED] == 1
+            _, seen, _ = sizes_of(a, room, guard, t, now.seen)
+            seen = max(rate, seen) if seen < math.inf else rate
+            if at_rest(c[0], c[1], 2.0 * c[2], size, seen, bend, series):
+                return order, RESTS
+        low = kind == CONTACT and order == 1 and drowns(c[1], 2.0 * c[2], reach)
         slow = least == 0 and not abs(c[1]) > GUARD_ROUNDING * EPS * fast
-        hard = kind == OTHER or (kind == CONTACT and (low or slow or a.guards[guard, BENDS] == 1))
+        hard = kind == OTHER or (kind == CONTACT and (slow or a.guards[guard, BENDS] == 1))
         if order > RISES or (order > 0 and hard):
             return order, HARD
-    what = does(kind, crossing, bounds, order, sign, True, used, spent, other, other, before)
+    what = does(kind, crossing, bounds, order, sign, True, used, spent, loads, other, before)
     if what == LEAVES and used:
         return order, ARMED
-    known = order > 0 and kind in (CONTACT, EDGE, SWITCH)
-    return order, HARD if what == FIRES and not known else what
+    ends = loads and a.fields[now.ints[FIELD], JOINS] == 1 and now.ints[LAST_USED] != AT_START
+    known = ends or (order > 0 and kind in (CONTACT, EDGE, SWITCH))
+    if what == FIRES and not known:
+        return order, HARD
+    return order, DROWNS if low and what == ARMED else what
+
+
+def at_rest(
+    gap: float, speed: float, force: float, size: float, fast: float, bend: float, series: bool
+) -> bool:
+    """Whether a contact that is pushed together is at rest, with a gap speed that is next to
+    nothing: rounding of the speeds that the run has seen, ``fast``, or such that the flight it
+    leads to is lower than rounding of the positions, or than the gap is off zero.
+
+    ``size`` and ``bend`` are the sums of the terms that the gap and its acceleration are made of.
+    In a ``series`` of impacts, which is summed, it is less.
+    """
+    if series:
+        slow = abs(speed) <= SPENT_SPEED * fast
+    else:
+        height = max(POSITION_ROUNDING * EPS * size, abs(gap))
+        slow = abs(speed) <= GUARD_ROUNDING * EPS * fast or speed * speed <= -2.0 * force * height
+    return slow and force < -NEAR * bend
 
 
 def does(

@@ -29,6 +29,7 @@ from .pairs import answers
 from .places import (
     AT,
     AT_LIMIT,
+    AT_START,
     BEGINS,
     CONTACT,
     END,
@@ -36,7 +37,6 @@ from .places import (
     ERRORS,
     EXPANSIONS,
     FIELD,
-    FIRED,
     FLIGHTS,
     FULL,
     GUARD_POWER,
@@ -44,7 +44,10 @@ from .places import (
     JUMPS_BEFORE,
     JUMPS_MADE,
     KIND,
+    LACKING,
+    LACKING_AT,
     LAST_TIME,
+    LAST_USED,
     LOW,
     LOW_AHEAD,
     MADE,
@@ -69,7 +72,8 @@ from .zeros import EPS
 __all__ = ("lanes",)
 
 #: What becomes of a lane: it is left to the driver; it has come to its end; to its last jump; or it
-#: asks for something of the guard that stands in the place of its mode.
+#: asks for something of the guard that stands in the place of its mode, in the column that stands
+#: in that of its sums.
 LEFT, ENDED, LAST_JUMP, ASKS = 0, 1, 2, 3
 
 #: Columns of what is told of a lane, in whole numbers; then in others: its time, that by which the
@@ -186,10 +190,10 @@ def shown(
 ) -> None:
     """Tell where a lane has come to, and its first accumulation."""
     last, n = now.ints[JUMPS_MADE] - 1, now.x.shape[0]
+    told[MODE] = now.ints[FIELD]
     if outcome == ASKS:
-        told[MODE] = now.ints[FIRED]
+        told[MODE], told[SUMMED] = now.ints[LACKING], now.ints[LACKING_AT]
     elif outcome == ENDED:
-        told[MODE] = now.ints[FIELD]
         end[AT_TIME], end[FLOWN_TO] = run[LAST_TIME], now.floats[T] + now.floats[TAU]
         copied(now.end, end[STATE : STATE + n])
     else:
@@ -245,7 +249,12 @@ def bound(
 def begun(now: Now, t: float, x: Floats, field: int) -> None:
     """A state at the start of a run."""
     now.floats[T], now.floats[LOW], now.floats[TAU], now.floats[TRIED] = t, 0.0, 0.0, math.inf
-    now.ints[FIELD], now.ints[FIRED], now.ints[SERIES], now.ints[IMPACT_COUNT] = field, -1, -1, 0
+    now.ints[FIELD], now.ints[LAST_USED], now.ints[SERIES], now.ints[IMPACT_COUNT] = (
+        field,
+        AT_START,
+        -1,
+        0,
+    )
     now.ints[ENTERED], now.ints[PHASE], now.ints[MADE], now.ints[GUARD_POWER] = 0, BEGINS, 0, 1
     now.ints[JUMPS_MADE], now.ints[STEPS_MADE], now.ints[EXPANSIONS], now.ints[TAILS] = 0, 0, 0, 0
     now.ints[LOW_AHEAD], now.ints[WAS_LOW] = 0, 0

@@ -3,36 +3,47 @@
 #: Columns of the table of fields: its program, where its guards begin and end, whether its arcs may
 #: be plain, whether contacts are held in it or it slides, and a program of its guards alone, for
 #: the steps of other solvers; of one that slides the program of the way back onto the surface, of
-#: others -1.
+#: others -1; whether contacts join those held, and stay held after jumps, without the driver; the
+#: field of its mode in which none is held; of one with contacts held programs that move a state
+#: along these, by what their gaps are off zero, and their gap speeds, of others -1.
 FIELD_PROGRAM, GUARDS, GUARDS_END, PLAIN, CONSTRAINED, WATCH, SURFACE = range(7)
+JOINS, BASE, ONTO_GAPS, ONTO_SPEEDS = range(7, 11)
 
 #: Columns of the table of guards. ``TO`` is a field, -1 where it is not known yet; ``RESET``,
 #: ``LAND`` and ``SIZES`` are programs, -1 where there is none; ``USES`` is where the elements of
 #: the state begin that it is made of; ``BENDS`` whether it may change its formula. Of a contact
 #: whose impacts were to be summed: the first of the programs of what happens there, whether all
-#: flights see the same forces; and where a sum was found, the program of its bounds, the field of
-#: its rest, and whether its restitution is no constant. Of a load whose contact alone is at rest:
-#: the same programs, and at ``REST`` the contact's own guard in the field that follows. Of the
-#: surface of a switching: at ``AT`` its guard on the other side, and at ``REST`` the field that
-#: slides on it, where one is to be entered; of an end of sliding at ``AT`` the surface's guard in
-#: the field that follows.
+#: flights see the same forces; and where a sum was found, the program of its bounds, and whether
+#: its restitution is no constant. At ``REST`` of a contact the field in which it is held besides
+#: those that are, and of a load its contact where none is held. Of the surface of a switching: at
+#: ``AT`` its guard on the other side, and at ``REST`` the field that slides on it, where one is to
+#: be entered; of an end of sliding at ``AT`` the surface's guard in the field that follows. ``OWN``
+#: is the same guard where no contact is held; a load is its own.
 KIND, CROSSING, BOUNDS, AFFINE, TO, RESET, LAND, SIZES, USES, USES_END, BENDS = range(11)
-AT, LOCAL, SIGHT, REST, DEPENDS = range(11, 16)
+AT, LOCAL, SIGHT, REST, DEPENDS, OWN = range(11, 17)
 
 #: What has not been asked for yet; what there is none of; what only the driver looks at.
 UNKNOWN, NONE, HARD = -1, -2, -3
+
+#: The start of an arc is another: a contact has come to be held there; or that field is asked for.
+JOINED, WANTED = -4, -5
+
+#: What has led to an arc at the start of a run: no guard.
+AT_START = -1
 
 #: Kinds of guards whose jumps are made here, the surface of a switching and the ends of sliding
 #: among them; others.
 EDGE, CONTACT, RELEASE, OTHER, SWITCH, LEAVE = range(6)
 
-#: By which power of the time a gap opens where its load has come to be zero.
-RISES = 3
+#: By which power of the time a gap opens where its load has come to be zero, and where that pulls;
+#: a contact that an impact has left no speed closes by that, too.
+RISES, PULLED = 3, 2
 
 #: Places in the numbers of a run: last time, tolerances, series of impacts; the longest steps, the
-#: first of an arc and the others; whether a run goes on from an accumulation, at rest, and the
-#: tolerance of a sum against the run's; the order of another solver (0 where steps are made here),
-#: and what a step may lose: a share, and from the last place on a number for each element.
+#: first of an arc and the others; whether a run goes on from an accumulation, at rest, or ends
+#: there; the tolerance of a sum against the run's; the order of another solver (0 where steps are
+#: made here), and what a step may lose: a share, and from the last place on a number for each
+#: element.
 LAST_TIME, ABSOLUTE, RELATIVE, SPEED_FALL, FIRST_SUMMED, FIRST_STEP = range(6)
 MAX_STEP, REST_AFTER, CLOSING, METHOD_ORDER, STEP_LOSS, TOLERANCES = range(6, 12)
 
@@ -42,15 +53,16 @@ MAX_STEP, REST_AFTER, CLOSING, METHOD_ORDER, STEP_LOSS, TOLERANCES = range(6, 12
 #: many there are.
 T, LOW, TAU, TRIED, STEP_END, TO_TAU, AIM, FIRST_LENGTH, GAP_SPEED, STATE_FLOATS = range(10)
 
-#: Places in a state's integers: the field and the guard last used; the series of impacts; whether
+#: Places in a state's integers: the field, and the guard that fired; the series of impacts; whether
 #: the driver has looked at the arc's start; jumps and steps kept, and expansions made; then what
 #: comes next in the arc, its steps so far, the guard that fires, the kink at which the step ends,
 #: landings tried, sums kept, by which power of the time the guard last used vanishes; whether the
-#: flight that begins is one so low that the gap would drown in rounding, and whether one ends; and
-#: arcs flown that take time.
+#: flight that begins is one so low that the gap would drown in rounding, and whether one ends;
+#: arcs flown that take time; the guard last used (``OWN``); the guard of which the table has not
+#: all, and the column; whether the arc before had a length.
 FIELD, FIRED, SERIES, IMPACT_COUNT, ENTERED, JUMPS_MADE, STEPS_MADE, EXPANSIONS = range(8)
 PHASE, MADE, EVENT, CROSSED, LANDINGS_TRIED, TAILS, GUARD_POWER, LOW_AHEAD = range(8, 16)
-WAS_LOW, FLIGHTS, STATE_INTS = range(16, 19)
+WAS_LOW, FLIGHTS, LAST_USED, LACKING, LACKING_AT, LASTED, STATE_INTS = range(16, 23)
 
 #: Columns of the zeros of guards in a step: when each fires; by how much what its series leaves
 #: open may move that; and how far it was off zero where the arc began, if it vanishes there.
@@ -70,12 +82,13 @@ ERRORS, AT_LIMIT, AT_REST, CURVE_ROWS = 17, 18, 19, 20
 
 #: Why a call comes back: the run is at its end; the arrays are full; an arc has to be looked at
 #: with all the rules; a jump has; another solver is to make a step, or to land; impacts are to be
-#: summed; a contact at rest opens; the table has not all that is asked of the guard at the arc's
-#: end; a low flight begins; the polynomial of another solver's step is to be shown; the pieces of a
-#: low flight are to be kept beside its steps; other windows of the past are due; there is no room
-#: for the record.
-END, FULL, LOOK, JUMP, STEP, LAND_ON, SUM, OPENS, MAKE, HOPS, SHOW, FLOWN = range(1, 13)
-WINDOW, NO_ROOM = range(13, 15)
+#: summed; the table has not all that is asked of a guard; a low flight begins; the polynomial of
+#: another solver's step is to be shown; the pieces of a low flight are to be kept beside its steps;
+#: other windows of the past are due; there is no room for the record.
+END, FULL, LOOK, JUMP, STEP, LAND_ON, SUM, MAKE, HOPS, SHOW, FLOWN, WINDOW, NO_ROOM = range(1, 14)
+
+#: What a run does at an accumulation (``REST_AFTER``): it is the driver's; it goes on; it ends.
+DRIVERS, GOES_ON_AT_REST, ENDS_THERE = 0.0, 1.0, 2.0
 
 #: Places in the floats of a past: the last time, the relative tolerance, until when the windows
 #: serve; the start of the arc whose steps are put down next, in two floats; the local time at which

@@ -6,13 +6,12 @@ more than doubles to be believed, and what follows it but a rest that begins pla
 
 from __future__ import annotations
 
-from .advance import added, advance, after, enlarged
+from .advance import added, advance, after, enlarged, entered
 from .arcs import copied
-from .arrays import AutomatonArrays, Floats, Left, Look, Now, Programs, Room, Sums
-from .entries import starts
+from .arrays import AutomatonArrays, Floats, Left, Look, Now, Room, Sums
+from .contacts import asks, onto
 from .guards import GUARD_ROUNDING, largest
 from .hops import hop
-from .jets import jets
 from .places import (
     ABSOLUTE,
     AT,
@@ -21,11 +20,13 @@ from .places import (
     BEGINS,
     BOUNDS,
     CLOSING,
+    CONSTRAINED,
     CROSSING,
     CURVE_DEGREE,
     CURVE_ROWS,
     DEPENDS,
-    ENTERED,
+    DRIVERS,
+    ENDS_THERE,
     ERRORS,
     EXPANSIONS,
     FIELD,
@@ -36,7 +37,6 @@ from .places import (
     FULL,
     GAP_SPEED,
     GOES_ON,
-    GUARD_POWER,
     GUARDS,
     GUARDS_END,
     HARD,
@@ -51,10 +51,9 @@ from .places import (
     LOW,
     LOW_AHEAD,
     MADE,
-    MAKE,
     METHOD_ORDER,
     NONE,
-    OPENS,
+    OWN,
     PHASE,
     PLAIN,
     RATIO,
@@ -62,7 +61,6 @@ from .places import (
     REMAINING,
     REST,
     REST_AFTER,
-    RISES,
     SERIES,
     SIGHT,
     STEPS_MADE,
@@ -70,7 +68,6 @@ from .places import (
     SUM,
     TAILS,
     TAU,
-    TO,
     TRIED,
     UNKNOWN,
     WAS_LOW,
@@ -79,12 +76,9 @@ from .places import (
 from .sights import EXCESS, LAW_CAUTION, damped, seen, slows
 from .sums import (
     ERROR,
-    READ,
     STATE_THERE,
     SUM_FLOOR,
     close,
-    touch,
-    turned,
 )
 from .sums import TO_LIMIT as LIMITS
 from .tails import clear, count
@@ -102,8 +96,6 @@ def go(
         status = advance(a, run, now, room, left)
         if status == SUM:
             status = accumulated(a, run, now, room, left, sums, look)
-        elif status == OPENS:
-            status = opened(a, now, room, left, sums)
         elif status == HOPS:
             status = hopped(a, run, now, room, left, sums)
         if status == JUMP:
@@ -123,23 +115,24 @@ def accumulated(
         ``MAKE``, to be called again; or ``JUMP``, and nothing has changed.
     """
     guard, place, field = now.ints[FIRED], now.ints[JUMPS_MADE], now.ints[FIELD]
-    if run[REST_AFTER] == 0.0:
+    if run[REST_AFTER] == DRIVERS:
         return JUMP
     flow, at = a.fields[field, FIELD_PROGRAM], a.guards[guard, AT]
     if at == UNKNOWN:
-        return MAKE
+        return asks(now, guard, AT)
     if at < 0:
         return JUMP
+    held = a.fields[field, CONSTRAINED] == 1
     t, low = after(now.floats[T], now.floats[LOW], now.floats[TAU])
     x, v, column = left.after[place], now.floats[GAP_SPEED], guard - a.fields[field, GUARDS]
     rtol, atol = run[CLOSING] * run[RELATIVE], run[CLOSING] * run[ABSOLUTE]
     local = a.guards[guard, LOCAL] == 1
-    degree, r = close(a.programs, flow, at, column, False, local, t, x, v, rtol, atol, sums)
+    degree, r = close(a.programs, flow, at, column, held, local, t, x, v, rtol, atol, sums)
     if degree == 0:
         now.floats[TRIED] = v
         return GOES_ON
-    if a.guards[guard, REST] == UNKNOWN:
-        return MAKE
+    if a.guards[guard, SIGHT] == UNKNOWN:
+        return asks(now, guard, SIGHT)
     tail = now.ints[TAILS]
     put(tail, degree, r, v, place + 1, left, sums)
     if a.guards[guard, REST] < 0:
@@ -153,7 +146,7 @@ def accumulated(
     if (run[LAST_TIME] - end) - rest < 0.0:
         now.floats[TRIED] = v
         return GOES_ON
-    return rests(a, now, room, left, sums, t, low)
+    return rests(a, run, now, room, left, t, low)
 
 
 def put(tail: int, degree: int, r: float, v: float, jumps: int, left: Left, sums: Sums) -> None:
@@ -204,46 +197,23 @@ def believed(
 
 
 def rests(
-    a: AutomatonArrays, now: Now, room: Room, left: Left, sums: Sums, t: float, low: float
+    a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, t: float, low: float
 ) -> int:
-    """Begin the rest that follows a sum, where its start leaves nothing to weigh."""
+    """Begin the rest that follows a sum, or end the run there."""
     guard, place, tail, n = now.ints[FIRED], now.ints[JUMPS_MADE], now.ints[TAILS], now.x.shape[0]
     field, first = a.guards[guard, REST], tail * CURVE_ROWS
-    if a.fields[field, PLAIN] == 0:
-        return JUMP
-    x, (end, rest) = left.curves[first + AT_REST, :n], after(t, low, left.sums[tail, REMAINING])
-    held(a.programs, a.guards[guard, AT], end, left.curves[first + AT_LIMIT, :n], x, sums)
-    if not begun(a, now, room, field, -1, 1, end, rest, x):
+    limit, x = left.curves[first + AT_LIMIT, :n], left.curves[first + AT_REST, :n]
+    end, rest = after(t, low, left.sums[tail, REMAINING])
+    if a.fields[field, PLAIN] == 0 or not onto(a, field, end, limit, room, x):
         return JUMP
     added(now, left, guard, t, low)
     enlarged(now, left.after[place])
-    enlarged(now, now.x)
-    now.ints[TAILS] = tail + 1
-    return FULL if tail + 1 == left.sums.shape[0] else GOES_ON
-
-
-def opened(a: AutomatonArrays, now: Now, room: Room, left: Left, sums: Sums) -> int:
-    """End the rest of a contact whose load is zero, where what follows begins plainly.
-
-    Returns
-    -------
-    status : int
-        As that of :func:`accumulated`.
-    """
-    guard, place, at = now.ints[FIRED], now.ints[JUMPS_MADE], a.guards[now.ints[FIRED], AT]
-    if a.guards[guard, TO] == UNKNOWN or at == UNKNOWN:
-        return MAKE
-    if at < 0 or a.fields[a.guards[guard, TO], PLAIN] == 0:
-        return JUMP
-    t, low = after(now.floats[T], now.floats[LOW], now.floats[TAU])
-    held(a.programs, at, t, now.end, left.before[place], sums)
-    copied(left.before[place], left.after[place])
-    field, contact = a.guards[guard, TO], a.guards[guard, REST]
-    if not begun(a, now, room, field, contact, RISES, t, low, left.after[place]):
-        return JUMP
-    added(now, left, guard, t, low)
-    enlarged(now, now.x)
-    return GOES_ON
+    now.ints[FLIGHTS] += 1
+    now.spent[a.guards[guard, OWN]] = now.ints[FLIGHTS]
+    entered(a, now, field, a.guards[guard, OWN], 1, end, rest, x)
+    now.ints[SERIES], now.ints[PHASE], now.ints[TAILS] = -1, BEGINS, tail + 1
+    last = run[REST_AFTER] == ENDS_THERE or tail + 1 == left.sums.shape[0]
+    return FULL if last else GOES_ON
 
 
 def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, sums: Sums) -> int:
@@ -254,21 +224,23 @@ def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, su
     -------
     status : int
         ``GOES_ON`` to the impact at its end, or ``FLOWN``, where its pieces are to be kept before
-        that; ``FULL``, and it is still to be flown; or ``LOOK``, where it is long, goes beyond the
-        end of the run, another guard comes near, or there is no room for it.
+        that; ``FULL``, and it is still to be flown; or ``LOOK``, where there is no room for it.
+        ``GOES_ON``, too, where it is long, goes beyond the end of the run, or another guard comes
+        near: the start of the arc is looked at then as any other.
     """
     field, guard, place = now.ints[FIELD], now.ints[FIRED], now.ints[JUMPS_MADE]
     flow, at = a.fields[field, FIELD_PROGRAM], a.guards[guard, AT]
-    t, v = now.floats[T], now.floats[GAP_SPEED]
+    t, v, held = now.floats[T], now.floats[GAP_SPEED], a.fields[field, CONSTRAINED] == 1
     before, behind = left.before[place], left.after[place]
     rounding = GUARD_ROUNDING * EPS * max(largest(now.seen), largest(now.x))
     status, time, speed, pieces = hop(
-        a.programs, flow, at, guard - a.fields[field, GUARDS], False, t, now.x, v, rounding,
+        a.programs, flow, at, guard - a.fields[field, GUARDS], held, t, now.x, v, rounding,
         now.signs[: domain(a, now)], before, behind, sums,
     )  # fmt: skip
     end, low = after(t, now.floats[LOW], time)
     if status < 0 or (run[LAST_TIME] - end) - low < 0.0:
-        return LOOK
+        now.ints[LOW_AHEAD] = 0
+        return GOES_ON
     own = run[METHOD_ORDER] == 0.0
     if own and now.ints[STEPS_MADE] + pieces > left.owner.shape[0]:
         return FULL if now.ints[STEPS_MADE] + now.ints[JUMPS_MADE] > 0 else LOOK
@@ -298,36 +270,6 @@ def taken(now: Now, left: Left, sums: Sums, piece: int) -> None:
                 kept[k] = own[k] if k < own.shape[0] else 0.0
 
 
-def begun(
-    a: AutomatonArrays,
-    now: Now,
-    room: Room,
-    field: int,
-    used: int,
-    power: int,
-    t: float,
-    low: float,
-    x: Floats,
-) -> bool:
-    """Begin an arc in another field, if its start leaves nothing to weigh; nothing that the driver
-    asks for has changed if it does."""
-    own, guard = now.ints[FIELD], now.ints[FIRED]
-    copied(x, now.x)
-    now.floats[T], now.floats[LOW] = t, low
-    now.ints[FIELD], now.ints[FIRED] = field, used
-    now.ints[GUARD_POWER], now.ints[ENTERED] = power, 0
-    for i in range(room.sides.shape[0]):
-        room.sides[i] = 0
-    program, order = a.fields[field, FIELD_PROGRAM], room.c.shape[1] - 1
-    fit = jets(a.programs, program, order, t, now.x, room.sides, room.c, room.work) == 0
-    if not (fit and starts(a, now, room) == NONE):
-        now.ints[FIELD], now.ints[FIRED], now.ints[GUARD_POWER] = own, guard, 1
-        return False
-    now.ints[SERIES], now.ints[ENTERED], now.ints[PHASE] = -1, 1, BEGINS
-    now.ints[WAS_LOW] = 0
-    return True
-
-
 def untouched(
     a: AutomatonArrays,
     now: Now,
@@ -343,8 +285,9 @@ def untouched(
     begin, n, row = now.ints[TAILS] * CURVE_ROWS, x.shape[0], left.sums[now.ints[TAILS]]
     curve = left.curves[begin : begin + int(row[CURVE_DEGREE]) + 1]
     limit, signs = left.curves[begin + AT_LIMIT, :n], now.signs[: domain(a, now)]
+    held = a.fields[now.ints[FIELD], CONSTRAINED] == 1
     return clear(
-        a.programs, flow, at, column, False, signs, GUARD_ROUNDING * EPS * largest(limit), curve, t,
+        a.programs, flow, at, column, held, signs, GUARD_ROUNDING * EPS * largest(limit), curve, t,
         x, row[LAST_SPEED], row[RATIO], row[REMAINING], limit, sums,
     )  # fmt: skip
 
@@ -356,11 +299,3 @@ def domain(a: AutomatonArrays, now: Now) -> int:
     for g in range(first, last):
         now.signs[g - first] = -a.guards[g, CROSSING] * a.guards[g, BOUNDS]
     return last - first
-
-
-def held(p: Programs, at: int, t: float, x: Floats, at_rest: Floats, sums: Sums) -> None:
-    """The state with gap and gap speed at zero: two steps of Newton's method, and one."""
-    copied(x, at_rest)
-    touch(p, at, t, at_rest, sums)
-    touch(p, at, t, at_rest, sums)
-    turned(at_rest, -sums.lines[READ, x.shape[0]], sums.lines[READ])

@@ -19,6 +19,7 @@ from .places import (
     GUARDS,
     GUARDS_END,
     OFF,
+    OWN,
     STEP_END,
     TAU,
     WHEN,
@@ -49,10 +50,10 @@ def together(a: AutomatonArrays, now: Now, room: Room, t: float) -> int:
     now.ints[FLIGHTS] += 1
     for g in range(first, a.fields[field, GUARDS_END]):
         if beside(a, now, g) and ago(a, now, room, g, t) == 0.0:
-            now.tied[g] = now.signs[g - first] * now.ints[FLIGHTS]
-            now.tied[event] = now.signs[event - first] * now.ints[FLIGHTS]
+            now.tied[a.guards[g, OWN]] = now.signs[g - first] * now.ints[FLIGHTS]
+            now.tied[a.guards[event, OWN]] = now.signs[event - first] * now.ints[FLIGHTS]
             fires = min(fires, g)
-    now.tied[fires] = 0
+    now.tied[a.guards[fires, OWN]] = 0
     return fires
 
 
@@ -61,7 +62,8 @@ def remembered(a: AutomatonArrays, now: Now, fired: int) -> bool:
     time, too, or have fired."""
     field, flights = now.ints[FIELD], now.ints[FLIGHTS]
     for g in range(a.fields[field, GUARDS], a.fields[field, GUARDS_END]):
-        if g != fired and (abs(now.tied[g]) == flights or now.spent[g] == flights):
+        own = a.guards[g, OWN]
+        if g != fired and (abs(now.tied[own]) == flights or now.spent[own] == flights):
             return True
     return False
 

@@ -14,12 +14,12 @@ from ..bounds.defect import follows
 from ..delay.memory import Memory
 from ..delay.pieces import Piece
 from ..errors import FlowError, JumpLoopError, StartError
-from ..events import CLOSED
 from ..lowering import Contact, Field, Guard, Scene, released
 from ..lowering.scene import parted
 from ..rules import unit
+from ..rules.contacts import CLOSED
 from ..rules.guards import GUARD_ROUNDING, NEAR
-from ..rules.places import RISES
+from ..rules.places import PULLED, RISES
 from ..rules.zeros import EPS
 from ..segment import Segment
 from ..solvers import Solver
@@ -147,8 +147,10 @@ class Driver:
         self.mode = self.scene.name(mode, jumped.held)
         if self.status is None:
             self.look(x)
-            if self._lean(jumped):
-                self.begin(self.model.field(self.mode), x, lambda: jumped)
+            field, lean = self.model.field(self.mode), self._lean(jumped)
+            there = field.along(self.t, x) if lean else x
+            if lean and np.isfinite(there).all():
+                self.begin(field, there, lambda: jumped)
             else:
                 self.entry = self._entered(mode, x, jumped, self.seen)
                 self._jumped = jumped
@@ -156,10 +158,11 @@ class Driver:
 
     def _lean(self, jumped: Jumped) -> bool:
         """Whether the loop may look at the start of the present mode's arc, and knows enough."""
-        more = jumped.held or jumped.limit or jumped.passing is not None or self.wary
-        if self.loop is None or more or len(jumped.vanishing) > 1:
+        more = jumped.limit or jumped.passing is not None or self.wary
+        bears = jumped.starting and jumped.held
+        if self.loop is None or more or bears or len(jumped.vanishing) > 1:
             return False
-        field, alone = self.scene.field(self.mode), jumped.starting or self.record.memory is None
+        field, alone = self.scene.field(self.mode), self.record.memory is None or jumped.starting
         alone = alone and self.record.now.until(self.plan.t1) > 0
         alone = alone and not (jumped.starting and field.project is not None)
         return alone and self.loop.may(field)
@@ -233,12 +236,15 @@ class Driver:
 
     def arrive(self, field: Field, x: np.ndarray, guard: Guard, before: np.ndarray) -> None:
         """Begin an arc after a jump that needed no judgement."""
+        last = self.record.log.kept[-1]
+        assert not isinstance(last, TailPart)
+        lasted = (last.lengths[-1] if isinstance(last, Flights) else last.length) > 0
 
         def came() -> Jumped:
             if guard.kind == "contact":
-                return Jumped({guard.edge: 1}, series=self.watch.count > 1)
+                return Jumped({guard.edge: 1}, series=lasted and self.watch.count > 1)
             if guard.kind == "release":
-                return Jumped({released(guard.edge): RISES}, field.held)
+                return Jumped({released(guard.edge): RISES if lasted else PULLED})
             if guard.kind in ("switch", "leave"):
                 return Jumped(switch.vanishing(guard, field))
             own = [g for g in self.field.guards if g.edge == guard.edge and not self.forgets]
@@ -246,19 +252,16 @@ class Driver:
 
         self.begin(field, x, came)
 
-    def arrive_from(
-        self, field: Field, guard: Guard, before: np.ndarray, after: np.ndarray
-    ) -> bool:
-        """The same from an arc on a surface, which is kept, and ends at ``before``; whether it is
-        time to look for cycles."""
+    def strike(self, guard: Guard, before: np.ndarray, after: np.ndarray) -> bool:
+        """Record a jump that needed no judgement at the end of an arc with contacts held, or along
+        a surface, which is kept; whether it is time to look for cycles."""
         self.record.end_on(before)
         if guard.kind == "release":
             self.record.released(released(guard.edge))
-        due = self.add_jump(guard.edge, before, after)
         self.spent |= {guard.edge}
-        self.arrive(field, after, guard, before)
+        due = self.add_jump(guard.edge, before, after)
         self.seen = np.maximum(self.seen, np.abs(after))
-        return due
+        return due and guard.kind not in ("release", "leave")
 
     def look_again(self) -> None:
         """Fly the present arc with all the rules, unless a guard fires before any flow; where some
@@ -274,7 +277,7 @@ class Driver:
         entry = self.entry
         if entry.here is not None or not (entry.field.guards or self.record.memory):
             return
-        self._jumped = jumped = self.came()
+        self._jumped = jumped = attrs.evolve(self.came(), held=entry.field.held)
         seen = 0.0 * self.seen if jumped.starting else self.seen
         self.entry = self._entered(entry.field.mode, entry.x, jumped, seen)
 
@@ -399,7 +402,7 @@ class Driver:
         field = self.entry.field
         overdue = carried or bool(self.entry.at_once)  # the load is negative, not zero
         contact, held = self._released(guard, x)
-        known = {contact: 2 if overdue or self.forgets else RISES}
+        known = {contact: PULLED if overdue or self.forgets else RISES}
         if carried and opened(self.scene, field.mode, contact, self.t, x):
             known = {}
         self.enter(field.mode, x, Jumped(known, held))
@@ -617,8 +620,7 @@ class Driver:
 
     def _closed(self, mode: str, held: tuple[str, ...], x: np.ndarray) -> np.ndarray:
         """The state with gap and speed of the contacts held at exactly zero."""
-        project = self.scene.field(self.scene.name(mode, held)).project if held else None
-        return x if project is None else np.array(project(self.t, x.tolist()))
+        return self.scene.field(self.scene.name(mode, held)).along(self.t, x)
 
     def _require_finite(self, edge: str, before: np.ndarray, after: np.ndarray) -> None:
         if not np.isfinite(after).all():
@@ -670,6 +672,7 @@ class Driver:
         record.keep(part)
         record.j += tail.count
         record.now = record.now.after(tail.remaining)
+        self.tied, self.spent = {}, frozenset((contact.name,))
         held = (*tail.field.held, contact.name)
         after = (tail.field.mode, held) if contact.rests else None
         self._go_on_from(tail, (contact.name,), tail.r, after, at_rest)
@@ -734,8 +737,7 @@ class Driver:
         elif len(record.zeno) == self.plan.accumulations:
             self.status = Status.ZENO_STOPPED
         if after and at_rest is not None:
-            self.spent, jumped = frozenset(edges), Jumped(held=after[1])
-            self.begin(self.model.field(self.scene.name(*after)), at_rest, lambda: jumped)
+            self.begin(self.model.field(self.scene.name(*after)), at_rest, Jumped)
             self.seen = np.maximum(self.seen, np.abs(limit.x_inf))
         elif after:
             self.enter(after[0], limit.x_inf, Jumped(held=after[1], limit=frozenset(edges)))

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..automaton.markers import Crossing
 from ..errors import DomainError, FlowError, StartError
-from ..events import SPENT_SPEED, fires
+from ..events import fires
 from ..lowering import Field, Guard, Kink, Scene, released
 from ..lowering.automaton import DIRECTIONS, NUMBERED
 from ..lowering.local import near
@@ -129,8 +129,7 @@ def enter(
     field = _from_corners(scene, scene.field(name), t, x, jumped.vanishing)
     if jumped.starting:
         _require_on_surface(scene, field, t, x)
-    if field.project is not None:
-        x = _projected(scene, field, t, x, jumped.starting)
+    x = _projected(scene, field, t, x, jumped.starting)
     here = _Here(scene, field, t, x, seen, 0.0 * off if jumped.starting else off)
     orders, at_once, signs = [], [], []
     for index, guard in enumerate(field.guards):
@@ -158,7 +157,7 @@ def _with(jumped: Jumped, held: tuple[str, ...]) -> Jumped:
 
 def _projected(scene: Scene, field: Field, t: float, x: np.ndarray, starting: bool) -> np.ndarray:
     """The state on the contacts that are held, which must be fewer than ways to move."""
-    there = np.array(field.onto(t, x.tolist()))
+    there = field.along(t, x)
     if len(field.held) > 1 and np.isfinite(x).all() and not np.isfinite(there).all():
         raise (StartError if starting else DomainError)(
             f"{describe(scene, field, t, x)}: {', '.join(field.held)} are closed at once and "
@@ -351,12 +350,7 @@ class _Here:
         return min(off, NEAR * max(self.reach, float(np.abs(self.x).max())))
 
     def closed(self, guard: Guard, order: int, sign: int, jumped: Jumped) -> bool:
-        """Whether a contact is at rest: gap and gap speed zero, and nothing pulls.
-
-        A speed is zero, too, if it is rounding of the speeds that the run has seen, or the flight
-        it leads to lower than rounding of the positions, or than the gap is off zero; in a series
-        of impacts, which is summed, if it is next to nothing.
-        """
+        """Whether a contact is at rest: gap and gap speed zero, and nothing pulls."""
         if guard.kind != "contact" or not self.scene.contact(guard.edge).rests:
             return False
         if order != 1:
@@ -365,12 +359,9 @@ class _Here:
         gap, speed, force = guard.lie(t, x)
         sizes = self.scene.rounding(guard, self.field)(t, x)
         fast = extent(self.scene, guard, self.field, self.t, self.x, self.seen)[1]
-        if jumped.series and guard.edge in jumped.vanishing:
-            slow = abs(speed) <= SPENT_SPEED * fast
-        else:
-            height = max(8 * EPS * sizes[0], abs(gap))
-            slow = abs(speed) <= 64 * EPS * fast or speed**2 <= -2.0 * force * height
-        return slow and force < -NEAR * sizes[2]
+        series = jumped.series and guard.edge in jumped.vanishing
+        given = gap, speed, force, sizes[0], fast, sizes[2], series
+        return bool(unit("entries").at_rest(*given))
 
     def pulls(self, guard: Guard, sign: int, jumped: Jumped) -> bool:
         """Whether, at the start of a run, a contact found closed would have to pull: others that

@@ -23,10 +23,13 @@ from ..rules.calls import held
 from ..rules.places import (
     AT_LIMIT,
     AT_REST,
+    AT_START,
     BEGAN,
     BEGINS,
     CURVE_ROWS,
+    DRIVERS,
     END,
+    ENDS_THERE,
     ENTERED,
     ERRORS,
     EXPANSIONS,
@@ -37,21 +40,27 @@ from ..rules.places import (
     FULL,
     GAP_SPEED,
     GOES_ON,
+    GOES_ON_AT_REST,
     GUARD_POWER,
     IMPACT_COUNT,
     IN_ARC,
     JUMP,
     JUMPS_BEFORE,
     JUMPS_MADE,
+    LACKING,
+    LACKING_AT,
     LAND_ON,
     LANDS,
     LAST_TIME,
+    LAST_USED,
+    LASTED,
     LOOK,
     LOW,
     LOW_AHEAD,
     MADE,
     MAKE,
     NO_ROOM,
+    NONE,
     PHASE,
     RISES,
     SEES,
@@ -124,8 +133,9 @@ class Machine:
         series, steps = (PATIENCE, plan.patience), (plan.longest(0.0), plan.max_step)
         atol = [plan.atol] * n if isinstance(plan.atol, float) else plan.atol
         last = (0, *solver.loss(n)) if solver.whole else (solver.order, 0.0, *atol)
-        summed = plan.zeno == "rest" and (plan.memory == "keep" or self.past is None) and not moving
-        sums = float(summed), plan.closing
+        ends = GOES_ON_AT_REST if plan.zeno == "rest" else ENDS_THERE
+        summed = (plan.memory == "keep" or self.past is None) and not moving
+        sums = ends if summed else DRIVERS, plan.closing
         given = [plan.t1, plan.limit, plan.rtol, *series, *steps, *sums, *last]
         self.run = np.array(given, dtype=float)
         self.n = n
@@ -380,7 +390,7 @@ class Machine:
     def _make(self) -> None:
         """Complete the tables, with room for what is new in them."""
         with np.errstate(all="ignore"):
-            self.tables.complete(int(self.ints[FIRED]), bounded)
+            self.tables.complete(int(self.ints[LACKING]), int(self.ints[LACKING_AT]), bounded)
         tied, spent = self.now.tied.copy(), self.now.spent.copy()
         self._take()
         self._forget()
@@ -439,18 +449,19 @@ class Machine:
         driver, entry = self.driver, self.driver.entry
         now, guards = driver.record.now, entry.field.guards
         field = self.tables.number(entry.field)
-        first, contact = self.tables.first(field), driver.watch.contact
-        series = [g for g, guard in enumerate(guards, first) if guard.edge == contact]
+        contact = driver.watch.contact
+        edges: list[str | None] = [guard.edge for guard in guards]
+        own = dict(zip(edges, self.tables.own(field), strict=True))
         self._take()
         floats, ints = self.floats, self.ints
         floats[T], floats[LOW], floats[TAU] = now.t, now.low, 0.0
         judged = int(entry.here is not None)
         jumped = Jumped() if judged or self.past is not None else driver.came()
         edge, power = next(iter(jumped.vanishing.items()), (jumped.used, 0))
-        used = [g for g, guard in enumerate(guards, first) if guard.edge == edge]
         ints[FIELD], ints[ENTERED], ints[PHASE] = field, judged, BEGINS
-        ints[FIRED], ints[GUARD_POWER] = used[0] if used else -1, power
-        ints[SERIES], ints[IMPACT_COUNT] = series[0] if series else -1, driver.watch.count
+        ints[LAST_USED] = own.get(edge, AT_START if jumped.starting else NONE)
+        ints[GUARD_POWER], ints[LASTED] = power, jumped.series
+        ints[SERIES], ints[IMPACT_COUNT] = own.get(contact, -1), driver.watch.count
         floats[TRIED] = driver.watch.tried
         ints[LOW_AHEAD] = ints[WAS_LOW] = 0
         x, _, seen = self.now[2:5]
@@ -488,53 +499,63 @@ class Machine:
         """Add the arcs that ended with a jump."""
         driver, begin, made = self.driver, 0, int(self.ints[JUMPS_MADE])
         sums = list(map(int, left.sums[: self.ints[TAILS], JUMPS_BEFORE].tolist()))
-        alone = np.flatnonzero(self.tables.constrained[left.fired[:made]]).tolist()
+        fired = left.fired[:made].tolist()
+        fields = [*(self.tables.modes[g] for g in fired), self.tables.fields[self.ints[FIELD]].name]
+        alone = np.flatnonzero(self.tables.constrained[fired]).tolist()
+        self._held(fields[0])
         while begin < made and driver.status is None and not self.passed:
             if begin in alone:
-                self.passed = self._constrained(left, begin, self.tables.guards[left.fired[begin]])
-                begin += 1
-                continue
-            last = min((place for place in sums + alone if place > begin), default=made)
-            end = begin + driver.room(*left.when[begin:last, :2].T)
-            due = self._flown(left, begin, end)
-            if end not in sums:
-                self.passed = due and self._pass_limit()
-            elif driver.status is None:
+                end, due = begin + 1, self._constrained(left, begin)
+            else:
+                last = min((place for place in sums + alone if place > begin), default=made)
+                end = begin + driver.room(*left.when[begin:last, :2].T)
+                due = self._flown(left, begin, end)
+            guard = self.tables.guards[fired[end - 1]]
+            to = fields[end] if guard.kind == "switch" else guard.to
+            field, rests = driver.model.field(to), driver.entry.field.held
+            ends = left.after[end - 1].copy(), guard, left.before[end - 1].copy()
+            if not rests:
+                driver.arrive(field, *ends)
+            if due and end not in sums and self._pass_limit(to):
+                self.passed = True
+                return
+            if rests:  # of what rested a limit is asked
+                driver.arrive(field, *ends)
+            if end in sums:
+                self._held(fields[end - 1])
+                if driver.status is not None:  # behind the last jump nothing is summed
+                    return
                 self._summed(left, sums.index(end))
+            self._held(fields[end])
             begin = end
 
-    def _constrained(self, left: Left, place: int, guard: Guard) -> bool:
-        """Add an arc along a surface, and the jump that ends it; whether the run has gone over the
-        limit of a cycle."""
-        driver, before = self.driver, left.before[place].copy()
+    def _held(self, name: str) -> None:
+        """Hold the contacts that are held in the arc that begins, on the state there."""
+        driver = self.driver
+        if driver.entry.field.name != name:
+            field = driver.model.field(name)
+            driver.begin(field, field.along(driver.t, driver.entry.x), driver.came)
+
+    def _constrained(self, left: Left, place: int) -> bool:
+        """Add an arc with contacts held, or along a surface, and its jump; whether it is time to
+        look for cycles."""
+        driver, guard = self.driver, self.tables.guards[left.fired[place]]
+        before = left.before[place].copy()
         self._arc(left, place, float(left.when[place, 2]), before)
         driver.entry = attrs.evolve(driver.entry, field=driver.field)
-        field = self._led_to(left, place, guard)
-        due = driver.arrive_from(field, guard, before, left.after[place].copy())
-        looks = due and guard.kind not in ("release", "leave")
-        return looks and self._pass_limit()
+        return driver.strike(guard, before, left.after[place].copy())
 
-    def _led_to(self, left: Left, place: int, guard: Guard) -> Field:
-        """The model's field to which a jump has led: from a surface that on the far side, or that
-        which slides on it."""
-        tables, name = self.tables, guard.to
-        if guard.kind == "switch":
-            last = place + 1 == self.ints[JUMPS_MADE]
-            name = (
-                tables.fields[self.ints[FIELD]].name
-                if last
-                else tables.modes[left.fired[place + 1]]
-            )
-        return self.driver.model.field(name)
+    def _pass_limit(self, mode: str) -> bool:
+        """Whether the run has gone over the limit of a cycle; of what it sees, only what was.
 
-    def _pass_limit(self) -> bool:
-        """Whether the run has gone over the limit of a cycle; of what it sees, only what was."""
+        ``mode``: where the last jump leads.
+        """
         driver, memory = self.driver, self.driver.record.memory
         if memory is None:
-            return pass_limit(driver, driver.entry.field.mode)
+            return pass_limit(driver, mode)
         with memory.as_at(driver.t, driver.entry.x) as then:
             scene, driver.scene = driver.scene, then.scene
-            then.kept = pass_limit(driver, driver.entry.field.mode)
+            then.kept = pass_limit(driver, mode)
             driver.scene = driver.scene if then.kept else scene
         return then.kept
 
@@ -563,10 +584,7 @@ class Machine:
         first = driver.entry.x
         flights = Flights(driver.record.j, modes, now.t, now.low, first, lengths, jumps, steps)
         driver.steps += count
-        due, guard = driver.flown(flights), tables.guards[fired[-1]]
-        to = self._led_to(left, end - 1, guard)
-        driver.arrive(to, jumps.after[-1], guard, jumps.before[-1])
-        return due
+        return driver.flown(flights)
 
     def _flown_in(self, left: Left, begin: int, end: int) -> tuple[Steps | None, int]:
         """The steps of some of the arcs, if they are kept, and how many; the first has the held."""
@@ -577,7 +595,7 @@ class Machine:
         first, last = owner.searchsorted((begin, end)).tolist()
         count, held = self.opened + last - first, self.open
         self.open, self.opened = [], 0
-        if not self.dense:
+        if not (self.dense and count):
             return None, count
         return joined([*held, self._made(left, slice(first, last), begin)]), count
 

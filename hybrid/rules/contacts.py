@@ -1,0 +1,143 @@
+"""Contacts held: the state on them, which a jump leaves closed, and which joins them.
+
+A field with contacts held leads to those with one contact fewer by their loads, and to those with
+one more by the guards of contacts: a set that is asked for is added to the tables.
+"""
+
+from __future__ import annotations
+
+import math
+
+from .arrays import AutomatonArrays, Floats, Now, Room
+from .guards import row_of, sizes_of
+from .jets import OUTPUT, jets
+from .places import (
+    AT_START,
+    BASE,
+    FIELD,
+    FIELD_PROGRAM,
+    GUARDS,
+    GUARDS_END,
+    HARD,
+    JOINED,
+    JOINS,
+    KIND,
+    LACKING,
+    LACKING_AT,
+    LAST_USED,
+    MAKE,
+    NONE,
+    ONTO_GAPS,
+    ONTO_SPEEDS,
+    OWN,
+    PLAIN,
+    RELEASE,
+    REST,
+    SURFACE,
+    TO,
+    UNKNOWN,
+    WANTED,
+    T,
+)
+
+#: Gap and gap speed, relative to what they are made of in the states seen, below which a contact
+#: that was held stays closed.
+CLOSED = 1e-12
+
+
+def values(
+    a: AutomatonArrays, program: int, t: float, x: Floats, room: Room, written: Floats
+) -> bool:
+    """The state that a program gives; whether it is finite."""
+    if jets(a.programs, program, 0, t, x, room.still, room.aside, room.work) < 0:
+        return False
+    first = a.programs.index[program, OUTPUT]
+    fit = True
+    for i in range(written.shape[0]):
+        written[i] = room.aside[a.programs.output[first + i], 0]
+        fit = fit and math.isfinite(written[i])
+    return fit
+
+
+def onto(a: AutomatonArrays, field: int, t: float, x: Floats, room: Room, written: Floats) -> bool:
+    """The state on the contacts that are held in a field, or on the surface on which it slides, if
+    it does; whether it is finite."""
+    surface = a.fields[field, SURFACE]
+    gaps, speeds = a.fields[field, ONTO_GAPS], a.fields[field, ONTO_SPEEDS]
+    if surface >= 0:
+        return values(a, surface, t, x, room, written)
+    for i in range(x.shape[0]):
+        written[i] = x[i]
+    if gaps < 0:
+        return True
+    fit = values(a, gaps, t, written, room, written) and values(a, gaps, t, written, room, written)
+    return fit and values(a, speeds, t, written, room, written)
+
+
+def asks(now: Now, guard: int, column: int) -> int:
+    """Ask for what the table of guards does not have yet."""
+    now.ints[LACKING], now.ints[LACKING_AT] = guard, column
+    return MAKE
+
+
+def twin(a: AutomatonArrays, field: int, own: int) -> int:
+    """The guard of an edge or contact in a field of the same mode; ``HARD`` if it has none."""
+    for g in range(a.fields[field, GUARDS], a.fields[field, GUARDS_END]):
+        if a.guards[g, OWN] == own:
+            return g
+    return HARD
+
+
+def still_held(a: AutomatonArrays, now: Now, room: Room, t: float, x: Floats) -> int:
+    """The field in which those of the contacts held are held that a jump has left closed; the state
+    is moved onto them. ``UNKNOWN`` where one is asked for, ``HARD`` where it is not plain."""
+    field = now.ints[FIELD]
+    g = a.fields[field, GUARDS]
+    while g < a.fields[field, GUARDS_END]:
+        if a.guards[g, KIND] == RELEASE and not closed(a, now, room, a.guards[g, REST], t, x):
+            if a.guards[g, TO] == UNKNOWN:
+                asks(now, g, TO)
+                return UNKNOWN
+            field = a.guards[g, TO]
+            if a.fields[field, PLAIN] == 0:
+                return HARD
+            g = a.fields[field, GUARDS]
+        else:
+            g += 1
+    return field if onto(a, field, t, x, room, x) else HARD
+
+
+def closed(a: AutomatonArrays, now: Now, room: Room, guard: int, t: float, x: Floats) -> bool:
+    """Whether gap and gap speed of a contact are zero."""
+    field = a.fields[now.ints[FIELD], BASE]
+    program = a.fields[field, FIELD_PROGRAM]
+    high, fast, _ = sizes_of(a, room, guard, t, x)
+    far, faster, _ = sizes_of(a, room, guard, t, now.seen)
+    high = max(high, far) if far < math.inf else high
+    fast = max(fast, faster) if faster < math.inf else fast
+    if jets(a.programs, program, 1, t, x, room.still, room.aside, room.work) < 0:
+        return False
+    row = row_of(a, program, field, guard)
+    return abs(room.aside[row, 0]) <= CLOSED * high and abs(room.aside[row, 1]) <= CLOSED * fast
+
+
+def joined(a: AutomatonArrays, now: Now, room: Room, guard: int) -> int:
+    """Hold a contact besides those that are held where an arc begins: ``JOINED``; ``WANTED`` where
+    that field is asked for; ``HARD``, and nothing has changed.
+
+    Those on which a run starts are to bear the body, which the driver weighs.
+    """
+    if a.fields[now.ints[FIELD], JOINS] == 0 or now.ints[LAST_USED] == AT_START:
+        return HARD
+    rest = a.guards[guard, REST]
+    if rest == UNKNOWN:
+        asks(now, guard, REST)
+        return WANTED
+    if rest == NONE or a.fields[rest, PLAIN] == 0:
+        return HARD
+    if not onto(a, rest, now.floats[T], now.x, room, room.there):
+        return HARD
+    for i in range(now.x.shape[0]):
+        now.x[i] = room.there[i]
+    now.ints[FIELD] = rest
+    return JOINED
