@@ -1,6 +1,6 @@
 """Taylor coefficients of a flow as code written out order by order: what the tape is held against.
 
-The same recurrences as those of :mod:`hybrid.lowering.tape` (``docs/notes/tape.md``), written
+The same recurrences as those of :mod:`hybrid.lowering.recorder` (``docs/notes/tape.md``), written
 another way. Where a model switches formula (``abs``, ``where``, ``max``), the coefficients belong
 to the branch at the start. The function that decides is returned too, as a *kink*: the series holds
 up to its first zero.

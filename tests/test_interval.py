@@ -16,6 +16,7 @@ from hybrid.bounds.exact import FixedGraph
 from hybrid.bounds.extrema import ScalarFunction, continuous, extrema
 from hybrid.bounds.interval import IntervalProgram, Undecided, ball
 from hybrid.lowering.arithmetic import FORGIVING, OPERATIONS
+from hybrid.lowering.derivatives import along
 from hybrid.lowering.graph import Graph
 from hybrid.lowering.jaxpr import ELEMENTWISE, read
 from hybrid.lowering.lowered import Lowered
@@ -207,12 +208,21 @@ def test_the_lie_derivatives_of_a_moving_gap():
         )
 
     code = Lowered(Table, ((), ()))
-    closed = code.closed("gap", "impact"), code.closed("flow", "flight")
     graph = FixedGraph(exact=True)
-    lies = code.lie_closed(("impact", "flight"), *closed)
-    enclosure = IntervalProgram(graph, read(graph, lies, code.inputs(graph))[0])
-    lies = code.lie_closed(("impact", "flight"), *closed)
-    exact = code.program("lies", lambda: lies).bind([9.8, 2.0])
+    inputs = code.inputs(graph)
+    gap, *flow = (
+        int(node)
+        for closed in (code.closed("gap", "impact"), code.closed("flow", "flight"))
+        for node in read(graph, closed, inputs)[0].reshape(-1)
+    )
+    moving = {
+        int(inputs[-2]): graph.const(1.0),
+        **dict(zip(map(int, inputs[-1]), flow, strict=True)),
+    }
+    speed = along(graph, gap, moving)
+    enclosure = IntervalProgram(graph, [gap, speed, along(graph, speed, moving)])
+    mode = code.mode("flight")
+    exact = mode.program("lies", lambda: mode.lie("impact", False)).bind([9.8, 2.0, 0.0])
     bounds = enclosure([9.8, (1.999, 2.001)], (0.3, 0.31), [(1.0, 1.1), (-0.5, 0.5)])
     assert all(map(holds, bounds, exact(0.305, [1.05, 0.2])))
     acceleration = bounds[2]

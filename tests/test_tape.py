@@ -14,6 +14,7 @@ import hybrid as hy
 import models
 from hybrid.automaton import trace
 from hybrid.errors import OptionError, TraceError
+from hybrid.lowering import recorder
 from hybrid.lowering import tape as reader
 from hybrid.lowering.arithmetic import OPERATIONS
 from hybrid.lowering.graph import Graph
@@ -73,7 +74,7 @@ def _recorded(scene, name, where="here"):
     inputs = scene.code.inputs(graph)
     (states,) = read(graph, field.closed, inputs)
     guards = [int(read(graph, g.closed, inputs)[0].reshape(())) for g in field.guards]
-    return reader.tape(graph, scene.spec.dimension, states, guards, where)
+    return recorder.tape(graph, scene.spec.dimension, states, guards, where)
 
 
 def _stacked(functions, p, t, x):

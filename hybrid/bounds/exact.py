@@ -56,7 +56,7 @@ class FixedGraph(Graph):
     def arguments(self, shapes: Sequence[tuple[int, ...]], values: Sequence[float]) -> list[Ids]:
         """Nodes of the parameters: constants, in their shapes."""
         ids = iter([self.const(float(value)) for value in values])
-        sizes = [int(np.prod(shape, dtype=int)) for shape in shapes]
+        sizes = [*map(math.prod, shapes)]
         return [
             np.array([next(ids) for _ in range(size)], dtype=np.int64).reshape(shape)
             for size, shape in zip(sizes, shapes, strict=True)

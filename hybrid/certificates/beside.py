@@ -23,7 +23,7 @@ import attrs
 from ..bounds.balls import Undefined
 from ..bounds.extrema import Bounds, ScalarFunction, extrema
 from ..bounds.growth import ANYTHING, GROWING, LOWER, UPPER, Growth, between, growth
-from ..lowering.graph import needed
+from ..lowering.graph import inputs_of
 from .question import TIME_NAME, Question, Traced
 from .result import Fault
 
@@ -129,7 +129,9 @@ class _Rates:
     def of(cls, q: Question, flow: Traced) -> _Rates:
         program = q.rates(flow)
         roots = {f"x{i}": root for i, root in enumerate(program.roots)}
-        return cls(program.graph, roots, {k: _inputs(program.graph, r) for k, r in roots.items()})
+        return cls(
+            program.graph, roots, {k: inputs_of(program.graph, [r]) for k, r in roots.items()}
+        )
 
     def first_fault(self, known: Mapping[str, Bounds]) -> Doubt | None:
         """The states that may end the motion; None where none does."""
@@ -205,7 +207,7 @@ class _Rates:
 
     def holds(self, node: int, sign: int, place: str, speed: str, free: dict[str, Growth]) -> bool:
         """Whether a term of the force on a position does not drive it away."""
-        if _inputs(self.graph, node) <= {place}:
+        if inputs_of(self.graph, [node]) <= {place}:
             regions = [free | {place: half} for half in (UPPER, LOWER)]
         else:
             halves = [attrs.evolve(half, least=-math.inf) for half in (UPPER, LOWER)]
@@ -226,11 +228,6 @@ def _why(rate: Any, end: str) -> str | None:
     if getattr(rate, end) > 1.0:
         return "its rate grows faster than in proportion to it"
     return None
-
-
-def _inputs(graph: Any, root: int) -> set[str]:
-    nodes = (graph.nodes[number] for number in needed(graph, [root]))
-    return {node[1] for node in nodes if node[0] == "input"}
 
 
 def _terms(graph: Any, node: int, sign: int) -> list[tuple[int, int]]:

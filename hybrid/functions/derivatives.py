@@ -8,6 +8,7 @@ there is none they are NaN.
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from functools import cached_property
 from typing import Any
@@ -78,7 +79,7 @@ class Layout:
     @cached_property
     def places(self) -> dict[str, slice]:
         """By part where it begins and ends."""
-        sizes = [int(np.prod(shape, dtype=int)) for shape in self.shapes.values()]
+        sizes = [*map(math.prod, self.shapes.values())]
         ends = np.cumsum([0, *sizes]).tolist()
         return {name: slice(*ends[i : i + 2]) for i, name in enumerate(self.shapes)}
 

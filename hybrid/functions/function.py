@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
@@ -335,10 +336,7 @@ def _differentiable(runs: Runs) -> Callable[[Any], tuple[Any, Any]]:
     found = jax.custom_jvp(whole)
     found.defjvp(rule)
     delayed = runs.asked.spec.lags
-    many = (
-        not delayed
-        and sum(int(np.prod(shape, dtype=int)) for shape in runs.shapes) > MANY_PARAMETERS
-    )
+    many = not delayed and sum(map(math.prod, runs.shapes)) > MANY_PARAMETERS
     return by_replay if many and _replay(runs).written else found
 
 

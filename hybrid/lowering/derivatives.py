@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from ..errors import TraceError
-from .graph import WHOLE_VALUED, Graph, needed
+from .graph import TIME_PLACE, WHOLE_VALUED, Graph, needed, states_in
 from .taylor import SLOPES
 
 #: Operations whose derivative is 0 wherever there is one.
@@ -289,3 +289,8 @@ def degree(graph: Graph, root: int) -> float:
         else:
             found[number] = 0 if max(below) == 0 else float("inf")
     return found[root]
+
+
+def node_shape(graph: Graph, root: int) -> tuple[bool, tuple[int, ...]]:
+    """Whether a node is affine, and the elements of the state that it is made of."""
+    return degree(graph, root) <= 1, tuple(sorted(states_in(graph, root) - {TIME_PLACE}))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial, reduce
 from typing import Any
 
@@ -24,6 +24,9 @@ Ids = np.ndarray
 
 #: Operations whose results are flags or whole numbers.
 WHOLE_VALUED = {"gt", "ge", "lt", "le", "eq", "ne", "and", "or", "xor", "not", "is_finite", "trunc"}
+
+#: Stands for the time among places in the state vector.
+TIME_PLACE = -1
 
 #: Sums of up to so many terms are written out.
 WRITTEN_TERMS = 3
@@ -171,6 +174,37 @@ def needed(graph: Graph, roots: Sequence[int]) -> list[int]:
             if node[0] not in ("const", "input"):
                 stack.extend(node[1:])
     return sorted(seen)
+
+
+def rebuilt(
+    graph: Graph, roots: Sequence[int], change: Callable[[tuple[Any, ...]], int | None]
+) -> list[int]:
+    """The roots with some nodes replaced.
+
+    ``change`` gets a node whose arguments are the new ones, and gives what stands for it, or None
+    where it stays.
+    """
+    new: dict[int, int] = {}
+    for number in needed(graph, roots):
+        node = graph.nodes[number]
+        if node[0] not in ("const", "input"):
+            node = (node[0], *(new[a] for a in node[1:]))
+        other = change(node)
+        new[number] = graph.node(*node) if other is None else other
+    return [new[root] for root in roots]
+
+
+def inputs_of(graph: Graph, roots: Sequence[int]) -> set[str]:
+    """The names of the inputs that the roots depend on."""
+    nodes = (graph.nodes[number] for number in needed(graph, roots))
+    return {node[1] for node in nodes if node[0] == "input"}
+
+
+def states_in(graph: Graph, root: int) -> set[int]:
+    """The elements of the state that a node depends on; :data:`TIME_PLACE` stands for the time."""
+    names = inputs_of(graph, [root])
+    places = {int(name[1:]) for name in names if name.startswith("x")}
+    return places | ({TIME_PLACE} if "t" in names else set())
 
 
 def _identity(

@@ -8,6 +8,7 @@ for the caller to see.
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +35,7 @@ class LocalGraph(ModeGraph):
     def __init__(self, code: Lowered, mode: str) -> None:
         super().__init__(code, mode)
         self.kept = "near", mode
-        self.first = sum(int(np.prod(shape, dtype=int)) for shape in code.shapes) + len(self.mask)
+        self.first = sum(map(math.prod, code.shapes)) + len(self.mask)
         self.given = 0
         self.calls: list[tuple[Foreign, list[int], list[int]]] = []
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
+from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,12 +17,10 @@ from ..automaton.spec import ContactSpec, EdgeSpec, LeaveSpec, SideSpec, Transit
 from ..errors import TraceError
 from ..rules.places import WINDOW_DEGREE
 from . import contact as contacts
-from .derivatives import degree
-from .graph import Graph, needed
+from .graph import TIME_PLACE, Graph, inputs_of, states_in
 from .jaxpr import read
 from .mode import ModeGraph
 from .python import Program
-from .sides import decider_of
 from .sliding import Sliding
 from .tape import Tape
 from .taylor import flat
@@ -32,24 +31,9 @@ if TYPE_CHECKING:
 #: Order of the Taylor series of flows and gaps.
 ORDER = 16
 
-#: Stands for the time among places in the state vector.
-TIME_PLACE = -1
-
-#: What becomes of a value where an operation changes its formula: it may jump, or bends only, or
-#: has no value beyond.
-CHANGES = {
-    **dict.fromkeys(("gt", "ge", "lt", "le", "sign", "floor", "ceil", "trunc"), "jumps"),
-    **dict.fromkeys(("round", "away", "rem"), "jumps"),
-    **dict.fromkeys(("abs", "max", "min"), "bends"),
-    **dict.fromkeys(("sqrt", "log", "log1p", "acosh", "asin", "acos", "atanh"), "ends"),
-}
-
 #: Points at which it is asked whether a reset turns a guard's motion round: what it does at half of
 #: all points goes unseen once in a million.
 RESET_SAMPLES = 20
-
-#: Of two operations that change at one place the one that says more.
-_SEVERITY = ("ends", "jumps", "bends")
 
 #: For each element of a flow: elements, and lags with elements, that it depends on.
 Reach = list[tuple[set[int], set[tuple[int, int]]]]
@@ -89,7 +73,7 @@ class Lowered:
         """Node numbers of parameters, ``t``, ``x`` and the extra inputs."""
         count, arrays = 0, []
         for shape in self.shapes:
-            size = int(np.prod(shape, dtype=int))
+            size = prod(shape)
             ids = [graph.input(f"p{count + i}") for i in range(size)]
             arrays.append(np.array(ids, dtype=np.int64).reshape(shape))
             count += size
@@ -132,7 +116,7 @@ class Lowered:
         """For each element of a result, the elements of ``x`` it depends on; -1 is time."""
         graph = Graph()
         (outputs,) = read(graph, closed, self.inputs(graph, extra))
-        return [_states_in(graph, int(i)) for i in outputs.reshape(-1)]
+        return [states_in(graph, int(i)) for i in outputs.reshape(-1)]
 
     def local(self, name: str) -> bool:
         """See :class:`.scene.Contact`."""
@@ -248,7 +232,7 @@ class Lowered:
 
         As the author wrote it: a flow that is called so reads what it multiplies by 0.
         """
-        graph, first = Graph(exact=True), sum(map(_count, self._own_shapes))
+        graph, first = Graph(exact=True), sum(map(prod, self._own_shapes))
         (outputs,) = read(graph, closed, self.inputs(graph, extra))
         return [self._past_in(graph, int(i), first) for i in outputs.reshape(-1)]
 
@@ -260,7 +244,7 @@ class Lowered:
         for ids in rows if not any(self.moving) else ():
             ids[1:] = graph.const(0.0)  # a window that shows the same everywhere
         (outputs,) = read(graph, closed, inputs)
-        return any(TIME_PLACE in _states_in(graph, int(i)) for i in outputs.reshape(-1))
+        return any(TIME_PLACE in states_in(graph, int(i)) for i in outputs.reshape(-1))
 
     def reach(self, mode: str, held: tuple[str, ...]) -> Reach:
         """For each element's derivative: elements, and lags with elements, that it depends on."""
@@ -280,7 +264,7 @@ class Lowered:
         The traces know of that no more than the algebra of the forces; random points do.
         """
         rhs = self.program(("felt", id(flow)), lambda: flow)
-        first = self.spec.dimension + sum(map(_count, self._own_shapes))
+        first = self.spec.dimension + sum(map(prod, self._own_shapes))
         size = 2 + (WINDOW_DEGREE + 1) * self.spec.dimension
         draw = random.Random(0)
 
@@ -306,11 +290,11 @@ class Lowered:
 
     def looks_back(self, graph: Graph, root: int) -> bool:
         """Whether a node depends on the past."""
-        return bool(self._past_in(graph, root, sum(map(_count, self._own_shapes))))
+        return bool(self._past_in(graph, root, sum(map(prod, self._own_shapes))))
 
     def _past_in(self, graph: Graph, root: int, first: int) -> set[tuple[int, int]]:
         found, size = set(), 2 + (WINDOW_DEGREE + 1) * self.spec.dimension
-        for name in _inputs_of(graph, root):
+        for name in inputs_of(graph, [root]):
             place = int(name[1:]) - first if name[0] == "p" else -1
             number, rest = divmod(place, size)
             if place >= 0 and rest >= 2:
@@ -380,7 +364,7 @@ class Lowered:
 
     def _turns(self, crossing: Crossing, kicked: Program, parameters: Sequence[float]) -> bool:
         """Whether a reset turns its guard's motion round at one of a few random points."""
-        own = sum(map(_count, self._own_shapes))
+        own = sum(map(prod, self._own_shapes))
         pairs = kicked.bind([*parameters[:own], *self.defaults()[own:]])
         direction = {Crossing.FALLING: -1, Crossing.RISING: 1}.get(crossing, 0)
         draw = random.Random(0)
@@ -404,19 +388,6 @@ class Lowered:
         if self.contact_spec(name).inverse_mass is None:
             return None
         return self.once(("mass", name), lambda: self.trace(self.laws(name).mass))
-
-    def lie_closed(self, key: Any, guard: Any, flow: Any) -> Any:
-        """The jaxpr of the guard and its first two derivatives along the flow."""
-
-        def triple(parameters: Any, t: Any, x: Any) -> Any:
-            import jax.numpy as jnp
-
-            g, f = trace.again(guard), trace.again(flow)
-            first = contacts.lie(g, f)
-            parts = [h(parameters, t, x) for h in (g, first, contacts.lie(first, f))]
-            return jnp.stack(parts)
-
-        return self.once(("lie closed", key), lambda: self.trace(triple))
 
     def pairing(self, name: str) -> contacts.Pairing:
         """Positions of a contact's gap and their velocities."""
@@ -460,20 +431,6 @@ def window_edge(number: int, side: str) -> str:
     return f"past({number}).{side}"
 
 
-def _count(shape: tuple[int, ...]) -> int:
-    return int(np.prod(shape, dtype=int))
-
-
-def _inputs_of(graph: Graph, root: int) -> list[str]:
-    return [n[1] for n in (graph.nodes[i] for i in needed(graph, [root])) if n[0] == "input"]
-
-
-def _states_in(graph: Graph, root: int) -> set[int]:
-    names = _inputs_of(graph, root)
-    places = {int(name[1:]) for name in names if name.startswith("x")}
-    return places | ({TIME_PLACE} if "t" in names else set())
-
-
 def lowered(cls: Any, shapes: tuple[tuple[int, ...], ...]) -> Lowered:
     """The generated code of a class, kept on the class."""
     store = cls.__dict__.get("_hybrid_lowered")
@@ -483,44 +440,3 @@ def lowered(cls: Any, shapes: tuple[tuple[int, ...], ...]) -> Lowered:
     if shapes not in store:
         store[shapes] = Lowered(cls, shapes)
     return store[shapes]
-
-
-def node_shape(graph: Graph, root: int) -> tuple[bool, tuple[int, ...]]:
-    """Whether a node is affine, and the elements of the state that it is made of."""
-    return degree(graph, root) <= 1, tuple(sorted(_states_in(graph, root) - {TIME_PLACE}))
-
-
-def deciding(graph: Graph, roots: Sequence[int]) -> dict[int, str]:
-    """Functions at whose zeros nodes change their formula, arguments first, and how each does
-    there (:data:`CHANGES`)."""
-    found: dict[int, str] = {}
-    for number in needed(graph, roots):
-        op, *arguments = graph.nodes[number]
-        if op in CHANGES:
-            decider = decider_of(graph, op, arguments)
-            ends = CHANGES[op] == "ends" and not _never_negative(graph, decider)
-            if _states_in(graph, decider) and (ends or CHANGES[op] != "ends"):
-                found[decider] = min(found.get(decider, "jumps"), CHANGES[op], key=_SEVERITY.index)
-    return found
-
-
-def deciders(
-    graph: Graph, size: int, roots: Sequence[int]
-) -> list[tuple[Program, bool, tuple[int, ...], str]]:
-    """The same as (program, affine, elements, change)."""
-    return [
-        (Program(graph, ["t", "x"], size, np.array(number)), *node_shape(graph, number), change)
-        for number, change in deciding(graph, roots).items()
-    ]
-
-
-def _never_negative(graph: Graph, number: int) -> bool:
-    """Whether a node is a sum or product of squares and the like, as a distance is."""
-    op, *arguments = graph.nodes[number]
-    if op == "const":
-        return bool(arguments[0] >= 0)
-    if op == "mul" and arguments[0] == arguments[1]:
-        return True
-    if op in ("add", "mul", "div", "max", "real"):
-        return all(_never_negative(graph, a) for a in arguments)
-    return op in ("abs", "exp", "exp2", "sqrt", "cosh", "logistic")

@@ -8,6 +8,7 @@ grows as a power of its contacts, and not with their subsets.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from enum import StrEnum
 from functools import cached_property
@@ -19,11 +20,12 @@ import numpy as np
 from ..automaton.spec import ContactSpec, LeaveSpec
 from .contact import Pairing
 from .derivatives import along, gradient, parts, solved, times
-from .graph import Graph
+from .graph import Graph, rebuilt
 from .jaxpr import read
 from .python import Program
+from .recorder import tape
 from .sides import on_zero
-from .tape import Tape, rebuilt, tape
+from .tape import Tape
 
 if TYPE_CHECKING:
     from .lowered import Lowered
@@ -81,7 +83,7 @@ class ModeGraph:
         self.graph = Graph(long=True)
         resting = [e for e in self.spec.leaving(mode) if isinstance(e, ContactSpec) and e.rests]
         self.resting = [edge.name for edge in resting]
-        count = sum(int(np.prod(shape, dtype=int)) for shape in code.shapes)
+        count = sum(map(math.prod, code.shapes))
         masks = [f"p{count + i}" for i in range(len(self.resting))]
         self.inputs = code.inputs(self.graph, masks)
         self.mask = [int(i) for i in self.inputs[len(code.shapes) + 2 :]]

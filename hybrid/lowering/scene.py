@@ -7,6 +7,7 @@ Nothing is made for a mode that a run does not enter.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Sequence
 from functools import cached_property, lru_cache, partial
 from typing import Any
@@ -26,10 +27,11 @@ from ..automaton.spec import (
 )
 from ..errors import TraceError
 from .automaton import Tables
-from .derivatives import gradient
-from .lowered import ORDER, Lowered, deciders, lowered, node_shape
+from .derivatives import gradient, node_shape
+from .lowered import ORDER, Lowered, lowered
 from .mode import RELEASE_SUFFIX, Kind, ModeGraph
 from .python import Program
+from .sides import deciders
 from .tape import Jets, Tape
 from .taylor import flat
 
@@ -521,7 +523,7 @@ class Scene:
 
 def _arrays(shapes: tuple[tuple[int, ...], ...], values: tuple[float, ...]) -> tuple[Any, ...]:
     """Flattened parameters in their shapes again."""
-    ends = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes])
+    ends = np.cumsum([*map(math.prod, shapes)])
     parts = np.split(np.array(values), ends[:-1]) if shapes else []
     return tuple(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True))
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from .graph import Graph, needed
+from .derivatives import node_shape
+from .graph import Graph, needed, rebuilt, states_in
 from .python import Program
-from .tape import rebuilt
 
 #: What an operation is where the function that decides is above zero, or below.
 CHOICES: dict[str, Callable[..., int]] = {
@@ -25,6 +25,18 @@ CHOICES: dict[str, Callable[..., int]] = {
 
 #: Operations that have the formula of below zero where the function that decides is zero.
 LOW_AT_ZERO = {"gt", "le"}
+
+#: What becomes of a value where an operation changes its formula: it may jump, or bends only, or
+#: has no value beyond.
+CHANGES = {
+    **dict.fromkeys(("gt", "ge", "lt", "le", "sign", "floor", "ceil", "trunc"), "jumps"),
+    **dict.fromkeys(("round", "away", "rem"), "jumps"),
+    **dict.fromkeys(("abs", "max", "min"), "bends"),
+    **dict.fromkeys(("sqrt", "log", "log1p", "acosh", "asin", "acos", "atanh"), "ends"),
+}
+
+#: Of two operations that change at one place the one that says more.
+_SEVERITY = ("ends", "jumps", "bends")
 
 #: Random points at which the ratio of two functions is taken: what is one number there is one.
 RATIO_SAMPLES = 20
@@ -117,3 +129,39 @@ def _ratios(values: Callable[..., tuple[float, ...]], size: int) -> tuple[float,
         found.add(tuple(float(f"{other / own:.9g}") for other in others))
     above, below = found.pop()
     return (math.nan, math.nan) if found else (above, below)
+
+
+def deciding(graph: Graph, roots: Sequence[int]) -> dict[int, str]:
+    """Functions at whose zeros nodes change their formula, arguments first, and how each does
+    there (:data:`CHANGES`)."""
+    found: dict[int, str] = {}
+    for number in needed(graph, roots):
+        op, *arguments = graph.nodes[number]
+        if op in CHANGES:
+            decider = decider_of(graph, op, arguments)
+            ends = CHANGES[op] == "ends" and not _never_negative(graph, decider)
+            if states_in(graph, decider) and (ends or CHANGES[op] != "ends"):
+                found[decider] = min(found.get(decider, "jumps"), CHANGES[op], key=_SEVERITY.index)
+    return found
+
+
+def deciders(
+    graph: Graph, size: int, roots: Sequence[int]
+) -> list[tuple[Program, bool, tuple[int, ...], str]]:
+    """The same as (program, affine, elements, change)."""
+    return [
+        (Program(graph, ["t", "x"], size, np.array(number)), *node_shape(graph, number), change)
+        for number, change in deciding(graph, roots).items()
+    ]
+
+
+def _never_negative(graph: Graph, number: int) -> bool:
+    """Whether a node is a sum or product of squares and the like, as a distance is."""
+    op, *arguments = graph.nodes[number]
+    if op == "const":
+        return bool(arguments[0] >= 0)
+    if op == "mul" and arguments[0] == arguments[1]:
+        return True
+    if op in ("add", "mul", "div", "max", "real"):
+        return all(_never_negative(graph, a) for a in arguments)
+    return op in ("abs", "exp", "exp2", "sqrt", "cosh", "logistic")

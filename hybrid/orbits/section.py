@@ -13,7 +13,7 @@ from ..automaton.trace import caller, scalar, trace
 from ..errors import OptionError
 from ..events import fires, zeros
 from ..lowering import Guard, Kind, Scene
-from ..lowering.lowered import node_shape
+from ..lowering.derivatives import node_shape
 from ..lowering.scene import Scalar
 from ..result import Trajectory
 from ..trajectory.arcs import Arc, Part

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from functools import cached_property, partial
 from itertools import pairwise
@@ -47,7 +48,7 @@ class Replay:
     ) -> None:
         self.code, self.shapes, self.parts, self.ask = lowered(cls, shapes), shapes, parts, ask
         self.rows, self.room = rows, room
-        self.ends = np.cumsum([0, *(int(np.prod(shape, dtype=int)) for shape in shapes)]).tolist()
+        self.ends = np.cumsum([0, *map(math.prod, shapes)]).tolist()
 
     @cached_property
     def laws(self) -> Laws:

@@ -8,6 +8,7 @@ asked for, the elements of the parameters.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -17,8 +18,8 @@ import numpy as np
 from ..errors import TraceError
 from ..lowering import Field, Guard, Kind, Scene
 from ..lowering.derivatives import gradient
-from ..lowering.lowered import deciding
 from ..lowering.mode import ModeGraph
+from ..lowering.sides import deciding
 from ..lowering.tape import Jets, Tape
 from .series import Series
 
@@ -62,7 +63,7 @@ class Derivatives:
     def __init__(self, scene: Scene, parameters: bool = False, windows: bool = False) -> None:
         self.scene, self.size, self.windows = scene, scene.spec.dimension, windows
         own = len(scene.code.shapes) - (0 if windows else len(scene.spec.windows))
-        sizes = [int(np.prod(shape, dtype=int)) for shape in scene.code.shapes[:own]]
+        sizes = [*map(math.prod, scene.code.shapes[:own])]
         self.count = sum(sizes) if parameters else 0
         self.columns = 1 + self.size * (1 + len(scene.spec.lags)) + self.count
         values = np.abs([v for p in scene.parameters[:own] for v in np.ravel(p)][: self.count])

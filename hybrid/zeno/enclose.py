@@ -23,8 +23,8 @@ from ..automaton import trace
 from ..bounds.exact import FixedGraph, hides_derivatives
 from ..bounds.parity import parity
 from ..errors import TraceError
-from ..lowering.contact import lie
-from ..lowering.graph import needed
+from ..lowering.derivatives import along, gradient
+from ..lowering.graph import TIME_PLACE, inputs_of, states_in
 from ..lowering.jaxpr import read
 from ..lowering.taylor import flat
 from .lemma import Chattering, chattering
@@ -250,12 +250,16 @@ def _question(field: Field, contact: str) -> _Question | None:
         (found,) = read(graph, closed, [*inputs, *extra])
         return [int(i) for i in found.reshape(-1)]
 
-    lies = nodes(code.lie_closed((contact, field.name), gap, flow))
+    (height,), rates = nodes(gap), nodes(flow)
+    time, states = int(inputs[-2]), [int(i) for i in inputs[-1]]
+    moving = {time: graph.const(1.0), **dict(zip(states, rates, strict=True))}
+    speed = along(graph, height, moving)
+    lies = [height, speed, along(graph, speed, moving)]
     law = nodes(code.closed("restitution", contact), np.array(graph.input("u")))
     pair = _pair(field, contact, graph, lies)
-    slopes = nodes(_slopes(code, gap, flow, pair)) if pair else []
+    slopes = _slopes(graph, lies, [time, *(states[i] for i in pair)]) if pair else []
     guards = [node for closed in others for node in nodes(closed)]
-    roots = [*lies, *law, *nodes(flow), *nodes(push), *slopes, *guards]
+    roots = [*lies, *law, *rates, *nodes(push), *slopes, *guards]
     try:
         return _Question(IntervalProgram(graph, roots), pair, _even(graph, lies, pair))
     except TraceError:
@@ -266,8 +270,7 @@ def _even(graph: FixedGraph, lies: list[int], pair: tuple[int, int] | None) -> b
     """Whether a gap before one position is accelerated evenly in its speed, by these two alone."""
     if pair is None:
         return False
-    inputs = (graph.nodes[n] for n in needed(graph, lies))
-    names = {node[1] for node in inputs if node[0] == "input" and node[1][0] != "p"}
+    names = {name for name in inputs_of(graph, lies) if name[0] != "p"}
     position, velocity = (f"x{i}" for i in pair)
     if not names <= {position, velocity}:
         return False
@@ -282,24 +285,12 @@ def _pair(field: Field, contact: str, graph: FixedGraph, lies: list[int]) -> Any
         return None
     i, k = int(pairing.positions[0]), int(pairing.velocities[0])
     for root, own in ((lies[0], {i}), (lies[1], {i, k})):
-        names = [graph.nodes[n][1] for n in needed(graph, [root]) if graph.nodes[n][0] == "input"]
-        if not {int(name[1:]) for name in names if name[0] == "x"} <= own:
+        if not states_in(graph, root) - {TIME_PLACE} <= own:
             return None
     return i, k
 
 
-def _slopes(code: Any, gap: Any, flow: Any, pair: tuple[int, int]) -> Any:
-    """The jaxpr of the slopes, in the order of :meth:`_Bounds._near`."""
-    i, k = pair
-
-    def slopes(parameters: Any, t: Any, x: Any) -> Any:
-        import jax
-        import jax.numpy as jnp
-
-        height = trace.again(gap)
-        speed = lie(height, trace.again(flow))
-        gap_t, gap_x = jax.jacfwd(height, (1, 2))(parameters, t, x)
-        speed_t, speed_x = jax.jacfwd(speed, (1, 2))(parameters, t, x)
-        return jnp.stack([gap_t, gap_x[i], speed_t, speed_x[i], speed_x[k]])
-
-    return trace.trace(code.spec, slopes, 0, code.shapes)
+def _slopes(graph: FixedGraph, lies: list[int], by: list[int]) -> list[int]:
+    """The slopes, in the order of :meth:`_Bounds._near`, by time, position and velocity."""
+    height, speed, _ = lies
+    return [*gradient(graph, height, by)[:2], *gradient(graph, speed, by)]
