@@ -8,10 +8,7 @@ explains (``certify``: refuted); 2 something asked for cannot be done (one line 
 
 from __future__ import annotations
 
-import json
-import math
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,21 +17,16 @@ from typing import Annotated, Any
 import typer
 
 from .. import gallery
-from ..errors import FILES, HTML, PLOT, DeclarationError, HybridError, OptionError, StartError, need
-from ..plot import is_page
+from ..errors import PLOT, DeclarationError, HybridError, OptionError, need
 from ..result import Trajectory
 from ..trajectory.stats import versions
 from ..trajectory.trajectory import Status
+from .given import asked, bounds, can_write, pairs, tolerances
+from .told import bar, compared, report_of, table
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Simulate hybrid automata through Zeno points."
 )
-
-#: Accumulations that are printed, at most.
-PRINTED_LIMITS = 20
-
-#: Seconds after which a run shows its progress.
-SILENT_SECONDS = 1.0
 
 
 ModelName = Annotated[str, typer.Argument(help="A name in the gallery, FILE.py, or FILE.py:Class.")]
@@ -116,17 +108,11 @@ def run(
 ) -> None:
     """Run a model, say what happened, and draw or save it."""
     with _one_line():
-        entry = gallery.find(model)
-        _can_write("--plot", plot)
-        _can_write("--save", save)
-        values = _pairs(set_ or [], "--set")
-        made = entry.cls(**values)
-        first = _start(entry, _pairs(start or [], "--start"))
-        span = _span(entry, since, until)
+        given = asked(model, set_, start, since, until, history)
+        can_write("--plot", plot)
+        can_write("--save", save)
         result = _simulate(
-            made,
-            first,
-            span,
+            *given.run,
             solver=solver,
             method=method,
             rtol=rtol,
@@ -136,12 +122,12 @@ def run(
             zeno=zeno,
             mode=mode,
             max_jumps=max_jumps,
-            history=_history(entry, _pairs(history or [], "--history")),
+            history=given.history,
             memory=memory,
         )
-        _report(result)
+        report_of(result)
         if oracle:
-            _compare(entry, result)
+            compared(given.entry, result)
         if plot is not None:
             _write(lambda: result.plot(plot))
             typer.echo(f"picture: {plot}")
@@ -168,19 +154,10 @@ def compare(
     from ..benchmark.agreement import compare as run_all
 
     with _one_line():
-        entry = gallery.find(model)
-        made = entry.cls(**_pairs(set_ or [], "--set"))
-        first = _start(entry, _pairs(start or [], "--start"))
-        found = run_all(
-            made,
-            first,
-            _span(entry, since, until),
-            rtol=rtol,
-            atol=atol,
-            history=_history(entry, _pairs(history or [], "--history")),
-            memory=memory,
-        )
-    _table(found)
+        given = asked(model, set_, start, since, until, history)
+        options = {"rtol": rtol, "atol": atol, "history": given.history, "memory": memory}
+        found = run_all(*given.run, **options)
+    table(found)
     if not found.explained:
         raise typer.Exit(1)
 
@@ -218,21 +195,17 @@ def bench(
     with _one_line():
         if out is not None:
             need("--out", PLOT)
-        entry = gallery.find(model)
-        values, first = _pairs(set_ or [], "--set"), _pairs(start or [], "--start")
-        before = _pairs(history or [], "--history")
+        given = asked(model, set_, start, since, until, history)
         spans = since is not None or until is not None
-        own = not (values or first or before or spans or memory != "keep")
+        own = not (set_ or start or history or spans or memory != "keep")
         found = measure(
-            entry.cls(**values),
-            _start(entry, first),
-            _span(entry, since, until),
+            *given.run,
             solvers=[name.strip() for name in solvers.split(",")] if solvers else TIMED_SOLVERS,
-            rtol=_tolerances(rtol),
-            oracle=getattr(entry.module, "oracle", None) if own else None,
+            rtol=tolerances(rtol),
+            oracle=getattr(given.entry.module, "oracle", None) if own else None,
             repeats=repeats,
             progress=_say if sys.stderr.isatty() else None,
-            history=_history(entry, before),
+            history=given.history,
             memory=memory,
         )
         typer.echo(str(found))
@@ -251,45 +224,6 @@ def _keep(found: Any, out: Path, name: str) -> None:
     (out / f"{name}.txt").write_text(f"{found}\n", encoding="utf-8")
     found.plot(out / f"{name}.png")
     found.save(out / f"{name}.json")
-
-
-def _tolerances(text: str) -> list[float]:
-    """Tolerances listed, or a range of powers of ten."""
-    first, dots, last = text.partition("..")
-    try:
-        if not dots:
-            return [float(value) for value in text.split(",")]
-        high, low = (round(math.log10(float(end))) for end in (first, last))
-        if [float(first), float(last)] != [float(f"1e{power}") for power in (high, low)]:
-            raise ValueError
-    except ValueError:
-        raise OptionError(f"--rtol {text}: write 1e-4,1e-8 or 1e-4..1e-12") from None
-    step = 1 if low >= high else -1
-    return [float(f"1e{power}") for power in range(high, low + step, step)]
-
-
-def _table(found: Any) -> None:
-    """Each quantity's largest difference from the reference, and what is explained."""
-    from ..benchmark.agreement import CLOSE_QUANTITIES, ERROR_STEPS, SAME_QUANTITIES
-
-    for label, run in found.runs.items():
-        if isinstance(run, HybridError):
-            typer.echo(f"{label:18} failed: {run}")
-        else:
-            typer.echo(f"{label:18} {len(run.own_jumps)} jumps computed, {len(run.zeno)} summed")
-    if not found.differences:
-        return
-    typer.echo(f"largest differences from {found.reference}:")
-    for quantity in SAME_QUANTITIES:
-        worst = found.worst(quantity)
-        typer.echo(f"{quantity:10} {'the same' if worst.explained else 'NOT the same'}")
-    for quantity in CLOSE_QUANTITIES:
-        worst, growth = found.worst(quantity), found.growth[quantity]
-        verdict = "explained by" if worst.explained else "NOT explained by"
-        typer.echo(
-            f"{quantity:10} {worst.size:9.1e}  {worst.method:16} {verdict} {worst.allowed:.1e} "
-            f"= {ERROR_STEPS} steps of rtol {found.rtol:g}, grown {growth:.3g}"
-        )
 
 
 #: Exit codes of ``hybrid certify``.
@@ -311,25 +245,11 @@ def certify(
     from ..certificates import certify as prove
 
     with _one_line():
-        made = gallery.find(model).cls(**_pairs(set_ or [], "--set"))
-        found = prove(made, _bounds(box or []), mode, contact)
+        made = gallery.find(model).cls(**pairs(set_ or [], "--set"))
+        found = prove(made, bounds(box or []), mode, contact)
     typer.echo(str(found))
     if VERDICTS[found.verdict]:
         raise typer.Exit(VERDICTS[found.verdict])
-
-
-def _bounds(given: list[str]) -> dict[str, tuple[float, float]]:
-    bounds = {}
-    for text in given:
-        name, _, ends = text.partition("=")
-        try:
-            low, high = (float(end) for end in ends.split(":"))
-        except ValueError:
-            raise OptionError(f"--box {text}: write NAME=LOW:HIGH") from None
-        bounds[name.strip()] = (low, high)
-    if not bounds:
-        raise OptionError("--box NAME=LOW:HIGH is needed, once for each coordinate")
-    return bounds
 
 
 @app.command("list")
@@ -386,133 +306,13 @@ def _judged(section: Any, seconds: float) -> None:
         typer.echo(f"  {claim.verdict.value:14} {claim.place}: {claim.found}")
 
 
-def _pairs(given: list[str], option: str) -> dict[str, Any]:
-    pairs = {}
-    for text in given:
-        name, equals, value = text.partition("=")
-        try:
-            pairs[name.strip()] = json.loads(value)
-        except json.JSONDecodeError:
-            equals = ""
-        if not equals:
-            raise OptionError(f"{option} {text}: write NAME=NUMBER, or NAME=[NUMBER,NUMBER]")
-    return pairs
-
-
-def _start(entry: gallery.GalleryEntry, given: dict[str, Any]) -> dict[str, Any]:
-    start = {**(entry.start or {}), **given}
-    missing = [name for name in entry.cls.spec.names if name not in start]
-    if missing:
-        raise StartError(
-            f"{entry.cls.__name__}: no start for {', '.join(missing)}; "
-            f"add --start {missing[0]}=NUMBER, or START = {{...}} to the file"
-        )
-    return start
-
-
-def _history(entry: gallery.GalleryEntry, given: dict[str, Any]) -> Any:
-    """What was before the start: the file's, but for the states given."""
-    if not given:
-        return entry.history
-    if callable(entry.history):
-        raise OptionError("--history: the file's HISTORY is a function, not a dict of states")
-    return {**(entry.history or {}), **given}
-
-
-def _span(
-    entry: gallery.GalleryEntry, since: float | None, until: float | None
-) -> tuple[float, float]:
-    t0 = since if since is not None else (entry.until[0] if entry.until else 0.0)
-    if until is None and not entry.until:
-        raise OptionError(f"{entry.cls.__name__}: no last time; add --until NUMBER")
-    return t0, until if until is not None else entry.until[1]
-
-
 def _simulate(model: Any, start: Any, span: tuple[float, float], **options: Any) -> Trajectory:
     from ..simulation import simulate
 
     if not sys.stderr.isatty():
         return simulate(model, start, span, **options)
-    with _bar(span) as progress:
+    with bar(span) as progress:
         return simulate(model, start, span, progress=progress, **options)
-
-
-@contextmanager
-def _bar(span: tuple[float, float]) -> Iterator[Callable[[float], None]]:
-    """A progress bar that appears once the run has taken a second."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    begun = time.monotonic()
-    bar = Progress(console=Console(stderr=True), transient=True)
-    task = bar.add_task("simulating", total=span[1] - span[0])
-
-    def progress(t: float) -> None:
-        if time.monotonic() - begun > SILENT_SECONDS:
-            bar.start()
-            bar.update(task, completed=t - span[0])
-
-    try:
-        yield progress
-    finally:
-        bar.stop()
-
-
-def _report(result: Trajectory) -> None:
-    parameters = ", ".join(f"{k}={v}" for k, v in result.parameters.items())
-    typer.echo(
-        f"{result.spec.model}({parameters}), {result.options['solver']} {result.options['method']}"
-    )
-    typer.echo(f"{len(result.jumps)} jumps listed; t = {result.t0:.12g} to {result.t1:.12g}")
-    for point in result.zeno[:PRINTED_LIMITS]:
-        if point.truncation is None:
-            _ = point.t_error, point.verdict  # looked for here: the line tells them
-        typer.echo(f"  {point}")
-        if point.t_release is not None:
-            typer.echo(f"    released at t = {point.t_release!r}")
-    if len(result.zeno) > PRINTED_LIMITS:
-        typer.echo(f"  ... and {len(result.zeno) - PRINTED_LIMITS} more accumulations")
-    for graze in result.grazings:
-        typer.echo(f"  grazing of {graze.edge} at t = {graze.t!r}")
-    typer.echo(f"final: {result.final} in {result.mode}")
-    typer.echo(str(result.status))
-
-
-def _compare(entry: gallery.GalleryEntry, result: Trajectory) -> None:
-    """Values of a run beside the exact ones."""
-    if not hasattr(entry.module, "oracle"):
-        raise OptionError(f"{entry.cls.__name__}: its file has no oracle(run)")
-    try:
-        rows = [(what, float(a), float(b)) for what, a, b, _ in entry.module.oracle(result)]
-    except Exception as fault:  # whatever the user's function raises, in one line
-        name = type(fault).__name__
-        raise OptionError(f"oracle(run) of {entry.cls.__name__}: {name}: {fault}") from fault
-    typer.echo(f"{'':28} {'computed':>22} {'exact':>22} {'difference':>11}")
-    for what, value, exact in rows:
-        typer.echo(f"{what:28} {value:22.15g} {exact:22.15g} {value - exact:11.1e}")
-
-
-def _can_write(option: str, path: str | None) -> None:
-    """Refuse before the run what could only fail after it."""
-    if path is None:
-        return
-    if option == "--save":
-        need(option, FILES)
-    else:
-        need(option, HTML if is_page(path) else PLOT)
-    if option == "--plot" and not _drawable(path):
-        raise OptionError(f"{option} {path}: end the name in .png, .pdf, .svg or .html")
-    if not Path(path).resolve().parent.is_dir():
-        raise OptionError(f"{option} {path}: no such folder")
-
-
-def _drawable(path: str) -> bool:
-    """Whether the end of a picture's name says in which format it is drawn."""
-    if is_page(path):
-        return True
-    from matplotlib.backend_bases import FigureCanvasBase
-
-    return Path(path).suffix.lower()[1:] in FigureCanvasBase.get_supported_filetypes()
 
 
 def _write(action: Callable[[], Any]) -> None:
