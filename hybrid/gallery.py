@@ -6,6 +6,7 @@ import ast
 import importlib
 import importlib.util
 import sys
+import traceback
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
@@ -165,9 +166,5 @@ def _run(path: Path) -> ModuleType:
 def _line_in(fault: BaseException, path: Path) -> str:
     if isinstance(fault, SyntaxError):
         return f":{fault.lineno}"
-    trace, line = fault.__traceback__, ""
-    while trace is not None:
-        if trace.tb_frame.f_code.co_filename == str(path):
-            line = f":{trace.tb_lineno}"
-        trace = trace.tb_next
-    return line
+    frames = traceback.extract_tb(fault.__traceback__)
+    return next((f":{f.lineno}" for f in reversed(frames) if f.filename == str(path)), "")

@@ -119,21 +119,11 @@ def simulate(
     require_model(model)
     solver, method = renamed(solver, method)
     scene = scene_of(model)
-    asked = Asked(
-        spec=scene.spec,
-        solver=solver,
-        method=method,
-        controller=controller,
-        rtol=rtol,
-        atol=atol,
-        max_step=max_step,
-        first_step=first_step,
-        zeno=zeno,
-        max_jumps=max_jumps,
-        save=save,
-        memory=memory,
-        progress=progress,
-    )
+    kept: dict[str, Any] = {"max_step": max_step, "first_step": first_step, "zeno": zeno}
+    kept |= {"max_jumps": max_jumps, "memory": memory}
+    steps: dict[str, Any] = {"solver": solver, "method": method, "controller": controller}
+    steps |= {"rtol": rtol, "atol": atol}
+    asked = Asked(spec=scene.spec, save=save, progress=progress, **steps, **kept)
     x = start_of(scene.spec, start)
     driver, begins = asked.driver(scene, t, x, history), mode_of(scene, mode)
     driver.run(begins, x)
@@ -145,12 +135,8 @@ def simulate(
         "method": driver.solver.method,
         "rtol": plan.rtol,
         "atol": plan.atol,
-        "max_step": max_step,
-        "first_step": first_step,
-        "zeno": zeno,
-        "max_jumps": max_jumps,
+        **kept,
         "save": save if isinstance(save, str) else "times",
-        "memory": memory,
         "mode": begins,
     }
     if controller is not None:

@@ -8,7 +8,7 @@ import pytest
 
 import hybrid as hy
 from hybrid.lowering import scene_of
-from hybrid.solvers import diffrax_objects
+from hybrid.solvers import diffrax_objects, diffrax_program
 from models.hard_spring import HardSpring
 from tests.systems import Oscillator
 from tests.test_advance import SCENES
@@ -151,7 +151,7 @@ def test_large_states_fade(save):
     start = np.linspace(1.0, 2.0, 300)
     options = {"solver": "diffrax", "method": "Tsit5", "rtol": 1e-9, "atol": 1e-11}
     run = hy.simulate(Fading(), {"x": start}, (0.0, 5.0), save=save, **options)
-    assert run.stats.steps > 2 * diffrax_objects.NUMBERS // (300 * 5)
+    assert run.stats.steps > 2 * diffrax_program.NUMBERS // (300 * 5)
     np.testing.assert_allclose(run.final.x, np.exp(-5.0) * start, rtol=1e-7)
     if save == "dense":
         np.testing.assert_allclose(run(2.5).x, np.exp(-2.5) * start, rtol=1e-7)

@@ -22,6 +22,12 @@ from .setting import Setting, setting_of
 
 THEOREM = "Theorem 1 (fixed obstacle, (C1), (C2))"
 
+#: What mends it where the theorem does not speak.
+BY_LEMMA = (
+    'ask without (C2), in relative coordinates: box={"gap": (0, y), "speed": (0, w), ...} '
+    "with bounds of t and of other states that the gap's acceleration depends on"
+)
+
 #: Accuracy of the extrema in the answer, and in trials on the way to a repair.
 FINE, COARSE = 1e-13, 1e-6
 
@@ -58,7 +64,7 @@ def by_theorem(question: Question) -> Certificate:
     """The certificate by Theorem 1."""
     setting = setting_of(question)
     if isinstance(setting, str):
-        return question.answer(THEOREM, "undecided", setting, repair=_relative(question))
+        return question.answer(THEOREM, "undecided", setting, repair=BY_LEMMA)
     trial = _trial(setting, setting.far, setting.speed, FINE)
     found: dict[str, Any] = _numbers(question, trial)
     box = setting.box(setting.far, setting.speed)
@@ -76,13 +82,6 @@ def by_theorem(question: Question) -> Certificate:
     if trial.holds:
         return _certified(setting, trial, law, found)
     return _refused(setting, trial, law, found)
-
-
-def _relative(q: Question) -> str:
-    return (
-        'ask without (C2), in relative coordinates: box={"gap": (0, y), "speed": (0, w), ...} '
-        "with bounds of t and of other states that the gap's acceleration depends on"
-    )
 
 
 # ---------------------------------------------------------------------------------------
@@ -127,9 +126,9 @@ def _parity(setting: Setting) -> Fault | None:
         if here is not None and there is not None and not here.overlaps(there):
             at = ", ".join(f"{q.labels[n]} = {value:.12g}" for n, value in point.items())
             reason = f"(C2) fails: the force is not even in the velocity, for instance at {at}"
-            return "refuted", reason, _relative(q)
+            return "refuted", reason, BY_LEMMA
     reason = "(C2) could not be decided: no proof that the force is even in the velocity"
-    return "undecided", reason, _relative(q)
+    return "undecided", reason, BY_LEMMA
 
 
 def edges_fault(guards: dict[str, ScalarFunction], box: dict[str, Bounds]) -> Fault | None:
@@ -153,7 +152,7 @@ def _regularity(setting: Setting) -> Fault | None:
         "the theorem wants a force that is continuous and locally Lipschitz on the box; "
         "that could not be shown (a switch, a step, or an infinite slope)"
     )
-    return "undecided", reason, _relative(setting.question)
+    return "undecided", reason, BY_LEMMA
 
 
 # ---------------------------------------------------------------------------------------

@@ -9,16 +9,15 @@ the driver.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..lowering import Scene
-from ..lowering.tape import Jets
+from ..lowering.tape import Jets, lent
 from ..rules import unit
 from ..rules.arrays import AutomatonArrays, Left
 from ..rules.lanes import ASKS, ENDED, FLOWN_TO, LAST_JUMP, LEFT, MODE, OUTCOME, STATE, SUMMED, TOLD
@@ -59,20 +58,6 @@ class FlownLanes(NamedTuple):
     def those(self, fit: np.ndarray) -> FlownLanes:
         """Those that a mask says."""
         return self if fit.all() else FlownLanes(*(column[fit] for column in self))
-
-
-@contextmanager
-def lent(free: dict[Any, list[Any]], needs: Any, make: Callable[[], Any]) -> Iterator[Any]:
-    """Arrays to work in, such as nobody is using: threads share what they are for, and not them."""
-    unused = free.setdefault(needs, [])
-    try:
-        rooms = unused.pop()
-    except IndexError:
-        rooms = make()
-    try:
-        yield rooms
-    finally:
-        unused.append(rooms)
 
 
 class GivenLanes(NamedTuple):

@@ -16,10 +16,10 @@ import attrs
 import numpy as np
 
 from ..ensembles.threads import FIRST_LANES as FIRST
-from ..ensembles.threads import Abreast, FlownLanes, GivenLanes, abreast, lent
+from ..ensembles.threads import Abreast, FlownLanes, GivenLanes, abreast
 from ..errors import HybridError
 from ..lowering import Scene, scene_with
-from ..lowering.tape import room
+from ..lowering.tape import lent, room
 from ..rules import unit
 from ..rules.changes import KNOWN, OF_FIELD, OF_GUARD
 from ..rules.lanes import (

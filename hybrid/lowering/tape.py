@@ -9,7 +9,8 @@ of the parameters, which are no part of the tape. How one is made is in :mod:`.r
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property, partial
 from typing import Any
 
@@ -195,6 +196,20 @@ def room(needs: Iterable[int], states: int, order: int) -> Room:
         np.zeros(kinks, dtype=np.int64),
         np.empty(states),
     )
+
+
+@contextmanager
+def lent(free: dict[Any, list[Any]], needs: Any, make: Callable[[], Any]) -> Iterator[Any]:
+    """Arrays to work in, such as nobody is using: threads share what they are for, and not them."""
+    unused = free.setdefault(needs, [])
+    try:
+        rooms = unused.pop()
+    except IndexError:
+        rooms = make()
+    try:
+        yield rooms
+    finally:
+        unused.append(rooms)
 
 
 class Linked:

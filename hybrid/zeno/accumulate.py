@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import cached_property
 from itertools import pairwise
 from math import ceil, log, ulp
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -17,7 +17,7 @@ from ..automaton.markers import Crossing
 from ..bounds.defect import follows
 from ..lowering.local import near, off
 from ..lowering.lowered import ORDER
-from ..lowering.tape import Tape, linked, room
+from ..lowering.tape import Tape, lent, linked, room
 from ..lowering.taylor import polynomial
 from ..rules import unit
 from ..rules.arrays import Programs, Sums
@@ -323,14 +323,14 @@ class _Chatter:
         Those of the programs: the flow, and what happens at the contact.
     local : bool
         Whether all flights see the same forces.
-    free : list of Sums
+    free : dict
         Room that no sum is using: threads share the programs, and not the room.
     """
 
     programs: Programs
     tapes: list[Tape]
     local: bool
-    free: list[Sums]
+    free: dict[Any, list[Any]]
 
     @classmethod
     def of(cls, field: Field, contact: Contact) -> _Chatter:
@@ -338,19 +338,11 @@ class _Chatter:
         assert field.jets is not None
         parts = [field.jets, *field.at_contact(contact.name)]
         local = contact.local and not field.held
-        return cls(linked(parts), [part.tape for part in parts], local, [])
+        return cls(linked(parts), [part.tape for part in parts], local, {})
 
-    @contextmanager
-    def lent(self) -> Iterator[Sums]:
+    def lent(self) -> AbstractContextManager[Sums]:
         """Room for one sum."""
-        try:
-            given = self.free.pop()
-        except IndexError:
-            given = self._new()
-        try:
-            yield given
-        finally:
-            self.free.append(given)
+        return lent(self.free, "sum", self._new)
 
     def _new(self) -> Sums:
         needs = np.max([tape.needs for tape in self.tapes], axis=0)

@@ -1,0 +1,266 @@
+"""Steps of a Diffrax method as a compiled program.
+
+Each attempt at a step is the method's ``step`` and the controller's ``adapt_step_size``. Numbers
+(parameters, start, time, tolerances) are arguments of the program: changing one does not compile
+again. What method and controller remember is carried from step to step, and begun anew at each
+jump.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..automaton.trace import again, wide
+from ..lowering import Field
+from ..lowering.jit import jit
+from ..segment import apply, integrals, nodes
+
+#: Most attempts at a step: each that is refused is cut to a fifth or more by Diffrax's controllers,
+#: so that the smallest of floats is reached before.
+ATTEMPTS = 200
+
+#: Most steps ahead, and most numbers that they leave: to clear and to copy so many takes about as
+#: long as a call.
+AHEAD, NUMBERS = 32, 8192
+
+#: A step this short against the time in the arc cannot be made.
+SHORTEST = 1e-14
+
+#: Most attempts between two looks from Python, where nobody asks for steps one by one.
+ATTEMPTS_AT_ONCE = 100_000
+
+#: What a program is told, before the state, the absolute tolerances and the parameters.
+INDEX, T0, ASKED_TAU, ASKED_TO, ASKED_LIMIT, ASKED_LENGTH, ASKED_STEPS = range(7)
+FORCED, ASKED_RTOL, ASKED_STATE = range(7, 10)
+
+#: What each step leaves before its states: its end, that of the step that comes next, and the
+#: attempts refused so far.
+MADE_END, MADE_NEXT, MADE_REFUSED, MADE_STATES = range(4)
+
+
+class MethodMemory(NamedTuple):
+    """What a method and a controller remember."""
+
+    method: Any
+    controller: Any
+
+
+class StepProgram:
+    """Steps of a method along a field, one after another, as a compiled function.
+
+    Parameters
+    ----------
+    method : diffrax.AbstractSolver
+    controller : diffrax.AbstractStepSizeController or None
+    degree : int
+        Of the dense output.
+    sweeps : int
+        Of Picard's iteration, which raise that to the order of the method.
+
+    Attributes
+    ----------
+    run : callable ``(numbers, memories)``
+        Gives an array and new memories. In the array are how many steps are made and how many
+        attempts at the next one have failed, and a row for each step. The memories are those
+        before each step, and after the last. ``numbers[INDEX]`` says with which to begin: -1 at
+        the start of an arc.
+    whole : callable ``(numbers)``
+        Makes steps by Diffrax's own loop; gives the time that they reach, the length of the next,
+        how many they are, attempts refused, and the state.
+    empty : tree of arrays
+        Memories for such a start.
+    """
+
+    def __init__(
+        self, method: Any, controller: Any, field: Field, degree: int, sweeps: int
+    ) -> None:
+        self.method, self.controller, self.sweeps = method, controller, sweeps
+        self.flow, self.n = again(field.closed), field.code.spec.dimension
+        self.shapes = [np.shape(value) for value in field.parameters]
+        self.parameters = sum(int(np.prod(shape)) for shape in self.shapes)
+        self.states = degree + 1
+        self.places = min(AHEAD, 1 + NUMBERS // (self.n * self.states))
+        self.run, self.whole = jit(self._run), jit(self._whole)
+        self._flat: tuple[Any, Any] = None, None
+        with wide():
+            numbers = np.zeros(ASKED_STATE + 2 * self.n + self.parameters)
+            one = jax.eval_shape(lambda given: self._begin(StepInputs(self, given))[0], numbers)
+            self.empty = jax.tree.map(
+                lambda leaf: jnp.zeros((self.places + 1, *leaf.shape), leaf.dtype), one
+            )
+
+    def flat(self, parameters: Sequence[Any]) -> np.ndarray:
+        """Parameters in a row, those of the arc before at once."""
+        same, row = self._flat
+        if same is not parameters:
+            row = np.concatenate([np.zeros(0), *map(np.ravel, parameters)])
+            self._flat = parameters, row
+        return row
+
+    def _begin(self, given: StepInputs) -> tuple[MethodMemory, Any]:
+        """What is remembered at the start of an arc, and the end of its first step."""
+        begun = given.controller.init(
+            given.term,
+            given.tau,
+            given.length,
+            given.x,
+            given.wanted - given.tau,
+            None,
+            given.method.func,
+            given.order,
+        )
+        memory = given.method.init(given.term, given.tau, begun[0], given.x, None)
+        return _strong((MethodMemory(memory, begun[1]), begun[0]))
+
+    def _run(self, numbers: Any, memories: Any) -> Any:
+        given = StepInputs(self, numbers)
+        index = given.index.astype(int)
+        memory, wanted = jax.lax.cond(
+            index < 0,
+            lambda: self._begin(given),
+            lambda: (jax.tree.map(lambda leaf: leaf[index], memories), given.wanted),
+        )
+        rows = jnp.zeros((self.places, MADE_STATES + self.n * self.states))
+        zero = jnp.array(0)
+        start = Going(zero, zero, zero, given.tau, wanted, given.x, memory, rows, memories)
+        start = start._replace(memories=_put(memories, zero, memory))
+
+        def goes_on(going: Going) -> Any:
+            return (going.made < given.count) & (going.tau < given.limit) & (going.tries < ATTEMPTS)
+
+        going = jax.lax.while_loop(goes_on, lambda going: self._attempt(given, going), start)
+        counts = jnp.stack([going.made, going.refused]).astype(float)
+        return jnp.concatenate([counts, going.rows.ravel()]), going.memories
+
+    def _whole(self, numbers: Any) -> Any:
+        given = StepInputs(self, numbers)
+        solution = diffrax.diffeqsolve(
+            given.term,
+            given.method,
+            given.tau,
+            given.limit,
+            given.wanted - given.tau,
+            given.x,
+            stepsize_controller=given.controller,
+            max_steps=ATTEMPTS_AT_ONCE,
+            throw=False,
+        )
+        reached, stats = solution.ts[-1], solution.stats
+        counts = [stats["num_accepted_steps"], stats["num_rejected_steps"]]
+        mean = (reached - given.tau) / stats["num_steps"]
+        return jnp.concatenate([jnp.stack([reached, mean, *counts]), solution.ys[-1]])
+
+    def _attempt(self, given: StepInputs, going: Going) -> Going:
+        """One attempt at a step."""
+        tau, x, forced = going.tau, going.x, given.forced
+        end = jnp.where(forced, given.limit, jnp.minimum(going.wanted, given.limit))
+        y, error, dense, memory, result = given.method.step(
+            given.term, tau, end, x, None, going.memory.method, jnp.array(False)
+        )
+        fit = jnp.all(jnp.isfinite(y)) & (result == diffrax.RESULTS.successful)
+        if error is not None:
+            error = jnp.where(fit & jnp.isfinite(error), error, jnp.inf)
+        kept, begin, stop, _, controller, _ = given.controller.adapt_step_size(
+            tau, end, x, y, None, error, given.order, going.memory.controller
+        )
+        kept = (kept & fit) | forced
+        wanted = jnp.where(kept, end, tau) + (stop - begin)
+        longer = jnp.maximum(wanted, end + (going.wanted - tau))
+        wanted = jnp.where(kept & (end < going.wanted), longer, wanted)
+        after = MethodMemory(_where(kept, memory, going.memory.method), controller)
+        after = jax.tree.map(lambda new, old: jnp.asarray(new, old.dtype), after, going.memory)
+        refused, place = going.refused + ~kept, going.made
+        values = self._values(given, tau, end, x, y, dense)
+        row = jnp.concatenate([jnp.stack([end, wanted, refused.astype(float)]), values.ravel()])
+        stuck = ~kept & ~(wanted - tau > SHORTEST * jnp.maximum(tau, 1e-300))
+        stuck = stuck | (kept & ~jnp.all(jnp.isfinite(y)))
+        return Going(
+            going.made + kept,
+            jnp.where(stuck, ATTEMPTS, jnp.where(kept, 0, going.tries + 1)),
+            refused,
+            jnp.where(kept, end, tau),
+            wanted,
+            jnp.where(kept, y, x),
+            after,
+            _put(going.rows, place, row),
+            _put(going.memories, place + 1, after),
+        )
+
+    def _values(self, given: StepInputs, tau: Any, end: Any, x: Any, y: Any, dense: Any) -> Any:
+        """The states at the nodes of a step.
+
+        The interpolant may be brought nearer to the solution between the ends of the step: each
+        sweep integrates the flow along it, which gains an order, and meets the end again.
+        """
+        s, h = jnp.asarray(nodes(self.states - 1)), end - tau
+        path = given.method.interpolation_cls(t0=tau, t1=end, **dense)
+        values = jax.vmap(path.evaluate)(tau + h * s)
+        for _ in range(self.sweeps):
+            rates = jax.vmap(lambda t, x: given.term.vf(t, x, None))(tau + h * s, values)
+            values = x + h * apply(integrals(self.states - 1), rates)
+            values = values + s[:, None] * (y - values[-1])
+        return jnp.concatenate([x[None], values[1:-1], y[None]])
+
+
+class Going(NamedTuple):
+    """Where the steps of a call are: how many are made, attempts at the next, all refused so far,
+    the local time, the end of the next step, the state, what is remembered, and what is left."""
+
+    made: Any
+    tries: Any
+    refused: Any
+    tau: Any
+    wanted: Any
+    x: Any
+    memory: MethodMemory
+    rows: Any
+    memories: MethodMemory
+
+
+class StepInputs:
+    """What a program is given, taken apart."""
+
+    def __init__(self, program: StepProgram, numbers: Any) -> None:
+        self.index, self.t0, self.tau, self.wanted, self.limit, self.length = numbers[:ASKED_STEPS]
+        self.count, self.forced = numbers[ASKED_STEPS], numbers[FORCED] > 0
+        rtol = numbers[ASKED_RTOL]
+        self.x, atol, flat = jnp.split(numbers[ASKED_STATE:], [program.n, 2 * program.n])
+        ends = np.cumsum([int(np.prod(shape)) for shape in program.shapes])
+        parts = jnp.split(flat, ends[:-1]) if len(ends) else []
+        parameters = [p.reshape(s) for p, s in zip(parts, program.shapes, strict=True)]
+        self.term = diffrax.ODETerm(lambda s, y, args: program.flow(parameters, self.t0 + s, y))
+        self.method = _with_tolerances(program.method, rtol, jnp.min(atol))
+        self.controller = program.controller or diffrax.PIDController(rtol=rtol, atol=atol)
+        self.order = self.method.error_order(self.term)
+
+
+def _strong(tree: Any) -> Any:
+    """A tree of arrays, none of them of a type that another would change."""
+    arrays = jax.tree.map(jnp.asarray, tree)
+    return jax.tree.map(lambda leaf: jax.lax.convert_element_type(leaf, leaf.dtype), arrays)
+
+
+def _where(condition: Any, one: Any, other: Any) -> Any:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)
+
+
+def _put(rows: Any, place: Any, row: Any) -> Any:
+    """Rows with another one at a place, in each array of a tree."""
+    put = jax.lax.dynamic_update_index_in_dim
+    return jax.tree.map(lambda leaf, one: put(leaf, one, place, 0), rows, row)
+
+
+def _with_tolerances(method: Any, rtol: Any, atol: Any) -> Any:
+    """An implicit method whose root finder asks for the tolerances of the steps gets ours."""
+    finder = getattr(method, "root_finder", None)
+    if finder is None or isinstance(getattr(finder, "rtol", 0.0), (int, float, jax.Array)):
+        return method
+    given = {"rtol": rtol, "atol": atol, "norm": diffrax.VeryChord(rtol=1.0, atol=1.0).norm}
+    return replace(method, root_finder=replace(finder, **given))
