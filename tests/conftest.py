@@ -81,6 +81,13 @@ def pytest_configure():
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
+def pytest_collection_finish():
+    """What is there before the first test stays: no collection of garbage looks through it."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 20)
+
+
 def pytest_addoption(parser):
     """A choice of ways in, for a run of a part of the contract."""
     parser.addoption("--ways", help="only tests on these ways in, such as DOP853,taylor")

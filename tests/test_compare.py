@@ -13,17 +13,18 @@ from models.two_tanks import TwoTanks
 
 from . import systems
 
-#: One method of each mechanism.
-FIVE = ("taylor", "scipy DOP853", "scipy Radau", "scipy LSODA", "diffrax Dopri8")
+#: Those whose errors are far above rounding, beside one that ``tests/test_models.py`` holds, as
+#: DOP853 and Dopri8, to the oracle of each model.
+SOME = ("taylor", "scipy Radau", "scipy LSODA")
 
 
 @pytest.mark.parametrize(
     "methods",
     [
-        {name: COMPARED_METHODS[name] for name in FIVE},
+        {name: COMPARED_METHODS[name] for name in SOME},
         pytest.param(None, marks=pytest.mark.every_way),
     ],
-    ids=["five", "all"],
+    ids=["some", "all"],
 )
 @pytest.mark.parametrize("name", gallery.names())
 def test_solvers_agree_on_a_model(name, methods):

@@ -10,6 +10,7 @@ from hybrid.lowering import scene_of
 from hybrid.solvers.scipy_backend import RungeKuttaStepper, SampledStepper, SciPySolver
 from models.hard_spring import HardSpring
 from tests.contract.test_units import Pile
+from tests.contract.ways import later
 from tests.test_advance import SCENES
 
 #: Example 1's accumulation, from 40 digits.
@@ -55,7 +56,7 @@ def test_the_state_at_a_jump_is_the_jumps(name, options):
         assert run(jump.t, jump.j + 1) == jump.after
 
 
-@pytest.mark.parametrize("unit", [1e-9, 1e-3, 1.0, 1e3, 1e6, 1e9, 1e12])
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e12, *later(1e-3, 1e3, 1e6, 1e9)])
 @pytest.mark.parametrize("method", ["Radau", "RK23", "BDF"])
 def test_nothing_falls_through_what_a_step_shows_to_rounding(unit, method):
     """A step that ends on a guard may show it on one side, and the next one on the other."""

@@ -125,11 +125,11 @@ def test_other_methods_are_not_taken_for_a_pair(alongside, options):
 
 def test_steps_that_become_ever_shorter_are_the_runs():
     """Their lane says why there are no more, as the run does."""
-    start = {"x": np.array([1.0, 0.5])}
+    start = {"x": np.array([1.0])}
     for solver, method in (PAIRS[0], PAIRS[4]):
         options = {"solver": solver, "method": method, "rtol": 1e-5}
         lanes = hy.ensemble(Swinging(), start, (0.0, 1e3), **options)
-        assert lanes.status.values.tolist() == ["not_finite"] * 2
+        assert lanes.status.values.tolist() == ["not_finite"]
         assert not list(differences(Swinging(), start, (0.0, 1e3), {}, **options))
 
 

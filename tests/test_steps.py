@@ -119,7 +119,11 @@ def test_kinks_crossed_at_once_are_one_step(unit):
     assert room.c[0, 2] == 1.0
 
 
-@pytest.mark.parametrize("width", [1e-2, 1e-4, 1e-6])
+@pytest.mark.parametrize(
+    ("unit", "width"),
+    [("machine", 1e-2), ("machine", 1e-4), ("machine", 1e-6), ("checked", 1e-4)],
+    indirect=["unit"],
+)
 def test_a_pulse_that_is_flat_to_rounding_from_afar_is_not_passed(width):
     """A Gaussian of area 1 at 0.5, of which no coefficient at 0 knows."""
     scale = 1.0 / (width * math.sqrt(math.pi))

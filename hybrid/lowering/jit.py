@@ -9,8 +9,13 @@ from typing import Any
 from ..automaton.trace import wide
 
 #: Options of XLA. Its newer emitters take twice as long to compile these programs, which then run
-#: no faster; its library for reductions costs more to call than these small sums do.
-XLA_OPTIONS = {"xla_cpu_use_fusion_emitters": False, "xla_cpu_experimental_ynn_fusion_type": ""}
+#: no faster; its library for reductions costs more to call than these small sums do; and to split
+#: a small program for several threads of the compiler costs more than it saves.
+XLA_OPTIONS = {
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_cpu_experimental_ynn_fusion_type": "",
+    "xla_cpu_parallel_codegen_split_count": 1,
+}
 
 
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -66,14 +66,14 @@ def limit(r):
     return 1.0 + 2.0 * r / (1.0 - r)
 
 
-@pytest.mark.parametrize("first", [1, *later(2)])
+@pytest.mark.parametrize("first", [1, *later(2, 3)])
 @pytest.mark.parametrize("cls", [Alarmed, Counted])
 @pytest.mark.parametrize("r", [0.1, 0.7])
 def test_an_alarm_in_any_flight_is_heard(way, r, cls, first):
-    """In the k-th flight, each second one, for a thousandth of what is left to the limit; and not
+    """In the k-th flight, each third one, for a thousandth of what is left to the limit; and not
     one beyond it. The flights are higher than the tolerances of place, which leave open what is
     lower."""
-    left = [0.6 * 2.0 * r**k / (1.0 - r) for k in range(first, 25, 2) if r**k > 2e-6]
+    left = [0.6 * 2.0 * r**k / (1.0 - r) for k in range(first, 25, 3) if r**k > 2e-6]
     due, w = [limit(r) - gone for gone in left], [1e-3 * gone for gone in left]
     given = {"due": [*due, limit(r) + 1.0], "w": [*w, 1e-3], "r": [r] * (1 + len(left))}
     starts, until = [[1.0, 0.0, 0.0]] * len(given["r"]), (0.0, limit(r) + 0.5)
