@@ -9,6 +9,7 @@ import hybrid as hy
 from hybrid.automaton import trace
 from hybrid.errors import TraceError
 from hybrid.lowering.lowered import Lowered
+from hybrid.lowering.scene import scene_of
 from hybrid.lowering.taylor import flat
 
 #: Flows of (x, y) that use what the models of this field use, and what jax.numpy makes of it.
@@ -51,6 +52,21 @@ EXPRESSIONS = {
 }
 
 
+#: Flows of whole numbers ``n`` and ``k``, and of flags.
+WHOLE = {
+    "and": lambda n, k: n & 3,
+    "or": lambda n, k: n | 2,
+    "exclusive or": lambda n, k: n ^ k,
+    "complement": lambda n, k: ~n,
+    "shift": lambda n, k: n >> 1,
+    "remainder": lambda n, k: n % 3 + n // 4 - jax.lax.rem(n, 3),
+    "few bits": lambda n, k: (40 * n).astype(jnp.int8) + k.astype(jnp.uint8),
+    "arithmetic in few bits": lambda n, k: (n.astype(jnp.int8) * 50 + 7).astype(int),
+    "largest flag": lambda n, k: jnp.maximum(n > 0, k > 0) + jnp.minimum(n > 2, k > 2),
+    "products of flags": lambda n, k: (n > 0) * (k > 0) * n + ((n > 0) | (k > 0)),
+}
+
+
 def automaton(expression):
     class Model(hy.Automaton):
         x = hy.state()
@@ -77,6 +93,23 @@ def test_generated_code_equals_the_trace_on_random_inputs(name):
         with trace.wide():
             expected = np.asarray(closed((np.float64(0.7),), np.float64(t), x))
         np.testing.assert_allclose(rhs(t, x.tolist()), expected, rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", WHOLE)
+def test_whole_numbers_and_flags_are_those_of_jax(name):
+    """Bit by bit, wrapping round, and as series too: where these are refused, they say so."""
+
+    def expression(t, x, y):
+        return WHOLE[name](jnp.floor(3 * x).astype(int), jnp.floor(3 * y).astype(int)).astype(float)
+
+    field = scene_of(automaton(expression)(p=1.0)).field("flow")
+    with jax.enable_x64(True):
+        for x, y in np.random.default_rng(0).uniform(-4.0, 4.0, size=(20, 2)):
+            exact = float(expression(0.0, jnp.asarray(x), jnp.asarray(y)))
+            assert field.rhs(0.0, [x, y])[0] == exact
+            if field.jets is not None:
+                sides = [0] * len(field.jets.watched)
+                assert field.jets(0.0, [x, y], sides, 1)[0][0][1] == exact
 
 
 def test_an_unsupported_primitive_is_named():

@@ -27,6 +27,15 @@ ELEMENTWISE = {
 #: Primitives that are such on numbers: those that order -0.0, 0.0 and NaN as well among them.
 OTHER_NAMES = {"add_any": "add", "lt_to": "lt", "le_to": "le"}
 
+#: Logic of flags, where other operations are such too; of whole numbers it is bit by bit.
+BITWISE = {"and", "or", "xor", "not"}
+OF_FLAGS = {"max": "or", "min": "and", "add": "or", "mul": "and"}
+
+#: Whole numbers with room for all that occur; what is made of others may wrap round.
+WHOLE_KINDS = (np.int64, np.int32)
+BITS = "bits"
+WRAPPING = {"convert_element_type", "integer_pow", "square", "reduce_sum", "cumsum", "dot_general"}
+
 #: Most whole numbers among which a choice is written out, as that of a place in a table; of two
 #: together as many as of each. Places are found by halves, in steps that share their conditions.
 MOST_CHOICES = 64
@@ -65,9 +74,8 @@ def _constant(graph: Graph, value: Any) -> Ids:
 
 
 def _apply(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
-    name, params = equation.primitive.name, equation.params
+    name, params = _name(equation), equation.params
     inner = params.get("jaxpr") or params.get("call_jaxpr")
-    name = OTHER_NAMES.get(name, name)
     if name in ("div", "rem") and np.issubdtype(equation.outvars[0].aval.dtype, np.integer):
         return [_each(partial(_whole, graph, name), *inputs)]
     if name in ELEMENTWISE:
@@ -93,6 +101,18 @@ def _apply(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
     if name == "custom_linear_solve":
         return linear_solve(graph, params, inputs, read)
     return _called(graph, equation, inputs)
+
+
+def _name(equation: Any) -> str:
+    """What an equation does; :data:`BITS` where its whole numbers are bits, or may wrap round."""
+    name = OTHER_NAMES.get(equation.primitive.name, equation.primitive.name)
+    if name in ELEMENTWISE or name in WRAPPING:
+        kind = equation.outvars[0].aval.dtype
+        if kind.kind == "b":
+            return OF_FLAGS.get(name, name)
+        if kind.kind in "iu" and (name in BITWISE or kind not in WHOLE_KINDS):
+            return BITS
+    return str(name)
 
 
 def _called(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
