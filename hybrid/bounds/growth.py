@@ -237,6 +237,8 @@ def _pow(a: Growth, b: Growth) -> Any:
     if b.low != b.high:
         return _power_of_any(a, b)
     whole, exponent = b.low.is_integer(), b.low
+    if exponent == 0.0:
+        return between(1.0, 1.0)  # of 0, too
     if exponent < 0.0:
         found = _pow(a, between(-exponent, -exponent))
         return _inverse(found) if isinstance(found, Growth) else found

@@ -89,12 +89,6 @@ class ContactLaws:
         _, direction, weight = self.normal(parameters, t, x)
         return direction / weight
 
-    def land(self, parameters: Any, t: Any, x: Any) -> Any:
-        """The state moved onto ``gap = 0`` along the gap's gradient."""
-        normal, _, _ = self.normal(parameters, t, x)
-        step = normal * (self.gap(parameters, t, x) / (normal @ normal))
-        return x - self.pairing.at_positions(x.size) @ step
-
 
 @attrs.frozen
 class Held:
