@@ -14,11 +14,10 @@ from hybrid.rules.load import Library
 from hybrid.rules.places import END, FULL, LOOK
 from hybrid.run import machine
 from hybrid.run.driver import Driver
-from hybrid.solvers.taylor_backend import TaylorSolver
 from hybrid.trajectory.log import Flights
 
 from .switched import Quadrants, Rings, StickSlip
-from .systems import Oscillator, Pile
+from .systems import Oscillator, Pile, without_loop
 
 #: What two ways to the same jumps may differ by: rounding, grown along the run.
 ROUNDING = 1e-11
@@ -244,7 +243,7 @@ def same(one, other, span):
 def test_the_loop_gives_the_run_of_the_rules_one_by_one(scene, monkeypatch):
     """Jumps, modes, accumulations and dense output, with the loop and without it."""
     run = taylor(scene)
-    monkeypatch.setattr(TaylorSolver, "whole", False)
+    without_loop(monkeypatch)
     slow = taylor(scene)
     same(run, slow, scene[2])
     t0, t1 = scene[2]
@@ -426,7 +425,7 @@ def test_sums_rests_and_releases_are_those_of_the_rules_one_by_one(seed, options
     """With the loop and without it, wherever a run ends."""
     scene = drawn(seed)
     run = taylor(scene, **options)
-    monkeypatch.setattr(TaylorSolver, "whole", False)
+    without_loop(monkeypatch)
     slow = taylor(scene, **options)
     assert run.status is slow.status
     assert list(run.jumps.edge) == list(slow.jumps.edge)
@@ -501,7 +500,7 @@ def test_low_flights_are_those_of_the_rules_one_by_one(seed, monkeypatch):
     scene = attrs.evolve(model, r=0.3), start, span
     run = taylor(scene, zeno="ignore", max_jumps=60)
     assert np.diff(run.jumps.t).min() < 1e-12
-    monkeypatch.setattr(TaylorSolver, "whole", False)
+    without_loop(monkeypatch)
     same(run, taylor(scene, zeno="ignore", max_jumps=60), span)
 
 
@@ -524,7 +523,7 @@ def test_a_low_flight_beyond_the_end_of_a_run_is_cut_off(monkeypatch):
     run = taylor(scene, zeno="ignore")
     assert LOOK in found
     assert len(run.jumps) == place + 1
-    monkeypatch.setattr(TaylorSolver, "whole", False)
+    without_loop(monkeypatch)
     slow = taylor(scene, zeno="ignore")
     same(run, slow, scene[2])
     assert run.final.v == pytest.approx(slow.final.v, abs=ROUNDING)
@@ -650,7 +649,7 @@ def test_contacts_held_at_once_are_those_of_the_rules_one_by_one(seed, options, 
     scene = together(seed)
     run = taylor(scene, **options)
     assert options or any(".rest(" in arc.mode for arc in run.arcs)
-    monkeypatch.setattr(TaylorSolver, "whole", False)
+    without_loop(monkeypatch)
     slow = taylor(scene, **options)
     assert run.status is slow.status
     assert list(run.jumps.edge) == list(slow.jumps.edge)
@@ -683,3 +682,63 @@ def test_the_driver_judges_no_impact_beside_contacts_held(seed, monkeypatch):
     run = taylor(scene)
     assert sum(bool(arc.mode.partition(".")[2]) for arc in run.arcs) > 3
     assert not any(held for _, held in seen)
+
+
+class Row(hy.Automaton):
+    """Particles in a row, of which each has its restitution with the one before it."""
+
+    x = hy.state(shape=(8,))
+    v = hy.state(shape=(8,))
+    r = hy.parameter(0.5)
+
+    @hy.mode
+    def free(self, t, s):
+        return s.v, jnp.zeros(8)
+
+    for i in range(1, 8):
+        vars()[f"c{i}"] = hy.contact(
+            free, gap=lambda self, t, s, i=i: s.x[i] - s.x[i - 1], restitution="r"
+        )
+    del i
+
+
+def thrown(r):
+    """The first is thrown at the others, which touch and are at rest."""
+    start = {"x": np.array([-1.0] + [0.0] * 7), "v": np.array([1.0] + [0.0] * 7)}
+    return Row(r=r), start, (0.0, 2.0)
+
+
+@pytest.mark.parametrize("r", [0.5, 0.6, 0.9])
+def test_impacts_at_one_instant_beside_contacts_held_are_those_of_the_rules(r, monkeypatch):
+    """Bodies that touch and stay together bear nothing: no load of theirs is to be weighed."""
+    known, judged = Driver.jump, []
+
+    def jump(self, guard, *rest):
+        judged.append((self.t, guard.edge))
+        return known(self, guard, *rest)
+
+    monkeypatch.setattr(Driver, "jump", jump)
+    run = taylor(thrown(r))
+    assert len(run.jumps) > 20
+    assert len(judged) <= 1  # the first impact, at the end of an arc in which loads stay zero
+    without_loop(monkeypatch)
+    slow = taylor(thrown(r))
+    assert len(judged) > 20
+    assert list(run.jumps.edge) == list(slow.jumps.edge)
+    assert [arc.mode for arc in run.arcs] == [arc.mode for arc in slow.arcs]
+    np.testing.assert_array_equal(run.jumps.table.after, slow.jumps.table.after)
+
+
+def test_a_run_from_rest_is_flown_by_the_loop(monkeypatch):
+    """What holds a body where the run starts is found there, as by the rules."""
+    looked, look = [], Driver.look_again
+    monkeypatch.setattr(Driver, "look_again", lambda self: looked.append(self.t) or look(self))
+    scene = Table(amplitude=0.2, omega=10.0), {"x": 0.0, "v": 2.0}, (0.0, 3.0)
+    run = taylor(scene)
+    assert run.arcs[0].mode == "flight.rest(impact)"
+    assert not looked
+    without_loop(monkeypatch)
+    slow = taylor(scene)
+    assert [arc.mode for arc in run.arcs] == [arc.mode for arc in slow.arcs]
+    np.testing.assert_array_equal(run.arcs[0].first, slow.arcs[0].first)
+    np.testing.assert_allclose(run.jumps.t, slow.jumps.t, rtol=0, atol=ROUNDING)

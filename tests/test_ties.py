@@ -9,8 +9,8 @@ import hybrid as hy
 from hybrid.rules.load import Library
 from hybrid.rules.places import END, FULL, LOOK
 from hybrid.run import machine
-from hybrid.solvers.taylor_backend import TaylorSolver
 
+from .systems import without_loop
 from .test_advance import calls, same, taylor
 
 
@@ -130,7 +130,7 @@ def test_ties_and_kinked_guards_are_those_of_the_rules_one_by_one(drawn, seed, m
     """With the loop and without it: which fires first, what follows at once, and where."""
     scene = drawn(seed)
     run = taylor(scene)
-    monkeypatch.setattr(TaylorSolver, "whole", False)
+    without_loop(monkeypatch)
     same(run, taylor(scene), scene[2])
 
 

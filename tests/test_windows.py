@@ -11,12 +11,12 @@ from hybrid.delay import memory, pieces
 from hybrid.rules.load import Library
 from hybrid.rules.places import END
 from hybrid.run import machine
-from hybrid.solvers.taylor_backend import TaylorSolver
 from models.delay_bounce import DelayBounce
 from models.delay_jump import DelayJump
 from models.pyragas import Pyragas
 
 from .delayed import Ball, Lagged, Relay
+from .systems import without_loop
 from .test_advance import same
 
 
@@ -104,7 +104,7 @@ def alike(run, other, t0, t1):
 def test_the_loop_gives_the_run_of_the_rules_one_by_one(scene, monkeypatch):
     """With the loop and without it."""
     run = flown(scene)
-    monkeypatch.setattr(TaylorSolver, "whole", False)
+    without_loop(monkeypatch)
     alike(run, flown(scene), *scene[2])
 
 

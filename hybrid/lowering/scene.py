@@ -173,7 +173,7 @@ class Field:
 
     def along(self, t: float, x: np.ndarray) -> np.ndarray:
         """A state on the contacts held, or on the surface; where there is neither, as it is."""
-        return x if self.project is None else np.array(self.project(t, x.tolist()))
+        return x if self.project is None else np.array(self.project(float(t), x.tolist()))
 
     @property
     def closed(self) -> Any:

@@ -12,7 +12,6 @@ from .arrays import AutomatonArrays, Floats, Now, Room
 from .guards import row_of, sizes_of
 from .jets import OUTPUT, jets
 from .places import (
-    AT_START,
     BASE,
     FIELD,
     FIELD_PROGRAM,
@@ -24,7 +23,6 @@ from .places import (
     KIND,
     LACKING,
     LACKING_AT,
-    LAST_USED,
     MAKE,
     NONE,
     ONTO_GAPS,
@@ -123,11 +121,8 @@ def closed(a: AutomatonArrays, now: Now, room: Room, guard: int, t: float, x: Fl
 
 def joined(a: AutomatonArrays, now: Now, room: Room, guard: int) -> int:
     """Hold a contact besides those that are held where an arc begins: ``JOINED``; ``WANTED`` where
-    that field is asked for; ``HARD``, and nothing has changed.
-
-    Those on which a run starts are to bear the body, which the driver weighs.
-    """
-    if a.fields[now.ints[FIELD], JOINS] == 0 or now.ints[LAST_USED] == AT_START:
+    that field is asked for; ``HARD``, and nothing has changed."""
+    if a.fields[now.ints[FIELD], JOINS] == 0:
         return HARD
     rest = a.guards[guard, REST]
     if rest == UNKNOWN:

@@ -109,16 +109,13 @@ def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) ->
                 high = max(high, now.seen[a.uses[k]])
             high = min(high, max(size, sizes_of(a, room, guard, t, now.seen)[0]))
         order, sign = start(c, room.c, n, c[0], c[1], t, size, rate, bend, high, fast, least)
-        if kind == CONTACT and order == 1 and a.guards[guard, BENDS] == 0:
-            series = used and own == now.ints[SERIES] and now.ints[IMPACT_COUNT] > 1
-            series = series and now.ints[LASTED] == 1
-            _, seen, _ = sizes_of(a, room, guard, t, now.seen)
-            seen = max(rate, seen) if seen < math.inf else rate
-            if at_rest(c[0], c[1], 2.0 * c[2], size, seen, bend, series):
-                return order, RESTS
+        if loads and sign == 0:  # bodies that fall together bear nothing, for good
+            return 0, ARMED
+        series = used and own == now.ints[SERIES] and now.ints[IMPACT_COUNT] > 1
+        if settles(a, now, room, guard, c, order, sign, size, rate, bend, series):
+            return order, RESTS
         low = kind == CONTACT and order == 1 and drowns(c[1], 2.0 * c[2], reach)
-        slow = least == 0 and not abs(c[1]) > GUARD_ROUNDING * EPS * fast
-        hard = kind == OTHER or (kind == CONTACT and (slow or a.guards[guard, BENDS] == 1))
+        hard = kind == OTHER or (kind == CONTACT and a.guards[guard, BENDS] == 1)
         if order > RISES or (order > 0 and hard):
             return order, HARD
     what = does(kind, crossing, bounds, order, sign, True, used, spent, loads, other, before)
@@ -129,6 +126,31 @@ def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) ->
     if what == FIRES and not known:
         return order, HARD
     return order, DROWNS if low and what == ARMED else what
+
+
+def settles(
+    a: AutomatonArrays,
+    now: Now,
+    room: Room,
+    guard: int,
+    c: Floats,
+    order: int,
+    sign: int,
+    size: float,
+    rate: float,
+    bend: float,
+    series: bool,
+) -> bool:
+    """Whether a contact whose gap vanishes by a power of the time comes to rest: its gap speed is
+    zero, too, and nothing pulls."""
+    if order == 0 or a.guards[guard, KIND] != CONTACT or a.guards[guard, BENDS] == 1:
+        return False
+    if order > 1:
+        return sign <= 0
+    _, seen, _ = sizes_of(a, room, guard, now.floats[T], now.seen)
+    seen = max(rate, seen) if seen < math.inf else rate
+    series = series and now.ints[LASTED] == 1
+    return at_rest(c[0], c[1], 2.0 * c[2], size, seen, bend, series)
 
 
 def at_rest(

@@ -158,7 +158,7 @@ class Driver:
 
     def _lean(self, jumped: Jumped) -> bool:
         """Whether the loop may look at the start of the present mode's arc, and knows enough."""
-        more = jumped.limit or jumped.passing is not None or self.wary
+        more = jumped.limit - self.scene.contacts or jumped.passing is not None or self.wary
         bears = jumped.starting and jumped.held
         if self.loop is None or more or bears or len(jumped.vanishing) > 1:
             return False
@@ -265,10 +265,12 @@ class Driver:
 
     def look_again(self) -> None:
         """Fly the present arc with all the rules, unless a guard fires before any flow; where some
-        are zero at its start, and that is judged now, the loop tries once more."""
-        judged = self.entry.here is not None or self.record.memory is not None
+        are zero at its start, or contacts held, and that is judged now, the loop tries once more.
+        """
+        judged, field = self.entry.here is not None or self.record.memory, self.entry.field
         self.renew()
-        tries = not judged and self.loop is not None and not self.wary and any(self.entry.orders)
+        told = any(self.entry.orders) or self.entry.field is not field
+        tries = not judged and self.loop is not None and not self.wary and told
         if not (self.entry.at_once or tries):
             self.flow_arc()
 
@@ -277,8 +279,10 @@ class Driver:
         entry = self.entry
         if entry.here is not None or not (entry.field.guards or self.record.memory):
             return
-        self._jumped = jumped = attrs.evolve(self.came(), held=entry.field.held)
-        seen = 0.0 * self.seen if jumped.starting else self.seen
+        jumped, seen = self.came(), 0.0 * self.seen
+        if not jumped.starting:  # what is held there is weighed
+            jumped, seen = attrs.evolve(jumped, held=entry.field.held), self.seen
+        self._jumped = jumped
         self.entry = self._entered(entry.field.mode, entry.x, jumped, seen)
 
     def flow_arc(self) -> None:
