@@ -72,14 +72,18 @@ def test_nothing_falls_through_what_a_step_shows_to_rounding(unit, method):
         assert high > low - 1e-6
 
 
-@pytest.mark.parametrize("count", [1, 2, 7, 40])
+STOPPED = [
+    (RungeKuttaStepper, "step", "DOP853"),
+    (RungeKuttaStepper, "powers", "DOP853"),
+    (SampledStepper, "land", "Radau"),
+]
+
+
 @pytest.mark.parametrize(
-    ("stepper", "name", "method"),
-    [
-        (RungeKuttaStepper, "step", "DOP853"),
-        (RungeKuttaStepper, "powers", "DOP853"),
-        (SampledStepper, "land", "Radau"),
-    ],
+    ("stepper", "name", "method", "count"),
+    [(*where, count) for where in STOPPED for count in (1, 2, 7)]
+    + [(*where, 40) for where in STOPPED[:2]]
+    + later((*STOPPED[2], 40)),  # impacts, in steps of Radau's
 )
 def test_the_keyboard_stops_between_steps(stepper, name, method, count, monkeypatch):
     """What was flown until then is kept, to a state of the run."""

@@ -10,6 +10,8 @@ import pytest
 
 import hybrid as hy
 
+from .contract.ways import spread
+
 G = 9.81
 
 #: Widths, the work done over twice the mass, and where the layer and the floor are.
@@ -154,11 +156,10 @@ def holds(model, exact, solver="taylor", **options):
     assert abs(mp.mpf(point.t) - exact) <= point.t_error
 
 
-@pytest.mark.parametrize("w", WIDTHS)
-@pytest.mark.parametrize("share", SHARES)
-@pytest.mark.parametrize(("c", "floor"), NEAR)
-def test_the_bound_covers_the_rounding_of_the_edges(c, floor, share, w):
+@pytest.mark.parametrize(("w", "share", "place"), spread(WIDTHS, SHARES, NEAR))
+def test_the_bound_covers_the_rounding_of_the_edges(place, share, w):
     """Each edge is a place of its own on the floats, the same in all runs."""
+    c, floor = place
     model = Layer(w=w, force=share / w, c=c, floor=floor)
     holds(model, layer_ends(model))
 
@@ -180,11 +181,10 @@ def test_the_bound_covers_the_rounding_of_edges_that_move(rate, share, w):
     holds(model, layer_ends(model))
 
 
-@pytest.mark.parametrize("w", WIDTHS[1::2])
-@pytest.mark.parametrize("share", SHARES[::2])
-@pytest.mark.parametrize(("c", "floor"), [*NEAR, FAR])
-def test_the_bound_covers_the_rounding_of_a_smooth_pulse(c, floor, share, w):
+@pytest.mark.parametrize(("w", "share", "place"), spread(WIDTHS[1::2], SHARES[::2], [*NEAR, FAR]))
+def test_the_bound_covers_the_rounding_of_a_smooth_pulse(place, share, w):
     """It does not end at any place, but is as narrow."""
+    c, floor = place
     model = Bell(w=w, force=share / w, c=c, floor=floor)
     holds(model, bell_ends(model))
 

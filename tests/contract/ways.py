@@ -23,6 +23,7 @@ import abc
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, cached_property, partial
+from itertools import product
 from typing import Any
 
 import attrs
@@ -371,6 +372,18 @@ def later(*cases: Any) -> list[Any]:
         pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.every_way)
         for case in cases
     ]
+
+
+def spread(*scans: Sequence[Any]) -> list[Any]:
+    """Every combination of points of scans: one in three now, the others left to ``every_way``.
+
+    Each point of a scan is met now, beside a third of those of another that has three or more.
+    """
+    chosen = []
+    for places in product(*(range(len(scan)) for scan in scans)):
+        point = tuple(scan[i] for scan, i in zip(scans, places, strict=True))
+        chosen += later(point) if sum(places) % 3 else [point]
+    return chosen
 
 
 #: Those of them that reach rounding.
