@@ -269,7 +269,7 @@ class _Piece:
         self.ends[seen] = max(largest, abs(new)) if np.isfinite(new) else largest
         if old == 0.0:
             return 0
-        if np.isfinite(new) and new * old > 0:
+        if np.isfinite(new) and np.sign(new) == np.sign(old):
             width = cut.after - cut.before
             least = abs(new) - abs(new - self.at(cut.after + width))
             if cut.before > 0:  # else the step begins beyond it

@@ -12,7 +12,7 @@ from .arrays import AutomatonArrays, Floats, Left, Now, Room
 from .contacts import asks, onto, still_held, twin, values
 from .guards import largest, row_of
 from .hops import drowns
-from .jets import OUTPUT, jets
+from .jets import OUTPUT, afresh
 from .places import (
     AT,
     BEGINS,
@@ -239,7 +239,7 @@ def impact(
         return SUM, field
     flow = a.fields[field, FIELD_PROGRAM]
     guard = twin(a, field, own)
-    if jets(a.programs, flow, 2, t, behind, room.still, room.aside, room.work) < 0:
+    if afresh(a.programs, flow, 2, t, behind, room.still, room.aside, room.work) < 0:
         return JUMP, HARD
     force = 2.0 * room.aside[row_of(a, flow, field, guard), 2]
     if not drowns(speed, force, max(largest(now.seen), largest(behind))):
@@ -274,9 +274,9 @@ def unchanged(
     field = now.ints[FIELD]
     program = a.fields[field, FIELD_PROGRAM]
     row = row_of(a, program, field, now.ints[FIRED])
-    jets(a.programs, program, 0, t, before, room.still, room.aside, room.work)
+    afresh(a.programs, program, 0, t, before, room.still, room.aside, room.work)
     here = room.aside[row, 0]
-    jets(a.programs, program, 0, t, behind, room.still, room.aside, room.work)
+    afresh(a.programs, program, 0, t, behind, room.still, room.aside, room.work)
     return here == room.aside[row, 0]
 
 

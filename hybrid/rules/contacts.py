@@ -10,7 +10,7 @@ import math
 
 from .arrays import AutomatonArrays, Floats, Now, Room
 from .guards import row_of, sizes_of
-from .jets import OUTPUT, jets
+from .jets import OUTPUT, afresh
 from .places import (
     BASE,
     FIELD,
@@ -47,7 +47,7 @@ def values(
     a: AutomatonArrays, program: int, t: float, x: Floats, room: Room, written: Floats
 ) -> bool:
     """The state that a program gives; whether it is finite."""
-    if jets(a.programs, program, 0, t, x, room.still, room.aside, room.work) < 0:
+    if afresh(a.programs, program, 0, t, x, room.still, room.aside, room.work) < 0:
         return False
     first = a.programs.index[program, OUTPUT]
     fit = True
@@ -113,7 +113,7 @@ def closed(a: AutomatonArrays, now: Now, room: Room, guard: int, t: float, x: Fl
     far, faster, _ = sizes_of(a, room, guard, t, now.seen)
     high = max(high, far) if far < math.inf else high
     fast = max(fast, faster) if faster < math.inf else fast
-    if jets(a.programs, program, 1, t, x, room.still, room.aside, room.work) < 0:
+    if afresh(a.programs, program, 1, t, x, room.still, room.aside, room.work) < 0:
         return False
     row = row_of(a, program, field, guard)
     return abs(room.aside[row, 0]) <= CLOSED * high and abs(room.aside[row, 1]) <= CLOSED * fast

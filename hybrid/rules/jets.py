@@ -10,7 +10,7 @@ import math
 from .arrays import Floats, Ints, Matrix, Programs, Table
 from .operations import integrate, operate
 
-__all__ = ("jets", "steady", "values")
+__all__ = ("afresh", "jets", "steady", "values")
 
 #: A product and a sum are never one operation: a program's own machine code gives the same bits.
 EXACT = True
@@ -70,6 +70,23 @@ def jets(
     return 0
 
 
+def afresh(
+    p: Programs,
+    program: int,
+    order: int,
+    t: float,
+    x: Floats,
+    sides: Ints,
+    c: Matrix,
+    work: Floats,
+) -> int:
+    """As :func:`jets`, where nothing is known of any kink: ``sides`` is what another program, or
+    another state, has left."""
+    for i in range(sides.shape[0]):
+        sides[i] = 0
+    return jets(p, program, order, t, x, sides, c, work)
+
+
 def values(
     p: Programs,
     program: int,
@@ -87,9 +104,7 @@ def values(
     status : int
         As that of :func:`jets`.
     """
-    for i in range(sides.shape[0]):
-        sides[i] = 0
-    status = jets(p, program, 0, t, x, sides, c, work)
+    status = afresh(p, program, 0, t, x, sides, c, work)
     first = p.index[program, OUTPUT]
     for i in range(p.index[program, OUTPUT + 1] - first):
         out[i] = c[p.output[first + i], 0]

@@ -25,7 +25,7 @@ import math
 from .arrays import Changes, Floats, Ints, Matrix, Programs, Slopes, Sums
 from .chebyshev import differences, from_values, nodes
 from .flights import fly
-from .jets import KINKS, jets, values
+from .jets import KINKS, afresh, values
 from .kinks import KINK_ROW, count
 from .lengths import LAST_TERMS
 from .linear import solve
@@ -333,9 +333,7 @@ def bent(
     if not jumps:
         return True
     now, x, columns = t + sums.starts[piece], room.lines[STATE_AT_START, :n], room.flight.shape[1]
-    for i in range(sums.sides.shape[0]):
-        sums.sides[i] = 0
-    jets(p, flow, 0, now, x, sums.sides, sums.aside, sums.work)
+    afresh(p, flow, 0, now, x, sums.sides, sums.aside, sums.work)
     read(s, own[KINKED], now, x, room)
     found = False
     for k in range(crossed):

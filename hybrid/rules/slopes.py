@@ -7,7 +7,7 @@ are not written down: a column for each of them is that of the unit matrix.
 from __future__ import annotations
 
 from .arrays import Changes, Floats, Matrix, Slopes
-from .jets import jets, values
+from .jets import afresh, values
 from .linear import solve
 
 __all__ = ("onto_contacts", "rates", "reset")
@@ -26,9 +26,7 @@ def product(row: Floats, change: Matrix, size: int, columns: int, first: int, k:
 
 def rates(s: Slopes, program: int, t: float, x: Floats, room: Changes, out: Floats) -> None:
     """The flow at a state."""
-    for i in range(room.sides.shape[0]):
-        room.sides[i] = 0
-    jets(s.programs, program, 1, t, x, room.sides, room.c, room.work)
+    afresh(s.programs, program, 1, t, x, room.sides, room.c, room.work)
     for j in range(x.shape[0]):
         out[j] = room.c[j, 1]
 

@@ -26,7 +26,7 @@ import math
 from .arrays import Floats, Ints, Matrix, Programs, Sums
 from .chebyshev import differences, evaluate, value
 from .flights import NO_LENGTH, fly
-from .jets import KINKS, jets, values
+from .jets import KINKS, afresh, values
 from .kinks import NO_SERIES
 from .lengths import LAST_TERMS
 from .linear import solve, unfitted
@@ -480,9 +480,7 @@ def end_of_flight(
     n, lines = x.shape[0], room.lines
     state, degree = lines[place, :n], curve.shape[0] - 1
     when, lines[place, n] = on_curve(p, at, curve, degree, t, x, v, w, share, room, state)
-    for i in range(room.sides.shape[0]):
-        room.sides[i] = 0
-    jets(p, flow, 1, when, state, room.sides, room.aside, room.work)
+    afresh(p, flow, 1, when, state, room.sides, room.aside, room.work)
     for j in range(n):
         lines[place + 1, j] = room.aside[j, 1]
     return when

@@ -11,7 +11,7 @@ import math
 from .arrays import AutomatonArrays, Floats, Now, Room
 from .entries import start
 from .guards import row_of, sizes_of
-from .jets import jets
+from .jets import afresh
 from .places import AT, CROSSING, FIELD, FIELD_PROGRAM, FIRED, TO
 
 __all__ = ("follows", "goes")
@@ -53,9 +53,7 @@ def heads(
     sign that it takes; sign 0 where nothing decides."""
     program, order = a.fields[field, FIELD_PROGRAM], room.c.shape[1] - 1
     size, rate, bend = sizes_of(a, room, guard, t, x)
-    for i in range(room.sides.shape[0]):
-        room.sides[i] = 0
-    fit = jets(a.programs, program, order, t, x, room.sides, room.c, room.work) == 0
+    fit = afresh(a.programs, program, order, t, x, room.sides, room.c, room.work) == 0
     if not fit or not size < math.inf:
         return 0, 0
     c = room.c[row_of(a, program, field, guard)]

@@ -7,7 +7,7 @@ import math
 from .arrays import Floats, Ints, Matrix, Programs, Sums
 from .chebyshev import value
 from .flights import REACHED, fly
-from .jets import OUTPUT, jets
+from .jets import OUTPUT, afresh
 from .lengths import LAST_TERMS
 from .sums import SMALLEST_DIVISOR, STATE_THERE, on_curve
 
@@ -80,9 +80,7 @@ def kept(
     room: Sums,
 ) -> bool:
     """Whether the other guards have their signs at a state."""
-    for i in range(room.sides.shape[0]):
-        room.sides[i] = 0
-    if jets(p, flow, 0, t, x, room.sides, room.aside, room.work) < 0:
+    if afresh(p, flow, 0, t, x, room.sides, room.aside, room.work) < 0:
         return False
     for g in range(signs.shape[0]):
         own = room.aside[p.output[p.index[flow, OUTPUT] + g], 0]

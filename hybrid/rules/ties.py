@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from .arrays import AutomatonArrays, Now, Room
 from .guards import GUARD_ROUNDING, TIE, TIED_IN_STEP, row_of, sizes_of
-from .jets import jets
+from .jets import afresh
 from .places import (
     BLUR,
     EVENT,
@@ -83,7 +83,7 @@ def ago(a: AutomatonArrays, now: Now, room: Room, guard: int, t: float) -> float
     below zero if it has not fired yet."""
     field = now.ints[FIELD]
     program, place = a.fields[field, FIELD_PROGRAM], guard - a.fields[field, GUARDS]
-    if jets(a.programs, program, 1, t, now.end, room.still, room.aside, room.work) < 0:
+    if afresh(a.programs, program, 1, t, now.end, room.still, room.aside, room.work) < 0:
         return -1.0
     row, before = row_of(a, program, field, guard), now.signs[place]
     value, rate = room.aside[row, 0], room.aside[row, 1]

@@ -399,3 +399,52 @@ def test_a_guard_that_jumps_onto_zero_fires_also_where_a_step_ends(way, start):
     for result in way.many(Whole(), [[start, 0.0]] * len(until), (0.0, until)):
         assert result.final.n == 1.0
         assert result.final.x == pytest.approx(2.0, abs=1e-9)
+
+
+class Braked(hy.Automaton):
+    """A ball with g = 2 on a floor below which it would be heavier; of a fast impact half is left,
+    of a slow one more."""
+
+    x = hy.state()
+    v = hy.state()
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.v, -2.0 - jnp.where(s.x < 0.0, 1.0, 0.0)
+
+    def law(self, t, s, u):
+        return jnp.where(-u > 1.5, 0.5, 0.9)
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=law)
+
+
+def test_a_reset_has_its_own_formula_where_the_flow_changes_at_the_contact(way):
+    """What the flow is about to do at the contact, where its own kink is zero, is nothing to it."""
+    result = way.run(Braked(), {"x": 1.0, "v": 0.0}, (0.0, 3.8), rtol=1e-9)
+    left = 3.8 - (1.0 + 1.0 + 0.9 + 0.81)
+    assert result.final.x == pytest.approx(0.729 * left - left**2, abs=1e-8)
+    if way.tells("times"):
+        np.testing.assert_allclose(result.times, [1.0, 2.0, 2.9, 3.71], rtol=1e-8)
+
+
+class Faint(hy.Automaton):
+    """A guard with a corner away from zero, in a unit in which it is next to nothing."""
+
+    x = hy.state()
+    n = hy.state()
+    k = hy.parameter(1.0)
+
+    @hy.mode(initial=True)
+    def on(self, t, s):
+        return 1.0, 0.0
+
+    @hy.edge(on, to=on, guard=lambda self, t, s: self.k * (1.0 - jnp.abs(s.x)))
+    def back(self, t, s):
+        return s.replace(x=-0.5, n=s.n + 1)
+
+
+@pytest.mark.parametrize("k", [1.0, 1e-200])
+def test_a_corner_is_no_zero_in_any_unit(way, k):
+    """At |x| = 1 alone, not where x passes zero."""
+    result = way.run(Faint(k=k), {"x": -0.5, "n": 0.0}, (0.0, 4.0), rtol=1e-9)
+    assert (result.final.n, result.final.x) == (2.0, pytest.approx(0.5, abs=1e-8))
