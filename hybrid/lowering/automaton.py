@@ -14,6 +14,7 @@ from ..rules import library
 from ..rules.arrays import AutomatonArrays, Room
 from ..rules.places import (
     AT,
+    CHANGES,
     CONSTRAINED,
     CONTACT,
     DEPENDS,
@@ -60,6 +61,9 @@ NUMBERED = {
     Kind.SWITCH: SWITCH,
     Kind.LEAVE: LEAVE,
 }
+
+#: Kinds of guards that may change their formula in the loop.
+MAY_BEND = (Kind.EDGE, Kind.CONTACT, Kind.SWITCH, Kind.LEAVE)
 
 #: Directions in which a guard fires.
 DIRECTIONS = {Crossing.FALLING: -1, Crossing.RISING: 1, Crossing.EITHER: 0}
@@ -232,7 +236,8 @@ class Tables:
         self.guards += guards
         self.modes += [field.name] * len(guards)
         self.widest = max(self.widest, len(guards))
-        known = [program, first, first + len(guards), int(plain), int(field.project is not None)]
+        how = CHANGES if plain and self.others and field.changes else int(plain)
+        known = [program, first, first + len(guards), how, int(field.project is not None)]
         joins = int(not self.scene.spec.lags)
         self._fields.append([*known, watch, surface, joins, base, *onto])
         for row, lead in zip(self._rows, self._leads, strict=True):
@@ -241,11 +246,11 @@ class Tables:
 
     def _may(self, guard: Guard) -> bool:
         """Whether the loop may look at a guard: at one that changes its formula where it may not
-        end, with steps that end there."""
+        end."""
         if not guard.kinks:
             return True
-        known = guard.kind in (Kind.EDGE, Kind.CONTACT) and not self.scene.spec.lags
-        return known and not self.others and all(kink.change != "ends" for kink in guard.kinks)
+        known = guard.kind in MAY_BEND and not self.scene.spec.lags
+        return known and all(kink.change != "ends" for kink in guard.kinks)
 
     def _lead(self, field: Field, guard: Guard) -> str:
         """The name of the field that a guard leads to; of a jump within the mode that in which all
@@ -311,10 +316,10 @@ class Tables:
     def _watch(self, field: Field) -> int:
         """The number of a program of a field's guards alone.
 
-        -1 where another solver's steps are judged one by one: where the flow changes its formula,
-        where nothing is watched, and where there is no such program.
+        -1 where another solver's steps are made without the loop, as nothing is watched, and where
+        there is no such program.
         """
-        if field.kinks or not field.guards:
+        if not field.guards:
             return -1
         graph, edges = self.scene.code.mode(field.mode), [guard.edge for guard in field.guards]
         return self._of_values(field, ("guards", *edges), lambda: list(map(graph.guard, edges)))

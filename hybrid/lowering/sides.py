@@ -28,7 +28,7 @@ LOW_AT_ZERO = {"gt", "le"}
 
 #: What becomes of a value where an operation changes its formula: it may jump, or bends only, or
 #: has no value beyond.
-CHANGES = {
+CHANGE_OF = {
     **dict.fromkeys(("gt", "ge", "lt", "le", "sign", "floor", "ceil", "trunc"), "jumps"),
     **dict.fromkeys(("round", "away", "rem"), "jumps"),
     **dict.fromkeys(("abs", "max", "min"), "bends"),
@@ -133,15 +133,17 @@ def _ratios(values: Callable[..., tuple[float, ...]], size: int) -> tuple[float,
 
 def deciding(graph: Graph, roots: Sequence[int]) -> dict[int, str]:
     """Functions at whose zeros nodes change their formula, arguments first, and how each does
-    there (:data:`CHANGES`)."""
+    there (:data:`CHANGE_OF`)."""
     found: dict[int, str] = {}
     for number in needed(graph, roots):
         op, *arguments = graph.nodes[number]
-        if op in CHANGES:
+        if op in CHANGE_OF:
             decider = decider_of(graph, op, arguments)
-            ends = CHANGES[op] == "ends" and not _never_negative(graph, decider)
-            if states_in(graph, decider) and (ends or CHANGES[op] != "ends"):
-                found[decider] = min(found.get(decider, "jumps"), CHANGES[op], key=_SEVERITY.index)
+            ends = CHANGE_OF[op] == "ends" and not _never_negative(graph, decider)
+            if states_in(graph, decider) and (ends or CHANGE_OF[op] != "ends"):
+                found[decider] = min(
+                    found.get(decider, "jumps"), CHANGE_OF[op], key=_SEVERITY.index
+                )
     return found
 
 

@@ -18,7 +18,7 @@ from .arrays import AutomatonArrays, Floats, Left, Matrix, Now, Room
 from .checks import along
 from .entries import starts
 from .guards import SMALL_SHIFT, TIE, event_along, first_event, foreseen, goes_on, resolved, row_of
-from .jets import jets
+from .jets import afresh, jets
 from .kinks import turn
 from .lengths import falls
 from .places import (
@@ -249,11 +249,18 @@ def passes(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) ->
         kept(now, room, left, tau, next_tau - tau)
         program = a.fields[now.ints[FIELD], FIELD_PROGRAM]
         turn(a.programs, program, now.ints[CROSSED], room.c, room.sides)
-        if now.ints[CROSSED] >= 0 and not goes_on(a, now, room, now.floats[T] + next_tau):
+        if now.ints[CROSSED] >= 0 and not beyond_kink(a, now, room, now.floats[T] + next_tau):
             return LOOK
     now.floats[TAU], now.ints[PHASE] = next_tau, WALKS
     now.ints[MADE] += 1
     return GOES_ON
+
+
+def beyond_kink(a: AutomatonArrays, now: Now, room: Room, t: float) -> bool:
+    """Whether a step that ends at a kink has left guards on their side of zero."""
+    program = a.fields[now.ints[FIELD], FIELD_PROGRAM]
+    fit = jets(a.programs, program, 0, t, now.end, room.sides, room.c, room.work) == 0
+    return fit and goes_on(a, now, room, program, t, now.end)
 
 
 def lands(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
@@ -271,7 +278,7 @@ def lands(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
     most = min(length, now.floats[STEP_END] + SMALL_SHIFT * (now.floats[STEP_END] - tau))
     if not least < at <= most or now.ints[LANDINGS_TRIED] == LANDINGS:
         return LOOK
-    if jets(a.programs, program, 1, t, now.end, room.still, room.aside, room.work) < 0:
+    if afresh(a.programs, program, 1, t, now.end, room.still, room.aside, room.work) < 0:
         return LOOK
     rate = room.aside[row, 1]
     if rate == 0.0:
@@ -322,7 +329,7 @@ def aimed(a: AutomatonArrays, now: Now, room: Room) -> float:
     program, order = a.fields[now.ints[FIELD], FIELD_PROGRAM], room.c.shape[1] - 1
     tau = now.floats[TAU]
     t = now.floats[T] + tau
-    if jets(a.programs, program, order, t, now.end, room.sides, room.c, room.work) < 0:
+    if afresh(a.programs, program, order, t, now.end, room.sides, room.c, room.work) < 0:
         return -1.0
     return tau + aim(a, now, room, False)
 

@@ -16,7 +16,7 @@ from .lengths import behind
 from .polynomials import power_size, power_value, two_values
 from .zeros import EPS
 
-__all__ = ("arrives", "bends", "follows")
+__all__ = ("arrives", "bends", "decided", "follows")
 
 #: Where, besides its end, the series of a step is held against the flow (at a kink just before
 #: that), and how far it may be off, as a multiple of rounding.
@@ -103,6 +103,31 @@ def _held(
     look(p, program, 0, beside(t + s, point), point, False, sides, aside, work)
     along(c, s, point)
     return _agrees(p, program, s, h, scale, fastest, rates, c, aside)
+
+
+def decided(
+    p: Programs,
+    program: int,
+    t: float,
+    h: float,
+    kink: bool,
+    sides: Ints,
+    c: Matrix,
+    aside: Matrix,
+    work: Floats,
+    point: Floats,
+) -> bool:
+    """Whether the series of what is watched have their values along a polynomial of the state, but
+    for rounding. Arguments as :func:`follows` takes them; ``point`` gets a state."""
+    for share in (HELD_INSIDE, HELD_BEFORE if kink else 1.0):
+        s = share * h
+        along(c, s, point)
+        look(p, program, 0, t + s, point, False, sides, aside, work)
+        _set_apart(p, program, aside)
+        look(p, program, 0, beside(t + s, point), point, False, sides, aside, work)
+        if not _decides(p, program, s, c, aside):
+            return False
+    return True
 
 
 def bends(

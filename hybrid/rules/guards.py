@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 
 from .arrays import AutomatonArrays, Floats, Now, Room
-from .checks import HELD_BEFORE, HELD_INSIDE, MISSED, ROUNDING_BESIDE, along, second
-from .jets import KINKS, OUTPUT, jets
-from .lengths import CONVERGED, LAST_TERMS, behind, own_length
+from .checks import HELD_BEFORE, HELD_INSIDE, MISSED, ROUNDING_BESIDE, along, decided, second
+from .jets import OUTPUT, afresh
+from .kinks import count, expanded, first_change, holding, turn
+from .lengths import CONVERGED, LAST_TERMS, SHORTEST_CUT, behind, own_length
 from .places import (
     ABSOLUTE,
     AFFINE,
@@ -118,17 +119,16 @@ def zero_of(
     if (order == 0 or left == 0.0) and outweighs(c, order, degree, h, near):
         now.signs[place] = 1 if c[order] > 0.0 else -1
         return math.inf
-    program = a.fields[field, FIELD_PROGRAM]
-    kinked = a.programs.index[program, KINKS] < a.programs.index[program, KINKS + 1]
+    kinked = count(a.programs, series_of(a, now)) > 0
     if not kinked and (crossing == 0 or c[order] * crossing < 0.0):
         s = soon(c, order, degree, h)
         if s < math.inf:
             return fires(a, run, now, room, c, guard, order, s, c[order], tolerance)
-    count = series(c, degree, h, order, near, room.rows, room.found)
-    if count < 0:
+    listed = series(c, degree, h, order, near, room.rows, room.found)
+    if listed < 0:
         return 0.0
     side = c[order]
-    for k in range(count):
+    for k in range(listed):
         s, direction = room.found[k, 0], room.found[k, 1]
         if direction == 0.0:
             value, _ = power_value(c, 0, degree, s)
@@ -268,7 +268,7 @@ def follows(
     value, _ = power_value(c, 0, c.shape[0] - 1, s)
     size, _, _ = sizes_of(a, room, guard, t + s, room.there)
     size += power_size(c, 0, c.shape[0] - 1, s)
-    if jets(a.programs, program, 0, t + s, room.there, room.still, room.aside, room.work) < 0:
+    if afresh(a.programs, program, 0, t + s, room.there, room.still, room.aside, room.work) < 0:
         return False
     exact = room.aside[row_of(a, program, field, guard), 0]
     return abs(exact - value) <= max(MISSED * EPS * size, ROUNDING_BESIDE * behind(c, s))
@@ -281,7 +281,8 @@ def foreseen(
     ``room.c`` has; at 0 where these do not show that no guard fires, or one at the step's end, and
     below 0 where a guard does not begin with the sign with which it ended the last step.
 
-    They do where they have converged there, to what a step may lose, and lead to its state.
+    They do where they have converged there, to what a step may lose, lead to its state, and nothing
+    changes its formula.
     """
     order, t = room.c.shape[1] - 1, now.floats[T] + now.floats[TAU]
     for i in range(now.x.shape[0]):
@@ -290,7 +291,8 @@ def foreseen(
         if not max(behind(room.c[i], h), abs(value - now.end[i]) / AGREES) <= allowed:
             return -1, 0.0
     reach = reached(run, now, h)
-    if resolved(a, run, now, room, t, reach, False) != reach:
+    same, _ = formula(a, room, series_of(a, now), t, reach)
+    if same != reach or resolved(a, run, now, room, t, reach, False) != reach:
         return -1, 0.0
     if not (starting or continues(a, now, room)):
         return -1, -1.0
@@ -330,14 +332,21 @@ def event_along(
     """As :func:`first_event`, in a step of another solver, of which ``room.c`` has the polynomial.
 
     The guards' series along it need not converge at its end: they are expanded anew as often as
-    they must be.
+    they must be, and where a guard changes its formula.
     """
     field, n, reach = now.ints[FIELD], now.x.shape[0], reached(run, now, h)
-    t, done = now.floats[T] + now.floats[TAU], 0.0
+    t, done, crossed, program = now.floats[T] + now.floats[TAU], 0.0, -1, a.fields[field, WATCH]
+    for i in range(room.sides.shape[0]):
+        room.sides[i] = 0
     for part in range(EXPANDED_PARTS):
-        if not expanded(a, field, t + done, n, room):
+        for i in range(n):
+            room.there[i] = room.c[i, 0]
+        if expanded(a.programs, program, t + done, room.there, room.sides, room.c, room.work) < 0:
             return -1, 0.0
-        shown = resolved(a, run, now, room, t + done, reach - done, False)
+        if crossed >= 0 and not goes_on(a, now, room, program, t + done, room.there):
+            return -1, 0.0
+        same, crossed = formula(a, room, program, t + done, reach - done)
+        shown = resolved(a, run, now, room, t + done, same, crossed >= 0)
         if not shown > 0.0:
             return -1, 0.0
         guard, s = first_event(a, run, now, room, shown, starting and part == 0)
@@ -345,25 +354,36 @@ def event_along(
             return guard, s if s == 0.0 else done + s
         if done + shown >= reach:
             return -1, math.inf if keeps(a, now, room, t + h) else 0.0
+        crossed = crossed if shown == same else -1
+        turn(a.programs, program, crossed, room.c, room.sides)
         for i in range(n):
             shift(room.c[i], shown)
         done += shown
     return -1, 0.0
 
 
-def expanded(a: AutomatonArrays, field: int, t: float, n: int, room: Room) -> bool:
-    """The guards' series, from those of the states."""
-    for i in range(n):
-        room.there[i] = room.c[i, 0]
-    program, order = a.fields[field, WATCH], room.c.shape[1] - 1
-    return jets(a.programs, program, order, t, room.there, room.still, room.c, room.work) == 0
+def formula(a: AutomatonArrays, room: Room, program: int, t: float, h: float) -> tuple[float, int]:
+    """How far series keep the formula with which they begin, and the kink that ends that, as
+    :func:`.kinks.first_change` says; at 0 where what is watched does not follow its series."""
+    p, shortest, crossed = a.programs, SHORTEST_CUT * h, -1
+    if count(p, program) == 0:
+        return h, -1
+    h = min(h, holding(p, program, room.c))
+    while h > shortest:
+        h, crossed = first_change(p, program, t, h, room.sides, room.c, room.rows, room.found)
+        if decided(
+            p, program, t, h, crossed >= 0, room.sides, room.c, room.aside, room.work, room.there
+        ):
+            return h, crossed
+        h *= 0.5
+    return 0.0, -1
 
 
 def keeps(a: AutomatonArrays, now: Now, room: Room, t: float) -> bool:
     """Whether the guards have at the end of a step the signs that its polynomial gives them."""
     field = now.ints[FIELD]
     program, first = a.fields[field, FIELD_PROGRAM], a.fields[field, GUARDS]
-    if jets(a.programs, program, 0, t, now.end, room.still, room.aside, room.work) < 0:
+    if afresh(a.programs, program, 0, t, now.end, room.still, room.aside, room.work) < 0:
         return False
     for g in range(first, a.fields[field, GUARDS_END]):
         value = room.aside[row_of(a, program, field, g), 0]
@@ -372,19 +392,16 @@ def keeps(a: AutomatonArrays, now: Now, room: Room, t: float) -> bool:
     return True
 
 
-def goes_on(a: AutomatonArrays, now: Now, room: Room, t: float) -> bool:
-    """Whether guards that may change their formula are, beyond a kink, on the side of zero on which
-    they were, by more than rounding (1)."""
+def goes_on(a: AutomatonArrays, now: Now, room: Room, program: int, t: float, x: Floats) -> bool:
+    """Whether guards that may change their formula are, beyond a kink, where ``room.c`` has their
+    values, on the side of zero on which they were, by more than rounding (1)."""
     field = now.ints[FIELD]
-    program, first = a.fields[field, FIELD_PROGRAM], a.fields[field, GUARDS]
+    first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
         if a.guards[g, BENDS] == 1:
-            if jets(a.programs, program, 0, t, now.end, room.sides, room.aside, room.work) < 0:
-                return False
-            value = room.aside[row_of(a, program, field, g), 0]
-            least = 0.0
-            if not abs(value) > NEAR * largest(now.end):
-                size, _, _ = sizes_of(a, room, g, t, now.end)
+            value, least = room.c[row_of(a, program, field, g), 0], 0.0
+            if not abs(value) > NEAR * largest(x):
+                size, _, _ = sizes_of(a, room, g, t, x)
                 least = GUARD_ROUNDING * EPS * size
             if not value * now.signs[g - first] > least:
                 return False
@@ -407,7 +424,7 @@ def sizes_of(
 ) -> tuple[float, float, float]:
     """The sums of the terms of which a guard and its first two derivatives are made."""
     program = a.guards[guard, SIZES]
-    if program < 0 or jets(a.programs, program, 0, t, x, room.still, room.aside, room.work) < 0:
+    if program < 0 or afresh(a.programs, program, 0, t, x, room.still, room.aside, room.work) < 0:
         return math.inf, math.inf, math.inf
     rows, first = a.programs.output, a.programs.index[program, OUTPUT]
     size, rate = room.aside[rows[first], 0], room.aside[rows[first + 1], 0]

@@ -28,6 +28,9 @@ LAST_TERMS = 1e-16
 #: follows is then no more than they are.
 CONVERGED = 1e-3
 
+#: A step that is cut to less than this share of what its last terms allow cannot be made.
+SHORTEST_CUT = 1e-12
+
 #: An element of the state is measured by its first terms, so many.
 FIRST_TERMS = 3
 

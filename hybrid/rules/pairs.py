@@ -11,10 +11,11 @@ import math
 
 from .arcs import SAFETY, copied
 from .arrays import AutomatonArrays, Floats, Left, Now, Pair, Room
-from .jets import FLOW, jets
+from .jets import FLOW, afresh
 from .operations import integrate
 from .places import (
     AIM,
+    CHANGES,
     EXPANSIONS,
     FIELD,
     FIELD_PROGRAM,
@@ -24,6 +25,7 @@ from .places import (
     LAST_TIME,
     LOW,
     MADE,
+    PLAIN,
     SHOW,
     STEP,
     STEP_END,
@@ -86,6 +88,8 @@ def answers(
     if status != STEP or now.ints[STEPS_MADE] + made >= left.owner.shape[0]:
         return False
     length = (run[LAST_TIME] - now.floats[T]) - now.floats[LOW]
+    if a.fields[now.ints[FIELD], PLAIN] == CHANGES:
+        return False
     if made == 0:
         pair.going[NEXT_LENGTH] = min(
             min(now.floats[FIRST_LENGTH], SAFETY * length), now.floats[AIM]
@@ -250,7 +254,7 @@ def stages(
 def rates(a: AutomatonArrays, now: Now, room: Room, t: float, x: Floats, written: Floats) -> None:
     """The flow of the present field; what else its program gives need not exist there."""
     program = a.fields[now.ints[FIELD], FIELD_PROGRAM]
-    jets(a.programs, program, 0, t, x, room.still, room.aside, room.work)
+    afresh(a.programs, program, 0, t, x, room.still, room.aside, room.work)
     first = a.programs.index[program, FLOW]
     for i in range(x.shape[0]):
         integrate(i, a.programs.flow[first + i], a.programs.numbers, room.aside, 0)

@@ -13,7 +13,7 @@ from .arrays import Floats, Ints, Matrix, Programs
 from .checks import arrives, follows
 from .jets import KINKS
 from .kinks import KINK_ROW, NOT_FINITE, count, crossed_to, expanded, first_change, holding, states
-from .lengths import tolerated_length
+from .lengths import SHORTEST_CUT, tolerated_length
 from .zeros import EPS
 
 __all__ = ("step",)
@@ -23,9 +23,6 @@ NO_STEP = -3
 
 #: On so short a way to a kink, against the time, rounding decides on which side of it the flow is.
 SIDE_BLUR = 32.0 * EPS
-
-#: A step that is cut to less than this share of what its last terms allow cannot be made.
-SHORTEST_CUT = 1e-12
 
 #: No step is shorter: numbers next to the smallest have too few digits.
 SHORTEST_STEP = 1e-300

@@ -1,0 +1,93 @@
+"""Flows and guards that change their formula, with other solvers' steps in the loop and without."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+from hybrid.run.driver import Driver
+from hybrid.solvers.scipy_backend import SciPySolver
+
+
+class Bent(hy.Automaton):
+    """An oscillator whose force bends, jumps in time, has poles beside the path and is flat far
+    off, between walls and marks whose guards change their formula; ``q`` at 10 has none jump."""
+
+    x = hy.state()
+    v = hy.state()
+    n = hy.state()
+    a = hy.parameter(1.0)
+    r = hy.parameter(0.9)
+    w = hy.parameter(1.3)
+    d = hy.parameter(0.2)
+    q = hy.parameter(10.0)
+
+    @hy.mode(initial=True)
+    def swings(self, t, s):
+        bent = -0.3 * jnp.abs(s.x - self.d) - jnp.where(s.x < -0.5, 4.0 * (s.x + 0.5), 0.0)
+        pushed = jnp.where(jnp.sin(self.w * t) > 0.3, 0.4, -0.2) + 1.5 * jnp.maximum(
+            jnp.cos(t), 0.1
+        )
+        rubs = -0.05 * jnp.tanh(3.0 * s.v) + 0.1 / (1.0 + s.x * s.x)
+        return s.v, -s.x + bent + pushed + rubs, 0.0
+
+    @hy.edge(swings, to=swings, guard=lambda self, t, s: self.a - jnp.abs(s.x))
+    def wall(self, t, s):
+        return s.replace(v=-self.r * s.v)
+
+    @hy.edge(
+        swings,
+        to=swings,
+        guard=lambda self, t, s: jnp.minimum(s.x - self.d, s.v + 0.1),
+        crossing=hy.EITHER,
+    )
+    def low(self, t, s):
+        return s.replace(n=s.n + 1.0)
+
+    @hy.edge(
+        swings,
+        to=swings,
+        guard=lambda self, t, s: jnp.where(s.v > self.q, s.x - 0.2, 0.5 * s.x + 0.3),
+        crossing=hy.RISING,
+    )
+    def switches(self, t, s):
+        return s.replace(n=s.n + 100.0)
+
+
+def bent(seed, jumps):
+    """Numbers by chance."""
+    rng = np.random.default_rng(seed)
+    ranges = {"a": (0.3, 0.9), "r": (0.7, 1.0), "w": (0.7, 2.5), "d": (-0.3, 0.3), "q": (-0.5, 0.9)}
+    drawn = {name: rng.uniform(*ends) for name, ends in ranges.items()}
+    drawn["q"] = drawn["q"] if jumps else 10.0
+    return Bent(**drawn), {"x": 0.0, "v": rng.uniform(-1.0, 1.5), "n": 0.0}, (0.0, 12.0)
+
+
+def same(run, other):
+    """The same jumps, where two solutions to 1e-10, of a motion that may grow apart, have them."""
+    assert list(run.jumps.edge) == list(other.jumps.edge)
+    np.testing.assert_allclose(run.jumps.t, other.jumps.t, rtol=0, atol=1e-6)
+    np.testing.assert_allclose([*run.final], [*other.final], rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("jumps", [False, True])
+@pytest.mark.parametrize("seed", range(8))
+def test_kinked_runs_are_those_of_the_rules_one_by_one(seed, jumps, monkeypatch):
+    """With the loop, by the driver alone, and with the loop's own steps, which end at kinks."""
+    scene = bent(seed, jumps)
+    run = hy.simulate(*scene, solver="scipy", rtol=1e-10)
+    assert len(run.jumps) >= 7
+    same(run, hy.simulate(*scene, solver="taylor"))
+    monkeypatch.setattr(SciPySolver, "asked", False)
+    same(run, hy.simulate(*scene, solver="scipy", rtol=1e-10))
+
+
+def test_kinked_arcs_are_flown_in_the_loop(monkeypatch):
+    """Where no guard jumps the driver flies but those in which one comes next to zero as it bends,
+    or turns back there."""
+    flown, arcs, own = [], 0, Driver.flow_arc
+    monkeypatch.setattr(Driver, "flow_arc", lambda self: (flown.append(self), own(self)))
+    for seed in range(5):
+        arcs += len(hy.simulate(*bent(seed, False), solver="scipy", rtol=1e-10).arcs)
+    assert arcs > 50
+    assert len(flown) < 0.2 * arcs
