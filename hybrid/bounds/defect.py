@@ -24,7 +24,7 @@ from ..lowering.jaxpr import read
 from ..rules.zeros import EPS
 
 if TYPE_CHECKING:
-    from ..lowering.scene import Field
+    from ..lowering import Field
     from ..segment import Segment
     from .series import Bound
 

@@ -42,7 +42,8 @@ from .ranges import Ranges
 from .tape import Jets, Linked, room
 
 if TYPE_CHECKING:
-    from .scene import Contact, Field, Guard, Scene
+    from .field import Contact, Field, Guard
+    from .scene import Scene
 
     Sight = Callable[[Field, Contact], Any]
 

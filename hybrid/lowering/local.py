@@ -21,9 +21,9 @@ from .mode import ModeGraph
 from .python import Program
 
 if TYPE_CHECKING:
+    from .field import Field
     from .foreign import Foreign
     from .lowered import Lowered
-    from .scene import Field
 
 #: Most arguments of a function that is replaced: its curvatures are half as many as their square.
 MOST_ARGUMENTS = 12

@@ -14,7 +14,7 @@ from ..errors import OptionError
 from ..events import fires, zeros
 from ..lowering import Guard, Kind, Scene
 from ..lowering.derivatives import node_shape
-from ..lowering.scene import Scalar
+from ..lowering.field import Scalar
 from ..result import Trajectory
 from ..trajectory.arcs import Arc, Part
 from ..trajectory.clock import Instant
