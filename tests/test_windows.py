@@ -15,7 +15,7 @@ from models.delay_bounce import DelayBounce
 from models.delay_jump import DelayJump
 from models.pyragas import Pyragas
 
-from .delayed import Ball, Lagged, Relay
+from .delayed import Ball, Kicked, Lagged, Relay
 from .systems import without_loop
 from .test_advance import same
 
@@ -57,6 +57,40 @@ class Lean(hy.Automaton):
     ground = hy.contact(flight, gap=lambda self, t, s, past: s.y - past(0.7).z, restitution=0.5)
 
 
+class Drawn(hy.Automaton):
+    """A mass whose spring pulls late, and the later the further out it is; it bounces at 0."""
+
+    y = hy.state()
+    v = hy.state()
+
+    @hy.mode(initial=True)
+    def flow(self, t, s, past):
+        late = past(0.3 * s.y**2 / (1.0 + s.y**2))
+        return s.v, -late.y - 0.1 * late.v
+
+    @hy.edge(flow, to=flow, guard=lambda self, t, s: s.y)
+    def back(self, t, s):
+        return s.replace(v=-0.9 * s.v)
+
+    @hy.edge(flow, to=flow, guard=lambda self, t, s: s.v, crossing=hy.EITHER)
+    def turns(self, t, s):
+        return s.replace(y=s.y + 0.01)
+
+
+class Swaying(hy.Automaton):
+    """``y' = -y(t - 1.6 + 1.5 sin 2t)``, which looks back over its past again and again."""
+
+    y = hy.state()
+
+    @hy.mode(initial=True)
+    def flow(self, t, s, past):
+        return -past(1.6 - 1.5 * jnp.sin(2.0 * t)).y
+
+    @hy.edge(flow, to=flow, guard=lambda self, t, s: t - 1.0, crossing=hy.EITHER)
+    def kick(self, t, s):
+        return s.replace(y=s.y + 1.0)
+
+
 SCENES = {
     "pyragas": (Pyragas(), {"x1": 3.0, "x2": 0.0}, (0.0, 6.0), {}),
     "released": (Pyragas(C=60.0, r=0.2), {"x1": 2.5, "x2": 0.0}, (0.0, 6.0), {}),
@@ -68,6 +102,10 @@ SCENES = {
     "function": (Pyragas(), {"x1": 3.0, "x2": 0.0}, (0.0, 3.0), {"history": {"x1": jnp.cosh}}),
     "relay": (Relay(), {"y": 0.3}, (0.0, 4.0), {}),
     "short": (Lagged(tau=1e-2), {"y": 1.0}, (0.0, 4.0), {}),
+    "drawn": (Drawn(), {"y": 1.0, "v": 0.0}, (0.0, 12.0), {}),
+    "drawn anew": (Drawn(), {"y": 1.0, "v": 0.0}, (0.0, 12.0), {"memory": "restart"}),
+    "swaying": (Swaying(), {"y": 1.0}, (0.0, 6.0), {}),
+    "no lag": (Kicked(tau=0.0), {"y": 1.0}, (0.0, 4.0), {}),
     "hops": (Ball(g=1.0, k=-0.5, tau=1e-2, r=0.6), {"y": 1.0, "v": 0.0}, (0.0, 7.0), {}),
 }
 
@@ -125,7 +163,7 @@ def test_little_room_changes_nothing(scene, monkeypatch):
     alike(run, other, *scene[2])
 
 
-@pytest.mark.parametrize("name", ["released", "room", "hops"])
+@pytest.mark.parametrize("name", ["released", "room", "hops", "drawn", "no lag"])
 def test_machine_code_and_python_agree(name, monkeypatch):
     """As plain Python that refuses indices below zero."""
     run = flown(SCENES[name])
@@ -135,7 +173,7 @@ def test_machine_code_and_python_agree(name, monkeypatch):
     alike(run, flown(SCENES[name]), *SCENES[name][2])
 
 
-@pytest.mark.parametrize("name", ["pyragas", "room", "short"])
+@pytest.mark.parametrize("name", ["pyragas", "room", "short", "swaying", "no lag"])
 def test_a_run_is_one_call(name, monkeypatch):
     """From its start to its end, through all windows, sums, rests and releases."""
     flown(SCENES[name])

@@ -28,26 +28,30 @@ import numpy as np
 
 from ..automaton.past import blank
 from ..errors import FlowError, OptionError
-from ..lowering import Field, Scene, window_edge
+from ..lowering import Field, Scene, window_ends
 from ..lowering.taylor import flat
 from ..rules import unit
 from ..rules.arrays import PastArrays
-from ..rules.guesses import GUESS_REST
-from ..rules.past import BRIEF_FLIGHT
+from ..rules.flown import BRIEF_FLIGHT
+from ..rules.guesses import GUESS_REST, LONGEST
 from ..rules.places import (
     AGAIN,
+    ANEW,
     ASKED,
     ASKED_FROM,
     ASKED_UNTIL,
     ASKED_UP_TO,
     ASKING,
     ASKS_VALUES,
+    BEHIND,
     BREAK_ORDER,
     BREAKS,
     FINAL,
     FLIGHTS_DONE,
+    FORGETS,
     GOES_ON,
     GUESSED,
+    GUESSED_FROM,
     HOLDS,
     IN_ARC,
     MOST,
@@ -60,6 +64,7 @@ from ..rules.places import (
     REST_OF_GUESSES,
     ROUGH,
     RTOL,
+    SAME,
     SERVES_UNTIL,
     SINCE,
     SINCE_LOW,
@@ -143,6 +148,8 @@ class Memory:
         self.floats[[STARTED, MOST]] = plan.t0, np.inf
         self.ints[BREAK_ORDER], self.ints[AGAIN] = order + 1, GOES_ON
         self.ints[REST_OF_GUESSES], self.ints[IN_ARC], self.ints[ASKING] = GUESS_REST, -1, -1
+        behind = ANEW if any(self.moving) else SAME
+        self.ints[BEHIND] = FORGETS if plan.memory == "restart" else behind
         self.pieces, self.breaks = Pieces(self.ints, history, len(x)), Breaks(self.ints, len(x))
         for piece in history:
             if piece.orders is not None:
@@ -158,10 +165,9 @@ class Memory:
         self._past: PastArrays | None = None
         self._made: tuple[Any, ...] = ()
         ints = np.zeros(STATE_INTS, dtype=np.int64)
-        self._before = np.zeros(STATE_FLOATS), ints, np.zeros((2, len(x)))
+        self._before = np.zeros(STATE_FLOATS), ints, np.zeros((3, len(x)))
         self._begun, self._joins = np.zeros(len(x)), False
         self._looks_back, self._reach = False, dict[Any, Any]()
-        self._from = plan.t0, x
 
     @property
     def start(self) -> np.ndarray:
@@ -171,7 +177,7 @@ class Memory:
     @property
     def signs(self) -> np.ndarray:
         """The signs of the guards there."""
-        return self.past().signs  # type: ignore[no-any-return]
+        return self.past().signs[0]  # type: ignore[no-any-return]
 
     @property
     def _size(self) -> int:
@@ -212,6 +218,7 @@ class Memory:
         other._now, other._moves = self._now.copy(), self._moves.copy()
         other._told, other._present = self._told.copy(), self._present.copy()
         other.sights, other._begun = self.sights.copy(), self._begun.copy()
+        other._before = tuple(array.copy() for array in self._before)  # type: ignore[assignment]
         other.bound, other.told, other._past = False, False, None
         return other
 
@@ -315,7 +322,7 @@ class Memory:
     @property
     def known(self) -> float:
         """Until when the windows show what was flown."""
-        return self._from[0] if self.guessing else self.until
+        return float(self.floats[GUESSED_FROM]) if self.guessing else self.until
 
     def look(self, t: float, x: np.ndarray) -> Scene:
         """The scene as it looks back from a time; ``until`` says for how long.
@@ -330,12 +337,11 @@ class Memory:
             Where the caller's history cannot be asked.
         """
         joins, self._joins = self._joins, False
-        self._from = t, x
+        self.floats[GUESSED_FROM] = t
         self._looks(t, x)
         if not (joins and unit("windows").stays(t, self.past())):
-            if not any(self.moving) and not self._looks_back:
-                self.pieces.forget(t - self._now.max())
-                self.breaks.forget(t - self._now.max())
+            if not self._looks_back:
+                self._forget(t)
             self.ints[ASKING] = -1
             self._found(self._read())
         return self.read()
@@ -350,7 +356,7 @@ class Memory:
         """Read windows, or go on doing so; what comes of it."""
         if self.pieces.full:
             self.pieces.grow()
-        return int(unit("windows").read(self._from[0], False, self.past()))
+        return int(unit("windows").read(self.floats[GUESSED_FROM], False, self.past()))
 
     def _found(self, status: int) -> None:
         """See to it that windows are found."""
@@ -358,7 +364,8 @@ class Memory:
         while status == ASKS_VALUES:
             fault = self._tell()
             status = self._read()
-        (t, x), bad, model = self._from, float(self.floats[ASKED_FROM]), self.scene.spec.model
+        t, bad = self.floats[[GUESSED_FROM, ASKED_FROM]].tolist()
+        x, model = self._present, self.scene.spec.model
         if status == RECORD_NOT_FINITE:
             raise fault or FlowError(
                 f"{model}, t = {t!r}: the record at {bad!r} is not finite; give a "
@@ -401,10 +408,15 @@ class Memory:
 
     def make_room(self, t: float) -> None:
         """Room for more pieces and breaking points than what is seen from a time on."""
-        self.pieces.forget(t - self._now.max())
-        self.breaks.forget(t - self._now.max())
+        self._forget(t)
         self.pieces.grow()
         self.breaks.grow()
+
+    def _forget(self, t: float) -> None:
+        """Drop what no lag sees from a time on, if all are constant."""
+        if not any(self.moving):
+            self.pieces.forget(t - self._now.max())
+            self.breaks.forget(t - self._now.max())
 
     @contextmanager
     def as_at(self, t: float, x: np.ndarray) -> Iterator[Then]:
@@ -412,21 +424,22 @@ class Memory:
 
         Unless that is kept all is as before.
         """
-        arrays = self.floats, self.ints, self._frames, self.shown, self._now, self._moves
-        were, others = [array.copy() for array in arrays], vars(self).copy()
-        then = Then(self.scene)
+        were, then = vars(self).copy(), Then(self.scene)
         try:
-            self.told, self._joins, self._looks_back = False, False, True
-            self.pieces.back_to(t)
-            self._frames[:, 2] = np.inf
-            self.ints[BREAKS] = np.searchsorted(self.breaks.times, t + slack_of(t), side="right")
+            vars(self).update(vars(self.fork()))
+            self._joins, self._looks_back = False, True
+            self._frames[:, LONGEST] = np.inf
+            if self.plan.memory == "restart" and t > self.plan.t0:
+                self._restart(t, x)
+            else:
+                self.pieces.back_to(t)
+                times = self.breaks.times
+                self.ints[BREAKS] = np.searchsorted(times, t + slack_of(t), side="right")
             then.scene, self._looks_back = self.look(t, x), False
             yield then
         finally:
             if not then.kept:
-                for array, was in zip(arrays, were, strict=True):
-                    array[:] = was
-                vars(self).update(others)
+                vars(self).update(were)
 
     def past(self, links: Links | None = None) -> PastArrays:
         """The record and the windows as the rules take them; with the links given last."""
@@ -472,7 +485,7 @@ class Memory:
             self.pieces.add(piece_of(segment, now.t, now.low))
         if self.pieces.full:
             self.pieces.grow()
-        status = unit("windows").confirmed(self._from[0], length, self.past())
+        status = unit("windows").confirmed(self.floats[GUESSED_FROM], length, self.past())
         if status == HOLDS:
             self.ints[PIECES_KEPT] = self.ints[PIECES_KNOWN]
             return None
@@ -490,12 +503,12 @@ class Memory:
 
         ``fired`` is the edge of the guard by which a lag that moves came to the end of its own.
         """
-        edges = [window_edge(k, side) for k in range(len(self._lags)) for side in "ab"]
         key = field.mode, field.held
         if key not in self._reach:
             self._reach[key] = reach([field])
         uses, asks = self._reach[key]
         self._looks(t, x)
         past = self.past()._replace(uses=uses, asks=asks)
-        unit("past").ended(t, 0, edges.index(fired) if fired else -1, past)
+        ends = window_ends(self.scene.spec)
+        unit("past").ended(t, 0, ends.index(fired) if fired else -1, past)
         self.until = t

@@ -209,7 +209,7 @@ class Pieces:
 
     def piece(self, place: int) -> Piece:
         """A piece of the record."""
-        if place in self._others:
+        if self.degrees[place] < 0:
             return self._others[place]
         start, end, *frame = self.spans[place].tolist()
         n, degree = self.dimension, self.degrees[place]

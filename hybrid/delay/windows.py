@@ -47,7 +47,7 @@ def _table(rows: Any, width: int) -> np.ndarray:
 #: Where there are no programs.
 NO_PROGRAMS = np.zeros(0, dtype=np.int64)
 EMPTY_TABLES = [_table([], width) for width in (1, 1, 2, 2, 6, 6)]
-NO_LINKS = Links(*EMPTY_TABLES, NO_PROGRAMS, np.zeros((0, 1)), NO_PROGRAMS)  # type: ignore[call-arg]
+NO_LINKS = Links(*EMPTY_TABLES, NO_PROGRAMS, np.zeros((0, 1)), _table([], 1))  # type: ignore[call-arg]
 
 
 class Shown:
@@ -63,6 +63,7 @@ class Shown:
         self.tables, self.count = tables, sum(map(np.size, blank(spec.lags, spec.dimension)))
         self.first = len(tables.scene.values) - self.count
         self._of: AutomatonArrays | None = None
+        self._links = NO_LINKS
 
     def linked(self) -> tuple[AutomatonArrays, Links]:
         """The automaton, and where its windows are."""
@@ -74,11 +75,13 @@ class Shown:
             guards = known.guards.copy()
             if self.restarts:
                 guards[guards[:, KIND] == RELEASE, TO] = NONE
+            signs = np.zeros((4, len(guards)), dtype=np.int64)
+            if self._of is not None:
+                signs[:, : self._links.signs.shape[1]] = self._links.signs
             self._of = known
             self._own = known._replace(programs=own, guards=guards, bounds=ranged)
             self._links = self._found(known)._replace(
-                numbers=own.numbers.reshape(-1, 1),
-                signs=np.zeros(self.tables.widest, dtype=np.int64),
+                numbers=own.numbers.reshape(-1, 1), signs=signs
             )
         return self._own, self._links
 

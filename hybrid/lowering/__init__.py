@@ -1,6 +1,6 @@
 """The spec, lowered for one run: only the modes, guards and outputs that the run needs."""
 
-from .lowered import window_edge
+from .lowered import window_ends
 from .mode import Kind
 from .scene import Contact, Field, Guard, Kink, Scene, released, scene_of, scene_with
 
@@ -14,5 +14,5 @@ __all__ = [
     "released",
     "scene_of",
     "scene_with",
-    "window_edge",
+    "window_ends",
 ]

@@ -26,7 +26,6 @@ from ..rules.places import (
     LOCAL,
     NONE,
     OFF,
-    OTHER,
     OWN,
     PLAIN,
     RELEASE,
@@ -35,7 +34,9 @@ from ..rules.places import (
     SWITCH,
     TO,
     UNKNOWN,
+    WINDOW_END,
 )
+from .lowered import window_ends
 from .mode import RELEASE_SUFFIX, Kind
 from .native import Native, recall
 from .ranges import Ranges
@@ -54,13 +55,14 @@ HOT_STEPS, HOT_ORDER_STEPS = 1 << 16, 1 << 18
 
 Nodes = Callable[[], Sequence[int]]
 
-#: Kinds of guards as the rules number them; others are judged by the driver.
+#: Kinds of guards as the rules number them.
 NUMBERED = {
     Kind.EDGE: EDGE,
     Kind.CONTACT: CONTACT,
     Kind.RELEASE: RELEASE,
     Kind.SWITCH: SWITCH,
     Kind.LEAVE: LEAVE,
+    Kind.WINDOW: WINDOW_END,
 }
 
 #: Kinds of guards that may change their formula in the loop.
@@ -227,7 +229,8 @@ class Tables:
         plain = plain and (not self.others or watch >= 0)
         surface = self._surface(field) if plain else -1
         onto = [self._onto(field, k) if plain and field.held else -1 for k in (False, True)]
-        plain = plain and surface != HARD and (not field.held or min(onto) >= 0)
+        lags = self._lags(field) if plain else -1
+        plain = plain and HARD not in (surface, lags) and (not field.held or min(onto) >= 0)
         self.numbers[field.name] = len(self.fields)
         self.fields.append(field)
         program = self._program(jets) if plain and jets else -1
@@ -240,7 +243,7 @@ class Tables:
         how = CHANGES if plain and self.others and field.changes else int(plain)
         known = [program, first, first + len(guards), how, int(field.project is not None)]
         joins = int(not self.scene.spec.lags)
-        self._fields.append([*known, watch, surface, joins, base, *onto])
+        self._fields.append([*known, watch, surface, joins, base, *onto, lags])
         for row, lead in zip(self._rows, self._leads, strict=True):
             row[TO] = self.numbers.get(lead, row[TO])
         self._made = None
@@ -288,12 +291,14 @@ class Tables:
             reset = ("reset", name)
             programs[0] = self._of_values(field, reset, lambda: graph.values(code.closed(*reset)))
         sizes = self._of_values(field, ("sizes", name, held), lambda: graph.sizes(name, held))
-        kind, crossing = NUMBERED.get(guard.kind, OTHER), DIRECTIONS[guard.crossing]
+        kind, crossing = NUMBERED[guard.kind], DIRECTIONS[guard.crossing]
         to = UNKNOWN if self._lead(field, guard) else NONE
         shape = [int(guard.bounds), int(guard.affine), to, *programs, sizes, uses, len(self._uses)]
         kinked = any(other.kinks for other in field.guards)
         judged = guard.kind is Kind.SWITCH and (slides or lags)  # and so is this
         at = HARD if judged or kinked else UNKNOWN
+        if guard.kind is Kind.WINDOW:
+            at = window_ends(self.scene.spec).index(name)
         own, rest = len(self._rows) + field.column(name), UNKNOWN
         if held:
             free = self.first(base) + self.fields[base].column(name.removesuffix(RELEASE_SUFFIX))
@@ -312,6 +317,17 @@ class Tables:
             return -1
         onto = lambda: code.mode(field.mode).values(code.onto_closed(switching.name))  # noqa: E731
         number = self._of_values(field, ("onto surface",), onto)
+        return HARD if number < 0 else number
+
+    def _lags(self, field: Field) -> int:
+        """The number of the program of lags that move; -1 where none does, ``HARD`` where there is
+        no such program."""
+        code, names = self.scene.code, [lag.name for lag in self.scene.spec.lags]
+        if not any(code.moving):
+            return -1
+        values = code.mode(field.mode).values
+        each = lambda: [node for name in names for node in values(code.closed("lag", name))]  # noqa: E731
+        number = self._of_values(field, ("lags",), each)
         return HARD if number < 0 else number
 
     def _watch(self, field: Field) -> int:

@@ -13,7 +13,7 @@ import numpy as np
 from ..automaton import trace
 from ..automaton.markers import Crossing
 from ..automaton.past import blank
-from ..automaton.spec import ContactSpec, EdgeSpec, LeaveSpec, SideSpec, Transition
+from ..automaton.spec import ContactSpec, EdgeSpec, LeaveSpec, SideSpec, Spec, Transition
 from ..errors import TraceError
 from ..rules.places import WINDOW_DEGREE
 from . import contact as contacts
@@ -429,6 +429,11 @@ class Lowered:
 def window_edge(number: int, side: str) -> str:
     """Name of the guard by which a lag that moves comes to an end, a or b, of its window."""
     return f"past({number}).{side}"
+
+
+def window_ends(spec: Spec) -> list[str]:
+    """The names of all such guards, as they are counted."""
+    return [window_edge(number, side) for number in range(len(spec.lags)) for side in "ab"]
 
 
 def lowered(cls: Any, shapes: tuple[tuple[int, ...], ...]) -> Lowered:

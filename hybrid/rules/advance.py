@@ -31,6 +31,7 @@ from .places import (
     HOPS,
     IMPACT_COUNT,
     JUMP,
+    JUMPS_DUE,
     JUMPS_MADE,
     KIND,
     LAND,
@@ -74,7 +75,7 @@ def advance(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -
     status = LANDED
     while status == LANDED:
         if now.ints[PHASE] != STRIKES:
-            if now.ints[JUMPS_MADE] == left.fired.shape[0]:
+            if now.ints[JUMPS_MADE] >= min(run[JUMPS_DUE], left.fired.shape[0]):
                 return FULL
             if now.ints[LOW_AHEAD] == 1:
                 return HOPS
@@ -174,7 +175,7 @@ def entered(
     now.floats[T], now.floats[LOW] = t, low
     now.ints[FIELD], now.ints[LAST_USED], now.ints[GUARD_POWER] = field, own, power
     now.ints[ENTERED], now.ints[WAS_LOW] = 0, 0
-    now.ints[LASTED] = 1 if now.floats[TAU] > 0.0 else 0
+    now.ints[LASTED], now.floats[TAU] = 1 if now.floats[TAU] > 0.0 else 0, 0.0
     if now.ints[LOW_AHEAD] == 1:
         now.ints[FIRED] = twin(a, field, own)
     copied(x, now.x)

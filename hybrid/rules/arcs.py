@@ -253,6 +253,8 @@ def passes(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) ->
             return LOOK
     now.floats[TAU], now.ints[PHASE] = next_tau, WALKS
     now.ints[MADE] += 1
+    for g in range(now.orders.shape[0]):
+        now.orders[g] = 0
     return GOES_ON
 
 

@@ -403,10 +403,11 @@ class PastArrays(NamedTuple):
         Values of the record that have been asked for, a row for each element of the state.
     present : Floats
         The state when windows are read.
-    start, signs : Floats, Ints
-        The state where the present arc has gone on through windows, and the signs of guards.
+    start, signs : Floats, Table
+        The state where the present arc has gone on through windows; the signs of guards there, or
+        where the present windows were read, with rows for what else is noted of guards.
     floats_before, ints_before, before : Floats, Ints, Matrix
-        What the loop's state was where the present guess began, but for those.
+        What the loop's state was there, but for that.
     """
 
     floats: Floats
@@ -442,7 +443,7 @@ class PastArrays(NamedTuple):
     told: Matrix
     present: Floats
     start: Floats
-    signs: Ints
+    signs: Table
     floats_before: Floats
     ints_before: Ints
     before: Matrix

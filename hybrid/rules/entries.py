@@ -33,7 +33,6 @@ from .places import (
     LAST_USED,
     LASTED,
     NONE,
-    OTHER,
     OWN,
     RELEASE,
     RISES,
@@ -115,7 +114,7 @@ def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) ->
         if settles(a, now, room, guard, c, order, sign, size, rate, bend, series):
             return order, RESTS
         low = kind == CONTACT and order == 1 and drowns(c[1], 2.0 * c[2], reach)
-        hard = kind == OTHER or (kind == CONTACT and a.guards[guard, BENDS] == 1)
+        hard = kind == CONTACT and a.guards[guard, BENDS] == 1
         if order > RISES or (order > 0 and hard):
             return order, HARD
     what = does(kind, crossing, bounds, order, sign, True, used, spent, loads, other, before)

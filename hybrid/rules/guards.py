@@ -26,6 +26,7 @@ from .places import (
     GUARDS,
     GUARDS_END,
     LAST_TIME,
+    LOOKS,
     LOW,
     OFF,
     PHASE,
@@ -78,7 +79,7 @@ def first_event(
     fired, best = -1, math.inf
     for g in range(first, a.fields[field, GUARDS_END]):
         zero, c = now.zeros[g - first], room.c[row_of(a, series_of(a, now), field, g)]
-        order = now.orders[g - first] if starting else 0
+        order = now.orders[g - first] if starting or now.ints[PHASE] == LOOKS else 0
         if starting:
             zero[OFF] = abs(c[0]) if order == 1 else 0.0
         s = zero_of(a, run, now, room, g, order, h, starting)
@@ -111,6 +112,7 @@ def zero_of(
     left = behind(c, h) if a.guards[guard, AFFINE] == 0 else 0.0
     crossing = a.guards[guard, CROSSING]
     tolerance = max(left_open(a, run, guard, now.end), ROUNDING_BESIDE * left)
+    starting = starting or order > 0
     if not starting and not c[0] * now.signs[place] > 0.0:
         return 0.0
     if starting and a.guards[guard, BOUNDS] == 1 and c[order] * crossing > 0.0:

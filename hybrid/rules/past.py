@@ -1,10 +1,11 @@
-"""The loop of a run whose flows look a constant lag back: from window to window of the past.
+"""The loop of a run whose flows look back: from window to window of the past.
 
 :mod:`.runs` flies as far as the present windows hold. Here what has been flown is put down as the
-record, in pieces, with its breaking points; at the end of a window the next one is read
-(:mod:`.windows`), as ``docs/notes/delays.md`` says; if it was a guess that does not hold, what has
-been flown is taken back. What is not plain is left to :mod:`hybrid.delay.memory`, which has the
-same record: windows on functions of the caller's, and guesses in which something fires.
+record, in pieces, with its breaking points (:mod:`.flown`); at the end of a window the next one is
+read (:mod:`.windows`), as ``docs/notes/delays.md`` says, and behind a jump where what is seen may
+be another then; if it was a guess that does not hold, what has been flown is taken back. What is
+not plain is left to :mod:`hybrid.delay.memory`, which has the same record: windows on functions of
+the caller's, and guesses in which something is to be judged.
 """
 
 from __future__ import annotations
@@ -14,70 +15,70 @@ import math
 from .advance import after
 from .arcs import copied
 from .arrays import AutomatonArrays, Floats, Left, Look, Now, PastArrays, Room, Sums
-from .chebyshev import value
-from .flights import fly
+from .contacts import values
+from .flown import field_of, fits, recorded, walked
+from .guards import GUARD_ROUNDING, row_of, sizes_of
 from .guesses import SINCE_PLACE, TO_PLACE
-from .jets import steady
-from .lengths import LAST_TERMS
+from .jets import afresh, steady
 from .places import (
     AGAIN,
     AT,
-    AT_LIMIT,
     BEGAN,
+    BEGINS,
+    BEHIND,
     BREAK_ORDER,
     BREAKS,
-    CURVE_DEGREE,
-    CURVE_ROWS,
+    EDGE,
     END,
     EXPANSIONS,
     FIELD,
     FIELD_PROGRAM,
     FINAL,
-    FLIGHTS,
-    FLIGHTS_DONE,
+    FIRED,
+    FORGETS,
     FOUND,
     FULL,
     GOES_ON,
+    GUARD_POWER,
     GUARDS,
     GUARDS_END,
     GUESSED,
     GUESSED_FROM,
     HOLDS,
     IN_ARC,
-    JUMPS_BEFORE,
-    JUMPS_DONE,
+    JUMP,
+    JUMPS_DUE,
     JUMPS_MADE,
-    LAST_SPEED,
+    KIND,
+    LAGS,
     LAST_TIME,
+    LOOK,
     LOW,
     MADE,
     MAKE,
+    NEXT_TO_NOTHING,
     NO_ROOM,
+    OFF,
     PHASE,
-    PIECES_KEPT,
-    RATIO,
-    REMAINING,
+    RECORD_NOT_FINITE,
+    SAME,
     SERVES_UNTIL,
-    SINCE,
-    SINCE_LOW,
+    SHORTEST_LAG,
     STEPPED,
     STEPS_BEFORE,
     STEPS_DONE,
     STEPS_MADE,
-    SUMS_DONE,
-    TAILS,
     TAU,
     TIGHT,
     WALKS,
     WINDOW,
+    WINDOW_END,
     T,
 )
-from .polynomials import power_value
-from .record import UP_TO, allowed, broken, following, kept, put, slack
+from .record import broken, following, slack
 from .runs import go
-from .sums import STATE_THERE, on_curve
-from .tails import count
-from .windows import BACKWARDS, FIXED, MOVES_ON, confirmed, nearer_guess, read
+from .windows import BACKWARDS, FIXED, MOVES_ON, confirmed, nearer_guess, read, stays
+from .zeros import EPS
 
 __all__ = ("bound", "ended", "look_back")
 
@@ -88,15 +89,6 @@ SMOOTH_ORDER, TURNING = 1000000, 2
 
 #: A lag that moves is at the end of its window as far as this many of the times that are one.
 AT_THE_END = 1e2
-
-#: A flight as short as this many spacings of the time is no longer a piece of its own.
-BRIEF_FLIGHT = 1e4
-
-#: Places in a flight at which it is held against the limit.
-LIMIT_PLACES = 4
-
-#: Pieces for which there is room before a flight of a sum is put down.
-SPARE_PIECES = 64
 
 
 def look_back(
@@ -112,236 +104,166 @@ def look_back(
     """Go on from ``now`` through windows; returns what the driver is asked for (:mod:`.places`)."""
     status = past.ints[AGAIN]
     past.ints[AGAIN] = GOES_ON
+    if status == GOES_ON and past.ints[GUESSED] == 1 and time(now) == past.floats[GUESSED_FROM]:
+        tried(now, past)
     while True:
         if status == GOES_ON:
+            again = past.ints[BEHIND] != SAME or past.ints[GUESSED] == 1
+            run[JUMPS_DUE] = now.ints[JUMPS_MADE] + 1.0 if again else math.inf
             status = go(a, run, now, room, left, sums, look)
-        t, _ = after(now.floats[T], now.floats[LOW], now.floats[TAU])
-        if past.ints[GUESSED] == 1 and (status != END or now.ints[JUMPS_MADE] > past.ints[IN_ARC]):
-            first = (
-                left.when[past.ints[IN_ARC], 0] if now.ints[JUMPS_MADE] > past.ints[IN_ARC] else t
-            )
-            back(now, past)
-            found = nearer_guess(past.floats[GUESSED_FROM], first, past)
-        elif status == MAKE:
+        if status == MAKE:
             return status
-        elif not recorded(a, now, left, sums, past, status):
+        found = judged(a, run, now, left, past, status) if past.ints[GUESSED] == 1 else HOLDS
+        if found == HOLDS and not recorded(a, now, left, sums, past, status):
+            found = NO_ROOM
+        if found == NO_ROOM:
             past.ints[AGAIN] = status
             return NO_ROOM
-        else:
-            found = holds(now, t, past) if past.ints[GUESSED] == 1 else HOLDS
+        if found == NEXT_TO_NOTHING:
+            now.ints[PHASE] = BEGINS
+            return LOOK
         if found == HOLDS:
-            if status != END or past.floats[SERVES_UNTIL] >= past.floats[FINAL]:
-                return status
-            if past.ints[PIECES_KEPT] == past.degrees.shape[0]:  # a guess is a piece, too
-                past.ints[AGAIN] = status
-                return NO_ROOM
-            passed(now, t, past)
-            found = read(t, False, past)
-            tried(now, t, past)
+            found = due(a, run, now, room, left, past, status)
+        if found == HOLDS:
+            return status
         if found != FOUND:
             return WINDOW
         run[LAST_TIME] = past.floats[SERVES_UNTIL]
-        bound(a, past, room)
+        bound(a, now, room, past)
+        tried(now, past)
         status = GOES_ON
+
+
+def time(now: Now) -> float:
+    """The time to which a run has come."""
+    t, _ = after(now.floats[T], now.floats[LOW], now.floats[TAU])
+    return t
+
+
+def ends(a: AutomatonArrays, now: Now, status: int) -> bool:
+    """Whether the loop has come to where windows end: at their time, or at the guard by which the
+    place of a lag that moves leaves its own."""
+    return status == END or (status == JUMP and a.guards[now.ints[FIRED], KIND] == WINDOW_END)
+
+
+def due(
+    a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, past: PastArrays, status: int
+) -> int:
+    """Read the windows that are due; ``HOLDS`` if none are, else the status as in :func:`.read`."""
+    if now.ints[JUMPS_MADE] >= run[JUMPS_DUE]:
+        return behind(a, now, room, left, past)
+    last = status == END and past.floats[SERVES_UNTIL] >= past.floats[FINAL]
+    if last or not ends(a, now, status):
+        return HOLDS
+    t, fired = time(now), -1
+    if status == JUMP:
+        fired = a.guards[now.ints[FIRED], AT]
+        now.ints[MADE] += 1
+    goes_on(now, past)
+    if not placed(a, now.ints[FIELD], t, now.end, room, past):
+        return RECORD_NOT_FINITE
+    ended(t, now.ints[FIELD], fired, past)
+    return read(t, False, past)
+
+
+def placed(
+    a: AutomatonArrays, field: int, t: float, x: Floats, room: Room, past: PastArrays
+) -> bool:
+    """Note where the lags look from a time; whether those that move are numbers of at least 0."""
+    copied(x, past.present)
+    if a.fields[field, LAGS] < 0:
+        return True
+    fit = values(a, a.fields[field, LAGS], t, x, room, past.lags)
+    for k in range(past.lags.shape[0]):
+        fit = fit and past.lags[k] >= 0.0
+    return fit
+
+
+def behind(a: AutomatonArrays, now: Now, room: Room, left: Left, past: PastArrays) -> int:
+    """Find what is seen behind a jump; the status as in :func:`.read`."""
+    place, t, until = now.ints[JUMPS_MADE] - 1, time(now), past.floats[SERVES_UNTIL]
+    guard, forgets = left.fired[place], past.ints[BEHIND] == FORGETS
+    if not forgets and t < until < past.floats[FINAL] and until - t <= 2.0 * slack(t):
+        field = field_of(a, guard)
+        if placed(a, field, t, left.before[place], room, past):
+            ended(t, field, -1, past)
+    if not placed(a, now.ints[FIELD], t, now.x, room, past):
+        return RECORD_NOT_FINITE
+    if forgets and a.guards[guard, KIND] == EDGE:  # through what is seen now it may not be zero
+        now.ints[GUARD_POWER] = 0
+    return FOUND if not forgets and stays(t, past) else read(t, False, past)
 
 
 # -- guesses --------------------------------------------------------------------------------
 
 
-def tried(now: Now, t: float, past: PastArrays) -> None:
+def judged(
+    a: AutomatonArrays, run: Floats, now: Now, left: Left, past: PastArrays, status: int
+) -> int:
+    """What becomes of a guess that has been flown: ``HOLDS``; or what it gives way to, the status
+    as in :func:`.confirmed`; ``NEXT_TO_NOTHING`` where the driver is to fly it; ``NO_ROOM``.
+
+    Where a jump is made in it, or something is to be judged, a nearer one is flown first, until
+    none need be made. A lag that vanishes always looks at one.
+    """
+    since, t = past.floats[GUESSED_FROM], time(now)
+    jumped, vanishes = now.ints[JUMPS_MADE] >= run[JUMPS_DUE], past.floats[SHORTEST_LAG] <= slack(t)
+    if ends(a, now, status) or (vanishes and (jumped or status == JUMP)):
+        if not fits(now, left, past, status):
+            return NO_ROOM
+        walked(now, left, past, status)
+        found = confirmed(since, t - since, past)
+        if found != HOLDS:
+            back(now, past)
+        return found
+    if status == FULL and not jumped and t == since:
+        return HOLDS
+    back(now, past)
+    return NEXT_TO_NOTHING if vanishes and status == LOOK else nearer_guess(since, t, past)
+
+
+def tried(now: Now, past: PastArrays) -> None:
     """Keep the state from which windows are flown that may be guesses."""
     copied(now.floats, past.floats_before)
     copied(now.x, past.before[0])
     copied(now.seen, past.before[1])
+    copied(now.end, past.before[2])
     for k in range(now.ints.shape[0]):
         past.ints_before[k] = now.ints[k]
-    past.floats[GUESSED_FROM], past.ints[STEPS_BEFORE] = t, past.ints[STEPS_DONE]
-
-
-def holds(now: Now, t: float, past: PastArrays) -> int:
-    """Whether a guess, flown up to a time, holds; if not it is taken back, and other windows have
-    been read. The status as in :func:`.confirmed`."""
-    since = past.floats[GUESSED_FROM]
-    found = confirmed(since, t - since, past)
-    if found == HOLDS:
-        past.ints[GUESSED] = 0
-    else:
-        back(now, past)
-    return found
+    for g in range(now.signs.shape[0]):
+        past.signs[0, g], past.signs[1, g] = now.signs[g], now.orders[g]
+    for g in range(now.tied.shape[0]):
+        past.signs[2, g], past.signs[3, g] = now.tied[g], now.spent[g]
+    past.floats[GUESSED_FROM], past.ints[STEPS_BEFORE] = time(now), past.ints[STEPS_DONE]
 
 
 def back(now: Now, past: PastArrays) -> None:
-    """Be again where a guess began: behind steps of an arc that goes on."""
+    """Be again where a guess began."""
     copied(past.floats_before, now.floats)
     copied(past.before[0], now.x)
     copied(past.before[1], now.seen)
-    copied(past.start, now.end)
+    copied(past.before[2], now.end)
     for k in range(now.ints.shape[0]):
-        if k != EXPANSIONS and k != FLIGHTS:
+        if k != EXPANSIONS:
             now.ints[k] = past.ints_before[k]
-    now.ints[FLIGHTS] += 1  # what was tied, or spent, in what is taken back is so no more
     for g in range(now.signs.shape[0]):
-        now.signs[g] = past.signs[g]
+        now.signs[g], now.orders[g] = past.signs[0, g], past.signs[1, g]
+    for g in range(now.tied.shape[0]):
+        now.tied[g], now.spent[g] = past.signs[2, g], past.signs[3, g]
     past.ints[STEPS_DONE] = past.ints[STEPS_BEFORE]
-
-
-# -- the record ---------------------------------------------------------------------------
-
-
-def recorded(
-    a: AutomatonArrays, now: Now, left: Left, sums: Sums, past: PastArrays, status: int
-) -> bool:
-    """Put down what has been flown, and the windows on which sums were made; whether there was room
-    for it."""
-    ints, total = past.ints, now.ints[STEPS_MADE]
-    if status == FULL and now.ints[PHASE] == WALKS:
-        total += now.ints[MADE]
-    while True:
-        arc = ints[JUMPS_DONE]
-        while ints[STEPS_DONE] < total and left.owner[ints[STEPS_DONE]] == arc:
-            if ints[PIECES_KEPT] == past.degrees.shape[0]:
-                return False
-            step(left, past, ints[STEPS_DONE], now.x.shape[0])
-            ints[STEPS_DONE] += 1
-            ints[STEPPED] += 1
-        if arc == now.ints[JUMPS_MADE]:
-            return True
-        if ints[BREAKS] == past.times.shape[0]:
-            return False
-        t, low, tail = left.when[arc, 0], left.when[arc, 1], ints[SUMS_DONE]
-        if tail < now.ints[TAILS] and int(left.sums[tail, JUMPS_BEFORE]) == arc + 1:
-            if not tail_kept(a, left, sums, past, tail, t, low):
-                return False
-            copied(past.shown, past.sights[tail])
-            t, low = after(t, low, left.sums[tail, REMAINING])
-            ints[SUMS_DONE] += 1
-        else:
-            jumped(left, past, arc, t)
-        ints[JUMPS_DONE] += 1
-        past.floats[SINCE], past.floats[SINCE_LOW] = t, low
-
-
-def step(left: Left, past: PastArrays, place: int, n: int) -> None:
-    """Put a step of the loop down as a piece."""
-    length = left.spans[place, 1]
-    put(past, past.floats[SINCE], past.floats[SINCE_LOW], left.spans[place, 0], length)
-    for i in range(n):
-        turned(past, i, left.series[place * n + i], length, n)
-    kept(past)
-
-
-def turned(past: PastArrays, i: int, c: Floats, length: float, n: int) -> None:
-    """An element's power series over a step, by Chebyshev polynomials; nothing if nobody sees it.
-
-    Term by term, and each factor by factor: a power of a long step may be too large.
-    """
-    place = past.ints[PIECES_KEPT]
-    row = past.rows[place * n + i]
-    for k in range(row.shape[0]):
-        row[k] = 0.0
-    if past.heard[i] == 0:
-        return
-    for k in range(c.shape[0]):
-        term = c[k]
-        for _ in range(k if term != 0.0 else 0):
-            term *= length
-        if term != 0.0:
-            past.degrees[place] = max(past.degrees[place], k)
-            for j in range(k + 1):
-                row[j] += past.turn[j, k] * term
-
-
-def jumped(left: Left, past: PastArrays, jump: int, t: float) -> None:
-    """Note the breaking point that a jump is: what it changes jumps, the rest has a corner."""
-    for i in range(past.own.shape[0]):
-        past.own[i] = 1 if left.before[jump, i] == left.after[jump, i] else 0
-    broken(past, t)
-
-
-def tail_kept(
-    a: AutomatonArrays, left: Left, sums: Sums, past: PastArrays, tail: int, t: float, low: float
-) -> bool:
-    """Put the flights of a sum down one by one while they are seen, then the limit alone; whether
-    there was room for them."""
-    ints, n = past.ints, past.own.shape[0]
-    row, jump, field = left.sums[tail], ints[JUMPS_DONE], 0
-    guard, begin = left.fired[jump], tail * CURVE_ROWS
-    while not a.fields[field, GUARDS] <= guard < a.fields[field, GUARDS_END]:
-        field += 1
-    limit, degree = left.curves[begin + AT_LIMIT, :n], int(row[CURVE_DEGREE])
-    curve, at = left.curves[begin : begin + degree + 1], a.guards[guard, AT]
-    flow, column = a.fields[field, FIELD_PROGRAM], guard - a.fields[field, GUARDS]
-    end, _ = after(t, low, row[REMAINING])
-    most = count(t, row[RATIO], row[REMAINING])
-    shortest = BRIEF_FLIGHT * (math.nextafter(abs(end), math.inf) - abs(end))
-    state = sums.lines[STATE_THERE, :n]
-    while True:
-        full = ints[PIECES_KEPT] + SPARE_PIECES > past.degrees.shape[0]
-        if full or ints[BREAKS] + 2 > past.times.shape[0]:
-            return False
-        w = row[RATIO] ** ints[FLIGHTS_DONE]
-        since = value(curve, degree, 0, w) if ints[FLIGHTS_DONE] > 0 else 0.0
-        jumped(left, past, jump, t + since)
-        copied(left.after[jump], state)
-        x, v = left.after[jump], row[LAST_SPEED]
-        if ints[FLIGHTS_DONE] > 0:
-            _, v = on_curve(a.programs, at, curve, degree, t, x, v, w, 1.0, sums, state)
-        status, length, _, pieces, _ = fly(
-            a.programs, flow, column, False, t + since, state, v, sums.starts, sums.lengths,
-            sums.series, sums.branch, sums.end, sums.c, sums.aside, sums.work, sums.rows,
-            sums.found, sums.sides, sums.sides[:0], 0.0, LAST_TERMS,
-        )  # fmt: skip
-        ends = status < 0 or ints[FLIGHTS_DONE] == most or length <= shortest
-        if ends or near(limit, sums, past, pieces):
-            break
-        for piece in range(pieces):
-            put(past, t, low + since, sums.starts[piece], sums.lengths[piece])
-            for i in range(n):
-                turned(past, i, sums.series[piece * n + i], sums.lengths[piece], n)
-            kept(past)
-        ints[FLIGHTS_DONE] += 1
-    last = past.spans[ints[PIECES_KEPT] - 1, UP_TO]
-    put(past, last, 0.0, 0.0, end - last)
-    for i in range(n):
-        line = past.rows[ints[PIECES_KEPT] * n + i]
-        for k in range(line.shape[0]):
-            line[k] = 0.0
-        line[0], line[1] = 0.5 * (state[i] + limit[i]), 0.5 * (limit[i] - state[i])
-        past.own[i] = 1
-    past.degrees[ints[PIECES_KEPT]] = 1
-    kept(past)
-    broken(past, end)
-    ints[FLIGHTS_DONE] = 0
-    return True
-
-
-def near(limit: Floats, sums: Sums, past: PastArrays, pieces: int) -> bool:
-    """Whether nothing that is seen of a flight can be told from the limit."""
-    n = limit.shape[0]
-    for piece in range(pieces):
-        for i in range(n):
-            c = sums.series[piece * n + i]
-            for k in range(LIMIT_PLACES + 1 if past.heard[i] == 1 else 0):
-                s = sums.lengths[piece] * 0.5 * (1.0 - math.cos(math.pi * k / LIMIT_PLACES))
-                there, _ = power_value(c, 0, c.shape[0] - 1, s)
-                if not abs(there - limit[i]) <= allowed(past, i, abs(limit[i])):
-                    return False
-    return True
 
 
 # -- the end of windows -------------------------------------------------------------------
 
 
-def passed(now: Now, t: float, past: PastArrays) -> None:
+def goes_on(now: Now, past: PastArrays) -> None:
     """Let the arc go on where windows end."""
-    ended(t, now.ints[FIELD], -1, past)
     now.ints[PHASE] = WALKS
     now.ints[STEPS_MADE] -= now.ints[MADE]
     past.ints[IN_ARC], past.floats[BEGAN] = now.ints[JUMPS_MADE], now.floats[TAU]
     copied(now.end, past.start)
-    copied(now.end, past.present)
     for g in range(now.signs.shape[0]):
-        past.signs[g] = now.signs[g]
+        past.signs[0, g] = now.signs[g]
 
 
 def ended(t: float, field: int, fired: int, past: PastArrays) -> None:
@@ -406,7 +328,7 @@ def carried(field: int, past: PastArrays) -> int:
     return least
 
 
-def bound(a: AutomatonArrays, past: PastArrays, room: Room) -> None:
+def bound(a: AutomatonArrays, now: Now, room: Room, past: PastArrays) -> None:
     """Give the windows to the programs, and work out what follows from them."""
     for g in range(past.given.shape[0]):
         past.numbers[past.given[g, 0], 0] = past.shown[past.given[g, 1]]
@@ -423,3 +345,20 @@ def bound(a: AutomatonArrays, past: PastArrays, room: Room) -> None:
         )
     for i in range(room.sides.shape[0]):
         room.sides[i] = 0
+    if now.ints[PHASE] == WALKS:
+        inside(a, now, room)
+
+
+def inside(a: AutomatonArrays, now: Now, room: Room) -> None:
+    """Let an arc go on inside new windows: a place that looks at one end leaves it."""
+    field, t = now.ints[FIELD], time(now)
+    first, last = a.fields[field, GUARDS], a.fields[field, GUARDS_END]
+    for g in range(first, last if a.fields[field, LAGS] >= 0 else first):
+        if a.guards[g, KIND] == WINDOW_END:
+            program, place = a.fields[field, FIELD_PROGRAM], g - first
+            afresh(a.programs, program, 0, t, now.end, room.still, room.aside, room.work)
+            value = room.aside[row_of(a, program, field, g), 0]
+            size, _, _ = sizes_of(a, room, g, t, now.end)
+            leaves = size < math.inf and value <= GUARD_ROUNDING * EPS * size
+            now.signs[place], now.orders[place] = 1, 1 if leaves else 0
+            now.zeros[place, OFF] = abs(value) if leaves else 0.0

@@ -6,9 +6,10 @@
 #: the steps of other solvers; of one that slides the program of the way back onto the surface, of
 #: others -1; whether contacts join those held, and stay held after jumps, without the driver; the
 #: field of its mode in which none is held; of one with contacts held programs that move a state
-#: along these, by what their gaps are off zero, and their gap speeds, of others -1.
+#: along these, by what their gaps are off zero, and their gap speeds, of others -1; the program of
+#: lags of which any moves, else -1.
 FIELD_PROGRAM, GUARDS, GUARDS_END, PLAIN, CONSTRAINED, WATCH, SURFACE = range(7)
-JOINS, BASE, ONTO_GAPS, ONTO_SPEEDS = range(7, 11)
+JOINS, BASE, ONTO_GAPS, ONTO_SPEEDS, LAGS = range(7, 12)
 
 CHANGES = 2
 
@@ -20,7 +21,8 @@ CHANGES = 2
 #: its restitution is no constant. At ``REST`` of a contact the field in which it is held besides
 #: those that are, and of a load its contact where none is held. Of the surface of a switching: at
 #: ``AT`` its guard on the other side, and at ``REST`` the field that slides on it, where one is to
-#: be entered; of an end of sliding at ``AT`` the surface's guard in the field that follows. ``OWN``
+#: be entered; of an end of sliding at ``AT`` the surface's guard in the field that follows. Of the
+#: end of a moving lag's window at ``AT`` the lag times two, and one more at the end ahead. ``OWN``
 #: is the same guard where no contact is held; a load is its own.
 KIND, CROSSING, BOUNDS, AFFINE, TO, RESET, LAND, SIZES, USES, USES_END, BENDS = range(11)
 AT, LOCAL, SIGHT, REST, DEPENDS, OWN = range(11, 17)
@@ -34,9 +36,9 @@ JOINED, WANTED = -4, -5
 #: What has led to an arc at the start of a run: no guard.
 AT_START = -1
 
-#: Kinds of guards whose jumps are made here, the surface of a switching and the ends of sliding
-#: among them; others.
-EDGE, CONTACT, RELEASE, OTHER, SWITCH, LEAVE = range(6)
+#: Kinds of guards: of edges and contacts, loads, ends of windows, the surface of a switching, and
+#: the ends of sliding.
+EDGE, CONTACT, RELEASE, WINDOW_END, SWITCH, LEAVE = range(6)
 
 #: By which power of the time a gap opens where its load has come to be zero, and where that pulls;
 #: a contact that an impact has left no speed closes by that, too.
@@ -45,10 +47,10 @@ RISES, PULLED = 3, 2
 #: Places in the numbers of a run: last time, tolerances, series of impacts; the longest steps, the
 #: first of an arc and the others; whether a run goes on from an accumulation, at rest, or ends
 #: there; the tolerance of a sum against the run's; the order of another solver (0 where steps are
-#: made here), and what a step may lose: a share, and from the last place on a number for each
-#: element.
+#: made here); the jumps after which other windows of the past are due; and what a step may lose: a
+#: share, and from the last place on a number for each element.
 LAST_TIME, ABSOLUTE, RELATIVE, SPEED_FALL, FIRST_SUMMED, FIRST_STEP = range(6)
-MAX_STEP, REST_AFTER, CLOSING, METHOD_ORDER, STEP_LOSS, TOLERANCES = range(6, 12)
+MAX_STEP, REST_AFTER, CLOSING, METHOD_ORDER, JUMPS_DUE, STEP_LOSS, TOLERANCES = range(6, 13)
 
 #: Places in a state's floats: the time in two; the local time; the speed at which a sum was tried
 #: last; the local time at which a step ends; where the solver is to step to, or to land; where the
@@ -109,11 +111,16 @@ ASKED_FROM, ASKED_UNTIL, PAST_FLOATS = range(13, 16)
 #: gone on through windows; a status to be given once there is room. Whether the windows show a
 #: guess, guesses at them so far, how many windows without any follow one that was not worth it, the
 #: pieces that are known, and the steps that were put down before it. Places at which the record was
-#: rough; the lag for whose window values are asked for, -1 if none are, and of which pieces.
+#: rough; the lag for whose window values are asked for, -1 if none are, and of which pieces. What
+#: is seen behind a jump.
 PIECES_KEPT, BREAKS, STEPS_DONE, JUMPS_DONE, SUMS_DONE, FLIGHTS_DONE = range(6)
 STEPPED, TIGHT, BREAK_ORDER, IN_ARC, AGAIN = range(6, 11)
 GUESSED, GUESSES, REST_OF_GUESSES, PIECES_KNOWN, STEPS_BEFORE, ROUGH_PLACES = range(11, 17)
-ASKING, ASKED, ASKED_UP_TO, PAST_INTS = range(17, 21)
+ASKING, ASKED, ASKED_UP_TO, BEHIND, PAST_INTS = range(17, 22)
+
+#: Behind a jump all lags are constant, and look through the same windows; through the same while
+#: their places are in them; at the state after the jump, as all before is forgotten.
+SAME, ANEW, FORGETS = range(3)
 
 #: What comes of reading windows: they are found; values of the record are asked for; it is not
 #: finite, or rough; what was guessed holds; a lag is next to nothing, and no guess does.

@@ -6,6 +6,8 @@ more than doubles to be believed, and what follows it but a rest that begins pla
 
 from __future__ import annotations
 
+import math
+
 from .advance import added, advance, after, enlarged, entered
 from .arcs import copied
 from .arrays import AutomatonArrays, Floats, Left, Look, Now, Room, Sums
@@ -43,6 +45,7 @@ from .places import (
     HOPS,
     JUMP,
     JUMPS_BEFORE,
+    JUMPS_DUE,
     JUMPS_MADE,
     LAST_SPEED,
     LAST_TIME,
@@ -115,7 +118,7 @@ def accumulated(
         ``MAKE``, to be called again; or ``JUMP``, and nothing has changed.
     """
     guard, place, field = now.ints[FIRED], now.ints[JUMPS_MADE], now.ints[FIELD]
-    if run[REST_AFTER] == DRIVERS:
+    if run[REST_AFTER] == DRIVERS or run[JUMPS_DUE] < math.inf:
         return JUMP
     flow, at = a.fields[field, FIELD_PROGRAM], a.guards[guard, AT]
     if at == UNKNOWN:

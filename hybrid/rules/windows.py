@@ -87,9 +87,6 @@ MOST_GUESSES, GUESS_SPAN = 12, 100.0
 #: Places at which a record may be rough within a time this short against the run.
 ROUGH_MOST, ROUGH_NEAR = 20, 1e-3
 
-#: Guesses at a window up to which the next is longer, and before a shorter one is tried.
-EASY, MOST_GUESSES = 2, 12
-
 
 # -- reading --------------------------------------------------------------------------------
 

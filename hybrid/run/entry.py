@@ -19,7 +19,6 @@ from ..lowering.local import near
 from ..rules import unit
 from ..rules.entries import BEYOND, FIRES, LEAVES, OUTSIDE, UNDECIDED
 from ..rules.guards import NEAR
-from ..rules.places import OTHER
 from ..rules.zeros import EPS
 
 #: Doublings of a step of rounding's size in which a deciding function that is zero must leave it:
@@ -380,7 +379,7 @@ class _Here:
         edge, passing = guard.edge, jumped.passing is not None
         if guard.kind == "window":
             return order > 0 and sign < 0
-        kind, crossing = NUMBERED.get(guard.kind, OTHER), DIRECTIONS[guard.crossing]
+        kind, crossing = NUMBERED[guard.kind], DIRECTIONS[guard.crossing]
         before = int((jumped.tied if jumped.passing is None else jumped.passing).get(edge, 0))
         own = guard.kind in ("release", "leave") and not (passing or jumped.starting)
         known = edge == jumped.used, edge in jumped.spent, own, passing, before

@@ -126,7 +126,7 @@ class Machine:
         self.links: Links | None = None
         self.dense = plan.dense or plan.samples is not None
         moving = any(scene.code.moving)
-        self.windowed = self.past is not None and (moving or not solver.whole)
+        self.windowed = self.past is not None and not solver.whole
         self.dense = self.dense or self.windowed
         self.outside = None if solver.whole else Outside(driver, self.tables.fields, self.dense)
         n, self.order = scene.spec.dimension, solver.highest if solver.whole else ORDER
@@ -136,7 +136,7 @@ class Machine:
         ends = GOES_ON_AT_REST if plan.zeno == "rest" else ENDS_THERE
         summed = (plan.memory == "keep" or self.past is None) and not moving
         sums = ends if summed else DRIVERS, plan.closing
-        given = [plan.t1, plan.limit, plan.rtol, *series, *steps, *sums, *last]
+        given = [plan.t1, plan.limit, plan.rtol, *series, *steps, *sums, last[0], np.inf, *last[1:]]
         self.run = np.array(given, dtype=float)
         self.n = n
         self.needs: tuple[int, ...] = ()
@@ -146,10 +146,10 @@ class Machine:
     def takes(self) -> bool:
         """Whether the arc that begins at the driver's entry may be plain.
 
-        Where what delays see is guessed it is the driver's.
+        Where what delays see is guessed another solver's is the driver's.
         """
         entry, memory = self.driver.entry, self.driver.record.memory
-        if memory is not None and memory.guessing:
+        if self.windowed and memory is not None and memory.guessing:
             return False
         return max(entry.orders, default=0) <= RISES and self.may(entry.field)
 
@@ -283,11 +283,11 @@ class Machine:
         assert self.past is not None
         assert memory is not None
         automaton, links = self.past.linked()
-        past, until = memory.past(links), memory.until
+        past, shown = memory.past(links), memory.shown.copy()
         if not memory.bound or links is not self.links:
-            unit("past").bound(automaton, past, room)
+            unit("past").bound(automaton, now, room, past)
             self.links, memory.bound = links, True
-        self.run[LAST_TIME] = until
+        self.run[LAST_TIME] = memory.until
         if self.windowed:
             return int(unit("runs").go(automaton, self.run, now, room, left, sums, look))
         go = unit("past").look_back
@@ -296,7 +296,7 @@ class Machine:
             memory.make_room(self.driver.t)
             return self._looked_back(left)
         memory.told = True
-        if memory.until != until:
+        if not np.array_equal(memory.shown, shown):
             self.driver.scene, memory.bound = memory.read(), True
         return status
 
@@ -330,11 +330,6 @@ class Machine:
             if memory.ends(driver.t):
                 memory.passed(driver.t, driver.entry.x, driver.entry.field)
                 driver.look(driver.entry.x)
-        elif status == FULL and place and self.plan.memory == "restart":
-            memory.told = False
-            memory.jumped(driver.t, left.before[0], left.after[0])
-            driver.look(left.after[0])
-            self._sees_anew(left)
         return GOES_ON if status == WINDOW else status
 
     def _passes_window(self, left: Left, status: int, memory: Memory) -> int:
@@ -342,7 +337,9 @@ class Machine:
         and where a lag moves, whose window ends where a guard fires."""
         driver, place, fired = self.driver, int(self.ints[JUMPS_MADE]), None
         if status == FULL and place and self.plan.memory == "restart":
-            self._sees_anew(left)
+            guard = self.tables.guards[left.fired[0]]
+            if guard.kind == "edge":  # through what is seen now it may not be zero
+                self.ints[GUARD_POWER] = 0
         if status == JUMP and self._fired.kind == "window":
             fired = self._fired.edge
         if not fired and (status != END or memory.until >= self.plan.t1):
@@ -362,11 +359,6 @@ class Machine:
         x = driver.entry.x.tolist()
         pairs = zip(driver.field.guards, values, strict=True)
         return GOES_ON if all(g.value(driver.t, x) * v > 0 for g, v in pairs) else LOOK
-
-    def _sees_anew(self, left: Left) -> None:
-        """A guard that has fired may not be zero where a jump has changed what it sees."""
-        if self.tables.guards[left.fired[0]].kind == "edge":
-            self.ints[GUARD_POWER] = 0
 
     def _through(self, tau: float, x: np.ndarray, steps: Steps | None, signs: np.ndarray) -> None:
         """Keep the present arc up to where it goes on through other windows of the past."""
@@ -479,7 +471,7 @@ class Machine:
         if self.outside is not None:
             self.outside.begin()
             jumps, steps = 1 if self.plan.progress is not None else jumps, 0
-        if self.windowed or (self.past is not None and self.plan.memory == "restart"):
+        if self.windowed:
             jumps = 1
         memory = self.driver.record.memory
         if memory is not None:
