@@ -162,7 +162,7 @@ class Driver:
         bears = jumped.starting and jumped.held
         if self.loop is None or more or bears or len(jumped.vanishing) > 1:
             return False
-        field, alone = self.scene.field(self.mode), self.record.memory is None or jumped.starting
+        field, alone = self.model.field(self.mode), self.record.memory is None or jumped.starting
         alone = alone and self.record.now.until(self.plan.t1) > 0
         alone = alone and not (jumped.starting and field.project is not None)
         return alone and self.loop.may(field)

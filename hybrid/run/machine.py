@@ -283,7 +283,7 @@ class Machine:
         assert self.past is not None
         assert memory is not None
         automaton, links = self.past.linked()
-        past, shown = memory.past(links), memory.shown.copy()
+        past, shown = memory.past(links), memory.shown.tobytes()
         if not memory.bound or links is not self.links:
             unit("past").bound(automaton, now, room, past)
             self.links, memory.bound = links, True
@@ -296,7 +296,7 @@ class Machine:
             memory.make_room(self.driver.t)
             return self._looked_back(left)
         memory.told = True
-        if not np.array_equal(memory.shown, shown):
+        if memory.shown.tobytes() != shown:
             self.driver.scene, memory.bound = memory.read(), True
         return status
 
@@ -364,7 +364,7 @@ class Machine:
         """Keep the present arc up to where it goes on through other windows of the past."""
         driver = self.driver
         segments = steps.segments(np.array([tau])) if steps and self.dense else []
-        x = driver.record.extend(self._field, driver.entry.x, x.copy(), tau, segments)
+        x = driver.record.extend(driver.entry.field, driver.entry.x, x.copy(), tau, segments)
         edges = [guard.edge for guard in driver.entry.field.guards]
         driver.go_on_through(dict(zip(edges, signs.tolist(), strict=False)), x)
         now = driver.record.now
@@ -372,12 +372,6 @@ class Machine:
         self.now.x[:], self.now.end[:], self.now.seen[:] = x, x, driver.seen
         if self.ints[PHASE] == WALKS:
             self.ints[MADE], self.ints[ENTERED] = 1, 0
-
-    @property
-    def _field(self) -> Field:
-        """The driver's field; where contacts are held, as it looks back now."""
-        field = self.driver.entry.field
-        return self.driver.field if field.held else field
 
     def _make(self) -> None:
         """Complete the tables, with room for what is new in them."""
@@ -612,7 +606,7 @@ class Machine:
         segments = [] if steps is None else steps.segments(np.array([tau]))
         driver.steps += count
         driver.passed(tau)
-        return driver.record.arc(self._field, driver.entry.x, end, tau, segments)
+        return driver.record.arc(driver.entry.field, driver.entry.x, end, tau, segments)
 
     @property
     def _fired(self) -> Guard:

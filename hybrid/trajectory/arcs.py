@@ -167,7 +167,7 @@ class TailPart(_Moded):
         tail, since = self.tail, float(self.tail.times[n])
         t = tail.t + since
         low = (tail.t - t) + since + tail.low
-        return JumpRow(t, low, tail.contact.name, tail.before(n), tail.point(tail.r**n)[1])
+        return JumpRow(t, low, tail.contact.name, *tail.around(n))
 
     def arc_at(self, t: float, side: str = "right") -> Arc:
         """The arc of the tail that covers a time, by the listed times of its impacts."""

@@ -122,13 +122,13 @@ class Tail:
         times[0] = 0.0
         return np.maximum.accumulate(times)
 
-    def before(self, n: int) -> np.ndarray:
-        """State before the impact ``y(r^n)``, from the one after it."""
+    def around(self, n: int) -> tuple[np.ndarray, np.ndarray]:
+        """States before and after the impact ``y(r^n)``, the former from the latter."""
         since, x, v = self.point(self.r**n)
         t, after, speed = self.t + since, x.tolist(), -v / self.r
         for _ in range(3):  # the restitution may depend on the speed before the impact
             speed = -v / self.contact.law(t, after, speed)
-        return x - (v - speed) * np.array(self.contact.push(t, after))
+        return x - (v - speed) * np.array(self.contact.push(t, after)), x
 
     def state(self, since: float) -> list[float]:
         """State at a time after ``y(1)``."""
