@@ -271,9 +271,13 @@ class _Piece:
             return 0
         if np.isfinite(new) and np.sign(new) == np.sign(old):
             width = cut.after - cut.before
-            least = abs(new) - abs(new - self.at(cut.after + width))
-            if cut.before > 0:  # else the step begins beyond it
-                least = min(least, abs(old) - abs(old - self.at(cut.before - width)))
+            moved = abs(new - self.at(cut.after + width))
+            least = abs(new) - moved
+            if cut.before > 0:
+                moved = abs(old - self.at(cut.before - width))
+            least = min(
+                least, abs(old) - moved
+            )  # of a step that begins beyond it, as it moves there
             return -int(np.sign(old)) if least <= 64 * EPS * largest else 0
         if not np.isfinite(new) and abs(old) > DOMAIN_END * largest:
             raise FlowError(f"the guard of {edge} ends before it is zero: beyond it is not finite")

@@ -110,15 +110,16 @@ def zero_of(
     place = guard - a.fields[field, GUARDS]
     c = room.c[row_of(a, series_of(a, now), field, guard)]
     left = behind(c, h) if a.guards[guard, AFFINE] == 0 else 0.0
-    crossing = a.guards[guard, CROSSING]
-    tolerance = max(left_open(a, run, guard, now.end), ROUNDING_BESIDE * left)
+    crossing, bends = a.guards[guard, CROSSING], a.guards[guard, BENDS] == 1
+    hides = max(hidden(a, now, room, guard) if bends else 0.0, ROUNDING_BESIDE * left)
+    tolerance = max(left_open(a, run, guard, now.end), hides)
     starting = starting or order > 0
     if not starting and not c[0] * now.signs[place] > 0.0:
         return 0.0
     if starting and a.guards[guard, BOUNDS] == 1 and c[order] * crossing > 0.0:
         return 0.0
     degree, near = c.shape[0] - 1, tolerance if order == 0 else NEVER
-    if (order == 0 or left == 0.0) and outweighs(c, order, degree, h, near):
+    if (order == 0 or (left == 0.0 and not bends)) and outweighs(c, order, degree, h, near):
         now.signs[place] = 1 if c[order] > 0.0 else -1
         return math.inf
     kinked = count(a.programs, series_of(a, now)) > 0
@@ -145,9 +146,17 @@ def zero_of(
     value, _ = power_value(c, 0, degree, h)
     size = power_size(c, 0, degree, h)
     now.signs[place] = 1 if value > 0.0 else -1
-    least = max(GUARD_ROUNDING * EPS * size, ROUNDING_BESIDE * left)
+    least = max(GUARD_ROUNDING * EPS * size, hides)
     clear = value * side > 0.0 and abs(value) > least
     return math.inf if clear else 0.0
+
+
+def hidden(a: AutomatonArrays, now: Now, room: Room, guard: int) -> float:
+    """What rounding of a guard, and of the time, may hide of it where its formula changes: one that
+    jumps there may have come to zero just before, as a saw does."""
+    t = now.floats[T] + now.floats[TAU]
+    size, rate, _ = sizes_of(a, room, guard, t, now.end)
+    return GUARD_ROUNDING * EPS * (size + abs(t) * rate)
 
 
 def fires(

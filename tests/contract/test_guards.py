@@ -448,3 +448,32 @@ def test_a_corner_is_no_zero_in_any_unit(way, k):
     """At |x| = 1 alone, not where x passes zero."""
     result = way.run(Faint(k=k), {"x": -0.5, "n": 0.0}, (0.0, 4.0), rtol=1e-9)
     assert (result.final.n, result.final.x) == (2.0, pytest.approx(0.5, abs=1e-8))
+
+
+class Sawn(hy.Automaton):
+    """A saw whose edge throws the state back to ``r`` of its way short of the tooth: the teeth
+    close in on a point."""
+
+    x = hy.state()
+    n = hy.state()
+    r = hy.parameter(0.5)
+
+    @hy.mode(initial=True)
+    def on(self, t, s):
+        return 1.0, 0.0
+
+    @hy.edge(on, to=on, guard=lambda self, t, s: 1.3 - jnp.mod(s.x, 1.3))
+    def tick(self, t, s):
+        return s.replace(x=1.3 - 0.4 * self.r**s.n, n=s.n + 1)
+
+
+def test_no_tooth_of_a_saw_is_passed_after_however_short_a_flight(way):
+    """Each is as far as rounding of the saw from zero where it jumps, also of flights so short that
+    the saw itself is small from end to end."""
+    for since in (0.0, 3.3):
+        spans = 0.3 + 0.8 * (1.0 - 0.5 ** np.arange(1, 21))
+        until = since + spans + 0.2 * 0.5 ** np.arange(1, 21)
+        for count, result in enumerate(
+            way.many(Sawn(), [[1.0, 0.0]] * len(until), (since, until)), start=2
+        ):
+            assert result.final.n == count
