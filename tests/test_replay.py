@@ -52,14 +52,12 @@ AT = np.array([0.7, 9.81, 3.0])
 
 
 @pytest.mark.parametrize("outer", [jax.jacfwd, jax.jacrev])
-def test_second_derivatives_of_a_state_in_flight(outer):
-    """The closed form, of forward mode, compiled and mapped over starts.
-
-    Those of reverse mode are in ``test_second_derivatives_of_many_runs_at_once``.
-    """
+@pytest.mark.parametrize("inner", [jax.jacfwd, jax.jacrev])
+def test_second_derivatives_of_a_state_in_flight(outer, inner):
+    """The closed form, in either order of modes, compiled and mapped over starts."""
     end = lambda p: fall()(p).final["x"]  # noqa: E731
     rows = np.array([AT, 1.01 * AT])
-    found = jit.jit(jax.vmap(outer(jax.jacfwd(end))))(rows)
+    found = jit.jit(jax.vmap(outer(inner(end))))(rows)
     np.testing.assert_allclose(found, jax.jit(jax.vmap(jax.hessian(height)))(rows), atol=1e-13)
 
 

@@ -77,7 +77,7 @@ def advance(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -
         if now.ints[PHASE] != STRIKES:
             if now.ints[JUMPS_MADE] >= min(run[JUMPS_DUE], left.fired.shape[0]):
                 return FULL
-            if now.ints[LOW_AHEAD] == 1:
+            if now.ints[LOW_AHEAD] > 0:
                 return HOPS
             status = arc(a, run, now, room, left)
         if status == LANDED:

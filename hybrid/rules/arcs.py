@@ -14,10 +14,20 @@ from __future__ import annotations
 
 import math
 
-from .arrays import AutomatonArrays, Floats, Left, Matrix, Now, Room
+from .arrays import AutomatonArrays, Floats, Ints, Left, Matrix, Now, Room
 from .checks import along
 from .entries import starts
-from .guards import SMALL_SHIFT, TIE, event_along, first_event, foreseen, goes_on, resolved, row_of
+from .guards import (
+    SMALL_SHIFT,
+    TIE,
+    begun,
+    event_along,
+    first_event,
+    foreseen,
+    goes_on,
+    resolved,
+    row_of,
+)
 from .jets import afresh, jets
 from .kinks import turn
 from .lengths import falls
@@ -42,6 +52,8 @@ from .places import (
     GUARDS,
     GUARDS_END,
     HARD,
+    HELD,
+    HOLD,
     JOINED,
     JUMPS_MADE,
     KIND,
@@ -73,6 +85,7 @@ from .places import (
     TOLERANCES,
     WALKS,
     WANTED,
+    WATCHED,
     T,
 )
 from .steps import step
@@ -88,6 +101,10 @@ LANDINGS = 10
 #: 1e-6: that is what a step that was made to end there may be off.
 FORESEEN_FAR = 1e10
 
+#: Steps that are to be held against the flow go so far at most, against the way to the expected end
+#: of the arc: what they are does not depend then on the end of the run.
+WATCHED_AHEAD = 1.5
+
 #: An arc's first step, against that at which the method's error reaches the tolerance.
 SAFETY = 0.5
 
@@ -98,9 +115,9 @@ def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> in
     Returns
     -------
     status : int
-        ``LANDED``, or ``END``; ``STEP``, ``SHOW`` or ``LAND_ON``, to be called again with the
-        answer, or ``FULL``, with empty arrays, or ``MAKE``; or ``LOOK``, and nothing has changed
-        but for contacts that have come to be held.
+        ``LANDED``, or ``END``; ``STEP``, ``SHOW``, ``LAND_ON`` or ``HOLD``, to be called again with
+        the answer, or ``FULL``, with empty arrays, or ``MAKE``; or ``LOOK``, and nothing has
+        changed but for contacts that have come to be held.
     """
     if a.fields[now.ints[FIELD], PLAIN] == 0:
         return LOOK
@@ -111,7 +128,7 @@ def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> in
             status = begins(a, run, now, room)
         elif phase == WALKS:
             status = walks(a, run, now, room, left)
-        elif phase in (LOOKS, SEES):
+        elif phase in (LOOKS, SEES, HELD):
             status = looks(a, run, now, room, left)
         else:
             status = lands(a, run, now, room, left)
@@ -126,7 +143,7 @@ def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     for i in range(room.sides.shape[0]):
         room.sides[i] = 0
     now.floats[TAU], now.ints[MADE], now.ints[PHASE] = 0.0, 0, WALKS
-    if run[METHOD_ORDER] == 0.0:
+    if run[METHOD_ORDER] == 0.0 and run[WATCHED] == 0.0:
         return GOES_ON
     program, order = a.fields[now.ints[FIELD], FIELD_PROGRAM], room.c.shape[1] - 1
     if jets(a.programs, program, order, now.floats[T], now.x, room.sides, room.c, room.work) < 0:
@@ -134,10 +151,10 @@ def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     fires = starts(a, now, room)
     if fires != NONE:
         return at_once(now, fires)
-    n, absolute = now.x.shape[0], run[TOLERANCES:]
-    order = int(run[METHOD_ORDER])
-    now.floats[FIRST_LENGTH] = first_step(room.c, n, order, run[RELATIVE], absolute)
     now.floats[AIM] = aim(a, now, room, True)
+    n, absolute, order = now.x.shape[0], run[TOLERANCES:], int(run[METHOD_ORDER])
+    if order > 0:
+        now.floats[FIRST_LENGTH] = first_step(room.c, n, order, run[RELATIVE], absolute)
     return GOES_ON
 
 
@@ -165,12 +182,17 @@ def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
         return FULL
     now.ints[PHASE] = LOOKS
     longest = run[FIRST_STEP] if now.ints[MADE] == 0 else run[MAX_STEP]
-    if run[METHOD_ORDER] > 0.0:
+    if run[METHOD_ORDER] > 0.0 or run[WATCHED] == 1.0:
         if now.ints[MADE] > 0:
-            now.floats[AIM] = aimed(a, now, room)
-        until = length if now.floats[AIM] <= tau else min(length, now.floats[AIM])
-        now.floats[TO_TAU] = min(until, tau + longest)
-        return STEP
+            own = run[METHOD_ORDER] == 0.0  # whose sides of kinks are known
+            now.floats[AIM] = aimed(a, now, room, room.still if own else room.sides)
+        ahead = now.floats[AIM] - tau
+        if run[METHOD_ORDER] == 0.0:
+            longest = min(longest, WATCHED_AHEAD * ahead) if ahead > 0.0 else longest
+        else:
+            until = length if ahead <= 0.0 else min(length, now.floats[AIM])
+            now.floats[TO_TAU] = min(until, tau + longest)
+            return STEP
     field = now.ints[FIELD]
     status, made, crossed = step(
         a.programs,
@@ -209,7 +231,12 @@ def looks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
     """Look for the first guard that fires in a step; go on to its end, or land on the guard."""
     tau, next_tau = now.floats[TAU], now.floats[STEP_END]
     h, starting = next_tau - tau, now.ints[MADE] == 0
+    if now.ints[PHASE] == HELD and not next_tau < now.floats[TO_TAU]:
+        now.ints[PHASE] = LANDS
+        return passes(a, run, now, room, left) if now.ints[EVENT] < 0 else GOES_ON
     if run[METHOD_ORDER] == 0.0:
+        if now.ints[PHASE] == HELD:  # it has been cut
+            begun(a, now, room)
         guard, s = first_event(a, run, now, room, h, starting)
     elif now.ints[PHASE] == LOOKS:
         guard, s = -1, 0.0
@@ -223,12 +250,17 @@ def looks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
     if not s > 0.0:
         return LOOK
     now.ints[EVENT], now.ints[LANDINGS_TRIED] = guard, 0
+    if run[METHOD_ORDER] == 0.0:
+        now.floats[TO_TAU] = next_tau if guard < 0 else tau + s
+        if guard >= 0:
+            along(room.c, s, now.end)
+        if run[WATCHED] == 1.0 and now.ints[PHASE] == LOOKS:
+            now.ints[PHASE] = HELD
+            return HOLD
     if guard < 0:
         return passes(a, run, now, room, left)
     now.ints[PHASE] = LANDS
     if run[METHOD_ORDER] == 0.0:
-        now.floats[TO_TAU] = tau + s
-        along(room.c, s, now.end)
         return GOES_ON
     if h - s > SMALL_SHIFT * s:
         now.floats[TO_TAU] = tau + s
@@ -325,13 +357,13 @@ def first_step(c: Matrix, n: int, order: int, relative: float, absolute: Floats)
     return SAFETY * first
 
 
-def aimed(a: AutomatonArrays, now: Now, room: Room) -> float:
-    """Where an arc is expected to end, from series of the flow where another solver's step begins;
-    -1 without them."""
+def aimed(a: AutomatonArrays, now: Now, room: Room, sides: Ints) -> float:
+    """Where an arc is expected to end, from series of the flow where a step begins; -1 without
+    them. ``sides`` gets those of kinks."""
     program, order = a.fields[now.ints[FIELD], FIELD_PROGRAM], room.c.shape[1] - 1
     tau = now.floats[TAU]
     t = now.floats[T] + tau
-    if afresh(a.programs, program, order, t, now.end, room.sides, room.c, room.work) < 0:
+    if afresh(a.programs, program, order, t, now.end, sides, room.c, room.work) < 0:
         return -1.0
     return tau + aim(a, now, room, False)
 

@@ -310,12 +310,17 @@ def foreseen(
     guard, s = first_event(a, run, now, room, reach, starting)
     if abs(s - h) <= SMALL_SHIFT * h or (s == math.inf and keeps(a, now, room, t + h)):
         return guard, s
+    begun(a, now, room)
+    return -1, 0.0
+
+
+def begun(a: AutomatonArrays, now: Now, room: Room) -> None:
+    """Put down the signs that guards have where a step begins: it is looked at once more."""
     field = now.ints[FIELD]
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
         value = room.c[row_of(a, a.fields[field, FIELD_PROGRAM], field, g), 0]
         now.signs[g - first] = 1 if value > 0.0 else -1
-    return -1, 0.0
 
 
 def continues(a: AutomatonArrays, now: Now, room: Room) -> bool:

@@ -44,6 +44,7 @@ from .places import (
     GUARDS_END,
     GUESSED,
     GUESSED_FROM,
+    HOLD,
     HOLDS,
     IN_ARC,
     JUMP,
@@ -107,10 +108,13 @@ def look_back(
     if status == GOES_ON and past.ints[GUESSED] == 1 and time(now) == past.floats[GUESSED_FROM]:
         tried(now, past)
     while True:
-        if status == GOES_ON:
+        if status in (GOES_ON, HOLD):
             again = past.ints[BEHIND] != SAME or past.ints[GUESSED] == 1
             run[JUMPS_DUE] = now.ints[JUMPS_MADE] + 1.0 if again else math.inf
             status = go(a, run, now, room, left, sums, look)
+        if status == HOLD:
+            past.ints[AGAIN] = HOLD
+            return HOLD
         if status == MAKE:
             return status
         found = judged(a, run, now, left, past, status) if past.ints[GUESSED] == 1 else HOLDS

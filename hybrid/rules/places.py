@@ -46,11 +46,14 @@ RISES, PULLED = 3, 2
 
 #: Places in the numbers of a run: last time, tolerances, series of impacts; the longest steps, the
 #: first of an arc and the others; whether a run goes on from an accumulation, at rest, or ends
-#: there; the tolerance of a sum against the run's; the order of another solver (0 where steps are
-#: made here); the jumps after which other windows of the past are due; and what a step may lose: a
-#: share, and from the last place on a number for each element.
+#: there; the tolerance of a sum against the run's; whether what is made here is held against the
+#: flow along all of it; the order of another solver (0 where steps are made here); the jumps after
+#: which other windows of the past are due; and what a step may lose: a share, and from the last
+#: place on a number for each element.
 LAST_TIME, ABSOLUTE, RELATIVE, SPEED_FALL, FIRST_SUMMED, FIRST_STEP = range(6)
-MAX_STEP, REST_AFTER, CLOSING, METHOD_ORDER, JUMPS_DUE, STEP_LOSS, TOLERANCES = range(6, 13)
+MAX_STEP, REST_AFTER, CLOSING, WATCHED, METHOD_ORDER, JUMPS_DUE, STEP_LOSS, TOLERANCES = range(
+    6, 14
+)
 
 #: Places in a state's floats: the time in two; the local time; the speed at which a sum was tried
 #: last; the local time at which a step ends; where the solver is to step to, or to land; where the
@@ -62,9 +65,9 @@ T, LOW, TAU, TRIED, STEP_END, TO_TAU, AIM, FIRST_LENGTH, GAP_SPEED, STATE_FLOATS
 #: the driver has looked at the arc's start; jumps and steps kept, and expansions made; then what
 #: comes next in the arc, its steps so far, the guard that fires, the kink at which the step ends,
 #: landings tried, sums kept, by which power of the time the guard last used vanishes; whether the
-#: flight that begins is one so low that the gap would drown in rounding, and whether one ends;
-#: arcs flown that take time; the guard last used (``OWN``); the guard of which the table has not
-#: all, and the column; whether the arc before had a length.
+#: flight that begins is one so low that the gap would drown in rounding (2: and follows the flow),
+#: and whether one ends; arcs flown that take time; the guard last used (``OWN``); the guard of
+#: which the table has not all, and the column; whether the arc before had a length.
 FIELD, FIRED, SERIES, IMPACT_COUNT, ENTERED, JUMPS_MADE, STEPS_MADE, EXPANSIONS = range(8)
 PHASE, MADE, EVENT, CROSSED, LANDINGS_TRIED, TAILS, GUARD_POWER, LOW_AHEAD = range(8, 16)
 WAS_LOW, FLIGHTS, LAST_USED, LACKING, LACKING_AT, LASTED, STATE_INTS = range(16, 23)
@@ -74,8 +77,9 @@ WAS_LOW, FLIGHTS, LAST_USED, LACKING, LACKING_AT, LASTED, STATE_INTS = range(16,
 WHEN, BLUR, OFF = 0, 1, 2
 
 #: What comes next in an arc: its start; a step; to look at a step, another solver's by series of
-#: the flow; to land; the jump at its end; to look at another solver's step by its polynomial.
-BEGINS, WALKS, LOOKS, LANDS, STRIKES, SEES = 0, 1, 2, 3, 4, 5
+#: the flow; to land; the jump at its end; to look at another solver's step by its polynomial; to go
+#: on with a step that has been held against the flow.
+BEGINS, WALKS, LOOKS, LANDS, STRIKES, SEES, HELD = range(7)
 
 #: Columns of the table of sums: jumps before it, and the degree of its curve; the gap speed after
 #: the last of them, the ratio of the series, and the time from there to the limit.
@@ -89,8 +93,10 @@ ERRORS, AT_LIMIT, AT_REST, CURVE_ROWS = 17, 18, 19, 20
 #: with all the rules; a jump has; another solver is to make a step, or to land; impacts are to be
 #: summed; the table has not all that is asked of a guard; a low flight begins; the polynomial of
 #: another solver's step is to be shown; the pieces of a low flight are to be kept beside its steps;
-#: other windows of the past are due; there is no room for the record.
+#: other windows of the past are due; there is no room for the record; a step that has been made, or
+#: a low flight, is to be held against the flow.
 END, FULL, LOOK, JUMP, STEP, LAND_ON, SUM, MAKE, HOPS, SHOW, FLOWN, WINDOW, NO_ROOM = range(1, 14)
+HOLD = 14
 
 #: What a run does at an accumulation (``REST_AFTER``): it is the driver's; it goes on; it ends.
 DRIVERS, GOES_ON_AT_REST, ENDS_THERE = 0.0, 1.0, 2.0

@@ -42,6 +42,7 @@ from .places import (
     GUARDS,
     GUARDS_END,
     HARD,
+    HOLD,
     HOPS,
     JUMP,
     JUMPS_BEFORE,
@@ -74,6 +75,7 @@ from .places import (
     TRIED,
     UNKNOWN,
     WAS_LOW,
+    WATCHED,
     T,
 )
 from .sights import EXCESS, LAW_CAUTION, damped, seen, slows
@@ -227,9 +229,9 @@ def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, su
     -------
     status : int
         ``GOES_ON`` to the impact at its end, or ``FLOWN``, where its pieces are to be kept before
-        that; ``FULL``, and it is still to be flown; or ``LOOK``, where there is no room for it.
-        ``GOES_ON``, too, where it is long, goes beyond the end of the run, or another guard comes
-        near: the start of the arc is looked at then as any other.
+        that; ``FULL`` or ``HOLD``, and it is still to be flown; or ``LOOK``, where there is no room
+        for it. ``GOES_ON``, too, where it is long, goes beyond the end of the run, or another guard
+        comes near: the start of the arc is looked at then as any other.
     """
     field, guard, place = now.ints[FIELD], now.ints[FIRED], now.ints[JUMPS_MADE]
     flow, at = a.fields[field, FIELD_PROGRAM], a.guards[guard, AT]
@@ -244,6 +246,9 @@ def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, su
     if status < 0 or (run[LAST_TIME] - end) - low < 0.0:
         now.ints[LOW_AHEAD] = 0
         return GOES_ON
+    if run[WATCHED] == 1.0 and now.ints[LOW_AHEAD] == 1:
+        now.ints[MADE] = pieces
+        return HOLD
     own = run[METHOD_ORDER] == 0.0
     if own and now.ints[STEPS_MADE] + pieces > left.owner.shape[0]:
         return FULL if now.ints[STEPS_MADE] + now.ints[JUMPS_MADE] > 0 else LOOK

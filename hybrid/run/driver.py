@@ -158,7 +158,7 @@ class Driver:
 
     def _lean(self, jumped: Jumped) -> bool:
         """Whether the loop may look at the start of the present mode's arc, and knows enough."""
-        more = jumped.limit - self.scene.contacts or jumped.passing is not None or self.wary
+        more = jumped.limit - self.scene.contacts or jumped.passing is not None
         bears = jumped.starting and jumped.held
         if self.loop is None or more or bears or len(jumped.vanishing) > 1:
             return False
@@ -197,6 +197,11 @@ class Driver:
             self.scene = memory.look(self.t, x)
 
     @property
+    def flies(self) -> Solver:
+        """What makes steps: the solver, or the one that watches it."""
+        return self.watchful if self.wary else self.solver
+
+    @property
     def horizon(self) -> float:
         """How far the present flows hold: to the end of the run, or of what delays see."""
         memory = self.record.memory
@@ -210,7 +215,7 @@ class Driver:
 
     def flow(self) -> None:
         """Flow an arc, or as many as need no judgement, and carry out the jump that ends it."""
-        loop = self.loop if self._declared and not self.wary else None
+        loop = self.loop if self._declared else None
         if loop is not None and loop.takes():
             loop.fly()
         else:
@@ -270,7 +275,7 @@ class Driver:
         judged, field = self.entry.here is not None or self.record.memory, self.entry.field
         self.renew()
         told = any(self.entry.orders) or self.entry.field is not field
-        tries = not judged and self.loop is not None and not self.wary and told
+        tries = not judged and self.loop is not None and told
         if not (self.entry.at_once or tries):
             self.flow_arc()
 
@@ -288,8 +293,7 @@ class Driver:
     def flow_arc(self) -> None:
         """Flow an arc and carry out the jump that ends it."""
         entry, now, memory = self.entry, self.record.now, self.record.memory
-        solver = self.watchful if self.wary else self.solver
-        flown = ArcFlow(self.scene, solver, self.plan, entry, now, self.horizon).run()
+        flown = ArcFlow(self.scene, self.flies, self.plan, entry, now, self.horizon).run()
         self.steps += flown.steps
         if memory is not None:
             flown = attrs.evolve(flown, segments=memory.refined(entry.field, now, flown.segments))
@@ -664,7 +668,7 @@ class Driver:
         if tail is None or not (clear(tail, field, column) and apart(tail)):
             return None
         whole = seen(tail, plan.closing)
-        self.wary = plan.watchful is not None or not whole
+        self.wary |= not whole
         return tail if whole else None
 
     def pass_sum(self, tail: Tail, at_rest: np.ndarray | None = None) -> None:
@@ -679,6 +683,7 @@ class Driver:
         self.tied, self.spent = {}, frozenset((contact.name,))
         held = (*tail.field.held, contact.name)
         after = (tail.field.mode, held) if contact.rests else None
+        self.wary = self.plan.watchful is not None
         self._go_on_from(tail, (contact.name,), tail.r, after, at_rest)
 
     def pass_cycle(self, found: CycleLimit, x: np.ndarray, mode: str) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from ..delay.memory import SUMS, Memory
 from ..delay.windows import Links, Shown
+from ..errors import FlowError
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.arrays import Left, Now
@@ -42,6 +43,8 @@ from ..rules.places import (
     GOES_ON,
     GOES_ON_AT_REST,
     GUARD_POWER,
+    HELD,
+    HOLD,
     IMPACT_COUNT,
     IN_ARC,
     JUMP,
@@ -59,6 +62,7 @@ from ..rules.places import (
     LOW_AHEAD,
     MADE,
     MAKE,
+    MAX_STEP,
     NO_ROOM,
     NONE,
     PHASE,
@@ -76,6 +80,7 @@ from ..rules.places import (
     TRIED,
     WALKS,
     WAS_LOW,
+    WATCHED,
     WINDOW,
     T,
 )
@@ -90,6 +95,7 @@ from .limits import pass_limit
 from .outside import Outside
 from .rooms import Rooms, left_for
 from .watch import Watch
+from .watched import Holding
 
 if TYPE_CHECKING:
     from ..lowering import Field, Guard
@@ -129,14 +135,17 @@ class Machine:
         self.windowed = self.past is not None and not solver.whole
         self.dense = self.dense or self.windowed
         self.outside = None if solver.whole else Outside(driver, self.tables.fields, self.dense)
-        n, self.order = scene.spec.dimension, solver.highest if solver.whole else ORDER
+        self.watched = Holding(driver, self.tables)
+        n, self.highest = scene.spec.dimension, solver.highest if solver.whole else ORDER
+        self.order = self.highest
         series, steps = (PATIENCE, plan.patience), (plan.longest(0.0), plan.max_step)
         atol = [plan.atol] * n if isinstance(plan.atol, float) else plan.atol
         last = (0, *solver.loss(n)) if solver.whole else (solver.order, 0.0, *atol)
         ends = GOES_ON_AT_REST if plan.zeno == "rest" else ENDS_THERE
         summed = (plan.memory == "keep" or self.past is None) and not moving
         sums = ends if summed else DRIVERS, plan.closing
-        given = [plan.t1, plan.limit, plan.rtol, *series, *steps, *sums, last[0], np.inf, *last[1:]]
+        last = (0.0, last[0], np.inf, *last[1:])
+        given = [plan.t1, plan.limit, plan.rtol, *series, *steps, *sums, *last]
         self.run = np.array(given, dtype=float)
         self.n = n
         self.needs: tuple[int, ...] = ()
@@ -159,6 +168,7 @@ class Machine:
 
     def fly(self) -> None:
         """Go on until something needs judgement, or the run ends."""
+        self.order = min(self.highest, ORDER) if self.driver.wary else self.highest
         self._begin()
         self.passed, self.open, self.opened = False, [], 0
         try:
@@ -171,6 +181,7 @@ class Machine:
         driver = self.driver
         while True:
             left = self._left()
+            self._watch(driver.wary)
             status = self._advance(left)
             self._expanded()
             self._keep(left)
@@ -255,6 +266,9 @@ class Machine:
                         self._make()
                         call = self._call(left)
                         continue
+                    if status == HOLD:
+                        self._hold_to_flow()
+                        continue
                     if self.outside is None or status not in OUTSIDE_METHODS:
                         return status
                     made = len(self.outside.arcs)
@@ -266,6 +280,25 @@ class Machine:
         except KeyboardInterrupt:
             self._interrupted(self.now, left)
             raise
+        except FlowError:
+            self._keep(left)
+            raise
+
+    def _watch(self, watched: bool) -> None:
+        """Let the loop ask for what it makes to be held against the flow, or not."""
+        for run in (self.run, self.rooms.run):
+            run[WATCHED], run[MAX_STEP] = watched, self.plan.max_step
+
+    def _hold_to_flow(self) -> None:
+        """Hold what the loop has made against the flow; no more of it once it has gone over a sum,
+        in which nothing hides."""
+        if self.ints[TAILS] and self.plan.watchful is None:
+            self._watch(False)
+            return
+        room, sums, _ = self.rooms.work
+        self.watched.hold(self.now, room, sums)
+        for run in (self.run, self.rooms.run):
+            run[MAX_STEP] = min(self.plan.max_step, self.watched.longest)
 
     def _call(self, left: Left) -> Callable[[], int]:
         """What calls the loop: with delays, that which passes from window to window."""
@@ -415,9 +448,14 @@ class Machine:
     def _interrupted(self, now: Now, left: Left) -> None:
         """Keep the arcs that have ended, and of the present one the steps that have been made."""
         self._keep(left)
-        if self.driver.status is not None or self.passed or self.outside is None:
+        if self.driver.status is not None or self.passed:
             return
-        if self.ints[PHASE] in (SEES, LANDS):
+        if self.outside is None:
+            if self.ints[PHASE] != HELD:
+                return
+            now.end[:] = self.rooms.work[0].c[: self.n, 0]  # a step has been made, and not seen
+            self.ints[STEPS_MADE] += self.ints[MADE]
+        elif self.ints[PHASE] in (SEES, LANDS):
             self.outside.undo(now)
         elif self.ints[MADE] and self.ints[PHASE] != STRIKES:
             self.floats[TAU] = self.floats[STEP_END]
@@ -645,4 +683,4 @@ class Machine:
         if self.outside is None and jets is not None and self.order > low:
             here = self.driver.t, self.driver.entry.x.tolist()
             if not jets.finite(*here, self.order) and jets.finite(*here, low):
-                self.order = low
+                self.highest = low

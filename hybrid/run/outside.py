@@ -120,7 +120,7 @@ class Outside:
         t, x, field = float(now.floats[T]), now.x.copy(), self.fields[now.ints[FIELD]]
         self.field = self.driver.scene.field(field.name) if seen else field
         self.since = Instant(t, float(now.floats[LOW]))
-        self.stepper = begin(self.driver.solver, self.field, t, x, length, first or None, sizes)
+        self.stepper = begin(self.driver.flies, self.field, t, x, length, first or None, sizes)
         self.pace = Pace(self.field, t, length)
 
     def show(self, now: Now, room: Room) -> None:

@@ -104,7 +104,14 @@ class Watchful(Solver):
 
 
 class WatchfulStepper(Stepper):
-    """The steps of another stepper, cut where they leave the flow."""
+    """The steps of another stepper, cut where they leave the flow.
+
+    Attributes
+    ----------
+    longest : float
+        The longest step that is tried next: one that had to be cut was longer than the flow can be
+        seen by.
+    """
 
     repeats = True
 
@@ -118,7 +125,7 @@ class WatchfulStepper(Stepper):
     ) -> None:
         self.solver, self.inner, self.defect = solver, inner, defect
         self.field, self.t0 = field, t0
-        self._longest = float("inf")
+        self.longest = float("inf")
 
     @property
     def tau(self) -> float:  # type: ignore[override]
@@ -139,16 +146,21 @@ class WatchfulStepper(Stepper):
         self.inner.x = value
 
     def step(self, limit: float) -> None:
-        inner, start = self.inner, self.inner.tau
-        inner.step(min(limit, start + self._longest))
+        self.inner.step(min(limit, self.inner.tau + self.longest))
+        self.hold()
+
+    def hold(self) -> None:
+        """Cut the last step to what it is shown to have seen of the flow."""
+        inner = self.inner
         self.solver.count()
         for cut in range(0 if self.solver.blind else CUTS):
             segment = inner.segment()
             share = 1.0 if self.solver.trusted else self._share(segment)
             if share >= 1.0:
                 self._blur(segment)
-                self._longest = GROWTH * (segment.length if cut else self._longest)
+                self.longest = GROWTH * (segment.length if cut else self.longest)
                 return
+            start = segment.start
             end = start + share * segment.length + 8 * EPS * max(abs(self.t0), segment.end)
             if not start < end < segment.end:
                 break
@@ -208,5 +220,11 @@ class WatchfulStepper(Stepper):
     def segment(self) -> Segment:
         return self.inner.segment()
 
+    def powers(self) -> tuple[float, float, np.ndarray]:
+        return self.inner.powers()
+
     def land(self, tau: float) -> Segment:
         return self.inner.land(tau)
+
+    def arrive(self, tau: float) -> None:
+        self.inner.arrive(tau)

@@ -408,7 +408,7 @@ def test_a_block_comes_to_stand(way, r):
     assert result.mode == "stands"
 
 
-@pytest.mark.parametrize("scale", [1e-3, *later(1.0)])  # that of 1: ``tests/test_cycles.py``
+@pytest.mark.parametrize("scale", [1.0, 1e-3])
 def test_the_twisting_controller_reaches_the_origin(way, scale):
     """Four switchings, from larger and smaller starts: half turns shrink by 1/3 in ``x``."""
     result = way.run(Twisting(), {"x": scale, "v": 0.0}, (0, 9))

@@ -1,0 +1,101 @@
+"""What the rules' own loop makes, held against the flow when it asks for that."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..bounds.defect import defect_of, follows
+from ..errors import FlowError
+from ..rules.arrays import Now, Room, Sums
+from ..rules.places import CROSSED, FIELD, FIRED, LOW_AHEAD, MADE, STEP_END, TAU, TO_TAU, T
+from ..segment import Segment, from_powers, terms
+from ..solvers import Stepper
+from ..solvers.watchful import WatchfulStepper
+from ..zeno.flight import pieces_of, segments
+from .entry import describe
+
+if TYPE_CHECKING:
+    from ..lowering.automaton import Tables
+    from .driver import Driver
+
+
+class LoopStepper(Stepper):
+    """The step that the loop has just made, as a solver's: a series, which may be cut."""
+
+    repeats = True
+
+    def __init__(self, now: Now, room: Room) -> None:
+        self.now, self.room = now, room
+
+    @property
+    def tau(self) -> float:  # type: ignore[override]
+        """The local time up to which the step is used: a guard may fire in it."""
+        return float(min(self.now.floats[TO_TAU], self.now.floats[STEP_END]))
+
+    @property
+    def x(self) -> np.ndarray:  # type: ignore[override]
+        """The state there."""
+        return self.now.end
+
+    @x.setter
+    def x(self, value: np.ndarray) -> None:
+        self.now.end[:] = value
+
+    def step(self, limit: float) -> None:
+        """The loop has made it."""
+
+    def segment(self) -> Segment:
+        found = self._terms(self.tau)
+        start = float(self.now.floats[TAU])
+        return Segment(start, self.tau - start, from_powers(found.shape[1] - 1) @ found.T)
+
+    def land(self, tau: float) -> Segment:
+        self.now.floats[STEP_END], self.now.ints[CROSSED] = tau, -1
+        self.x = self._terms(tau).sum(axis=1)
+        return self.segment()
+
+    def _terms(self, tau: float) -> np.ndarray:
+        return terms(self.room.c[: len(self.now.x)], tau - float(self.now.floats[TAU]))
+
+
+class Holding:
+    """Cuts the loop's own steps to what they have seen of the flow, and looks at low flights."""
+
+    def __init__(self, driver: Driver, tables: Tables) -> None:
+        self.driver, self.tables = driver, tables
+        self.longest = np.inf
+
+    def hold(self, now: Now, room: Room, sums: Sums) -> None:
+        """Hold against the flow what the loop has just made.
+
+        Raises
+        ------
+        FlowError
+            Where a run that may watch so many steps only has made them.
+        """
+        name, t = self.tables.fields[now.ints[FIELD]].name, float(now.floats[T])
+        scene = self.driver.scene
+        if now.ints[LOW_AHEAD]:
+            self._low_flight(now, sums, name, t)
+            return
+        field = scene.field(name)
+        defect = defect_of(field)
+        if defect is None:
+            return
+        stepper = WatchfulStepper(self.driver.watchful, LoopStepper(now, room), defect, field, t)
+        stepper.longest = self.longest if now.ints[MADE] else np.inf
+        try:
+            stepper.hold()
+        except FlowError as fault:
+            where = describe(scene, field, t + float(now.floats[TAU]), now.end)
+            raise FlowError(f"{where}: {fault}") from None
+        self.longest = stepper.longest
+
+    def _low_flight(self, now: Now, sums: Sums, name: str, t: float) -> None:
+        """Let a low flight be one like others where it has not seen all of the flow."""
+        contact = self.tables.guards[now.ints[FIRED]].edge
+        field = self.driver.scene.field(name, (contact,))
+        made = pieces_of(int(now.ints[MADE]), sums.starts, sums.lengths, sums.series)
+        now.ints[LOW_AHEAD] = 2 if follows(field, t, segments(made)) else 0
