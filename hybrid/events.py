@@ -29,6 +29,7 @@ from .rules.zeros import EPS, SPARE_ROWS, UNFIT, WORK_FULL
 from .segment import Segment, from_values, nodes
 
 if TYPE_CHECKING:
+    from .automaton.shapes import Matrix, Numbers
     from .lowering import Guard, Kink
 
 #: Degree at which a guard that is no polynomial is sampled, piece by piece.
@@ -318,16 +319,14 @@ class _Piece:
             elif direction or away:
                 yield left + width * root, direction
 
-    def leaves(self, values: np.ndarray, root: float) -> bool:
+    def leaves(self, values: Numbers, root: float) -> bool:
         """Whether a guard is larger than rounding somewhere before a zero of its polynomial."""
         series = from_values(self.degree) @ values
         between = chebyshev.chebval(2.0 * root * SHARES_OF_FLIGHT - 1.0, series)
         largest = max(np.abs(between).max(), np.abs(values[nodes(self.degree) < root]).max())
         return bool(largest > self.noise)
 
-    def refined(
-        self, root: float, direction: int, fractions: np.ndarray, values: np.ndarray
-    ) -> float:
+    def refined(self, root: float, direction: int, fractions: Numbers, values: Numbers) -> float:
         """A zero of a guard too rough for a polynomial, from the guard itself, by halving."""
         changes = np.flatnonzero(direction * values[:-1] < 0)
         changes = changes[direction * values[changes + 1] > 0]
@@ -346,7 +345,7 @@ class _Piece:
                 low = middle
         return float(high)
 
-    def sample(self, fractions: np.ndarray) -> np.ndarray:
+    def sample(self, fractions: Numbers) -> Numbers:
         start, length, value = self.segment.start, self.segment.length, self.guard.value
         if self.whole:  # its parts are the same in every step
             states = self.segment.at(fractions).tolist()
@@ -358,7 +357,7 @@ class _Piece:
             raise FlowError(f"the guard of {self.guard.edge} is not finite")
         return values
 
-    def resolved(self, values: np.ndarray) -> bool:
+    def resolved(self, values: Numbers) -> bool:
         series = np.abs(from_values(self.degree) @ values)
         allowed = RESOLVED * series.max() + 1e-3 * self.tolerance + self.noise
         return bool(series[-3:].max() <= allowed)
@@ -388,7 +387,7 @@ def bernstein_from_chebyshev(degree: int) -> np.ndarray:
     return np.array(columns).T
 
 
-def roots(bernstein: np.ndarray, order: int, tolerance: float) -> Iterator[tuple[float, int]]:
+def roots(bernstein: Numbers, order: int, tolerance: float) -> Iterator[tuple[float, int]]:
     """Zeros in ``(0, 1]`` of a polynomial that vanishes at 0 to the given order.
 
     Yields ``(point, direction)`` in order; direction 0 is a touch within ``tolerance``.
@@ -408,7 +407,7 @@ def series_zeros(c: Sequence[float], reach: float, tolerance: float) -> list[tup
     return [(point, int(direction)) for point, direction in _listed(found, count)]
 
 
-def turning_points(series: np.ndarray) -> list[float]:
+def turning_points(series: Numbers) -> list[float]:
     """Where in ``(0, 1)`` a Chebyshev series turns."""
     work, found = room(len(series) - 1)
     b = bernstein_from_chebyshev(len(series) - 1) @ series
@@ -421,7 +420,7 @@ def room(degree: int) -> tuple[np.ndarray, np.ndarray]:
     return np.empty((degree + SPARE_ROWS, degree + 5)), np.empty((2 * degree + 4, 2))
 
 
-def _listed(found: np.ndarray, count: int) -> list[list[float]]:
+def _listed(found: Matrix, count: int) -> list[list[float]]:
     if count in (UNFIT, WORK_FULL):
         raise FlowError("a polynomial whose zeros are asked for is not finite")
     rows: list[list[float]] = found[: max(count, 0)].tolist()

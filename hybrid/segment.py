@@ -7,11 +7,14 @@ Chebyshev coefficients, so that evaluation, root finding and saving know one for
 from __future__ import annotations
 
 from functools import cache, lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
+
+if TYPE_CHECKING:
+    from .automaton.shapes import Matrix, Numbers
 
 #: Sets of places whose matrices are kept: far more than solvers ask for again and again, and few
 #: enough (some megabytes) where each step is looked at in places of its own.
@@ -30,7 +33,7 @@ class Segment:
 
     start: float
     length: float
-    coefficients: np.ndarray
+    coefficients: Matrix
 
     @property
     def end(self) -> float:
@@ -46,7 +49,7 @@ class Segment:
         states: np.ndarray = _basis(xi if xi.ndim else float(xi), self.degree) @ self.coefficients
         return states
 
-    def at(self, fractions: np.ndarray) -> np.ndarray:
+    def at(self, fractions: Numbers) -> Matrix:
         """State at some fractions of the step (an array made by :func:`nodes`)."""
         return _values_matrix(fractions.tobytes(), self.degree) @ self.coefficients
 
@@ -70,7 +73,7 @@ def terms(series: np.ndarray, length: Any) -> np.ndarray:
     return found
 
 
-def interpolated(start: float, length: float, values: np.ndarray) -> Segment:
+def interpolated(start: float, length: float, values: Matrix) -> Segment:
     """The segment through states at :func:`nodes`; a state that stays the same stays so exactly."""
     coefficients = from_values(len(values) - 1) @ (values - values[0])
     coefficients[0] += values[0]
@@ -131,7 +134,7 @@ def integrals(degree: int) -> np.ndarray:
     return np.array(columns).T @ from_values(degree)
 
 
-def apply(matrix: np.ndarray, values: Any) -> Any:
+def apply(matrix: Matrix, values: Any) -> Any:
     """A small constant matrix times a matrix of columns, of numpy or of JAX.
 
     Written out: for so few numbers a call of a library costs more than the product.

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from itertools import zip_longest
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from ..result import Trajectory
 from ..trajectory.arcs import Arc, JumpRow
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers
 
 
 def differences(a: Trajectory, b: Trajectory) -> dict[str, float]:
@@ -75,7 +78,7 @@ def _states(a: Trajectory, b: Trajectory, jumped: list[tuple[_Move, _Move]]) -> 
     return largest
 
 
-def _gap(a: np.ndarray, b: np.ndarray) -> float:
+def _gap(a: Numbers, b: Numbers) -> float:
     return float(np.max(np.abs(a - b)))
 
 

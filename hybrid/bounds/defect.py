@@ -24,6 +24,7 @@ from ..lowering.jaxpr import read
 from ..rules.zeros import EPS
 
 if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix, Numbers, StateVector
     from ..lowering import Field
     from ..segment import Segment
     from .series import Bound
@@ -57,7 +58,7 @@ class _StepPart:
 
     middle: Any
     half: Any
-    powers: np.ndarray
+    powers: Matrix
 
     def halves(self) -> tuple[_StepPart, _StepPart]:
         left, right = (matrix @ self.powers for matrix in _halving(len(self.powers) - 1))
@@ -83,7 +84,7 @@ class Defect:
         self.rounded = IntervalProgram(graph, roots, DOUBLE)
 
     def share(
-        self, field: Field, t: float, length: float, coefficients: np.ndarray, lost: Any = 0.0
+        self, field: Field, t: float, length: float, coefficients: Matrix, lost: Any = 0.0
     ) -> float:
         """The share of a step up to which its polynomial is shown to follow the flow.
 
@@ -106,7 +107,7 @@ class Defect:
         share = float(with_terms(reach, PRECISION))
         return 1.0 if (1.0 - share) * length <= 64 * EPS * max(length, abs(t)) else share
 
-    def left_open(self, field: Field, t: float, x: np.ndarray, off: np.ndarray) -> np.ndarray:
+    def left_open(self, field: Field, t: float, x: StateVector, off: StateVector) -> StateVector:
         """How far apart rates may be where time and states are known to their rounding only.
 
         That of the operations included. Where a formula may change, the rates of both are meant;
@@ -140,9 +141,9 @@ class Defect:
         field: Field,
         t: float,
         length: float,
-        coefficients: np.ndarray,
-        rates: np.ndarray,
-        speck: np.ndarray,
+        coefficients: Matrix,
+        rates: Numbers,
+        speck: Numbers,
     ) -> float:
         from flint import arb
 
@@ -188,7 +189,7 @@ class Defect:
             least[i] = float(off[0].lower())
         return np.where(np.isfinite(most), most, inf), least
 
-    def _plainly(self, field: Field, piece: _StepPart, around: np.ndarray) -> np.ndarray:
+    def _plainly(self, field: Field, piece: _StepPart, around: Matrix) -> Numbers:
         """The same where the flow is no series on the piece: from its bounds on a box."""
         from flint import arb
 
@@ -207,7 +208,7 @@ class Sampled:
     """The same of a flow that calls functions, which nothing encloses: at points of a step only."""
 
     def share(
-        self, field: Field, t: float, length: float, coefficients: np.ndarray, lost: Any = 0.0
+        self, field: Field, t: float, length: float, coefficients: Matrix, lost: Any = 0.0
     ) -> float:
         """The share of a step up to which its polynomial follows the flow at points."""
         rates, _ = _allowed(field, t, length, coefficients, lost)
@@ -220,7 +221,7 @@ class Sampled:
                 return (k - 1) / FLOW_SAMPLES
         return 1.0
 
-    def left_open(self, field: Field, t: float, x: np.ndarray, off: np.ndarray) -> np.ndarray:
+    def left_open(self, field: Field, t: float, x: StateVector, off: StateVector) -> StateVector:
         """Nothing is known of the rounding of such a flow."""
         return np.zeros_like(x)
 
@@ -265,7 +266,7 @@ def _numbers(field: Field) -> dict[str, Any]:
     return {f"p{i}": value for i, value in enumerate(field.numbers)}
 
 
-def _inputs(piece: _StepPart, around: np.ndarray | None) -> dict[str, Any]:
+def _inputs(piece: _StepPart, around: Matrix | None) -> dict[str, Any]:
     """Time and states as series on a piece: about its middle, or with balls about all of it."""
     from flint import arb, arb_series
 
@@ -294,7 +295,7 @@ def _coefficients(value: Any) -> list[Any] | None:
     return found if all(c.is_finite() for c in found) else None
 
 
-def _slope(powers: np.ndarray) -> np.ndarray:
+def _slope(powers: Matrix) -> Matrix:
     """Coefficients of derivatives; enough of them."""
     from .series import TERMS
 
@@ -305,7 +306,7 @@ def _slope(powers: np.ndarray) -> np.ndarray:
 
 
 def _allowed(
-    field: Field, t: float, length: float, coefficients: np.ndarray, lost: Any
+    field: Field, t: float, length: float, coefficients: Matrix, lost: Any
 ) -> tuple[np.ndarray, np.ndarray]:
     """What a defect may be: of the order of what it is at most samples, and of the tolerance.
 

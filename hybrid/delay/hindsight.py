@@ -10,7 +10,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from ..trajectory.arcs import Arc, Part
 from ..trajectory.log import Log
 from .history import Before, until
 from .pieces import Piece, constant, piece_of, window_on
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix, Numbers
 
 #: Width of the window on a piece that is no polynomial of low degree, against the longest lag.
 NARROW = 1e-2
@@ -41,7 +44,7 @@ class PastRecord:
         found = (bisect_left if side == "left" else bisect_right)(self.ends, t)
         return min(found, len(self.pieces) - 1)
 
-    def states(self, times: np.ndarray, low: float = -np.inf, high: float = np.inf) -> np.ndarray:
+    def states(self, times: Numbers, low: float = -np.inf, high: float = np.inf) -> Matrix:
         """States at some times, of pieces between ``low`` and ``high`` (or a little beyond)."""
         first, last = self.index(low), self.index(high, "left")
         which = np.clip([self.index(t) for t in times.tolist()], first, max(first, last))

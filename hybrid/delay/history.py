@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -17,6 +17,9 @@ from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Solution
 from .pieces import Piece, constant, piece_of
 
+if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix, Numbers, StateVector
+
 
 @attrs.frozen(eq=False)
 class Before:
@@ -25,7 +28,9 @@ class Before:
     pieces: list[Piece]
 
 
-def pieces(spec: Spec, history: Any, t0: float, x: np.ndarray, memory: str = "keep") -> list[Piece]:
+def pieces(
+    spec: Spec, history: Any, t0: float, x: StateVector, memory: str = "keep"
+) -> list[Piece]:
     """The record before ``t0``.
 
     Parameters
@@ -64,7 +69,7 @@ def from_start(spec: Spec, history: Any) -> np.ndarray:
     return np.full(spec.dimension, history is None)
 
 
-def _of_states(spec: Spec, history: Any, t0: float, x: np.ndarray) -> Piece:
+def _of_states(spec: Spec, history: Any, t0: float, x: StateVector) -> Piece:
     """Constants and functions, state by state."""
     if isinstance(history, Mapping | Record):
         given = {name: history[name] for name in history.keys()}
@@ -93,14 +98,12 @@ def _all_states(spec: Spec, history: Callable[[float], Any], t: float) -> np.nda
     return _vector(spec, history(t), "history(t)")
 
 
-def _state_by_state(spec: Spec, given: Mapping[str, Any], t: float) -> np.ndarray:
+def _state_by_state(spec: Spec, given: Mapping[str, Any], t: float) -> Numbers:
     now = {name: v(t) if callable(v) else v for name, v in given.items()}
     return _vector(spec, now, f"history at t = {t!r}")
 
 
-def _called(
-    spec: Spec, state: Callable[[float], np.ndarray], s: float, since: np.ndarray
-) -> np.ndarray:
+def _called(spec: Spec, state: Callable[[float], np.ndarray], s: float, since: Numbers) -> Matrix:
     """The states that a function of the caller's gives."""
 
     def at(t: float) -> np.ndarray:
@@ -158,7 +161,7 @@ def _require_dense(spec: Spec, arc: Arc) -> None:
         raise OptionError(f"{spec.model}: history: a run without dense output; use save='dense'")
 
 
-def _vector(spec: Spec, values: Any, what: str) -> np.ndarray:
+def _vector(spec: Spec, values: Any, what: str) -> Numbers:
     try:
         parts = [np.asarray(value, dtype=float) for value in spec.values(values)]
     except (ValueError, TypeError) as fault:

@@ -21,7 +21,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
 from math import isfinite
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -95,6 +95,9 @@ from .pieces import (
 )
 from .windows import NO_LINKS, TO_POWERS, Links, reach
 
+if TYPE_CHECKING:
+    from ..automaton.shapes import Integers, Numbers, StateVector
+
 #: Sums that a call of the rules' own loop makes at most.
 SUMS = 8
 
@@ -134,7 +137,7 @@ class Memory:
     """
 
     def __init__(
-        self, scene: Scene, plan: Plan, order: int, history: Sequence[Piece], x: np.ndarray
+        self, scene: Scene, plan: Plan, order: int, history: Sequence[Piece], x: StateVector
     ) -> None:
         spec, code = scene.spec, scene.code
         self.scene, self.plan, self.order = scene, plan, order
@@ -170,12 +173,12 @@ class Memory:
         self._looks_back, self._reach = False, dict[Any, Any]()
 
     @property
-    def start(self) -> np.ndarray:
+    def start(self) -> StateVector:
         """The state where the rules' own loop has gone on through windows within an arc."""
         return self._begun
 
     @property
-    def signs(self) -> np.ndarray:
+    def signs(self) -> Integers:
         """The signs of the guards there."""
         return self.past().signs[0]  # type: ignore[no-any-return]
 
@@ -184,7 +187,7 @@ class Memory:
         """Numbers of all windows."""
         return len(self._lags) * (2 + (WINDOW_DEGREE + 1) * self.scene.spec.dimension)
 
-    def _all_fixed(self, x: np.ndarray) -> np.ndarray | None:
+    def _all_fixed(self, x: StateVector) -> Numbers | None:
         """The lags, if all are constant and may be."""
         if any(self.moving):
             return None
@@ -204,7 +207,7 @@ class Memory:
         """Whether other windows are due at a time."""
         return not self.told and self.until <= t
 
-    def _start(self, x: np.ndarray) -> np.ndarray:
+    def _start(self, x: StateVector) -> Integers:
         """Orders at the start: 0 where the history does not lead to it."""
         end = self.pieces.last.state(self.plan.t0, np.zeros(1))[0]
         return np.where(end == x, 1, 0)
@@ -250,7 +253,7 @@ class Memory:
             self.flown(Instant(arc.t0, arc.low), arc.segments)
             self.jumped(row.t, row.before, row.after)
 
-    def jumped(self, t: float, before: np.ndarray, after: np.ndarray) -> None:
+    def jumped(self, t: float, before: StateVector, after: StateVector) -> None:
         """A jump; with ``memory="restart"`` all before it is forgotten."""
         if self.told:
             return
@@ -262,7 +265,7 @@ class Memory:
         if any(self.moving) or self.guessing:
             self.until, self._joins = t, True
 
-    def _restart(self, t: float, x: np.ndarray) -> None:
+    def _restart(self, t: float, x: StateVector) -> None:
         self.pieces.forget_all([constant(x, t)])
         self.ints[BREAKS] = 0
         self.breaks.add(t, np.ones(len(x), dtype=int))
@@ -290,7 +293,7 @@ class Memory:
         self.pieces.add(piece_of(Segment(0.0, part.t1 - since, straight), since, 0.0))
         self.breaks.add(part.t1, np.ones(len(tail.x_inf), dtype=int))
 
-    def _low(self, arc: Arc, x: np.ndarray) -> bool:
+    def _low(self, arc: Arc, x: StateVector) -> bool:
         """Whether nothing that is seen of a flight can be told from the limit."""
         there = np.concatenate([s(s.start + s.length * nodes(4)) for s in arc.segments])
         return self._near(there, x)
@@ -305,7 +308,7 @@ class Memory:
             return self._near(part.tail.x, limit)
         return not self.guessing or self._low(part.arc(0), limit)
 
-    def _near(self, there: np.ndarray, x: np.ndarray) -> bool:
+    def _near(self, there: np.ndarray, x: StateVector) -> bool:
         """Whether what is seen of some states cannot be told from a state."""
         seen = self.all_seen
         size = np.abs(x)
@@ -324,7 +327,7 @@ class Memory:
         """Until when the windows show what was flown."""
         return float(self.floats[GUESSED_FROM]) if self.guessing else self.until
 
-    def look(self, t: float, x: np.ndarray) -> Scene:
+    def look(self, t: float, x: StateVector) -> Scene:
         """The scene as it looks back from a time; ``until`` says for how long.
 
         Behind a jump lags look through the same windows, up to the jump, while they can.
@@ -346,7 +349,7 @@ class Memory:
             self._found(self._read())
         return self.read()
 
-    def _looks(self, t: float, x: np.ndarray) -> None:
+    def _looks(self, t: float, x: StateVector) -> None:
         """Note where the lags look from a time."""
         self._present[:] = x
         if self._fixed is None:
@@ -419,7 +422,7 @@ class Memory:
             self.breaks.forget(t - self._now.max())
 
     @contextmanager
-    def as_at(self, t: float, x: np.ndarray) -> Iterator[Then]:
+    def as_at(self, t: float, x: StateVector) -> Iterator[Then]:
         """What was to be seen at a time that the rules' own loop has gone beyond.
 
         Unless that is kept all is as before.
@@ -464,7 +467,7 @@ class Memory:
             *(self._begun, links.signs, *self._before),
         )
 
-    def _place(self, k: int, t: float, x: np.ndarray) -> float:
+    def _place(self, k: int, t: float, x: StateVector) -> float:
         """Where a lag looks."""
         lag = self._lags[k](t, x.tolist())
         if not (isfinite(lag) and lag >= 0):
@@ -498,7 +501,7 @@ class Memory:
             return False
         return t < self.until < self.plan.t1 and self.until - t <= 2.0 * slack_of(t)
 
-    def passed(self, t: float, x: np.ndarray, field: Field, fired: str | None = None) -> None:
+    def passed(self, t: float, x: StateVector, field: Field, fired: str | None = None) -> None:
         """The windows' end is reached: note the breaking point that follows from theirs.
 
         ``fired`` is the edge of the guard by which a lag that moves came to the end of its own.

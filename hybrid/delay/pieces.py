@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from functools import partial
 from math import isfinite, ulp
+from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
@@ -18,6 +19,9 @@ from ..segment import Segment, from_values, integrals, nodes
 from ..solvers.taylor_backend import HIGHEST
 from ..trajectory.clock import Instant
 from .windows import TO_POWERS
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Integers, Matrix, Numbers, StateVector, StateVectors
 
 #: Rounding of places at the ends of a piece.
 INSIDE = 1e-12
@@ -51,7 +55,7 @@ class Piece:
     state: Callable[[float, np.ndarray], np.ndarray]
     degree: float
     orders: np.ndarray | None = None
-    rows: np.ndarray | None = None
+    rows: Matrix | None = None
     frame: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -66,19 +70,19 @@ def _polynomial(
     start: float,
     end: float,
     frame: tuple[float, ...],
-    rows: np.ndarray,
+    rows: Matrix,
     orders: np.ndarray | None = None,
 ) -> Piece:
     shown = partial(_shown, frame, rows)
     return Piece(start, end, shown, len(rows) - 1, orders, rows, frame)
 
 
-def _shown(frame: tuple[float, ...], rows: np.ndarray, s: float, since: np.ndarray) -> np.ndarray:
+def _shown(frame: tuple[float, ...], rows: Matrix, s: float, since: Numbers) -> Matrix:
     t0, low, middle, half = frame
     return chebyshev_sum(((((s - t0) - low) - middle) + since) / half, rows)
 
 
-def chebyshev_sum(places: np.ndarray, rows: np.ndarray) -> np.ndarray:
+def chebyshev_sum(places: Numbers, rows: Matrix) -> Matrix:
     """Chebyshev series at places, by their cosines: for a few places faster than a recurrence."""
     if np.abs(places).max() > 1.0 + INSIDE:
         return np.polynomial.chebyshev.chebvander(places, len(rows) - 1) @ rows
@@ -86,16 +90,16 @@ def chebyshev_sum(places: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return np.cos(np.multiply.outer(angles, np.arange(len(rows)))) @ rows
 
 
-def constant(x: np.ndarray, end: float) -> Piece:
+def constant(x: StateVector, end: float) -> Piece:
     """The same state for all times before ``end``."""
     return Piece(-np.inf, end, partial(_always, x), 0, rows=x[None])
 
 
-def _always(x: np.ndarray, s: float, since: np.ndarray) -> np.ndarray:
+def _always(x: StateVector, s: float, since: Numbers) -> StateVectors:
     return np.broadcast_to(x, (len(since), len(x)))
 
 
-def states(pieces: Sequence[Piece], s: float, since: np.ndarray) -> np.ndarray:
+def states(pieces: Sequence[Piece], s: float, since: Numbers) -> Matrix:
     """States at ``s + since`` from pieces in order; beyond them the outer ones go on."""
     if len(pieces) == 1:
         return pieces[0].state(s, since)
@@ -130,7 +134,7 @@ class Pieces:
     They are rows of arrays that the rules' own loop adds to, whose number is in ``ints``.
     """
 
-    def __init__(self, ints: np.ndarray, pieces: Sequence[Piece], dimension: int) -> None:
+    def __init__(self, ints: Integers, pieces: Sequence[Piece], dimension: int) -> None:
         self.ints, self.dimension = ints, dimension
         self.spans = np.empty((FIRST_ROOM, COLUMNS))
         self.degrees = np.empty(FIRST_ROOM, dtype=np.int64)
@@ -155,7 +159,7 @@ class Pieces:
         return self.count == len(self.degrees)
 
     @property
-    def ends(self) -> np.ndarray:
+    def ends(self) -> Numbers:
         """When they end."""
         return self.spans[: self.count, UP_TO]
 
@@ -230,7 +234,7 @@ class Breaks:
     They, too, are in arrays that the rules' own loop adds to.
     """
 
-    def __init__(self, ints: np.ndarray, dimension: int) -> None:
+    def __init__(self, ints: Integers, dimension: int) -> None:
         self.ints = ints
         self._times = np.empty(FIRST_ROOM)
         self._orders = np.empty((FIRST_ROOM, dimension), dtype=np.int64)
@@ -242,11 +246,11 @@ class Breaks:
         return self._times, self._orders
 
     @property
-    def times(self) -> np.ndarray:
+    def times(self) -> Numbers:
         """The times."""
         return self._times[: self.ints[BREAKS]]
 
-    def add(self, t: float, orders: np.ndarray) -> None:
+    def add(self, t: float, orders: Integers) -> None:
         """A breaking point at the present time; those at one time are one."""
         place = int(self.ints[BREAKS])
         if place and t <= self._times[place - 1] + slack_of(t):
@@ -282,7 +286,7 @@ def slack_of(*times: float) -> float:
     return 8.0 * ulp(max(map(abs, times)))
 
 
-def window_on(a: float, b: float, values: np.ndarray) -> list[np.ndarray]:
+def window_on(a: float, b: float, values: Matrix) -> list[np.ndarray]:
     """A window through states at its nodes, as the trace takes it: its frame and coefficients.
 
     What is rounding is left out: on a short window the derivatives of rounding are large.

@@ -11,6 +11,7 @@ from ..automaton.past import blank
 from ..rules.places import KIND, NONE, RELEASE, TO, WINDOW_DEGREE
 
 if TYPE_CHECKING:
+    from ..automaton.shapes import IntegerMatrix
     from ..lowering import Field
     from ..lowering.automaton import Tables
     from ..rules.arrays import AutomatonArrays
@@ -40,7 +41,7 @@ class Links(NamedTuple):
     signs: np.ndarray
 
 
-def _table(rows: Any, width: int) -> np.ndarray:
+def _table(rows: Any, width: int) -> IntegerMatrix:
     return np.array(rows, dtype=np.int64).reshape(-1, width)
 
 
@@ -116,7 +117,7 @@ class Shown:
             NO_PROGRAMS,
         )
 
-    def _windows(self, given: np.ndarray) -> np.ndarray:
+    def _windows(self, given: IntegerMatrix) -> IntegerMatrix:
         """Of places of parameters those of windows, and which of their numbers they are."""
         among = (given[:, 1] >= self.first) & (given[:, 1] < self.first + self.count)
         return given[among] - [0, self.first]

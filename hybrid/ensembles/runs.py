@@ -27,6 +27,8 @@ from .threads import FlownLanes, GivenLanes, abreast
 if TYPE_CHECKING:
     import xarray
 
+    from ..automaton.shapes import StateVector
+
 #: What the status of a lane that has failed means; its ``reason`` says where and why.
 FAILED = {
     "outside": "the start, or a reset, is outside the mode's domain",
@@ -190,7 +192,7 @@ class _Row(NamedTuple):
     """What is kept of a lane that has ended."""
 
     t: float
-    x: np.ndarray
+    x: StateVector
     mode: str
     jumps: int
     steps: int
@@ -310,7 +312,7 @@ class _Runs:
         status = driver.status.name.lower(), str(driver.status)
         return _Ended(self._ended(lane, driver, *status), None)
 
-    def _fly(self, driver: Driver, x: np.ndarray) -> None:
+    def _fly(self, driver: Driver, x: StateVector) -> None:
         try:
             driver.run(self.mode, x)
         finally:  # what accumulates before a fault is told, too

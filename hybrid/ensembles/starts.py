@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import attrs
 import numpy as np
@@ -15,13 +15,16 @@ from ..errors import OptionError, StartError
 from ..lowering import Scene, scene_with
 from ..run.options import values_of
 
+if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix, Numbers, StateVector
+
 
 class Lane(NamedTuple):
     """What is asked of one lane."""
 
     scene: Scene
     t: tuple[float, float]
-    x: np.ndarray
+    x: StateVector
     history: Any
 
 
@@ -115,10 +118,10 @@ class Lanes:
             self.varied[name] = array
         return array
 
-    def _full(self, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    def _full(self, array: np.ndarray, shape: tuple[int, ...]) -> Numbers:
         return np.broadcast_to(array, (self.count, *shape))
 
-    def _rows(self, columns: list[tuple[np.ndarray, tuple[int, ...]]]) -> np.ndarray:
+    def _rows(self, columns: list[tuple[np.ndarray, tuple[int, ...]]]) -> Matrix:
         """A row of numbers for each lane."""
         parts = [self._full(v, shape).reshape(self.count, -1) for v, shape in columns]
         return np.concatenate([np.empty((self.count, 0)), *parts], axis=1)

@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from ..run import Driver
 from ..run.rooms import left_for, now_for, work_for
 from ..solvers.pairs import NO_TABLES
 from ..zeno.narrow import bounded
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Integers, Mask, Matrix, StateVector, StateVectors
 
 #: Lanes in a call, at most and at least: between two calls progress is told. Within these
 #: bounds there are so many calls for each thread, that all end together.
@@ -55,7 +58,7 @@ class FlownLanes(NamedTuple):
     fired: np.ndarray
     around: np.ndarray
 
-    def those(self, fit: np.ndarray) -> FlownLanes:
+    def those(self, fit: Mask) -> FlownLanes:
         """Those that a mask says."""
         return self if fit.all() else FlownLanes(*(column[fit] for column in self))
 
@@ -89,7 +92,7 @@ def abreast(
     return (flies or Abreast)(scene, driver, mode, lanes, rows) if plain else None
 
 
-def _alike(scene: Scene, values: np.ndarray) -> bool:
+def _alike(scene: Scene, values: Matrix) -> bool:
     """Whether the same guards bound their modes with the parameters of each lane."""
     code, edges = scene.code, scene.spec.transitions
     kicks = [edge for edge in edges if code.kicks(edge)]
@@ -126,7 +129,7 @@ class Abreast:
         """The name of a field."""
         return self.tables.fields[number].name
 
-    def final(self, flown: FlownLanes) -> np.ndarray:
+    def final(self, flown: FlownLanes) -> StateVectors:
         """The states at the ends of lanes."""
         n = self.given.starts.shape[1]
         until, x = flown.ends[:, FLOWN_TO].tolist(), flown.ends[:, STATE : STATE + n].copy()
@@ -135,7 +138,7 @@ class Abreast:
             x[k] = self.onto(int(flown.told[k, MODE]), int(flown.lanes[k]), until[k], x[k])
         return x
 
-    def onto(self, number: int, lane: int, t: float, x: np.ndarray) -> np.ndarray:
+    def onto(self, number: int, lane: int, t: float, x: StateVector) -> StateVector:
         """The state at the end of an arc in a field: on the contacts held, or the surface on which
         it slides, as a run keeps it."""
         field, values = self.tables.fields[number], tuple(self.given.values[lane].tolist())
@@ -144,7 +147,7 @@ class Abreast:
         onto = self.scene.projection(field.mode, field.held, values)
         return np.array(onto(t, x.tolist()))
 
-    def complete(self, which: np.ndarray) -> Iterator[FlownLanes]:
+    def complete(self, which: Integers) -> Iterator[FlownLanes]:
         """Fly lanes, again those that ask for what the tables do not have yet."""
         while len(which):
             self._lay_out()
@@ -187,7 +190,7 @@ class Abreast:
             np.concatenate([part.tape.more for part in parts]),
         )
 
-    def _in_threads(self, which: np.ndarray) -> Iterator[FlownLanes]:
+    def _in_threads(self, which: Integers) -> Iterator[FlownLanes]:
         threads = _threads()
         size = min(BLOCK_LANES, max(LEAST_LANES, len(which) // (CALLS * threads)))
         automaton = self.tables.automaton
@@ -209,7 +212,7 @@ class Abreast:
             pool.shutdown(cancel_futures=True)
             self.stop[0] = 0
 
-    def _block(self, automaton: AutomatonArrays, which: np.ndarray) -> tuple[FlownLanes, int]:
+    def _block(self, automaton: AutomatonArrays, which: Integers) -> tuple[FlownLanes, int]:
         """Some lanes, with arrays of their own."""
         asked = [np.ascontiguousarray(rows[which]) for rows in self.given]
         count, n = asked[-1].shape
@@ -234,7 +237,7 @@ class Abreast:
         around = around.reshape(count, self.rows, 2, n)
         return FlownLanes(which, ends, told, when, fired, around), steps
 
-    def _call(self, which: np.ndarray, automaton: tuple[Any, ...], lanes: tuple[Any, ...]) -> int:
+    def _call(self, which: Integers, automaton: tuple[Any, ...], lanes: tuple[Any, ...]) -> int:
         """Fly some lanes; returns the steps made."""
         fly: Any = unit("lanes").lanes
         return fly(*automaton, *lanes)  # type: ignore[no-any-return]

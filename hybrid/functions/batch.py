@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from copy import copy
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import attrs
 import numpy as np
@@ -36,6 +36,9 @@ from ..rules.lanes import (
 from ..run import Driver
 from ..variation import Derivatives, Owned
 from .derivatives import REASON_NUMBERS, Runs
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import IntegerMatrix, Integers, Mask, Matrix
 
 #: Rows from which on they are flown together: to begin takes as long as two or three runs.
 FEWEST_ROWS = 4
@@ -63,9 +66,7 @@ def values(runs: Runs, rows: Any) -> tuple[np.ndarray, np.ndarray]:
     return numbers.reshape(*shape, -1), ints.reshape(*shape, -1)
 
 
-def _together(
-    runs: Runs, rows: np.ndarray, numbers: np.ndarray, ints: np.ndarray, done: np.ndarray
-) -> None:
+def _together(runs: Runs, rows: Matrix, numbers: Matrix, ints: IntegerMatrix, done: Mask) -> None:
     """Fly those that need no judgement, and put down what they give."""
     fit = np.flatnonzero(_usual(rows))
     together = _first(runs, rows[fit], Abreast) if len(fit) else None
@@ -77,19 +78,19 @@ def _together(
         done[which] = True
 
 
-def _usual(rows: np.ndarray) -> np.ndarray:
+def _usual(rows: Matrix) -> Mask:
     """Which rows ask for what may be flown."""
     fit: np.ndarray = np.isfinite(rows).all(axis=1) & (rows[:, -1] > rows[:, -2])
     return fit
 
 
-def _parted(runs: Runs, rows: np.ndarray) -> GivenLanes:
+def _parted(runs: Runs, rows: Matrix) -> GivenLanes:
     """Parameters, times and starts."""
     first = -2 - runs.layout.size
     return GivenLanes(rows[:, :first], rows[:, -2:], rows[:, first:-2])
 
 
-def _first(runs: Runs, rows: np.ndarray, flies: type[Flies]) -> Flies | None:
+def _first(runs: Runs, rows: Matrix, flies: type[Flies]) -> Flies | None:
     """What flies rows, made for the first of them; None where their runs are not plain."""
     lanes, kept = _parted(runs, rows), runs.layout.rows if "times" in runs.layout.places else 0
     scene = scene_with(runs.cls, runs.shapes, tuple(lanes.values[0].tolist()))
@@ -160,7 +161,7 @@ class Gradients:
         shape = rows.shape[:-1]
         return tuple(a.reshape(*shape, *a.shape[1:]) for a in (numbers, ints, slopes))  # type: ignore[return-value]
 
-    def _together(self, rows: np.ndarray) -> Changing | None:
+    def _together(self, rows: Matrix) -> Changing | None:
         """What flies the rows; it is made with the first that can be flown."""
         if self._made is None:
             self._made = _first(self.runs, rows, Changing)
@@ -216,7 +217,7 @@ class Changing(Abreast):
                 self.derived.flown(len(which))
                 which = self._asking(which)
 
-    def _asking(self, lanes: np.ndarray) -> np.ndarray:
+    def _asking(self, lanes: Integers) -> Integers:
         """Those of some lanes that have asked for derivatives, which are added."""
         asked = self.asked[lanes]
         if (asked[:, 0] < OF_FIELD).all():
@@ -235,7 +236,7 @@ class Changing(Abreast):
             self.laid_out[key] = self.steady(parts, ())
         self.own = self.laid_out[key]
 
-    def _call(self, which: np.ndarray, automaton: tuple[Any, ...], lanes: tuple[Any, ...]) -> int:
+    def _call(self, which: Integers, automaton: tuple[Any, ...], lanes: tuple[Any, ...]) -> int:
         fly: Any = unit("changes").flown
         asked, found = self.asked[which], self.found[which]
         parts, given, _, ops, more = self.own

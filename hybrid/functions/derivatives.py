@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -26,6 +26,9 @@ from ..run.options import Asked
 from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Status
 from ..variation import Carried, Course, PastVariation, Shift, Strand, Walk
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Integers, Matrix, Numbers, StateVector
 
 #: What the status of a run means, by its number.
 REASONS = {
@@ -118,16 +121,16 @@ class Runs:
     layout: Layout
     history: Any = None
 
-    def values(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def values(self, row: Numbers) -> tuple[np.ndarray, np.ndarray]:
         """What a run gives; and the places of its edges, the count of its jumps, its status."""
         return self._flown(row, "jumps").numbers()
 
-    def slopes(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def slopes(self, row: Numbers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same, and behind it the derivatives: a column for each number of the row."""
         run = self._flown(row, "dense")
         return *run.numbers(), run.derivatives(len(row))
 
-    def plan(self, row: np.ndarray) -> Itinerary:
+    def plan(self, row: Numbers) -> Itinerary:
         """The run as it can be flown again (:mod:`hybrid.replay`).
 
         Raises
@@ -137,7 +140,7 @@ class Runs:
         """
         return self._flown(row, "dense").plan()
 
-    def planned(self, row: np.ndarray) -> tuple[np.ndarray, ...]:
+    def planned(self, row: Numbers) -> tuple[np.ndarray, ...]:
         """What a run gives, as :meth:`values`; whether it can be flown again, and how."""
         run = self._flown(row, "dense")
         plan, flies = blank(laws_of(run.scene.code), self.room, self.layout.rows), False
@@ -151,7 +154,7 @@ class Runs:
         assert self.asked.max_steps is not None
         return self.asked.max_steps
 
-    def _flown(self, row: np.ndarray, save: str) -> _Run:
+    def _flown(self, row: Numbers, save: str) -> _Run:
         n = self.layout.size
         *values, t0, t1 = row.tolist()
         x, count = row[-2 - n : -2].copy(), len(values) - n
@@ -178,8 +181,8 @@ class _Run:
     driver: Driver | None
     status: str
     t0: float
-    x: np.ndarray
-    row: np.ndarray
+    x: StateVector
+    row: Numbers
 
     @cached_property
     def course(self) -> Course:
@@ -211,7 +214,7 @@ class _Run:
             self._limit(views, driver)
         return numbers, ints
 
-    def _table(self, views: dict[str, np.ndarray], ints: np.ndarray) -> None:
+    def _table(self, views: dict[str, np.ndarray], ints: Integers) -> None:
         table = [self.course.jumps[place] for place in self.rows]
         for k, jump in enumerate(table):
             views["times"][k], ints[k] = jump.t, self.of.edges.index(jump.edge)
@@ -238,7 +241,7 @@ class _Run:
 
     # -- how that changes -------------------------------------------------------------------
 
-    def derivatives(self, columns: int) -> np.ndarray:
+    def derivatives(self, columns: int) -> Matrix:
         """Derivatives of the numbers by those of the row."""
         layout = self.of.layout
         found = np.full((layout.length, columns), np.nan)

@@ -14,7 +14,7 @@ Several contacts held at once share one system of equations for their forces.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -24,6 +24,9 @@ from ..automaton.trace import Traced, again, caller
 from ..errors import DeclarationError
 from .arithmetic import solve
 
+if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix
+
 
 @attrs.frozen
 class Pairing:
@@ -32,11 +35,11 @@ class Pairing:
     positions: tuple[int, ...]
     velocities: tuple[int, ...]
 
-    def at_positions(self, size: int) -> np.ndarray:
+    def at_positions(self, size: int) -> Matrix:
         """Matrix that puts one number for each position at its place in the state."""
         return np.eye(size)[:, list(self.positions)]
 
-    def at_velocities(self, size: int) -> np.ndarray:
+    def at_velocities(self, size: int) -> Matrix:
         """Matrix that puts one number for each velocity at its place in the state."""
         return np.eye(size)[:, list(self.velocities)]
 

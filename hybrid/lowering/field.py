@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -15,6 +15,9 @@ from .derivatives import gradient
 from .lowered import ORDER, Lowered
 from .mode import Kind
 from .tape import Jets
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import StateVector
 
 Scalar = Callable[..., Any]
 
@@ -152,7 +155,7 @@ class Field:
         assert self.project is not None
         return self.project(t, x)
 
-    def along(self, t: float, x: np.ndarray) -> np.ndarray:
+    def along(self, t: float, x: StateVector) -> np.ndarray:
         """A state on the contacts held, or on the surface; where there is neither, as it is."""
         return x if self.project is None else np.array(self.project(float(t), x.tolist()))
 

@@ -11,12 +11,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from itertools import permutations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .derivatives import parts, solved
 from .graph import Graph, Ids
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import MaskMatrix
 
 #: Nodes of a closed jaxpr's results (:mod:`.jaxpr`).
 Read = Callable[[Graph, Any, list[Ids]], list[Ids]]
@@ -79,7 +82,7 @@ def _solved(graph: Graph, matrix: Ids, right: Ids) -> Ids:
     return found
 
 
-def _groups(linked: np.ndarray) -> Iterable[list[int]]:
+def _groups(linked: MaskMatrix) -> Iterable[list[int]]:
     left = set(range(len(linked)))
     while left:
         group, new = set[int](), {min(left)}

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property, partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -21,6 +21,9 @@ from ..rules import operations as rule
 from ..rules import unit
 from ..rules.arrays import Programs, Room
 from ..rules.zeros import SPARE_ROWS
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import IntegerMatrix, Integers, Matrix, Numbers
 
 #: Of each operation's columns: which name rows or numbers, and which a list of such.
 NAME_COLUMNS, LIST_COLUMNS = np.zeros((2, rule.LGAMMA + 1, 6), dtype=bool)
@@ -89,16 +92,16 @@ class Tape:
 
     size: int
     rows: int
-    ops: np.ndarray
-    more: np.ndarray
-    flow: np.ndarray
-    output: np.ndarray
-    affine: np.ndarray
-    kinks: np.ndarray
+    ops: IntegerMatrix
+    more: Integers
+    flow: Integers
+    output: Integers
+    affine: Integers
+    kinks: IntegerMatrix
     watched: tuple[Watched, ...]
-    steady: np.ndarray
-    numbers: np.ndarray
-    given: np.ndarray
+    steady: IntegerMatrix
+    numbers: Numbers
+    given: IntegerMatrix
     room: int
 
     @property
@@ -121,9 +124,9 @@ class Jets:
     """A tape with the values of the parameters, for some of its functions: a program."""
 
     tape: Tape
-    numbers: np.ndarray
-    output: np.ndarray
-    affine: np.ndarray
+    numbers: Numbers
+    output: Integers
+    affine: Integers
 
     @cached_property
     def places(self) -> np.ndarray:
@@ -175,7 +178,7 @@ class Jets:
         except ValueError:
             return False
 
-    def _watched(self, c: np.ndarray) -> list[list[float]]:
+    def _watched(self, c: Matrix) -> list[list[float]]:
         """The series of what is watched; on a branch that is not taken nothing happens."""
         watched = c[self.tape.kinks[self.places, 0]]
         if np.isnan(watched).any():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
@@ -13,10 +14,13 @@ from ..result import Trajectory
 from ..trajectory.arcs import Arc
 from ..variation import Carried, Course, PastVariation, Shift, Strand, Walk
 
+if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix
+
 
 def carried(
     run: Trajectory,
-    now: np.ndarray,
+    now: Matrix,
     strands: Sequence[Strand],
     shifts: Sequence[Shift] = (),
     breaks: Iterable[float] = (),

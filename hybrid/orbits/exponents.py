@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -13,6 +13,9 @@ from ..result import Trajectory
 from ..simulation import simulate
 from ..trajectory.trajectory import Status
 from ..variation import factors
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix, Numbers
 
 #: Parts of a run whose means are compared.
 BATCHES = 20
@@ -45,10 +48,10 @@ class Exponents:
         Over which they were taken.
     """
 
-    exponents: np.ndarray
-    error: np.ndarray
-    times: np.ndarray
-    running: np.ndarray
+    exponents: Numbers
+    error: Numbers
+    times: Numbers
+    running: Matrix
     run: Trajectory
 
     @property
@@ -153,9 +156,7 @@ def _run(model: Any, start: Any, t: tuple[float, float], options: dict[str, Any]
     return run
 
 
-def _carry(
-    model: Any, run: Trajectory, frame: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _carry(model: Any, run: Trajectory, frame: Matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times at the ends of a run's pieces, logarithms of the frame's growth, the last frame."""
     times, growth = [], []
     for factor in factors(model, run):
@@ -168,7 +169,7 @@ def _carry(
     return np.array(times), np.array(growth), frame
 
 
-def _exponents(times: np.ndarray, growth: np.ndarray, run: Trajectory) -> Exponents:
+def _exponents(times: Numbers, growth: Matrix, run: Trajectory) -> Exponents:
     total, spans = np.cumsum(growth, axis=0), times - run.t0
     at = np.unique(np.linspace(np.argmax(spans > 0), len(times) - 1, RUNNING_ESTIMATES).astype(int))
     running = total[at] / spans[at, None]
@@ -177,7 +178,7 @@ def _exponents(times: np.ndarray, growth: np.ndarray, run: Trajectory) -> Expone
     return Exponents(running[-1][order], error[order], times[at], running[:, order], run)
 
 
-def _error(times: np.ndarray, total: np.ndarray, first: float) -> np.ndarray:
+def _error(times: Numbers, total: Matrix, first: float) -> Numbers:
     """Standard error of the mean growth, from the means of parts of the run."""
     ends = np.linspace(first, times[-1], BATCHES + 1)[1:]
     index = np.unique(np.searchsorted(times, ends - 1e-12 * (times[-1] - first)))

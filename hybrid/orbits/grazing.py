@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
@@ -16,6 +17,9 @@ from ..segment import from_values, nodes
 from ..trajectory.arcs import Arc
 from ..variation.walk import SMOOTH_KINDS
 
+if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers
+
 #: A guard's rate at a jump, against its largest, below which the jump is said to graze; the
 #: square of this is what a guard that turns back has come to, against its largest value.
 GRAZES = 1e-3
@@ -27,9 +31,9 @@ class Step:
 
     start: float
     length: float
-    series: np.ndarray
-    times: np.ndarray
-    values: np.ndarray
+    series: Numbers
+    times: Numbers
+    values: Numbers
 
 
 @attrs.frozen(eq=False)
@@ -72,7 +76,7 @@ def _turned(step: Step, bound: float) -> Iterator[tuple[float, float]]:
         yield step.start + 0.5 * (xi + 1.0) * step.length, value
 
 
-def turning(series: np.ndarray) -> np.ndarray:
+def turning(series: Numbers) -> Numbers:
     """Where a Chebyshev series turns, inside (-1, 1)."""
     return 2.0 * np.array(turning_points(series)) - 1.0
 

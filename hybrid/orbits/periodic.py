@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -23,6 +23,9 @@ from .restarting import RestartShooting
 from .returns import with_tolerances
 from .search import Search, depends_on_time, given
 from .shooting import Shooting, Shot
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import ComplexNumbers, Matrix, Numbers
 
 #: A multiplier nearer than this to the unit circle is not said to lie inside or outside.
 NEUTRAL = 1e-6
@@ -83,15 +86,15 @@ class PeriodicOrbit:
     jumps: float
     sticks: tuple[Stick, ...]
     saltations: tuple[Factor, ...]
-    monodromy: np.ndarray
-    multipliers: np.ndarray
+    monodromy: Matrix
+    multipliers: ComplexNumbers
     stable: bool
     start: Record
     run: Trajectory
     residual: float
     autonomous: bool
     grazing: tuple[str, ...]
-    errors: np.ndarray | None = None
+    errors: Numbers | None = None
 
     def __str__(self) -> str:
         outside = bool(np.any(np.abs(self.multipliers) > 1.0 + NEUTRAL))
@@ -242,14 +245,14 @@ def _describe(shooting: Shooting, turn: Shot) -> PeriodicOrbit:
     )
 
 
-def _others(multipliers: np.ndarray, autonomous: bool) -> np.ndarray:
+def _others(multipliers: ComplexNumbers, autonomous: bool) -> ComplexNumbers:
     """The multipliers without that of a change along the orbit."""
     if not autonomous:
         return multipliers
     return np.delete(multipliers, np.argmin(np.abs(multipliers - 1.0)))
 
 
-def _besides(multipliers: np.ndarray, autonomous: bool) -> bool:
+def _besides(multipliers: ComplexNumbers, autonomous: bool) -> bool:
     """Whether a multiplier is 1 that need not be: nothing then brings a turn back to the orbit."""
     return bool(np.any(np.abs(_others(multipliers, autonomous) - 1.0) < NEUTRAL))
 

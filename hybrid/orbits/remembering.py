@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from math import ceil
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -30,6 +30,9 @@ from ..trajectory.log import Log
 from ..variation import Carried, Shift, Strand, descendants, distinct
 from .delayed import carried
 from .shooting import SHORTEST_ARC, Description, Guess, Shooting, Shot
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import ComplexNumbers, Matrices, Matrix, Numbers, StateVector
 
 #: Degree on each piece of the record, and on the finer set.
 RECORD_DEGREE, FINE_DEGREE = 18, 26
@@ -55,8 +58,8 @@ class Leap:
     """A jump of the record that is seen."""
 
     t: float
-    before: np.ndarray
-    after: np.ndarray
+    before: StateVector
+    after: StateVector
 
 
 def leaps(record: PastRecord, low: float, high: float, seen: Sequence[int]) -> list[Leap]:
@@ -99,7 +102,7 @@ class Frame:
         moved = {leap.t: end.t for leap, end in zip(self.leaps, ends, strict=True)}
         return [(moved.get(a, a + later), moved.get(b, b + later)) for a, b in self.pieces]
 
-    def states(self, record: PastRecord, later: float, ends: Sequence[Leap]) -> np.ndarray:
+    def states(self, record: PastRecord, later: float, ends: Sequence[Leap]) -> Matrices:
         """A record at the points some time later; shape ``(pieces, degree + 1, n)``."""
         found = []
         for times, (a, b) in zip(self.points, self.bounds(later, ends), strict=True):
@@ -107,7 +110,7 @@ class Frame:
             found.append(record.states(times + later, a + room, b - room))
         return np.array(found)
 
-    def slopes(self, states: np.ndarray) -> np.ndarray:
+    def slopes(self, states: Matrices) -> Matrices:
         """Time derivatives of values at the points."""
         vander = chebyshev.chebvander(2.0 * nodes(self.degree) - 1.0, self.degree - 1)
         matrix = vander @ chebyshev.chebder(from_values(self.degree))
@@ -201,7 +204,7 @@ def _ends(run: Trajectory, frame: Frame) -> list[Leap]:
     return found
 
 
-def _row(shifts: Iterable[Shift], t: float) -> np.ndarray:
+def _row(shifts: Iterable[Shift], t: float) -> Matrix:
     """The change of the time of the jump at a time."""
     return min(shifts, key=lambda shift: abs(shift.t - t)).row[None]
 
@@ -258,7 +261,7 @@ class HistoryShooting(Shooting):
         residual = float(np.max(np.abs(miss) / scale)) + self._apart(run)
         return Remembering(guess, run, miss, scale, residual, frame)
 
-    def _measure(self, turn: Shot) -> np.ndarray:
+    def _measure(self, turn: Shot) -> Numbers:
         return turn.scale
 
     def _step(self, turn: Shot) -> tuple[np.ndarray, float]:
@@ -281,13 +284,13 @@ class HistoryShooting(Shooting):
         stretch = 0.0 if self.timed else float(found[-1]) * turn.guess.period
         return found[: len(scale)] * scale, stretch
 
-    def moved(self, turn: Shot, step: np.ndarray, stretch: float) -> Guess:
+    def moved(self, turn: Shot, step: Numbers, stretch: float) -> Guess:
         """Where the record changed by a step leads after the longest lag at least."""
         changed = self.changed(turn, step, stretch)
         length = self._covering(changed.period) * changed.period
         return self.after(self.fly(changed, length), changed.period)
 
-    def changed(self, turn: Shot, step: np.ndarray, stretch: float) -> Guess:
+    def changed(self, turn: Shot, step: Numbers, stretch: float) -> Guess:
         """The guess of a turn with the record and the period changed by a step."""
         assert isinstance(turn, Remembering)
         frame, guess = turn.frame, turn.guess
@@ -331,13 +334,13 @@ class HistoryShooting(Shooting):
         )
 
 
-def _piece(a: float, b: float, degree: int, points: np.ndarray, values: np.ndarray) -> Piece:
+def _piece(a: float, b: float, degree: int, points: Numbers, values: Matrix) -> Piece:
     """A piece of a record with these values at its points; its ends may have been moved."""
     strand = Strand(float(points[0]), float(points[-1]), values[:, :, None])
     return Piece(a, b, lambda s, since: strand(s + since)[:, :, 0], degree)
 
 
-def _sorted(matrix: np.ndarray) -> np.ndarray:
+def _sorted(matrix: Matrix) -> ComplexNumbers:
     """Eigenvalues, largest first; of a pair the one above the real axis first."""
     values = np.linalg.eigvals(matrix).astype(complex)
     return values[np.lexsort((-values.imag, -np.round(np.abs(values), 9)))]

@@ -6,6 +6,8 @@ turn ends just after the jump of the same edge that comes nearest to a period la
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import attrs
 import numpy as np
 
@@ -16,6 +18,9 @@ from ..variation import Strand
 from .delayed import carried
 from .section import Return, cut
 from .shooting import EQUILIBRIUM_MOVE, Description, Guess, Shooting, Shot
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers, StateVector
 
 #: How long a turn is flown, in periods, for its jump to come.
 PERIODS_FLOWN = 1.5
@@ -48,7 +53,7 @@ class RestartShooting(Shooting):
         row, mode = run.own_jumps[index], run.parts[index + 1].mode
         return Landed(row.t, self._closed(row.edge, row.t, row.after), mode, period, None, row.edge)
 
-    def _closed(self, edge: str, t: float, x: np.ndarray) -> np.ndarray:
+    def _closed(self, edge: str, t: float, x: StateVector) -> StateVector:
         """A state on the contact of an edge, if that is one."""
         if not self.scene.is_contact(edge):
             return x
@@ -79,7 +84,7 @@ class RestartShooting(Shooting):
             raise OrbitError(f"{run.spec.model}: the run has no jump {guess.edge} again")
         return min(rows, key=lambda i: abs(rows[i].t - guess.t - guess.period))
 
-    def _measure(self, turn: Shot) -> np.ndarray:
+    def _measure(self, turn: Shot) -> Numbers:
         return turn.scale
 
     def _step(self, turn: Shot) -> tuple[np.ndarray, float]:
@@ -90,12 +95,12 @@ class RestartShooting(Shooting):
         found = np.linalg.lstsq(system, -(turn.miss / turn.scale)[:count], rcond=1e-12)[0]
         return np.append(found, np.zeros(len(turn.scale) - count)) * turn.scale, 0.0
 
-    def moved(self, turn: Shot, step: np.ndarray, stretch: float) -> Guess:
+    def moved(self, turn: Shot, step: Numbers, stretch: float) -> Guess:
         """The guess of a turn changed by a step."""
         guess = turn.guess
         return attrs.evolve(guess, x=guess.x + step[:-1], t=guess.t + float(step[-1]))
 
-    def again(self, turn: Shot, period: float) -> np.ndarray:
+    def again(self, turn: Shot, period: float) -> StateVector:
         """The state after the jump a shorter period later; not a number where there is none."""
         guess = attrs.evolve(turn.guess, period=period)
         assert isinstance(guess, Landed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import islice
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -19,6 +19,9 @@ from ..simulation import simulate
 from ..trajectory.trajectory import Status
 from ..variation.carried import WINDOW_SPACINGS
 from .section import EdgeSection, Period, Return, Section, Surface, cut, section_of
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import StateVector
 
 #: The first window in which a return is sought, of the longest, and how they grow: the time in
 #: which a model lives is not known, and no more than a few times too much is flown.
@@ -147,7 +150,7 @@ class ReturnMap:
             point = Point(run.t1, run.parts[-1].last, last, history)
             yield point
 
-    def _vector(self, state: Any) -> np.ndarray:
+    def _vector(self, state: Any) -> StateVector:
         if isinstance(state, np.ndarray) and state.shape == (self.scene.spec.dimension,):
             return state
         values = self.scene.spec.values(state)

@@ -11,7 +11,7 @@ where the last equation says that the start does not slide along the orbit. Wher
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -25,6 +25,9 @@ from ..simulation import simulate
 from ..trajectory.arcs import Arc
 from ..trajectory.log import Log
 from ..variation import Factor, factors
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix, Numbers, StateVector
 
 #: Most steps of Newton's method, and most halvings of one.
 NEWTON_STEPS, NEWTON_HALVINGS = 40, 8
@@ -53,7 +56,7 @@ class Guess:
     """Where a turn begins, how long it takes, and of a model with delays what was before."""
 
     t: float
-    x: np.ndarray
+    x: StateVector
     mode: str | None
     period: float
     history: Any = None
@@ -74,8 +77,8 @@ class Shot:
 
     guess: Guess
     run: Trajectory
-    miss: np.ndarray
-    scale: np.ndarray
+    miss: Numbers
+    scale: Numbers
     residual: float
 
 
@@ -94,10 +97,10 @@ class Description:
         Of the multipliers, where they are known.
     """
 
-    matrix: np.ndarray
+    matrix: Matrix
     saltations: list[Factor]
     multipliers: np.ndarray
-    errors: np.ndarray | None = None
+    errors: Numbers | None = None
 
 
 class Shooting:
@@ -151,14 +154,14 @@ class Shooting:
         same = run.mode == run.parts[0].mode
         return 0.0 if same else OTHER_MODE
 
-    def _scale(self, run: Trajectory) -> np.ndarray:
+    def _scale(self, run: Trajectory) -> StateVector:
         ends = [part.last for part in run.parts]
         inside = [s(s.start + 0.5 * s.length) for a in run.arcs for s in a.segments]
         atol = np.broadcast_to(np.asarray(self.options["atol"], dtype=float), ends[0].shape)
         sizes: np.ndarray = np.abs(np.array(ends + inside)).max(axis=0)
         return np.maximum(sizes, np.maximum(FLOOR_ATOLS * atol, 1e-300))
 
-    def spread(self, run: Trajectory) -> np.ndarray:
+    def spread(self, run: Trajectory) -> StateVector:
         """How far each element goes along a run; that of one that hardly moves, from its size."""
         ends = [state for arc in run.arcs for state in (arc.first, arc.last)]
         inside = [s(s.start + 0.5 * s.length) for a in run.arcs for s in a.segments]
@@ -204,7 +207,7 @@ class Shooting:
                 return found
         return None
 
-    def moved(self, turn: Shot, step: np.ndarray, stretch: float) -> Guess:
+    def moved(self, turn: Shot, step: StateVector, stretch: float) -> Guess:
         """The guess of a turn changed by a step."""
         guess = turn.guess
         return attrs.evolve(guess, x=guess.x + step, period=guess.period + stretch)
@@ -226,11 +229,11 @@ class Shooting:
         step: np.ndarray = found[: len(scale)] * scale
         return step, 0.0 if self.timed else float(found[-1]) * guess.period
 
-    def _measure(self, turn: Shot) -> np.ndarray:
+    def _measure(self, turn: Shot) -> StateVector:
         """What a change of the unknowns is measured by: how far they go, wherever that is."""
         return self.spread(turn.run)
 
-    def flow(self, guess: Guess) -> np.ndarray:
+    def flow(self, guess: Guess) -> StateVector:
         """The flow at a guess."""
         scene = self.scene
         if scene.spec.lags:
@@ -239,7 +242,7 @@ class Shooting:
         mode = guess.mode or scene.spec.initial
         return np.array(scene.field(mode).rhs(guess.t, guess.x.tolist()))
 
-    def again(self, turn: Shot, period: float) -> np.ndarray:
+    def again(self, turn: Shot, period: float) -> StateVector:
         """The state a shorter period later."""
         return np.concatenate([np.ravel(v) for v in turn.run(turn.guess.t + period)])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from math import log10
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from ..trajectory.accumulation import Accumulation
 from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Solution
 from .figure import Curve, Figure, Panel
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix
 
 #: Points drawn of an arc, at most and at least, and of a run; arcs of a long run get fewer.
 ARC_POINTS, LEAST_POINTS, ALL_POINTS = 200, 17, 20000
@@ -272,7 +275,7 @@ def _limits(run: Solution, curves: Sequence[Curve]) -> list[Curve]:
     ]
 
 
-def _elements(record: object) -> np.ndarray:
+def _elements(record: object) -> Matrix:
     """The columns of a record of jumps, one an element."""
     parts = [np.asarray(v) for v in record]  # type: ignore[attr-defined]
     return np.concatenate([p.reshape(len(p), -1) for p in parts], axis=1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import attrs
 import numpy as np
@@ -23,8 +23,11 @@ from ..variation.arcs import (
     pieces,
     sizes,
 )
-from ..variation.derivatives import Derivatives, Matrix
+from ..variation.derivatives import Derivatives, MatrixFunction
 from .laws import AT_END, AT_LENGTH, IDENTITY, Laws, laws_of
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix, Numbers, StateVector
 
 #: Last terms of the series of a step's slopes, relative, that are small enough: a collocation at
 #: Gauss's points errs at its end by about their square.
@@ -141,9 +144,9 @@ class _Leg:
     piece: ArcPiece
     mask: list[float]
     laws: list[int]
-    first: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
+    first: StateVector
+    before: StateVector
+    after: StateVector
     end: float
 
     def write(self, plan: Itinerary, place: int) -> None:
@@ -208,7 +211,7 @@ class _Maker:
         assert ties is not None
         self._smooth(jump.t, ties)
 
-    def _smooth(self, t: float, ties: np.ndarray) -> None:
+    def _smooth(self, t: float, ties: Matrix) -> None:
         if np.any(ties):
             raise OrbitError(
                 f"{self.model}, t = {t!r}: something else happens at the same instant, which "
@@ -262,7 +265,7 @@ class _Maker:
             yield from _resolved(rate, piece, self.of.units)
 
 
-def _resolved(rate: Matrix, piece: ArcPiece, units: np.ndarray) -> Iterator[ArcPiece]:
+def _resolved(rate: MatrixFunction, piece: ArcPiece, units: Numbers) -> Iterator[ArcPiece]:
     """A piece, halved until the last terms of its series are small."""
     waiting, left = [piece], COLLOCATION_HALVINGS
     while waiting:

@@ -32,6 +32,8 @@ from ..trajectory.trajectory import Jump, Solution, Status
 if TYPE_CHECKING:
     import xarray
 
+    from ..automaton.shapes import Numbers
+
 Kind = TypeVar("Kind", bound=Solution)
 
 #: Raised when the layout changes.
@@ -67,7 +69,7 @@ def to_xarray(run: Solution, t: Any = None) -> xarray.Dataset:
     return xr.Dataset(variables, coords={"time": times}, attrs=attributes)
 
 
-def _stack(spec: Spec, record: Record) -> np.ndarray:
+def _stack(spec: Spec, record: Record) -> Numbers:
     parts = [np.asarray(v) for v in record]
     lead = parts[0].shape[: parts[0].ndim - len(spec.states[0].shape)]
     return np.concatenate([p.reshape((*lead, -1)) for p in parts], axis=-1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
@@ -18,6 +19,9 @@ from ..trajectory.arcs import Arc
 from ..trajectory.log import Log
 from ..trajectory.trajectory import Solution
 from .standing import RATE_PARTS, SAMPLED_DEGREE, Standing, size_of, standing
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix, Numbers
 
 #: Distances below this many times ``rtol``, three turns in a row, are those of a closed orbit.
 CLOSED_RTOLS = 10.0
@@ -102,8 +106,8 @@ class Returns:
     """Times and states at which a run comes back to something."""
 
     to: str
-    t: np.ndarray
-    x: np.ndarray
+    t: Numbers
+    x: Matrix
 
 
 @attrs.frozen(eq=False)
@@ -112,7 +116,7 @@ class Turns:
 
     returns: Returns
     length: int
-    distances: np.ndarray
+    distances: Numbers
 
     @property
     def period(self) -> float:
@@ -157,7 +161,7 @@ def _doubt(found: Settled, stands: Standing | None) -> str | None:
     return None
 
 
-def _turning(run: Solution, scale: np.ndarray, tol: float) -> Settled:
+def _turning(run: Solution, scale: Numbers, tol: float) -> Settled:
     """An orbit, or nothing."""
     tried = [turns for returns in _returns(run) for turns in _turns(returns, scale)]
     for turns in tried:
@@ -172,7 +176,7 @@ def _turning(run: Solution, scale: np.ndarray, tol: float) -> Settled:
 # rest
 
 
-def _scale(run: Solution) -> np.ndarray:
+def _scale(run: Solution) -> Numbers:
     """Size of each element of the state over the last half of a run."""
     states = _states(run, 0.5 * (run.t0 + run.t1))[1]
     size: np.ndarray = np.abs(states).max(axis=0)
@@ -192,7 +196,7 @@ def _states(run: Solution, since: float) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(times), np.concatenate(states)
 
 
-def _moves(run: Solution, states: np.ndarray, scale: np.ndarray) -> float:
+def _moves(run: Solution, states: Matrix, scale: Numbers) -> float:
     """How far the states lie apart, beyond what the tolerance makes of it.
 
     It makes nothing of a run whose states are all below it: ``atol`` is then in other units.
@@ -218,7 +222,7 @@ def _for_ever(run: Solution, stands: Standing) -> Settled:
     return Settled("rest", said, None, 0, 0.0, None, for_ever=True)
 
 
-def _held(run: Solution, scale: np.ndarray, tol: float) -> Settled | None:
+def _held(run: Solution, scale: Numbers, tol: float) -> Settled | None:
     """Held still by contacts, or on a surface, over the last quarter of the run at least."""
     arc = run.parts[-1]
     whole = run.t1 - run.t0
@@ -243,7 +247,7 @@ def _held(run: Solution, scale: np.ndarray, tol: float) -> Settled | None:
     return Settled("rest", f"{said}; the state {changes}", distance=moved)
 
 
-def _loads(run: Solution, times: np.ndarray, states: np.ndarray) -> list[float]:
+def _loads(run: Solution, times: Numbers, states: Matrix) -> list[float]:
     """The smallest load of the contacts held at the end, at some times; none if not known."""
     if run.hindsight is None:
         return []
@@ -254,7 +258,7 @@ def _loads(run: Solution, times: np.ndarray, states: np.ndarray) -> list[float]:
     return found
 
 
-def _still(run: Solution, scale: np.ndarray, tol: float) -> Settled | None:
+def _still(run: Solution, scale: Numbers, tol: float) -> Settled | None:
     """The last half of the run tends to a point, without a jump."""
     middle = 0.5 * (run.t0 + run.t1)
     if len(run.jumps) and run.jumps.t[-1] > middle:
@@ -305,7 +309,7 @@ def _returns(run: Solution) -> list[Returns]:
     return sorted(late, key=lambda returns: len(returns.t))
 
 
-def _longest(times: np.ndarray) -> float:
+def _longest(times: Numbers) -> float:
     """Twice the longest time between the last returns: later than that they have ceased."""
     return 2.0 * float(np.max(np.diff(times[-LONGEST_ORBIT:])))
 
@@ -329,7 +333,7 @@ def _crossings(run: Solution) -> Returns:
     return Returns(f"{name} = {level:.6g}", np.array(times), np.array(points).reshape(shape))
 
 
-def _rising(series: np.ndarray, level: float) -> list[float]:
+def _rising(series: Numbers, level: float) -> list[float]:
     """Where a Chebyshev series rises through a level, in (-1, 1]."""
     series = chebyshev.chebsub(series, [level])
     b = bernstein_from_chebyshev(len(series) - 1) @ series
@@ -339,7 +343,7 @@ def _rising(series: np.ndarray, level: float) -> list[float]:
     return np.where(near, np.minimum(xi - steps, 1.0), xi).tolist()
 
 
-def _turns(returns: Returns, scale: np.ndarray) -> Iterator[Turns]:
+def _turns(returns: Returns, scale: Numbers) -> Iterator[Turns]:
     """Turns of 1, 2, ... returns, each with the distances between one turn and the next."""
     t, x = returns.t, returns.x / scale
     for length in range(1, LONGEST_ORBIT + 1):
@@ -365,7 +369,7 @@ def _settled(turns: Turns, run: Solution, tol: float) -> bool:
     return closed >= SETTLED_SHARE * (run.t1 - run.t0) or _falls(distances[: arrived + 1])
 
 
-def _highest(values: np.ndarray, count: int) -> np.ndarray:
+def _highest(values: Numbers, count: int) -> Numbers:
     """The largest of each value and those before it, so many in all."""
     if len(values) < count:
         return values[-1:]
@@ -373,7 +377,7 @@ def _highest(values: np.ndarray, count: int) -> np.ndarray:
     return highest
 
 
-def _falls(distances: np.ndarray) -> bool:
+def _falls(distances: Numbers) -> bool:
     """Whether distances fall by much, at an even rate.
 
     A passage along what is almost an orbit becomes slower and slower, a beat comes to its turning
@@ -389,7 +393,7 @@ def _falls(distances: np.ndarray) -> bool:
     return after <= EVEN_RATIO * before + EVEN_TURNS and before <= EVEN_RATIO * after + EVEN_TURNS
 
 
-def _beyond(distances: np.ndarray) -> float:
+def _beyond(distances: Numbers) -> float:
     """How far all turns to come lead, if they go on as they did of late."""
     last = float(distances[-1])
     start = int(np.flatnonzero(distances >= LEAST_FALL * last)[-1])
@@ -410,7 +414,7 @@ def _shortest(turns: Turns, tried: list[Turns]) -> Turns:
     )
 
 
-def _rate(distances: np.ndarray, tol: float) -> float | None:
+def _rate(distances: Numbers, tol: float) -> float | None:
     """Mean factor from one distance to the next, where they are more than rounding."""
     recent = distances[-MEAN_TURNS:]
     ratios = [after / before for before, after in pairwise(recent) if after > 1e-2 * tol]

@@ -10,6 +10,8 @@ what stands still: its rate is rounding, whatever its size. All other rates must
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import attrs
 import numpy as np
 
@@ -18,6 +20,9 @@ from ..lowering import Field, Kind
 from ..segment import nodes
 from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Solution
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers
 
 #: Differences below this, against the size of an element along the run, are rounding.
 CHANGE_ROUNDING = 1e-14
@@ -83,7 +88,7 @@ def standing(run: Solution) -> Standing | None:
     return Standing(since, load, least, _but(run, arc, field, since, lag, loads))
 
 
-def size_of(run: Solution) -> np.ndarray:
+def size_of(run: Solution) -> Numbers:
     """Largest size of each element over the run."""
     states = [state for arc in run.arcs for state in (arc.first, arc.last)]
     return np.abs(states).max(axis=0)
@@ -129,7 +134,7 @@ def _grow(run: Solution, arc: Arc, places: list[int]) -> list[bool]:
     return [bool(each) for each in always | (largest[-1] > MUCH * largest[0])]
 
 
-def _stands(record: PastRecord, arc: Arc, seen: list[int], size: np.ndarray) -> float:
+def _stands(record: PastRecord, arc: Arc, seen: list[int], size: Numbers) -> float:
     """From when on the record shows the last state, in what is seen of it."""
     for piece in reversed(record.pieces):
         start = piece.start if np.isfinite(piece.start) else piece.end - 1.0

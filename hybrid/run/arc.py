@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from math import isfinite
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -26,6 +26,9 @@ from ..zeno.flight import falls
 from .entry import MOVES, Entry, describe, expand, opened
 from .kinked import begin
 from .pace import Pace
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import StateVector
 
 #: A step never spans more than this many time scales of a guard that is no polynomial.
 REACH = 8.0
@@ -66,7 +69,7 @@ class Flown:
 
     fired: int | None
     length: float
-    x: np.ndarray
+    x: StateVector
     segments: list[Segment]
     grazes: list[tuple[float, int, np.ndarray]]
     interrupted: bool = False
@@ -161,7 +164,7 @@ class ArcFlow:
         return fired
 
     def _ended(
-        self, found: list[Fired], stepper: Stepper, segment: Segment, x: np.ndarray
+        self, found: list[Fired], stepper: Stepper, segment: Segment, x: StateVector
     ) -> tuple[Fired, list[Segment]]:
         """End a step, which began at ``x``, on the first of the guards that fire in it.
 
@@ -212,7 +215,7 @@ class ArcFlow:
             return -1.0
         return value / rate if rate * other.direction > 0.0 else 0.0
 
-    def _where(self, tau: float = 0.0, x: np.ndarray | None = None) -> str:
+    def _where(self, tau: float = 0.0, x: StateVector | None = None) -> str:
         return describe(self.scene, self.field, self.now.t + tau, self.x if x is None else x)
 
     def _begin(self, length: float, target: float | None) -> Stepper:
@@ -294,7 +297,7 @@ class ArcFlow:
         """The sign that a guard has inside."""
         return -1.0 if self.field.guards[index].crossing is Crossing.RISING else 1.0
 
-    def _scales(self, tau: float, x: np.ndarray) -> list[float]:
+    def _scales(self, tau: float, x: StateVector) -> list[float]:
         """Times over which guards that are no polynomials are smooth."""
         guards = self.field.guards
         if all(guard.affine for guard in guards):
@@ -438,7 +441,7 @@ class ArcFlow:
         straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, stepper.x])
         return [Segment(start, shift, straight)]
 
-    def _before(self, cut: Cut, tau: float, x: np.ndarray) -> bool:
+    def _before(self, cut: Cut, tau: float, x: StateVector) -> bool:
         """Whether a deciding function has not yet the sign that it takes at a cut.
 
         Beyond an end there is nothing: one stays before it. The time is that of the arc which
@@ -503,7 +506,7 @@ class ArcFlow:
             )
         return inside
 
-    def _tolerance(self, guard: Guard, t: float, x: np.ndarray) -> float:
+    def _tolerance(self, guard: Guard, t: float, x: StateVector) -> float:
         """What the tolerances leave open of a guard, in its own unit."""
         size = max((abs(float(x[i])) for i in guard.uses), default=0.0)
         left, rtol = self.plan.limit + self.plan.rtol * size, self.plan.rtol

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import attrs
 import numpy as np
@@ -25,6 +25,9 @@ from ..zeno.accumulate import Tail
 from ..zeno.cycle import CycleLimit
 from . import Driver, Plan
 from .options import chosen
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers, StateVector
 
 #: Relative change of the start of the third run, by which grown rounding is measured.
 NUDGE = 8e-15
@@ -79,7 +82,7 @@ class FinishedRun:
         return cls(driver.model, plan, driver.history, *found, *seen)
 
 
-def give_errors(driver: Driver, solver: str, method: Any, mode: str, x: np.ndarray) -> None:
+def give_errors(driver: Driver, solver: str, method: Any, mode: str, x: StateVector) -> None:
     """Let each accumulation measure its error when asked: by a second and a third run for all."""
     if driver.record.zeno:
         again = _Again(FinishedRun.of(driver), solver, method, mode, x)
@@ -101,7 +104,7 @@ class _Again:
     """
 
     def __init__(
-        self, made: FinishedRun, solver: str, method: Any, mode: str, x: np.ndarray
+        self, made: FinishedRun, solver: str, method: Any, mode: str, x: StateVector
     ) -> None:
         self.made, self.own = made, (solver, method)
         self.mode, self.x = mode, x
@@ -166,7 +169,7 @@ class _Again:
         )
 
 
-def _nudged(made: FinishedRun, mode: str, x: np.ndarray) -> np.ndarray:
+def _nudged(made: FinishedRun, mode: str, x: StateVector) -> StateVector:
     """The start moved by rounding, so that what rounding grows to is seen as well.
 
     A start on a guard is left where it is.
@@ -205,5 +208,5 @@ def _shows(run: FinishedRun, index: int, point: Compared) -> bool:
     return index < len(run.zeno) and run.zeno[index].edges == point.edges
 
 
-def _vector(point: Compared) -> np.ndarray:
+def _vector(point: Compared) -> Numbers:
     return np.concatenate([np.ravel(value) for value in point.state])

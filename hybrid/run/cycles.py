@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from itertools import accumulate, takewhile
 from math import ulp
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import attrs
 import numpy as np
@@ -27,6 +27,9 @@ from ..rules.lanes import (
 from ..rules.zeros import EPS
 from ..trajectory.clock import Instant
 from ..zeno.cycle import CycleLimit, accelerated, limit, period
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Integers, Numbers, StateVector
 
 #: Most jumps that are remembered.
 REMEMBERED_JUMPS = 1 << 14
@@ -52,7 +55,7 @@ class Seen(NamedTuple):
     t: float
     low: float
     clock: float
-    x: np.ndarray
+    x: StateVector
 
     @property
     def now(self) -> Instant:
@@ -94,7 +97,7 @@ class Columns(NamedTuple):
         rows = zip(self.edge, self.mode, t, low, clock, self.x.copy(), strict=True)
         return [Seen(*row) for row in rows]
 
-    def since(self, places: np.ndarray) -> np.ndarray:
+    def since(self, places: Integers) -> Numbers:
         """The times of some since the first of them."""
         t, low = self.t[places], self.low[places]
         return (t - t[0]) + (low - low[0])  # type: ignore[no-any-return]
@@ -103,7 +106,7 @@ class Columns(NamedTuple):
 NO_JUMPS = Columns.of("", "", 0.0, 0.0, 0.0, [0.0]).part(slice(0))
 
 
-def idle(scene: Scene, field: Field, guard: Guard, t: float, x: np.ndarray, s: float) -> bool:
+def idle(scene: Scene, field: Field, guard: Guard, t: float, x: StateVector, s: float) -> bool:
     """Whether a flight of length ``s`` stayed within rounding of the guard that ended it.
 
     What ends it is then rounding too, and its length says nothing. (In the low flights of a
@@ -135,7 +138,7 @@ class Turn:
     limits: list[np.ndarray]
     errors: list[np.ndarray]
 
-    def slack(self, k: int, rtol: float) -> np.ndarray:
+    def slack(self, k: int, rtol: float) -> Numbers:
         """What a state next to the k-th limit may be off it."""
         moved = np.ptp(np.array([seen.x for seen in self.first]), axis=0)
         return ZERO * moved + 10 * self.errors[k] + 10 * rtol * np.abs(self.limits[k])
@@ -166,7 +169,7 @@ class Cycles:
         self.seen = self._room = NO_JUMPS
 
     def clock(
-        self, scene: Scene, field: Field, guard: Guard, t: float, x: np.ndarray, s: float
+        self, scene: Scene, field: Field, guard: Guard, t: float, x: StateVector, s: float
     ) -> float:
         """The time without idle flights, after one more flight, of length ``s``."""
         if s > IDLE_FLIGHT * self.longest:
@@ -175,7 +178,7 @@ class Cycles:
             self.spent += s
         return t + s - self.spent
 
-    def plain(self, lengths: np.ndarray) -> bool:
+    def plain(self, lengths: Numbers) -> bool:
         """Whether no flight of several in a row is so short that it may be idle; noted if so."""
         known = lengths.tolist()
         longest = max(self.longest, *known)
@@ -186,7 +189,7 @@ class Cycles:
         self.longest = longest
         return True
 
-    def room(self, t: np.ndarray, low: np.ndarray) -> int:
+    def room(self, t: Numbers, low: Numbers) -> int:
         """Of jumps at these times, how many there are before it may be time to look for a limit."""
         if self.asked:
             return min(len(t), 1)
@@ -210,7 +213,7 @@ class Cycles:
         found = np.flatnonzero(looks[len(known) :])
         return int(found[0]) + 1 if len(found) else count
 
-    def _wait(self, t: np.ndarray, low: np.ndarray) -> None:
+    def _wait(self, t: Numbers, low: Numbers) -> None:
         """Wait for longer where windows of the jumps that are known do not ask for a look."""
         while self.next <= min(len(t), REMEMBERED_JUMPS) and not _shrinks(t, low, self.next):
             self.next += max(LEAST_WAIT, self.next // WINDOW_PART)
@@ -346,7 +349,7 @@ class Cycles:
         edges = self.seen.edge[-length:].tolist()
         return min(tuple(edges[k:] + edges[:k]) for k in range(length))
 
-    def _closings(self, length: int, back: int = 0) -> np.ndarray:
+    def _closings(self, length: int, back: int = 0) -> Integers:
         """Every so many jumps one, as far back as they are the same, up to some jumps ago: their
         places."""
         places = np.arange(len(self.seen.t) - 1 - back, -1, -length)
@@ -354,7 +357,7 @@ class Cycles:
         other = np.flatnonzero((edges != edges[0]) | (modes != modes[0]))
         return places[: other[0] if len(other) else None][::-1]
 
-    def _shrinking(self, length: int) -> np.ndarray:
+    def _shrinking(self, length: int) -> Integers:
         """The last closings, as far back as each turn was longer than the next."""
         closings = self._closings(length)
         turns = np.diff(self.seen.since(closings))
@@ -383,14 +386,14 @@ class Cycles:
         return Turn(last, last, [seen.x for seen in last], errors)
 
 
-def _shrinks(t: np.ndarray, low: np.ndarray, count: int) -> bool:
+def _shrinks(t: Numbers, low: Numbers, count: int) -> bool:
     """Whether the last window of so many jumps is shorter than the one before."""
     window = max(LEAST_WINDOW, (count - 1) // WINDOW_PART)
     first, middle = max(0, count - 1 - 2 * window), count - 1 - window
     return _between(t, low, middle, count - 1) < WINDOW_FALL * _between(t, low, first, middle)
 
 
-def _between(t: np.ndarray, low: np.ndarray, first: int, last: int) -> float:
+def _between(t: Numbers, low: Numbers, first: int, last: int) -> float:
     return float((t[last] - t[first]) + (low[last] - low[first]))
 
 

@@ -6,6 +6,7 @@ The rules are those of ``docs/semantics.md``; numbers in brackets are its rules.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
@@ -53,6 +54,9 @@ from .machine import Machine
 from .pace import Pace
 from .recorder import Recorder
 from .watch import Watch
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers, StateVector
 
 
 class Driver:
@@ -104,7 +108,7 @@ class Driver:
             return jump.t, jump.after, self.mode
         return None if last is None else (last.t1, last.last, last.mode)
 
-    def run(self, mode: str, x: np.ndarray) -> None:
+    def run(self, mode: str, x: StateVector) -> None:
         """From the start to the end of the run."""
         if self.history is not None:
             order = self.solver.order
@@ -141,7 +145,7 @@ class Driver:
             else:
                 self.flow()
 
-    def enter(self, mode: str, x: np.ndarray, jumped: Jumped) -> None:
+    def enter(self, mode: str, x: StateVector, jumped: Jumped) -> None:
         """Begin an arc, unless the run has ended; the loop looks at its start first where all that
         need be known is the jump that led to it."""
         self.mode = self.scene.name(mode, jumped.held)
@@ -167,7 +171,7 @@ class Driver:
         alone = alone and not (jumped.starting and field.project is not None)
         return alone and self.loop.may(field)
 
-    def _entered(self, mode: str, x: np.ndarray, jumped: Jumped, seen: np.ndarray) -> Entry:
+    def _entered(self, mode: str, x: StateVector, jumped: Jumped, seen: StateVector) -> Entry:
         jumped.tied, jumped.spent = self.tied, self.spent
         try:
             return enter(self.scene, self.t, mode, x, jumped, seen, self._off(x))
@@ -182,15 +186,15 @@ class Driver:
                 "that out of the resets (run.jumps has what there is to count)"
             ) from None
 
-    def _off(self, x: np.ndarray) -> np.ndarray:
+    def _off(self, x: StateVector) -> StateVector:
         """What each state may be off, by the tolerances."""
         return self.plan.limit + self.plan.rtol * np.abs(x)
 
-    def _reach(self, x: np.ndarray) -> float:
+    def _reach(self, x: StateVector) -> float:
         """The size of the largest state that the run has seen, this one among them."""
         return float(np.maximum(self.seen, np.abs(x)).max())
 
-    def look(self, x: np.ndarray) -> None:
+    def look(self, x: StateVector) -> None:
         """Let delays see the past from here, where what they see has come to an end."""
         memory = self.record.memory
         if memory is not None and memory.due(self.t):
@@ -232,14 +236,14 @@ class Driver:
         """The present field; it looks back through the present windows."""
         return self.scene.field(self.entry.field.name)
 
-    def begin(self, field: Field, x: np.ndarray, came: Callable[[], Jumped]) -> None:
+    def begin(self, field: Field, x: StateVector, came: Callable[[], Jumped]) -> None:
         """Begin an arc at whose start nobody has looked (see :meth:`renew`).
 
         With delays the field is the model's own, which sees nothing of the past.
         """
         self.entry, self.came, self.mode = Entry(field, x, None, [], []), came, field.name
 
-    def arrive(self, field: Field, x: np.ndarray, guard: Guard, before: np.ndarray) -> None:
+    def arrive(self, field: Field, x: StateVector, guard: Guard, before: StateVector) -> None:
         """Begin an arc after a jump that needed no judgement."""
         last = self.record.log.kept[-1]
         assert not isinstance(last, TailPart)
@@ -257,7 +261,7 @@ class Driver:
 
         self.begin(field, x, came)
 
-    def strike(self, guard: Guard, before: np.ndarray, after: np.ndarray) -> bool:
+    def strike(self, guard: Guard, before: StateVector, after: StateVector) -> bool:
         """Record a jump that needed no judgement at the end of an arc with contacts held, or along
         a surface, which is kept; whether it is time to look for cycles."""
         self.record.end_on(before)
@@ -334,7 +338,7 @@ class Driver:
         if length > 0:
             self.spent = frozenset()
 
-    def go_on_through(self, signs: dict[str, int], x: np.ndarray) -> None:
+    def go_on_through(self, signs: dict[str, int], x: StateVector) -> None:
         """Go on within an arc of the rules' own loop, on other windows of the past.
 
         ``signs``: by edge the sign of its guard at the end of the last step.
@@ -344,7 +348,7 @@ class Driver:
         self.begin(field, x, lambda: Jumped(known, field.held, passing=signs))
         self.seen = np.maximum(self.seen, np.abs(x))
 
-    def pass_window(self, fired: Guard | None, x: np.ndarray) -> None:
+    def pass_window(self, fired: Guard | None, x: StateVector) -> None:
         """Go on within an arc, with another window of the past."""
         field, t, memory = self.entry.field, self.t, self.record.memory
         assert memory is not None
@@ -357,7 +361,7 @@ class Driver:
 
     # -- jumps --------------------------------------------------------------------------
 
-    def jump(self, guard: Guard, x: np.ndarray, carried: bool = False) -> None:
+    def jump(self, guard: Guard, x: StateVector, carried: bool = False) -> None:
         """Carry out the jump of a guard that fired; ``carried``: without having been zero."""
         self.tied = {edge: sign for edge, sign in self.tied.items() if edge != guard.edge}
         self.spent |= {guard.edge}
@@ -374,7 +378,7 @@ class Driver:
         else:
             self._reset(guard, x, carried)
 
-    def _reset(self, guard: Guard, before: np.ndarray, carried: bool) -> None:
+    def _reset(self, guard: Guard, before: StateVector, carried: bool) -> None:
         t = self.t
         after = np.array(self.scene.reset(guard.edge)(t, before.tolist()))
         self._require_finite(guard.edge, before, after)
@@ -386,7 +390,7 @@ class Driver:
         if not (self.add_jump(guard.edge, before, after) and pass_limit(self, guard.to)):
             self.enter(guard.to, after, came)
 
-    def _came_by(self, guard: Guard, before: np.ndarray, after: np.ndarray) -> Jumped:
+    def _came_by(self, guard: Guard, before: StateVector, after: StateVector) -> Jumped:
         """What is known of a state from the reset that led to it: whether that leaves the guard
         where it is, and some of its motion, which it does not turn round."""
         here, there = (guard.lie(self.t, x.tolist()) for x in (before, after))
@@ -394,7 +398,7 @@ class Driver:
         known = {guard.edge: 1} if here[0] == there[0] else {}
         return Jumped(known, used=guard.edge, onwards=bool(onwards))
 
-    def _has_jumped(self, guard: Guard, x: np.ndarray) -> bool:
+    def _has_jumped(self, guard: Guard, x: StateVector) -> bool:
         """Whether a guard that fired is not zero: it may jump up from zero there, as a saw does."""
         if not guard.jumps:
             return False
@@ -406,7 +410,7 @@ class Driver:
         """Whether a jump changes what delays see, and with it flows and guards at once."""
         return self.record.memory is not None and self.plan.memory == "restart"
 
-    def _release(self, guard: Guard, x: np.ndarray, carried: bool) -> None:
+    def _release(self, guard: Guard, x: StateVector, carried: bool) -> None:
         field = self.entry.field
         overdue = carried or bool(self.entry.at_once)  # the load is negative, not zero
         contact, held = self._released(guard, x)
@@ -415,7 +419,7 @@ class Driver:
             known = {}
         self.enter(field.mode, x, Jumped(known, held))
 
-    def _released(self, guard: Guard, x: np.ndarray) -> tuple[str, tuple[str, ...]]:
+    def _released(self, guard: Guard, x: StateVector) -> tuple[str, tuple[str, ...]]:
         """Record a release; the contact, and those that are still held."""
         contact, field = released(guard.edge), self.entry.field
         self.record.released(contact)
@@ -423,7 +427,7 @@ class Driver:
         self.add_jump(guard.edge, x, x)
         return contact, tuple(name for name in field.held if name != contact)
 
-    def _impact(self, guard: Guard, x: np.ndarray) -> None:
+    def _impact(self, guard: Guard, x: StateVector) -> None:
         contact = self.scene.contact(guard.edge)
         before = np.array(contact.land(self.t, x.tolist()))
         self.record.end_on(before)
@@ -438,7 +442,7 @@ class Driver:
             )
         self.bounce(guard, before, after, speed)
 
-    def _require_one_speed(self, guard: Guard, x: np.ndarray) -> None:
+    def _require_one_speed(self, guard: Guard, x: StateVector) -> None:
         """Refuse a gap whose formula at zero is not that of the side from which it is reached.
 
         The first impact of a contact shows it. Where the gap has a corner at zero, as a distance
@@ -459,7 +463,7 @@ class Driver:
                 "that holds where the gap is positive"
             )
 
-    def bounce(self, guard: Guard, before: np.ndarray, after: np.ndarray, speed: float) -> None:
+    def bounce(self, guard: Guard, before: StateVector, after: StateVector, speed: float) -> None:
         """Record an impact and those after low flights, then begin the next arc."""
         while True:
             held = self._still_held(guard.to, after)
@@ -480,7 +484,7 @@ class Driver:
         series = self.watch.count > 1 and isinstance(last, Arc) and last.length > 0
         self.enter(guard.to, after, Jumped(known, held, series=series))
 
-    def _require_series(self, contact: str, x: np.ndarray, field: Field) -> None:
+    def _require_series(self, contact: str, x: StateVector, field: Field) -> None:
         """Refuse to go on by impacts that have no sum because their flow has no series."""
         if field.jets is None and self.watch.count > 1:
             raise JumpLoopError(
@@ -488,7 +492,7 @@ class Driver:
                 f"{field.refused}; near the contact it must be a smooth function of a few numbers"
             )
 
-    def _require_apart(self, x: np.ndarray) -> None:
+    def _require_apart(self, x: StateVector) -> None:
         """Refuse to go on where accumulations accumulate in turn: no sum of sums is made.
 
         Impacts go on until rounding holds the contact, or keeps it from that; an edge's guard that
@@ -505,7 +509,7 @@ class Driver:
             )
 
     def hop(
-        self, contact: Contact, x: np.ndarray, v: float, name: str
+        self, contact: Contact, x: StateVector, v: float, name: str
     ) -> tuple[np.ndarray, np.ndarray, float] | None:
         """A flight so low that the gap would drown in the rounding of the state (7).
 
@@ -532,7 +536,7 @@ class Driver:
         self.entry = Entry(field, before, None, [], [])
         return before, after, speed
 
-    def add_jump(self, edge: str, before: np.ndarray, after: np.ndarray) -> bool:
+    def add_jump(self, edge: str, before: StateVector, after: StateVector) -> bool:
         """Record a jump, at ``max_jumps`` the last; whether it is time to look for cycles."""
         memory = self.record.memory
         if memory is not None and memory.ends(self.t):
@@ -548,7 +552,7 @@ class Driver:
             self.status = Status.MAX_JUMPS
         return self.cycles.saw(Columns.of(edge, field.name, now.t, now.low, clock, after))
 
-    def room(self, t: np.ndarray, low: np.ndarray) -> int:
+    def room(self, t: Numbers, low: Numbers) -> int:
         """Of jumps at these times, how many there are before the run has to be looked at."""
         ignored = self.plan.zeno == "ignore"  # no limit is gone over, wherever it may be
         most = len(t) if ignored else self.cycles.room(t, low)
@@ -578,7 +582,7 @@ class Driver:
         times = jumps.t, jumps.low, clocks
         return self.cycles.saw(Columns(jumps.edge, flights.modes, *times, jumps.after))
 
-    def _clocks(self, flights: Flights) -> np.ndarray:
+    def _clocks(self, flights: Flights) -> Numbers:
         """The time without idle flights, at each of some jumps."""
         if self.cycles.plain(flights.lengths):
             return flights.jumps.t - self.cycles.spent
@@ -601,7 +605,7 @@ class Driver:
         """Watch the steps of the arc that begins here, which is flown many steps at a time."""
         self.pace = Pace(self.field, self.t, self.record.now.until(self.plan.t1))
 
-    def count_steps(self, tau: float, x: np.ndarray, count: int) -> None:
+    def count_steps(self, tau: float, x: StateVector, count: int) -> None:
         """Count steps of that arc, which have led to a state."""
         try:
             self.pace.steps(tau, x, count)
@@ -609,11 +613,11 @@ class Driver:
             where = describe(self.scene, self.entry.field, self.t + tau, x)
             raise FlowError(f"{where}: {fault}") from None
 
-    def where(self, x: np.ndarray) -> str:
+    def where(self, x: StateVector) -> str:
         """Model, mode, time and state, for messages."""
         return describe(self.scene, self.entry.field, self.t, x)
 
-    def _still_held(self, mode: str, x: np.ndarray) -> tuple[str, ...]:
+    def _still_held(self, mode: str, x: StateVector) -> tuple[str, ...]:
         """The contacts held at present that a jump has left closed: gap and speed zero."""
         if mode != self.entry.field.mode or not self.entry.field.held:
             return ()
@@ -626,11 +630,11 @@ class Driver:
                     held.append(guard.edge)
         return tuple(held)
 
-    def _closed(self, mode: str, held: tuple[str, ...], x: np.ndarray) -> np.ndarray:
+    def _closed(self, mode: str, held: tuple[str, ...], x: StateVector) -> StateVector:
         """The state with gap and speed of the contacts held at exactly zero."""
         return self.scene.field(self.scene.name(mode, held)).along(self.t, x)
 
-    def _require_finite(self, edge: str, before: np.ndarray, after: np.ndarray) -> None:
+    def _require_finite(self, edge: str, before: StateVector, after: StateVector) -> None:
         if not np.isfinite(after).all():
             state = self.scene.spec.record(after)
             raise FlowError(f"{self.where(before)}: the reset of {edge} gives {state}")
@@ -638,7 +642,7 @@ class Driver:
     # -- accumulations ------------------------------------------------------------------
 
     def _accumulate(
-        self, contact: Contact, x: np.ndarray, v: float, mode: str, held: tuple[str, ...]
+        self, contact: Contact, x: StateVector, v: float, mode: str, held: tuple[str, ...]
     ) -> bool:
         """Sum the impacts from here on, or cut them off; False if the run goes on as it was."""
         name, watch = self.scene.name(mode, held), self.watch
@@ -657,7 +661,7 @@ class Driver:
         self.pass_sum(tail)
         return True
 
-    def tail(self, contact: Contact, x: np.ndarray, v: float, field: Field) -> Tail | None:
+    def tail(self, contact: Contact, x: StateVector, v: float, field: Field) -> Tail | None:
         """The sum of all impacts from here on; None where there is none (yet).
 
         Where something may hide on the way to the limit, steps are watched until a sum is found.
@@ -671,7 +675,7 @@ class Driver:
         self.wary |= not whole
         return tail if whole else None
 
-    def pass_sum(self, tail: Tail, at_rest: np.ndarray | None = None) -> None:
+    def pass_sum(self, tail: Tail, at_rest: StateVector | None = None) -> None:
         """Go over an accumulation point, into what follows it.
 
         ``at_rest``: the state there, on the contacts held, where nobody need look at it.
@@ -686,7 +690,7 @@ class Driver:
         self.wary = self.plan.watchful is not None
         self._go_on_from(tail, (contact.name,), tail.r, after, at_rest)
 
-    def pass_cycle(self, found: CycleLimit, x: np.ndarray, mode: str) -> None:
+    def pass_cycle(self, found: CycleLimit, x: StateVector, mode: str) -> None:
         """Go over the limit of a cycle, which the last jump led on towards from ``x`` in a mode.
 
         The part between them is kept as a straight line.
@@ -725,7 +729,7 @@ class Driver:
         edges: tuple[str, ...],
         ratio: float,
         after: tuple[str, tuple[str, ...]] | None,
-        at_rest: np.ndarray | None = None,
+        at_rest: StateVector | None = None,
     ) -> None:
         """From an accumulation into what follows it: a mode, and the contacts held there."""
         record, zeno = self.record, self.plan.zeno

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from functools import cached_property
 from math import isfinite
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import attrs
 import numpy as np
@@ -20,6 +20,9 @@ from ..rules import unit
 from ..rules.entries import BEYOND, FIRES, LEAVES, OUTSIDE, UNDECIDED
 from ..rules.guards import NEAR
 from ..rules.zeros import EPS
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers, StateVector
 
 #: Doublings of a step of rounding's size in which a deciding function that is zero must leave it:
 #: it is a difference of numbers that may move at very different rates.
@@ -46,7 +49,7 @@ class Entry:
     """
 
     field: Field
-    x: np.ndarray
+    x: StateVector
     here: _Here | None
     orders: list[int]
     at_once: list[int]
@@ -107,10 +110,10 @@ def enter(
     scene: Scene,
     t: float,
     mode: str,
-    x: np.ndarray,
+    x: StateVector,
     jumped: Jumped,
-    seen: np.ndarray,
-    off: np.ndarray,
+    seen: StateVector,
+    off: StateVector,
 ) -> Entry:
     """The start of an arc in a mode as declared.
 
@@ -154,7 +157,7 @@ def _with(jumped: Jumped, held: tuple[str, ...]) -> Jumped:
     return attrs.evolve(jumped, held=held, tried=(*jumped.tried, jumped.held))
 
 
-def _projected(scene: Scene, field: Field, t: float, x: np.ndarray, starting: bool) -> np.ndarray:
+def _projected(scene: Scene, field: Field, t: float, x: StateVector, starting: bool) -> StateVector:
     """The state on the contacts that are held, which must be fewer than ways to move."""
     there = field.along(t, x)
     if len(field.held) > 1 and np.isfinite(x).all() and not np.isfinite(there).all():
@@ -167,7 +170,7 @@ def _projected(scene: Scene, field: Field, t: float, x: np.ndarray, starting: bo
 
 
 def _from_corners(
-    scene: Scene, field: Field, t: float, x: np.ndarray, known: Collection[str]
+    scene: Scene, field: Field, t: float, x: StateVector, known: Collection[str]
 ) -> Field:
     """The field of what begins here: a gap with a corner that is zero, as is known or to rounding,
     has the formula of there."""
@@ -180,7 +183,7 @@ def _from_corners(
     return scene.field(field.name, touching)
 
 
-def signs_at_end(entry: Entry, t: float, x: np.ndarray, reach: float) -> dict[str, int]:
+def signs_at_end(entry: Entry, t: float, x: StateVector, reach: float) -> dict[str, int]:
     """By edge the sign of its guard at the end of a flight in which none has fired.
 
     A guard next to zero there, against the states seen, is still on the side on which it was, if it
@@ -195,7 +198,7 @@ def signs_at_end(entry: Entry, t: float, x: np.ndarray, reach: float) -> dict[st
     return signs
 
 
-def expand(field: Field, t: float, x: np.ndarray) -> Any:
+def expand(field: Field, t: float, x: StateVector) -> Any:
     """Taylor series of states and guards; None where there is none."""
     if field.jets is None:
         return None
@@ -206,7 +209,7 @@ def expand(field: Field, t: float, x: np.ndarray) -> Any:
 
 
 def extent(
-    scene: Scene, guard: Guard, field: Field, t: float, x: np.ndarray, seen: np.ndarray
+    scene: Scene, guard: Guard, field: Field, t: float, x: StateVector, seen: StateVector
 ) -> list[float]:
     """Sizes of the terms that a guard and its first two derivatives are made of: here, and where
     the states are as large as the run has seen them."""
@@ -219,7 +222,7 @@ def extent(
 
 
 def heading(
-    scene: Scene, t: float, mode: str, x: np.ndarray, edge: str, seen: np.ndarray
+    scene: Scene, t: float, mode: str, x: StateVector, edge: str, seen: StateVector
 ) -> tuple[int, int]:
     """From a zero of an edge's guard: the order by which it vanishes along a mode's flow, and
     the sign that it takes; sign 0 where no derivative decides."""
@@ -228,7 +231,7 @@ def heading(
     return here.decide(field.guards[index], index, 1)
 
 
-def opened(scene: Scene, mode: str, contact: str, t: float, x: np.ndarray) -> bool:
+def opened(scene: Scene, mode: str, contact: str, t: float, x: StateVector) -> bool:
     """Whether the gap or gap speed of a contact that was held is off zero by more than rounding."""
     field = scene.field(mode)
     guard = field.guards[field.column(contact)]
@@ -240,7 +243,7 @@ def opened(scene: Scene, mode: str, contact: str, t: float, x: np.ndarray) -> bo
 
 
 def beyond_kinks(
-    field: Field, kinks: Sequence[Kink], t: float, x: np.ndarray
+    field: Field, kinks: Sequence[Kink], t: float, x: StateVector
 ) -> tuple[float, np.ndarray]:
     """The first time and state along a flow at which no deciding function is zero any more.
 
@@ -258,7 +261,7 @@ def beyond_kinks(
 
 
 def before_impact(
-    scene: Scene, field: Field, guard: Guard, t: float, x: np.ndarray
+    scene: Scene, field: Field, guard: Guard, t: float, x: StateVector
 ) -> tuple[float, np.ndarray]:
     """The last time and state on the way to a contact at which its gap is not zero to rounding,
     nor what decides on its formula."""
@@ -271,7 +274,7 @@ def before_impact(
     return _along(field, t, x, -_leaves(field, zero, guard.uses, t, x, 0.0, -1.0))
 
 
-def _along(field: Field, t: float, x: np.ndarray, step: float) -> tuple[float, np.ndarray]:
+def _along(field: Field, t: float, x: StateVector, step: float) -> tuple[float, np.ndarray]:
     return t + step, x + step * np.array(field.rhs(t, x.tolist()))
 
 
@@ -280,7 +283,7 @@ def _leaves(
     zero: Callable[[float, list[float]], bool],
     uses: Sequence[int],
     t: float,
-    x: np.ndarray,
+    x: StateVector,
     least: float,
     way: float = 1.0,
 ) -> float:
@@ -296,7 +299,7 @@ def _leaves(
     return 0.0
 
 
-def _require_on_surface(scene: Scene, field: Field, t: float, x: np.ndarray) -> None:
+def _require_on_surface(scene: Scene, field: Field, t: float, x: StateVector) -> None:
     """Refuse to start to slide off the surface."""
     switching = scene.spec.sliding(field.mode)
     if switching is None:
@@ -312,7 +315,7 @@ def _require_on_surface(scene: Scene, field: Field, t: float, x: np.ndarray) -> 
         )
 
 
-def describe(scene: Scene, field: Field, t: float, x: np.ndarray) -> str:
+def describe(scene: Scene, field: Field, t: float, x: StateVector) -> str:
     """Model, mode, time and state, for messages."""
     return f"{scene.spec.model}, mode {field.name}, t = {t!r}, {scene.spec.record(x)}"
 
@@ -324,9 +327,9 @@ class _Here:
     scene: Scene
     field: Field
     t: float
-    x: np.ndarray
-    seen: np.ndarray
-    off: np.ndarray = attrs.Factory(lambda: np.zeros(0))
+    x: StateVector
+    seen: Numbers
+    off: StateVector = attrs.Factory(lambda: np.zeros(0))
     expands: bool = True
 
     @cached_property

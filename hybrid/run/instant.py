@@ -18,6 +18,7 @@ from ..zeno.cycle import CycleLimit
 from ..zeno.instant import impulses, shrinking
 
 if TYPE_CHECKING:
+    from ..automaton.shapes import StateVector
     from .cycles import Seen
 
 #: Shares of the largest gap speed at which a restitution must be the same, and down to rest.
@@ -77,7 +78,7 @@ def collapse(scene: Scene, mode: str, recent: Sequence[Seen], t_error: float) ->
     return CycleLimit(edges, 0.0, x_inf, turn.ratio, t_error + late, error, len(recent))
 
 
-def touching(scene: Scene, mode: str, t: float, x: np.ndarray) -> Touching | None:
+def touching(scene: Scene, mode: str, t: float, x: StateVector) -> Touching | None:
     """The contacts of a mode that touch.
 
     None where impacts do something else than change gap speeds by shares that do not depend on the
@@ -113,7 +114,7 @@ def _closed(scene: Scene, mode: str, guard: Guard, t: float, x: list[float]) -> 
     return bool(abs(guard.value(t, x)) <= 64 * EPS * size)
 
 
-def _speeds(guards: Sequence[Guard], t: float, x: np.ndarray) -> np.ndarray:
+def _speeds(guards: Sequence[Guard], t: float, x: StateVector) -> np.ndarray:
     return np.array([guard.lie(t, x.tolist())[1] for guard in guards])
 
 

@@ -9,7 +9,7 @@ What is left in the end is gone in a straight line, and the method begins again 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from ..rules.zeros import EPS
 from ..segment import Segment
 from ..solvers import Solver, Stepper
 from .entry import MOVES, beyond_kinks
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import StateVector
 
 #: Share of the way to such a place that is made before it is looked for again, and of the step in
 #: which it was seen first that is gone in a straight line: that errs by the square of this.
@@ -36,10 +39,10 @@ def begin(
     solver: Solver,
     field: Field,
     t0: float,
-    x0: np.ndarray,
+    x0: StateVector,
     length: float,
     first_step: float | None,
-    sizes: np.ndarray | None = None,
+    sizes: StateVector | None = None,
 ) -> Stepper:
     """A solver's stepper for an arc, whose steps end where the flow changes its formula.
 

@@ -18,6 +18,7 @@ from .cycles import ZERO, Cycles, Seen, Turn
 from .instant import collapse
 
 if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix, Numbers, StateVector
     from ..trajectory.plan import Plan
     from .driver import Driver
 
@@ -54,7 +55,7 @@ def persists(scene: Scene, turn: Turn, t: float, cycle: tuple[str, ...], rtol: f
 
 
 def _alone(
-    field: Field, turn: Turn, k: int, t: float, cycle: tuple[str, ...], slack: np.ndarray
+    field: Field, turn: Turn, k: int, t: float, cycle: tuple[str, ...], slack: Numbers
 ) -> bool:
     """Whether no guard but those of the cycle is zero from the last flight before a jump on."""
     now, jump, x, others = turn.seen[k], turn.seen[k + 1], turn.limits[k], []
@@ -70,7 +71,7 @@ def _alone(
     return not others or t <= now.t or excluded(field, others, hull(way, BOX_MARGIN))
 
 
-def _way(field: Field, now: Seen, length: float, t: float, x: np.ndarray) -> np.ndarray:
+def _way(field: Field, now: Seen, length: float, t: float, x: StateVector) -> Matrix:
     """Times and states along the flight after a jump, and at the limit at last."""
     step, state, rows = length / FLIGHT, now.x, [[now.t, *now.x]]
     for k in range(FLIGHT):
@@ -82,7 +83,7 @@ def _way(field: Field, now: Seen, length: float, t: float, x: np.ndarray) -> np.
     return np.array([*rows, [t, *x]])
 
 
-def _steady(field: Field, now: Seen, t: float, x: np.ndarray) -> bool:
+def _steady(field: Field, now: Seen, t: float, x: StateVector) -> bool:
     """Whether a mode's flow changes along the way to the limit as a straight line does."""
     rhs, shares = field.rhs, np.linspace(0.0, 1.0, SAMPLES)
     states = now.x + shares[:, None] * (x - now.x)
@@ -92,7 +93,9 @@ def _steady(field: Field, now: Seen, t: float, x: np.ndarray) -> bool:
     return bool(np.abs(rates - straight).max() <= STRAIGHTNESS * np.abs(rates).max())
 
 
-def _allowed(guard: Guard, t: float, x: np.ndarray, slack: np.ndarray, first: list[Seen]) -> float:
+def _allowed(
+    guard: Guard, t: float, x: StateVector, slack: StateVector, first: list[Seen]
+) -> float:
     """What a guard may be at the limit: little against its size, or what the slack makes of it."""
     size, length = 0.0, first[0].until(first[-1])
     for seen in first:
@@ -101,13 +104,13 @@ def _allowed(guard: Guard, t: float, x: np.ndarray, slack: np.ndarray, first: li
     return ZERO * size + _moved(guard, t, x, slack)
 
 
-def _moved(guard: Guard, t: float, x: np.ndarray, slack: np.ndarray) -> float:
+def _moved(guard: Guard, t: float, x: StateVector, slack: StateVector) -> float:
     """What the slack of a state makes of a guard."""
     here = guard.value(t, x.tolist())
     return sum(abs(guard.value(t, (x + step).tolist()) - here) for step in np.diag(slack))
 
 
-def _after(scene: Scene, guard: Guard, t: float, x: np.ndarray) -> np.ndarray:
+def _after(scene: Scene, guard: Guard, t: float, x: StateVector) -> StateVector:
     """The state after a jump."""
     if guard.kind == "contact":
         contact = scene.contact(guard.edge)

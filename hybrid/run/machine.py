@@ -98,6 +98,7 @@ from .watch import Watch
 from .watched import Holding
 
 if TYPE_CHECKING:
+    from ..automaton.shapes import StateVector
     from ..lowering import Field, Guard
     from .driver import Driver
 
@@ -393,7 +394,7 @@ class Machine:
         pairs = zip(driver.field.guards, values, strict=True)
         return GOES_ON if all(g.value(driver.t, x) * v > 0 for g, v in pairs) else LOOK
 
-    def _through(self, tau: float, x: np.ndarray, steps: Steps | None, signs: np.ndarray) -> None:
+    def _through(self, tau: float, x: StateVector, steps: Steps | None, signs: np.ndarray) -> None:
         """Keep the present arc up to where it goes on through other windows of the past."""
         driver = self.driver
         segments = steps.segments(np.array([tau])) if steps and self.dense else []
@@ -632,13 +633,13 @@ class Machine:
         values = np.einsum("sik,jk->sji", scaled, powers)
         return Steps(left.owner[rows] - begin, start, length, values)
 
-    def _last(self, left: Left) -> np.ndarray:
+    def _last(self, left: Left) -> StateVector:
         """Add the arc that no jump of the loop has ended; returns the state at its end."""
         return self._arc(
             left, int(self.ints[JUMPS_MADE]), float(self.floats[TAU]), self.now.end.copy()
         )
 
-    def _arc(self, left: Left, place: int, tau: float, end: np.ndarray) -> np.ndarray:
+    def _arc(self, left: Left, place: int, tau: float, end: StateVector) -> StateVector:
         """Add an arc; returns the state at its end."""
         driver, (steps, count) = self.driver, self._flown_in(left, place, place + 1)
         segments = [] if steps is None else steps.segments(np.array([tau]))

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from math import isfinite
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -24,6 +24,9 @@ from ..solvers.base import tolerances
 from ..trajectory.accumulation import explain
 from ..trajectory.plan import PATIENT
 from . import Driver, Plan
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers, StateVector
 
 #: Jumps after which a run stops if it is given no ``max_jumps``.
 MAX_JUMPS = 1_000_000
@@ -92,7 +95,7 @@ class Asked:
             max_steps=np.inf if self.max_steps is None else self.max_steps,
         )
 
-    def driver(self, scene: Scene, t: Any, x: np.ndarray, history: Any) -> Driver:
+    def driver(self, scene: Scene, t: Any, x: StateVector, history: Any) -> Driver:
         """A run that has not begun."""
         plan = self.plan(t)
         past = _past(self.spec, history, plan, x)
@@ -131,7 +134,7 @@ def mode_of(scene: Scene, mode: Any) -> str:
     return begins
 
 
-def start_of(spec: Spec, start: Any) -> np.ndarray:
+def start_of(spec: Spec, start: Any) -> Numbers:
     """The state at the start.
 
     Raises
@@ -220,7 +223,7 @@ def _memory(memory: str) -> str:
     return memory
 
 
-def _past(spec: Spec, history: Any, plan: Plan, x: np.ndarray) -> list[Piece] | None:
+def _past(spec: Spec, history: Any, plan: Plan, x: StateVector) -> list[Piece] | None:
     """The record before the run; None for a model without delays."""
     if spec.lags:
         return pieces(spec, history, plan.t0, x, plan.memory)

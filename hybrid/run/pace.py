@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from ..errors import FlowError
 from ..lowering import Field, Kink
 from ..rules.pairs import COUNTED, FEW_STEPS, ROWS, STEPS_LEFT, SWING_SHARE
 from ..solvers.base import LEADS_BACK
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import StateVector
 
 
 class Pace:
@@ -26,7 +31,7 @@ class Pace:
         self.count, self.due, self.falls = 0, COUNTED, 0
         self.begun, self.gone, self.end = (0, 0.0), 0.0, 0.0
 
-    def steps(self, end: float, x: np.ndarray, count: int = 1) -> None:
+    def steps(self, end: float, x: StateVector, count: int = 1) -> None:
         """Count steps, of which the last has ended at a local time in a state.
 
         Raises
@@ -55,7 +60,7 @@ class Pace:
     def _jumps(self) -> list[Kink]:
         return [kink for kink in self.field.changes if kink.change == "jumps"]
 
-    def _leads_back(self, kink: Kink, tau: float, x: np.ndarray, h: float) -> bool:
+    def _leads_back(self, kink: Kink, tau: float, x: StateVector, h: float) -> bool:
         """Whether the flow leads back, from both sides, to a jump of it that is next to a state."""
         t, flow = self.t0 + tau, self._flow(self.t0 + tau, x)
         value, rate = self._moves(kink, t, x, flow, h)
@@ -66,11 +71,11 @@ class Pace:
         sides = [np.sign(self._moves(kink, *there, self._flow(*there), h)) for there in beside]
         return all(side == -way != 0.0 for side, way in sides) and sides[0][0] != sides[1][0]
 
-    def _flow(self, t: float, x: np.ndarray) -> np.ndarray:
+    def _flow(self, t: float, x: StateVector) -> np.ndarray:
         return np.array(self.field.rhs(t, x.tolist()))
 
     def _moves(
-        self, kink: Kink, t: float, x: np.ndarray, flow: np.ndarray, h: float
+        self, kink: Kink, t: float, x: StateVector, flow: np.ndarray, h: float
     ) -> tuple[float, float]:
         """What decides on the formula, and its rate along a flow."""
         value, ahead = kink.value(t, x.tolist()), kink.value(t + h, (x + h * flow).tolist())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from itertools import takewhile
 from math import ulp
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -25,6 +25,9 @@ from ..trajectory.plan import Plan
 from ..trajectory.trajectory import Jump
 from ..zeno.accumulate import Tail
 from ..zeno.cycle import CycleLimit
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers, StateVector
 
 #: Accumulations of one cycle accumulate in turn where so many times between them have shrunk, the
 #: last to so small a share of the first.
@@ -59,12 +62,12 @@ class Recorder:
     def arc(
         self,
         field: Field,
-        first: np.ndarray,
-        last: np.ndarray,
+        first: Numbers,
+        last: Numbers,
         length: float,
         segments: Any,
         carried: bool = False,
-    ) -> np.ndarray:
+    ) -> Numbers:
         """Add an arc and move to its end; returns the state there, on the contacts held.
 
         ``carried``: it ends where a guard has jumped over zero; what a contact does from there on
@@ -98,8 +101,8 @@ class Recorder:
         return self._begun[0].until(self.now.t) <= TIE * ulp(self.now.t)
 
     def extend(
-        self, field: Field, first: np.ndarray, last: np.ndarray, length: float, segments: Any
-    ) -> np.ndarray:
+        self, field: Field, first: Numbers, last: Numbers, length: float, segments: Any
+    ) -> Numbers:
         """Move on within an arc that is still going: to the end of a window of the past."""
         last, segments = self._flown(field, last, length, segments)
         if self._begun is None:
@@ -114,7 +117,7 @@ class Recorder:
             self.arc(field, self._begun[1], self._reached, 0.0, [])
 
     def _flown(
-        self, field: Field, last: np.ndarray, length: float, segments: Any
+        self, field: Field, last: Numbers, length: float, segments: Any
     ) -> tuple[np.ndarray, Any]:
         """The end and the segments of a flight, on the contacts held, remembered for delays."""
         kept = self.plan.dense or self.plan.samples is not None
@@ -138,7 +141,7 @@ class Recorder:
             part = attrs.evolve(part, segments=())
         self.log.kept.append(part)
 
-    def flights(self, flights: Flights, where: Callable[[int], str], clocks: np.ndarray) -> None:
+    def flights(self, flights: Flights, where: Callable[[int], str], clocks: Numbers) -> None:
         """Add arcs in a row and the jumps after them, and move to the last; see :meth:`jump`."""
         jumps = flights.jumps
         if self.memory is not None:
@@ -177,7 +180,7 @@ class Recorder:
             arc = part if isinstance(part, Arc) else part.arc_at(t)
             self.sampled.append(arc.local((t - arc.t0) - arc.low))
 
-    def end_on(self, x: np.ndarray) -> None:
+    def end_on(self, x: StateVector) -> None:
         """Let the last arc end on the guard itself."""
         arc = self.log.kept[-1]
         assert isinstance(arc, Arc)
@@ -186,8 +189,8 @@ class Recorder:
     def jump(
         self,
         edge: str,
-        before: np.ndarray,
-        after: np.ndarray,
+        before: StateVector,
+        after: StateVector,
         where: Callable[..., str],
         clock: float,
     ) -> None:
@@ -209,7 +212,7 @@ class Recorder:
         one = np.array([clock]), np.array([edge], dtype=object)
         self._count(*one, lambda _: where(before))
 
-    def _count(self, clocks: np.ndarray, edges: np.ndarray, where: Callable[[int], str]) -> None:
+    def _count(self, clocks: Numbers, edges: np.ndarray, where: Callable[[int], str]) -> None:
         """Count jumps with no time between them; there must not be too many."""
         new, clocks = len(clocks), np.concatenate([self._clocks, clocks])
         edges = np.concatenate([self._edges, edges])

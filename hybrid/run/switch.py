@@ -15,10 +15,11 @@ from .entry import Jumped, heading
 from .limits import pass_limit
 
 if TYPE_CHECKING:
+    from ..automaton.shapes import StateVector
     from .driver import Driver
 
 
-def meet(driver: Driver, guard: Guard, x: np.ndarray) -> None:
+def meet(driver: Driver, guard: Guard, x: StateVector) -> None:
     """On the surface of a switching: into the other mode, or to slide."""
     mode = onward(driver, guard, x)
     field = driver.scene.field(mode)
@@ -31,7 +32,7 @@ def meet(driver: Driver, guard: Guard, x: np.ndarray) -> None:
     driver.enter(mode, x, Jumped(vanishing(guard, field)))
 
 
-def leave(driver: Driver, guard: Guard, x: np.ndarray) -> None:
+def leave(driver: Driver, guard: Guard, x: StateVector) -> None:
     """Sliding ends: the surface function and its rate vanish in the mode that follows."""
     overdue = bool(driver.entry.at_once) or driver.forgets
     driver.watch.reset()
@@ -48,7 +49,7 @@ def vanishing(guard: Guard, field: Field) -> dict[str, int]:
     return {guard.edge: 1} if field.project is None else {}
 
 
-def onward(driver: Driver, guard: Guard, x: np.ndarray) -> str:
+def onward(driver: Driver, guard: Guard, x: StateVector) -> str:
     """The mode that follows where a flow has reached the surface of a switching.
 
     Raises

@@ -22,6 +22,7 @@ from ..zeno.flight import rise
 from .entry import Jumped
 
 if TYPE_CHECKING:
+    from ..automaton.shapes import StateVector
     from .driver import Driver
 
 
@@ -30,7 +31,7 @@ def permitted(r: float) -> int:
     return int(1 / Fraction(r).limit_denominator(10**6)) if r > 1e-6 else 10**6
 
 
-def hold(driver: Driver, contact: Contact, x: np.ndarray, field: Field) -> bool:
+def hold(driver: Driver, contact: Contact, x: StateVector, field: Field) -> bool:
     """Hold the contact, if its series has used up its impacts and the obstacle pushes."""
     t, record = driver.t, driver.record
     ratio = contact.law(t, x.tolist(), -0.0)
@@ -55,7 +56,7 @@ def hold(driver: Driver, contact: Contact, x: np.ndarray, field: Field) -> bool:
 
 
 def _left_out(
-    driver: Driver, contact: Contact, x: np.ndarray, field: Field
+    driver: Driver, contact: Contact, x: StateVector, field: Field
 ) -> tuple[float, float, float]:
     """``t_inf`` of the full series, its distance, and its greatest height.
 

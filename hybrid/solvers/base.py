@@ -32,6 +32,7 @@ from ..errors import OptionError
 from ..segment import Segment, to_powers
 
 if TYPE_CHECKING:
+    from ..automaton.shapes import StateVector
     from ..lowering import Field
     from .pairs import PairTables
 
@@ -100,7 +101,7 @@ class Stepper(abc.ABC):
 
     repeats = False
     tau: float
-    x: np.ndarray
+    x: StateVector
 
     @abc.abstractmethod
     def step(self, limit: float) -> None:
@@ -191,7 +192,7 @@ class Solver(abc.ABC):
         self,
         field: Field,
         t0: float,
-        x0: np.ndarray,
+        x0: StateVector,
         length: float,
         first_step: float | None,
         sizes: np.ndarray | None = None,

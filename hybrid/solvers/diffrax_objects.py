@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from functools import cache
 from math import isfinite
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import diffrax
 import jax.numpy as jnp
@@ -35,6 +35,9 @@ from .diffrax_program import (
     StepProgram,
 )
 from .pairs import PairTables, lower
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers, StateVector
 
 #: Methods known by name, with the degree of their dense output in the fraction of the step; the
 #: first is the default.
@@ -95,10 +98,10 @@ class DiffraxSolver(Solver):
         self,
         field: Field,
         t0: float,
-        x0: np.ndarray,
+        x0: StateVector,
         length: float,
         first_step: float | None,
-        sizes: np.ndarray | None = None,
+        sizes: StateVector | None = None,
     ) -> Stepper:
         first = first_step or min(length, 1e-3)
         return DiffraxStepper(self, field, t0, x0, length, min(first, length))
@@ -209,7 +212,7 @@ class DiffraxStepper(Stepper):
         solver: DiffraxSolver,
         field: Field,
         t0: float,
-        x0: np.ndarray,
+        x0: StateVector,
         length: float,
         first: float,
     ) -> None:
@@ -294,7 +297,7 @@ class DiffraxStepper(Stepper):
             self.solver.rejected += int(left[1])
             raise FlowError(self._reason(self.tau, self.x))
 
-    def _asked(self, limit: float, count: int = 1, forced: bool = False) -> np.ndarray:
+    def _asked(self, limit: float, count: int = 1, forced: bool = False) -> Numbers:
         """What a program is told."""
         numbers, n = self.numbers, self.program.n
         numbers[INDEX], numbers[ASKED_TAU], numbers[ASKED_TO] = self.index, self.tau, self.wanted
@@ -316,7 +319,7 @@ class DiffraxStepper(Stepper):
         if self.used == self.made and not isfinite(self.x.sum()):  # no step follows such a one
             raise FlowError(self._reason(*self._before[:2]))
 
-    def _reason(self, tau: float, x: np.ndarray) -> str:
+    def _reason(self, tau: float, x: StateVector) -> str:
         """Why there is no step from a state."""
         if not np.all(np.isfinite(self.field.rhs(self.t0 + tau, x.tolist()))):
             return "the flow is not finite"

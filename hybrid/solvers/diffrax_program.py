@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import diffrax
 import jax
@@ -21,6 +21,9 @@ from ..automaton.trace import again, wide
 from ..lowering import Field
 from ..lowering.jit import jit
 from ..segment import apply, integrals, nodes
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers
 
 #: Most attempts at a step: each that is refused is cut to a fifth or more by Diffrax's controllers,
 #: so that the smallest of floats is reached before.
@@ -96,7 +99,7 @@ class StepProgram:
                 lambda leaf: jnp.zeros((self.places + 1, *leaf.shape), leaf.dtype), one
             )
 
-    def flat(self, parameters: Sequence[Any]) -> np.ndarray:
+    def flat(self, parameters: Sequence[Any]) -> Numbers:
         """Parameters in a row, those of the arc before at once."""
         same, row = self._flat
         if same is not parameters:

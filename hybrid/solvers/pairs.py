@@ -6,12 +6,15 @@ of a step of length one whose stages are unit vectors.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from ..rules.arrays import Pair
 from ..rules.pairs import PACE_PLACES, STEP_STATES
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix
 
 
 class PairTables(NamedTuple):
@@ -37,7 +40,7 @@ class PairTables(NamedTuple):
 NO_TABLES = PairTables(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), ())
 
 
-def lower(rows: Any, count: int) -> np.ndarray:
+def lower(rows: Any, count: int) -> Matrix:
     """A matrix of so many rows and columns, of rows that are shorter."""
     matrix = np.zeros((count, count))
     for s, row in enumerate(rows):

@@ -13,7 +13,7 @@ from copy import copy
 from functools import cache
 from importlib import import_module
 from math import isfinite
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, OdeSolver, Radau
@@ -23,6 +23,9 @@ from ..lowering import Field
 from ..segment import Segment, from_powers, interpolated, nodes
 from .base import FINEST, Solver, Stepper, method_of
 from .pairs import PairTables, lower
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers, StateVector
 
 METHODS: dict[str, Any] = {
     "DOP853": DOP853,
@@ -76,10 +79,10 @@ class SciPySolver(Solver):
         self,
         field: Field,
         t0: float,
-        x0: np.ndarray,
+        x0: StateVector,
         length: float,
         first_step: float | None,
-        sizes: np.ndarray | None = None,
+        sizes: StateVector | None = None,
     ) -> Stepper:
         rhs = field.rhs
 
@@ -113,10 +116,10 @@ class SciPySolver(Solver):
         self,
         flow: Any,
         slopes: Any,
-        x0: np.ndarray,
+        x0: StateVector,
         length: float,
         first: float | None,
-        sizes: np.ndarray | None,
+        sizes: StateVector | None,
     ) -> Stepper:
         """A stepper of an implicit or multistep method.
 
@@ -141,7 +144,13 @@ class SciPySolver(Solver):
         return SampledStepper(solver, degree, x0)
 
     def _construct(
-        self, flow: Any, x0: np.ndarray, length: float, first: float | None, atol: Any, **given: Any
+        self,
+        flow: Any,
+        x0: StateVector,
+        length: float,
+        first: float | None,
+        atol: Any,
+        **given: Any,
     ) -> Any:
         options = {"rtol": self.rtol, "atol": atol, "first_step": first, **given}
         if self.max_step < np.inf:
@@ -191,7 +200,7 @@ def _jacobian(field: Field, t0: float) -> Any:
     return jacobian
 
 
-def _restart(solver: Any, flow: Any, x0: np.ndarray, length: float, first: float | None) -> None:
+def _restart(solver: Any, flow: Any, x0: StateVector, length: float, first: float | None) -> None:
     """Put a Runge-Kutta solver at the start of a new arc."""
 
     solver.fun = flow
@@ -294,7 +303,7 @@ class SampledStepper(_OdeStepper):
     _whole: Segment | None = None
     _last: Segment | None = None
 
-    def __init__(self, solver: Any, degree: int, origin: np.ndarray) -> None:
+    def __init__(self, solver: Any, degree: int, origin: Numbers) -> None:
         super().__init__(solver)
         self.degree, self.origin = degree, origin
         self.x = solver.y + origin

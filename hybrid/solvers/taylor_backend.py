@@ -7,7 +7,7 @@ flow; it ends at a kink (``abs``, ``where``).
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from ..rules.kinks import NO_SERIES, NOT_FINITE
 from ..rules.steps import NO_STEP
 from ..segment import Segment, from_powers, terms
 from .base import LEADS_BACK, Solver, Stepper
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers, StateVector
 
 #: What is said where there is no step.
 REFUSED = {
@@ -70,7 +73,7 @@ class TaylorSolver(Solver):
         if not self.exact:
             self.rtol, self.atol = rtol, atol
 
-    def loss(self, dimension: int) -> np.ndarray:
+    def loss(self, dimension: int) -> Numbers:
         loss = np.zeros(1 + dimension)
         if not self.exact:
             loss[0], loss[1:] = self.rtol, self.atol
@@ -80,10 +83,10 @@ class TaylorSolver(Solver):
         self,
         field: Field,
         t0: float,
-        x0: np.ndarray,
+        x0: StateVector,
         length: float,
         first_step: float | None,
-        sizes: np.ndarray | None = None,
+        sizes: StateVector | None = None,
     ) -> Stepper:
         if field.jets is None:
             raise OptionError(f"solver='taylor': {field.refused}")
@@ -96,7 +99,7 @@ class TaylorStepper(Stepper):
     repeats = True
 
     def __init__(
-        self, solver: TaylorSolver, field: Field, t0: float, x0: np.ndarray, length: float
+        self, solver: TaylorSolver, field: Field, t0: float, x0: StateVector, length: float
     ) -> None:
         assert field.jets is not None
         self.solver, self.rhs = solver, field.rhs

@@ -8,7 +8,7 @@ each step is held against the flow along all of it, in ball arithmetic
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from ..lowering import Field
 from ..rules.zeros import EPS
 from ..segment import Segment
 from .base import Solver, Stepper
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import StateVector
 
 #: Times a step is cut: some fifty find a pulse that is a millionth of a step.
 CUTS = 60
@@ -91,10 +94,10 @@ class Watchful(Solver):
         self,
         field: Field,
         t0: float,
-        x0: np.ndarray,
+        x0: StateVector,
         length: float,
         first_step: float | None,
-        sizes: np.ndarray | None = None,
+        sizes: StateVector | None = None,
     ) -> Stepper:
         stepper = self.inner.begin(field, t0, x0, length, first_step, sizes)
         defect = defect_of(field)
@@ -190,8 +193,8 @@ class WatchfulStepper(Stepper):
         self.inner.x = self.inner.x + sides * moved
 
     def _left_open(
-        self, segment: Segment, sizes: np.ndarray, end: float, side: float
-    ) -> np.ndarray:
+        self, segment: Segment, sizes: StateVector, end: float, side: float
+    ) -> StateVector:
         """The integral of what rounding leaves open, over the half of a step at one of its ends.
 
         It is large where a force acts in a narrow zone, and where the flow jumps at the end of the

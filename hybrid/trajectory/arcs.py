@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -13,6 +13,9 @@ from ..lowering.scene import parted
 from ..segment import Segment
 from ..zeno.accumulate import Tail
 from .clock import Instant
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix, Numbers, StateVector
 
 
 class _Moded:
@@ -68,12 +71,12 @@ class Arc(_Moded):
     low: float
     length: float
     t1: float
-    first: np.ndarray
-    last: np.ndarray
+    first: Numbers
+    last: Numbers
     segments: Sequence[Segment]
     project: Callable[..., Any] | None = None
 
-    def ending(self, x: np.ndarray) -> Arc:
+    def ending(self, x: StateVector) -> Arc:
         """The same with another state at its end."""
         row = self.mode, self.j, self.t0, self.low, self.length, self.t1, self.first, x
         return Arc(*row, self.segments, self.project)
@@ -100,7 +103,7 @@ class Arc(_Moded):
         states[flat == self.length] = self.last
         return states.reshape((*tau.shape, len(self.first)))
 
-    def _ends(self, tau: np.ndarray) -> np.ndarray:
+    def _ends(self, tau: Numbers) -> Matrix:
         """The states at the two ends, where nothing between them was kept."""
         if np.any((tau > 0) & (tau < self.length)):
             raise OptionError(
@@ -117,8 +120,8 @@ class JumpRow:
     t: float
     low: float
     edge: str
-    before: np.ndarray
-    after: np.ndarray
+    before: StateVector
+    after: StateVector
 
 
 @attrs.frozen(eq=False)
@@ -141,7 +144,7 @@ class TailPart(_Moded):
         return Instant(self.tail.t, self.tail.low).after(self.tail.remaining).t
 
     @property
-    def last(self) -> np.ndarray:
+    def last(self) -> Numbers:
         return self.tail.x_inf
 
     def arc(self, n: int) -> Arc:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import attrs
 import numpy as np
@@ -18,6 +18,9 @@ from numpy.polynomial import chebyshev
 
 from ..segment import Segment, from_values, nodes
 from .arcs import Arc, JumpRow, Part, TailPart
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers, StateVector
 
 
 class Steps(NamedTuple):
@@ -38,7 +41,7 @@ class Steps(NamedTuple):
     length: np.ndarray
     values: np.ndarray
 
-    def segments(self, lengths: np.ndarray) -> list[Segment]:
+    def segments(self, lengths: Numbers) -> list[Segment]:
         """The same as polynomials; the last of each arc is cut where the arc ends."""
         degree = self.values.shape[1] - 1
         first = self.values[:, :1]
@@ -65,8 +68,8 @@ class Table(NamedTuple):
     t: np.ndarray
     low: np.ndarray
     edge: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
+    before: StateVector
+    after: StateVector
 
     @classmethod
     def of(cls, rows: list[JumpRow], dimension: int) -> Table:
@@ -102,8 +105,8 @@ class Flights:
     modes: np.ndarray
     t: float
     low: float
-    x: np.ndarray
-    lengths: np.ndarray
+    x: StateVector
+    lengths: Numbers
     jumps: Table
     steps: Steps | None
 

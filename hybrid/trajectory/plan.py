@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers
 
 #: Impacts are summed anew only after their speed has fallen to this share.
 PATIENCE = 0.6
@@ -55,7 +58,7 @@ class Plan:
     max_jumps: int
     cap: int | None
     dense: bool
-    samples: np.ndarray | None
+    samples: Numbers | None
     progress: Callable[[float], None] | None
     memory: str = "keep"
     accumulations: int | None = None

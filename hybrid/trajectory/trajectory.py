@@ -11,7 +11,7 @@ import enum
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -23,6 +23,9 @@ from .accumulation import Accumulation, explain, unfinished
 from .arcs import Arc, JumpRow, Part, TailPart
 from .log import Log, Table
 from .stats import Stats
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers
 
 #: Accumulations that a run lists when it is printed, and explains unless all are asked for.
 LISTED, EXPLAINED = 9, 36
@@ -82,7 +85,7 @@ class Jumps(Sequence[Jump]):
         return Jump(float(t), range(len(self))[index], edge, record(before), record(after))
 
     @property
-    def t(self) -> np.ndarray:
+    def t(self) -> Numbers:
         """Times, shape (number of jumps,)."""
         return self.table.t
 

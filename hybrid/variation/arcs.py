@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import attrs
 import numpy as np
@@ -21,7 +21,10 @@ from ..errors import OrbitError
 from ..lowering import Field
 from ..rules.limits import KINK_ROUNDING, KINK_SIDE, SAME_FLOW, SAME_KINK_TIME
 from ..segment import Segment, nodes
-from .derivatives import Derivatives, Matrix
+from .derivatives import Derivatives, MatrixFunction
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix, Numbers
 
 #: Stages of the collocation, whose order is twice as many.
 STAGES = 8
@@ -63,7 +66,7 @@ class ArcPiece:
         return self.start + self.length
 
     @property
-    def first(self) -> np.ndarray:
+    def first(self) -> Numbers:
         """The state at its start."""
         whole = self.start == self.segment.start
         state: np.ndarray = self.segment.at(START)[0] if whole else self.segment(self.start)
@@ -138,7 +141,7 @@ def along(
             last = piece
 
 
-def _resolve(rate: Matrix, piece: ArcPiece, units: np.ndarray) -> np.ndarray:
+def _resolve(rate: MatrixFunction, piece: ArcPiece, units: np.ndarray) -> np.ndarray:
     """The matrix of a piece, halved until it is resolved."""
     open_pieces, left, found = [(piece, *collocate(rate, piece))], COLLOCATION_HALVINGS, None
     while open_pieces:
@@ -157,7 +160,7 @@ def _resolve(rate: Matrix, piece: ArcPiece, units: np.ndarray) -> np.ndarray:
     return found
 
 
-def sizes(piece: ArcPiece, matrix: np.ndarray, units: np.ndarray) -> np.ndarray:
+def sizes(piece: ArcPiece, matrix: Matrix, units: Numbers) -> Matrix:
     """What a matrix is measured by: changes of the state by the largest, those by a parameter by
     their own and by what they are where they change the state by its size."""
     size, largest = len(matrix), np.abs(matrix).max(axis=0)
@@ -170,7 +173,7 @@ def sizes(piece: ArcPiece, matrix: np.ndarray, units: np.ndarray) -> np.ndarray:
     )
 
 
-def collocate(rate: Matrix, piece: ArcPiece) -> tuple[np.ndarray, np.ndarray]:
+def collocate(rate: MatrixFunction, piece: ArcPiece) -> tuple[np.ndarray, np.ndarray]:
     """The matrix of a piece, and the last terms of the series whose integral it is: where they are
     nothing, so is what is left out."""
     points, inner, weights, series = gauss()
@@ -219,7 +222,7 @@ def told(segments: Sequence[Segment]) -> list[Segment]:
     return kept
 
 
-def pieces(kinks: Matrix | None, t: float, segment: Segment) -> list[ArcPiece]:
+def pieces(kinks: MatrixFunction | None, t: float, segment: Segment) -> list[ArcPiece]:
     """A step, cut where a formula of the flow changes inside it."""
     if kinks is None:
         return [ArcPiece(t, segment, segment.start, segment.length)]
@@ -257,7 +260,7 @@ def middle(field: Flowing, t: float, segment: Segment) -> np.ndarray:
 
 
 def bend(
-    kinks: Matrix, field: Flowing, before: ArcPiece, after: ArcPiece, largest: np.ndarray
+    kinks: MatrixFunction, field: Flowing, before: ArcPiece, after: ArcPiece, largest: np.ndarray
 ) -> np.ndarray | None:
     """The saltation from a piece of an arc to the next; None where the flow does not jump."""
     there, here = before.flow(field, True), after.flow(field, False)
@@ -268,7 +271,7 @@ def bend(
     return np.eye(len(jump), len(row)) - np.outer(jump, row)
 
 
-def passing(kinks: Matrix, piece: ArcPiece, flow: np.ndarray) -> np.ndarray:
+def passing(kinks: MatrixFunction, piece: ArcPiece, flow: np.ndarray) -> np.ndarray:
     """When neighbours pass the kinks at the end of a piece: the derivative of that time by a
     change of state and parameters.
 

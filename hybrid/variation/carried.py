@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from math import ulp
+from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
@@ -20,6 +21,9 @@ from .limit import through
 from .past import PastVariation, Shift, Strand
 from .walk import TIED, Chatter, Course, DelayedArc, Factor, Walk
 
+if TYPE_CHECKING:
+    from ..automaton.shapes import Mask, Matrix, Numbers
+
 #: Flights of a series of impacts shorter than this, against the first, are remembered as one; the
 #: same where what jumps at impacts is seen by the flow.
 SHORT_FLIGHT, SHORT_SEEN_FLIGHT = 1e-6, 1e-9
@@ -33,10 +37,10 @@ class At:
     """How a moment changes: its time, the states on its sides, and of a limit its ratio."""
 
     part: int
-    time: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    ratio: np.ndarray | None
+    time: Numbers
+    before: Matrix
+    after: Matrix
+    ratio: Numbers | None
 
 
 class Carried:
@@ -58,7 +62,7 @@ class Carried:
     """
 
     def __init__(
-        self, walk: Walk, state: np.ndarray, given: np.ndarray, touched: Iterable[float] = ()
+        self, walk: Walk, state: Matrix, given: Matrix, touched: Iterable[float] = ()
     ) -> None:
         self.walk, self.state, self.given = walk, state, given
         self.touched, self.limits = list(touched), 0
@@ -77,7 +81,7 @@ class Carried:
         for piece in self.walk.pieces():
             yield from self.through(piece)
 
-    def final(self) -> np.ndarray:
+    def final(self) -> Matrix:
         """The change of the state at the end of the run; NaN where there is none."""
         past, none, place = self.past, self.none, len(self.walk.course.parts) - 1
         part, piece = self.walk.course.parts[place], self.walk.piece(place, True)
@@ -106,7 +110,7 @@ class Carried:
             self.none[:-1] = True
             self.touched.pop(0)
 
-    def _change(self, factor: Factor) -> np.ndarray:
+    def _change(self, factor: Factor) -> Matrix:
         """What a factor is applied to."""
         if self.past is None:
             return np.vstack([self.state, self.given])
@@ -115,7 +119,7 @@ class Carried:
         change = self.past.changed(index, t, near, self.state)
         return np.vstack([change, self._arrival(factor, t)])
 
-    def _arrival(self, factor: Factor, t: float) -> np.ndarray:
+    def _arrival(self, factor: Factor, t: float) -> Matrix:
         """The change of the time at which a jump is seen, of which a factor has a column."""
         index, past, part = factor.part, self.past, self.walk.course.parts[factor.part]
         nothing = np.zeros((1, self.state.shape[1]))
@@ -130,7 +134,7 @@ class Carried:
         assert isinstance(part, Arc)
         return past.arrival(index, part, piece, self.state)[None]
 
-    def _applied(self, factor: Factor, change: np.ndarray) -> Iterator[At]:
+    def _applied(self, factor: Factor, change: Matrix) -> Iterator[At]:
         apart = self._apart(factor, change)
         self.state = factor.matrix @ change
         for number, moment in enumerate(factor.moments):
@@ -146,7 +150,7 @@ class Carried:
         if self.past is not None and factor.moments:
             self._remembered(self.past, factor, change)
 
-    def _apart(self, factor: Factor, change: np.ndarray) -> np.ndarray:
+    def _apart(self, factor: Factor, change: Matrix) -> Mask:
         """The numbers whose change makes neighbours take another course at jumps together."""
         if factor.ties is None or not len(factor.ties):
             return np.zeros(change.shape[1], dtype=bool)
@@ -154,7 +158,7 @@ class Carried:
         found: np.ndarray = np.any(np.abs(moved) > TIED * sizes, axis=0)
         return found
 
-    def _remembered(self, past: PastVariation, factor: Factor, change: np.ndarray) -> None:
+    def _remembered(self, past: PastVariation, factor: Factor, change: Matrix) -> None:
         first, last = factor.moments[0], factor.moments[-1]
         if first.ratio is not None:
             x = self.walk.course.parts[first.part].last

@@ -23,7 +23,7 @@ from ..lowering.sides import deciding
 from ..lowering.tape import Jets, Tape
 from .series import Series
 
-Matrix = Callable[[float, np.ndarray], np.ndarray]
+MatrixFunction = Callable[[float, np.ndarray], np.ndarray]
 
 
 @attrs.frozen(eq=False)
@@ -68,16 +68,16 @@ class Derivatives:
         self.columns = 1 + self.size * (1 + len(scene.spec.lags)) + self.count
         values = np.abs([v for p in scene.parameters[:own] for v in np.ravel(p)][: self.count])
         self.units = np.where(values > 0.0, values, 1.0)
-        self._made: dict[Any, Matrix] = {}
+        self._made: dict[Any, MatrixFunction] = {}
         self._series: dict[Any, Series | None] = {}
 
-    def flow(self, field: Field) -> Matrix:
+    def flow(self, field: Field) -> MatrixFunction:
         """``(t, x) -> (n, columns)``: of the flow of a mode, at rest and sliding as well."""
         held = bool(field.held)
         flow = self._slopes(("flow", field.name), field.mode, field.held, lambda g: g.flow(held))
         return self.matrix(flow)
 
-    def guard(self, guard: Guard, field: Field) -> Matrix:
+    def guard(self, guard: Guard, field: Field) -> MatrixFunction:
         """``(t, x) -> (1, columns)``: of a guard."""
         return self.matrix(self.of_guard(guard, field))
 
@@ -92,7 +92,7 @@ class Derivatives:
         rate = lambda g: [g.rate(_node(g, guard), g.flow(held))]  # noqa: E731
         return self._slopes(("rate", guard.edge, field.name), field.mode, field.held, rate)
 
-    def lag(self, number: int, field: Field) -> Matrix:
+    def lag(self, number: int, field: Field) -> MatrixFunction:
         """``(t, x) -> (1, columns)``: of a lag."""
         code, name = self.scene.code, self.scene.spec.lags[number].name
         nodes = lambda g: g.values(code.closed("lag", name))  # noqa: E731
@@ -140,7 +140,7 @@ class Derivatives:
         at_rest = lambda g: g.values(closed(), g.graph.const(-0.0))  # noqa: E731
         return self._slopes(("law", contact), mode, (), at_rest)
 
-    def reset(self, edge: str, kind: Kind) -> Matrix:
+    def reset(self, edge: str, kind: Kind) -> MatrixFunction:
         """``(t, x) -> (n, columns)``: of what a jump does to the state."""
         rows = self.of_reset(edge, kind)
         if rows is not None:
@@ -160,7 +160,9 @@ class Derivatives:
             return self._slopes(("reset", edge), mode, (), after)
         return None
 
-    def kinks(self, key: Any, field: Field, roots: Callable[[ModeGraph], list[int]]) -> Matrix:
+    def kinks(
+        self, key: Any, field: Field, roots: Callable[[ModeGraph], list[int]]
+    ) -> MatrixFunction:
         """``(t, x) -> (k, 1 + columns)``: functions at whose zeros nodes change their formula,
         and their derivatives."""
 
@@ -186,7 +188,7 @@ class Derivatives:
         key = "watched", field.name, *(what.node for what in watched)
         return Rows(key, field.mode, field.held, rows, self.columns)
 
-    def project(self, field: Field) -> Matrix:
+    def project(self, field: Field) -> MatrixFunction:
         """``(t, x) -> (n, columns)``: of the way back onto the contacts held, or the surface, at
         a state that is there."""
         switching, code = self.scene.spec.sliding(field.mode), self.scene.code
@@ -241,7 +243,7 @@ class Derivatives:
 
         return Rows(("slopes", *key), mode, held, rows, self.columns)
 
-    def matrix(self, rows: Rows) -> Matrix:
+    def matrix(self, rows: Rows) -> MatrixFunction:
         """Rows as scalar code."""
         if rows.key not in self._made:
             graph = self.scene.code.mode(rows.mode)

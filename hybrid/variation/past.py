@@ -20,7 +20,7 @@ from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -32,8 +32,11 @@ from ..rules.limits import KINK_SIDE, SAME_FLOW
 from ..segment import from_values, nodes
 from ..trajectory.arcs import Arc
 from .arcs import COLLOCATION_TOLERANCE, ArcPiece, bend, middle, pieces, told
-from .derivatives import Matrix
+from .derivatives import MatrixFunction
 from .walk import Walk
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Matrices, Matrix, Numbers
 
 #: Degree of the collocation on a step.
 COLLOCATION_DEGREE = 14
@@ -54,9 +57,9 @@ class Strand:
 
     a: float
     b: float
-    values: np.ndarray
+    values: Matrices
 
-    def __call__(self, times: np.ndarray) -> np.ndarray:
+    def __call__(self, times: Numbers) -> Matrices:
         degree = len(self.values) - 1
         places = 2.0 * (times - self.a) / (self.b - self.a) - 1.0
         weights = chebyshev.chebvander(places, degree) @ from_values(degree)
@@ -68,9 +71,9 @@ class Shift:
     """A jump of the record from ``before`` to ``after``, and the change of its time."""
 
     t: float
-    before: np.ndarray
-    after: np.ndarray
-    row: np.ndarray
+    before: Numbers
+    after: Numbers
+    row: Numbers
 
     def shows(self, elements: Iterable[int]) -> bool:
         """Whether any of some elements jumps."""
@@ -113,8 +116,8 @@ class PastVariation:
     def __init__(
         self,
         walk: Walk,
-        given: np.ndarray,
-        units: np.ndarray,
+        given: Matrix,
+        units: Numbers,
         strands: Sequence[Strand],
         shifts: Sequence[Shift] = (),
         breaks: Iterable[float] = (),
@@ -141,7 +144,7 @@ class PastVariation:
         self.strands.append(strand)
         self._ends.append(strand.b)
 
-    def jumped(self, shift: Shift, fresh: np.ndarray) -> None:
+    def jumped(self, shift: Shift, fresh: Matrix) -> None:
         """The record jumps, to a state that changes by ``fresh``."""
         self.fresh = fresh
         if self.restarts:
@@ -153,7 +156,7 @@ class PastVariation:
 
     # -- what is seen -----------------------------------------------------------------------
 
-    def at(self, times: np.ndarray, near: np.ndarray) -> np.ndarray:
+    def at(self, times: Numbers, near: Numbers) -> Matrices:
         """The change at some times, shape ``(k, n, m)``, on the strands at times near them."""
         found = np.empty((len(times), *self.fresh.shape))
         which = np.array([min(bisect_left(self._ends, t), len(self._ends) - 1) for t in near])
@@ -161,12 +164,12 @@ class PastVariation:
             found[which == place] = self.strands[place](times[which == place])
         return found
 
-    def within(self, times: np.ndarray, low: float, high: float) -> np.ndarray:
+    def within(self, times: Numbers, low: float, high: float) -> Matrices:
         """The same on the smooth piece between two times."""
         room = KINK_SIDE * max(high - low, 0.0)
         return self.at(times, np.clip(times, low + room, high - room))
 
-    def shown(self, index: int, t: float, near: float, now: np.ndarray) -> np.ndarray:
+    def shown(self, index: int, t: float, near: float, now: Matrix) -> Matrix:
         """Changes of what each lag shows at a time of a part, below each other; from the side on
         which ``near`` is."""
         pairs = zip(self.sight.places(index, t), self.sight.places(index, near), strict=True)
@@ -177,7 +180,7 @@ class PastVariation:
             ]
         )
 
-    def changed(self, index: int, t: float, near: float, now: np.ndarray) -> np.ndarray:
+    def changed(self, index: int, t: float, near: float, now: Matrix) -> Matrix:
         """Changes of state, of what is seen, and of parameters, below each other."""
         return np.vstack([now, self.shown(index, t, near, now), self.given])
 
@@ -196,7 +199,7 @@ class PastVariation:
         """Whether a jump of the record is seen at a time."""
         return next(self.seen(index, t), None) is not None
 
-    def arrival(self, index: int, arc: Arc, piece: ArcPiece, now: np.ndarray) -> np.ndarray:
+    def arrival(self, index: int, arc: Arc, piece: ArcPiece, now: Matrix) -> Numbers:
         """How the time changes at which a jump is seen at the end of a piece.
 
         Raises
@@ -221,7 +224,7 @@ class PastVariation:
             )
         return rows[0]
 
-    def turned(self, index: int, arc: Arc, piece: ArcPiece) -> np.ndarray:
+    def turned(self, index: int, arc: Arc, piece: ArcPiece) -> Numbers:
         """How much the flow falls where a jump is seen at the end of a piece."""
         t, x = piece.t + piece.end, piece.segment(piece.end).tolist()
         before, after = (
@@ -234,7 +237,7 @@ class PastVariation:
 
     # -- along an arc -----------------------------------------------------------------------
 
-    def along(self, index: int, arc: Arc, now: np.ndarray) -> np.ndarray:
+    def along(self, index: int, arc: Arc, now: Matrix) -> Matrix:
         """Carry a change along an arc; jumps that are seen at its end are left to what follows."""
         field, last = _Seeing(self.walk, index, arc), None
         kinks = field.kinks if field.changes else None
@@ -250,7 +253,7 @@ class PastVariation:
             last = piece
         return now
 
-    def _pieces(self, arc: Arc, kinks: Matrix | None) -> Iterator[ArcPiece]:
+    def _pieces(self, arc: Arc, kinks: MatrixFunction | None) -> Iterator[ArcPiece]:
         """The steps of an arc, cut at breaking points and where a formula of the flow changes."""
         t = arc.t0 + arc.low
         stops = [*self.breaks, *(shift.t + g for shift in self.shifts for g in self.sight.lags)]
@@ -268,9 +271,9 @@ class PastVariation:
         field: _Seeing,
         before: ArcPiece,
         after: ArcPiece,
-        largest: np.ndarray,
-        now: np.ndarray,
-    ) -> np.ndarray:
+        largest: Numbers,
+        now: Matrix,
+    ) -> Matrix:
         """The change after what happens between two pieces of an arc."""
         t = before.t + before.end
         if self.arrives(index, t):
@@ -283,9 +286,7 @@ class PastVariation:
                 now = turn @ self.changed(index, t, before.t + before.inside(True), now)
         return now
 
-    def _step(
-        self, index: int, arc: Arc, a: float, b: float, now: np.ndarray, depth: int
-    ) -> np.ndarray:
+    def _step(self, index: int, arc: Arc, a: float, b: float, now: Matrix, depth: int) -> Matrix:
         """Carry the change over a step, or over its halves if it is not resolved."""
         if not b > a:  # nothing but rounding of the time
             return now
@@ -301,7 +302,7 @@ class PastVariation:
         return values[-1]
 
     def _collocated(
-        self, index: int, arc: Arc, a: float, b: float, now: np.ndarray
+        self, index: int, arc: Arc, a: float, b: float, now: Matrix
     ) -> tuple[np.ndarray, np.ndarray]:
         """Values of the change at the Chebyshev points of a step, and states in it."""
         size, (points, inner, whole) = self.size, _gauss()

@@ -17,6 +17,7 @@ from ..rules.limits import MOST_POINTS as POINTS
 from ..solvers.taylor_backend import HIGHEST
 
 if TYPE_CHECKING:
+    from ..automaton.shapes import IntegerMatrix, Matrix
     from .arcs import ArcPiece
 
 
@@ -84,7 +85,7 @@ class Series:
     """
 
     jets: Jets
-    places: np.ndarray
+    places: IntegerMatrix
     shape: tuple[int, int]
 
     @cached_property
@@ -93,7 +94,7 @@ class Series:
         rows, columns = self.shape
         return room_for(self.jets.tape.needs, len(self.places), rows, 1 + columns)
 
-    def carried(self, piece: ArcPiece) -> np.ndarray | None:
+    def carried(self, piece: ArcPiece) -> Matrix | None:
         """The matrix of a piece on which no formula changes; None where there are no series."""
         found, inside, start = np.empty(self.shape), piece.start, piece.first
         beside = start.copy()

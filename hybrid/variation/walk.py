@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
@@ -32,6 +32,9 @@ from .derivatives import Derivatives
 from .derivatives import after as after_reset
 from .limit import LimitVariation, through
 
+if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix, Numbers, StateVector
+
 #: Change of a guard, or of what decides which jump comes first, against the terms of which it is
 #: made, that is rounding of them.
 TIED = 1e-9
@@ -44,7 +47,7 @@ SEEN = 1e-6
 SMOOTH_KINDS = (Kind.RELEASE, Kind.LEAVE)
 
 
-def cleared(matrix: np.ndarray, sizes: np.ndarray, relative: float) -> np.ndarray:
+def cleared(matrix: Matrix, sizes: np.ndarray, relative: float) -> Matrix:
     """A matrix with 0 for what is rounding of the terms it is made of: a lost rank stays lost."""
     return np.where(np.abs(matrix) <= relative * sizes, 0.0, matrix)
 
@@ -84,10 +87,10 @@ class Moment:
     """
 
     part: int
-    time: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    ratio: np.ndarray | None = None
+    time: Numbers
+    before: Matrix
+    after: Matrix
+    ratio: Numbers | None = None
 
 
 @attrs.frozen(eq=False)
@@ -116,9 +119,9 @@ class Factor:
 
     t: float
     edge: str | None
-    matrix: np.ndarray
+    matrix: Matrix
     moments: tuple[Moment, ...] = ()
-    ties: np.ndarray | None = None
+    ties: Matrix | None = None
     waits: bool = False
     part: int = 0
 
@@ -318,13 +321,13 @@ class Walk:
         later = field.guards[field.column(guard.edge)].value(row.t, x)
         return bool(abs(guard.value(row.t, x)) > SEEN * abs(guard.value(row.t, x) - later))
 
-    def _widened(self, matrix: np.ndarray) -> np.ndarray:
+    def _widened(self, matrix: Matrix) -> Matrix:
         """A matrix with a column of zeros for the time at which a jump of the past is seen."""
         missing = self.columns - matrix.shape[1]
         return np.pad(matrix, ((0, 0), (0, missing))) if missing else matrix
 
     def _moments(
-        self, group: Sequence[Row], time: np.ndarray, before: np.ndarray
+        self, group: Sequence[Row], time: Numbers, before: Numbers
     ) -> tuple[tuple[Moment, ...], np.ndarray]:
         """Times and states of jumps one after the other; what must not change for them."""
         state = np.eye(self.size, len(time)) + np.outer(before, time)
@@ -337,7 +340,7 @@ class Walk:
             state = after
         return tuple(moments), np.vstack(ties)
 
-    def _tie(self, place: int, row: JumpRow, time: np.ndarray, state: np.ndarray) -> np.ndarray:
+    def _tie(self, place: int, row: JumpRow, time: Numbers, state: Matrix) -> Matrix:
         """The change of a guard that is zero when the jump before leads to it: for neighbours it
         must be so too. One that is over its zero fires for neighbours as well."""
         field, guard = self.fired(place, row)
@@ -353,11 +356,11 @@ class Walk:
         field = self.beside(place, True)[0].field(self.course.parts[place].mode)
         return field, field.guards[field.column(row.edge)]
 
-    def _reset(self, place: int, row: JumpRow) -> np.ndarray:
+    def _reset(self, place: int, row: JumpRow) -> Matrix:
         kind, of = self.fired(place, row)[1].kind, self.beside(place, True)[1]
         return of.reset(row.edge, kind)(row.t, row.before)
 
-    def _moved(self, time: np.ndarray, state: np.ndarray) -> np.ndarray:
+    def _moved(self, time: Numbers, state: Matrix) -> Matrix:
         """Changes of time, state and parameters, one below the other."""
         others = self.of.columns - 1 - self.size
         return np.vstack([time, state, np.eye(others, len(time), self.size)])
@@ -368,9 +371,9 @@ class Walk:
         field: Field,
         guard: Guard,
         row: JumpRow,
-        flow: np.ndarray,
+        flow: StateVector,
         jumped: ArcPiece | None,
-    ) -> np.ndarray:
+    ) -> Numbers:
         """How the time changes at which a guard fires; of one that has jumped over its zero at the
         end of a piece, that at which its formula changes."""
         of = self.beside(index, True)[1]
@@ -408,7 +411,7 @@ class Walk:
             found.append(self._brinks(after, False) @ self._moved(last.time, last.after))
         return [cleared(rows, np.abs(rows).max(initial=0.0), TIED) for rows in found]
 
-    def _brinks(self, index: int, ends: bool) -> np.ndarray:
+    def _brinks(self, index: int, ends: bool) -> Matrix:
         """Derivatives of the functions that are zero at an end of an arc, and beyond which its flow
         is another."""
         (scene, of), piece = self.beside(index, ends), self.piece(index, ends)
@@ -428,7 +431,7 @@ class Walk:
         other = 2.0 * beside - far
         return found[near, 1:] if np.any(np.abs(other - flow) > NEAR * size) else found[:0, 1:]
 
-    def _flow(self, index: int, ends: bool) -> np.ndarray:
+    def _flow(self, index: int, ends: bool) -> Numbers:
         """The flow at an end of a part, as it is on its side."""
         part, piece = self.course.parts[index], self.piece(index, ends)
         field = self.beside(index, ends)[0].field(part.mode)

@@ -44,6 +44,7 @@ from ..rules.zeros import EPS
 from .flight import Flight, fly, pieces_of, segments
 
 if TYPE_CHECKING:
+    from ..automaton.shapes import Integers, Matrix, StateVector
     from ..lowering import Contact, Field
     from ..segment import Segment
     from .enclose import Proof
@@ -90,14 +91,14 @@ class Tail:
     column: int
     t: float
     low: float
-    x: np.ndarray
+    x: StateVector
     v: float
     r: float
-    curve: np.ndarray
+    curve: Matrix
     remaining: float
-    x_inf: np.ndarray
+    x_inf: StateVector
     t_error: float
-    x_error: np.ndarray
+    x_error: StateVector
 
     def point(self, w: float) -> tuple[float, np.ndarray, float]:
         """Time since ``y(1)``, state and gap speed after the impact ``y(w)``."""
@@ -175,12 +176,12 @@ class Tail:
                 break
         return None, 0
 
-    def _prove(self, t: float, x: np.ndarray, v: float) -> Proof | None:
+    def _prove(self, t: float, x: StateVector, v: float) -> Proof | None:
         from .enclose import prove
 
         return prove(self.field, self.contact.name, t, x, v)
 
-    def shown(self, first: float, last: float, begin: float, end: float) -> np.ndarray:
+    def shown(self, first: float, last: float, begin: float, end: float) -> Matrix:
         """Points of the flights from ``y(first)`` to ``y(last)``, between two shares of each.
 
         Rows are time, state, gap speed at the end of the flight, and the times at which this begins
@@ -213,7 +214,7 @@ def close(
     column: int,
     t: float,
     low: float,
-    x: np.ndarray,
+    x: StateVector,
     v: float,
     rtol: float,
     atol: float,
@@ -254,7 +255,7 @@ def clear(tail: Tail, field: Field, column: int) -> bool:
         return bool(unit("tails").clear(*of, signs, rounding, *curve, given))
 
 
-def _inside(field: Field) -> np.ndarray:
+def _inside(field: Field) -> Integers:
     """The signs that guards have inside the domain; 0 of those that bound nothing."""
     signs = {Crossing.FALLING: 1, Crossing.RISING: -1}
     return np.array([signs.get(g.crossing, 0) if g.bounds else 0 for g in field.guards])
@@ -265,7 +266,7 @@ def hop(
     contact: Contact,
     column: int,
     t: float,
-    x: np.ndarray,
+    x: StateVector,
     v: float,
     rounding: float,
 ) -> tuple[float, list[Segment], np.ndarray, np.ndarray, float] | None:

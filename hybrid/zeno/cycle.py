@@ -26,11 +26,15 @@ one turn to the next is an error that only grows smaller.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import attrs
 import numpy as np
 
 from ..rules.lanes import FAST_FALL, FEW_TURNS, LONGEST_CYCLE
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix, Numbers
 
 #: Turns that show a cycle, and turns that do where durations fall like a power.
 LEAST_CYCLES, POWER_CYCLES = 6, 48
@@ -83,10 +87,10 @@ class CycleLimit:
 
     edges: tuple[str, ...]
     remaining: float
-    x_inf: np.ndarray
+    x_inf: Numbers
     ratio: float
     t_error: float
-    x_error: np.ndarray
+    x_error: Numbers
     turns: int
     limits: tuple[tuple[str, np.ndarray], ...] = ()
 
@@ -107,7 +111,7 @@ def period(edges: Sequence[str], turns: int = LEAST_CYCLES) -> int:
 
 
 def limit(
-    edges: tuple[str, ...], times: np.ndarray, states: np.ndarray, rtol: float, atol: float
+    edges: tuple[str, ...], times: Numbers, states: Matrix, rtol: float, atol: float
 ) -> CycleLimit | None:
     """The limit of a cycle; None where it does not accumulate, or not well enough yet.
 
@@ -146,7 +150,7 @@ def limit(
     return CycleLimit(edges, remaining, now[1:], ratio, float(error[0]), error[1:], len(times))
 
 
-def accelerated(columns: np.ndarray, power: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def accelerated(columns: Matrix, power: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Limits of sequences, one a column; bounds on their errors; their sizes."""
     with np.errstate(all="ignore"):  # steps that vanish to rounding: no estimate is best there
         now, error = np.array([_accelerated(column, power) for column in columns.T]).T
@@ -154,20 +158,20 @@ def accelerated(columns: np.ndarray, power: bool) -> tuple[np.ndarray, np.ndarra
     return now, error + CYCLE_ROUNDING * len(columns) * scale, scale
 
 
-def _fast(durations: np.ndarray) -> int:
+def _fast(durations: Numbers) -> int:
     """How many of the last durations are each a small part of the one before."""
     slow = np.flatnonzero(durations[1:] > FAST_FALL * durations[:-1])
     return len(durations) - (int(slow[-1]) + 1 if len(slow) else 0)
 
 
-def _raabe(durations: np.ndarray) -> float:
+def _raabe(durations: Numbers) -> float:
     """Growth of ``1 / (a_{k-1}/a_k - 1)`` a cycle, over the last half."""
     own = 1.0 / (durations[:-1] / durations[1:] - 1.0)
     half = len(own) // 2
     return float((own[-1] - own[half]) / (len(own) - 1 - half))
 
 
-def _accelerated(sequence: np.ndarray, power: bool) -> tuple[float, float]:
+def _accelerated(sequence: Numbers, power: bool) -> tuple[float, float]:
     """The limit of a sequence, and a bound on its error."""
     if len(sequence) <= LEAST_CYCLES:
         before, now = _aitken(sequence[:-1]), _aitken(sequence)
@@ -189,7 +193,7 @@ def _aitken(sequence: np.ndarray) -> float:
     return float(sequence[-1] + (0.0 if still else last * last / (before - last)))
 
 
-def _epsilon(sequence: np.ndarray) -> list[float]:
+def _epsilon(sequence: Numbers) -> list[float]:
     """Wynn's epsilon algorithm: the last entry of each even column."""
     before, now, estimates = np.zeros(len(sequence) + 1), sequence, [float(sequence[-1])]
     for column in range(1, len(sequence)):
@@ -202,7 +206,7 @@ def _epsilon(sequence: np.ndarray) -> list[float]:
     return estimates
 
 
-def _levin(sequence: np.ndarray) -> list[float]:
+def _levin(sequence: Numbers) -> list[float]:
     """Levin's transformation, from few terms to many, at places that thin out geometrically.
 
     The remainder is ``k a_k`` times a polynomial in ``1/k``. (At successive places, as in the

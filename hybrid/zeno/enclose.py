@@ -30,6 +30,7 @@ from ..lowering.taylor import flat
 from .lemma import Chattering, chattering
 
 if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers, StateVector
     from ..lowering import Field
 
 #: Boxes that are tried, and how far a box reaches, against what is needed of it.
@@ -61,8 +62,8 @@ class Proof:
     rho: float
     low: float
     high: float
-    x_low: np.ndarray
-    x_high: np.ndarray
+    x_low: Numbers
+    x_high: Numbers
 
 
 @attrs.frozen(eq=False)
@@ -70,7 +71,7 @@ class _Box:
     """A box around an impact: for so long, so far in each element, up to such a gap speed."""
 
     time: float
-    reach: np.ndarray
+    reach: Numbers
     speed: float
 
     def within(self, other: _Box) -> bool:
@@ -79,7 +80,7 @@ class _Box:
         return far and self.time <= other.time and self.speed <= other.speed
 
 
-def prove(field: Field, contact: str, t: float, x: np.ndarray, v: float) -> Proof | None:
+def prove(field: Field, contact: str, t: float, x: StateVector, v: float) -> Proof | None:
     """Prove that the impacts of a contact accumulate; None where the proof does not succeed.
 
     Parameters
@@ -104,7 +105,9 @@ def prove(field: Field, contact: str, t: float, x: np.ndarray, v: float) -> Proo
         return _prove(question, flat(field.parameters), float(t), x, float(v))
 
 
-def _prove(question: _Question, parameters: Any, t: float, x: np.ndarray, v: float) -> Proof | None:
+def _prove(
+    question: _Question, parameters: Any, t: float, x: StateVector, v: float
+) -> Proof | None:
     box = _Box(0.0, np.zeros(len(x)), 2.0 * v)
     for _ in range(BOX_TRIES):
         bounds = _Bounds(question, parameters, t, x, box)
@@ -121,7 +124,7 @@ def _prove(question: _Question, parameters: Any, t: float, x: np.ndarray, v: flo
 
 
 def _proof(
-    t: float, x: np.ndarray, v: float, bounds: _Bounds, says: Chattering, needed: _Box
+    t: float, x: StateVector, v: float, bounds: _Bounds, says: Chattering, needed: _Box
 ) -> Proof:
     from flint import arb
 
@@ -167,7 +170,7 @@ class _Bounds:
     """Enclosures over a box."""
 
     def __init__(
-        self, question: _Question, parameters: Any, t: float, x: np.ndarray, box: _Box
+        self, question: _Question, parameters: Any, t: float, x: StateVector, box: _Box
     ) -> None:
         n, low, high = len(x), x - box.reach, x + box.reach
         inputs: dict[str, Any] = {f"p{i}": value for i, value in enumerate(parameters)}

@@ -20,6 +20,7 @@ from ..rules.lengths import LAST_TERMS
 from ..segment import Segment, from_powers, terms
 
 if TYPE_CHECKING:
+    from ..automaton.shapes import Matrix, Numbers
     from ..lowering import Field
 
 
@@ -76,9 +77,7 @@ def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight
     return Flight(time, end.tolist(), u, made, tuple(branch[: kinks + crossed].tolist()))
 
 
-def pieces_of(
-    count: int, starts: np.ndarray, lengths: np.ndarray, series: np.ndarray
-) -> tuple[Piece, ...]:
+def pieces_of(count: int, starts: Numbers, lengths: Numbers, series: Matrix) -> tuple[Piece, ...]:
     """The pieces of a flight, as the rule has put them down."""
     parts = np.split(series[: count * (len(series) // len(starts))].copy(), count)
     return tuple(zip(starts[:count].tolist(), lengths[:count].tolist(), parts, strict=True))
