@@ -61,6 +61,8 @@ WHOLE = {
     "shift": lambda n, k: n >> 1,
     "remainder": lambda n, k: n % 3 + n // 4 - jax.lax.rem(n, 3),
     "few bits": lambda n, k: (40 * n).astype(jnp.int8) + k.astype(jnp.uint8),
+    "no sign": lambda n, k: (n.astype(jnp.uint32) - k.astype(jnp.uint32)) // 3,
+    "no sign, turned": lambda n, k: (-n.astype(jnp.uint32)).astype(float) / 7.0,
     "arithmetic in few bits": lambda n, k: (n.astype(jnp.int8) * 50 + 7).astype(int),
     "largest flag": lambda n, k: jnp.maximum(n > 0, k > 0) + jnp.minimum(n > 2, k > 2),
     "products of flags": lambda n, k: (n > 0) * (k > 0) * n + ((n > 0) | (k > 0)),

@@ -32,8 +32,11 @@ BITWISE = {"and", "or", "xor", "not"}
 OF_FLAGS = {"max": "or", "min": "and", "add": "or", "mul": "and"}
 
 #: Whole numbers with room for all that occur; what is made of others may wrap round.
-WHOLE_KINDS = (np.int64, np.int32)
+WHOLE_KINDS = (np.int64, np.int32, np.uint64, np.uint32)
 BITS = "bits"
+
+#: Where those without a sign may come from below zero.
+BELOW_ZERO = {"sub", "neg", "convert_element_type"}
 WRAPPING = {"convert_element_type", "integer_pow", "square", "reduce_sum", "cumsum", "dot_general"}
 
 #: Most whole numbers among which a choice is written out, as that of a place in a table; of two
@@ -74,7 +77,17 @@ def _constant(graph: Graph, value: Any) -> Ids:
 
 
 def _apply(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
-    name, params = _name(equation), equation.params
+    name = _name(equation)
+    kind = equation.outvars[0].aval.dtype
+    if name in BELOW_ZERO and kind in (np.uint64, np.uint32):
+        (made,) = _written(graph, equation, inputs, name)
+        wraps = partial(_node, graph, partial(_unsigned, graph, 8 * kind.itemsize))
+        return [_each(wraps, made)]
+    return _written(graph, equation, inputs, name)
+
+
+def _written(graph: Graph, equation: Any, inputs: list[Ids], name: str) -> list[Ids]:
+    params = equation.params
     inner = params.get("jaxpr") or params.get("call_jaxpr")
     if name in ("div", "rem") and np.issubdtype(equation.outvars[0].aval.dtype, np.integer):
         return [_each(partial(_whole, graph, name), *inputs)]
@@ -172,6 +185,14 @@ def _whole(graph: Graph, op: str, *arguments: int) -> int:
         return graph.const(quotient if op == "div" else x - y * quotient)
 
     return _node(graph, make, *arguments)
+
+
+def _unsigned(graph: Graph, bits: int, value: int) -> int:
+    """A whole number without a sign: below zero it begins again from above."""
+    if (known := graph.value(value)) is not None:
+        return value if known >= 0 else graph.const(known + 2**bits)
+    below = graph.node("lt", value, graph.const(0.0))
+    return graph.node("select", below, graph.node("add", value, graph.const(2.0**bits)), value)
 
 
 def _node(graph: Graph, make: Callable[..., int], *arguments: int) -> int:
