@@ -276,7 +276,8 @@ class Driver:
         """Fly the present arc with all the rules, unless a guard fires before any flow; where some
         are zero at its start, or contacts held, and that is judged now, the loop tries once more.
         """
-        judged, field = self.entry.here is not None or self.record.memory, self.entry.field
+        judged = self.entry.here is not None or self.record.memory is not None
+        field = self.entry.field
         self.renew()
         told = any(self.entry.orders) or self.entry.field is not field
         tries = not judged and self.loop is not None and told
