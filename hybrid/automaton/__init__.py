@@ -13,6 +13,7 @@ from .markers import (
     state,
     switching,
 )
+from .outputs import output
 from .record import Record
 from .spec import ContactSpec, EdgeSpec, ModeSpec, SideSpec, Spec, SwitchingSpec
 
@@ -32,6 +33,7 @@ __all__ = [
     "contact",
     "edge",
     "mode",
+    "output",
     "parameter",
     "state",
     "switching",

@@ -9,7 +9,7 @@ import attrs
 import numpy as np
 
 from ..errors import DeclarationError, OptionError, ParameterError, TraceError
-from . import trace
+from . import outputs, trace
 from .builder import Builder
 from .captured import Captured, captured
 from .markers import ContactMarker, EdgeMarker, Mode, State, Switching, is_parameter
@@ -32,6 +32,7 @@ OWNERS = {
     "gap": "contact",
     "restitution": "contact",
     "surface": "switching",
+    "output": "output",
 }
 
 
@@ -59,6 +60,7 @@ class Automaton:
         markers = _collect(cls)
         builder = Builder(cls, markers)
         builder.names()
+        builder.faults += outputs.faults(markers, _inherited(cls))
         _make_attrs(cls, markers)
         traced = _Traced(cls, builder.build(), builder.untraceable)
         traced.all()
@@ -92,10 +94,15 @@ def _collect(cls: type) -> dict[str, Any]:
     return found
 
 
+def _inherited(cls: type) -> dict[str, Any]:
+    """Markers of the bases by name."""
+    bases = [vars(base).get("_hybrid_markers", {}) for base in reversed(cls.__mro__[1:])]
+    return {name: marker for markers in bases for name, marker in markers.items()}
+
+
 def _is_marker(value: Any) -> bool:
-    return isinstance(value, State | Mode | EdgeMarker | ContactMarker | Switching) or is_parameter(
-        value
-    )
+    kinds = State | Mode | EdgeMarker | ContactMarker | Switching | outputs.Output
+    return isinstance(value, kinds) or is_parameter(value)
 
 
 def _make_attrs(cls: type, markers: dict[str, Any]) -> None:
@@ -182,10 +189,13 @@ class _Traced:
     ) -> None:
         numbers = lags.numbers.get((kind, owner), [])
         call = trace.caller(self.cls, self.spec, function, numbers)
-        call = trace.vector(self.spec, call) if whole else trace.scalar(call)
+        shaped = outputs.numbers if kind == "output" else trace.scalar
+        call = trace.vector(self.spec, call) if whole else shaped(call)
         closed = trace.trace(self.spec, call, extra)
         trace.require_wide(self.cls, closed, function)
         trace.require_repeatable(self.cls, self.spec, call, extra, closed, function)
+        if kind == "output":  # which no reader of traces asks for
+            return
         self.traces[kind, owner] = closed
         for place, number in enumerate(numbers):
             name = self.spec.lags[number].name
@@ -223,7 +233,7 @@ class _Traced:
 
 def _label(kind: str, owner: str) -> str:
     """How messages name a function."""
-    return f"{OWNERS[kind]} {owner}" + ("" if kind == "flow" else f", {kind}")
+    return f"{OWNERS[kind]} {owner}" + ("" if kind in ("flow", "output") else f", {kind}")
 
 
 def _captured(cls: type, spec: Spec) -> Iterator[tuple[str, Captured]]:
@@ -245,6 +255,9 @@ def _functions(spec: Spec) -> Iterator[tuple[str, str, Any, bool, int]]:
             yield "reset", edge.name, edge.reset, True, 0
     for switching in spec.switchings:
         yield "surface", switching.name, switching.surface, False, 0
+    for output in spec.outputs:
+        if not looks_back(output.function):  # which is a fault, and said so
+            yield "output", output.name, output.function, False, 0
 
 
 def _register_pytree(cls: type) -> None:

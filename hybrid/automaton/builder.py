@@ -20,12 +20,14 @@ from .markers import (
     is_parameter,
     name_of,
 )
+from .outputs import Output
 from .past import looks_back
 from .reals import reals
 from .spec import (
     ContactSpec,
     EdgeSpec,
     ModeSpec,
+    OutputSpec,
     ParameterSpec,
     Spec,
     StateSpec,
@@ -81,6 +83,7 @@ class Builder:
             tuple(transitions),
             self.initial(),
             tuple(switchings),
+            outputs=tuple(self.output(marker) for marker in self.of(Output)),
             cls=self.cls,
         )
 
@@ -91,7 +94,7 @@ class Builder:
                 "it has an __init__ of its own: declare what it needs, r = hy.parameter(0.5)"
             )
         for name, marker in self.markers.items():
-            taken = RECORDS if isinstance(marker, State) else MODELS
+            taken = {State: RECORDS, Output: (*RECORDS, *MODELS)}.get(type(marker), MODELS)
             if name in taken or name.startswith("_"):
                 self.faults.append(f"{name}: a name in use here; choose another")
 
@@ -137,6 +140,10 @@ class Builder:
                 f"there are: {known}"
             )
         return ModeSpec(marker.name, marker.flow, tuple(marker.limit_of))
+
+    def output(self, marker: Output) -> OutputSpec:
+        self.signature(f"output {marker.name}", marker.function, ("t", "s"))
+        return OutputSpec(marker.name, marker.unit, marker.doc, marker.function)
 
     def edge(self, marker: EdgeMarker) -> EdgeSpec:
         where = f"edge {marker.name}"

@@ -41,6 +41,16 @@ class ParameterSpec:
 
 
 @attrs.frozen(eq=False)
+class OutputSpec:
+    """An output: its name, unit and description, and the method (not in a run from a file)."""
+
+    name: str
+    unit: str
+    doc: str
+    function: Any = None
+
+
+@attrs.frozen(eq=False)
 class ModeSpec:
     """A mode: its name and flow; the cycle of edges at whose limit it is entered."""
 
@@ -163,6 +173,7 @@ class Spec:
     initial: str
     switchings: tuple[SwitchingSpec, ...] = ()
     lags: tuple[LagSpec, ...] = ()
+    outputs: tuple[OutputSpec, ...] = ()
     cls: Any = attrs.field(default=None, eq=False, repr=False)
 
     def __reduce_ex__(self, protocol: Any) -> Any:
@@ -196,6 +207,10 @@ class Spec:
     def mode(self, name: str) -> ModeSpec:
         """The mode of that name."""
         return next(mode for mode in self.modes if mode.name == name)
+
+    def output(self, name: str) -> OutputSpec:
+        """The output of that name."""
+        return next(output for output in self.outputs if output.name == name)
 
     def mode_after(self, cycle: tuple[str, ...]) -> ModeSpec | None:
         """The mode that its author has named for the limit of a cycle of edges."""

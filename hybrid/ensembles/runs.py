@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from ..automaton.base import require_model
 from ..automaton.digest import digest
+from ..automaton.outputs import evaluated, require_outputs
 from ..automaton.spec import Spec
 from ..errors import TABLES, HybridError, OptionError, need
 from ..lowering import Scene, scene_of
@@ -72,6 +73,7 @@ def ensemble(
     memory: str = "keep",
     certify: bool = False,
     segments: int = 256,
+    measure: Sequence[str] = (),
     progress: Callable[[int], None] | None = None,
 ) -> xarray.Dataset:
     """Simulate many lanes of one model: each is a run of :func:`hybrid.simulate`.
@@ -108,6 +110,8 @@ def ensemble(
         of its run, which take proofs and further runs: some ten milliseconds a lane.
     segments : int
         Without effect: a lane remembers all that its delays see.
+    measure : sequence of str
+        Outputs of the model to work out at the end of each lane, a column each.
     progress : callable ``(lanes)``, optional
         Called with the number of lanes that have ended.
 
@@ -134,6 +138,7 @@ def ensemble(
     """
     need("hy.ensemble", TABLES)
     require_model(model)
+    require_outputs(model.spec, measure, _Row._fields)
     scene = scene_of(model)
     solver, method = renamed(_solver(scene, solver, method), method)
     options = {
@@ -161,7 +166,7 @@ def ensemble(
                 progress(int(np.count_nonzero(runs.rows.done)))
     if len(runs.refused) == runs.lanes.count:
         raise runs.refused[0]
-    return _dataset(scene.spec, runs.lanes, runs.rows)
+    return _dataset(scene.spec, runs.lanes, runs.rows, measure)
 
 
 def _asked(scene: Scene, options: dict[str, Any]) -> Asked:
@@ -337,9 +342,13 @@ class _Runs:
         return point.t, point.t_error, point.ratio, point.verdict
 
 
-def _dataset(spec: Spec, lanes: Lanes, rows: _Rows) -> xarray.Dataset:
+def _dataset(spec: Spec, lanes: Lanes, rows: _Rows, measure: Sequence[str]) -> xarray.Dataset:
     import xarray
 
+    outputs = {
+        name: evaluated(spec, name, lanes.parameters, rows.columns["t"], rows.columns["x"], True)
+        for name in require_outputs(spec, measure)
+    }
     text = {name: v.astype(str) for name, v in rows.columns.items() if v.dtype == object}
     columns = rows.columns | text
     record = spec.record(columns.pop("x"))
@@ -347,8 +356,12 @@ def _dataset(spec: Spec, lanes: Lanes, rows: _Rows) -> xarray.Dataset:
         s.name: (("lane", *(f"{s.name}_{i}" for i in range(len(s.shape)))), record[s.name])
         for s in spec.states
     }
+    measured = {
+        name: (("lane", *(f"{name}_{i}" for i in range(values.ndim - 1))), values)
+        for name, values in outputs.items()
+    }
     return xarray.Dataset(
-        {name: ("lane", values) for name, values in columns.items()} | states,
+        {name: ("lane", values) for name, values in columns.items()} | states | measured,
         coords=lanes.coordinates(),
         attrs={"model": spec.model, **{f"status_{n}": said for n, said in STATUSES.items()}},
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -71,6 +72,14 @@ class Lanes:
         scene = scene_with(self.cls, self.shapes, tuple(self.values[i].tolist()))
         t0, t1 = self.t[i].tolist()
         return Lane(scene, (t0, t1), self.x[i].copy(), self.before(i))
+
+    @property
+    def parameters(self) -> list[np.ndarray]:
+        """The values of each parameter, the lanes as first axis."""
+        ends = np.cumsum([math.prod(shape) for shape in self.shapes])[:-1]
+        columns = np.split(self.values, ends, axis=1) if self.shapes else []
+        pairs = zip(columns, self.shapes, strict=True)
+        return [column.reshape((self.count, *shape)) for column, shape in pairs]
 
     def coordinates(self) -> dict[str, Any]:
         """The starts and parameters that vary."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from ..automaton.outputs import require_outputs
 from ..lowering import Kind
 from ..trajectory.accumulation import Accumulation
 from ..trajectory.arcs import Arc
@@ -16,7 +17,7 @@ from ..trajectory.trajectory import Solution
 from .figure import Curve, Figure, Panel
 
 if TYPE_CHECKING:
-    from ..automaton.shapes import Matrix
+    from ..automaton.shapes import Matrix, Numbers
 
 #: Points drawn of an arc, at most and at least, and of a run; arcs of a long run get fewer.
 ARC_POINTS, LEAST_POINTS, ALL_POINTS = 200, 17, 20000
@@ -29,8 +30,8 @@ NEAREST_TO_LIMIT = 1e-12
 FALLS = 2000
 
 
-def figure(run: Solution) -> Figure:
-    """A run on one figure.
+def figure(run: Solution, chosen: Sequence[str] | None = None) -> Figure:
+    """A run on one figure; of the states and outputs chosen, one above the other, if some are.
 
     Left: each element of the state over time, impacts marked, accumulations as lines,
     resting arcs thicker, and the obstacle where a gap is the distance of one coordinate to
@@ -40,6 +41,9 @@ def figure(run: Solution) -> Figure:
     of arcs, and the times asked for.
     """
     names, drawn = run.spec.element_names, _sampled(run, ALL_POINTS)
+    if chosen is not None:
+        panels = tuple(panel for name in chosen for panel in _panels(run, name, drawn))
+        return Figure(name="run", title=title(run), columns=(panels,), zooms=zooms(run))
     states = tuple(_states(run, name, drawn) for name in names)
     phase = (_phase(run, drawn),) if len(names) > 1 else ()
     aside = (*phase, *(panel for panel in [gaps_panel(run)] if panel.curves[0].x.size))
@@ -197,9 +201,36 @@ def _along(arcs: Sequence[Arc], points: int) -> list[tuple[np.ndarray, np.ndarra
 def _states(run: Solution, name: str, drawn: _Drawn, look: str = "line") -> Panel:
     index = run.spec.element_names.index(name)
     curves = [*_obstacle(run, index), *_path(run, index, drawn, look)]
-    curves += [*_impacts(run, index), *_limits(run, curves)]
+    sides = (_elements(side)[:, index] for side in (run.jumps.before, run.jumps.after))
+    curves += [*_impacts(run, name, *sides), *_limits(run, curves)]
     unit = _unit(run, index)
     return Panel(curves=curves, y=f"{name} [{unit}]" if unit else name)
+
+
+def _panels(run: Solution, name: str, drawn: _Drawn) -> list[Panel]:
+    """A state or an output over time, a panel for each of its elements."""
+    if name in run.spec.element_names:
+        return [_states(run, name, drawn)]
+    if not require_outputs(run.spec, [name]):
+        own = [each for each in run.spec.element_names if each.startswith(f"{name}[")]
+        return [_states(run, each, drawn) for each in own]
+    unit = run.spec.output(name).unit
+    parts = (*drawn.flights, *drawn.rests, *drawn.dots)
+    t, x = (np.concatenate(column) for column in zip(*parts, strict=True))
+    values = run.observed(t, x)[name]
+    ends = np.cumsum([len(times) for times, _ in parts])
+    rows = np.split(values.reshape(len(t), -1), ends[:-1])
+    given = iter(zip((times for times, _ in parts), rows, strict=True))
+    seen = _Drawn(*([next(given) for _ in part] for part in drawn))
+    sides = [_rows(side[name]) for side in (run.jumps.before, run.jumps.after)]
+    panels = []
+    for place, index in enumerate(np.ndindex(values.shape[1:])):
+        label = name + (str(list(index)) if index else "")
+        curves = _path(run, place, seen, "line")
+        curves += _impacts(run, label, *(side[:, place] for side in sides))
+        curves += _limits(run, curves)
+        panels.append(Panel(curves=curves, y=f"{label} [{unit}]" if unit else label))
+    return panels
 
 
 def _path(run: Solution, index: int, drawn: _Drawn, look: str, name: str = "") -> list[Curve]:
@@ -243,20 +274,17 @@ def _staying(run: Solution) -> str:
     return "at rest" if any(part.held for part in run.parts) else "sliding"
 
 
-def _impacts(run: Solution, index: int) -> list[Curve]:
+def _impacts(run: Solution, name: str, before: Numbers, after: Numbers) -> list[Curve]:
     """Jumps at their places after them; not releases, where nothing jumps."""
-    names = run.spec.element_names
     shown = np.array([not str(edge).endswith(".release") for edge in run.jumps.edge], dtype=bool)
     if not np.any(shown):
         return []
-    t, before, after = (
-        a[shown] for a in (run.jumps.t, _elements(run.jumps.before), _elements(run.jumps.after))
-    )
+    t, before, after = (a[shown] for a in (run.jumps.t, before, after))
     notes = [
-        f"jump {number} at t = {when:.15g}<br>{names[index]}: {b[index]:.12g} → {a[index]:.12g}"
+        f"jump {number} at t = {when:.15g}<br>{name}: {b:.12g} → {a:.12g}"
         for number, when, b, a in zip(np.flatnonzero(shown) + 1, t, before, after, strict=True)
     ]
-    return [Curve(x=t, y=after[:, index], look="impact", name="jump", notes=notes)]
+    return [Curve(x=t, y=after, look="impact", name="jump", notes=notes)]
 
 
 def _limits(run: Solution, curves: Sequence[Curve]) -> list[Curve]:
@@ -277,8 +305,13 @@ def _limits(run: Solution, curves: Sequence[Curve]) -> list[Curve]:
 
 def _elements(record: object) -> Matrix:
     """The columns of a record of jumps, one an element."""
-    parts = [np.asarray(v) for v in record]  # type: ignore[attr-defined]
-    return np.concatenate([p.reshape(len(p), -1) for p in parts], axis=1)
+    return np.concatenate([_rows(v) for v in record], axis=1)  # type: ignore[attr-defined]
+
+
+def _rows(column: Any) -> Matrix:
+    """A column of arrays as rows of numbers."""
+    values = np.asarray(column, dtype=float)
+    return values.reshape(len(values), int(np.prod(values.shape[1:])))
 
 
 def _obstacle(run: Solution, index: int) -> list[Curve]:

@@ -20,7 +20,7 @@ import attrs
 import numpy as np
 
 from ..automaton.record import Record
-from ..automaton.spec import Spec, StateSpec
+from ..automaton.spec import OutputSpec, Spec, StateSpec
 from ..errors import FILES, TABLES, StoreError, need
 from ..segment import Segment
 from ..trajectory.accumulation import Accumulation, Truncation
@@ -59,12 +59,15 @@ def to_xarray(run: Solution, t: Any = None) -> xarray.Dataset:
         pairs = list(zip(run.arcs, grids, strict=True))
         times = np.concatenate([arc.t0 + (arc.low + grid) for arc, grid in pairs])
         states = np.concatenate([arc.local(grid) for arc, grid in pairs])
-    record = run.spec.record(states)
-    variables = {}
+    record, variables = run.observed(times, states), {}
     for state in run.spec.states:
         dims = ("time", *(f"{state.name}_{axis}" for axis in range(len(state.shape))))
         attributes = {"units": state.unit, "long_name": state.doc}
         variables[state.name] = (dims, record[state.name], attributes)
+    for output in run.spec.outputs if run.spec.cls is not None else ():
+        values, attributes = record[output.name], {"units": output.unit, "long_name": output.doc}
+        dims = ("time", *(f"{output.name}_{axis}" for axis in range(values.ndim - 1)))
+        variables[output.name] = (dims, values, attributes)
     attributes = {"model": run.spec.model, "status": str(run.status), **_numbers(run.parameters)}
     return xr.Dataset(variables, coords={"time": times}, attrs=attributes)
 
@@ -163,6 +166,7 @@ def _meta(run: Solution, modes: list[str], edges: list[str]) -> dict[str, Any]:
     return {
         "model": run.spec.model,
         "states": [[s.name, s.unit, s.doc, list(s.shape), s.offset] for s in run.spec.states],
+        "outputs": [[output.name, output.unit, output.doc] for output in run.spec.outputs],
         "parameters": _numbers(run.parameters),
         "options": {k: np.asarray(v).tolist() for k, v in options.items()},
         "stats": None if run.stats is None else attrs.asdict(run.stats),
@@ -195,7 +199,7 @@ def _accumulation(spec: Spec, point: Accumulation) -> dict[str, Any]:
     }
 
 
-def read(path: Any, cls: type[Kind]) -> Kind:
+def read(path: Any, cls: type[Kind], model: Any = None) -> Kind:
     """What is in a file that :func:`save` wrote, as one of a class: see :func:`hybrid.load`."""
     need("hy.load", FILES)
     import xarray as xr
@@ -204,7 +208,9 @@ def read(path: Any, cls: type[Kind]) -> Kind:
         raise StoreError(f"cannot read {path}: no such file")
     try:
         _require_own_numbers(Path(path))
-        return _trajectory(xr.load_dataset(Path(path), engine="h5netcdf"), cls)
+        run = _trajectory(xr.load_dataset(Path(path), engine="h5netcdf"), cls)
+        run.spec = run.spec if model is None else _own(run, model)
+        return run
     except StoreError as fault:
         raise StoreError(f"cannot read {path}: {fault}") from None
     except Exception as fault:  # a damaged file may fail anywhere in HDF5, or in what reads it
@@ -243,7 +249,8 @@ def _trajectory(data: Any, cls: type[Kind]) -> Kind:
     states = [
         StateSpec(name, unit, doc, tuple(sh), off) for name, unit, doc, sh, off in meta["states"]
     ]
-    spec = Spec(meta["model"], tuple(states), (), (), (), "")
+    outputs = tuple(OutputSpec(*row) for row in meta.get("outputs", ()))
+    spec = Spec(meta["model"], tuple(states), (), (), (), "", outputs=outputs)
     arcs = _arcs(data, meta["modes"])
     zeno = [_read_accumulation(spec, point) for point in meta["zeno"]]
     options, samples = meta["options"], None
@@ -262,6 +269,28 @@ def _trajectory(data: Any, cls: type[Kind]) -> Kind:
         stats=_stats(meta.get("stats")),
         versions={str(k): str(v) for k, v in meta.get("versions", {}).items()},
     )
+
+
+def _own(run: Solution, model: Any) -> Spec:
+    """What a model is that has made a run.
+
+    Raises
+    ------
+    StoreError
+        If it is another than the run's.
+    """
+    spec: Spec | None = getattr(model, "spec", None)
+    if spec is None:
+        raise StoreError(f"model={model!r}: give a subclass of hy.Automaton, or one's instance")
+    parameters = [parameter.name for parameter in spec.parameters]
+    known, own = ((*s.names, *(state.shape for state in s.states)) for s in (run.spec, spec))
+    if (run.spec.model, known, sorted(run.parameters)) != (spec.model, own, sorted(parameters)):
+        raise StoreError(
+            f"a run of {run.spec.model} with states {', '.join(run.spec.names)} and parameters "
+            f"{', '.join(run.parameters) or 'none'}; the model given is {spec.model} with states "
+            f"{', '.join(spec.names)} and parameters {', '.join(parameters) or 'none'}"
+        )
+    return spec
 
 
 def _stats(saved: dict[str, Any] | None) -> Stats | None:

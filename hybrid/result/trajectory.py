@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import attrs
@@ -81,11 +82,14 @@ class Trajectory(Solution):
         """
         return settles(self)
 
-    def plot(self, path: Any = None) -> Any:
+    def plot(self, names: Any = None, path: Any = None) -> Any:
         """Draw the run: states, phase portrait, gaps between impacts.
 
         Parameters
         ----------
+        names : sequence of str, optional
+            States and outputs to draw over time; all states, and what is beside them, if omitted. A
+            path in this place is ``path``.
         path : str or path, optional
             Also write the figure there. ``.html``: a page that zooms and answers the pointer,
             and needs no network (extra ``report``).
@@ -98,8 +102,11 @@ class Trajectory(Solution):
         Raises
         ------
         OptionError
-            If matplotlib, or for a page plotly, is missing.
+            If matplotlib, or for a page plotly, is missing; if a name is that of no state or
+            output.
         """
+        if isinstance(names, str | PathLike):
+            names, path = None, names
         from ..plot.of_run import figure
 
         if is_page(path):
@@ -108,7 +115,7 @@ class Trajectory(Solution):
         else:
             need("run.plot", PLOT)
             from ..plot.static import draw
-        return draw(figure(self), path)
+        return draw(figure(self, names), path)
 
     def to_xarray(self, t: Any = None) -> xarray.Dataset:
         """The states as a dataset.
@@ -125,17 +132,23 @@ class Trajectory(Solution):
         files.save(self, path)
 
 
-def load(path: Any) -> Trajectory:
+def load(path: Any, model: Any = None) -> Trajectory:
     """Read a trajectory written by ``run.save(path)``.
+
+    Parameters
+    ----------
+    model : type or Automaton, optional
+        The model of the run, whose methods work out its outputs: a file holds their names.
 
     Raises
     ------
     StoreError
-        If there is no such file, it was not written by this package, or it is damaged.
+        If there is no such file, it was not written by this package, or it is damaged; if ``model``
+        has another name, other states or other parameters than the run.
 
     Notes
     -----
     The file is read by HDF5, some versions of which crash on a file that was made to do so: load
     files of strangers in a process that may end.
     """
-    return files.read(path, Trajectory)
+    return files.read(path, Trajectory, model)

@@ -10,12 +10,13 @@ from __future__ import annotations
 import enum
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
 
+from ..automaton.outputs import observed
 from ..automaton.record import Record
 from ..automaton.spec import Spec
 from ..errors import OptionError
@@ -71,8 +72,8 @@ class Jumps(Sequence[Jump]):
     ``before`` and ``after`` are records of columns: ``run.jumps.before.v``.
     """
 
-    def __init__(self, spec: Spec, table: Table) -> None:
-        self._spec, self.table = spec, table
+    def __init__(self, table: Table, observed: Callable[[Any, Any], Record]) -> None:
+        self.table, self._observed = table, observed
 
     def __len__(self) -> int:
         return len(self.t)
@@ -81,8 +82,8 @@ class Jumps(Sequence[Jump]):
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         t, _, edge, before, after = (column[index] for column in self.table)
-        record = self._spec.record
-        return Jump(float(t), range(len(self))[index], edge, record(before), record(after))
+        sides = (self._observed(t, x) for x in (before, after))
+        return Jump(float(t), range(len(self))[index], edge, *sides)
 
     @property
     def t(self) -> Numbers:
@@ -102,12 +103,12 @@ class Jumps(Sequence[Jump]):
     @cached_property
     def before(self) -> Record:
         """States before, as a record of columns."""
-        return self._spec.record(self.table.before)
+        return self._observed(self.t, self.table.before)
 
     @cached_property
     def after(self) -> Record:
         """States after, as a record of columns."""
-        return self._spec.record(self.table.after)
+        return self._observed(self.t, self.table.after)
 
     @cached_property
     def gaps(self) -> np.ndarray:
@@ -140,6 +141,10 @@ class Solution:
     hindsight: Any = None
     stats: Stats | None = None
     versions: dict[str, str] = attrs.Factory(dict)
+
+    def observed(self, t: Any, x: Any) -> Record:
+        """The record of states ``x`` (last axis the coordinates) at times ``t``."""
+        return observed(self.spec, self.parameters, t, x)
 
     # -- the record at a time -----------------------------------------------------------
 
@@ -186,7 +191,7 @@ class Solution:
         Returns
         -------
         Record
-            Fields of shape ``t.shape`` (plus the state's own shape).
+            Fields of shape ``t.shape`` (plus the state's own shape); the model's outputs by name.
 
         Raises
         ------
@@ -200,13 +205,13 @@ class Solution:
         if bad.size:
             raise OptionError(f"t = {bad.flat[0]} is outside the run [{self.t0}, {self.t1}]")
         if j is not None:
-            return self.spec.record(self._in_arc(self._arc_of(j, times), times))
+            return self.observed(times, self._in_arc(self._arc_of(j, times), times))
         kept = self._kept(times.reshape(-1))
         if kept is not None and side == "right":
-            return self.spec.record(kept.reshape((*times.shape, self.spec.dimension)))
+            return self.observed(times, kept.reshape((*times.shape, self.spec.dimension)))
         flat = [self._at(float(v), side) for v in times.reshape(-1)] if times.size < 4 else None
         states = np.array(flat) if flat is not None else self._many(times.reshape(-1), side)
-        return self.spec.record(states.reshape((*times.shape, self.spec.dimension)))
+        return self.observed(times, states.reshape((*times.shape, self.spec.dimension)))
 
     def _kept(self, times: np.ndarray) -> np.ndarray | None:
         """The states that the run was asked to keep at these times, if it was."""
@@ -279,12 +284,13 @@ class Solution:
     @cached_property
     def jumps(self) -> Jumps:
         """All jumps, those of chattering tails included."""
-        return Jumps(self.spec, self.log.table(self.spec.dimension))
+        seen = partial(observed, self.spec, self.parameters)
+        return Jumps(self.log.table(self.spec.dimension), seen)
 
     @property
     def final(self) -> Record:
         """The state at the end."""
-        return self.spec.record(self.log.kept[-1].last)
+        return self.observed(self.t1, self.log.kept[-1].last)
 
     @property
     def mode(self) -> str:
