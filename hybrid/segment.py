@@ -53,6 +53,10 @@ class Segment:
         """State at some fractions of the step (an array made by :func:`nodes`)."""
         return _values_matrix(fractions.tobytes(), self.degree) @ self.coefficients
 
+    def later(self, since: float) -> Segment:
+        """The same, counted from so much earlier."""
+        return Segment(since + self.start, self.length, self.coefficients)
+
     def cut(self, length: float) -> Segment:
         """The first part of the segment (or a slightly longer one)."""
         if length == self.length:

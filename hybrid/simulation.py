@@ -14,6 +14,7 @@ from .lowering import Scene, scene_of
 from .result import Trajectory
 from .run import Driver
 from .run.comparison import give_errors
+from .run.onward import onward, require_end
 from .run.options import Asked, mode_of, start_of
 from .solvers import renamed
 from .trajectory.stats import Stats, versions
@@ -44,8 +45,10 @@ def simulate(
     Parameters
     ----------
     model : Automaton
-    start : dict, record or sequence
-        The states at ``t[0]``, by name or in declared order.
+    start : dict, record, sequence or Trajectory
+        The states at ``t[0]``, by name or in declared order. A run: go on where it ended, at
+        ``t[0] = run.t1``, in its mode, with what it holds, slides on and remembers
+        (``docs/runs.md``); ``run + more`` then joins them.
     t : (t0, t1)
         First and last time.
     solver : "scipy", "diffrax" or "taylor"
@@ -119,6 +122,13 @@ def simulate(
     require_model(model)
     solver, method = renamed(solver, method)
     scene = scene_of(model)
+    earlier = start if isinstance(start, Trajectory) else None
+    if earlier is not None:
+        given = {"mode": mode, "history": history}
+        require_end(earlier, scene.spec, _parameters(model, scene), t, given)
+        start, mode = earlier.final, earlier.mode
+        forgets = memory == "restart" and earlier.arcs[-1].length == 0.0  # just behind a jump
+        history = earlier if scene.spec.lags and not forgets else None
     kept: dict[str, Any] = {"max_step": max_step, "first_step": first_step, "zeno": zeno}
     kept |= {"max_jumps": max_jumps, "memory": memory}
     steps: dict[str, Any] = {"solver": solver, "method": method, "controller": controller}
@@ -126,8 +136,8 @@ def simulate(
     asked = Asked(spec=scene.spec, save=save, progress=progress, **steps, **kept)
     x = start_of(scene.spec, start)
     driver, begins = asked.driver(scene, t, x, history), mode_of(scene, mode)
-    driver.run(begins, x)
-    give_errors(driver, solver, method, begins, x)
+    driver.run(begins, x, None if earlier is None else onward(driver, earlier))
+    give_errors(driver, solver, method, begins, x, earlier)
     asked.judge(driver)
     plan = driver.plan
     options = {
@@ -142,13 +152,23 @@ def simulate(
     if controller is not None:
         options["controller"] = type(controller).__name__
     counts = driver.steps, driver.solver.rejected, driver.solver.evaluations
-    run = _trajectory(model, scene, driver, options)
+    run = _trajectory(model, scene, driver, options, earlier)
     run.stats = Stats(*counts, perf_counter() - begun)
     return run
 
 
-def _trajectory(model: Any, scene: Scene, driver: Driver, options: dict[str, Any]) -> Trajectory:
-    spec, plan = scene.spec, driver.plan
+def _parameters(model: Any, scene: Scene) -> dict[str, Any]:
+    return {p.name: getattr(model, p.name) for p in scene.spec.parameters}
+
+
+def _trajectory(
+    model: Any,
+    scene: Scene,
+    driver: Driver,
+    options: dict[str, Any],
+    earlier: Trajectory | None,
+) -> Trajectory:
+    spec, plan, memory = scene.spec, driver.plan, driver.record.memory
     samples = None
     if plan.samples is not None:
         if plan.samples.size and plan.samples[-1] == driver.record.now.t:
@@ -156,10 +176,12 @@ def _trajectory(model: Any, scene: Scene, driver: Driver, options: dict[str, Any
         samples = np.array(driver.record.sampled).reshape(-1, spec.dimension)
         options["times"] = plan.samples[: len(samples)]
     assert driver.status is not None
-    parameters = {p.name: getattr(model, p.name) for p in spec.parameters}
+    breaks = (memory.breaks.known(),) if memory else ()
+    sight = Hindsight(scene, driver.history, plan.memory, driver.record.log, *breaks)
+    sight.earlier = earlier
     return Trajectory(
         spec,
-        parameters,
+        _parameters(model, scene),
         driver.record.log,
         driver.record.zeno,
         driver.record.grazings,
@@ -167,6 +189,6 @@ def _trajectory(model: Any, scene: Scene, driver: Driver, options: dict[str, Any
         options,
         samples,
         list(scene.paired),
-        Hindsight(scene, driver.history, plan.memory, driver.record.log),
+        sight,
         versions=versions(),
     )

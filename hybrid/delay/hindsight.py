@@ -25,7 +25,8 @@ from .history import Before, until
 from .pieces import Piece, constant, piece_of, window_on
 
 if TYPE_CHECKING:
-    from ..automaton.shapes import Matrix, Numbers
+    from ..automaton.shapes import Integers, Matrix, Numbers
+    from ..trajectory.trajectory import Solution
 
 #: Width of the window on a piece that is no polynomial of low degree, against the longest lag.
 NARROW = 1e-2
@@ -62,18 +63,31 @@ class Hindsight:
     history : sequence of Piece or None
         The record before the run; None for a model without delays.
     memory : "keep" or "restart"
+    breaks : (array, array)
+        Times at which the record does not join smoothly, as far back as lags reach from the run's
+        end, and the order of each element there.
+    earlier : Solution or None
+        The run that this one goes on from.
     """
 
     def __init__(
-        self, scene: Scene, history: Sequence[Piece] | None, memory: str, log: Log
+        self,
+        scene: Scene,
+        history: Sequence[Piece] | None,
+        memory: str,
+        log: Log,
+        breaks: tuple[Numbers, Integers] = (np.empty(0), np.empty(0, dtype=int)),
+        earlier: Solution | None = None,
     ) -> None:
         self.scene, self.history, self.memory, self._log = scene, history, memory, log
+        self.breaks, self.earlier = breaks, earlier
         self._records: dict[int, PastRecord] = {}
         self._scenes: dict[tuple[int, ...], Scene] = {}
 
     def __reduce__(self) -> Any:
         """Pickled without what is made when it is asked for."""
-        return Hindsight, (self.scene, self.history, self.memory, self._log)
+        more = self.breaks, self.earlier
+        return Hindsight, (self.scene, self.history, self.memory, self._log, *more)
 
     @cached_property
     def _parts(self) -> list[Part]:

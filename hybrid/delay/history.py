@@ -15,7 +15,7 @@ from ..automaton.trace import wide
 from ..errors import OptionError
 from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Solution
-from .pieces import Piece, constant, piece_of
+from .pieces import Piece, constant, piece_of, slack_of
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers, StateVector
@@ -135,7 +135,7 @@ def _of_run(spec: Spec, run: Solution, t0: float, memory: str) -> list[Piece]:
     if memory == "restart" and len(arcs) > 1:
         found, arcs = [constant(arcs[-1].first, arcs[-1].t0)], arcs[-1:]
     else:
-        found = list(run.hindsight.history if run.hindsight else ()) or [_unknown(spec, run.t0)]
+        found = list(run.hindsight.history if run.hindsight else ()) or [unknown(spec, run.t0)]
     end = found[-1].state(run.t0, np.zeros(1))[0]
     for arc in arcs:
         _require_dense(spec, arc)
@@ -143,7 +143,17 @@ def _of_run(spec: Spec, run: Solution, t0: float, memory: str) -> list[Piece]:
         pairs = zip(arc.segments, joints, strict=False)
         found += [piece_of(segment, arc.t0, arc.low, orders) for segment, orders in pairs]
         end = arc.last
-    return until(found, t0)
+    return _broken(until(found, t0), run)
+
+
+def _broken(pieces: list[Piece], run: Solution) -> list[Piece]:
+    """Pieces with the breaking points within arcs, which steps have ended on, of an earlier run."""
+    for t, orders in zip(*run.hindsight.breaks, strict=True) if run.hindsight else ():
+        near = min(range(len(pieces)), key=lambda k: abs(pieces[k].start - t))
+        piece = pieces[near]
+        if piece.orders is None and abs(piece.start - t) <= slack_of(t):
+            pieces[near] = attrs.evolve(piece, orders=orders)
+    return pieces
 
 
 def until(pieces: list[Piece], t: float) -> list[Piece]:
@@ -151,7 +161,7 @@ def until(pieces: list[Piece], t: float) -> list[Piece]:
     return [attrs.evolve(p, end=min(p.end, t)) for p in pieces if p.start < t]
 
 
-def _unknown(spec: Spec, end: float) -> Piece:
+def unknown(spec: Spec, end: float) -> Piece:
     """What was before a run that does not say it."""
     return constant(np.full(spec.dimension, np.nan), end)
 

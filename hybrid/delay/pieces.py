@@ -266,6 +266,10 @@ class Breaks:
         self._times = np.concatenate([self._times, np.empty_like(self._times)])
         self._orders = np.concatenate([self._orders, np.empty_like(self._orders)])
 
+    def known(self) -> tuple[Numbers, Integers]:
+        """The times, and the orders, for those who come after the run."""
+        return self.times.copy(), self._orders[: self.ints[BREAKS]].copy()
+
     def forget(self, before: float) -> None:
         """Drop those before a time, if they are the larger part."""
         count, kept = int(np.searchsorted(self.times, before)), int(self.ints[BREAKS])

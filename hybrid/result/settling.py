@@ -18,7 +18,7 @@ from ..solvers.taylor_backend import TaylorSolver
 from ..trajectory.arcs import Arc
 from ..trajectory.log import Log
 from ..trajectory.trajectory import Solution
-from .standing import RATE_PARTS, SAMPLED_DEGREE, Standing, size_of, standing
+from .standing import RATE_PARTS, SAMPLED_DEGREE, Standing, standing
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers
@@ -202,7 +202,7 @@ def _moves(run: Solution, states: Matrix, scale: Numbers) -> float:
     It makes nothing of a run whose states are all below it: ``atol`` is then in other units.
     """
     slack = STILL_ATOLS * _tolerances(run)[1]
-    slack = slack if np.any(size_of(run) > slack) else 0.0 * slack
+    slack = slack if np.any(run.size > slack) else 0.0 * slack
     return float(np.max(np.maximum(np.ptp(states, axis=0) - slack, 0.0) / scale))
 
 

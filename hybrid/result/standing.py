@@ -82,16 +82,10 @@ def standing(run: Solution) -> Standing | None:
     record = sight.record(part) if sight.lags else PastRecord([])
     seen = sorted({element for each in field.code.seen for element in each})
     begun = arc.t0 if part or not sight.lags else -np.inf
-    since = max(arc.t0, max(begun, _stands(record, arc, seen, size_of(run))) + lag)
+    since = max(arc.t0, max(begun, _stands(record, arc, seen, run.size)) + lag)
     loads = np.array(_loads(sight, part, arc))
     load, least = (float(loads[-1].min()), float(loads.min())) if loads.size else (None, None)
     return Standing(since, load, least, _but(run, arc, field, since, lag, loads))
-
-
-def size_of(run: Solution) -> Numbers:
-    """Largest size of each element over the run."""
-    states = [state for arc in run.arcs for state in (arc.first, arc.last)]
-    return np.abs(states).max(axis=0)
 
 
 def _moves(run: Solution, arc: Arc, field: Field) -> tuple[str, bool] | None:

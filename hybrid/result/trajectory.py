@@ -11,6 +11,7 @@ from ..errors import HTML, PLOT, need
 from ..plot import is_page
 from ..trajectory.trajectory import Solution
 from . import files
+from .joining import join
 from .settling import Settled, settles
 
 if TYPE_CHECKING:
@@ -54,6 +55,22 @@ class Trajectory(Solution):
     versions : dict
         Of this package, Python, and what computes; empty in a run from a file that does not say.
     """
+
+    def __add__(self, more: Trajectory) -> Trajectory:
+        """This run and one that goes on where it ended, as one.
+
+        Times, arcs, jumps, accumulations, grazings, saved states and stats are joined, ``j`` counts
+        on. The arc that was cut is one arc again; where the next begins in another mode (a rest
+        that begins at that time) two arcs meet without a jump. ``options`` are those of ``more``,
+        tolerances the larger of the two.
+
+        Raises
+        ------
+        OptionError
+            If ``more`` is another model's, has other parameters, or does not begin at the time, in
+            the mode and in the state in which this run ended.
+        """
+        return join(self, more) if isinstance(more, Trajectory) else NotImplemented
 
     def settles(self) -> Settled:
         """Whether the run has come to rest, or to a periodic orbit, as far as it shows.

@@ -11,6 +11,7 @@ import attrs
 import numpy as np
 
 from ..automaton.record import Record
+from ..delay.history import unknown
 from ..delay.pieces import Piece
 from ..errors import HybridError
 from ..lowering import Scene
@@ -20,7 +21,7 @@ from ..rules.zeros import EPS
 from ..solvers import Solver, own_rtol
 from ..solvers.base import FINEST
 from ..trajectory.log import Log
-from ..trajectory.trajectory import Status
+from ..trajectory.trajectory import Solution, Status
 from ..zeno.accumulate import Tail
 from ..zeno.cycle import CycleLimit
 from . import Driver, Plan
@@ -81,12 +82,43 @@ class FinishedRun:
         seen = driver.solver.exact, watched.blurred, watched.cut
         return cls(driver.model, plan, driver.history, *found, *seen)
 
+    def after(self, run: Solution) -> FinishedRun:
+        """A run and this one, which went on where it ended, as one."""
+        spec, jumps, sight = self.scene.spec, len(run.own_jumps), run.hindsight
+        past = sight.history if sight else [unknown(spec, run.t0)] if spec.lags else None
+        plan = attrs.evolve(self.plan, t0=run.t0, max_jumps=self.plan.max_jumps + jumps)
+        zeno = [Compared(point.t, point.edges, point.state) for point in run.zeno]
+        return attrs.evolve(
+            self,
+            plan=plan,
+            history=past,
+            log=run.log.then(self.log, len(run.jumps)),
+            zeno=[*zeno, *self.zeno],
+            limits=[*[None] * len(zeno), *self.limits],
+            jumps=jumps + self.jumps,
+            steps=self.steps + (run.stats.steps if run.stats else 0),
+        )
 
-def give_errors(driver: Driver, solver: str, method: Any, mode: str, x: StateVector) -> None:
-    """Let each accumulation measure its error when asked: by a second and a third run for all."""
+
+def give_errors(
+    driver: Driver,
+    solver: str,
+    method: Any,
+    mode: str,
+    x: StateVector,
+    earlier: Solution | None = None,
+) -> None:
+    """Let each accumulation measure its error when asked: by a second and a third run for all.
+
+    Where the run has gone on from an ``earlier`` one, these begin where that one did.
+    """
     if driver.record.zeno:
-        again = _Again(FinishedRun.of(driver), solver, method, mode, x)
-        for index, point in enumerate(driver.record.zeno):
+        made = FinishedRun.of(driver)
+        while earlier is not None:
+            made, mode, x = made.after(earlier), earlier.options["mode"], earlier.arcs[0].first
+            earlier = earlier.hindsight.earlier if earlier.hindsight else None
+        again, own = _Again(made, solver, method, mode, x), len(driver.record.zeno)
+        for index, point in enumerate(driver.record.zeno, len(made.zeno) - own):
             point._errors = partial(again.errors, index)
 
 

@@ -108,13 +108,14 @@ class Driver:
             return jump.t, jump.after, self.mode
         return None if last is None else (last.t1, last.last, last.mode)
 
-    def run(self, mode: str, x: StateVector) -> None:
-        """From the start to the end of the run."""
+    def run(self, mode: str, x: StateVector, came: Callable[[], Jumped] | None = None) -> None:
+        """From the start to the end of the run; ``came``: what is known of a start that another run
+        has led to."""
         if self.history is not None:
             order = self.solver.order
             self.record.memory = Memory(self.scene, self.plan, order, self.history, x)
         base, held = parted(mode)
-        self.enter(base, x, Jumped(held=held, starting=True))
+        self.enter(base, x, came() if came else Jumped(held=held, starting=True))
         try:
             self.go_on()
             if self.status is Status.MAX_JUMPS and self.end is not None:  # behind the last jump
@@ -123,7 +124,8 @@ class Driver:
         except KeyboardInterrupt:
             self.status = Status.INTERRUPTED
             self.record.close(self.entry.field)
-            if not self.record.log.kept:  # before the first step: nothing but the start
+            after = self.end[1] if self.end is not None else self.entry.x
+            if self.record.log.ends_with_jump and np.array_equal(after, self.entry.x):
                 self.record.arc(self.entry.field, self.entry.x, self.entry.x, 0.0, [])
         finally:  # nothing refers to itself, so that what is kept of a run goes with the run
             if self.loop is not None:

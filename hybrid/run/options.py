@@ -23,6 +23,7 @@ from ..solvers import Solver, choose, own_rtol
 from ..solvers.base import tolerances
 from ..trajectory.accumulation import explain
 from ..trajectory.plan import PATIENT
+from ..trajectory.trajectory import Solution
 from . import Driver, Plan
 
 if TYPE_CHECKING:
@@ -163,6 +164,8 @@ def values_of(spec: Spec, start: Any) -> Any:
     """What is given for each state, in declared order."""
     if not isinstance(start, dict) and isinstance(start, Mapping | Record):
         start = {name: start[name] for name in start.keys()}
+    if isinstance(start, Solution):
+        raise StartError(f"{spec.model}: only hy.simulate goes on from a run; give run.final here")
     try:
         if isinstance(start, bytes | set | frozenset):
             raise ValueError("give the states by name, or in order")

@@ -280,7 +280,7 @@ class Recorder:
 def _later(segments: Any, begun: Instant, now: Instant) -> list[Segment]:
     """Segments counted from an earlier instant."""
     since = (now.t - begun.t) + (now.low - begun.low)
-    return [Segment(since + s.start, s.length, s.coefficients) for s in segments]
+    return [segment.later(since) for segment in segments]
 
 
 def _projected(segment: Segment, t0: float, project: Callable[..., Any]) -> Segment:

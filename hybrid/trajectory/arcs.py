@@ -81,6 +81,14 @@ class Arc(_Moded):
         row = self.mode, self.j, self.t0, self.low, self.length, self.t1, self.first, x
         return Arc(*row, self.segments, self.project)
 
+    def then(self, other: Arc) -> Arc:
+        """This arc and one that goes on in its mode where it was cut, as one."""
+        since = (other.t0 - self.t0) + (other.low - self.low)
+        segments = [*self.segments, *(segment.later(since) for segment in other.segments)]
+        length = since + other.length
+        ends = length, other.t1, self.first, other.last
+        return Arc(self.mode, self.j, self.t0, self.low, *ends, segments, other.project)
+
     def local(self, tau: Any) -> np.ndarray:
         """State at local times in the arc; shape ``tau.shape + (n,)``."""
         tau = np.asarray(tau, dtype=float)

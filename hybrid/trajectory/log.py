@@ -185,9 +185,33 @@ class Log:
         self.kept: list[Part | Flights] = list(parts)
         self.own: dict[int, JumpRow] = dict(jumps or {})
 
+    @property
+    def ends_with_jump(self) -> bool:
+        """Whether nothing is kept behind the last jump, or nothing at all."""
+        last = self.kept[-1] if self.kept else None
+        return last is None or isinstance(last, Flights) or len(self.kept) - 1 in self.own
+
     def jump(self, row: JumpRow) -> None:
         """Add a jump from the last part."""
         self.own[len(self.kept) - 1] = row
+
+    def then(self, other: Log, j: int) -> Log:
+        """This and one that goes on where it ended, after ``j`` jumps, as one.
+
+        An arc that was cut there is one arc again: where the same mode goes on without a jump.
+        """
+        kept, own, jumps = list(self.kept), dict(self.own), dict(other.own)
+        more = [attrs.evolve(part, j=part.j + j) for part in other.kept]
+        first, last = more[0], kept[-1]
+        if isinstance(first, Flights):  # only its first arc may have been cut
+            row, later = next(first.rows()), len(first.modes) > 1
+            jumps = {0: row, **{k + later: each for k, each in jumps.items()}}
+            more[:1], first = [first.arcs[0], *[first.later()] * later], first.arcs[0]
+        whole = last.mode == first.mode and not self.ends_with_jump
+        if whole and isinstance(last, Arc) and isinstance(first, Arc):
+            kept, more[0] = kept[:-1], last.then(first)
+        own.update({len(kept) + k: row for k, row in jumps.items()})
+        return Log([*kept, *more], own)
 
     def apart(self) -> tuple[list[Part], dict[int, JumpRow]]:
         """All parts one by one, and the jumps by the place of the part they led from."""

@@ -172,6 +172,21 @@ class Solution:
         """Last time of the run."""
         return self.log.kept[-1].t1
 
+    @cached_property
+    def size(self) -> Numbers:
+        """Largest size of each element over the run."""
+        return np.abs([state for arc in self.arcs for state in (arc.first, arc.last)]).max(axis=0)  # type: ignore[no-any-return]
+
+    def differs(self, spec: Spec, parameters: dict[str, Any]) -> str:
+        """How the run's model differs from another; empty where it does not."""
+        mine, other = ([(s.name, s.shape) for s in own.states] for own in (self.spec, spec))
+        if (self.spec.model, mine) != (spec.model, other):
+            return f"the run is one of {self.spec.model}({', '.join(self.spec.names)})"
+        for name, value in parameters.items():
+            if not np.array_equal(self.parameters[name], value):
+                return f"the run has {name} = {self.parameters[name]!r}, not {value!r}"
+        return ""
+
     @property
     def surfaces(self) -> dict[str, Any]:
         """The guards by edge, for pictures; empty in a run that was loaded."""

@@ -1,0 +1,138 @@
+"""A run that goes on where another ended: what its driver knows of what was before."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import attrs
+import numpy as np
+
+from ..automaton.spec import Spec
+from ..errors import OptionError
+from ..lowering import Field
+from ..lowering.automaton import DIRECTIONS
+from ..rules.guards import TIE
+from ..rules.zeros import EPS
+from ..trajectory.arcs import Arc, JumpRow
+from ..trajectory.clock import Instant
+from ..trajectory.trajectory import Solution, Status
+from .cycles import Columns
+from .driver import Driver
+from .entry import Entry, Jumped, signs_at_end
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+#: Jumps of the earlier run that are looked at for cycles.
+RECALLED = 256
+
+#: How a run may have ended that can be gone on from.
+OPEN_ENDS = Status.REACHED_END, Status.MAX_JUMPS, Status.INTERRUPTED
+
+
+def require_end(run: Solution, spec: Spec, parameters: dict[str, Any], t: Any, given: Any) -> None:
+    """Refuse to go on from a run that is another model's, or has ended otherwise.
+
+    ``given`` are options that the run itself answers.
+
+    Raises
+    ------
+    OptionError
+    """
+    why, (first, _) = run.differs(spec, parameters), t
+    known = [name for name, value in given.items() if value is not None]
+    if why:
+        why += "; start from run.final, in mode=run.mode, to change the model"
+    elif run.status not in OPEN_ENDS:
+        why = f"the run has ended for good. {run.status}"
+    elif first != run.t1:
+        why = f"the run ended at t = {run.t1!r}; write t=(run.t1, ...), not {t!r}"
+    elif known:
+        why = f"{known[0]} is the run's own; leave it out"
+    elif run.log.ends_with_jump:
+        why = "the run was interrupted in the middle of a jump; start it again"
+    if why:
+        raise OptionError(f"{spec.model}: the start is a run, which cannot go on: {why}")
+
+
+def onward(driver: Driver, run: Solution) -> Callable[[], Jumped]:
+    """Let a driver know what was before; what returns what is known of the state at the start."""
+    arc = run.parts[-1]
+    assert isinstance(arc, Arc)
+    if run.status is not Status.REACHED_END:
+        driver.record.now = Instant(arc.t0, arc.low).after(arc.length)
+    driver.seen = run.size
+    driver.came = Jumped
+    since = run.zeno[-1].t if run.zeno else -np.inf
+    for place in sorted(run.own_jumps)[-RECALLED:]:
+        part = run.parts[place]
+        if isinstance(part, Arc) and part.t0 >= since:
+            _recall(driver, run, place, part, run.own_jumps[place])
+    return partial(_came, driver, run, arc)
+
+
+def _recall(driver: Driver, run: Solution, place: int, arc: Arc, row: JumpRow) -> None:
+    """Note a jump: it may be one of a series, or of a cycle."""
+    scene = run.hindsight.at(place, arc.t1, "left") if run.hindsight else driver.scene
+    field, cycles = scene.field(arc.mode), driver.cycles
+    guard = field.guards[field.column(row.edge)]
+    clock = cycles.clock(scene, field, guard, arc.t0, arc.first, arc.length)
+    cycles.saw(Columns.of(row.edge, arc.mode, row.t, row.low, clock, row.after))
+    if row.edge in driver.scene.contacts:
+        driver.watch.saw(row.edge)
+    else:
+        driver.watch.reset()
+    driver.spent = frozenset((row.edge,)) | (frozenset() if arc.length else driver.spent)
+
+
+def _came(driver: Driver, run: Solution, arc: Arc) -> Jumped:
+    """What is known of the state at which a run ended, in an arc."""
+    driver.look(arc.last)
+    row = run.own_jumps.get(len(run.parts) - 2)
+    young = arc.length <= TIE * np.spacing(abs(arc.t0))
+    if not (young and row):
+        driver.spent = frozenset()
+    jumped = _after(driver, arc, run.parts[-2], row) if young and row else Jumped()
+    if not arc.length:
+        flown = next((part for part in reversed(run.parts) if part.t1 > part.t0), None)
+        driver.tied = _tied(driver, flown) if row and isinstance(flown, Arc) else {}
+        return attrs.evolve(jumped, held=arc.held, starting=not row)
+    place = len(run.parts) - 1
+    scenes = run.hindsight.at if run.hindsight else lambda *_: driver.scene
+    end = Entry(scenes(place, arc.t1, "left").field(arc.mode), arc.first, None, [], [])
+    middle = 0.5 * arc.length if arc.segments else 0.0
+    t, x = arc.t0 + (arc.low + middle), arc.local(middle)
+    end.signs.extend(_signs(scenes(place, t, "left").field(arc.mode), t, x))
+    signs = signs_at_end(end, arc.t1, arc.last, float(run.size.max()))
+    signs = {g.edge: signs[g.edge] for g in end.field.guards if g.kind != "window"}
+    return attrs.evolve(jumped, held=arc.held, passing=signs)
+
+
+def _signs(field: Field, t: float, x: Any) -> list[int]:
+    """The sign of each guard within an arc; of one that is zero there, that inside the domain."""
+    values = [(guard, guard.value(t, x.tolist())) for guard in field.guards]
+    return [int(np.sign(v)) or -DIRECTIONS[guard.crossing] for guard, v in values]
+
+
+def _after(driver: Driver, arc: Arc, before: Any, row: JumpRow) -> Jumped:
+    """What is known from the jump that the last arc began with."""
+    scene, kept = driver.scene, driver.record.log.kept
+    left = scene.field(before.mode)
+    guard = left.guards[left.column(row.edge)]
+    kept.append(before)
+    driver.arrive(scene.field(arc.mode), arc.first, guard, row.before)
+    jumped = driver.came()
+    kept.clear()
+    return jumped
+
+
+def _tied(driver: Driver, arc: Arc) -> dict[str, int]:
+    """By edge the sign of guards that have come to zero at the end of an arc, and not fired."""
+    found, t, x, field = {}, arc.t1, arc.last.tolist(), driver.scene.field(arc.mode)
+    for guard in field.guards:
+        size = driver.scene.rounding(guard, field)(t, x)[0]
+        value, rate, _ = guard.lie(t, x)
+        if guard.edge not in driver.spent and abs(value) <= 64 * EPS * size and rate:
+            found[guard.edge] = -1 if rate > 0 else 1
+    return found
