@@ -141,11 +141,18 @@ class ModeGraph:
 
     def impact(self, name: str) -> list[int]:
         """The state after an impact, then the gap's speed after it."""
-        graph, contact = self.graph, self.contact(name)
+        return [*self._pushed(self.contact(name), self.impulse(name)), self._speed_after(name)]
+
+    def _speed_after(self, name: str) -> int:
+        contact = self.contact(name)
         (share,) = self.values(self.code.closed("restitution", name), contact.speed)
-        after = graph.node("mul", share, graph.node("abs", contact.speed))
-        change = graph.node("sub", after, contact.speed)
-        return [*self._pushed(contact, graph.node("div", change, contact.weight)), after]
+        return self.graph.node("mul", share, self.graph.node("abs", contact.speed))
+
+    def impulse(self, name: str) -> int:
+        """What an impact gives: the multiplier of the impulse's direction."""
+        contact = self.contact(name)
+        change = self.graph.node("sub", self._speed_after(name), contact.speed)
+        return self.graph.node("div", change, contact.weight)
 
     def _pushed(self, contact: Normal, size: int) -> list[int]:
         moved, graph = [*self.x], self.graph

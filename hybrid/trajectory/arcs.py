@@ -26,7 +26,12 @@ class _Moded:
     @property
     def held(self) -> tuple[str, ...]:
         """The contacts at rest; empty if none is."""
-        return parted(self.mode)[1]
+        return self.flown_in[1]
+
+    @property
+    def flown_in(self) -> tuple[str, tuple[str, ...]]:
+        """The declared mode, and the contacts at rest."""
+        return parted(self.mode)
 
     @property
     def sliding(self) -> str | None:

@@ -22,6 +22,7 @@ from ..automaton.spec import Spec
 from ..errors import OptionError
 from .accumulation import Accumulation, explain, unfinished
 from .arcs import Arc, JumpRow, Part, TailPart
+from .forces import force, impulses
 from .log import Log, Table
 from .stats import Stats
 
@@ -72,8 +73,13 @@ class Jumps(Sequence[Jump]):
     ``before`` and ``after`` are records of columns: ``run.jumps.before.v``.
     """
 
-    def __init__(self, table: Table, observed: Callable[[Any, Any], Record]) -> None:
-        self.table, self._observed = table, observed
+    def __init__(
+        self,
+        table: Table,
+        observed: Callable[[Any, Any], Record],
+        impulses: Callable[[Table], Numbers],
+    ) -> None:
+        self.table, self._observed, self._impulses = table, observed, impulses
 
     def __len__(self) -> int:
         return len(self.t)
@@ -109,6 +115,21 @@ class Jumps(Sequence[Jump]):
     def after(self) -> Record:
         """States after, as a record of columns."""
         return self._observed(self.t, self.table.after)
+
+    @cached_property
+    def impulse(self) -> Numbers:
+        """What each impact gives: the velocities change by ``impulse * W grad_q(gap)``.
+
+        NaN for a jump of no contact: an edge's reset is not known to be an impulse, and a release
+        gives none. With ``inverse_mass`` the mass's and the gap's units make it one of momentum;
+        ``W`` is 1 without.
+
+        Raises
+        ------
+        OptionError
+            In a run that was loaded without its model; where it depends on the past.
+        """
+        return self._impulses(self.table)
 
     @cached_property
     def gaps(self) -> np.ndarray:
@@ -213,6 +234,10 @@ class Solution:
         OptionError
             Outside the run, or where no dense output was kept.
         """
+        return self.observed(np.asarray(t, dtype=float), self.states(t, j, side=side))
+
+    def states(self, t: Any, j: int | None = None, *, side: str = "right") -> np.ndarray:
+        """The same as vectors: an axis of coordinates behind those of ``t``."""
         times = np.asarray(t, dtype=float)
         if side not in ("right", "left"):
             raise OptionError(f"side={side!r}: 'right' or 'left'")
@@ -220,13 +245,13 @@ class Solution:
         if bad.size:
             raise OptionError(f"t = {bad.flat[0]} is outside the run [{self.t0}, {self.t1}]")
         if j is not None:
-            return self.observed(times, self._in_arc(self._arc_of(j, times), times))
+            return self._in_arc(self._arc_of(j, times), times)
         kept = self._kept(times.reshape(-1))
         if kept is not None and side == "right":
-            return self.observed(times, kept.reshape((*times.shape, self.spec.dimension)))
+            return kept.reshape((*times.shape, self.spec.dimension))
         flat = [self._at(float(v), side) for v in times.reshape(-1)] if times.size < 4 else None
         states = np.array(flat) if flat is not None else self._many(times.reshape(-1), side)
-        return self.observed(times, states.reshape((*times.shape, self.spec.dimension)))
+        return states.reshape((*times.shape, self.spec.dimension))
 
     def _kept(self, times: np.ndarray) -> np.ndarray | None:
         """The states that the run was asked to keep at these times, if it was."""
@@ -258,13 +283,13 @@ class Solution:
     def _starts(self) -> list[float]:
         return [part.t0 for part in self.parts]
 
-    def _part_at(self, t: float, side: str) -> Part:
-        if side == "right":
-            return self.parts[max(bisect_right(self._starts, t) - 1, 0)]
-        return self.parts[max(bisect_left(self._starts, t) - 1, 0)]
+    def place(self, t: float, side: str = "right") -> int:
+        """The number of the part at a time."""
+        found = (bisect_right if side == "right" else bisect_left)(self._starts, t)
+        return max(found - 1, 0)
 
     def _at(self, t: float, side: str) -> np.ndarray:
-        part = self._part_at(t, side)
+        part = self.parts[self.place(t, side)]
         if isinstance(part, TailPart):
             if t >= part.t1:
                 return part.last
@@ -283,6 +308,34 @@ class Solution:
                 states[chosen] = self._dense(part, times[chosen])
         return states
 
+    def force(self, contact: str, t: Any) -> Any:
+        """The force that a contact bears.
+
+        Parameters
+        ----------
+        contact : str
+        t : float or array
+
+        Returns
+        -------
+        array
+            Of the shape of ``t``: at rest the multiplier of ``W grad_q(gap)`` that holds the gap at
+            zero; 0 while the contact is open; NaN at an impact. With ``inverse_mass`` it is a force
+            in the units of mass and gap; without, where all masses are 1, an acceleration.
+
+        Raises
+        ------
+        OptionError
+            If there is no such contact, at a time outside the run, where no dense output was kept,
+            and in a run that was loaded without its model.
+
+        Notes
+        -----
+        With several contacts at rest each has its own share. Where a rest begins or ends it is that
+        of the right side; where impacts accumulate it is that of the rest that follows.
+        """
+        return force(self, contact, t)
+
     # -- tables -------------------------------------------------------------------------
 
     @cached_property
@@ -300,7 +353,9 @@ class Solution:
     def jumps(self) -> Jumps:
         """All jumps, those of chattering tails included."""
         seen = partial(observed, self.spec, self.parameters)
-        return Jumps(self.log.table(self.spec.dimension), seen)
+        scene = self.hindsight and self.hindsight.scene
+        gives = partial(impulses, self.spec, self.parameters, scene)
+        return Jumps(self.log.table(self.spec.dimension), seen, gives)
 
     @property
     def final(self) -> Record:

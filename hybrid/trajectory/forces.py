@@ -1,0 +1,101 @@
+"""What contacts bear in a run: the force on one at rest, the impulse of one that is struck.
+
+Both are multipliers of ``W grad_q(gap)`` (:mod:`hybrid.lowering.contact`): the force keeps the
+gap's acceleration at zero, the impulse gives the gap the speed that the restitution asks for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..automaton.spec import ContactSpec, Spec
+from ..errors import OptionError
+from ..lowering import Scene, scene_of
+from .log import Table
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import Numbers
+    from ..lowering.mode import ModeGraph
+    from .trajectory import Solution
+
+
+def force(run: Solution, contact: str, t: Any) -> np.ndarray:
+    """The force on a contact: see :meth:`hybrid.Trajectory.force`."""
+    known = [each.name for each in run.spec.transitions if isinstance(each, ContactSpec)]
+    scene = scene_known(run.spec, run.parameters, run.hindsight and run.hindsight.scene)
+    if contact not in known:
+        there = ", ".join(known) or "none"
+        raise OptionError(f"{run.spec.model} has no contact {contact!r}; there are: {there}")
+    times = np.asarray(t, dtype=float)
+    states, flat = run.states(times).reshape(-1, run.spec.dimension), times.reshape(-1)
+    found, rows = np.zeros(flat.shape), zip(flat.tolist(), states.tolist(), strict=True)
+    for place, (when, x) in enumerate(rows):
+        number = run.place(when)
+        mode, held = run.parts[number].flown_in
+        if contact in held:
+            here = run.hindsight.at(number, when) if run.spec.lags else scene
+            graph = here.code.mode(mode)
+            bears = graph.program(("force", contact), partial(_forces, graph, contact))
+            found[place] = here.bind(bears, here.numbers(mode, held))(when, x)[0]
+    found[np.isin(flat, _struck(run, contact))] = np.nan
+    return found.reshape(times.shape)
+
+
+def _forces(graph: ModeGraph, contact: str) -> list[int]:
+    return [graph.forces[contact]]
+
+
+def _impulse(graph: ModeGraph, contact: str) -> list[int]:
+    return [graph.impulse(contact)]
+
+
+def _struck(run: Solution, contact: str) -> Numbers:
+    """When a contact is struck; not where its impacts accumulate, and are weaker than any force."""
+    times = run.jumps.t[run.jumps.edge == contact]
+    return times[~np.isin(times, [point.t for point in run.zeno])]
+
+
+def impulses(
+    spec: Spec, parameters: Mapping[str, Any], scene: Scene | None, table: Table
+) -> Numbers:
+    """The impulses of jumps: see :attr:`Jumps.impulse`."""
+    found = np.full(len(table.t), np.nan)
+    if not len(found):
+        return found
+    scene = scene_known(spec, parameters, scene)
+    for contact in sorted(scene.contacts & set(table.edge)):
+        mode, rows = scene.code.contact_spec(contact).source, np.flatnonzero(table.edge == contact)
+        graph = scene.code.mode(mode)
+        program = graph.program(("impulse", contact), partial(_impulse, graph, contact))
+        if spec.lags and scene.code.looks_back(graph.graph, graph.impulse(contact)):
+            raise OptionError(
+                f"{spec.model}: what an impact of {contact} gives depends on the past, so no table "
+                "of jumps tells it; run(t) has the states on both sides"
+            )
+        gives = scene.bind(program, scene.numbers(mode, ()))
+        columns = table.t[rows].tolist(), table.before[rows].tolist()
+        found[rows] = [gives(*row)[0] for row in zip(*columns, strict=True)]
+    return found
+
+
+def scene_known(spec: Spec, parameters: Mapping[str, Any], scene: Scene | None) -> Scene:
+    """The model of a run with its parameters.
+
+    Raises
+    ------
+    OptionError
+        In a run that was loaded without its model, or that has looked at a past it does not know.
+    """
+    if scene is not None:
+        return scene
+    if spec.cls is None or spec.lags:
+        why = "looks at the past, which" if spec.lags else "is needed, which"
+        raise OptionError(
+            f"{spec.model}: the model {why} this file does not hold: ask before the run is saved"
+            + ("" if spec.lags else f", or load it with its model, hy.load(path, {spec.model})")
+        )
+    return scene_of(spec.cls(**parameters))
