@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import ParameterError
 from .markers import (
+    TERMINATE,
     ContactMarker,
     Crossing,
     EdgeMarker,
@@ -149,7 +150,7 @@ class Builder:
         where = f"edge {marker.name}"
         source, to = (
             self.target(where, "source", marker.source, self.slides()),
-            self.target(where, "to", marker.to),
+            self.target(where, "to", marker.to, [TERMINATE]),
         )
         self.signature(f"{where}, reset", marker.reset, ("t", "s"))
         self.signature(f"{where}, guard", marker.guard, ("t", "s"))

@@ -32,6 +32,9 @@ RISING = Crossing.RISING
 EITHER = Crossing.EITHER
 """The edge fires where its guard reaches zero from either side."""
 
+TERMINATE = "hy.TERMINATE"
+"""What an edge leads to that ends the run: no mode can have this name."""
+
 
 class _Named:
     """A marker that learns its name from the class body."""
@@ -210,7 +213,8 @@ def edge(
     Parameters
     ----------
     source, to : mode or str
-        A mode defined above, or its name.
+        A mode defined above, or its name. ``to=hy.TERMINATE`` ends the run behind the jump, with
+        ``Status.TERMINATED``.
     guard : callable ``(self, t, s)``
         A scalar; positive inside the source's domain when ``crossing`` is ``FALLING``.
     crossing : FALLING, RISING or EITHER

@@ -59,7 +59,7 @@ def report_of(result: Trajectory) -> None:
     for graze in result.grazings:
         typer.echo(f"  grazing of {graze.edge} at t = {graze.t!r}")
     typer.echo(f"final: {result.final} in {result.mode}")
-    typer.echo(str(result.status))
+    typer.echo(result.ending)
 
 
 def compared(entry: gallery.GalleryEntry, result: Trajectory) -> None:

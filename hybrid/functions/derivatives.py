@@ -46,7 +46,11 @@ REASONS = {
         "a lag is negative, or looks where the history is not finite",
     ),
     13: ("failed", "the run failed; hy.simulate says why"),
+    14: ("terminated", "an edge has led to hy.TERMINATE"),
 }
+
+#: How runs end behind a jump.
+BEHIND_A_JUMP = ("max_jumps", "terminated")
 
 REASON_NUMBERS = {name: number for number, (name, _) in REASONS.items()}
 
@@ -229,7 +233,7 @@ class _Run:
 
     def plan(self) -> Itinerary:
         """How it can be flown again (:meth:`Runs.plan`)."""
-        if self.driver is None or self.status not in ("reached_end", "max_jumps"):
+        if self.driver is None or self.status not in ("reached_end", *BEHIND_A_JUMP):
             why = dict(REASONS.values()).get(self.status, "the run failed")
             raise OrbitError(
                 f"{self.scene.spec.model}: of this run there are no derivatives: {why}"
@@ -306,7 +310,7 @@ class _Run:
             scene, _ = carried.walk.beside(place, True)
             flow = np.array(scene.field(part.mode).rhs(part.t1, part.last.tolist()))
             return time, carried.final() + np.outer(flow, time)
-        jumped = self.status == "max_jumps"
+        jumped = self.status in BEHIND_A_JUMP
         summed = self.status in ("zeno_stopped", "no_rest") and not isinstance(part, Arc)
         if carried.last is not None and (jumped or summed):
             return carried.last.time, carried.last.after

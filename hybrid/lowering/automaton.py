@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..automaton.markers import Crossing
+from ..automaton.markers import TERMINATE, Crossing
 from ..errors import TraceError
 from ..rules import library
 from ..rules.arrays import AutomatonArrays, Room
@@ -264,6 +264,8 @@ class Tables:
                 return ""
             released = guard.edge.removesuffix(RELEASE_SUFFIX)
             return self.scene.name(field.mode, tuple(c for c in field.held if c != released))
+        if guard.to == TERMINATE:
+            return ""
         return field.name if guard.to == field.mode else guard.to
 
     def _onto(self, field: Field, of_speed: bool) -> int:

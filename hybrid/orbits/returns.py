@@ -10,7 +10,7 @@ import attrs
 import numpy as np
 
 from ..automaton.base import require_model
-from ..automaton.markers import RISING, Crossing
+from ..automaton.markers import RISING, TERMINATE, Crossing
 from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
 from ..lowering import scene_of
@@ -279,4 +279,5 @@ def _mode_after(spec: Any, edge: str) -> str | None:
     of = name if what == "release" else edge
     modes = {e.to for e in spec.transitions if e.name == of}
     modes |= {end.to for switching in spec.switchings for end in switching.ends if end.name == edge}
+    modes -= {TERMINATE}
     return next(iter(modes)) if len(modes) == 1 else None

@@ -186,6 +186,8 @@ class _Maker:
                     "take differences of these, or end the run before"
                 )
             jump, after = jumps.get(index), None if last else parts[index + 1]
+            if last and index and jump is None and not part.length:  # behind the last jump
+                return
             if jump is None and not last:
                 raise OrbitError(
                     f"{self.model}: the run passes the limit of a cycle of several edges at "

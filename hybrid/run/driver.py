@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import attrs
 import numpy as np
 
+from ..automaton.markers import TERMINATE
 from ..bounds.defect import follows
 from ..delay.memory import Memory
 from ..delay.pieces import Piece
@@ -57,6 +58,10 @@ from .watch import Watch
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers, StateVector
+
+
+#: How runs end behind a jump, in an arc of no length.
+LAST_JUMPS = (Status.MAX_JUMPS, Status.TERMINATED)
 
 
 class Driver:
@@ -118,7 +123,7 @@ class Driver:
         self.enter(base, x, came() if came else Jumped(held=held, starting=True))
         try:
             self.go_on()
-            if self.status is Status.MAX_JUMPS and self.end is not None:  # behind the last jump
+            if self.status in LAST_JUMPS and self.end is not None:
                 _, x, mode = self.end
                 self.record.arc(self.model.field(mode), x, x, 0.0, [])
         except KeyboardInterrupt:
@@ -390,6 +395,10 @@ class Driver:
             came.vanishing = {}
         came.held = self._still_held(guard.to, after)
         self.watch.reset()
+        if guard.to == TERMINATE:
+            self.add_jump(guard.edge, before, after)
+            self.status, self.mode = Status.TERMINATED, self.entry.field.mode
+            return
         if not (self.add_jump(guard.edge, before, after) and pass_limit(self, guard.to)):
             self.enter(guard.to, after, came)
 

@@ -45,6 +45,7 @@ class Status(enum.Enum):
         "The run stopped at an accumulation of jumps that nothing follows: to go on, declare "
         "the contact with rests=True, or a mode with limit_of= the edges of the cycle."
     )
+    TERMINATED = "The run ended at an edge that leads to hy.TERMINATE: at its last jump."
     MAX_JUMPS = "The run stopped at max_jumps; give a larger max_jumps to go on."
     MAX_STEPS = "The run stopped at max_steps; give a larger max_steps to go on."
     INTERRUPTED = "The run was interrupted; what was computed until then is kept."
@@ -385,12 +386,19 @@ class Solution:
         if self.status is Status.MAX_JUMPS:
             rows = list(self.own_jumps.values())
             lines.append(unfinished([row.edge for row in rows], [row.t for row in rows]))
-        return "\n".join([*lines, str(self.status)])
+        return "\n".join([*lines, self.ending])
+
+    @property
+    def ending(self) -> str:
+        """How the run ended: the sentence of ``status``, with the edge that ended it."""
+        if self.status is not Status.TERMINATED:
+            return str(self.status)
+        return f"The run ended at the edge {self.jumps[-1].edge}, which leads to hy.TERMINATE."
 
     def __repr__(self) -> str:
         head = f"{self.spec.model}: {self.t0:g} <= t <= {self.t1:g}, {len(self.jumps)} jumps listed"
         zeno = _few(self.zeno, lambda point: f"accumulation at t = {point.t!r}", LISTED)
-        return "\n  ".join([head, *zeno, str(self.status)])
+        return "\n  ".join([head, *zeno, self.ending])
 
 
 def _few(
