@@ -178,7 +178,7 @@ def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
         now.floats[TAU] = length
         now.ints[STEPS_MADE] += now.ints[MADE]
         return END
-    if run[METHOD_ORDER] == 0.0 and now.ints[STEPS_MADE] + now.ints[MADE] >= left.owner.shape[0]:
+    if now.ints[STEPS_MADE] + now.ints[MADE] >= left.owner.shape[0]:
         return FULL
     now.ints[PHASE] = LOOKS
     longest = run[FIRST_STEP] if now.ints[MADE] == 0 else run[MAX_STEP]

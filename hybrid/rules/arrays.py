@@ -169,7 +169,8 @@ class Left(NamedTuple):
     spans : Matrix
         Local start, and length.
     series : Matrix
-        Coefficients, a row for each element of the state; no rows where nobody asks for them.
+        Coefficients by powers of the time, of another solver's steps by those of the share of the
+        step; a row for each element of the state, no rows where nobody asks for them.
     sums, curves : Matrix
         Sums of impacts; columns of the one, and rows of the other, as in :mod:`.places`.
     """

@@ -155,7 +155,7 @@ def lanes(
         run[LAST_TIME] = spans[lane, 1]
         begun(now, spans[lane, 0], starts[lane], field)
         status = go(a, run, now, room, left, sums, look)
-        while run[METHOD_ORDER] > 0.0 and answers(status, a, run, now, room, left, pair):
+        while run[METHOD_ORDER] > 0.0 and answers(status, a, run, now, room, pair):
             status = go(a, run, now, room, left, sums, look)
         made += now.ints[EXPANSIONS]
         outcome = LEFT

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from .arcs import SAFETY, copied
-from .arrays import AutomatonArrays, Floats, Left, Now, Pair, Room
+from .arrays import AutomatonArrays, Floats, Now, Pair, Room
 from .jets import FLOW, afresh
 from .operations import integrate
 from .places import (
@@ -20,7 +20,6 @@ from .places import (
     FIELD,
     FIELD_PROGRAM,
     FIRST_LENGTH,
-    FLOWN,
     LAND_ON,
     LAST_TIME,
     LOW,
@@ -29,7 +28,6 @@ from .places import (
     SHOW,
     STEP,
     STEP_END,
-    STEPS_MADE,
     TAU,
     TO_TAU,
     T,
@@ -73,19 +71,14 @@ ROWS, SWING_SHARE, COUNTED, STEPS_LEFT = 4, 0.8, 512, 1e6
 FEW_STEPS = 4.0
 
 
-def answers(
-    status: int, a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, pair: Pair
-) -> bool:
+def answers(status: int, a: AutomatonArrays, run: Floats, now: Now, room: Room, pair: Pair) -> bool:
     """Make what the loop has asked for; whether there is such."""
-    if status == FLOWN:
-        now.ints[STEPS_MADE] += now.ints[MADE]
-        return True
     if status == SHOW:
         return shows(a, now, room, pair)
     if status == LAND_ON:
         return arrives(a, now, room, pair)
     made = now.ints[MADE]
-    if status != STEP or now.ints[STEPS_MADE] + made >= left.owner.shape[0]:
+    if status != STEP:
         return False
     length = (run[LAST_TIME] - now.floats[T]) - now.floats[LOW]
     if a.fields[now.ints[FIELD], PLAIN] == CHANGES:

@@ -92,11 +92,9 @@ ERRORS, AT_LIMIT, AT_REST, CURVE_ROWS = 17, 18, 19, 20
 #: Why a call comes back: the run is at its end; the arrays are full; an arc has to be looked at
 #: with all the rules; a jump has; another solver is to make a step, or to land; impacts are to be
 #: summed; the table has not all that is asked of a guard; a low flight begins; the polynomial of
-#: another solver's step is to be shown; the pieces of a low flight are to be kept beside its steps;
-#: other windows of the past are due; there is no room for the record; a step that has been made, or
-#: a low flight, is to be held against the flow.
-END, FULL, LOOK, JUMP, STEP, LAND_ON, SUM, MAKE, HOPS, SHOW, FLOWN, WINDOW, NO_ROOM = range(1, 14)
-HOLD = 14
+#: another solver's step is to be shown; other windows of the past are due; there is no room for the
+#: record; a step that has been made, or a low flight, is to be held against the flow.
+END, FULL, LOOK, JUMP, STEP, LAND_ON, SUM, MAKE, HOPS, SHOW, WINDOW, NO_ROOM, HOLD = range(1, 14)
 
 #: What a run does at an accumulation (``REST_AFTER``): it is the driver's; it goes on; it ends.
 DRIVERS, GOES_ON_AT_REST, ENDS_THERE = 0.0, 1.0, 2.0

@@ -35,7 +35,6 @@ from .places import (
     FIELD_PROGRAM,
     FIRED,
     FLIGHTS,
-    FLOWN,
     FULL,
     GAP_SPEED,
     GOES_ON,
@@ -228,10 +227,10 @@ def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, su
     Returns
     -------
     status : int
-        ``GOES_ON`` to the impact at its end, or ``FLOWN``, where its pieces are to be kept before
-        that; ``FULL`` or ``HOLD``, and it is still to be flown; or ``LOOK``, where there is no room
-        for it. ``GOES_ON``, too, where it is long, goes beyond the end of the run, or another guard
-        comes near: the start of the arc is looked at then as any other.
+        ``GOES_ON`` to the impact at its end; ``FULL`` or ``HOLD``, and it is still to be flown; or
+        ``LOOK``, where there is no room for it. ``GOES_ON``, too, where it is long, goes beyond the
+        end of the run, or another guard comes near: the start of the arc is looked at then as any
+        other.
     """
     field, guard, place = now.ints[FIELD], now.ints[FIRED], now.ints[JUMPS_MADE]
     flow, at = a.fields[field, FIELD_PROGRAM], a.guards[guard, AT]
@@ -249,33 +248,30 @@ def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, su
     if run[WATCHED] == 1.0 and now.ints[LOW_AHEAD] == 1:
         now.ints[MADE] = pieces
         return HOLD
-    own = run[METHOD_ORDER] == 0.0
-    if own and now.ints[STEPS_MADE] + pieces > left.owner.shape[0]:
+    if now.ints[STEPS_MADE] + pieces > left.owner.shape[0]:
         return FULL if now.ints[STEPS_MADE] + now.ints[JUMPS_MADE] > 0 else LOOK
     copied(before, now.end)
     now.floats[TAU], now.floats[GAP_SPEED] = time, speed
     now.ints[LOW_AHEAD], now.ints[WAS_LOW], now.ints[PHASE] = 0, 1, STRIKES
     now.ints[FLIGHTS] += 1
-    if not own:
-        now.ints[MADE] = pieces
-        return FLOWN
     for piece in range(pieces):
-        taken(now, left, sums, piece)
+        taken(now, left, sums, piece, run[METHOD_ORDER] > 0.0)
     now.ints[STEPS_MADE] += pieces
     now.ints[EXPANSIONS] += pieces
     return GOES_ON
 
 
-def taken(now: Now, left: Left, sums: Sums, piece: int) -> None:
-    """Keep a piece of a flight as a step."""
+def taken(now: Now, left: Left, sums: Sums, piece: int, shares: bool) -> None:
+    """Keep a piece of a flight as a step, by powers of its time, or of the ``shares`` of it."""
     place, n = now.ints[STEPS_MADE] + piece, now.x.shape[0]
     left.owner[place] = now.ints[JUMPS_MADE]
     left.spans[place, 0], left.spans[place, 1] = sums.starts[piece], sums.lengths[piece]
     if left.series.shape[0] > 0:
         for i in range(n):
-            own, kept = sums.series[piece * n + i], left.series[place * n + i]
+            own, kept, power = sums.series[piece * n + i], left.series[place * n + i], 1.0
             for k in range(kept.shape[0]):
-                kept[k] = own[k] if k < own.shape[0] else 0.0
+                kept[k] = own[k] * power if k < own.shape[0] else 0.0
+                power *= sums.lengths[piece] if shares else 1.0
 
 
 def untouched(

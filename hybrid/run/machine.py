@@ -37,7 +37,6 @@ from ..rules.places import (
     FIELD,
     FIRED,
     FLIGHTS,
-    FLOWN,
     FULL,
     GAP_SPEED,
     GOES_ON,
@@ -53,7 +52,6 @@ from ..rules.places import (
     LACKING,
     LACKING_AT,
     LAND_ON,
-    LANDS,
     LAST_TIME,
     LAST_USED,
     LASTED,
@@ -67,7 +65,6 @@ from ..rules.places import (
     NONE,
     PHASE,
     RISES,
-    SEES,
     SERIES,
     SHOW,
     STEP,
@@ -85,7 +82,7 @@ from ..rules.places import (
     T,
 )
 from ..segment import nodes, terms
-from ..trajectory.log import Flights, Steps, Table, joined
+from ..trajectory.log import Flights, Steps, Table
 from ..trajectory.plan import PATIENCE
 from ..trajectory.trajectory import Status
 from ..zeno.accumulate import Tail
@@ -108,8 +105,11 @@ if TYPE_CHECKING:
 JUMPS_KEPT, STEPS_KEPT, ROOM_GROWTH, MOST_ROOM = 64, 512, 4, 1 << 15
 SUMS_KEPT = SUMS
 
+#: Steps as they are left: their arcs, when they begin and how long they are, and their series.
+Rows = tuple[np.ndarray, np.ndarray, np.ndarray]
+
 #: What is asked for of another solver: methods of :class:`Outside`.
-OUTSIDE_METHODS = {STEP: "step", SHOW: "show", LAND_ON: "land", FLOWN: "flown"}
+OUTSIDE_METHODS = {STEP: "step", SHOW: "show", LAND_ON: "land"}
 
 
 class Machine:
@@ -150,7 +150,7 @@ class Machine:
         self.run = np.array(given, dtype=float)
         self.n = n
         self.needs: tuple[int, ...] = ()
-        self.open: list[Steps] = []
+        self.open: list[Rows] = []
         self.size: tuple[int, ...] = (JUMPS_KEPT, STEPS_KEPT)
 
     def takes(self) -> bool:
@@ -221,21 +221,20 @@ class Machine:
         if not self._going:
             return 0.0
         rows, tau = left.owner == self.ints[JUMPS_MADE], float(self.floats[TAU])
-        if not self.opened:
-            self.driver.watch_pace()
         made = int(np.count_nonzero(rows))
+        if self.outside is None:  # another solver's are counted as they are made
+            if not self.opened:
+                self.driver.watch_pace()
+            self.driver.count_steps(tau, self.now.end, made)
         self.opened += made
-        self.driver.count_steps(tau, self.now.end, made)
         if self.dense:
-            self.open.append(self._made(left, rows, int(self.ints[JUMPS_MADE])))
+            self.open.append(self._rows(left, rows, int(self.ints[JUMPS_MADE])))
         return tau
 
     def _spent(self, status: int, left: Left) -> bool:
         """Whether the run has made all its steps; keeps what has been flown of the arc."""
-        going = int(self.ints[MADE]) if status == STEP else self._going
-        made = self.driver.steps + (going if status == STEP else self.opened)
-        spent = status in (FULL, STEP) and made >= self.plan.max_steps
-        if spent and going:
+        spent = status == FULL and self.driver.steps + self.opened >= self.plan.max_steps
+        if spent and self._going:
             self._last(left)
         return spent
 
@@ -272,12 +271,8 @@ class Machine:
                         continue
                     if self.outside is None or status not in OUTSIDE_METHODS:
                         return status
-                    made = len(self.outside.arcs)
-                    if status == STEP and self.driver.steps + made >= self.plan.max_steps:
-                        return STEP
-                    room, sums, _ = self.rooms.work
-                    given = sums if status == FLOWN else room
-                    getattr(self.outside, OUTSIDE_METHODS[status])(self.now, given)
+                    make = getattr(self.outside, OUTSIDE_METHODS[status])
+                    make(self.now, self.rooms.work[0], left)
         except KeyboardInterrupt:
             self._interrupted(self.now, left)
             raise
@@ -350,7 +345,7 @@ class Machine:
             tau, x = float(memory.floats[BEGAN]), memory.start
             first = int(left.owner[:last].searchsorted(place))
             driver.steps += self.opened + int(np.count_nonzero(left.spans[first:last, 0] < tau))
-            steps = joined([*self.open, self._made(left, slice(first, last), place)])
+            steps = self._made([*self.open, self._rows(left, slice(first, last), place)])
             steps = steps and Steps(*(column[steps.start < tau] for column in steps))
             self.open, self.opened = [], 0
             self._through(tau, x, steps, memory.signs)
@@ -425,8 +420,7 @@ class Machine:
         try:
             rooms = tables.free[needs].pop()
         except (KeyError, IndexError):
-            size = JUMPS_KEPT, 0 if self.outside is not None else STEPS_KEPT
-            rooms = Rooms(tables, self.n, self.order, size, SUMS_KEPT)
+            rooms = Rooms(tables, self.n, self.order, (JUMPS_KEPT, STEPS_KEPT), SUMS_KEPT)
         rooms.run[:] = self.run
         rooms.now.floats[:], rooms.now.ints[:], rooms.now.end[:] = 0.0, 0, 0.0
         for own, was in zip(rooms.now[:5], self.now if before else (), strict=False):
@@ -455,12 +449,13 @@ class Machine:
             if self.ints[PHASE] != HELD:
                 return
             now.end[:] = self.rooms.work[0].c[: self.n, 0]  # a step has been made, and not seen
-            self.ints[STEPS_MADE] += self.ints[MADE]
-        elif self.ints[PHASE] in (SEES, LANDS):
+        elif self.ints[PHASE] == STRIKES:
+            self._last(left)
+            return
+        elif self.floats[STEP_END] != self.floats[TAU]:
             self.outside.undo(now)
-        elif self.ints[MADE] and self.ints[PHASE] != STRIKES:
-            self.floats[TAU] = self.floats[STEP_END]
         if self.ints[MADE]:
+            self.ints[STEPS_MADE] += self.ints[MADE]
             self._last(left)
 
     def _series(self) -> tuple[str | None, int, float]:
@@ -502,8 +497,7 @@ class Machine:
         """Arrays for what a call leaves, and the counts at zero."""
         n, (jumps, steps) = self.n, self.size
         if self.outside is not None:
-            self.outside.begin()
-            jumps, steps = 1 if self.plan.progress is not None else jumps, 0
+            jumps = 1 if self.plan.progress is not None else jumps
         if self.windowed:
             jumps = 1
         memory = self.driver.record.memory
@@ -613,25 +607,32 @@ class Machine:
 
     def _flown_in(self, left: Left, begin: int, end: int) -> tuple[Steps | None, int]:
         """The steps of some of the arcs, if they are kept, and how many; the first has the held."""
-        if self.outside is not None:
-            count = self.outside.count(begin, end)
-            return self.outside.steps(begin, end) if self.dense and count else None, count
         owner = left.owner[: max(int(self.ints[STEPS_MADE]), 0)]
         first, last = owner.searchsorted((begin, end)).tolist()
         count, held = self.opened + last - first, self.open
         self.open, self.opened = [], 0
         if not (self.dense and count):
             return None, count
-        return joined([*held, self._made(left, slice(first, last), begin)]), count
+        return self._made([*held, self._rows(left, slice(first, last), begin)]), count
 
-    def _made(self, left: Left, rows: slice | np.ndarray, begin: int) -> Steps:
-        """Steps as states at the nodes of each, those of arc ``begin`` being the first's."""
-        start, length = left.spans[rows].T
+    def _rows(self, left: Left, rows: slice | np.ndarray, begin: int) -> Rows:
+        """Steps as they are left, those of arc ``begin`` being the first's."""
         series = left.series.reshape(-1, self.n, self.order + 1)[rows]
-        scaled = terms(series, length[:, None, None])
-        powers = nodes(self.order)[:, None] ** np.arange(self.order + 1)
-        values = np.einsum("sik,jk->sji", scaled, powers)
-        return Steps(left.owner[rows] - begin, start, length, values)
+        return left.owner[rows] - begin, left.spans[rows], series
+
+    def _made(self, parts: list[Rows]) -> Steps | None:
+        """Steps of arcs in a row, of which only the last part holds more than the first arc, as
+        states at the nodes of each."""
+        owner, spans, series = map(np.concatenate, zip(*parts, strict=True))
+        start, length = spans.T
+        if self.outside is None:
+            series = terms(series, length[:, None, None])
+        else:  # a method's own degree
+            used = np.flatnonzero(series.any(axis=(0, 1)))
+            series = series[..., : max(used.max(initial=0), 1) + 1]
+        degree = series.shape[2] - 1
+        powers = nodes(degree)[:, None] ** np.arange(degree + 1)
+        return Steps(owner, start, length, np.einsum("sik,jk->sji", series, powers))
 
     def _last(self, left: Left) -> StateVector:
         """Add the arc that no jump of the loop has ended; returns the state at its end."""

@@ -57,11 +57,6 @@ class Steps(NamedTuple):
         return [Segment(*row) for row in zip(*columns, strict=True)]
 
 
-def joined(steps: list[Steps]) -> Steps | None:
-    """Steps of arcs in a row, of which only the last piece holds more than the first arc."""
-    return Steps(*map(np.concatenate, zip(*steps, strict=True))) if steps else None
-
-
 class Table(NamedTuple):
     """Jumps as columns: time in two floats, edge, states before and after."""
 
