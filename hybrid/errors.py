@@ -14,6 +14,7 @@ PLOT = ("matplotlib",)
 HTML = ("plotly",)
 PROOFS = ("flint",)
 TABLES = ("xarray",)
+FRAMES = ("pandas",)
 FILES = ("xarray", "h5netcdf", "h5py")
 
 #: Packages whose modules have other names.

@@ -1,10 +1,14 @@
 """The command line: output, files, one clear line and exit code 2 on a fault."""
 
+import csv
+import json
+
 import pytest
 from typer.testing import CliRunner
 
 import hybrid as hy
 from hybrid.cli import app
+from models.bouncing_ball import BouncingBall
 
 RUNNER = CliRunner()
 
@@ -24,6 +28,36 @@ def test_run_prints_draws_and_saves(tmp_path, folder):
     assert "t_inf = 27.2679146866" in result.output
     assert (tmp_path / "out.png").exists()
     assert hy.load(tmp_path / "out.nc").zeno[0].t == pytest.approx(27.2679146866, abs=1e-9)
+
+
+def test_run_writes_the_table_of_jumps_and_json(tmp_path):
+    """All digits; what is printed is one document, or nothing."""
+    out = tmp_path / "out.csv"
+    result = call("run", "bouncing_ball", "--csv", out, "--json", "--oracle")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    run = hy.simulate(BouncingBall(), {"x": 1.0, "v": 0.0}, (0.0, 3.0))
+    assert found["zeno"][0]["t"] == run.zeno[0].t
+    assert (found["jumps"], found["status"]) == (len(run.jumps), "REACHED_END")
+    assert found["oracle"][0]["exact"] == pytest.approx(2.558633965585808)
+    rows = list(csv.DictReader(out.open()))
+    assert list(rows[0]) == ["t", "j", "edge", "x_before", "v_before", "x_after", "v_after"]
+    assert [float(row["t"]) for row in rows] == run.jumps.t.tolist()
+    assert [float(row["v_after"]) for row in rows] == run.jumps.after.v.tolist()
+    assert call("run", "bouncing_ball", "--quiet", "--csv", out).output == ""
+    refused = call("run", "bouncing_ball", "--csv", "no/x.csv").output
+    assert "--csv no/x.csv: no such folder" in refused
+
+
+def test_certify_prints_json():
+    """The fields of the certificate, and the same exit codes."""
+    box = "--box", "x=2:2.5", "--box", "v=-7:7"
+    result = call("certify", "hard_spring", *box, "--json")
+    found = json.loads(result.stdout)
+    assert found["verdict"] == "certified"
+    assert found["left"] < found["right"]
+    quiet = call("certify", "hard_spring", *box, "-q")
+    assert (quiet.exit_code, quiet.output) == (result.exit_code, "")
 
 
 def test_a_model_by_name_with_its_oracle():

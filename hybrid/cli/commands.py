@@ -11,9 +11,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+import attrs
 import typer
 
 from .. import gallery
@@ -22,7 +24,7 @@ from ..result import Trajectory
 from ..trajectory.stats import versions
 from ..trajectory.trajectory import Status
 from .given import asked, bounds, can_write, pairs, tolerances
-from .told import bar, compared, report_of, table
+from .told import as_json, bar, compared, differing, exact, facts, report_of, table, write_jumps
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Simulate hybrid automata through Zeno points."
@@ -39,6 +41,8 @@ Until = Annotated[float | None, typer.Option("--until", help="Last time.")]
 Before = Annotated[
     list[str] | None, typer.Option("--history", help="A state before the start: x=0. For delays.")
 ]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but faults.")]
+Json = Annotated[bool, typer.Option("--json", help="Print what is found as JSON.")]
 MemoryKind = Annotated[str, typer.Option("--memory", help="keep or restart. For delays.")]
 
 
@@ -102,15 +106,21 @@ def run(
         str | None, typer.Option(help="Write a picture: out.png, out.pdf, out.svg, out.html.")
     ] = None,
     save: Annotated[str | None, typer.Option(help="Write the trajectory: out.nc.")] = None,
+    table_: Annotated[
+        str | None, typer.Option("--csv", help="Write the table of jumps: out.csv.")
+    ] = None,
     oracle: Annotated[
         bool, typer.Option("--oracle", help="Compare with the exact values in the model's file.")
     ] = False,
+    quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Run a model, say what happened, and draw or save it."""
     with _one_line():
         given = asked(model, set_, start, since, until, history)
         can_write("--plot", plot)
         can_write("--save", save)
+        can_write("--csv", table_)
         result = _simulate(
             *given.run,
             solver=solver,
@@ -125,15 +135,23 @@ def run(
             history=given.history,
             memory=memory,
         )
-        report_of(result)
-        if oracle:
-            compared(given.entry, result)
-        if plot is not None:
-            _write(lambda: result.plot(plot))
-            typer.echo(f"picture: {plot}")
-        if save is not None:
-            _write(lambda: result.save(save))
-            typer.echo(f"trajectory: {save}")
+        rows = exact(given.entry, result) if oracle else []
+        if json:
+            known = [{"what": what, "computed": a, "exact": b} for what, a, b in rows]
+            typer.echo(as_json({**facts(result), **({"oracle": known} if oracle else {})}))
+        elif not quiet:
+            report_of(result)
+            if oracle:
+                compared(rows)
+        for what, path, write in (
+            ("picture", plot, result.plot),
+            ("trajectory", save, result.save),
+            ("jumps", table_, partial(write_jumps, result)),
+        ):
+            if path is not None:
+                _write(partial(write, path))
+                if not (quiet or json):
+                    typer.echo(f"{what}: {path}")
     if result.status is Status.INTERRUPTED:
         raise typer.Exit(130)
 
@@ -149,6 +167,8 @@ def compare(
     memory: MemoryKind = "keep",
     rtol: Annotated[float, typer.Option(help="Relative tolerance, of all alike.")] = 1e-9,
     atol: Annotated[float, typer.Option(help="Absolute tolerance, of all alike.")] = 1e-11,
+    quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Run a model with all solvers side by side: what differs, and what explains it."""
     from ..benchmark.agreement import compare as run_all
@@ -157,7 +177,10 @@ def compare(
         given = asked(model, set_, start, since, until, history)
         options = {"rtol": rtol, "atol": atol, "history": given.history, "memory": memory}
         found = run_all(*given.run, **options)
-    table(found)
+    if json:
+        typer.echo(as_json(differing(found)))
+    elif not quiet:
+        table(found)
     if not found.explained:
         raise typer.Exit(1)
 
@@ -240,6 +263,8 @@ def certify(
     set_: Parameters = None,
     mode: Annotated[str | None, typer.Option(help="The mode that the contact is in.")] = None,
     contact: Annotated[str | None, typer.Option(help="Which contact, if several.")] = None,
+    quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Prove that impacts accumulate: exit code 0 certified, 1 refuted, 3 undecided."""
     from ..certificates import certify as prove
@@ -247,7 +272,8 @@ def certify(
     with _one_line():
         made = gallery.find(model).cls(**pairs(set_ or [], "--set"))
         found = prove(made, bounds(box or []), mode, contact)
-    typer.echo(str(found))
+    if json or not quiet:
+        typer.echo(as_json(attrs.asdict(found)) if json else str(found))
     if VERDICTS[found.verdict]:
         raise typer.Exit(VERDICTS[found.verdict])
 

@@ -119,10 +119,10 @@ def can_write(option: str, path: str | None) -> None:
     """Refuse before the run what could only fail after it."""
     if path is None:
         return
-    if option == "--save":
-        need(option, FILES)
-    else:
+    if option == "--plot":
         need(option, HTML if is_page(path) else PLOT)
+    elif option == "--save":
+        need(option, FILES)
     if option == "--plot" and not _drawable(path):
         raise OptionError(f"{option} {path}: end the name in .png, .pdf, .svg or .html")
     if not Path(path).resolve().parent.is_dir():

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import csv
+import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from math import isfinite
 from typing import Any
 
+import attrs
+import numpy as np
 import typer
 
 from .. import gallery
@@ -62,18 +67,89 @@ def report_of(result: Trajectory) -> None:
     typer.echo(result.ending)
 
 
-def compared(entry: gallery.GalleryEntry, result: Trajectory) -> None:
-    """Values of a run beside the exact ones."""
+def facts(result: Trajectory) -> dict[str, Any]:
+    """What :func:`report_of` prints, by name."""
+    limits = []
+    for point in result.zeno:
+        cut = point.truncation is not None
+        known: dict[str, Any] = {} if cut else {"t_error": point.t_error}
+        known |= {"verdict": point.verdict, "ratio": point.ratio, "edges": point.edges}
+        known |= {"mode": point.mode, "t_release": point.t_release}
+        limits.append({"t": point.t, **known, "state": _named(point.state)})
+    return {
+        "model": result.spec.model,
+        "parameters": result.parameters,
+        "solver": result.options["solver"],
+        "method": result.options["method"],
+        "t0": result.t0,
+        "t1": result.t1,
+        "jumps": len(result.jumps),
+        "zeno": limits,
+        "grazings": [{"t": graze.t, "edge": graze.edge} for graze in result.grazings],
+        "final": _named(result.final),
+        "mode": result.mode,
+        "status": result.status.name,
+        "reason": str(result.status),
+    }
+
+
+def _named(record: Any) -> dict[str, Any]:
+    return {name: record[name] for name in record.keys()}
+
+
+def as_json(value: Any) -> str:
+    """Facts as JSON; what is no number, or infinite, is null."""
+    return json.dumps(_plain(value), indent=1, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(name): _plain(each) for name, each in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def write_jumps(result: Trajectory, path: str) -> None:
+    """The table of jumps as CSV, numbers with all their digits."""
+    columns = result.jumps.columns
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(columns)
+        rows.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+
+
+def exact(entry: gallery.GalleryEntry, result: Trajectory) -> list[tuple[str, float, float]]:
+    """Values of a run beside the exact ones: what, computed, exact."""
     if not hasattr(entry.module, "oracle"):
         raise OptionError(f"{entry.cls.__name__}: its file has no oracle(run)")
     try:
-        rows = [(what, float(a), float(b)) for what, a, b, _ in entry.module.oracle(result)]
+        return [(what, float(a), float(b)) for what, a, b, _ in entry.module.oracle(result)]
     except Exception as fault:  # whatever the user's function raises, in one line
         name = type(fault).__name__
         raise OptionError(f"oracle(run) of {entry.cls.__name__}: {name}: {fault}") from fault
+
+
+def compared(rows: list[tuple[str, float, float]]) -> None:
+    """Values of a run beside the exact ones."""
     typer.echo(f"{'':28} {'computed':>22} {'exact':>22} {'difference':>11}")
     for what, value, exact in rows:
         typer.echo(f"{what:28} {value:22.15g} {exact:22.15g} {value - exact:11.1e}")
+
+
+def differing(found: Any) -> dict[str, Any]:
+    """What :func:`table` prints, by name."""
+    runs = found.runs.items()
+    rows = [{**attrs.asdict(each), "explained": each.explained} for each in found.differences]
+    return {
+        "reference": found.reference,
+        "explained": found.explained,
+        "rtol": found.rtol,
+        "failed": {label: str(run) for label, run in runs if isinstance(run, HybridError)},
+        "differences": rows,
+    }
 
 
 def table(found: Any) -> None:

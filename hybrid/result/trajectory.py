@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from html import escape
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,7 @@ import attrs
 
 from ..errors import HTML, PLOT, need
 from ..plot import is_page
+from ..plot.sketch import sketch
 from ..trajectory.trajectory import Solution
 from . import files
 from .joining import join
@@ -133,6 +135,10 @@ class Trajectory(Solution):
             need("run.plot", PLOT)
             from ..plot.static import draw
         return draw(figure(self, names), path)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the words of ``repr``, and a small picture."""
+        return f"<pre>{escape(repr(self))}</pre>\n{sketch(self)}"
 
     def to_xarray(self, t: Any = None) -> xarray.Dataset:
         """The states as a dataset.

@@ -19,7 +19,7 @@ import numpy as np
 from ..automaton.outputs import observed
 from ..automaton.record import Record
 from ..automaton.spec import Spec
-from ..errors import OptionError
+from ..errors import FRAMES, OptionError, need
 from .accumulation import Accumulation, explain, unfinished
 from .arcs import Arc, JumpRow, Part, TailPart
 from .forces import force, impulses
@@ -136,6 +136,34 @@ class Jumps(Sequence[Jump]):
     def gaps(self) -> np.ndarray:
         """Time between each jump and the one before it, from compensated times."""
         return np.diff(self.table.t) + np.diff(self.table.low)
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """The table, a name for each column: ``t``, ``j``, ``edge``, ``x_before``, ``x_after``."""
+        found = {"t": self.t, "j": self.j, "edge": self.edge}
+        for side, record in (("before", self.before), ("after", self.after)):
+            for name in record.keys():
+                for index in np.ndindex(record[name].shape[1:]):
+                    element = name + (str(list(index)) if index else "")
+                    found[f"{element}_{side}"] = record[name][(slice(None), *index)]
+        return found
+
+    def to_pandas(self) -> Any:
+        """The table as a data frame of pandas, a row a jump: see :attr:`columns`.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        OptionError
+            If pandas is missing.
+        """
+        need("run.jumps.to_pandas", FRAMES)
+        import pandas as pd
+
+        return pd.DataFrame(self.columns)
 
     def __repr__(self) -> str:
         head = [f"{len(self)} jumps"] + [
