@@ -16,7 +16,7 @@ def test_axes_impacts_accumulations_and_table(tmp_path):
     run = hy.simulate(BeadOnTable(r=0.6, omega=3.5), [1.5, 0.0], (0, 7))
     figure = run.plot(tmp_path / "run.png")
     assert (tmp_path / "run.png").stat().st_size > 10_000
-    height, speed, phase, gaps = figure.axes
+    height, speed, modes, phase, gaps = figure.axes
     assert (height.get_ylabel(), speed.get_ylabel()) == ("x [m]", "v [m/s]")
     dots = next(line for line in height.lines if line.get_marker() == ".")
     impacts = run.jumps.edge == "impact"
@@ -24,13 +24,17 @@ def test_axes_impacts_accumulations_and_table(tmp_path):
     table = next(line for line in height.lines if line.get_zorder() == 0)
     np.testing.assert_allclose(table.get_ydata(), np.sin(3.5 * table.get_xdata()), atol=1e-12)
     assert gaps.get_yscale() == "log"
-    assert phase.get_xlabel() == "x"
+    assert (phase.get_xlabel(), phase.get_ylabel()) == ("x [m]", "v [m/s]")
+    assert [label.get_text() for label in modes.get_yticklabels()] == [
+        "flight.rest(impact)",
+        "flight",
+    ]
 
 
 def test_a_loaded_run_and_shaped_states_can_be_drawn(tmp_path):
     """Without the model's functions; one row an element."""
     run = hy.simulate(BallOnCircle(), {"q": [0.15, 1.2], "p": [0, 0]}, (0, 4))
-    assert len(run.plot().axes) == 6
+    assert len(run.plot().axes) == 7
     run.save(tmp_path / "run.nc")
     hy.load(tmp_path / "run.nc").plot(tmp_path / "again.png")
 
@@ -48,7 +52,7 @@ def test_a_run_without_jumps_has_no_panel_for_gaps_between_them():
 def test_what_was_not_kept_is_not_drawn(save):
     """Dots at the ends of arcs and at the times asked for, and no chords between them."""
     run = hy.simulate(BeadOnTable(r=0.6, omega=3.5), [1.5, 0.0], (0, 7), save=save)
-    height, phase = run.plot().axes[0], run.plot().axes[2]
+    height, phase = run.plot().axes[0], run.plot().axes[3]
     drawn = [line for line in height.lines if line.get_zorder() != 0]
     lines = [line for line in drawn if line.get_linestyle() != "--"]
     assert len(lines) == 3  # the tail, which is known between its impacts; dots; jumps
@@ -106,5 +110,5 @@ def test_a_page_that_zooms(tmp_path):
 def test_gaps_shrink_to_the_last_double():
     """The lengths of the arcs, not differences of times."""
     run = hy.simulate(BeadOnTable(r=0.5, omega=0.0), [1.0, 0.0], (0, 4))
-    gaps = run.plot().axes[3].lines[0].get_ydata()
+    gaps = run.plot().axes[4].lines[0].get_ydata()
     np.testing.assert_allclose(gaps[1:] / gaps[:-1], 0.5, rtol=1e-9)

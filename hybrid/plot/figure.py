@@ -38,6 +38,8 @@ STYLES = {
     "other series": Style(color=OTHER_COLOR, width=0.8, dot=4.0),
     "limit": Style(color=LIMIT_COLOR, width=1.2, dash=True),
     "mark": Style(color="#1c2733", dot=2.5),
+    "mode": Style(color=LINE_COLOR, width=5.0),
+    "held": Style(color=OTHER_COLOR, width=5.0),
     "point": Style(color=LIMIT_COLOR, dot=7.0),
     "surface": Style(color=SURFACE_COLOR, width=1.3),
     **{f"method {i}": Style(color=c, width=1.3, dot=6.0) for i, c in enumerate(METHOD_COLORS)},
@@ -109,6 +111,10 @@ class Panel:
         Whether the first axis runs from right to left.
     square : bool
         Whether both axes have the same scale.
+    ticks : sequence of str
+        Names of 0, 1, 2 ... on the second axis; numbers, if there are none.
+    share : float
+        Its height, against that of others.
     """
 
     curves: Sequence[Curve] = ()
@@ -119,6 +125,8 @@ class Panel:
     title: str = ""
     reverse: bool = False
     square: bool = False
+    ticks: Sequence[str] = ()
+    share: float = 1.0
 
     def span(self, low: float, high: float) -> tuple[float, float] | None:
         """Bounds of what is shown between two places of the first axis, with a margin."""
@@ -164,6 +172,8 @@ class Figure:
     title : str
     columns : tuple of tuples of Panel
         Columns from left to right, each from top to bottom; with a slider those of its start.
+    widths : sequence of float
+        Widths of the columns against each other; the first is the widest, if there are none.
     zooms : sequence of (str, (low, high))
         Ranges of the first axis worth looking at: what they are called, and their ends.
     slider : Slider or None
@@ -172,6 +182,7 @@ class Figure:
     name: str = ""
     title: str = ""
     columns: Columns = ()
+    widths: Sequence[float] = ()
     zooms: Sequence[tuple[str, tuple[float, float]]] = ()
     slider: Slider | None = None
 

@@ -53,10 +53,11 @@ def draw(figure: Figure, path: Any = None) -> go.Figure:
         Also write it there, as a page of HTML that needs no network.
     """
     panels = _stacked(figure.columns)
-    height = len(panels) * PANEL
+    height = int(sum(panel.share for panel in panels) * PANEL)
     drawn = make_subplots(
         rows=len(panels),
         cols=1,
+        row_heights=[panel.share for panel in panels],
         vertical_spacing=BETWEEN / (height + (len(panels) - 1) * BETWEEN) if panels[1:] else 0.0,
         subplot_titles=[panel.title for panel in panels],
     )
@@ -170,6 +171,8 @@ def _axes(drawn: go.Figure, row: int, panel: Panel, panels: Sequence[Panel]) -> 
         exponentformat="power",
         scaleanchor=f"x{row if row > 1 else ''}" if panel.square else None,
         constrain="domain" if panel.square else None,
+        tickvals=list(range(len(panel.ticks))) or None,
+        ticktext=list(panel.ticks) or None,
         row=row,
         col=1,
     )
@@ -211,7 +214,8 @@ def _buttons(figure: Figure, panels: Sequence[Panel]) -> dict[str, Any]:
     for label, (low, high) in figure.zooms:
         ranges: dict[str, Any] = {"xaxis.range": [low, high]}
         for place, panel in enumerate(panels):
-            span = panel.span(low, high) if _moves_with(panel, panels[0]) else None
+            moves = _moves_with(panel, panels[0]) and not panel.ticks
+            span = panel.span(low, high) if moves else None
             if span is not None and "y" not in panel.log:
                 ranges[f"yaxis{place + 1 if place else ''}.range"] = list(span)
         buttons.append({"label": label, "method": "relayout", "args": [ranges]})

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..automaton.outputs import require_outputs
+from ..errors import OptionError
 from ..lowering import Kind
 from ..trajectory.accumulation import Accumulation
 from ..trajectory.arcs import Arc
@@ -29,45 +30,97 @@ NEAREST_TO_LIMIT = 1e-12
 #: seen are left out, but for those before the first accumulation, which one may zoom into.
 FALLS = 2000
 
+#: What can be drawn of a run, and panels below each other, at most.
+PANELS, MOST_ROWS = ("time", "phase", "gaps", "modes"), 6
 
-def figure(run: Solution, chosen: Sequence[str] | None = None) -> Figure:
-    """A run on one figure; of the states and outputs chosen, one above the other, if some are.
 
-    Left: each element of the state over time, impacts marked, accumulations as lines,
-    resting arcs thicker, and the obstacle where a gap is the distance of one coordinate to
-    it. Right: the phase portrait of the first contact's position and velocity, and the
-    gaps between jumps against their number on a logarithmic axis, where a chattering
-    series is a straight line. Where no dense output was kept there are dots at what was: the ends
-    of arcs, and the times asked for.
+def figure(
+    run: Solution, chosen: Sequence[str] | None = None, shown: Sequence[str] | None = None
+) -> Figure:
+    """A run on one figure.
+
+    ``time``: each of the states and outputs chosen over time (all states, if none are), impacts
+    marked, accumulations as lines, resting arcs thicker, and the obstacle where a gap is the
+    distance of one coordinate to it. ``modes``: below, in which mode the run is, if in more than
+    one. Beside them ``phase``: of the first contact's position and velocity, or of the first two
+    that are chosen; and ``gaps``: the times between jumps against their number on a logarithmic
+    axis, where a chattering series is a straight line. All of them, if none are asked for; where
+    some states are chosen, ``time``. Where no dense output was kept there are dots at what was: the
+    ends of arcs, and the times asked for.
+
+    Raises
+    ------
+    OptionError
+        If there is no such state, output or panel.
     """
-    names, drawn = run.spec.element_names, _sampled(run, ALL_POINTS)
-    if chosen is not None:
-        panels = tuple(panel for name in chosen for panel in _panels(run, name, drawn))
-        return Figure(name="run", title=title(run), columns=(panels,), zooms=zooms(run))
-    states = tuple(_states(run, name, drawn) for name in names)
-    phase = (_phase(run, drawn),) if len(names) > 1 else ()
-    aside = (*phase, *(panel for panel in [gaps_panel(run)] if panel.curves[0].x.size))
-    columns = tuple(column for column in (states, aside) if column)
-    return Figure(name="run", title=title(run), columns=columns, zooms=zooms(run))
+    kinds = _kinds(run, chosen, shown)
+    drawn = _sampled(run, ALL_POINTS)
+    names = run.spec.element_names if chosen is None else chosen
+    wanted = "time" in kinds or ("phase" in kinds and chosen is not None)
+    columns = [each for name in names for each in _columns(run, name, drawn)] if wanted else []
+    over_time = [_over_time(run, column) for column in columns] if "time" in kinds else []
+    strip = [panel for panel in [modes_panel(run)] if "modes" in kinds and panel.curves]
+    parts = -(-len(over_time) // MOST_ROWS) or 1
+    rows = -(-len(over_time) // parts)
+    times = [(*over_time[k * rows : (k + 1) * rows], *strip) for k in range(parts)]
+    pair = columns[:2] if chosen is not None else _pair(run, drawn)
+    aside = [_phase(run, *pair)] if "phase" in kinds and len(pair) == 2 else []
+    aside += [p for p in [gaps_panel(run)] if "gaps" in kinds and p.curves[0].x.size]
+    found = tuple(column for column in (*times, tuple(aside)) if column)
+    return Figure(
+        name="run",
+        title=title(run),
+        columns=found,
+        widths=tuple(1.7 if column[0].x == "t" else 1.0 for column in found),
+        zooms=zooms(run),
+    )
+
+
+def _kinds(
+    run: Solution, chosen: Sequence[str] | None, shown: Sequence[str] | None
+) -> Sequence[str]:
+    """The kinds of panels that are asked for."""
+    kinds = PANELS if shown is None and chosen is None else shown or ("time",)
+    kinds = (kinds,) if isinstance(kinds, str) else kinds
+    unknown = [kind for kind in kinds if kind not in PANELS]
+    if unknown:
+        there = ", ".join(PANELS)
+        raise OptionError(f"{run.spec.model}: panels: {unknown[0]!r}; there are: {there}")
+    return kinds
 
 
 def states_panel(
     run: Solution, name: str, *, look: str = "line", points: int = ALL_POINTS
 ) -> Panel:
     """One element of the state over time, with impacts, rests, limits and the obstacle."""
-    return _states(run, name, _sampled(run, points), look)
+    index = run.spec.element_names.index(name)
+    return _over_time(run, _element(run, index, _sampled(run, points)), look)
 
 
 def path(
     run: Solution, index: int, *, look: str = "line", name: str = "", points: int = ALL_POINTS
 ) -> list[Curve]:
     """One element over time: a curve for the flights, a thicker one for the rests."""
-    return _path(run, index, _sampled(run, points), look, name)
+    return _path(run, _along_element(_sampled(run, points), index), look, name)
 
 
 def phase_panel(run: Solution, *, points: int = ALL_POINTS) -> Panel:
     """Velocity over position of the first contact (else the first two elements)."""
-    return _phase(run, _sampled(run, points))
+    return _phase(run, *_pair(run, _sampled(run, points)))
+
+
+def modes_panel(run: Solution) -> Panel:
+    """In which mode the run is, a row for each in order of appearance; without curves if in one."""
+    names = list(dict.fromkeys(part.mode for part in run.parts))[::-1]
+    curves = []
+    for row, name in enumerate(names if len(names) > 1 else ()):
+        spans = [(part.t0, part.t1) for part in run.parts if part.mode == name]
+        x, y = _joined([(np.array(span), np.full(2, float(row))) for span in spans])
+        curves.append(Curve(x=x, y=y, look="held" if name.endswith(")") else "mode"))
+    limits = [np.array([point.t, point.t]) for point in run.zeno]
+    high = np.array([-0.5, len(names) - 0.5])
+    curves += [Curve(x=t, y=high, look="limit", name="accumulation") for t in limits if curves]
+    return Panel(curves=curves, ticks=names, share=0.2 + 0.14 * len(names))
 
 
 def gaps_panel(run: Solution) -> Panel:
@@ -77,7 +130,7 @@ def gaps_panel(run: Solution) -> Panel:
     notes = [f"{gap:.12g} after jump {number}" for number, gap in pairs]
     x, y = np.array(pairs).reshape(-1, 2).T
     curve = Curve(x=x, y=y, look="series", notes=notes)
-    return Panel(curves=[curve], x="jump", y="", log="y", title=title)
+    return Panel(curves=[curve], x="jump", y="time to the next", log="y", title=title)
 
 
 def _gaps(run: Solution) -> list[tuple[int, float]]:
@@ -198,68 +251,99 @@ def _along(arcs: Sequence[Arc], points: int) -> list[tuple[np.ndarray, np.ndarra
     return sampled
 
 
-def _states(run: Solution, name: str, drawn: _Drawn, look: str = "line") -> Panel:
-    index = run.spec.element_names.index(name)
-    curves = [*_obstacle(run, index), *_path(run, index, drawn, look)]
-    sides = (_elements(side)[:, index] for side in (run.jumps.before, run.jumps.after))
-    curves += [*_impacts(run, name, *sides), *_limits(run, curves)]
-    unit = _unit(run, index)
-    return Panel(curves=curves, y=f"{name} [{unit}]" if unit else name)
+class _Column(NamedTuple):
+    """A number over time: what an axis says of it, its values along what is drawn, on both sides of
+    the jumps and at the limits, and its place in the state (None: it is an output)."""
+
+    name: str
+    axis: str
+    drawn: _Drawn
+    before: Numbers
+    after: Numbers
+    limits: Numbers
+    place: int | None = None
 
 
-def _panels(run: Solution, name: str, drawn: _Drawn) -> list[Panel]:
-    """A state or an output over time, a panel for each of its elements."""
-    if name in run.spec.element_names:
-        return [_states(run, name, drawn)]
+def _columns(run: Solution, name: str, drawn: _Drawn) -> list[_Column]:
+    """A state or an output, each of its elements."""
+    elements = run.spec.element_names
+    if name in elements:
+        return [_element(run, elements.index(name), drawn)]
     if not require_outputs(run.spec, [name]):
-        own = [each for each in run.spec.element_names if each.startswith(f"{name}[")]
-        return [_states(run, each, drawn) for each in own]
+        own = [k for k, each in enumerate(elements) if each.startswith(f"{name}[")]
+        return [_element(run, k, drawn) for k in own]
     unit = run.spec.output(name).unit
     parts = (*drawn.flights, *drawn.rests, *drawn.dots)
     t, x = (np.concatenate(column) for column in zip(*parts, strict=True))
     values = run.observed(t, x)[name]
     ends = np.cumsum([len(times) for times, _ in parts])
-    rows = np.split(values.reshape(len(t), -1), ends[:-1])
+    rows = np.split(_rows(values), ends[:-1])
     given = iter(zip((times for times, _ in parts), rows, strict=True))
     seen = _Drawn(*([next(given) for _ in part] for part in drawn))
-    sides = [_rows(side[name]) for side in (run.jumps.before, run.jumps.after)]
-    panels = []
+    limits = np.array([point.t for point in run.zeno]), _limit_states(run)
+    sides = run.jumps.before[name], run.jumps.after[name], run.observed(*limits)[name]
+    columns = []
     for place, index in enumerate(np.ndindex(values.shape[1:])):
         label = name + (str(list(index)) if index else "")
-        curves = _path(run, place, seen, "line")
-        curves += _impacts(run, label, *(side[:, place] for side in sides))
-        curves += _limits(run, curves)
-        panels.append(Panel(curves=curves, y=f"{label} [{unit}]" if unit else label))
-    return panels
+        before, after, at = (_rows(side)[:, place] for side in sides)
+        over_time = _along_element(seen, place)
+        columns.append(_Column(label, _axis(label, unit), over_time, before, after, at))
+    return columns
 
 
-def _path(run: Solution, index: int, drawn: _Drawn, look: str, name: str = "") -> list[Curve]:
+def _element(run: Solution, index: int, drawn: _Drawn) -> _Column:
+    """An element of the state."""
+    name, axis = run.spec.element_names[index], _axis(*_named(run, index))
+    before, after = (_elements(side)[:, index] for side in (run.jumps.before, run.jumps.after))
+    limits = _limit_states(run)[:, index]
+    return _Column(name, axis, _along_element(drawn, index), before, after, limits, index)
+
+
+def _along_element(drawn: _Drawn, index: int) -> _Drawn:
+    return _Drawn(*([(t, x[:, index]) for t, x in part] for part in drawn))
+
+
+def _limit_states(run: Solution) -> Matrix:
+    states = [np.concatenate([np.ravel(v) for v in point.state]) for point in run.zeno]
+    return np.array(states).reshape(-1, run.spec.dimension)
+
+
+def _over_time(run: Solution, column: _Column, look: str = "line") -> Panel:
+    curves = [] if column.place is None else _obstacle(run, column.place)
+    curves += _path(run, column.drawn, look)
+    curves += _impacts(run, column.name, column.before, column.after)
+    return Panel(curves=[*curves, *_limits(run, curves)], y=column.axis)
+
+
+def _path(run: Solution, drawn: _Drawn, look: str, name: str = "") -> list[Curve]:
     still = look if look not in ("line", "other") else "rest" if look == "line" else "other rest"
-    flying = _joined([(t, x[:, index]) for t, x in drawn.flights])
-    resting = _joined([(t, x[:, index]) for t, x in drawn.rests])
+    flying, resting, kept = map(_joined, drawn)
     curves = [Curve(x=flying[0], y=flying[1], look=look, name=name)] if flying[0].size else []
     if resting[0].size:
         curves.append(Curve(x=resting[0], y=resting[1], look=still, name=_staying(run)))
-    kept = _joined([(t, x[:, index]) for t, x in drawn.dots])
     return [*curves, Curve(x=kept[0], y=kept[1], look="mark")] if kept[0].size else curves
 
 
-def _phase(run: Solution, drawn: _Drawn) -> Panel:
-    names = run.spec.element_names
-    i, k = (run.pairs or [(0, min(1, len(names) - 1))])[0]
+def _pair(run: Solution, drawn: _Drawn) -> list[_Column]:
+    """Position and velocity of the first contact, else the first two elements, if there are two."""
+    count = len(run.spec.element_names)
+    pair = (run.pairs or [(0, 1)])[0]
+    return [_element(run, index, drawn) for index in pair] if count > 1 else []
+
+
+def _phase(run: Solution, one: _Column, other: _Column) -> Panel:
     curves = []
-    for look, arcs in zip(("line", "rest", "mark"), drawn, strict=True):
-        x, y = _joined([(s[:, i], s[:, k]) for _, s in arcs])
+    for look, a, b in zip(("line", "rest", "mark"), one.drawn, other.drawn, strict=True):
+        x, y = _joined([(u, v) for (_, u), (_, v) in zip(a, b, strict=True)])
         curves.append(Curve(x=x, y=y, look=look))
     if 0 < len(run.jumps) < FALLS:
-        before, after = (_elements(r)[:, [i, k]] for r in (run.jumps.before, run.jumps.after))
-        pairs = zip(before, after, strict=True)
-        x, y = _joined([np.array(pair).T for pair in pairs])
+        sides = (np.array(pair) for pair in ((one.before, one.after), (other.before, other.after)))
+        x, y = _joined(list(zip(*(side.T for side in sides), strict=True)))
         curves.append(Curve(x=x, y=y, look="fall"))
-    for point in run.zeno:
-        state = np.concatenate([np.ravel(v) for v in point.state])
-        curves.append(Curve(x=[state[i]], y=[state[k]], look="point"))
-    return Panel(curves=curves, x=names[i], y=names[k], title="phase portrait")
+    curves += [
+        Curve(x=[x], y=[y], look="point") for x, y in zip(one.limits, other.limits, strict=True)
+    ]
+    return Panel(curves=curves, x=one.axis, y=other.axis, title="phase portrait")
 
 
 def _joined(parts: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
@@ -332,8 +416,11 @@ def _obstacle(run: Solution, index: int) -> list[Curve]:
     return curves
 
 
-def _unit(run: Solution, index: int) -> str:
-    for state in run.spec.states:
-        if state.offset <= index < state.offset + state.size:
-            return state.unit
-    return ""
+def _named(run: Solution, index: int) -> tuple[str, str]:
+    """The name of an element of the state, and its unit."""
+    owners = [state for state in run.spec.states if state.offset <= index]
+    return run.spec.element_names[index], owners[-1].unit
+
+
+def _axis(name: str, unit: str) -> str:
+    return f"{name} [{unit}]" if unit else name

@@ -4,46 +4,87 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from ..errors import OptionError
 from .figure import STYLES, Curve, Figure, Panel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Drawn
 
-#: Inches: width of one column and of several, height of a row.
-COLUMN_WIDTH, COLUMNS_WIDTH, ROW_HEIGHT = 8.0, 11.0, 2.1
+#: Inches: width of one column, of two and of more, height of a row and of all but the rows; rows
+#: from which on they are lower, and their height then.
+COLUMN_WIDTHS, ROW_HEIGHT, MARGINS, MANY_ROWS, LOW_ROW = (8.0, 11.0, 14.0), 2.1, 0.8, 4, 1.45
+
+#: Points from which on a line is a bar, which ends where it ends.
+BAR_WIDTH = 4.0
+
+#: Inches of a column from which down letters are smaller, the least share of their size, and inches
+#: of an entry in the legend.
+USUAL_WIDTH, LEAST_SCALE, ENTRY_WIDTH = 3.5, 0.6, 1.5
 
 
-def draw(figure: Figure, path: Any = None) -> Drawn:
-    """Draw a figure, and write it to ``path`` if one is given."""
+def draw(figure: Figure, path: Any = None, size: tuple[float, float] | None = None) -> Drawn:
+    """Draw a figure, of some inches, and write it to ``path`` if one is given."""
+    import matplotlib as mpl
     from matplotlib.figure import Figure as Drawn
 
-    rows = max(len(column) for column in figure.columns)
-    size = (
-        COLUMNS_WIDTH if len(figure.columns) > 1 else COLUMN_WIDTH,
-        ROW_HEIGHT * max(rows, 1.5) + 0.8,
-    )
-    drawn = Drawn(figsize=size, layout="constrained")
-    widths = [1.7, *[1.0] * (len(figure.columns) - 1)]
-    parts = drawn.subfigures(1, len(figure.columns), width_ratios=widths, squeeze=False)[0]
-    for part, panels in zip(parts, figure.columns, strict=True):
-        _column(part, panels)
-    handles = dict(_legend(drawn))
-    if handles:
-        labels, marks = list(handles), list(handles.values())
-        drawn.legend(marks, labels, loc="outside lower left", ncols=4, fontsize=8, frameon=False)
-    drawn.suptitle(figure.title, fontsize=10)
-    if path is not None:
-        drawn.savefig(path, dpi=150)
+    size, count = size or _size(figure), len(figure.columns)
+    scale = min(1.0, max(LEAST_SCALE, size[0] / (USUAL_WIDTH * count)))
+    with mpl.rc_context({"font.size": 10.0 * scale}):
+        drawn = Drawn(figsize=size, layout="constrained")
+        widths = figure.widths or [1.7, *[1.0] * (count - 1)]
+        parts = drawn.subfigures(1, count, width_ratios=widths, squeeze=False)[0]
+        for part, panels in zip(parts, figure.columns, strict=True):
+            _column(part, panels)
+        handles = dict(_legend(drawn))
+        if handles:
+            labels, marks = list(handles), list(handles.values())
+            fits = {
+                "ncols": max(1, int(size[0] / (ENTRY_WIDTH * scale))),
+                "loc": "outside lower left",
+            }
+            drawn.legend(marks, labels, fontsize="small", frameon=False, **fits)
+        drawn.suptitle(figure.title, fontsize="medium", wrap=True)
+        if path is not None:
+            drawn.savefig(path, dpi=150)
     return drawn
+
+
+def draw_on(figure: Figure, axes: Any) -> Drawn:
+    """Draw a figure's panels on axes that there are, as many; returns the figure of the first.
+
+    Raises
+    ------
+    OptionError
+        If there are more or fewer axes than panels.
+    """
+    import numpy as np
+
+    given = np.ravel(np.array(axes, dtype=object)).tolist()
+    panels = [panel for column in figure.columns for panel in column]
+    if len(given) != len(panels):
+        names = ", ".join(panel.title or panel.y or "modes" for panel in panels)
+        raise OptionError(f"ax: {len(given)} axes for {len(panels)} panels: {names}")
+    for each, panel in zip(given, panels, strict=True):
+        _panel(each, panel)
+    return given[0].figure
+
+
+def _size(figure: Figure) -> tuple[float, float]:
+    """Inches that show it readably."""
+    rows = max(sum(panel.share for panel in column) for column in figure.columns)
+    height = LOW_ROW if rows > MANY_ROWS else ROW_HEIGHT
+    width = COLUMN_WIDTHS[min(len(figure.columns), len(COLUMN_WIDTHS)) - 1]
+    return width, height * max(rows, 1.5) + MARGINS
 
 
 def _column(part: Any, panels: tuple[Panel, ...]) -> None:
     """Panels below each other; those with the same first axis share it."""
+    grid = part.add_gridspec(len(panels), 1, height_ratios=[panel.share for panel in panels])
     above: Axes | None = None
     for row, panel in enumerate(panels):
         follows = row > 0 and (panel.x, panel.log) == (panels[row - 1].x, panels[row - 1].log)
-        axes = part.add_subplot(len(panels), 1, row + 1, sharex=above if follows else None)
+        axes = part.add_subplot(grid[row], sharex=above if follows else None)
         _panel(axes, panel)
         if follows and above is not None:
             above.tick_params(labelbottom=False)
@@ -66,7 +107,10 @@ def _panel(axes: Axes, panel: Panel) -> None:
         axes.set_aspect("equal")
     axes.set_xlabel(panel.x)
     axes.set_ylabel(panel.y)
-    axes.set_title(panel.title, fontsize=9)
+    axes.set_title(panel.title, fontsize="small")
+    if panel.ticks:
+        axes.set_yticks(range(len(panel.ticks)), labels=panel.ticks, fontsize="x-small")
+        axes.set_ylim(-0.6, len(panel.ticks) - 0.4)
 
 
 def _curve(axes: Axes, curve: Curve) -> None:
@@ -79,6 +123,7 @@ def _curve(axes: Axes, curve: Curve) -> None:
         ls=("--" if look.dash else "-") if look.width else "",
         marker="." if look.dot else "",
         ms=look.dot,
+        solid_capstyle="butt" if look.width > BAR_WIDTH else "projecting",
         label=curve.name or "_",
         zorder=0 if curve.look == "surface" else 2,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -101,17 +102,32 @@ class Trajectory(Solution):
         """
         return settles(self)
 
-    def plot(self, names: Any = None, path: Any = None) -> Any:
-        """Draw the run: states, phase portrait, gaps between impacts.
+    def plot(
+        self,
+        names: Any = None,
+        path: Any = None,
+        *,
+        panels: Sequence[str] | None = None,
+        ax: Any = None,
+        size: tuple[float, float] | None = None,
+    ) -> Any:
+        """Draw the run: states over time, modes, phase portrait, gaps between impacts.
 
         Parameters
         ----------
         names : sequence of str, optional
-            States and outputs to draw over time; all states, and what is beside them, if omitted. A
-            path in this place is ``path``.
+            States and outputs to draw; all states, if omitted. A path in this place is ``path``.
         path : str or path, optional
             Also write the figure there. ``.html``: a page that zooms and answers the pointer,
             and needs no network (extra ``report``).
+        panels : sequence of str, optional
+            Some of ``"time"``, ``"phase"`` (of the first two names), ``"gaps"`` and ``"modes"``;
+            all of them if omitted, ``"time"`` where names are given. What would be empty is left
+            out.
+        ax : matplotlib.axes.Axes, or several, optional
+            Draw there, a panel on each; nothing else of their figure is touched.
+        size : (width, height), optional
+            In inches.
 
         Returns
         -------
@@ -122,7 +138,7 @@ class Trajectory(Solution):
         ------
         OptionError
             If matplotlib, or for a page plotly, is missing; if a name is that of no state or
-            output.
+            output, or a panel is none of these; if there are more or fewer axes than panels.
         """
         if isinstance(names, str | PathLike):
             names, path = None, names
@@ -130,11 +146,15 @@ class Trajectory(Solution):
 
         if is_page(path):
             need("run.plot to .html", HTML)
-            from ..plot.interactive import draw
-        else:
-            need("run.plot", PLOT)
-            from ..plot.static import draw
-        return draw(figure(self, names), path)
+            from ..plot.interactive import draw as draw_page
+
+            return draw_page(figure(self, names, panels), path)
+        need("run.plot", PLOT)
+        from ..plot.static import draw, draw_on
+
+        if ax is not None:
+            return draw_on(figure(self, names, panels), ax)
+        return draw(figure(self, names, panels), path, size)
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the words of ``repr``, and a small picture."""
