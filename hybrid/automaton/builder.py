@@ -35,6 +35,7 @@ from .spec import (
     SwitchingSpec,
     Transition,
 )
+from .vectors import elements, length
 
 #: Attributes that a record, and a model, have of themselves.
 RECORDS = ("keys", "replace")
@@ -65,17 +66,17 @@ class Builder:
         )
         if not states:
             self.faults.append("no state: declare one, x = hy.state()")
-        modes = tuple(self.mode(marker) for marker in self.of(Mode))
         transitions: list[Transition] = []
         switchings = []
         for m in self.markers.values():
             if isinstance(m, EdgeMarker):
                 transitions.append(self.edge(m))
             elif isinstance(m, ContactMarker):
-                transitions.append(self.contact(m, parameters))
+                transitions += self.contacts(m, states, parameters)
             elif isinstance(m, Switching):
                 switchings.append(self.switching(m))
                 transitions += switchings[-1].sides
+        modes = tuple(self.mode(marker, transitions) for marker in self.of(Mode))
         return Spec(
             self.cls.__name__,
             tuple(states),
@@ -130,9 +131,9 @@ class Builder:
             self.faults.append(f"one mode must be initial=True; marked: {which}")
         return chosen[0] if chosen else ""
 
-    def mode(self, marker: Mode) -> ModeSpec:
+    def mode(self, marker: Mode, transitions: Sequence[Transition]) -> ModeSpec:
         self.signature(f"mode {marker.name}", marker.flow, ("t", "s"))
-        edges = [m.name for kind in (EdgeMarker, ContactMarker, Switching) for m in self.of(kind)]
+        edges = list(dict.fromkeys(edge.name for edge in transitions))
         unknown = [name for name in marker.limit_of if name not in edges]
         if unknown:
             known = ", ".join(edges) or "none"
@@ -159,6 +160,19 @@ class Builder:
                 f"{where}: crossing={marker.crossing!r}; use hy.FALLING, hy.RISING or hy.EITHER"
             )
         return EdgeSpec(marker.name, source, to, marker.guard, marker.crossing, marker.reset)
+
+    def contacts(
+        self,
+        marker: ContactMarker,
+        states: Sequence[StateSpec],
+        parameters: tuple[ParameterSpec, ...],
+    ) -> list[ContactSpec]:
+        """The contact of a marker; of an array of gaps its contacts."""
+        contact = self.contact(marker, parameters)
+        count = length(self.cls, states, parameters, contact.guard)
+        if count == 0:
+            self.faults.append(f"contact {marker.name}: a gap of no element; give one or more")
+        return elements(contact, count) if count else [contact]
 
     def contact(self, marker: ContactMarker, parameters: tuple[ParameterSpec, ...]) -> ContactSpec:
         where = f"contact {marker.name}"

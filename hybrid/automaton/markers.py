@@ -243,15 +243,18 @@ def contact(
     mode : mode or str
         The mode in which the gap is watched.
     gap : callable ``(self, t, s)``
-        Distance to the obstacle; it may depend on ``t`` (a moving obstacle).
+        Distance to the obstacle; it may depend on ``t`` (a moving obstacle). An array of them is
+        as many contacts, ``name[0]``, ``name[1]``, ...
     restitution : str, float or callable ``(self, t, s, u)``
         Name of a parameter, a number, or a function of the gap's speed ``u < 0`` before
-        the impact that returns the speed after it, over ``abs(u)``.
+        the impact that returns the speed after it, over ``abs(u)``. Of several contacts a
+        parameter or function may be an array, one number for each.
     rests : bool
         Whether the model goes on in the resting mode after impacts have accumulated.
     inverse_mass : float, sequence or callable ``(self, t, s)``, optional
         Inverse mass matrix of the positions that the gap depends on, in the order of the
-        state vector: a number, the diagonal, or the matrix. Unit masses if omitted.
+        state vector: a number, the diagonal, or the matrix. Unit masses if omitted. Of several
+        contacts a number, or the diagonal for the positions that they depend on together.
 
     Notes
     -----

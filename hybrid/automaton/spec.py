@@ -73,7 +73,10 @@ class EdgeSpec:
 
 @attrs.frozen(eq=False)
 class ContactSpec:
-    """A unilateral contact; an edge from its mode to itself with a derived reset."""
+    """A unilateral contact; an edge from its mode to itself with a derived reset.
+
+    ``among``: the contacts that were declared with it, as one array of gaps.
+    """
 
     name: str
     source: str
@@ -81,6 +84,7 @@ class ContactSpec:
     restitution: Callable[..., Any]
     rests: bool
     inverse_mass: Any
+    among: tuple[str, ...] = ()
 
     crossing = Crossing.FALLING
 

@@ -14,6 +14,7 @@ Several contacts held at once share one system of equations for their forces.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import attrs
@@ -164,18 +165,27 @@ class Held:
         return x - sum(s * d for s, d in zip(steps, directions, strict=True))
 
 
-def laws(cls: Any, spec: Spec, contact: ContactSpec, pairing: Pairing) -> ContactLaws:
-    """The derived functions of a contact, from the traces of its gap and flow."""
+def laws(
+    cls: Any, spec: Spec, contact: ContactSpec, pairing: Pairing, together: Sequence[int]
+) -> ContactLaws:
+    """The derived functions of a contact, from the traces of its gap and flow.
+
+    ``together``: positions of the contacts that were declared with it.
+    """
     gap = again(cls.traces["gap", contact.name])
     flow = again(cls.traces["flow", contact.source])
     speed = lie(gap, flow)
     law = again(cls.traces["restitution", contact.name])
-    mass = _mass(cls, spec, contact, len(pairing.positions))
+    mass = _mass(cls, spec, contact, pairing.positions, together)
     return ContactLaws(gap, speed, lie(speed, flow), flow, law, mass, pairing)
 
 
-def _mass(cls: Any, spec: Spec, contact: ContactSpec, size: int) -> Traced:
-    """The inverse mass matrix of the positions as a function."""
+def _mass(
+    cls: Any, spec: Spec, contact: ContactSpec, positions: Sequence[int], together: Sequence[int]
+) -> Traced:
+    """The inverse mass matrix of the positions as a function; of one of several contacts out of
+    what is given for all their positions together."""
+    size, own = len(positions), [list(together).index(place) for place in positions]
     given = contact.inverse_mass
     if isinstance(given, str):
         name = given
@@ -188,12 +198,31 @@ def _mass(cls: Any, spec: Spec, contact: ContactSpec, size: int) -> Traced:
         import jax.numpy as jnp
 
         value = jnp.asarray(call(parameters, t, x), dtype=float)
+        if value.ndim == 1 and value.size > 1:
+            _require_diagonal(spec, contact, value.shape, len(together))
+            value = value[np.array(own)]
+        if value.ndim == 2 and len(together) > size:
+            _require_diagonal(spec, contact, value.shape, len(together))
         if value.ndim < 2:
             value = jnp.broadcast_to(value, (size,))
             return jnp.diag(value)
         return value
 
     return matrix
+
+
+def _require_diagonal(spec: Spec, contact: ContactSpec, shape: tuple[int, ...], size: int) -> None:
+    """Refuse an inverse mass that is not one number for each position.
+
+    Raises
+    ------
+    DeclarationError
+    """
+    if shape != (size,):
+        said = f"contact {contact.name}: inverse_mass of shape {shape} where ({size},) is due"
+        if contact.among:
+            said += f", for the positions of {contact.among[0]} to {contact.among[-1]} together"
+        raise DeclarationError(spec.model, [said])
 
 
 def pair(

@@ -421,7 +421,10 @@ class Lowered:
 
     def laws(self, name: str) -> contacts.ContactLaws:
         def make() -> contacts.ContactLaws:
-            return contacts.laws(self.cls, self.spec, self.contact_spec(name), self.pairing(name))
+            contact = self.contact_spec(name)
+            pairings = [self.pairing(other) for other in contact.among or (name,)]
+            together = sorted({place for pairing in pairings for place in pairing.positions})
+            return contacts.laws(self.cls, self.spec, contact, self.pairing(name), together)
 
         return self.once(("laws", name), make)
 

@@ -1,0 +1,243 @@
+"""An array of gaps is as many contacts, as if each had been declared by itself."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+
+START, UNTIL = {"x": np.array([0.3, 1.7, 2.9]), "v": np.array([-1.0, -2.0, 0.5])}, (0.0, 2.0)
+
+
+class Beads(hy.Automaton):
+    """Three beads of size one in a column: those above fall on those below."""
+
+    x = hy.state(shape=(3,))
+    v = hy.state(shape=(3,))
+    r = hy.parameter(0.4)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -jnp.ones(3)
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.x[0], restitution="r")
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x[1:] - s.x[:-1] - 1, restitution="r")
+
+
+class OneByOne(hy.Automaton):
+    """The same, contact by contact."""
+
+    x = hy.state(shape=(3,))
+    v = hy.state(shape=(3,))
+    r = hy.parameter(0.4)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -jnp.ones(3)
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.x[0], restitution="r")
+    low = hy.contact(flight, gap=lambda self, t, s: s.x[1] - s.x[0] - 1, restitution="r")
+    high = hy.contact(flight, gap=lambda self, t, s: s.x[2] - s.x[1] - 1, restitution="r")
+
+
+class Weighed(hy.Automaton):
+    """Beads on a line, each of its own mass; each pair has its own restitution."""
+
+    x = hy.state(shape=(3,))
+    v = hy.state(shape=(3,))
+    m = hy.parameter(np.array([1.0, 2.0, 4.0]))
+    r = hy.parameter(np.array([1.0, 0.5]))
+
+    @hy.mode
+    def line(self, t, s):
+        return s.v, jnp.zeros(3)
+
+    hit = hy.contact(
+        line,
+        gap=lambda self, t, s: s.x[1:] - s.x[:-1],
+        restitution="r",
+        inverse_mass=lambda self, t, s: 1.0 / self.m,
+    )
+
+
+def names(text):
+    """What the contacts of ``OneByOne`` are called here."""
+    return str(text).replace("low", "impact[0]").replace("high", "impact[1]")
+
+
+def test_the_run_is_that_of_contacts_declared_one_by_one(solver):
+    """To the last bit, through impacts, accumulations and rest, with names for names."""
+    many, single = (hy.simulate(cls(), START, UNTIL, **solver) for cls in (Beads, OneByOne))
+    assert {"floor", "impact[0]", "impact[1]"} <= set(many.jumps.edge)
+    assert list(many.jumps.edge) == [names(edge) for edge in single.jumps.edge]
+    assert [arc.mode for arc in many.arcs] == [names(arc.mode) for arc in single.arcs]
+    for one, other in ((many.jumps.t, single.jumps.t), (many.jumps.impulse, single.jumps.impulse)):
+        np.testing.assert_array_equal(one, other)
+    assert many.jumps.after == single.jumps.after
+    assert len(many.zeno) > 0
+    for one, other in zip(many.zeno, single.zeno, strict=True):
+        assert one.edges == tuple(map(names, other.edges))
+        assert (one.t, one.ratio, one.state) == (other.t, other.ratio, other.state)
+    times = np.linspace(*UNTIL, 9)
+    assert many(times) == single(times)
+    pairs = (("impact[0]", "low"), ("impact[1]", "high"))
+    for one, other in pairs:
+        np.testing.assert_array_equal(many.force(one, times), single.force(other, times))
+
+
+def test_a_column_rests_on_its_floor(solver):
+    """Twenty beads at rest, each pressed by all above it; the floor's force is their weight."""
+
+    class Column(hy.Automaton):
+        x = hy.state(shape=(20,))
+        v = hy.state(shape=(20,))
+
+        @hy.mode
+        def flight(self, t, s):
+            return s.v, -jnp.ones(20)
+
+        floor = hy.contact(flight, gap=lambda self, t, s: s.x[0], restitution=0.5)
+        on = hy.contact(flight, gap=lambda self, t, s: jnp.diff(s.x) - 1, restitution=0.5)
+
+    held = ", ".join(["floor", *(f"on[{i}]" for i in range(19))])
+    start, mode = {"x": np.arange(20.0), "v": np.zeros(20)}, f"flight.rest({held})"
+    run = hy.simulate(Column(), start, (0.0, 1.0), mode=mode, **solver)
+    assert run.mode == mode
+    np.testing.assert_array_equal(run.final.x, np.arange(20.0))
+    assert run.force("floor", 0.5) == pytest.approx(20.0, rel=1e-14)  # twenty equations' rounding
+    assert run.force("on[18]", 0.5) == pytest.approx(1.0, rel=1e-14)
+    with pytest.raises(
+        hy.OptionError, match=r"no contact 'on'; there are: floor, on\[0\], on\[1\]"
+    ):
+        run.force("on", 0.5)
+
+
+def test_masses_and_restitutions_are_those_of_each_contact(solver):
+    """A bead of mass 1 strikes one of 2 elastically, and that one of 4 with restitution 1/2."""
+    start = {"x": np.array([0.0, 1.0, 2.0]), "v": np.array([3.0, 0.0, 0.0])}
+    run = hy.simulate(Weighed(), start, (0.0, 1.2), **solver)
+    assert list(run.jumps.edge) == ["hit[0]", "hit[1]"]
+    after = run.jumps.after.v
+    np.testing.assert_allclose(after[0], [-1.0, 2.0, 0.0], atol=1e-15)  # 3 (1 - 2) / 3, 3 2 1 / 3
+    # momentum 2 * 2 and the speeds apart 2 / 2: v2 = v1 + 1, 2 v1 + 4 v2 = 4
+    np.testing.assert_allclose(after[1], [-1.0, 0.0, 1.0], atol=1e-15)
+    np.testing.assert_allclose(run.jumps.impulse, [4.0, 4.0], rtol=4e-16)  # 2 * 2 and 4 * 1
+
+
+def test_lanes_and_functions_have_them():
+    """A lane, and a function, of many contacts is its run."""
+    run = hy.simulate(Beads(), START, UNTIL, solver="taylor")
+    lanes = hy.ensemble(Beads(), START, UNTIL, {"r": np.array([0.4, 0.5])})
+    np.testing.assert_array_equal(lanes.x[0], run.final.x)
+    assert lanes.t_inf[0] == run.zeno[0].t
+    with jax.enable_x64(True):
+        given = hy.as_function(Beads(), t=UNTIL, max_jumps=200)(Beads(), START)
+        np.testing.assert_array_equal(given.final["x"], run.final.x)
+
+
+def test_accumulations_are_certified_by_their_names():
+    """Each of two balls has its own limit and proof; ``hy.certify`` takes a contact by its name."""
+
+    class Balls(hy.Automaton):
+        x = hy.state(shape=(2,))
+        v = hy.state(shape=(2,))
+
+        @hy.mode
+        def flight(self, t, s):
+            return s.v, -jnp.ones(2)
+
+        impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+
+    run = hy.simulate(Balls(), [[1.0, 2.0], [0.0, 0.0]], (0.0, 20.0), solver="taylor")
+    found = {point.edges: point.t for point in run.zeno}
+    for i, height in enumerate((1.0, 2.0)):  # falls, then flights of u, u/2, ...: three falls long
+        exact = 3.0 * np.sqrt(2.0 * height)
+        assert found[f"impact[{i}]",] == pytest.approx(exact, rel=1e-14)
+    assert [point.verdict for point in run.zeno] == ["certified", "certified"]
+    assert run.mode == "flight.rest(impact[0], impact[1])"
+    with pytest.raises(hy.OptionError, match=r"no such contact; there are impact\[0\]"):
+        hy.certify(Balls(), {"x[0]": (0, 2), "v[0]": (-3, 3)}, contact="impact")
+    proof = hy.certify(Balls(), {"x[1]": (0, 2), "v[1]": (-3, 3)}, contact="impact[1]")
+    assert proof.reason == "the motion may leave by impact[0], whose guard may be zero on the box"
+
+
+def test_a_gap_may_look_back(solver):
+    """An array of gaps that depends on the past: walls that follow the bead half a unit behind."""
+
+    class Late(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+        z = hy.state()
+
+        @hy.mode
+        def flight(self, t, s, past):
+            return s.v, -past(0.5).z, 1.0
+
+        wall = hy.contact(
+            flight,
+            gap=lambda self, t, s: (s.x, 1.0 - s.x),
+            restitution=lambda self, t, s, u: jnp.array([0.5, 1.0]),
+        )
+
+    start = {"x": 0.5, "v": 1.0, "z": 0.0}
+    run = hy.simulate(Late(), start, (0.0, 1.0), **solver)
+    assert run.jumps.edge[0] == "wall[1]"
+    t = run.jumps.t[0]
+    assert t == pytest.approx(0.5, abs=1e-6)  # z(t - 0.5) = 0 until then; tolerances of 1e-8
+    assert run.jumps.after.v[0] == -run.jumps.before.v[0]
+
+
+def _matrix():
+    class Bad(Beads):
+        impact = hy.contact("flight", gap=lambda self, t, s: jnp.eye(2), restitution="r")
+
+
+def _empty():
+    class Bad(Beads):
+        impact = hy.contact("flight", gap=lambda self, t, s: s.x[3:], restitution="r")
+
+
+def _unequal():
+    class Bad(Beads):
+        r = hy.parameter(np.ones(3))
+
+
+def _unknown():
+    class Bad(Beads):
+        @hy.mode(limit_of=("impact[2]",))
+        def after(self, t, s):
+            return s.v, jnp.zeros(3)
+
+        @hy.mode(initial=True)
+        def flight(self, t, s):
+            return s.v, jnp.zeros(3)
+
+
+FAULTS = {
+    _matrix: r"contact impact, gap: a value of shape \(2, 2\) where one number is due",
+    _empty: "contact impact: a gap of no element; give one or more",
+    _unequal: r"impact\[0\], restitution: a restitution of shape \(3,\) where \(2,\) is due",
+    _unknown: r"mode after: limit_of=\('impact\[2\]',\): 'impact\[2\]' is no edge; there are: "
+    r"floor, impact\[0\], impact\[1\]",
+}
+
+
+@pytest.mark.parametrize("declare", FAULTS, ids=lambda each: each.__name__.strip("_"))
+def test_wrong_arrays_are_faults_of_the_class(declare):
+    """One sentence when the class is made."""
+    with pytest.raises(hy.DeclarationError, match=FAULTS[declare]):
+        declare()
+
+
+def test_masses_are_those_of_all_positions():
+    """A diagonal of another length is refused with the length that is due."""
+
+    class Bad(Beads):
+        impact = hy.contact(
+            "flight", gap=lambda self, t, s: jnp.diff(s.x), restitution="r", inverse_mass=[1.0, 2.0]
+        )
+
+    said = r"contact impact\[0\]: inverse_mass of shape \(2,\) where \(3,\) is due, for the"
+    with pytest.raises(hy.DeclarationError, match=said):
+        hy.simulate(Bad(), START, UNTIL)
