@@ -6,6 +6,7 @@ Chebyshev coefficients, so that evaluation, root finding and saving know one for
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -64,6 +65,20 @@ class Segment:
         points = length / self.length * nodes(self.degree)
         values = chebyshev.chebvander(2.0 * points - 1.0, self.degree) @ self.coefficients
         return interpolated(self.start, length, values)
+
+
+def projected(segment: Segment, t0: float, project: Callable[..., Any]) -> Segment:
+    """A segment of an arc that stays on a surface, back on it at its nodes; what stands still on it
+    is."""
+    ends, degree = segment.at(nodes(1)), segment.degree
+    if not segment.coefficients[1:].any():
+        times = t0 + segment.start, t0 + segment.end
+        if all((project(t, x.tolist()) == x).all() for t, x in zip(times, ends, strict=True)):
+            return segment
+    times = (t0 + segment.start + segment.length * nodes(degree)).tolist()
+    states = segment.at(nodes(degree)).tolist()
+    values = np.array([project(t, x) for t, x in zip(times, states, strict=True)])
+    return Segment(segment.start, segment.length, from_values(degree) @ values)
 
 
 def terms(series: np.ndarray, length: Any) -> np.ndarray:

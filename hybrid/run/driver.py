@@ -268,17 +268,6 @@ class Driver:
 
         self.begin(field, x, came)
 
-    def strike(self, guard: Guard, before: StateVector, after: StateVector) -> bool:
-        """Record a jump that needed no judgement at the end of an arc with contacts held, or along
-        a surface, which is kept; whether it is time to look for cycles."""
-        self.record.end_on(before)
-        if guard.kind == "release":
-            self.record.released(released(guard.edge))
-        self.spent |= {guard.edge}
-        due = self.add_jump(guard.edge, before, after)
-        self.seen = np.maximum(self.seen, np.abs(after))
-        return due and guard.kind not in ("release", "leave")
-
     def look_again(self) -> None:
         """Fly the present arc with all the rules, unless a guard fires before any flow; where some
         are zero at its start, or contacts held, and that is judged now, the loop tries once more.
@@ -425,19 +414,15 @@ class Driver:
     def _release(self, guard: Guard, x: StateVector, carried: bool) -> None:
         field = self.entry.field
         overdue = carried or bool(self.entry.at_once)  # the load is negative, not zero
-        contact, held = self._released(guard, x)
+        contact = released(guard.edge)
+        self.record.released(contact, self.t)
+        self.watch.reset()
+        self.add_jump(guard.edge, x, x)
         known = {contact: PULLED if overdue or self.forgets else RISES}
         if carried and opened(self.scene, field.mode, contact, self.t, x):
             known = {}
+        held = tuple(name for name in field.held if name != contact)
         self.enter(field.mode, x, Jumped(known, held))
-
-    def _released(self, guard: Guard, x: StateVector) -> tuple[str, tuple[str, ...]]:
-        """Record a release; the contact, and those that are still held."""
-        contact, field = released(guard.edge), self.entry.field
-        self.record.released(contact)
-        self.watch.reset()
-        self.add_jump(guard.edge, x, x)
-        return contact, tuple(name for name in field.held if name != contact)
 
     def _impact(self, guard: Guard, x: StateVector) -> None:
         contact = self.scene.contact(guard.edge)

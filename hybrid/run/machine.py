@@ -17,6 +17,7 @@ import numpy as np
 from ..delay.memory import SUMS, Memory
 from ..delay.windows import Links, Shown
 from ..errors import FlowError
+from ..lowering import released
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.arrays import Left, Now
@@ -520,26 +521,19 @@ class Machine:
         sums = list(map(int, left.sums[: self.ints[TAILS], JUMPS_BEFORE].tolist()))
         fired = left.fired[:made].tolist()
         fields = [*(self.tables.modes[g] for g in fired), self.tables.fields[self.ints[FIELD]].name]
-        alone = np.flatnonzero(self.tables.constrained[fired]).tolist()
         self._held(fields[0])
         while begin < made and driver.status is None and not self.passed:
-            if begin in alone:
-                end, due = begin + 1, self._constrained(left, begin)
-            else:
-                last = min((place for place in sums + alone if place > begin), default=made)
-                end = begin + driver.room(*left.when[begin:last, :2].T)
-                due = self._flown(left, begin, end)
-            guard = self.tables.guards[fired[end - 1]]
+            last = next((place for place in sums if place > begin), made)
+            end = begin + driver.room(*left.when[begin:last, :2].T)
+            due = self._flown(left, begin, end)
+            guard, after = self.tables.guards[fired[end - 1]], left.after[end - 1].copy()
             to = fields[end] if guard.kind == "switch" else guard.to
-            field, rests = driver.model.field(to), driver.entry.field.held
-            ends = left.after[end - 1].copy(), guard, left.before[end - 1].copy()
-            if not rests:
-                driver.arrive(field, *ends)
+            driver.begin(driver.model.field(fields[end - 1]), after, Jumped)
+            due = due and guard.kind not in ("release", "leave")
             if due and end not in sums and self._pass_limit(to):
                 self.passed = True
                 return
-            if rests:  # of what rested a limit is asked
-                driver.arrive(field, *ends)
+            driver.arrive(driver.model.field(to), after, guard, left.before[end - 1].copy())
             if end in sums:
                 self._held(fields[end - 1])
                 if driver.status is not None:  # behind the last jump nothing is summed
@@ -554,15 +548,6 @@ class Machine:
         if driver.entry.field.name != name:
             field = driver.model.field(name)
             driver.begin(field, field.along(driver.t, driver.entry.x), driver.came)
-
-    def _constrained(self, left: Left, place: int) -> bool:
-        """Add an arc with contacts held, or along a surface, and its jump; whether it is time to
-        look for cycles."""
-        driver, guard = self.driver, self.tables.guards[left.fired[place]]
-        before = left.before[place].copy()
-        self._arc(left, place, float(left.when[place, 2]), before)
-        driver.entry = attrs.evolve(driver.entry, field=driver.field)
-        return driver.strike(guard, before, left.after[place].copy())
 
     def _pass_limit(self, mode: str) -> bool:
         """Whether the run has gone over the limit of a cycle; of what it sees, only what was.
@@ -601,7 +586,13 @@ class Machine:
         jumps = Table(t, low, edges, left.before[begin:end].copy(), left.after[begin:end].copy())
         steps, count = self._flown_in(left, begin, end)
         first = driver.entry.x
-        flights = Flights(driver.record.j, modes, now.t, now.low, first, lengths, jumps, steps)
+        onto = {}
+        for k in np.flatnonzero(tables.constrained[fired]).tolist():
+            onto[modes[k]] = driver.model.field(modes[k]).onto
+            if tables.guards[fired[k]].kind == "release":
+                driver.record.released(released(edges[k]), float(t[k]))
+        since = driver.record.j, modes, now.t, now.low
+        flights = Flights(*since, first, lengths, jumps, steps, onto)
         driver.steps += count
         return driver.flown(flights)
 

@@ -16,7 +16,7 @@ from ..events import STRUCK
 from ..lowering import Field
 from ..rules.guards import TIE
 from ..rules.lanes import CAUGHT
-from ..segment import Segment, from_values, nodes
+from ..segment import Segment, projected
 from ..trajectory.accumulation import Accumulation
 from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
 from ..trajectory.clock import Instant
@@ -126,7 +126,7 @@ class Recorder:
         project = field.project
         if project is not None:
             last = np.array(project(self.now.t + length, last.tolist()))
-            segments = [_projected(s, self.now.t, project) for s in segments]
+            segments = [projected(s, self.now.t, project) for s in segments]
         if self.memory is not None:
             self.memory.flown(self.now, segments)
         return last, segments if kept else ()
@@ -161,7 +161,8 @@ class Recorder:
             segments = [*self._open, *_later(arc.segments, begun, now)]
             length, self._open = (row.t - begun.t) + (row.low - begun.low), []
             ends = length, row.t, x, arc.last
-            self.keep(Arc(arc.mode, arc.j, begun.t, begun.low, *ends, segments))
+            since = arc.mode, arc.j, begun.t, begun.low
+            self.keep(Arc(*since, *ends, segments, arc.project))
             self.log.jump(row)
             if len(flights.modes) == 1:
                 return
@@ -270,27 +271,14 @@ class Recorder:
         points = self.zeno[-HEAP:]
         return list(dict.fromkeys(edge for point in points for edge in point.edges))
 
-    def released(self, contact: str) -> None:
+    def released(self, contact: str, t: float) -> None:
         """Note the release in the contact's last accumulation."""
         point = next((p for p in reversed(self.zeno) if p.edges == (contact,)), None)
         if point is not None and point.mode is not None and point.t_release is None:
-            point.t_release = self.now.t
+            point.t_release = t
 
 
 def _later(segments: Any, begun: Instant, now: Instant) -> list[Segment]:
     """Segments counted from an earlier instant."""
     since = (now.t - begun.t) + (now.low - begun.low)
     return [segment.later(since) for segment in segments]
-
-
-def _projected(segment: Segment, t0: float, project: Callable[..., Any]) -> Segment:
-    """A segment of a resting arc, back on the surface at its nodes; what stands still on it is."""
-    ends, degree = segment.at(nodes(1)), segment.degree
-    if not segment.coefficients[1:].any():
-        times = t0 + segment.start, t0 + segment.end
-        if all((project(t, x.tolist()) == x).all() for t, x in zip(times, ends, strict=True)):
-            return segment
-    times = (t0 + segment.start + segment.length * nodes(degree)).tolist()
-    states = segment.at(nodes(degree)).tolist()
-    values = np.array([project(t, x) for t, x in zip(times, states, strict=True)])
-    return Segment(segment.start, segment.length, from_values(degree) @ values)

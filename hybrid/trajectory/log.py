@@ -7,16 +7,17 @@ arrays anyway.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from ..segment import Segment, from_values, nodes
+from ..lowering.scene import parted
+from ..segment import Segment, from_values, nodes, projected
 from .arcs import Arc, JumpRow, Part, TailPart
 
 if TYPE_CHECKING:
@@ -94,6 +95,8 @@ class Flights:
         The jump after each arc.
     steps : Steps or None
         The dense output, if it is kept.
+    onto : dict
+        By mode, where contacts are held or the state slides, the projection onto these.
     """
 
     j: int
@@ -104,6 +107,7 @@ class Flights:
     lengths: Numbers
     jumps: Table
     steps: Steps | None
+    onto: Mapping[str, Callable[..., Any]] = attrs.Factory(dict)
 
     @property
     def mode(self) -> str:
@@ -137,12 +141,24 @@ class Flights:
             [self.low, *self.jumps.low[:-1].tolist()],
             self.lengths.tolist(),
             self.jumps.t.tolist(),
-            [self.x, *self.jumps.after[:-1]],
+            [self.x, *map(self._began, self.modes[1:], self.jumps.t, self.jumps.after)],
             self.jumps.before,
             (segments[a:b] for a, b in pairwise(stops)),
             strict=True,
         )
-        return [Arc(*row) for row in columns]
+        return [self._kept(Arc(*row)) for row in columns]
+
+    def _began(self, mode: str, t: float, x: StateVector) -> StateVector:
+        """The state at the start of an arc, on the contacts held."""
+        return np.array(self.onto[mode](t, x.tolist())) if parted(mode)[1] else x
+
+    def _kept(self, arc: Arc) -> Arc:
+        """An arc on what it is held to."""
+        onto = self.onto.get(arc.mode)
+        if onto is None:
+            return arc
+        segments = [projected(segment, arc.t0, onto) for segment in arc.segments]
+        return attrs.evolve(arc, segments=segments, project=onto)
 
     def later(self) -> Flights:
         """All but the first."""
@@ -154,7 +170,7 @@ class Flights:
         t, low = float(jumps.t[0]), float(jumps.low[0])
         rest = Table(*(column[1:] for column in jumps))
         start = self.j + 1, self.modes[1:], t, low, jumps.after[0]
-        return Flights(*start, self.lengths[1:], rest, steps)
+        return Flights(*start, self.lengths[1:], rest, steps, self.onto)
 
     def rows(self) -> Iterator[JumpRow]:
         """The jumps one by one."""
