@@ -12,9 +12,10 @@ from ..errors import DeclarationError, OptionError, ParameterError, TraceError
 from . import outputs, trace
 from .builder import Builder
 from .captured import Captured, captured
+from .clocks import require_clocks
 from .markers import ContactMarker, EdgeMarker, Mode, State, Switching, is_parameter
 from .past import Asking, Lags, Past, looks_back, plain
-from .spec import ContactSpec, EdgeSpec, Spec
+from .spec import ClockSpec, ContactSpec, EdgeSpec, Spec
 
 #: What to say where JAX could not trace an author's code.
 REMEDIES = {
@@ -29,6 +30,7 @@ OWNERS = {
     "flow": "mode",
     "guard": "edge",
     "reset": "edge",
+    "clock": "edge",
     "gap": "contact",
     "restitution": "contact",
     "surface": "switching",
@@ -127,6 +129,7 @@ def _make_attrs(cls: type, markers: dict[str, Any]) -> None:
                 f"there are: {', '.join(fields) or 'none'}"
             )
         generated(self, **parameters)
+        require_clocks(self, cls.spec)  # type: ignore[attr-defined]
 
     __init__.__doc__ = f"Parameters of {cls.__name__}: {', '.join(fields)}."
     cls.__init__ = __init__  # type: ignore[misc]
@@ -253,6 +256,8 @@ def _functions(spec: Spec) -> Iterator[tuple[str, str, Any, bool, int]]:
         elif isinstance(edge, EdgeSpec):
             yield "guard", edge.name, edge.guard, False, 0
             yield "reset", edge.name, edge.reset, True, 0
+        if isinstance(edge, ClockSpec):
+            yield "clock", edge.name, edge.after, False, 0
     for switching in spec.switchings:
         yield "surface", switching.name, switching.surface, False, 0
     for output in spec.outputs:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ParameterError
+from .clocks import clock, faults
 from .markers import (
     TERMINATE,
     ContactMarker,
@@ -40,6 +41,11 @@ from .vectors import elements, length
 #: Attributes that a record, and a model, have of themselves.
 RECORDS = ("keys", "replace")
 MODELS = ("parameters", "spec", "traces")
+
+
+def _unguarded(self: Any, t: Any, s: Any) -> Any:
+    """The guard of an edge that has none."""
+    return t
 
 
 class Builder:
@@ -154,6 +160,13 @@ class Builder:
             self.target(where, "to", marker.to, [TERMINATE]),
         )
         self.signature(f"{where}, reset", marker.reset, ("t", "s"))
+        if marker.times is not None:
+            return self.clock(where, marker, source, to)
+        if marker.guard is None:
+            self.faults.append(
+                f"{where}: give a guard, or the times at which it fires, at= or every="
+            )
+            return EdgeSpec(marker.name, source, to, _unguarded, marker.crossing, marker.reset)
         self.signature(f"{where}, guard", marker.guard, ("t", "s"))
         if not isinstance(marker.crossing, Crossing):
             self.faults.append(
@@ -173,6 +186,17 @@ class Builder:
         if count == 0:
             self.faults.append(f"contact {marker.name}: a gap of no element; give one or more")
         return elements(contact, count) if count else [contact]
+
+    def clock(self, where: str, marker: EdgeMarker, source: str, to: str) -> EdgeSpec:
+        """An edge that fires at given times; without any where these are none."""
+        assert marker.times is not None
+        own = EdgeSpec(marker.name, source, to, _unguarded, marker.crossing, marker.reset)
+        parameters = [name for name, m in self.markers.items() if is_parameter(m)]
+        found = list(faults(marker.times, parameters))
+        if marker.guard is not None:
+            found.append("guard= together with at= or every=; give one of them")
+        self.faults += [f"{where}: {fault}" for fault in found]
+        return own if found else clock(own, marker.times)
 
     def contact(self, marker: ContactMarker, parameters: tuple[ParameterSpec, ...]) -> ContactSpec:
         where = f"contact {marker.name}"

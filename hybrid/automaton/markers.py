@@ -69,6 +69,15 @@ class Mode(_Named):
         return self.flow(model, *args)
 
 
+@attrs.frozen(eq=False)
+class Times:
+    """When an edge fires that has no guard: at given times, or ``every`` period."""
+
+    at: Any
+    every: Any
+    offset: Any
+
+
 @attrs.define(slots=False, eq=False)
 class EdgeMarker(_Named):
     """Marker of an edge and its reset; made by :func:`edge`."""
@@ -76,8 +85,9 @@ class EdgeMarker(_Named):
     reset: Callable[..., Any]
     source: Mode | str
     to: Mode | str
-    guard: Callable[..., Any]
+    guard: Callable[..., Any] | None
     crossing: Crossing
+    times: Times | None = None
 
     def __call__(self, reset: Callable[..., Any]) -> EdgeMarker:
         return attrs.evolve(self, reset=reset)
@@ -204,23 +214,39 @@ def mode(
 
 
 def edge(
-    source: Any, *, to: Any, guard: Callable[..., Any], crossing: Crossing = Crossing.FALLING
+    source: Any,
+    *,
+    to: Any = None,
+    guard: Callable[..., Any] | None = None,
+    crossing: Crossing = Crossing.FALLING,
+    at: Any = None,
+    every: Any = None,
+    offset: Any = 0.0,
 ) -> Any:
-    """Declare an edge: ``@hy.edge(source, to=mode, guard=...)`` over its reset.
+    """Declare an edge: ``@hy.edge(source, to=mode, guard=...)`` over its reset, or a clock:
+    ``@hy.edge(source, every=0.1)``.
 
     Without a reset, ``name = hy.edge(source, to=mode, guard=...)``, the state stays as it is.
 
     Parameters
     ----------
     source, to : mode or str
-        A mode defined above, or its name. ``to=hy.TERMINATE`` ends the run behind the jump, with
-        ``Status.TERMINATED``.
+        A mode defined above, or its name; ``to`` is the source if it is not given.
+        ``to=hy.TERMINATE`` ends the run behind the jump, with ``Status.TERMINATED``.
     guard : callable ``(self, t, s)``
         A scalar; positive inside the source's domain when ``crossing`` is ``FALLING``.
     crossing : FALLING, RISING or EITHER
         The direction in which the guard must reach zero.
+    at : number, name of a parameter, or sequence of these
+        The increasing times at which the edge fires, instead of a guard; a parameter may be an
+        array of times.
+    every, offset : number or name of a parameter
+        It fires at ``k * every + offset`` for all whole numbers k. A run's first time is none of
+        its times, its last is.
     """
-    return EdgeMarker(_unchanged, source, to, guard, crossing)
+    clock = not (at is None and every is None)
+    times = Times(at, every, offset) if clock else None
+    return EdgeMarker(_unchanged, source, source if to is None else to, guard, crossing, times)
 
 
 def _unchanged(self: Any, t: Any, s: Any) -> Any:

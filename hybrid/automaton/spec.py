@@ -10,7 +10,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from .markers import Crossing
+from .markers import Crossing, Times
 from .past import LagSpec, window_shapes
 from .record import Record
 
@@ -69,6 +69,17 @@ class EdgeSpec:
     guard: Callable[..., Any]
     crossing: Crossing
     reset: Callable[..., Any]
+
+
+@attrs.frozen(eq=False)
+class ClockSpec(EdgeSpec):
+    """An edge that fires at given times, whatever the state is.
+
+    ``after(self, t, s)`` is the first of them behind ``t``, and the guard the way to the nearest.
+    """
+
+    after: Callable[..., Any]
+    times: Times
 
 
 @attrs.frozen(eq=False)
@@ -233,13 +244,25 @@ class Spec:
 
         Where the state slides: its own edges, those of both modes, what ends sliding.
         """
-        own = tuple(edge for edge in self.transitions if edge.source == mode)
+        watched = [edge for edge in self.transitions if not isinstance(edge, ClockSpec)]
+        own = tuple(edge for edge in watched if edge.source == mode)
         switching = self.sliding(mode)
         if switching is None:
             return own
         modes = (switching.positive, switching.negative)
-        others = [e for e in self.transitions if e.source in modes and e.name != switching.name]
+        others = [e for e in watched if e.source in modes and e.name != switching.name]
         return (*own, *others, *switching.ends)
+
+    @cached_property
+    def clocks(self) -> tuple[ClockSpec, ...]:
+        """The edges that fire at given times."""
+        return tuple(edge for edge in self.transitions if isinstance(edge, ClockSpec))
+
+    def ringing(self, mode: str) -> tuple[ClockSpec, ...]:
+        """Those that fire in a mode; while the state slides, those of both sides do."""
+        switching = self.sliding(mode)
+        sides = () if switching is None else (switching.positive, switching.negative)
+        return tuple(clock for clock in self.clocks if clock.source in (mode, *sides))
 
     def record(self, vector: Any) -> Record:
         """The state vector (last axis the coordinates) as a record."""

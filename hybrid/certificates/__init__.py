@@ -66,6 +66,12 @@ def certify(
             f"{model.spec.model} looks into the past (lag {lags[0].name}): a proof before a run "
             "knows no past; simulate it, and ask the accumulations of the run for their proofs"
         )
+    clocks = getattr(model, "spec", None) and model.spec.clocks
+    if clocks:
+        raise OptionError(
+            f"{model.spec.model}, edge {clocks[0].name}, fires at given times: a proof before a "
+            "run has no clock; simulate it, and ask the accumulations of the run for their proofs"
+        )
     require_flint()
     from .question import ask
     from .relative import by_lemma

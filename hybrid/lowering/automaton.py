@@ -15,6 +15,7 @@ from ..rules.arrays import AutomatonArrays, Room
 from ..rules.places import (
     AT,
     CHANGES,
+    CLOCK,
     CONSTRAINED,
     CONTACT,
     DEPENDS,
@@ -99,6 +100,7 @@ class Tables:
         self._uses: list[int] = []
         self._made: AutomatonArrays | None = None
         self.named: np.ndarray  # for each guard the field and the edge, by name
+        self.rings: np.ndarray  # whether it is a clock
         self.constrained: np.ndarray  # whether contacts are held there, or the state slides
         self.free: dict[tuple[int, ...], list[Any]] = {}  # arrays that no run is using
         self._steps: Counter[int] = Counter()  # by their order
@@ -134,6 +136,7 @@ class Tables:
             self._recalled = len(programs.code)
             names = [*self.modes, *(guard.edge for guard in self.guards)]
             self.named = np.array(names, dtype=object).reshape(2, -1)
+            self.rings = np.array([guard.kind is Kind.CLOCK for guard in self.guards], dtype=bool)
             self.constrained = fields[[self.numbers[m] for m in self.modes], CONSTRAINED] > 0
             self._made = AutomatonArrays(programs, fields, guards, uses, self.bounds.arrays())
         if library.how() != "machine":  # plain Python calls no address
@@ -230,20 +233,23 @@ class Tables:
         surface = self._surface(field) if plain else -1
         onto = [self._onto(field, k) if plain and field.held else -1 for k in (False, True)]
         lags = self._lags(field) if plain else -1
-        plain = plain and HARD not in (surface, lags) and (not field.held or min(onto) >= 0)
+        times = [self._times(field, clock) for clock in field.clocks if plain]
+        plain = plain and HARD not in (surface, lags, *times) and (not field.held or min(onto) >= 0)
         self.numbers[field.name] = len(self.fields)
         self.fields.append(field)
         program = self._program(jets) if plain and jets else -1
-        guards = field.guards if plain else ()
+        guards, clocks = (field.guards, field.clocks) if plain else ((), ())
         self._rows += [self._row(field, guard, base) for guard in guards]
-        self._leads += [self._lead(field, guard) for guard in guards]
-        self.guards += guards
-        self.modes += [field.name] * len(guards)
+        self._rows += [self._clock(field, *each, base) for each in enumerate(times) if plain]
+        self._leads += [self._lead(field, guard) for guard in (*guards, *clocks)]
+        self.guards += (*guards, *clocks)
+        self.modes += [field.name] * len((*guards, *clocks))
         self.widest = max(self.widest, len(guards))
         how = CHANGES if plain and self.others and field.changes else int(plain)
         known = [program, first, first + len(guards), how, int(field.project is not None)]
         joins = int(not self.scene.spec.lags)
-        self._fields.append([*known, watch, surface, joins, base, *onto, lags])
+        rings = first + len(guards) + len(clocks)
+        self._fields.append([*known, watch, surface, joins, base, *onto, lags, rings])
         for row, lead in zip(self._rows, self._leads, strict=True):
             row[TO] = self.numbers.get(lead, row[TO])
         self._made = None
@@ -309,7 +315,26 @@ class Tables:
 
     def _again(self, guard: Guard) -> bool:
         """Whether an edge is watched in the mode to which it leads."""
-        return any(edge.name == guard.edge for edge in self.scene.spec.leaving(guard.to))
+        spec = self.scene.spec
+        edges = (*spec.leaving(guard.to), *spec.ringing(guard.to))
+        return any(edge.name == guard.edge for edge in edges)
+
+    def _times(self, field: Field, clock: Guard) -> int:
+        """The number of the program of a clock's times; ``HARD`` where there is none."""
+        graph, key = self.scene.code.mode(field.mode), ("clock", clock.edge)
+        number = self._of_values(field, key, lambda: graph.values(self.scene.code.closed(*key)))
+        return HARD if number < 0 else number
+
+    def _clock(self, field: Field, place: int, times: int, base: int) -> list[int]:
+        """The row of a clock."""
+        clock, slides = field.clocks[place], field.project is not None and not field.held
+        reset, graph = ("reset", clock.edge), self.scene.code.mode(field.mode)
+        judged = self._again(clock) if slides else bool(field.held and self.scene.spec.lags)
+        values = lambda: graph.values(self.scene.code.closed(*reset))  # noqa: E731
+        program = -1 if judged else self._of_values(field, reset, values)
+        own = self._fields[base][GUARDS_END] + place if field.held else len(self._rows)
+        to, uses = UNKNOWN if self._lead(field, clock) else NONE, [len(self._uses)] * 2
+        return [CLOCK, 0, 0, 1, to, program, -1, -1, *uses, 0, times, 0, UNKNOWN, NONE, 0, own]
 
     def _surface(self, field: Field) -> int:
         """The number of the program back onto the surface on which a field slides; -1 where it

@@ -75,6 +75,8 @@ class Guard:
         Where it changes its formula; of a load also where its contact's gap and gap speed do.
     bounds : bool
         Whether it bounds its mode; an event that the flow passes does not.
+    after : callable ``(t, x)``, optional
+        Of a clock, whose guard is not watched: the first of its times behind ``t``.
     """
 
     edge: str
@@ -88,6 +90,7 @@ class Guard:
     trace: Callable[[], Any]
     kinks: tuple[Kink, ...] = ()
     bounds: bool = True
+    after: Scalar | None = None
 
     @property
     def closed(self) -> Any:
@@ -125,6 +128,8 @@ class Field:
         Where the flow changes its formula.
     scene, touching : Scene, frozenset of str
         Where it comes from: ``scene.field(name, touching)``.
+    clocks : tuple of Guard
+        What fires here at given times.
     graph : ModeGraph, optional
         What the series are made of, where it is not that of the mode (:mod:`.local`).
     """
@@ -143,6 +148,7 @@ class Field:
     refused: str = ""
     changes: tuple[Kink, ...] = ()
     scene: Any = None
+    clocks: tuple[Guard, ...] = ()
     touching: frozenset[str] = frozenset()
     graph: Any = None
 
@@ -167,6 +173,10 @@ class Field:
     def column(self, edge: str) -> int:
         """Place of an edge's guard among the guards."""
         return next(i for i, guard in enumerate(self.guards) if guard.edge == edge)
+
+    def guard(self, edge: str) -> Guard:
+        """The guard of an edge, or its clock."""
+        return next(guard for guard in (*self.guards, *self.clocks) if guard.edge == edge)
 
     @property
     def leans(self) -> bool:

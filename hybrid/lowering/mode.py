@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from enum import StrEnum
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import attrs
@@ -45,6 +45,7 @@ class Kind(StrEnum):
     SWITCH = "switch"
     LEAVE = "leave"
     WINDOW = "window"
+    CLOCK = "clock"
 
 
 @attrs.frozen
@@ -277,10 +278,14 @@ class ModeGraph:
         contact = name.removesuffix(RELEASE_SUFFIX)
         if contact != name:
             return times(self.graph, self.forces[contact], self.contact(contact).weight)
-        (value,) = self.values(self.closed[name]())
+        (value,) = self.values(self.traced(name)())
         if name not in self.derived:
             self.graph.require_written([value], f"{self.spec.model}, the guard of {name}")
         return value
+
+    def traced(self, name: str) -> Callable[[], Any]:
+        """What gives the trace of a guard; of a clock's too, which is not watched."""
+        return self.closed.get(name) or partial(self.code.closed, "guard", name)
 
     def deciding(self, name: str) -> list[int]:
         """Nodes by whose formula a guard changes: of a load also gap, gap speed and free

@@ -133,7 +133,8 @@ class Scene:
         trace = lambda: code.field_closed(mode, held)  # noqa: E731
         jets, refused = (series, "") if isinstance(series, Jets) else (None, series)
         changes = self._kinks(mode, held, "flow", lambda g: g.flow(bool(held)))
-        made = trace, code, self.parameters, numbers, project, refused, changes, self
+        clocks = tuple(self._clock(edge, mode, held) for edge in self.spec.ringing(mode))
+        made = trace, code, self.parameters, numbers, project, refused, changes, self, clocks
         return Field(name, mode, held, rhs, jets, guards, *made)
 
     def _touching(self, field: Field, corners: frozenset[str]) -> Field:
@@ -219,7 +220,7 @@ class Scene:
             first = value.bind(numbers)
             here = lambda t, x: first(t, x)[0]  # noqa: E731
         else:
-            trace = graph.closed[name]
+            trace = graph.traced(name)
             here = code.program(("guard", name, mode), trace).bind(self.values)
         lie = graph.program(("lie", name, bool(held)), lambda: graph.lie(name, bool(held)))
         shape = lambda: node_shape(graph.graph, graph.guard(name))  # noqa: E731
@@ -228,6 +229,12 @@ class Scene:
         bounds = kind is not Kind.EDGE or code.bounds(edge, self.values)
         made = here, lie.bind(numbers), affine, uses, trace, kinks, bounds
         return Guard(name, kind, edge.to, edge.crossing, *made)
+
+    def _clock(self, edge: Transition, mode: str, held: tuple[str, ...]) -> Guard:
+        """What fires at given times; its guard is what it is beside them."""
+        guard, key = self._guard(edge, Kind.CLOCK, mode, held), ("clock", edge.name)
+        after = self.code.program(key, lambda: self.code.closed(*key)).bind(self.values)
+        return attrs.evolve(guard, kinks=(), bounds=False, after=after)
 
     def rounding(self, guard: Guard, field: Field) -> Scalar:
         """Sizes whose rounding the guard and its first two derivatives carry."""

@@ -58,7 +58,7 @@ class Laws:
 
     def _add(self, mode: str) -> None:
         self.flows[mode, False] = _unmasked(self.code.field_closed(mode, ()))
-        for edge in self.spec.leaving(mode):
+        for edge in (*self.spec.leaving(mode), *self.spec.ringing(mode)):
             self.guards[edge.name] = _unmasked(self.code.guard_closed(edge))
             if isinstance(edge, EdgeSpec):
                 self.resets[edge.name] = _unmasked(self.code.closed("reset", edge.name))

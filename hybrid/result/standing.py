@@ -160,6 +160,8 @@ def _but(
     code, x = field.code, arc.last.tolist()
     if any(code.moving):
         return "a lag depends on time or state"
+    if field.clocks:
+        return f"{field.clocks[0].edge} fires at given times"
     if code.timed(field.closed):
         return f"the flow in {arc.mode} depends on time"
     largest = iter(loads.max(axis=0)) if loads.size else iter(())

@@ -16,7 +16,9 @@ from .jets import OUTPUT, afresh
 from .places import (
     AT,
     BEGINS,
+    CLOCK,
     CONTACT,
+    DUE,
     EDGE,
     ENTERED,
     FIELD,
@@ -93,6 +95,8 @@ def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> i
     guard, place = now.ints[FIRED], now.ints[JUMPS_MADE]
     kind, to = a.guards[guard, KIND], a.guards[guard, TO]
     t, low = after(now.floats[T], now.floats[LOW], now.floats[TAU])
+    if kind == CLOCK:
+        t, low = now.floats[DUE], 0.0
     before, behind, low_flight = left.before[place], left.after[place], now.ints[WAS_LOW] == 1
     status, used, power = JUMP, a.guards[guard, OWN], 1
     made = to != NONE and (kind == RELEASE or a.guards[guard, RESET] >= 0)
@@ -108,11 +112,12 @@ def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> i
             power = RISES if now.floats[TAU] > 0.0 else PULLED
             copied(now.end, before)
             copied(now.end, behind)
-        elif kind == EDGE:
+        elif kind in (EDGE, CLOCK):
             copied(now.end, before)
             if values(a, a.guards[guard, RESET], t, now.end, room, behind):
                 status, to = stays(a, now, room, t, behind, to)
-                power = 1 if unchanged(a, now, room, t, before, behind) else 0
+                held = kind == EDGE and unchanged(a, now, room, t, before, behind)
+                power = 1 if held else 0
         elif to == now.ints[FIELD]:
             status, to = impact(a, run, now, room, t, before, behind)
             power = 1 if now.floats[GAP_SPEED] > 0.0 else PULLED

@@ -16,6 +16,7 @@ import math
 
 from .arrays import AutomatonArrays, Floats, Ints, Left, Matrix, Now, Room
 from .checks import along
+from .clocks import beside, ended, wind
 from .entries import starts
 from .guards import (
     SMALL_SHIFT,
@@ -38,8 +39,8 @@ from .places import (
     CONTACT,
     CROSSED,
     CROSSING,
+    DUE,
     EDGE,
-    END,
     EVENT,
     EXPANSIONS,
     FIELD,
@@ -83,6 +84,7 @@ from .places import (
     TAU,
     TO_TAU,
     TOLERANCES,
+    UNTIL,
     WALKS,
     WANTED,
     WATCHED,
@@ -123,6 +125,7 @@ def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> in
         return LOOK
     status = GOES_ON
     while status == GOES_ON:
+        run[UNTIL] = min(run[LAST_TIME], now.floats[DUE])
         phase = now.ints[PHASE]
         if phase == BEGINS:
             status = begins(a, run, now, room)
@@ -140,6 +143,7 @@ def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> in
 def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     """At the start of an arc. Another solver is told how to begin."""
     copied(now.x, now.end)
+    wind(a, now, room)
     for i in range(room.sides.shape[0]):
         room.sides[i] = 0
     now.floats[TAU], now.ints[MADE], now.ints[PHASE] = 0.0, 0, WALKS
@@ -173,11 +177,13 @@ def at_once(now: Now, guard: int) -> int:
 
 def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
     """Make a step, or ask for it."""
-    tau, length = now.floats[TAU], (run[LAST_TIME] - now.floats[T]) - now.floats[LOW]
+    tau, length = now.floats[TAU], (run[UNTIL] - now.floats[T]) - now.floats[LOW]
     if tau >= length:
-        now.floats[TAU] = length
-        now.ints[STEPS_MADE] += now.ints[MADE]
-        return END
+        status = ended(a, run, now, room, length)
+        if status != LOOK:
+            now.floats[TAU] = length
+            now.ints[STEPS_MADE] += now.ints[MADE]
+        return status
     if now.ints[STEPS_MADE] + now.ints[MADE] >= left.owner.shape[0]:
         return FULL
     now.ints[PHASE] = LOOKS
@@ -247,7 +253,7 @@ def looks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
             return SHOW
     else:
         guard, s = event_along(a, run, now, room, h, starting)
-    if not s > 0.0:
+    if not s > 0.0 or (guard >= 0 and beside(now, tau + s)):
         return LOOK
     now.ints[EVENT], now.ints[LANDINGS_TRIED] = guard, 0
     if run[METHOD_ORDER] == 0.0:
@@ -308,7 +314,7 @@ def lands(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
     program = a.fields[field, FIELD_PROGRAM]
     row = row_of(a, program, field, guard)
     t, least = now.floats[T] + at, beyond(now, tau)
-    length = (run[LAST_TIME] - now.floats[T]) - now.floats[LOW]
+    length = (run[UNTIL] - now.floats[T]) - now.floats[LOW]
     most = min(length, now.floats[STEP_END] + SMALL_SHIFT * (now.floats[STEP_END] - tau))
     if not least < at <= most or now.ints[LANDINGS_TRIED] == LANDINGS:
         return LOOK

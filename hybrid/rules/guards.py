@@ -25,7 +25,6 @@ from .places import (
     FIELD_PROGRAM,
     GUARDS,
     GUARDS_END,
-    LAST_TIME,
     LOOKS,
     LOW,
     OFF,
@@ -37,6 +36,7 @@ from .places import (
     STEP_LOSS,
     TAU,
     TOLERANCES,
+    UNTIL,
     USES,
     USES_END,
     WATCH,
@@ -338,7 +338,7 @@ def reached(run: Floats, now: Now, h: float) -> float:
     """How far a step is looked at: a little beyond its end, if it was made to end on a guard."""
     if now.floats[STEP_END] != now.floats[AIM]:
         return h
-    length = (run[LAST_TIME] - now.floats[T]) - now.floats[LOW]
+    length = (run[UNTIL] - now.floats[T]) - now.floats[LOW]
     return min(h * (1.0 + SMALL_SHIFT), length - now.floats[TAU])
 
 

@@ -31,6 +31,7 @@ from .places import (
     AT_LIMIT,
     AT_START,
     BEGINS,
+    CLOCK,
     CONTACT,
     END,
     ENTERED,
@@ -153,7 +154,7 @@ def lanes(
             return made
         bound(a, parts, given, ranged, ops, more, numbers, values[lane], room)
         run[LAST_TIME] = spans[lane, 1]
-        begun(now, spans[lane, 0], starts[lane], field)
+        begun(a, now, spans[lane, 0], starts[lane], field)
         status = go(a, run, now, room, left, sums, look)
         while run[METHOD_ORDER] > 0.0 and answers(status, a, run, now, room, pair):
             status = go(a, run, now, room, left, sums, look)
@@ -246,7 +247,7 @@ def bound(
         )
 
 
-def begun(now: Now, t: float, x: Floats, field: int) -> None:
+def begun(a: AutomatonArrays, now: Now, t: float, x: Floats, field: int) -> None:
     """A state at the start of a run."""
     now.floats[T], now.floats[LOW], now.floats[TAU], now.floats[TRIED] = t, 0.0, 0.0, math.inf
     now.ints[FIELD], now.ints[LAST_USED], now.ints[SERIES], now.ints[IMPACT_COUNT] = (
@@ -264,14 +265,17 @@ def begun(now: Now, t: float, x: Floats, field: int) -> None:
         now.seen[i] = abs(x[i])
     for g in range(now.signs.shape[0]):
         now.signs[g] = 0
+    for g in range(now.spent.shape[0]):
+        now.spent[g] = now.ints[FLIGHTS] if a.guards[g, KIND] == CLOCK else 0
 
 
 def looks(a: AutomatonArrays, left: Left, jumps: int, tails: int, sums: Sums) -> bool:
     """Whether the driver would look for a limit of cycles, or might, and not leave it to a sum; it
-    begins anew behind each sum."""
+    begins anew behind each sum, and behind clocks."""
     first, longest = 0, 0.0
     for j in range(jumps):
         longest = max(longest, left.when[j, 2])
+        first = j + 1 if a.guards[left.fired[j], KIND] == CLOCK else first
     for tail in range(tails + 1):
         last = int(left.sums[tail, JUMPS_BEFORE]) if tail < tails else jumps
         due, still = 2 * LEAST_WINDOW, 0
@@ -285,7 +289,7 @@ def looks(a: AutomatonArrays, left: Left, jumps: int, tails: int, sums: Sums) ->
                 look = look or (j - first >= 3 * length and falls(left, j, length))
             if look and not damps(a, left, first, j, sums):
                 return True
-        first = last
+        first = max(first, last)
     return False
 
 

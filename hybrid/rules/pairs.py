@@ -21,7 +21,6 @@ from .places import (
     FIELD_PROGRAM,
     FIRST_LENGTH,
     LAND_ON,
-    LAST_TIME,
     LOW,
     MADE,
     PLAIN,
@@ -30,6 +29,7 @@ from .places import (
     STEP_END,
     TAU,
     TO_TAU,
+    UNTIL,
     T,
 )
 from .zeros import EPS
@@ -80,7 +80,7 @@ def answers(status: int, a: AutomatonArrays, run: Floats, now: Now, room: Room, 
     made = now.ints[MADE]
     if status != STEP:
         return False
-    length = (run[LAST_TIME] - now.floats[T]) - now.floats[LOW]
+    length = (run[UNTIL] - now.floats[T]) - now.floats[LOW]
     if a.fields[now.ints[FIELD], PLAIN] == CHANGES:
         return False
     if made == 0:

@@ -7,9 +7,9 @@
 #: others -1; whether contacts join those held, and stay held after jumps, without the driver; the
 #: field of its mode in which none is held; of one with contacts held programs that move a state
 #: along these, by what their gaps are off zero, and their gap speeds, of others -1; the program of
-#: lags of which any moves, else -1.
+#: lags of which any moves, else -1; where its clocks end, which begin behind its guards.
 FIELD_PROGRAM, GUARDS, GUARDS_END, PLAIN, CONSTRAINED, WATCH, SURFACE = range(7)
-JOINS, BASE, ONTO_GAPS, ONTO_SPEEDS, LAGS = range(7, 12)
+JOINS, BASE, ONTO_GAPS, ONTO_SPEEDS, LAGS, CLOCKS_END = range(7, 13)
 
 CHANGES = 2
 
@@ -22,8 +22,9 @@ CHANGES = 2
 #: those that are, and of a load its contact where none is held. Of the surface of a switching: at
 #: ``AT`` its guard on the other side, and at ``REST`` the field that slides on it, where one is to
 #: be entered; of an end of sliding at ``AT`` the surface's guard in the field that follows. Of the
-#: end of a moving lag's window at ``AT`` the lag times two, and one more at the end ahead. ``OWN``
-#: is the same guard where no contact is held; a load is its own.
+#: end of a moving lag's window at ``AT`` the lag times two, and one more at the end ahead; of a
+#: clock the program of the first of its times behind another. ``OWN`` is the same guard where no
+#: contact is held; a load is its own.
 KIND, CROSSING, BOUNDS, AFFINE, TO, RESET, LAND, SIZES, USES, USES_END, BENDS = range(11)
 AT, LOCAL, SIGHT, REST, DEPENDS, OWN = range(11, 17)
 
@@ -37,8 +38,8 @@ JOINED, WANTED = -4, -5
 AT_START = -1
 
 #: Kinds of guards: of edges and contacts, loads, ends of windows, the surface of a switching, and
-#: the ends of sliding.
-EDGE, CONTACT, RELEASE, WINDOW_END, SWITCH, LEAVE = range(6)
+#: the ends of sliding; clocks, which are not watched.
+EDGE, CONTACT, RELEASE, WINDOW_END, SWITCH, LEAVE, CLOCK = range(7)
 
 #: By which power of the time a gap opens where its load has come to be zero, and where that pulls;
 #: a contact that an impact has left no speed closes by that, too.
@@ -48,18 +49,17 @@ RISES, PULLED = 3, 2
 #: first of an arc and the others; whether a run goes on from an accumulation, at rest, or ends
 #: there; the tolerance of a sum against the run's; whether what is made here is held against the
 #: flow along all of it; the order of another solver (0 where steps are made here); the jumps after
-#: which other windows of the past are due; and what a step may lose: a share, and from the last
-#: place on a number for each element.
+#: which other windows of the past are due; until when the present arc goes at most; and what a step
+#: may lose: a share, and from the last place on a number for each element.
 LAST_TIME, ABSOLUTE, RELATIVE, SPEED_FALL, FIRST_SUMMED, FIRST_STEP = range(6)
-MAX_STEP, REST_AFTER, CLOSING, WATCHED, METHOD_ORDER, JUMPS_DUE, STEP_LOSS, TOLERANCES = range(
-    6, 14
-)
+MAX_STEP, REST_AFTER, CLOSING, WATCHED, METHOD_ORDER, JUMPS_DUE = range(6, 12)
+UNTIL, STEP_LOSS, TOLERANCES = range(12, 15)
 
 #: Places in a state's floats: the time in two; the local time; the speed at which a sum was tried
 #: last; the local time at which a step ends; where the solver is to step to, or to land; where the
-#: arc is expected to end; the length of its first step; the gap speed after an impact; how
-#: many there are.
-T, LOW, TAU, TRIED, STEP_END, TO_TAU, AIM, FIRST_LENGTH, GAP_SPEED, STATE_FLOATS = range(10)
+#: arc is expected to end; the length of its first step; the gap speed after an impact; when
+#: the first clock rings; how many there are.
+T, LOW, TAU, TRIED, STEP_END, TO_TAU, AIM, FIRST_LENGTH, GAP_SPEED, DUE, STATE_FLOATS = range(11)
 
 #: Places in a state's integers: the field, and the guard that fired; the series of impacts; whether
 #: the driver has looked at the arc's start; jumps and steps kept, and expansions made; then what
@@ -67,10 +67,11 @@ T, LOW, TAU, TRIED, STEP_END, TO_TAU, AIM, FIRST_LENGTH, GAP_SPEED, STATE_FLOATS
 #: landings tried, sums kept, by which power of the time the guard last used vanishes; whether the
 #: flight that begins is one so low that the gap would drown in rounding (2: and follows the flow),
 #: and whether one ends; arcs flown that take time; the guard last used (``OWN``); the guard of
-#: which the table has not all, and the column; whether the arc before had a length.
+#: which the table has not all, and the column; whether the arc before had a length; the clock that
+#: rings first.
 FIELD, FIRED, SERIES, IMPACT_COUNT, ENTERED, JUMPS_MADE, STEPS_MADE, EXPANSIONS = range(8)
 PHASE, MADE, EVENT, CROSSED, LANDINGS_TRIED, TAILS, GUARD_POWER, LOW_AHEAD = range(8, 16)
-WAS_LOW, FLIGHTS, LAST_USED, LACKING, LACKING_AT, LASTED, STATE_INTS = range(16, 23)
+WAS_LOW, FLIGHTS, LAST_USED, LACKING, LACKING_AT, LASTED, RINGS, STATE_INTS = range(16, 24)
 
 #: Columns of the zeros of guards in a step: when each fires; by how much what its series leaves
 #: open may move that; and how far it was off zero where the arc began, if it vanishes there.

@@ -28,6 +28,7 @@ from .places import (
     CURVE_ROWS,
     DEPENDS,
     DRIVERS,
+    DUE,
     ENDS_THERE,
     ERRORS,
     EXPANSIONS,
@@ -73,6 +74,7 @@ from .places import (
     TAU,
     TRIED,
     UNKNOWN,
+    UNTIL,
     WAS_LOW,
     WATCHED,
     T,
@@ -95,7 +97,7 @@ def go(
     a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, sums: Sums, look: Look
 ) -> int:
     """Go on from ``now``; returns what the driver is asked for (see :mod:`.places`)."""
-    status = GOES_ON
+    status, run[UNTIL] = GOES_ON, min(run[LAST_TIME], now.floats[DUE])
     while status == GOES_ON:
         status = advance(a, run, now, room, left)
         if status == SUM:
@@ -147,7 +149,7 @@ def accumulated(
     if not believed(a, run, now, flow, at, guard, tail, t, x, left, sums, look):
         return JUMP
     end, rest = after(t, low, left.sums[tail, REMAINING])
-    if (run[LAST_TIME] - end) - rest < 0.0:
+    if (run[UNTIL] - end) - rest < 0.0:
         now.floats[TRIED] = v
         return GOES_ON
     return rests(a, run, now, room, left, t, low)
@@ -242,7 +244,7 @@ def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, su
         now.signs[: domain(a, now)], before, behind, sums,
     )  # fmt: skip
     end, low = after(t, now.floats[LOW], time)
-    if status < 0 or (run[LAST_TIME] - end) - low < 0.0:
+    if status < 0 or (run[UNTIL] - end) - low < 0.0:
         now.ints[LOW_AHEAD] = 0
         return GOES_ON
     if run[WATCHED] == 1.0 and now.ints[LOW_AHEAD] == 1:

@@ -28,6 +28,7 @@ from ..solvers import Solver
 from ..solvers.watchful import Watchful
 from ..trajectory.accumulation import Accumulation
 from ..trajectory.arcs import Arc, TailPart
+from ..trajectory.clock import Instant
 from ..trajectory.log import Flights
 from ..trajectory.plan import PATIENCE, Plan
 from ..trajectory.trajectory import Jump, Status
@@ -35,7 +36,7 @@ from ..zeno.accumulate import Tail, clear, close, hop
 from ..zeno.cycle import CycleLimit
 from ..zeno.narrow import seen
 from ..zeno.others import apart
-from . import switch, truncate
+from . import clocks, switch, truncate
 from .arc import ArcFlow, Flown
 from .cycles import Columns, Cycles
 from .entry import (
@@ -57,7 +58,7 @@ from .recorder import Recorder
 from .watch import Watch
 
 if TYPE_CHECKING:
-    from ..automaton.shapes import Numbers, StateVector
+    from ..automaton.shapes import Integers, Numbers, StateVector
 
 
 #: How runs end behind a jump, in an arc of no length.
@@ -91,7 +92,7 @@ class Driver:
         self.steps = 0
         self._jumped = Jumped()
         self.tied: dict[str, int] = {}
-        self.spent: frozenset[str] = frozenset()
+        self._ringing = self.spent = frozenset(clock.name for clock in scene.spec.clocks)
         self._struck: set[str] = set()
         self.loop = Machine(self) if solver.whole or solver.asked else None
 
@@ -143,6 +144,11 @@ class Driver:
             if self.steps >= self.plan.max_steps:
                 self.record.close(self.entry.field)
                 self.status = Status.MAX_STEPS
+            elif self.entry.field.clocks and clocks.at_once(self):
+                self.record.arc(self.entry.field, self.entry.x, self.entry.x, 0.0, [])
+                clock, t = clocks.due(self)
+                assert clock is not None
+                self.ring(clock, t, self.entry.x)
             elif self.entry.at_once:
                 index = self.entry.at_once[0]
                 guard = self.entry.field.guards[index]
@@ -224,6 +230,15 @@ class Driver:
         memory = self.record.memory
         return self.plan.t1 if memory is None else memory.known
 
+    def until(self, t: float) -> float:
+        """A time, or that of a clock that rings before it."""
+        return min(t, clocks.due(self)[1])
+
+    def ring(self, clock: Guard, t: float, x: StateVector) -> None:
+        """Carry out the jump of a clock, at its time."""
+        self.record.now = Instant(t)
+        self.jump(clock, x)
+
     def flow(self) -> None:
         """Flow an arc, or as many as need no judgement, and carry out the jump that ends it."""
         loop = self.loop if self._declared else None
@@ -294,7 +309,8 @@ class Driver:
     def flow_arc(self) -> None:
         """Flow an arc and carry out the jump that ends it."""
         entry, now, memory = self.entry, self.record.now, self.record.memory
-        flown = ArcFlow(self.scene, self.flies, self.plan, entry, now, self.horizon).run()
+        (clock, due), until = clocks.due(self), self.horizon
+        flown = ArcFlow(self.scene, self.flies, self.plan, entry, now, min(due, until)).run()
         self.steps += flown.steps
         if memory is not None:
             flown = attrs.evolve(flown, segments=memory.refined(entry.field, now, flown.segments))
@@ -308,7 +324,10 @@ class Driver:
             edge = entry.field.guards[index].edge
             self.record.grazings.append(Jump(now.t + tau, self.record.j, edge, record, record))
         fired = None if flown.fired is None else entry.field.guards[flown.fired]
-        if self._passes(fired, flown):
+        rings = clock is not None and due <= until and not flown.interrupted
+        if clock is not None and rings:
+            rings, fired = clocks.rings(self, clock, due, fired, flown)
+        if not rings and self._passes(fired, flown):
             self.record.extend(entry.field, entry.x, flown.x, flown.length, flown.segments)
             self.pass_window(fired, flown.x)
             return
@@ -319,7 +338,9 @@ class Driver:
             self.plan.progress(self.t)
         self.tied = flown.tied
         self.passed(flown.length)
-        if fired is None:
+        if clock is not None and rings:
+            self.ring(clock, due, x)
+        elif fired is None:
             self.status = Status.INTERRUPTED if flown.interrupted else Status.REACHED_END
         else:
             self.jump(fired, x, flown.carried)
@@ -524,7 +545,7 @@ class Driver:
         if unit("hops").drowns(v, force, NEAR * reach):  # a dozen digits of the gap are rounding
             self._require_series(contact.name, x, field)
         flown = hop(field, contact, column, t, x, v, GUARD_ROUNDING * EPS * reach)
-        if flown is None or self.record.now.after(flown[0]).until(self.known) < 0:
+        if flown is None or self.record.now.after(flown[0]).until(self.until(self.known)) < 0:
             return None
         time, segments, before, after, speed = flown
         if self.wary and not follows(field, t, segments):
@@ -547,12 +568,23 @@ class Driver:
         self.look(after)
         if self.record.made >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
-        return self.cycles.saw(Columns.of(edge, field.name, now.t, now.low, clock, after))
+        return self._saw(Columns.of(edge, field.name, now.t, now.low, clock, after))
 
-    def room(self, t: Numbers, low: Numbers) -> int:
-        """Of jumps at these times, how many there are before the run has to be looked at."""
+    def _saw(self, jumps: Columns) -> bool:
+        """Note jumps; whether it is time to look for cycles. Behind a clock they begin anew."""
+        if jumps.edge[-1] in self._ringing:
+            self.cycles.forget()
+            return False
+        return self.cycles.saw(jumps)
+
+    def room(self, t: Numbers, low: Numbers, rung: Integers) -> int:
+        """Of jumps at these times, how many there are before the run has to be looked at.
+
+        ``rung``: the places of those that clocks have made; no limit is before the last of them.
+        """
         ignored = self.plan.zeno == "ignore"  # no limit is gone over, wherever it may be
-        most = len(t) if ignored else self.cycles.room(t, low)
+        before = int(rung[-1]) + 1 if len(rung) else 0
+        most = len(t) if ignored else before or self.cycles.room(t, low)
         return min(self.plan.max_jumps - self.record.made, most)
 
     def flown(self, flights: Flights) -> bool:
@@ -577,7 +609,7 @@ class Driver:
         if self.record.made >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
         times = jumps.t, jumps.low, clocks
-        return self.cycles.saw(Columns(jumps.edge, flights.modes, *times, jumps.after))
+        return self._saw(Columns(jumps.edge, flights.modes, *times, jumps.after))
 
     def _clocks(self, flights: Flights) -> Numbers:
         """The time without idle flights, at each of some jumps."""
@@ -594,7 +626,7 @@ class Driver:
                 with memory.as_at(*start[:2]) as then:
                     scene = then.scene
             field = scene.field(mode)
-            guard = field.guards[field.column(edge)]
+            guard = field.guard(edge)
             clocks.append(self.cycles.clock(scene, field, guard, *start))
         return np.array(clocks)
 
@@ -650,7 +682,10 @@ class Driver:
             return False
         watch.tried = v
         tail = self.tail(contact, x, v, field)
-        if tail is None or self.record.now.after(tail.remaining).until(self.horizon) < 0:
+        if (
+            tail is None
+            or self.record.now.after(tail.remaining).until(self.until(self.horizon)) < 0
+        ):
             return False
         memory = self.record.memory
         if memory is not None and not memory.stays(TailPart(tail, self.record.j)):

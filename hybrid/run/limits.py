@@ -134,7 +134,8 @@ def pass_limit(driver: Driver, mode: str) -> bool:
         driver.pass_cycle(slower, cycles.seen.x[-1].copy(), mode)
         return True
     sought = _sought(cycles, plan)
-    if sought is None or driver.record.now.after(sought[0].remaining).until(driver.known) < 0:
+    known = driver.until(driver.known)
+    if sought is None or driver.record.now.after(sought[0].remaining).until(known) < 0:
         return False
     found, turn = sought
     if not _tire(driver, found):
@@ -194,7 +195,7 @@ def _tire(driver: Driver, found: CycleLimit) -> bool:
     scene, turn = driver.scene, driver.cycles.last(len(found.edges))
     for seen in turn:
         if scene.is_contact(seen.edge):
-            guard = scene.field(seen.mode).guards[scene.field(seen.mode).column(seen.edge)]
+            guard = scene.field(seen.mode).guard(seen.edge)
             speed = abs(guard.lie(seen.t, seen.x.tolist())[1])
             contact, x = scene.contact(seen.edge), seen.x.tolist()
             if not damps(contact, seen.t, x, speed, found.ratio):

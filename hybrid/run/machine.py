@@ -30,6 +30,7 @@ from ..rules.places import (
     BEGINS,
     CURVE_ROWS,
     DRIVERS,
+    DUE,
     END,
     ENDS_THERE,
     ENTERED,
@@ -146,7 +147,7 @@ class Machine:
         ends = GOES_ON_AT_REST if plan.zeno == "rest" else ENDS_THERE
         summed = (plan.memory == "keep" or self.past is None) and not moving
         sums = ends if summed else DRIVERS, plan.closing
-        last = (0.0, last[0], np.inf, *last[1:])
+        last = (0.0, last[0], np.inf, plan.t1, *last[1:])
         given = [plan.t1, plan.limit, plan.rtol, *series, *steps, *sums, *last]
         self.run = np.array(given, dtype=float)
         self.n = n
@@ -524,7 +525,9 @@ class Machine:
         self._held(fields[0])
         while begin < made and driver.status is None and not self.passed:
             last = next((place for place in sums if place > begin), made)
-            end = begin + driver.room(*left.when[begin:last, :2].T)
+            rung = np.flatnonzero(self.tables.rings[fired[begin:last]])
+            t, low, _ = left.when[begin:last].T
+            end = begin + driver.room(t, low, rung)
             due = self._flown(left, begin, end)
             guard, after = self.tables.guards[fired[end - 1]], left.after[end - 1].copy()
             to = fields[end] if guard.kind == "switch" else guard.to
@@ -643,7 +646,7 @@ class Machine:
     def _fired(self) -> Guard:
         """The guard that fired last, in the driver's field."""
         field, guard = self.driver.entry.field, self.tables.guards[int(self.ints[FIRED])]
-        return field.guards[field.column(guard.edge)]
+        return field.guard(guard.edge)
 
     def _stand(self, left: Left, status: int) -> None:
         """Where the loop stopped: at the end, or at a jump to judge."""
@@ -660,6 +663,8 @@ class Machine:
             driver.entry = attrs.evolve(driver.entry, field=driver.field)
             if self.ints[WAS_LOW]:
                 driver.bounce(self._fired, before, left.after[place].copy(), speed)
+            elif self._fired.kind == "clock":
+                driver.ring(self._fired, float(self.floats[DUE]), before)
             else:
                 driver.jump(self._fired, before)
 

@@ -13,6 +13,7 @@ from ..rules.arcs import SAFETY
 from ..rules.arrays import Left, Now, Room
 from ..rules.places import (
     AIM,
+    DUE,
     FIELD,
     FIRST_LENGTH,
     JUMPS_MADE,
@@ -75,7 +76,8 @@ class Outside:
 
     def _begin_arc(self, now: Now, room: Room) -> None:
         plan, seen = self.driver.plan, self.driver.record.memory is not None
-        length = (self.driver.horizon - float(now.floats[T])) - float(now.floats[LOW])
+        until = min(self.driver.horizon, float(now.floats[DUE]))
+        length = (until - float(now.floats[T])) - float(now.floats[LOW])
         first, aim, sizes = float(now.floats[FIRST_LENGTH]), float(now.floats[AIM]), None
         first = min(first, length if seen else SAFETY * length)  # a window may be one step
         if plan.first_step < np.inf:

@@ -154,7 +154,7 @@ class Derivatives:
         if kind is Kind.CONTACT:
             mode = self.scene.contact(edge).mode
             return self._slopes(("impact", edge), mode, (), lambda g: g.impact(edge)[:-1])
-        if kind is Kind.EDGE:
+        if kind in (Kind.EDGE, Kind.CLOCK):
             mode = next(e.source for e in self.scene.spec.transitions if e.name == edge)
             after = lambda g: g.values(code.closed("reset", edge))  # noqa: E731
             return self._slopes(("reset", edge), mode, (), after)

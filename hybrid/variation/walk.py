@@ -318,7 +318,7 @@ class Walk:
         beyond = row.t + (0.0 if piece is None else piece.beside)
         scene = self.look(index, beyond)[0]
         field = scene.field(self.course.parts[index].mode)
-        later = field.guards[field.column(guard.edge)].value(row.t, x)
+        later = field.guard(guard.edge).value(row.t, x)
         return bool(abs(guard.value(row.t, x)) > SEEN * abs(guard.value(row.t, x) - later))
 
     def _widened(self, matrix: Matrix) -> Matrix:
@@ -354,7 +354,7 @@ class Walk:
     def fired(self, place: int, row: JumpRow) -> tuple[Field, Guard]:
         """The field and the guard of a jump."""
         field = self.beside(place, True)[0].field(self.course.parts[place].mode)
-        return field, field.guards[field.column(row.edge)]
+        return field, field.guard(row.edge)
 
     def _reset(self, place: int, row: JumpRow) -> Matrix:
         kind, of = self.fired(place, row)[1].kind, self.beside(place, True)[1]

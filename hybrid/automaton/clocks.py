@@ -1,0 +1,130 @@
+"""Clocks: the times at which an edge fires, as functions of time and parameters."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import attrs
+import numpy as np
+
+from ..errors import ParameterError
+from .markers import Times, is_number
+from .spec import ClockSpec, Spec
+
+#: A time, or the name of a parameter.
+Given = Any
+
+
+def faults(times: Times, parameters: Sequence[str]) -> Iterator[str]:
+    """What is wrong with the times of an edge, as far as numbers show it."""
+    if not (times.at is None or times.every is None):
+        yield "at= together with every=; give one of them"
+    named = [given for given in _given(times) if isinstance(given, str)]
+    known = ", ".join(parameters) or "none"
+    yield from (f"{n!r} is no parameter; there are: {known}" for n in named if n not in parameters)
+    wrong = [given for given in _given(times) if not (isinstance(given, str) or is_number(given))]
+    yield from (f"{given!r} is no time; give numbers or names of parameters" for given in wrong)
+    if not _given(times):
+        yield f"at={times.at!r}; give one time at least"
+    elif not (named or wrong):
+        yield from _disorder(times, {})
+
+
+def _given(times: Times) -> list[Given]:
+    """The numbers and names that are given, one by one."""
+    if times.at is None:
+        return [times.every, times.offset]
+    return [times.at] if np.ndim(times.at) == 0 else list(times.at)
+
+
+def _disorder(times: Times, named: dict[str, Any]) -> Iterator[str]:
+    """What is wrong with the values of times, where all are known."""
+    values = [np.ravel(named.get(g, g) if isinstance(g, str) else g) for g in _given(times)]
+    if times.at is None:
+        period = values[0]
+        if not (period.size == 1 and float(period[0]) > 0.0):
+            yield f"every={times.every!r} is {period.tolist()}; a period is one number above 0"
+        if values[1].size != 1:
+            yield f"offset={times.offset!r} is {values[1].tolist()}; give one number"
+        return
+    rows = np.concatenate(values).astype(float).tolist()
+    pairs = [(a, b) for a, b in itertools.pairwise(rows) if not a < b]
+    if pairs:
+        yield f"at={times.at!r} has {pairs[0][1]!r} behind {pairs[0][0]!r}; give increasing times"
+
+
+def require_clocks(model: Any, spec: Spec) -> None:
+    """Refuse values of parameters that make no times.
+
+    Raises
+    ------
+    ParameterError
+    """
+    for edge in spec.transitions:
+        named = _given(edge.times) if isinstance(edge, ClockSpec) else []
+        own = {name: getattr(model, name) for name in named if isinstance(name, str)}
+        if own and all(isinstance(v, float | int | np.ndarray | Sequence) for v in own.values()):
+            for fault in _disorder(edge.times, own):  # type: ignore[union-attr]
+                raise ParameterError(f"{spec.model}, edge {edge.name}: {fault}")
+
+
+def first_after(times: Times) -> Callable[..., Any]:
+    """The function of a model that gives the first of the times behind ``t``; infinite where
+    there is none. A time is ``k * period + offset``, of whole numbers k."""
+
+    def periodic(self: Any, t: Any, s: Any) -> Any:
+        import jax.numpy as jnp
+
+        period, offset = (_value(self, given) for given in (times.every, times.offset))
+        k = jnp.round((t - offset) / period)
+        here = k * period + offset
+        return jnp.where(here > t, here, (k + 1.0) * period + offset)
+
+    def listed(self: Any, t: Any, s: Any) -> Any:
+        import jax.numpy as jnp
+
+        each = _listed(self, times)
+        return jnp.min(jnp.where(each > t, each, math.inf))
+
+    return periodic if times.at is None else listed
+
+
+def from_nearest(times: Times) -> Callable[..., Any]:
+    """The function of a model that gives the way from ``t`` to the nearest of the times: what the
+    edge's guard is beside its zeros, for derivatives."""
+
+    def periodic(self: Any, t: Any, s: Any) -> Any:
+        import jax.numpy as jnp
+
+        period, offset = (_value(self, given) for given in (times.every, times.offset))
+        return jnp.round((t - offset) / period) * period + offset - t
+
+    def listed(self: Any, t: Any, s: Any) -> Any:
+        import jax.numpy as jnp
+
+        ways = _listed(self, times) - t
+        nearest = jnp.min(jnp.abs(ways))
+        return jnp.max(jnp.where(jnp.abs(ways) == nearest, ways, -math.inf))
+
+    return periodic if times.at is None else listed
+
+
+def _value(model: Any, given: Given) -> Any:
+    return getattr(model, given) if isinstance(given, str) else float(given)
+
+
+def _listed(model: Any, times: Times) -> Any:
+    import jax.numpy as jnp
+
+    each = [jnp.ravel(jnp.asarray(_value(model, given), dtype=float)) for given in _given(times)]
+    return jnp.concatenate(each)
+
+
+def clock(spec: Any, times: Times) -> ClockSpec:
+    """An edge with these times instead of a guard."""
+    own = {f.name: getattr(spec, f.name) for f in attrs.fields(type(spec))}
+    own |= {"guard": from_nearest(times), "after": first_after(times), "times": times}
+    return ClockSpec(**own)

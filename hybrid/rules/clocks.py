@@ -1,0 +1,80 @@
+"""Clocks: edges that fire at given times (4). An arc ends there as it does at the end of a run.
+
+Numbers in brackets are the rules of ``docs/semantics.md``.
+"""
+
+from __future__ import annotations
+
+import math
+
+from .arrays import AutomatonArrays, Floats, Now, Room
+from .guards import TIE, TIED_IN_STEP
+from .jets import OUTPUT, afresh
+from .places import (
+    AT,
+    CLOCKS_END,
+    DUE,
+    END,
+    FIELD,
+    FIRED,
+    FLIGHTS,
+    GUARDS,
+    GUARDS_END,
+    LANDED,
+    LAST_TIME,
+    LOOK,
+    LOW,
+    MADE,
+    OWN,
+    RINGS,
+    STEP_END,
+    TAU,
+    T,
+)
+from .ties import ago
+from .zeros import EPS
+
+
+def wind(a: AutomatonArrays, now: Now, room: Room) -> None:
+    """Note which clock rings first from the start of an arc on, and when."""
+    field, t, low = now.ints[FIELD], now.floats[T], now.floats[LOW]
+    now.floats[DUE] = math.inf
+    for g in range(a.fields[field, GUARDS_END], a.fields[field, CLOCKS_END]):
+        spent = now.spent[a.guards[g, OWN]] == now.ints[FLIGHTS]
+        due = behind(a, now, room, g, t if spent else math.nextafter(t, -math.inf))
+        if (due - t) - low < 0.0:
+            due = behind(a, now, room, g, t)
+        if due < now.floats[DUE]:
+            now.floats[DUE], now.ints[RINGS] = due, g
+
+
+def behind(a: AutomatonArrays, now: Now, room: Room, clock: int, t: float) -> float:
+    """The first of a clock's times behind another; infinite where there is none."""
+    program = a.guards[clock, AT]
+    if afresh(a.programs, program, 0, t, now.x, room.still, room.aside, room.work) < 0:
+        return math.inf
+    due = room.aside[a.programs.output[a.programs.index[program, OUTPUT]], 0]
+    return due if due > t else math.inf
+
+
+def beside(now: Now, tau: float) -> bool:
+    """Whether a clock rings next to a local time of the last step."""
+    left = ((now.floats[DUE] - now.floats[T]) - now.floats[LOW]) - tau
+    length = now.floats[STEP_END] - now.floats[TAU]
+    return left <= TIED_IN_STEP * length + TIE * EPS * abs(now.floats[T])
+
+
+def ended(a: AutomatonArrays, run: Floats, now: Now, room: Room, length: float) -> int:
+    """What becomes of an arc that has come to its last time: ``END``, or ``LANDED`` where a clock
+    rings; ``LOOK`` where a guard is zero there, too, or may fire before any flow."""
+    if now.floats[DUE] > run[LAST_TIME]:
+        return END
+    first, last = a.fields[now.ints[FIELD], GUARDS], a.fields[now.ints[FIELD], GUARDS_END]
+    if now.ints[MADE] == 0 and first < last:
+        return LOOK
+    for g in range(first, last):
+        if ago(a, now, room, g, now.floats[T] + length) == 0.0:
+            return LOOK
+    now.ints[FIRED] = now.ints[RINGS]
+    now.ints[FLIGHTS] += 1 if length > 0.0 else 0
+    return LANDED

@@ -1,0 +1,307 @@
+"""Edges that fire at given times: exactly then, with every solver, beside guards and sums."""
+
+import pickle
+
+import attrs
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+
+from .systems import without_loop
+
+SOLVERS = ["taylor", "scipy", "diffrax"]
+
+#: The tolerance of SciPy's and Diffrax's runs is 1e-8 a step, of some tens; Taylor's is rounding.
+CLOSE = {"taylor": 1e-13, "scipy": 1e-6, "diffrax": 1e-6}
+
+
+class Sampled(hy.Automaton):
+    """A decay that is held against by what it was when it was sampled last."""
+
+    x = hy.state()
+    u = hy.state()
+    period = hy.parameter(0.1)
+    offset = hy.parameter(0.0)
+    gain = hy.parameter(0.5)
+
+    @hy.mode(initial=True)
+    def flow(self, t, s):
+        return s.u - s.x, 0.0
+
+    @hy.edge(flow, every="period", offset="offset")
+    def sample(self, t, s):
+        return s.x, -self.gain * s.x
+
+
+class Relay(hy.Automaton):
+    """Counts with two clocks that ring at the same times, one in each of two modes."""
+
+    x = hy.state()
+    n = hy.state()
+
+    @hy.mode(initial=True)
+    def up(self, t, s):
+        return 1.0, 0.0
+
+    @hy.mode
+    def down(self, t, s):
+        return -1.0, 0.0
+
+    @hy.edge(up, to=down, at=(1.0, 2.0, 3.0))
+    def turn(self, t, s):
+        return s.replace(n=s.n + 1.0)
+
+    @hy.edge(down, to=up, at=(2.0, 2.5))
+    def back(self, t, s):
+        return s.replace(n=10.0 * s.n)
+
+
+def marked(first):
+    """A point that reaches its mark when a clock rings; the guard declared first, or last."""
+
+    class Tied(hy.Automaton):
+        x = hy.state()
+        n = hy.state()
+        speed = hy.parameter(0.3)
+
+        @hy.mode(initial=True)
+        def fly(self, t, s):
+            return self.speed, 0.0
+
+        @hy.mode
+        def beyond(self, t, s):
+            return self.speed, 0.0
+
+        guard = {"to": beyond, "guard": lambda self, t, s: 0.3 * 0.7 - s.x}
+        times = {"to": fly, "every": 0.7}
+
+        @hy.edge(fly, **(guard if first else times))
+        def one(self, t, s):
+            return s.replace(n=2.0 * s.n + 1.0)
+
+        @hy.edge(fly, **(times if first else guard))
+        def other(self, t, s):
+            return s.replace(n=3.0 * s.n)
+
+    return Tied
+
+
+class Kicked(hy.Automaton):
+    """A ball that comes to rest, and is thrown up again at given times."""
+
+    x = hy.state()
+    v = hy.state()
+    r = hy.parameter(0.5)
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.v, -1.0
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.x, restitution="r")
+
+    @hy.edge(flight, at=(2.25, 10.0, 20.0))
+    def kick(self, t, s):
+        return s.replace(v=s.v + 1.0)
+
+
+def sampled(x, periods, gain=0.5, period=0.1):
+    """The state after so many samples, of a decay that begins with nothing held against it."""
+    u = 0.0
+    for _ in range(periods):
+        x = u + (x - u) * np.exp(-period)
+        u = -gain * x
+    return x, u
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_clock_rings_at_the_multiples_of_its_period(solver):
+    run = hy.simulate(Sampled(), {"x": 1.0, "u": 0.0}, (0.0, 1.0), solver=solver)
+    assert run.jumps.t.tolist() == [k * 0.1 for k in range(1, 11)]  # products, to the last bit
+    assert not run.zeno
+    assert tuple(run.final) == pytest.approx(sampled(1.0, 10), abs=CLOSE[solver])
+    middle = sampled(1.0, 3)
+    held = middle[1] + (middle[0] - middle[1]) * np.exp(-0.05)
+    assert run(0.35).x == pytest.approx(held, abs=CLOSE[solver])
+
+
+def test_an_offset_moves_all_times_and_the_first_time_of_a_run_is_none():
+    run = hy.simulate(Sampled(offset=0.05), {"x": 1.0, "u": 0.0}, (0.05, 0.4), solver="taylor")
+    assert run.jumps.t.tolist() == [k * 0.1 + 0.05 for k in range(1, 4)]
+    late = hy.simulate(Sampled(offset=7.25), {"x": 1.0, "u": 0.0}, (-0.3, 0.1), solver="taylor")
+    assert late.jumps.t.tolist() == [k * 0.1 + 7.25 for k in range(-75, -71)]
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_time_that_is_reached_by_a_jump_is_neither_lost_nor_doubled(solver):
+    run = hy.simulate(Relay(), {"x": 0.0, "n": 1.0}, (0.0, 4.0), solver=solver)
+    assert list(zip(run.jumps.t.tolist(), run.jumps.edge, strict=True)) == [
+        (1.0, "turn"), (2.0, "back"), (2.0, "turn"), (2.5, "back"), (3.0, "turn"),
+    ]  # fmt: skip
+    assert run.final.n == ((1 + 1) * 10 + 1) * 10 + 1
+    assert run.final.x == pytest.approx(0.0 + 1 - 1 - 0.5 + 0.5 - 1, abs=CLOSE[solver])
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("first", [True, False])
+@pytest.mark.parametrize("shift", [-2, 0, 2])
+def test_of_a_clock_and_a_guard_at_one_time_the_first_declared_fires(solver, first, shift):
+    speed = 0.3 * (1.0 + shift * 2.0**-52)  # the mark is met some spacings early or late
+    run = hy.simulate(marked(first)(speed=speed), {"x": 0.0, "n": 1.0}, (0.0, 1.0), solver=solver)
+    assert run.jumps.edge[0] == "one"
+    assert run.jumps.t[0] == pytest.approx(0.7, rel=1e-15)  # spacings
+    assert run.final.n == (3.0 if first else 9.0)  # behind the guard there is no clock
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_between_impacts_at_rest_and_after_it_clocks_ring(solver):
+    run = hy.simulate(Kicked(), {"x": 0.5, "v": 0.0}, (0.0, 22.0), solver=solver)
+    kicks = [k for k, edge in enumerate(run.jumps.edge) if edge == "kick"]
+    assert run.jumps.t[kicks].tolist() == [2.25, 10.0, 20.0]
+    # behind impacts at 1 and 2 the ball is as high as it gets, 1/32, when it gets the speed 1; it
+    # falls with w, and flights take 2 r w (1 + r + ...); from rest at 10 and 20 it leaves with 1
+    w = np.sqrt(1.0 + 2.0 / 32.0)
+    ends = [point.t for point in run.zeno]
+    assert ends == pytest.approx([2.25 + 1.0 + w + 2.0 * w, 10.0 + 4.0], abs=CLOSE[solver])
+    assert run(21.0).x == pytest.approx(0.5, abs=CLOSE[solver])
+
+
+def test_clocks_are_no_accumulation():
+    times = tuple(2.0 - 0.5**k for k in range(40))
+
+    class Zeno(hy.Automaton):
+        x = hy.state()
+
+        @hy.mode(initial=True)
+        def flow(self, t, s):
+            return 1.0
+
+        @hy.edge(flow, at=times)
+        def mark(self, t, s):
+            return 0.5 * s.x
+
+    run = hy.simulate(Zeno(), {"x": 0.0}, (0.0, 3.0), solver="taylor")
+    assert run.jumps.t.tolist() == list(times)
+    assert not run.zeno
+    assert run.status is hy.Status.REACHED_END
+
+
+@pytest.mark.parametrize("model", [Sampled, Kicked, Relay])
+def test_the_loop_and_the_driver_ring_alike(model, monkeypatch):
+    start = {"x": 0.5, **dict.fromkeys(model.spec.names[1:], 0.0)}
+    by_loop = hy.simulate(model(), start, (0.0, 12.0), solver="taylor")
+    without_loop(monkeypatch)
+    by_driver = hy.simulate(model(), start, (0.0, 12.0), solver="taylor")
+    assert by_loop.jumps.edge.tolist() == by_driver.jumps.edge.tolist()
+    assert by_loop.jumps.t == pytest.approx(by_driver.jumps.t, abs=1e-12)
+    assert np.array(by_loop.final) == pytest.approx(np.array(by_driver.final), abs=1e-12)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_lanes_have_periods_of_their_own(solver):
+    periods = [0.1, 0.25, 0.3]
+    lanes = hy.ensemble(
+        Sampled(), {"x": 1.0, "u": 0.0}, (0.0, 1.0), parameters={"period": periods}, solver=solver
+    )
+    assert lanes.jumps.values.tolist() == [10, 4, 3]
+    for k, period in enumerate(periods):
+        alone = hy.simulate(Sampled(period=period), {"x": 1.0, "u": 0.0}, (0.0, 1.0), solver=solver)
+        assert float(lanes.x[k]) == pytest.approx(alone.final.x, abs=CLOSE[solver])
+
+
+def test_derivatives_by_the_period_and_by_the_start_are_those_of_differences():
+    fly = hy.as_function(Sampled(), t=(0.0, 0.95), solver="taylor", max_jumps=20)
+
+    def last(period, x):
+        return fly(Sampled(period=period), {"x": x, "u": 0.0}).final.x
+
+    h = 1e-5  # differences are off by h * h times a third derivative
+    with jax.enable_x64(True):
+        by_period, by_x = jax.jacfwd(last, (0, 1))(0.3, 1.0)
+        moved = (last(0.3 + h, 1.0) - last(0.3 - h, 1.0)) / (2 * h)
+        assert by_period == pytest.approx(moved, rel=1e-8)
+        assert by_x == pytest.approx(last(0.3, 1.0), rel=1e-12)  # the run is linear in it
+
+
+def test_a_clock_beside_a_delay():
+    class Late(hy.Automaton):
+        x = hy.state()
+
+        @hy.mode(initial=True)
+        def flow(self, t, s, past):
+            return past(1.0).x
+
+        @hy.edge(flow, at=0.5)
+        def jump(self, t, s):
+            return s.x + 1.0
+
+    for solver in SOLVERS:
+        run = hy.simulate(Late(), {"x": 0.0}, (0.0, 2.0), solver=solver, history={"x": 0.0})
+        assert run.jumps.t.tolist() == [0.5]
+        assert run.final.x == pytest.approx(1.0 + 0.5, abs=CLOSE[solver])  # 1 is seen from 1.5 on
+
+
+def test_a_run_with_clocks_is_pickled_and_saved(tmp_path):
+    run = hy.simulate(Sampled(), {"x": 1.0, "u": 0.0}, (0.0, 0.5), solver="taylor")
+    again = pickle.loads(pickle.dumps(run))
+    run.save(tmp_path / "run.nc")
+    for other in (again, hy.load(tmp_path / "run.nc")):
+        assert other.jumps.t.tolist() == run.jumps.t.tolist()
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"every": -0.5}, "a period is one number above 0"),
+        ({"every": "hours"}, "'hours' is no parameter"),
+        ({"at": (1.0, 1.0)}, "give increasing times"),
+        ({"at": ()}, "give one time at least"),
+        ({"at": 1.0, "every": 1.0}, "together with every="),
+        ({"at": 1.0, "guard": lambda self, t, s: s.x}, "guard= together with at="),
+        ({"at": float("nan")}, "is no time"),
+        ({}, "give a guard, or the times"),
+    ],
+)
+def test_what_makes_no_clock_is_refused(given, said):
+    with pytest.raises(hy.DeclarationError, match=said) as fault:
+
+        class Wrong(hy.Automaton):
+            x = hy.state()
+
+            @hy.mode(initial=True)
+            def flow(self, t, s):
+                return 1.0
+
+            tick = hy.edge(flow, **given)
+
+    assert len(fault.value.faults) == 1
+    assert "edge tick" in str(fault.value)
+
+
+def test_a_parameter_that_is_no_period_is_refused():
+    with pytest.raises(hy.ParameterError, match=r"Sampled, edge sample: every='period' is \[-1"):
+        Sampled(period=-1.0)
+    assert attrs.evolve(Sampled(), period=2.0).period == 2.0
+    assert jnp.ndim(jax.tree_util.tree_leaves(Sampled())[0]) == 0
+
+
+def test_a_proof_before_the_run_has_no_clock():
+    with pytest.raises(hy.HybridError, match="Kicked, edge kick, fires at given times"):
+        hy.certify(Kicked(), {"x": (0.0, 1.0), "v": (-2.0, 2.0)})
+
+
+def test_a_clock_may_end_the_run():
+    class Alarm(hy.Automaton):
+        x = hy.state()
+
+        @hy.mode(initial=True)
+        def flow(self, t, s):
+            return 1.0
+
+        over = hy.edge(flow, to=hy.TERMINATE, at=0.75)
+
+    run = hy.simulate(Alarm(), {"x": 0.0}, (0.0, 2.0), solver="taylor")
+    assert run.status is hy.Status.TERMINATED
+    assert (run.t1, run.final.x) == (0.75, 0.75)
