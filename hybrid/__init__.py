@@ -23,6 +23,7 @@ from .automaton import (
     mode,
     output,
     parameter,
+    picture,
     state,
     switching,
 )
@@ -129,6 +130,7 @@ __all__ = [
     "output",
     "parameter",
     "periodic_orbit",
+    "picture",
     "return_map",
     "simulate",
     "state",

@@ -41,6 +41,8 @@ LAYERS = [
 MEANT = {
     # the version
     ("trajectory.stats", "__init__"),
+    # Model.draw(), a method of every model
+    ("automaton.base", "plot.graph"),
 }
 
 

@@ -1,14 +1,23 @@
 """Small pictures, pictures for papers, drawings of automata, and moving ones."""
 
 import xml.etree.ElementTree as ElementTree
+from itertools import pairwise
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from PIL import Image
 
 import hybrid as hy
+from hybrid.automaton.picture import looks
+from hybrid.plot.graph import graph
 from models.bead_on_table import BeadOnTable
 from models.bouncing_ball import BouncingBall
+from models.relay import Relay
+from models.two_tanks import TwoTanks
+
+from .systems import Thermostat
 
 
 def test_a_notebook_shows_words_and_a_small_picture():
@@ -115,3 +124,121 @@ def test_panels_are_chosen_and_drawn_where_asked():
         run.plot(["energy"], ax=axes)
     with pytest.raises(hy.OptionError, match="panels: 'tiem'; there are: time, phase, gaps, modes"):
         run.plot(panels=("tiem",))
+
+
+class Pendulum(hy.Automaton):
+    """A pendulum beside a wall."""
+
+    a = hy.state(unit="rad")
+    w = hy.state(unit="rad/s")
+    length = hy.parameter(2.0)
+
+    @hy.mode
+    def swing(self, t, s):
+        return s.w, -9.81 * jnp.sin(s.a) / self.length
+
+    wall = hy.contact(swing, gap=lambda self, t, s: s.a + 0.2, restitution=0.8)
+
+    @hy.picture
+    def look(self, t, s):
+        bob = self.length * jnp.array([jnp.sin(s.a), -jnp.cos(s.a)])
+        return [jnp.stack([jnp.zeros(2), bob]), bob[None]]
+
+
+def test_a_model_that_says_what_it_looks_like_moves(tmp_path):
+    """Frames over the whole run, in which something moves; a method that can still be called."""
+    run = hy.simulate(Pendulum(length=1.5), {"a": 1.0, "w": 0.0}, (0.0, 2.0))
+    run.animate(tmp_path / "run.gif", seconds=0.5, fps=10, size=(2.0, 2.0))
+    with Image.open(tmp_path / "run.gif") as movie:
+        assert (movie.n_frames, movie.size) == (5, (200, 200))
+        frames = []
+        for k in range(movie.n_frames):
+            movie.seek(k)
+            frames.append(np.asarray(movie.convert("L")))
+    assert all(np.any(one != other) for one, other in pairwise(frames))
+    times, states = np.array([0.0, 1.0]), np.array([[0.5, 0.0], [1.0, 0.0]])
+    rod, bob = looks(run.spec, run.parameters, times, states)
+    assert (rod.shape, bob.shape) == ((2, 2, 2), (2, 1, 2))
+    np.testing.assert_allclose(bob[1, 0], [1.5 * np.sin(1.0), -1.5 * np.cos(1.0)], rtol=1e-15)
+    assert len(Pendulum().look(0.0, run(1.0))) == 2
+
+
+class Shapeless(Pendulum):
+    @hy.picture
+    def look(self, t, s):
+        return [jnp.array([s.a, s.w, s.a])]
+
+
+@pytest.mark.parametrize(
+    ("model", "path", "options", "said"),
+    [
+        (Shapeless(), "x.gif", {}, r"look gives an array of shape \(3,\); give a list"),
+        (BouncingBall(), "x.gif", {}, "it has no method with @hy.picture"),
+        (Pendulum(), "x.mp4", {}, "end the name in .gif"),
+        (Pendulum(), "x.gif", {"fps": 0}, "two frames at least"),
+    ],
+)
+def test_what_cannot_be_shown_moving_is_refused(model, path, options, said, tmp_path):
+    """With a sentence."""
+    run = hy.simulate(model, [1.0, 0.0], (0.0, 0.1))
+    with pytest.raises(hy.OptionError, match=said):
+        run.animate(tmp_path / path, **options)
+
+
+GRAPHS = {
+    "ball": (BouncingBall, ["flight", "flight.rest(impact)"], {("flight", "flight"): ["impact ↓"]}),
+    "thermostat": (
+        Thermostat,
+        ["on", "off"],
+        {("on", "off"): ["hot ↓"], ("off", "on"): ["cold ↓"]},
+    ),
+    "relay": (
+        Relay,
+        ["up", "slide(relay)", "down"],
+        {("up", "down"): ["relay ↓"], ("down", "up"): ["relay ↑"]},
+    ),
+    "tanks": (
+        TwoTanks,
+        ["fills_first", "fills_second", "shares"],
+        {
+            ("fills_first", "fills_second"): ["to_second ↓"],
+            ("fills_second", "fills_first"): ["to_first ↓"],
+            ("fills_first", "shares"): ["limit ∞"],
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize("name", GRAPHS)
+def test_an_automaton_as_boxes_and_arrows(name, tmp_path):
+    """Every mode once, rests and sliding beside them; every edge with the way of its guard."""
+    model, nodes, edges = GRAPHS[name]
+    shown = graph(model.spec)
+    assert [node.name for node in shown.nodes] == nodes
+    labelled = [arrow for arrow in shown.arrows if arrow.labels]
+    assert {(nodes[a.source], nodes[a.to]): list(a.labels) for a in labelled} == edges
+    dashed = [node for node in shown.nodes if node.kind in ("rest", "slide")]
+    assert len(shown.arrows) - len(labelled) == sum(1 + (n.kind == "slide") for n in dashed)
+    figure = model.draw(tmp_path / "graph.png")
+    assert (tmp_path / "graph.png").stat().st_size > 5_000
+    assert set(nodes) <= {text.get_text() for text in figure.axes[0].texts}
+
+
+def test_twelve_modes_are_apart():
+    """No box on another, no label on a box, nothing cut off, on one page."""
+    body = {"x": hy.state()}
+    for k in range(12):
+        body[f"mode_{k}"] = hy.mode(initial=k == 0)(lambda self, t, s: 1.0)
+    for k in range(12):
+        edge = hy.edge(f"mode_{k}", to=f"mode_{(k + 1) % 12}", guard=lambda self, t, s: 1.0 - s.x)
+        body[f"next_{k}"] = edge(lambda self, t, s: s)
+    figure = type("Ring", (hy.Automaton,), body).draw()
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    assert max(figure.get_size_inches()) < 12
+    boxes = [text.get_window_extent(canvas.get_renderer()) for text in figure.axes[0].texts]
+    assert len(boxes) == 12 + 12 + 2
+    for k, box in enumerate(boxes):
+        assert figure.bbox.contains(box.x0, box.y0)
+        assert figure.bbox.contains(box.x1, box.y1)
+        assert not any(box.overlaps(other) for other in boxes[:k])

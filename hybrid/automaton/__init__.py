@@ -15,6 +15,7 @@ from .markers import (
     switching,
 )
 from .outputs import output
+from .picture import picture
 from .record import Record
 from .spec import ContactSpec, EdgeSpec, ModeSpec, SideSpec, Spec, SwitchingSpec
 
@@ -37,6 +38,7 @@ __all__ = [
     "mode",
     "output",
     "parameter",
+    "picture",
     "state",
     "switching",
 ]

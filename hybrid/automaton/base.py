@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import attrs
 import numpy as np
 
-from ..errors import DeclarationError, OptionError, ParameterError, TraceError
+from ..errors import PLOT, DeclarationError, OptionError, ParameterError, TraceError, need
 from . import outputs, trace
 from .builder import Builder
 from .captured import Captured, captured
@@ -80,6 +80,31 @@ class Automaton:
     def parameters(self) -> tuple[np.ndarray, ...]:
         """Values of the parameters, as arrays of 64 bits, in declared order."""
         return tuple(np.asarray(getattr(self, p.name), dtype=float) for p in self.spec.parameters)
+
+    @classmethod
+    def draw(cls, path: Any = None) -> Any:
+        """Draw the automaton: modes as boxes, edges as arrows with the way their guards take.
+
+        Of a contact that rests, and a switching that slides, the modes that follow are dashed.
+
+        Parameters
+        ----------
+        path : str or path, optional
+            Also write the figure there.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        OptionError
+            If matplotlib is missing.
+        """
+        need("Model.draw", PLOT)
+        from ..plot.graph import draw, graph
+
+        return draw(graph(cls.spec), path)
 
 
 def _collect(cls: type) -> dict[str, Any]:

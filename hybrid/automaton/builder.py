@@ -40,7 +40,7 @@ from .vectors import elements, length
 
 #: Attributes that a record, and a model, have of themselves.
 RECORDS = ("keys", "replace")
-MODELS = ("parameters", "spec", "traces")
+MODELS = ("draw", "parameters", "spec", "traces")
 
 
 def _unguarded(self: Any, t: Any, s: Any) -> Any:

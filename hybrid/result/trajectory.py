@@ -156,6 +156,38 @@ class Trajectory(Solution):
             return draw_on(figure(self, names, panels), ax)
         return draw(figure(self, names, panels), path, size)
 
+    def animate(
+        self,
+        path: Any,
+        *,
+        seconds: float = 6.0,
+        fps: int = 20,
+        size: tuple[float, float] = (4.0, 4.0),
+    ) -> None:
+        """Write a moving picture of a model that says what it looks like (:func:`hybrid.picture`).
+
+        Parameters
+        ----------
+        path : str or path
+            Ends in ``.gif``.
+        seconds : float
+            How long it lasts, whatever the times of the run are.
+        fps : int
+            Frames in a second.
+        size : (width, height)
+            In inches, of a hundred dots.
+
+        Raises
+        ------
+        OptionError
+            If matplotlib is missing; if the model does not say what it looks like, or the run keeps
+            no dense output.
+        """
+        need("run.animate", PLOT)
+        from ..plot.moving import animate
+
+        animate(self, path, seconds, fps, size)
+
     def _repr_html_(self) -> str:
         """What a notebook shows: the words of ``repr``, and a small picture."""
         return f"<pre>{escape(repr(self))}</pre>\n{sketch(self)}"

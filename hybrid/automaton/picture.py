@@ -1,0 +1,67 @@
+"""What a model looks like: points and lines in the plane, for moving pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ..errors import OptionError
+from .spec import Spec
+from .trace import caller, wide
+
+#: What marks a method that draws.
+MARK = "_hybrid_picture"
+
+
+def picture(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Declare what a model looks like: ``@hy.picture`` over a method ``def look(self, t, s)``.
+
+    Notes
+    -----
+    The method returns a list of arrays of shape ``(k, 2)``, by ``jax.numpy``: a line through ``k``
+    points each, or where ``k`` is 1 a dot. There are as many, of the same shapes, at all times.
+    ``run.animate("run.gif")`` shows them.
+    """
+    setattr(function, MARK, True)
+    return function
+
+
+def looks(spec: Spec, parameters: Any, t: Any, x: Any) -> list[np.ndarray]:
+    """The lines of a model at times ``t`` and states ``x``: of each an array ``(n, k, 2)``.
+
+    Raises
+    ------
+    OptionError
+        If the model has no such method, or more than one, or it returns something else.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    if spec.cls is None:
+        what = f"load the run with its model, hy.load(path, {spec.model})"
+        raise OptionError(f"{spec.model}: no file holds what a model looks like: {what}")
+    found = [name for name in dir(spec.cls) if hasattr(getattr(spec.cls, name), MARK)]
+    if len(found) != 1:
+        there = f"it has {', '.join(found)}" if found else "it has no method with @hy.picture"
+        raise OptionError(f"{spec.model}: one method is to say what it looks like; {there}")
+    call = caller(spec.cls, spec, getattr(spec.cls, found[0]))
+
+    def shapes(values: Any, t: Any, x: Any) -> list[Any]:
+        lines = call(values, t, x)
+        return [jnp.asarray(line) for line in lines]
+
+    given = [np.asarray(parameters[each.name], dtype=float) for each in spec.parameters]
+    try:
+        with wide():
+            lines = jax.jit(jax.vmap(shapes, in_axes=(None, 0, 0)))(tuple(given), t, x)
+    except TypeError as fault:
+        raise OptionError(f"{spec.model}: {found[0]}: {fault}") from None
+    for line in lines:
+        if line.ndim != 3 or line.shape[-1] != 2:
+            raise OptionError(
+                f"{spec.model}: {found[0]} gives an array of shape {line.shape[1:]}; give a list "
+                "of arrays of shape (k, 2)"
+            )
+    return [np.asarray(line) for line in lines]
