@@ -127,7 +127,7 @@ def simulate(
         given = {"mode": mode, "history": history}
         require_end(earlier, scene.spec, _parameters(model, scene), t, given)
         start, mode = earlier.final, earlier.mode
-        forgets = memory == "restart" and earlier.arcs[-1].length == 0.0  # just behind a jump
+        forgets = memory == "restart" and earlier.arcs[-1].t0 == earlier.t1  # just behind a jump
         history = earlier if scene.spec.lags and not forgets else None
     kept: dict[str, Any] = {"max_step": max_step, "first_step": first_step, "zeno": zeno}
     kept |= {"max_jumps": max_jumps, "memory": memory}

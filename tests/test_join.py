@@ -10,6 +10,7 @@ import hybrid as hy
 from models.bead_on_table import BeadOnTable
 from models.bouncing_ball import BouncingBall
 from models.hard_spring import HardSpring
+from models.pyragas import Pyragas
 from models.relay import Relay
 from models.two_tanks import TwoTanks
 
@@ -83,6 +84,19 @@ def test_in_two_halves_as_in_one(name, solver):
         far = np.min(np.abs(times[:, None] - whole.jumps.t), axis=1, initial=np.inf) > 1e-6
         for own, theirs in zip(both(times[far]), whole(times[far]), strict=True):
             np.testing.assert_allclose(own, theirs, rtol=CLOSE, atol=CLOSE)
+
+
+@pytest.mark.parametrize("cut", [1.0, 1.9, 2, 2.5, np.nextafter(2.7388763964957996, 3.0)])
+def test_what_a_jump_lets_forget_stays_forgotten(cut):
+    """With memory="restart", also where the run is cut at a jump, or next to it."""
+    options = {"solver": "taylor", "memory": "restart", "rtol": 1e-11, "atol": 1e-13}
+    model, start = Pyragas(), [2.5, 0.0]
+    whole = hy.simulate(model, start, (0.0, 5.0), history={"x1": 2.5, "x2": 0.0}, **options)
+    cut = whole.jumps.t[cut] if isinstance(cut, int) else cut
+    run = hy.simulate(model, start, (0.0, cut), history={"x1": 2.5, "x2": 0.0}, **options)
+    both = run + hy.simulate(model, run, (cut, 5.0), **options)
+    the_same(both, whole)
+    parts_fit(both)
 
 
 def ball(t, start=(1.0, 0.0), **options):
