@@ -99,6 +99,33 @@ def test_what_a_jump_lets_forget_stays_forgotten(cut):
     parts_fit(both)
 
 
+class Ticking(hy.Automaton):
+    """Halved four times a unit of time, and counted."""
+
+    x = hy.state()
+    n = hy.state()
+
+    @hy.mode
+    def flow(self, t, s):
+        return 1.0 - s.x, 0.0
+
+    @hy.edge(flow, to=flow, every=0.25)
+    def tick(self, t, s):
+        return s.replace(x=0.5 * s.x, n=s.n + 1)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "DOP853", "Dopri8"])
+@pytest.mark.parametrize("cut", [0.1, 0.25, 1.0, np.nextafter(1.0, 0.0), np.nextafter(1.0, 2.0)])
+def test_a_clock_rings_once_at_the_cut(cut, solver):
+    """At, just before and just behind one of its times; and behind the last jump allowed."""
+    options = {**SOLVERS[solver], "rtol": 1e-11, "atol": 1e-13}
+    whole = hy.simulate(Ticking(), [0.2, 0.0], (0.0, 2.0), **options)
+    assert whole.final.n == 8
+    for upto, most in ((cut, None), (2.0, 3)):
+        run = hy.simulate(Ticking(), [0.2, 0.0], (0.0, upto), max_jumps=most, **options)
+        the_same(run + hy.simulate(Ticking(), run, (run.t1, 2.0), **options), whole)
+
+
 def ball(t, start=(1.0, 0.0), **options):
     return hy.simulate(BouncingBall(), start, t, **{"solver": "taylor", **options})
 

@@ -568,9 +568,9 @@ class Driver:
         self.look(after)
         if self.record.made >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
-        return self._saw(Columns.of(edge, field.name, now.t, now.low, clock, after))
+        return self.note(Columns.of(edge, field.name, now.t, now.low, clock, after))
 
-    def _saw(self, jumps: Columns) -> bool:
+    def note(self, jumps: Columns) -> bool:
         """Note jumps; whether it is time to look for cycles. Behind a clock they begin anew."""
         if jumps.edge[-1] in self._ringing:
             self.cycles.forget()
@@ -609,7 +609,7 @@ class Driver:
         if self.record.made >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
         times = jumps.t, jumps.low, clocks
-        return self._saw(Columns(jumps.edge, flights.modes, *times, jumps.after))
+        return self.note(Columns(jumps.edge, flights.modes, *times, jumps.after))
 
     def _clocks(self, flights: Flights) -> Numbers:
         """The time without idle flights, at each of some jumps."""

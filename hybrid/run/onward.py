@@ -76,9 +76,9 @@ def _recall(driver: Driver, run: Solution, place: int, arc: Arc, row: JumpRow) -
     """Note a jump: it may be one of a series, or of a cycle."""
     scene = run.hindsight.at(place, arc.t1, "left") if run.hindsight else driver.scene
     field, cycles = scene.field(arc.mode), driver.cycles
-    guard = field.guards[field.column(row.edge)]
+    guard = field.guard(row.edge)
     clock = cycles.clock(scene, field, guard, arc.t0, arc.first, arc.length)
-    cycles.saw(Columns.of(row.edge, arc.mode, row.t, row.low, clock, row.after))
+    driver.note(Columns.of(row.edge, arc.mode, row.t, row.low, clock, row.after))
     if row.edge in driver.scene.contacts:
         driver.watch.saw(row.edge)
     else:
@@ -119,7 +119,7 @@ def _after(driver: Driver, arc: Arc, before: Any, row: JumpRow) -> Jumped:
     """What is known from the jump that the last arc began with."""
     scene, kept = driver.scene, driver.record.log.kept
     left = scene.field(before.mode)
-    guard = left.guards[left.column(row.edge)]
+    guard = left.guard(row.edge)
     kept.append(before)
     driver.arrive(scene.field(arc.mode), arc.first, guard, row.before)
     jumped = driver.came()
