@@ -199,6 +199,19 @@ def test_the_loop_and_the_driver_ring_alike(model, monkeypatch):
     assert np.array(by_loop.final) == pytest.approx(np.array(by_driver.final), abs=1e-12)
 
 
+@pytest.mark.parametrize("model", [Sampled, Kicked, Relay])
+def test_a_run_that_goes_on_at_a_clocks_time_neither_loses_nor_doubles_it(model):
+    start = {"x": 0.5, **dict.fromkeys(model.spec.names[1:], 0.0)}
+    whole = hy.simulate(model(), start, (0.0, 22.0), solver="taylor")
+    for middle in (2.0, 10.0, 10.3):
+        first = hy.simulate(model(), start, (0.0, middle), solver="taylor")
+        both = first + hy.simulate(model(), first, (middle, 22.0), solver="taylor")
+        clocks = [own.jumps.t[own.jumps.edge != "floor"].tolist() for own in (whole, both)]
+        assert clocks[0] == clocks[1]
+        # where arcs are cut, series are cut elsewhere: rounding
+        assert np.array(both.final) == pytest.approx(np.array(whole.final), abs=1e-12)
+
+
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_lanes_have_periods_of_their_own(solver):
     periods = [0.1, 0.25, 0.3]
