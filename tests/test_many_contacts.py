@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import hybrid as hy
+from hybrid.lowering.arithmetic import solve
 
 START, UNTIL = {"x": np.array([0.3, 1.7, 2.9]), "v": np.array([-1.0, -2.0, 0.5])}, (0.0, 2.0)
 
@@ -241,3 +242,31 @@ def test_masses_are_those_of_all_positions():
     said = r"contact impact\[0\]: inverse_mass of shape \(2,\) where \(3,\) is due, for the"
     with pytest.raises(hy.DeclarationError, match=said):
         hy.simulate(Bad(), START, UNTIL)
+
+
+class Counted(float):
+    """A number that counts the products it is part of."""
+
+    products = 0
+
+    def __mul__(self, other):
+        Counted.products += 1
+        return Counted(float(self) * other)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other):
+        return Counted(float(self) / other)
+
+
+def test_contacts_that_touch_two_others_cost_no_cubes():
+    """Forces of a column: twice the beads, four times the products (a full matrix takes eight)."""
+
+    def products(n):
+        rows = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+        Counted.products = 0
+        found = solve([[*map(Counted, row)] for row in rows], [1.0] * n, exchange=True)
+        np.testing.assert_allclose(rows @ found, 1.0, rtol=1e-12)  # the matrix's condition: n^2
+        return Counted.products
+
+    assert products(40) < 5 * products(20)

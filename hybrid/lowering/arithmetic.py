@@ -64,8 +64,11 @@ def solve(matrix: list[list[Any]], right: list[Any], exchange: bool = False) -> 
             best = max(range(k, size), key=lambda i: abs(rows[i][k]))
             rows[k], rows[best] = rows[best], rows[k]
         for i in range(k + 1, size):
+            if exchange and rows[i][k] == 0.0:  # of many contacts most do not touch each other
+                continue
             factor = rows[i][k] / rows[k][k]
-            rows[i] = [p - factor * q for p, q in zip(rows[i], rows[k], strict=True)]
+            pairs = zip(rows[i][k + 1 :], rows[k][k + 1 :], strict=True)
+            rows[i][k + 1 :] = [p - factor * q for p, q in pairs]
     solution: list[Any] = [0.0] * size
     for i in reversed(range(size)):
         known = sum(rows[i][k] * solution[k] for k in range(i + 1, size))
