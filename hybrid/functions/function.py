@@ -275,7 +275,8 @@ def _edges(scene: Scene) -> tuple[str, ...]:
     """The names of all that can jump."""
     slides = [switching.mode for switching in scene.spec.switchings if switching.slides]
     modes = [*(mode.name for mode in scene.spec.modes), *slides]
-    return tuple(dict.fromkeys(name for m in modes for name in scene.code.mode(m).watched(True)))
+    watched = (name for m in modes for name in scene.code.mode(m).watched(True))
+    return tuple(dict.fromkeys((*watched, *(clock.name for clock in scene.spec.clocks))))
 
 
 def _called(runs: Runs) -> Fly:
