@@ -2,9 +2,9 @@
 
     python benchmarks/inputs.py
 
-A decay is held against by what it was at the last sample, 100,000 samples, by Taylor series: once
-with a clock, once with a phase as a state of its own whose guard and reset do the same. Each is
-run in turns, the first call apart. Ratios hold, milliseconds do not.
+A decay is held against, towards a set point, by what it was at the last sample, 100,000 samples,
+by Taylor series: once with a clock, once with a phase as a state of its own whose guard and reset
+do the same. Each is run in turns, the first call apart. Ratios hold, milliseconds do not.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Clocked(hy.Automaton):
 
     @hy.edge(flow, every=PERIOD)
     def sample(self, t, s):
-        return s.x, -0.5 * s.x
+        return s.x, 1.0 - 0.5 * s.x
 
 
 class Phased(hy.Automaton):
@@ -44,7 +44,7 @@ class Phased(hy.Automaton):
 
     @hy.edge(flow, guard=lambda self, t, s: s.phase)
     def sample(self, t, s):
-        return s.x, -0.5 * s.x, PERIOD
+        return s.x, 1.0 - 0.5 * s.x, PERIOD
 
 
 def run(model, start):
