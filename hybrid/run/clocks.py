@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..lowering import Guard
+from ..lowering import Field, Guard
 from ..lowering.automaton import DIRECTIONS
 from ..rules.guards import GUARD_ROUNDING, TIE
 from ..rules.zeros import EPS
@@ -21,22 +21,22 @@ if TYPE_CHECKING:
     from .driver import Driver
 
 
-def due(driver: Driver) -> tuple[Guard | None, float]:
-    """The clock that rings first from here on in the present mode, and when; one that has rung at
-    this time rings later."""
-    now, x, found = driver.record.now, driver.entry.x.tolist(), []
-    for clock in driver.entry.field.clocks:
+def due(driver: Driver, field: Field, x: StateVector) -> tuple[Guard | None, float]:
+    """The clock of a field that rings first from here on, and when; one that has rung at this time
+    rings later."""
+    now, found = driver.record.now, []
+    for clock in field.clocks:
         assert clock.after is not None
         before = now.t if clock.edge in driver.spent else float(np.nextafter(now.t, -np.inf))
-        t = float(clock.after(before, x))
-        found.append((clock, t if now.until(t) >= 0 else float(clock.after(now.t, x))))
+        t = float(clock.after(before, x.tolist()))
+        found.append((clock, t if now.until(t) >= 0 else float(clock.after(now.t, x.tolist()))))
     first = min(found, key=lambda each: each[1], default=(None, np.inf))
     return first if first[1] < np.inf else (None, np.inf)
 
 
 def at_once(driver: Driver) -> bool:
     """Whether a clock rings before any flow, and before what else fires then (4)."""
-    clock, t = due(driver)
+    clock, t = due(driver, driver.entry.field, driver.entry.x)
     if clock is None or driver.record.now.until(t) > 0:
         return False
     driver.renew()

@@ -146,7 +146,7 @@ class Driver:
                 self.status = Status.MAX_STEPS
             elif self.entry.field.clocks and clocks.at_once(self):
                 self.record.arc(self.entry.field, self.entry.x, self.entry.x, 0.0, [])
-                clock, t = clocks.due(self)
+                clock, t = clocks.due(self, self.entry.field, self.entry.x)
                 assert clock is not None
                 self.ring(clock, t, self.entry.x)
             elif self.entry.at_once:
@@ -230,9 +230,9 @@ class Driver:
         memory = self.record.memory
         return self.plan.t1 if memory is None else memory.known
 
-    def until(self, t: float) -> float:
-        """A time, or that of a clock that rings before it."""
-        return min(t, clocks.due(self)[1])
+    def until(self, t: float, field: Field, x: StateVector) -> float:
+        """A time, or that of a clock of a field that rings before it."""
+        return min(t, clocks.due(self, field, x)[1])
 
     def ring(self, clock: Guard, t: float, x: StateVector) -> None:
         """Carry out the jump of a clock, at its time."""
@@ -309,7 +309,7 @@ class Driver:
     def flow_arc(self) -> None:
         """Flow an arc and carry out the jump that ends it."""
         entry, now, memory = self.entry, self.record.now, self.record.memory
-        (clock, due), until = clocks.due(self), self.horizon
+        (clock, due), until = clocks.due(self, entry.field, entry.x), self.horizon
         flown = ArcFlow(self.scene, self.flies, self.plan, entry, now, min(due, until)).run()
         self.steps += flown.steps
         if memory is not None:
@@ -545,7 +545,8 @@ class Driver:
         if unit("hops").drowns(v, force, NEAR * reach):  # a dozen digits of the gap are rounding
             self._require_series(contact.name, x, field)
         flown = hop(field, contact, column, t, x, v, GUARD_ROUNDING * EPS * reach)
-        if flown is None or self.record.now.after(flown[0]).until(self.until(self.known)) < 0:
+        until = self.until(self.known, field, x)
+        if flown is None or self.record.now.after(flown[0]).until(until) < 0:
             return None
         time, segments, before, after, speed = flown
         if self.wary and not follows(field, t, segments):
@@ -681,11 +682,8 @@ class Driver:
         if watch.count < self.plan.patience or not 0 < v <= PATIENCE * watch.tried:
             return False
         watch.tried = v
-        tail = self.tail(contact, x, v, field)
-        if (
-            tail is None
-            or self.record.now.after(tail.remaining).until(self.until(self.horizon)) < 0
-        ):
+        tail, until = self.tail(contact, x, v, field), self.until(self.horizon, field, x)
+        if tail is None or self.record.now.after(tail.remaining).until(until) < 0:
             return False
         memory = self.record.memory
         if memory is not None and not memory.stays(TailPart(tail, self.record.j)):

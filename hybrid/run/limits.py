@@ -134,7 +134,7 @@ def pass_limit(driver: Driver, mode: str) -> bool:
         driver.pass_cycle(slower, cycles.seen.x[-1].copy(), mode)
         return True
     sought = _sought(cycles, plan)
-    known = driver.until(driver.known)
+    known = driver.until(driver.known, driver.scene.field(mode), cycles.seen.x[-1])
     if sought is None or driver.record.now.after(sought[0].remaining).until(known) < 0:
         return False
     found, turn = sought
