@@ -11,6 +11,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+import hybrid as hy
 from hybrid.cli import app
 
 pytestmark = pytest.mark.pages
@@ -49,6 +50,19 @@ def test_code_blocks_run(page, capsys, tmp_path, monkeypatch):
     finally:
         jax.config.update("jax_enable_x64", wide)
     assert "run" not in scope or scope["run"].status.name == "REACHED_END"
+
+
+@pytest.mark.parametrize("solver", ["scipy", "diffrax"])
+def test_recipes_hold_with_each_solver(solver, capsys, monkeypatch):
+    """What the cookbook prints is asked of the solvers that it does not name."""
+    simulate, page = hy.simulate, (ROOT / "docs/cookbook.md").read_text()
+    given = {"solver": solver, "rtol": 1e-10, "atol": 1e-12}
+    monkeypatch.setattr(hy, "simulate", lambda *args, **own: simulate(*args, **given | own))
+    scope = {"__name__": "page"}
+    for block, shown in SHOWN.findall(page):
+        exec(compile(block, "cookbook.md", "exec"), scope)
+        if shown:
+            agree(capsys.readouterr().out, shown)
 
 
 def agree(printed, shown):
