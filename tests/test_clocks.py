@@ -276,6 +276,8 @@ def test_a_run_with_clocks_is_pickled_and_saved(tmp_path):
         ({"at": 1.0, "every": 1.0}, "together with every="),
         ({"at": 1.0, "guard": lambda self, t, s: s.x}, "guard= together with at="),
         ({"at": float("nan")}, "is no time"),
+        ({"every": 1.0, "when": lambda self, t, s: s.x}, "when= together with at="),
+        ({"at": 1.0, "urgent": True}, "urgent= together with at="),
         ({}, "give a guard, or the times"),
     ],
 )

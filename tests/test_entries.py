@@ -20,6 +20,7 @@ PLAIN = {
     "derived": False,
     "passing": False,
     "before": 0,
+    "urgent": False,
 }
 
 
@@ -52,6 +53,13 @@ PLAIN = {
         (FIRES, {"kind": RELEASE, "order": 0, "sign": -1, "derived": True}),
         (FIRES, {"order": 0, "sign": -1, "passing": True, "before": 1}),
         (ARMED, {"order": 0, "sign": -1, "passing": True, "before": -1}),
+        # urgent: beyond zero, and at it for good, but not in the middle of an arc
+        (FIRES, {"order": 0, "sign": -1, "urgent": True}),
+        (FIRES, {"order": 0, "sign": -1, "urgent": True, "used": True}),
+        (ARMED, {"order": 0, "urgent": True}),
+        (FIRES, {"sign": 0, "urgent": True}),
+        (UNDECIDED, {"sign": 0, "urgent": True, "used": True}),
+        (ARMED, {"order": 0, "sign": -1, "urgent": True, "passing": True, "before": -1}),
         # on a surface: whether the other flow leaves it as well is still to be asked
         (LEAVES, {"kind": SWITCH}),
         (FIRES, {"kind": SWITCH, "sign": -1}),

@@ -31,6 +31,7 @@ OWNERS = {
     "guard": "edge",
     "reset": "edge",
     "clock": "edge",
+    "when": "edge",
     "gap": "contact",
     "restitution": "contact",
     "surface": "switching",
@@ -217,7 +218,8 @@ class _Traced:
     ) -> None:
         numbers = lags.numbers.get((kind, owner), [])
         call = trace.caller(self.cls, self.spec, function, numbers)
-        shaped = outputs.numbers if kind == "output" else trace.scalar
+        others = {"output": outputs.numbers, "when": trace.condition}
+        shaped = others.get(kind, trace.scalar)
         call = trace.vector(self.spec, call) if whole else shaped(call)
         closed = trace.trace(self.spec, call, extra)
         trace.require_wide(self.cls, closed, function)
@@ -281,6 +283,8 @@ def _functions(spec: Spec) -> Iterator[tuple[str, str, Any, bool, int]]:
         elif isinstance(edge, EdgeSpec):
             yield "guard", edge.name, edge.guard, False, 0
             yield "reset", edge.name, edge.reset, True, 0
+            if edge.when is not None:
+                yield "when", edge.name, edge.when, False, 0
         if isinstance(edge, ClockSpec):
             yield "clock", edge.name, edge.after, False, 0
     for switching in spec.switchings:

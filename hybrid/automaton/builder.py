@@ -172,7 +172,18 @@ class Builder:
             self.faults.append(
                 f"{where}: crossing={marker.crossing!r}; use hy.FALLING, hy.RISING or hy.EITHER"
             )
-        return EdgeSpec(marker.name, source, to, marker.guard, marker.crossing, marker.reset)
+        if marker.when is not None:
+            self.signature(f"{where}, when", marker.when, ("t", "s"))
+        if not isinstance(marker.urgent, bool):
+            self.faults.append(f"{where}: urgent={marker.urgent!r}; give True or False")
+        elif marker.urgent and marker.crossing is Crossing.EITHER:
+            self.faults.append(
+                f"{where}: urgent=True with crossing=hy.EITHER, whose guard has no side beyond "
+                "zero; give hy.FALLING or hy.RISING"
+            )
+        made = marker.guard, marker.crossing, marker.reset
+        urgent = marker.urgent is True
+        return EdgeSpec(marker.name, source, to, *made, when=marker.when, urgent=urgent)
 
     def contacts(
         self,
@@ -195,6 +206,15 @@ class Builder:
         found = list(faults(marker.times, parameters))
         if marker.guard is not None:
             found.append("guard= together with at= or every=; give one of them")
+        if marker.when is not None:
+            found.append(
+                "when= together with at= or every=: it fires at each of its times; let its reset "
+                "return the state as it is where the condition fails"
+            )
+        if marker.urgent is not False:
+            found.append(
+                "urgent= together with at= or every=: its times are never beyond zero; leave it out"
+            )
         self.faults += [f"{where}: {fault}" for fault in found]
         return own if found else clock(own, marker.times)
 

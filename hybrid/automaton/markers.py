@@ -88,6 +88,8 @@ class EdgeMarker(_Named):
     guard: Callable[..., Any] | None
     crossing: Crossing
     times: Times | None = None
+    when: Callable[..., Any] | None = None
+    urgent: bool = False
 
     def __call__(self, reset: Callable[..., Any]) -> EdgeMarker:
         return attrs.evolve(self, reset=reset)
@@ -219,6 +221,8 @@ def edge(
     to: Any = None,
     guard: Callable[..., Any] | None = None,
     crossing: Crossing = Crossing.FALLING,
+    when: Callable[..., Any] | None = None,
+    urgent: bool = False,
     at: Any = None,
     every: Any = None,
     offset: Any = 0.0,
@@ -237,6 +241,12 @@ def edge(
         A scalar; positive inside the source's domain when ``crossing`` is ``FALLING``.
     crossing : FALLING, RISING or EITHER
         The direction in which the guard must reach zero.
+    when : callable ``(self, t, s)``, optional
+        A condition, true or greater than 0 where the edge may fire. It is read at a zero of the
+        guard, from the values before the jump; where it fails there the zero is passed. It fires
+        nothing by itself, and the guard does not bound the mode.
+    urgent : bool
+        Whether the edge fires, too, where its guard is already beyond zero as the mode is entered.
     at : number, name of a parameter, or sequence of these
         The increasing times at which the edge fires, instead of a guard; a parameter may be an
         array of times.
@@ -246,7 +256,8 @@ def edge(
     """
     clock = not (at is None and every is None)
     times = Times(at, every, offset) if clock else None
-    return EdgeMarker(_unchanged, source, source if to is None else to, guard, crossing, times)
+    to = source if to is None else to
+    return EdgeMarker(_unchanged, source, to, guard, crossing, times, when, urgent)
 
 
 def _unchanged(self: Any, t: Any, s: Any) -> Any:

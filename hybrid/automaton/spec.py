@@ -61,7 +61,7 @@ class ModeSpec:
 
 @attrs.frozen(eq=False)
 class EdgeSpec:
-    """An edge: where it leads from and to, its guard and reset."""
+    """An edge: where it leads from and to, its guard and reset, and when it may fire."""
 
     name: str
     source: str
@@ -69,6 +69,8 @@ class EdgeSpec:
     guard: Callable[..., Any]
     crossing: Crossing
     reset: Callable[..., Any]
+    when: Callable[..., Any] | None = attrs.field(default=None, kw_only=True)
+    urgent: bool = attrs.field(default=False, kw_only=True)
 
 
 @attrs.frozen(eq=False)

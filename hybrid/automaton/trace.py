@@ -97,6 +97,18 @@ def scalar(call: Traced) -> Traced:
     return one
 
 
+def condition(call: Traced) -> Traced:
+    """``call`` as a number that is greater than 0 where its result is, or is true."""
+
+    def number(*given: Any) -> Any:
+        import jax.numpy as jnp
+
+        value = jnp.asarray(call(*given))
+        return jnp.where(value, 1.0, -1.0) if value.dtype == bool else value
+
+    return scalar(number)
+
+
 def real_valued(array: Any, name: str) -> Any:
     """The array given, unless it is complex: its imaginary part would be lost.
 

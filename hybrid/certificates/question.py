@@ -10,7 +10,7 @@ import attrs
 
 from ..automaton import trace
 from ..automaton.base import require_model
-from ..automaton.spec import ContactSpec, Spec
+from ..automaton.spec import ContactSpec, EdgeSpec, Spec
 from ..bounds.exact import FixedGraph, hides_derivatives
 from ..bounds.extrema import Bounds, ScalarFunction
 from ..bounds.interval import IntervalProgram
@@ -160,6 +160,12 @@ class Question:
     def other_guards(self, place: Callable[[Traced], Traced]) -> dict[str, ScalarFunction]:
         """The guards of the mode's other edges; ``place`` puts the state into them."""
         edges = [e for e in self.spec.leaving(self.contact.source) if e is not self.contact]
+        urgent = [e.name for e in edges if isinstance(e, EdgeSpec) and e.urgent]
+        if urgent:
+            self.refuse(
+                f"edge {urgent[0]} is urgent, and may fire behind any impact: simulate the model, "
+                "and ask the accumulations of the run for their proofs"
+            )
         guards = {e.name: trace.again(self.code.guard_closed(e)) for e in edges}
         return {name: self.function(place(guard)) for name, guard in guards.items()}
 

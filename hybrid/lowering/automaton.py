@@ -20,6 +20,7 @@ from ..rules.places import (
     CONTACT,
     DEPENDS,
     EDGE,
+    GUARD_COLUMNS,
     GUARDS,
     GUARDS_END,
     HARD,
@@ -130,7 +131,7 @@ class Tables:
         """The automaton, as far as its fields have been asked for."""
         if self._made is None:
             fields, uses = (np.array(rows, dtype=np.int64) for rows in (self._fields, self._uses))
-            guards = np.array(self._rows, dtype=np.int64).reshape(-1, OWN + 1)
+            guards = np.array(self._rows, dtype=np.int64).reshape(-1, GUARD_COLUMNS)
             programs = self._programs.programs()
             recall(programs, self._recalled, self._order)
             self._recalled = len(programs.code)
@@ -235,11 +236,16 @@ class Tables:
         lags = self._lags(field) if plain else -1
         times = [self._times(field, clock) for clock in field.clocks if plain]
         plain = plain and HARD not in (surface, lags, *times) and (not field.held or min(onto) >= 0)
+        whens = [self._when(field, guard) for guard in field.guards] if plain else []
+        plain = plain and -1 not in whens
         self.numbers[field.name] = len(self.fields)
         self.fields.append(field)
         program = self._program(jets) if plain and jets else -1
         guards, clocks = (field.guards, field.clocks) if plain else ((), ())
-        self._rows += [self._row(field, guard, base) for guard in guards]
+        self._rows += [
+            [*self._row(field, guard, base), when, int(guard.urgent)]
+            for guard, when in zip(guards, whens, strict=False)
+        ]
         self._rows += [self._clock(field, *each, base) for each in enumerate(times) if plain]
         self._leads += [self._lead(field, guard) for guard in (*guards, *clocks)]
         self.guards += (*guards, *clocks)
@@ -280,7 +286,7 @@ class Tables:
         return self._of_values(field, ("onto", of_speed), lambda: graph.onto(of_speed))
 
     def _row(self, field: Field, guard: Guard, base: int) -> list[int]:
-        """A guard's row; its columns are named in :mod:`hybrid.rules.places`."""
+        """A guard's row up to its condition; columns are named in :mod:`hybrid.rules.places`."""
         code, uses = self.scene.code, len(self._uses)
         self._uses += guard.uses
         graph, name = code.mode(field.mode), guard.edge
@@ -304,7 +310,7 @@ class Tables:
         shape = [int(guard.bounds), int(guard.affine), to, *programs, sizes, uses, len(self._uses)]
         kinked = any(other.kinks for other in field.guards)
         judged = guard.kind is Kind.SWITCH and (slides or lags)  # and so is this
-        at = HARD if judged or kinked else UNKNOWN
+        at = HARD if judged or kinked or field.hurried else UNKNOWN
         if guard.kind is Kind.WINDOW:
             at = window_ends(self.scene.spec).index(name)
         own, rest = len(self._rows) + field.column(name), UNKNOWN
@@ -312,6 +318,16 @@ class Tables:
             free = self.first(base) + self.fields[base].column(name.removesuffix(RELEASE_SUFFIX))
             own, rest = (own, free) if guard.kind is Kind.RELEASE else (free, UNKNOWN)
         return [kind, crossing, *shape, int(bends), at, 0, UNKNOWN, rest, 0, own]
+
+    def _when(self, field: Field, guard: Guard) -> int:
+        """The number of the program of an edge's condition; ``NONE`` where it has none, -1 where
+        there is no such program."""
+        if guard.when is None:
+            return NONE
+        code, what = self.scene.code, ("when", guard.edge)
+        return self._of_values(
+            field, what, lambda: code.mode(field.mode).values(code.closed(*what))
+        )
 
     def _again(self, guard: Guard) -> bool:
         """Whether an edge is watched in the mode to which it leads."""
@@ -334,7 +350,8 @@ class Tables:
         program = -1 if judged else self._of_values(field, reset, values)
         own = self._fields[base][GUARDS_END] + place if field.held else len(self._rows)
         to, uses = UNKNOWN if self._lead(field, clock) else NONE, [len(self._uses)] * 2
-        return [CLOCK, 0, 0, 1, to, program, -1, -1, *uses, 0, times, 0, UNKNOWN, NONE, 0, own]
+        shape = [0, 0, 1, to, program, -1, -1, *uses, 0]
+        return [CLOCK, *shape, times, 0, UNKNOWN, NONE, 0, own, NONE, 0]
 
     def _surface(self, field: Field) -> int:
         """The number of the program back onto the surface on which a field slides; -1 where it

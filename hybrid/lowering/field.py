@@ -77,6 +77,10 @@ class Guard:
         Whether it bounds its mode; an event that the flow passes does not.
     after : callable ``(t, x)``, optional
         Of a clock, whose guard is not watched: the first of its times behind ``t``.
+    when : callable ``(t, x)`` or None
+        Of an edge with a condition: greater than 0 where it holds.
+    urgent : bool
+        Whether an edge fires where its guard is beyond zero as the mode is entered.
     """
 
     edge: str
@@ -91,6 +95,12 @@ class Guard:
     kinks: tuple[Kink, ...] = ()
     bounds: bool = True
     after: Scalar | None = None
+    when: Scalar | None = None
+    urgent: bool = False
+
+    def holds(self, t: float, x: list[float]) -> bool:
+        """Whether it may fire: its condition, if it has one, holds."""
+        return self.when is None or bool(self.when(t, x) > 0.0)
 
     @property
     def closed(self) -> Any:
@@ -169,6 +179,11 @@ class Field:
     def closed(self) -> Any:
         """The flow's jaxpr."""
         return self.trace()
+
+    @property
+    def hurried(self) -> bool:
+        """Whether entering it may fire an edge at any time: a jump back into it is never idle."""
+        return any(guard.urgent and guard.when is not None for guard in self.guards)
 
     def column(self, edge: str) -> int:
         """Place of an edge's guard among the guards."""

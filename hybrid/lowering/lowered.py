@@ -323,13 +323,15 @@ class Lowered:
 
     def bounds(self, edge: Transition, parameters: Sequence[float]) -> bool:
         """Whether a guard bounds its mode, for these values of the parameters (of windows, which
-        may follow them, it is not asked what they show).
+        may follow them, it is not asked what they show). One with a condition does not.
 
         One does not if its edge leads back into the mode, and the reset leaves the guard where it
         is and does not turn its motion round: the flow goes on through zero. What is the same
         expression before and after the reset is the same; of a kick, which changes the guard's
         rate, random points show whether it turns the motion round.
         """
+        if isinstance(edge, EdgeSpec) and edge.when is not None:
+            return False
         stays, kicked = self._kick(edge)
         return not stays or (kicked is not None and self._turns(edge.crossing, kicked, parameters))
 

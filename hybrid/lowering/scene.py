@@ -227,8 +227,14 @@ class Scene:
         affine, uses = code.once(("shape", name, mode), shape)
         kinks = self._kinks(mode, held, name, lambda g: g.deciding(name))
         bounds = kind is not Kind.EDGE or code.bounds(edge, self.values)
+        when, urgent = None, False
+        if isinstance(edge, EdgeSpec) and kind is Kind.EDGE:
+            urgent = edge.urgent
+            if edge.when is not None:
+                closed = lambda: code.closed("when", name)  # noqa: E731
+                when = code.program(("when", name), closed).bind(self.values)
         made = here, lie.bind(numbers), affine, uses, trace, kinks, bounds
-        return Guard(name, kind, edge.to, edge.crossing, *made)
+        return Guard(name, kind, edge.to, edge.crossing, *made, when=when, urgent=urgent)
 
     def _clock(self, edge: Transition, mode: str, held: tuple[str, ...]) -> Guard:
         """What fires at given times; its guard is what it is beside them."""
@@ -267,6 +273,12 @@ class Scene:
     def contacts(self) -> frozenset[str]:
         """Names of the contacts."""
         return frozenset(e.name for e in self.spec.transitions if isinstance(e, ContactSpec))
+
+    @cached_property
+    def conditional(self) -> frozenset[str]:
+        """Names of the edges that have a condition."""
+        edges = (e for e in self.spec.transitions if isinstance(e, EdgeSpec))
+        return frozenset(e.name for e in edges if e.when is not None)
 
     @cached_property
     def paired(self) -> list[tuple[int, int]]:

@@ -29,6 +29,7 @@ from .places import (
     FULL,
     GAP_SPEED,
     GUARD_POWER,
+    GUARDS,
     HARD,
     HOPS,
     IMPACT_COUNT,
@@ -63,6 +64,7 @@ from .places import (
     TO,
     TRIED,
     UNKNOWN,
+    URGENT,
     WAS_LOW,
     T,
 )
@@ -117,7 +119,7 @@ def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> i
             if values(a, a.guards[guard, RESET], t, now.end, room, behind):
                 status, to = stays(a, now, room, t, behind, to)
                 held = kind == EDGE and unchanged(a, now, room, t, before, behind)
-                power = 1 if held else 0
+                power = 1 if held and not beyond(a, now, guard) else 0
         elif to == now.ints[FIELD]:
             status, to = impact(a, run, now, room, t, before, behind)
             power = 1 if now.floats[GAP_SPEED] > 0.0 else PULLED
@@ -284,6 +286,12 @@ def unchanged(
     here = room.aside[row, 0]
     afresh(a.programs, program, 0, t, behind, room.still, room.aside, room.work)
     return here == room.aside[row, 0]
+
+
+def beyond(a: AutomatonArrays, now: Now, guard: int) -> bool:
+    """Whether a guard that has fired before any flow is off zero: it was urgent."""
+    urgent = a.guards[guard, URGENT] == 1
+    return urgent and now.orders[guard - a.fields[now.ints[FIELD], GUARDS]] == 0
 
 
 def watch(a: AutomatonArrays, now: Now, guard: int, kind: int) -> None:

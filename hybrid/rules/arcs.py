@@ -35,6 +35,7 @@ from .lengths import falls
 from .places import (
     AIM,
     BEGINS,
+    CONDITION,
     CONSTRAINED,
     CONTACT,
     CROSSED,
@@ -382,6 +383,8 @@ def aim(a: AutomatonArrays, now: Now, room: Room, starting: bool) -> float:
     for g in range(first, a.fields[field, GUARDS_END]):
         kind, crossing = a.guards[g, KIND], a.guards[g, CROSSING]
         order = now.orders[g - first] if starting else 0
+        if a.guards[g, CONDITION] != NONE:
+            continue
         back = kind in (EDGE, SWITCH) and order == 1
         if (kind == CONTACT and order <= 1) or (crossing != 0 and (back or not starting)):
             c = room.c[row_of(a, a.fields[field, FIELD_PROGRAM], field, g)]

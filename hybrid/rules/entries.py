@@ -9,7 +9,7 @@ import math
 
 from .arrays import AutomatonArrays, Floats, Matrix, Now, Room
 from .contacts import joined
-from .guards import GUARD_ROUNDING, NEAR, largest, row_of, sizes_of
+from .guards import GUARD_ROUNDING, NEAR, holds, largest, row_of, sizes_of
 from .hops import drowns
 from .lengths import step_length
 from .places import (
@@ -38,6 +38,7 @@ from .places import (
     RISES,
     SERIES,
     SWITCH,
+    URGENT,
     USES,
     USES_END,
     T,
@@ -93,7 +94,9 @@ def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) ->
     least, flights = now.ints[GUARD_POWER] if used else 0, now.ints[FLIGHTS]
     crossing, other, spent = a.guards[guard, CROSSING], False, now.spent[own] == flights
     before = 1 if now.tied[own] == flights else -1 if now.tied[own] == -flights else 0
-    beyond = before != 0 or (bounds and c[0] * crossing > 0.0)  # rounding, of a guard that is large
+    urgent = a.guards[guard, URGENT] == 1
+    outside = (bounds or urgent) and c[0] * crossing > 0.0
+    beyond = before != 0 or outside  # rounding, of a guard that is large
     if least > 0 or beyond or not far(c[0], reach):
         size, rate, bend = sizes_of(a, room, guard, t, now.x)
         high, fast = 0.0, math.inf
@@ -117,11 +120,14 @@ def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) ->
         hard = kind == CONTACT and a.guards[guard, BENDS] == 1
         if order > RISES or (order > 0 and hard):
             return order, HARD
-    what = does(kind, crossing, bounds, order, sign, True, used, spent, loads, other, before)
-    if what == LEAVES and used:
+    what = does(
+        kind, crossing, bounds, order, sign, True, used, spent, loads, other, before, urgent
+    )
+    passed = what == FIRES and not holds(a, room, guard, t, now.x)
+    if passed or (what == LEAVES and used):
         return order, ARMED
     ends = loads and a.fields[now.ints[FIELD], JOINS] == 1 and now.ints[LAST_USED] != AT_START
-    known = ends or (order > 0 and kind in (CONTACT, EDGE, SWITCH))
+    known = ends or urgent or (order > 0 and kind in (CONTACT, EDGE, SWITCH))
     if what == FIRES and not known:
         return order, HARD
     return order, DROWNS if low and what == ARMED else what
@@ -182,6 +188,7 @@ def does(
     derived: bool,
     passing: bool,
     before: int,
+    urgent: bool,
 ) -> int:
     """What a guard does where an arc begins (3).
 
@@ -199,14 +206,17 @@ def does(
         There was no jump, but what delays see may have jumped.
     before : int
         The sign that it had before this time, at which it was zero; 0 where nobody knows.
+    urgent : bool
+        It fires where it is beyond zero on entering.
     """
+    urgent = urgent and not passing
     outwards = sign == crossing or (crossing == 0 and sign != 0)
     if kind == CONTACT and rests and order > 1 and sign <= 0:
         return RESTS
     if sign == 0:
-        return UNDECIDED
+        return FIRES if urgent and not used else UNDECIDED
     if order == 0:
-        if outwards and (derived or before == -sign or (passing and before != sign)):
+        if outwards and (urgent or derived or before == -sign or (passing and before != sign)):
             return FIRES
         return OUTSIDE if outwards and crossing != 0 and bounds and not passing else ARMED
     if crossing == 0:

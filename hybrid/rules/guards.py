@@ -20,6 +20,7 @@ from .places import (
     BENDS,
     BLUR,
     BOUNDS,
+    CONDITION,
     CROSSING,
     FIELD,
     FIELD_PROGRAM,
@@ -27,6 +28,7 @@ from .places import (
     GUARDS_END,
     LOOKS,
     LOW,
+    NONE,
     OFF,
     PHASE,
     RELATIVE,
@@ -125,7 +127,7 @@ def zero_of(
     kinked = count(a.programs, series_of(a, now)) > 0
     if not kinked and (crossing == 0 or c[order] * crossing < 0.0):
         s = soon(c, order, degree, h)
-        if s < math.inf:
+        if s < math.inf and holds_at(a, now, room, guard, s):
             return fires(a, run, now, room, c, guard, order, s, c[order], tolerance)
     listed = series(c, degree, h, order, near, room.rows, room.found)
     if listed < 0:
@@ -139,7 +141,7 @@ def zero_of(
                 return 0.0
             continue
         side = direction
-        if crossing == 0 or direction * crossing > 0.0:
+        if (crossing == 0 or direction * crossing > 0.0) and holds_at(a, now, room, guard, s):
             return fires(a, run, now, room, c, guard, order, s, -direction, tolerance)
         if a.guards[guard, BOUNDS] == 1:
             return 0.0
@@ -149,6 +151,29 @@ def zero_of(
     least = max(GUARD_ROUNDING * EPS * size, hides)
     clear = value * side > 0.0 and abs(value) > least
     return math.inf if clear else 0.0
+
+
+def holds_at(a: AutomatonArrays, now: Now, room: Room, guard: int, s: float) -> bool:
+    """Whether an edge's condition holds on the way along a step, of which ``room.c`` has the
+    series. What rounding alone has moved on that way has stayed: it is as at the step's end."""
+    if a.guards[guard, CONDITION] == NONE:
+        return True
+    along(room.c, s, room.there)
+    n = now.end.shape[0]
+    for i in range(n):
+        if abs(room.there[i] - now.end[i]) <= TIE * EPS * abs(now.end[i]):
+            room.there[i] = now.end[i]
+    return holds(a, room, guard, room.c[n, 0] + s, room.there)
+
+
+def holds(a: AutomatonArrays, room: Room, guard: int, t: float, x: Floats) -> bool:
+    """Whether an edge's condition holds; one without a condition may always fire."""
+    program = a.guards[guard, CONDITION]
+    if program == NONE:
+        return True
+    if afresh(a.programs, program, 0, t, x, room.still, room.aside, room.work) < 0:
+        return False
+    return room.aside[a.programs.output[a.programs.index[program, OUTPUT]], 0] > 0.0
 
 
 def hidden(a: AutomatonArrays, now: Now, room: Room, guard: int) -> float:

@@ -24,9 +24,11 @@ CHANGES = 2
 #: be entered; of an end of sliding at ``AT`` the surface's guard in the field that follows. Of the
 #: end of a moving lag's window at ``AT`` the lag times two, and one more at the end ahead; of a
 #: clock the program of the first of its times behind another. ``OWN`` is the same guard where no
-#: contact is held; a load is its own.
+#: contact is held; a load is its own. ``CONDITION`` is the program of an edge's condition, ``NONE``
+#: where it has none; ``URGENT`` whether an edge fires where its guard is beyond zero on entering.
+#: The last is how many columns there are.
 KIND, CROSSING, BOUNDS, AFFINE, TO, RESET, LAND, SIZES, USES, USES_END, BENDS = range(11)
-AT, LOCAL, SIGHT, REST, DEPENDS, OWN = range(11, 17)
+AT, LOCAL, SIGHT, REST, DEPENDS, OWN, CONDITION, URGENT, GUARD_COLUMNS = range(11, 20)
 
 #: What has not been asked for yet; what there is none of; what only the driver looks at.
 UNKNOWN, NONE, HARD = -1, -2, -3

@@ -8,7 +8,7 @@ time and in what rounding makes of each guard there. Numbers in brackets are the
 from __future__ import annotations
 
 from .arrays import AutomatonArrays, Now, Room
-from .guards import GUARD_ROUNDING, TIE, TIED_IN_STEP, row_of, sizes_of
+from .guards import GUARD_ROUNDING, TIE, TIED_IN_STEP, holds, row_of, sizes_of
 from .jets import afresh
 from .places import (
     BLUR,
@@ -44,7 +44,7 @@ def latest(a: AutomatonArrays, now: Now, room: Room, t: float) -> tuple[int, flo
 
 def together(a: AutomatonArrays, now: Now, room: Room, t: float) -> int:
     """The guard declared first of those that are zero where a step ends; of the others the sign
-    that each had before is noted."""
+    that each had before is noted. Those whose condition fails there are as if they had fired."""
     field, event = now.ints[FIELD], now.ints[EVENT]
     first, fires = a.fields[field, GUARDS], event
     now.ints[FLIGHTS] += 1
@@ -53,6 +53,8 @@ def together(a: AutomatonArrays, now: Now, room: Room, t: float) -> int:
             now.tied[a.guards[g, OWN]] = now.signs[g - first] * now.ints[FLIGHTS]
             now.tied[a.guards[event, OWN]] = now.signs[event - first] * now.ints[FLIGHTS]
             fires = min(fires, g)
+        elif g != event and ago(a, now, room, g, t) == 0.0 and not holds(a, room, g, t, now.end):
+            now.spent[a.guards[g, OWN]] = now.ints[FLIGHTS]
     now.tied[a.guards[fires, OWN]] = 0
     return fires
 

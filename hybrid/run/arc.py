@@ -63,6 +63,8 @@ class Flown:
         The guard that fired has not been zero: it was carried over it by a jump of its own.
     tied : dict
         By edge the sign before its zero, of guards that are zero at the same time.
+    over : frozenset of str
+        Edges whose guards are, and whose condition fails there.
     steps : int
         Steps made.
     """
@@ -75,6 +77,7 @@ class Flown:
     interrupted: bool = False
     carried: bool = False
     tied: dict[str, int] = attrs.Factory(dict)
+    over: frozenset[str] = frozenset()
     steps: int = 0
 
 
@@ -100,6 +103,7 @@ class ArcFlow:
         self.ends: dict[Any, float] = {}
         self.grazes: list[tuple[float, int, np.ndarray]] = []
         self.tied: dict[str, int] = {}
+        self.over: frozenset[str] = frozenset()
         self.left: set[int] = set()
         self.predicted: set[int] = set()
         self.made = 0
@@ -128,7 +132,8 @@ class ArcFlow:
             return Flown(None, *end, segments, self.grazes, True, steps=self.made)
         index, carried = (None, False) if fired is None else (fired.index, fired.cut is not None)
         made = stepper.tau, stepper.x, segments, self.grazes
-        return Flown(index, *made, carried=carried, tied=self.tied, steps=self.made)
+        known = self.tied, self.over, self.made
+        return Flown(index, *made, False, carried, *known)
 
     def _begin_guards(self) -> None:
         """Note the guards that are not zero here: dense output shows its start to rounding of a
@@ -191,8 +196,21 @@ class ArcFlow:
         tied = [each for each in others if self._ago(each, first, stepper, length) >= 0.0]
         guards, tied = self.field.guards, [first, *tied]
         self.tied = {guards[each.index].edge: -each.direction for each in tied}
+        self.over = self._passed(stepper)
         fired = min(tied, key=lambda each: each.index)  # the one declared first (4)
         return fired, [] if landed is None else [landed]
+
+    def _passed(self, stepper: Stepper) -> frozenset[str]:
+        """Edges whose guards are zero where a step ends, and whose condition fails there."""
+        t, x, guards = self.now.t + stepper.tau, stepper.x.tolist(), self.field.guards
+        fails = [index for index, guard in enumerate(guards) if not guard.holds(t, x)]
+        return frozenset(guards[index].edge for index in fails if self._vanishes(index, t, x))
+
+    def _vanishes(self, index: int, t: float, x: list[float]) -> bool:
+        """Whether a guard is zero, in spacings of the time and in what rounding makes of it."""
+        value, rate, _ = self.field.guards[index].lie(t, x)
+        spacing = TIE * float(np.spacing(abs(t)))
+        return bool(abs(value) <= spacing * abs(rate) + self._rounding(index, t, x))
 
     def _ago(self, other: Fired, first: Fired, stepper: Stepper, length: float) -> float:
         """How long ago a guard has fired where a step ends on another, next to which it fires.
@@ -208,9 +226,9 @@ class ArcFlow:
             return -1.0
         if other.cut is not None:
             return 0.0 if apart <= spacing + (other.cut.after - other.cut.before) * length else -1.0
-        value, rate, _ = self.field.guards[other.index].lie(t, x)
-        if abs(value) <= spacing * abs(rate) + self._rounding(other.index, t, x):
+        if self._vanishes(other.index, t, x):
             return 0.0
+        value, rate, _ = self.field.guards[other.index].lie(t, x)
         if value * other.direction <= 0.0:
             return -1.0
         return value / rate if rate * other.direction > 0.0 else 0.0
@@ -290,7 +308,7 @@ class ArcFlow:
         """Whether a guard's flight may be short: a contact's, or one that begins at its zero."""
         guard, order = self.field.guards[index], self.entered[index]
         if guard.kind in ("edge", "switch"):
-            return order == 1 and guard.crossing is not Crossing.EITHER
+            return guard.when is None and order == 1 and guard.crossing is not Crossing.EITHER
         return guard.kind == "contact" and order <= 1
 
     def _side(self, index: int) -> float:
@@ -344,7 +362,7 @@ class ArcFlow:
         order, t0 = self.orders[index], self.now.t
         noise = self._leaving(index, stepper)
         found = zeros(guard, segment, t0, order, scale, tolerance, self.ends, noise)
-        fired = self._first_zero(index, found, segment, tolerance, grazes)
+        fired = self._first_zero(index, found, segment, stepper.x, tolerance, grazes)
         if fired is not None:
             return fired
         if target is not None and segment.end == target:
@@ -374,22 +392,29 @@ class ArcFlow:
         index: int,
         found: Iterable[Zero],
         segment: Segment,
+        end: StateVector,
         tolerance: float,
         grazes: list[tuple[float, int]],
     ) -> Fired | None:
         """The first of a guard's zeros in a step at which it fires; tangencies are added (1).
 
-        One that seems to turn round within the tolerance, and is deeper at the end, is none.
+        ``end``: the state at the step's end. A zero that seems to turn round within the tolerance,
+        and is deeper at the end, is none.
         """
         guard = self.field.guards[index]
         shallow: Zero | None = None
         for zero in found:
             if zero.cut is not None:
-                if self._over(guard, zero, zero.cut, segment):
+                after = segment.start + zero.cut.after * segment.length
+                if self._over(guard, zero, zero.cut, segment) and self._holds(
+                    guard, after, segment, end
+                ):
                     return Fired(index, zero.tau, zero.direction, zero.cut)
             elif zero.direction == 0:
                 grazes.append((zero.tau, index))
-            elif not fires(guard.crossing, zero.direction):
+            elif not (
+                fires(guard.crossing, zero.direction) and self._holds(guard, zero.tau, segment, end)
+            ):
                 shallow = None
             elif self._touches(guard, zero.tau, segment, tolerance):
                 grazes.append((zero.tau, index))
@@ -400,6 +425,15 @@ class ArcFlow:
             return None
         grazes.remove((shallow.tau, index))
         return Fired(index, shallow.tau, shallow.direction)
+
+    def _holds(self, guard: Guard, tau: float, segment: Segment, end: StateVector) -> bool:
+        """Whether an edge's condition holds on the way along a step. What rounding alone has moved
+        on that way has stayed: it is as at the step's end."""
+        if guard.when is None:
+            return True
+        x = segment(tau)
+        x = np.where(np.abs(x - end) <= TIE * EPS * np.abs(end), end, x)
+        return guard.holds(self.now.t + tau, x.tolist())
 
     def _over(self, guard: Guard, zero: Zero, cut: Cut, segment: Segment) -> bool:
         """Whether a guard fires where it changes its formula (1).
@@ -466,7 +500,7 @@ class ArcFlow:
             near = abs(value) <= -AIMED * inwards * rate * segment.length
             return Fired(index, segment.end, -inwards) if near or abs(value) <= rounding else None
         direction, middle = int(np.sign(rate)), segment.start + 0.5 * segment.length
-        if not (
+        if not guard.holds(t, x) or not (
             fires(guard.crossing, direction) and abs(value) <= AIMED * abs(rate) * segment.length
         ):
             return None

@@ -68,9 +68,10 @@ def rings(
 
 def _zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float) -> bool:
     """Whether a guard that moves in its direction is zero at a time, next to which an arc ends: in
-    spacings of that, and in what rounding makes of the guard."""
+    spacings of that, and in what rounding makes of the guard; and its condition holds."""
     value, rate, _ = guard.lie(end.t, x.tolist())
     size = driver.scene.rounding(guard, driver.entry.field)(end.t, x.tolist())[0]
     noise = TIE * np.spacing(abs(t)) * abs(rate) + GUARD_ROUNDING * EPS * size
     moves = rate * (DIRECTIONS[guard.crossing] or rate) > 0
+    moves = moves and guard.holds(end.t, x.tolist())
     return bool(moves and abs(value) + abs(rate * end.until(t)) <= noise)

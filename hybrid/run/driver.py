@@ -338,6 +338,7 @@ class Driver:
             self.plan.progress(self.t)
         self.tied = flown.tied
         self.passed(flown.length)
+        self.spent |= flown.over
         if clock is not None and rings:
             self.ring(clock, due, x)
         elif fired is None:
@@ -417,12 +418,14 @@ class Driver:
         where it is, and some of its motion, which it does not turn round."""
         here, there = (guard.lie(self.t, x.tolist()) for x in (before, after))
         onwards = here[1] * there[1] > 64 * EPS * here[1] * here[1]
-        known = {guard.edge: 1} if here[0] == there[0] else {}
+        beyond = guard.urgent and self._has_jumped(guard, before)
+        known = {guard.edge: 1} if here[0] == there[0] and not beyond else {}
         return Jumped(known, used=guard.edge, onwards=bool(onwards))
 
     def _has_jumped(self, guard: Guard, x: StateVector) -> bool:
-        """Whether a guard that fired is not zero: it may jump up from zero there, as a saw does."""
-        if not guard.jumps:
+        """Whether a guard that fired is not zero: it may jump up from zero there, as a saw does, or
+        be urgent."""
+        if not (guard.jumps or guard.urgent):
             return False
         size = self.scene.rounding(guard, self.entry.field)(self.t, x.tolist())[0]
         return bool(abs(guard.value(self.t, x.tolist())) > NEAR * size)
@@ -538,6 +541,8 @@ class Driver:
         field, t, reach = self.scene.field(name, (contact.name,)), self.t, self._reach(x)
         column = field.column(contact.name)
         guard = field.guards[column]
+        if field.hurried:
+            return None
         there = beyond_kinks(field, (*guard.kinks, *field.changes), t, x)
         force = guard.lie(there[0], there[1].tolist())[2]
         if not unit("hops").drowns(v, force, reach):
@@ -679,7 +684,7 @@ class Driver:
         field = self.scene.field(name, (contact.name,))
         if self.plan.zeno == "truncate":
             return truncate.hold(self, contact, x, field)
-        if watch.count < self.plan.patience or not 0 < v <= PATIENCE * watch.tried:
+        if field.hurried or watch.count < self.plan.patience or not 0 < v <= PATIENCE * watch.tried:
             return False
         watch.tried = v
         tail, until = self.tail(contact, x, v, field), self.until(self.horizon, field, x)

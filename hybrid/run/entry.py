@@ -382,10 +382,12 @@ class _Here:
         edge, passing = guard.edge, jumped.passing is not None
         if guard.kind == "window":
             return order > 0 and sign < 0
+        if not guard.holds(self.t, self.x.tolist()):
+            return False
         kind, crossing = NUMBERED[guard.kind], DIRECTIONS[guard.crossing]
         before = int((jumped.tied if jumped.passing is None else jumped.passing).get(edge, 0))
         own = guard.kind in ("release", "leave") and not (passing or jumped.starting)
-        known = edge == jumped.used, edge in jumped.spent, own, passing, before
+        known = edge == jumped.used, edge in jumped.spent, own, passing, before, guard.urgent
         what = unit("entries").does(kind, crossing, guard.bounds, order, sign, False, *known)
         if what == UNDECIDED:
             raise StartError(
@@ -425,7 +427,7 @@ class _Here:
             raise FlowError(f"{self.where()}: the guard of {guard.edge} is {value}")
         if guard.kind == "contact" and -self.lost(guard) <= value <= 0:
             least = max(least, 1)
-        beyond = guard.bounds and value * DIRECTIONS[guard.crossing] > 0
+        beyond = (guard.bounds or guard.urgent) and value * DIRECTIONS[guard.crossing] > 0
         known = least or beyond or guard.edge in jumped.tied
         far = not known and unit("entries").far(value, max(self.reach, float(np.abs(x).max())))
         if far or value * passing.get(guard.edge, 0) > 0:

@@ -127,6 +127,7 @@ def pass_limit(driver: Driver, mode: str) -> bool:
     """
     plan, cycles = driver.plan, driver.cycles
     passes = plan.zeno in ("truncate", "ignore") or driver.status is not None
+    passes = passes or driver.scene.field(mode).hurried
     if passes or _summed(driver.scene, cycles):
         return False
     slower = _at_once(driver, mode) if cycles.stands else None
@@ -138,6 +139,8 @@ def pass_limit(driver: Driver, mode: str) -> bool:
     if sought is None or driver.record.now.after(sought[0].remaining).until(known) < 0:
         return False
     found, turn = sought
+    if driver.scene.conditional.intersection(found.edges):  # which may fail before the limit
+        return False
     if not _tire(driver, found):
         return False
     after = driver.scene.spec.mode_after(found.edges)

@@ -206,6 +206,7 @@ class Machine:
             driver.watch = Watch(*self._series())
             if status != FULL:
                 driver.tied = self._tied()
+                driver.spent |= self._over()
                 self._lower()
                 driver.look_again()
                 return
@@ -658,6 +659,7 @@ class Machine:
         else:
             driver.tied = self._tied()
             before = self._last(left)
+            driver.spent |= self._over()
             if driver.record.memory is not None:
                 driver.record.memory.told = False
             driver.entry = attrs.evolve(driver.entry, field=driver.field)
@@ -673,6 +675,11 @@ class Machine:
         tied, flights = self.now.tied, int(self.ints[FLIGHTS])
         rows = np.flatnonzero((np.abs(tied) == flights) & (tied != 0)).tolist()
         return {self.tables.guards[g].edge: int(tied[g]) // flights for g in rows}
+
+    def _over(self) -> set[str]:
+        """Edges that have been taken, or passed, at the time at which the last flight ended."""
+        rows = np.flatnonzero(self.now.spent == self.ints[FLIGHTS]).tolist()
+        return {self.tables.guards[g].edge for g in rows}
 
     def _lower(self) -> None:
         """Go on by series of the driver's order, if where the loop stopped only those are numbers:

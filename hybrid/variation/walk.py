@@ -344,12 +344,17 @@ class Walk:
         """The change of a guard that is zero when the jump before leads to it: for neighbours it
         must be so too. One that is over its zero fires for neighbours as well."""
         field, guard = self.fired(place, row)
-        (scene, of), x = self.beside(place, True), row.before.tolist()
-        size = scene.rounding(guard, field)(row.t, x)[0]
-        if abs(guard.value(row.t, x)) > NEAR * size:
+        of = self.beside(place, True)[1]
+        if self._beyond(place, field, guard, row):
             return np.zeros((0, len(time)))
         gradient, moved = of.guard(guard, field)(row.t, row.before), self._moved(time, state)
         return cleared(gradient @ moved, np.abs(gradient) @ np.abs(moved), TIED)
+
+    def _beyond(self, place: int, field: Field, guard: Guard, row: JumpRow) -> bool:
+        """Whether a guard that fires is over its zero."""
+        x, scene = row.before.tolist(), self.beside(place, True)[0]
+        size = scene.rounding(guard, field)(row.t, x)[0]
+        return bool(abs(guard.value(row.t, x)) > NEAR * size)
 
     def fired(self, place: int, row: JumpRow) -> tuple[Field, Guard]:
         """The field and the guard of a jump."""
@@ -381,6 +386,11 @@ class Walk:
             key = "guard", guard.edge, field.name
             kinks = of.kinks(key, field, lambda graph: graph.deciding(guard.edge))
             return self._widened(passing(kinks, jumped, flow)[None])[0]
+        if guard.urgent and self._beyond(index, field, guard, row):
+            raise OrbitError(
+                f"{self.model}, t = {row.t!r}: {row.edge} fires beyond its zero where the run "
+                "begins, or goes on from an accumulation: there is no first variation"
+            )
         gradient = of.guard(guard, field)(row.t, row.before)[0]
         rate = float(gradient[0] + gradient[1 : 1 + self.size] @ flow)
         if rate == 0.0:

@@ -8,7 +8,7 @@ from models.bouncing_ball import BouncingBall
 from models.hard_spring import HardSpring
 from models.relay import Relay
 
-from .. import systems
+from .. import systems, test_conditions
 from .ways import COMPILED, SOLVERS, SOLVERS_AND_COMPILED
 
 WAYS = SOLVERS_AND_COMPILED
@@ -192,3 +192,33 @@ def hit_and_end(a):
     below = brentq(lambda t: -1.0 + a * (np.cos(1.0) - np.cos(t)) + (t - 1.0), 1.0, 2.0)
     above = brentq(lambda t: a * (np.cos(below) - np.cos(t)) - (t - below), below + 0.5, 4.0)
     return [below, above, np.pi + np.arcsin(1 / a)]
+
+
+def test_a_zero_at_which_a_condition_fails_is_passed(way):
+    """Rule 4: of the zeros of sin t up to 19 those count at which the cosine is below 0."""
+    start = {"x": 0.0, "y": 1.0, "n": 0.0}
+    result = way.run(test_conditions.Clock(), start, (0.0, 19.0), rtol=1e-9)
+    assert (result.final.n, result.jumps) == (3, 3)
+    np.testing.assert_allclose(result.times, np.pi * np.array([1, 3, 5]), atol=100 * tolerance(way))
+
+
+def test_of_complementary_conditions_one_holds(way):
+    """Rule 4: one of two edges on a guard fires, read from left values, whatever the reset does."""
+    result = way.run(test_conditions.Fork(), {"x": 0.0, "n": 0.0}, (0.0, 4.5))
+    assert (result.final.n, result.jumps) == (11.0, 4)
+    result = way.run(test_conditions.Toggle(), {"x": 0.0, "n": 0.0}, (0.0, 3.0))
+    assert (result.final.n, result.jumps) == (2.0, 1)
+
+
+def test_an_urgent_edge_fires_beyond_its_zero(way):
+    """Rule 3: from 3.5 at once to 2.5, 1.5 and 0.5, then at each zero."""
+    result = way.run(test_conditions.Rush(), {"x": 3.5, "n": 0.0}, (0.0, 2.0))
+    np.testing.assert_allclose(result.times, [0.0, 0.0, 0.0, 0.5, 1.5], rtol=1e-12)
+
+
+def test_an_edge_to_terminate_ends_the_run(way):
+    """Rule 10: at the zero of its guard, in the state that its reset gives."""
+    result = way.run(test_conditions.Shot(), test_conditions.START, (0.0, 100.0), rtol=1e-9)
+    assert (result.status, result.jumps) == ("terminated", 1)
+    assert result.t == pytest.approx(test_conditions.HIT, abs=tolerance(way))
+    assert result.final.v == pytest.approx(-0.5 * np.sqrt(13.0), abs=tolerance(way, 1e-7))
