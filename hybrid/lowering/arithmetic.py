@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -76,6 +78,29 @@ def solve(matrix: list[list[Any]], right: list[Any], exchange: bool = False) -> 
     return solution
 
 
+class Entries(tuple[Any, ...]):
+    """Numbers of which one is picked."""
+
+    @cached_property
+    def knots(self) -> list[float]:
+        """Those behind the first, in order, each once."""
+        return sorted(set(map(float, self[1:])))
+
+    def wave(self, x: float) -> float:
+        """A function of ``x`` that changes its sign at each knot, and is zero nowhere else."""
+        knots = self.knots
+        if not math.isfinite(x) or len(knots) < 2:
+            return x - knots[0] if knots else math.nan
+        i = min(max(bisect_right(knots, x) - 1, 0), len(knots) - 2)
+        share = (x - knots[i]) / (knots[i + 1] - knots[i])
+        return math.sin(math.pi * (i + min(max(share, -0.5), 1.5)))
+
+
+def entry(table: Sequence[Any], place: Any) -> Any:
+    """An entry of a table, or the nearest that there is."""
+    return table[min(max(int(place), 0), len(table) - 1)] if math.isfinite(place) else math.nan
+
+
 def _logistic(x: float) -> float:
     return 1.0 / (1.0 + math.exp(-x)) if x >= 0 else 1.0 - 1.0 / (1.0 + math.exp(x))
 
@@ -128,6 +153,10 @@ LONG: dict[str, Callable[..., Any]] = {
     "dot": _dot,
     "solve": _solve,
     "part": operator.getitem,
+    "table": lambda *entries: Entries(entries),
+    "pick": entry,
+    "knot": entry,
+    "wave": lambda x, table: table.wave(x),
 }
 
 #: The same operations on numpy scalars, where the plain ones would raise.

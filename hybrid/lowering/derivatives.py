@@ -25,6 +25,7 @@ FLAT = WHOLE_VALUED | {
     "part",
     "solve",
     "foreign",
+    "table",
 }
 
 
@@ -130,6 +131,11 @@ def _tangent(g: Graph, number: int, tangents: dict[int, int], zero: int) -> int:
         return zero
     if op == "select":
         return g.node("select", arguments[0], *(tangents[a] for a in arguments[1:]))
+    if op == "table":
+        return g.node("table", *(tangents[a] for a in arguments))
+    if op in ("pick", "knot"):
+        change = tangents[arguments[0]]
+        return zero if change == zero else g.node("pick", change, arguments[1])
     if op == "solve":
         matrix, right, mask = equations(arguments)
         forces = parts(g, number, len(right))
@@ -172,6 +178,11 @@ def gradient(g: Graph, root: int, inputs: Sequence[int]) -> list[int]:
         if op == "part":
             own = shares.setdefault(arguments[0], {})
             own.setdefault(int(g.value(arguments[1])), []).append(size)
+        elif op in ("pick", "knot"):
+            for i, entry in enumerate(g.nodes[arguments[0]][1:]):
+                if entry in changes:
+                    here = g.node("eq", arguments[1], g.const(i))
+                    adjoints.setdefault(entry, []).append(g.node("select", here, size, zero))
         elif op == "select":
             which, a, b = arguments
             adjoints.setdefault(a, []).append(g.node("select", which, size, zero))

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import TraceError
-from .arithmetic import LONG, OPERATIONS
+from .arithmetic import LONG, OPERATIONS, entry
 from .foreign import Foreign
 
 Ids = np.ndarray
@@ -150,6 +150,10 @@ class Graph:
         op, arguments = key[0], key[1:]
         if op in ("const", "input"):
             return key
+        if op == "pick" and (place := self.value(arguments[1])) is not None:
+            return (entry(self.nodes[arguments[0]][1:], place),)
+        if op == "table":
+            return key
         values = [self.value(a) for a in arguments]
         if all(v is not None for v in values):
             folded = fold(op, values)
@@ -230,7 +234,7 @@ def _identity(
 
 def fold(op: str, values: Sequence[Any]) -> Any:
     """The value of an operation on constants; None where it is not a finite number."""
-    if op in ("solve", "part", "foreign"):
+    if op in ("solve", "part", "foreign", "table", "pick", "knot", "wave"):
         return None
     try:
         result = (OPERATIONS.get(op) or LONG[op])(*values)

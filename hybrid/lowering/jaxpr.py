@@ -11,9 +11,12 @@ from typing import Any
 import numpy as np
 
 from ..errors import TraceError
+from .elements import constant, distributed, each, mapped, quotient, unsigned
 from .foreign import of_primitive
 from .graph import WHOLE_VALUED, Graph, Ids
-from .matrices import cholesky, linear_solve, triangular_solve
+from .matrices import cholesky, determinants, linear_solve, triangular_solve
+from .moves import DATA_MOVES, move, picked, placed, scatter_add
+from .orders import in_order, largest, of_jax, searched
 
 #: Elementwise primitives that become a node of the same name.
 ELEMENTWISE = {
@@ -39,13 +42,9 @@ BITS = "bits"
 BELOW_ZERO = {"sub", "neg", "convert_element_type"}
 WRAPPING = {"convert_element_type", "integer_pow", "square", "reduce_sum", "cumsum", "dot_general"}
 
-#: Most whole numbers among which a choice is written out, as that of a place in a table; of two
-#: together as many as of each. Places are found by halves, in steps that share their conditions.
-MOST_CHOICES = 64
 
-#: Primitives that only move data; JAX itself moves the node numbers where numpy is not
-#: told how below.
-DATA_MOVES = {"gather", "pad", "dynamic_slice", "dynamic_update_slice", "scatter"}
+#: Terms of the polynomial that is ``sin(a) / a`` where ``a`` is less than 1, to rounding.
+SINC_TERMS = 10
 
 
 def read(graph: Graph, closed: Any, inputs: Sequence[Ids]) -> list[Ids]:
@@ -57,10 +56,10 @@ def _evaluate(graph: Graph, jaxpr: Any, consts: Sequence[Any], inputs: Sequence[
     held: dict[Any, Ids] = {}
 
     def read(atom: Any) -> Ids:
-        return _constant(graph, atom.val) if hasattr(atom, "val") else held[atom]
+        return constant(graph, atom.val) if hasattr(atom, "val") else held[atom]
 
     for var, value in zip(jaxpr.constvars, consts, strict=True):
-        held[var] = _constant(graph, value)
+        held[var] = constant(graph, value)
     for var, ids in zip(jaxpr.invars, inputs, strict=True):
         held[var] = np.asarray(ids).reshape(var.aval.shape)
     for equation in jaxpr.eqns:
@@ -70,19 +69,13 @@ def _evaluate(graph: Graph, jaxpr: Any, consts: Sequence[Any], inputs: Sequence[
     return [read(atom) for atom in jaxpr.outvars]
 
 
-def _constant(graph: Graph, value: Any) -> Ids:
-    array = np.asarray(value)
-    flat = [graph.const(element) for element in array.reshape(-1)]
-    return np.array(flat, dtype=np.int64).reshape(array.shape)
-
-
 def _apply(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
     name = _name(equation)
     kind = equation.outvars[0].aval.dtype
     if name in BELOW_ZERO and kind in (np.uint64, np.uint32):
         (made,) = _written(graph, equation, inputs, name)
-        wraps = partial(_node, graph, partial(_unsigned, graph, 8 * kind.itemsize))
-        return [_each(wraps, made)]
+        wraps = partial(distributed, graph, partial(unsigned, graph, 8 * kind.itemsize))
+        return [each(wraps, made)]
     return _written(graph, equation, inputs, name)
 
 
@@ -90,9 +83,9 @@ def _written(graph: Graph, equation: Any, inputs: list[Ids], name: str) -> list[
     params = equation.params
     inner = params.get("jaxpr") or params.get("call_jaxpr")
     if name in ("div", "rem") and np.issubdtype(equation.outvars[0].aval.dtype, np.integer):
-        return [_each(partial(_whole, graph, name), *inputs)]
+        return [each(partial(quotient, graph, name), *inputs)]
     if name in ELEMENTWISE:
-        return [_map(graph, name, inputs)]
+        return [mapped(graph, name, inputs)]
     if name in PRIMITIVES:
         return [PRIMITIVES[name](graph, params, *inputs)]
     if name == "scan":
@@ -104,13 +97,22 @@ def _written(graph: Graph, equation: Any, inputs: list[Ids], name: str) -> list[
         return list(np.split(inputs[0], bounds, axis=params["axis"]))
     if name == "unstack":
         return list(np.moveaxis(inputs[0], params["axis"], 0))
+    if name in ("argmax", "argmin"):
+        return [largest(graph, equation, *inputs)]
+    if name == "sort" and (rows := in_order(graph, equation, inputs)) is not None:
+        return rows
+    for make in (searched, determinants, sinc):
+        if (found := make(graph, equation, inputs)) is not None:
+            return found
     if inner is not None and name not in ("while", "scan"):
         closed_consts = getattr(inner, "consts", [])
         return _evaluate(graph, getattr(inner, "jaxpr", inner), closed_consts, inputs)
-    if name in DATA_MOVES and _placed(graph, name, inputs):
-        return [_move(graph, equation, inputs)]
-    if name == "scatter-add" and _placed(graph, name, inputs):
-        return [_scatter_add(graph, equation, inputs)]
+    if name in DATA_MOVES and placed(graph, name, inputs):
+        return [move(graph, equation, inputs)]
+    if (entries := picked(graph, equation, inputs)) is not None:
+        return [entries]
+    if name == "scatter-add" and placed(graph, name, inputs):
+        return [scatter_add(graph, equation, inputs)]
     if name == "custom_linear_solve":
         return linear_solve(graph, params, inputs, read)
     return _called(graph, equation, inputs)
@@ -159,75 +161,8 @@ def _is_real(aval: Any) -> bool:
 def _typed(graph: Graph, numbers: Ids, kind: Any) -> Ids:
     """Numbers as flags, or as whole numbers, where they stand for such."""
     if kind.kind == "b":
-        return _map(graph, "ne", [numbers, _constant(graph, 0.0)])
-    return _map(graph, "trunc", [numbers]) if np.issubdtype(kind, np.integer) else numbers
-
-
-def _map(graph: Graph, op: str, inputs: list[Ids]) -> Ids:
-    return _each(partial(_node, graph, partial(graph.node, op)), *inputs)
-
-
-def _each(make: Callable[..., int], *inputs: Ids) -> Ids:
-    """What is made of each element."""
-    arrays = np.broadcast_arrays(*inputs)
-    rows = zip(*(a.reshape(-1).tolist() for a in arrays), strict=True)
-    return np.array([make(*row) for row in rows], dtype=np.int64).reshape(arrays[0].shape)
-
-
-def _whole(graph: Graph, op: str, *arguments: int) -> int:
-    """A quotient of whole numbers, or what is left of it."""
-
-    def make(a: int, b: int) -> int:
-        x, y = graph.value(a), graph.value(b)
-        if x is None or not y:
-            return graph.node("trunc", graph.node(op, a, b))
-        quotient = abs(x) // abs(y) * (1 if x * y >= 0 else -1)
-        return graph.const(quotient if op == "div" else x - y * quotient)
-
-    return _node(graph, make, *arguments)
-
-
-def _unsigned(graph: Graph, bits: int, value: int) -> int:
-    """A whole number without a sign: below zero it begins again from above."""
-    if (known := graph.value(value)) is not None:
-        return value if known >= 0 else graph.const(known + 2**bits)
-    below = graph.node("lt", value, graph.const(0.0))
-    return graph.node("select", below, graph.node("add", value, graph.const(2.0**bits)), value)
-
-
-def _node(graph: Graph, make: Callable[..., int], *arguments: int) -> int:
-    """What is made of some nodes; of choices among whole numbers a choice among the results."""
-    condition = _choosing(graph, arguments)
-    if condition is None:
-        return make(*arguments)
-    cases = [[_taken(graph, condition, way, a) for a in arguments] for way in (1, 0)]
-    yes, no = (_node(graph, make, *case) for case in cases)
-    return yes if yes == no else graph.node("select", condition, yes, no)
-
-
-def _choosing(graph: Graph, numbers: Sequence[int]) -> int | None:
-    """The first condition of choices among whole numbers; None where they are no such, or many."""
-    counts = [graph.leaves(number) for number in numbers]
-    if not _few(counts):
-        return None
-    several = (n for n, count in zip(numbers, counts, strict=True) if count > 1)
-    return next((graph.nodes[n][1] for n in several), None)
-
-
-def _few(counts: Sequence[int]) -> bool:
-    """Whether there are choices among whole numbers only, not too many of them together."""
-    return 0 < math.prod(counts) <= MOST_CHOICES**2 and max(counts, default=1) <= MOST_CHOICES
-
-
-def _taken(graph: Graph, condition: int, way: int, number: int) -> int:
-    """A choice where a condition holds (1), or does not (0)."""
-    if graph.leaves(number) <= 1:
-        return number
-    _, which, *cases = graph.nodes[number]
-    yes, no = (_taken(graph, condition, way, case) for case in cases)
-    if which == condition:
-        return yes if way else no
-    return yes if yes == no else graph.node("select", which, yes, no)
+        return mapped(graph, "ne", [numbers, constant(graph, 0.0)])
+    return mapped(graph, "trunc", [numbers]) if np.issubdtype(kind, np.integer) else numbers
 
 
 def _integer_pow(graph: Graph, params: Any, x: Ids) -> Ids:
@@ -238,31 +173,46 @@ def _integer_pow(graph: Graph, params: Any, x: Ids) -> Ids:
     square = x
     while power:
         if power & 1:
-            result = square if result is None else _map(graph, "mul", [result, square])
+            result = square if result is None else mapped(graph, "mul", [result, square])
         power >>= 1
         if power:
-            square = _map(graph, "mul", [square, square])
+            square = mapped(graph, "mul", [square, square])
     assert result is not None
-    return result if params["y"] > 0 else _map(graph, "div", [_constant(graph, 1.0), result])
+    return result if params["y"] > 0 else mapped(graph, "div", [constant(graph, 1.0), result])
 
 
 def _power(graph: Graph, params: Any, x: Ids, y: Ids) -> Ids:
     """``x^y``; by ``exp(y log x)`` where the exponent moves, so that it has a series."""
     if not any(graph.moves(int(i)) for i in y.reshape(-1)):
-        return _map(graph, "pow", [x, y])
-    return _map(graph, "exp", [_map(graph, "mul", [y, _map(graph, "log", [x])])])
+        return mapped(graph, "pow", [x, y])
+    return mapped(graph, "exp", [mapped(graph, "mul", [y, mapped(graph, "log", [x])])])
+
+
+def sinc(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None:
+    """``sin(pi x) / (pi x)``, near 0 as a polynomial; None where an equation is no such."""
+    if not of_jax(equation, "sinc"):
+        return None
+    angle = mapped(graph, "mul", [constant(graph, math.pi), inputs[0]])
+    one, square = constant(graph, 1.0), mapped(graph, "mul", [angle, angle])
+    near, series = mapped(graph, "lt", [square, one]), constant(graph, 0.0)
+    for k in reversed(range(SINC_TERMS)):
+        term = constant(graph, (-1.0) ** k / math.factorial(2 * k + 1))
+        series = mapped(graph, "add", [mapped(graph, "mul", [series, square]), term])
+    apart = mapped(graph, "select", [near, one, angle])
+    ratio = mapped(graph, "div", [mapped(graph, "sin", [angle]), apart])
+    return [mapped(graph, "select", [near, series, ratio])]
 
 
 def _select(graph: Graph, params: Any, which: Ids, *cases: Ids) -> Ids:
     chosen = cases[0]
     for index, case in enumerate(cases[1:], start=1):
-        test = which if len(cases) == 2 else _map(graph, "ge", [which, _constant(graph, index)])
-        chosen = _map(graph, "select", [test, case, chosen])
+        test = which if len(cases) == 2 else mapped(graph, "ge", [which, constant(graph, index)])
+        chosen = mapped(graph, "select", [test, case, chosen])
     return chosen
 
 
 def _clamp(graph: Graph, params: Any, low: Ids, x: Ids, high: Ids) -> Ids:
-    return _map(graph, "min", [_map(graph, "max", [x, low]), high])
+    return mapped(graph, "min", [mapped(graph, "max", [x, low]), high])
 
 
 def _reduce(op: str, start: float | bool) -> Callable[..., Ids]:
@@ -276,7 +226,7 @@ def _reduce(op: str, start: float | bool) -> Callable[..., Ids]:
             np.full(rows.shape[:-1], graph.const(start)) if rows.shape[-1] == 0 else rows[..., 0]
         )
         for column in range(1, rows.shape[-1]):
-            total = _map(graph, op, [total, rows[..., column]])
+            total = mapped(graph, op, [total, rows[..., column]])
         return total
 
     return rule
@@ -288,7 +238,7 @@ def _cumulate(op: str) -> Callable[..., Ids]:
         if params.get("reverse"):
             parts.reverse()
         for index in range(1, len(parts)):
-            parts[index] = _map(graph, op, [parts[index - 1], parts[index]])
+            parts[index] = mapped(graph, op, [parts[index - 1], parts[index]])
         if params.get("reverse"):
             parts.reverse()
         return np.moveaxis(np.stack(parts), 0, params["axis"])
@@ -307,7 +257,7 @@ def _dot(graph: Graph, params: Any, a: Ids, b: Ids) -> Ids:
     if graph.long:
         pairs = np.stack(np.broadcast_arrays(left, right), axis=-1)
         return _rows(graph.dot, pairs, 2).reshape(shape)
-    products = _map(graph, "mul", [left, right])
+    products = mapped(graph, "mul", [left, right])
     total = _reduce("add", 0.0)(graph, {"axes": (products.ndim - 1,)}, products)
     return total.reshape(shape)
 
@@ -340,65 +290,8 @@ def _cond(graph: Graph, params: Any, inputs: list[Ids]) -> list[Ids]:
     which, operands = inputs[0], inputs[1:]
     cases = [read(graph, branch, operands) for branch in params["branches"]]
     if len(cases) == 2:
-        which = _map(graph, "ne", [which, _constant(graph, 0)])
+        which = mapped(graph, "ne", [which, constant(graph, 0)])
     return [_select(graph, {}, which, *results) for results in zip(*cases, strict=True)]
-
-
-#: Of the inputs of a primitive, those that are moved, where it is not the first alone.
-MOVED_INPUTS = {
-    "pad": (0, 1),
-    "dynamic_update_slice": (0, 1),
-    "scatter": (0, 2),
-    "scatter-add": (0, 2),
-}
-
-
-def _places(name: str, inputs: list[Ids]) -> list[int]:
-    """Nodes of the positions that a primitive moves numbers from or to."""
-    moved = MOVED_INPUTS.get(name, (0,))
-    return [i for k, ids in enumerate(inputs) if k not in moved for i in ids.reshape(-1).tolist()]
-
-
-def _placed(graph: Graph, name: str, inputs: list[Ids]) -> bool:
-    """Whether all positions are known, or are one of a few."""
-    counts = [graph.leaves(i) for i in _places(name, inputs)]
-    return _few(counts) and (name != "scatter-add" or max(counts, default=1) == 1)
-
-
-def _move(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
-    """Let JAX move the node numbers."""
-    import jax
-
-    name = equation.primitive.name
-    condition = _choosing(graph, _places(name, inputs))
-    if condition is not None:
-        way = [[_each(partial(_taken, graph, condition, w), ids) for ids in inputs] for w in (1, 0)]
-        cases = [_move(graph, equation, taken) for taken in way]
-        return _map(graph, "select", [np.array(condition), *cases])
-    operands: list[Any] = []
-    for place, ids in enumerate(inputs):
-        if place in MOVED_INPUTS.get(name, (0,)):
-            operands.append(ids.astype(float) if name.startswith("scatter") else ids)
-        else:
-            operands.append(_each(graph.value, ids))
-    if name == "pad" and all(min(row) >= 0 == row[2] for row in equation.params["padding_config"]):
-        widths = [row[:2] for row in equation.params["padding_config"]]
-        return np.pad(operands[0], widths, constant_values=int(operands[1]))  # spares a compilation
-    with jax.ensure_compile_time_eval(), jax.enable_x64(True):
-        moved_ids = equation.primitive.bind(*operands, **equation.params)
-    return np.asarray(moved_ids).astype(np.int64)
-
-
-def _scatter_add(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
-    """``x.at[i].add(y)``, one summand a place: let JAX put the summands' places over zeros."""
-    operand, indices, updates = inputs
-    zeros, places = np.zeros(operand.shape), np.arange(1, updates.size + 1).reshape(updates.shape)
-    counts = _move(graph, equation, [zeros, indices, np.ones(updates.shape)])
-    if counts.max(initial=0) > 1:
-        raise TraceError("x.at[...].add(...) with a repeated position; add the summands first")
-    landed = _move(graph, equation, [zeros, indices, places])
-    summands = np.concatenate([[graph.const(0.0)], updates.reshape(-1)])
-    return _map(graph, "add", [operand, summands[landed]])
 
 
 def _broadcast(graph: Graph, params: Any, x: Ids) -> Ids:
@@ -417,15 +310,15 @@ def _slice(graph: Graph, params: Any, x: Ids) -> Ids:
 def _iota(graph: Graph, params: Any) -> Ids:
     shape, axis = params["shape"], params["dimension"]
     line = np.arange(shape[axis]).reshape([-1 if a == axis else 1 for a in range(len(shape))])
-    return _constant(graph, np.broadcast_to(line, shape))
+    return constant(graph, np.broadcast_to(line, shape))
 
 
 def _convert(graph: Graph, params: Any, x: Ids) -> Ids:
     kind = np.dtype(params["new_dtype"])
     if kind.kind in "iu":
-        return _map(graph, "trunc", [x])
+        return mapped(graph, "trunc", [x])
     if kind.kind == "b":
-        return _map(graph, "ne", [x, _constant(graph, 0)])
+        return mapped(graph, "ne", [x, constant(graph, 0)])
     flat = [
         graph.node("real", int(i))
         if graph.nodes[i][0] in WHOLE_VALUED or _is_whole(graph.value(i))
@@ -447,9 +340,9 @@ def _same(graph: Graph, params: Any, x: Ids) -> Ids:
 PRIMITIVES: dict[str, Callable[..., Ids]] = {
     "integer_pow": _integer_pow,
     "pow": _power,
-    "square": lambda g, p, x: _map(g, "mul", [x, x]),
-    "rsqrt": lambda g, p, x: _map(g, "div", [_constant(g, 1.0), _map(g, "sqrt", [x])]),
-    "round": lambda g, p, x: _map(g, "round" if int(p["rounding_method"]) else "away", [x]),
+    "square": lambda g, p, x: mapped(g, "mul", [x, x]),
+    "rsqrt": lambda g, p, x: mapped(g, "div", [constant(g, 1.0), mapped(g, "sqrt", [x])]),
+    "round": lambda g, p, x: mapped(g, "round" if int(p["rounding_method"]) else "away", [x]),
     "select_n": _select,
     "clamp": _clamp,
     "reduce_sum": _reduce("add", 0.0),
@@ -460,10 +353,13 @@ PRIMITIVES: dict[str, Callable[..., Ids]] = {
     "reduce_or": _reduce("or", False),
     "cumsum": _cumulate("add"),
     "cumprod": _cumulate("mul"),
+    "cummax": _cumulate("max"),
+    "cummin": _cumulate("min"),
     "dot_general": _dot,
     "convert_element_type": _convert,
     "broadcast_in_dim": _broadcast,
     "reshape": lambda g, p, x: x.reshape(p["new_sizes"]),
+    "tile": lambda g, p, x: np.tile(x, p["reps"]),
     "squeeze": lambda g, p, x: np.squeeze(x, axis=tuple(p["dimensions"])),
     "expand_dims": lambda g, p, x: np.expand_dims(x, tuple(p["dimensions"])),
     "transpose": lambda g, p, x: x.transpose(p["permutation"]),

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from itertools import permutations
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .derivatives import parts, solved
-from .graph import Graph, Ids
+from .graph import WRITTEN_TERMS, Graph, Ids
+from .orders import of_jax
 
 if TYPE_CHECKING:
     from ..automaton.shapes import MaskMatrix
@@ -26,6 +27,9 @@ Read = Callable[[Graph, Any, list[Ids]], list[Ids]]
 
 #: Most unknowns found by determinants: of four, the products are more than elimination makes.
 BY_DETERMINANTS = 3
+
+#: Largest matrix whose determinant is written out: it has 255 minors.
+LARGEST_DETERMINANT = 8
 
 
 def linear_solve(graph: Graph, params: Any, inputs: list[Ids], read: Read) -> list[Ids]:
@@ -106,21 +110,44 @@ def _together(graph: Graph, matrix: list[list[int]], right: list[int]) -> list[i
     return [graph.node("div", _determinant(graph, each), whole) for each in replaced]
 
 
+def determinants(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None:
+    """``jnp.linalg.det`` and ``slogdet`` of a matrix; None where an equation is no such.
+
+    JAX takes them from factors, whose rows change places; there is nothing to choose in products.
+    """
+    det = of_jax(equation, "det")
+    if not (det or of_jax(equation, "slogdet")):
+        return None
+    (matrix,) = inputs
+    if matrix.ndim != 2 or not (BY_DETERMINANTS if det else 0) < len(matrix) <= LARGEST_DETERMINANT:
+        return None
+    value = _determinant(graph, matrix.tolist())
+    size = graph.node("log", graph.node("abs", value))
+    return [np.array(n) for n in ([value] if det else [graph.node("sign", value), size])]
+
+
 def _determinant(graph: Graph, matrix: list[list[int]]) -> int:
-    """The sum of the products of a number of each row and column, with the permutations' signs."""
-    size = range(len(matrix))
-    even: list[int] = []
-    odd: list[int] = []
-    for order in permutations(size):
-        factors = [matrix[i][j] for i, j in enumerate(order)]
-        product = factors[0]
-        for factor in factors[1:]:
-            product = graph.node("mul", product, factor)
-        turned = sum(order[i] > order[j] for i in size for j in size if i < j)
-        if graph.value(product) != 0:
-            (odd if turned % 2 else even).append(product)
-    total = graph.total(even)
-    return graph.node("sub", total, graph.total(odd)) if odd else total
+    """By the minors of the last rows, each of which those with a row more have in common."""
+    size = len(matrix)
+    minors: dict[tuple[int, ...], int] = {(j,): number for j, number in enumerate(matrix[-1])}
+    for row in reversed(matrix[:-1]):
+        minors = {
+            columns: _expanded(graph, row, columns, minors)
+            for columns in combinations(range(size), len(next(iter(minors))) + 1)
+        }
+    return minors[tuple(range(size))]
+
+
+def _expanded(
+    graph: Graph, row: list[int], columns: tuple[int, ...], minors: dict[tuple[int, ...], int]
+) -> int:
+    """A minor by its first row."""
+    rest = [minors[columns[:k] + columns[k + 1 :]] for k in range(len(columns))]
+    pairs = [(row[j], minor) for j, minor in zip(columns, rest, strict=True)]
+    if len(pairs) <= WRITTEN_TERMS:
+        return graph.node("sub", graph.dot(pairs[::2]), graph.dot(pairs[1::2]))
+    turned = [(graph.node("neg", number), minor) for number, minor in pairs[1::2]]
+    return graph.dot([*pairs[::2], *turned])
 
 
 def triangular_solve(graph: Graph, params: Any, a: Ids, b: Ids) -> Ids:

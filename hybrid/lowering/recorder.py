@@ -170,6 +170,7 @@ class _Recorder:
         self.ops: list[tuple[int, ...]] = []
         self.steady: list[tuple[int, ...]] = []
         self.more: list[int] = []
+        self.tables: dict[tuple[int, bool], int] = {}
         self.numbers: list[float] = []
         self.given: list[tuple[int, int]] = []
         self.room = 1
@@ -236,6 +237,8 @@ class _Recorder:
                 self.numbers[-1] = float(rest[0])
             elif op == "input":
                 self.place[number] = self._given(rest[0])
+            elif op == "table":
+                continue
             elif op == "part":
                 index = int(self.graph.value(rest[1]))
                 self.place[number] = self._after(self.place[rest[0]], index)
@@ -268,7 +271,7 @@ class _Recorder:
         self._put_places()
         for number in self.nodes:
             op = self.graph.nodes[number][0]
-            if op not in ("const", "input", "part", "real"):
+            if op not in ("const", "input", "part", "real", "table"):
                 self._record(number)
         kinks = [
             (self.place[self._root(w)], w.switches, w.code, self.place[w.node])
@@ -304,6 +307,8 @@ class _Recorder:
         """Put down an operation; a steady one reads numbers as if they were rows."""
         op, *arguments = self.graph.nodes[number]
         moves = self.graph.moves(number)
+        if op in ("pick", "knot"):
+            return self._pick(number, *arguments)
         places = [self.place[number], *(self.place[a] for a in arguments)]
         out, *named = places if moves else [-1 - place for place in places]
         written = self.ops if moves else self.steady
@@ -333,6 +338,17 @@ class _Recorder:
             written.append((rule.LGAMMA, out, *named))
         else:
             raise TraceError(self._refused(op, arguments))
+
+    def _pick(self, number: int, table: int, place: int) -> None:
+        """An entry of a table, whose places stand once however often it is read."""
+        moves, entries = self.graph.moves(number), self.graph.nodes[table][1:]
+        names = [self.place[number], self.place[place], *(self.place[a] for a in entries)]
+        out, index, *listed = names if moves else [-1 - name for name in names]
+        key = table, moves
+        if key not in self.tables:
+            self.tables[key] = self._list(listed)
+        written = self.ops if moves else self.steady
+        written.append((rule.PICK, out, self.tables[key], index, len(listed)))
 
     def _besides_named(self, number: int, op: str, arguments: list[int]) -> list[int]:
         """What an operation of the rule takes besides its arguments."""

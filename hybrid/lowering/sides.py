@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .derivatives import node_shape
-from .graph import Graph, needed, rebuilt, states_in
+from .graph import WHOLE_VALUED, Graph, needed, rebuilt, states_in
 from .python import Program
 
 #: What an operation is where the function that decides is above zero, or below.
@@ -135,9 +135,13 @@ def deciding(graph: Graph, roots: Sequence[int]) -> dict[int, str]:
     """Functions at whose zeros nodes change their formula, arguments first, and how each does
     there (:data:`CHANGE_OF`)."""
     found: dict[int, str] = {}
-    for number in needed(graph, roots):
+    order = needed(graph, roots)
+    still = _steps(graph, order)
+    for number in order:
         op, *arguments = graph.nodes[number]
         if op in CHANGE_OF:
+            if still.issuperset(arguments):
+                continue
             decider = decider_of(graph, op, arguments)
             ends = CHANGE_OF[op] == "ends" and not _never_negative(graph, decider)
             if states_in(graph, decider) and (ends or CHANGE_OF[op] != "ends"):
@@ -147,13 +151,36 @@ def deciding(graph: Graph, roots: Sequence[int]) -> dict[int, str]:
     return found
 
 
+def _wave(graph: Graph, decider: int) -> int:
+    """Of a search by halves what decides on them all."""
+    op, *arguments = graph.nodes[decider]
+    if op == "sub" and (knot := graph.nodes[arguments[1]])[0] == "knot":
+        return graph.node("wave", arguments[0], knot[1])
+    return decider
+
+
+def _steps(graph: Graph, order: Sequence[int]) -> set[int]:
+    """Nodes that change in jumps only, which is where what they are made of changes."""
+    found: set[int] = set()
+    for number in order:
+        op, *arguments = graph.nodes[number]
+        if op == "select":
+            arguments = arguments[1:]
+        elif op in WHOLE_VALUED or op in ("floor", "ceil", "round", "away"):
+            arguments = []
+        if op == "const" or (op != "input" and all(a in found for a in arguments)):
+            found.add(number)
+    return found
+
+
 def deciders(
     graph: Graph, size: int, roots: Sequence[int]
 ) -> list[tuple[Program, bool, tuple[int, ...], str]]:
     """The same as (program, affine, elements, change)."""
+    found = {_wave(graph, number): change for number, change in deciding(graph, roots).items()}
     return [
         (Program(graph, ["t", "x"], size, np.array(number)), *node_shape(graph, number), change)
-        for number, change in deciding(graph, roots).items()
+        for number, change in found.items()
     ]
 
 

@@ -25,7 +25,7 @@ POW, SQRT, CBRT = 25, 26, 27
 SINE, SINH = 28, 29
 EXP, EXP2, EXPM1, LOG, LOG1P, TAN, TANH, LOGISTIC = 30, 31, 32, 33, 34, 35, 36, 37
 ASIN, ACOS, ATAN, ASINH, ACOSH, ATANH, ERF, ERFC = 38, 39, 40, 41, 42, 43, 44, 45
-ATAN2, LGAMMA, INTEGRAL = 46, 47, 48
+ATAN2, LGAMMA, PICK, INTEGRAL = 46, 47, 48, 49
 
 #: Beyond this the exponential is more than a double can be.
 LARGEST = 709.782712893384
@@ -69,6 +69,8 @@ def operate(
         _angle(out, a, b, d, e, more, s, sides, c, k)
     elif op == LGAMMA:
         c[out, k] = _lgamma(c[a, 0]) if k == 0 else math.nan
+    elif op == PICK:
+        c[out, k] = _picked(a, b, d, more, s, c, k)
     else:
         integrate(out, a, s, c, k)
 
@@ -330,6 +332,14 @@ def _piece(
         c[out, 0] = _floor(c[a, 0])
     else:
         c[out, 0] = whole if sides[kink] > 0 else whole - 1.0
+
+
+def _picked(first: int, index: int, count: int, more: Ints, s: Floats, c: Matrix, k: int) -> float:
+    """The entry of a table at a place that does not move, or the nearest that there is."""
+    place = at(c, s, index, 0)
+    if not math.isfinite(place):
+        return math.nan
+    return at(c, s, more[first + int(min(max(place, 0.0), count - 1.0))], k)
 
 
 def _floor(a: float) -> float:

@@ -1,0 +1,147 @@
+"""Moving data: where positions are known the numbers of nodes move, and cost nothing.
+
+Where a position depends on the state, an entry of a table is picked: one operation, however long
+the table is.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ..errors import TraceError
+from .elements import choosing, constant, each, few, mapped, taken
+from .graph import Graph, Ids
+
+#: Primitives that only move data; JAX itself moves the node numbers where numpy is not
+#: told how below.
+DATA_MOVES = {"gather", "pad", "dynamic_slice", "dynamic_update_slice", "scatter"}
+
+#: Of the inputs of a primitive, those that are moved, where it is not the first alone.
+MOVED_INPUTS = {
+    "pad": (0, 1),
+    "dynamic_update_slice": (0, 1),
+    "scatter": (0, 2),
+    "scatter-add": (0, 2),
+}
+
+
+def _places(name: str, inputs: list[Ids]) -> list[int]:
+    """Nodes of the positions that a primitive moves numbers from or to."""
+    moved = MOVED_INPUTS.get(name, (0,))
+    return [i for k, ids in enumerate(inputs) if k not in moved for i in ids.reshape(-1).tolist()]
+
+
+def placed(graph: Graph, name: str, inputs: list[Ids]) -> bool:
+    """Whether all positions are known, or are one of a few."""
+    counts = [graph.leaves(i) for i in _places(name, inputs)]
+    return few(counts) and (name != "scatter-add" or max(counts, default=1) == 1)
+
+
+def move(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
+    """Let JAX move the node numbers."""
+    import jax
+
+    name = equation.primitive.name
+    condition = choosing(graph, _places(name, inputs))
+    if condition is not None:
+        way = [[each(partial(taken, graph, condition, w), ids) for ids in inputs] for w in (1, 0)]
+        cases = [move(graph, equation, taken) for taken in way]
+        return mapped(graph, "select", [np.array(condition), *cases])
+    operands: list[Any] = []
+    for place, ids in enumerate(inputs):
+        if place in MOVED_INPUTS.get(name, (0,)):
+            operands.append(ids.astype(float) if name.startswith("scatter") else ids)
+        else:
+            operands.append(each(graph.value, ids))
+    if name == "pad" and all(min(row) >= 0 == row[2] for row in equation.params["padding_config"]):
+        widths = [row[:2] for row in equation.params["padding_config"]]
+        return np.pad(operands[0], widths, constant_values=int(operands[1]))  # spares a compilation
+    with jax.ensure_compile_time_eval(), jax.enable_x64(True):
+        moved_ids = equation.primitive.bind(*operands, **equation.params)
+    return np.asarray(moved_ids).astype(np.int64)
+
+
+def picked(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids | None:
+    """``x[i]`` with positions that move; None where an equation is no such."""
+    if equation.primitive.name == "dynamic_slice":
+        operand, *starts = inputs
+        sizes = equation.params["slice_sizes"]
+        places = np.arange(operand.size).reshape(operand.shape)[tuple(map(slice, sizes))]
+        begins = dict(enumerate(starts))
+    elif equation.primitive.name == "gather":
+        numbers = equation.params["dimension_numbers"]
+        if numbers.operand_batching_dims:
+            return None
+        (operand, indices), sizes = inputs, equation.params["slice_sizes"]
+        places = _at_zero(equation, operand.shape, indices.shape)
+        apart = [1 if d in numbers.offset_dims else n for d, n in enumerate(places.shape)]
+        columns = np.moveaxis(indices, -1, 0)
+        begins = {
+            d: c.reshape(apart) for d, c in zip(numbers.start_index_map, columns, strict=True)
+        }
+    else:
+        return None
+    return _entries(graph, operand, sizes, places, begins, _filling(equation))
+
+
+def _at_zero(equation: Any, shape: tuple[int, ...], indices: tuple[int, ...]) -> np.ndarray:
+    """Places of the entries of a gather whose positions are all 0, counted through its operand."""
+    import jax
+    from jax.lax import GatherScatterMode
+
+    places = np.arange(np.prod(shape, dtype=int)).reshape(shape)
+    with jax.ensure_compile_time_eval(), jax.enable_x64(True):
+        params = {**equation.params, "fill_value": None, "mode": GatherScatterMode.CLIP}
+        return np.asarray(equation.primitive.bind(places, np.zeros(indices, dtype=int), **params))
+
+
+def _filling(equation: Any) -> float | None:
+    """What stands for entries beyond a table's end; None where the last ones do."""
+    from jax.lax import GatherScatterMode
+
+    if equation.params.get("mode") != GatherScatterMode.FILL_OR_DROP:
+        return None
+    given = equation.params["fill_value"]
+    kind = equation.outvars[0].aval.dtype
+    if given is None:
+        given = np.nan if kind.kind == "f" else np.iinfo(kind).min if kind.kind == "i" else True
+    return kind.type(given).item()  # type: ignore[no-any-return]
+
+
+def _entries(
+    graph: Graph,
+    operand: Ids,
+    sizes: Any,
+    places: np.ndarray,
+    begins: dict[int, Ids],
+    filling: float | None,
+) -> Ids:
+    table = graph.node("table", *operand.reshape(-1).tolist())
+    strides = [int(np.prod(operand.shape[d + 1 :], dtype=int)) for d in range(operand.ndim)]
+    where, inside = constant(graph, places), constant(graph, True)
+    for d, begin in begins.items():
+        first, last = (constant(graph, n) for n in (0, operand.shape[d] - sizes[d]))
+        kept = mapped(graph, "min", [mapped(graph, "max", [begin, first]), last])
+        if filling is not None:
+            inside = mapped(graph, "and", [inside, mapped(graph, "eq", [begin, kept])])
+        steps = mapped(graph, "mul", [kept, constant(graph, strides[d])])
+        where = mapped(graph, "add", [where, steps])
+    entries = each(lambda place: graph.node("pick", table, place), where)
+    if filling is None:
+        return entries
+    return mapped(graph, "select", [inside, entries, constant(graph, filling)])
+
+
+def scatter_add(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
+    """``x.at[i].add(y)``, one summand a place: let JAX put the summands' places over zeros."""
+    operand, indices, updates = inputs
+    zeros, places = np.zeros(operand.shape), np.arange(1, updates.size + 1).reshape(updates.shape)
+    counts = move(graph, equation, [zeros, indices, np.ones(updates.shape)])
+    if counts.max(initial=0) > 1:
+        raise TraceError("x.at[...].add(...) with a repeated position; add the summands first")
+    landed = move(graph, equation, [zeros, indices, places])
+    summands = np.concatenate([[graph.const(0.0)], updates.reshape(-1)])
+    return mapped(graph, "add", [operand, summands[landed]])
