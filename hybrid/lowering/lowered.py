@@ -16,6 +16,7 @@ from ..automaton.past import blank
 from ..automaton.spec import ContactSpec, EdgeSpec, LeaveSpec, SideSpec, Spec, Transition
 from ..errors import TraceError
 from ..rules.places import WINDOW_DEGREE
+from ..rules.zeros import EPS
 from . import contact as contacts
 from .graph import TIME_PLACE, Graph, inputs_of, states_in
 from .jaxpr import read
@@ -34,6 +35,10 @@ ORDER = 16
 #: Points at which it is asked whether a reset turns a guard's motion round: what it does at half of
 #: all points goes unseen once in a million.
 RESET_SAMPLES = 20
+
+#: Steps of the secant method to a zero of a guard, and how large the guard may be there, relative
+#: to where it began: some thousands of roundings of a reset's arithmetic.
+SECANTS, AT_ZERO = 60, 1e-12
 
 #: For each element of a flow: elements, and lags with elements, that it depends on.
 Reach = list[tuple[set[int], set[tuple[int, int]]]]
@@ -325,10 +330,10 @@ class Lowered:
         """Whether a guard bounds its mode, for these values of the parameters (of windows, which
         may follow them, it is not asked what they show). One with a condition does not.
 
-        One does not if its edge leads back into the mode, and the reset leaves the guard where it
-        is and does not turn its motion round: the flow goes on through zero. What is the same
-        expression before and after the reset is the same; of a kick, which changes the guard's
-        rate, random points show whether it turns the motion round.
+        One does not if its edge leads back into the mode, and the reset leaves the guard at zero
+        and does not turn its motion round: the flow goes on through zero. What is the same
+        expression before and after the reset is the same; else random points show whether the
+        guard stays at zero, and of a kick, which changes its rate, whether that turns it round.
         """
         if isinstance(edge, EdgeSpec) and edge.when is not None:
             return False
@@ -345,8 +350,8 @@ class Lowered:
         return self.once(("stays", edge.name), lambda: self._stays(edge))  # type: ignore[no-any-return]
 
     def _stays(self, edge: EdgeSpec) -> tuple[bool, Program | None]:
-        """Whether a reset leaves its guard where it is; and where that changes the guard's rate,
-        both before and after."""
+        """Whether a reset leaves its guard at zero; and where it may change the guard's rate, both
+        before and after."""
         reset = trace.again(self.closed("reset", edge.name))
         guard = trace.again(self.closed("guard", edge.name))
         rate = contacts.lie(guard, trace.again(self.closed("flow", edge.source)))
@@ -360,9 +365,37 @@ class Lowered:
 
         closed, graph = self.trace(pairs), Graph()
         ((here, there), (before, after)), *_ = read(graph, closed, self.inputs(graph))
-        if here != there or before == after:
-            return bool(here == there), None
-        return True, self.program(("kick", edge.name), lambda: closed)
+        if here == there and before == after:
+            return True, None
+        kick = self.program(("kick", edge.name), lambda: closed)
+        stays = here == there or self._stays_zero(kick)
+        return stays, kick if stays else None
+
+    def _stays_zero(self, kick: Program) -> bool:
+        """Whether a reset leaves its guard at zero, for whatever parameters: at zeros that the
+        secant method finds from random points."""
+        draw, own = random.Random(0), sum(map(prod, self._own_shapes))
+        places = range(1 + self.spec.dimension)
+
+        def there() -> bool:
+            values = self.defaults()
+            values[:own] = [(v or 0.7) * draw.uniform(0.7, 1.3) for v in values[:own]]
+            start, end = ([draw.uniform(0.0, 1.5) for _ in places] for _ in range(2))
+
+            def at(s: float) -> Sequence[float]:
+                t, *x = ((1.0 - s) * a + s * b for a, b in zip(start, end, strict=True))
+                return kick.bind(values)(t, x)  # type: ignore[no-any-return]
+
+            s, last, (value, after, *_), before = 1.0, 0.0, at(1.0), at(0.0)[0]
+            size = max(abs(value), abs(before))
+            for _ in range(SECANTS):
+                if value == before or abs(value) <= EPS * size:
+                    break
+                s, last = s - value * (s - last) / (value - before), s
+                before, (value, after, *_) = value, at(s)
+            return size > 0.0 and all(abs(v) <= AT_ZERO * size for v in (value, after))
+
+        return all(there() for _ in range(RESET_SAMPLES))
 
     def _turns(self, crossing: Crossing, kicked: Program, parameters: Sequence[float]) -> bool:
         """Whether a reset turns its guard's motion round at one of a few random points."""

@@ -145,6 +145,42 @@ def test_an_alarm_rings_once(way):
     assert result.final.x == pytest.approx(np.cos(20.0), abs=1e-6)
 
 
+class Wheel(hy.Automaton):
+    """A wheel whose angle is taken back by a turn, or set to zero, and a hand that is set onto its
+    mark: the guard is zero before and after, and not by the same formula."""
+
+    angle = hy.state()
+    x = hy.state()
+    v = hy.state()
+    turns = hy.state()
+    swings = hy.state()
+
+    @hy.mode
+    def rolls(self, t, s):
+        return 1.0, s.v, -s.x, 0.0, 0.0
+
+    @hy.edge(rolls, to=rolls, guard=lambda self, t, s: jnp.sin(0.5 * s.angle))
+    def turn(self, t, s):
+        return s.replace(angle=s.angle - 4 * jnp.pi, turns=s.turns + 1)
+
+    @hy.edge(rolls, to=rolls, guard=lambda self, t, s: s.x - 0.3)
+    def swing(self, t, s):
+        return s.replace(x=0.3, swings=s.swings + 1)
+
+
+def test_a_reset_that_leaves_the_guard_at_zero_bounds_nothing(way):
+    """Begun beyond both guards: the sine falls through zero at 3 pi and not again; the hand falls
+    to 0.3 at acos(0.3) + acos(-0.9), and each turn later."""
+    start = [3 * np.pi, -0.9, np.sqrt(0.19), 0.0, 0.0]
+    result = way.run(Wheel(), start, (0.0, 18.0), rtol=1e-9)
+    assert (result.final.turns, result.final.swings) == (1.0, 3.0)
+    first = np.arccos(0.3) + np.arccos(-0.9)
+    if way.tells("edges"):
+        assert result.edges == ["swing", "turn", "swing", "swing"]
+    times = [first, 3 * np.pi, first + 2 * np.pi, first + 4 * np.pi]
+    np.testing.assert_allclose(result.times, times, atol=1e-6)  # global errors of the methods
+
+
 def test_a_wall_written_as_an_edge_still_bounds(way):
     """Its reset leaves the guard where it is, but turns the motion round."""
     result = way.run(Clock(wall=0.5), [1.0, 0.0, 0.0], (0.0, 1.0), rtol=1e-9)
