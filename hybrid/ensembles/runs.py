@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,7 +11,8 @@ import numpy as np
 
 from ..automaton.base import require_model
 from ..automaton.digest import digest
-from ..automaton.outputs import evaluated, require_outputs
+from ..automaton.markers import RISING, Crossing
+from ..automaton.outputs import evaluated
 from ..automaton.spec import Spec
 from ..errors import TABLES, HybridError, OptionError, need
 from ..lowering import Scene, scene_of
@@ -21,8 +22,9 @@ from ..run.comparison import give_errors
 from ..run.options import Asked, mode_of
 from ..solvers import renamed
 from ..trajectory.trajectory import Status
+from .measures import MeasuredLane, Measures
 from .processes import Shared, Unfit
-from .starts import Lane, Lanes
+from .starts import Lane, Lanes, told
 from .threads import FlownLanes, GivenLanes, abreast
 
 if TYPE_CHECKING:
@@ -73,7 +75,13 @@ def ensemble(
     memory: str = "keep",
     certify: bool = False,
     segments: int = 256,
-    measure: Sequence[str] = (),
+    measure: Any = (),
+    section: Any = None,
+    crossing: Crossing = RISING,
+    skip: int = 0,
+    every: int = 1,
+    keep: int = 32,
+    save: Any = None,
     progress: Callable[[int], None] | None = None,
 ) -> xarray.Dataset:
     """Simulate many lanes of one model: each is a run of :func:`hybrid.simulate`.
@@ -110,8 +118,20 @@ def ensemble(
         of its run, which take proofs and further runs: some ten milliseconds a lane.
     segments : int
         Without effect: a lane remembers all that its delays see.
-    measure : sequence of str
-        Outputs of the model to work out at the end of each lane, a column each.
+    measure : sequence of str and callable
+        Outputs of the model, by name, to work out at the end of each lane and wherever its states
+        are kept, a column each. ``"stick"``: the share of its time at rest on contacts or sliding.
+        ``"period"``: after how many points of the section they repeat, to 1e-6 of their size; 0
+        where those kept do not. A function of the Dataset of all lanes, which gives an array over
+        them; its name is the column's.
+    section, crossing
+        As :func:`hybrid.return_map` takes them: a jump's name, a surface ``(self, t, s)``, a
+        period, or a function ``(self)`` that gives it; the states of each lane there.
+    skip, every, keep : int
+        Of the points on the section: how many are passed over, a transient; of how many each first
+        one is kept; and how many are kept, at most. No others are stored.
+    save : array, optional
+        Times at which the states of each lane are kept.
     progress : callable ``(lanes)``, optional
         Called with the number of lanes that have ended.
 
@@ -124,7 +144,11 @@ def ensemble(
         both), its ``verdict`` (``"estimated"`` unless ``certify=True``, as nothing is proved then;
         empty where there is none), ``status``, and its ``reason``, a sentence. A lane that fails is
         a row with its reason, and the time and state that its last jump led to. With
-        ``"max_jumps"`` the state is that after the last jump.
+        ``"max_jumps"`` the state is that after the last jump. With ``section`` over ``lane`` and
+        ``hit`` the times ``t_section`` and each state, ``x_section``, NaN where a lane has fewer;
+        ``hits`` says how many it met. With ``save`` over ``lane`` and ``time`` each state,
+        ``x_saved``, NaN at times that the lane has not. States, outputs and what varies have their
+        units.
 
     Raises
     ------
@@ -138,7 +162,13 @@ def ensemble(
     """
     need("hy.ensemble", TABLES)
     require_model(model)
-    require_outputs(model.spec, measure, _Row._fields)
+    points = crossing, skip, every, keep
+    measures = Measures.of(model.spec, measure, _Row._fields, save, section, points)
+    if measures.anything and certify:
+        raise OptionError(
+            f"{model.spec.model}: certify=True flies lanes again, which keeps all of them: ask for "
+            "section, save and stick in a call of its own"
+        )
     scene = scene_of(model)
     solver, method = renamed(_solver(scene, solver, method), method)
     options = {
@@ -155,10 +185,14 @@ def ensemble(
         "memory": memory,
     }
     given = start, t, dict(parameters or {}), history
-    runs = _Runs(Lanes(model, *given), _asked(scene, options), mode_of(scene, mode), certify)
+    begins = mode_of(scene, mode)
+    runs = _Runs(Lanes(model, *given), _asked(scene, options), begins, certify, measures)
+    if section is not None:  # a fault of it is no lane's own
+        measures.section_of(runs.lanes.lane(0), runs.lanes)
 
     def job() -> tuple[Any, ...]:
-        return _flier, digest(type(model)), model, given, options, runs.mode, certify
+        own = model, given, options, begins, certify, measures.alone
+        return _flier, digest(type(model)), *own
 
     with closing(runs.all(scene, job)) as flown:
         for _ in flown:
@@ -166,7 +200,7 @@ def ensemble(
                 progress(int(np.count_nonzero(runs.rows.done)))
     if len(runs.refused) == runs.lanes.count:
         raise runs.refused[0]
-    return _dataset(scene.spec, runs.lanes, runs.rows, measure)
+    return _dataset(scene.spec, runs.lanes, runs.rows, measures)
 
 
 def _asked(scene: Scene, options: dict[str, Any]) -> Asked:
@@ -174,13 +208,20 @@ def _asked(scene: Scene, options: dict[str, Any]) -> Asked:
 
 
 def _flier(
-    known: str, model: Any, given: Any, options: dict[str, Any], mode: str, certify: bool
+    known: str,
+    model: Any,
+    given: Any,
+    options: dict[str, Any],
+    mode: str,
+    certify: bool,
+    measures: Measures,
 ) -> Callable[[int], _Ended]:
     """What flies a lane, by its number, in another process; ``known`` is the model's digest."""
     if digest(type(model)) != known:
         raise Unfit(f"{type(model).__name__} is another class there: its file has changed")
     lanes = Lanes(model, *given)
-    runs = _Runs(lanes, _asked(scene_of(model), options), mode, certify)
+    measures = attrs.evolve(measures, spec=model.spec)
+    runs = _Runs(lanes, _asked(scene_of(model), options), mode, certify, measures)
     return lambda i: runs.row(lanes.lane(i))
 
 
@@ -208,17 +249,19 @@ class _Row(NamedTuple):
     verdict: str
     status: str
     reason: str
+    measured: Any
 
 
 class _Rows:
     """The rows of all lanes, as columns; ``done`` says which are there."""
 
-    def __init__(self, count: int, dimension: int) -> None:
+    def __init__(self, count: int, dimension: int, measured: int) -> None:
         self.done = np.zeros(count, dtype=bool)
+        wide = {"x": (dimension,), "measured": (measured,)}
         whole, text = ("jumps", "steps", "accumulations"), ("mode", "verdict", "status", "reason")
         kinds = dict.fromkeys(whole, int) | dict.fromkeys(text, object)
         self.columns = {
-            name: np.empty((count, dimension) if name == "x" else count, kinds.get(name, float))
+            name: np.empty((count, *wide.get(name, ())), kinds.get(name, float))
             for name in _Row._fields
         }
 
@@ -250,12 +293,13 @@ class _Runs:
     asked: Asked
     mode: str
     certify: bool
+    measures: Measures
     refused: list[OptionError] = attrs.Factory(list)
     rows: _Rows = attrs.field(init=False)
 
     @rows.default
     def _(self) -> _Rows:
-        return _Rows(self.lanes.count, self.asked.spec.dimension)
+        return _Rows(self.lanes.count, self.asked.spec.dimension, self.measures.size)
 
     def all(self, scene: Scene, job: Callable[[], tuple[Any, ...]]) -> Generator[None]:
         """Fly all lanes; ``job`` says what flies one in another process."""
@@ -263,8 +307,10 @@ class _Runs:
         yield from self.others(job)
 
     def plain(self, scene: Scene) -> Iterator[None]:
-        """Fly lanes that need no judgement, some at a time."""
+        """Fly lanes that need no judgement, some at a time; none that is looked at on its way."""
         lanes = self.lanes
+        if self.measures.anything:
+            return
         try:
             driver = self.asked.driver(scene, lanes.t[0].tolist(), lanes.x[0], lanes.before(0))
         except HybridError:  # it is the lanes' own
@@ -288,7 +334,7 @@ class _Runs:
             names = np.array([together.mode(number) for number in modes], dtype=object)
             verdict = np.where(told[:, SUMMED] > 0, "estimated", "")
             counts = told[:, MADE_JUMPS], told[:, MADE_STEPS], told[:, SUMMED]
-            said = verdict, status.name.lower(), str(status)
+            said = verdict, status.name.lower(), str(status), np.nan
             self.rows.put(which, _Row._make((t, x, names, *counts, t_inf, error, ratio, *said)))
 
     def others(self, job: Callable[[], tuple[Any, ...]]) -> Iterator[None]:
@@ -304,9 +350,20 @@ class _Runs:
 
     def row(self, lane: Lane) -> _Ended:
         """Fly a lane."""
-        driver = None
+        if not self.measures.anything:
+            return self._flown(lane, None)
+        watched = MeasuredLane(self.measures, lane, self.measures.section_of(lane, self.lanes))
+        row, refused = self._flown(lane, watched)
+        return _Ended(row._replace(measured=watched.end()), refused)
+
+    def _flown(self, lane: Lane, watched: MeasuredLane | None) -> _Ended:
+        """Fly a lane; ``watched`` looks at it in place of a log that keeps it."""
+        driver, asked = None, self.asked
         try:
-            driver = self.asked.driver(lane.scene, lane.t, lane.x, lane.history)
+            if watched is not None and watched.dense:
+                asked = attrs.evolve(asked, save="dense")
+            driver = asked.driver(lane.scene, lane.t, lane.x, lane.history)
+            driver.record.log = watched or driver.record.log
             self._fly(driver, lane.x)
         except HybridError as fault:
             refused = fault if isinstance(fault, OptionError) else None
@@ -327,10 +384,10 @@ class _Runs:
     def _ended(self, lane: Lane, driver: Driver | None, status: str, reason: str) -> _Row:
         begun = lane.t[0], lane.x, self.mode
         if driver is None:
-            return _Row._make((*begun, 0, 0, 0, *NO_LIMIT, status, reason))
+            return _Row._make((*begun, 0, 0, 0, *NO_LIMIT, status, reason, np.nan))
         end, limit = driver.end or begun, self._limit(driver)
         counts = driver.record.made, driver.steps, len(driver.record.zeno)
-        return _Row._make((*end, *counts, *limit, status, reason))
+        return _Row._make((*end, *counts, *limit, status, reason, np.nan))
 
     def _limit(self, driver: Driver) -> tuple[float, float, float, str]:
         """Time, error, ratio and verdict of the first accumulation."""
@@ -342,29 +399,29 @@ class _Runs:
         return point.t, point.t_error, point.ratio, point.verdict
 
 
-def _dataset(spec: Spec, lanes: Lanes, rows: _Rows, measure: Sequence[str]) -> xarray.Dataset:
+def _dataset(spec: Spec, lanes: Lanes, rows: _Rows, measures: Measures) -> xarray.Dataset:
     import xarray
 
-    outputs = {
-        name: evaluated(spec, name, lanes.parameters, rows.columns["t"], rows.columns["x"], True)
-        for name in require_outputs(spec, measure)
+    columns = dict(rows.columns)
+    numbers, x = columns.pop("measured"), columns.pop("x")
+    made: dict[str, Any] = {
+        name: ("lane", v.astype(str) if v.dtype == object else v) for name, v in columns.items()
     }
-    text = {name: v.astype(str) for name, v in rows.columns.items() if v.dtype == object}
-    columns = rows.columns | text
-    record = spec.record(columns.pop("x"))
-    states = {
-        s.name: (("lane", *(f"{s.name}_{i}" for i in range(len(s.shape)))), record[s.name])
-        for s in spec.states
-    }
-    measured = {
-        name: (("lane", *(f"{name}_{i}" for i in range(values.ndim - 1))), values)
-        for name, values in outputs.items()
-    }
-    return xarray.Dataset(
-        {name: ("lane", values) for name, values in columns.items()} | states | measured,
-        coords=lanes.coordinates(),
+    record = spec.record(x)
+    for state in spec.states:
+        dims = "lane", *(f"{state.name}_{i}" for i in range(len(state.shape)))
+        made[state.name] = dims, record[state.name], told(state)
+    for output in (spec.output(name) for name in measures.outputs):
+        v = evaluated(spec, output.name, lanes.parameters, columns["t"], x, True)
+        dims = "lane", *(f"{output.name}_{i}" for i in range(v.ndim - 1))
+        made[output.name] = dims, v, told(output)
+    table = xarray.Dataset(
+        made | measures.columns(lanes, numbers),
+        coords=lanes.coordinates() | measures.coordinates(),
         attrs={"model": spec.model, **{f"status_{n}": said for n, said in STATUSES.items()}},
     )
+    found = {each.__name__: ("lane", np.asarray(each(table))) for each in measures.functions}
+    return table.assign(found)
 
 
 __all__ = ["ensemble"]

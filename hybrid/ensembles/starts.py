@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 class Lane(NamedTuple):
     """What is asked of one lane."""
 
+    number: int
     scene: Scene
     t: tuple[float, float]
     x: StateVector
@@ -71,7 +72,7 @@ class Lanes:
         """One of the lanes."""
         scene = scene_with(self.cls, self.shapes, tuple(self.values[i].tolist()))
         t0, t1 = self.t[i].tolist()
-        return Lane(scene, (t0, t1), self.x[i].copy(), self.before(i))
+        return Lane(i, scene, (t0, t1), self.x[i].copy(), self.before(i))
 
     @property
     def parameters(self) -> list[np.ndarray]:
@@ -82,9 +83,15 @@ class Lanes:
         return [column.reshape((self.count, *shape)) for column, shape in pairs]
 
     def coordinates(self) -> dict[str, Any]:
-        """The starts and parameters that vary."""
+        """The starts and parameters that vary, with their units."""
+        states = {f"{s.name}_{what}": s for s in self.spec.states for what in ("start", "history")}
+        known: dict[str, Any] = {p.name: p for p in self.spec.parameters} | states
         return {
-            name: (("lane", *(f"{name}_{i}" for i in range(v.ndim - 1))), v)
+            name: (
+                ("lane", *(f"{name}_{i}" for i in range(v.ndim - 1))),
+                v,
+                told(known[name]) if name in known else {},
+            )
             for name, v in self.varied.items()
         }
 
@@ -136,6 +143,11 @@ class Lanes:
         return np.concatenate([np.empty((self.count, 0)), *parts], axis=1)
 
 
+def told(what: Any) -> dict[str, str]:
+    """Unit and description of a state, a parameter or an output."""
+    return {"units": what.unit, "long_name": what.doc or what.name}
+
+
 def _check(model: Any, given: dict[str, Any]) -> None:
     """Let the model's own validators see the extremes of the parameters given."""
     unknown = [name for name in given if name not in {p.name for p in model.spec.parameters}]
@@ -147,4 +159,4 @@ def _check(model: Any, given: dict[str, Any]) -> None:
         attrs.evolve(model, **ends)
 
 
-__all__ = ["Lane", "Lanes"]
+__all__ = ["Lane", "Lanes", "told"]

@@ -13,10 +13,11 @@ import numpy as np
 
 from ..errors import OrbitError
 from ..result import Trajectory
+from ..run.sections import Return
 from ..trajectory.arcs import Arc
 from ..variation import Strand
+from .cut import cut
 from .delayed import carried
-from .section import Return, cut
 from .shooting import EQUILIBRIUM_MOVE, Description, Guess, Shooting, Shot
 
 if TYPE_CHECKING:

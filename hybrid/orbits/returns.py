@@ -15,10 +15,11 @@ from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
 from ..lowering import scene_of
 from ..result import Trajectory
+from ..run.sections import EdgeSection, Period, Return, Section, Surface, section_of
 from ..simulation import simulate
 from ..trajectory.trajectory import Status
 from ..variation.carried import WINDOW_SPACINGS
-from .section import EdgeSection, Period, Return, Section, Surface, cut, section_of
+from .cut import cut
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -232,8 +233,8 @@ def return_map(
         Autonomous, or periodic in time.
     section : str, callable or float
         The name of an edge, contact, switching or release: the states just after its jumps. Or
-        a surface ``(self, t, s)``: the states where it crosses zero along an arc. Or a period:
-        the states that long apart (stroboscopic).
+        a surface ``(self, t, s)``: the states where it crosses zero along an arc. Or a period,
+        or a function ``(self)`` that gives it: the states that long apart (stroboscopic).
     mode : str, optional
         The mode in which the states are given; that after the edge, or the model's initial
         mode, if omitted.

@@ -139,7 +139,7 @@ class Recorder:
             self.memory.tail(part)
         if isinstance(part, Arc) and part.segments and not plan.dense:
             part = attrs.evolve(part, segments=())
-        self.log.kept.append(part)
+        self.log.add(part)
 
     def flights(self, flights: Flights, where: Callable[[int], str], clocks: Numbers) -> None:
         """Add arcs in a row and the jumps after them, and move to the last; see :meth:`jump`."""
@@ -170,7 +170,7 @@ class Recorder:
         self._sample(flights)
         if flights.steps is not None and not self.plan.dense:
             flights = attrs.evolve(flights, steps=None)
-        self.log.kept.append(flights)
+        self.log.add(flights)
 
     def _sample(self, part: Part | Flights) -> None:
         """The states of a part at the times asked for."""

@@ -202,6 +202,10 @@ class Log:
         last = self.kept[-1] if self.kept else None
         return last is None or isinstance(last, Flights) or len(self.kept) - 1 in self.own
 
+    def add(self, part: Part | Flights) -> None:
+        """Add a part, or several."""
+        self.kept.append(part)
+
     def jump(self, row: JumpRow) -> None:
         """Add a jump from the last part."""
         self.own[len(self.kept) - 1] = row

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
+import inspect
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -15,11 +15,8 @@ from ..events import fires, zeros
 from ..lowering import Guard, Kind, Scene
 from ..lowering.derivatives import node_shape
 from ..lowering.field import Scalar
-from ..result import Trajectory
-from ..trajectory.arcs import Arc, Part
-from ..trajectory.clock import Instant
-from ..trajectory.log import Log
-from ..trajectory.trajectory import Status
+from ..trajectory.arcs import Arc
+from ..trajectory.trajectory import Solution
 
 #: A surface on which a run starts is zero there, relative to the terms that it is made of.
 STARTS = 1e-8
@@ -52,7 +49,7 @@ class EdgeSection:
     def __str__(self) -> str:
         return f"the jump {self.name!r}"
 
-    def returns(self, run: Trajectory) -> Iterator[Return]:
+    def returns(self, run: Solution) -> Iterator[Return]:
         """The run's jumps of that name that are no part of a summed series."""
         for index, row in sorted(run.own_jumps.items()):
             part = run.parts[index]
@@ -71,14 +68,15 @@ class Surface:
     def __str__(self) -> str:
         return "the surface"
 
-    def returns(self, run: Trajectory) -> Iterator[Return]:
+    def returns(self, run: Solution) -> Iterator[Return]:
         """The crossings after the start (not within a summed series of impacts)."""
         for index, part in enumerate(run.parts):
             if isinstance(part, Arc):
-                for tau in self._of(part, starts=part.t0 <= run.t0):
+                for tau in self.crossings(part, starts=part.t0 <= run.t0):
                     yield Return(index, tau)
 
-    def _of(self, arc: Arc, starts: bool) -> Iterator[float]:
+    def crossings(self, arc: Arc, starts: bool) -> Iterator[float]:
+        """The local times of an arc; ``starts``: on the section, it may start there."""
         size = STARTS * self.size(arc.t0, arc.first.tolist())
         here = self.guard.value(arc.t0, arc.first.tolist())
         order, ends = int(starts and abs(here) <= size), dict[Any, float]()
@@ -96,6 +94,8 @@ Section = Period | EdgeSection | Surface
 def section_of(model: Any, scene: Scene, section: Any, crossing: Crossing = RISING) -> Section:
     """A section as a caller gives it: a name, a number, or a function ``(self, t, s)``.
 
+    A function of the model alone, ``(self)``, gives a period.
+
     Raises
     ------
     OptionError
@@ -109,6 +109,8 @@ def section_of(model: Any, scene: Scene, section: Any, crossing: Crossing = RISI
                 "or give a surface (self, t, s), or a period"
             )
         return EdgeSection(section)
+    if callable(section) and len(inspect.signature(section).parameters) == 1:
+        section = section(model)
     if callable(section):
         return _surface(model, scene, section, crossing)
     try:
@@ -118,7 +120,7 @@ def section_of(model: Any, scene: Scene, section: Any, crossing: Crossing = RISI
     if not 0 < period < float("inf"):
         raise OptionError(
             f"{scene.spec.model}: section={section!r}: the name of an edge or contact, a surface "
-            "(self, t, s), or a period greater than 0"
+            "(self, t, s), a period greater than 0, or a function (self) that gives one"
         )
     return Period(period)
 
@@ -135,7 +137,7 @@ def _surface(model: Any, scene: Scene, function: Callable[..., Any], crossing: C
     code, spec = scene.code, scene.spec
     call = scalar(caller(type(model), spec, function))
     try:
-        closed = trace(spec, call, 0, code.shapes)
+        closed = code.once(("section", function), lambda: trace(spec, call, 0, code.shapes))
     except Exception as fault:  # whatever the caller's function raises
         reason = str(fault).split("\n")[0]
         raise OptionError(f"{spec.model}: section {function!r}: {reason}") from fault
@@ -146,33 +148,11 @@ def _surface(model: Any, scene: Scene, function: Callable[..., Any], crossing: C
         call = scene.bind(program, numbers)
         return lambda t, x: call(t, x)[0]
 
-    (node,) = graph.values(closed)
+    node = code.once(("section", graph.mode, function), lambda: graph.values(closed)[0])
     free, shape = lambda *_: (0.0, 0.0, 0.0), node_shape(graph.graph, node)
     made = bound("value", node), free, *shape, lambda: closed
     size = bound("size", graph.size(node))
     return Surface(scene, Guard("section", Kind.EDGE, "", crossing, *made), size)
 
 
-def cut(run: Trajectory, at: Return) -> Trajectory:
-    """A run as far as a return; where that is a jump, just after it."""
-    part = run.parts[at.part]
-    jump = run.own_jumps.get(at.part)
-    kept: list[Part] = list(run.parts[: at.part])
-    jumps = {index: row for index, row in run.own_jumps.items() if index < at.part}
-    if isinstance(part, Arc) and at.tau >= part.length and jump is not None:
-        after = run.parts[at.part + 1]
-        end = Arc(after.mode, part.j + 1, jump.t, jump.low, 0.0, jump.t, jump.after, jump.after, ())
-        kept, jumps[at.part] = [*kept, part, end], jump
-    else:
-        assert isinstance(part, Arc)
-        segments = part.segments
-        last = bisect_right([segment.start for segment in segments], at.tau) - 1
-        shorter = [*segments[:last], segments[last].cut(at.tau - segments[last].start)]
-        t1, last_state = Instant(part.t0, part.low).after(at.tau).t, part.local(at.tau)
-        kept.append(attrs.evolve(part, length=at.tau, t1=t1, last=last_state, segments=shorter))
-    t1 = kept[-1].t1
-    zeno = [point for point in run.zeno if point.t <= t1]
-    grazings = [grazing for grazing in run.grazings if grazing.t <= t1]
-    return attrs.evolve(
-        run, log=Log(kept, jumps), zeno=zeno, grazings=grazings, status=Status.REACHED_END
-    )
+__all__ = ["EdgeSection", "Period", "Return", "Section", "Surface", "section_of"]

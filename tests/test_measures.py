@@ -1,0 +1,204 @@
+"""What lanes of an ensemble are asked for besides their ends (``docs/maps.md``)."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hybrid as hy
+from hybrid.ensembles import runs
+from models.bead_on_table import BeadOnTable
+
+G = 9.81
+
+#: One spacing of a float for each of a few operations.
+ROUNDING = 1e-14
+
+
+class Ball(hy.Automaton):
+    """A ball dropped from height ``x`` on a floor."""
+
+    x = hy.state(unit="m", doc="height")
+    v = hy.state(unit="m/s")
+    r: float = hy.parameter(0.7, unit="1", between=(0, 1))
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -G
+
+    @hy.output(unit="J/kg")
+    def energy(self, t, s):
+        return G * s.x + s.v**2 / 2
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution="r")
+
+
+class Swing(hy.Automaton):
+    """A forced, damped oscillator without any jump: ``x = sin(omega t)`` is its limit."""
+
+    x = hy.state()
+    v = hy.state()
+    omega: float = hy.parameter(1.0)
+
+    @hy.mode
+    def free(self, t, s):
+        w = self.omega
+        return s.v, -s.v - s.x + (1 - w * w) * jnp.sin(w * t) + w * jnp.cos(w * t)
+
+
+R = np.array([0.5, 0.6, 0.8])
+
+
+def top(self, t, s):
+    return s.v
+
+
+def test_points_at_the_jumps_of_an_edge():
+    """After impact ``k`` a ball has the speed ``r^(k + 1)`` times that of its fall."""
+    lanes = hy.ensemble(
+        Ball(),
+        {"x": 1.0, "v": 0.0},
+        (0.0, 1.5),
+        {"r": R},
+        section="impact",
+        skip=1,
+        every=2,
+        keep=2,
+    )
+    fall, k = np.sqrt(2 * G), np.array([1, 3])
+    exact = np.where(lanes.hits.values[:, None] > k, fall * R[:, None] ** (k + 1), np.nan)
+    # the times of impacts are rounded, some 1e-16 at each
+    np.testing.assert_allclose(lanes.v_section, exact, rtol=1e-13)
+    assert lanes.hit.values.tolist() == [1, 3]
+    assert (lanes.hits == lanes.jumps).all()
+    assert lanes.x.attrs["units"] == lanes.x_section.attrs["units"] == "m"
+    assert lanes.r.attrs["units"] == "1"
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+def test_a_lane_meets_what_its_run_meets(solver):
+    """At the jumps of an edge, and wherever the state is kept, a lane is its run."""
+    start, span, times = {"x": 1.9, "v": 0.0}, (21.67, 45.0), np.linspace(21.67, 45.0, 9)
+    run = hy.simulate(BeadOnTable(r=0.8), start, span, solver=solver)
+    asked = {"section": "impact", "keep": 100, "save": times, "measure": ["stick"]}
+    lane = hy.ensemble(BeadOnTable(r=0.8), start, span, solver=solver, **asked).isel(lane=0)
+    own = [row for _, row in sorted(run.own_jumps.items()) if row.edge == "impact"]
+    assert int(lane.hits) == len(own) > 1
+    assert lane.t_section.values[: len(own)].tolist() == [row.t for row in own]
+    assert lane.v_section.values[: len(own)].tolist() == [row.after[1] for row in own]
+    assert np.isnan(lane.t_section.values[len(own) :]).all()
+    assert lane.x_saved.values.tolist() == run(times).x.tolist()
+    resting = sum(arc.length for arc in run.arcs if ".rest(" in arc.mode)
+    assert float(lane.stick) == pytest.approx(resting / (span[1] - span[0]), rel=ROUNDING)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+def test_points_on_a_surface(solver):
+    """The tops of a ball's flights: each is ``r^2`` times the one before."""
+    lanes = hy.ensemble(
+        Ball(), {"x": 0.0, "v": np.sqrt(2 * G)}, (0.0, 1.27), {"r": R}, solver=solver,
+        section=top, crossing=hy.FALLING, keep=2, measure=["energy"],
+    )  # fmt: skip
+    # tolerances of the solvers, 1e-8, and a factor for the two flights
+    np.testing.assert_allclose(lanes.x_section[:, 0], 1.0, rtol=1e-7)
+    np.testing.assert_allclose(lanes.x_section[:, 1], R**2, rtol=1e-7)
+    np.testing.assert_allclose(lanes.energy_section, G * lanes.x_section, rtol=1e-7)
+    assert lanes.energy_section.attrs["units"] == "J/kg"
+
+
+def test_a_period_of_each_lane():
+    """States a period of its own forcing apart, once a transient has died away."""
+    omega = np.array([0.5, 2.0])
+    lanes = hy.ensemble(
+        Swing(), {"x": 0.3, "v": 0.0}, (0.0, 30 * 2 * np.pi), {"omega": omega},
+        section=lambda self: 2 * np.pi / self.omega, skip=10, keep=4, measure=["period"],
+    )  # fmt: skip
+    assert lanes.hits.values.tolist() == [15, 60]
+    # exp(-t/2) after eleven periods of the faster one: exp(-17) = 4e-8
+    np.testing.assert_allclose(lanes.x_section, 0.0, atol=1e-7)
+    np.testing.assert_allclose(lanes.v_section, np.broadcast_to(omega[:, None], (2, 4)), rtol=1e-6)
+
+
+def test_the_period_of_an_orbit():
+    """A ball on a still table has none; one that swings has the period one."""
+    lanes = hy.ensemble(
+        Swing(), {"x": 0.0, "v": 1.0}, (0.0, 60.0), section=2 * np.pi, skip=1, measure=["period"]
+    )
+    assert lanes.period.values.tolist() == [1]
+    lanes = hy.ensemble(
+        Swing(), {"x": 0.0, "v": 1.0}, (0.0, 60.0), section=np.pi, skip=1, measure=["period"]
+    )
+    assert lanes.period.values.tolist() == [2]
+    balls = hy.ensemble(
+        Ball(), {"x": 1.0, "v": 0.0}, (0.0, 2.0), section="impact", measure=["period"]
+    )
+    assert balls.period.values.tolist() == [0]
+
+
+def test_the_share_of_sticking():
+    """A ball rests from its limit on: what is left of its time is the closed form's."""
+    lanes = hy.ensemble(Ball(), {"x": 1.0, "v": 0.0}, (0.0, 5.0), {"r": R}, measure=["stick"])
+    t_inf = np.sqrt(2 / G) * (1 + R) / (1 - R)
+    np.testing.assert_allclose(lanes.stick, np.maximum(1 - t_inf / 5.0, 0.0), rtol=1e-12)
+
+
+def test_a_lane_that_fails_harms_no_other():
+    """It is a row with its reason, and what it met until then."""
+    lanes = hy.ensemble(
+        Ball(), {"x": np.array([1.0, -1.0, 1.0]), "v": 0.0}, (0.0, 1.5), section="impact", keep=2,
+        save=[0.0, 1.5], measure=["stick", "energy"],
+    )  # fmt: skip
+    assert lanes.status.values.tolist() == ["reached_end", "outside", "reached_end"]
+    assert "must be positive" in str(lanes.reason.values[1])
+    for name in ("v_section", "x_saved", "stick", "energy_saved"):
+        values = lanes[name].values
+        assert np.isnan(values[1]).all() or name == "stick"
+        np.testing.assert_array_equal(values[0], values[2])
+        assert np.isfinite(values[0]).all()
+
+
+def test_nothing_is_stored_of_what_is_skipped(monkeypatch):
+    """A lane of many jumps keeps no more of them than it was asked for."""
+    sizes = []
+
+    class Counting(runs.MeasuredLane):
+        def add(self, part):
+            super().add(part)
+            sizes.append(len(self.kept) + len(self.own))
+
+    monkeypatch.setattr(runs, "MeasuredLane", Counting)
+    lanes = hy.ensemble(
+        BeadOnTable(r=0.5, omega=6.0), {"x": 1.5, "v": 0.0}, (0.0, 300.0),
+        section="impact", skip=100, keep=3,
+    )  # fmt: skip
+    assert int(lanes.hits[0]) > 200
+    assert max(sizes) == 1
+    assert np.isfinite(lanes.v_section.values).all()
+
+
+def test_functions_of_lanes():
+    """A function of the Dataset of all lanes is a column."""
+
+    def falls(table):
+        return np.sqrt(2 * table.x_start / G)
+
+    x = np.array([1.0, 2.0])
+    lanes = hy.ensemble(Ball(), {"x": x, "v": 0.0}, (0.0, 1.0), measure=[falls, "energy"])
+    np.testing.assert_allclose(lanes.falls, np.sqrt(2 * x / G), rtol=ROUNDING)
+    assert "energy" in lanes
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"section": "bump"}, "there are the jumps impact"),
+        ({"section": -1.0}, "a period greater than 0"),
+        ({"section": "impact", "keep": 0}, "keep=0: a whole number, 1 or more"),
+        ({"measure": ["period"]}, "counts points of a section="),
+        ({"save": [2.0, 1.0]}, "increasing times"),
+        ({"section": "impact", "certify": True}, "in a call of its own"),
+    ],
+)
+def test_what_cannot_be_measured(asked, said):
+    """Wrong use is one clear error before any lane flies."""
+    with pytest.raises(hy.OptionError, match=said):
+        hy.ensemble(Ball(), {"x": 1.0, "v": 0.0}, (0.0, 1.0), **asked)
