@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from .certificates import Certificate, certify
     from .ensembles import ensemble
     from .functions import as_function
+    from .maps import sweep
     from .orbits import lyapunov, periodic_orbit, return_map
     from .result import Trajectory, load
     from .simulation import simulate
@@ -66,6 +67,7 @@ _LAZY = {
     "periodic_orbit": "orbits",
     "return_map": "orbits",
     "ensemble": "ensembles",
+    "sweep": "maps",
     "simulate": "simulation",
     "load": "result",
     "Stats": "trajectory.stats",
@@ -134,5 +136,6 @@ __all__ = [
     "return_map",
     "simulate",
     "state",
+    "sweep",
     "switching",
 ]

@@ -16,6 +16,7 @@ PROOFS = ("flint",)
 TABLES = ("xarray",)
 FRAMES = ("pandas",)
 FILES = ("xarray", "h5netcdf", "h5py")
+MAPS = ("xarray", "zarr")
 
 #: Packages whose modules have other names.
 PACKAGES = {"flint": "python-flint"}

@@ -32,6 +32,7 @@ LAYERS = [
     ["result"],
     ["simulation"],
     ["certificates", "orbits"],
+    ["maps"],
     ["benchmark"],
     ["gallery", "models"],
     ["cli", "__main__", "__init__"],

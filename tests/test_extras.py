@@ -32,6 +32,13 @@ CALLS = [
         "xarray",
         "hy.ensemble",
     ),
+    (
+        lambda run, path: hy.sweep(
+            BouncingBall(), {"r": [0.5]}, START, SPAN, store=path / "map.zarr"
+        ),
+        "zarr",
+        "store=",
+    ),
     (lambda run, path: report(path / "paper"), "plotly", "report"),
 ]
 

@@ -1,5 +1,5 @@
 """The command line: ``hybrid run``, ``list``, ``check``, ``compare``, ``bench``,
-``certify``, ``report``.
+``certify``, ``sweep``, ``report``.
 
 Exit codes: 0 done (``certify``: certified); 1 solvers differ by more than the tolerance
 explains (``certify``: refuted); 2 something asked for cannot be done (one line says what);
@@ -8,6 +8,7 @@ explains (``certify``: refuted); 2 something asked for cannot be done (one line 
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import attrs
+import numpy as np
 import typer
 
 from .. import gallery
@@ -23,7 +25,7 @@ from ..errors import PLOT, DeclarationError, HybridError, OptionError, need
 from ..result import Trajectory
 from ..trajectory.stats import versions
 from ..trajectory.trajectory import Status
-from .given import asked, bounds, can_write, pairs, tolerances
+from .given import asked, bounds, can_write, pairs, tolerances, values
 from .told import as_json, bar, compared, differing, exact, facts, report_of, table, write_jumps
 
 app = typer.Typer(
@@ -247,6 +249,88 @@ def _keep(found: Any, out: Path, name: str) -> None:
     (out / f"{name}.txt").write_text(f"{found}\n", encoding="utf-8")
     found.plot(out / f"{name}.png")
     found.save(out / f"{name}.json")
+
+
+@app.command()
+def sweep(
+    model: Annotated[str | None, typer.Argument(help="As for run; none with --status.")] = None,
+    over: Annotated[
+        list[str] | None,
+        typer.Option(help="r=0.3:0.9:40, or r=[0.3,0.5]; a parameter, or a state's start."),
+    ] = None,
+    set_: Parameters = None,
+    start: States = None,
+    since: Since = None,
+    until: Until = None,
+    history: Before = None,
+    memory: MemoryKind = "keep",
+    solver: Annotated[str | None, typer.Option(help="scipy, diffrax or taylor.")] = None,
+    measure: Annotated[
+        list[str] | None, typer.Option(help="An output, stick, or period. May be repeated.")
+    ] = None,
+    section: Annotated[
+        str | None, typer.Option(help="A jump's name, or a period: points of each lane there.")
+    ] = None,
+    skip: Annotated[int, typer.Option(help="Points on the section to pass over.")] = 0,
+    keep: Annotated[int, typer.Option(help="Points to keep at most.")] = 32,
+    store: Annotated[
+        str | None, typer.Option(help="Where blocks are kept as they are done: map.zarr.")
+    ] = None,
+    save: Annotated[str | None, typer.Option(help="Write the map: out.nc.")] = None,
+    status: Annotated[
+        str | None, typer.Option(help="Say how far the map is that is stored there.")
+    ] = None,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> None:
+    """Run a model over a grid of parameters and starts; with --store it can be gone on with."""
+    from ..maps.store import status as stored
+
+    with _one_line():
+        if status is not None:
+            found = stored(status)
+            said = "{model}: {done} of {blocks} blocks are done, {lanes} lanes in all"
+            typer.echo(as_json(found) if json else said.format(**found))
+            return
+        if model is None:
+            raise OptionError("hybrid sweep MODEL --over NAME=FROM:TO:COUNT, or --status map.zarr")
+        can_write("--save", save)
+        axes = values(over or [])
+        first = [f"{name}=0" for name in axes]  # a state that is swept needs no start
+        given = asked(model, set_, [*(start or []), *first], since, until, history)
+        made, begin, span = given.run
+        begin = {name: value for name, value in begin.items() if name not in axes}
+        options = {"history": given.history, "memory": memory, "solver": solver}
+        options |= {"measure": measure or [], "skip": skip, "keep": keep, "store": store}
+        try:
+            options["section"] = section if section is None else float(section)
+        except ValueError:
+            options["section"] = section
+        try:
+            table = _sweep(made, axes, begin, span, options)
+        except KeyboardInterrupt:
+            left = f"; what is done is in {store}" if store else ""
+            typer.echo(f"hybrid: interrupted{left}", err=True)
+            raise typer.Exit(130) from None
+        names, counts = np.unique(table.status.values, return_counts=True)
+        told = dict(zip(names.tolist(), counts.tolist(), strict=True))
+        if json:
+            typer.echo(as_json({"lanes": int(counts.sum()), "status": told}))
+        elif not quiet:
+            ends = ", ".join(f"{count} {name}" for name, count in told.items())
+            typer.echo(f"{table.attrs['model']}: {counts.sum()} lanes: {ends}")
+        if save is not None:
+            _write(partial(table.to_netcdf, save, engine="h5netcdf"))
+
+
+def _sweep(model: Any, axes: Any, start: Any, span: Any, options: dict[str, Any]) -> Any:
+    from ..maps import sweep as fly
+
+    lanes = math.prod(len(values) for values in axes.values())
+    if not sys.stderr.isatty():
+        return fly(model, axes, start, span, **options)
+    with bar((0.0, lanes)) as told:
+        return fly(model, axes, start, span, progress=lambda done, _: told(done), **options)
 
 
 #: Exit codes of ``hybrid certify``.

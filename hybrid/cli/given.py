@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import attrs
+import numpy as np
 
 from .. import gallery
 from ..errors import FILES, HTML, PLOT, OptionError, StartError, need
@@ -53,6 +54,24 @@ def pairs(given: list[str], option: str) -> dict[str, Any]:
             equals = ""
         if not equals:
             raise OptionError(f"{option} {text}: write NAME=NUMBER, or NAME=[NUMBER,NUMBER]")
+    return found
+
+
+def values(given: list[str]) -> dict[str, Any]:
+    """Names with a row of numbers each: ``r=0.3:0.9:40``, from, to and how many, or a list."""
+    found = {}
+    for text in given:
+        name, _, said = text.partition("=")
+        parts = said.split(":")
+        try:
+            if len(parts) == 3:
+                found[name.strip()] = np.linspace(float(parts[0]), float(parts[1]), int(parts[2]))
+                continue
+        except ValueError:
+            parts = []
+        if len(parts) != 1:
+            raise OptionError(f"--over {text}: write NAME=FROM:TO:COUNT, or NAME=[NUMBER,NUMBER]")
+        found |= pairs([text], "--over")
     return found
 
 

@@ -1,0 +1,134 @@
+"""``hy.sweep``: a model over a grid of parameters and starts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import closing
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..automaton.base import require_model
+from ..errors import TABLES, need
+from .lanes import AskedLanes, block_of, dimension, points_of
+from .store import Store
+from .workers import Progress, flown
+
+if TYPE_CHECKING:
+    import xarray
+
+
+def sweep(
+    model: Any,
+    over: Mapping[str, Any],
+    start: Mapping[str, Any] | None = None,
+    t: Any = None,
+    *,
+    executor: Any = None,
+    store: Any = None,
+    block: int | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> xarray.Dataset:
+    """Simulate a model over a grid of parameters and starts, in blocks.
+
+    Parameters
+    ----------
+    model : Automaton
+    over : dict
+        Values by the names of parameters and states; a state's are those at the start.
+    start : dict
+        The other states at the start.
+    t : (t0, t1), or callable ``(self)``
+        First and last time; a function gives them of the model with the parameters of each lane.
+    executor : concurrent.futures.Executor, optional
+        What flies blocks: a pool of threads or processes, Dask's ``Client.get_executor()``. Without
+        one they are flown here, where an ensemble has threads on all cores; blocks of lanes that go
+        one by one (``section``, ``save``, ``certify``) are shared with other processes where that
+        pays. A block whose worker has died is flown again, here.
+    store : path, optional
+        A Zarr group into which each block is written once. Where it exists, what is there is not
+        flown again (extra ``maps``).
+    block : int, optional
+        Lanes in a block.
+    progress : callable ``(done, lanes)``, optional
+        Called after each block.
+    options
+        As :func:`hybrid.ensemble` takes them: ``measure``, ``section``, ``solver`` and the others.
+
+    Returns
+    -------
+    xarray.Dataset
+        What :func:`hybrid.ensemble` gives, over the names in ``over`` in place of ``lane``; the
+        dimension of a state is ``x_start``. A lane that fails is a row with its reason.
+
+    Raises
+    ------
+    OptionError, StartError, ParameterError
+        If what is given cannot be used.
+    StoreError
+        If the store is of another map.
+
+    Examples
+    --------
+    >>> hy.sweep(Ball(), over={"r": r, "x": x}, start={"v": 0.0}, t=(0.0, 30.0)).t_inf.plot()
+    """
+    need("hy.sweep", TABLES)
+    require_model(model)
+    axes = points_of(model.spec, over)
+    grid = [v.ravel() for v in np.meshgrid(*axes.values(), indexing="ij")]
+    points = dict(zip(axes, grid, strict=True))
+    asked = AskedLanes(model, points, dict(start or {}), t, options, block_of(len(grid[0]), block))
+    table = lanes_of(asked, executor, store, progress)
+    return folded(table, {dimension(model.spec, name): v for name, v in axes.items()})
+
+
+def lanes_of(
+    asked: AskedLanes, executor: Any, store: Any, progress: Progress | None = None
+) -> xarray.Dataset:
+    """All lanes as a table over ``lane``, those that a store has from there."""
+    import xarray
+
+    kept = None if store is None else Store(store, asked)
+    tables: dict[int, xarray.Dataset] = {}
+    missing = list(range(asked.blocks)) if kept is None else kept.missing
+    done = asked.blocks - len(missing)
+    with closing(flown(asked, missing, executor)) as blocks:
+        for number, table in blocks:
+            if kept is None:
+                tables[number] = table
+            else:
+                kept.put(number, table)
+            done += 1
+            if progress is not None:
+                progress(min(done * asked.block, asked.count), asked.count)
+    if kept is not None:
+        return kept.table()
+    made = [tables[number] for number in range(asked.blocks)]
+    return xarray.concat(made, dim="lane", data_vars="minimal", coords="minimal", compat="equals")
+
+
+def folded(table: xarray.Dataset, axes: Mapping[str, np.ndarray]) -> xarray.Dataset:
+    """A table over ``lane`` as one over a grid."""
+    import xarray
+
+    shape = tuple(map(len, axes.values()))
+    data = {
+        name: (
+            (*axes, *variable.dims[1:]),
+            variable.values.reshape(shape + variable.shape[1:]),
+            variable.attrs,
+        )
+        for name, variable in table.data_vars.items()
+    }
+    coordinates: dict[Any, Any] = {
+        name: (variable.dims, variable.values, variable.attrs)
+        for name, variable in table.coords.items()
+        if "lane" not in variable.dims
+    }
+    for name, values in axes.items():
+        coordinates[name] = name, values, table.coords[name].attrs
+    return xarray.Dataset(data, coords=coordinates, attrs=table.attrs)
+
+
+__all__ = ["folded", "lanes_of", "sweep"]

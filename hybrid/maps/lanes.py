@@ -1,0 +1,191 @@
+"""Lanes of a map, in blocks: what they are asked for, and a block flown."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from hashlib import sha256
+from types import CodeType
+from typing import TYPE_CHECKING, Any
+
+import attrs
+import numpy as np
+
+from ..automaton.digest import PLACE, digest
+from ..automaton.reals import reals
+from ..automaton.spec import Spec
+from ..automaton.trace import instance
+from ..ensembles import ensemble
+from ..ensembles.processes import Unfit
+from ..errors import OptionError
+from ..trajectory.stats import versions
+
+if TYPE_CHECKING:
+    import xarray
+
+#: Lanes in a block, at least and at most, and how many blocks there are where both allow it: a
+#: block is what an interrupt costs, and a file in a store.
+LEAST_BLOCK, MOST_BLOCK, BLOCKS = 16, 1024, 64
+
+
+#: Options with which lanes go one after another through the loop of a run.
+ONE_BY_ONE = ("section", "save", "certify")
+
+
+@attrs.frozen(eq=False, slots=False)
+class AskedLanes:
+    """Lanes of a model, in blocks.
+
+    Attributes
+    ----------
+    points : dict
+        By name of a parameter or a state its value in each lane.
+    start : dict
+        The other states.
+    t : (t0, t1), or callable ``(self)`` that gives it
+    options : dict
+        As :func:`hybrid.ensemble` takes them.
+    block : int
+        Lanes in a block.
+    """
+
+    model: Any
+    points: Mapping[str, np.ndarray]
+    start: Mapping[str, Any]
+    t: Any
+    options: Mapping[str, Any]
+    block: int
+
+    @property
+    def spec(self) -> Spec:
+        return self.model.spec  # type: ignore[no-any-return]
+
+    @property
+    def count(self) -> int:
+        """How many lanes there are."""
+        return len(next(iter(self.points.values())))
+
+    @property
+    def blocks(self) -> int:
+        """How many blocks there are."""
+        return -(-self.count // self.block)
+
+    @property
+    def one_by_one(self) -> bool:
+        """Whether another process saves time: lanes that threads of machine code fly together have
+        all cores already."""
+        measured = self.options.get("measure", ())
+        looks = any(self.options.get(name) is not None for name in ONE_BY_ONE)
+        return looks or (not callable(measured) and "stick" in measured)
+
+    def rows(self, number: int) -> slice:
+        """The lanes of a block."""
+        return slice(number * self.block, min((number + 1) * self.block, self.count))
+
+    def only(self, number: int) -> AskedLanes:
+        """A block alone: what a worker is sent."""
+        rows = self.rows(number)
+        return attrs.evolve(self, points={name: v[rows] for name, v in self.points.items()})
+
+    def fly(self, progress: Callable[[int], None] | None = None) -> xarray.Dataset:
+        """All lanes as a table over ``lane``."""
+        states = {**self.start, **{n: v for n, v in self.points.items() if n in self.spec.names}}
+        given = {name: v for name, v in self.points.items() if name not in self.spec.names}
+        span = self.t
+        if callable(span):
+            spans = np.array([span(model) for model in self._models()], dtype=float)
+            span = tuple(spans.reshape(self.count, 2).T)
+        asked = {"progress": progress, **self.options}
+        return ensemble(self.model, states, span, given, **asked)
+
+    def _models(self) -> list[Any]:
+        """The model of each lane."""
+        names = [parameter.name for parameter in self.spec.parameters]
+        alike = {name: getattr(self.model, name) for name in names}
+        rows = ({n: v[i] for n, v in self.points.items() if n in alike} for i in range(self.count))
+        return [instance(type(self.model), names, [*(alike | row).values()]) for row in rows]
+
+    @cached_property
+    def key(self) -> dict[str, str]:
+        """What the numbers depend on, by name: a digest of each."""
+        values = [getattr(self.model, parameter.name) for parameter in self.spec.parameters]
+        parts = {
+            "model": (digest(type(self.model)), values),
+            "values": (dict(self.points), dict(self.start), self.t),
+            "options": (sorted(self.options.items()), self.block),
+        }
+        digests = {name: sha256(_text(part).encode()).hexdigest() for name, part in parts.items()}
+        return digests | {"versions": _text(versions())}
+
+
+def points_of(spec: Spec, over: Any) -> dict[str, np.ndarray]:
+    """The values by name that a map goes over.
+
+    Raises
+    ------
+    OptionError
+    """
+    known = [*(p.name for p in spec.parameters), *spec.names]
+    if not isinstance(over, Mapping) or not over:
+        raise OptionError(f'{spec.model}: over={over!r}: values by name, {{"{known[0]}": values}}')
+    found = {}
+    for name, values in over.items():
+        if name not in known:
+            there = ", ".join(known)
+            raise OptionError(f"{spec.model}: over {name!r}: a parameter or a state: {there}")
+        try:
+            found[name] = reals(values)
+        except ValueError:
+            found[name] = np.empty(0)
+        if found[name].ndim != 1 or not found[name].size or not np.isfinite(found[name]).all():
+            raise OptionError(f"{spec.model}: over {name}={values!r}: numbers in a row")
+        if len(set(found[name].tolist())) < found[name].size:
+            raise OptionError(f"{spec.model}: over {name}: a value occurs twice")
+    return found
+
+
+def dimension(spec: Spec, name: str) -> str:
+    """The dimension of a map that goes over a parameter, or over the start of a state."""
+    return f"{name}_start" if name in spec.names else name
+
+
+def block_of(count: int, block: Any) -> int:
+    """Lanes in a block.
+
+    Raises
+    ------
+    OptionError
+    """
+    if block is None:
+        return max(LEAST_BLOCK, min(MOST_BLOCK, -(-count // BLOCKS)))
+    if not (isinstance(block, int | np.integer) and block >= 1):
+        raise OptionError(f"block={block!r}: a number of lanes, 1 or more")
+    return int(block)
+
+
+def flier(known: str, asked: AskedLanes) -> Callable[[int], xarray.Dataset]:
+    """What flies a block, by its number, in another process; ``known`` is the model's digest."""
+    if digest(type(asked.model)) != known:
+        raise Unfit(f"{asked.spec.model} is another class there: its file has changed")
+    return lambda number: asked.only(number).fly()
+
+
+def _text(value: Any) -> str:
+    """All that a value says, the same in every process."""
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key!r}: {_text(each)}' for key, each in value.items())}}}"
+    if isinstance(value, CodeType):
+        return f"{value.co_code.hex()} {value.co_names} {_text(value.co_consts)}"
+    if callable(value) and hasattr(value, "__code__"):
+        seen = [cell.cell_contents for cell in value.__closure__ or ()]
+        return f"{_text(value.__code__)} {_text(value.__defaults__)} {_text(seen)}"
+    if hasattr(value, "__array__"):
+        array = np.asarray(value)
+        return f"{array.shape} {array.tolist()}"
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return f"({', '.join(map(_text, value))})"
+    return re.sub(PLACE, "", repr(value))
+
+
+__all__ = ["AskedLanes", "block_of", "dimension", "flier", "points_of"]

@@ -1,0 +1,140 @@
+"""A map on disk: a Zarr group whose arrays have a shard for each block, written once.
+
+What the numbers depend on stands in the group's attributes; a block is there when its place in the
+array ``_done`` says so, which is written last.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import MAPS, StoreError, need
+from .lanes import AskedLanes
+
+if TYPE_CHECKING:
+    import xarray
+
+#: Parts of a shard that can be read alone.
+SHARD_PARTS = 4
+
+#: The array that says which blocks are there.
+DONE = "_done"
+
+
+class Store:
+    """The tables of a map's blocks in a Zarr group.
+
+    Raises
+    ------
+    StoreError
+        If the group is that of another map, or none.
+    """
+
+    def __init__(self, path: Any, asked: AskedLanes) -> None:
+        need("store=", MAPS)
+        self.asked, self.path = asked, path
+        self.group = _open(path, "a")
+        key = asked.key
+        own = self.group.attrs.get("hybrid")
+        if own is None and any(True for _ in self.group.keys()):
+            raise StoreError(f"{path} holds something else; give another store=")
+        if own is not None and own["key"] != key:
+            other = [name for name, said in key.items() if own["key"].get(name) != said]
+            raise StoreError(
+                f"{path} is a map with other {' and '.join(other)}, of {own['model']}; give "
+                "another store=, or remove it"
+            )
+        if own is None:
+            told = {"key": key, "model": asked.spec.model, "count": asked.count}
+            self.group.attrs["hybrid"] = told
+        if DONE not in self.group:
+            self.group.create_array(DONE, shape=(asked.blocks,), chunks=(1,), dtype=bool)
+
+    @property
+    def missing(self) -> list[int]:
+        """The blocks that are not there."""
+        return [int(number) for number in np.flatnonzero(~self.group[DONE][:])]
+
+    def put(self, number: int, table: xarray.Dataset) -> None:
+        """Write a block."""
+        rows = self.asked.rows(number)
+        for name, variable in {str(k): v for k, v in table.variables.items()}.items():
+            if name not in self.group:
+                self._create(name, variable)
+            values = np.asarray(variable.values)
+            values = values.astype(object) if values.dtype.kind == "U" else values
+            if variable.dims[:1] == ("lane",):
+                self.group[name][rows] = values
+            else:
+                self.group[name][...] = values
+        if "attributes" not in self.group.attrs:
+            self.group.attrs["attributes"] = json.dumps([table.attrs, [*table.coords]])
+        self.group[DONE][number] = True
+
+    def _create(self, name: str, variable: Any) -> None:
+        """The array of a variable: a shard for each block."""
+        text, over = variable.dtype.kind == "U", variable.dims[:1] == ("lane",)
+        shape = (self.asked.count, *variable.shape[1:]) if over else variable.shape
+        block, parts = self.asked.block, SHARD_PARTS if self.asked.block % SHARD_PARTS == 0 else 1
+        shards = {"chunks": (block // parts, *shape[1:]), "shards": (block, *shape[1:])}
+        self.group.create_array(
+            name,
+            shape=shape,
+            dtype=str if text else variable.dtype,
+            dimension_names=variable.dims,
+            attributes=dict(variable.attrs),
+            **(shards if over else {}),
+        )
+
+    def table(self) -> xarray.Dataset:
+        """All lanes, when no block is missing."""
+        import xarray
+
+        attributes, coordinates = json.loads(self.group.attrs["attributes"])
+        data = {}
+        for name, array in self.group.arrays():
+            if name != DONE:
+                values = array[...]
+                if values.dtype.kind in "OT":
+                    values = values.astype(object).astype(str)
+                data[name] = array.metadata.dimension_names, values, dict(array.attrs)
+        own = {name: data.pop(name) for name in coordinates}
+        return xarray.Dataset(data, coords=own, attrs=attributes)
+
+
+def status(path: Any) -> dict[str, Any]:
+    """How far a stored map is: its model, lanes and blocks, how many are done.
+
+    Raises
+    ------
+    StoreError
+        If there is no map.
+    """
+    need("hybrid sweep --status", MAPS)
+    groups = [path, *sorted(Path(path).glob("round*"))] if Path(path).is_dir() else [path]
+    found = [group for group in (_open(each, "r") for each in groups) if DONE in group]
+    if not found:
+        raise StoreError(f"{path} is no map that hybrid has stored")
+    done = [group[DONE][:] for group in found]
+    return {
+        "model": found[0].attrs["hybrid"]["model"],
+        "lanes": sum(int(group.attrs["hybrid"]["count"]) for group in found),
+        "blocks": sum(len(each) for each in done),
+        "done": sum(int(each.sum()) for each in done),
+    }
+
+
+def _open(path: Any, mode: str) -> Any:
+    import zarr
+
+    try:
+        return zarr.open_group(path, mode=mode)
+    except (OSError, ValueError, KeyError) as fault:
+        raise StoreError(f"cannot open {path}: {type(fault).__name__}: {fault}") from None
+
+
+__all__ = ["Store", "status"]
