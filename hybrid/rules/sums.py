@@ -31,7 +31,7 @@ from .kinks import NO_SERIES
 from .lengths import LAST_TERMS
 from .linear import solve, unfitted
 
-__all__ = ("close", "on_curve", "restitution", "shown", "touch")
+__all__ = ("close", "impacts", "on_curve", "restitution", "shown", "touch")
 
 # Rows of ``lines``: Chebyshev coefficients of the curve; flights and impacts from its points; right
 # sides, then values there. Of time and states at the limit: since the first impact; what the last
@@ -113,6 +113,9 @@ STILL_FALLS = 0.5
 #: its series leave of its length and of the speed at its end, against their own share: it was up to
 #: 1.9; and their share of what the sum may be off.
 FLIGHT_ROUNDING, TERMS_CAUTION, LAST_TERMS_SHARE = 3e-15, 4.0, 0.025
+
+#: Turns in which the speed before an impact is found where the restitution depends on it.
+LAW_TURNS = 3
 
 #: The smallest that anything is compared with, and the largest logarithm of a speed's growth.
 SMALLEST_DIVISOR, LARGEST_GROWTH = 1e-300, 700.0
@@ -484,6 +487,34 @@ def end_of_flight(
     for j in range(n):
         lines[place + 1, j] = room.aside[j, 1]
     return when
+
+
+def impacts(
+    p: Programs,
+    at: int,
+    curve: Matrix,
+    t: float,
+    x: Floats,
+    v: float,
+    r: float,
+    room: Sums,
+    before: Matrix,
+    after: Matrix,
+) -> int:
+    """The states before and after the impacts ``y(r)``, ``y(r^2)``, ..., the former from the
+    latter: as many as there are rows."""
+    read, degree = room.lines[READ], curve.shape[0] - 1
+    for k in range(after.shape[0]):
+        state, w = after[k], math.pow(r, k + 1.0)
+        when, speed = on_curve(p, at, curve, degree, t, x, v, w, 1.0, room, state)
+        struck = -speed / r
+        for _ in range(LAW_TURNS):
+            struck = -speed / restitution(p, at, when, state, struck, room)
+        values(p, at + KICK, when, state, room.sides, room.c, room.work, read)
+        for j in range(x.shape[0]):
+            before[k, j] = state[j]
+        turned(before[k], struck - speed, read)
+    return 0
 
 
 # ---------------------------------------------------------------------------------------

@@ -84,7 +84,8 @@ from ..rules.places import (
     T,
 )
 from ..segment import nodes, terms
-from ..trajectory.log import Flights, Steps, Table
+from ..trajectory.arcs import Table
+from ..trajectory.log import Flights, Steps
 from ..trajectory.plan import PATIENCE
 from ..trajectory.trajectory import Status
 from ..zeno.accumulate import Tail

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import attrs
 import numpy as np
@@ -137,6 +138,24 @@ class JumpRow:
     after: StateVector
 
 
+class Table(NamedTuple):
+    """Jumps as columns: time in two floats, edge, states before and after."""
+
+    t: np.ndarray
+    low: np.ndarray
+    edge: np.ndarray
+    before: StateVector
+    after: StateVector
+
+    @classmethod
+    def of(cls, rows: list[JumpRow], dimension: int) -> Table:
+        """The table of single jumps."""
+        names, shape = np.array([row.edge for row in rows], dtype=object), (len(rows), dimension)
+        t, low = (np.array([getattr(row, name) for row in rows], float) for name in ("t", "low"))
+        states = (np.array([getattr(r, side) for r in rows], float) for side in ("before", "after"))
+        return cls(t, low, names, *(x.reshape(shape) for x in states))
+
+
 @attrs.frozen(eq=False)
 class TailPart(_Moded):
     """A chattering tail in a trajectory: from arc ``j`` on, ``tail.count + 1`` arcs."""
@@ -180,10 +199,17 @@ class TailPart(_Moded):
 
     def jump(self, n: int) -> JumpRow:
         """The tail's impact ``n`` (1, 2, ...)."""
-        tail, since = self.tail, float(self.tail.times[n])
+        t, low, edge, before, after = (column[n - 1] for column in self.jumps)
+        return JumpRow(float(t), float(low), edge, before, after)
+
+    @cached_property
+    def jumps(self) -> Table:
+        """All impacts of the tail that are listed."""
+        tail = self.tail
+        since = tail.times[1:]
         t = tail.t + since
-        low = (tail.t - t) + since + tail.low
-        return JumpRow(t, low, tail.contact.name, *tail.around(n))
+        names = np.full(tail.count, tail.contact.name, dtype=object)
+        return Table(t, (tail.t - t) + since + tail.low, names, *tail.impacts)
 
     def arc_at(self, t: float, side: str = "right") -> Arc:
         """The arc of the tail that covers a time, by the listed times of its impacts."""

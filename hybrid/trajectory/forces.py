@@ -15,7 +15,7 @@ import numpy as np
 from ..automaton.spec import ContactSpec, Spec
 from ..errors import OptionError
 from ..lowering import Scene, scene_of
-from .log import Table
+from .arcs import Table
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers

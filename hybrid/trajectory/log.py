@@ -18,7 +18,7 @@ from numpy.polynomial import chebyshev
 
 from ..lowering.scene import parted
 from ..segment import Segment, from_values, nodes, projected
-from .arcs import Arc, JumpRow, Part, TailPart
+from .arcs import Arc, JumpRow, Part, Table, TailPart
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers, StateVector
@@ -56,24 +56,6 @@ class Steps(NamedTuple):
         coefficients[:, 0] += first[:, 0]  # last: a state that stays the same stays so exactly
         columns = self.start.tolist(), kept.tolist(), coefficients
         return [Segment(*row) for row in zip(*columns, strict=True)]
-
-
-class Table(NamedTuple):
-    """Jumps as columns: time in two floats, edge, states before and after."""
-
-    t: np.ndarray
-    low: np.ndarray
-    edge: np.ndarray
-    before: StateVector
-    after: StateVector
-
-    @classmethod
-    def of(cls, rows: list[JumpRow], dimension: int) -> Table:
-        """The table of single jumps."""
-        names, shape = np.array([row.edge for row in rows], dtype=object), (len(rows), dimension)
-        t, low = (np.array([getattr(row, name) for row in rows], float) for name in ("t", "low"))
-        states = (np.array([getattr(r, side) for r in rows], float) for side in ("before", "after"))
-        return cls(t, low, names, *(x.reshape(shape) for x in states))
 
 
 @attrs.frozen(eq=False)
@@ -247,11 +229,9 @@ class Log:
         tables: list[Table] = []
         rows: list[JumpRow] = []
         for place, part in enumerate(self.kept):
-            if isinstance(part, Flights):
+            if isinstance(part, Flights | TailPart):
                 tables += [Table.of(rows, dimension), part.jumps]
                 rows = []
-            elif isinstance(part, TailPart):
-                rows += [part.jump(n) for n in range(1, part.tail.count + 1)]
             if place in self.own:
                 rows.append(self.own[place])
         tables.append(Table.of(rows, dimension))

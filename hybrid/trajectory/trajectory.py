@@ -21,9 +21,9 @@ from ..automaton.record import Record
 from ..automaton.spec import Spec
 from ..errors import FRAMES, OptionError, need
 from .accumulation import Accumulation, explain, unfinished
-from .arcs import Arc, JumpRow, Part, TailPart
+from .arcs import Arc, JumpRow, Part, Table, TailPart
 from .forces import force, impulses
-from .log import Log, Table
+from .log import Log
 from .stats import Stats
 
 if TYPE_CHECKING:

@@ -123,13 +123,15 @@ class Tail:
         times[0] = 0.0
         return np.maximum.accumulate(times)
 
-    def around(self, n: int) -> tuple[np.ndarray, np.ndarray]:
-        """States before and after the impact ``y(r^n)``, the former from the latter."""
-        since, x, v = self.point(self.r**n)
-        t, after, speed = self.t + since, x.tolist(), -v / self.r
-        for _ in range(3):  # the restitution may depend on the speed before the impact
-            speed = -v / self.contact.law(t, after, speed)
-        return x - (v - speed) * np.array(self.contact.push(t, after)), x
+    @cached_property
+    def impacts(self) -> tuple[Matrix, Matrix]:
+        """States before and after the impacts ``y(r)``, ``y(r^2)``, ... that are listed."""
+        chatter, shape = _chatter(self.field, self.contact), (self.count, len(self.x))
+        before, after = np.empty(shape), np.empty(shape)
+        tail = self.curve, self.t, self.x, self.v, self.r
+        with chatter.lent() as given:
+            unit("sums").impacts(chatter.programs, 1, *tail, given, before, after)
+        return before, after
 
     def state(self, since: float) -> list[float]:
         """State at a time after ``y(1)``."""
@@ -187,10 +189,8 @@ class Tail:
         Rows are time, state, gap speed at the end of the flight, and the times at which this begins
         and ends; the last two are the least and the most of each column.
         """
-        tail, out = (
-            (self.curve, self.t, self.x, self.v, self.r),
-            np.empty((STRETCH_POINTS + 2, len(self.x) + 4)),
-        )
+        tail = self.curve, self.t, self.x, self.v, self.r
+        out = np.empty((STRETCH_POINTS + 2, len(self.x) + 4))
         with self.programs() as (programs, given):
             unit("sums").shown(programs, 0, 1, *tail, first, last, begin, end, given, out)
         return out
