@@ -24,6 +24,7 @@ from .automaton import (
     output,
     parameter,
     picture,
+    signal,
     state,
     switching,
 )
@@ -134,6 +135,7 @@ __all__ = [
     "periodic_orbit",
     "picture",
     "return_map",
+    "signal",
     "simulate",
     "state",
     "sweep",

@@ -158,7 +158,7 @@ def simulate(
 
 
 def _parameters(model: Any, scene: Scene) -> dict[str, Any]:
-    return {p.name: getattr(model, p.name) for p in scene.spec.parameters}
+    return {name: getattr(model, name) for name in scene.spec.given}
 
 
 def _trajectory(

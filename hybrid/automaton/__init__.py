@@ -17,6 +17,7 @@ from .markers import (
 from .outputs import output
 from .picture import picture
 from .record import Record
+from .signals import signal
 from .spec import ContactSpec, EdgeSpec, ModeSpec, SideSpec, Spec, SwitchingSpec
 
 __all__ = [
@@ -39,6 +40,7 @@ __all__ = [
     "output",
     "parameter",
     "picture",
+    "signal",
     "state",
     "switching",
 ]

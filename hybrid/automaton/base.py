@@ -9,7 +9,7 @@ import attrs
 import numpy as np
 
 from ..errors import PLOT, DeclarationError, OptionError, ParameterError, TraceError, need
-from . import outputs, trace
+from . import outputs, signals, trace
 from .builder import Builder
 from .captured import Captured, captured
 from .clocks import require_clocks
@@ -82,6 +82,11 @@ class Automaton:
         """Values of the parameters, as arrays of 64 bits, in declared order."""
         return tuple(np.asarray(getattr(self, p.name), dtype=float) for p in self.spec.parameters)
 
+    @property
+    def samples(self) -> tuple[signals.Samples, ...]:
+        """The data of the signals, in declared order."""
+        return tuple(getattr(self, signal.name) for signal in self.spec.signals)
+
     @classmethod
     def draw(cls, path: Any = None) -> Any:
         """Draw the automaton: modes as boxes, edges as arrows with the way their guards take.
@@ -130,12 +135,14 @@ def _inherited(cls: type) -> dict[str, Any]:
 
 def _is_marker(value: Any) -> bool:
     kinds = State | Mode | EdgeMarker | ContactMarker | Switching | outputs.Output
-    return isinstance(value, kinds) or is_parameter(value)
+    return isinstance(value, kinds) or is_parameter(value) or signals.is_signal(value)
 
 
 def _make_attrs(cls: type, markers: dict[str, Any]) -> None:
-    """Make the class a frozen attrs class whose fields are its parameters."""
-    fields = {name: value for name, value in markers.items() if is_parameter(value)}
+    """Make the class a frozen attrs class whose fields are its parameters and signals."""
+    known, _ = signals.declared(markers)
+    given = [spec.name for spec in known]
+    fields = {n: value for n, value in markers.items() if is_parameter(value) or n in given}
     cls._hybrid_markers = dict(markers)  # type: ignore[attr-defined]
     if "__init__" in vars(cls):
         delattr(cls, "__init__")  # which is a fault, and said so
@@ -154,7 +161,7 @@ def _make_attrs(cls: type, markers: dict[str, Any]) -> None:
                 f"{cls.__name__} has no parameter {unknown[0]!r}; "
                 f"there are: {', '.join(fields) or 'none'}"
             )
-        generated(self, **parameters)
+        generated(self, **parameters | signals.taken(cls.__name__, known, parameters))
         require_clocks(self, cls.spec)  # type: ignore[attr-defined]
 
     __init__.__doc__ = f"Parameters of {cls.__name__}: {', '.join(fields)}."
@@ -174,6 +181,12 @@ class _Traced:
         functions = list(_functions(self.spec)) if self.spec.states else []
         functions = [f for f in functions if not any(f[2] is other for other in self.skipped)]
         lags = Lags(self.spec)
+        if self.spec.signals and any(looks_back(f[2]) for f in functions):
+            self.faults.append(
+                f"signal {self.spec.signals[0].name}: a model that looks into the past can have no "
+                "signal yet: write it as a function of t"
+            )
+            return
         for each in functions:
             if looks_back(each[2]):
                 self._guarded(self._ask, lags, each)
@@ -300,11 +313,13 @@ def _register_pytree(cls: type) -> None:
 
     names = [parameter.name for parameter in cls.spec.parameters]  # type: ignore[attr-defined]
 
-    def flatten(model: Any) -> tuple[list[Any], None]:
-        return [getattr(model, name) for name in names], None
+    given = [signal.name for signal in cls.spec.signals]  # type: ignore[attr-defined]
 
-    def unflatten(_: None, leaves: Any) -> Any:
-        return trace.instance(cls, names, leaves)
+    def flatten(model: Any) -> tuple[list[Any], tuple[Any, ...]]:
+        return [getattr(model, n) for n in names], tuple(getattr(model, n) for n in given)
+
+    def unflatten(data: tuple[Any, ...], leaves: Any) -> Any:
+        return trace.instance(cls, [*names, *given], [*leaves, *data])
 
     jax.tree_util.register_pytree_node(cls, flatten, unflatten)
 

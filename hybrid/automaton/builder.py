@@ -25,6 +25,7 @@ from .markers import (
 from .outputs import Output
 from .past import looks_back
 from .reals import reals
+from .signals import declared, placeholder
 from .spec import (
     ContactSpec,
     EdgeSpec,
@@ -40,7 +41,7 @@ from .vectors import elements, length
 
 #: Attributes that a record, and a model, have of themselves.
 RECORDS = ("keys", "replace")
-MODELS = ("draw", "parameters", "spec", "traces")
+MODELS = ("draw", "parameters", "samples", "spec", "traces")
 
 
 def _unguarded(self: Any, t: Any, s: Any) -> Any:
@@ -70,6 +71,8 @@ class Builder:
             for name, m in self.markers.items()
             if is_parameter(m)
         )
+        given, faults = declared(self.markers)
+        self.faults += faults
         if not states:
             self.faults.append("no state: declare one, x = hy.state()")
         transitions: list[Transition] = []
@@ -78,7 +81,7 @@ class Builder:
             if isinstance(m, EdgeMarker):
                 transitions.append(self.edge(m))
             elif isinstance(m, ContactMarker):
-                transitions += self.contacts(m, states, parameters)
+                transitions += self.contacts(m, (states, parameters, given))
             elif isinstance(m, Switching):
                 switchings.append(self.switching(m))
                 transitions += switchings[-1].sides
@@ -92,6 +95,7 @@ class Builder:
             self.initial(),
             tuple(switchings),
             outputs=tuple(self.output(marker) for marker in self.of(Output)),
+            signals=given,
             cls=self.cls,
         )
 
@@ -121,7 +125,7 @@ class Builder:
     def check_defaults(self) -> None:
         """Each default must be a value that the model could be given."""
         try:
-            self.cls()
+            self.cls(**{each.name: placeholder(each) for each in declared(self.markers)[0]})
         except ParameterError as fault:
             self.faults.append(f"default of {fault}")
 
@@ -188,12 +192,11 @@ class Builder:
     def contacts(
         self,
         marker: ContactMarker,
-        states: Sequence[StateSpec],
-        parameters: tuple[ParameterSpec, ...],
+        declared: tuple[Sequence[StateSpec], tuple[ParameterSpec, ...], Any],
     ) -> list[ContactSpec]:
         """The contact of a marker; of an array of gaps its contacts."""
-        contact = self.contact(marker, parameters)
-        count = length(self.cls, states, parameters, contact.guard)
+        contact = self.contact(marker, declared[1])
+        count = length(self.cls, *declared, contact.guard)
         if count == 0:
             self.faults.append(f"contact {marker.name}: a gap of no element; give one or more")
         return elements(contact, count) if count else [contact]

@@ -102,7 +102,8 @@ def _vectorised(cls: Any, name: str, lanes: bool) -> Callable[..., Any]:
 
     spec: Spec = cls.spec
     call = numbers(caller(cls, spec, spec.output(name).function))
-    return jax.jit(jax.vmap(call, in_axes=(0 if lanes else None, 0, 0)))
+    axes = (0 if lanes else None,) * len(spec.parameters) + (0,) * len(spec.signals)
+    return jax.jit(jax.vmap(call, in_axes=(axes, 0, 0)))
 
 
 def evaluated(
@@ -110,9 +111,9 @@ def evaluated(
 ) -> np.ndarray:
     """An output at states ``x`` (last axis the coordinates) and times ``t``, one for each.
 
-    The result has the axes of ``t``, then its own. With ``lanes`` the parameters have a first axis
-    for the states, too. Rows are filled up to a power of two: little is compiled for ever other
-    numbers of times.
+    The result has the axes of ``t``, then its own. ``parameters`` are the parameters, then the data
+    of signals; with ``lanes`` the former have a first axis for the states, too. Rows are filled up
+    to a power of two: little is compiled for ever other numbers of times.
 
     Raises
     ------
@@ -127,8 +128,10 @@ def evaluated(
     times = np.broadcast_to(np.asarray(t, dtype=float), x.shape[:-1])
     flat, states = times.reshape(-1), x.reshape(-1, spec.dimension)
     size = 1 << max(len(flat) - 1, 0).bit_length()
-    given = [np.asarray(value, dtype=float) for value in parameters]
+    count = len(spec.parameters)
+    given = [np.asarray(value, dtype=float) for value in parameters[:count]]
     given = [_filled(value, size) for value in given] if lanes else given
+    given += [_filled(each.pieces(flat), size) for each in parameters[count:]]
     with wide():
         found = _vectorised(spec.cls, name, lanes)(
             tuple(given), _filled(flat, size), _filled(states, size)
@@ -165,7 +168,7 @@ class Observed(Record):
                 return super().__getattr__(name)
             except AttributeError as fault:
                 raise AttributeError(f"{fault}; outputs: {', '.join(known)}") from None
-        given = [parameters[parameter.name] for parameter in spec.parameters]
+        given = [parameters[name] for name in spec.given]
         self.__dict__[name] = value = evaluated(spec, name, given, t, x)
         return value
 

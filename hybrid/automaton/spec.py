@@ -13,6 +13,7 @@ import numpy as np
 from .markers import Crossing, Times
 from .past import LagSpec, window_shapes
 from .record import Record
+from .signals import SignalSpec
 
 
 @attrs.frozen
@@ -191,6 +192,7 @@ class Spec:
     switchings: tuple[SwitchingSpec, ...] = ()
     lags: tuple[LagSpec, ...] = ()
     outputs: tuple[OutputSpec, ...] = ()
+    signals: tuple[SignalSpec, ...] = ()
     cls: Any = attrs.field(default=None, eq=False, repr=False)
 
     def __reduce_ex__(self, protocol: Any) -> Any:
@@ -199,8 +201,15 @@ class Spec:
 
     @property
     def windows(self) -> tuple[tuple[int, ...], ...]:
-        """Shapes of the windows of the past, which follow the parameters in every trace."""
-        return window_shapes(self.lags, self.dimension)
+        """Shapes of the pieces of signals, and of the windows of the past: they follow the
+        parameters in every trace."""
+        pieces = tuple((signal.size,) for signal in self.signals)
+        return (*pieces, *window_shapes(self.lags, self.dimension))
+
+    @cached_property
+    def given(self) -> tuple[str, ...]:
+        """Names of the parameters, then of the signals."""
+        return (*(p.name for p in self.parameters), *(signal.name for signal in self.signals))
 
     @cached_property
     def dimension(self) -> int:

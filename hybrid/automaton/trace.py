@@ -17,6 +17,7 @@ import numpy as np
 from ..errors import TraceError
 from .captured import may_vary, values
 from .past import Past, asking
+from .signals import Present
 from .spec import Spec
 
 Traced = Callable[..., Any]
@@ -49,13 +50,15 @@ def caller(
     Where it looks into the past, ``lags`` are the numbers of the lags it asks for; ``past`` makes
     what it looks at.
     """
-    names = [parameter.name for parameter in spec.parameters]
+    count, given = len(spec.parameters), spec.signals
+    names = spec.given
 
     def call(parameters: Any, t: Any, x: Any, *extra: Any) -> Any:
         own, windows = parameters[: len(names)], parameters[len(names) :]
         record = past(spec, t, windows, lags)
         seeing = asking(function, record)
-        return seeing(instance(cls, names, own), t, spec.record(x), *extra)
+        now = [Present(*each) for each in zip(given, [t] * len(given), own[count:], strict=True)]
+        return seeing(instance(cls, names, (*own[:count], *now)), t, spec.record(x), *extra)
 
     return call
 

@@ -9,17 +9,22 @@ from typing import Any
 import attrs
 
 from .past import Asking
+from .signals import SignalSpec
 from .spec import ContactSpec, ParameterSpec, Spec, StateSpec
 from .trace import caller, trace
 
 
 def length(
-    cls: Any, states: Sequence[StateSpec], parameters: tuple[ParameterSpec, ...], gap: Any
+    cls: Any,
+    states: Sequence[StateSpec],
+    parameters: tuple[ParameterSpec, ...],
+    signals: tuple[SignalSpec, ...],
+    gap: Any,
 ) -> int | None:
     """How many contacts a gap is; None for one number, and where tracing it will tell a fault."""
     import jax.numpy as jnp
 
-    spec = Spec(cls.__name__, tuple(states), parameters, (), (), "", cls=cls)
+    spec = Spec(cls.__name__, tuple(states), parameters, (), (), "", signals=signals, cls=cls)
     call = caller(cls, spec, gap, past=Asking)
     try:
         (found,) = trace(spec, lambda *given: jnp.asarray(call(*given))).out_avals

@@ -189,7 +189,7 @@ def ask(model: Any, box: Any, mode: str | None, contact: str | None) -> Question
     OptionError
     """
     require_model(model)
-    scene = scene_of(model)
+    scene = scene_of(model, by="hy.certify")
     chosen = _contact(scene.spec, mode, contact)
     try:
         scene.code.pairing(chosen.name)

@@ -150,7 +150,7 @@ class Hindsight:
     def at(self, part: int, t: float, side: str = "right") -> Scene:
         """The scene at a time of a part of the run."""
         if self.history is None:
-            return self.scene
+            return self.scene.at(float(np.nextafter(t, -np.inf)) if side == "left" else t)
         record = self.record(part)
         places = self.places(part, t)
         which = [record.index(place, side) for place in places]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import prod
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..automaton.past import blank
 from ..rules.places import KIND, NONE, RELEASE, TO, WINDOW_DEGREE
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class Shown:
     def __init__(self, tables: Tables, restarts: bool) -> None:
         self.restarts = restarts
         spec = tables.scene.spec
-        self.tables, self.count = tables, sum(map(np.size, blank(spec.lags, spec.dimension)))
+        self.tables, self.count = tables, sum(map(prod, spec.windows))
         self.first = len(tables.scene.values) - self.count
         self._of: AutomatonArrays | None = None
         self._links = NO_LINKS
@@ -127,6 +127,8 @@ def reach(fields: Sequence[Field]) -> tuple[np.ndarray, np.ndarray]:
     """What each element's derivative depends on in some fields, at present and of the past."""
     spec, uses, asks = fields[0].code.spec, [], []
     n, lags = spec.dimension, len(spec.lags)
+    if not lags:
+        return EMPTY_TABLES[0], EMPTY_TABLES[1]
     for field in fields:
         for used, asked in field.code.reach(field.mode, field.held):
             uses.append([int(j in used) for j in range(n)])

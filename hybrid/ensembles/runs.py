@@ -169,7 +169,7 @@ def ensemble(
             f"{model.spec.model}: certify=True flies lanes again, which keeps all of them: ask for "
             "section, save and stick in a call of its own"
         )
-    scene = scene_of(model)
+    scene = scene_of(model, by="hy.ensemble")
     solver, method = renamed(_solver(scene, solver, method), method)
     options = {
         "solver": solver,

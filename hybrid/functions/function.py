@@ -259,7 +259,7 @@ def runs_of(
     **steps: Any,
 ) -> Runs:
     """The runs of a function of a model."""
-    scene = scene_of(model)
+    scene = scene_of(model, by="hy.as_function")
     series = all(scene.field(name).jets is not None for name in scene.modes)
     named = solver or ("diffrax" if method is not None else "taylor" if series else "scipy")
     named, method = renamed(named, method)

@@ -2,7 +2,17 @@
 
 from .lowered import window_ends
 from .mode import Kind
-from .scene import Contact, Field, Guard, Kink, Scene, released, scene_of, scene_with
+from .scene import (
+    Contact,
+    Field,
+    Guard,
+    Kink,
+    Scene,
+    released,
+    require_no_signal,
+    scene_of,
+    scene_with,
+)
 
 __all__ = [
     "Contact",
@@ -12,6 +22,7 @@ __all__ = [
     "Kink",
     "Scene",
     "released",
+    "require_no_signal",
     "scene_of",
     "scene_with",
     "window_ends",

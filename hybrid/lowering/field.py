@@ -169,6 +169,9 @@ class Field:
     def onto(self, t: float, x: list[float]) -> Any:
         """As ``project``, of a field that has one: an arc keeps this, which is pickled."""
         assert self.project is not None
+        if self.scene.samples:  # it goes on over knots
+            there = self.scene.values_at(t)
+            return self.scene.projection(self.mode, self.held, there)(t, x)
         return self.project(t, x)
 
     def along(self, t: float, x: StateVector) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 from ..automaton import trace
 from ..automaton.markers import Crossing
 from ..automaton.past import blank
+from ..automaton.signals import blank as no_signal
 from ..automaton.spec import ContactSpec, EdgeSpec, LeaveSpec, SideSpec, Spec, Transition
 from ..errors import TraceError
 from ..rules.places import WINDOW_DEGREE
@@ -49,7 +50,7 @@ class Lowered:
 
     def __init__(self, cls: Any, shapes: tuple[tuple[int, ...], ...]) -> None:
         self.cls, self.spec, self.shapes = cls, cls.spec, (*shapes, *cls.spec.windows)
-        self._own_shapes = shapes
+        self._own_shapes = self.shapes[: len(shapes) + len(cls.spec.signals)]
         self._programs: dict[Any, Any] = {}
 
     def trace(self, call: Any, extra: int = 0) -> Any:
@@ -242,14 +243,17 @@ class Lowered:
         return [self._past_in(graph, int(i), first) for i in outputs.reshape(-1)]
 
     def timed(self, closed: Any, extra: Sequence[str] = ()) -> bool:
-        """Whether a function depends on time, but for what it sees a constant lag ago."""
+        """Whether a function depends on time, as on signals, but for what it sees a constant lag
+        ago."""
         graph = Graph()
         inputs = self.inputs(graph, extra)
         rows = inputs[len(self._own_shapes) + 1 : len(self.shapes) : 2]
         for ids in rows if not any(self.moving) else ():
             ids[1:] = graph.const(0.0)  # a window that shows the same everywhere
         (outputs,) = read(graph, closed, inputs)
-        return any(TIME_PLACE in states_in(graph, int(i)) for i in outputs.reshape(-1))
+        signals = inputs[len(self.spec.parameters) : len(self._own_shapes)]
+        moves = {"t", *(graph.nodes[int(i)][1] for ids in signals for i in ids)}
+        return not moves.isdisjoint(inputs_of(graph, outputs.reshape(-1).tolist()))
 
     def reach(self, mode: str, held: tuple[str, ...]) -> Reach:
         """For each element's derivative: elements, and lags with elements, that it depends on."""
@@ -291,7 +295,8 @@ class Lowered:
     def defaults(self) -> list[float]:
         """Values of the parameters, and of windows that show 1 everywhere."""
         shown = blank(self.spec.lags, self.spec.dimension, 1.0)
-        return flat([*(p.default for p in self.spec.parameters), *shown])
+        own = (p.default for p in self.spec.parameters)
+        return flat([*own, *no_signal(self.spec.signals, 1.0), *shown])
 
     def looks_back(self, graph: Graph, root: int) -> bool:
         """Whether a node depends on the past."""

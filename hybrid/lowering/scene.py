@@ -17,6 +17,8 @@ import numpy as np
 
 from ..automaton.markers import Crossing
 from ..automaton.past import blank
+from ..automaton.signals import Samples
+from ..automaton.signals import blank as no_signal
 from ..automaton.spec import (
     ContactSpec,
     EdgeSpec,
@@ -25,7 +27,7 @@ from ..automaton.spec import (
     Spec,
     Transition,
 )
-from ..errors import TraceError
+from ..errors import OptionError, TraceError
 from .automaton import Tables
 from .derivatives import node_shape
 from .field import Contact, Field, Guard, Kink, Scalar
@@ -44,11 +46,15 @@ class Scene:
     """
 
     def __init__(
-        self, cls: Any, shapes: tuple[tuple[int, ...], ...], values: tuple[float, ...]
+        self,
+        cls: Any,
+        shapes: tuple[tuple[int, ...], ...],
+        values: tuple[float, ...],
+        samples: tuple[Samples, ...] = (),
     ) -> None:
         self.spec: Spec = cls.spec
         self.code = lowered(cls, shapes)
-        self._made, self.values = (cls, shapes), values
+        self._made, self.values, self.samples, self.until = (cls, shapes), values, samples, math.inf
         self._bound: dict[Any, Scalar] = {}
         self._fields: dict[str, Field] = {}
         self._contacts: dict[str, Contact] = {}
@@ -56,17 +62,45 @@ class Scene:
 
     def __reduce__(self) -> Any:
         """Pickled as its class and its numbers; what is made of them is made again."""
-        return Scene, (*self._made, self.values)
+        return Scene, (*self._made, self.values, self.samples)
 
     @cached_property
     def parameters(self) -> tuple[Any, ...]:
-        """Values of the parameters, then the windows of the past, as arrays."""
+        """Values of the parameters, then the pieces of signals and the windows of the past."""
         return _arrays(self.code.shapes, self.values)
 
     def through(self, windows: Sequence[np.ndarray]) -> Scene:
         """The same model on other windows of the past."""
         shown = tuple(flat(windows))
         return Scene(*self._made, (*self.values[: len(self.values) - len(shown)], *shown))
+
+    def at(self, t: float) -> Scene:
+        """The same model on the pieces of its signals at a time, ``until`` the next knot."""
+        if not self.samples:
+            return self
+        there = Scene(*self._made, self.values_at(t), self.samples)
+        there.until = float(self.knots(t, math.inf, 1)[1])
+        return there
+
+    def values_at(self, t: float) -> tuple[float, ...]:
+        """The values with the pieces of the signals at a time."""
+        if not self.samples:
+            return self.values
+        row = self.pieces(np.array([t]))[0].tolist()
+        return (*self.values[: len(self.values) - len(row)], *row)
+
+    def pieces(self, times: np.ndarray) -> np.ndarray:
+        """The numbers of the signals' pieces at some times."""
+        return np.concatenate([each.pieces(times) for each in self.samples], axis=1)
+
+    def knots(self, t: float, last: float, count: int) -> np.ndarray:
+        """A time, the next knots of signals behind it, no more than so many, and what these go to:
+        the knot that follows, or a time."""
+        found = [each.knots(t, last, count + 1) for each in self.samples]
+        all_ = np.unique(np.concatenate(found))[: count + 1]
+        full = [each[-1] for each in found if len(each) == count + 1]
+        all_ = all_[all_ <= min(full, default=last)]
+        return np.array([t, *all_, *([last] if len(all_) <= count else [])])
 
     @cached_property
     def modes(self) -> tuple[str, ...]:
@@ -328,20 +362,53 @@ def _arrays(shapes: tuple[tuple[int, ...], ...], values: tuple[float, ...]) -> t
 
 
 @lru_cache(maxsize=64)
-def _scene(cls: Any, shapes: tuple[tuple[int, ...], ...], values: tuple[float, ...]) -> Scene:
+def _scene(
+    cls: Any,
+    shapes: tuple[tuple[int, ...], ...],
+    values: tuple[float, ...],
+    samples: tuple[Samples, ...],
+) -> Scene:
     windows = blank(cls.spec.lags, cls.spec.dimension) if cls.spec.lags else []
-    return Scene(cls, shapes, (*values, *flat(windows)))
+    shown = flat([*no_signal(cls.spec.signals), *windows])
+    return Scene(cls, shapes, (*values, *shown), samples)
 
 
-def scene_of(model: Any) -> Scene:
-    """The scene of a model; models of equal parameters share one."""
+def scene_of(model: Any, by: str = "") -> Scene:
+    """The scene of a model; models of equal parameters and signals share one.
+
+    Raises
+    ------
+    OptionError
+        If it has signals, and is asked for ``by`` what cannot have any.
+    """
+    require_no_signal(model.spec, by)
     parameters = model.parameters
-    return scene_with(type(model), tuple(v.shape for v in parameters), tuple(flat(parameters)))
+    shapes = tuple(v.shape for v in parameters)
+    return scene_with(type(model), shapes, tuple(flat(parameters)), model.samples)
 
 
-def scene_with(cls: Any, shapes: tuple[tuple[int, ...], ...], values: tuple[float, ...]) -> Scene:
-    """The scene of a class with these parameters, as one list."""
-    return _scene(cls, shapes, tuple(values))
+def require_no_signal(spec: Spec, by: str) -> None:
+    """Refuse a model with signals, where something asks that knows none.
+
+    Raises
+    ------
+    OptionError
+    """
+    if spec.signals and by:
+        raise OptionError(
+            f"{spec.model}: {by} takes no model with signals yet ({spec.signals[0].name}); "
+            "hy.simulate does; for this, write it as a function of t"
+        )
+
+
+def scene_with(
+    cls: Any,
+    shapes: tuple[tuple[int, ...], ...],
+    values: tuple[float, ...],
+    samples: tuple[Samples, ...] = (),
+) -> Scene:
+    """The scene of a class with these parameters, as one list, and these signals."""
+    return _scene(cls, shapes, tuple(values), samples)
 
 
 def rest_name(mode: str, held: tuple[str, ...]) -> str:
@@ -383,6 +450,7 @@ __all__ = [
     "Scene",
     "parted",
     "released",
+    "require_no_signal",
     "rest_name",
     "scene_of",
     "scene_with",

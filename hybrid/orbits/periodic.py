@@ -193,7 +193,7 @@ def periodic_orbit(
     6.66328685932...
     """
     require_model(model)
-    scene = scene_of(model)
+    scene = scene_of(model, by="hy.periodic_orbit")
     options = {**with_tolerances(options, 1e-12, 1e-13), "save": "dense"}
     timed = depends_on_time(scene)
     if period is None and isinstance(section, int | float):

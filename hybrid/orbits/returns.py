@@ -94,7 +94,7 @@ class ReturnMap:
     ) -> None:
         self.model, self.mode, self.t_max = model, mode, t_max
         self.options = with_tolerances(options, 1e-11, 1e-12)
-        self.scene = scene_of(model)
+        self.scene = scene_of(model, by="hy.return_map")
         self.section: Section = section_of(model, self.scene, section, crossing)
         if mode is None and isinstance(self.section, EdgeSection):
             self.mode = _mode_after(self.scene.spec, self.section.name)

@@ -108,7 +108,7 @@ class Shooting:
 
     def __init__(self, model: Any, timed: bool, tol: float, options: dict[str, Any]) -> None:
         self.model, self.timed, self.tol, self.options = model, timed, tol, options
-        self.scene: Scene = scene_of(model)
+        self.scene: Scene = scene_of(model, by="hy.periodic_orbit")
 
     def turn(self, guess: Guess) -> Shot:
         """The run from a guess for one period."""

@@ -68,7 +68,7 @@ def to_xarray(run: Solution, t: Any = None) -> xarray.Dataset:
         values, attributes = record[output.name], {"units": output.unit, "long_name": output.doc}
         dims = ("time", *(f"{output.name}_{axis}" for axis in range(values.ndim - 1)))
         variables[output.name] = (dims, values, attributes)
-    attributes = {"model": run.spec.model, "status": str(run.status), **_numbers(run.parameters)}
+    attributes = {"model": run.spec.model, "status": str(run.status), **_numbers(run)}
     return xr.Dataset(variables, coords={"time": times}, attrs=attributes)
 
 
@@ -78,8 +78,11 @@ def _stack(spec: Spec, record: Record) -> Numbers:
     return np.concatenate([p.reshape((*lead, -1)) for p in parts], axis=-1)
 
 
-def _numbers(parameters: dict[str, Any]) -> dict[str, Any]:
-    return {name: np.asarray(value, dtype=float).tolist() for name, value in parameters.items()}
+def _numbers(run: Solution) -> dict[str, Any]:
+    """Values of the parameters; the data of signals are left out."""
+    data = [signal.name for signal in run.spec.signals]
+    own = ((name, value) for name, value in run.parameters.items() if name not in data)
+    return {name: np.asarray(value, dtype=float).tolist() for name, value in own}
 
 
 def save(run: Solution, path: Any) -> None:
@@ -94,6 +97,11 @@ def save(run: Solution, path: Any) -> None:
         If the file cannot be written; the message says why.
     """
     need("run.save", FILES)
+    if run.spec.signals:
+        raise StoreError(
+            f"{run.spec.model}: a run with signals ({run.spec.signals[0].name}) cannot be saved as "
+            "a file yet, which has no place for their data: pickle it"
+        )
     import xarray as xr
 
     arcs, segments = run.arcs, [s for arc in run.arcs for s in arc.segments]
@@ -167,7 +175,7 @@ def _meta(run: Solution, modes: list[str], edges: list[str]) -> dict[str, Any]:
         "model": run.spec.model,
         "states": [[s.name, s.unit, s.doc, list(s.shape), s.offset] for s in run.spec.states],
         "outputs": [[output.name, output.unit, output.doc] for output in run.spec.outputs],
-        "parameters": _numbers(run.parameters),
+        "parameters": _numbers(run),
         "options": {k: np.asarray(v).tolist() for k, v in options.items()},
         "stats": None if run.stats is None else attrs.asdict(run.stats),
         "versions": run.versions,

@@ -448,3 +448,34 @@ class PastArrays(NamedTuple):
     floats_before: Floats
     ints_before: Ints
     before: Matrix
+
+
+class InputArrays(NamedTuple):
+    """Signals on some of their pieces (:mod:`.inputs`).
+
+    Attributes
+    ----------
+    knots : Floats
+        Where the pieces begin, and where the last ends.
+    pieces : Matrix
+        Their numbers, a row for each.
+    place : Ints
+        The present one; 0 where the loop is to come back at each knot; of the last knot that an arc
+        has gone over, which arc of the call that is, and the steps of the call up to there.
+    began, start : Floats
+        The local time there, and the state.
+    given, ranged, parts, ops, more, numbers
+        As in :class:`PastArrays`.
+    """
+
+    knots: Floats
+    pieces: Matrix
+    place: Ints
+    began: Floats
+    start: Floats
+    given: Table
+    ranged: Table
+    parts: Table
+    ops: Table
+    more: Ints
+    numbers: Matrix

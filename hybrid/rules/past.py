@@ -19,7 +19,8 @@ from .contacts import values
 from .flown import field_of, fits, recorded, walked
 from .guards import GUARD_ROUNDING, row_of, sizes_of
 from .guesses import SINCE_PLACE, TO_PLACE
-from .jets import afresh, steady
+from .inputs import put_in
+from .jets import afresh
 from .places import (
     AGAIN,
     AT,
@@ -334,21 +335,9 @@ def carried(field: int, past: PastArrays) -> int:
 
 def bound(a: AutomatonArrays, now: Now, room: Room, past: PastArrays) -> None:
     """Give the windows to the programs, and work out what follows from them."""
-    for g in range(past.given.shape[0]):
-        past.numbers[past.given[g, 0], 0] = past.shown[past.given[g, 1]]
-    for g in range(past.ranged.shape[0]):
-        a.bounds.numbers[past.ranged[g, 0]] = past.shown[past.ranged[g, 1]]
-    for q in range(past.parts.shape[0]):
-        part = past.parts[q]
-        steady(
-            past.ops[part[0] : part[1]],
-            past.more[part[2] : part[3]],
-            room.still,
-            past.numbers[part[4] : part[5]],
-            room.work,
-        )
-    for i in range(room.sides.shape[0]):
-        room.sides[i] = 0
+    put_in(
+        a, room, past.shown, past.given, past.ranged, past.parts, past.ops, past.more, past.numbers
+    )
     if now.ints[PHASE] == WALKS:
         inside(a, now, room)
 

@@ -206,7 +206,7 @@ def _nudged(made: FinishedRun, mode: str, x: StateVector) -> StateVector:
 
     A start on a guard is left where it is.
     """
-    guards = made.scene.field(mode).guards
+    guards = made.scene.at(made.plan.t0).field(mode).guards
     values = [guard.value(made.plan.t0, x.tolist()) for guard in guards]
     if any(abs(value) <= NEAR * float(np.max(np.abs(x))) for value in values):
         return x

@@ -51,6 +51,7 @@ from .entry import (
     opened,
     signs_at_end,
 )
+from .knots import pass_knot
 from .limits import pass_limit
 from .machine import Machine
 from .pace import Pace
@@ -80,7 +81,7 @@ class Driver:
         plan: Plan,
         history: Sequence[Piece] | None = None,
     ) -> None:
-        self.model = self.scene = scene
+        self.model, self.scene = scene, scene.at(plan.t0)
         self.solver, self.plan, self.history = solver, plan, history
         self.watchful = Watchful(solver, plan.watchful, plan.shaken, plan.trusted)
         self.wary = plan.watchful is not None
@@ -90,7 +91,7 @@ class Driver:
         self.cycles = Cycles()
         self.seen = np.zeros(scene.spec.dimension)
         self.steps = 0
-        self._jumped = Jumped()
+        self.jumped = Jumped()
         self.tied: dict[str, int] = {}
         self._ringing = self.spent = frozenset(clock.name for clock in scene.spec.clocks)
         self._struck: set[str] = set()
@@ -126,7 +127,7 @@ class Driver:
             self.go_on()
             if self.status in LAST_JUMPS and self.end is not None:
                 _, x, mode = self.end
-                self.record.arc(self.model.field(mode), x, x, 0.0, [])
+                self.record.arc(self.own.field(mode), x, x, 0.0, [])
         except KeyboardInterrupt:
             self.status = Status.INTERRUPTED
             self.record.close(self.entry.field)
@@ -164,13 +165,13 @@ class Driver:
         self.mode = self.scene.name(mode, jumped.held)
         if self.status is None:
             self.look(x)
-            field, lean = self.model.field(self.mode), self._lean(jumped)
+            field, lean = self.own.field(self.mode), self._lean(jumped)
             there = field.along(self.t, x) if lean else x
             if lean and np.isfinite(there).all():
                 self.begin(field, there, lambda: jumped)
             else:
                 self.entry = self._entered(mode, x, jumped, self.seen)
-                self._jumped = jumped
+                self.jumped = jumped
             self.seen = np.maximum(self.seen, np.abs(x))
 
     def _lean(self, jumped: Jumped) -> bool:
@@ -179,7 +180,7 @@ class Driver:
         bears = jumped.starting and jumped.held
         if self.loop is None or more or bears or len(jumped.vanishing) > 1:
             return False
-        field, alone = self.model.field(self.mode), self.record.memory is None or jumped.starting
+        field, alone = self.own.field(self.mode), self.record.memory is None or jumped.starting
         alone = alone and self.record.now.until(self.plan.t1) > 0
         alone = alone and not (jumped.starting and field.project is not None)
         return alone and self.loop.may(field)
@@ -203,13 +204,16 @@ class Driver:
         """What each state may be off, by the tolerances."""
         return self.plan.limit + self.plan.rtol * np.abs(x)
 
-    def _reach(self, x: StateVector) -> float:
+    def reach(self, x: StateVector) -> float:
         """The size of the largest state that the run has seen, this one among them."""
         return float(np.maximum(self.seen, np.abs(x)).max())
 
     def look(self, x: StateVector) -> None:
-        """Let delays see the past from here, where what they see has come to an end."""
+        """Let delays see the past from here, where what they see has come to an end, and signals
+        be on the piece that begins here."""
         memory = self.record.memory
+        if self.scene.until <= self.t:
+            self.scene = self.model.at(self.t)
         if memory is not None and memory.due(self.t):
             self.scene = memory.look(self.t, x)
 
@@ -220,15 +224,16 @@ class Driver:
 
     @property
     def horizon(self) -> float:
-        """How far the present flows hold: to the end of the run, or of what delays see."""
+        """How far the present flows hold: to the end of the run, of what delays see, or of the
+        pieces of signals."""
         memory = self.record.memory
-        return self.plan.t1 if memory is None else memory.until
+        return min(self.plan.t1, self.scene.until) if memory is None else memory.until
 
     @property
     def known(self) -> float:
         """How far flights hold that are not flown again: what delays see there is no guess."""
         memory = self.record.memory
-        return self.plan.t1 if memory is None else memory.known
+        return self.horizon if memory is None else memory.known
 
     def until(self, t: float, field: Field, x: StateVector) -> float:
         """A time, or that of a clock of a field that rings before it."""
@@ -251,7 +256,12 @@ class Driver:
     def _declared(self) -> bool:
         """Whether the present field is its mode's own (see :meth:`.Scene.field`)."""
         field = self.entry.field
-        return field is self.model.field(field.name) or field is self.field
+        return field is self.own.field(field.name) or field is self.field
+
+    @property
+    def own(self) -> Scene:
+        """What the fields of arcs are of: with delays the model, which sees nothing of the past."""
+        return self.scene if self.record.memory is None else self.model
 
     @property
     def field(self) -> Field:
@@ -303,7 +313,7 @@ class Driver:
         jumped, seen = self.came(), 0.0 * self.seen
         if not jumped.starting:  # what is held there is weighed
             jumped, seen = attrs.evolve(jumped, held=entry.field.held), self.seen
-        self._jumped = jumped
+        self.jumped = jumped
         self.entry = self._entered(entry.field.mode, entry.x, jumped, seen)
 
     def flow_arc(self) -> None:
@@ -317,7 +327,7 @@ class Driver:
             other = memory.confirm(now, flown.length, flown.segments)
             if other is not None:
                 self.scene = other
-                self.enter(entry.field.mode, entry.x, self._jumped)
+                self.enter(entry.field.mode, entry.x, self.jumped)
                 return
         for tau, index, state in flown.grazes:
             record = self.scene.spec.record(state)
@@ -368,14 +378,16 @@ class Driver:
         self.seen = np.maximum(self.seen, np.abs(x))
 
     def pass_window(self, fired: Guard | None, x: StateVector) -> None:
-        """Go on within an arc, with another window of the past."""
+        """Go on within an arc, with another window of the past, or another piece of signals."""
         field, t, memory = self.entry.field, self.t, self.record.memory
-        assert memory is not None
         if self.plan.progress is not None:
             self.plan.progress(t)
-        signs = signs_at_end(self.entry, t, x, self._reach(x))
+        if memory is None:
+            pass_knot(self, self.scene.until, x)
+            return
+        signs = signs_at_end(self.entry, t, x, self.reach(x))
         memory.passed(t, x, field, fired.edge if fired else None)
-        known = self._jumped.vanishing if self.record.young else {}
+        known = self.jumped.vanishing if self.record.young else {}
         self.enter(field.mode, x, Jumped(known, field.held, passing=signs))
 
     # -- jumps --------------------------------------------------------------------------
@@ -538,7 +550,7 @@ class Driver:
         Returns the states before and after the next impact and the gap's speed; None where
         the flight is higher, or another guard comes near.
         """
-        field, t, reach = self.scene.field(name, (contact.name,)), self.t, self._reach(x)
+        field, t, reach = self.scene.field(name, (contact.name,)), self.t, self.reach(x)
         column = field.column(contact.name)
         guard = field.guards[column]
         if field.hurried:
@@ -610,7 +622,7 @@ class Driver:
         self.seen = np.maximum(self.seen, np.maximum.reduce(np.abs(jumps.after)))
         memory = self.record.memory
         if memory is not None and memory.ends(self.t):
-            memory.passed(self.t, jumps.before[-1], self.model.field(flights.mode))
+            memory.passed(self.t, jumps.before[-1], self.own.field(flights.mode))
         self.look(jumps.after[-1])
         if self.record.made >= self.plan.max_jumps:
             self.status = Status.MAX_JUMPS
@@ -627,7 +639,7 @@ class Driver:
         for mode, edge, *start in zip(
             flights.modes, jumps.edge, times, states, lengths, strict=False
         ):
-            memory, scene = self.record.memory, self.scene
+            memory, scene = self.record.memory, self.scene.at(start[0])
             if memory is not None:
                 with memory.as_at(*start[:2]) as then:
                     scene = then.scene
@@ -785,7 +797,7 @@ class Driver:
         elif len(record.zeno) == self.plan.accumulations:
             self.status = Status.ZENO_STOPPED
         if after and at_rest is not None:
-            self.begin(self.model.field(self.scene.name(*after)), at_rest, Jumped)
+            self.begin(self.own.field(self.scene.name(*after)), at_rest, Jumped)
             self.seen = np.maximum(self.seen, np.abs(limit.x_inf))
         elif after:
             self.enter(after[0], limit.x_inf, Jumped(held=after[1], limit=frozenset(edges)))

@@ -91,6 +91,7 @@ from ..trajectory.trajectory import Status
 from ..zeno.accumulate import Tail
 from ..zeno.narrow import bounded
 from .entry import Jumped
+from .knots import Feed, pass_knot
 from .limits import pass_limit
 from .outside import Outside
 from .rooms import Rooms, left_for
@@ -132,11 +133,12 @@ class Machine:
         scene, solver, plan = driver.scene, driver.solver, driver.plan
         self.driver, self.plan = driver, plan
         self.tables = scene.tables if solver.whole else scene.watched
-        self.past = Shown(self.tables, plan.memory == "restart") if scene.spec.lags else None
+        self.past = Shown(self.tables, plan.memory == "restart") if scene.spec.windows else None
         self.links: Links | None = None
         self.dense = plan.dense or plan.samples is not None
         moving = any(scene.code.moving)
-        self.windowed = self.past is not None and not solver.whole
+        self.windowed = bool(scene.spec.lags) and not solver.whole
+        self.feed: Feed | None = None
         self.dense = self.dense or self.windowed
         self.outside = None if solver.whole else Outside(driver, self.tables.fields, self.dense)
         self.watched = Holding(driver, self.tables)
@@ -146,7 +148,7 @@ class Machine:
         atol = [plan.atol] * n if isinstance(plan.atol, float) else plan.atol
         last = (0, *solver.loss(n)) if solver.whole else (solver.order, 0.0, *atol)
         ends = GOES_ON_AT_REST if plan.zeno == "rest" else ENDS_THERE
-        summed = (plan.memory == "keep" or self.past is None) and not moving
+        summed = (plan.memory == "keep" or not scene.spec.lags) and not moving
         sums = ends if summed else DRIVERS, plan.closing
         last = (0.0, last[0], np.inf, plan.t1, *last[1:])
         given = [plan.t1, plan.limit, plan.rtol, *series, *steps, *sums, *last]
@@ -190,6 +192,8 @@ class Machine:
             self._expanded()
             self._keep(left)
             ended = driver.status is not None or self.passed
+            if self.feed is not None and not ended and self._knot(left, status):
+                return
             if self.past is not None and not ended:
                 status = self._passes(left, status)
             if status == GOES_ON:
@@ -302,6 +306,8 @@ class Machine:
 
     def _call(self, left: Left) -> Callable[[], int]:
         """What calls the loop: with delays, that which passes from window to window."""
+        if self.feed is not None:
+            return self._fed(left, self.feed)
         if self.past is not None and self.driver.record.memory is not None:
             return lambda: self._looked_back(left)
         rooms, go, automaton = self.rooms, unit("runs").go, self.tables.automaton
@@ -309,6 +315,41 @@ class Machine:
             return rooms.call(go, automaton)
         room, sums, look = rooms.work
         return held(go, automaton, self.run, self.now, room, left, sums, look)
+
+    def _fed(self, left: Left, feed: Feed) -> Callable[[], int]:
+        """What calls the loop on the pieces of signals."""
+        assert self.past is not None
+        automaton, links = self.past.linked()
+        (room, sums, look), given, rules = self.rooms.work, feed.arrays(links), unit("inputs")
+        if links is not self.links:
+            rules.feed(automaton, room, given)
+            self.links = links
+        return held(rules.through, automaton, self.run, self.now, room, left, sums, look, given)
+
+    def _knot(self, left: Left, status: int) -> bool:
+        """Whether the loop has come to a knot of signals that the driver is to look at, which it
+        does; what is to be judged in an arc that has gone over knots is from the last of them on.
+        """
+        driver, feed, place = self.driver, self.feed, int(self.ints[JUMPS_MADE])
+        assert feed is not None
+        at_knot = status == END and feed.until < self.plan.t1
+        if not (at_knot or (status == LOOK and feed.place[2] == place)):
+            return False
+        driver.watch = Watch(*self._series())
+        tau, x, t = float(self.floats[TAU]), self.now.end.copy(), feed.until
+        if not at_knot:
+            self.ints[STEPS_MADE] = feed.place[3]
+            tau, x, t = float(feed.began[0]), feed.start.copy(), feed.since
+        steps, made = self._flown_in(left, place, place + 1)
+        steps = steps and Steps(*(column[steps.start < tau] for column in steps))
+        segments = steps.segments(np.array([tau])) if steps else []
+        driver.steps += made
+        driver.passed(tau)
+        entry, driver.scene = driver.entry, driver.model.at(feed.since)
+        x = driver.record.extend(entry.field, entry.x, x, tau, segments)
+        driver.entry = attrs.evolve(entry, field=driver.field, x=x)
+        pass_knot(driver, t, x)
+        return True
 
     def _looked_back(self, left: Left) -> int:
         """Call the loop with what flows look back on."""
@@ -480,7 +521,14 @@ class Machine:
         floats, ints = self.floats, self.ints
         floats[T], floats[LOW], floats[TAU] = now.t, now.low, 0.0
         judged = int(entry.here is not None)
-        jumped = Jumped() if judged or self.past is not None else driver.came()
+        looks_back = driver.record.memory is not None
+        jumped = Jumped() if judged or looks_back else driver.came()
+        if driver.scene.samples:
+            t, goes_on = driver.t, self.outside is None and not driver.wary
+            if self.feed is None or not self.feed.at(t, goes_on):
+                self.feed = Feed(driver.model, t, self.plan.t1)
+                self.feed.at(t, goes_on)
+            self.links = None
         edge, power = next(iter(jumped.vanishing.items()), (jumped.used, 0))
         ints[FIELD], ints[ENTERED], ints[PHASE] = field, judged, BEGINS
         ints[LAST_USED] = own.get(edge, AT_START if jumped.starting else NONE)
@@ -507,12 +555,14 @@ class Machine:
         memory = self.driver.record.memory
         if memory is not None:
             memory.begins(self._going, int(self.ints[JUMPS_MADE]), *self.floats[:2].tolist())
+        if self.feed is not None:
+            self.feed.begins(bool(self._going) and self.feed.place[2] == self.ints[JUMPS_MADE])
         jumps = min(jumps, self.plan.max_jumps - self.driver.record.made)
         steps = int(min(steps, max(self.plan.max_steps - self.driver.steps - self.opened, 1)))
         self.ints[JUMPS_MADE], self.ints[STEPS_MADE], self.ints[EXPANSIONS] = 0, -self._going, 0
         self.ints[TAILS] = 0
-        rows = steps * n if self.dense or self.past else 0
-        if self.past is None and not rows and (jumps, steps) == self.rooms.size:
+        rows = steps * n if self.dense or memory is not None else 0
+        if not rows and (jumps, steps) == self.rooms.size:
             return self.rooms.left
         return left_for(n, jumps, steps, (rows, self.order + 1), SUMS_KEPT)
 
@@ -533,12 +583,12 @@ class Machine:
             due = self._flown(left, begin, end)
             guard, after = self.tables.guards[fired[end - 1]], left.after[end - 1].copy()
             to = fields[end] if guard.kind == "switch" else guard.to
-            driver.begin(driver.model.field(fields[end - 1]), after, Jumped)
+            driver.begin(driver.own.field(fields[end - 1]), after, Jumped)
             due = due and guard.kind not in ("release", "leave")
             if due and end not in sums and self._pass_limit(to):
                 self.passed = True
                 return
-            driver.arrive(driver.model.field(to), after, guard, left.before[end - 1].copy())
+            driver.arrive(driver.own.field(to), after, guard, left.before[end - 1].copy())
             if end in sums:
                 self._held(fields[end - 1])
                 if driver.status is not None:  # behind the last jump nothing is summed
@@ -551,7 +601,7 @@ class Machine:
         """Hold the contacts that are held in the arc that begins, on the state there."""
         driver = self.driver
         if driver.entry.field.name != name:
-            field = driver.model.field(name)
+            field = driver.own.field(name)
             driver.begin(field, field.along(driver.t, driver.entry.x), driver.came)
 
     def _pass_limit(self, mode: str) -> bool:
@@ -593,7 +643,7 @@ class Machine:
         first = driver.entry.x
         onto = {}
         for k in np.flatnonzero(tables.constrained[fired]).tolist():
-            onto[modes[k]] = driver.model.field(modes[k]).onto
+            onto[modes[k]] = driver.own.field(modes[k]).onto
             if tables.guards[fired[k]].kind == "release":
                 driver.record.released(released(edges[k]), float(t[k]))
         since = driver.record.j, modes, now.t, now.low
@@ -660,6 +710,8 @@ class Machine:
         else:
             driver.tied = self._tied()
             before = self._last(left)
+            if self.feed is not None:
+                driver.look(before)
             driver.spent |= self._over()
             if driver.record.memory is not None:
                 driver.record.memory.told = False

@@ -99,6 +99,8 @@ class Asked:
     def driver(self, scene: Scene, t: Any, x: StateVector, history: Any) -> Driver:
         """A run that has not begun."""
         plan = self.plan(t)
+        for samples in scene.samples:
+            samples.require(self.spec.model, plan.t0, plan.t1)
         past = _past(self.spec, history, plan, x)
         finest, own = self._own
         made = attrs.evolve(plan, rtol=finest) if finest < plan.rtol <= own else plan

@@ -75,7 +75,7 @@ class Outside:
         now.end[:] = self.stepper.powers()[2][:, 0]
 
     def _begin_arc(self, now: Now, room: Room) -> None:
-        plan, seen = self.driver.plan, self.driver.record.memory is not None
+        plan, seen = self.driver.plan, bool(self.driver.scene.spec.windows)
         until = min(self.driver.horizon, float(now.floats[DUE]))
         length = (until - float(now.floats[T])) - float(now.floats[LOW])
         first, aim, sizes = float(now.floats[FIRST_LENGTH]), float(now.floats[AIM]), None

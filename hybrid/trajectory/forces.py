@@ -37,7 +37,7 @@ def force(run: Solution, contact: str, t: Any) -> np.ndarray:
         number = run.place(when)
         mode, held = run.parts[number].flown_in
         if contact in held:
-            here = run.hindsight.at(number, when) if run.spec.lags else scene
+            here = run.hindsight.at(number, when) if run.spec.windows else scene
             graph = here.code.mode(mode)
             bears = graph.program(("force", contact), partial(_forces, graph, contact))
             found[place] = here.bind(bears, here.numbers(mode, held))(when, x)[0]

@@ -22,7 +22,7 @@ import attrs
 import numpy as np
 
 from ..errors import OrbitError
-from ..lowering import Field, Guard, Kind, Scene, scene_of
+from ..lowering import Field, Guard, Kind, Scene, require_no_signal, scene_of
 from ..rules.guards import NEAR
 from ..rules.limits import DIFFERENCE_ROUNDING
 from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
@@ -66,7 +66,12 @@ class Course:
     def of(cls, model: Any, run: Solution) -> Course:
         """That of a trajectory."""
         sight = run.hindsight if run.spec.lags else None
-        return cls(sight.scene if sight else scene_of(model), run.parts, run.own_jumps, sight)
+        return cls(
+            sight.scene if sight else scene_of(model),
+            run.parts,
+            run.own_jumps,
+            sight,
+        )
 
 
 @attrs.frozen(eq=False)
@@ -163,6 +168,7 @@ def factors(model: Any, run: Solution) -> Iterator[Factor]:
         Where the run passes the limit of a cycle of several edges, for which no derivative is
         known; or where the neighbours of the run take another course. In a model with delays.
     """
+    require_no_signal(run.spec, "a first variation")
     if run.spec.lags:
         raise OrbitError(
             f"{run.spec.model} looks into the past: a change of its state does not decide on what "

@@ -1,0 +1,338 @@
+"""Signals: inputs of a model that are given as data, at knots, and read at the present time.
+
+Between two knots a signal is a polynomial in time. In a trace it is that of the piece on which the
+present time is: its numbers are inputs of the trace, behind the parameters, so that data stay data
+however many there are. What reads a trace takes a model with signals for one without.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from math import prod
+from typing import Any
+
+import attrs
+import numpy as np
+
+from ..errors import OptionError, ParameterError
+from .reals import reals
+
+#: The degree of the polynomials of each kind, and what may be outside the data.
+KIND_DEGREES = {"previous": 0, "linear": 1, "cubic": 3}
+BEYOND_DATA = ("error", "hold", "zero", "periodic")
+
+
+@attrs.frozen
+class SignalSpec:
+    """A signal that a model declares."""
+
+    name: str
+    unit: str
+    doc: str
+    kind: str
+    outside: str
+    shape: tuple[int, ...]
+
+    @property
+    def size(self) -> int:
+        """How many numbers a piece is: the time from which it counts, and its coefficients."""
+        return 1 + (1 + KIND_DEGREES[self.kind]) * prod(self.shape)
+
+
+def signal(
+    unit: str = "",
+    doc: str = "",
+    kind: str = "linear",
+    outside: str = "error",
+    shape: tuple[int, ...] = (),
+) -> Any:
+    """Declare an input that is given as data: ``Model(road=(times, values))``, ``self.road(t)``.
+
+    Parameters
+    ----------
+    unit, doc : str
+        Physical unit and a few words.
+    kind : "linear", "previous" or "cubic"
+        What is between the knots: straight lines; the value at the knot before; or a cubic spline
+        with two continuous derivatives.
+    outside : "error", "hold", "zero" or "periodic"
+        What is before the first knot and behind the last: a run that gets there is refused; the
+        value there; zero; or the same again and again.
+    shape : tuple of int
+        ``()`` for a number at each time.
+
+    Notes
+    -----
+    Values are given as ``(times, values)``, or as a series of pandas or xarray whose index is the
+    time. Steps end at the knots, which are found by their times.
+    """
+    metadata = {"hybrid": "signal", "spec": (unit, doc, kind, outside, shape)}
+    return attrs.field(metadata=metadata, kw_only=True)
+
+
+def is_signal(value: Any) -> bool:
+    """Whether ``value`` is the marker of a signal."""
+    return getattr(value, "metadata", {}).get("hybrid") == "signal"
+
+
+def declared(markers: Mapping[str, Any]) -> tuple[tuple[SignalSpec, ...], list[str]]:
+    """The signals among the markers of a class, and what is wrong with them."""
+    found, faults = [], []
+    for name, marker in markers.items():
+        if not is_signal(marker):
+            continue
+        unit, doc, kind, outside, shape = marker.metadata["spec"]
+        shape = (shape,) if isinstance(shape, int) else shape
+        whole = isinstance(shape, tuple) and all(isinstance(n, int) and n > 0 for n in shape)
+        kinds, beyond = (", ".join(map(repr, names)) for names in (KIND_DEGREES, BEYOND_DATA))
+        wrong = [
+            (kind not in KIND_DEGREES, f"kind={kind!r}; one of {kinds}"),
+            (outside not in BEYOND_DATA, f"outside={outside!r}; one of {beyond}"),
+            (not whole, f"shape={shape!r}; give whole numbers greater than 0: (3,)"),
+        ]
+        own = [f"signal {name}: {what}" for fault, what in wrong if fault]
+        faults += own
+        if not own:
+            found.append(SignalSpec(name, unit, doc, kind, outside, shape))
+    return tuple(found), faults
+
+
+class Present:
+    """A signal in a trace: its value at the present time, by the numbers of its piece."""
+
+    def __init__(self, spec: SignalSpec, t: Any, piece: Any) -> None:
+        self.spec, self.t, self.piece = spec, t, piece
+
+    def __call__(self, t: Any) -> Any:
+        here = t
+        while here is not self.t and hasattr(here, "primal"):  # a derivative by time
+            here = here.primal
+        if here is not self.t:
+            name = self.spec.name
+            raise ValueError(
+                f"self.{name}(...): a signal is read at the present time, self.{name}(t); for what "
+                "depends on a state, or for another time, write a function of jax.numpy"
+            )
+        rows = self.piece[1:].reshape(1 + KIND_DEGREES[self.spec.kind], *self.spec.shape)
+        since, value = t - self.piece[0], rows[-1]
+        for k in range(KIND_DEGREES[self.spec.kind])[::-1]:
+            value = value * since + rows[k]
+        return value
+
+
+class Samples:
+    """The data of a signal of a model: knots, and the polynomials between them.
+
+    ``model.road(t)`` is its value at a time, or at an array of times (its first axes).
+
+    Attributes
+    ----------
+    times, values : array
+        As given.
+
+    Raises
+    ------
+    OptionError
+        When it is asked for a time outside its data, unless it is declared what is there.
+    """
+
+    def __init__(self, spec: SignalSpec, times: np.ndarray, values: np.ndarray) -> None:
+        self.spec, self.times, self.values = spec, times, values
+
+    def __reduce__(self) -> Any:
+        return Samples, (self.spec, self.times, self.values)
+
+    def __repr__(self) -> str:
+        first, last = self.times[[0, -1]].tolist()
+        return f"<{len(self.times)} knots from {first:g} to {last:g}>"
+
+    @cached_property
+    def _digest(self) -> bytes:
+        made = hashlib.blake2b(repr(self.spec).encode())
+        made.update(self.times.tobytes() + self.values.tobytes())
+        return made.digest()
+
+    def __eq__(self, other: Any) -> bool:
+        return isinstance(other, Samples) and self._digest == other._digest
+
+    def __hash__(self) -> int:
+        return hash(self._digest)
+
+    @cached_property
+    def table(self) -> np.ndarray:
+        """A row for each piece (:attr:`SignalSpec.size`): what is before the first knot, the pieces
+        between two knots, and what is behind the last; of a periodic signal the middle ones."""
+        spec, times = self.spec, self.times
+        values = self.values.reshape(len(times), -1)
+        rows = np.zeros((len(times) + 1, 1 + KIND_DEGREES[spec.kind], values.shape[1]))
+        rows[1:-1] = _between(spec, times, values)
+        since = np.concatenate([times[:1], times])
+        if spec.outside == "hold" or spec.kind == "previous":
+            rows[0, 0], rows[-1, 0] = values[0], values[-1]
+        if spec.outside == "zero":
+            rows[[0, -1]] = 0.0
+        if spec.outside == "error" and KIND_DEGREES[spec.kind]:  # it ends with its last time
+            rows[-1], since[-1] = rows[-2], since[-2]
+        return np.column_stack([since, rows.reshape(len(rows), -1)])
+
+    @property
+    def period(self) -> float:
+        """The time after which it is the same again; infinite unless it is periodic."""
+        span = float(self.times[-1] - self.times[0])
+        return span if self.spec.outside == "periodic" else np.inf
+
+    def knots(self, t: float, last: float, count: int) -> np.ndarray:
+        """The next knots behind a time and before another, no more than so many."""
+        times, period = self.times, self.period
+        if np.isfinite(period):
+            first = np.floor((t - times[0]) / period) - 1.0
+            turns = first + np.arange(count // (len(times) - 1) + 4)
+            times = (times[:-1] + turns[:, None] * period).reshape(-1)
+        begin = int(np.searchsorted(times, t, "right"))
+        return times[begin : min(begin + count, int(np.searchsorted(times, last)))]
+
+    def pieces(self, t: np.ndarray) -> np.ndarray:
+        """The rows of the pieces at some times, a knot belonging to the piece behind it."""
+        times, period = self.times, self.period
+        if not np.isfinite(period):
+            return self.table[np.searchsorted(times, t, "right")]
+        turn = np.floor((t - times[0]) / period)
+        turn += times[0] + (turn + 1.0) * period <= t
+        turn -= times[0] + turn * period > t
+        place = np.clip(np.searchsorted(times, t - turn * period, "right"), 1, len(times) - 1)
+        place -= (times[place - 1] + turn * period > t) & (place > 1)
+        place += (times[place] + turn * period <= t) & (place < len(times) - 1)
+        rows = self.table[place]
+        rows[:, 0] += turn * period
+        return rows
+
+    def within(self, t: np.ndarray) -> np.ndarray:
+        """Of times, whether the signal is known there."""
+        if self.spec.outside != "error":
+            return np.ones(np.shape(t), dtype=bool)
+        return (self.times[0] <= t) & (t <= self.times[-1])
+
+    def require(self, model: str, t0: float, t1: float) -> None:
+        """Refuse a run that gets to where the signal is not known.
+
+        Raises
+        ------
+        OptionError
+        """
+        if not self.within(np.array([t0, t1])).all():
+            first, last = self.times[[0, -1]].tolist()
+            raise OptionError(
+                f"{model}: t = ({t0!r}, {t1!r}), and the signal {self.spec.name} has data from "
+                f"{first!r} to {last!r}; end the run there, or declare what is outside: "
+                'outside="hold", "zero" or "periodic"'
+            )
+
+    def __call__(self, t: Any) -> Any:
+        times = np.asarray(t, dtype=float)
+        flat = times.reshape(-1)
+        if not self.within(flat).all():
+            self.require("a model", float(flat.min()), float(flat.max()))
+        rows = self.pieces(flat)
+        parts = rows[:, 1:].reshape(len(flat), 1 + KIND_DEGREES[self.spec.kind], -1)
+        since, value = (flat - rows[:, 0])[:, None], parts[:, -1]
+        for k in range(parts.shape[1] - 2, -1, -1):
+            value = value * since + parts[:, k]
+        found = value.reshape(times.shape + self.spec.shape)
+        return found if found.ndim else float(found)
+
+
+def _between(spec: SignalSpec, times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The coefficients of the pieces between the knots, by powers of the time from the first."""
+    if spec.kind == "previous":
+        return values[:-1, None]
+    if spec.kind == "linear":
+        slopes = np.diff(values, axis=0) / np.diff(times)[:, None]
+        return np.stack([values[:-1], slopes], axis=1)
+    from scipy.interpolate import CubicSpline
+
+    ends = "periodic" if spec.outside == "periodic" else "not-a-knot"
+    made = CubicSpline(times, values, bc_type=ends)
+    return np.asarray(made.c)[::-1].transpose(1, 0, 2)
+
+
+def taken(model: str, specs: Sequence[SignalSpec], given: Mapping[str, Any]) -> dict[str, Samples]:
+    """The data of a model's signals, as it is given them.
+
+    Raises
+    ------
+    ParameterError
+        If they are no data, or there are none.
+    """
+    missing = [spec.name for spec in specs if spec.name not in given]
+    if missing:
+        name = missing[0]
+        raise ParameterError(f"{model}: no data for the signal {name}: give {name}=(times, values)")
+    return {spec.name: _taken(f"{model}.{spec.name}", spec, given[spec.name]) for spec in specs}
+
+
+def _taken(name: str, spec: SignalSpec, given: Any) -> Samples:
+    if isinstance(given, Samples):
+        if given.spec == spec:
+            return given
+        given = given.times, given.values
+    try:
+        times, values = (_real(part) for part in _pair(given))
+    except (TypeError, ValueError) as fault:
+        raise ParameterError(
+            f"{name}: {fault}; give (times, values), or a series of pandas or xarray over the time"
+        ) from None
+    for what in _faults(spec, times, values):
+        raise ParameterError(f"{name}: {what}")
+    return Samples(spec, times, values)
+
+
+def _pair(given: Any) -> tuple[Any, Any]:
+    """Times and values of what is given."""
+    if hasattr(given, "dims") and hasattr(given, "coords"):  # xarray
+        return given.coords[given.dims[0]].values, given.values
+    if hasattr(given, "index") and hasattr(given, "to_numpy"):  # pandas
+        return given.index.to_numpy(), given.to_numpy()
+    times, values = given
+    return times, values
+
+
+def _real(part: Any) -> np.ndarray:
+    array = np.asarray(part)
+    if array.dtype.kind in "mM":
+        raise ValueError("its times are dates; give seconds, or another unit, as numbers")
+    return np.array(reals(array), dtype=float)
+
+
+def _faults(spec: SignalSpec, times: np.ndarray, values: np.ndarray) -> Iterator[str]:
+    """What is wrong with data."""
+    least = 3 if spec.kind == "cubic" and spec.outside == "periodic" else 2
+    if times.ndim != 1 or len(times) < least:
+        yield f"times of shape {times.shape}; give a row of {least} or more"
+    elif values.shape != (len(times), *spec.shape):
+        yield f"values of shape {values.shape} where {(len(times), *spec.shape)} is due"
+    elif not (np.isfinite(times).all() and np.isfinite(values).all()):
+        yield "times and values must be finite"
+    elif not (np.diff(times) > 0).all():
+        k = int(np.argmin(np.diff(times) > 0))
+        yield f"{float(times[k + 1])!r} behind {float(times[k])!r}; give increasing times"
+    elif spec.outside == "periodic" and spec.kind != "previous" and (values[0] != values[-1]).any():
+        yield (
+            f"it begins with {values[0].tolist()} and ends with {values[-1].tolist()}; a periodic "
+            "signal ends, a period later, with the value with which it begins"
+        )
+
+
+def blank(specs: Sequence[SignalSpec], shown: float = 0.0) -> list[np.ndarray]:
+    """Pieces that show the same everywhere."""
+    rows = [np.zeros(spec.size) for spec in specs]
+    for spec, row in zip(specs, rows, strict=True):
+        row[1 : 1 + prod(spec.shape)] = shown
+    return rows
+
+
+def placeholder(spec: SignalSpec) -> Samples:
+    """Data for a model that is made to look at its parameters only."""
+    times = np.arange(4.0)
+    return Samples(spec, times, np.zeros((4, *spec.shape)))

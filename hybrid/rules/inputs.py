@@ -1,0 +1,144 @@
+"""Signals in the loop of a run: from knot to knot, each piece a polynomial in time.
+
+The numbers of a piece are among those of the programs. Between two knots nothing is known of
+signals; at a knot the next piece is put in, and the arc goes on where every guard has the sign that
+it had. Where one has not, or contacts are held, the driver looks at the knot.
+"""
+
+from __future__ import annotations
+
+from .advance import after
+from .arcs import copied
+from .arrays import (
+    AutomatonArrays,
+    Floats,
+    InputArrays,
+    Ints,
+    Left,
+    Look,
+    Matrix,
+    Now,
+    Room,
+    Sums,
+    Table,
+)
+from .guards import GUARD_ROUNDING, row_of, sizes_of
+from .jets import afresh, steady
+from .places import (
+    CONSTRAINED,
+    END,
+    FIELD,
+    FIELD_PROGRAM,
+    GUARDS,
+    GUARDS_END,
+    JUMPS_MADE,
+    LAST_TIME,
+    LOW,
+    MADE,
+    PHASE,
+    STEPS_MADE,
+    TAU,
+    WALKS,
+    T,
+)
+from .runs import go
+from .zeros import EPS
+
+__all__ = ("feed", "put_in", "through")
+
+
+def through(
+    a: AutomatonArrays,
+    run: Floats,
+    now: Now,
+    room: Room,
+    left: Left,
+    sums: Sums,
+    look: Look,
+    inputs: InputArrays,
+) -> int:
+    """Go on from ``now``, over the knots that are known; returns what the driver is asked for.
+
+    ``END`` at a knot that is to be looked at, or the last that is known, which is ``LAST_TIME``.
+    """
+    while True:
+        place = inputs.place[0]
+        run[LAST_TIME] = inputs.knots[place + 1]
+        status = go(a, run, now, room, left, sums, look)
+        last = place + 2 >= inputs.knots.shape[0] or inputs.place[1] == 0
+        if status != END or last or now.ints[MADE] == 0:
+            return status
+        if a.fields[now.ints[FIELD], CONSTRAINED] == 1:
+            return status
+        inputs.place[0] = place + 1
+        feed(a, room, inputs)
+        if not as_before(a, now, room):
+            inputs.place[0] = place
+            feed(a, room, inputs)
+            return status
+        goes_on(now, inputs)
+
+
+def goes_on(now: Now, inputs: InputArrays) -> None:
+    """Let the arc go on over a knot, and note where that is: what is to be judged is from there."""
+    inputs.place[2], inputs.place[3] = now.ints[JUMPS_MADE], now.ints[STEPS_MADE]
+    inputs.began[0] = now.floats[TAU]
+    copied(now.end, inputs.start)
+    now.ints[PHASE] = WALKS
+    now.ints[STEPS_MADE] -= now.ints[MADE]
+
+
+def feed(a: AutomatonArrays, room: Room, inputs: InputArrays) -> None:
+    """Give the numbers of the present piece to the programs."""
+    put_in(
+        a, room, inputs.pieces[inputs.place[0]], inputs.given, inputs.ranged, inputs.parts,
+        inputs.ops, inputs.more, inputs.numbers,
+    )  # fmt: skip
+
+
+def put_in(
+    a: AutomatonArrays,
+    room: Room,
+    shown: Floats,
+    given: Table,
+    ranged: Table,
+    parts: Table,
+    ops: Table,
+    more: Ints,
+    numbers: Matrix,
+) -> None:
+    """Give numbers to the programs, and work out what follows from them."""
+    for g in range(given.shape[0]):
+        numbers[given[g, 0], 0] = shown[given[g, 1]]
+    for g in range(ranged.shape[0]):
+        a.bounds.numbers[ranged[g, 0]] = shown[ranged[g, 1]]
+    for q in range(parts.shape[0]):
+        part = parts[q]
+        steady(
+            ops[part[0] : part[1]],
+            more[part[2] : part[3]],
+            room.still,
+            numbers[part[4] : part[5]],
+            room.work,
+        )
+    for i in range(room.sides.shape[0]):
+        room.sides[i] = 0
+
+
+def as_before(a: AutomatonArrays, now: Now, room: Room) -> bool:
+    """Whether each guard has the sign, where an arc goes on over a knot, that it had before it."""
+    field = now.ints[FIELD]
+    program, first, last = (
+        a.fields[field, FIELD_PROGRAM],
+        a.fields[field, GUARDS],
+        a.fields[field, GUARDS_END],
+    )
+    t, _ = after(now.floats[T], now.floats[LOW], now.floats[TAU])
+    for g in range(first, last):
+        if afresh(a.programs, program, 0, t, now.end, room.still, room.aside, room.work) < 0:
+            return False
+        value = room.aside[row_of(a, program, field, g), 0]
+        size, _, _ = sizes_of(a, room, g, t, now.end)
+        if not value * now.signs[g - first] > GUARD_ROUNDING * EPS * size:
+            return False
+    return True

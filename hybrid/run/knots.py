@@ -1,0 +1,128 @@
+"""Knots of signals: what is behind one, and the pieces as the rules' own loop takes them.
+
+Numbers in brackets are the rules of ``docs/semantics.md``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..delay.windows import Links
+from ..errors import DomainError
+from ..lowering import Scene
+from ..lowering.mode import RELEASE_SUFFIX
+from ..rules.arrays import InputArrays
+from ..rules.guards import GUARD_ROUNDING
+from ..rules.zeros import EPS
+from ..trajectory.clock import Instant
+from .entry import Jumped, opened, signs_at_end
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import StateVector
+    from .driver import Driver
+
+#: Pieces that the loop is given at a time.
+PIECES_AHEAD = 4096
+
+
+def pass_knot(driver: Driver, t: float, x: StateVector) -> None:
+    """Go on within an arc behind a knot, where the run has come to.
+
+    Contacts at rest open where the gap, or its speed, jumps there; a surface that jumps is crossed;
+    and a guard that has jumped over zero fires (1).
+
+    Raises
+    ------
+    DomainError
+        Where a gap jumps below zero, or a surface away from a state that slides on it.
+    """
+    entry, field, there = driver.entry, driver.entry.field, driver.model.at(t)
+    came = driver.came() if entry.here is None else driver.jumped
+    known = came.vanishing if driver.record.young else {}
+    signs = signs_at_end(entry, t, x, driver.reach(x))
+    driver.record.now = Instant(t)
+    off = _jumped(driver, there, t, x, signs)
+    open_ = [c for c in field.held if opened(there, field.mode, c, t, x)]
+    for edge in (*off, *(f"{contact}{RELEASE_SUFFIX}" for contact in open_)):
+        driver.record.arc(field, x, x, 0.0, [])
+        driver.watch.reset()
+        if edge not in off:
+            driver.record.released(edge.removesuffix(RELEASE_SUFFIX), t)
+        driver.add_jump(edge, x, x)
+    driver.look(x)
+    driver.cycles.forget()
+    if off:
+        driver.enter(field.guard(off[0]).to, x, Jumped())
+    elif open_:
+        driver.enter(field.mode, x, Jumped(held=tuple(c for c in field.held if c not in open_)))
+    else:
+        driver.enter(field.mode, x, Jumped(known, field.held, passing=signs))
+
+
+def _jumped(
+    driver: Driver, there: Scene, t: float, x: StateVector, signs: dict[str, int]
+) -> list[str]:
+    """Surfaces that have jumped over a state; at most one."""
+    field, found = driver.entry.field, []
+    behind = there.field(field.mode)
+    switching = there.spec.sliding(field.mode)
+    if switching is not None:
+        behind = there.field(switching.positive)
+    for guard in behind.guards:
+        value = guard.value(t, x.tolist())
+        size = float(there.rounding(guard, behind)(t, x.tolist())[0])
+        off = abs(value) > GUARD_ROUNDING * EPS * size
+        slides = switching is not None and guard.edge == switching.name
+        below = guard.kind == "contact" and value < 0 and signs.get(guard.edge, 1) > 0
+        if off and (slides or below):
+            names = ", ".join(signal.name for signal in there.spec.signals)
+            what = "surface" if slides else "gap"
+            raise DomainError(
+                f"{driver.where(x)}: at this knot of the signals ({names}) the {what} of "
+                f"{guard.edge} jumps to {value:.6g}, and the state does not; a {what} must not "
+                'jump so: kind="linear" or "cubic" joins its values'
+            )
+        if off and guard.kind == "switch" and not slides and value * signs[guard.edge] < 0:
+            found.append(guard.edge)
+    return found[:1]
+
+
+class Feed:
+    """Some of the pieces of signals, as the rules' own loop takes them."""
+
+    def __init__(self, scene: Scene, t: float, last: float) -> None:
+        self.knots = scene.knots(t, last, PIECES_AHEAD)
+        self.pieces = np.ascontiguousarray(scene.pieces(self.knots[:-1]))
+        self.place = np.array([0, 1, -1, 0], dtype=np.int64)
+        self.began, self.start = np.zeros(1), np.zeros(scene.spec.dimension)
+        self._made: tuple[Links, InputArrays] | None = None
+
+    def at(self, t: float, goes_on: bool) -> bool:
+        """Be at a time, if there is a piece for it; ``goes_on``: over knots, if all is plain."""
+        place = int(np.searchsorted(self.knots, t, "right")) - 1
+        self.place[:] = place, goes_on, -1, 0
+        return 0 <= place < len(self.pieces)
+
+    def begins(self, within: bool) -> None:
+        """Begin a call of the loop; ``within`` the arc that it was in."""
+        self.place[2:] = 0 if within else -1, 0
+
+    @property
+    def since(self) -> float:
+        """Where the present piece begins."""
+        return float(self.knots[self.place[0]])
+
+    @property
+    def until(self) -> float:
+        """Where the present piece ends."""
+        return float(self.knots[self.place[0] + 1])
+
+    def arrays(self, links: Links) -> InputArrays:
+        """The pieces, and where they are put in."""
+        if self._made is None or self._made[0] is not links:
+            own = self.knots, self.pieces, self.place, self.began, self.start
+            given = links.given, links.ranged, links.parts, links.ops, links.more, links.numbers
+            self._made = links, InputArrays(*own, *given)
+        return self._made[1]

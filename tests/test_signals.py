@@ -1,0 +1,335 @@
+"""Signals: data at knots, read at the present time, against closed forms with every solver."""
+
+import pickle
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+import hybrid as hy
+from hybrid.run import machine
+
+from .systems import without_loop
+
+SOLVERS = ["taylor", "scipy", "diffrax"]
+
+#: The tolerance of SciPy's and Diffrax's runs is 1e-8 a step, of some tens; Taylor's is rounding.
+CLOSE = {"taylor": 1e-13, "scipy": 1e-6, "diffrax": 1e-6}
+
+TIMES = np.array([0.0, 0.5, 0.8, 1.7, 2.0, 3.0])
+VALUES = np.array([1.0, -2.0, 0.5, 3.0, -1.0, 1.0])
+
+
+def driven(kind, outside="error"):
+    """A sum of what a signal is."""
+
+    class Driven(hy.Automaton):
+        x = hy.state()
+        force = hy.signal(kind=kind, outside=outside, doc="what moves it")
+
+        @hy.mode(initial=True)
+        def flow(self, t, s):
+            return (self.force(t),)
+
+        @hy.output
+        def rate(self, t, s):
+            return self.force(t)
+
+    return Driven
+
+
+def summed(kind, t):
+    """The integral of the signal from 0 to a time, within its data."""
+    if kind == "cubic":
+        return CubicSpline(TIMES, VALUES).antiderivative()(t)
+    grid = np.unique([*TIMES[t > TIMES], t])
+    if kind == "linear":
+        values = np.interp(grid, TIMES, VALUES)
+        return np.trapezoid(values, grid)
+    return np.sum(np.diff(grid) * VALUES[: len(grid) - 1])
+
+
+@pytest.mark.parametrize("kind", ["previous", "linear", "cubic"])
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_flow_sees_the_signal_between_its_knots(solver, kind):
+    """Its integral is that of the data, in the middle of pieces and at knots."""
+    model = driven(kind)(force=(TIMES, VALUES))
+    run = hy.simulate(model, {"x": 0.25}, (0.0, 3.0), solver=solver)
+    for t in (0.3, 0.5, 0.61, 1.7, 2.9, 3.0):
+        assert abs(run(t).x - 0.25 - summed(kind, t)) < CLOSE[solver], t
+    assert len(run.arcs) == 1
+    assert not len(run.jumps)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_what_is_outside_the_data(solver):
+    """Held, zero, or the same again and again, also far from the data; or the run is refused."""
+    level = {"hold": 1.0 * 2.0 + 1.0 * 3.0, "zero": 0.0}
+    inner = summed("linear", 3.0)
+    for outside, beyond in level.items():
+        model = driven("linear", outside)(force=(TIMES, VALUES))
+        run = hy.simulate(model, {"x": 0.0}, (-2.0, 6.0), solver=solver)
+        assert abs(run.final.x - inner - beyond) < CLOSE[solver], outside
+    model = driven("linear", "periodic")(force=(TIMES, VALUES))
+    run = hy.simulate(model, {"x": 0.0}, (-3000.0, -2990.5), solver=solver)
+    expected = 3 * inner + summed("linear", 0.5)
+    # knots at t = -3000 are rounded to 5e-13, and the signal is 3 at most
+    assert abs(run.final.x - expected) < CLOSE[solver] + 1e-11
+    with pytest.raises(hy.OptionError, match=r"the signal force has data from 0.0 to 3.0"):
+        hy.simulate(driven("linear")(force=(TIMES, VALUES)), {"x": 0.0}, (0.0, 3.5), solver=solver)
+
+
+def test_a_signal_is_a_function_of_the_model():
+    """At times, as arrays, with what is outside; an output reads it at the times of a run."""
+    model = driven("linear", "periodic")(force=(TIMES, VALUES))
+    t = np.linspace(-7.0, 8.0, 301)
+    assert np.allclose(model.force(t), np.interp(np.mod(t, 3.0), TIMES, VALUES), atol=1e-12)
+    assert model.force(0.25) == -0.5
+    run = hy.simulate(model, {"x": 0.0}, (0.0, 7.0), solver="taylor")
+    times = np.linspace(0.0, 7.0, 50)
+    assert np.allclose(run(times).rate, model.force(times), atol=1e-12)
+    cubic = driven("cubic")(force=(TIMES, VALUES))
+    t = np.linspace(0.0, 3.0, 50)
+    assert np.allclose(cubic.force(t), CubicSpline(TIMES, VALUES)(t), atol=1e-13)
+
+
+class Follower(hy.Automaton):
+    """Grows until it reaches a threshold that is given, and falls back by one."""
+
+    x = hy.state()
+    threshold = hy.signal(kind="previous", outside="hold")
+
+    @hy.mode(initial=True)
+    def grow(self, t, s):
+        return (1.0,)
+
+    @hy.edge(grow, guard=lambda self, t, s: self.threshold(t) - s.x)
+    def back(self, t, s):
+        return (s.x - 1.0,)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_guard_that_jumps_over_zero_at_a_knot_fires_there(solver):
+    """At the knot, to the last bit; between the knots where it is zero."""
+    model = Follower(threshold=([0.0, 0.75, 1.4], [1.5, 0.5, 1.125]))
+    run = hy.simulate(model, {"x": 0.0}, (0.0, 2.5), solver=solver)
+    # 0.75 > 0.5 at the knot; 0.4 < 0.5 at the next; -0.25 + (t - 0.75) is 1.125 at 2.125
+    assert run.jumps.t[0] == 0.75
+    assert np.allclose(run.jumps.t, [0.75, 2.125], atol=CLOSE[solver])
+    assert np.allclose(run.final.x, 0.5, atol=CLOSE[solver])
+
+
+def road(kind="linear", outside="hold"):
+    """A bead above a road that is given."""
+
+    class Bead(hy.Automaton):
+        x = hy.state(unit="m")
+        v = hy.state(unit="m/s")
+        r = hy.parameter(0.5)
+        floor = hy.signal(unit="m", kind=kind, outside=outside)
+
+        @hy.mode(initial=True)
+        def flight(self, t, s):
+            return s.v, -10.0
+
+        impact = hy.contact(
+            flight, gap=lambda self, t, s: s.x - self.floor(t), restitution="r", rests=True
+        )
+
+    return Bead
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_bead_falls_on_a_road_that_rises(solver):
+    """The first impact is the zero of a parabola; what is lost is lost in the frame of the road."""
+    model = road()(floor=([0.0, 0.2, 2.0], [0.0, 0.0, 3.6]))
+    run = hy.simulate(model, {"x": 1.0, "v": 0.0}, (0.0, 0.6), solver=solver)
+    t = (-2.0 + np.sqrt(4.0 + 20.0 * 1.4)) / 10.0  # 1 - 5 t^2 = 2 (t - 0.2)
+    assert abs(run.jumps.t[0] - t) < CLOSE[solver]
+    assert abs(run.jumps[0].after.v - (2.0 + 0.5 * (10.0 * t + 2.0))) < 10 * CLOSE[solver]
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_bead_at_rest_leaves_a_road_that_bends_down_and_rests_again(solver):
+    """It rides up a ramp, leaves it where that ends, and its impacts have a limit: all at times
+    that are known."""
+    model = road()(floor=([0.0, 1.0, 3.0, 4.0], [0.0, 2.0, 2.0, 2.0]))
+    start = {"x": 0.0, "v": 2.0}
+    run = hy.simulate(model, start, (0.0, 3.5), solver=solver, mode="flight.rest(impact)")
+    assert abs(run(0.4).x - 0.8) < 1e-15
+    release = run.jumps[0]
+    assert (release.t, release.edge) == (1.0, "impact.release")
+    # 2 m/s up from a level road: a flight of 0.4 s, each next half as long
+    assert abs(run.jumps.t[1] - 1.4) < CLOSE[solver]
+    assert len(run.zeno) == 1
+    assert abs(run.zeno[0].t - 1.8) < CLOSE[solver]
+    assert abs(run.zeno[0].t - 1.8) <= run.zeno[0].t_error < 1e-6
+    assert run.arcs[-1].mode == "flight.rest(impact)"
+    assert abs(run(3.2).x - 2.0) < CLOSE[solver]
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_bead_at_rest_is_struck_by_a_road_that_bends_up(solver):
+    """At the knot there is an impact with the speed of the road."""
+    model = road()(floor=([0.0, 1.0, 5.0], [0.0, 0.0, 8.0]))
+    start = {"x": 0.0, "v": 0.0}
+    run = hy.simulate(model, start, (0.0, 1.2), solver=solver, mode="flight.rest(impact)")
+    assert [jump.edge for jump in run.jumps][:2] == ["impact.release", "impact"]
+    assert run.jumps.t[1] == 1.0
+    assert abs(run.jumps[1].after.v - 3.0) < 1e-12  # 2 + 0.5 * 2, by arithmetic
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_limit_is_not_summed_over_a_knot(solver):
+    """Impacts that would come to rest behind a knot are flown to it; what follows is right."""
+    free = 2.0 * np.sqrt(0.2) / 2  # of a fall from 1 m, at 10 m/s^2
+    limit = free + 2.0 * free * 0.5 / (1.0 - 0.5)  # 3 free
+    for knot in (limit - 1e-3, limit - 1e-6, limit + 1e-9):
+        model = road()(floor=([0.0, knot, knot + 4.0], [0.0, 0.0, 4.0]))
+        run = hy.simulate(model, {"x": 1.0, "v": 0.0}, (0.0, knot + 1.5), solver=solver)
+        assert abs(run.final.x - 1.5) < 1e-6, knot  # rides on the ramp in the end
+        assert abs(run.final.v - 1.0) < 1e-6, knot
+        assert (run.zeno[0].t < knot) == (knot > limit)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_gap_must_not_jump_below_zero(solver):
+    """A floor that jumps up through the bead is an error that names it; one that falls is none."""
+    model = road("previous")(floor=([0.0, 0.1, 1.0], [0.0, 0.99, 0.0]))
+    with pytest.raises(hy.DomainError, match=r"the gap of impact jumps to -0.04"):
+        hy.simulate(model, {"x": 1.0, "v": 0.0}, (0.0, 0.5), solver=solver)
+    model = road("previous")(floor=([0.0, 0.1, 1.0], [0.0, -1.0, 0.0]))
+    start = {"x": 0.0, "v": 0.0}
+    run = hy.simulate(model, start, (0.0, 0.6), solver=solver, mode="flight.rest(impact)")
+    assert run.jumps.t[0] == 0.1
+    assert run.jumps[0].edge == "impact.release"
+    assert abs(run.jumps.t[1] - 0.1 - np.sqrt(0.2)) < CLOSE[solver]
+
+
+def test_runs_by_the_loop_are_those_of_the_driver(monkeypatch):
+    """Over many knots within flights, of which the driver sees none; and the dense output."""
+    rng = np.random.default_rng(3)
+    times = np.cumsum(rng.uniform(0.01, 0.1, 200))
+    model = road("cubic")(floor=(times - times[0], 0.02 * rng.standard_normal(200)))
+    given = model, {"x": 1.0, "v": 0.0}, (0.0, 4.0)
+    seen = []
+    monkeypatch.setattr(machine, "pass_knot", lambda *which: seen.append(which))
+    run = hy.simulate(*given, solver="taylor")
+    assert not seen
+    monkeypatch.undo()
+    without_loop(monkeypatch)
+    same = hy.simulate(*given, solver="taylor")
+    # what is off at the start is, at the last jump, 1e9 times that: here the first twelve, 1e3
+    assert np.allclose(run.jumps.t[:12], same.jumps.t[:12], rtol=0, atol=1e-12)
+    t = np.linspace(0.0, float(run.jumps.t[11]), 100)
+    assert np.allclose(run(t).x, same(t).x, rtol=0, atol=1e-12)
+    assert (run.jumps.t[11] - run.jumps.t[0]) > 10 * np.mean(np.diff(times))
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_vectors_and_series_of_pandas_and_xarray(solver):
+    """Values may be arrays; data are taken from a series over the time."""
+    pandas, xarray = pytest.importorskip("pandas"), pytest.importorskip("xarray")
+
+    class Moved(hy.Automaton):
+        q = hy.state(shape=(2,))
+        wind = hy.signal(shape=(2,))
+
+        @hy.mode(initial=True)
+        def flow(self, t, s):
+            return (self.wind(t),)
+
+    data = np.column_stack([VALUES, -2.0 * VALUES])
+    frames = [
+        (TIMES, data),
+        pandas.DataFrame(data, index=TIMES),
+        xarray.DataArray(data, dims=("time", "way"), coords={"time": TIMES}),
+    ]
+    for given in frames:
+        run = hy.simulate(Moved(wind=given), {"q": [0.0, 1.0]}, (0.0, 2.5), solver=solver)
+        s = summed("linear", 2.5)
+        assert np.allclose(run.final.q, [s, 1.0 - 2.0 * s], rtol=0, atol=CLOSE[solver])
+
+
+def test_wrong_data_are_refused():
+    """With the name of the signal, the value, and what is due."""
+    model = driven("linear")
+    cases = {
+        "no data for the signal force": {},
+        "values of shape \\(3,\\) where \\(2,\\)": {"force": ([0, 1], [1, 2, 3])},
+        "1.0 behind 2.0; give increasing": {"force": ([0, 2, 1], [1, 2, 3])},
+        "must be finite": {"force": ([0, 1], [1, np.nan])},
+        "times of shape": {"force": ([0], [1])},
+        "dates": {"force": (np.array(["2020-01-01", "2021-01-01"], dtype="M8[s]"), [1, 2])},
+        "give \\(times, values\\)": {"force": 3.0},
+    }
+    for said, given in cases.items():
+        with pytest.raises(hy.ParameterError, match=said):
+            model(**given)
+    with pytest.raises(hy.ParameterError, match=r"begins with 1.0 and ends with 2.0"):
+        driven("linear", "periodic")(force=([0, 1], [1, 2]))
+
+
+def test_wrong_declarations_are_refused():
+    """Together, when the class is made."""
+    with pytest.raises(hy.DeclarationError) as told:
+
+        class Wrong(hy.Automaton):
+            x = hy.state()
+            a = hy.signal(kind="quadratic")
+            b = hy.signal(outside="nothing")
+            c = hy.signal()
+
+            @hy.mode(initial=True)
+            def flow(self, t, s):
+                return (self.c(s.x),)
+
+    assert "signal a: kind='quadratic'" in str(told.value)
+    assert "signal b: outside='nothing'" in str(told.value)
+    assert "a signal is read at the present time, self.c(t)" in str(told.value)
+    with pytest.raises(hy.DeclarationError, match="looks into the past can have no signal"):
+
+        class Both(hy.Automaton):
+            x = hy.state()
+            c = hy.signal()
+
+            @hy.mode(initial=True)
+            def flow(self, t, s, past):
+                return (self.c(t) - past(1.0).x,)
+
+
+def test_who_knows_no_signals_says_so():
+    """Ensembles, functions, orbits and proofs, with a remedy."""
+    model = road()(floor=(TIMES, VALUES))
+    ways = {
+        "hy.ensemble": lambda: hy.ensemble(model, {"x": [1.0], "v": 0.0}, (0.0, 1.0)),
+        "hy.as_function": lambda: hy.as_function(model, t=(0.0, 1.0), max_jumps=5),
+        "hy.periodic_orbit": lambda: hy.periodic_orbit(model, {"x": 1.0, "v": 0.0}, period=1.0),
+        "hy.certify": lambda: hy.certify(model, box={"x": (-1, 1), "v": (-1, 1)}),
+    }
+    for name, ask in ways.items():
+        with pytest.raises(hy.HybridError, match=f"{name} takes no model with signals yet"):
+            ask()
+
+
+def test_models_with_signals_are_values():
+    """Equal by their data, changed by evolve, pickled, and a run goes on where another ended."""
+    import attrs
+
+    model = road()(floor=(TIMES, VALUES))
+    assert model == road_of(model)
+    assert attrs.evolve(model, r=0.25).floor is model.floor
+    again = pickle.loads(pickle.dumps(model.floor))
+    assert again == model.floor
+    plain = driven("linear")(force=(TIMES, VALUES))
+    first = hy.simulate(plain, {"x": 0.0}, (0.0, 1.0), solver="taylor")
+    more = hy.simulate(plain, first, (1.0, 2.5), solver="taylor")
+    assert abs((first + more).final.x - summed("linear", 2.5)) < 1e-13
+    with pytest.raises(hy.StoreError, match="cannot be saved as a file yet"):
+        first.save("never.nc")
+    assert "force" not in first.to_xarray().attrs
+
+
+def road_of(model):
+    """The same class with equal data."""
+    return type(model)(floor=(TIMES.copy(), VALUES.copy()))
