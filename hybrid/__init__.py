@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from .certificates import Certificate, certify
     from .ensembles import ensemble
     from .functions import as_function
-    from .maps import sweep
+    from .maps import Bifurcation, bifurcation, sweep
     from .orbits import lyapunov, periodic_orbit, return_map
     from .result import Trajectory, load
     from .simulation import simulate
@@ -68,6 +68,8 @@ _LAZY = {
     "periodic_orbit": "orbits",
     "return_map": "orbits",
     "ensemble": "ensembles",
+    "Bifurcation": "maps",
+    "bifurcation": "maps",
     "sweep": "maps",
     "simulate": "simulation",
     "load": "result",
@@ -105,6 +107,7 @@ __all__ = [
     "TERMINATE",
     "Automaton",
     "Bench",
+    "Bifurcation",
     "Certificate",
     "DeclarationError",
     "DomainError",
@@ -123,6 +126,7 @@ __all__ = [
     "ZenoError",
     "as_function",
     "bench",
+    "bifurcation",
     "certify",
     "contact",
     "edge",

@@ -1,5 +1,6 @@
 """Maps over parameters and starts: sweeps in blocks, over workers, into a store; bifurcations."""
 
+from .diagram import Bifurcation, bifurcation
 from .grid import sweep
 
-__all__ = ["sweep"]
+__all__ = ["Bifurcation", "bifurcation", "sweep"]

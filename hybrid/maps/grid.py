@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import closing
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from ..automaton.base import require_model
 from ..errors import TABLES, need
 from .lanes import AskedLanes, block_of, dimension, points_of
+from .refine import Lattice, refined
 from .store import Store
 from .workers import Progress, flown
 
@@ -21,12 +23,14 @@ if TYPE_CHECKING:
 def sweep(
     model: Any,
     over: Mapping[str, Any],
-    start: Mapping[str, Any] | None = None,
+    start: Any = None,
     t: Any = None,
     *,
     executor: Any = None,
     store: Any = None,
     block: int | None = None,
+    refine: Mapping[str, float] | None = None,
+    by: str = "verdict",
     progress: Progress | None = None,
     **options: Any,
 ) -> xarray.Dataset:
@@ -37,10 +41,10 @@ def sweep(
     model : Automaton
     over : dict
         Values by the names of parameters and states; a state's are those at the start.
-    start : dict
-        The other states at the start.
+    start : dict, or callable ``(self)``
+        The other states at the start; a function gives them of the model with a lane's parameters.
     t : (t0, t1), or callable ``(self)``
-        First and last time; a function gives them of the model with the parameters of each lane.
+        First and last time.
     executor : concurrent.futures.Executor, optional
         What flies blocks: a pool of threads or processes, Dask's ``Client.get_executor()``. Without
         one they are flown here, where an ensemble has threads on all cores; blocks of lanes that go
@@ -51,8 +55,13 @@ def sweep(
         flown again (extra ``maps``).
     block : int, optional
         Lanes in a block.
+    refine : dict, optional
+        Widths by names in ``over``: cells of the grid within which lanes differ are halved until
+        they are no wider.
+    by : str
+        The column by which they differ.
     progress : callable ``(done, lanes)``, optional
-        Called after each block.
+        Called after each block; with ``refine`` of each round.
     options
         As :func:`hybrid.ensemble` takes them: ``measure``, ``section``, ``solver`` and the others.
 
@@ -60,7 +69,9 @@ def sweep(
     -------
     xarray.Dataset
         What :func:`hybrid.ensemble` gives, over the names in ``over`` in place of ``lane``; the
-        dimension of a state is ``x_start``. A lane that fails is a row with its reason.
+        dimension of a state is ``x_start``. A lane that fails is a row with its reason. With
+        ``refine`` over one name its values lie closer where lanes differ; over several the table
+        stays one over ``lane``.
 
     Raises
     ------
@@ -76,11 +87,21 @@ def sweep(
     need("hy.sweep", TABLES)
     require_model(model)
     axes = points_of(model.spec, over)
+
+    def fly(points: Mapping[str, np.ndarray], turn: int = 0) -> xarray.Dataset:
+        lanes = block_of(len(next(iter(points.values()))), block)
+        place = store if store is None or not turn else Path(store) / f"round{turn}"
+        asked = AskedLanes(model, points, {} if start is None else start, t, options, lanes)
+        return lanes_of(asked, executor, place, progress)
+
+    names = {name: dimension(model.spec, name) for name in axes}
+    if refine is not None:
+        table = refined(Lattice.of(model.spec, axes, refine), by, fly)
+        (first, *others) = names.values()
+        return table if others else table.swap_dims(lane=first).sortby(first)
     grid = [v.ravel() for v in np.meshgrid(*axes.values(), indexing="ij")]
-    points = dict(zip(axes, grid, strict=True))
-    asked = AskedLanes(model, points, dict(start or {}), t, options, block_of(len(grid[0]), block))
-    table = lanes_of(asked, executor, store, progress)
-    return folded(table, {dimension(model.spec, name): v for name, v in axes.items()})
+    table = fly(dict(zip(axes, grid, strict=True)))
+    return folded(table, {names[name]: values for name, values in axes.items()})
 
 
 def lanes_of(

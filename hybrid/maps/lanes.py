@@ -41,7 +41,7 @@ class AskedLanes:
     ----------
     points : dict
         By name of a parameter or a state its value in each lane.
-    start : dict
+    start : dict, or callable ``(self)`` that gives it
         The other states.
     t : (t0, t1), or callable ``(self)`` that gives it
     options : dict
@@ -52,7 +52,7 @@ class AskedLanes:
 
     model: Any
     points: Mapping[str, np.ndarray]
-    start: Mapping[str, Any]
+    start: Any
     t: Any
     options: Mapping[str, Any]
     block: int
@@ -90,12 +90,15 @@ class AskedLanes:
 
     def fly(self, progress: Callable[[int], None] | None = None) -> xarray.Dataset:
         """All lanes as a table over ``lane``."""
-        states = {**self.start, **{n: v for n, v in self.points.items() if n in self.spec.names}}
-        given = {name: v for name, v in self.points.items() if name not in self.spec.names}
-        span = self.t
+        begun, span = self.start, self.t
+        if callable(begun):
+            rows = [begun(model) for model in self._models()]
+            begun = {name: np.array([row[name] for row in rows], float) for name in rows[0]}
         if callable(span):
             spans = np.array([span(model) for model in self._models()], dtype=float)
             span = tuple(spans.reshape(self.count, 2).T)
+        states = {**begun, **{n: v for n, v in self.points.items() if n in self.spec.names}}
+        given = {name: v for name, v in self.points.items() if name not in self.spec.names}
         asked = {"progress": progress, **self.options}
         return ensemble(self.model, states, span, given, **asked)
 
@@ -112,7 +115,7 @@ class AskedLanes:
         values = [getattr(self.model, parameter.name) for parameter in self.spec.parameters]
         parts = {
             "model": (digest(type(self.model)), values),
-            "values": (dict(self.points), dict(self.start), self.t),
+            "values": (dict(self.points), self.start, self.t),
             "options": (sorted(self.options.items()), self.block),
         }
         digests = {name: sha256(_text(part).encode()).hexdigest() for name, part in parts.items()}
