@@ -14,6 +14,7 @@ from ..rules import library
 from ..rules.arrays import AutomatonArrays, Room
 from ..rules.places import (
     AT,
+    CALLS,
     CHANGES,
     CLOCK,
     CONSTRAINED,
@@ -210,6 +211,8 @@ class Tables:
 
     def _at(self, field: Field, contact: str) -> int:
         """The first of the programs of what happens at a contact."""
+        if field.jets is None:
+            return HARD
         try:
             parts = field.at_contact(contact)
         except TraceError:
@@ -226,7 +229,8 @@ class Tables:
 
     def _add(self, field: Field) -> None:
         base = self.number(self.scene.field(field.mode)) if field.held else len(self.fields)
-        jets, first = field.jets, len(self._rows)
+        calls, first = self.others and field.jets is None, len(self._rows)
+        jets = self.scene.calling(field) if calls else field.jets
         plain = not field.leans and jets is not None and all(map(self._may, field.guards))
         plain = plain and (not field.held or self.plain(base))
         watch = self._watch(field) if plain and self.others else -1
@@ -252,6 +256,7 @@ class Tables:
         self.modes += [field.name] * len((*guards, *clocks))
         self.widest = max(self.widest, len(guards))
         how = CHANGES if plain and self.others and field.changes else int(plain)
+        how = CALLS if plain and calls else how
         known = [program, first, first + len(guards), how, int(field.project is not None)]
         joins = int(not self.scene.spec.lags)
         rings = first + len(guards) + len(clocks)
@@ -383,12 +388,16 @@ class Tables:
         if not field.guards:
             return -1
         graph, edges = self.scene.code.mode(field.mode), [guard.edge for guard in field.guards]
-        return self._of_values(field, ("guards", *edges), lambda: list(map(graph.guard, edges)))
+        return self._of_values(
+            field, ("guards", *edges), lambda: list(map(graph.guard, edges)), False
+        )
 
-    def _of_values(self, field: Field, key: tuple[object, ...], nodes: Nodes) -> int:
+    def _of_values(
+        self, field: Field, key: tuple[object, ...], nodes: Nodes, calls: bool = True
+    ) -> int:
         """The number of a program for values only; -1 where an operation has none."""
         try:
-            found = self.scene.code.mode(field.mode).of_values(key, nodes)
+            found = self.scene.code.mode(field.mode).of_values(key, nodes, calls=calls)
         except TraceError:
             return -1
         return self._program(found.bind(self.scene.numbers(field.mode, field.held)))

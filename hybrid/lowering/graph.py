@@ -113,7 +113,11 @@ class Graph:
 
     def name_of(self, number: int) -> str:
         """The name of a function that is called, whose number is that of a constant's node."""
-        return self.foreign[int(self.value(number))].name
+        return self.called_by(number).name
+
+    def called_by(self, number: int) -> Foreign:
+        """What the number in a node calls."""
+        return self.foreign[int(self.value(number))]
 
     def require_written(self, roots: Sequence[int], what: str) -> None:
         """Refuse what calls a function.

@@ -18,6 +18,7 @@ from ..delay.memory import SUMS, Memory
 from ..delay.windows import Links, Shown
 from ..errors import FlowError
 from ..lowering import released
+from ..lowering.foreign import require_none
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.arrays import Left, Now
@@ -270,6 +271,7 @@ class Machine:
             with nullcontext() if own else np.errstate(all="ignore"):
                 while True:
                     status = call()
+                    require_none()
                     if status == MAKE:
                         self._make()
                         call = self._call(left)
