@@ -132,7 +132,7 @@ def zeros(
     """
     places: list[Cut] = []
     for kink in guard.kinks:
-        new = list(cuts(kink, segment, t0, scale, ends, 0.0, places))
+        new = map(_wider, cuts(kink, segment, t0, scale, ends, 0.0, places))
         places = _apart(sorted([*places, *new], key=lambda cut: cut.before))
     yield from _between(guard, segment, t0, order, scale, tolerance, ends, places, noise)
 
@@ -185,6 +185,13 @@ def _straddle(kink: Kink, segment: Segment, t0: float, share: float, side: int) 
             return Cut(kink, min(before - width, share), after + width, int(there))
         width *= 2.0
     return None
+
+
+def _wider(cut: Cut) -> Cut:
+    """A place at which a guard jumps, where rounding may have it: ``floor(t / T)`` changes beside
+    the zero of ``sin(pi t / T)`` by what rounding makes of a quotient, a product and a sine."""
+    width = 2.0 * (cut.after - cut.before) if cut.kink.change == "jumps" else 0.0
+    return attrs.evolve(cut, before=cut.before - width, after=cut.after + width)
 
 
 def _apart(cuts: list[Cut]) -> list[Cut]:

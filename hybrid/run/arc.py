@@ -36,6 +36,10 @@ REACH = 8.0
 #: Share of an arc by which it may end beside the event onto which it is made.
 AIMED = 1e-6
 
+#: Spacings of the time within which a guard jumps where its deciding function changes its sign:
+#: four for each of a quotient, a product and a sine (:func:`..events._wider`), four for the place.
+JUMPS_WITHIN = 16
+
 
 @attrs.frozen
 class Fired:
@@ -363,6 +367,7 @@ class ArcFlow:
         noise = self._leaving(index, stepper)
         found = zeros(guard, segment, t0, order, scale, tolerance, self.ends, noise)
         fired = self._first_zero(index, found, segment, stepper.x, tolerance, grazes)
+        fired = fired or self._last(index, segment, stepper.x)
         if fired is not None:
             return fired
         if target is not None and segment.end == target:
@@ -460,29 +465,62 @@ class ArcFlow:
         What the flow does from there on is left to the arc that follows; the step is of rounding's
         size. A segment only where the arc would have none.
         """
-        if fired.cut is None:
+        if fired.cut is None and not self.field.guards[fired.index].jumps:
             return []
         start, x = stepper.tau, stepper.x
         if self.field.project is not None:
             x = np.array(self.field.project(self.now.t + start, x.tolist()))
         flow = np.array(self.field.rhs(self.now.t + start, x.tolist()))
-        shift = 0.0
+        shift, spacing = 0.0, float(np.spacing(abs(self.now.t) + start))
         while self._before(fired.cut, start + shift, x + shift * flow) and start + shift < length:
-            shift = 2.0 * shift or float(np.spacing(abs(self.now.t) + start))
+            shift = 2.0 * shift or spacing
+        more = (shift + spacing * n for n in range(JUMPS_WITHIN))
+        shift = next((s for s in more if self._carried(fired, start + s, x + s * flow)), shift)
+        shift = min(shift, length - start)
         stepper.tau, stepper.x = start + shift, x + shift * flow
         if start > 0.0 or shift == 0.0:
             return []
         straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, stepper.x])
         return [Segment(start, shift, straight)]
 
-    def _before(self, cut: Cut, tau: float, x: StateVector) -> bool:
+    def _before(self, cut: Cut | None, tau: float, x: StateVector) -> bool:
         """Whether a deciding function has not yet the sign that it takes at a cut.
 
         Beyond an end there is nothing: one stays before it. The time is that of the arc which
         follows: a spacing more or less may be on the other side.
         """
+        if cut is None:  # the last step has ended there
+            return False
         side = cut.kink.value(self.now.after(tau).t, x.tolist()) * cut.side
         return not side > 0 and cut.kink.change != "ends"
+
+    def _carried(self, fired: Fired, tau: float, x: StateVector) -> bool:
+        """Whether an edge's guard has jumped, or is zero: what decides on it may round otherwise
+        (of a saw of time, a wave of it), and the arc that follows asks the guard."""
+        guard, t, at = self.field.guards[fired.index], self.now.after(tau).t, x.tolist()
+        beyond = guard.value(t, at) * fired.direction
+        jumps = guard.kind == "edge" and guard.jumps
+        return not jumps or beyond >= -self._rounding(fired.index, t, at)
+
+    def _ends(self, segment: Segment) -> float:
+        """How much later than just before the last time a step ends."""
+        within = JUMPS_WITHIN * float(np.spacing(abs(self.until)))
+        return segment.end - (self.now.until(self.until) - within)
+
+    def _last(self, index: int, segment: Segment, end: StateVector) -> Fired | None:
+        """An edge whose guard jumps within rounding of the last time: there it has jumped already,
+        or has not yet, which none of its cuts can tell."""
+        guard, late = self.field.guards[index], self._ends(segment)
+        if guard.kind != "edge" or not guard.jumps or not 0.0 <= late < segment.end:
+            return None
+        tau = segment.end - late
+        before = guard.value(self.now.t + tau, segment(tau).tolist())
+        there, direction = guard.value(self.until, end.tolist()), -int(np.sign(before))
+        if not (there * before < 0.0 and fires(guard.crossing, direction)):
+            return None
+        return (
+            Fired(index, segment.end, direction) if guard.holds(self.until, end.tolist()) else None
+        )
 
     def _touches(self, guard: Guard, tau: float, segment: Segment, tolerance: float) -> bool:
         """Whether a crossing goes no deeper than the tolerance: a tangency (1)."""
@@ -528,6 +566,12 @@ class ArcFlow:
         t, x = self.now.t + segment.end, stepper.x.tolist()
         if outside <= self._rounding(index, t, x):
             return False
+        if (
+            guard.jumps
+            and _outside(guard, guard.value(self.until, x)) < 0.0
+            and self._ends(segment) >= 0.0
+        ):
+            return False  # it is about to jump
         if guard.kind == "contact":
             return True
         inside = guard.bounds and bool(self.signs) and _outside(guard, self.signs[index]) < 0

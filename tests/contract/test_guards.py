@@ -118,6 +118,40 @@ class Saw(hy.Automaton):
         return s.replace(n=s.n + 1)
 
 
+class Ramp(hy.Automaton):
+    """A level over a saw of time, under which it is low, and above which it is high."""
+
+    level = hy.state()
+    period: float = hy.parameter(1.0)
+
+    def above(self, t, s):
+        return s.level - self.period * (t / self.period - jnp.floor(t / self.period))
+
+    @hy.mode(initial=True)
+    def high(self, t, s):
+        return 0.0
+
+    @hy.mode
+    def low(self, t, s):
+        return 0.0
+
+    falls = hy.edge(high, to=low, guard=above)
+    wraps = hy.edge(low, to=high, guard=above, crossing=hy.RISING)
+
+
+@pytest.mark.parametrize("turn", [0, 1000])
+def test_a_saw_of_time_wraps_where_its_own_rounding_has_it(way, turn):
+    """At whole periods, to a few spacings of the time, by whatever formula it is told, and at the
+    last time of a run as well; the mode behind the jump sees the saw as it is beyond it."""
+    periods = [1.0, 0.1, 0.3, 400e-6, 0.4389616300445631, np.pi / 7]
+    for period in periods:
+        t, wraps = (turn + 0.1) * period, np.arange(turn + 1, turn + 13) * period
+        result = way.run(Ramp(period=period), {"level": 0.25 * period}, (t, float(wraps[-1])))
+        assert result.jumps in (23, 24)  # as the last time is rounded
+        expected = np.sort([*wraps - 0.75 * period, *wraps])[: result.jumps]
+        np.testing.assert_allclose(result.times, expected, rtol=1e-13, atol=1e-12 * period)
+
+
 @pytest.mark.parametrize("since", [0.0, 1e6])
 def test_a_saw_fires_at_each_tooth(way, since):
     """Where it fires it has jumped already, and is not zero when the next arc begins."""
