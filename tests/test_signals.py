@@ -251,6 +251,36 @@ def test_vectors_and_series_of_pandas_and_xarray(solver):
         assert np.allclose(run.final.q, [s, 1.0 - 2.0 * s], rtol=0, atol=CLOSE[solver])
 
 
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_lanes_equal_their_runs(solver):
+    """With the signal of the model, and with one for each lane; outputs are those of the lane."""
+    model = driven("linear")(force=(TIMES, VALUES))
+    starts = np.array([0.0, 1.0, 2.0])
+    same = hy.ensemble(model, {"x": starts}, (0.0, 2.5), solver=solver, measure=["rate"])
+    s = summed("linear", 2.5)
+    assert np.allclose(same.x, starts + s, rtol=0, atol=CLOSE[solver])
+    assert np.allclose(same.rate, model.force(2.5), rtol=0, atol=1e-13)
+    data = [(TIMES, VALUES), (TIMES, -3.0 * VALUES), ([0.0, 3.0], [1.0, 1.0])]
+    own = hy.ensemble(
+        model,
+        {"x": starts},
+        (0.0, 2.5),
+        parameters={"force": data},
+        solver=solver,
+        measure=["rate"],
+    )
+    assert np.allclose(own.x, [s, 1.0 - 3.0 * s, 4.5], rtol=0, atol=CLOSE[solver])
+    rate = model.force(2.5)
+    assert np.allclose(own.rate, [rate, -3.0 * rate, 1.0], rtol=0, atol=1e-13)
+    run = hy.simulate(type(model)(force=data[1]), {"x": 1.0}, (0.0, 2.5), solver=solver)
+    assert own.x[1] == run.final.x
+    with pytest.raises(hy.OptionError, match="lanes differ in number"):
+        hy.ensemble(model, {"x": starts}, (0.0, 2.5), parameters={"force": data[:2]})
+    wrong = [data[0], ([0, 2, 1], [1, 2, 3]), data[2]]
+    with pytest.raises(hy.ParameterError, match=r"force, lane 1: 1.0 behind 2.0"):
+        hy.ensemble(model, {"x": starts}, (0.0, 2.5), parameters={"force": wrong})
+
+
 def test_wrong_data_are_refused():
     """With the name of the signal, the value, and what is due."""
     model = driven("linear")
@@ -302,7 +332,9 @@ def test_who_knows_no_signals_says_so():
     """Ensembles, functions, orbits and proofs, with a remedy."""
     model = road()(floor=(TIMES, VALUES))
     ways = {
-        "hy.ensemble": lambda: hy.ensemble(model, {"x": [1.0], "v": 0.0}, (0.0, 1.0)),
+        "hy.ensemble with section, save or stick": lambda: hy.ensemble(
+            model, {"x": [1.0], "v": 0.0}, (0.0, 1.0), save=[0.5]
+        ),
         "hy.as_function": lambda: hy.as_function(model, t=(0.0, 1.0), max_jumps=5),
         "hy.periodic_orbit": lambda: hy.periodic_orbit(model, {"x": 1.0, "v": 0.0}, period=1.0),
         "hy.certify": lambda: hy.certify(model, box={"x": (-1, 1), "v": (-1, 1)}),

@@ -243,6 +243,35 @@ class Samples:
         return found if found.ndim else float(found)
 
 
+class EachLane:
+    """A signal of which each lane has its own data: a row of pieces is one lane's."""
+
+    def __init__(self, lanes: Sequence[Samples]) -> None:
+        self.lanes = lanes
+
+    def pieces(self, t: np.ndarray) -> np.ndarray:
+        """The rows of the pieces at a time for each lane."""
+        pairs = zip(self.lanes, t.reshape(-1, 1), strict=True)
+        return np.concatenate([samples.pieces(when) for samples, when in pairs])
+
+
+def of_lanes(model: Any, given: Mapping[str, Any]) -> dict[str, list[Samples]]:
+    """By name the data of signals that are given lane by lane, in a list; else those of all.
+
+    Raises
+    ------
+    ParameterError
+    """
+    found = {}
+    for spec in model.spec.signals:
+        if spec.name in given:
+            data, name = given[spec.name], f"{model.spec.model}.{spec.name}"
+            each = data if isinstance(data, list) else [data]
+            rows = enumerate(each)
+            found[spec.name] = [_taken(f"{name}, lane {i}", spec, own) for i, own in rows]
+    return found
+
+
 def _between(spec: SignalSpec, times: np.ndarray, values: np.ndarray) -> np.ndarray:
     """The coefficients of the pieces between the knots, by powers of the time from the first."""
     if spec.kind == "previous":

@@ -95,7 +95,7 @@ def ensemble(
     t : (t0, t1)
         First and last time; each a number or an array over the lanes.
     parameters : dict, optional
-        Values by name, as ``start``.
+        Values by name, as ``start``; of a signal its data, or a list of such, one for each lane.
     solver, method, controller, rtol, atol, max_step, first_step
         As for :func:`hybrid.simulate`, the same for all lanes. If no solver and no method is named
         it is ``"taylor"``; with delays, and where a function of the model has no series, that of
@@ -169,7 +169,7 @@ def ensemble(
             f"{model.spec.model}: certify=True flies lanes again, which keeps all of them: ask for "
             "section, save and stick in a call of its own"
         )
-    scene = scene_of(model, by="hy.ensemble")
+    scene = scene_of(model, by="hy.ensemble with section, save or stick" * measures.anything)
     solver, method = renamed(_solver(scene, solver, method), method)
     options = {
         "solver": solver,
@@ -412,7 +412,7 @@ def _dataset(spec: Spec, lanes: Lanes, rows: _Rows, measures: Measures) -> xarra
         dims = "lane", *(f"{state.name}_{i}" for i in range(len(state.shape)))
         made[state.name] = dims, record[state.name], told(state)
     for output in (spec.output(name) for name in measures.outputs):
-        v = evaluated(spec, output.name, lanes.parameters, columns["t"], x, True)
+        v = evaluated(spec, output.name, [*lanes.parameters, *lanes.samples], columns["t"], x, True)
         dims = "lane", *(f"{output.name}_{i}" for i in range(v.ndim - 1))
         made[output.name] = dims, v, told(output)
     table = xarray.Dataset(

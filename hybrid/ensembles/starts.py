@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import attrs
@@ -11,6 +12,7 @@ import numpy as np
 
 from ..automaton.reals import reals
 from ..automaton.record import Record
+from ..automaton.signals import EachLane, of_lanes
 from ..automaton.spec import Spec
 from ..errors import OptionError, StartError
 from ..lowering import Scene, scene_with
@@ -44,6 +46,8 @@ class Lanes:
         self.cls: Any = type(model)
         self.spec: Spec = model.spec
         self.varied: dict[str, np.ndarray] = {}
+        self._signals, names = of_lanes(model, given), [s.name for s in self.spec.signals]
+        self._samples, given = model.samples, {n: v for n, v in given.items() if n not in names}
         _check(model, given)
         if not (isinstance(t, Sequence) and len(t) == 2):
             raise OptionError(f"t={t!r}: give (first, last) time")
@@ -58,9 +62,10 @@ class Lanes:
         if isinstance(history, Mapping | Record):
             self.history = {name: history[name] for name in history.keys()}
             before = [(self._past(name, v), self._shape(name)) for name, v in self._constants()]
-        counts = {len(v) for v in self.varied.values()}
+        differ: dict[str, Any] = self.varied | {n: v for n, v in self._signals.items() if v[1:]}
+        counts = {len(v) for v in differ.values()}
         if len(counts) > 1:
-            each = ", ".join(f"{name}: {len(v)}" for name, v in self.varied.items())
+            each = ", ".join(f"{name}: {len(v)}" for name, v in differ.items())
             raise OptionError(f"{self.spec.model}: lanes differ in number ({each})")
         self.count = counts.pop() if counts else 1
         self.x, self.values, self.t = map(self._rows, (states, parameters, times))
@@ -70,9 +75,17 @@ class Lanes:
 
     def lane(self, i: int) -> Lane:
         """One of the lanes."""
-        scene = scene_with(self.cls, self.shapes, tuple(self.values[i].tolist()))
+        samples = tuple(each.lanes[i] for each in self.samples)
+        scene = scene_with(self.cls, self.shapes, tuple(self.values[i].tolist()), samples)
         t0, t1 = self.t[i].tolist()
         return Lane(i, scene, (t0, t1), self.x[i].copy(), self.before(i))
+
+    @cached_property
+    def samples(self) -> list[EachLane]:
+        """The data of each signal, lane by lane."""
+        pairs = zip(self.spec.signals, self._samples, strict=True)
+        rows = [self._signals.get(spec.name, [own]) for spec, own in pairs]
+        return [EachLane(row if row[1:] else row * self.count) for row in rows]
 
     @property
     def parameters(self) -> list[np.ndarray]:

@@ -83,7 +83,7 @@ def abreast(
     plain. ``driver`` is the run of one of them, which has not begun; ``rows`` says how many jumps
     of each are kept."""
     plan, loop, solver = driver.plan, driver.loop, driver.solver
-    if loop is None or plan.bounded or plan.zeno == "truncate":
+    if loop is None or plan.bounded or plan.zeno == "truncate" or scene.samples:
         return None
     if not solver.whole and (solver.tables is None or flies is not None or scene.spec.lags):
         return None
