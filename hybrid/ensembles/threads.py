@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 #: Lanes in a call, at most and at least: between two calls progress is told. Within these
 #: bounds there are so many calls for each thread, that all end together.
-BLOCK_LANES, LEAST_LANES, CALLS = 256, 8, 4
+BLOCK_LANES, LEAST_LANES, CALLS_EACH = 256, 8, 4
 
 #: Lanes that are flown first, to see what the tables of all must have.
 FIRST_LANES = 16
@@ -192,7 +192,7 @@ class Abreast:
 
     def _in_threads(self, which: Integers) -> Iterator[FlownLanes]:
         threads = _threads()
-        size = min(BLOCK_LANES, max(LEAST_LANES, len(which) // (CALLS * threads)))
+        size = min(BLOCK_LANES, max(LEAST_LANES, len(which) // (CALLS_EACH * threads)))
         automaton = self.tables.automaton
         if len(which) <= size:
             flown, steps = self._block(automaton, which)
