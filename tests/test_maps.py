@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 import hybrid as hy
 from hybrid.cli import app
+from hybrid.ensembles import processes
 from models.bouncing_ball import UNTIL, BouncingBall
 
 from .test_measures import Ball, G
@@ -130,7 +131,7 @@ def test_dask(table):
     distributed = pytest.importorskip("distributed")
     with (
         distributed.LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+            n_workers=1, threads_per_worker=1, dashboard_address=None
         ) as cluster,
         distributed.Client(cluster) as client,
     ):
@@ -178,6 +179,46 @@ def test_a_store_of_another_map(tmp_path):
             hy.sweep(Ball(), **{**ASKED, **change}, store=path)
     with pytest.raises(hy.StoreError, match="other model"):
         hy.sweep(BouncingBall(), **{**ASKED, "over": {"r": R, "x": X}}, store=path)
+
+
+LEVEL = 0.1
+
+
+def above(self, t, s):
+    """A surface that depends on a number of the module."""
+    return s.x - LEVEL
+
+
+def test_what_a_function_reads_is_part_of_a_map(tmp_path, monkeypatch):
+    """A store is refused where a number has changed that a section sees."""
+    pytest.importorskip("zarr")
+    asked = {**ASKED, "section": above, "keep": 2, "store": tmp_path / "map.zarr"}
+    table = hy.sweep(Ball(), **asked)
+    assert table.identical(hy.sweep(Ball(), **asked))
+    monkeypatch.setitem(globals(), "LEVEL", 0.2)
+    with pytest.raises(hy.StoreError, match="other options"):
+        hy.sweep(Ball(), **asked)
+
+
+def test_other_processes_give_the_same(monkeypatch):
+    """Blocks of lanes that go one by one, shared with another process."""
+    asked = {**ASKED, "section": "impact", "keep": 2, "measure": ["stick", "energy"]}
+    alone = hy.sweep(Ball(), **asked)
+    answers, real = [], processes._Process.answer
+    monkeypatch.setattr(processes, "PAYS", 1e-9)
+    monkeypatch.setattr(processes.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(processes._Process, "answer", lambda p: answers.append(1) or real(p))
+
+    def waiting(shared, number, answer, hire=processes.Shared._hire):
+        hire(shared, number, answer)
+        for _ in range(12000 if shared.crew and not answers else 0):
+            time.sleep(0.01)
+            if answers:
+                break
+
+    monkeypatch.setattr(processes.Shared, "_hire", waiting)
+    assert alone.identical(hy.sweep(Ball(), **asked))
+    assert answers
 
 
 def test_a_killed_sweep_goes_on(table, tmp_path):

@@ -7,6 +7,7 @@ import pytest
 import hybrid as hy
 from hybrid.ensembles import runs
 from models.bead_on_table import BeadOnTable
+from models.delay_bounce import DelayBounce
 
 G = 9.81
 
@@ -89,6 +90,23 @@ def test_a_lane_meets_what_its_run_meets(solver):
     assert lane.x_saved.values.tolist() == run(times).x.tolist()
     resting = sum(arc.length for arc in run.arcs if ".rest(" in arc.mode)
     assert float(lane.stick) == pytest.approx(resting / (span[1] - span[0]), rel=ROUNDING)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+def test_a_lane_with_delays_meets_what_its_run_meets(solver):
+    """Also where the flow looks into the past, through rests and releases."""
+    asked = {"t": (0.0, 4.0), "solver": solver, "history": {"y": 0.0, "v": 0.0}}
+    start, times = {"y": 0.05, "v": 0.0}, np.linspace(0.0, 4.0, 9)
+    run = hy.simulate(DelayBounce(), start, **asked)
+    lane = hy.ensemble(
+        DelayBounce(), start, section="impact.release", save=times, measure=["stick"], **asked
+    ).isel(lane=0)
+    releases = [row.t for row in run.own_jumps.values() if row.edge == "impact.release"]
+    assert int(lane.hits) == len(releases) > 1
+    assert lane.t_section.values[: len(releases)].tolist() == releases
+    assert lane.y_saved.values.tolist() == run(times).y.tolist()
+    resting = sum(arc.length for arc in run.arcs if ".rest(" in arc.mode)
+    assert float(lane.stick) == pytest.approx(resting / 4.0, rel=ROUNDING)
 
 
 @pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping, Sequence
+import pickle
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from hashlib import sha256
-from types import CodeType
+from types import CodeType, FunctionType
 from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
 
-from ..automaton.digest import PLACE, digest
+from ..automaton.captured import values
+from ..automaton.digest import digest
 from ..automaton.reals import reals
 from ..automaton.spec import Spec
 from ..automaton.trace import instance
 from ..ensembles import ensemble
 from ..ensembles.processes import Unfit
-from ..errors import OptionError
+from ..errors import OptionError, StoreError
 from ..trajectory.stats import versions
 
 if TYPE_CHECKING:
@@ -112,9 +113,9 @@ class AskedLanes:
     @cached_property
     def key(self) -> dict[str, str]:
         """What the numbers depend on, by name: a digest of each."""
-        values = [getattr(self.model, parameter.name) for parameter in self.spec.parameters]
+        own = [getattr(self.model, parameter.name) for parameter in self.spec.parameters]
         parts = {
-            "model": (digest(type(self.model)), values),
+            "model": (digest(type(self.model)), own),
             "values": (dict(self.points), self.start, self.t),
             "options": (sorted(self.options.items()), self.block),
         }
@@ -133,16 +134,16 @@ def points_of(spec: Spec, over: Any) -> dict[str, np.ndarray]:
     if not isinstance(over, Mapping) or not over:
         raise OptionError(f'{spec.model}: over={over!r}: values by name, {{"{known[0]}": values}}')
     found = {}
-    for name, values in over.items():
+    for name, row in over.items():
         if name not in known:
             there = ", ".join(known)
             raise OptionError(f"{spec.model}: over {name!r}: a parameter or a state: {there}")
         try:
-            found[name] = reals(values)
+            found[name] = reals(row)
         except ValueError:
             found[name] = np.empty(0)
         if found[name].ndim != 1 or not found[name].size or not np.isfinite(found[name]).all():
-            raise OptionError(f"{spec.model}: over {name}={values!r}: numbers in a row")
+            raise OptionError(f"{spec.model}: over {name}={row!r}: numbers in a row")
         if len(set(found[name].tolist())) < found[name].size:
             raise OptionError(f"{spec.model}: over {name}: a value occurs twice")
     return found
@@ -175,20 +176,38 @@ def flier(known: str, asked: AskedLanes) -> Callable[[int], xarray.Dataset]:
 
 
 def _text(value: Any) -> str:
-    """All that a value says, the same in every process."""
+    """All that a value says, the same in every process.
+
+    Raises
+    ------
+    StoreError
+        If that is not known.
+    """
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{key!r}: {_text(each)}' for key, each in value.items())}}}"
     if isinstance(value, CodeType):
         return f"{value.co_code.hex()} {value.co_names} {_text(value.co_consts)}"
-    if callable(value) and hasattr(value, "__code__"):
-        seen = [cell.cell_contents for cell in value.__closure__ or ()]
+    if isinstance(value, FunctionType):
+        seen = {name: _inner(each) for name, each in values(None, value)}
         return f"{_text(value.__code__)} {_text(value.__defaults__)} {_text(seen)}"
     if hasattr(value, "__array__"):
         array = np.asarray(value)
         return f"{array.shape} {array.tolist()}"
-    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+    if isinstance(value, list | tuple):
         return f"({', '.join(map(_text, value))})"
-    return re.sub(PLACE, "", repr(value))
+    if isinstance(value, str | bytes | int | float | complex | type(None)):
+        return repr(value)
+    try:
+        return sha256(pickle.dumps(value)).hexdigest()
+    except Exception as fault:  # whatever an object's own reduction raises
+        raise StoreError(f"store=: what {value!r} is cannot be told ({fault})") from None
+
+
+def _inner(value: Any) -> Any:
+    """A value that a function reads; what a function that it calls reads stands beside it."""
+    if isinstance(value, FunctionType):
+        return value.__code__
+    return getattr(value, "__name__", value)  # of modules and classes
 
 
 __all__ = ["AskedLanes", "block_of", "dimension", "flier", "points_of"]
