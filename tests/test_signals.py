@@ -206,6 +206,79 @@ def test_a_gap_must_not_jump_below_zero(solver):
     assert abs(run.jumps.t[1] - 0.1 - np.sqrt(0.2)) < CLOSE[solver]
 
 
+class Pushed(hy.Automaton):
+    """A bead on a floor, pushed by a force."""
+
+    x = hy.state()
+    v = hy.state()
+    force = hy.signal(kind="previous", outside="hold")
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.v, -10.0 + self.force(t)
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5, rests=True)
+
+
+class Relay(hy.Automaton):
+    """Falls above what it is to follow, and rises below."""
+
+    x = hy.state()
+    ref = hy.signal(kind="previous", outside="hold")
+
+    @hy.mode(initial=True)
+    def down(self, t, s):
+        return (-1.0,)
+
+    @hy.mode
+    def up(self, t, s):
+        return (0.5,)
+
+    across = hy.switching(down, up, surface=lambda self, t, s: s.x - self.ref(t))
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_load_that_jumps_below_zero_opens_its_contact(solver):
+    """At the knot, with the acceleration behind it: rule 8."""
+    model = Pushed(force=([0.0, 1.0, 2.0], [0.0, 20.0, 0.0]))
+    start = {"x": 0.0, "v": 0.0}
+    run = hy.simulate(model, start, (0.0, 2.5), solver=solver, mode="flight.rest(impact)")
+    assert [(jump.t, jump.edge) for jump in run.jumps] == [(1.0, "impact.release")]
+    assert abs(run.final.x - 8.75) < CLOSE[solver]  # 5 + 10 / 2 - 5 / 4
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_surface_that_jumps_over_the_state_is_crossed_at_the_knot(solver):
+    """One that jumps away from a state that slides on it is an error that names it."""
+    model = Relay(ref=([0.0, 0.5, 2.0], [0.0, 1.0, 0.0]))
+    run = hy.simulate(model, {"x": 1.0}, (0.0, 0.9), solver=solver)
+    assert [(jump.t, jump.edge) for jump in run.jumps] == [(0.5, "across")]
+    assert abs(run.final.x - 0.7) < CLOSE[solver]
+    with pytest.raises(hy.DomainError, match="the surface of across jumps to 1"):
+        hy.simulate(model, {"x": 1.0}, (0.0, 2.9), solver=solver)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_knots_may_be_next_to_each_other_and_to_the_start(solver):
+    """Of two signals knots that are a spacing of floats apart, and runs that begin there."""
+
+    class Two(hy.Automaton):
+        x = hy.state()
+        a = hy.signal(outside="hold")
+        b = hy.signal(kind="cubic", outside="hold")
+
+        @hy.mode(initial=True)
+        def flow(self, t, s):
+            return (self.a(t) + self.b(t),)
+
+    times, others = [0.0, 0.3, 1.0, 1.0 + 1e-9, 2.0], np.array([0.0, 0.1 + 0.2, 0.7, 1.5, 2.0])
+    model = Two(a=(times, np.ones(5)), b=(others, 2.0 * others))
+    for t0 in (np.nextafter(0.3, 0), 0.3, np.nextafter(1.0, 0), -1.0):
+        run = hy.simulate(model, {"x": 0.0}, (float(t0), 2.5), solver=solver)
+        exact = (2.5 - t0) + (4.0 - max(t0, 0.0) ** 2) + 0.5 * 4.0
+        assert abs(run.final.x - exact) < CLOSE[solver], t0
+
+
 def test_runs_by_the_loop_are_those_of_the_driver(monkeypatch):
     """Over many knots within flights, of which the driver sees none; and the dense output."""
     rng = np.random.default_rng(3)
