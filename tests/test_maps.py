@@ -200,6 +200,31 @@ def test_what_a_function_reads_is_part_of_a_map(tmp_path, monkeypatch):
         hy.sweep(Ball(), **asked)
 
 
+class Driven(hy.Automaton):
+    """Follows a signal."""
+
+    x = hy.state()
+    k: float = hy.parameter(1.0)
+    road = hy.signal()
+
+    @hy.mode
+    def only(self, t, s):
+        return (self.k * (self.road(t) - s.x),)
+
+
+def test_a_signal_is_part_of_a_map(tmp_path):
+    """A model with other data is another, and functions of the model see its signals."""
+    pytest.importorskip("zarr")
+    asked = {"over": {"k": [0.0, 1.0]}, "t": (0.0, 1.0), "store": tmp_path / "map.zarr"}
+    asked["start"] = lambda self: {"x": self.road(0.0) + 3.0}
+    one, other = (Driven(road=([0.0, 1.0], [0.0, end])) for end in (1.0, 2.0))
+    table = hy.sweep(one, **asked)
+    assert table.x.values[0] == 3.0
+    assert table.identical(hy.sweep(one, **asked))
+    with pytest.raises(hy.StoreError, match="other model"):
+        hy.sweep(other, **asked)
+
+
 def test_other_processes_give_the_same(monkeypatch):
     """Blocks of lanes that go one by one, shared with another process."""
     asked = {**ASKED, "section": "impact", "keep": 2, "measure": ["stick", "energy"]}

@@ -105,15 +105,14 @@ class AskedLanes:
 
     def _models(self) -> list[Any]:
         """The model of each lane."""
-        names = [parameter.name for parameter in self.spec.parameters]
-        alike = {name: getattr(self.model, name) for name in names}
+        alike = {name: getattr(self.model, name) for name in self.spec.given}
         rows = ({n: v[i] for n, v in self.points.items() if n in alike} for i in range(self.count))
-        return [instance(type(self.model), names, [*(alike | row).values()]) for row in rows]
+        return [instance(type(self.model), [*alike], [*(alike | r).values()]) for r in rows]
 
     @cached_property
     def key(self) -> dict[str, str]:
         """What the numbers depend on, by name: a digest of each."""
-        own = [getattr(self.model, parameter.name) for parameter in self.spec.parameters]
+        own = [getattr(self.model, name) for name in self.spec.given]
         parts = {
             "model": (digest(type(self.model)), own),
             "values": (dict(self.points), self.start, self.t),
