@@ -93,7 +93,7 @@ class Feed:
     """Some of the pieces of signals, as the rules' own loop takes them."""
 
     def __init__(self, scene: Scene, t: float, last: float) -> None:
-        self.knots = scene.knots(t, last, PIECES_AHEAD)
+        self.knots, self.last = scene.knots(t, last, PIECES_AHEAD), last
         self.pieces = np.ascontiguousarray(scene.pieces(self.knots[:-1]))
         self.place = np.array([0, 1, -1, 0], dtype=np.int64)
         self.began, self.start = np.zeros(1), np.zeros(scene.spec.dimension)
@@ -101,9 +101,9 @@ class Feed:
 
     def at(self, t: float, goes_on: bool) -> bool:
         """Be at a time, if there is a piece for it; ``goes_on``: over knots, if all is plain."""
-        place = int(np.searchsorted(self.knots, t, "right")) - 1
-        self.place[:] = place, goes_on, -1, 0
-        return 0 <= place < len(self.pieces)
+        place = int(np.searchsorted(self.knots[:-1], t, "right")) - 1
+        self.place[:] = max(place, 0), goes_on, -1, 0
+        return place >= 0 and (t < self.knots[-1] or t == self.last)
 
     def begins(self, within: bool) -> None:
         """Begin a call of the loop; ``within`` the arc that it was in."""
