@@ -180,6 +180,28 @@ def test_a_bead_at_rest_is_struck_by_a_road_that_bends_up(solver):
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
+def test_a_bead_at_rest_rides_on_a_spline_until_that_falls_faster(solver, monkeypatch):
+    """It is where the road is; by Taylor's steps the driver sees no knot until it leaves the road,
+    where the spline's second derivative is that of the fall."""
+    times = np.linspace(0.0, 2.0, 81)
+    spline = CubicSpline(times, 0.2 * np.sin(8.0 * times))
+    model = road("cubic")(floor=(times, spline(times)))
+    start = {"x": 0.0, "v": float(spline(0.0, 1))}
+    seen, pass_knot = [], machine.pass_knot
+    monkeypatch.setattr(machine, "pass_knot", lambda *own: [seen.append(own), pass_knot(*own)])
+    leaves = spline.derivative(2).solve(-10.0)[0]
+    for last in (0.99 * leaves, leaves):
+        run = hy.simulate(model, start, (0.0, last), solver=solver, mode="flight.rest(impact)")
+        assert not (seen and solver == "taylor" and last < leaves)
+    t = np.linspace(0.0, 0.999 * leaves, 60)
+    assert np.abs(run(t).x - spline(t)).max() < 1e-13
+    assert np.abs(run(t).v - spline(t, 1)).max() < 1e-12
+    run = hy.simulate(model, start, (0.0, 0.5), solver=solver, mode="flight.rest(impact)")
+    assert run.jumps[0].edge == "impact.release"
+    assert abs(run.jumps.t[0] - leaves) < 1e-12
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_a_limit_is_not_summed_over_a_knot(solver):
     """Impacts that would come to rest behind a knot are flown to it; what follows is right."""
     free = 2.0 * np.sqrt(0.2) / 2  # of a fall from 1 m, at 10 m/s^2

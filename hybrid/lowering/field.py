@@ -169,10 +169,13 @@ class Field:
     def onto(self, t: float, x: list[float]) -> Any:
         """As ``project``, of a field that has one: an arc keeps this, which is pickled."""
         assert self.project is not None
-        if self.scene.samples:  # it goes on over knots
-            there = self.scene.values_at(t)
-            return self.scene.projection(self.mode, self.held, there)(t, x)
-        return self.project(t, x)
+        if not self.scene.samples:
+            return self.project(t, x)
+        first, last, there = self._made.get("onto", (np.inf, -np.inf, None))
+        if not first <= t < last:  # the arc goes on over knots
+            there = self.scene.projection(self.mode, self.held, self.scene.values_at(t))
+            self._made["onto"] = (*self.scene.span(t), there)
+        return there(t, x)
 
     def along(self, t: float, x: StateVector) -> np.ndarray:
         """A state on the contacts held, or on the surface; where there is neither, as it is."""

@@ -89,6 +89,11 @@ class Scene:
         row = self.pieces(np.array([t]))[0].tolist()
         return (*self.values[: len(self.values) - len(row)], *row)
 
+    def span(self, t: float) -> tuple[float, float]:
+        """Times around one between which the signals are on the pieces of there."""
+        begun = (float(each.pieces(np.array([t]))[0, 0]) for each in self.samples)
+        return max((s for s in begun if s <= t), default=t), float(self.knots(t, math.inf, 1)[1])
+
     def pieces(self, times: np.ndarray) -> np.ndarray:
         """The numbers of the signals' pieces at some times."""
         return np.concatenate([each.pieces(times) for each in self.samples], axis=1)

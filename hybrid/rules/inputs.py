@@ -2,7 +2,7 @@
 
 The numbers of a piece are among those of the programs. Between two knots nothing is known of
 signals; at a knot the next piece is put in, and the arc goes on where every guard has the sign that
-it had. Where one has not, or contacts are held, the driver looks at the knot.
+it had, and the contacts held are still closed. Else the driver looks at the knot.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from .arrays import (
     Sums,
     Table,
 )
+from .contacts import closed, onto
 from .guards import GUARD_ROUNDING, row_of, sizes_of
 from .jets import afresh, steady
 from .places import (
@@ -32,11 +33,15 @@ from .places import (
     GUARDS,
     GUARDS_END,
     JUMPS_MADE,
+    KIND,
     LAST_TIME,
     LOW,
     MADE,
     PHASE,
+    RELEASE,
+    REST,
     STEPS_MADE,
+    SURFACE,
     TAU,
     WALKS,
     T,
@@ -67,8 +72,6 @@ def through(
         status = go(a, run, now, room, left, sums, look)
         last = place + 2 >= inputs.knots.shape[0] or inputs.place[1] == 0
         if status != END or last or now.ints[MADE] == 0:
-            return status
-        if a.fields[now.ints[FIELD], CONSTRAINED] == 1:
             return status
         inputs.place[0] = place + 1
         feed(a, room, inputs)
@@ -141,4 +144,14 @@ def as_before(a: AutomatonArrays, now: Now, room: Room) -> bool:
         size, _, _ = sizes_of(a, room, g, t, now.end)
         if not value * now.signs[g - first] > GUARD_ROUNDING * EPS * size:
             return False
-    return True
+    return a.fields[field, CONSTRAINED] == 0 or on_contacts(a, now, room, field, t)
+
+
+def on_contacts(a: AutomatonArrays, now: Now, room: Room, field: int, t: float) -> bool:
+    """Whether the contacts held are closed behind a knot, too; the state is moved onto them."""
+    if a.fields[field, SURFACE] >= 0:
+        return False
+    for g in range(a.fields[field, GUARDS], a.fields[field, GUARDS_END]):
+        if a.guards[g, KIND] == RELEASE and not closed(a, now, room, a.guards[g, REST], t, now.end):
+            return False
+    return onto(a, field, t, now.end, room, now.end)

@@ -347,11 +347,19 @@ class Machine:
         segments = steps.segments(np.array([tau])) if steps else []
         driver.steps += made
         driver.passed(tau)
-        entry, driver.scene = driver.entry, driver.model.at(feed.since)
+        self._come_to_piece()
+        entry = driver.entry
         x = driver.record.extend(entry.field, entry.x, x, tau, segments)
-        driver.entry = attrs.evolve(entry, field=driver.field, x=x)
+        driver.entry = attrs.evolve(entry, x=x)
         pass_knot(driver, t, x)
         return True
+
+    def _come_to_piece(self) -> None:
+        """Let the arc's field be on the piece of signals on which the loop has come to its end."""
+        driver = self.driver
+        if self.feed is not None:
+            driver.scene = driver.model.at(self.feed.since)
+            driver.entry = attrs.evolve(driver.entry, field=driver.field)
 
     def _looked_back(self, left: Left) -> int:
         """Call the loop with what flows look back on."""
@@ -690,6 +698,7 @@ class Machine:
 
     def _arc(self, left: Left, place: int, tau: float, end: StateVector) -> StateVector:
         """Add an arc; returns the state at its end."""
+        self._come_to_piece()
         driver, (steps, count) = self.driver, self._flown_in(left, place, place + 1)
         segments = [] if steps is None else steps.segments(np.array([tau]))
         driver.steps += count

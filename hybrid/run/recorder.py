@@ -126,7 +126,7 @@ class Recorder:
         project = field.project
         if project is not None:
             last = np.array(project(self.now.t + length, last.tolist()))
-            segments = [projected(s, self.now.t, project) for s in segments]
+            segments = [projected(s, self.now.t, field.onto) for s in segments]
         if self.memory is not None:
             self.memory.flown(self.now, segments)
         return last, segments if kept else ()
