@@ -1,6 +1,7 @@
 """The declaration: markers in a class body become one frozen, checked spec."""
 
 from .base import Automaton
+from .discrete import discrete
 from .markers import (
     EITHER,
     FALLING,
@@ -35,6 +36,7 @@ __all__ = [
     "Spec",
     "SwitchingSpec",
     "contact",
+    "discrete",
     "edge",
     "mode",
     "output",

@@ -25,6 +25,9 @@ REMEDIES = {
     "TracerIntegerConversionError": "an index by value: write jnp.where, or index by a constant",
 }
 
+#: What to do where discrete variables are not taken.
+COUNT_IN_RUN = "leave them out of the model, and count in run.jumps"
+
 #: What each kind of traced function belongs to.
 OWNERS = {
     "flow": "mode",
@@ -233,7 +236,7 @@ class _Traced:
         call = trace.caller(self.cls, self.spec, function, numbers)
         others = {"output": outputs.numbers, "when": trace.condition}
         shaped = others.get(kind, trace.scalar)
-        call = trace.vector(self.spec, call) if whole else shaped(call)
+        call = trace.vector(self.spec, call, kind == "flow") if whole else shaped(call)
         closed = trace.trace(self.spec, call, extra)
         trace.require_wide(self.cls, closed, function)
         trace.require_repeatable(self.cls, self.spec, call, extra, closed, function)
@@ -322,6 +325,20 @@ def _register_pytree(cls: type) -> None:
         return trace.instance(cls, [*names, *given], [*leaves, *data])
 
     jax.tree_util.register_pytree_node(cls, flatten, unflatten)
+
+
+def require_no_discrete(model: Any, what: str, instead: str) -> None:
+    """Refuse a model with discrete variables.
+
+    Raises
+    ------
+    OptionError
+    """
+    if getattr(model, "spec", None) and model.spec.discrete:
+        raise OptionError(
+            f"{what} takes no discrete variable yet, and {model.spec.model} has "
+            f"{', '.join(state.name for state in model.spec.discrete)}: {instead}"
+        )
 
 
 def require_model(model: Any) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import ParameterError
 from .clocks import clock, faults
+from .discrete import Discrete
 from .markers import (
     TERMINATE,
     ContactMarker,
@@ -62,9 +63,9 @@ class Builder:
 
     def build(self) -> Spec:
         states, offset = [], 0
-        for marker in self.of(State):
-            shape = self.shape(marker)
-            states.append(StateSpec(marker.name, marker.unit, marker.doc, shape, offset))
+        for marker in sorted(self.of(State), key=lambda marker: isinstance(marker, Discrete)):
+            row = marker.name, marker.unit, marker.doc, self.shape(marker), offset
+            states.append(StateSpec(*row, *self.discrete(marker)))
             offset += states[-1].size
         parameters = tuple(
             ParameterSpec(name, m._default, m.metadata["unit"], m.metadata["doc"])
@@ -73,7 +74,7 @@ class Builder:
         )
         given, faults = declared(self.markers)
         self.faults += faults
-        if not states:
+        if all(state.kind for state in states):
             self.faults.append("no state: declare one, x = hy.state()")
         transitions: list[Transition] = []
         switchings = []
@@ -109,6 +110,18 @@ class Builder:
             taken = {State: RECORDS, Output: (*RECORDS, *MODELS)}.get(type(marker), MODELS)
             if name in taken or name.startswith("_"):
                 self.faults.append(f"{name}: a name in use here; choose another")
+
+    def discrete(self, marker: State) -> tuple[Any, ...]:
+        """Kind and default of a discrete variable."""
+        if not isinstance(marker, Discrete):
+            return ()
+        if not marker.kind:
+            self.faults.append(
+                f"discrete {marker.name}: default={marker.default!r}; give a whole number up to "
+                "2^53, a finite real number, True or False"
+            )
+            return "int", 0
+        return marker.kind, marker.default
 
     def shape(self, marker: State) -> tuple[int, ...]:
         """The shape of a state."""

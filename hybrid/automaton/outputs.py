@@ -155,7 +155,7 @@ class Observed(Record):
 
     def __init__(self, spec: Spec, parameters: Mapping[str, Any], t: Any, x: Any) -> None:
         states = spec.record(x)
-        super().__init__(states._fields, states._values)
+        super().__init__(states._fields, states._values, unpacked=states._unpacked)
         self.__dict__.update(_seen=(spec, parameters, t, x))
 
     def __getattr__(self, name: str) -> Any:

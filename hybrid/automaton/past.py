@@ -15,6 +15,8 @@ import attrs
 import numpy as np
 
 from ..rules.places import WINDOW_DEGREE
+from .discrete import number
+from .record import Record
 
 
 @attrs.frozen
@@ -59,6 +61,14 @@ def blank(lags: Iterable[LagSpec], dimension: int, shown: float = np.nan) -> lis
     return [np.array([0.0, 1.0]), rows] * len(tuple(lags))
 
 
+def remembered(spec: Any, vector: Any) -> Record:
+    """What is seen of a state in the past: what flows."""
+    whole = spec.record(vector, number)
+    names = tuple(state.name for state in spec.flowing)
+    label = "state that flows, which alone are remembered," if spec.discrete else "state"
+    return Record(names, tuple(whole), label)
+
+
 class Past:
     """``past`` in a trace: the record at ``t - lag``, from the windows of the lags asked for.
 
@@ -79,7 +89,7 @@ class Past:
         powers = [place**0, place]
         for _ in range(WINDOW_DEGREE - 1):
             powers.append(powers[-1] * place)
-        return self.spec.record(jnp.stack(powers) @ rows)
+        return remembered(self.spec, jnp.stack(powers) @ rows)
 
 
 class Asking:
@@ -91,7 +101,7 @@ class Asking:
 
     def __call__(self, lag: Any) -> Any:
         self.lags.append(_number(lag))
-        return self.spec.record(np.ones(self.spec.dimension) * self.t)
+        return remembered(self.spec, np.ones(self.spec.dimension) * self.t)
 
     def __getattr__(self, name: str) -> Any:
         if name in self.spec.names:

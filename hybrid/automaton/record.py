@@ -9,13 +9,27 @@ from typing import Any
 class Record:
     """Named values in declared order.
 
-    Fields are attributes; iteration yields the values; ``len`` is the number of fields.
+    Fields are attributes; iteration yields the values of the first ``unpacked`` of them, which
+    are all but the discrete variables, and ``len`` counts these. ``changed`` are those that
+    :meth:`replace` was given.
     """
 
     _fields: tuple[str, ...]
     _values: tuple[Any, ...]
 
-    def __init__(self, fields: tuple[str, ...], values: tuple[Any, ...], label: str = "state"):
+    _unpacked: int | None
+    changed: tuple[str, ...]
+
+    def __init__(
+        self,
+        fields: tuple[str, ...],
+        values: tuple[Any, ...],
+        label: str = "state",
+        unpacked: int | None = None,
+        changed: tuple[str, ...] = (),
+    ):
+        object.__setattr__(self, "_unpacked", unpacked)
+        object.__setattr__(self, "changed", changed)
         object.__setattr__(self, "_fields", fields)
         object.__setattr__(self, "_values", values)
         object.__setattr__(self, "_label", label)
@@ -33,10 +47,10 @@ class Record:
         raise AttributeError(f"a record does not change; use .replace({name}=...)")
 
     def __iter__(self) -> Iterator[Any]:
-        return iter(self._values)
+        return iter(self._values[: self._unpacked])
 
     def __len__(self) -> int:
-        return len(self._fields)
+        return len(self._values[: self._unpacked])
 
     def __getitem__(self, name: str) -> Any:
         try:
@@ -55,7 +69,8 @@ class Record:
             known = ", ".join(self._fields)
             raise AttributeError(f"no {self._label} named {unknown[0]!r}; there are: {known}")
         pairs = zip(self._fields, self._values, strict=True)
-        return Record(self._fields, tuple(changes.get(n, v) for n, v in pairs), self._label)
+        values, changed = tuple(changes.get(n, v) for n, v in pairs), (*self.changed, *changes)
+        return Record(self._fields, values, self._label, self._unpacked, changed)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Record | Mapping):

@@ -10,6 +10,7 @@ from typing import Any
 import attrs
 import numpy as np
 
+from .discrete import typed
 from .markers import Crossing, Times
 from .past import LagSpec, window_shapes
 from .record import Record
@@ -18,13 +19,18 @@ from .signals import SignalSpec
 
 @attrs.frozen
 class StateSpec:
-    """A coordinate: its place in the state vector is ``offset : offset + size``."""
+    """A coordinate: its place in the state vector is ``offset : offset + size``.
+
+    ``kind`` and ``default`` are of a discrete variable: ``"int"``, ``"float"`` or ``"bool"``.
+    """
 
     name: str
     unit: str
     doc: str
     shape: tuple[int, ...]
     offset: int
+    kind: str = ""
+    default: Any = None
 
     @property
     def size(self) -> int:
@@ -179,6 +185,7 @@ def _of(cls: Any) -> Spec:
 class Spec:
     """The whole model.
 
+    ``states`` are those that flow, in declared order, and behind them the discrete variables.
     ``transitions`` holds edges, contacts and the two sides of each switching, in declared order;
     ``lags`` what its functions ask of the past.
     """
@@ -220,6 +227,21 @@ class Spec:
     def names(self) -> tuple[str, ...]:
         """Names of the states."""
         return tuple(state.name for state in self.states)
+
+    @cached_property
+    def flowing(self) -> tuple[StateSpec, ...]:
+        """The states that flow."""
+        return tuple(state for state in self.states if not state.kind)
+
+    @cached_property
+    def discrete(self) -> tuple[StateSpec, ...]:
+        """The discrete variables."""
+        return self.states[len(self.flowing) :]
+
+    @cached_property
+    def flows(self) -> int:
+        """How many elements of the state vector flow; those behind them jump only."""
+        return sum(state.size for state in self.flowing)
 
     @property
     def element_names(self) -> tuple[str, ...]:
@@ -275,41 +297,74 @@ class Spec:
         sides = () if switching is None else (switching.positive, switching.negative)
         return tuple(clock for clock in self.clocks if clock.source in (mode, *sides))
 
-    def record(self, vector: Any) -> Record:
-        """The state vector (last axis the coordinates) as a record."""
+    def record(self, vector: Any, of: Callable[..., Any] = typed) -> Record:
+        """The state vector (last axis the coordinates) as a record; it unpacks to what flows.
+
+        ``of`` makes of the name, kind and number of a discrete variable what is seen of it.
+        """
         parts = []
         for state in self.states:
             part = vector[..., state.offset : state.offset + state.size]
-            parts.append(part.reshape(part.shape[:-1] + state.shape))
-        return Record(self.names, tuple(parts))
+            part = part.reshape(part.shape[:-1] + state.shape)
+            parts.append(of(state.name, state.kind, part) if state.kind else part)
+        return Record(self.names, tuple(parts), unpacked=len(self.flowing))
 
-    def values(self, record: Any) -> list[Any]:
-        """The fields of a record, mapping or sequence in declared order.
+    def vector(self, record: Record) -> Any:
+        """A record (of columns, too) as the state vector."""
+        parts = [np.asarray(record[name], dtype=float) for name in self.names]
+        lead = parts[0].shape[: parts[0].ndim - len(self.states[0].shape)]
+        return np.concatenate([part.reshape((*lead, -1)) for part in parts], axis=-1)
+
+    def values(self, record: Any, held: Any = None) -> list[Any]:
+        """The fields of a record, mapping or sequence in the order of the state vector.
+
+        Discrete variables may be left out, and a sequence has none: they are those of the record
+        ``held``, or their defaults.
 
         Raises
         ------
         ValueError
             If a field is missing, unknown, or there are too many or too few.
         """
+        others = {s.name: s.default if held is None else held[s.name] for s in self.discrete}
         if isinstance(record, (dict, Mapping, Record)):
-            given = {name: record[name] for name in record.keys()}
+            given = others | {name: record[name] for name in record.keys()}
             missing = [name for name in self.names if name not in given]
             unknown = [name for name in given if name not in self.names]
             if missing or unknown:
                 raise ValueError(_difference(missing, unknown, self.names))
             return [given[name] for name in self.names]
-        if len(self.states) == 1 and not isinstance(record, Sequence):
-            return [record]
+        names = tuple(state.name for state in self.flowing)
+        if len(names) == 1 and not isinstance(record, Sequence):
+            return [record, *others.values()]
         try:
             values = list(record)
         except TypeError:
             what = "one value" if hasattr(record, "shape") else repr(record)
-            due = f"{len(self.states)} states ({', '.join(self.names)})"
+            due = f"{len(names)} states ({', '.join(names)})"
             raise ValueError(f"{what} for {due}") from None
-        if len(values) != len(self.states):
-            count = len(self.states)
-            raise ValueError(f"{len(values)} values for {count} states ({', '.join(self.names)})")
-        return values
+        if len(values) != len(names):
+            raise ValueError(f"{len(values)} values for {len(names)} states ({', '.join(names)})")
+        return [*values, *others.values()]
+
+    def require_rates(self, record: Any) -> None:
+        """Refuse the rates of what does not flow.
+
+        Raises
+        ------
+        ValueError
+        """
+        changed: tuple[str, ...] = ()
+        if isinstance(record, Record):
+            changed = record.changed
+        elif isinstance(record, Mapping):
+            changed = tuple(record)
+        found = [state.name for state in self.discrete if state.name in changed]
+        if found:
+            raise ValueError(
+                f"{found[0]}: only jumps change a discrete variable; leave it out of what the "
+                "flow returns"
+            )
 
 
 def _difference(missing: list[str], unknown: list[str], names: tuple[str, ...]) -> str:

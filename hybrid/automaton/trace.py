@@ -16,6 +16,7 @@ import numpy as np
 
 from ..errors import TraceError
 from .captured import may_vary, values
+from .discrete import require_kind, traced
 from .past import Past, asking
 from .signals import Present
 from .spec import Spec
@@ -57,22 +58,32 @@ def caller(
         own, windows = parameters[: len(names)], parameters[len(names) :]
         record = past(spec, t, windows, lags)
         seeing = asking(function, record)
+        state = spec.record(x, traced)
         now = [Present(*each) for each in zip(given, [t] * len(given), own[count:], strict=True)]
-        return seeing(instance(cls, names, (*own[:count], *now)), t, spec.record(x), *extra)
+        return seeing(instance(cls, names, (*own[:count], *now)), t, state, *extra)
 
     return call
 
 
-def vector(spec: Spec, call: Traced) -> Traced:
-    """``call`` with its result (tuple, record, dict) flattened to a state vector."""
+def vector(spec: Spec, call: Traced, rates: bool) -> Traced:
+    """``call`` with its result (tuple, record, dict) flattened to a state vector.
+
+    ``rates``: of a flow, in which discrete variables rest.
+    """
 
     def flat(parameters: Any, t: Any, x: Any, *extra: Any) -> Any:
         import jax.numpy as jnp
 
-        values = spec.values(call(parameters, t, x, *extra))
-        parts = []
+        result, parts = call(parameters, t, x, *extra), []
+        values = spec.values(result, spec.record(x, traced))
+        if rates:
+            spec.require_rates(result)
         for state, value in zip(spec.states, values, strict=True):
+            if rates and state.kind:
+                parts.append(jnp.zeros(state.size))
+                continue
             array = real_valued(jnp.asarray(value), f"{state.name}: ")
+            require_kind(state.name, state.kind, array.dtype)
             if array.shape != state.shape:
                 raise ValueError(f"{state.name}: shape {array.shape} where {state.shape} is due")
             parts.append(array.astype(float).reshape(-1))

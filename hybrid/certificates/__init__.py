@@ -57,6 +57,7 @@ def certify(
     >>> proof.verdict
     'certified'
     """
+    from ..automaton.base import require_no_discrete
     from ..bounds.interval import require_flint
     from ..errors import OptionError
 
@@ -72,6 +73,7 @@ def certify(
             f"{model.spec.model}, edge {clocks[0].name}, fires at given times: a proof before a "
             "run has no clock; simulate it, and ask the accumulations of the run for their proofs"
         )
+    require_no_discrete(model, "a proof before a run", "ask the accumulations of a run for theirs")
     require_flint()
     from .question import ask
     from .relative import by_lemma

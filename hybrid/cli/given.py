@@ -77,7 +77,7 @@ def values(given: list[str]) -> dict[str, Any]:
 
 def _start(entry: gallery.GalleryEntry, given: dict[str, Any]) -> dict[str, Any]:
     start = {**(entry.start or {}), **given}
-    missing = [name for name in entry.cls.spec.names if name not in start]
+    missing = [name for name in (s.name for s in entry.cls.spec.flowing) if name not in start]
     if missing:
         raise StartError(
             f"{entry.cls.__name__}: no start for {', '.join(missing)}; "

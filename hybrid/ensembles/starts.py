@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import attrs
 import numpy as np
 
+from ..automaton.discrete import misfit
 from ..automaton.reals import reals
 from ..automaton.record import Record
 from ..automaton.signals import EachLane, of_lanes
@@ -110,7 +111,12 @@ class Lanes:
 
     def _states(self, what: str, values: Any) -> list[tuple[np.ndarray, tuple[int, ...]]]:
         pairs = zip(self.spec.states, values, strict=True)
-        return [(self._array(f"{s.name}_{what}", v, s.shape), s.shape) for s, v in pairs]
+        found = [(self._array(f"{s.name}_{what}", v, s.shape), s.shape) for s, v in pairs]
+        for state, (array, _) in zip(self.spec.states, found, strict=True):
+            wrong = misfit(state.kind, array)
+            if wrong:
+                raise StartError(f"{self.spec.model}: {what} {state.name}: a value {wrong}")
+        return found
 
     def _constants(self) -> list[tuple[str, Any]]:
         """What of a history is no function of time, and so may differ between lanes."""

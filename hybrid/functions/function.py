@@ -13,6 +13,7 @@ import numpy as np
 from jax.lax import stop_gradient
 
 from ..automaton.base import require_model
+from ..automaton.discrete import number
 from ..automaton.spec import Spec
 from ..errors import OptionError
 from ..lowering import Scene, scene_of
@@ -228,7 +229,7 @@ def _vector(spec: Spec, start: tuple[Any, ...]) -> Any:
 
 def _outcome(spec: Spec, parts: dict[str, Any], ints: Any) -> Outcome:
     def named(vector: Any) -> dict[str, Any]:
-        record = spec.record(vector)
+        record = spec.record(vector, number)
         return {name: record[name] for name in record.keys()}
 
     status, jumps, limit = ints[-1], None, None

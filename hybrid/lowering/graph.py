@@ -43,6 +43,8 @@ class Graph:
     ...)``, and so is one of products, ``("dot", a, b, a, b, ...)``: a product with a matrix has as
     many nodes as it has rows.
 
+    ``still`` are the names of inputs that only jumps change; to be told before any node is made.
+
     What cannot be written as scalar code is called: ``("foreign", number, *arguments)`` with its
     number in ``foreign``, whose results are its parts.
     """
@@ -52,6 +54,8 @@ class Graph:
         self.nodes: list[tuple[Any, ...]] = []
         self._known: dict[tuple[Any, ...], int] = {}
         self._moving: list[bool] = []
+        self._flowing: list[bool] = []
+        self.still: frozenset[str] = frozenset()
         self._leaves: list[int] = []
         self.foreign: list[Foreign] = []
 
@@ -63,7 +67,8 @@ class Graph:
         if key not in self._known:
             self._known[key] = len(self.nodes)
             self.nodes.append(key)
-            self._moving.append(self._moves(*key))
+            self._moving.append(self._moves(self._moving, frozenset(), *key))
+            self._flowing.append(self._moves(self._flowing, self.still, *key))
             self._leaves.append(self._count(*key))
         return self._known[key]
 
@@ -99,6 +104,10 @@ class Graph:
     def moves(self, number: int) -> bool:
         """Whether a node depends on the time or the state."""
         return self._moving[number]
+
+    def flows(self, number: int) -> bool:
+        """Whether a node may change between jumps."""
+        return self._flowing[number]
 
     def leaves(self, number: int) -> int:
         """Among how many whole numbers and flags a node chooses; 0 where it is something else."""
@@ -138,10 +147,11 @@ class Graph:
         """The number of this node where there is one."""
         return self._known.get(key)
 
-    def _moves(self, op: str, *arguments: Any) -> bool:
+    @staticmethod
+    def _moves(known: list[bool], still: frozenset[str], op: str, *arguments: Any) -> bool:
         if op == "input":
-            return not arguments[0].startswith("p")
-        return op != "const" and any(self._moving[a] for a in arguments)
+            return not arguments[0].startswith("p") and arguments[0] not in still
+        return op != "const" and any(known[a] for a in arguments)
 
     def _count(self, op: str, *arguments: Any) -> int:
         if op == "const":

@@ -77,6 +77,8 @@ class Lowered:
 
     def inputs(self, graph: Graph, extra: Sequence[str] = ()) -> list[np.ndarray]:
         """Node numbers of parameters, ``t``, ``x`` and the extra inputs."""
+        places = range(self.spec.flows, self.spec.dimension)
+        graph.still = frozenset(f"x{i}" for i in places)
         count, arrays = 0, []
         for shape in self.shapes:
             size = prod(shape)
@@ -326,6 +328,24 @@ class Lowered:
             for k in range(len(self.spec.lags))
         )
 
+    @cached_property
+    def beside(self) -> list[int]:
+        """Discrete elements of the state by which no flow, guard or state goes, at a jump neither:
+        they may count."""
+        used: set[int] = set()
+        rows: list[tuple[int, set[int]]] = []
+        for (kind, _), closed in self.cls.traces.items():
+            if kind == "output":
+                continue
+            found = self.dependencies(closed, ["u"] if kind == "restitution" else [])
+            used.update(*(found[: self.spec.flows] if kind == "reset" else found))
+            rows += enumerate(found) if kind == "reset" else []
+        if any(callable(getattr(e, "inverse_mass", None)) for e in self.spec.transitions):
+            return []
+        for _ in self.spec.discrete:
+            used.update(*(found for place, found in rows if place in used))
+        return [i for i in range(self.spec.flows, self.spec.dimension) if i not in used]
+
     # -- guards and contacts ------------------------------------------------------------
 
     def guard_closed(self, edge: Transition) -> Any:
@@ -440,7 +460,8 @@ class Lowered:
             contact = self.contact_spec(name)
             flow = self.closed("flow", contact.source)
             (gap,) = self.dependencies(self.closed("gap", name))
-            gap, flows = gap - {TIME_PLACE}, [d - {TIME_PLACE} for d in self.dependencies(flow)]
+            still = {TIME_PLACE, *range(self.spec.flows, self.spec.dimension)}
+            gap, flows = gap - still, [d - still for d in self.dependencies(flow)]
             return contacts.pair(self.spec, contact, gap, flows, self._unit(contact.source))
 
         return self.once(("pairing", name), make)

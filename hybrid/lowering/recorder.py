@@ -218,7 +218,7 @@ class _Recorder:
             turn = graph.node("neg", graph.node("div", y, square))
             self.slopes[number] = graph.node("div", x, square), turn
         what = self._seen(op, arguments)
-        if what is not None and graph.moves(what.node):
+        if what is not None and graph.flows(what.node):
             self.watched.setdefault(what, len(self.watched))
             return [self._root(what), *self.slopes.get(number, ())]
         return [*self.slopes.get(number, ())]

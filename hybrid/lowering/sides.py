@@ -46,7 +46,7 @@ def choosers(graph: Graph, roots: Sequence[int]) -> list[int]:
     """Functions by whose sign nodes take one formula or another, arguments first."""
     nodes = [graph.nodes[number] for number in needed(graph, roots)]
     found = [decider_of(graph, op, rest) for op, *rest in nodes if op in CHOICES]
-    return list(dict.fromkeys(number for number in found if graph.moves(number)))
+    return list(dict.fromkeys(number for number in found if graph.flows(number)))
 
 
 def one_sided(graph: Graph, roots: Sequence[int], signs: Mapping[int, int]) -> list[int]:
@@ -144,7 +144,8 @@ def deciding(graph: Graph, roots: Sequence[int]) -> dict[int, str]:
                 continue
             decider = decider_of(graph, op, arguments)
             ends = CHANGE_OF[op] == "ends" and not _never_negative(graph, decider)
-            if states_in(graph, decider) and (ends or CHANGE_OF[op] != "ends"):
+            moves = states_in(graph, decider) and graph.flows(decider)
+            if moves and (ends or CHANGE_OF[op] != "ends"):
                 found[decider] = min(
                     found.get(decider, "jumps"), CHANGE_OF[op], key=_SEVERITY.index
                 )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import attrs
 import numpy as np
 
-from ..automaton.base import require_model
+from ..automaton.base import COUNT_IN_RUN, require_model, require_no_discrete
 from ..errors import OptionError, OrbitError
 from ..result import Trajectory
 from ..simulation import simulate
@@ -116,6 +116,7 @@ def lyapunov(
     array([ 0.90..., 0.00..., -14.57...])
     """
     require_model(model)
+    require_no_discrete(model, "hy.lyapunov", COUNT_IN_RUN)
     if model.spec.lags:
         raise OrbitError(
             f"{model.spec.model} looks into the past: its exponents are those of its history, of "

@@ -10,7 +10,7 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from ..automaton.base import require_model
+from ..automaton.base import COUNT_IN_RUN, require_model, require_no_discrete
 from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
 from ..lowering import Scene, scene_of
@@ -194,6 +194,7 @@ def periodic_orbit(
     """
     require_model(model)
     scene = scene_of(model, by="hy.periodic_orbit")
+    require_no_discrete(model, "hy.periodic_orbit", COUNT_IN_RUN)
     options = {**with_tolerances(options, 1e-12, 1e-13), "save": "dense"}
     timed = depends_on_time(scene)
     if period is None and isinstance(section, int | float):

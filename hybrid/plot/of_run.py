@@ -294,7 +294,7 @@ def _columns(run: Solution, name: str, drawn: _Drawn) -> list[_Column]:
 def _element(run: Solution, index: int, drawn: _Drawn) -> _Column:
     """An element of the state."""
     name, axis = run.spec.element_names[index], _axis(*_named(run, index))
-    before, after = (_elements(side)[:, index] for side in (run.jumps.before, run.jumps.after))
+    before, after = (side[:, index] for side in (run.jumps.table.before, run.jumps.table.after))
     limits = _limit_states(run)[:, index]
     return _Column(name, axis, _along_element(drawn, index), before, after, limits, index)
 
@@ -304,7 +304,7 @@ def _along_element(drawn: _Drawn, index: int) -> _Drawn:
 
 
 def _limit_states(run: Solution) -> Matrix:
-    states = [np.concatenate([np.ravel(v) for v in point.state]) for point in run.zeno]
+    states = [run.spec.vector(point.state) for point in run.zeno]
     return np.array(states).reshape(-1, run.spec.dimension)
 
 
@@ -387,11 +387,6 @@ def _limits(run: Solution, curves: Sequence[Curve]) -> list[Curve]:
     ]
 
 
-def _elements(record: object) -> Matrix:
-    """The columns of a record of jumps, one an element."""
-    return np.concatenate([_rows(v) for v in record], axis=1)  # type: ignore[attr-defined]
-
-
 def _rows(column: Any) -> Matrix:
     """A column of arrays as rows of numbers."""
     values = np.asarray(column, dtype=float)
@@ -401,7 +396,7 @@ def _rows(column: Any) -> Matrix:
 def _obstacle(run: Solution, index: int) -> list[Curve]:
     """The obstacle, where a gap grows as fast as this coordinate: ``x - gap(t, x)``."""
     times = np.linspace(run.t0, run.t1, 600)
-    state = np.concatenate([np.ravel(v) for v in run.final])
+    state = run.spec.vector(run.final)
     curves = []
     for guard in run.surfaces.values():
         if guard.uses != (index,) or guard.kind is not Kind.CONTACT:

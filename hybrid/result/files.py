@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import attrs
 import numpy as np
 
-from ..automaton.record import Record
 from ..automaton.spec import OutputSpec, Spec, StateSpec
 from ..errors import FILES, TABLES, StoreError, need
 from ..segment import Segment
@@ -31,8 +30,6 @@ from ..trajectory.trajectory import Jump, Solution, Status
 
 if TYPE_CHECKING:
     import xarray
-
-    from ..automaton.shapes import Numbers
 
 Kind = TypeVar("Kind", bound=Solution)
 
@@ -51,7 +48,7 @@ def to_xarray(run: Solution, t: Any = None) -> xarray.Dataset:
 
     if t is not None:
         times = np.atleast_1d(np.asarray(t, dtype=float))
-        states = _stack(run.spec, run(times))
+        states = run.states(times)
     elif run.samples is not None:
         times, states = run.options["times"], run.samples
     else:
@@ -70,12 +67,6 @@ def to_xarray(run: Solution, t: Any = None) -> xarray.Dataset:
         variables[output.name] = (dims, values, attributes)
     attributes = {"model": run.spec.model, "status": str(run.status), **_numbers(run)}
     return xr.Dataset(variables, coords={"time": times}, attrs=attributes)
-
-
-def _stack(spec: Spec, record: Record) -> Numbers:
-    parts = [np.asarray(v) for v in record]
-    lead = parts[0].shape[: parts[0].ndim - len(spec.states[0].shape)]
-    return np.concatenate([p.reshape((*lead, -1)) for p in parts], axis=-1)
 
 
 def _numbers(run: Solution) -> dict[str, Any]:
@@ -173,7 +164,9 @@ def _meta(run: Solution, modes: list[str], edges: list[str]) -> dict[str, Any]:
     options = {k: v for k, v in run.options.items() if k != "times"}
     return {
         "model": run.spec.model,
-        "states": [[s.name, s.unit, s.doc, list(s.shape), s.offset] for s in run.spec.states],
+        "states": [
+            [s.name, s.unit, s.doc, list(s.shape), s.offset, s.kind] for s in run.spec.states
+        ],
         "outputs": [[output.name, output.unit, output.doc] for output in run.spec.outputs],
         "parameters": _numbers(run),
         "options": {k: np.asarray(v).tolist() for k, v in options.items()},
@@ -184,7 +177,7 @@ def _meta(run: Solution, modes: list[str], edges: list[str]) -> dict[str, Any]:
         "modes": modes,
         "edges": edges,
         "zeno": [_accumulation(run.spec, point) for point in run.zeno],
-        "grazings": [[g.t, g.j, g.edge, _stack(run.spec, g.before).tolist()] for g in run.grazings],
+        "grazings": [[g.t, g.j, g.edge, run.spec.vector(g.before).tolist()] for g in run.grazings],
     }
 
 
@@ -193,8 +186,8 @@ def _accumulation(spec: Spec, point: Accumulation) -> dict[str, Any]:
     return {
         "t": point.t,
         "t_error": point.t_error,
-        "state": _stack(spec, point.state).tolist(),
-        "state_error": _stack(spec, point.state_error).tolist(),
+        "state": spec.vector(point.state).tolist(),
+        "state_error": spec.vector(point.state_error).tolist(),
         "ratio": point.ratio,
         "edges": list(point.edges),
         "verdict": point.verdict,
@@ -203,7 +196,7 @@ def _accumulation(spec: Spec, point: Accumulation) -> dict[str, Any]:
         "enclosure": point.enclosure,
         "t_release": point.t_release,
         "truncation": None if cut is None else [cut.impacts, cut.t_inf, cut.gap, cut.height],
-        "limits": [[edge, _stack(spec, x).tolist()] for edge, x in point.limits],
+        "limits": [[edge, spec.vector(x).tolist()] for edge, x in point.limits],
     }
 
 
@@ -255,7 +248,8 @@ def _trajectory(data: Any, cls: type[Kind]) -> Kind:
         raise StoreError(f"layout {data.attrs['format']}; this version reads {FORMAT}")
     meta = json.loads(data.attrs["meta"])
     states = [
-        StateSpec(name, unit, doc, tuple(sh), off) for name, unit, doc, sh, off in meta["states"]
+        StateSpec(name, unit, doc, tuple(sh), off, *kind)
+        for name, unit, doc, sh, off, *kind in meta["states"]
     ]
     outputs = tuple(OutputSpec(*row) for row in meta.get("outputs", ()))
     spec = Spec(meta["model"], tuple(states), (), (), (), "", outputs=outputs)

@@ -10,6 +10,7 @@ import attrs
 import numpy as np
 from numpy.polynomial import chebyshev
 
+from ..automaton.base import COUNT_IN_RUN, require_no_discrete
 from ..events import bernstein_from_chebyshev, roots
 from ..lowering import Kind
 from ..segment import nodes
@@ -125,6 +126,7 @@ class Turns:
 
 def settles(run: Solution) -> Settled:
     """See :meth:`hybrid.Trajectory.settles`."""
+    require_no_discrete(run, "run.settles", COUNT_IN_RUN)
     tol = CLOSED_RTOLS * max(_tolerances(run)[0], 1e-13)
     scale = _scale(run)
     stands = standing(run)

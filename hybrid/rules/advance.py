@@ -10,7 +10,7 @@ import math
 from .arcs import arc, copied
 from .arrays import AutomatonArrays, Floats, Left, Now, Room
 from .contacts import asks, onto, still_held, twin, values
-from .guards import largest, row_of
+from .guards import row_of, so_far
 from .hops import drowns
 from .jets import OUTPUT, afresh
 from .places import (
@@ -250,7 +250,7 @@ def impact(
     if afresh(a.programs, flow, 2, t, behind, room.still, room.aside, room.work) < 0:
         return JUMP, HARD
     force = 2.0 * room.aside[row_of(a, flow, field, guard), 2]
-    if not drowns(speed, force, max(largest(now.seen), largest(behind))):
+    if not drowns(speed, force, so_far(now, behind)):
         return LANDED, field
     if a.guards[guard, AT] < UNKNOWN:
         return JUMP, HARD

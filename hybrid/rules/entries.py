@@ -9,7 +9,7 @@ import math
 
 from .arrays import AutomatonArrays, Floats, Matrix, Now, Room
 from .contacts import joined
-from .guards import GUARD_ROUNDING, NEAR, holds, largest, row_of, sizes_of
+from .guards import GUARD_ROUNDING, NEAR, holds, row_of, sizes_of, so_far
 from .hops import drowns
 from .lengths import step_length
 from .places import (
@@ -88,7 +88,7 @@ def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) ->
     """By which power of the time a guard vanishes at the start of an arc after a jump that was
     plain, and what it does; ``HARD`` where that is to be weighed, or more jumps are to be known."""
     kind, bounds = a.guards[guard, KIND], a.guards[guard, BOUNDS] == 1
-    t, n, reach = now.floats[T], now.x.shape[0], max(largest(now.seen), largest(now.x))
+    t, n, reach = now.floats[T], now.x.shape[0], so_far(now, now.x)
     used, order, sign = a.guards[guard, OWN] == now.ints[LAST_USED], 0, 1 if c[0] > 0.0 else -1
     own, loads, low = a.guards[guard, OWN], kind == RELEASE, False
     least, flights = now.ints[GUARD_POWER] if used else 0, now.ints[FLIGHTS]

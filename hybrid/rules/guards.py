@@ -24,6 +24,7 @@ from .places import (
     CROSSING,
     FIELD,
     FIELD_PROGRAM,
+    FLOWING,
     GUARDS,
     GUARDS_END,
     LOOKS,
@@ -441,7 +442,7 @@ def goes_on(a: AutomatonArrays, now: Now, room: Room, program: int, t: float, x:
     for g in range(first, a.fields[field, GUARDS_END]):
         if a.guards[g, BENDS] == 1:
             value, least = room.c[row_of(a, program, field, g), 0], 0.0
-            if not abs(value) > NEAR * largest(x):
+            if not abs(value) > NEAR * largest(x, x.shape[0]):
                 size, _, _ = sizes_of(a, room, g, t, x)
                 least = GUARD_ROUNDING * EPS * size
             if not value * now.signs[g - first] > least:
@@ -472,9 +473,14 @@ def sizes_of(
     return size, rate, room.aside[rows[first + 2], 0]
 
 
-def largest(x: Floats) -> float:
-    """The size of the largest element."""
+def so_far(now: Now, x: Floats) -> float:
+    """The size of the largest element that flows of a state, and of all that the run has seen."""
+    return max(largest(now.seen, now.ints[FLOWING]), largest(x, now.ints[FLOWING]))
+
+
+def largest(x: Floats, count: int) -> float:
+    """The size of the largest of the first elements."""
     size = 0.0
-    for i in range(x.shape[0]):
+    for i in range(count):
         size = max(size, abs(x[i]))
     return size

@@ -71,10 +71,10 @@ T, LOW, TAU, TRIED, STEP_END, TO_TAU, AIM, FIRST_LENGTH, GAP_SPEED, DUE, STATE_F
 #: flight that begins is one so low that the gap would drown in rounding (2: and follows the flow),
 #: and whether one ends; arcs flown that take time; the guard last used (``OWN``); the guard of
 #: which the table has not all, and the column; whether the arc before had a length; the clock that
-#: rings first.
+#: rings first; how many elements of the state flow.
 FIELD, FIRED, SERIES, IMPACT_COUNT, ENTERED, JUMPS_MADE, STEPS_MADE, EXPANSIONS = range(8)
 PHASE, MADE, EVENT, CROSSED, LANDINGS_TRIED, TAILS, GUARD_POWER, LOW_AHEAD = range(8, 16)
-WAS_LOW, FLIGHTS, LAST_USED, LACKING, LACKING_AT, LASTED, RINGS, STATE_INTS = range(16, 24)
+WAS_LOW, FLIGHTS, LAST_USED, LACKING, LACKING_AT, LASTED, RINGS, FLOWING, STATE_INTS = range(16, 25)
 
 #: Columns of the zeros of guards in a step: when each fires; by how much what its series leaves
 #: open may move that; and how far it was off zero where the arc began, if it vanishes there.

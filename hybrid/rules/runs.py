@@ -12,7 +12,7 @@ from .advance import added, advance, after, enlarged, entered
 from .arcs import copied
 from .arrays import AutomatonArrays, Floats, Left, Look, Now, Room, Sums
 from .contacts import asks, onto
-from .guards import GUARD_ROUNDING, largest
+from .guards import GUARD_ROUNDING, largest, so_far
 from .hops import hop
 from .places import (
     ABSOLUTE,
@@ -36,6 +36,7 @@ from .places import (
     FIELD_PROGRAM,
     FIRED,
     FLIGHTS,
+    FLOWING,
     FULL,
     GAP_SPEED,
     GOES_ON,
@@ -238,7 +239,7 @@ def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, su
     flow, at = a.fields[field, FIELD_PROGRAM], a.guards[guard, AT]
     t, v, held = now.floats[T], now.floats[GAP_SPEED], a.fields[field, CONSTRAINED] == 1
     before, behind = left.before[place], left.after[place]
-    rounding = GUARD_ROUNDING * EPS * max(largest(now.seen), largest(now.x))
+    rounding = GUARD_ROUNDING * EPS * so_far(now, now.x)
     status, time, speed, pieces = hop(
         a.programs, flow, at, guard - a.fields[field, GUARDS], held, t, now.x, v, rounding,
         now.signs[: domain(a, now)], before, behind, sums,
@@ -291,10 +292,11 @@ def untouched(
     begin, n, row = now.ints[TAILS] * CURVE_ROWS, x.shape[0], left.sums[now.ints[TAILS]]
     curve = left.curves[begin : begin + int(row[CURVE_DEGREE]) + 1]
     limit, signs = left.curves[begin + AT_LIMIT, :n], now.signs[: domain(a, now)]
+    rounding = GUARD_ROUNDING * EPS * largest(limit, now.ints[FLOWING])
     held = a.fields[now.ints[FIELD], CONSTRAINED] == 1
     return clear(
-        a.programs, flow, at, column, held, signs, GUARD_ROUNDING * EPS * largest(limit), curve, t,
-        x, row[LAST_SPEED], row[RATIO], row[REMAINING], limit, sums,
+        a.programs, flow, at, column, held, signs, rounding, curve, t, x,
+        row[LAST_SPEED], row[RATIO], row[REMAINING], limit, sums,
     )  # fmt: skip
 
 

@@ -210,7 +210,8 @@ def _nudged(made: FinishedRun, mode: str, x: StateVector) -> StateVector:
     values = [guard.value(made.plan.t0, x.tolist()) for guard in guards]
     if any(abs(value) <= NEAR * float(np.max(np.abs(x))) for value in values):
         return x
-    return x * (1.0 + NUDGE * (-1.0) ** np.arange(len(x)))
+    flows = made.scene.spec.flows
+    return np.append(x[:flows] * (1.0 + NUDGE * (-1.0) ** np.arange(flows)), x[flows:])
 
 
 def _errors(
@@ -223,6 +224,7 @@ def _errors(
         return float("inf"), record(np.full(dimension, np.inf))
     floor = 4 * SUM_FLOOR * np.sqrt(1.0 + made.jumps)
     t_error, x_error = floor * abs(point.t), floor * np.abs(_vector(point))
+    x_error[made.scene.spec.flows :] = 0.0  # only jumps change it
     second = pairs[0][1].limits[index]
     extrapolated = [second] if isinstance(second, CycleLimit) else []  # from as few jumps
     for limit in [made.limits[index], *extrapolated]:
@@ -241,4 +243,5 @@ def _shows(run: FinishedRun, index: int, point: Compared) -> bool:
 
 
 def _vector(point: Compared) -> Numbers:
-    return np.concatenate([np.ravel(value) for value in point.state])
+    names = point.state.keys()
+    return np.concatenate([np.ravel(point.state[name]) for name in names])

@@ -5,6 +5,7 @@ Whether the run goes over it is judged in :mod:`.limits`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import accumulate, takewhile
 from math import ulp
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -160,9 +161,12 @@ class Cycles:
         The longest flight of the run.
     spent : float
         Time spent in flights that never left their guard.
+    beside : sequence of int
+        Elements of the state by which nothing else goes: they need have no limit.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, beside: Sequence[int] = ()) -> None:
+        self.beside = beside
         self.longest = self.spent = 0.0
         self.asked = self.stands = False
         self.next = 2 * LEAST_WINDOW
@@ -294,7 +298,8 @@ class Cycles:
             return []
         last = self.seen.x[self._closings(length)[-FEW_TURNS:]]
         turns = np.abs(np.diff(last, axis=0))
-        return np.flatnonzero((turns[-1] > 0) & (turns[-1] >= WINDOW_FALL * turns[-2])).tolist()  # type: ignore[no-any-return]
+        counts = (turns[-1] > 0) & (turns[-1] >= WINDOW_FALL * turns[-2])
+        return np.setdiff1d(np.flatnonzero(counts), self.beside).tolist()  # type: ignore[no-any-return]
 
     def limit(self, rtol: float, atol: float) -> tuple[CycleLimit, Turn] | None:
         """Where the last jumps accumulate, if they do, and the turn that leads there.
@@ -305,7 +310,7 @@ class Cycles:
         for length in range(shortest, LONGEST_CYCLE + 1, shortest) if shortest else ():
             closings = self._shrinking(length)
             times, states = self.seen.since(closings), self.seen.x[closings]
-            found = limit(self._cycle(shortest), times, states, rtol, atol)
+            found = limit(self._cycle(shortest), times, states, rtol, atol, self.beside)
             turn = None if found is None else self._turn(length, found)
             if found is not None and turn is not None:
                 return attrs.evolve(found, ratio=found.ratio ** (shortest / length)), turn
@@ -323,7 +328,8 @@ class Cycles:
             if len(closings) > FEW_TURNS:
                 turn = self._standing(length)
                 slack = [rtol * np.abs(x) + atol for x in turn.limits]
-                if all(np.all(e <= s) for e, s in zip(turn.errors, slack, strict=True)):
+                known = [e <= s for e, s in zip(turn.errors, slack, strict=True)]
+                if np.delete(known, self.beside, axis=1).all():
                     times = np.diff(self.seen.clock[closings])
                     times = times[times > _tick(length, t)]
                     shrinks = len(times) > 1 and times[-1] < WINDOW_FALL * times[-2]
@@ -371,7 +377,8 @@ class Cycles:
             closings = self._closings(length, back)[-found.turns :]
             if len(closings) <= FEW_TURNS:
                 return None
-            x_inf, error, _ = accelerated(self.seen.x[closings], found.ratio == 1.0)
+            seen = self.seen.x[closings]
+            x_inf, error, _ = accelerated(seen, found.ratio == 1.0, self.beside)
             limits.append(x_inf)
             errors.append(error)
         first = self.last(length + 1, length * (found.turns - 2))
@@ -383,6 +390,8 @@ class Cycles:
         last = self.last(length + 1)
         phases = [self._closings(length, back)[-FEW_TURNS:] for back in range(length, -1, -1)]
         errors = [np.ptp(self.seen.x[phase], axis=0) for phase in phases]
+        for error in errors:
+            error[self.beside] = np.where(error[self.beside], np.inf, 0.0)
         return Turn(last, last, [seen.x for seen in last], errors)
 
 

@@ -88,7 +88,7 @@ class Driver:
         self.record = Recorder(plan, scene.contacts)
         self.status: Status | None = None
         self.watch = Watch()
-        self.cycles = Cycles()
+        self.cycles = Cycles(scene.code.beside)
         self.seen = np.zeros(scene.spec.dimension)
         self.steps = 0
         self.jumped = Jumped()
@@ -206,7 +206,7 @@ class Driver:
 
     def reach(self, x: StateVector) -> float:
         """The size of the largest state that the run has seen, this one among them."""
-        return float(np.maximum(self.seen, np.abs(x)).max())
+        return float(np.maximum(self.seen, np.abs(x))[: self.scene.spec.flows].max())
 
     def look(self, x: StateVector) -> None:
         """Let delays see the past from here, where what they see has come to an end, and signals

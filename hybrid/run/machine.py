@@ -40,6 +40,7 @@ from ..rules.places import (
     FIELD,
     FIRED,
     FLIGHTS,
+    FLOWING,
     FULL,
     GAP_SPEED,
     GOES_ON,
@@ -478,6 +479,7 @@ class Machine:
             rooms = Rooms(tables, self.n, self.order, (JUMPS_KEPT, STEPS_KEPT), SUMS_KEPT)
         rooms.run[:] = self.run
         rooms.now.floats[:], rooms.now.ints[:], rooms.now.end[:] = 0.0, 0, 0.0
+        rooms.now.ints[FLOWING] = self.driver.scene.spec.flows
         for own, was in zip(rooms.now[:5], self.now if before else (), strict=False):
             own[:] = was
         self.give_back()

@@ -5,12 +5,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from math import isfinite
+from math import isfinite, sqrt
 from typing import TYPE_CHECKING, Any
 
 import attrs
 import numpy as np
 
+from ..automaton.discrete import misfit
 from ..automaton.markers import name_of
 from ..automaton.reals import real, reals
 from ..automaton.record import Record
@@ -19,7 +20,7 @@ from ..delay.history import pieces
 from ..delay.pieces import Piece
 from ..errors import OptionError, StartError, ZenoError
 from ..lowering import Scene
-from ..solvers import Solver, choose, own_rtol
+from ..solvers import Solver, averages, choose, own_rtol
 from ..solvers.base import tolerances
 from ..trajectory.accumulation import explain
 from ..trajectory.plan import PATIENT
@@ -63,7 +64,10 @@ class Asked:
 
     @cached_property
     def _allowed(self) -> tuple[float, np.ndarray]:
-        return tolerances(self.rtol, self.atol, self.spec.dimension, self._own[1])
+        rtol, atol = tolerances(self.rtol, self.atol, self.spec.flows, self._own[1])
+        if atol.shape and self.spec.discrete:
+            atol = np.append(atol, [atol.max()] * len(self.spec.discrete))
+        return rtol, atol
 
     def plan(self, t: Any) -> Plan:
         """The options of one run.
@@ -104,7 +108,8 @@ class Asked:
         past = _past(self.spec, history, plan, x)
         finest, own = self._own
         made = attrs.evolve(plan, rtol=finest) if finest < plan.rtol <= own else plan
-        return Driver(scene, chosen(made, self.solver, self.method, self.controller), plan, past)
+        solver = chosen(made, self.solver, self.method, self.controller, self.spec)
+        return Driver(scene, solver, plan, past)
 
     def judge(self, driver: Driver) -> None:
         """Refuse a run whose jumps accumulate, where that is asked.
@@ -118,9 +123,15 @@ class Asked:
             raise ZenoError(f"{self.spec.model}: {explain(driver.record.zeno[0])}")
 
 
-def chosen(plan: Plan, solver: str, method: Any, controller: Any = None) -> Solver:
-    """The solver of a plan."""
-    return choose(solver, method, plan.rtol, plan.atol, plan.max_step, controller)
+def chosen(
+    plan: Plan, solver: str, method: Any, controller: Any = None, spec: Spec | None = None
+) -> Solver:
+    """The solver of a plan, whose steps a discrete variable does not lengthen."""
+    share = 1.0
+    if spec is not None and spec.discrete and averages(solver):
+        share = sqrt(spec.flows / spec.dimension)
+    rtol, atol = share * plan.rtol, share * plan.atol
+    return choose(solver, method, rtol, atol, plan.max_step, controller)
 
 
 def mode_of(scene: Scene, mode: Any) -> str:
@@ -155,6 +166,9 @@ def start_of(spec: Spec, start: Any) -> Numbers:
             raise StartError(
                 f"{spec.model}: start {state.name} has shape {array.shape}; {state.shape} is due"
             )
+        wrong = misfit(state.kind, array)
+        if wrong:
+            raise StartError(f"{spec.model}: start {state.name} = {value!r} {wrong}")
         numbers = array.ravel().tolist()
         if not all(map(isfinite, numbers)):
             raise StartError(f"{spec.model}: start {state.name} = {value!r} is not finite")

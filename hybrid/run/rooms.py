@@ -13,7 +13,7 @@ import numpy as np
 
 from ..rules.arrays import AutomatonArrays, Left, Look, Now, Room, Sums
 from ..rules.calls import held
-from ..rules.places import CURVE_ROWS, REMAINING, STATE_FLOATS, STATE_INTS, TOLERANCES
+from ..rules.places import CURVE_ROWS, FLOWING, REMAINING, STATE_FLOATS, STATE_INTS, TOLERANCES
 from ..rules.sights import LAW_POINTS, STATE_ROWS, TAIL_HALVINGS
 from ..rules.sums import STRETCH_POINTS
 from ..zeno.accumulate import room_for_sums
@@ -34,6 +34,7 @@ def work_for(tables: Tables, n: int, order: int) -> tuple[Room, Sums, Look]:
 def now_for(tables: Tables, n: int) -> Now:
     """The state of a run of ``n`` states."""
     floats, ints = np.zeros(STATE_FLOATS), np.zeros(STATE_INTS, dtype=np.int64)
+    ints[FLOWING] = tables.scene.spec.flows
     return Now(floats, ints, *np.zeros((3, n)), *tables.watches())
 
 

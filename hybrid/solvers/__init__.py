@@ -128,4 +128,9 @@ def own_rtol(solver: str) -> float:
     return float(getattr(maker(solver), "own_rtol", Solver.own_rtol))
 
 
-__all__ = ["SOLVERS", "Solver", "Stepper", "choose", "own_rtol", "renamed"]
+def averages(solver: str) -> bool:
+    """Whether the solver of that name weighs the mean error of a state."""
+    return bool(getattr(maker(solver), "averages", False))
+
+
+__all__ = ["SOLVERS", "Solver", "Stepper", "averages", "choose", "own_rtol", "renamed"]

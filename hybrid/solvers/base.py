@@ -167,6 +167,10 @@ class Solver(abc.ABC):
 
     own_rtol = 1e-8
 
+    #: Whether it holds the mean error of all elements of the state to the tolerances: one that
+    #: rests then counts among them, and they are tightened by as much.
+    averages = False
+
     name: str
     method: str
     order: int

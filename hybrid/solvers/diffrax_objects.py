@@ -79,6 +79,7 @@ class DiffraxSolver(Solver):
     """
 
     name = "diffrax"
+    averages = True
     rejected: int
 
     def __init__(self, method: Any, rtol: float, atol: Any, controller: Any = None) -> None:

@@ -57,6 +57,7 @@ class SciPySolver(Solver):
     """
 
     name = "scipy"
+    averages = True
     evaluations: int
 
     def __init__(self, method: Any, rtol: float, atol: Any) -> None:

@@ -217,6 +217,9 @@ def explain(point: Accumulation) -> str:
     then = f"The run went on in {point.mode}" if point.mode else "The run ended there"
     if point.t_release is not None:
         then += f" until it was released at t = {point.t_release!r}"
+    counted = point.state.keys()[len(point.state) :]
+    if counted:
+        then += f", with {', '.join(counted)} as the last jump made has left it"
     pace = f"ratio {point.ratio:.6g}"
     if point.ratio == 1.0:
         pace = "gaps that fall like a power (ratio 1)"

@@ -111,7 +111,12 @@ def period(edges: Sequence[str], turns: int = LEAST_CYCLES) -> int:
 
 
 def limit(
-    edges: tuple[str, ...], times: Numbers, states: Matrix, rtol: float, atol: float
+    edges: tuple[str, ...],
+    times: Numbers,
+    states: Matrix,
+    rtol: float,
+    atol: float,
+    beside: Sequence[int] = (),
 ) -> CycleLimit | None:
     """The limit of a cycle; None where it does not accumulate, or not well enough yet.
 
@@ -123,6 +128,8 @@ def limit(
         States after those jumps.
     rtol, atol : float
         What the jumps are known to: the limit need not be known better.
+    beside
+        See :func:`accelerated`.
     """
     durations = np.diff(times)
     if not (np.all(durations > 0) and np.all(np.diff(durations) < 0)):
@@ -137,9 +144,11 @@ def limit(
     if not growth < 1.0 / RAABE:
         return None
     power = growth > RAABE_GROWTH
-    now, error, scale = accelerated(np.column_stack([times, states]), power)
+    columns = np.column_stack([times, states])
+    now, error, scale = accelerated(columns, power, [1 + i for i in beside])
     elapsed, remaining = float(durations.sum()), float(now[0] - times[-1])
-    settled = np.all(error <= max(rtol, 1e-13) * np.maximum(scale, scale[0]) + atol)
+    slack = max(rtol, 1e-13) * np.maximum(scale, scale[0]) + atol
+    settled = np.all(np.delete(error <= slack, [1 + i for i in beside]))
     near = remaining <= LEFT_TO_LIMIT * elapsed or (power and len(times) >= POWER_CYCLES)
     if not (remaining > 0 and settled and near and np.all(np.isfinite(now))):
         return None
@@ -150,12 +159,21 @@ def limit(
     return CycleLimit(edges, remaining, now[1:], ratio, float(error[0]), error[1:], len(times))
 
 
-def accelerated(columns: Matrix, power: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Limits of sequences, one a column; bounds on their errors; their sizes."""
+def accelerated(
+    columns: Matrix, power: bool, beside: Sequence[int] = ()
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Limits of sequences, one a column; bounds on their errors; their sizes.
+
+    Columns ``beside`` are of discrete variables by which nothing else goes: they stay as they are,
+    and where they still change their error is infinite.
+    """
     with np.errstate(all="ignore"):  # steps that vanish to rounding: no estimate is best there
         now, error = np.array([_accelerated(column, power) for column in columns.T]).T
-    scale = np.abs(now) + np.ptp(columns, axis=0)
-    return now, error + CYCLE_ROUNDING * len(columns) * scale, scale
+    scale, rounding = np.abs(now) + np.ptp(columns, axis=0), CYCLE_ROUNDING * len(columns)
+    error += rounding * scale
+    for k in beside:
+        now[k], error[k] = columns[-1, k], np.inf if np.ptp(columns[-FEW_TURNS:, k]) else 0.0
+    return now, error, scale
 
 
 def _fast(durations: Numbers) -> int:

@@ -1,0 +1,120 @@
+"""Variables that only jumps change: ``count = hy.discrete(0)``.
+
+They stand behind the states in the state vector, with derivative zero. What is declared with a
+whole number or a flag is one wherever an author or a user sees it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import attrs
+import numpy as np
+
+from ..errors import FlowError
+from .markers import State
+
+#: Kinds by the letters of numpy's types.
+KIND_OF = {"b": "bool", "i": "int", "u": "int", "f": "float"}
+
+#: Whole numbers up to this are doubles, each of them.
+MOST_EXACT = 2.0**53
+
+#: What a reset must give for a kind, by the letters of numpy's types, and how to say so.
+DUE_KINDS = {"int": "iu", "bool": "b", "float": "iufb"}
+KIND_REMEDIES = {
+    "int": "a whole number is due: jnp.floor(...).astype(int), or declare hy.discrete(0.0)",
+    "bool": "True or False is due: a comparison, or ~s.name",
+}
+
+
+@attrs.define(slots=False, eq=False)
+class Discrete(State):
+    """Marker of a discrete variable; made by :func:`discrete`."""
+
+    default: Any = 0
+
+    @property
+    def kind(self) -> str:
+        """``"int"``, ``"float"`` or ``"bool"``; empty where the default is no such number."""
+        try:
+            value = np.asarray(self.default)
+        except ValueError:
+            return ""
+        finite = value.shape == () and value.dtype.kind in KIND_OF and math.isfinite(self.default)
+        kind = KIND_OF[value.dtype.kind] if finite else ""
+        return "" if kind == "int" and abs(self.default) > MOST_EXACT else kind
+
+
+def discrete(default: Any = 0, doc: str = "") -> Any:
+    """Declare a variable that only jumps change.
+
+    Parameters
+    ----------
+    default : int, float or bool
+        Its value at the start of a run that gives none. What it is says what the variable is: a
+        whole number, exact to 2^53, a real number, or a flag.
+    doc : str
+        A few words.
+
+    Notes
+    -----
+    Flows, guards, gaps, resets and restitutions read it by name, ``s.count``; resets change it,
+    ``s.replace(count=s.count + 1)``. Flows do not return it, and ``x, v = s`` leaves it out.
+    """
+    return Discrete("", doc, (), default)
+
+
+def typed(name: str, kind: str, part: np.ndarray) -> np.ndarray:
+    """Numbers of a run as what was declared; as they are where they are none.
+
+    Raises
+    ------
+    FlowError
+        If a whole number is too large for a double to be exact.
+    """
+    if kind == "bool" and np.isfinite(part).all():
+        return part > 0.5
+    if kind != "int" or not np.isfinite(part).all():
+        return part
+    if np.any(np.abs(part) > MOST_EXACT):
+        raise FlowError(
+            f"the discrete variable {name} has come to {np.abs(part).max():g}: whole numbers are "
+            "exact to 2^53 only; reset it before, or declare hy.discrete(0.0)"
+        )
+    return np.rint(part).astype(np.int64)
+
+
+def traced(name: str, kind: str, part: Any) -> Any:
+    """The same in a trace."""
+    import jax.numpy as jnp
+
+    if kind == "bool":
+        return part > 0.5
+    return jnp.floor(part + 0.5).astype(int) if kind == "int" else part
+
+
+def number(name: str, kind: str, part: Any) -> Any:
+    """The numbers as they are."""
+    return part
+
+
+def require_kind(name: str, kind: str, dtype: Any) -> None:
+    """Refuse a reset's value of another kind.
+
+    Raises
+    ------
+    ValueError
+    """
+    if np.dtype(dtype).kind not in DUE_KINDS.get(kind, np.dtype(dtype).kind):
+        raise ValueError(f"{name}: a value of type {dtype} where {KIND_REMEDIES[kind]}")
+
+
+def misfit(kind: str, values: np.ndarray) -> str | None:
+    """Why values at the start are none of a kind; None if they are."""
+    if kind == "int" and not np.all((values == np.rint(values)) & (np.abs(values) <= MOST_EXACT)):
+        return "is no whole number up to 2^53"
+    if kind == "bool" and not np.all((values == 0) | (values == 1)):
+        return "is neither True nor False"
+    return None
