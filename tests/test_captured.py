@@ -57,19 +57,19 @@ def counted(s):
 
 
 @pytest.mark.parametrize(
-    "reset",
+    ("reset", "name"),
     [
-        lambda s: np.random.rand(),  # noqa: NPY002
-        lambda s: -s.v * random.random(),
-        lambda s: DRAW.normal(),
-        lambda s: time.time(),
-        counted,
+        (lambda s: np.random.rand(), "np"),  # noqa: NPY002
+        (lambda s: -s.v * random.random(), "random"),
+        (lambda s: DRAW.normal(), "DRAW"),
+        (lambda s: time.time(), "time"),
+        (counted, "COUNT"),
     ],
     ids=["numpy", "random", "generator", "clock", "counter"],
 )
-def test_functions_that_answer_differently_each_time_are_refused(reset):
-    """When the class is made, naming the function."""
-    with pytest.raises(hy.DeclarationError, match="edge bounce, reset: asked twice"):
+def test_functions_that_answer_differently_each_time_are_refused(reset, name):
+    """When the class is made, naming the function, and what it reads."""
+    with pytest.raises(hy.DeclarationError, match=f"edge bounce, reset: asked twice.*by {name} "):
         ball(reset=reset)
 
 

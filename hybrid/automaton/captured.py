@@ -92,12 +92,13 @@ def values(cls: type | None, function: Any) -> Iterator[tuple[str, Any]]:
         yield read[1], _look_up(*read)
 
 
-def may_vary(cls: type, function: Any) -> bool:
-    """Whether two calls with the same arguments might differ, as far as names tell."""
+def may_vary(cls: type, function: Any) -> list[str]:
+    """By what two calls with the same arguments might differ, as far as names tell."""
     reads = list(_reads(cls, function, set()))
-    if any(_stores(reader) for reader in {function, *(reader for reader, _, _ in reads)}):
-        return True
-    return any(_varies(reader, _look_up(reader, name, owner)) for reader, name, owner in reads)
+    readers = dict.fromkeys([function, *(reader for reader, _, _ in reads)])
+    found = [name for reader in readers for name in _stores(reader)]
+    found += [name for reader, name, own in reads if _varies(reader, _look_up(reader, name, own))]
+    return list(dict.fromkeys(found))
 
 
 def _varies(reader: types.FunctionType, value: Any) -> bool:
@@ -184,14 +185,14 @@ def _all_names(code: types.CodeType) -> list[str]:
     return list(dict.fromkeys(name for inner in _codes(code) for name in inner.co_names))
 
 
-def _stores(function: Any) -> bool:
-    """Whether a function changes a global or a variable of an outer function."""
+def _stores(function: Any) -> list[str]:
+    """The globals, and the variables of outer functions, that a function changes."""
     code = getattr(function, "__code__", None)
     if code is None:
-        return False
+        return []
     instructions = (i for inner in _codes(code) for i in dis.get_instructions(inner))
     changed = [i.argval for i in instructions if i.opname in ("STORE_GLOBAL", "STORE_DEREF")]
-    return any(name not in code.co_cellvars for name in changed)
+    return [name for name in changed if name not in code.co_cellvars]
 
 
 def _copy(value: Any, depth: int = COMPARED_DEPTH) -> Any:

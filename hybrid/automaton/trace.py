@@ -224,15 +224,16 @@ def require_repeatable(
     ------
     TraceError
     """
-    if not may_vary(cls, function):
+    names = may_vary(cls, function)
+    if not names:
         return
     second = trace(spec, lambda *given: call(*given), extra)  # JAX remembers what it has traced
     pairs = zip_longest(_constants(closed), _constants(second))
     if str(closed.jaxpr) != str(second.jaxpr) or not all(_equal(*pair) for pair in pairs):
         raise TraceError(
-            "asked twice for the same t and s it gives two answers (a random number, a clock, a "
-            "counter?); a model's functions are read once, when its class is made, and must depend "
-            "on t, s and parameters only"
+            f"asked twice for the same t and s it gives two answers, by {' or '.join(names)} (a "
+            "random number, a clock, a counter?); a model's functions are read once, when its "
+            "class is made, and must depend on t, s and parameters only"
         )
 
 
