@@ -39,6 +39,7 @@ def simulate(
     memory: str = "keep",
     mode: str | None = None,
     progress: Callable[[float], None] | None = None,
+    seed: int = 0,
 ) -> Trajectory:
     """Simulate a hybrid automaton.
 
@@ -94,6 +95,9 @@ def simulate(
         Mode at the start; the model's initial mode if omitted.
     progress : callable ``(t)``, optional
         Called with the time reached, after each arc, or after some that are flown in a row.
+    seed : int
+        Which random numbers resets draw (``docs/chance.md``), 0 to 2^26 - 1. A run that goes on
+        draws on from its own.
 
     Returns
     -------
@@ -134,7 +138,7 @@ def simulate(
     steps: dict[str, Any] = {"solver": solver, "method": method, "controller": controller}
     steps |= {"rtol": rtol, "atol": atol}
     asked = Asked(spec=scene.spec, save=save, progress=progress, **steps, **kept)
-    x = start_of(scene.spec, start)
+    x = start_of(scene.spec, start, seed)
     driver, begins = asked.driver(scene, t, x, history), mode_of(scene, mode)
     driver.run(begins, x, None if earlier is None else onward(driver, earlier))
     give_errors(driver, solver, method, begins, x, earlier)

@@ -12,6 +12,7 @@ from ..errors import PLOT, DeclarationError, OptionError, ParameterError, TraceE
 from . import outputs, signals, trace
 from .builder import Builder
 from .captured import Captured, captured
+from .chance import DRAWS, counted, draws
 from .clocks import require_clocks
 from .markers import ContactMarker, EdgeMarker, Mode, State, Switching, is_parameter
 from .past import Asking, Lags, Past, looks_back, plain
@@ -237,6 +238,8 @@ class _Traced:
         others = {"output": outputs.numbers, "when": trace.condition}
         shaped = others.get(kind, trace.scalar)
         call = trace.vector(self.spec, call, kind == "flow") if whole else shaped(call)
+        if draws(function):
+            call = counted(self.spec.place(DRAWS), call)
         closed = trace.trace(self.spec, call, extra)
         trace.require_wide(self.cls, closed, function)
         trace.require_repeatable(self.cls, self.spec, call, extra, closed, function)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ParameterError
+from .chance import DOCS, draws
 from .clocks import clock, faults
 from .discrete import Discrete
 from .markers import (
@@ -67,6 +68,10 @@ class Builder:
             row = marker.name, marker.unit, marker.doc, self.shape(marker), offset
             states.append(StateSpec(*row, *self.discrete(marker)))
             offset += states[-1].size
+        if any(draws(marker.reset) for marker in self.of(EdgeMarker)):
+            for name, doc in DOCS.items():
+                states.append(StateSpec(name, "", doc, (), offset, "int", 0))
+                offset += 1
         parameters = tuple(
             ParameterSpec(name, m._default, m.metadata["unit"], m.metadata["doc"])
             for name, m in self.markers.items()
@@ -106,8 +111,10 @@ class Builder:
             self.faults.append(
                 "it has an __init__ of its own: declare what it needs, r = hy.parameter(0.5)"
             )
+        drawing = any(draws(marker.reset) for marker in self.of(EdgeMarker))
         for name, marker in self.markers.items():
             taken = {State: RECORDS, Output: (*RECORDS, *MODELS)}.get(type(marker), MODELS)
+            taken += tuple(DOCS) if drawing else ()
             if name in taken or name.startswith("_"):
                 self.faults.append(f"{name}: a name in use here; choose another")
 
@@ -176,7 +183,7 @@ class Builder:
             self.target(where, "source", marker.source, self.slides()),
             self.target(where, "to", marker.to, [TERMINATE]),
         )
-        self.signature(f"{where}, reset", marker.reset, ("t", "s"))
+        self.signature(f"{where}, reset", marker.reset, ("t", "s"), draw=True)
         if marker.times is not None:
             return self.clock(where, marker, source, to)
         if marker.guard is None:
@@ -289,6 +296,11 @@ class Builder:
             return lambda self, t, s, u: getattr(self, given)
         if callable(given):
             self.signature(f"{where}, restitution", given, ("t", "s", "u"))
+            if draws(given):
+                self.faults.append(
+                    f"{where}, restitution: draw is for resets as yet: write the impact as an edge "
+                    "whose guard is the gap"
+                )
             return given
         if not is_number(given) or not 0 <= float(given) <= 1:
             self.faults.append(
@@ -325,9 +337,13 @@ class Builder:
             )
         return str(name)
 
-    def signature(self, where: str, function: Any, arguments: tuple[str, ...]) -> None:
+    def signature(
+        self, where: str, function: Any, arguments: tuple[str, ...], draw: bool = False
+    ) -> None:
         wanted = f"(self, {', '.join(arguments)})"
         past = {"past": None} if looks_back(function) else {}
+        if draw and draws(function):
+            past["draw"] = None
         if not callable(function):
             self.faults.append(f"{where}: {function!r} is not a function {wanted}")
             self.untraceable.append(function)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
 import attrs
@@ -179,4 +180,4 @@ def asking(function: Callable[..., Any], past: Any) -> Callable[..., Any]:
     """``function`` with its ``past`` given, where it takes one."""
     if not looks_back(function):
         return function
-    return lambda *arguments: function(*arguments, past=past)
+    return partial(function, past=past)

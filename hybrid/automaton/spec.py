@@ -10,6 +10,7 @@ from typing import Any
 import attrs
 import numpy as np
 
+from .chance import draws
 from .discrete import typed
 from .markers import Crossing, Times
 from .past import LagSpec, window_shapes
@@ -242,6 +243,16 @@ class Spec:
     def flows(self) -> int:
         """How many elements of the state vector flow; those behind them jump only."""
         return sum(state.size for state in self.flowing)
+
+    @cached_property
+    def chances(self) -> tuple[str, ...]:
+        """The edges whose resets draw random numbers."""
+        edges = (edge for edge in self.transitions if isinstance(edge, EdgeSpec))
+        return tuple(edge.name for edge in edges if draws(edge.reset))
+
+    def place(self, name: str) -> int:
+        """Where a state begins in the state vector."""
+        return self.states[self.names.index(name)].offset
 
     @property
     def element_names(self) -> tuple[str, ...]:

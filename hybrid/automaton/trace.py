@@ -16,6 +16,7 @@ import numpy as np
 
 from ..errors import TraceError
 from .captured import may_vary, values
+from .chance import Draw, draws
 from .discrete import require_kind, traced
 from .past import Past, asking
 from .signals import Present
@@ -59,8 +60,9 @@ def caller(
         record = past(spec, t, windows, lags)
         seeing = asking(function, record)
         state = spec.record(x, traced)
+        more = {"draw": Draw(state)} if draws(function) else {}
         now = [Present(*each) for each in zip(given, [t] * len(given), own[count:], strict=True)]
-        return seeing(instance(cls, names, (*own[:count], *now)), t, state, *extra)
+        return seeing(instance(cls, names, (*own[:count], *now)), t, state, *extra, **more)
 
     return call
 

@@ -83,6 +83,7 @@ def ensemble(
     keep: int = 32,
     save: Any = None,
     progress: Callable[[int], None] | None = None,
+    seed: int = 0,
 ) -> xarray.Dataset:
     """Simulate many lanes of one model: each is a run of :func:`hybrid.simulate`.
 
@@ -134,6 +135,9 @@ def ensemble(
         Times at which the states of each lane are kept.
     progress : callable ``(lanes)``, optional
         Called with the number of lanes that have ended.
+    seed : int
+        Which random numbers resets draw (``docs/chance.md``), from 0 to 2^26 - 1; those of each
+        lane are others.
 
     Returns
     -------
@@ -184,7 +188,7 @@ def ensemble(
         "max_steps": max_steps,
         "memory": memory,
     }
-    given = start, t, dict(parameters or {}), history
+    given = start, t, dict(parameters or {}), history, seed
     begins = mode_of(scene, mode)
     runs = _Runs(Lanes(model, *given), _asked(scene, options), begins, certify, measures)
     if section is not None:  # a fault of it is no lane's own

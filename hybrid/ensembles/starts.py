@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import attrs
 import numpy as np
 
+from ..automaton.chance import STREAM, has_stream
 from ..automaton.discrete import misfit
 from ..automaton.reals import reals
 from ..automaton.record import Record
@@ -43,7 +44,15 @@ class Lanes:
         What differs between lanes, by name.
     """
 
-    def __init__(self, model: Any, start: Any, t: Any, given: dict[str, Any], history: Any) -> None:
+    def __init__(
+        self,
+        model: Any,
+        start: Any,
+        t: Any,
+        given: dict[str, Any],
+        history: Any,
+        seed: int = 0,
+    ) -> None:
         self.cls: Any = type(model)
         self.spec: Spec = model.spec
         self.varied: dict[str, np.ndarray] = {}
@@ -52,7 +61,7 @@ class Lanes:
         _check(model, given)
         if not (isinstance(t, Sequence) and len(t) == 2):
             raise OptionError(f"t={t!r}: give (first, last) time")
-        states = self._states("start", values_of(self.spec, start))
+        states = self._states("start", values_of(self.spec, start, seed))
         self.shapes = tuple(np.shape(getattr(model, p.name)) for p in self.spec.parameters)
         parameters = [
             (self._array(p.name, given.get(p.name, getattr(model, p.name)), shape), shape)
@@ -70,6 +79,8 @@ class Lanes:
             raise OptionError(f"{self.spec.model}: lanes differ in number ({each})")
         self.count = counts.pop() if counts else 1
         self.x, self.values, self.t = map(self._rows, (states, parameters, times))
+        if self.spec.chances and not has_stream(start):
+            self.x[:, self.spec.place(STREAM)] += np.arange(self.count)
         self.known = [self._full(*each) for each in before]
         if not np.all(self.t[:, 1] > self.t[:, 0]):
             raise OptionError(f"t={t!r}: the first time before the last, in every lane")

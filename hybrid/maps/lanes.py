@@ -13,6 +13,7 @@ import attrs
 import numpy as np
 
 from ..automaton.captured import values
+from ..automaton.chance import STREAM
 from ..automaton.digest import digest
 from ..automaton.reals import reals
 from ..automaton.spec import Spec
@@ -99,6 +100,11 @@ class AskedLanes:
             spans = np.array([span(model) for model in self._models()], dtype=float)
             span = tuple(spans.reshape(self.count, 2).T)
         states = {**begun, **{n: v for n, v in self.points.items() if n in self.spec.names}}
+        if self.spec.chances and STREAM not in states:
+            raise OptionError(
+                f"{self.spec.model}: its resets draw: say from which streams, "
+                f'over={{"{STREAM}": range(100)}}, or which all have, start={{"{STREAM}": 0}}'
+            )
         given = {name: v for name, v in self.points.items() if name not in self.spec.names}
         asked = {"progress": progress, **self.options}
         return ensemble(self.model, states, span, given, **asked)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import attrs
 import numpy as np
 
+from ..automaton.chance import STREAM, has_stream, stream
 from ..automaton.discrete import misfit
 from ..automaton.markers import name_of
 from ..automaton.reals import real, reals
@@ -148,8 +149,8 @@ def mode_of(scene: Scene, mode: Any) -> str:
     return begins
 
 
-def start_of(spec: Spec, start: Any) -> Numbers:
-    """The state at the start.
+def start_of(spec: Spec, start: Any, seed: int = 0) -> Numbers:
+    """The state at the start; a run is lane 0.
 
     Raises
     ------
@@ -157,7 +158,7 @@ def start_of(spec: Spec, start: Any) -> Numbers:
         If it is none.
     """
     x: list[float] = []
-    for state, value in zip(spec.states, values_of(spec, start), strict=True):
+    for state, value in zip(spec.states, values_of(spec, start, seed), strict=True):
         try:
             array = reals(value)
         except ValueError:
@@ -176,8 +177,14 @@ def start_of(spec: Spec, start: Any) -> Numbers:
     return np.array(x)
 
 
-def values_of(spec: Spec, start: Any) -> Any:
+def values_of(spec: Spec, start: Any, seed: int = 0) -> Any:
     """What is given for each state, in declared order."""
+    own, number = has_stream(start), None
+    if seed != 0 and (own or not spec.chances):
+        why = "the start has a stream" if own else "no reset of it takes draw"
+        raise OptionError(f"{spec.model}: seed={seed!r}, but {why}; leave seed out")
+    if spec.chances and not own:
+        number = stream(spec.model, seed)
     if not isinstance(start, dict) and isinstance(start, Mapping | Record):
         start = {name: start[name] for name in start.keys()}
     if isinstance(start, Solution):
@@ -185,9 +192,12 @@ def values_of(spec: Spec, start: Any) -> Any:
     try:
         if isinstance(start, bytes | set | frozenset):
             raise ValueError("give the states by name, or in order")
-        return spec.values(start)
+        values = spec.values(start)
     except ValueError as fault:
         raise StartError(f"{spec.model}: start={start!r}: {fault}") from None
+    if number is not None:
+        values[spec.names.index(STREAM)] = number
+    return values
 
 
 def _longest(name: str, value: Any, t0: float, t1: float) -> float:

@@ -233,7 +233,7 @@ class Recorder:
                     f"{where(new - len(caught) + k)}: {self._stuck} jumps with no time to speak of "
                     f"between them: {' -> '.join(among)}; a reset must leave its guard, a contact "
                     "needs rests=True, and a cycle of edges has a limit only where its resets lead "
-                    "back to where it began"
+                    "back to where it began, which those that draw do not"
                 )
 
     def limit_point(self, point: Accumulation, tail: Tail | CycleLimit | None) -> None:
