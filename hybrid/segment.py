@@ -144,6 +144,15 @@ def to_powers(degree: int) -> np.ndarray:
 
 
 @cache
+def to_centred_powers(degree: int) -> np.ndarray:
+    """Matrix from Chebyshev coefficients to those of powers of the place on [-1, 1]."""
+    found = np.zeros((degree + 1, degree + 1))
+    for k in range(degree + 1):
+        found[: k + 1, k] = chebyshev.cheb2poly(np.eye(degree + 1)[k][: k + 1])
+    return found
+
+
+@cache
 def integrals(degree: int) -> np.ndarray:
     """Matrix from values at :func:`nodes` to integrals from 0 to each node."""
     columns = []

@@ -263,10 +263,6 @@ class Spec:
             for index in np.ndindex(state.shape)
         )
 
-    def mode(self, name: str) -> ModeSpec:
-        """The mode of that name."""
-        return next(mode for mode in self.modes if mode.name == name)
-
     def output(self, name: str) -> OutputSpec:
         """The output of that name."""
         return next(output for output in self.outputs if output.name == name)

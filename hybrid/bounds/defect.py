@@ -22,6 +22,7 @@ from numpy.polynomial import chebyshev
 from ..errors import TraceError
 from ..lowering.jaxpr import read
 from ..rules.zeros import EPS
+from ..segment import to_centred_powers
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers, StateVector
@@ -148,7 +149,7 @@ class Defect:
         from flint import arb
 
         half = arb(length) / 2
-        whole = _to_powers(len(coefficients) - 1) @ coefficients
+        whole = to_centred_powers(len(coefficients) - 1) @ coefficients
         start = arb(t)
         pieces = [_StepPart(start + half, half, whole)]
         for _ in range(DEFECT_PIECES):
@@ -335,16 +336,6 @@ def _sampling(degree: int) -> tuple[np.ndarray, np.ndarray]:
     places = 2.0 * DEFECT_PLACES - 1.0
     slopes = chebyshev.chebder(np.eye(degree + 1))
     return chebyshev.chebvander(places, degree), chebyshev.chebval(places, slopes).T
-
-
-@cache
-def _to_powers(degree: int) -> np.ndarray:
-    """Matrix from Chebyshev coefficients to those of powers."""
-    columns = [
-        np.pad(own, (0, degree + 1 - len(own)))
-        for own in (chebyshev.cheb2poly(np.eye(degree + 1)[k][: k + 1]) for k in range(degree + 1))
-    ]
-    return np.array(columns).T
 
 
 @cache

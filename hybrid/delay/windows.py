@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..rules.places import KIND, NONE, RELEASE, TO, WINDOW_DEGREE
+from ..segment import to_centred_powers
 
 if TYPE_CHECKING:
     from ..automaton.shapes import IntegerMatrix
@@ -17,13 +18,8 @@ if TYPE_CHECKING:
     from ..rules.arrays import AutomatonArrays
 
 
-def _to_powers() -> np.ndarray:
-    """From Chebyshev coefficients to those of powers of the place in the window."""
-    columns = [np.polynomial.chebyshev.cheb2poly(row) for row in np.eye(WINDOW_DEGREE + 1)]
-    return np.array([np.pad(column, (0, WINDOW_DEGREE + 1 - len(column))) for column in columns]).T
-
-
-TO_POWERS = _to_powers()
+#: From Chebyshev coefficients to those of powers of the place in the window.
+TO_POWERS = to_centred_powers(WINDOW_DEGREE)
 
 
 class Links(NamedTuple):

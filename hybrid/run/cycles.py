@@ -26,7 +26,6 @@ from ..rules.lanes import (
     WINDOW_PART,
 )
 from ..rules.zeros import EPS
-from ..trajectory.clock import Instant
 from ..zeno.cycle import CycleLimit, accelerated, limit, period
 
 if TYPE_CHECKING:
@@ -57,10 +56,6 @@ class Seen(NamedTuple):
     low: float
     clock: float
     x: StateVector
-
-    @property
-    def now(self) -> Instant:
-        return Instant(self.t, self.low)
 
     def until(self, last: Seen) -> float:
         """The time from here to another."""
