@@ -44,6 +44,8 @@ MEANT = {
     ("trajectory.stats", "__init__"),
     # Model.draw(), a method of every model
     ("automaton.base", "plot.graph"),
+    # what cannot be written out is refused when the class is made, by what writes it out
+    ("automaton.base", "lowering.jaxpr"),
 }
 
 

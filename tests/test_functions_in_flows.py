@@ -212,7 +212,8 @@ def test_runs_are_those_of_solve_ivp(name):
 
 @pytest.mark.parametrize("solver", ["scipy", "diffrax"])
 @pytest.mark.parametrize(
-    "name", ["solve 8", "det, turning", "interp", "interp, uneven", "table", "argmax", "sort"]
+    "name",
+    ["solve 8", "det, turning", "interp", "interp, uneven", "table", "argmax", "sort"],
 )
 def test_solvers_agree(name, solver):
     """To a hundred times the tolerance: their steps end where a formula changes."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import hybrid as hy
-from hybrid.errors import JumpLoopError, OptionError, TraceError
+from hybrid.errors import DeclarationError, JumpLoopError, OptionError, TraceError
 from hybrid.lowering import scene_of, tape
 from hybrid.lowering.foreign import Foreign, require_none
 from hybrid.rules.load import Library
@@ -147,28 +147,41 @@ def test_a_state_slides_between_two_such_flows():
 
 def test_taylor_names_the_primitive_and_a_remedy():
     """With model and mode."""
-    with pytest.raises(OptionError, match=r"Ball, mode flight: the primitive 'while'.*'diffrax'"):
+    said = r"Ball, mode flight: a loop .*test_opaque.py:\d+, the primitive 'while'.*'diffrax'"
+    with pytest.raises(OptionError, match=said):
         hy.simulate(ball(True), [1.0, 0.0], (0.0, 1.0), solver="taylor")
 
 
 def test_nothing_is_proved_of_it():
     """A certificate is refused with the primitive's name."""
-    with pytest.raises(TraceError, match=r"Ball: nothing can be proved: .* primitive 'while'"):
+    with pytest.raises(TraceError, match=r"Ball: nothing can be proved: .*primitive 'while'"):
         hy.certify(ball(True), {"x": (0.0, 1.0), "v": (-0.1, 0.1)})
 
 
-def test_a_gap_must_be_written():
-    """It is refused by name."""
-    model = ball(False, lambda t: 0.1 * drag(t))
-    with pytest.raises(TraceError, match="Ball, the guard of impact: the primitive 'while'"):
-        hy.simulate(model, [1.0, 0.0], (0.0, 1.0), solver="scipy")
+def test_only_flows_may_call():
+    """Gap and restitution are refused when the class is made: with the line, and a remedy."""
+    said = r"a loop that ends .*test_opaque.py:\d+, .*'while'\) cannot .*fori_loop"
+    with pytest.raises(DeclarationError, match=f"contact impact, gap: {said}"):
+        ball(False, lambda t: 0.1 * drag(t))
+    with pytest.raises(DeclarationError, match=f"contact impact, restitution: {said}"):
+        ball(False, restitution=lambda self, t, s, u: 0.5 + 0.01 * drag(u))
 
 
-def test_a_restitution_must_be_written():
-    """It is refused by name."""
-    model = ball(False, restitution=lambda self, t, s, u: 0.5 + 0.01 * drag(u))
-    with pytest.raises(TraceError, match=r"Ball, .*impact: the primitive 'while'"):
-        hy.simulate(model, [1.0, 0.0], (0.0, 1.0), solver="scipy")
+def test_what_is_no_real_number_is_refused_with_its_line():
+    """A Fourier transform, and a print, in a flow: when the class is made."""
+
+    def made(force):
+        class Made(hy.Automaton):
+            x = hy.state()
+
+            @hy.mode
+            def flow(self, t, s):
+                return force(s.x)
+
+    with pytest.raises(DeclarationError, match=r"mode flow: a complex .*test_opaque.py:\d+"):
+        made(lambda x: jnp.abs(jnp.fft.fft(jnp.stack([x, 1.0])))[1])
+    with pytest.raises(DeclarationError, match=r"mode flow: a call of .*test_opaque.py:\d+"):
+        made(lambda x: (jax.debug.print("{}", x), x)[1])
 
 
 def test_impacts_that_cannot_be_summed_are_an_error():

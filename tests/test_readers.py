@@ -7,7 +7,6 @@ import pytest
 
 import hybrid as hy
 from hybrid.automaton import trace
-from hybrid.errors import TraceError
 from hybrid.lowering.lowered import Lowered
 from hybrid.lowering.scene import scene_of
 from hybrid.lowering.taylor import flat
@@ -112,13 +111,6 @@ def test_whole_numbers_and_flags_are_those_of_jax(name):
             if field.jets is not None:
                 sides = [0] * len(field.jets.watched)
                 assert field.jets(0.0, [x, y], sides, 1)[0][0][1] == exact
-
-
-def test_an_unsupported_primitive_is_named():
-    """With a remedy, instead of a wrong number."""
-    cls = automaton(lambda t, x, y: jnp.abs(jnp.fft.fft(jnp.stack([x, y])))[1])
-    with pytest.raises(TraceError, match="the primitive 'fft' of what is no real number"):
-        Lowered(cls, ((),)).flow("flow")
 
 
 def test_ieee_values_where_python_would_raise():

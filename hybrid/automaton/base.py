@@ -245,6 +245,9 @@ class _Traced:
         trace.require_repeatable(self.cls, self.spec, call, extra, closed, function)
         if kind == "output":  # which no reader of traces asks for
             return
+        trace.require_real(closed)
+        if kind != "flow":
+            require_written(closed)
         self.traces[kind, owner] = closed
         for place, number in enumerate(numbers):
             name = self.spec.lags[number].name
@@ -261,7 +264,9 @@ class _Traced:
                 f"past(lag): the lag ({name}) depends on past(...), or on the speed of an impact; "
                 "it may depend on parameters, t and s"
             )
-        return trace.trace(self.spec, lambda *given: lag(*given, *[-1.0] * extra))
+        closed = trace.trace(self.spec, lambda *given: lag(*given, *[-1.0] * extra))
+        require_written(closed)
+        return closed
 
     def _lag(self, function: Any, numbers: list[int], place: int) -> Callable[..., Any]:
         """The lag of one of a function's calls of ``past``, as a function."""
@@ -278,6 +283,13 @@ class _Traced:
             return made[-1].lags[place]
 
         return trace.scalar(lag)
+
+
+def require_written(closed: Any) -> None:
+    """See :func:`hybrid.lowering.jaxpr.require_written`."""
+    from ..lowering import jaxpr
+
+    jaxpr.require_written(closed)
 
 
 def _label(kind: str, owner: str) -> str:

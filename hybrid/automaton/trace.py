@@ -8,8 +8,10 @@ in declared order and ``x`` the state vector.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from itertools import zip_longest
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -200,6 +202,39 @@ def _narrow(closed: Any) -> Iterator[Any]:
         for inner in equation.params.values():
             if hasattr(inner, "jaxpr") and hasattr(inner, "consts"):
                 yield from _narrow(inner)
+
+
+def require_real(closed: Any) -> None:
+    """Refuse a function that makes complex numbers or random keys on its way, or that prints.
+
+    Raises
+    ------
+    TraceError
+        With the author's line.
+    """
+    for equation in closed.jaxpr.eqns:
+        if not equation.outvars:
+            raise TraceError(
+                f"a call of Python that gives nothing back ({line_of(equation)}the primitive "
+                f"{equation.primitive.name!r}); leave it out: run(t) and @hy.output show what is"
+            )
+        kinds = [getattr(var.aval, "dtype", None) for var in equation.outvars]
+        if not all(isinstance(kind, np.dtype) and kind.kind in "fiub" for kind in kinds):
+            raise TraceError(
+                f"a complex number, or a random key ({line_of(equation)}the primitive "
+                f"{equation.primitive.name!r}); write real and imaginary parts as two numbers"
+            )
+        inner = (value for value in equation.params.values() if hasattr(value, "consts"))
+        for each in inner:
+            require_real(each)
+
+
+def line_of(equation: Any) -> str:
+    """The author's line that an equation is of; nothing where JAX does not know it."""
+    from jax.extend.source_info_util import summarize
+
+    found = re.match(r"(.+?):(\d+)", str(summarize(equation.source_info)))
+    return f"{Path(found[1]).name}:{found[2]}, " if found else ""
 
 
 def _is_narrow(value: Any) -> bool:

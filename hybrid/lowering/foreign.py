@@ -1,6 +1,6 @@
 """What a trace asks for that cannot be written as scalar code: compiled by JAX, and called.
 
-A loop of a length that depends on the state, a factorisation, a sort: a node of the graph calls
+A loop of a length that depends on the state, eigenvalues, a sort of many: a node of the graph calls
 it for numbers, and its results are parts of that node. Its derivatives are functions of the same
 kind. A tape calls it, too, and has the first terms of its Taylor series from it; there is no
 enclosure, and nothing is known of where it switches.
@@ -18,6 +18,45 @@ import numpy as np
 
 from ..rules.operations import CALLED, CALLED_ORDER
 from .jit import jit
+
+#: What a primitive is in the author's words, and what to write instead, by names of primitives.
+IN_WORDS = {
+    "while": (
+        "a loop that ends by a condition",
+        "write a loop of fixed length, jax.lax.fori_loop(0, 20, ...), in which jnp.where keeps "
+        "what is done",
+    ),
+    "sort top_k": (
+        "a sort of more than 12 numbers, or by several keys",
+        "sort fewer, or ask for jnp.max, jnp.min or jnp.argmax, which are written out",
+    ),
+    "eig eigh svd": (
+        "eigenvalues or singular values",
+        "write the roots of the characteristic polynomial, or a fixed number of iterations",
+    ),
+    "qr geqrf householder_product lu schur hessenberg tridiagonal": (
+        "a factorisation",
+        "use jnp.linalg.solve, inv, cholesky or det (up to 8 x 8), which are written out",
+    ),
+    "fft": ("a Fourier transform", "multiply by a matrix of cosines and one of sines"),
+    "conv_general_dilated": ("a convolution", "multiply by a matrix"),
+    "scatter scatter-add scatter-mul scatter-min scatter-max dynamic_update_slice": (
+        "an entry set at a position made from the state",
+        "write jnp.where(jnp.arange(n) == i, new, old)",
+    ),
+    "pure_callback io_callback": (
+        "a call of Python",
+        "write this part with jax.numpy",
+    ),
+    "bessel_i0e bessel_i1e digamma erf_inv igamma igammac polygamma regularized_incomplete_beta "
+    "zeta": (
+        "a special function",
+        "read it from a table, jnp.interp(x, knots, values), or write a polynomial fit",
+    ),
+}
+
+#: The same of any other primitive.
+OTHER = "this function", "write this part with arithmetic, jnp.where or a loop of fixed length"
 
 #: What has been raised where machine code has called.
 FAULTS: list[BaseException] = []
@@ -38,13 +77,25 @@ class Foreign:
     ----------
     name : str
         The primitive, for messages.
+    line : str
+        The author's own, for messages.
     function : callable
         Of an array of numbers, which gives another.
     """
 
-    def __init__(self, name: str, function: Callable[[Any], Any]) -> None:
-        self.name, self.function = name, function
+    def __init__(self, name: str, line: str, function: Callable[[Any], Any]) -> None:
+        self.name, self.line, self.function = name, line, function
         self._call = jit(function)
+
+    @property
+    def said(self) -> str:
+        """What it is, and where it is written."""
+        return f"{_known(self.name)[0]} ({self.line}the primitive {self.name!r})"
+
+    @property
+    def instead(self) -> str:
+        """What to write instead."""
+        return _known(self.name)[1]
 
     def __call__(self, *numbers: float) -> list[float]:
         return np.asarray(self._call(np.array(numbers, dtype=float))).tolist()  # type: ignore[no-any-return]
@@ -85,21 +136,30 @@ class Foreign:
         def rates(both: Any) -> Any:
             return jax.jvp(self.function, *((part,) for part in jnp.split(both, 2)))[1]
 
-        return Foreign(self.name, rates)
+        return Foreign(self.name, self.line, rates)
 
     @cached_property
     def slopes(self) -> Foreign:
         """The derivatives of its results by its arguments, result by result."""
         import jax
 
-        return Foreign(self.name, lambda numbers: jax.jacfwd(self.function)(numbers).reshape(-1))
+        def slopes(numbers: Any) -> Any:
+            return jax.jacfwd(self.function)(numbers).reshape(-1)
+
+        return Foreign(self.name, self.line, slopes)
 
 
-def of_primitive(equation: Any, values: Sequence[Any]) -> Foreign:
+def _known(name: str) -> tuple[str, str]:
+    return next((said for names, said in IN_WORDS.items() if name in names.split()), OTHER)
+
+
+def of_primitive(equation: Any, line: str, values: Sequence[Any]) -> Foreign:
     """The function of an equation of a trace.
 
     Parameters
     ----------
+    line : str
+        That of the author.
     values
         Of all inputs, element by element: their values, and None where they are arguments.
     """
@@ -123,4 +183,4 @@ def of_primitive(equation: Any, values: Sequence[Any]) -> Foreign:
         results = results if primitive.multiple_results else [results]
         return jnp.concatenate([jnp.ravel(result).astype(float) for result in results])
 
-    return Foreign(primitive.name, function)
+    return Foreign(primitive.name, line, function)

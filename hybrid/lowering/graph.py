@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import TraceError
 from .arithmetic import LONG, OPERATIONS, entry
 from .foreign import Foreign
 
@@ -46,7 +45,7 @@ class Graph:
     ``still`` are the names of inputs that only jumps change; to be told before any node is made.
 
     What cannot be written as scalar code is called: ``("foreign", number, *arguments)`` with its
-    number in ``foreign``, whose results are its parts.
+    number in ``foreign``, whose results are its parts; ``line`` is the author's that is read.
     """
 
     def __init__(self, exact: bool = False, long: bool = False) -> None:
@@ -58,6 +57,7 @@ class Graph:
         self.still: frozenset[str] = frozenset()
         self._leaves: list[int] = []
         self.foreign: list[Foreign] = []
+        self.line = ""
 
     def node(self, *key: Any) -> int:
         """The number of this node, made if it is new; constants are folded."""
@@ -120,28 +120,9 @@ class Graph:
         number = self.const(self.foreign.index(function))
         return self.node("foreign", number, *arguments)
 
-    def name_of(self, number: int) -> str:
-        """The name of a function that is called, whose number is that of a constant's node."""
-        return self.called_by(number).name
-
     def called_by(self, number: int) -> Foreign:
         """What the number in a node calls."""
         return self.foreign[int(self.value(number))]
-
-    def require_written(self, roots: Sequence[int], what: str) -> None:
-        """Refuse what calls a function.
-
-        Raises
-        ------
-        TraceError
-        """
-        for op, *arguments in map(self.nodes.__getitem__, needed(self, roots)):
-            if op == "foreign":
-                raise TraceError(
-                    f"{what}: the primitive {self.name_of(arguments[0])!r} cannot be written as "
-                    "scalar code, as only a flow need not be; "
-                    "write this part with arithmetic, jnp.where or a loop of fixed length"
-                )
 
     def known(self, *key: Any) -> int | None:
         """The number of this node where there is one."""

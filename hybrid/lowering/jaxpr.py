@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from ..automaton.trace import line_of
 from ..errors import TraceError
 from .elements import constant, distributed, each, mapped, quotient, unsigned
 from .foreign import of_primitive
-from .graph import WHOLE_VALUED, Graph, Ids
+from .graph import WHOLE_VALUED, Graph, Ids, needed
 from .matrices import cholesky, determinants, linear_solve, triangular_solve
 from .moves import DATA_MOVES, move, picked, placed, scatter_add
 from .orders import in_order, largest, of_jax, searched
@@ -52,6 +53,28 @@ def read(graph: Graph, closed: Any, inputs: Sequence[Ids]) -> list[Ids]:
     return _evaluate(graph, closed.jaxpr, closed.consts, inputs)
 
 
+def require_written(closed: Any) -> None:
+    """Refuse a function that calls others: what only a flow may.
+
+    Raises
+    ------
+    TraceError
+        With the author's line, and what to write instead.
+    """
+    graph, inputs, count = Graph(exact=True), [], 0
+    for var in closed.jaxpr.invars:
+        names = range(count, count := count + var.aval.size)
+        inputs.append(np.array([graph.input(f"x{i}") for i in names], dtype=np.int64))
+    roots = [i for ids in read(graph, closed, inputs) for i in ids.reshape(-1).tolist()]
+    for op, *arguments in map(graph.nodes.__getitem__, needed(graph, roots)):
+        if op == "foreign":
+            function = graph.called_by(arguments[0])
+            raise TraceError(
+                f"{function.said} cannot be written out, as only in a flow it need not be; "
+                f"{function.instead}"
+            )
+
+
 def _evaluate(graph: Graph, jaxpr: Any, consts: Sequence[Any], inputs: Sequence[Ids]) -> list[Ids]:
     held: dict[Any, Ids] = {}
 
@@ -62,10 +85,13 @@ def _evaluate(graph: Graph, jaxpr: Any, consts: Sequence[Any], inputs: Sequence[
         held[var] = constant(graph, value)
     for var, ids in zip(jaxpr.invars, inputs, strict=True):
         held[var] = np.asarray(ids).reshape(var.aval.shape)
+    outer = graph.line
     for equation in jaxpr.eqns:
+        graph.line = outer or line_of(equation)
         results = _apply(graph, equation, [read(atom) for atom in equation.invars])
         for var, ids in zip(equation.outvars, results, strict=True):
             held[var] = np.asarray(ids).reshape(var.aval.shape)
+    graph.line = outer
     return [read(atom) for atom in jaxpr.outvars]
 
 
@@ -133,14 +159,9 @@ def _name(equation: Any) -> str:
 def _called(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
     """The results of what cannot be written out."""
     avals = [var.aval for var in equation.outvars]
-    if not all(_is_real(atom.aval) for atom in (*equation.invars, *equation.outvars)):
-        raise TraceError(
-            f"the primitive {equation.primitive.name!r} of what is no real number (a random key, a "
-            "complex number) cannot be written as scalar code; write this part with arithmetic"
-        )
     nodes = [i for ids in inputs for i in ids.reshape(-1).tolist()]
     values = [graph.value(i) for i in nodes]
-    function = of_primitive(equation, values)
+    function = of_primitive(equation, graph.line, values)
     arguments = [i for i, value in zip(nodes, values, strict=True) if value is None]
     count = sum(math.prod(aval.shape) for aval in avals)
     if arguments:
@@ -151,11 +172,6 @@ def _called(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
     ends = np.cumsum([math.prod(aval.shape) for aval in avals])[:-1]
     pieces = zip(np.split(np.array(found, dtype=np.int64), ends), avals, strict=True)
     return [_typed(graph, ids.reshape(aval.shape), aval.dtype) for ids, aval in pieces]
-
-
-def _is_real(aval: Any) -> bool:
-    kind = getattr(aval, "dtype", None)
-    return isinstance(kind, np.dtype) and kind.kind in "fiub"
 
 
 def _typed(graph: Graph, numbers: Ids, kind: Any) -> Ids:

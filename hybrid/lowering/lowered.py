@@ -99,12 +99,8 @@ class Lowered:
         closed: Callable[[], Any],
         extra: Sequence[str] = (),
         exact: bool = False,
-        written: bool = False,
     ) -> Program:
-        """Scalar code of a closed jaxpr; ``exact`` for what the author wrote.
-
-        ``written``: refuse what can only be called.
-        """
+        """Scalar code of a closed jaxpr; ``exact`` for what the author wrote."""
 
         def make() -> Program:
             graph = Graph(exact)
@@ -113,9 +109,6 @@ class Lowered:
             except TraceError as fault:
                 what = " ".join(map(str, key))
                 raise TraceError(f"{self.spec.model}, {what}: {fault}") from None
-            if written:
-                what = f"{self.spec.model}, {' '.join(map(str, key))}"
-                graph.require_written(outputs.reshape(-1).tolist(), what)
             return Program(graph, ["t", "x", *extra], self.spec.dimension, outputs)
 
         return self.once(key, make)
@@ -219,7 +212,7 @@ class Lowered:
     def lag(self, number: int) -> Program:
         """A lag as scalar code."""
         name = self.spec.lags[number].name
-        return self.program(("lag", name), lambda: self.closed("lag", name), written=True)
+        return self.program(("lag", name), lambda: self.closed("lag", name))
 
     @cached_property
     def moving(self) -> tuple[bool, ...]:

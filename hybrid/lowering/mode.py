@@ -186,9 +186,7 @@ class ModeGraph:
     def law(self, name: str) -> list[int]:
         """The restitution; the speed that it is asked for is one state more."""
         speed = self.graph.input(f"x{len(self.x)}")
-        law = self.values(self.code.closed("restitution", name), speed)
-        self.graph.require_written(law, f"{self.spec.model}, the restitution of {name}")
-        return law
+        return self.values(self.code.closed("restitution", name), speed)
 
     # -- contacts held --------------------------------------------------------------------
 
@@ -279,8 +277,6 @@ class ModeGraph:
         if contact != name:
             return times(self.graph, self.forces[contact], self.contact(contact).weight)
         (value,) = self.values(self.traced(name)())
-        if name not in self.derived:
-            self.graph.require_written([value], f"{self.spec.model}, the guard of {name}")
         return value
 
     def traced(self, name: str) -> Callable[[], Any]:

@@ -46,7 +46,6 @@ PAIRS = {
 #: What to write where an operation has no recurrence.
 INSTEAD = {
     "lgamma": "write Stirling's series, or a polynomial fit of it, over the range that is used",
-    "foreign": "write this part with arithmetic, jnp.where or a loop of fixed length",
 }
 
 
@@ -416,7 +415,8 @@ class _Recorder:
     def _refused(self, op: str, arguments: Sequence[int]) -> str:
         instead, what = INSTEAD.get(op, "use another function"), repr(op)
         if op == "foreign":
-            what = f"the primitive {self.graph.name_of(arguments[0])!r}"
+            function = self.graph.called_by(arguments[0])
+            instead, what = function.instead, function.said
         return (
             f"{self.where}: {what} has no Taylor series; {instead}, or use solver='scipy' or "
             "solver='diffrax'"

@@ -308,8 +308,7 @@ class Scene:
     def reset(self, edge: str) -> Scalar:
         """The reset of an edge (not of a contact)."""
         closed = lambda: self.code.closed("reset", edge)  # noqa: E731
-        program = self.code.program(("reset", edge), closed, written=True)
-        return self.bind(program)
+        return self.bind(self.code.program(("reset", edge), closed))
 
     def is_contact(self, edge: str) -> bool:
         """Whether an edge's name is that of a contact."""
@@ -351,9 +350,7 @@ class Scene:
                 )
                 for make in (graph.impact, graph.land, graph.push)
             }
-            law = code.program(
-                ("law", name), lambda: code.closed("restitution", name), ["u"], written=True
-            )
+            law = code.program(("law", name), lambda: code.closed("restitution", name), ["u"])
             self._contacts[name] = Contact(
                 name,
                 spec.source,
