@@ -58,7 +58,7 @@ class Wedged(hy.Automaton):
 
     ball = hy.contact(
         fly,
-        gap=lambda self, t, s: jnp.sum(s.q**2) - 1.0,
+        gap=lambda self, t, s: jnp.sum((s.q - 0.4) ** 2) - 1.0,
         restitution=0.5,
         inverse_mass=lambda self, t, s: self.m,
     )

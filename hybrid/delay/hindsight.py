@@ -25,7 +25,7 @@ from .history import Before, until
 from .pieces import Piece, constant, piece_of, window_on
 
 if TYPE_CHECKING:
-    from ..automaton.shapes import Integers, Matrix, Numbers
+    from ..automaton.shapes import IntegerMatrix, Matrix, Numbers
     from ..trajectory.trajectory import Solution
 
 #: Width of the window on a piece that is no polynomial of low degree, against the longest lag.
@@ -76,7 +76,7 @@ class Hindsight:
         history: Sequence[Piece] | None,
         memory: str,
         log: Log,
-        breaks: tuple[Numbers, Integers] = (np.empty(0), np.empty(0, dtype=int)),
+        breaks: tuple[Numbers, IntegerMatrix] = (np.empty(0), np.empty((0, 0), dtype=int)),
         earlier: Solution | None = None,
     ) -> None:
         self.scene, self.history, self.memory, self._log = scene, history, memory, log

@@ -21,7 +21,14 @@ from ..trajectory.clock import Instant
 from .windows import TO_POWERS
 
 if TYPE_CHECKING:
-    from ..automaton.shapes import Integers, Matrix, Numbers, StateVector, StateVectors
+    from ..automaton.shapes import (
+        IntegerMatrix,
+        Integers,
+        Matrix,
+        Numbers,
+        StateVector,
+        StateVectors,
+    )
 
 #: Rounding of places at the ends of a piece.
 INSIDE = 1e-12
@@ -266,7 +273,7 @@ class Breaks:
         self._times = np.concatenate([self._times, np.empty_like(self._times)])
         self._orders = np.concatenate([self._orders, np.empty_like(self._orders)])
 
-    def known(self) -> tuple[Numbers, Integers]:
+    def known(self) -> tuple[Numbers, IntegerMatrix]:
         """The times, and the orders, for those who come after the run."""
         return self.times.copy(), self._orders[: self.ints[BREAKS]].copy()
 
