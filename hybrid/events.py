@@ -11,7 +11,7 @@ The semantics are in ``docs/semantics.md``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
 from functools import cache
 from itertools import zip_longest
@@ -132,8 +132,7 @@ def zeros(
     """
     places: list[Cut] = []
     for kink in guard.kinks:
-        new = map(_wider, cuts(kink, segment, t0, scale, ends, 0.0, places))
-        places = _apart(sorted([*places, *new], key=lambda cut: cut.before))
+        places = among(places, cuts(kink, segment, t0, scale, ends, 0.0, places))
     yield from _between(guard, segment, t0, order, scale, tolerance, ends, places, noise)
 
 
@@ -194,10 +193,10 @@ def _wider(cut: Cut) -> Cut:
     return attrs.evolve(cut, before=cut.before - width, after=cut.after + width)
 
 
-def _apart(cuts: list[Cut]) -> list[Cut]:
-    """Cuts in order; of those that lie on each other the first stands for all."""
+def among(places: Iterable[Cut], new: Iterable[Cut]) -> list[Cut]:
+    """Cuts and further ones in order; of those that lie on each other the first stands for all."""
     kept: list[Cut] = []
-    for cut in cuts:
+    for cut in sorted([*places, *map(_wider, new)], key=lambda cut: cut.before):
         if kept and cut.before <= kept[-1].after:
             kept[-1] = attrs.evolve(kept[-1], after=max(kept[-1].after, cut.after))
         else:

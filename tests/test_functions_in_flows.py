@@ -267,3 +267,26 @@ def test_a_table_of_parameters_is_read_and_has_derivatives():
         slope = float(jax.grad(last)(jnp.asarray(values))[55])
     assert abs(slope) > 1e-3
     assert abs(moved - slope) <= 1e-6
+
+
+#: Knots of a short table, in which a search chooses one threshold after another.
+SHORT = np.array([0.0, 0.3, 0.7, 1.1, 1.6, 2.2])
+
+
+class Searched(hy.Automaton):
+    x = hy.state()
+    z = hy.state()
+    p: float = hy.parameter(1.3)
+
+    @hy.mode
+    def run(self, t, s):
+        return 1.0, 0.1 + 0.3 * jnp.searchsorted(SHORT, self.p * s.x)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+def test_a_search_whose_thresholds_jump_ends(solver):
+    """What decides jumps where what was decided before it does: that is no zero of it."""
+    run = hy.simulate(Searched(), [0.0, 0.0], (0.0, 1.5), solver=solver)
+    passed = sum(max(1.5 - knot / 1.3, 0.0) for knot in SHORT.tolist())
+    # the rates are constants between the knots: a step's tolerance of 1e-8 is the most that is left
+    assert run.final.z == pytest.approx(0.15 + 0.3 * passed, abs=1e-8)

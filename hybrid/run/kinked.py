@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..events import SHARES, Cut, cuts
+from ..events import SHARES, Cut, among, cuts
 from ..lowering import Field, Kink
 from ..rules.zeros import EPS
 from ..segment import Segment
@@ -129,11 +129,12 @@ class KinkedStepper(Stepper):
     def _first_cut(self, own: Segment) -> Cut | None:
         """The first place in a step at which a deciding function changes its sign."""
         t, scale = self.t0 + self.offset, self.length / SHARES
-        found = [
-            next(cuts(kink, own, t, scale, self.signs, self._noise(kink, own)), None)
-            for kink in self.changes
-        ]
-        return min(filter(None, found), key=lambda cut: cut.before, default=None)
+        found, places = list[Cut](), list[Cut]()
+        for kink in self.changes:  # one that jumps does so where others change, which come before
+            noise, others = self._noise(kink, own), [] if kink.affine else places
+            new = list(cuts(kink, own, t, scale, self.signs, noise, others))
+            found, places = [*found, *new[:1]], among(places, new)
+        return min(found, key=lambda cut: cut.before, default=None)
 
     def _next_to(self, own: Segment) -> Cut | None:
         """The place that is next, where a method's own steps close in on it and become as short as
