@@ -7,10 +7,6 @@ import pytest
 
 import hybrid as hy
 from hybrid.errors import DeclarationError, JumpLoopError, OptionError, TraceError
-from hybrid.lowering import scene_of, tape
-from hybrid.lowering.foreign import Foreign, require_none
-from hybrid.rules.load import Library
-from hybrid.run.driver import Driver
 
 SOLVERS = {
     "DOP853": {"solver": "scipy"},
@@ -226,45 +222,3 @@ def test_lanes_have_no_other_impacts():
     lanes = hy.ensemble(ball(True), {"x": [1.0, 1.1], "v": [0.0, 0.0]}, (0.0, 1.3))
     one = hy.simulate(ball(False), [1.1, 0.0], (0.0, 1.3), solver="taylor")
     np.testing.assert_allclose(lanes.x.values[1], one.arcs[-1].last[0], rtol=0, atol=1e-6)
-
-
-@pytest.mark.parametrize("name", SOLVERS)
-def test_no_flight_is_the_drivers(name, monkeypatch):
-    """With impacts between them that need no sum."""
-
-    def refuse(self):
-        raise AssertionError("an arc is judged")
-
-    monkeypatch.setattr(Driver, "flow_arc", refuse)
-    assert len(hy.simulate(ball(True), [1.0, 0.0], (0.0, 1.3), **SOLVERS[name]).jumps) == 2
-
-
-@pytest.mark.parametrize("how", ["machine", "checked"])
-def test_first_terms_are_those_of_the_arithmetic(how, monkeypatch):
-    """Of the state those up to the third power, to rounding; a function has two more than a value,
-    and all beyond are 0."""
-    monkeypatch.setenv("HYBRID_RULES", how)
-    monkeypatch.setattr(tape, "unit", Library("hybrid.rules").unit)
-    called, written = (scene_of(ball(each)) for each in (True, False))
-    found = called.calling(called.field("flight"))
-    states, _, _ = found(0.3, [1.0, 2.5], [], 6)
-    exact, _, _ = written.field("flight").jets(0.3, [1.0, 2.5], [], 6)
-    np.testing.assert_allclose(np.array(states)[:, :4], np.array(exact)[:, :4], rtol=1e-15)
-    assert states[1][4:] == [0.0, 0.0, 0.0]
-
-
-def test_what_a_function_raises_is_raised_where_python_goes_on(monkeypatch):
-    """Machine code passes nothing on: there its results are no numbers."""
-    scene = scene_of(ball(True))
-    jets = scene.calling(scene.field("flight"))
-
-    def stop(*_):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched:
-        patched.setattr(Foreign, "__call__", stop)
-        with pytest.raises(ValueError, match="no Taylor series"):
-            jets(0.0, [1.0, 0.0], [], 1)
-    with pytest.raises(KeyboardInterrupt):
-        require_none()
-    require_none()

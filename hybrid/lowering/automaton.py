@@ -14,7 +14,6 @@ from ..rules import library
 from ..rules.arrays import AutomatonArrays, Room
 from ..rules.places import (
     AT,
-    CALLS,
     CHANGES,
     CLOCK,
     CONSTRAINED,
@@ -211,8 +210,6 @@ class Tables:
 
     def _at(self, field: Field, contact: str) -> int:
         """The first of the programs of what happens at a contact."""
-        if field.jets is None:
-            return HARD
         try:
             parts = field.at_contact(contact)
         except TraceError:
@@ -229,8 +226,7 @@ class Tables:
 
     def _add(self, field: Field) -> None:
         base = self.number(self.scene.field(field.mode)) if field.held else len(self.fields)
-        calls, first = self.others and field.jets is None, len(self._rows)
-        jets = self.scene.calling(field) if calls else field.jets
+        jets, first = field.jets, len(self._rows)
         plain = not field.leans and jets is not None and all(map(self._may, field.guards))
         plain = plain and (not field.held or self.plain(base))
         watch = self._watch(field) if plain and self.others else -1
@@ -256,7 +252,6 @@ class Tables:
         self.modes += [field.name] * len((*guards, *clocks))
         self.widest = max(self.widest, len(guards))
         how = CHANGES if plain and self.others and field.changes else int(plain)
-        how = CALLS if plain and calls else how
         known = [program, first, first + len(guards), how, int(field.project is not None)]
         joins = int(not self.scene.spec.lags)
         rings = first + len(guards) + len(clocks)
@@ -388,16 +383,12 @@ class Tables:
         if not field.guards:
             return -1
         graph, edges = self.scene.code.mode(field.mode), [guard.edge for guard in field.guards]
-        return self._of_values(
-            field, ("guards", *edges), lambda: list(map(graph.guard, edges)), False
-        )
+        return self._of_values(field, ("guards", *edges), lambda: list(map(graph.guard, edges)))
 
-    def _of_values(
-        self, field: Field, key: tuple[object, ...], nodes: Nodes, calls: bool = True
-    ) -> int:
+    def _of_values(self, field: Field, key: tuple[object, ...], nodes: Nodes) -> int:
         """The number of a program for values only; -1 where an operation has none."""
         try:
-            found = self.scene.code.mode(field.mode).of_values(key, nodes, calls=calls)
+            found = self.scene.code.mode(field.mode).of_values(key, nodes)
         except TraceError:
             return -1
         return self._program(found.bind(self.scene.numbers(field.mode, field.held)))

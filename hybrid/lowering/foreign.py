@@ -2,13 +2,11 @@
 
 A loop of a length that depends on the state, eigenvalues, a sort of many: a node of the graph calls
 it for numbers, and its results are parts of that node. Its derivatives are functions of the same
-kind. A tape calls it, too, and has the first terms of its Taylor series from it; there is no
-enclosure, and nothing is known of where it switches.
+kind. There is no Taylor series of it, no enclosure, and nothing is known of where it switches.
 """
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import pairwise
@@ -16,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from ..rules.operations import CALLED, CALLED_ORDER
 from .jit import jit
 
 #: What a primitive is in the author's words, and what to write instead, by names of primitives.
@@ -58,17 +55,6 @@ IN_WORDS = {
 #: The same of any other primitive.
 OTHER = "this function", "write this part with arithmetic, jnp.where or a loop of fixed length"
 
-#: What has been raised where machine code has called.
-FAULTS: list[BaseException] = []
-
-
-def require_none() -> None:
-    """Raise what has been raised where machine code has called."""
-    if FAULTS:
-        fault = FAULTS[0]
-        FAULTS.clear()
-        raise fault
-
 
 class Foreign:
     """A function of numbers, compiled when it is first called.
@@ -99,33 +85,6 @@ class Foreign:
 
     def __call__(self, *numbers: float) -> list[float]:
         return np.asarray(self._call(np.array(numbers, dtype=float))).tolist()  # type: ignore[no-any-return]
-
-    @cached_property
-    def address(self) -> int:
-        """Where machine code calls it, as long as this is there (:data:`.operations.CALLED`)."""
-        self._called = CALLED(self._answer)
-        return ctypes.cast(self._called, ctypes.c_void_p).value or 0
-
-    def _answer(self, order: int, data: int, place: int, size: int, count: int) -> None:
-        """Put down the coefficients of an order of its first results, behind those of its
-        arguments."""
-        numbers = (ctypes.c_double * ((CALLED_ORDER + 1) * size + count)).from_address(
-            data + place * ctypes.sizeof(ctypes.c_double)
-        )
-        known = np.ctypeslib.as_array(numbers)
-        c, results = np.split(known, [(CALLED_ORDER + 1) * size])
-        x, v, a = c.reshape(-1, size)
-        results[:] = np.nan
-        try:
-            if order == 0:
-                found = self(*x)
-            elif order == 1:
-                found = self.rates(*x, *v)
-            else:
-                found = self.rates.rates(*x, *v, *v, *(2.0 * a))
-            results[:] = np.array(found[:count]) / max(order, 1)
-        except BaseException as fault:  # to be raised where Python goes on
-            FAULTS.append(fault)
 
     @cached_property
     def rates(self) -> Foreign:

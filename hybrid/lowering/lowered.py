@@ -191,21 +191,17 @@ class Lowered:
         return self.once(("near", name), lambda: LocalGraph(self, name))  # type: ignore[no-any-return]
 
     def tape(
-        self,
-        mode: str,
-        held: bool,
-        touching: frozenset[str] = frozenset(),
-        calls: bool = False,
+        self, mode: str, held: bool, touching: frozenset[str] = frozenset()
     ) -> Tape | TraceError:
         """The tape of a mode (:meth:`.ModeGraph.tape`); why there is none where there is none."""
 
         def make() -> Tape | TraceError:
             try:
-                return self.mode(mode).tape(held, touching, calls)
+                return self.mode(mode).tape(held, touching)
             except TraceError as fault:
                 return fault
 
-        return self.once(("tape", mode, held, touching, calls), make)  # type: ignore[no-any-return]
+        return self.once(("tape", mode, held, touching), make)  # type: ignore[no-any-return]
 
     # -- the past -----------------------------------------------------------------------
 

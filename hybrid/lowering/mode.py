@@ -333,11 +333,10 @@ class ModeGraph:
         pairs = zip(slopes, changes, strict=True)
         return graph.dot([(graph.node("abs", a), graph.node("abs", b)) for a, b in pairs])
 
-    def tape(self, held: bool, touching: Collection[str] = (), calls: bool = False) -> Tape:
+    def tape(self, held: bool, touching: Collection[str] = ()) -> Tape:
         """The tape of the flow, and of all guards in the order of :meth:`watched`.
 
-        ``touching``: contacts whose gaps have the formula that they have where they are zero;
-        ``calls``: what is no scalar code may be called.
+        ``touching``: contacts whose gaps have the formula that they have where they are zero.
 
         Raises
         ------
@@ -349,14 +348,10 @@ class ModeGraph:
             for name in self.watched(held)
         ]
         where = f"{self.spec.model}, mode {self.mode}"
-        return tape(self.graph, len(self.x), np.array(self.flow(held)), guards, where, calls)
+        return tape(self.graph, len(self.x), np.array(self.flow(held)), guards, where)
 
     def of_values(
-        self,
-        key: tuple[Any, ...],
-        nodes: Callable[[], Sequence[int]],
-        more: int = 0,
-        calls: bool = False,
+        self, key: tuple[Any, ...], nodes: Callable[[], Sequence[int]], more: int = 0
     ) -> Tape:
         """The tape of functions alone, of the state and of some numbers behind it.
 
@@ -366,8 +361,8 @@ class ModeGraph:
             Where an operation has none.
         """
         where, size = f"{self.spec.model}, mode {self.mode}", len(self.x) + more
-        make = lambda: tape(self.graph, size, np.array([]), nodes(), where, calls)  # noqa: E731
-        return self.code.once(("values", self.kept, calls, *key), make)  # type: ignore[no-any-return]
+        make = lambda: tape(self.graph, size, np.array([]), nodes(), where)  # noqa: E731
+        return self.code.once(("values", self.kept, *key), make)  # type: ignore[no-any-return]
 
     def along(self, held: bool, nodes: Sequence[int]) -> Tape:
         """The tape of the flow, and of functions along it.

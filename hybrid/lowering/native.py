@@ -27,7 +27,7 @@ from ..rules import library
 from ..rules.arrays import Programs
 from ..rules.code import binding, engine, keep, kept, machine, missing
 from ..rules.jets import FLOW, OPS
-from ..rules.operations import FOREIGN, INTEGRAL
+from ..rules.operations import INTEGRAL
 
 #: A longer program is left to the rule: an operation takes 5 to 10 ms to compile, so that a process
 #: that ends never waits for a second.
@@ -215,8 +215,7 @@ def _made(content: Content) -> Code:
     *arrays, order = content
     ops, flow = (np.frombuffer(part, dtype=np.int64) for part in arrays)
     rows = ops.reshape(-1, 6).tolist()
-    calls = any(row[0] == FOREIGN for row in rows)  # what stands in this process alone
-    if calls or len(rows) > LONGEST_PROGRAM or (known := operations()) is None:
+    if len(rows) > LONGEST_PROGRAM or (known := operations()) is None:
         return NO_CODE
     own = [known[code] for code in sorted({INTEGRAL, *(row[0] for row in rows)})]
     try:

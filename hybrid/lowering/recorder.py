@@ -128,14 +128,7 @@ MADE_OF_OTHERS: dict[str, Callable[..., int]] = {
 }
 
 
-def tape(
-    graph: Graph,
-    size: int,
-    flow: Ids,
-    functions: Sequence[int],
-    where: str,
-    calls: bool = False,
-) -> Tape:
+def tape(graph: Graph, size: int, flow: Ids, functions: Sequence[int], where: str) -> Tape:
     """The tape of a flow, and of functions along it.
 
     Parameters
@@ -146,8 +139,6 @@ def tape(
         Empty for functions whose values alone are asked for.
     where : str
         Model and mode, for messages.
-    calls : bool
-        What is no scalar code may be called, of which the first terms are known only.
 
     Raises
     ------
@@ -155,7 +146,7 @@ def tape(
         Where an operation has no recurrence.
     """
     roots = rebuilt(graph, [*map(int, flow), *map(int, functions)], lambda n: _made(graph, n))
-    return _Recorder(graph, size, roots[: len(flow)], roots[len(flow) :], where, calls).tape()
+    return _Recorder(graph, size, roots[: len(flow)], roots[len(flow) :], where).tape()
 
 
 def _made(graph: Graph, node: tuple[Any, ...]) -> int | None:
@@ -166,15 +157,9 @@ class _Recorder:
     """Puts the nodes into arrays. ``place[node]`` is a row, or ``-1 - i`` for a number."""
 
     def __init__(
-        self,
-        graph: Graph,
-        size: int,
-        flow: list[int],
-        functions: list[int],
-        where: str,
-        calls: bool,
+        self, graph: Graph, size: int, flow: list[int], functions: list[int], where: str
     ) -> None:
-        self.graph, self.size, self.where, self.calls = graph, size, where, calls
+        self.graph, self.size, self.where = graph, size, where
         self.flow, self.functions = flow, functions
         self.slopes: dict[int, tuple[int, ...]] = {}
         self.watched: dict[Watched, int] = {}
@@ -244,7 +229,6 @@ class _Recorder:
 
     def _put_places(self) -> None:
         """A place for each node, before any operation: some are made of what comes later."""
-        self.results = self._results()
         for number in self.nodes:
             op, *rest = self.graph.nodes[number]
             if op == "const":
@@ -258,16 +242,8 @@ class _Recorder:
                 index = int(self.graph.value(rest[1]))
                 self.place[number] = self._after(self.place[rest[0]], index)
             else:
-                count = unknowns(len(rest)) if op == "solve" else self.results.get(number, 1)
+                count = unknowns(len(rest)) if op == "solve" else 1
                 self.place[number] = self._new(self.graph.moves(number), count)
-
-    def _results(self) -> dict[int, int]:
-        """Of what is called, how many of its first results are needed."""
-        graph, results = self.graph, dict[int, int]()
-        for op, *rest in (graph.nodes[number] for number in self.nodes):
-            if op == "part" and graph.nodes[rest[0]][0] == "foreign":
-                results[rest[0]] = max(results.get(rest[0], 0), int(graph.value(rest[1])) + 1)
-        return results
 
     def _given(self, name: str) -> int:
         if name[0] != "p":
@@ -359,11 +335,6 @@ class _Recorder:
             written.append((rule.ATAN2, out, *named, self._list(slopes), kink))
         elif op == "lgamma" and not (moves and self.flow):
             written.append((rule.LGAMMA, out, *named))
-        elif op == "foreign" and self.calls:
-            function, count = self.graph.called_by(arguments[0]), self.results[number]
-            own = self._list([*named[1:], count])
-            written.append((rule.FOREIGN, out, own, len(named) - 1, self.room, function.address))
-            self.room += (rule.CALLED_ORDER + 1) * (len(named) - 1) + count
         else:
             raise TraceError(self._refused(op, arguments))
 

@@ -233,20 +233,13 @@ class Scene:
         held: tuple[str, ...],
         guards: list[str],
         touching: frozenset[str] = frozenset(),
-        calls: bool = False,
     ) -> Jets | str:
         """The series of the flow and of some of the guards; why there are none."""
-        tape = self.code.tape(mode, bool(held), touching, calls)
+        tape = self.code.tape(mode, bool(held), touching)
         if not isinstance(tape, Tape):
             return str(tape)
         order = self.code.mode(mode).watched(bool(held))
         return tape.bind(self.numbers(mode, held), [order.index(guard) for guard in guards])
-
-    def calling(self, field: Field) -> Jets | None:
-        """The series of a field that calls what has none, of which the first terms are there."""
-        guards = [guard.edge for guard in field.guards]
-        found = self._series(field.mode, field.held, guards, calls=True)
-        return found if isinstance(found, Jets) else None
 
     def projection(self, mode: str, held: tuple[str, ...], values: tuple[float, ...]) -> Scalar:
         """Back onto the surface on which a mode slides, or onto contacts held in it, for some

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 NAME_COLUMNS, LIST_COLUMNS = np.zeros((2, rule.INTEGRAL, 6), dtype=bool)
 NAME_COLUMNS[:, 2:4] = True
 NAME_COLUMNS[rule.SELECT, 4], NAME_COLUMNS[rule.FLOOR, 3] = True, False
-LIST_OPERATIONS = [rule.SUM_OF, rule.DOT, rule.SOLVE, rule.FOREIGN]
-NAME_COLUMNS[LIST_OPERATIONS, 2:4] = NAME_COLUMNS[rule.PICK, 2] = False
-LIST_COLUMNS[[*LIST_OPERATIONS, rule.PICK], 2] = LIST_COLUMNS[rule.ATAN2, 4] = True
+NAME_COLUMNS[[rule.SUM_OF, rule.DOT, rule.SOLVE], 2:4] = NAME_COLUMNS[rule.PICK, 2] = False
+LIST_COLUMNS[[rule.SUM_OF, rule.DOT, rule.SOLVE, rule.PICK], 2] = True
+LIST_COLUMNS[rule.ATAN2, 4] = True
 
 #: Kinds of what is watched, in the order of their numbers in a rule.
 KINDS = ("kink", "step", "band", "pole", "point")

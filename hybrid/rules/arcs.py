@@ -35,7 +35,6 @@ from .lengths import falls
 from .places import (
     AIM,
     BEGINS,
-    CALLS,
     CONDITION,
     CONSTRAINED,
     CONTACT,
@@ -157,9 +156,6 @@ def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     fires = starts(a, now, room)
     if fires != NONE:
         return at_once(now, fires)
-    if a.fields[now.ints[FIELD], PLAIN] == CALLS:
-        now.floats[AIM], now.floats[FIRST_LENGTH] = -1.0, 0.0  # nothing is foreseen
-        return GOES_ON
     now.floats[AIM] = aim(a, now, room, True)
     n, absolute, order = now.x.shape[0], run[TOLERANCES:], int(run[METHOD_ORDER])
     if order > 0:
@@ -374,8 +370,6 @@ def aimed(a: AutomatonArrays, now: Now, room: Room, sides: Ints) -> float:
     program, order = a.fields[now.ints[FIELD], FIELD_PROGRAM], room.c.shape[1] - 1
     tau = now.floats[TAU]
     t = now.floats[T] + tau
-    if a.fields[now.ints[FIELD], PLAIN] == CALLS:
-        return -1.0
     if afresh(a.programs, program, order, t, now.end, sides, room.c, room.work) < 0:
         return -1.0
     return tau + aim(a, now, room, False)

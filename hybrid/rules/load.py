@@ -468,8 +468,7 @@ def declared(kept: code.Rule, symbol: str, rule: Callable[..., Any], package: st
 
 def outside(names: Iterable[str]) -> dict[str, Any]:
     """Those of some rules that machine code has in another way than by their text."""
-    made = {"run_code": _run_code, "call_out": _call_out}
-    return {name: made[name]() for name in names if name in made}
+    return {"run_code": _run_code()} if "run_code" in names else {}
 
 
 def _parameters(function: Callable[..., Any]) -> inspect.Signature:
@@ -507,31 +506,6 @@ def _run_code() -> Any:
         return types.none(address, order, more, s, sides, c, work), codegen
 
     return run_code
-
-
-def _call_out() -> Any:
-    """The rule that calls Python at an address, with whole numbers and the data of an array."""
-    from llvmlite import ir
-    from numba import types
-    from numba.core.imputils import impl_ret_untracked
-    from numba.extending import intrinsic
-
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        address, order, work, *places = arguments
-        data = context.make_array(signature.args[2])(context, builder, work).data
-        given = [order, data, *places]
-        called = ir.FunctionType(ir.VoidType(), [value.type for value in given])
-        builder.call(builder.inttoptr(address, called.as_pointer()), given)
-        return impl_ret_untracked(context, builder, types.none, context.get_dummy_value())
-
-    @intrinsic  # type: ignore[untyped-decorator]
-    def call_out(
-        typing: Any, address: Any, order: Any, work: Any, place: Any, size: Any, count: Any
-    ) -> Any:
-        whole = types.int64
-        return types.none(whole, whole, work, whole, whole, whole), codegen
-
-    return call_out
 
 
 def cache_folder() -> Path:

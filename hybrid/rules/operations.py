@@ -7,7 +7,6 @@ coefficient that does not exist is NaN, and stays so wherever it is used.
 
 from __future__ import annotations
 
-import ctypes
 import math
 
 from .arrays import Floats, Ints, Matrix
@@ -26,16 +25,7 @@ POW, SQRT, CBRT = 25, 26, 27
 SINE, SINH = 28, 29
 EXP, EXP2, EXPM1, LOG, LOG1P, TAN, TANH, LOGISTIC = 30, 31, 32, 33, 34, 35, 36, 37
 ASIN, ACOS, ATAN, ASINH, ACOSH, ATANH, ERF, ERFC = 38, 39, 40, 41, 42, 43, 44, 45
-ATAN2, LGAMMA, PICK, FOREIGN, INTEGRAL = 46, 47, 48, 49, 50
-
-#: Of what is called there are coefficients up to this order; those beyond are put down as 0.
-CALLED_ORDER = 2
-
-#: What is called: of an order, with numbers, and the place among them of the arguments'
-#: coefficients, order by order, and behind them of the results; how many there are of each.
-CALLED = ctypes.CFUNCTYPE(
-    None, ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64
-)
+ATAN2, LGAMMA, PICK, INTEGRAL = 46, 47, 48, 49
 
 #: Beyond this the exponential is more than a double can be.
 LARGEST = 709.782712893384
@@ -81,8 +71,6 @@ def operate(
         c[out, k] = _lgamma(c[a, 0]) if k == 0 else math.nan
     elif op == PICK:
         c[out, k] = _picked(a, b, d, more, s, c, k)
-    elif op == FOREIGN:
-        _called(out, a, b, d, e, more, s, c, work, k)
     else:
         integrate(out, a, s, c, k)
 
@@ -530,37 +518,3 @@ def _angle(
     if kink >= 0 and sides[kink] != 0:
         at_y = math.copysign(at_y, float(sides[kink]))
     c[out, 0] = math.atan2(at_y, at(c, s, x, 0))
-
-
-# -- what is called ------------------------------------------------------------------------------
-
-
-def _called(
-    out: int,
-    first: int,
-    n: int,
-    room: int,
-    address: int,
-    more: Ints,
-    s: Floats,
-    c: Matrix,
-    work: Floats,
-    k: int,
-) -> None:
-    """A function of ``n`` numbers that is no tape: ``more`` has these, and how many results it
-    has."""
-    count = more[first + n]
-    if k <= CALLED_ORDER:
-        for i in range(n):
-            work[room + k * n + i] = at(c, s, more[first + i], k)
-        call_out(address, k, work, room, n, count)
-    for i in range(count):
-        c[out + i, k] = work[room + (CALLED_ORDER + 1) * n + i] if k <= CALLED_ORDER else 0.0
-
-
-def call_out(address: int, order: int, work: Floats, place: int, size: int, count: int) -> None:
-    """Call what stands at an address (:data:`CALLED`).
-
-    The loader puts a call of the address in the place of this text.
-    """
-    CALLED(int(address))(order, work.ctypes.data, place, size, count)

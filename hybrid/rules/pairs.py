@@ -81,7 +81,7 @@ def answers(status: int, a: AutomatonArrays, run: Floats, now: Now, room: Room, 
     if status != STEP:
         return False
     length = (run[UNTIL] - now.floats[T]) - now.floats[LOW]
-    if a.fields[now.ints[FIELD], PLAIN] >= CHANGES:
+    if a.fields[now.ints[FIELD], PLAIN] == CHANGES:
         return False
     if made == 0:
         pair.going[NEXT_LENGTH] = min(

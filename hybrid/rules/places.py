@@ -1,8 +1,7 @@
 """Where things are in the arrays of the loop, and what its numbers mean (:mod:`.advance`)."""
 
 #: Columns of the table of fields: its program, where its guards begin and end, whether its arcs may
-#: be plain (``CHANGES``, if another solver's steps are to end where the flow changes its formula,
-#: ``CALLS``, if its series there have only the first terms, as it calls what is no tape),
+#: be plain (``CHANGES``, if another solver's steps are to end where the flow changes its formula),
 #: whether contacts are held in it or it slides, and a program of its guards alone, for
 #: the steps of other solvers; of one that slides the program of the way back onto the surface, of
 #: others -1; whether contacts join those held, and stay held after jumps, without the driver; the
@@ -12,7 +11,7 @@
 FIELD_PROGRAM, GUARDS, GUARDS_END, PLAIN, CONSTRAINED, WATCH, SURFACE = range(7)
 JOINS, BASE, ONTO_GAPS, ONTO_SPEEDS, LAGS, CLOCKS_END = range(7, 13)
 
-CHANGES, CALLS = 2, 3
+CHANGES = 2
 
 #: Columns of the table of guards. ``TO`` is a field, -1 where it is not known yet; ``RESET``,
 #: ``LAND`` and ``SIZES`` are programs, -1 where there is none; ``USES`` is where the elements of

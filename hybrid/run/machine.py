@@ -18,7 +18,6 @@ from ..delay.memory import SUMS, Memory
 from ..delay.windows import Links, Shown
 from ..errors import FlowError
 from ..lowering import released
-from ..lowering.foreign import require_none
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.arrays import Left, Now
@@ -272,7 +271,6 @@ class Machine:
             with nullcontext() if own else np.errstate(all="ignore"):
                 while True:
                     status = call()
-                    require_none()
                     if status == MAKE:
                         self._make()
                         call = self._call(left)

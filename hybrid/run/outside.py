@@ -82,7 +82,7 @@ class Outside:
         first = min(first, length if seen else SAFETY * length)  # a window may be one step
         if plan.first_step < np.inf:
             first = min(plan.longest(0.0), length)
-        if 0.0 <= aim < length:
+        if aim < length:
             series = room.c[: len(now.x), 1:]
             sizes = np.abs(series * aim ** np.arange(1, series.shape[1] + 1)).max(axis=1)
             first = min(first or aim, aim)
