@@ -220,10 +220,14 @@ def require_real(closed: Any) -> None:
             )
         kinds = [getattr(var.aval, "dtype", None) for var in equation.outvars]
         if not all(isinstance(kind, np.dtype) and kind.kind in "fiub" for kind in kinds):
-            raise TraceError(
-                f"a complex number, or a random key ({line_of(equation)}the primitive "
-                f"{equation.primitive.name!r}); write real and imaginary parts as two numbers"
+            keys = any(not isinstance(kind, np.dtype) for kind in kinds if kind is not None)
+            what, instead = (
+                ("a random key", "a reset may ask draw.uniform() of its argument draw")
+                if keys
+                else ("a complex number", "write real and imaginary parts as two numbers")
             )
+            primitive = equation.primitive.name
+            raise TraceError(f"{what} ({line_of(equation)}the primitive {primitive!r}); {instead}")
         inner = (value for value in equation.params.values() if hasattr(value, "consts"))
         for each in inner:
             require_real(each)

@@ -205,8 +205,9 @@ def _power(graph: Graph, params: Any, x: Ids, y: Ids) -> Ids:
 
 
 def sinc(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None:
-    """``sin(pi x) / (pi x)``, near 0 as a polynomial; None where an equation is no such."""
-    if not of_jax(equation, "sinc"):
+    """``sin(pi x) / (pi x)``, near 0 as a polynomial; None where an equation is no such, or asks
+    for its derivative besides."""
+    if not of_jax(equation, "sinc") or len(equation.outvars) != 1:
         return None
     angle = mapped(graph, "mul", [constant(graph, math.pi), inputs[0]])
     one, square = constant(graph, 1.0), mapped(graph, "mul", [angle, angle])
