@@ -154,7 +154,7 @@ def _tangent(g: Graph, number: int, tangents: dict[int, int], zero: int) -> int:
 def _rates(g: Graph, arguments: Sequence[int], tangents: Mapping[int, int]) -> int:
     """The rates of what is called: another call, whose parts are theirs."""
     number, *own = arguments
-    function = g.foreign[int(g.value(number))]
+    function = g.called_by(number)
     return g.called(function.rates, [*own, *(tangents[a] for a in own)])
 
 
@@ -238,7 +238,7 @@ def _through(
     """Through what is called: by the derivatives of its results."""
     number, *own = arguments
     sizes = {i: g.total(share) for i, share in shares.items()}
-    slopes = g.called(g.foreign[int(g.value(number))].slopes, own)
+    slopes = g.called(g.called_by(number).slopes, own)
     for place, argument in enumerate(own):
         if argument in changes:
             for i, size in sizes.items():

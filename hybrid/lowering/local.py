@@ -67,7 +67,7 @@ class LocalGraph(ModeGraph):
             raise TraceError(f"a function of more than {MOST_ARGUMENTS} numbers is called")
         parts = [graph.nodes[n] for n in needed(graph, roots) if graph.nodes[n][0] == "part"]
         results = sorted({int(graph.value(i)) for _, call, i in parts if call == number})
-        self.calls.append((graph.foreign[int(graph.value(graph.nodes[number][1]))], own, results))
+        self.calls.append((graph.called_by(graph.nodes[number][1]), own, results))
         off = [graph.node("sub", a, c) for a, c in zip(near, self._numbers(size), strict=True)]
         pairs = [(i, j) for i in range(size) for j in range(i, size)]
         terms = [*off, *(graph.node("mul", off[i], off[j]) for i, j in pairs)]
