@@ -33,8 +33,13 @@ __all__ = ("damped", "seen", "slows")
 #: against its size: bounds overestimate by a little that shrinks with the box.
 EXCESS = 0.02
 
+#: That many rates of change of the gap's acceleration: over a flight of time ``d`` its Taylor
+#: polynomial of one degree less is off by ``bound * d**4 / 4!``. What acts for a share ``s`` of a
+#: flight has a rate of ``1 / s**4`` its size, so that nothing hides by being small and brief.
+RATES, RATES_FACTORIAL = 4, 24.0
+
 #: How often a tail is halved, at most. Three or four halvings leave one flight, five more a
-#: thirty-second of it, over which bounds of position and speed are as small.
+#: thirty-second of it, over which bounds of time, position and speed are as small.
 TAIL_HALVINGS = 9
 
 #: How much wider a box is than the points in it, on either side.
@@ -53,13 +58,13 @@ LAW_CAUTION = 64.0
 # Columns of ``laws``, besides the restitution.
 SPEED_GROWTH = 0
 
-# Columns of ``stretches``: the first impact and the last, ``first > last``; which shares of each
-# flight after them; how often it may yet be halved. Rows of ``box``: time, gap speed before an
-# impact, states. What is bounded: the gap's acceleration, and the restitution; behind them the
-# guards of other edges.
+# Columns of ``stretches``: the numbers of the first impact and the last, infinite for the limit;
+# which shares of each flight after them; how often it may yet be halved. Rows of ``box``: time, gap
+# speed before an impact, states. What is bounded: the gap's acceleration, the restitution, and the
+# last of the acceleration's rates; behind them the guards of other edges.
 FIRST_IMPACT, LAST_IMPACT, SHARE_FROM, SHARE_TO, HALVINGS_LEFT = 0, 1, 2, 3, 4
 TIME_ROW, SPEED_ROW, STATE_ROWS = 0, 1, 2
-ACCELERATION, RESTITUTION, OTHER_GUARDS = 0, 1, 2
+ACCELERATION, RESTITUTION, LAST_RATE, OTHER_GUARDS = 0, 1, 2, 3
 
 
 def seen(
@@ -77,16 +82,16 @@ def seen(
     look: Look,
 ) -> bool:
     """Whether bounds along a tail are what is there at its points, as far as doubles tell."""
-    put(look.stretches[0], 1.0, 0.0, 0.0, 1.0, TAIL_HALVINGS)
+    put(look.stretches[0], 0.0, math.inf, 0.0, 1.0, TAIL_HALVINGS)
     count = 1
     while count > 0:
         count -= 1
         s = look.stretches[count]
         shown(
-            a.programs, flow, at, curve, t, x, v, r, s[FIRST_IMPACT], s[LAST_IMPACT], s[SHARE_FROM],
-            s[SHARE_TO], room, look.shown,
+            a.programs, flow, at, curve, t, x, v, r, r ** s[FIRST_IMPACT], r ** s[LAST_IMPACT],
+            s[SHARE_FROM], s[SHARE_TO], room, look.shown,
         )  # fmt: skip
-        boxed(s[LAST_IMPACT] > 0.0, look)
+        boxed(s[LAST_IMPACT] < math.inf, look)
         if not fits(a, at, sight, x.shape[0], excess, room, look):
             if s[HALVINGS_LEFT] == 0.0:
                 return False
@@ -192,20 +197,28 @@ def halved(stretches: Matrix, place: int, r: float) -> None:
     s, other = stretches[place], stretches[place + 1]
     first, last, left = s[FIRST_IMPACT], s[LAST_IMPACT], s[HALVINGS_LEFT] - 1.0
     begin, end = s[SHARE_FROM], s[SHARE_TO]
-    if last >= r * first:
+    if first == last:
         put(s, first, last, begin, 0.5 * (begin + end), left)
         put(other, first, last, 0.5 * (begin + end), end, left)
     else:
-        put(s, first, 0.5 * (first + last), 0.0, 1.0, left)
-        put(other, 0.5 * (first + last), last, 0.0, 1.0, left)
+        middle = half_way(first, last, r)
+        put(s, first, middle, 0.0, 1.0, left)
+        put(other, middle + 1.0, last, 0.0, 1.0, left)
+
+
+def half_way(first: float, last: float, r: float) -> float:
+    """The last impact of the first half, in time, of those of a stretch."""
+    return first + math.floor(math.log(0.5 * (1.0 + r ** (last - first))) / math.log(r))
 
 
 def boxed(moves: bool, look: Look) -> None:
-    """Bounds of time (a flight more than the stretch itself), of gap speeds before impacts (down
-    to rest where the stretch ends there), and of states."""
+    """Bounds of time (within the flights), of gap speeds before impacts (down to rest where the
+    stretch ends there), and of states."""
     box, least, most = look.box, look.shown[STRETCH_POINTS], look.shown[STRETCH_POINTS + 1]
     n = box.shape[0] - STATE_ROWS
-    box[TIME_ROW, 0], box[TIME_ROW, 1] = least[n + 2], most[n + 3]
+    wider = BOX_MARGIN * (most[0] - least[0])
+    box[TIME_ROW, 0] = max(least[0] - wider, least[n + 2])
+    box[TIME_ROW, 1] = min(most[0] + wider, most[n + 3])
     box[SPEED_ROW, 0], box[SPEED_ROW, 1] = least[n + 1], most[n + 1] if moves else 0.0
     for j in range(n):
         wider = BOX_MARGIN * (most[j + 1] - least[j + 1])
@@ -222,21 +235,39 @@ def fits(
         return False
     results = a.bounds.index[sight, 2]
     fit = True
-    for k in range(OTHER_GUARDS):
+    acceleration = 0.0
+    for k in range(LAST_RATE):
         low, high = math.inf, -math.inf
         for i in range(STRETCH_POINTS):
             value = there(a, at, k, n, look.shown[i], room)
             low, high = min(low, value), max(high, value)
             fit = fit and not math.isnan(value)
         size = max(-low, high) if k == ACCELERATION else 1.0
+        acceleration = size if k == ACCELERATION else acceleration
         wide = high - low + excess * size
         top = math.nextafter(0.0, -math.inf) if k == ACCELERATION else 1.0 - LEAST_LOSS
         found = look.found[a.bounds.results[results + k]]
         fit = fit and low - wide <= found[0] and found[1] <= min(high + wide, top)
+    rate = look.found[a.bounds.results[results + LAST_RATE]]
+    fit = fit and smooth(max(-rate[0], rate[1]), longest(look.shown, n), acceleration, excess)
     for k in range(OTHER_GUARDS, a.bounds.index[sight, 3]):
         found = look.found[a.bounds.results[results + k]]
         fit = fit and (found[0] > 0.0 or found[1] < 0.0)
     return fit
+
+
+def smooth(rate: float, length: float, size: float, excess: float) -> bool:
+    """Whether an acceleration of a size, with a bound of its last rate, is a polynomial over a
+    flight of a length, but for an excess."""
+    return rate * length**RATES <= RATES_FACTORIAL * excess * size
+
+
+def longest(shown: Matrix, n: int) -> float:
+    """The longest flight of a stretch that is shown."""
+    length = 0.0
+    for i in range(STRETCH_POINTS):
+        length = max(length, shown[i, n + 3] - shown[i, n + 2])
+    return length
 
 
 def there(a: AutomatonArrays, at: int, what: int, n: int, point: Floats, room: Sums) -> float:

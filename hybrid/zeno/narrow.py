@@ -6,8 +6,10 @@ table, a restitution that changes at some speed) is looked for here, before the 
 - the restitution at every impact of the tail, down to speed zero, against that of the flights;
 - with python-flint the gap's acceleration and the restitution in boxes that hold the motion from
   the first impact to the limit: their bounds in doubles rounded outwards, and where these do not
-  decide in ball arithmetic. No pulse escapes them, however narrow it is. What they allow must be
-  what is there at points of the tail, but for :data:`EXCESS`;
+  decide in ball arithmetic. What they allow must be what is there at points of the tail, but for
+  :data:`EXCESS`. A pulse that is fainter than this, or that the points have met, is brief against
+  its flight and shows in the acceleration's rates of change: the last of :data:`RATES` must not
+  bend a flight by more than the same excess;
 - the guards of other edges in such boxes (:mod:`.others`), which must not be zero there.
 """
 
@@ -16,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from functools import cached_property
 from importlib.util import find_spec
-from itertools import pairwise
 from math import exp, inf, log, nextafter
 from typing import TYPE_CHECKING, Any
 
@@ -37,12 +38,15 @@ from ..rules.sights import (
     EXCESS,
     LAW_CAUTION,
     LAW_POINTS,
+    RATES,
+    RATES_FACTORIAL,
     SLOW_STEPS,
     SLOWEST,
     SPEED_ROW,
     STATE_ROWS,
     TAIL_HALVINGS,
     TIME_ROW,
+    half_way,
 )
 from ..rules.sums import LEAST_LOSS, SUM_FLOOR
 from ..rules.zeros import EPS
@@ -160,20 +164,21 @@ def damps(contact: Contact, t: float, x: list[float], speed: float, ratio: float
 
 @attrs.frozen(eq=False, slots=False)
 class Stretch:
-    """A stretch of a tail: the impacts from ``y(first)`` to ``y(last)``, ``first > last``.
+    """A stretch of a tail: the flights after the impacts ``first`` to ``last``, infinite for the limit.
 
-    ``begin``, ``end``: the shares of each flight after them that it is about.
+    ``begin``, ``end``: the shares of each flight that it is about.
     """
 
     tail: Tail
-    first: float
-    last: float
+    first: float = 0.0
+    last: float = inf
     begin: float = 0.0
     end: float = 1.0
 
     @cached_property
     def _shown(self) -> list[list[float]]:
-        return self.tail.shown(self.first, self.last, self.begin, self.end).tolist()
+        ends = self.tail.r**self.first, self.tail.r**self.last
+        return self.tail.shown(*ends, self.begin, self.end).tolist()
 
     @cached_property
     def points(self) -> list[tuple[float, list[float], float]]:
@@ -181,23 +186,27 @@ class Stretch:
         return [(t, x, u) for t, *x, u, _, _ in self._shown[:-2]]
 
     def box(self) -> dict[str, Any]:
-        """Bounds of time (a flight more than the stretch itself), states, and gap speeds before
-        impacts."""
-        (_, *low, slow, begin, _), (_, *high, fast, _, end) = self._shown[-2:]
+        """Bounds of time (within the flights), states, and gap speeds before impacts."""
+        (early, *low, slow, leaves, _), (late, *high, fast, _, lands) = self._shown[-2:]
         rooms = [BOX_MARGIN * (b - a) for a, b in zip(low, high, strict=True)]
         ends = zip(low, high, rooms, strict=True)
         inputs = named("x", ((nextafter(a - s, -inf), nextafter(b + s, inf)) for a, b, s in ends))
-        return inputs | {"t": (begin, end), "u": (slow, fast if self.last else 0.0)}
+        room = BOX_MARGIN * (late - early)
+        times = max(early - room, leaves), min(late + room, lands)
+        return inputs | {"t": times, "u": (slow, fast if self.last < inf else 0.0)}
+
+    @property
+    def longest(self) -> float:
+        """The time of its longest flight."""
+        return max(lands - leaves for *_, leaves, lands in self._shown[:-2])
 
     def halves(self) -> list[Stretch]:
         """Two stretches of about half the time each; of a single flight, its two parts."""
-        if self.last >= self.tail.r * self.first:
+        if self.first == self.last:
             middle = 0.5 * (self.begin + self.end)
-            parts = [self.begin, middle, self.end]
-            return [attrs.evolve(self, begin=a, end=b) for a, b in pairwise(parts)]
-        middle = 0.5 * (self.first + self.last)
-        ends = [self.first, middle, self.last]
-        return [Stretch(self.tail, a, b) for a, b in pairwise(ends)]
+            return [attrs.evolve(self, end=middle), attrs.evolve(self, begin=middle)]
+        middle = half_way(self.first, self.last, self.tail.r)
+        return [attrs.evolve(self, last=middle), attrs.evolve(self, first=middle + 1.0)]
 
 
 def _bounded(tail: Tail, excess: float) -> bool:
@@ -205,7 +214,7 @@ def _bounded(tail: Tail, excess: float) -> bool:
     if find_spec("flint") is None:
         return True
     try:
-        look, stretches = _look(tail), [(TAIL_HALVINGS, Stretch(tail, 1.0, 0.0))]
+        look, stretches = _look(tail), [(TAIL_HALVINGS, Stretch(tail))]
     except TraceError:  # an operation of which there are no balls
         return True
     while stretches:
@@ -226,6 +235,8 @@ def _fits(look: _Look, stretch: Stretch, excess: float) -> bool:
     least = [a - room for a, room in zip(low, rooms, strict=True)]
     most = [b + room for b, room in zip(high, rooms, strict=True)]
     most[0], most[-1] = min(most[0], nextafter(0.0, -inf)), min(most[-1], 1.0 - LEAST_LOSS)
+    brief = RATES_FACTORIAL * excess * sizes[0] / stretch.longest**RATES
+    least, most = [*least, -brief], [*most, brief]
     ranges = look.program.ranges(box)
     if ranges and all(map(_within, *zip(*ranges, strict=True), least, most)):
         return True
@@ -240,7 +251,8 @@ def _within(low: Any, high: Any, least: float, most: float) -> bool:
 
 @attrs.frozen(eq=False)
 class _Look:
-    """What is looked at in a field, as balls: the gap's acceleration, and last the restitution.
+    """What is looked at in a field, as balls: the gap's acceleration, the restitution, and last the
+    acceleration's last rate, which is not looked at at points.
 
     Where gap or flow change their formula at the impacts, they have here that of the side on which
     the flights are (of a distance ``|x|`` that at zero): balls about the place do not know it. In
@@ -303,7 +315,7 @@ def _look(tail: Tail) -> _Look:
 
     def at(t: float, x: list[float], u: float) -> list[float]:
         found = program.enclose({**given, **named("x", x), "t": t, "u": u})
-        return [float(each.value.mid()) for each in found]
+        return [float(each.value.mid()) for each in found[:-1]]
 
     return _Look(program, given, at)
 
@@ -336,7 +348,7 @@ class _Gap:
         if self.deciding is None:
             return {}
         given = named("p", flat(tail.field.parameters))
-        flown = [(t, x) for t, x, _ in Stretch(tail, 1.0, 0.0).points]
+        flown = [(t, x) for t, x, _ in Stretch(tail).points]
         found = []
         for t, x in [(tail.t + tail.remaining, tail.x_inf.tolist()), *flown]:
             each = self.deciding.enclose({**given, **named("x", x), "t": t})
@@ -366,8 +378,12 @@ class _Gap:
         graph, count = self.graph, 1 + len(self.flow)
         nodes = one_sided(graph, [self.gap, *self.flow], signs)
         rates = dict(zip(self.states, nodes[1:count], strict=True)) | {self.time: graph.const(1.0)}
-        roots = [along(graph, along(graph, n, rates), rates) for n in [nodes[0], *nodes[count:]]]
-        return IntervalProgram(graph, [*roots, self.law, *others])
+
+        def rate(node: int, times: int) -> int:
+            return rate(along(graph, node, rates), times - 1) if times else node
+
+        roots = [rate(n, 2) for n in [nodes[0], *nodes[count:]]]
+        return IntervalProgram(graph, [*roots, self.law, rate(roots[0], RATES), *others])
 
 
 def named(letter: str, values: Iterable[Any]) -> dict[str, Any]:

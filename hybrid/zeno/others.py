@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from importlib.util import find_spec
+from math import inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,10 +34,10 @@ def apart(tail: Tail) -> bool:
     others = [i for i in range(len(field.guards)) if i != tail.column]
     rounding = 64 * EPS * float(np.max(np.abs(tail.x_inf)))
     last = [i for i in others if abs(field.guards[i].value(t_inf, x_inf)) > rounding]
-    stretches = [(TAIL_HALVINGS, Stretch(tail, 1.0, 0.0))] if others else []
+    stretches = [(TAIL_HALVINGS, Stretch(tail))] if others else []
     while stretches:
         left, stretch = stretches.pop()
-        ending = not left and stretch.last == 0.0
+        ending = not left and stretch.last == inf
         if not excluded(field, last if ending else others, stretch.box()):
             if not left:
                 return False
