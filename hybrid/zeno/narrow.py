@@ -164,7 +164,7 @@ def damps(contact: Contact, t: float, x: list[float], speed: float, ratio: float
 
 @attrs.frozen(eq=False, slots=False)
 class Stretch:
-    """A stretch of a tail: the flights after the impacts ``first`` to ``last``, infinite for the limit.
+    """A stretch of a tail: the flights after impacts ``first`` to ``last``, infinite for the limit.
 
     ``begin``, ``end``: the shares of each flight that it is about.
     """
