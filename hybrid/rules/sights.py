@@ -34,9 +34,9 @@ __all__ = ("damped", "seen", "slows")
 EXCESS = 0.02
 
 #: That many rates of change of the gap's acceleration: over a flight of time ``d`` its Taylor
-#: polynomial of one degree less is off by ``bound * d**4 / 4!``. What acts for a share ``s`` of a
-#: flight has a rate of ``1 / s**4`` its size, so that nothing hides by being small and brief.
-RATES, RATES_FACTORIAL = 4, 24.0
+#: polynomial of one degree less is off by ``bound * d**3 / 3!``. What acts for a share ``s`` of a
+#: flight has rates of ``1 / s**3`` its size, so that nothing hides by being small and brief.
+RATES, RATES_FACTORIAL = 3, 6.0
 
 #: How often a tail is halved, at most. Three or four halvings leave one flight, five more a
 #: thirty-second of it, over which bounds of time, position and speed are as small.
@@ -87,12 +87,12 @@ def seen(
     while count > 0:
         count -= 1
         s = look.stretches[count]
-        shown(
+        points = shown(
             a.programs, flow, at, curve, t, x, v, r, r ** s[FIRST_IMPACT], r ** s[LAST_IMPACT],
             s[SHARE_FROM], s[SHARE_TO], room, look.shown,
         )  # fmt: skip
         boxed(s[LAST_IMPACT] < math.inf, look)
-        if not fits(a, at, sight, x.shape[0], excess, room, look):
+        if not fits(a, at, sight, x.shape[0], points, excess, room, look):
             if s[HALVINGS_LEFT] == 0.0:
                 return False
             halved(look.stretches, count, r)
@@ -227,45 +227,76 @@ def boxed(moves: bool, look: Look) -> None:
 
 
 def fits(
-    a: AutomatonArrays, at: int, sight: int, n: int, excess: float, room: Sums, look: Look
+    a: AutomatonArrays,
+    at: int,
+    sight: int,
+    n: int,
+    points: int,
+    excess: float,
+    room: Sums,
+    look: Look,
 ) -> bool:
     """Whether what is bounded is in the box what it is at the points, but for an excess, and no
-    other guard is zero there."""
+    other guard is zero there. The box is gone then."""
     if ranges(a.bounds, sight, look.box, look.found) < 0:
         return False
     results = a.bounds.index[sight, 2]
     fit = True
-    acceleration = 0.0
+    size = 0.0
     for k in range(LAST_RATE):
         low, high = math.inf, -math.inf
-        for i in range(STRETCH_POINTS):
+        for i in range(points):
             value = there(a, at, k, n, look.shown[i], room)
             low, high = min(low, value), max(high, value)
             fit = fit and not math.isnan(value)
-        size = max(-low, high) if k == ACCELERATION else 1.0
-        acceleration = size if k == ACCELERATION else acceleration
-        wide = high - low + excess * size
+        size = max(-low, high) if k == ACCELERATION else size
+        wide = high - low + excess * (size if k == ACCELERATION else 1.0)
         top = math.nextafter(0.0, -math.inf) if k == ACCELERATION else 1.0 - LEAST_LOSS
         found = look.found[a.bounds.results[results + k]]
         fit = fit and low - wide <= found[0] and found[1] <= min(high + wide, top)
-    rate = look.found[a.bounds.results[results + LAST_RATE]]
-    fit = fit and smooth(max(-rate[0], rate[1]), longest(look.shown, n), acceleration, excess)
     for k in range(OTHER_GUARDS, a.bounds.index[sight, 3]):
         found = look.found[a.bounds.results[results + k]]
         fit = fit and (found[0] > 0.0 or found[1] < 0.0)
-    return fit
+    return fit and steady(a, sight, n, points, excess, size, look)
 
 
-def smooth(rate: float, length: float, size: float, excess: float) -> bool:
-    """Whether an acceleration of a size, with a bound of its last rate, is a polynomial over a
-    flight of a length, but for an excess."""
-    return rate * length**RATES <= RATES_FACTORIAL * excess * size
+def brief(size: float, length: float) -> float:
+    """The least last rate of what bends a flight of a length by an acceleration of a size."""
+    return RATES_FACTORIAL * size / length**RATES
 
 
-def longest(shown: Matrix, n: int) -> float:
+def steady(
+    a: AutomatonArrays, sight: int, n: int, points: int, excess: float, size: float, look: Look
+) -> bool:
+    """Whether the last rate is small in a box, or what it is at the points, but for an excess. The
+    box and what has been found there are gone then."""
+    place = a.bounds.results[a.bounds.index[sight, 2] + LAST_RATE]
+    least, most = look.found[place, 0], look.found[place, 1]
+    small = brief(excess * size, longest(look.shown, n, points))
+    if -small <= least and most <= small:
+        return True
+    low, high = math.inf, -math.inf
+    for i in range(points):
+        at_point(look.shown[i], n, look.box)
+        if ranges(a.bounds, sight, look.box, look.found) < 0:
+            return False
+        low, high = min(low, look.found[place, 0]), max(high, look.found[place, 1])
+    wide = high - low + small + excess * max(-low, high)
+    return low - wide <= least and most <= high + wide
+
+
+def at_point(shown: Floats, n: int, box: Matrix) -> None:
+    """The box of one point that is shown."""
+    for end in range(2):
+        box[TIME_ROW, end], box[SPEED_ROW, end] = shown[0], shown[n + 1]
+        for j in range(n):
+            box[STATE_ROWS + j, end] = shown[j + 1]
+
+
+def longest(shown: Matrix, n: int, points: int) -> float:
     """The longest flight of a stretch that is shown."""
     length = 0.0
-    for i in range(STRETCH_POINTS):
+    for i in range(points):
         length = max(length, shown[i, n + 3] - shown[i, n + 2])
     return length
 

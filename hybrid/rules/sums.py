@@ -441,10 +441,12 @@ def shown(
 
     A row of ``out`` is the time, the state, the gap speed at the end of the flight, and the times
     at which this begins and ends. The state is a cubic through those at its ends and their rates.
+    Returns the number of points, fewer of a single flight.
     """
+    count = STRETCH_POINTS if first > last else POINTS_EACH
     n, lines, leaves, lands = x.shape[0], room.lines, 0.0, 0.0
     least, most = out[STRETCH_POINTS], out[STRETCH_POINTS + 1]
-    for i in range(STRETCH_POINTS):
+    for i in range(count):
         share = begin + (end - begin) * (i % POINTS_EACH) / (POINTS_EACH - 1)
         if i % POINTS_EACH == 0:
             w = last + (first - last) * (i // POINTS_EACH) / (STRETCH_FLIGHTS - 1)
@@ -462,7 +464,7 @@ def shown(
         for j in range(n + 4):
             least[j] = out[i, j] if i == 0 else min(least[j], out[i, j])
             most[j] = out[i, j] if i == 0 else max(most[j], out[i, j])
-    return 0
+    return count
 
 
 def end_of_flight(

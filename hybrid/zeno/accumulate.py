@@ -192,8 +192,9 @@ class Tail:
         tail = self.curve, self.t, self.x, self.v, self.r
         out = np.empty((STRETCH_POINTS + 2, len(self.x) + 4))
         with self.programs() as (programs, given):
-            unit("sums").shown(programs, 0, 1, *tail, first, last, begin, end, given, out)
-        return out
+            given_to = first, last, begin, end, given, out
+            points = unit("sums").shown(programs, 0, 1, *tail, *given_to)
+        return out[[*range(points), -2, -1]]
 
     @contextmanager
     def programs(self) -> Iterator[tuple[Programs, Sums]]:

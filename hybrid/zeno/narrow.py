@@ -8,8 +8,8 @@ table, a restitution that changes at some speed) is looked for here, before the 
   the first impact to the limit: their bounds in doubles rounded outwards, and where these do not
   decide in ball arithmetic. What they allow must be what is there at points of the tail, but for
   :data:`EXCESS`. A pulse that is fainter than this, or that the points have met, is brief against
-  its flight and shows in the acceleration's rates of change: the last of :data:`RATES` must not
-  bend a flight by more than the same excess;
+  its flight and shows in the acceleration's rates of change: the last of :data:`RATES` must be what
+  it is at the points, but for what bends a flight by the same excess;
 - the guards of other edges in such boxes (:mod:`.others`), which must not be zero there.
 """
 
@@ -39,13 +39,13 @@ from ..rules.sights import (
     LAW_CAUTION,
     LAW_POINTS,
     RATES,
-    RATES_FACTORIAL,
     SLOW_STEPS,
     SLOWEST,
     SPEED_ROW,
     STATE_ROWS,
     TAIL_HALVINGS,
     TIME_ROW,
+    brief,
     half_way,
 )
 from ..rules.sums import LEAST_LOSS, SUM_FLOOR
@@ -235,14 +235,30 @@ def _fits(look: _Look, stretch: Stretch, excess: float) -> bool:
     least = [a - room for a, room in zip(low, rooms, strict=True)]
     most = [b + room for b, room in zip(high, rooms, strict=True)]
     most[0], most[-1] = min(most[0], nextafter(0.0, -inf)), min(most[-1], 1.0 - LEAST_LOSS)
-    brief = RATES_FACTORIAL * excess * sizes[0] / stretch.longest**RATES
-    least, most = [*least, -brief], [*most, brief]
     ranges = look.program.ranges(box)
-    if ranges and all(map(_within, *zip(*ranges, strict=True), least, most)):
+    if ranges and all(map(_within, *zip(*ranges[:-1], strict=True), least, most)):
+        rate: tuple[Any, Any] = ranges[-1]
+    else:
+        found = look.program.enclose(box)
+        balls = [each.value for each in found]
+        if not all(each.defined for each in found) or not all(
+            map(_within, balls[:-1], balls[:-1], least, most)
+        ):
+            return False
+        rate = (balls[-1], balls[-1])
+    return _steady(look, stretch, *rate, excess, brief(excess * sizes[0], stretch.longest))
+
+
+def _steady(
+    look: _Look, stretch: Stretch, low: Any, high: Any, excess: float, small: float
+) -> bool:
+    """Whether the last rate is small, or what it is at the points, but for an excess."""
+    if _within(low, high, -small, small):
         return True
-    found = look.program.enclose(box)
-    balls = [each.value for each in found]
-    return all(each.defined for each in found) and all(map(_within, balls, balls, least, most))
+    rates = [look.rate(*point) for point in stretch.points]
+    least, most = min(rates), max(rates)
+    room = most - least + small + excess * max(-least, most)
+    return _within(low, high, least - room, most + room)
 
 
 def _within(low: Any, high: Any, least: float, most: float) -> bool:
@@ -252,7 +268,7 @@ def _within(low: Any, high: Any, least: float, most: float) -> bool:
 @attrs.frozen(eq=False)
 class _Look:
     """What is looked at in a field, as balls: the gap's acceleration, the restitution, and last the
-    acceleration's last rate, which is not looked at at points.
+    acceleration's last rate.
 
     Where gap or flow change their formula at the impacts, they have here that of the side on which
     the flights are (of a distance ``|x|`` that at zero): balls about the place do not know it. In
@@ -263,6 +279,7 @@ class _Look:
     program: Any
     given: dict[str, float]
     at: Callable[[float, list[float], float], list[float]]
+    rate: Callable[[float, list[float], float], float]
 
 
 def bounded(field: Field, contact: Contact) -> tuple[bool, Any]:
@@ -310,14 +327,21 @@ def _look(tail: Tail) -> _Look:
     signs = gap.signs(tail)
     program, given = _program(field, contact, gap, signs), parameters(field)
     lie, law = field.guards[tail.column].lie, contact.law
-    if not signs:
-        return _Look(program, given, lambda t, x, u: [lie(t, x)[2], law(t, x, u)])
 
-    def at(t: float, x: list[float], u: float) -> list[float]:
-        found = program.enclose({**given, **named("x", x), "t": t, "u": u})
-        return [float(each.value.mid()) for each in found[:-1]]
+    def every(t: float, x: list[float], u: float) -> list[float]:
+        point = {**given, **named("x", x), "t": t, "u": u}
+        if ranges := program.ranges(point):
+            return [0.5 * (low + high) for low, high in ranges]
+        found = program.enclose(point)
+        return [float(each.value.mid()) if each.defined else np.nan for each in found]
 
-    return _Look(program, given, at)
+    def plain(t: float, x: list[float], u: float) -> list[float]:
+        return [lie(t, x)[2], law(t, x, u)]
+
+    def signed(t: float, x: list[float], u: float) -> list[float]:
+        return every(t, x, u)[:-1]
+
+    return _Look(program, given, signed if signs else plain, lambda *point: every(*point)[-1])
 
 
 class _Gap:
