@@ -49,6 +49,20 @@ def test_run_writes_the_table_of_jumps_and_json(tmp_path):
     assert "--csv no/x.csv: no such folder" in refused
 
 
+def test_every_command_prints_json_or_nothing():
+    """What is known of a model or a measurement, as one document; ``--quiet`` says nothing."""
+    models = json.loads(call("list", "--json").stdout)
+    assert "bouncing_ball" in models
+    declared = json.loads(call("check", "two_walls", "--json").stdout)
+    assert declared["states"] == ["x", "v"]
+    short = "bench", "bouncing_ball", "--solvers", "taylor", "--rtol", "1e-6", "--repeats", 1
+    measured = json.loads(call(*short, "--json").stdout)
+    assert [timing["rtol"] for timing in measured["timings"]] == [1e-6]
+    for command in (["list"], ["check", "two_walls"], short):
+        quiet = call(*command, "-q")
+        assert (quiet.exit_code, quiet.output) == (0, "")
+
+
 def test_certify_prints_json():
     """The fields of the certificate, and the same exit codes."""
     box = "--box", "x=2:2.5", "--box", "v=-7:7"

@@ -167,8 +167,8 @@ class Bench:
             f"{steps:>9}{evaluations:>9}{timing.memory / 1024:>7.0f} KiB"
         )
 
-    def save(self, path: Any) -> None:
-        """Write all numbers as JSON, with the versions and the machine."""
+    def to_dict(self) -> dict[str, Any]:
+        """All numbers by name, with the versions and the machine, as JSON knows them."""
         fields = {
             "model": self.model,
             "against": self.against,
@@ -178,8 +178,13 @@ class Bench:
             "machine": self.machine,
             "timings": [_plain(attrs.asdict(timing)) for timing in self.timings],
         }
+        plain: dict[str, Any] = _plain(fields)
+        return plain
+
+    def save(self, path: Any) -> None:
+        """Write :meth:`to_dict` as JSON."""
         with open(path, "w", encoding="utf-8") as file:
-            json.dump(_plain(fields), file, indent=1, allow_nan=False)
+            json.dump(self.to_dict(), file, indent=1, allow_nan=False)
 
     def plot(self, path: Any = None) -> Any:
         """Draw time against error, a line a solver, with quartiles as bars.

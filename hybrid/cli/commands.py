@@ -208,6 +208,8 @@ def bench(
     out: Annotated[
         Path | None, typer.Option(help="A folder for the table, the figure and the numbers.")
     ] = None,
+    quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Speed against error on a model: several solvers at several tolerances, timed in turns.
 
@@ -229,15 +231,17 @@ def bench(
             rtol=tolerances(rtol),
             oracle=getattr(given.entry.module, "oracle", None) if own else None,
             repeats=repeats,
-            progress=_say if sys.stderr.isatty() else None,
+            progress=_say if sys.stderr.isatty() and not quiet else None,
             history=given.history,
             memory=memory,
         )
-        typer.echo(str(found))
+        if json or not quiet:
+            typer.echo(as_json(found.to_dict()) if json else str(found))
         if out is not None:
             name = Path(model.partition(":")[0]).stem
             _write(lambda: _keep(found, out, name))
-            typer.echo(f"table, figure, numbers: {out / name}.txt, .png, .json")
+            if not (quiet or json):
+                typer.echo(f"table, figure, numbers: {out / name}.txt, .png, .json")
 
 
 def _say(line: str) -> None:
@@ -290,7 +294,8 @@ def sweep(
         if status is not None:
             found = stored(status)
             said = "{model}: {done} of {blocks} blocks are done, {lanes} lanes in all"
-            typer.echo(as_json(found) if json else said.format(**found))
+            if json or not quiet:
+                typer.echo(as_json(found) if json else said.format(**found))
             return
         if model is None:
             raise OptionError("hybrid sweep MODEL --over NAME=FROM:TO:COUNT, or --status map.zarr")
@@ -363,14 +368,22 @@ def certify(
 
 
 @app.command("list")
-def list_() -> None:
+def list_(quiet: Quiet = False, json: Json = False) -> None:
     """The models of the gallery."""
-    for name in gallery.names():
-        typer.echo(f"{name:16} {gallery.summary(name)}")
+    known = {name: gallery.summary(name) for name in gallery.names()}
+    if json:
+        typer.echo(as_json(known))
+    elif not quiet:
+        for name, summary in known.items():
+            typer.echo(f"{name:16} {summary}")
 
 
 @app.command()
-def check(file: Annotated[str, typer.Argument(help="FILE.py, or a name in the gallery.")]) -> None:
+def check(
+    file: Annotated[str, typer.Argument(help="FILE.py, or a name in the gallery.")],
+    quiet: Quiet = False,
+    json: Json = False,
+) -> None:
     """Check a model's declaration: all its faults, or what it declares."""
     from ..automaton.past import blank
     from ..lowering import Scene
@@ -389,11 +402,18 @@ def check(file: Annotated[str, typer.Argument(help="FILE.py, or a name in the ga
         except DeclarationError as fault:
             typer.echo(str(fault), err=True)
             raise typer.Exit(2) from None
-    edges = ", ".join(dict.fromkeys(edge.name for edge in spec.transitions)) or "none"
-    modes = ", ".join(scene.modes)
-    states = ", ".join(spec.names)
-    lags = "; lags " + ", ".join(lag.name for lag in spec.lags) if spec.lags else ""
-    typer.echo(f"{spec.model}: no faults. States {states}; modes {modes}; edges {edges}{lags}.")
+    declared = {
+        "states": spec.names,
+        "modes": list(scene.modes),
+        "edges": list(dict.fromkeys(edge.name for edge in spec.transitions)),
+        "lags": [lag.name for lag in spec.lags],
+    }
+    if json:
+        typer.echo(as_json({"model": spec.model, **declared}))
+    elif not quiet:
+        words = [f"{what} {', '.join(names) or 'none'}" for what, names in declared.items()]
+        said = "; ".join(words if spec.lags else words[:-1])
+        typer.echo(f"{spec.model}: no faults. S{said[1:]}.")
 
 
 @app.command()
@@ -402,18 +422,29 @@ def report(
     only: Annotated[
         list[str] | None, typer.Option(help="A section: existence, beam ... May be repeated.")
     ] = None,
+    quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Reproduce the paper *Analysis of Impact Chattering*: a page of claims and verdicts."""
+    judged: list[Any] = []
+    tell = partial(_judged, judged, quiet or json)
     with _one_line():
-        path = gallery.paper().report(out, only or [], _judged)
-    typer.echo(f"page: {path}")
+        path = gallery.paper().report(out, only or [], tell)
+    if json:
+        typer.echo(as_json({"page": str(path), "claims": judged}))
+    elif not quiet:
+        typer.echo(f"page: {path}")
 
 
-def _judged(section: Any, seconds: float) -> None:
-    """The verdicts of one section of the report."""
-    typer.echo(f"{section.title} ({seconds:.0f} s)")
+def _judged(judged: list[Any], silent: bool, section: Any, seconds: float) -> None:
+    """Keep the verdicts of one section of the report, and say them."""
+    if not silent:
+        typer.echo(f"{section.title} ({seconds:.0f} s)")
     for claim in section.claims:
-        typer.echo(f"  {claim.verdict.value:14} {claim.place}: {claim.found}")
+        verdict = claim.verdict.value
+        judged.append({"place": claim.place, "verdict": verdict, "found": claim.found})
+        if not silent:
+            typer.echo(f"  {verdict:14} {claim.place}: {claim.found}")
 
 
 def _simulate(model: Any, start: Any, span: tuple[float, float], **options: Any) -> Trajectory:
