@@ -261,8 +261,10 @@ def fits(
 
 
 def brief(size: float, length: float) -> float:
-    """The least last rate of what bends a flight of a length by an acceleration of a size."""
-    return RATES_FACTORIAL * size / length**RATES
+    """The least last rate of what bends a flight of a length by an acceleration of a size; none
+    bends one that is too short for a float."""
+    shares = length**RATES
+    return RATES_FACTORIAL * size / shares if shares > 0.0 else math.inf
 
 
 def steady(
