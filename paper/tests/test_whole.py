@@ -22,7 +22,7 @@ def test_the_whole_page(tmp_path, monkeypatch):
     on a wide and a narrow screen, without a complaint; the slider over r changes the curve.
     """
     sections = []
-    monkeypatch.setattr("hybrid.cli.commands._judged", lambda _, __, section, ___: sections.append(section))
+    monkeypatch.setattr("hybrid.cli.commands._judged", lambda *told: sections.append(told[2]))
     done = CliRunner().invoke(app, ["report", "--out", str(tmp_path)])
     assert done.exit_code == 0, done.output
     assert tuple(section.name for section in sections) == paper.SECTIONS
