@@ -18,6 +18,7 @@ from ..rules.guards import GUARD_ROUNDING
 from ..rules.zeros import EPS
 from ..trajectory.clock import Instant
 from .entry import Jumped, opened, signs_at_end
+from .noting import add_jump
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -50,7 +51,7 @@ def pass_knot(driver: Driver, t: float, x: StateVector) -> None:
         driver.watch.reset()
         if edge not in off:
             driver.record.released(edge.removesuffix(RELEASE_SUFFIX), t)
-        driver.add_jump(edge, x, x)
+        add_jump(driver, edge, x, x)
     driver.look(x)
     driver.cycles.forget()
     if off:

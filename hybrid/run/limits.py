@@ -14,6 +14,7 @@ from ..rules.zeros import EPS
 from ..zeno.cycle import CycleLimit
 from ..zeno.narrow import damps
 from ..zeno.others import excluded, hull
+from .accumulations import pass_cycle
 from .cycles import ZERO, Cycles, Seen, Turn
 from .instant import collapse
 
@@ -132,7 +133,7 @@ def pass_limit(driver: Driver, mode: str) -> bool:
         return False
     slower = _at_once(driver, mode) if cycles.stands else None
     if slower is not None:
-        driver.pass_cycle(slower, cycles.seen.x[-1].copy(), mode)
+        pass_cycle(driver, slower, cycles.seen.x[-1].copy(), mode)
         return True
     sought = _sought(cycles, plan)
     known = driver.until(driver.known, driver.scene.field(mode), cycles.seen.x[-1])
@@ -154,7 +155,7 @@ def pass_limit(driver: Driver, mode: str) -> bool:
             cycles.again()
             return False
         found = attrs.evolve(found, limits=_named(turn))
-    driver.pass_cycle(found, cycles.seen.x[-1].copy(), mode)
+    pass_cycle(driver, found, cycles.seen.x[-1].copy(), mode)
     return True
 
 

@@ -91,7 +91,10 @@ from ..trajectory.plan import PATIENCE
 from ..trajectory.trajectory import Status
 from ..zeno.accumulate import Tail
 from ..zeno.narrow import bounded
+from . import noting
+from .accumulations import pass_sum
 from .entry import Jumped
+from .jumps import bounce
 from .knots import Feed, pass_knot
 from .limits import pass_limit
 from .outside import Outside
@@ -589,7 +592,7 @@ class Machine:
             last = next((place for place in sums if place > begin), made)
             rung = np.flatnonzero(self.tables.rings[fired[begin:last]])
             t, low, _ = left.when[begin:last].T
-            end = begin + driver.room(t, low, rung)
+            end = begin + noting.room(driver, t, low, rung)
             due = self._flown(left, begin, end)
             guard, after = self.tables.guards[fired[end - 1]], left.after[end - 1].copy()
             to = fields[end] if guard.kind == "switch" else guard.to
@@ -641,7 +644,7 @@ class Machine:
         column = field.column(guard.edge)
         errors, x_inf, at_rest = rows[ERRORS, :-1], rows[AT_LIMIT, :-2], rows[AT_REST, :-2]
         curve = r, rows[: int(degree) + 1], remaining, x_inf, float(errors[0]), errors[1:]
-        driver.pass_sum(Tail(field, contact, column, now.t, now.low, entry.x, v, *curve), at_rest)
+        pass_sum(driver, Tail(field, contact, column, now.t, now.low, entry.x, v, *curve), at_rest)
 
     def _flown(self, left: Left, begin: int, end: int) -> bool:
         """Add the arcs that end with some of the jumps; whether it is time to look for cycles."""
@@ -659,7 +662,7 @@ class Machine:
         since = driver.record.j, modes, now.t, now.low
         flights = Flights(*since, first, lengths, jumps, steps, onto)
         driver.steps += count
-        return driver.flown(flights)
+        return noting.flown(driver, flights)
 
     def _flown_in(self, left: Left, begin: int, end: int) -> tuple[Steps | None, int]:
         """The steps of some of the arcs, if they are kept, and how many; the first has the held."""
@@ -728,7 +731,7 @@ class Machine:
                 driver.record.memory.told = False
             driver.entry = attrs.evolve(driver.entry, field=driver.field)
             if self.ints[WAS_LOW]:
-                driver.bounce(self._fired, before, left.after[place].copy(), speed)
+                bounce(driver, self._fired, before, left.after[place].copy(), speed)
             elif self._fired.kind == "clock":
                 driver.ring(self._fired, float(self.floats[DUE]), before)
             else:

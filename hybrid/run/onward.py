@@ -20,6 +20,7 @@ from ..trajectory.trajectory import Solution, Status
 from .cycles import Columns
 from .driver import Driver
 from .entry import Entry, Jumped, signs_at_end
+from .noting import note
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -78,7 +79,7 @@ def _recall(driver: Driver, run: Solution, place: int, arc: Arc, row: JumpRow) -
     field, cycles = scene.field(arc.mode), driver.cycles
     guard = field.guard(row.edge)
     clock = cycles.clock(scene, field, guard, arc.t0, arc.first, arc.length)
-    driver.note(Columns.of(row.edge, arc.mode, row.t, row.low, clock, row.after))
+    note(driver, Columns.of(row.edge, arc.mode, row.t, row.low, clock, row.after))
     if row.edge in driver.scene.contacts:
         driver.watch.saw(row.edge)
     else:

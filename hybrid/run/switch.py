@@ -13,6 +13,7 @@ from ..rules import unit
 from ..rules.switches import CROSSES, UNSETTLED
 from .entry import Jumped, heading
 from .limits import pass_limit
+from .noting import add_jump
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -27,7 +28,7 @@ def meet(driver: Driver, guard: Guard, x: StateVector) -> None:
         x = np.array(field.project(driver.t, x.tolist()))
         driver.record.end_on(x)
     driver.watch.reset()
-    if driver.add_jump(guard.edge, x, x) and pass_limit(driver, mode):
+    if add_jump(driver, guard.edge, x, x) and pass_limit(driver, mode):
         return
     driver.enter(mode, x, Jumped(vanishing(guard, field)))
 
@@ -36,7 +37,7 @@ def leave(driver: Driver, guard: Guard, x: StateVector) -> None:
     """Sliding ends: the surface function and its rate vanish in the mode that follows."""
     overdue = bool(driver.entry.at_once) or driver.forgets
     driver.watch.reset()
-    driver.add_jump(guard.edge, x, x)
+    add_jump(driver, guard.edge, x, x)
     known = vanishing(guard, driver.scene.field(guard.to))
     driver.enter(guard.to, x, Jumped(dict.fromkeys(known, 1) if overdue else known))
 

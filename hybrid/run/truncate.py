@@ -20,6 +20,7 @@ from ..trajectory.accumulation import Accumulation, Truncation
 from ..trajectory.arcs import Part, TailPart
 from ..zeno.flight import rise
 from .entry import Jumped
+from .noting import add_jump
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -50,7 +51,7 @@ def hold(driver: Driver, contact: Contact, x: StateVector, field: Field) -> bool
     point.truncation = cut
     record.limit_point(point, None)
     driver.watch.reset()
-    driver.add_jump(f"{contact.name}.hold", x, still)
+    add_jump(driver, f"{contact.name}.hold", x, still)
     driver.enter(field.mode, still, Jumped(held=held))
     return True
 
@@ -71,11 +72,7 @@ def _left_out(
     full.record.now, full.watch.contact, full.watch.count = driver.record.now, contact.name, 1
     column = field.column(contact.name)
     guard = field.guards[column]
-    hop = full.hop(contact, x, guard.lie(driver.t, x.tolist())[1], field.name)
-    if hop is None:
-        full.enter(field.mode, x, Jumped({contact.name: 1}, field.held))
-    else:
-        full.bounce(guard, *hop)
+    full.fly_on(field, guard, x)
     full.go_on()
     parts, _ = full.record.log.apart()
     height = _height(parts[0], field, column)

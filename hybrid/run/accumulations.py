@@ -1,0 +1,163 @@
+"""Over an accumulation point, into what follows it: sums of impacts, and limits of cycles."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import JumpLoopError
+from ..lowering import Contact, Field
+from ..segment import Segment
+from ..trajectory.accumulation import Accumulation
+from ..trajectory.arcs import TailPart
+from ..trajectory.plan import PATIENCE
+from ..trajectory.trajectory import Status
+from ..zeno.accumulate import Tail, clear, close
+from ..zeno.cycle import CycleLimit
+from ..zeno.narrow import seen
+from ..zeno.others import apart
+from . import truncate
+from .entry import Jumped
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import StateVector
+    from .driver import Driver
+
+
+def accumulate(driver: Driver, contact: Contact, x: StateVector, v: float, name: str) -> bool:
+    """Sum the impacts from here on, or cut them off; False if the run goes on as it was.
+
+    ``name``: the mode, and the contacts held in it.
+    """
+    watch = driver.watch
+    field = driver.scene.field(name, (contact.name,))
+    if driver.plan.zeno == "truncate":
+        return truncate.hold(driver, contact, x, field)
+    if field.hurried or watch.count < driver.plan.patience or not 0 < v <= PATIENCE * watch.tried:
+        return False
+    watch.tried = v
+    tail, until = summed(driver, contact, x, v, field), driver.until(driver.horizon, field, x)
+    if tail is None or driver.record.now.after(tail.remaining).until(until) < 0:
+        return False
+    memory = driver.record.memory
+    if memory is not None and not memory.stays(TailPart(tail, driver.record.j)):
+        return False
+    pass_sum(driver, tail)
+    return True
+
+
+def summed(driver: Driver, contact: Contact, x: StateVector, v: float, field: Field) -> Tail | None:
+    """The sum of all impacts from here on; None where there is none (yet).
+
+    Where something may hide on the way to the limit, steps are watched until a sum is found.
+    """
+    column, now, plan = field.column(contact.name), driver.record.now, driver.plan
+    rtol, atol = plan.closing * plan.rtol, plan.closing * plan.limit
+    tail = close(field, contact, column, now.t, now.low, x, v, rtol, atol)
+    if tail is None or not (clear(tail, field, column) and apart(tail)):
+        return None
+    whole = seen(tail, plan.closing)
+    driver.wary |= not whole
+    return tail if whole else None
+
+
+def pass_sum(driver: Driver, tail: Tail, at_rest: StateVector | None = None) -> None:
+    """Go over an accumulation point, into what follows it.
+
+    ``at_rest``: the state there, on the contacts held, where nobody need look at it.
+    """
+    contact, record, part = tail.contact, driver.record, TailPart(tail, driver.record.j)
+    record.keep(part)
+    record.j += tail.count
+    record.now = record.now.after(tail.remaining)
+    driver.tied, driver.spent = {}, frozenset((contact.name,))
+    held = (*tail.field.held, contact.name)
+    after = (tail.field.mode, held) if contact.rests else None
+    driver.wary = driver.plan.watchful is not None
+    _go_on_from(driver, tail, (contact.name,), tail.r, after, at_rest)
+
+
+def pass_cycle(driver: Driver, found: CycleLimit, x: StateVector, mode: str) -> None:
+    """Go over the limit of a cycle, which the last jump led on towards from ``x`` in a mode.
+
+    The part between them is kept as a straight line.
+    """
+    record, held = driver.record, driver.still_held(mode, x)
+    straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, found.x_inf])
+    segments = [Segment(0.0, found.remaining, straight)] if found.remaining else []
+    field = driver.scene.field(driver.scene.name(mode, held))
+    record.arc(field, x, found.x_inf, found.remaining, segments)
+    if not found.remaining:  # impacts at one instant may have opened others
+        held = driver.still_held(mode, found.x_inf)
+    after = _after(driver, found.edges, held)
+    if after is not None and not np.isfinite(driver.closed(*after, found.x_inf)).all():
+        after = None  # contacts that close on a body from both sides leave it no rest
+    _go_on_from(driver, found, found.edges, found.ratio, after)
+
+
+def _after(
+    driver: Driver, cycle: tuple[str, ...], held: tuple[str, ...]
+) -> tuple[str, tuple[str, ...]] | None:
+    """What follows a cycle: the mode that its author names, or the rest of its contacts, beside
+    which there may be events, which bound nothing."""
+    spec = driver.scene.spec
+    named = spec.mode_after(cycle)
+    if named is not None:
+        return named.name, ()
+    edges = [e for e in spec.transitions if e.name in cycle]
+    contacts = [e for e in edges if getattr(e, "rests", False)]
+    events = sum(not driver.scene.code.bounds(e, driver.scene.values) for e in edges)
+    if len(contacts) + events < len(edges) or len({e.to for e in contacts}) != 1:
+        return None
+    return contacts[0].to, (*held, *(e.name for e in contacts))
+
+
+def _go_on_from(
+    driver: Driver,
+    limit: Tail | CycleLimit,
+    edges: tuple[str, ...],
+    ratio: float,
+    after: tuple[str, tuple[str, ...]] | None,
+    at_rest: StateVector | None = None,
+) -> None:
+    """From an accumulation into what follows it: a mode, and the contacts held there."""
+    record, zeno = driver.record, driver.plan.zeno
+    rest = driver.scene.name(*after) if after and zeno == "rest" else None
+    state = driver.scene.spec.record(limit.x_inf)
+    point = Accumulation(driver.t, state, ratio, edges, "estimated", rest, record.j)
+    if isinstance(limit, Tail):
+        point._proofs, point._since = limit.prove, driver.cycles.first_of(limit.contact.name)
+    else:
+        named = ((edge, driver.scene.spec.record(x)) for edge, x in limit.limits)
+        point.limits = tuple(named)
+    record.limit_point(point, limit)
+    _require_apart(driver, limit.x_inf)
+    driver.watch.reset()
+    driver.cycles.forget()
+    if rest is None:
+        driver.status = Status.NO_REST if zeno == "rest" else Status.ZENO_STOPPED
+    elif len(record.zeno) == driver.plan.accumulations:
+        driver.status = Status.ZENO_STOPPED
+    if after and at_rest is not None:
+        driver.begin(driver.own.field(driver.scene.name(*after)), at_rest, Jumped)
+        driver.seen = np.maximum(driver.seen, np.abs(limit.x_inf))
+    elif after:
+        driver.enter(after[0], limit.x_inf, Jumped(held=after[1], limit=frozenset(edges)))
+
+
+def _require_apart(driver: Driver, x: StateVector) -> None:
+    """Refuse to go on where accumulations accumulate in turn: no sum of sums is made.
+
+    Impacts go on until rounding holds the contact, or keeps it from that; an edge's guard that
+    rounding hides is passed over.
+    """
+    impacts = driver.scene.contacts.intersection(driver.record.zeno[-1].edges)
+    t = driver.record.stalls() if impacts else driver.record.heaps()
+    if t is not None:
+        edges = ", ".join(driver.record.latest())
+        raise JumpLoopError(
+            f"{driver.where(x)}: the accumulations of {edges} accumulate in turn, about at "
+            f"t = {t:.8g}, and what is beyond is not known; end the run before that, or at "
+            f"the first accumulation with zeno='stop'"
+        )

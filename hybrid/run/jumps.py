@@ -1,0 +1,208 @@
+"""Jumps that the rules' own loop leaves: resets, releases, impacts and the low flights after them.
+
+Numbers in brackets are the rules of ``docs/semantics.md``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..automaton.markers import TERMINATE
+from ..bounds.defect import follows
+from ..errors import FlowError, JumpLoopError
+from ..lowering import Contact, Field, Guard, released
+from ..rules import unit
+from ..rules.guards import GUARD_ROUNDING, NEAR
+from ..rules.places import PULLED, RISES
+from ..rules.zeros import EPS
+from ..trajectory.arcs import Arc
+from ..trajectory.trajectory import Status
+from ..zeno.accumulate import hop
+from . import switch
+from .accumulations import accumulate
+from .entry import Entry, Jumped, before_impact, beyond_kinks, opened
+from .limits import pass_limit
+from .noting import add_jump
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import StateVector
+    from .driver import Driver
+
+
+def carry_out(driver: Driver, guard: Guard, x: StateVector, carried: bool = False) -> None:
+    """Carry out the jump of a guard that fired; ``carried``: without having been zero."""
+    driver.tied = {edge: sign for edge, sign in driver.tied.items() if edge != guard.edge}
+    driver.spent |= {guard.edge}
+    if guard.kind == "contact":
+        _impact(driver, guard, x)
+    elif guard.kind == "release":
+        _release(driver, guard, x, carried)
+    elif guard.kind == "switch":
+        switch.meet(driver, guard, x)
+    elif guard.kind == "leave":
+        switch.leave(driver, guard, x)
+    elif guard.kind == "window":
+        driver.pass_window(guard, x)
+    else:
+        _reset(driver, guard, x, carried)
+
+
+def _reset(driver: Driver, guard: Guard, before: StateVector, carried: bool) -> None:
+    t = driver.t
+    after = np.array(driver.scene.reset(guard.edge)(t, before.tolist()))
+    _require_finite(driver, guard.edge, before, after)
+    came = came_by(driver, guard, before, after)
+    if carried or driver.forgets or has_jumped(driver, guard, before):
+        came.vanishing = {}
+    came.held = driver.still_held(guard.to, after)
+    driver.watch.reset()
+    if guard.to == TERMINATE:
+        add_jump(driver, guard.edge, before, after)
+        driver.status, driver.mode = Status.TERMINATED, driver.entry.field.mode
+        return
+    if not (add_jump(driver, guard.edge, before, after) and pass_limit(driver, guard.to)):
+        driver.enter(guard.to, after, came)
+
+
+def came_by(driver: Driver, guard: Guard, before: StateVector, after: StateVector) -> Jumped:
+    """What is known of a state from the reset that led to it: whether that leaves the guard
+    where it is, and some of its motion, which it does not turn round."""
+    here, there = (guard.lie(driver.t, x.tolist()) for x in (before, after))
+    onwards = here[1] * there[1] > 64 * EPS * here[1] * here[1]
+    beyond = guard.urgent and has_jumped(driver, guard, before)
+    known = {guard.edge: 1} if here[0] == there[0] and not beyond else {}
+    return Jumped(known, used=guard.edge, onwards=bool(onwards))
+
+
+def has_jumped(driver: Driver, guard: Guard, x: StateVector) -> bool:
+    """Whether a guard that fired is not zero: it may jump up from zero there, as a saw does, or
+    be urgent."""
+    if not (guard.jumps or guard.urgent):
+        return False
+    size = driver.scene.rounding(guard, driver.entry.field)(driver.t, x.tolist())[0]
+    return bool(abs(guard.value(driver.t, x.tolist())) > NEAR * size)
+
+
+def _release(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> None:
+    field = driver.entry.field
+    overdue = carried or bool(driver.entry.at_once)  # the load is negative, not zero
+    contact = released(guard.edge)
+    driver.record.released(contact, driver.t)
+    driver.watch.reset()
+    add_jump(driver, guard.edge, x, x)
+    known = {contact: PULLED if overdue or driver.forgets else RISES}
+    if carried and opened(driver.scene, field.mode, contact, driver.t, x):
+        known = {}
+    held = tuple(name for name in field.held if name != contact)
+    driver.enter(field.mode, x, Jumped(known, held))
+
+
+def _impact(driver: Driver, guard: Guard, x: StateVector) -> None:
+    contact = driver.scene.contact(guard.edge)
+    before = np.array(contact.land(driver.t, x.tolist()))
+    driver.record.end_on(before)
+    _require_one_speed(driver, guard, before)
+    *state, speed = contact.impact(driver.t, before.tolist())
+    after = np.array(state)
+    _require_finite(driver, guard.edge, before, after)
+    if speed < 0:
+        raise FlowError(
+            f"{driver.where(before)}: the restitution of {guard.edge} gives the speed "
+            f"{speed:.6g} after the impact; it must not be negative"
+        )
+    bounce(driver, guard, before, after, speed)
+
+
+def _require_one_speed(driver: Driver, guard: Guard, x: StateVector) -> None:
+    """Refuse a gap whose formula at zero is not that of the side from which it is reached.
+
+    The first impact of a contact shows it. Where the gap has a corner at zero, as a distance
+    has, that is asked again wherever a flight may have come from the other side.
+    """
+    field, t = driver.entry.field, driver.t
+    there = driver.scene.field(field.name, (guard.edge,))
+    if not guard.kinks or (there is field and guard.edge in driver.struck):
+        return
+    driver.struck.add(guard.edge)
+    back, beside = before_impact(driver.scene, field, guard, t, x)
+    came = guard.lie(back, beside.tolist())[1]
+    _, here, bend = there.guards[field.column(guard.edge)].lie(t, x.tolist())
+    if not abs(here - came) <= NEAR * abs(came) + 2.0 * abs(bend) * (t - back):
+        raise FlowError(
+            f"{driver.where(x)}: the gap of {guard.edge} changes its formula where it is zero: "
+            f"its speed there is {here:.6g}, and was {came:.6g} just before; write the formula "
+            "that holds where the gap is positive"
+        )
+
+
+def bounce(
+    driver: Driver, guard: Guard, before: StateVector, after: StateVector, speed: float
+) -> None:
+    """Record an impact and those after low flights, then begin the next arc."""
+    while True:
+        held = driver.still_held(guard.to, after)
+        after = driver.closed(guard.to, held, after)
+        driver.watch.saw(guard.edge)
+        due = add_jump(driver, guard.edge, before, after)
+        driver.mode = driver.scene.name(guard.to, held)
+        contact = driver.scene.contact(guard.edge)
+        if driver.status is not None or accumulate(driver, contact, after, speed, driver.mode):
+            return
+        if due and pass_limit(driver, guard.to):
+            return
+        low = low_flight(driver, contact, after, speed, driver.mode)
+        if low is None:
+            break
+        before, after, speed = low
+    known, last = {guard.edge: 1 if speed > 0 else 2}, driver.record.log.kept[-1]
+    series = driver.watch.count > 1 and isinstance(last, Arc) and last.length > 0
+    driver.enter(guard.to, after, Jumped(known, held, series=series))
+
+
+def _require_series(driver: Driver, contact: str, x: StateVector, field: Field) -> None:
+    """Refuse to go on by impacts that have no sum because their flow has no series."""
+    if field.jets is None and driver.watch.count > 1:
+        raise JumpLoopError(
+            f"{driver.where(x)}: the impacts of {contact} accumulate, and cannot be summed: "
+            f"{field.refused}; near the contact it must be a smooth function of a few numbers"
+        )
+
+
+def low_flight(
+    driver: Driver, contact: Contact, x: StateVector, v: float, name: str
+) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """A flight so low that the gap would drown in the rounding of the state (7).
+
+    It is flown by its series, in which gap and gap speed are coordinates of their own.
+    Returns the states before and after the next impact and the gap's speed; None where
+    the flight is higher, or another guard comes near.
+    """
+    field, t, reach = driver.scene.field(name, (contact.name,)), driver.t, driver.reach(x)
+    column = field.column(contact.name)
+    guard = field.guards[column]
+    if field.hurried:
+        return None
+    there = beyond_kinks(field, (*guard.kinks, *field.changes), t, x)
+    force = guard.lie(there[0], there[1].tolist())[2]
+    if not unit("hops").drowns(v, force, reach):
+        return None
+    if unit("hops").drowns(v, force, NEAR * reach):  # a dozen digits of the gap are rounding
+        _require_series(driver, contact.name, x, field)
+    flown = hop(field, contact, column, t, x, v, GUARD_ROUNDING * EPS * reach)
+    until = driver.until(driver.known, field, x)
+    if flown is None or driver.record.now.after(flown[0]).until(until) < 0:
+        return None
+    time, segments, before, after, speed = flown
+    if driver.wary and not follows(field, t, segments):
+        return None
+    driver.record.arc(field, x, before, time, segments)
+    driver.entry = Entry(field, before, None, [], [])
+    return before, after, speed
+
+
+def _require_finite(driver: Driver, edge: str, before: StateVector, after: StateVector) -> None:
+    if not np.isfinite(after).all():
+        state = driver.scene.spec.record(after)
+        raise FlowError(f"{driver.where(before)}: the reset of {edge} gives {state}")
