@@ -27,7 +27,7 @@ from .places import (
 )
 from .zeros import EPS
 
-__all__ = ("latest",)
+__all__ = ("latest", "since")
 
 
 def latest(a: AutomatonArrays, now: Now, room: Room, t: float) -> tuple[int, float]:
@@ -90,7 +90,15 @@ def ago(a: AutomatonArrays, now: Now, room: Room, guard: int, t: float) -> float
     row, before = row_of(a, program, field, guard), now.signs[place]
     value, rate = room.aside[row, 0], room.aside[row, 1]
     size, _, _ = sizes_of(a, room, guard, t, now.end)
-    rounding = GUARD_ROUNDING * EPS * size + 2.0 * now.zeros[place, OFF]
+    return since(value, rate, before, t, GUARD_ROUNDING * EPS * size + 2.0 * now.zeros[place, OFF])
+
+
+def since(value: float, rate: float, before: int, t: float, rounding: float) -> float:
+    """How long before a time a guard has fired, by its value and rate there: 0 where it is zero, in
+    spacings of the time and in its ``rounding``; below zero if it has not fired yet.
+
+    ``before``: the sign that it had on the way; 0 asks only whether it is zero.
+    """
     if abs(value) <= TIE * EPS * abs(t) * abs(rate) + rounding:
         return 0.0
     if value * before >= 0.0:

@@ -1,4 +1,4 @@
-"""Over an accumulation point, into what follows it: sums of impacts, and limits of cycles."""
+"""What follows an accumulation point, of the impacts of one contact or of a cycle of jumps."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 
 def accumulate(driver: Driver, contact: Contact, x: StateVector, v: float, name: str) -> bool:
-    """Sum the impacts from here on, or cut them off; False if the run goes on as it was.
+    """Sum all impacts from here on, or cut the series off; False if the run goes on unchanged.
 
-    ``name``: the mode, and the contacts held in it.
+    ``name``: the mode and its held contacts.
     """
     watch = driver.watch
     field = driver.scene.field(name, (contact.name,))
@@ -50,7 +50,7 @@ def accumulate(driver: Driver, contact: Contact, x: StateVector, v: float, name:
 def summed(driver: Driver, contact: Contact, x: StateVector, v: float, field: Field) -> Tail | None:
     """The sum of all impacts from here on; None where there is none (yet).
 
-    Where something may hide on the way to the limit, steps are watched until a sum is found.
+    Where an event may hide between here and the limit, steps are watched until a sum is found.
     """
     column, now, plan = field.column(contact.name), driver.record.now, driver.plan
     rtol, atol = plan.closing * plan.rtol, plan.closing * plan.limit
@@ -63,9 +63,9 @@ def summed(driver: Driver, contact: Contact, x: StateVector, v: float, field: Fi
 
 
 def pass_sum(driver: Driver, tail: Tail, at_rest: StateVector | None = None) -> None:
-    """Go over an accumulation point, into what follows it.
+    """Pass the accumulation point of a sum of impacts.
 
-    ``at_rest``: the state there, on the contacts held, where nobody need look at it.
+    ``at_rest``: the state there, already projected onto the held contacts, if it is known.
     """
     contact, record, part = tail.contact, driver.record, TailPart(tail, driver.record.j)
     record.keep(part)
@@ -79,9 +79,9 @@ def pass_sum(driver: Driver, tail: Tail, at_rest: StateVector | None = None) -> 
 
 
 def pass_cycle(driver: Driver, found: CycleLimit, x: StateVector, mode: str) -> None:
-    """Go over the limit of a cycle, which the last jump led on towards from ``x`` in a mode.
+    """Pass the accumulation point of a cycle; ``x`` and ``mode`` are those after the last jump.
 
-    The part between them is kept as a straight line.
+    The arc from there to the limit is recorded as a straight line.
     """
     record, held = driver.record, driver.still_held(mode, x)
     straight = np.array([[0.5, 0.5], [-0.5, 0.5]]) @ np.array([x, found.x_inf])
@@ -99,8 +99,8 @@ def pass_cycle(driver: Driver, found: CycleLimit, x: StateVector, mode: str) -> 
 def _after(
     driver: Driver, cycle: tuple[str, ...], held: tuple[str, ...]
 ) -> tuple[str, tuple[str, ...]] | None:
-    """What follows a cycle: the mode that its author names, or the rest of its contacts, beside
-    which there may be events, which bound nothing."""
+    """The mode and the held contacts after a cycle: the mode that the author names with
+    ``limit_of``, or rest on the contacts of the cycle, if its other edges bound no domain."""
     spec = driver.scene.spec
     named = spec.mode_after(cycle)
     if named is not None:
@@ -121,7 +121,7 @@ def _go_on_from(
     after: tuple[str, tuple[str, ...]] | None,
     at_rest: StateVector | None = None,
 ) -> None:
-    """From an accumulation into what follows it: a mode, and the contacts held there."""
+    """Record an accumulation and begin what follows it: a mode and the contacts held there."""
     record, zeno = driver.record, driver.plan.zeno
     rest = driver.scene.name(*after) if after and zeno == "rest" else None
     state = driver.scene.spec.record(limit.x_inf)
@@ -147,10 +147,10 @@ def _go_on_from(
 
 
 def _require_apart(driver: Driver, x: StateVector) -> None:
-    """Refuse to go on where accumulations accumulate in turn: no sum of sums is made.
+    """Refuse to go on where accumulation points themselves accumulate: no sum of sums is made.
 
-    Impacts go on until rounding holds the contact, or keeps it from that; an edge's guard that
-    rounding hides is passed over.
+    Impacts count until rounding decides whether the contact rests; other edges count only while
+    rounding does not hide their guards.
     """
     impacts = driver.scene.contacts.intersection(driver.record.zeno[-1].edges)
     t = driver.record.stalls() if impacts else driver.record.heaps()

@@ -208,13 +208,15 @@ class ArcFlow:
         """Edges whose guards are zero where a step ends, and whose condition fails there."""
         t, x, guards = self.now.t + stepper.tau, stepper.x.tolist(), self.field.guards
         fails = [index for index, guard in enumerate(guards) if not guard.holds(t, x)]
-        return frozenset(guards[index].edge for index in fails if self._vanishes(index, t, x))
+        return frozenset(
+            guards[index].edge for index in fails if self._since(index, 0, t, x) == 0.0
+        )
 
-    def _vanishes(self, index: int, t: float, x: list[float]) -> bool:
-        """Whether a guard is zero, in spacings of the time and in what rounding makes of it."""
+    def _since(self, index: int, before: int, t: float, x: list[float]) -> float:
+        """How long before a time a guard has fired, as :mod:`hybrid.rules.ties` has it."""
         value, rate, _ = self.field.guards[index].lie(t, x)
-        spacing = TIE * float(np.spacing(abs(t)))
-        return bool(abs(value) <= spacing * abs(rate) + self._rounding(index, t, x))
+        since = unit("ties").since(value, rate, before, t, self._rounding(index, t, x))
+        return float(since)
 
     def _ago(self, other: Fired, first: Fired, stepper: Stepper, length: float) -> float:
         """How long ago a guard has fired where a step ends on another, next to which it fires.
@@ -230,12 +232,7 @@ class ArcFlow:
             return -1.0
         if other.cut is not None:
             return 0.0 if apart <= spacing + (other.cut.after - other.cut.before) * length else -1.0
-        if self._vanishes(other.index, t, x):
-            return 0.0
-        value, rate, _ = self.field.guards[other.index].lie(t, x)
-        if value * other.direction <= 0.0:
-            return -1.0
-        return value / rate if rate * other.direction > 0.0 else 0.0
+        return self._since(other.index, -other.direction, t, x)
 
     def _where(self, tau: float = 0.0, x: StateVector | None = None) -> str:
         return describe(self.scene, self.field, self.now.t + tau, self.x if x is None else x)

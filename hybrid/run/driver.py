@@ -1,6 +1,7 @@
-"""The loop of a run: flow an arc, find what ends it, jump, go on.
+"""The outer loop of a run: flow an arc, find the event that ends it, jump, repeat.
 
-The rules are those of ``docs/semantics.md``; numbers in brackets are its rules.
+Most arcs and jumps are made by the compiled rules, through :class:`.Machine`. What they hand back
+is decided here. Numbers in brackets are the rules of ``docs/semantics.md``.
 """
 
 from __future__ import annotations
@@ -39,12 +40,15 @@ if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
 
 
-#: How runs end behind a jump, in an arc of no length.
+#: Reasons for which a run ends right after a jump; its last arc then has no length.
 LAST_JUMPS = (Status.MAX_JUMPS, Status.TERMINATED)
 
 
 class Driver:
-    """One run; ``mode`` is the one that the last jump, or the start, has led to."""
+    """One run.
+
+    ``mode`` names the mode after the last jump (at first, the initial mode) and its held contacts.
+    """
 
     entry: Entry
     mode: str
@@ -76,13 +80,12 @@ class Driver:
 
     @property
     def t(self) -> float:
-        """The present time."""
+        """The current time."""
         return self.record.now.t
 
     @property
     def end(self) -> tuple[float, np.ndarray, str] | None:
-        """Time, state and mode to which the run has come, behind its last jump; None if it has not
-        left its start."""
+        """Time, state and mode that the run has reached, after its last jump; None at the start."""
         kept, own = self.record.log.kept, self.record.log.own
         last = kept[-1] if kept else None
         if isinstance(last, Flights):
@@ -93,8 +96,10 @@ class Driver:
         return None if last is None else (last.t1, last.last, last.mode)
 
     def run(self, mode: str, x: StateVector, came: Callable[[], Jumped] | None = None) -> None:
-        """From the start to the end of the run; ``came``: what is known of a start that another run
-        has led to."""
+        """Run from the start to the end.
+
+        ``came`` says how the start was reached, where it continues another run.
+        """
         if self.history is not None:
             order = self.solver.order
             self.record.memory = Memory(self.scene, self.plan, order, self.history, x)
@@ -111,13 +116,13 @@ class Driver:
             after = self.end[1] if self.end is not None else self.entry.x
             if self.record.log.ends_with_jump and np.array_equal(after, self.entry.x):
                 self.record.arc(self.entry.field, self.entry.x, self.entry.x, 0.0, [])
-        finally:  # nothing refers to itself, so that what is kept of a run goes with the run
+        finally:  # break reference cycles, so that a run is freed with its trajectory
             if self.loop is not None:
                 self.loop.give_back()
             self.loop, self.came = None, Jumped
 
     def go_on(self) -> None:
-        """Arc after arc until something ends the run."""
+        """Flow arc after arc until something ends the run."""
         while self.status is None:
             if self.steps >= self.plan.max_steps:
                 self.record.close(self.entry.field)
@@ -138,8 +143,10 @@ class Driver:
                 self.flow()
 
     def enter(self, mode: str, x: StateVector, jumped: Jumped) -> None:
-        """Begin an arc, unless the run has ended; the loop looks at its start first where all that
-        need be known is the jump that led to it."""
+        """Begin an arc, unless the run has ended.
+
+        The compiled loop examines the start itself where the last jump is all it needs to know.
+        """
         self.mode = self.scene.name(mode, jumped.held)
         if self.status is None:
             self.look(x)
@@ -153,7 +160,7 @@ class Driver:
             self.seen = np.maximum(self.seen, np.abs(x))
 
     def _lean(self, jumped: Jumped) -> bool:
-        """Whether the loop may look at the start of the present mode's arc, and knows enough."""
+        """Whether the compiled loop knows enough to examine the start of the next arc."""
         more = jumped.limit - self.scene.contacts or jumped.passing is not None
         bears = jumped.starting and jumped.held
         if self.loop is None or more or bears or len(jumped.vanishing) > 1:
@@ -179,16 +186,15 @@ class Driver:
             ) from None
 
     def _off(self, x: StateVector) -> StateVector:
-        """What each state may be off, by the tolerances."""
+        """The error that the tolerances allow in each component of the state."""
         return self.plan.limit + self.plan.rtol * np.abs(x)
 
     def reach(self, x: StateVector) -> float:
-        """The size of the largest state that the run has seen, this one among them."""
+        """The largest absolute state component so far, including those of ``x``."""
         return float(np.maximum(self.seen, np.abs(x))[: self.scene.spec.flows].max())
 
     def look(self, x: StateVector) -> None:
-        """Let delays see the past from here, where what they see has come to an end, and signals
-        be on the piece that begins here."""
+        """Advance the windows of the past and the pieces of signals to the current time, if due."""
         memory = self.record.memory
         if self.scene.until <= self.t:
             self.scene = self.model.at(self.t)
@@ -197,33 +203,33 @@ class Driver:
 
     @property
     def flies(self) -> Solver:
-        """What makes steps: the solver, or the one that watches it."""
+        """The solver that makes steps; where steps are watched, the one that also checks them."""
         return self.watchful if self.wary else self.solver
 
     @property
     def horizon(self) -> float:
-        """How far the present flows hold: to the end of the run, of what delays see, or of the
-        pieces of signals."""
+        """The time until which the current flow is valid: the end of the run, of the windows of the
+        past, or of the pieces of signals."""
         memory = self.record.memory
         return min(self.plan.t1, self.scene.until) if memory is None else memory.until
 
     @property
     def known(self) -> float:
-        """How far flights hold that are not flown again: what delays see there is no guess."""
+        """The time until which the windows of the past are known rather than guessed."""
         memory = self.record.memory
         return self.horizon if memory is None else memory.known
 
     def until(self, t: float, field: Field, x: StateVector) -> float:
-        """A time, or that of a clock of a field that rings before it."""
+        """The earlier of a time and the next ring of a clock."""
         return min(t, clocks.due(self, field, x)[1])
 
     def ring(self, clock: Guard, t: float, x: StateVector) -> None:
-        """Carry out the jump of a clock, at its time."""
+        """Carry out the jump of a clock at its exact time."""
         self.record.now = Instant(t)
         self.jump(clock, x)
 
     def flow(self) -> None:
-        """Flow an arc, or as many as need no judgement, and carry out the jump that ends it."""
+        """Flow an arc and make the jump that ends it; the compiled loop makes many at once."""
         loop = self.loop if self._declared else None
         if loop is not None and loop.takes():
             loop.fly()
@@ -232,29 +238,29 @@ class Driver:
 
     @property
     def _declared(self) -> bool:
-        """Whether the present field is its mode's own (see :meth:`.Scene.field`)."""
+        """Whether the current field is the one its mode declares (see :meth:`.Scene.field`)."""
         field = self.entry.field
         return field is self.own.field(field.name) or field is self.field
 
     @property
     def own(self) -> Scene:
-        """What the fields of arcs are of: with delays the model, which sees nothing of the past."""
+        """The scene whose fields name arcs: with delays the model itself, without its past."""
         return self.scene if self.record.memory is None else self.model
 
     @property
     def field(self) -> Field:
-        """The present field; it looks back through the present windows."""
+        """The current field, reading the past through the current windows."""
         return self.scene.field(self.entry.field.name)
 
     def begin(self, field: Field, x: StateVector, came: Callable[[], Jumped]) -> None:
-        """Begin an arc at whose start nobody has looked (see :meth:`renew`).
+        """Begin an arc without examining its start; :meth:`renew` does so when it is needed.
 
-        With delays the field is the model's own, which sees nothing of the past.
+        With delays ``field`` is the model's own, without its past.
         """
         self.entry, self.came, self.mode = Entry(field, x, None, [], []), came, field.name
 
     def arrive(self, field: Field, x: StateVector, guard: Guard, before: StateVector) -> None:
-        """Begin an arc after a jump that needed no judgement."""
+        """Begin an arc after a jump that the compiled loop has made."""
         last = self.record.log.kept[-1]
         assert not isinstance(last, TailPart)
         lasted = (last.lengths[-1] if isinstance(last, Flights) else last.length) > 0
@@ -272,8 +278,10 @@ class Driver:
         self.begin(field, x, came)
 
     def look_again(self) -> None:
-        """Fly the present arc with all the rules, unless a guard fires before any flow; where some
-        are zero at its start, or contacts held, and that is judged now, the loop tries once more.
+        """Examine the start of the current arc with all the rules, then flow it here.
+
+        It is not flown here if a guard fires at once, nor if the examination found guards at zero
+        or contacts at rest: with that known, the compiled loop tries once more.
         """
         judged = self.entry.here is not None or self.record.memory is not None
         field = self.entry.field
@@ -284,7 +292,7 @@ class Driver:
             self.flow_arc()
 
     def renew(self) -> None:
-        """Look at the start of the present arc again, with all the rules."""
+        """Examine the start of the current arc with all the rules."""
         entry = self.entry
         if entry.here is not None or not (entry.field.guards or self.record.memory):
             return
@@ -295,7 +303,7 @@ class Driver:
         self.entry = self._entered(entry.field.mode, entry.x, jumped, seen)
 
     def flow_arc(self) -> None:
-        """Flow an arc and carry out the jump that ends it."""
+        """Flow an arc step by step and carry out the jump that ends it."""
         entry, now, memory = self.entry, self.record.now, self.record.memory
         (clock, due), until = clocks.due(self, entry.field, entry.x), self.horizon
         flown = ArcFlow(self.scene, self.flies, self.plan, entry, now, min(due, until)).run()
@@ -335,20 +343,20 @@ class Driver:
             self.jump(fired, x, flown.carried)
 
     def _passes(self, fired: Guard | None, flown: Flown) -> bool:
-        """Whether an arc has come to the end of what delays see, and goes on."""
+        """Whether an arc has only reached the end of a window of the past, and goes on."""
         if fired is not None:
             return fired.kind == "window"
         return self.horizon < self.plan.t1 and not flown.interrupted
 
     def passed(self, length: float) -> None:
-        """Note that an arc has been flown: edges taken before it may be taken again."""
+        """After an arc of positive length, edges taken before it may fire again."""
         if length > 0:
             self.spent = frozenset()
 
     def go_on_through(self, signs: dict[str, int], x: StateVector) -> None:
-        """Go on within an arc of the rules' own loop, on other windows of the past.
+        """Continue an arc of the compiled loop with the next windows of the past.
 
-        ``signs``: by edge the sign of its guard at the end of the last step.
+        ``signs``: by edge, the sign of its guard at the end of the last step.
         """
         field, self.spent = self.entry.field, frozenset()
         known = self.came().vanishing if self.record.young else {}
@@ -356,7 +364,7 @@ class Driver:
         self.seen = np.maximum(self.seen, np.abs(x))
 
     def pass_window(self, fired: Guard | None, x: StateVector) -> None:
-        """Go on within an arc, with another window of the past, or another piece of signals."""
+        """Continue an arc with the next window of the past, or the next piece of the signals."""
         field, t, memory = self.entry.field, self.t, self.record.memory
         if self.plan.progress is not None:
             self.plan.progress(t)
@@ -369,11 +377,11 @@ class Driver:
         self.enter(field.mode, x, Jumped(known, field.held, passing=signs))
 
     def jump(self, guard: Guard, x: StateVector, carried: bool = False) -> None:
-        """Carry out the jump of a guard that fired; ``carried``: without having been zero."""
+        """Carry out the jump of a guard that fired; ``carried``: it jumped over zero."""
         jumps.carry_out(self, guard, x, carried)
 
     def fly_on(self, field: Field, guard: Guard, x: StateVector) -> None:
-        """Begin the flight after an impact of another run, however low it is."""
+        """Begin the flight after an impact that another run has recorded, however low it is."""
         contact = self.scene.contact(guard.edge)
         speed = guard.lie(self.t, x.tolist())[1]
         low = jumps.low_flight(self, contact, x, speed, field.name)
@@ -384,15 +392,15 @@ class Driver:
 
     @property
     def forgets(self) -> bool:
-        """Whether a jump changes what delays see, and with it flows and guards at once."""
+        """Whether a jump erases the past, and so changes flows and guards at once."""
         return self.record.memory is not None and self.plan.memory == "restart"
 
     def watch_pace(self) -> None:
-        """Watch the steps of the arc that begins here, which is flown many steps at a time."""
+        """Begin to watch the step sizes of an arc that is flown many steps at a time."""
         self.pace = Pace(self.field, self.t, self.record.now.until(self.plan.t1))
 
     def count_steps(self, tau: float, x: StateVector, count: int) -> None:
-        """Count steps of that arc, which have led to a state."""
+        """Count steps of that arc, up to a local time and state."""
         try:
             self.pace.steps(tau, x, count)
         except FlowError as fault:
@@ -400,11 +408,11 @@ class Driver:
             raise FlowError(f"{where}: {fault}") from None
 
     def where(self, x: StateVector) -> str:
-        """Model, mode, time and state, for messages."""
+        """Model, mode, time and state, for error messages."""
         return describe(self.scene, self.entry.field, self.t, x)
 
     def still_held(self, mode: str, x: StateVector) -> tuple[str, ...]:
-        """The contacts held at present that a jump has left closed: gap and speed zero."""
+        """The held contacts that a jump has left closed: their gap and gap speed are zero."""
         if mode != self.entry.field.mode or not self.entry.field.held:
             return ()
         field, held = self.scene.field(mode), []
@@ -417,5 +425,5 @@ class Driver:
         return tuple(held)
 
     def closed(self, mode: str, held: tuple[str, ...], x: StateVector) -> StateVector:
-        """The state with gap and speed of the contacts held at exactly zero."""
+        """The state projected onto the held contacts, with gaps and gap speeds exactly zero."""
         return self.scene.field(self.scene.name(mode, held)).along(self.t, x)

@@ -1,4 +1,4 @@
-"""Jumps that the rules' own loop leaves: resets, releases, impacts and the low flights after them.
+"""The jumps that the compiled loop hands back: resets, releases, impacts and low flights.
 
 Numbers in brackets are the rules of ``docs/semantics.md``.
 """
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 def carry_out(driver: Driver, guard: Guard, x: StateVector, carried: bool = False) -> None:
-    """Carry out the jump of a guard that fired; ``carried``: without having been zero."""
+    """Carry out the jump of a guard that fired; ``carried``: it jumped over zero."""
     driver.tied = {edge: sign for edge, sign in driver.tied.items() if edge != guard.edge}
     driver.spent |= {guard.edge}
     if guard.kind == "contact":
@@ -67,8 +67,8 @@ def _reset(driver: Driver, guard: Guard, before: StateVector, carried: bool) -> 
 
 
 def came_by(driver: Driver, guard: Guard, before: StateVector, after: StateVector) -> Jumped:
-    """What is known of a state from the reset that led to it: whether that leaves the guard
-    where it is, and some of its motion, which it does not turn round."""
+    """What a reset tells about the state after it: whether its guard has kept its value, and
+    whether the guard still moves in the same direction."""
     here, there = (guard.lie(driver.t, x.tolist()) for x in (before, after))
     onwards = here[1] * there[1] > 64 * EPS * here[1] * here[1]
     beyond = guard.urgent and has_jumped(driver, guard, before)
@@ -77,8 +77,7 @@ def came_by(driver: Driver, guard: Guard, before: StateVector, after: StateVecto
 
 
 def has_jumped(driver: Driver, guard: Guard, x: StateVector) -> bool:
-    """Whether a guard that fired is not zero: it may jump up from zero there, as a saw does, or
-    be urgent."""
+    """Whether a guard that fired is off zero: it jumps up there, as a saw does, or is urgent."""
     if not (guard.jumps or guard.urgent):
         return False
     size = driver.scene.rounding(guard, driver.entry.field)(driver.t, x.tolist())[0]
@@ -116,10 +115,10 @@ def _impact(driver: Driver, guard: Guard, x: StateVector) -> None:
 
 
 def _require_one_speed(driver: Driver, guard: Guard, x: StateVector) -> None:
-    """Refuse a gap whose formula at zero is not that of the side from which it is reached.
+    """Refuse a gap whose formula at zero differs from the one on the side it is reached from.
 
-    The first impact of a contact shows it. Where the gap has a corner at zero, as a distance
-    has, that is asked again wherever a flight may have come from the other side.
+    The first impact of a contact shows it. A gap with a corner at zero, as a distance has, is
+    checked again wherever a flight may have come from the other side.
     """
     field, t = driver.entry.field, driver.t
     there = driver.scene.field(field.name, (guard.edge,))
@@ -140,7 +139,7 @@ def _require_one_speed(driver: Driver, guard: Guard, x: StateVector) -> None:
 def bounce(
     driver: Driver, guard: Guard, before: StateVector, after: StateVector, speed: float
 ) -> None:
-    """Record an impact and those after low flights, then begin the next arc."""
+    """Record an impact, and the impacts after low flights, then begin the next arc."""
     while True:
         held = driver.still_held(guard.to, after)
         after = driver.closed(guard.to, held, after)
@@ -162,7 +161,7 @@ def bounce(
 
 
 def _require_series(driver: Driver, contact: str, x: StateVector, field: Field) -> None:
-    """Refuse to go on by impacts that have no sum because their flow has no series."""
+    """Refuse a series of impacts that cannot be summed because the flow has no Taylor series."""
     if field.jets is None and driver.watch.count > 1:
         raise JumpLoopError(
             f"{driver.where(x)}: the impacts of {contact} accumulate, and cannot be summed: "
@@ -173,11 +172,11 @@ def _require_series(driver: Driver, contact: str, x: StateVector, field: Field) 
 def low_flight(
     driver: Driver, contact: Contact, x: StateVector, v: float, name: str
 ) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """A flight so low that the gap would drown in the rounding of the state (7).
+    """Fly so low that the gap is comparable to the rounding of the state (7).
 
-    It is flown by its series, in which gap and gap speed are coordinates of their own.
-    Returns the states before and after the next impact and the gap's speed; None where
-    the flight is higher, or another guard comes near.
+    The flight follows its Taylor series, in which gap and gap speed are coordinates of their own.
+    Returns the states before and after the next impact and the gap speed after it; None where the
+    flight is higher, or another guard comes near zero.
     """
     field, t, reach = driver.scene.field(name, (contact.name,)), driver.t, driver.reach(x)
     column = field.column(contact.name)

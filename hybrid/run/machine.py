@@ -84,7 +84,6 @@ from ..rules.places import (
     WINDOW,
     T,
 )
-from ..segment import nodes, terms
 from ..trajectory.arcs import Table
 from ..trajectory.log import Flights, Steps
 from ..trajectory.plan import PATIENCE
@@ -95,6 +94,7 @@ from . import noting
 from .accumulations import pass_sum
 from .entry import Jumped
 from .jumps import bounce
+from .kept import KeptSteps
 from .knots import Feed, pass_knot
 from .limits import pass_limit
 from .outside import Outside
@@ -112,9 +112,6 @@ if TYPE_CHECKING:
 #: room.
 JUMPS_KEPT, STEPS_KEPT, ROOM_GROWTH, MOST_ROOM = 64, 512, 4, 1 << 15
 SUMS_KEPT = SUMS
-
-#: Steps as they are left: their arcs, when they begin and how long they are, and their series.
-Rows = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 #: What is asked for of another solver: methods of :class:`Outside`.
 OUTSIDE_METHODS = {STEP: "step", SHOW: "show", LAND_ON: "land"}
@@ -159,7 +156,7 @@ class Machine:
         self.run = np.array(given, dtype=float)
         self.n = n
         self.needs: tuple[int, ...] = ()
-        self.open: list[Rows] = []
+        self.kept = KeptSteps(n, self.dense, self.outside is not None)
         self.size: tuple[int, ...] = (JUMPS_KEPT, STEPS_KEPT)
 
     def takes(self) -> bool:
@@ -180,7 +177,8 @@ class Machine:
         """Go on until something needs judgement, or the run ends."""
         self.order = min(self.highest, ORDER) if self.driver.wary else self.highest
         self._begin()
-        self.passed, self.open, self.opened = False, [], 0
+        self.passed = False
+        self.kept.forget()
         try:
             self._go_on()
         finally:
@@ -232,20 +230,17 @@ class Machine:
         """Keep the steps of the arc that goes on; returns the local time reached in it."""
         if not self._going:
             return 0.0
-        rows, tau = left.owner == self.ints[JUMPS_MADE], float(self.floats[TAU])
-        made = int(np.count_nonzero(rows))
+        tau, first = float(self.floats[TAU]), not self.kept.count
+        made = self.kept.hold(left, int(self.ints[JUMPS_MADE]))
         if self.outside is None:  # another solver's are counted as they are made
-            if not self.opened:
+            if first:
                 self.driver.watch_pace()
             self.driver.count_steps(tau, self.now.end, made)
-        self.opened += made
-        if self.dense:
-            self.open.append(self._rows(left, rows, int(self.ints[JUMPS_MADE])))
         return tau
 
     def _spent(self, status: int, left: Left) -> bool:
         """Whether the run has made all its steps; keeps what has been flown of the arc."""
-        spent = status == FULL and self.driver.steps + self.opened >= self.plan.max_steps
+        spent = status == FULL and self.driver.steps + self.kept.count >= self.plan.max_steps
         if spent and self._going:
             self._last(left)
         return spent
@@ -344,8 +339,7 @@ class Machine:
         if not at_knot:
             self.ints[STEPS_MADE] = feed.place[3]
             tau, x, t = float(feed.began[0]), feed.start.copy(), feed.since
-        steps, made = self._flown_in(left, place, place + 1)
-        steps = steps and Steps(*(column[steps.start < tau] for column in steps))
+        steps, made = self.kept.take_until(left, int(self.ints[STEPS_MADE]), place, tau)
         segments = steps.segments(np.array([tau])) if steps else []
         driver.steps += made
         driver.passed(tau)
@@ -398,13 +392,9 @@ class Machine:
         if self.windowed:
             return self._passes_window(left, status, memory)
         if status in (LOOK, WINDOW) and memory.ints[IN_ARC] == place:
-            last = int(memory.ints[STEPS_DONE])
-            tau, x = float(memory.floats[BEGAN]), memory.start
-            first = int(left.owner[:last].searchsorted(place))
-            driver.steps += self.opened + int(np.count_nonzero(left.spans[first:last, 0] < tau))
-            steps = self._made([*self.open, self._rows(left, slice(first, last), place)])
-            steps = steps and Steps(*(column[steps.start < tau] for column in steps))
-            self.open, self.opened = [], 0
+            last, tau, x = int(memory.ints[STEPS_DONE]), float(memory.floats[BEGAN]), memory.start
+            steps, made = self.kept.take_until(left, last, place, tau)
+            driver.steps += made
             self._through(tau, x, steps, memory.signs)
             memory.ints[IN_ARC] = -1
         if status == WINDOW:
@@ -571,7 +561,7 @@ class Machine:
         if self.feed is not None:
             self.feed.begins(bool(self._going) and self.feed.place[2] == self.ints[JUMPS_MADE])
         jumps = min(jumps, self.plan.max_jumps - self.driver.record.made)
-        steps = int(min(steps, max(self.plan.max_steps - self.driver.steps - self.opened, 1)))
+        steps = int(min(steps, max(self.plan.max_steps - self.driver.steps - self.kept.count, 1)))
         self.ints[JUMPS_MADE], self.ints[STEPS_MADE], self.ints[EXPANSIONS] = 0, -self._going, 0
         self.ints[TAILS] = 0
         rows = steps * n if self.dense or memory is not None else 0
@@ -666,32 +656,7 @@ class Machine:
 
     def _flown_in(self, left: Left, begin: int, end: int) -> tuple[Steps | None, int]:
         """The steps of some of the arcs, if they are kept, and how many; the first has the held."""
-        owner = left.owner[: max(int(self.ints[STEPS_MADE]), 0)]
-        first, last = owner.searchsorted((begin, end)).tolist()
-        count, held = self.opened + last - first, self.open
-        self.open, self.opened = [], 0
-        if not (self.dense and count):
-            return None, count
-        return self._made([*held, self._rows(left, slice(first, last), begin)]), count
-
-    def _rows(self, left: Left, rows: slice | np.ndarray, begin: int) -> Rows:
-        """Steps as they are left, those of arc ``begin`` being the first's."""
-        series = left.series.reshape(-1, self.n, self.order + 1)[rows]
-        return left.owner[rows] - begin, left.spans[rows], series
-
-    def _made(self, parts: list[Rows]) -> Steps | None:
-        """Steps of arcs in a row, of which only the last part holds more than the first arc, as
-        states at the nodes of each."""
-        owner, spans, series = map(np.concatenate, zip(*parts, strict=True))
-        start, length = spans.T
-        if self.outside is None:
-            series = terms(series, length[:, None, None])
-        else:  # a method's own degree
-            used = np.flatnonzero(series.any(axis=(0, 1)))
-            series = series[..., : max(used.max(initial=0), 1) + 1]
-        degree = series.shape[2] - 1
-        powers = nodes(degree)[:, None] ** np.arange(degree + 1)
-        return Steps(owner, start, length, np.einsum("sik,jk->sji", series, powers))
+        return self.kept.take(left, int(self.ints[STEPS_MADE]), begin, end)
 
     def _last(self, left: Left) -> StateVector:
         """Add the arc that no jump of the loop has ended; returns the state at its end."""

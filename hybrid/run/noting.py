@@ -1,4 +1,4 @@
-"""Jumps as they are noted: in the record, and for the search of cycles."""
+"""Records jumps, and tells when it is time to look for a cycle of them that accumulates."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def add_jump(driver: Driver, edge: str, before: StateVector, after: StateVector) -> bool:
-    """Record a jump, at ``max_jumps`` the last; whether it is time to look for cycles."""
+    """Record a jump; returns whether to look for a cycle. Ends the run at ``max_jumps``."""
     memory = driver.record.memory
     if memory is not None and memory.ends(driver.t):
         memory.passed(driver.t, before, driver.entry.field)
@@ -35,7 +35,7 @@ def add_jump(driver: Driver, edge: str, before: StateVector, after: StateVector)
 
 
 def note(driver: Driver, jumps: Columns) -> bool:
-    """Note jumps; whether it is time to look for cycles. Behind a clock they begin anew."""
+    """Add jumps to the search for cycles; returns whether to look. A clock starts it anew."""
     if jumps.edge[-1] in driver.ringing:
         driver.cycles.forget()
         return False
@@ -43,9 +43,9 @@ def note(driver: Driver, jumps: Columns) -> bool:
 
 
 def room(driver: Driver, t: Numbers, low: Numbers, rung: Integers) -> int:
-    """Of jumps at these times, how many there are before the run has to be looked at.
+    """How many jumps at these times may be recorded before a cycle has to be looked for.
 
-    ``rung``: the places of those that clocks have made; no limit is before the last of them.
+    ``rung``: the places of those made by clocks; no accumulation lies before the last of them.
     """
     ignored = driver.plan.zeno == "ignore"  # no limit is gone over, wherever it may be
     before = int(rung[-1]) + 1 if len(rung) else 0
@@ -54,7 +54,8 @@ def room(driver: Driver, t: Numbers, low: Numbers, rung: Integers) -> int:
 
 
 def flown(driver: Driver, flights: Flights) -> bool:
-    """Record jumps that needed no judgement, no more than there was room for."""
+    """Record jumps of the compiled loop, no more than :func:`room` allows; returns whether to look
+    for a cycle."""
     jumps = flights.jumps
 
     def where(k: int) -> str:
@@ -79,7 +80,7 @@ def flown(driver: Driver, flights: Flights) -> bool:
 
 
 def _clocks(driver: Driver, flights: Flights) -> Numbers:
-    """The time without idle flights, at each of some jumps."""
+    """The time of each jump, less that spent in idle flights (see :func:`.cycles.idle`)."""
     if driver.cycles.plain(flights.lengths):
         return flights.jumps.t - driver.cycles.spent
     jumps, clocks = flights.jumps, []
