@@ -1,4 +1,5 @@
-"""One arc: step until a guard fires or the run ends, and land on the guard (rules 1, 2, 4, 5)."""
+"""One arc flown in Python: step until a guard fires or the run ends, and land on the guard (rules
+1, 2, 4, 5)."""
 
 from __future__ import annotations
 
@@ -30,20 +31,21 @@ from .pace import Pace
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
 
-#: A step never spans more than this many time scales of a guard that is no polynomial.
+#: A step spans at most this many time scales of a guard that is not a polynomial of the state.
 REACH = 8.0
 
-#: Share of an arc by which it may end beside the event onto which it is made.
+#: A step made onto a predicted event may miss it by this share of the arc.
 AIMED = 1e-6
 
-#: Spacings of the time within which a guard jumps where its deciding function changes its sign:
+#: A guard jumps within so many spacings of the time from the zero of the function that decides:
 #: four for each of a quotient, a product and a sine (:func:`..events._wider`), four for the place.
 JUMPS_WITHIN = 16
 
 
 @attrs.frozen
 class Fired:
-    """A guard that fires, the local time, and its direction; ``cut``: where it jumps over zero."""
+    """A guard that fires, its local time and direction; ``cut``: the place where it jumps over
+    zero, if it does."""
 
     index: int
     tau: float
@@ -60,17 +62,17 @@ class Flown:
     fired : int or None
         The guard that ended it; None at the end of the run.
     grazes : list of (local time, guard, state)
-        Tangencies on the way.
+        The tangencies on the way.
     interrupted : bool
-        By the keyboard: the arc goes as far as it was flown.
+        The user has interrupted the run; the arc goes as far as it was flown.
     carried : bool
-        The guard that fired has not been zero: it was carried over it by a jump of its own.
+        The guard that fired has not been zero: it jumped over zero.
     tied : dict
-        By edge the sign before its zero, of guards that are zero at the same time.
+        By edge, the sign before its zero of each guard that is zero at the same time.
     over : frozenset of str
-        Edges whose guards are, and whose condition fails there.
+        Edges whose guards are zero there and whose condition fails.
     steps : int
-        Steps made.
+        The number of steps.
     """
 
     fired: int | None
@@ -86,7 +88,7 @@ class Flown:
 
 
 class ArcFlow:
-    """Flows one arc from an entry, to ``until`` at most (the end of the run)."""
+    """Flows one arc from an entry, to the time ``until`` at most (default: the end of the run)."""
 
     def __init__(
         self,
@@ -140,8 +142,8 @@ class ArcFlow:
         return Flown(index, *made, False, carried, *known)
 
     def _begin_guards(self) -> None:
-        """Note the guards that are not zero here: dense output shows its start to rounding of a
-        whole step only, in which a guard that is nearer to zero would lose its sign."""
+        """Note the values of guards that are not zero at the start. Dense output is exact there
+        only to the rounding of the whole step, in which a small value would lose its sign."""
         t, x = self.now.t, self.x.tolist()
         for guard, order in zip(self.field.guards, self.orders, strict=True):
             if not order and not guard.kinks:
@@ -150,7 +152,7 @@ class ArcFlow:
     def _steps(
         self, stepper: Stepper, length: float, target: float | None, segments: list[Segment]
     ) -> Fired | None:
-        """Add step after step to ``segments``; the guard that fires, None if none does."""
+        """Append step after step to ``segments``; returns the guard that fires, or None."""
         fired = None
         while fired is None and stepper.tau < length:
             start, x = stepper.tau, stepper.x
@@ -175,10 +177,10 @@ class ArcFlow:
     def _ended(
         self, found: list[Fired], stepper: Stepper, segment: Segment, x: StateVector
     ) -> tuple[Fired, list[Segment]]:
-        """End a step, which began at ``x``, on the first of the guards that fire in it.
+        """End the step that began at ``x`` on the first of the guards that fire in it.
 
-        Where two are next to each other the step's polynomial may show them in the wrong order: it
-        ends on the one that has already fired where the other does.
+        Two zeros next to each other may be in the wrong order on the step's polynomial. If the
+        other guard has already fired where the step ends, the step is ended on that one instead.
         """
         landed, first, length = None, found[0], segment.length
         for attempt in range(len(found)):
@@ -205,7 +207,7 @@ class ArcFlow:
         return fired, [] if landed is None else [landed]
 
     def _passed(self, stepper: Stepper) -> frozenset[str]:
-        """Edges whose guards are zero where a step ends, and whose condition fails there."""
+        """Edges whose guards are zero where a step ends and whose condition fails there."""
         t, x, guards = self.now.t + stepper.tau, stepper.x.tolist(), self.field.guards
         fails = [index for index, guard in enumerate(guards) if not guard.holds(t, x)]
         return frozenset(
@@ -213,16 +215,16 @@ class ArcFlow:
         )
 
     def _since(self, index: int, before: int, t: float, x: list[float]) -> float:
-        """How long before a time a guard has fired, as :mod:`hybrid.rules.ties` has it."""
+        """How long before a time a guard has fired (see :func:`hybrid.rules.ties.since`)."""
         value, rate, _ = self.field.guards[index].lie(t, x)
         since = unit("ties").since(value, rate, before, t, self._rounding(index, t, x))
         return float(since)
 
     def _ago(self, other: Fired, first: Fired, stepper: Stepper, length: float) -> float:
-        """How long ago a guard has fired where a step ends on another, next to which it fires.
+        """How long before the end of a step another guard has fired.
 
-        0 at the same time (4), below zero if it has not fired yet. It is judged at the event's time
-        and state, in spacings of that time and in what rounding makes of the guard.
+        0 if they fire at the same time (4), negative if it has not fired yet. This is judged at the
+        event, in spacings of its time and in the rounding of the guard.
         """
         t, x, apart = self.now.t + stepper.tau, stepper.x.tolist(), other.tau - first.tau
         spacing = TIE * float(np.spacing(abs(t)))
@@ -255,7 +257,7 @@ class ArcFlow:
             raise FlowError(f"{self._where()}: the flow is not finite ({fault})") from None
 
     def _finish(self, stepper: Stepper, length: float) -> Flown:
-        """To the end, where nothing is watched and nothing kept."""
+        """Flow to the end, where no guard is watched and no dense output is kept."""
         try:
             while (most := self.plan.longest(stepper.tau)) < length - stepper.tau:
                 stepper.step(stepper.tau + most)
@@ -279,7 +281,8 @@ class ArcFlow:
         self.pace.steps(stepper.tau, stepper.x, steps)
 
     def first_step(self, length: float) -> float | None:
-        """Where the first term that the method neglects reaches the tolerance, or what is asked."""
+        """The first step: where the first term that the method neglects reaches the tolerance, or
+        what the user asks for."""
         if self.plan.first_step < float("inf"):
             return min(self.plan.longest(0.0), length)
         if self.series is None:
@@ -291,7 +294,8 @@ class ArcFlow:
         return min(most, first) if first > 0 else None
 
     def predict(self, length: float) -> float | None:
-        """The end of a short flight onto a contact, or back onto a guard, from its series (2)."""
+        """The end of a short flight onto a contact, or back onto a guard, from its Taylor series
+        (2)."""
         if self.series is None:
             return None
         found = {}
@@ -306,18 +310,19 @@ class ArcFlow:
         return best if found else None
 
     def _predicts(self, index: int) -> bool:
-        """Whether a guard's flight may be short: a contact's, or one that begins at its zero."""
+        """Whether a guard's next zero is predicted from its series: that of a contact, or of a
+        guard that starts at zero."""
         guard, order = self.field.guards[index], self.entered[index]
         if guard.kind in ("edge", "switch"):
             return guard.when is None and order == 1 and guard.crossing is not Crossing.EITHER
         return guard.kind == "contact" and order <= 1
 
     def _side(self, index: int) -> float:
-        """The sign that a guard has inside."""
+        """The sign of a guard inside the domain."""
         return -1.0 if self.field.guards[index].crossing is Crossing.RISING else 1.0
 
     def _scales(self, tau: float, x: StateVector) -> list[float]:
-        """Times over which guards that are no polynomials are smooth."""
+        """Times over which guards that are not polynomials of the state are smooth."""
         guards = self.field.guards
         if all(guard.affine for guard in guards):
             return []
@@ -335,7 +340,7 @@ class ArcFlow:
     def _events(
         self, segment: Segment, stepper: Stepper, scales: list[float], target: float | None
     ) -> list[Fired]:
-        """The guards that fire in a step, each at its first time, in order of time (1)."""
+        """The guards that fire in a step, each at its first time, ordered by time (1)."""
         grazes: list[tuple[float, int]] = []
         found = []
         for index in range(len(self.field.guards)):
@@ -375,11 +380,11 @@ class ArcFlow:
         return Fired(index, segment.start) if sunk else None
 
     def _leaving(self, index: int, stepper: Stepper) -> float:
-        """What a guard that was zero where the arc began must exceed to have left zero (2).
+        """The value that a guard which was zero at the start must exceed to have left zero (2).
 
-        The rounding of the time counts: far from t = 0 it moves a gap, over an obstacle that moves,
-        by more than a method of low order does in its first steps. After a release it leaves zero
-        by a higher power, which is divided out: its flight may be lower than rounding.
+        The rounding of the time counts: far from t = 0 it moves the gap over a moving obstacle by
+        more than a method of low order does in its first steps. After a release the gap leaves zero
+        by a higher power, which is divided out, so its flight may be lower than rounding.
         """
         if self.entered[index] != 1 or index in self.left:
             return 0.0
@@ -398,10 +403,11 @@ class ArcFlow:
         tolerance: float,
         grazes: list[tuple[float, int]],
     ) -> Fired | None:
-        """The first of a guard's zeros in a step at which it fires; tangencies are added (1).
+        """The first zero of a guard in a step at which it fires; tangencies are appended to
+        ``grazes`` (1).
 
-        ``end``: the state at the step's end. A zero that seems to turn round within the tolerance,
-        and is deeper at the end, is none.
+        ``end``: the state at the step's end. A crossing that seems to turn back within the
+        tolerance counts as a crossing if the guard is deeper at the end.
         """
         guard = self.field.guards[index]
         shallow: Zero | None = None
@@ -429,8 +435,8 @@ class ArcFlow:
         return Fired(index, shallow.tau, shallow.direction)
 
     def _holds(self, guard: Guard, tau: float, segment: Segment, end: StateVector) -> bool:
-        """Whether an edge's condition holds on the way along a step. What rounding alone has moved
-        on that way has stayed: it is as at the step's end."""
+        """Whether an edge's condition holds at a time within a step. Components that differ from
+        the step's end only by rounding are taken as they are there."""
         if guard.when is None:
             return True
         x = segment(tau)
@@ -440,8 +446,8 @@ class ArcFlow:
     def _over(self, guard: Guard, zero: Zero, cut: Cut, segment: Segment) -> bool:
         """Whether a guard fires where it changes its formula (1).
 
-        A load that becomes zero still holds. One that does not change may belong to an obstacle
-        that moves off, or starts to: then the contact ends as well.
+        A load that becomes zero still holds. If it does not change, the obstacle may have begun to
+        move away: then the contact ends as well.
         """
         if zero.tau >= self.now.until(self.until):
             return False
@@ -457,10 +463,11 @@ class ArcFlow:
         return pulls or opened(self.scene, self.field.mode, released(guard.edge), after, x)
 
     def _past(self, fired: Fired, stepper: Stepper, length: float) -> list[Segment]:
-        """From just before a place at which a guard jumps to just after it.
+        """Move from just before a place at which a guard jumps to just after it, by a step of the
+        size of rounding.
 
-        What the flow does from there on is left to the arc that follows; the step is of rounding's
-        size. A segment only where the arc would have none.
+        What the flow does from there on belongs to the next arc. Returns a segment only where the
+        arc would otherwise have none.
         """
         if fired.cut is None and not self.field.guards[fired.index].jumps:
             return []
@@ -481,10 +488,10 @@ class ArcFlow:
         return [Segment(start, shift, straight)]
 
     def _before(self, cut: Cut | None, tau: float, x: StateVector) -> bool:
-        """Whether a deciding function has not yet the sign that it takes at a cut.
+        """Whether a deciding function does not yet have the sign that it takes behind a cut.
 
-        Beyond an end there is nothing: one stays before it. The time is that of the arc which
-        follows: a spacing more or less may be on the other side.
+        Where its domain ends there is nothing beyond, so the state stays before it. The time is
+        computed as the next arc does, since one spacing of floats may be on the other side.
         """
         if cut is None:  # the last step has ended there
             return False
@@ -492,21 +499,21 @@ class ArcFlow:
         return not side > 0 and cut.kink.change != "ends"
 
     def _carried(self, fired: Fired, tau: float, x: StateVector) -> bool:
-        """Whether an edge's guard has jumped, or is zero: what decides on it may round otherwise
-        (of a saw of time, a wave of it), and the arc that follows asks the guard."""
+        """Whether an edge's guard has jumped over zero, or is zero, by its own value: the function
+        that decides on it may be rounded differently, and the next arc evaluates the guard."""
         guard, t, at = self.field.guards[fired.index], self.now.after(tau).t, x.tolist()
         beyond = guard.value(t, at) * fired.direction
         jumps = guard.kind == "edge" and guard.jumps
         return not jumps or beyond >= -self._rounding(fired.index, t, at)
 
     def _ends(self, segment: Segment) -> float:
-        """How much later than just before the last time a step ends."""
+        """How far the end of a step is beyond the time just before the last time of the run."""
         within = JUMPS_WITHIN * float(np.spacing(abs(self.until)))
         return segment.end - (self.now.until(self.until) - within)
 
     def _last(self, index: int, segment: Segment, end: StateVector) -> Fired | None:
-        """An edge whose guard jumps within rounding of the last time: there it has jumped already,
-        or has not yet, which none of its cuts can tell."""
+        """An edge whose guard jumps within rounding of the last time of the run; whether it has
+        jumped there is decided by its values."""
         guard, late = self.field.guards[index], self._ends(segment)
         if guard.kind != "edge" or not guard.jumps or not 0.0 <= late < segment.end:
             return None
@@ -520,13 +527,13 @@ class ArcFlow:
         )
 
     def _touches(self, guard: Guard, tau: float, segment: Segment, tolerance: float) -> bool:
-        """Whether a crossing goes no deeper than the tolerance: a tangency (1)."""
+        """Whether a crossing goes no deeper than the tolerance, and so counts as a tangency (1)."""
         _, first, second = guard.lie(self.now.t + tau, segment(tau).tolist())
         return shallow(first, second, tolerance)
 
     def _near_end(self, index: int, segment: Segment, stepper: Stepper) -> Fired | None:
-        """A step made onto a predicted event ends next to it, on either side; so it does of what
-        else fires there, which has been on its other side on the way (4)."""
+        """A guard that fires next to the end of a step that was made onto a predicted event: the
+        predicted one, or another that has crossed zero on the way (4)."""
         t, x, guard = self.now.t + segment.end, stepper.x.tolist(), self.field.guards[index]
         value, rate, _ = guard.lie(t, x)
         rounding = self._rounding(index, t, x)
@@ -543,13 +550,14 @@ class ArcFlow:
         return Fired(index, segment.end, direction) if before * direction < -rounding else None
 
     def _rounding(self, index: int, t: float, x: list[float]) -> float:
-        """What rounding can make of a guard that is zero, and did where the arc left it."""
+        """The rounding of a guard that is zero, including what it was off zero at the start of the
+        arc."""
         size = float(self.scene.rounding(self.field.guards[index], self.field)(t, x)[0])
         left = self.series is not None and self.entered[index] == 1
         return 64 * EPS * size + (2.0 * abs(self.series[1][index][0]) if left else 0.0)
 
     def _sunk(self, index: int, segment: Segment, stepper: Stepper, tolerance: float) -> bool:
-        """Whether a guard has left the domain with no zero seen: it began below rounding.
+        """Whether a guard is outside the domain though no zero was seen: it started below rounding.
 
         Raises
         ------
@@ -582,7 +590,7 @@ class ArcFlow:
         return inside
 
     def _tolerance(self, guard: Guard, t: float, x: StateVector) -> float:
-        """What the tolerances leave open of a guard, in its own unit."""
+        """The error that the tolerances allow in a guard, in its own unit."""
         size = max((abs(float(x[i])) for i in guard.uses), default=0.0)
         left, rtol = self.plan.limit + self.plan.rtol * size, self.plan.rtol
         own = float(self.scene.rounding(guard, self.field)(t, x.tolist())[0])
@@ -591,9 +599,9 @@ class ArcFlow:
     def _land(
         self, stepper: Stepper, segment: Segment, fired: Fired, again: bool = False
     ) -> Segment | None:
-        """End the step on the guard, to rounding (5); None if that is the step's start.
+        """End the step on the guard, to rounding (5); None if that is where the step starts.
 
-        ``again``: the step has been ended before.
+        ``again``: whether the step has been ended before.
         """
         tau = fired.tau
         start, longest = segment.start, 1e-6 * segment.length
@@ -629,7 +637,8 @@ class ArcFlow:
         return segment.cut(stepper.tau - segment.start)
 
     def _short_of(self, cut: Cut, stepper: Stepper, shift: float, flow: np.ndarray) -> float:
-        """A shift that ends just before a guard jumps: dense output up to there is the arc's."""
+        """A shift that ends just before the place where a guard jumps, up to which dense output
+        belongs to this arc."""
         back = 2.0 * float(np.spacing(abs(self.now.t) + stepper.tau))
         for _ in range(MOVES):
             there = stepper.x + (shift - back) * flow
@@ -642,7 +651,8 @@ class ArcFlow:
         return shift - back
 
     def _missing(self, fired: Fired, t: float, x: list[float]) -> tuple[float, bool]:
-        """Time to the zero of a guard that fires, or to where it jumps; whether this is it."""
+        """The time left to the zero of a guard that fires, or to its jump; and whether this is
+        exactly it."""
         if fired.cut is None:
             value, rate, _ = self.field.guards[fired.index].lie(t, x)
             exact = abs(value) <= self._rounding(fired.index, t, x)
@@ -661,5 +671,5 @@ class ArcFlow:
 
 
 def _outside(guard: Guard, value: float) -> float:
-    """How far a guard is outside the domain; below zero inside, and where it has no inside."""
+    """How far a guard is outside the domain; negative inside, and where it bounds no domain."""
     return {Crossing.FALLING: -value, Crossing.RISING: value}.get(guard.crossing, -float("inf"))

@@ -1,4 +1,4 @@
-"""Clocks as the driver sees them: which rings, and when.
+"""Clocks in arcs that are flown in Python: which one rings, and when.
 
 Numbers in brackets are the rules of ``docs/semantics.md``.
 """
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 
 def due(driver: Driver, field: Field, x: StateVector) -> tuple[Guard | None, float]:
-    """The clock of a field that rings first from here on, and when; one that has rung at this time
-    rings later."""
+    """The clock of a field that rings first from now on, and its time. A clock that has rung at
+    this time rings later."""
     now, found = driver.record.now, []
     for clock in field.clocks:
         assert clock.after is not None
@@ -35,7 +35,7 @@ def due(driver: Driver, field: Field, x: StateVector) -> tuple[Guard | None, flo
 
 
 def at_once(driver: Driver) -> bool:
-    """Whether a clock rings before any flow, and before what else fires then (4)."""
+    """Whether a clock rings before any flow, and before any other guard that fires then (4)."""
     clock, t = due(driver, driver.entry.field, driver.entry.x)
     if clock is None or driver.record.now.until(t) > 0:
         return False
@@ -45,7 +45,7 @@ def at_once(driver: Driver) -> bool:
 
 
 def _precedes(driver: Driver, guard: Guard, clock: Guard) -> bool:
-    """Whether a guard's edge is declared before a clock; the end of a window is before all."""
+    """Whether a guard's edge is declared before a clock; the end of a window precedes all edges."""
     names = [edge.name for edge in driver.scene.spec.transitions]
     own = guard.edge.partition(".")[0]
     return own not in names or names.index(own) < names.index(clock.edge)
@@ -54,8 +54,8 @@ def _precedes(driver: Driver, guard: Guard, clock: Guard) -> bool:
 def rings(
     driver: Driver, clock: Guard, t: float, fired: Guard | None, flown: Flown
 ) -> tuple[bool, Guard | None]:
-    """Whether a clock rings where an arc ends, which goes no further than that; else the guard that
-    fires there: of those that are zero at one time that of the edge declared first (4)."""
+    """Whether a clock rings at the end of an arc, or else the guard that fires there. Of those that
+    are zero at one time, the edge declared first fires (4)."""
     end = driver.record.now.after(flown.length)
     if fired is not None:
         tied = not _precedes(driver, fired, clock) and _zero(driver, fired, end, flown.x, t)
@@ -67,8 +67,8 @@ def rings(
 
 
 def _zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float) -> bool:
-    """Whether a guard that moves in its direction is zero at a time, next to which an arc ends: in
-    spacings of that, and in what rounding makes of the guard; and its condition holds."""
+    """Whether a guard that moves in its firing direction is zero at a time, and its condition
+    holds. Zero is meant to spacings of the time and to the rounding of the guard."""
     value, rate, _ = guard.lie(end.t, x.tolist())
     size = driver.scene.rounding(guard, driver.entry.field)(end.t, x.tolist())[0]
     noise = TIE * np.spacing(abs(t)) * abs(rate) + GUARD_ROUNDING * EPS * size

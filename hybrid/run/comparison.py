@@ -1,4 +1,4 @@
-"""The runs with which a run is compared: what its accumulations may be off."""
+"""Error bounds of accumulations, measured by comparing a run with further, more accurate runs."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ if TYPE_CHECKING:
 #: Relative change of the start of the third run, by which grown rounding is measured.
 NUDGE = 8e-15
 
-#: Steps of the second run, for each jump, and for each step that the first made one by one: it
-#: takes a tenth of that where nothing acts briefly, and more steps than the first where the flow
-#: swings so fast that both need one for a swing.
+#: The most steps of the second run for each jump, and for each step of the first. It takes a tenth
+#: of that where nothing acts briefly, and more steps than the first where the flow oscillates so
+#: fast that both need one step for each oscillation.
 SECOND_RUN_STEPS, STEPS_EACH, STEPS_MORE = 2000, 40, 2
 
-#: Rounding of the time in a run, against the states, from which on it is measured by a third run:
-#: where no force acts briefly it is some roundings.
+#: A third run is made where the rounding of the time moves the states by more than this share of
+#: them; where no force acts briefly it moves them by a few roundings.
 TIME_BLUR = 1e-13
 
 
 class Compared(NamedTuple):
-    """An accumulation as runs are compared by it."""
+    """What of an accumulation is compared between runs."""
 
     t: float
     edges: tuple[str, ...]
@@ -53,11 +53,11 @@ class Compared(NamedTuple):
 
 @attrs.frozen(eq=False)
 class FinishedRun:
-    """What a run has left, as far as it is compared with others: no more of it is kept for that,
-    and nothing that refers to it.
+    """What of a finished run is compared with others. Nothing else is kept, and nothing refers to
+    the run.
 
-    ``limits`` are its sums and cycles beside ``zeno``, ``jumps`` and ``steps`` how many it made,
-    ``blurred`` and ``cut`` what the watch on its steps found.
+    ``limits`` are its sums and cycles beside ``zeno``, ``jumps`` and ``steps`` their numbers;
+    ``blurred`` and ``cut`` say what the check of its steps found.
     """
 
     scene: Scene
@@ -108,9 +108,10 @@ def give_errors(
     x: StateVector,
     earlier: Solution | None = None,
 ) -> None:
-    """Let each accumulation measure its error when asked: by a second and a third run for all.
+    """Let each accumulation measure its error when it is asked for, by a second and a third run
+    that all of them share.
 
-    Where the run has gone on from an ``earlier`` one, these begin where that one did.
+    If the run continued an ``earlier`` one, these start where that one did.
     """
     if driver.record.zeno:
         made = FinishedRun.of(driver)
@@ -123,16 +124,16 @@ def give_errors(
 
 
 class _Again:
-    """The runs with which a run is compared, each made once, when it is first needed.
+    """The runs with which a run is compared, each made when it is first needed.
 
-    They are watched: each step is shown to have seen all of the flow. The second run uses Taylor
-    series, accurate to rounding; a model without them its own method at a hundredth of its
-    tolerance; and a run that was itself made to rounding is compared with DOP853 at its smallest
-    tolerance, unless forces act so briefly that rounding matters to them. The third run is the
-    same from beside the start, moved by what rounding does to such forces: how far it goes
-    from the run that is not moved shows what rounding grows to. (One run for both would be moved
-    towards the errors of the first as often as away from them.) Where that one has been watched and
-    no step of it had to be cut, this one needs no watch: what it steps over is a difference.
+    Their steps are checked: each is shown to have seen all of the flow. The second run uses Taylor
+    series, accurate to rounding; for a model without series, its own method at a hundredth of the
+    tolerance. A run that was itself made to rounding is compared with DOP853 at its smallest
+    tolerance, unless forces act so briefly that rounding matters to them. The third run repeats the
+    second from a start moved by the rounding of such forces: its distance from the second shows how
+    much rounding grows. (A single run from the moved start would be moved towards the errors of the
+    first run as often as away from them.) If no step of the second run had to be cut, the steps of
+    the third are not checked.
     """
 
     def __init__(
@@ -160,7 +161,7 @@ class _Again:
         return _errors(made, index, [(made, second), (second, self._run(name, True))])
 
     def _run(self, name: str, moved: bool = False) -> FinishedRun:
-        """A run, as far as it gets: what it does not get to has no bound."""
+        """A run as far as it gets; what it does not reach has no bound."""
         if (name, moved) not in self._runs:
             made = self.made
             x = _nudged(made, self.mode, self.x) if moved else self.x
@@ -202,7 +203,7 @@ class _Again:
 
 
 def _nudged(made: FinishedRun, mode: str, x: StateVector) -> StateVector:
-    """The start moved by rounding, so that what rounding grows to is seen as well.
+    """The start moved by rounding, to show how rounding grows.
 
     A start on a guard is left where it is.
     """
@@ -217,7 +218,8 @@ def _nudged(made: FinishedRun, mode: str, x: StateVector) -> StateVector:
 def _errors(
     made: FinishedRun, index: int, pairs: list[tuple[FinishedRun, FinishedRun]]
 ) -> tuple[float, Record]:
-    """Bounds from the distances between runs; infinite where they do not show the same."""
+    """Bounds from the distances between runs; infinite where the runs do not show the same
+    events."""
     point, record = made.zeno[index], made.scene.spec.record
     dimension = made.scene.spec.dimension
     if not all(_shows(run, index, point) for pair in pairs for run in pair):
@@ -238,7 +240,7 @@ def _errors(
 
 
 def _shows(run: FinishedRun, index: int, point: Compared) -> bool:
-    """Whether a run has come to the same accumulation."""
+    """Whether a run has reached the same accumulation."""
     return index < len(run.zeno) and run.zeno[index].edges == point.edges
 
 

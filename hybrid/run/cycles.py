@@ -1,6 +1,6 @@
-"""Cycles of jumps that accumulate, as a run goes on: when to look for a limit, and where it is.
+"""Cycles of jumps that accumulate: when to look for a limit, and where it is.
 
-Whether the run goes over it is judged in :mod:`.limits`.
+:mod:`.limits` decides whether the run passes it.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ if TYPE_CHECKING:
 #: Most jumps that are remembered.
 REMEMBERED_JUMPS = 1 << 14
 
-#: What guards, and what resets change, may be at the limit, against their size in the cycle.
+#: The largest value at the limit of guards, and of what resets change, relative to the first turn.
 ZERO = 1e-6
 
-#: Spacings of floats by which a jump may be late or early, and still be said to be at one time.
+#: Jumps within so many spacings of floats are at one time.
 TICKS = 4
 
-#: Of cycles of one jump, of two and so on: the last jumps of some turns, the latest first.
+#: For cycles of one jump, two, and so on: the places of the last jumps of some turns, latest first.
 LAST_TURNS = -1 - np.outer(np.arange(1, LONGEST_CYCLE + 1), np.arange(FEW_TURNS + 1))
 
 
 class Seen(NamedTuple):
-    """A jump out of a mode, when (in two floats), and the state after it.
+    """A jump: its edge, the mode that it left, its time in two floats, and the state after it.
 
-    ``clock`` is the time without flights that never left their guard (:func:`idle`).
+    ``clock`` is the time less that spent in idle flights (:func:`idle`).
     """
 
     edge: str
@@ -105,8 +105,8 @@ NO_JUMPS = Columns.of("", "", 0.0, 0.0, 0.0, [0.0]).part(slice(0))
 def idle(scene: Scene, field: Field, guard: Guard, t: float, x: StateVector, s: float) -> bool:
     """Whether a flight of length ``s`` stayed within rounding of the guard that ended it.
 
-    What ends it is then rounding too, and its length says nothing. (In the low flights of a
-    contact the gap is a coordinate of its own.)
+    Such a flight is ended by rounding, and its length means nothing. (In low flights onto a contact
+    the gap is a coordinate of its own.)
     """
     if guard.kind not in ("edge", "switch"):
         return False
@@ -117,14 +117,14 @@ def idle(scene: Scene, field: Field, guard: Guard, t: float, x: StateVector, s: 
 
 @attrs.frozen(eq=False)
 class Turn:
-    """The last turn of a cycle, and where its jumps lead at the limit.
+    """The last turn of a cycle, and the limits of its jumps.
 
     Attributes
     ----------
     seen : list of Seen
-        The jumps, with the last one of the turn before.
+        The jumps of the turn, preceded by the last one of the turn before.
     first : list of Seen
-        Those of the first turn that was looked at: the sizes that the cycle began with.
+        The jumps of the first turn looked at; they give the sizes with which the cycle began.
     limits, errors : list of array
         The limits of the states after these jumps, and bounds on their errors.
     """
@@ -135,7 +135,7 @@ class Turn:
     errors: list[np.ndarray]
 
     def slack(self, k: int, rtol: float) -> Numbers:
-        """What a state next to the k-th limit may be off it."""
+        """How far a state near the k-th limit may be from it."""
         moved = np.ptp(np.array([seen.x for seen in self.first]), axis=0)
         return ZERO * moved + 10 * self.errors[k] + 10 * rtol * np.abs(self.limits[k])
 
@@ -151,13 +151,13 @@ class Cycles:
     Attributes
     ----------
     seen : Columns
-        As many of them as are remembered.
+        The jumps remembered.
     longest : float
         The longest flight of the run.
     spent : float
-        Time spent in flights that never left their guard.
+        The time spent in idle flights.
     beside : sequence of int
-        Elements of the state by which nothing else goes: they need have no limit.
+        Elements of the state on which nothing else depends; they need not have a limit.
     """
 
     def __init__(self, beside: Sequence[int] = ()) -> None:
@@ -170,7 +170,7 @@ class Cycles:
     def clock(
         self, scene: Scene, field: Field, guard: Guard, t: float, x: StateVector, s: float
     ) -> float:
-        """The time without idle flights, after one more flight, of length ``s``."""
+        """The time less idle flights, after one more flight, of length ``s``."""
         if s > IDLE_FLIGHT * self.longest:
             self.longest = max(s, self.longest)
         elif s > 0 and idle(scene, field, guard, t, x, s):
@@ -178,7 +178,8 @@ class Cycles:
         return t + s - self.spent
 
     def plain(self, lengths: Numbers) -> bool:
-        """Whether no flight of several in a row is so short that it may be idle; noted if so."""
+        """Whether none of several flights in a row is short enough to be idle; if so, they are
+        noted."""
         known = lengths.tolist()
         longest = max(self.longest, *known)
         if not min(known) > IDLE_FLIGHT * longest:
@@ -189,7 +190,8 @@ class Cycles:
         return True
 
     def room(self, t: Numbers, low: Numbers) -> int:
-        """Of jumps at these times, how many there are before it may be time to look for a limit."""
+        """How many of the jumps at these times may be noted before it is time to look for a
+        limit."""
         if self.asked:
             return min(len(t), 1)
         kept, known = len(self.seen.t), self.seen.t[-STILL_JUMPS:]
@@ -213,12 +215,12 @@ class Cycles:
         return int(found[0]) + 1 if len(found) else count
 
     def _wait(self, t: Numbers, low: Numbers) -> None:
-        """Wait for longer where windows of the jumps that are known do not ask for a look."""
+        """Wait longer where the windows of the known jumps do not shrink."""
         while self.next <= min(len(t), REMEMBERED_JUMPS) and not _shrinks(t, low, self.next):
             self.next += max(LEAST_WAIT, self.next // WINDOW_PART)
 
     def saw(self, jumps: Columns) -> bool:
-        """Note jumps, no more than there is room for; whether it is time to look for a limit."""
+        """Note jumps, no more than there is room for; returns whether to look for a limit."""
         self._note(jumps)
         due = self._falls() or self._stops() or self.asked
         self.asked = False
@@ -231,7 +233,7 @@ class Cycles:
         return due or _shrinks(self.seen.t, self.seen.low, count)
 
     def _note(self, jumps: Columns) -> None:
-        """Keep jumps behind those before, with room for as many again."""
+        """Append jumps; the arrays double when they are full."""
         begin = len(self.seen.t)
         end = begin + len(jumps.t)
         if not begin:
@@ -245,7 +247,7 @@ class Cycles:
         self.seen = self._room.part(slice(end))
 
     def _falls(self) -> bool:
-        """Whether the last turns of a cycle fall so fast that there will not be many."""
+        """Whether the last turns of a cycle shrink so fast that few will follow."""
         lengths = min(LONGEST_CYCLE, (len(self.seen.t) - 1) // FEW_TURNS)
         if not lengths:
             return False
@@ -258,7 +260,7 @@ class Cycles:
         return any(own.count(own[0]) == len(own) for own in edges)
 
     def _stops(self) -> bool:
-        """Whether some jumps have taken no time: said once, while they do."""
+        """Whether the last jumps have taken no time; true once, when it begins."""
         stood, self.stands, clock = self.stands, False, self.seen.clock
         if len(clock) >= STILL_JUMPS:
             spent = clock[-1] - clock[-STILL_JUMPS]
@@ -266,12 +268,12 @@ class Cycles:
         return self.stands and not stood
 
     def first_of(self, edge: str) -> float:
-        """When the last jumps, all of this edge, began."""
+        """The time of the first of the last jumps that are all of this edge."""
         count = sum(1 for _ in takewhile(edge.__eq__, reversed(self.seen.edge.tolist())))
         return float(self.seen.t[-count])
 
     def again(self) -> None:
-        """Look for a limit at the next jump again."""
+        """Look for a limit again at the next jump."""
         self.asked, self.stands = True, False
 
     def forget(self) -> None:
@@ -281,13 +283,13 @@ class Cycles:
 
     @property
     def period(self) -> int:
-        """Jumps in a turn of the edges, as far as the last few turns show; 0 for none."""
+        """The number of jumps in a turn, by the edges of the last few turns; 0 for none."""
         edges = self.seen.edge[-LONGEST_CYCLE * (FEW_TURNS + 1) :]
         return period(edges.tolist(), FEW_TURNS)
 
     def counts(self) -> list[int]:
-        """The elements of the state that a turn of the last jumps changes by no less than the turn
-        before did, as a count does."""
+        """The elements of the state that the last turn changed by no less than the turn before, as
+        a counter does."""
         length = self.period
         if not length:
             return []
@@ -297,7 +299,7 @@ class Cycles:
         return np.setdiff1d(np.flatnonzero(counts), self.beside).tolist()  # type: ignore[no-any-return]
 
     def limit(self, rtol: float, atol: float) -> tuple[CycleLimit, Turn] | None:
-        """Where the last jumps accumulate, if they do, and the turn that leads there.
+        """The limit at which the last jumps accumulate, and the last turn; None if they do not.
 
         The states may come round after several turns of the edges: a reset may change a sign.
         """
@@ -312,10 +314,10 @@ class Cycles:
         return None
 
     def reached(self, rtol: float, atol: float) -> tuple[CycleLimit, Turn] | None:
-        """The limit at which the last jumps stand, if they do: no time passes, states come round.
+        """The limit at which the last jumps stand still, if they do: no time passes and the states
+        come round.
 
-        Its ratio is that of the last turns that took time; 0 where these had not been seen to
-        shrink.
+        Its ratio is that of the last turns that took time; 0 if these were not seen to shrink.
         """
         shortest, t = self.period, float(self.seen.t[-1])
         for length in range(shortest, LONGEST_CYCLE + 1, shortest) if shortest else ():
@@ -335,24 +337,24 @@ class Cycles:
 
     @property
     def still(self) -> float:
-        """The time that the last jumps have taken, of some that are taken to stand."""
+        """The time taken by the last jumps, where these are taken to stand still."""
         first = max(0, len(self.seen.t) - STILL_JUMPS)
         spent = _between(self.seen.t, self.seen.low, first, -1)
         return spent + _tick(STILL_JUMPS, float(self.seen.t[-1]))
 
     def last(self, count: int, before: int = 0) -> list[Seen]:
-        """The last jumps one by one; those before the last few."""
+        """The last jumps as rows; ``before``: those before the last few."""
         end = len(self.seen.t) - before
         return self.seen.part(slice(max(0, end - count), end)).rows()
 
     def _cycle(self, length: int) -> tuple[str, ...]:
-        """The edges of a turn, from the same one on whichever comes last."""
+        """The edges of a turn, beginning with the same edge whichever jump is last."""
         edges = self.seen.edge[-length:].tolist()
         return min(tuple(edges[k:] + edges[:k]) for k in range(length))
 
     def _closings(self, length: int, back: int = 0) -> Integers:
-        """Every so many jumps one, as far back as they are the same, up to some jumps ago: their
-        places."""
+        """The places of every ``length``-th jump, as far back as their edges and modes agree, from
+        ``back`` jumps ago on."""
         places = np.arange(len(self.seen.t) - 1 - back, -1, -length)
         edges, modes = self.seen.edge[places], self.seen.mode[places]
         other = np.flatnonzero((edges != edges[0]) | (modes != modes[0]))
@@ -366,7 +368,8 @@ class Cycles:
         return closings[int(longer[-1]) + 1 if len(longer) else 0 :]
 
     def _turn(self, length: int, found: CycleLimit) -> Turn | None:
-        """The last turn of a cycle whose limit was found, with each jump's own limit."""
+        """The last turn of a cycle whose limit was found, with the limit after each of its
+        jumps."""
         limits, errors = [found.x_inf], [found.x_error]
         for back in range(length - 1, 0, -1):
             closings = self._closings(length, back)[-found.turns :]
@@ -381,7 +384,8 @@ class Cycles:
         return Turn(self.last(length + 1), first, limits, errors)
 
     def _standing(self, length: int) -> Turn:
-        """The last turn of a cycle that stands, with what each jump's states still move."""
+        """The last turn of a cycle that stands still, with how much the states after each jump
+        still move."""
         last = self.last(length + 1)
         phases = [self._closings(length, back)[-FEW_TURNS:] for back in range(length, -1, -1)]
         errors = [np.ptp(self.seen.x[phase], axis=0) for phase in phases]
@@ -391,7 +395,7 @@ class Cycles:
 
 
 def _shrinks(t: Numbers, low: Numbers, count: int) -> bool:
-    """Whether the last window of so many jumps is shorter than the one before."""
+    """Whether the last window of jumps took less time than the one before."""
     window = max(LEAST_WINDOW, (count - 1) // WINDOW_PART)
     first, middle = max(0, count - 1 - 2 * window), count - 1 - window
     return _between(t, low, middle, count - 1) < WINDOW_FALL * _between(t, low, first, middle)
@@ -402,5 +406,5 @@ def _between(t: Numbers, low: Numbers, first: int, last: int) -> float:
 
 
 def _tick(count: int, t: float) -> float:
-    """What rounding makes of the time of so many jumps."""
+    """The rounding of the time over so many jumps."""
     return TICKS * count * ulp(t)

@@ -1,4 +1,4 @@
-"""Entering a mode: which guards are zero here, and what follows (rules 2, 3)."""
+"""Entering a mode: which guards are zero at the start of an arc, and what follows (rules 2, 3)."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from ..rules.zeros import EPS
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers, StateVector
 
-#: Doublings of a step of rounding's size in which a deciding function that is zero must leave it:
-#: it is a difference of numbers that may move at very different rates.
+#: How often a step of rounding's size is doubled in search of the place where a deciding function
+#: leaves zero: it is a difference of numbers that may move at very different rates.
 MOVES = 27
 
-#: What there is to do about a start on a guard that nothing decides on.
+#: The remedy for a start on a guard where no derivative decides.
 STARTS_OFF = "; start off the guard"
 
 
@@ -39,13 +39,13 @@ class Entry:
     Attributes
     ----------
     here : object or None
-        What was known of the guards when they were looked at; None where nobody has.
+        What is known of the guards there; None before the start has been examined.
     orders : list of int
-        For each guard the power of the local time by which it vanishes here.
+        For each guard, the power of the local time by which it vanishes.
     at_once : list of int
-        Guards that fire before any flow.
+        The guards that fire before any flow.
     signs : list of int
-        For each guard the sign that it has just after the start.
+        For each guard, its sign just after the start.
     """
 
     field: Field
@@ -63,34 +63,35 @@ class Entry:
 
 @attrs.define
 class Jumped:
-    """What is known of a state from the jump that led to it.
+    """What a jump tells about the state after it.
 
     Attributes
     ----------
     vanishing : dict
-        By edge: the power of the local time by which its guard vanishes at least (2).
+        By edge: the least power of the local time by which its guard vanishes (2).
     held : tuple of str
-        Contacts held closed; those found closed on entering are added.
+        The contacts held closed; those found closed on entering are added.
     used : str or None
-        The edge just taken: zero by construction, it waits until it has left zero (2).
+        The edge just taken: its guard is zero by construction and must first leave zero (2).
     onwards : bool
-        That edge's reset has not turned the motion of its guard round.
+        The reset of that edge has not reversed the motion of its guard.
     starting : bool
-        The run starts here: there was no jump.
+        This is the start of the run; there was no jump.
     passing : dict or None
-        There was no jump, but what delays see may have jumped: by edge the sign that its guard
-        had; one that has changed it fires (1). See :func:`signs_at_end`.
+        There was no jump, but a window of the past or a signal has ended, and its values may have
+        jumped. By edge, the sign of its guard before; a guard whose sign has changed fires (1). See
+        :func:`signs_at_end`.
     tied : dict
-        By edge the sign that its guard had before the time of the jump, at which it was zero, too.
+        By edge, the sign before the jump of a guard that was zero at its time, too.
     spent : frozenset of str
-        Edges taken at the time of the jump; one that bounds nothing is not taken twice.
+        The edges taken at the time of the jump; one that bounds no domain is not taken twice.
     limit : frozenset of str
-        Edges whose jumps have accumulated here.
+        The edges whose jumps have accumulated here.
     series : bool
-        The jump was an impact of the contact that made the one before: they are summed, however
-        slow.
+        The jump was an impact of the same contact as the one before. Such series are summed,
+        however slow they are.
     tried : tuple
-        Of contacts found closed on entering: those held before, time after time.
+        The sets of held contacts that have been tried on entering.
     """
 
     vanishing: dict[str, int] = attrs.Factory(dict)
@@ -115,17 +116,21 @@ def enter(
     seen: StateVector,
     off: StateVector,
 ) -> Entry:
-    """The start of an arc in a mode as declared.
+    """Examine the start of an arc in a mode.
 
-    ``seen`` are the sizes of the states that the run has seen: rounding of a guard is measured by
-    those that it is made of; ``off`` what each state may be off after a jump, by the tolerances.
+    Parameters
+    ----------
+    seen : array
+        The largest absolute value of each state so far. The rounding of a guard is measured by it.
+    off : array
+        What each state may be off after a jump, by the tolerances.
 
     Raises
     ------
     StartError, DomainError
-        Outside the mode's domain, or undecidable.
+        The state is outside the mode's domain, or no derivative decides what a guard does.
     FlowError
-        If a guard is not finite.
+        A guard is not finite.
     """
     name = scene.name(mode, jumped.held)
     field = _from_corners(scene, scene.field(name), t, x, jumped.vanishing)
@@ -153,12 +158,13 @@ def enter(
 
 
 def _with(jumped: Jumped, held: tuple[str, ...]) -> Jumped:
-    """The same with other contacts held."""
+    """The same jump with other contacts held."""
     return attrs.evolve(jumped, held=held, tried=(*jumped.tried, jumped.held))
 
 
 def _projected(scene: Scene, field: Field, t: float, x: StateVector, starting: bool) -> StateVector:
-    """The state on the contacts that are held, which must be fewer than ways to move."""
+    """The state projected onto the held contacts, which must be fewer than the degrees of
+    freedom."""
     there = field.along(t, x)
     if len(field.held) > 1 and np.isfinite(x).all() and not np.isfinite(there).all():
         raise (StartError if starting else DomainError)(
@@ -172,8 +178,8 @@ def _projected(scene: Scene, field: Field, t: float, x: StateVector, starting: b
 def _from_corners(
     scene: Scene, field: Field, t: float, x: StateVector, known: Collection[str]
 ) -> Field:
-    """The field of what begins here: a gap with a corner that is zero, as is known or to rounding,
-    has the formula of there."""
+    """The field in which each gap with a corner at zero, that is zero here, has the formula of the
+    side where it grows."""
     state, touching = x.tolist(), []
     for guard in field.guards:
         if guard.kind == "contact" and guard.kinks:
@@ -184,10 +190,10 @@ def _from_corners(
 
 
 def signs_at_end(entry: Entry, t: float, x: StateVector, reach: float) -> dict[str, int]:
-    """By edge the sign of its guard at the end of a flight in which none has fired.
+    """By edge, the sign of its guard at the end of a flight in which none has fired.
 
-    A guard next to zero there, against the states seen, is still on the side on which it was, if it
-    would have fired on its way to the other.
+    A guard that is next to zero there, measured by the states seen, keeps the sign it had if it
+    would have fired on the way to the other.
     """
     state, signs, near = x.tolist(), {}, NEAR * reach
     for index, guard in enumerate(entry.field.guards):
@@ -211,8 +217,8 @@ def expand(field: Field, t: float, x: StateVector) -> Any:
 def extent(
     scene: Scene, guard: Guard, field: Field, t: float, x: StateVector, seen: StateVector
 ) -> list[float]:
-    """Sizes of the terms that a guard and its first two derivatives are made of: here, and where
-    the states are as large as the run has seen them."""
+    """The sums of absolute terms of a guard and its first two derivatives: the larger of those at
+    this state and at the largest states seen."""
     sizes = scene.rounding(guard, field)
     here = sizes(t, x.tolist())
     far = sizes(t, seen.tolist()) if len(seen) else here
@@ -224,7 +230,7 @@ def extent(
 def heading(
     scene: Scene, t: float, mode: str, x: StateVector, edge: str, seen: StateVector
 ) -> tuple[int, int]:
-    """From a zero of an edge's guard: the order by which it vanishes along a mode's flow, and
+    """The power of the time by which a guard that is zero vanishes along the flow of a mode, and
     the sign that it takes; sign 0 where no derivative decides."""
     field = scene.field(mode)
     here, index = _Here(scene, field, t, x, seen), field.column(edge)
@@ -232,7 +238,8 @@ def heading(
 
 
 def opened(scene: Scene, mode: str, contact: str, t: float, x: StateVector) -> bool:
-    """Whether the gap or gap speed of a contact that was held is off zero by more than rounding."""
+    """Whether the gap or gap speed of a contact that was held differs from zero by more than
+    rounding."""
     field = scene.field(mode)
     guard = field.guards[field.column(contact)]
     sizes = scene.rounding(guard, field)(t, x.tolist())
@@ -245,10 +252,10 @@ def opened(scene: Scene, mode: str, contact: str, t: float, x: StateVector) -> b
 def beyond_kinks(
     field: Field, kinks: Sequence[Kink], t: float, x: StateVector
 ) -> tuple[float, np.ndarray]:
-    """The first time and state along a flow at which no deciding function is zero any more.
+    """The first time and state along a flow at which no deciding function is zero.
 
-    Where one is, a function has the formula of either side; what counts is the side on which the
-    flow goes on. A function that stays zero decides nothing.
+    At a kink a function has two formulas; the one on the side to which the flow goes counts. A
+    deciding function that stays zero decides nothing.
     """
     there, least = (t, x), 0.0
     for kink in kinks:
@@ -263,8 +270,8 @@ def beyond_kinks(
 def before_impact(
     scene: Scene, field: Field, guard: Guard, t: float, x: StateVector
 ) -> tuple[float, np.ndarray]:
-    """The last time and state on the way to a contact at which its gap is not zero to rounding,
-    nor what decides on its formula."""
+    """The last time and state before an impact at which neither the gap nor a function that decides
+    on its formula is zero to rounding."""
     noise = 64 * EPS * scene.rounding(guard, field)(t, x.tolist())[0]
 
     def zero(t: float, x: list[float]) -> bool:
@@ -287,7 +294,8 @@ def _leaves(
     least: float,
     way: float = 1.0,
 ) -> float:
-    """The first of some doubled steps, from ``least`` on, that leaves a zero; 0 if none does."""
+    """The first of a sequence of doubled steps, from ``least`` on, at which a function is no longer
+    zero; 0 if it stays zero."""
     flow = field.rhs(t, x.tolist())
     times = [abs(float(x[i]) / flow[i]) for i in uses if flow[i]]
     step = max(float(np.spacing(abs(t))), least, EPS * min(times, default=0.0))
@@ -300,7 +308,7 @@ def _leaves(
 
 
 def _require_on_surface(scene: Scene, field: Field, t: float, x: StateVector) -> None:
-    """Refuse to start to slide off the surface."""
+    """Refuse to start sliding off the surface."""
     switching = scene.spec.sliding(field.mode)
     if switching is None:
         return
@@ -316,13 +324,14 @@ def _require_on_surface(scene: Scene, field: Field, t: float, x: StateVector) ->
 
 
 def describe(scene: Scene, field: Field, t: float, x: StateVector) -> str:
-    """Model, mode, time and state, for messages."""
+    """Model, mode, time and state, for error messages."""
     return f"{scene.spec.model}, mode {field.name}, t = {t!r}, {scene.spec.record(x)}"
 
 
 @attrs.frozen(eq=False, slots=False)
 class _Here:
-    """A state in a field, and the guards there; ``expands``: their series may be asked for."""
+    """A state in a field, and its guards there. ``expands``: whether their Taylor series may be
+    used."""
 
     scene: Scene
     field: Field
@@ -334,25 +343,25 @@ class _Here:
 
     @cached_property
     def series(self) -> Any:
-        """Taylor series of states and guards; None where there is none."""
+        """Taylor series of states and guards here; None where there is none."""
         return expand(self.field, self.t, self.x) if self.expands else None
 
     @cached_property
     def reach(self) -> float:
-        """The size of the largest state that the run has seen."""
+        """The largest absolute state component that the run has seen."""
         return float(np.max(self.seen, initial=0.0))
 
     def where(self) -> str:
         return describe(self.scene, self.field, self.t, self.x)
 
     def lost(self, guard: Guard) -> float:
-        """What the states that a guard is made of may be off, by the tolerances; little, however
-        loose they are."""
+        """What the states in a guard may be off by the tolerances, bounded so that loose tolerances
+        do not hide a guard."""
         off = max((float(self.off[i]) for i in guard.uses if len(self.off)), default=0.0)
         return min(off, NEAR * max(self.reach, float(np.abs(self.x).max())))
 
     def closed(self, guard: Guard, order: int, sign: int, jumped: Jumped) -> bool:
-        """Whether a contact is at rest: gap and gap speed zero, and nothing pulls."""
+        """Whether a contact is at rest: gap and gap speed are zero and the force pushes."""
         if guard.kind != "contact" or not self.scene.contact(guard.edge).rests:
             return False
         if order != 1:
@@ -366,14 +375,14 @@ class _Here:
         return bool(unit("entries").at_rest(*given))
 
     def pulls(self, guard: Guard, sign: int, jumped: Jumped) -> bool:
-        """Whether, at the start of a run, a contact found closed would have to pull: others that
-        have been found since bear the body without it."""
+        """Whether, at the start of a run, a contact found closed would have to pull because others
+        found since bear the body without it."""
         found = jumped.starting and jumped.tried and guard.kind == "release"
         return bool(found and sign < 0 and released(guard.edge) not in jumped.tried[0])
 
     def stays(self, guard: Guard, jumped: Jumped) -> bool:
-        """Whether a guard that is zero for good fires no more: where delays see the end of a
-        window, the load of bodies that fall together in contact, and an event at its limit."""
+        """Whether a guard that stays zero never fires: the end of a window, the load of bodies that
+        fall together, an event at its limit."""
         ends = guard.kind == "release" or (not guard.bounds and guard.edge in jumped.limit)
         return guard.kind == "window" or (ends and self.series is not None)
 
@@ -403,7 +412,7 @@ class _Here:
         return bool(what == FIRES)
 
     def refuse_beyond(self, guard: Guard) -> NoReturn:
-        """Refuse to leave the mode's domain through a guard whose edge has led back to it."""
+        """Refuse a flow that leaves the domain through the guard of the edge just taken."""
         raise DomainError(
             f"{self.where()}: the reset of {guard.edge} leaves its guard at zero, and the flow "
             f"leads out of {self.field.mode} from there; lead to a mode that stays there, or "
@@ -411,7 +420,7 @@ class _Here:
         )
 
     def require_way(self, guard: Guard, sign: int, starting: bool) -> None:
-        """Refuse to choose where both flows lead away from the surface of a switching."""
+        """Refuse to choose a mode where both flows lead away from the surface of a switching."""
         _, other = heading(self.scene, self.t, guard.to, self.x, guard.edge, self.seen)
         if other != -sign:
             return
@@ -435,7 +444,7 @@ class _Here:
         return self.decide(guard, index, least)
 
     def beyond(self, guard: Guard) -> tuple[float, np.ndarray]:
-        """Time and state, beyond the kinks of a guard."""
+        """Time and state just beyond the kinks of a guard."""
         return beyond_kinks(self.field, guard.kinks, self.t, self.x)
 
     def decide(self, guard: Guard, index: int, least: int) -> tuple[int, int]:
@@ -458,7 +467,7 @@ class _Here:
         return order, sign
 
     def third(self, guard: Guard, index: int) -> list[float]:
-        """The coefficient of third order of a contact's gap, where the flow has no series."""
+        """The third Taylor coefficient of a contact's gap, where the whole flow has no series."""
         if guard.kind != "contact":
             return []
         local = near(self.field, guard.edge, self.t, self.x.tolist())

@@ -1,4 +1,4 @@
-"""Impacts at one instant, at contacts that touch: their maps, and the limit where they never end.
+"""Impacts at one instant of contacts that touch: their maps, and the limit if they never end.
 
 See :mod:`hybrid.zeno.instant`.
 """
@@ -21,32 +21,32 @@ if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
     from .cycles import Seen
 
-#: Shares of the largest gap speed at which a restitution must be the same, and down to rest.
+#: Shares of the largest gap speed at which a restitution is compared: it must be constant.
 SPEEDS = (1.0, 0.3, 1e-3, 1e-9, 0.0)
 
-#: By how little restitutions may differ that are one: a few roundings.
+#: Restitutions that differ by no more than a few roundings are equal.
 SAME_RESTITUTION = 64 * EPS
 
-#: The time in which hidden flights end, against that of a gap which rounding leaves open at the
-#: speed with which they began, over all turns.
+#: The time in which hidden flights end, relative to that of crossing a gap of rounding's size at
+#: their first speed, over all turns.
 HIDDEN_CAUTION = 8.0
 
 
 @attrs.frozen(eq=False)
 class Touching:
-    """Contacts that touch at a time and state, and what impacts there do.
+    """Contacts that touch at a time and state, and the effect of impacts there.
 
     Attributes
     ----------
     guards : list of Guard
     pushes : array, shape (contacts, states)
-        For each the change of the state that changes its gap speed by 1.
+        For each contact, the change of the state that changes its gap speed by 1.
     gain : array, shape (contacts, contacts)
-        Changes of gap speeds by these.
+        The changes of all gap speeds by these.
     speeds, laws : list of float
-        Gap speeds, zero where they are to rounding, and restitutions.
+        Gap speeds (zero where they are rounding) and restitutions.
     open : float
-        What rounding leaves open of the gaps: flights so low may be hidden in the instant.
+        The rounding of the gaps: lower flights may be hidden in the instant.
     """
 
     guards: list[Guard]
@@ -58,9 +58,9 @@ class Touching:
 
 
 def collapse(scene: Scene, mode: str, recent: Sequence[Seen], t_error: float) -> CycleLimit | None:
-    """The limit of impacts that take no time and come round, ever slower; None where there is none.
+    """The limit of impacts that take no time and repeat with falling speed; None if there is none.
 
-    ``recent``: jumps that took no time, of which the last has led into the mode.
+    ``recent``: the jumps that took no time; the last has led into the mode.
     """
     t, x = recent[-1].t, recent[-1].x
     if not all(scene.is_contact(seen.edge) for seen in recent):
@@ -81,8 +81,8 @@ def collapse(scene: Scene, mode: str, recent: Sequence[Seen], t_error: float) ->
 def touching(scene: Scene, mode: str, t: float, x: StateVector) -> Touching | None:
     """The contacts of a mode that touch.
 
-    None where impacts do something else than change gap speeds by shares that do not depend on the
-    speeds: something else is watched that they change, or a restitution depends on the speed.
+    None if impacts do not change gap speeds by constant shares: another guard depends on what they
+    change, or a restitution depends on the speed.
     """
     field, state = scene.field(mode), x.tolist()
     contacts = [guard for guard in field.guards if guard.kind == "contact"]

@@ -1,10 +1,10 @@
-"""Steps that end where the flow changes its formula, by methods that do not look for such places.
+"""Steps that end where the flow changes its formula, for methods that do not look for such places.
 
-A method asks for the flow at a few points of a step: a layer of force between two of them is passed
-over, and so is what measures the step. But the step's polynomial shows where the functions are zero
-that decide on the formula. A step in which one is zero is taken back and made again up to a short
-way before that, where the method sees the one formula only; so that place is shown ever better.
-What is left in the end is gone in a straight line, and the method begins again beyond.
+A method evaluates the flow at a few points of a step. A force that acts between two of them is
+missed, and so is its effect on the error estimate. But the step's polynomial shows the zeros of the
+functions that decide on the formula. A step that contains one is taken back and made again up to
+shortly before it, where the method sees one formula only, and so the zero is located ever better.
+The short remaining way is gone along a straight line, and the method starts anew beyond.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from .entry import MOVES, beyond_kinks
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
 
-#: Share of the way to such a place that is made before it is looked for again, and of the step in
-#: which it was seen first that is gone in a straight line: that errs by the square of this.
+#: The share of the way to a kink that is left before it is looked for again, and the share of a
+#: step that is gone along a straight line, whose error is the square of this.
 CLOSER, STRAIGHT = 0.999, 1e-8
 
-#: Roundings of the time, or of a state, within which nothing is told apart.
+#: Times and states within so many roundings are not told apart.
 SPACINGS = 16
 
-#: By how much time and states are moved to see what rounding makes of a deciding function, and what
-#: it may make of the last coefficients of its polynomial, against that.
+#: How far time and states are moved to measure the rounding of a deciding function, and how much of
+#: it the last coefficients of its polynomial may be.
 MOVED, NOISE = 8 * EPS, 1e4
 
 
@@ -44,10 +44,10 @@ def begin(
     first_step: float | None,
     sizes: StateVector | None = None,
 ) -> Stepper:
-    """A solver's stepper for an arc, whose steps end where the flow changes its formula.
+    """A stepper for an arc, whose steps end where the flow changes its formula.
 
-    An arc that starts on such a place starts beyond it. Along a surface on which the state is held
-    nothing is looked for: there rounding decides on signs.
+    An arc that starts at such a place starts beyond it. While the state slides on a surface no such
+    place is looked for: rounding decides on signs there.
     """
     changes = [kink for kink in field.changes if kink.change != "ends"]
     t, x = beyond_kinks(field, field.changes, t0, x0)
@@ -57,14 +57,14 @@ def begin(
 
 
 class KinkedStepper(Stepper):
-    """A solver's steps, begun anew where the flow changes its formula.
+    """Steps of a solver, started anew where the flow changes its formula.
 
     Attributes
     ----------
     inner : Stepper
         The method, from ``offset`` to ``bound`` at most.
     first : float or None
-        The length of the first step tried where it begins again.
+        The length of the first step that is tried where it starts anew.
     """
 
     inner: Stepper
@@ -80,7 +80,7 @@ class KinkedStepper(Stepper):
         self.repeats = self.inner.repeats
 
     def _begin(self, bound: float) -> None:
-        """Begin the method here, up to a local time."""
+        """Start the method here, up to a local time."""
         t, x, left = self.t0 + self.tau, self.x, bound - self.tau
         first = None if self.first is None else min(self.first, left)
         self.inner = self.solver.begin(self.field, t, x, left, first, self.sizes)
@@ -120,7 +120,7 @@ class KinkedStepper(Stepper):
         return self._segment
 
     def _take(self, own: Segment, limit: float) -> None:
-        """Go to the end of a step of the method's; one that was made to a limit ends there."""
+        """Go to the end of a step of the method; a step made to a limit ends there."""
         start, tau, self.x = self.offset + own.start, self.inner.tau, self.inner.x
         ends = (end for end in (limit, self.bound) if tau == end - self.offset)
         self.tau = next(ends, self.offset + tau)
@@ -137,8 +137,8 @@ class KinkedStepper(Stepper):
         return min(found, key=lambda cut: cut.before, default=None)
 
     def _next_to(self, own: Segment) -> Cut | None:
-        """The place that is next, where a method's own steps close in on it and become as short as
-        rounding of the time."""
+        """The place of the kink, where the method's own steps close in on it and become as short as
+        the rounding of the time."""
         speck = SPACINGS * float(np.spacing(abs(self.t0) + self.tau))
         if own.length > speck:
             return None
@@ -151,7 +151,7 @@ class KinkedStepper(Stepper):
         return None
 
     def _noise(self, kink: Kink, own: Segment) -> float:
-        """What rounding makes of a deciding function."""
+        """The rounding of a deciding function."""
         if kink.affine:
             return 0.0
         t, x = self.t0 + self.offset + own.end, self.x
@@ -159,14 +159,15 @@ class KinkedStepper(Stepper):
         return NOISE * abs(moved - kink.value(t, x.tolist()))
 
     def _speck(self, kink: Kink) -> float:
-        """A time in which rounding of the time, or of what decides, leaves nothing to be seen."""
+        """A time too short to see anything in, by the rounding of the time or of the deciding
+        function."""
         x, flow = self.x.tolist(), self.field.rhs(self.t0 + self.tau, self.x.tolist())
         times = [abs(x[i] / flow[i]) for i in kink.uses if flow[i]]
         return SPACINGS * EPS * max(abs(self.t0) + self.tau, min(times, default=0.0))
 
     def _passes(self, cut: Cut, ahead: float) -> bool:
-        """Go straight on until a deciding function has the sign that it takes at a cut; whether
-        that takes any time."""
+        """Go straight on until a deciding function has the sign beyond a kink; returns whether that
+        takes any time."""
         t, x = self.t0 + self.tau, self.x
         flow = np.array(self.field.rhs(t, x.tolist()))
         more = float(np.spacing(abs(t)))

@@ -1,4 +1,4 @@
-"""Knots of signals: what is behind one, and the pieces as the rules' own loop takes them.
+"""Knots of signals: what follows one, and the pieces as the compiled loop takes them.
 
 Numbers in brackets are the rules of ``docs/semantics.md``.
 """
@@ -29,15 +29,15 @@ PIECES_AHEAD = 4096
 
 
 def pass_knot(driver: Driver, t: float, x: StateVector) -> None:
-    """Go on within an arc behind a knot, where the run has come to.
+    """Continue an arc behind a knot.
 
-    Contacts at rest open where the gap, or its speed, jumps there; a surface that jumps is crossed;
-    and a guard that has jumped over zero fires (1).
+    A contact at rest opens if its gap or gap speed jumps there; a surface that jumps over the state
+    is crossed; a guard that has jumped over zero fires (1).
 
     Raises
     ------
     DomainError
-        Where a gap jumps below zero, or a surface away from a state that slides on it.
+        If a gap jumps below zero, or a surface jumps away from a state that slides on it.
     """
     entry, field, there = driver.entry, driver.entry.field, driver.model.at(t)
     came = driver.came() if entry.here is None else driver.jumped
@@ -65,7 +65,7 @@ def pass_knot(driver: Driver, t: float, x: StateVector) -> None:
 def _jumped(
     driver: Driver, there: Scene, t: float, x: StateVector, signs: dict[str, int]
 ) -> list[str]:
-    """Surfaces that have jumped over a state; at most one."""
+    """The surfaces that have jumped over the state; at most one may."""
     field, found = driver.entry.field, []
     behind = there.field(field.mode)
     switching = there.spec.sliding(field.mode)
@@ -91,7 +91,7 @@ def _jumped(
 
 
 class Feed:
-    """Some of the pieces of signals, as the rules' own loop takes them."""
+    """Consecutive pieces of the signals, as arrays for the compiled loop."""
 
     def __init__(self, scene: Scene, t: float, last: float) -> None:
         self.knots, self.last = scene.knots(t, last, PIECES_AHEAD), last
@@ -101,27 +101,28 @@ class Feed:
         self._made: tuple[Links, InputArrays] | None = None
 
     def at(self, t: float, goes_on: bool) -> bool:
-        """Be at a time, if there is a piece for it; ``goes_on``: over knots, if all is plain."""
+        """Move to the piece at a time, if there is one; ``goes_on``: the loop may pass knots by
+        itself."""
         place = int(np.searchsorted(self.knots[:-1], t, "right")) - 1
         self.place[:] = max(place, 0), goes_on, -1, 0
         return place >= 0 and (t < self.knots[-1] or t == self.last)
 
     def begins(self, within: bool) -> None:
-        """Begin a call of the loop; ``within`` the arc that it was in."""
+        """Prepare for a call of the loop; ``within``: it continues the same arc."""
         self.place[2:] = 0 if within else -1, 0
 
     @property
     def since(self) -> float:
-        """Where the present piece begins."""
+        """The time at which the current piece begins."""
         return float(self.knots[self.place[0]])
 
     @property
     def until(self) -> float:
-        """Where the present piece ends."""
+        """The time at which the current piece ends."""
         return float(self.knots[self.place[0] + 1])
 
     def arrays(self, links: Links) -> InputArrays:
-        """The pieces, and where they are put in."""
+        """The pieces, and where in the inputs they belong."""
         if self._made is None or self._made[0] is not links:
             own = self.knots, self.pieces, self.place, self.began, self.start
             given = links.given, links.ranged, links.parts, links.ops, links.more, links.numbers

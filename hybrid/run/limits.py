@@ -1,4 +1,5 @@
-"""The limit of a cycle of jumps: whether its cause is there, and the run goes over it."""
+"""Whether the cause of a cycle of jumps is still there at its limit, so that the run may pass
+it."""
 
 from __future__ import annotations
 
@@ -23,12 +24,13 @@ if TYPE_CHECKING:
     from ..trajectory.plan import Plan
     from .driver import Driver
 
-#: Where so small a share of the longest flight is left, the way over a guard may be its square,
-#: 1e-12 of the state: rounding knows the last flights to 2e-4 then, and the limit to ``DROWNED``.
-#: Later turns show less of it: it is taken as it is known there, whatever the tolerances.
+#: Once so small a share of the longest flight is left, flights may rise by its square only, 1e-12
+#: of the state. Rounding then leaves the last flights an accuracy of 2e-4, and the limit one of
+#: ``DROWNED``. Later turns are known less well, so the limit is taken here, whatever the
+#: tolerances.
 DROWNING, DROWNED = 1e-6, EPS / 1e-6
 
-#: Points on the way to the limit at which flows are looked at, and how straight they must be.
+#: Points on the way to the limit at which the flow is sampled, and how linear it must be.
 SAMPLES, STRAIGHTNESS = 64, 1e-2
 
 #: Steps of the midpoint rule along the last flight of a jump.
@@ -38,9 +40,9 @@ FLIGHT = 8
 def persists(scene: Scene, turn: Turn, t: float, cycle: tuple[str, ...], rtol: float) -> bool:
     """Whether the cause of a cycle is there at its limit.
 
-    For each jump of a turn, at the limit of the state that the one before leads to: its guard is
+    For each jump of a turn, at the limit of the state that the jump before leads to: its guard is
     zero, its reset leads to the limit after it, no other guard of the mode has changed sign on the
-    way or may be zero there, and the flow there changes no faster than along a straight line.
+    way or may be zero there, and the flow varies there no more than linearly.
     """
     for k, jump in enumerate(turn.seen[1:]):
         field, x, slack = scene.field(jump.mode), turn.limits[k], turn.slack(k, rtol)
@@ -58,7 +60,8 @@ def persists(scene: Scene, turn: Turn, t: float, cycle: tuple[str, ...], rtol: f
 def _alone(
     field: Field, turn: Turn, k: int, t: float, cycle: tuple[str, ...], slack: Numbers
 ) -> bool:
-    """Whether no guard but those of the cycle is zero from the last flight before a jump on."""
+    """Whether no guard outside the cycle is zero from the last flight before a jump to the
+    limit."""
     now, jump, x, others = turn.seen[k], turn.seen[k + 1], turn.limits[k], []
     known = 10 * turn.errors[k] + 64 * EPS * np.abs(x)
     for column, guard in enumerate(field.guards):
@@ -73,7 +76,7 @@ def _alone(
 
 
 def _way(field: Field, now: Seen, length: float, t: float, x: StateVector) -> Matrix:
-    """Times and states along the flight after a jump, and at the limit at last."""
+    """Times and states along the flight after a jump, ending with the limit."""
     step, state, rows = length / FLIGHT, now.x, [[now.t, *now.x]]
     for k in range(FLIGHT):
         begin = now.t + k * step
@@ -85,7 +88,7 @@ def _way(field: Field, now: Seen, length: float, t: float, x: StateVector) -> Ma
 
 
 def _steady(field: Field, now: Seen, t: float, x: StateVector) -> bool:
-    """Whether a mode's flow changes along the way to the limit as a straight line does."""
+    """Whether a mode's flow varies linearly along the way to the limit."""
     rhs, shares = field.rhs, np.linspace(0.0, 1.0, SAMPLES)
     states = now.x + shares[:, None] * (x - now.x)
     times = now.t + shares * (t - now.t)
@@ -97,7 +100,8 @@ def _steady(field: Field, now: Seen, t: float, x: StateVector) -> bool:
 def _allowed(
     guard: Guard, t: float, x: StateVector, slack: StateVector, first: list[Seen]
 ) -> float:
-    """What a guard may be at the limit: little against its size, or what the slack makes of it."""
+    """The largest value of a guard that counts as zero at the limit: small against its size in the
+    cycle, or within what the slack of the state makes of it."""
     size, length = 0.0, first[0].until(first[-1])
     for seen in first:
         value, rate, _ = guard.lie(seen.t, seen.x.tolist())
@@ -106,7 +110,7 @@ def _allowed(
 
 
 def _moved(guard: Guard, t: float, x: StateVector, slack: StateVector) -> float:
-    """What the slack of a state makes of a guard."""
+    """How much a guard changes over the slack of a state."""
     here = guard.value(t, x.tolist())
     return sum(abs(guard.value(t, (x + step).tolist()) - here) for step in np.diag(slack))
 
@@ -122,9 +126,9 @@ def _after(scene: Scene, guard: Guard, t: float, x: StateVector) -> StateVector:
 
 
 def pass_limit(driver: Driver, mode: str) -> bool:
-    """Go over the limit of a cycle, if the last jumps have one; False if they have none.
+    """Pass the limit of a cycle if the last jumps have one; returns whether they do.
 
-    ``mode`` is where the last jump leads.
+    ``mode``: the mode that the last jump leads to.
     """
     plan, cycles = driver.plan, driver.cycles
     passes = plan.zeno in ("truncate", "ignore") or driver.status is not None
@@ -160,7 +164,7 @@ def pass_limit(driver: Driver, mode: str) -> bool:
 
 
 def _at_once(driver: Driver, mode: str) -> CycleLimit | None:
-    """The limit of impacts that stand, and slow down for ever at one instant."""
+    """The limit of impacts at one instant that never end, if the last jumps are such."""
     if driver.record.memory is not None:  # what delays see may change with each of them
         return None
     cycles = driver.cycles
@@ -168,7 +172,8 @@ def _at_once(driver: Driver, mode: str) -> CycleLimit | None:
 
 
 def _sought(cycles: Cycles, plan: Plan) -> tuple[CycleLimit, Turn] | None:
-    """The limit of the last jumps, as well as it is wanted, or as the little time left shows it."""
+    """The limit of the last jumps, if it is known to the accuracy wanted, or as well as rounding
+    will ever show it."""
     rtol, atol = plan.closing * plan.rtol, plan.closing * plan.limit
     if cycles.stands:
         return cycles.reached(rtol, atol)
@@ -187,7 +192,8 @@ def _named(turn: Turn) -> tuple[tuple[str, np.ndarray], ...]:
 
 
 def _summed(scene: Scene, cycles: Cycles) -> bool:
-    """Whether a cycle is left to the chatter map: impacts of one contact that damps them all."""
+    """Whether the last jumps are impacts of one contact that damps them all: these are summed as a
+    series instead."""
     (last,) = cycles.last(1)
     if cycles.period != 1 or not scene.is_contact(last.edge):
         return False
@@ -195,7 +201,7 @@ def _summed(scene: Scene, cycles: Cycles) -> bool:
 
 
 def _tire(driver: Driver, found: CycleLimit) -> bool:
-    """Whether each contact of a cycle damps slow impacts as well, down to rest."""
+    """Whether each contact of a cycle damps slow impacts, too, down to rest."""
     scene, turn = driver.scene, driver.cycles.last(len(found.edges))
     for seen in turn:
         if scene.is_contact(seen.edge):

@@ -1,8 +1,8 @@
-"""The Python side of the rules' own loop: arcs that are plain are flown as machine code.
+"""Runs the compiled loop of the rules and answers what it asks for.
 
-:mod:`hybrid.rules.advance` goes on as far as nothing needs judgement. Steps that it cannot make
-itself, those of another solver, are made here when it asks for them. What it leaves is kept, and
-the driver judges what comes next.
+:mod:`hybrid.rules.advance` flies arcs and makes jumps until it needs something from outside: a step
+of another solver, a field that is not in its tables, more room, or a decision that needs all the
+rules. This module answers, records what the loop has left, and hands the rest to the driver.
 """
 
 from __future__ import annotations
@@ -107,22 +107,20 @@ if TYPE_CHECKING:
     from ..lowering import Field, Guard
     from .driver import Driver
 
-#: Jumps and steps for which there is room at first; how many times more there is after each call
-#: that has filled it, and at most: the keyboard is heard between calls. Sums for which there is
-#: room.
+#: Room for jumps and steps at first, the factor by which it grows after each call that has filled
+#: it, and its limit: a run can be interrupted between calls. Room for sums.
 JUMPS_KEPT, STEPS_KEPT, ROOM_GROWTH, MOST_ROOM = 64, 512, 4, 1 << 15
 SUMS_KEPT = SUMS
 
-#: What is asked for of another solver: methods of :class:`Outside`.
+#: The methods of :class:`Outside` that answer what the loop asks of another solver.
 OUTSIDE_METHODS = {STEP: "step", SHOW: "show", LAND_ON: "land"}
 
 
 class Machine:
-    """Flies a driver's plain arcs by the rules' own loop: with Taylor series, or with another
-    solver's steps.
+    """The compiled loop of one run, with Taylor series or another solver's steps.
 
-    ``fly`` goes on from the driver's entry as far as nothing needs judgement, and leaves the
-    driver with an entry, a jump done, or its status set.
+    ``fly`` continues from the driver's entry as far as the compiled rules can decide. It leaves the
+    driver with a new entry, a jump done, or its status set.
     """
 
     now: Now
@@ -160,9 +158,9 @@ class Machine:
         self.size: tuple[int, ...] = (JUMPS_KEPT, STEPS_KEPT)
 
     def takes(self) -> bool:
-        """Whether the arc that begins at the driver's entry may be plain.
+        """Whether the compiled loop can fly the arc that begins at the driver's entry.
 
-        Where what delays see is guessed another solver's is the driver's.
+        With another solver it cannot while the windows of the past are guesses.
         """
         entry, memory = self.driver.entry, self.driver.record.memory
         if self.windowed and memory is not None and memory.guessing:
@@ -170,11 +168,11 @@ class Machine:
         return max(entry.orders, default=0) <= RISES and self.may(entry.field)
 
     def may(self, field: Field) -> bool:
-        """Whether the arcs of a field may be plain."""
+        """Whether the compiled loop can fly arcs of a field."""
         return self.plan.zeno != "truncate" and self.tables.plain(self.tables.number(field))
 
     def fly(self) -> None:
-        """Go on until something needs judgement, or the run ends."""
+        """Go on until a decision needs all the rules, or the run ends."""
         self.order = min(self.highest, ORDER) if self.driver.wary else self.highest
         self._begin()
         self.passed = False
@@ -223,7 +221,7 @@ class Machine:
 
     @property
     def _going(self) -> int:
-        """Steps so far of the arc that the loop is in the middle of, its arrays being full."""
+        """Steps made so far of an arc in the middle of which the arrays were full; otherwise 0."""
         return int(self.ints[MADE]) if self.ints[PHASE] == WALKS else 0
 
     def _hold(self, left: Left) -> float:
@@ -239,14 +237,15 @@ class Machine:
         return tau
 
     def _spent(self, status: int, left: Left) -> bool:
-        """Whether the run has made all its steps; keeps what has been flown of the arc."""
+        """Whether the run has used up its steps; if so, records the arc as far as it was flown."""
         spent = status == FULL and self.driver.steps + self.kept.count >= self.plan.max_steps
         if spent and self._going:
             self._last(left)
         return spent
 
     def _tell(self, tau: float, left: Left) -> None:
-        """Say how far the run is; if it is stopped there, keep what has been flown of the arc."""
+        """Report progress; if the user stops the run there, records the arc as far as it was
+        flown."""
         try:
             if self.plan.progress is not None:
                 self.plan.progress(self.driver.record.now.after(tau).t)
@@ -256,14 +255,14 @@ class Machine:
             raise
 
     def _expanded(self) -> None:
-        """Add the expansions of a call, which are what Taylor's steps evaluate."""
+        """Count the Taylor expansions of a call, which are the evaluations of Taylor steps."""
         solver, made = self.driver.solver, int(self.ints[EXPANSIONS])
         if self.outside is None:
             solver.evaluations = (solver.evaluations or 0) + made
             self.tables.flown(made, self.order)
 
     def _advance(self, left: Left) -> int:
-        """Call the loop, and make the steps and the tables that it asks for."""
+        """Call the loop until it comes back for more than a step, a table or a check."""
         own, call = self.outside is None, self._call(left)
         try:  # what is not finite is reported, not warned of
             with nullcontext() if own else np.errstate(all="ignore"):
@@ -288,13 +287,13 @@ class Machine:
             raise
 
     def _watch(self, watched: bool) -> None:
-        """Let the loop ask for what it makes to be held against the flow, or not."""
+        """Set whether the loop's steps are to be checked against the flow."""
         for run in (self.run, self.rooms.run):
             run[WATCHED], run[MAX_STEP] = watched, self.plan.max_step
 
     def _hold_to_flow(self) -> None:
-        """Hold what the loop has made against the flow; no more of it once it has gone over a sum,
-        in which nothing hides."""
+        """Check what the loop has made against the flow. Behind a sum that is believed nothing is
+        checked any more."""
         if self.ints[TAILS] and self.plan.watchful is None:
             self._watch(False)
             return
@@ -304,7 +303,7 @@ class Machine:
             run[MAX_STEP] = min(self.plan.max_step, self.watched.longest)
 
     def _call(self, left: Left) -> Callable[[], int]:
-        """What calls the loop: with delays, that which passes from window to window."""
+        """The call of the loop; with delays, of the rule that passes from window to window."""
         if self.feed is not None:
             return self._fed(left, self.feed)
         if self.past is not None and self.driver.record.memory is not None:
@@ -316,7 +315,7 @@ class Machine:
         return held(go, automaton, self.run, self.now, room, left, sums, look)
 
     def _fed(self, left: Left, feed: Feed) -> Callable[[], int]:
-        """What calls the loop on the pieces of signals."""
+        """The call of the loop on the current pieces of the signals."""
         assert self.past is not None
         automaton, links = self.past.linked()
         (room, sums, look), given, rules = self.rooms.work, feed.arrays(links), unit("inputs")
@@ -326,9 +325,8 @@ class Machine:
         return held(rules.through, automaton, self.run, self.now, room, left, sums, look, given)
 
     def _knot(self, left: Left, status: int) -> bool:
-        """Whether the loop has come to a knot of signals that the driver is to look at, which it
-        does; what is to be judged in an arc that has gone over knots is from the last of them on.
-        """
+        """Whether the loop has stopped at or behind a knot of a signal where a guard must be
+        examined; if so, this is done. The arc is recorded up to the last knot."""
         driver, feed, place = self.driver, self.feed, int(self.ints[JUMPS_MADE])
         assert feed is not None
         at_knot = status == END and feed.until < self.plan.t1
@@ -351,14 +349,14 @@ class Machine:
         return True
 
     def _come_to_piece(self) -> None:
-        """Let the arc's field be on the piece of signals on which the loop has come to its end."""
+        """Let the entry's field read the piece of the signals on which the loop has stopped."""
         driver = self.driver
         if self.feed is not None:
             driver.scene = driver.model.at(self.feed.since)
             driver.entry = attrs.evolve(driver.entry, field=driver.field)
 
     def _looked_back(self, left: Left) -> int:
-        """Call the loop with what flows look back on."""
+        """Call the loop with the record of the past."""
         memory, now, (room, sums, look) = self.driver.record.memory, self.now, self.rooms.work
         assert self.past is not None
         assert memory is not None
@@ -381,10 +379,10 @@ class Machine:
         return status
 
     def _passes(self, left: Left, status: int) -> int:
-        """With delays: the status, ``GOES_ON`` where other windows of the past have been due.
+        """With delays: pass to the next windows of the past; returns the status, ``GOES_ON`` if the
+        loop is to be called again.
 
-        Where the present arc has gone on through windows, and is to be judged, what has been flown
-        up to there is kept.
+        If an arc that has passed windows must be examined, it is recorded up to the last of them.
         """
         driver, memory, place = self.driver, self.driver.record.memory, int(self.ints[JUMPS_MADE])
         if memory is None:
@@ -409,8 +407,8 @@ class Machine:
         return GOES_ON if status == WINDOW else status
 
     def _passes_window(self, left: Left, status: int, memory: Memory) -> int:
-        """The same where the loop comes back at the end of each window: with other solvers' steps,
-        and where a lag moves, whose window ends where a guard fires."""
+        """The same where the loop comes back at the end of each window: with another solver's
+        steps, and for lags that move, whose windows end where a guard fires."""
         driver, place, fired = self.driver, int(self.ints[JUMPS_MADE]), None
         if status == FULL and place and self.plan.memory == "restart":
             guard = self.tables.guards[left.fired[0]]
@@ -437,7 +435,7 @@ class Machine:
         return GOES_ON if all(g.value(driver.t, x) * v > 0 for g, v in pairs) else LOOK
 
     def _through(self, tau: float, x: StateVector, steps: Steps | None, signs: np.ndarray) -> None:
-        """Keep the present arc up to where it goes on through other windows of the past."""
+        """Record the current arc up to the place where the next windows of the past begin."""
         driver = self.driver
         segments = steps.segments(np.array([tau])) if steps and self.dense else []
         x = driver.record.extend(driver.entry.field, driver.entry.x, x.copy(), tau, segments)
@@ -450,7 +448,7 @@ class Machine:
             self.ints[MADE], self.ints[ENTERED] = 1, 0
 
     def _make(self) -> None:
-        """Complete the tables, with room for what is new in them."""
+        """Complete the tables with what the loop has asked for, and make room for it."""
         with np.errstate(all="ignore"):
             self.tables.complete(int(self.ints[LACKING]), int(self.ints[LACKING_AT]), bounded)
         tied, spent = self.now.tied.copy(), self.now.spent.copy()
@@ -459,7 +457,7 @@ class Machine:
         self.now.tied[: len(tied)], self.now.spent[: len(spent)] = tied, spent
 
     def _take(self) -> None:
-        """Work in arrays that are large enough for the tables as they are."""
+        """Work in arrays that are large enough for the tables as they are now."""
         tables, before = self.tables, self.needs
         needs = *tables.needs, tables.widest, len(tables.guards), self.order
         if needs == before:
@@ -478,18 +476,18 @@ class Machine:
         self.floats, self.ints = rooms.now.floats, rooms.now.ints
 
     def _forget(self) -> None:
-        """Note nothing of guards."""
+        """Clear what is known of guards."""
         for array in self.now[5:]:
             array[:] = 0
 
     def give_back(self) -> None:
-        """Let other runs use the arrays."""
+        """Return the arrays, for other runs to use."""
         if self.needs:
             self.tables.free.setdefault(self.needs, []).append(self.rooms)
             self.needs = ()
 
     def _interrupted(self, now: Now, left: Left) -> None:
-        """Keep the arcs that have ended, and of the present one the steps that have been made."""
+        """After an interrupt: record the arcs that have ended, and the steps of the current one."""
         self._keep(left)
         if self.driver.status is not None or self.passed:
             return
@@ -507,13 +505,14 @@ class Machine:
             self._last(left)
 
     def _series(self) -> tuple[str | None, int, float]:
-        """The series of impacts that goes on: the contact, how many, and the speed last tried."""
+        """The current series of impacts: the contact, their number, and the speed at which a sum
+        was tried last."""
         guard, count = int(self.ints[SERIES]), int(self.ints[IMPACT_COUNT])
         contact = self.tables.guards[guard].edge if guard >= 0 else None
         return contact, count, float(self.floats[TRIED])
 
     def _begin(self) -> None:
-        """The state of the driver's entry."""
+        """Put the driver's entry into the loop's arrays."""
         driver, entry = self.driver, self.driver.entry
         now, guards = driver.record.now, entry.field.guards
         field = self.tables.number(entry.field)
@@ -549,7 +548,7 @@ class Machine:
         driver.tied = {}
 
     def _left(self) -> Left:
-        """Arrays for what a call leaves, and the counts at zero."""
+        """The arrays that a call fills, with the counts set to zero."""
         n, (jumps, steps) = self.n, self.size
         if self.outside is not None:
             jumps = 1 if self.plan.progress is not None else jumps
@@ -572,7 +571,7 @@ class Machine:
     # -- what a call left -------------------------------------------------------------------
 
     def _keep(self, left: Left) -> None:
-        """Add the arcs that ended with a jump."""
+        """Record the arcs that have ended with a jump."""
         driver, begin, made = self.driver, 0, int(self.ints[JUMPS_MADE])
         sums = list(map(int, left.sums[: self.ints[TAILS], JUMPS_BEFORE].tolist()))
         fired = left.fired[:made].tolist()
@@ -601,16 +600,16 @@ class Machine:
             begin = end
 
     def _held(self, name: str) -> None:
-        """Hold the contacts that are held in the arc that begins, on the state there."""
+        """Begin the next arc on the contacts that are held in it."""
         driver = self.driver
         if driver.entry.field.name != name:
             field = driver.own.field(name)
             driver.begin(field, field.along(driver.t, driver.entry.x), driver.came)
 
     def _pass_limit(self, mode: str) -> bool:
-        """Whether the run has gone over the limit of a cycle; of what it sees, only what was.
+        """Whether the run has passed the limit of a cycle, judged with the past as it was then.
 
-        ``mode``: where the last jump leads.
+        ``mode``: the mode that the last jump leads to.
         """
         driver, memory = self.driver, self.driver.record.memory
         if memory is None:
@@ -622,7 +621,7 @@ class Machine:
         return then.kept
 
     def _summed(self, left: Left, place: int) -> None:
-        """Add the impacts that were summed, and begin the rest after them."""
+        """Record a sum of impacts and begin the rest that follows it."""
         driver, rows = self.driver, left.curves[place * CURVE_ROWS :][:CURVE_ROWS].copy()
         before, degree, v, r, remaining = left.sums[place].tolist()
         guard = self.tables.guards[left.fired[int(before) - 1]]
@@ -637,7 +636,7 @@ class Machine:
         pass_sum(driver, Tail(field, contact, column, now.t, now.low, entry.x, v, *curve), at_rest)
 
     def _flown(self, left: Left, begin: int, end: int) -> bool:
-        """Add the arcs that end with some of the jumps; whether it is time to look for cycles."""
+        """Record the arcs that end with some of the jumps; returns whether to look for a cycle."""
         driver, tables, now = self.driver, self.tables, self.driver.record.now
         fired, (t, low, lengths) = left.fired[begin:end], left.when[begin:end].T.copy()
         modes, edges = tables.named[:, fired]
@@ -655,17 +654,18 @@ class Machine:
         return noting.flown(driver, flights)
 
     def _flown_in(self, left: Left, begin: int, end: int) -> tuple[Steps | None, int]:
-        """The steps of some of the arcs, if they are kept, and how many; the first has the held."""
+        """The steps of some arcs, if they are kept, and their number; the first arc includes those
+        held."""
         return self.kept.take(left, int(self.ints[STEPS_MADE]), begin, end)
 
     def _last(self, left: Left) -> StateVector:
-        """Add the arc that no jump of the loop has ended; returns the state at its end."""
+        """Record the arc that no jump of the loop has ended; returns the state at its end."""
         return self._arc(
             left, int(self.ints[JUMPS_MADE]), float(self.floats[TAU]), self.now.end.copy()
         )
 
     def _arc(self, left: Left, place: int, tau: float, end: StateVector) -> StateVector:
-        """Add an arc; returns the state at its end."""
+        """Record an arc; returns the state at its end."""
         self._come_to_piece()
         driver, (steps, count) = self.driver, self._flown_in(left, place, place + 1)
         segments = [] if steps is None else steps.segments(np.array([tau]))
@@ -680,7 +680,7 @@ class Machine:
         return field.guard(guard.edge)
 
     def _stand(self, left: Left, status: int) -> None:
-        """Where the loop stopped: at the end, or at a jump to judge."""
+        """Handle the place at which the loop has stopped: the end of the run, or a jump."""
         driver, place = self.driver, int(self.ints[JUMPS_MADE])
         speed = float(self.floats[GAP_SPEED])
         if status == END:
@@ -703,19 +703,21 @@ class Machine:
                 driver.jump(self._fired, before)
 
     def _tied(self) -> dict[str, int]:
-        """By edge the sign before its zero, of guards that were zero when the last flight ended."""
+        """By edge, the sign before its zero of each guard that was zero when the last flight
+        ended."""
         tied, flights = self.now.tied, int(self.ints[FLIGHTS])
         rows = np.flatnonzero((np.abs(tied) == flights) & (tied != 0)).tolist()
         return {self.tables.guards[g].edge: int(tied[g]) // flights for g in rows}
 
     def _over(self) -> set[str]:
-        """Edges that have been taken, or passed, at the time at which the last flight ended."""
+        """The edges that have fired, or were passed over, at the time when the last flight
+        ended."""
         rows = np.flatnonzero(self.now.spent == self.ints[FLIGHTS]).tolist()
         return {self.tables.guards[g].edge for g in rows}
 
     def _lower(self) -> None:
-        """Go on by series of the driver's order, if where the loop stopped only those are numbers:
-        of time in a small unit the highest coefficients are beyond them."""
+        """Continue with series of lower order if the highest coefficients overflow, as they do when
+        the unit of time is small."""
         low, jets = self.driver.solver.order, self.driver.entry.field.jets
         if self.outside is None and jets is not None and self.order > low:
             here = self.driver.t, self.driver.entry.x.tolist()

@@ -1,4 +1,4 @@
-"""A run that goes on where another ended: what its driver knows of what was before."""
+"""Runs that continue another run: what the new driver must know of the earlier one."""
 
 from __future__ import annotations
 
@@ -25,17 +25,18 @@ from .noting import note
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-#: Jumps of the earlier run that are looked at for cycles.
+#: Jumps of the earlier run that are searched for cycles.
 RECALLED = 256
 
-#: How a run may have ended that can be gone on from.
+#: The ends of a run that can be continued from.
 OPEN_ENDS = Status.REACHED_END, Status.MAX_JUMPS, Status.INTERRUPTED
 
 
 def require_end(run: Solution, spec: Spec, parameters: dict[str, Any], t: Any, given: Any) -> None:
-    """Refuse to go on from a run that is another model's, or has ended otherwise.
+    """Refuse to continue a run of another model, or one that did not end in a state to continue
+    from.
 
-    ``given`` are options that the run itself answers.
+    ``given`` are options that the earlier run determines.
 
     Raises
     ------
@@ -58,7 +59,8 @@ def require_end(run: Solution, spec: Spec, parameters: dict[str, Any], t: Any, g
 
 
 def onward(driver: Driver, run: Solution) -> Callable[[], Jumped]:
-    """Let a driver know what was before; what returns what is known of the state at the start."""
+    """Tell a driver about the earlier run; returns a function that says what is known of the
+    start."""
     arc = run.parts[-1]
     assert isinstance(arc, Arc)
     if run.status is not Status.REACHED_END:
@@ -74,7 +76,7 @@ def onward(driver: Driver, run: Solution) -> Callable[[], Jumped]:
 
 
 def _recall(driver: Driver, run: Solution, place: int, arc: Arc, row: JumpRow) -> None:
-    """Note a jump: it may be one of a series, or of a cycle."""
+    """Note a jump of the earlier run: it may belong to a series of impacts or a cycle."""
     scene = run.hindsight.at(place, arc.t1, "left") if run.hindsight else driver.scene
     field, cycles = scene.field(arc.mode), driver.cycles
     guard = field.guard(row.edge)
@@ -88,7 +90,7 @@ def _recall(driver: Driver, run: Solution, place: int, arc: Arc, row: JumpRow) -
 
 
 def _came(driver: Driver, run: Solution, arc: Arc) -> Jumped:
-    """What is known of the state at which a run ended, in an arc."""
+    """What is known of a state at which a run ended within an arc."""
     driver.look(arc.last)
     row = run.own_jumps.get(len(run.parts) - 2)
     young = arc.length <= TIE * np.spacing(abs(arc.t0))
@@ -111,7 +113,8 @@ def _came(driver: Driver, run: Solution, arc: Arc) -> Jumped:
 
 
 def _signs(field: Field, t: float, x: Any) -> list[int]:
-    """The sign of each guard within an arc; of one that is zero there, that inside the domain."""
+    """The sign of each guard within an arc; for one that is zero there, its sign inside the
+    domain."""
     values = [(guard, guard.value(t, x.tolist())) for guard in field.guards]
     return [int(np.sign(v)) or -DIRECTIONS[guard.crossing] for guard, v in values]
 
@@ -129,7 +132,7 @@ def _after(driver: Driver, arc: Arc, before: Any, row: JumpRow) -> Jumped:
 
 
 def _tied(driver: Driver, arc: Arc) -> dict[str, int]:
-    """By edge the sign of guards that have come to zero at the end of an arc, and not fired."""
+    """By edge, the sign of each guard that has reached zero at the end of an arc without firing."""
     found, t, x, field = {}, arc.t1, arc.last.tolist(), driver.scene.field(arc.mode)
     for guard in field.guards:
         size = driver.scene.rounding(guard, field)(t, x)[0]

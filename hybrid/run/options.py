@@ -1,4 +1,4 @@
-"""What is asked of runs, checked: the options, the start, the times, and what was before."""
+"""Checks what a run is asked for: its options, start, times and history."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ class Asked:
         return Driver(scene, solver, plan, past)
 
     def judge(self, driver: Driver) -> None:
-        """Refuse a run whose jumps accumulate, where that is asked.
+        """Raise an error if jumps have accumulated and the user asked for that.
 
         Raises
         ------
@@ -127,7 +127,7 @@ class Asked:
 def chosen(
     plan: Plan, solver: str, method: Any, controller: Any = None, spec: Spec | None = None
 ) -> Solver:
-    """The solver of a plan, whose steps a discrete variable does not lengthen."""
+    """The solver of a plan. Discrete variables do not enter its step size control."""
     share = 1.0
     if spec is not None and spec.discrete and averages(solver):
         share = sqrt(spec.flows / spec.dimension)
@@ -201,7 +201,7 @@ def values_of(spec: Spec, start: Any, seed: int = 0) -> Any:
 
 
 def _longest(name: str, value: Any, t0: float, t1: float) -> float:
-    """The length to which the caller bounds steps; infinite where he does not."""
+    """The bound on step lengths that the user gives; infinite if he gives none."""
     if value is None:
         return float("inf")
     try:

@@ -1,4 +1,4 @@
-"""Another solver's steps, made when the rules' own loop asks for them."""
+"""Steps of an outside solver, made when the compiled loop asks for them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ POWERS = np.arange(ORDER + 1)
 
 
 class Outside:
-    """Makes steps, and puts them down in what the loop leaves; if ``dense``, their polynomials."""
+    """Makes steps and writes them into the arrays of the loop; with ``dense``, their polynomials
+    too."""
 
     stepper: Stepper
     pace: Pace
@@ -62,7 +63,7 @@ class Outside:
         self._ends(now, left)
 
     def land(self, now: Now, room: Room, left: Left) -> None:
-        """End the last step where a guard is zero."""
+        """End the last step at the zero of a guard."""
         try:
             self.stepper.arrive(float(now.floats[TO_TAU]))
         except (FlowError, ValueError) as fault:
@@ -93,14 +94,14 @@ class Outside:
         self.pace = Pace(self.field, t, length)
 
     def show(self, now: Now, room: Room, left: Left) -> None:
-        """Tell the loop the polynomial of the last step."""
+        """Give the loop the polynomial of the last step."""
         _, length, powers = self.stepper.powers()
         n, count = powers.shape
         room.c[:n, :count] = powers / length ** POWERS[:count]
         room.c[:n, count:] = 0.0
 
     def _ends(self, now: Now, left: Left) -> None:
-        """Tell the loop where the last step ends, and put it down."""
+        """Write the end of the last step into the arrays of the loop."""
         now.end[:], now.floats[STEP_END] = self.stepper.x, self.stepper.tau
         place, n = int(now.ints[STEPS_MADE] + now.ints[MADE]), len(now.x)
         left.owner[place] = now.ints[JUMPS_MADE]
@@ -111,7 +112,7 @@ class Outside:
 
     @property
     def _last(self) -> tuple[float, float, np.ndarray]:
-        """The last step, as delays are to see it."""
+        """The polynomial of the last step, as delays read it."""
         memory = self.driver.record.memory
         if memory is None:
             return self.stepper.powers()
@@ -120,7 +121,7 @@ class Outside:
         return segment.start, segment.length, powers
 
     def _told(self, now: Now, fault: Exception) -> Exception:
-        """A fault that says where the step begins that cannot be made."""
+        """The error for a step that cannot be made, with the place where it begins."""
         if isinstance(fault, OptionError):
             return fault
         field, t = self.fields[now.ints[FIELD]], float(now.floats[T] + now.floats[TAU])

@@ -1,4 +1,5 @@
-"""Steps that will not get to the end: ever shorter, or back and forth over a jump of the flow."""
+"""Detects arcs whose steps never reach the end: ever shorter, or back and forth over a
+discontinuity."""
 
 from __future__ import annotations
 
@@ -18,12 +19,12 @@ if TYPE_CHECKING:
 class Pace:
     """Watches the steps of an arc.
 
-    For such that become ever shorter, as under a force ``sin(1/x)`` near 0: the time gone in steps
-    512 to 1023, in 1024 to 2047, and so on grows where steps are of one length, and is the same
-    where they are as short as one over their number. Where it falls like a geometric series the sum
-    of all steps is finite. For such as are no longer than the spacing of the time's floats. And for
-    such as go back and forth over a place where the flow jumps, to which it leads back from both
-    sides: there they stay as short as the tolerances.
+    Three kinds are detected. Steps that become ever shorter, as under a force ``sin(1/x)`` near 0:
+    the time covered by steps 512 to 1023, 1024 to 2047, and so on grows if steps are of one length,
+    and stays the same if the n-th is as short as 1/n; if it falls like a geometric series, the sum
+    of all steps is finite. Steps no longer than the spacing of floats at their time. And steps that
+    go back and forth over a discontinuity to which the flow leads from both sides: there they stay
+    as short as the tolerances allow.
     """
 
     def __init__(self, field: Field, t0: float, length: float) -> None:
@@ -32,12 +33,12 @@ class Pace:
         self.begun, self.gone, self.end = (0, 0.0), 0.0, 0.0
 
     def steps(self, end: float, x: StateVector, count: int = 1) -> None:
-        """Count steps, of which the last has ended at a local time in a state.
+        """Count steps; the last has ended at a local time in a state.
 
         Raises
         ------
         FlowError
-            Where they do not get to the end.
+            If the steps will not reach the end of the arc.
         """
         last, self.end, self.count = (end - self.end) / count, end, self.count + count
         if self.count < self.due:
@@ -61,7 +62,7 @@ class Pace:
         return [kink for kink in self.field.changes if kink.change == "jumps"]
 
     def _leads_back(self, kink: Kink, tau: float, x: StateVector, h: float) -> bool:
-        """Whether the flow leads back, from both sides, to a jump of it that is next to a state."""
+        """Whether a state is next to a discontinuity to which the flow leads from both sides."""
         t, flow = self.t0 + tau, self._flow(self.t0 + tau, x)
         value, rate = self._moves(kink, t, x, flow, h)
         if not abs(value) <= FEW_STEPS * h * abs(rate):
@@ -77,6 +78,6 @@ class Pace:
     def _moves(
         self, kink: Kink, t: float, x: StateVector, flow: np.ndarray, h: float
     ) -> tuple[float, float]:
-        """What decides on the formula, and its rate along a flow."""
+        """A deciding function, and its rate along a flow."""
         value, ahead = kink.value(t, x.tolist()), kink.value(t + h, (x + h * flow).tolist())
         return value, (ahead - value) / h

@@ -1,4 +1,4 @@
-"""What a run leaves behind: parts, jumps, grazings, samples, and the clock."""
+"""Collects what a run leaves: arcs, jumps, grazings, samples and the time."""
 
 from __future__ import annotations
 
@@ -29,17 +29,18 @@ from ..zeno.cycle import CycleLimit
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers, StateVector
 
-#: Accumulations of one cycle accumulate in turn where so many times between them have shrunk, the
+#: Accumulations of one cycle accumulate in turn if so many intervals between them have shrunk, the
 #: last to so small a share of the first.
 HEAP, VANISHING = 8, 1e-5
 
-#: Limits of impacts no longer do where so many take so small a share of the time so far, and no
-#: less, to this factor, than as many before: states are known to 1e-16, and times to its root.
+#: Accumulations of impacts stall if so many take so small a share of the time so far, and no less,
+#: up to this factor, than as many before: states are known to 1e-16, and times to its square root.
 STALLED, STALL, STALL_FALL = 50, 1e-9, 0.9
 
 
 class Recorder:
-    """Grows as the run goes on; ``now`` and ``j`` are its hybrid time, ``made`` its own jumps.
+    """Grows as the run goes on; ``now`` and ``j`` are its hybrid time, ``made`` the number of its
+    jumps.
 
     ``impacts``: the names of the contacts.
     """
@@ -68,10 +69,10 @@ class Recorder:
         segments: Any,
         carried: bool = False,
     ) -> Numbers:
-        """Add an arc and move to its end; returns the state there, on the contacts held.
+        """Add an arc and move to its end; returns the state there, on the held contacts.
 
-        ``carried``: it ends where a guard has jumped over zero; what a contact does from there on
-        is not the arc's.
+        ``carried``: the arc ends where a guard has jumped over zero; the motion of the contacts
+        beyond is not part of it.
         """
         held, segments = self._flown(field, last, length, segments)
         last = last if carried else held
@@ -89,13 +90,13 @@ class Recorder:
         return last
 
     def _end(self, length: float) -> Instant:
-        """Where an arc ends: at the run's last time, to the last bit, if it was to flow so far."""
+        """The end of an arc: exactly the run's last time, if it was to flow so far."""
         last = self.plan.t1
         return Instant(last) if length == self.now.until(last) else self.now.after(length)
 
     @property
     def young(self) -> bool:
-        """Whether an arc that is still going began at this time, but for rounding."""
+        """Whether an arc that is still open began at this time, up to rounding."""
         if self._begun is None:
             return False
         return self._begun[0].until(self.now.t) <= TIE * ulp(self.now.t)
@@ -103,7 +104,7 @@ class Recorder:
     def extend(
         self, field: Field, first: Numbers, last: Numbers, length: float, segments: Any
     ) -> Numbers:
-        """Move on within an arc that is still going: to the end of a window of the past."""
+        """Move on within an open arc, to the end of a window of the past."""
         last, segments = self._flown(field, last, length, segments)
         if self._begun is None:
             self._begun = self.now, first
@@ -112,14 +113,14 @@ class Recorder:
         return last
 
     def close(self, field: Field) -> None:
-        """End an arc that is still going where it has gone on through windows of the past."""
+        """End an open arc that has gone on through windows of the past."""
         if self._begun is not None:
             self.arc(field, self._begun[1], self._reached, 0.0, [])
 
     def _flown(
         self, field: Field, last: Numbers, length: float, segments: Any
     ) -> tuple[np.ndarray, Any]:
-        """The end and the segments of a flight, on the contacts held, remembered for delays."""
+        """The end and the segments of a flight, on the held contacts and as recorded for delays."""
         kept = self.plan.dense or self.plan.samples is not None
         if not (kept or (self.memory is not None and not self.memory.told)):
             segments = ()
@@ -132,7 +133,7 @@ class Recorder:
         return last, segments if kept else ()
 
     def keep(self, part: Part) -> None:
-        """Keep a part: whole, or only its ends and the states asked for."""
+        """Keep a part: whole, or only its ends and the samples asked for."""
         plan = self.plan
         self._sample(part)
         if isinstance(part, TailPart) and self.memory is not None:
@@ -142,7 +143,7 @@ class Recorder:
         self.log.add(part)
 
     def flights(self, flights: Flights, where: Callable[[int], str], clocks: Numbers) -> None:
-        """Add arcs in a row and the jumps after them, and move to the last; see :meth:`jump`."""
+        """Add consecutive arcs and the jumps after them, and move to the last; see :meth:`jump`."""
         jumps = flights.jumps
         if self.memory is not None:
             self.memory.flights(flights)
@@ -153,7 +154,7 @@ class Recorder:
         self._count(clocks, jumps.edge, where)
 
     def _keep_flights(self, flights: Flights) -> None:
-        """Keep arcs in a row; the first may have begun on an earlier window of the past."""
+        """Keep consecutive arcs; the first may have begun in an earlier window of the past."""
         if self._begun is not None:
             arc, row = flights.arcs[0], next(flights.rows())
             (begun, x), self._begun = self._begun, None
@@ -173,7 +174,7 @@ class Recorder:
         self.log.add(flights)
 
     def _sample(self, part: Part | Flights) -> None:
-        """The states of a part at the times asked for."""
+        """The states of a part at the sample times."""
         if self.plan.samples is None:
             return
         samples = self.plan.samples
@@ -182,7 +183,7 @@ class Recorder:
             self.sampled.append(arc.local((t - arc.t0) - arc.low))
 
     def end_on(self, x: StateVector) -> None:
-        """Let the last arc end on the guard itself."""
+        """Let the last arc end exactly on the guard."""
         arc = self.log.kept[-1]
         assert isinstance(arc, Arc)
         self.log.kept[-1] = arc.ending(x)
@@ -195,14 +196,14 @@ class Recorder:
         where: Callable[..., str],
         clock: float,
     ) -> None:
-        """Add a jump from the last arc; ``where(state)`` says where, for messages.
+        """Add a jump after the last arc. ``where(state)`` describes the place, for messages.
 
-        ``clock`` is the time without flights that never left their guard.
+        ``clock`` is the time less idle flights.
 
         Raises
         ------
         JumpLoopError
-            If jumps follow each other with no time to speak of between them (4).
+            If too many jumps follow each other with no time between them (4).
         """
         now = self.now
         if self.memory is not None:
@@ -214,7 +215,7 @@ class Recorder:
         self._count(*one, lambda _: where(before))
 
     def _count(self, clocks: Numbers, edges: np.ndarray, where: Callable[[int], str]) -> None:
-        """Count jumps with no time between them; there must not be too many."""
+        """Count consecutive jumps with no time between them; refuse too many."""
         new, clocks = len(clocks), np.concatenate([self._clocks, clocks])
         edges = np.concatenate([self._edges, edges])
         self._clocks, self._edges = clocks[1 - CAUGHT :], edges[1 - CAUGHT :]
@@ -242,9 +243,10 @@ class Recorder:
         self.tails.append(tail)
 
     def heaps(self) -> float | None:
-        """About when the accumulations of one cycle accumulate in turn; None where they do not.
+        """The approximate time at which accumulations of one cycle accumulate in turn; None if they
+        do not.
 
-        Heights go with the square of times: the last flights that rounding leaves are 1e-7 of the
+        Heights go with the square of times, so rounding leaves the last flights 1e-7 of the
         longest.
         """
         edges = self.zeno[-1].edges
@@ -257,8 +259,8 @@ class Recorder:
         return float(self.zeno[-1].t + gaps[0] * gaps[0] / (gaps[1] - gaps[0]))
 
     def stalls(self) -> float | None:
-        """The time at which accumulations follow each other with next to no time between them, and
-        no sooner than before: rounding keeps bodies from coming to rest. None where they do not."""
+        """The time at which accumulations follow each other with almost no time between them,
+        without coming closer: rounding keeps the bodies from rest. None if they do not."""
         last = [point.t for point in self.zeno[-2 * STALLED - 1 :]]
         if len(last) <= 2 * STALLED:
             return None
@@ -267,18 +269,18 @@ class Recorder:
         return last[-1] if still else None
 
     def latest(self) -> list[str]:
-        """The edges of the accumulations that follow each other at present."""
+        """The edges of the accumulations that currently follow each other."""
         points = self.zeno[-HEAP:]
         return list(dict.fromkeys(edge for point in points for edge in point.edges))
 
     def released(self, contact: str, t: float) -> None:
-        """Note the release in the contact's last accumulation."""
+        """Note the release in the last accumulation of the contact."""
         point = next((p for p in reversed(self.zeno) if p.edges == (contact,)), None)
         if point is not None and point.mode is not None and point.t_release is None:
             point.t_release = t
 
 
 def _later(segments: Any, begun: Instant, now: Instant) -> list[Segment]:
-    """Segments counted from an earlier instant."""
+    """Segments with local times counted from an earlier instant."""
     since = (now.t - begun.t) + (now.low - begun.low)
     return [segment.later(since) for segment in segments]

@@ -1,7 +1,7 @@
-"""Arrays for the rules' own loop: to work in, and for what a call leaves.
+"""Arrays for the compiled loop: to work in, and for what a call leaves.
 
-What a run has worked in is kept by the tables of its scene, with the call of the loop on it, for
-the next run: to make such arrays, and to look at them before a call, takes longer than a step.
+They are kept with the tables of the scene for the next run: to allocate and check them takes longer
+than a step.
 """
 
 from __future__ import annotations
@@ -54,18 +54,18 @@ def left_for(n: int, jumps: int, steps: int, expansions: tuple[int, int], sums: 
 
 
 class Rooms:
-    """What one run works in, and the call of the loop on it.
+    """The work arrays of one run, and the prepared call of the loop on them.
 
     Attributes
     ----------
     run : array
-        The numbers of the run, places as in :mod:`hybrid.rules.places`.
+        The numbers of the run, placed as in :mod:`hybrid.rules.places`.
     now : Now
     work : (Room, Sums, Look)
     left : Left
-        For what a first call leaves, where no expansions are kept; copied by those who keep it.
+        What a call leaves, where no expansions are kept; it is copied from here.
     size : (jumps, steps)
-        For how many of these it has room.
+        The number of these for which there is room.
     """
 
     def __init__(self, tables: Tables, n: int, order: int, size: tuple[int, int], sums: int):
@@ -75,7 +75,7 @@ class Rooms:
         self._of: tuple[Any, ...] = (None, None)
 
     def call(self, go: Callable[..., int], automaton: AutomatonArrays) -> Callable[[], int]:
-        """What calls a loop on these arrays."""
+        """The prepared call of a loop on these arrays."""
         if self._of[0] is not go or self._of[1] is not automaton:
             room, sums, look = self.work
             given = automaton, self.run, self.now, room, self.left, sums, look

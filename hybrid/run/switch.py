@@ -1,4 +1,4 @@
-"""What happens on the surface of a switching: cross, slide, or refuse to choose (rule 8)."""
+"""What happens on the surface of a switching: cross it, slide, or refuse to choose (rule 8)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def meet(driver: Driver, guard: Guard, x: StateVector) -> None:
-    """On the surface of a switching: into the other mode, or to slide."""
+    """Reach the surface of a switching: enter the other mode, or slide."""
     mode = onward(driver, guard, x)
     field = driver.scene.field(mode)
     if field.project is not None:
@@ -34,7 +34,7 @@ def meet(driver: Driver, guard: Guard, x: StateVector) -> None:
 
 
 def leave(driver: Driver, guard: Guard, x: StateVector) -> None:
-    """Sliding ends: the surface function and its rate vanish in the mode that follows."""
+    """Sliding ends. In the mode that follows, the surface function and its rate vanish."""
     overdue = bool(driver.entry.at_once) or driver.forgets
     driver.watch.reset()
     add_jump(driver, guard.edge, x, x)
@@ -43,21 +43,21 @@ def leave(driver: Driver, guard: Guard, x: StateVector) -> None:
 
 
 def vanishing(guard: Guard, field: Field) -> dict[str, int]:
-    """By which power of the time the surface function vanishes in the field that a jump from the
-    surface leads to: nothing is to be known of it while the state slides."""
+    """By edge, the power of the time by which the surface function vanishes in the field after a
+    jump from the surface; empty while the state slides."""
     if guard.kind == "leave":
         return {guard.edge.rpartition(".")[0]: 2}
     return {guard.edge: 1} if field.project is None else {}
 
 
 def onward(driver: Driver, guard: Guard, x: StateVector) -> str:
-    """The mode that follows where a flow has reached the surface of a switching.
+    """The mode that follows when a flow has reached the surface of a switching.
 
     Raises
     ------
     StartError, DomainError
         If the state would slide and the switching forbids it, or on two surfaces at once; or if
-        nothing decides where it goes.
+        nothing decides what follows.
     """
     scene, mode, name = driver.scene, driver.entry.field.mode, guard.edge
     at, where = driver.t, driver.where(x)

@@ -33,7 +33,7 @@ def permitted(r: float) -> int:
 
 
 def hold(driver: Driver, contact: Contact, x: StateVector, field: Field) -> bool:
-    """Hold the contact, if its series has used up its impacts and the obstacle pushes."""
+    """Hold the contact if its series has used up its impacts and the obstacle pushes."""
     t, record = driver.t, driver.record
     ratio = contact.law(t, x.tolist(), -0.0)
     cap = driver.plan.cap or permitted(ratio)
@@ -59,10 +59,10 @@ def hold(driver: Driver, contact: Contact, x: StateVector, field: Field) -> bool
 def _left_out(
     driver: Driver, contact: Contact, x: StateVector, field: Field
 ) -> tuple[float, float, float]:
-    """``t_inf`` of the full series, its distance, and its greatest height.
+    """``t_inf`` of the full series, the time from here to it, and its greatest height.
 
-    The distance is the sum of its flights, and the height that of a gap which is a coordinate
-    of its own: both keep their digits below the spacing of floats around ``t`` and ``x``.
+    The time is the sum of the flights, and the height is measured by a gap that is a coordinate of
+    its own: both stay accurate below the spacing of floats around ``t`` and ``x``.
     """
     plan = attrs.evolve(driver.plan, zeno="stop", progress=None, dense=True, samples=None)
     full = type(driver)(driver.model, driver.solver, plan)

@@ -1,4 +1,4 @@
-"""What the rules' own loop makes, held against the flow when it asks for that."""
+"""Checks the steps of the compiled loop against the flow when it asks for that."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 
 class LoopStepper(Stepper):
-    """The step that the loop has just made, as a solver's: a series, which may be cut."""
+    """The step that the loop has just made, behind a solver's interface: a series that may be
+    cut."""
 
     repeats = True
 
@@ -31,7 +32,7 @@ class LoopStepper(Stepper):
 
     @property
     def tau(self) -> float:  # type: ignore[override]
-        """The local time up to which the step is used: a guard may fire in it."""
+        """The end of the part of the step that is used: a guard may fire in it."""
         return float(min(self.now.floats[TO_TAU], self.now.floats[STEP_END]))
 
     @property
@@ -44,7 +45,7 @@ class LoopStepper(Stepper):
         self.now.end[:] = value
 
     def step(self, limit: float) -> None:
-        """The loop has made it."""
+        """Nothing: the loop has made the step."""
 
     def segment(self) -> Segment:
         found = self._terms(self.tau)
@@ -61,19 +62,19 @@ class LoopStepper(Stepper):
 
 
 class Holding:
-    """Cuts the loop's own steps to what they have seen of the flow, and looks at low flights."""
+    """Cuts steps of the loop to the part shown to follow the flow, and checks low flights."""
 
     def __init__(self, driver: Driver, tables: Tables) -> None:
         self.driver, self.tables = driver, tables
         self.longest = np.inf
 
     def hold(self, now: Now, room: Room, sums: Sums) -> None:
-        """Hold against the flow what the loop has just made.
+        """Check what the loop has just made against the flow.
 
         Raises
         ------
         FlowError
-            Where a run that may watch so many steps only has made them.
+            If the run has used up the steps that it may check.
         """
         name, t = self.tables.fields[now.ints[FIELD]].name, float(now.floats[T])
         scene = self.driver.scene
@@ -94,7 +95,7 @@ class Holding:
         self.longest = stepper.longest
 
     def _low_flight(self, now: Now, sums: Sums, name: str, t: float) -> None:
-        """Let a low flight be one like others where it has not seen all of the flow."""
+        """Have a low flight flown by ordinary steps if its series does not follow the flow."""
         contact = self.tables.guards[now.ints[FIRED]].edge
         field = self.driver.scene.field(name, (contact,))
         made = pieces_of(int(now.ints[MADE]), sums.starts, sums.lengths, sums.series)
