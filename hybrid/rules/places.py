@@ -1,137 +1,231 @@
-"""Where things are in the arrays of the loop, and what its numbers mean (:mod:`.advance`)."""
+"""Names of the columns and codes in the arrays that the rules share (:mod:`.advance`)."""
 
-#: Columns of the table of fields: its program, where its guards begin and end, whether its arcs may
-#: be plain (``CHANGES``, if another solver's steps are to end where the flow changes its formula),
-#: whether contacts are held in it or it slides, and a program of its guards alone, for
-#: the steps of other solvers; of one that slides the program of the way back onto the surface, of
-#: others -1; whether contacts join those held, and stay held after jumps, without the driver; the
-#: field of its mode in which none is held; of one with contacts held programs that move a state
-#: along these, by what their gaps are off zero, and their gap speeds, of others -1; the program of
-#: lags of which any moves, else -1; where its clocks end, which begin behind its guards.
-FIELD_PROGRAM, GUARDS, GUARDS_END, PLAIN, CONSTRAINED, WATCH, SURFACE = range(7)
-JOINS, BASE, ONTO_GAPS, ONTO_SPEEDS, LAGS, CLOCKS_END = range(7, 13)
+#: Columns of the table of fields.
+FIELD_PROGRAM = 0  # the program of the flow and its guards
+GUARDS = 1  # where the guards of the field begin
+GUARDS_END = 2  # where they end; the clocks follow
+PLAIN = 3  # 1 if the loop may fly its arcs; 0 if not; or CHANGES
+CONSTRAINED = 4  # 1 if contacts are held in it, or the state slides
+WATCH = 5  # a program of the guards alone, for the steps of outside solvers
+SURFACE = 6  # while sliding, the program that moves a state onto the surface; otherwise -1
+JOINS = 7  # 1 if the loop may add contacts to those held, and keep them after jumps
+BASE = 8  # the field of its mode in which no contact is held
+ONTO_GAPS = 9  # with contacts held, the program that moves a state onto their gaps; otherwise -1
+ONTO_SPEEDS = 10  # the same for their gap speeds
+LAGS = 11  # the program of the lags if any of them moves; otherwise -1
+CLOCKS_END = 12  # where its clocks end
 
+#: PLAIN: with an outside solver, steps must end where the flow changes its formula.
 CHANGES = 2
 
-#: Columns of the table of guards. ``TO`` is a field, -1 where it is not known yet; ``RESET``,
-#: ``LAND`` and ``SIZES`` are programs, -1 where there is none; ``USES`` is where the elements of
-#: the state begin that it is made of; ``BENDS`` whether it may change its formula. Of a contact
-#: whose impacts were to be summed: the first of the programs of what happens there, whether all
-#: flights see the same forces; and where a sum was found, the program of its bounds, and whether
-#: its restitution is no constant. At ``REST`` of a contact the field in which it is held besides
-#: those that are, and of a load its contact where none is held. Of the surface of a switching: at
-#: ``AT`` its guard on the other side, and at ``REST`` the field that slides on it, where one is to
-#: be entered; of an end of sliding at ``AT`` the surface's guard in the field that follows. Of the
-#: end of a moving lag's window at ``AT`` the lag times two, and one more at the end ahead; of a
-#: clock the program of the first of its times behind another. ``OWN`` is the same guard where no
-#: contact is held; a load is its own. ``CONDITION`` is the program of an edge's condition, ``NONE``
-#: where it has none; ``URGENT`` whether an edge fires where its guard is beyond zero on entering.
-#: The last is how many columns there are.
-KIND, CROSSING, BOUNDS, AFFINE, TO, RESET, LAND, SIZES, USES, USES_END, BENDS = range(11)
-AT, LOCAL, SIGHT, REST, DEPENDS, OWN, CONDITION, URGENT, GUARD_COLUMNS = range(11, 20)
+#: Columns of the table of guards.
+KIND = 0  # EDGE, CONTACT, ...
+CROSSING = 1  # the direction in which it fires: -1 falling, 1 rising, 0 either
+BOUNDS = 2  # 1 if it bounds the domain of the mode
+AFFINE = 3  # 1 if it is an affine function of the states
+TO = 4  # the field after its jump; UNKNOWN, or NONE
+RESET = 5  # the program of its reset or impact; below 0 if there is none
+LAND = 6  # the program that moves a state onto a contact; below 0 if there is none
+SIZES = 7  # the program of the sums of absolute terms of the guard and two derivatives
+USES = 8  # where the list of the states in it begins
+USES_END = 9  # where it ends
+BENDS = 10  # 1 if it may change its formula
+# AT: a contact: first program of its sum; a surface, or the end of sliding: the guard on the other
+# side, or in the field that follows; a clock: the program of its next time; the end of a moving
+# lag's window: twice the lag, plus one at the later end
+AT = 11
+LOCAL = 12  # a contact: 1 if all flights of a sum see the same forces
+SIGHT = 13  # a contact: the program that bounds what a sum passes over
+# REST: a contact: the field in which it is held, too; a load: its contact in the base field; a
+# surface: the field that slides on it
+REST = 14
+DEPENDS = 15  # a contact: 1 if its restitution is not constant
+OWN = 16  # the same guard in the base field; a load is its own
+CONDITION = 17  # the program of an edge's condition; NONE if it has none
+URGENT = 18  # 1 if an edge fires where its guard is beyond zero on entering
+GUARD_COLUMNS = 19
 
-#: What has not been asked for yet; what there is none of; what only the driver looks at.
+#: Entries of these tables that have not been asked for yet; that do not exist; that only Python
+#: handles.
 UNKNOWN, NONE, HARD = -1, -2, -3
 
-#: The start of an arc is another: a contact has come to be held there; or that field is asked for.
+#: The start of an arc has changed: a contact is held now; or the field for that is missing.
 JOINED, WANTED = -4, -5
 
-#: What has led to an arc at the start of a run: no guard.
+#: LAST_USED at the start of a run: no guard.
 AT_START = -1
 
-#: Kinds of guards: of edges and contacts, loads, ends of windows, the surface of a switching, and
-#: the ends of sliding; clocks, which are not watched.
-EDGE, CONTACT, RELEASE, WINDOW_END, SWITCH, LEAVE, CLOCK = range(7)
+#: Kinds of guards.
+EDGE = 0  # an edge
+CONTACT = 1  # the gap of a contact
+RELEASE = 2  # the load of a contact at rest
+WINDOW_END = 3  # the end of a moving lag's window
+SWITCH = 4  # the surface of a switching
+LEAVE = 5  # the end of sliding
+CLOCK = 6  # a clock; it has a time, and no guard function
 
-#: By which power of the time a gap opens where its load has come to be zero, and where that pulls;
-#: a contact that an impact has left no speed closes by that, too.
+#: The power of the time by which a gap opens where its load has become zero; and where the load
+#: pulls, or an impact has left no speed.
 RISES, PULLED = 3, 2
 
-#: Places in the numbers of a run: last time, tolerances, series of impacts; the longest steps, the
-#: first of an arc and the others; whether a run goes on from an accumulation, at rest, or ends
-#: there; the tolerance of a sum against the run's; whether what is made here is held against the
-#: flow along all of it; the order of another solver (0 where steps are made here); the jumps after
-#: which other windows of the past are due; until when the present arc goes at most; and what a step
-#: may lose: a share, and from the last place on a number for each element.
-LAST_TIME, ABSOLUTE, RELATIVE, SPEED_FALL, FIRST_SUMMED, FIRST_STEP = range(6)
-MAX_STEP, REST_AFTER, CLOSING, WATCHED, METHOD_ORDER, JUMPS_DUE = range(6, 12)
-UNTIL, STEP_LOSS, TOLERANCES = range(12, 15)
+#: Numbers of a run.
+LAST_TIME = 0  # the end of the run
+ABSOLUTE = 1  # the absolute tolerance that is least
+RELATIVE = 2  # the relative tolerance
+SPEED_FALL = 3  # a sum is tried again once the speed has fallen by this factor
+FIRST_SUMMED = 4  # the least number of impacts in a series that is summed
+FIRST_STEP = 5  # the longest first step of an arc
+MAX_STEP = 6  # the longest step
+REST_AFTER = 7  # what follows an accumulation: DRIVERS, GOES_ON_AT_REST, ENDS_THERE
+CLOSING = 8  # the tolerance of a sum, relative to that of the run
+WATCHED = 9  # 1 if steps are checked against the flow all along
+METHOD_ORDER = 10  # the order of the outside solver; 0 with Taylor steps
+JUMPS_DUE = 11  # the number of jumps after which new windows of the past are needed
+UNTIL = 12  # the latest end of the current arc
+STEP_LOSS = 13  # the error that a Taylor step may make, relative to the state
+TOLERANCES = 14  # from here on, the absolute tolerance of each state
 
-#: Places in a state's floats: the time in two; the local time; the speed at which a sum was tried
-#: last; the local time at which a step ends; where the solver is to step to, or to land; where the
-#: arc is expected to end; the length of its first step; the gap speed after an impact; when
-#: the first clock rings; how many there are.
-T, LOW, TAU, TRIED, STEP_END, TO_TAU, AIM, FIRST_LENGTH, GAP_SPEED, DUE, STATE_FLOATS = range(11)
+#: Numbers of the current state.
+T = 0  # the time at which the arc began
+LOW = 1  # its low part, in two-float arithmetic
+TAU = 2  # the local time
+TRIED = 3  # the gap speed at which a sum was tried last
+STEP_END = 4  # the local time at which the step ends
+TO_TAU = 5  # the local time to which the solver is to step, or on which it is to land
+AIM = 6  # the expected end of the arc
+FIRST_LENGTH = 7  # the length of the first step
+GAP_SPEED = 8  # the gap speed after an impact
+DUE = 9  # the time of the clock that rings first
+STATE_FLOATS = 10
 
-#: Places in a state's integers: the field, and the guard that fired; the series of impacts; whether
-#: the driver has looked at the arc's start; jumps and steps kept, and expansions made; then what
-#: comes next in the arc, its steps so far, the guard that fires, the kink at which the step ends,
-#: landings tried, sums kept, by which power of the time the guard last used vanishes; whether the
-#: flight that begins is one so low that the gap would drown in rounding (2: and follows the flow),
-#: and whether one ends; arcs flown that take time; the guard last used (``OWN``); the guard of
-#: which the table has not all, and the column; whether the arc before had a length; the clock that
-#: rings first; how many elements of the state flow.
-FIELD, FIRED, SERIES, IMPACT_COUNT, ENTERED, JUMPS_MADE, STEPS_MADE, EXPANSIONS = range(8)
-PHASE, MADE, EVENT, CROSSED, LANDINGS_TRIED, TAILS, GUARD_POWER, LOW_AHEAD = range(8, 16)
-WAS_LOW, FLIGHTS, LAST_USED, LACKING, LACKING_AT, LASTED, RINGS, FLOWING, STATE_INTS = range(16, 25)
+#: Integers of the current state.
+FIELD = 0  # the field
+FIRED = 1  # the guard that fired
+SERIES = 2  # the contact of the current series of impacts (OWN); -1 if there is none
+IMPACT_COUNT = 3  # the number of its impacts
+ENTERED = 4  # 1 if Python has examined the start of the arc
+JUMPS_MADE = 5  # jumps left by this call
+STEPS_MADE = 6  # steps left by this call
+EXPANSIONS = 7  # Taylor expansions made by this call
+PHASE = 8  # what comes next: BEGINS, WALKS, ...
+MADE = 9  # steps made in the current arc
+EVENT = 10  # the guard that fires in the step; -1 if none does
+CROSSED = 11  # the kink at which the step ends; -1 if none
+LANDINGS_TRIED = 12  # iterations of the landing
+TAILS = 13  # sums left by this call
+GUARD_POWER = 14  # the power of the time by which the guard last used vanishes
+LOW_AHEAD = 15  # 1 if a low flight begins; 2 if its series has been checked
+WAS_LOW = 16  # 1 if a low flight has just ended
+FLIGHTS = 17  # arcs of positive length so far, and one more
+LAST_USED = 18  # the guard last used (OWN)
+LACKING = 19  # the guard whose entry in the table is missing
+LACKING_AT = 20  # the column of that entry
+LASTED = 21  # 1 if the arc before had a positive length
+RINGS = 22  # the clock that rings first
+FLOWING = 23  # the number of states that flow; discrete variables follow
+STATE_INTS = 24
 
-#: Columns of the zeros of guards in a step: when each fires; by how much what its series leaves
-#: open may move that; and how far it was off zero where the arc began, if it vanishes there.
-WHEN, BLUR, OFF = 0, 1, 2
+#: Columns of the zeros of guards in a step.
+WHEN = 0  # when the guard fires
+BLUR = 1  # how much the remainder of its series may move that
+OFF = 2  # how far from zero it was at the start of the arc, where it vanishes
 
-#: What comes next in an arc: its start; a step; to look at a step, another solver's by series of
-#: the flow; to land; the jump at its end; to look at another solver's step by its polynomial; to go
-#: on with a step that has been held against the flow.
-BEGINS, WALKS, LOOKS, LANDS, STRIKES, SEES, HELD = range(7)
+#: What comes next in an arc.
+BEGINS = 0  # its start
+WALKS = 1  # a step
+LOOKS = 2  # to search the step for events; an outside solver's by the series of the flow
+LANDS = 3  # to land on the event
+STRIKES = 4  # the jump
+SEES = 5  # to search an outside solver's step by its polynomial
+HELD = 6  # to use a step that has been checked
 
-#: Columns of the table of sums: jumps before it, and the degree of its curve; the gap speed after
-#: the last of them, the ratio of the series, and the time from there to the limit.
-JUMPS_BEFORE, CURVE_DEGREE, LAST_SPEED, RATIO, REMAINING = range(5)
+#: Columns of the table of sums.
+JUMPS_BEFORE = 0  # the number of jumps before it
+CURVE_DEGREE = 1  # the degree of its curve
+LAST_SPEED = 2  # the gap speed after the last impact before it
+RATIO = 3  # the ratio of successive speeds
+REMAINING = 4  # the time from that impact to the limit
 
-#: Rows of each sum's curve: its coefficients, then bounds on the errors at the limit, the state
-#: there, and that from which the run goes on at rest.
-ERRORS, AT_LIMIT, AT_REST, CURVE_ROWS = 17, 18, 19, 20
+#: Rows of the curve of a sum; its coefficients come first.
+ERRORS = 17  # bounds on the errors of the limit
+AT_LIMIT = 18  # the state at the limit
+AT_REST = 19  # the state from which the run goes on at rest
+CURVE_ROWS = 20
 
-#: Why a call comes back: the run is at its end; the arrays are full; an arc has to be looked at
-#: with all the rules; a jump has; another solver is to make a step, or to land; impacts are to be
-#: summed; the table has not all that is asked of a guard; a low flight begins; the polynomial of
-#: another solver's step is to be shown; other windows of the past are due; there is no room for the
-#: record; a step that has been made, or a low flight, is to be held against the flow.
-END, FULL, LOOK, JUMP, STEP, LAND_ON, SUM, MAKE, HOPS, SHOW, WINDOW, NO_ROOM, HOLD = range(1, 14)
+#: Why a call of the loop comes back.
+END = 1  # the end of the run is reached
+FULL = 2  # the arrays are full
+LOOK = 3  # the arc needs all the rules, in Python
+JUMP = 4  # the jump needs all the rules
+STEP = 5  # an outside solver is to make a step
+LAND_ON = 6  # it is to end its step at TO_TAU
+SUM = 7  # impacts are to be summed (answered within the loop)
+MAKE = 8  # an entry of a table is missing
+HOPS = 9  # a low flight begins (answered within the loop)
+SHOW = 10  # the polynomial of its step is needed
+WINDOW = 11  # new windows of the past are needed
+NO_ROOM = 12  # the record of the past is full
+HOLD = 13  # a step, or a low flight, is to be checked against the flow
 
-#: What a run does at an accumulation (``REST_AFTER``): it is the driver's; it goes on; it ends.
-DRIVERS, GOES_ON_AT_REST, ENDS_THERE = 0.0, 1.0, 2.0
+#: REST_AFTER: what a run does at an accumulation.
+DRIVERS = 0.0  # Python handles it
+GOES_ON_AT_REST = 1.0  # it goes on at rest
+ENDS_THERE = 2.0  # it ends
 
-#: Places in the floats of a past: the last time, the relative tolerance, until when the windows
-#: serve; the start of the arc whose steps are put down next, in two floats; the local time at which
-#: the present arc has gone on through windows; the first time. Of guesses: the length of windows,
-#: 0 without any, the shortest lag, how wrong the last was, the most that the next may span, and
-#: when the present one began. Where the record was rough first; between which times values of it
-#: are asked for, or where it is wrong.
-FINAL, RTOL, SERVES_UNTIL, SINCE, SINCE_LOW, BEGAN, STARTED = range(7)
-STRIDE, SHORTEST_LAG, WRONG, MOST, GUESSED_FROM, ROUGH_FROM = range(7, 13)
-ASKED_FROM, ASKED_UNTIL, PAST_FLOATS = range(13, 16)
+#: Numbers of the record of the past.
+FINAL = 0  # the end of the run
+RTOL = 1  # the relative tolerance
+SERVES_UNTIL = 2  # the time until which the windows are valid
+SINCE = 3  # the time at which the arc began whose steps are recorded next
+SINCE_LOW = 4  # its low part
+BEGAN = 5  # the local time at which the arc entered the current windows
+STARTED = 6  # the start of the run
+STRIDE = 7  # guesses: the length of a window; 0 if nothing is guessed
+SHORTEST_LAG = 8  # guesses: the shortest lag
+WRONG = 9  # guesses: the error of the last
+MOST = 10  # guesses: the longest that the next window may be
+GUESSED_FROM = 11  # guesses: the time at which the current window began
+ROUGH_FROM = 12  # where the record was first not smooth
+ASKED_FROM = 13  # values of the record are asked for from this time
+ASKED_UNTIL = 14  # until this one
+PAST_FLOATS = 15
 
-#: Places in its integers: pieces and breaking points; of what a call leaves steps, jumps, sums, and
-#: flights of a sum, that have been put down; steps since the windows were read, windows in a row
-#: that were one step long; the highest order of breaking points that are noted; the arc that has
-#: gone on through windows; a status to be given once there is room. Whether the windows show a
-#: guess, guesses at them so far, how many windows without any follow one that was not worth it, the
-#: pieces that are known, and the steps that were put down before it. Places at which the record was
-#: rough; the lag for whose window values are asked for, -1 if none are, and of which pieces. What
-#: is seen behind a jump.
-PIECES_KEPT, BREAKS, STEPS_DONE, JUMPS_DONE, SUMS_DONE, FLIGHTS_DONE = range(6)
-STEPPED, TIGHT, BREAK_ORDER, IN_ARC, AGAIN = range(6, 11)
-GUESSED, GUESSES, REST_OF_GUESSES, PIECES_KNOWN, STEPS_BEFORE, ROUGH_PLACES = range(11, 17)
-ASKING, ASKED, ASKED_UP_TO, BEHIND, PAST_INTS = range(17, 22)
+#: Integers of the record of the past.
+PIECES_KEPT = 0  # pieces recorded
+BREAKS = 1  # breaking points
+STEPS_DONE = 2  # steps of the call that have been recorded
+JUMPS_DONE = 3  # the same for jumps
+SUMS_DONE = 4  # the same for sums
+FLIGHTS_DONE = 5  # the same for flights of a sum
+STEPPED = 6  # steps since the windows were read
+TIGHT = 7  # successive windows that were one step long
+BREAK_ORDER = 8  # breaking points up to this order are noted
+IN_ARC = 9  # the arc that has gone on through windows
+AGAIN = 10  # a status to be returned once there is room
+GUESSED = 11  # 1 if the windows are a guess
+GUESSES = 12  # guesses made at them so far
+REST_OF_GUESSES = 13  # windows to come without a guess, as the last was not worth it
+PIECES_KNOWN = 14  # pieces that are known
+STEPS_BEFORE = 15  # steps recorded before the guess
+ROUGH_PLACES = 16  # places where the record was not smooth
+ASKING = 17  # the lag whose values are asked for; -1 if none
+ASKED = 18  # the first piece asked for
+ASKED_UP_TO = 19  # the last
+BEHIND = 20  # what the flow reads behind a jump: SAME, ANEW or FORGETS
+PAST_INTS = 21
 
-#: Behind a jump all lags are constant, and look through the same windows; through the same while
-#: their places are in them; at the state after the jump, as all before is forgotten.
-SAME, ANEW, FORGETS = range(3)
+#: BEHIND: what the flow reads of the past behind a jump.
+SAME = 0  # the same windows: all lags are constant
+ANEW = 1  # the windows at the new places
+FORGETS = 2  # the state after the jump: the past is erased
 
-#: What comes of reading windows: they are found; values of the record are asked for; it is not
-#: finite, or rough; what was guessed holds; a lag is next to nothing, and no guess does.
-FOUND, ASKS_VALUES, RECORD_NOT_FINITE, ROUGH, HOLDS, NEXT_TO_NOTHING = range(6)
+#: What comes of reading the windows.
+FOUND = 0  # they are found
+ASKS_VALUES = 1  # values of the record are asked for
+RECORD_NOT_FINITE = 2  # the record is not finite
+ROUGH = 3  # it is not smooth
+HOLDS = 4  # the guess holds
+NEXT_TO_NOTHING = 5  # a lag is too short for any guess
 
 #: Degree of the polynomial on a window of the past.
 WINDOW_DEGREE = 12
