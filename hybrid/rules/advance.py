@@ -1,6 +1,7 @@
-"""The loop of a run: arc after arc and jump after jump, as far as they are plain.
+"""The loop of a run: arc after arc, jump after jump.
 
-What is not is left to the driver, which goes on and calls again.
+Whatever these rules cannot decide is returned as a status (see :mod:`.places`). Python answers and
+calls again. Numbers in brackets are the rules of ``docs/semantics.md``.
 """
 
 from __future__ import annotations
@@ -75,7 +76,8 @@ __all__ = ("advance",)
 
 
 def advance(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
-    """Go on from ``now``; returns what the driver is asked for (see :mod:`.places`)."""
+    """Go on from ``now``; returns a status that says what is needed from outside
+    (:mod:`.places`)."""
     status = LANDED
     while status == LANDED:
         if now.ints[PHASE] != STRIKES:
@@ -90,9 +92,10 @@ def advance(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -
 
 
 def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
-    """Carry out the jump of the guard that fired, and begin the next arc; ``JUMP`` if not plain.
+    """Carry out the jump of the guard that fired and begin the next arc.
 
-    With ``SUM`` and ``MAKE`` it is still to come.
+    Returns ``LANDED``; ``JUMP`` if the jump needs all the rules; ``SUM`` or ``MAKE`` if it is still
+    to be made once these are answered.
     """
     guard, place = now.ints[FIRED], now.ints[JUMPS_MADE]
     kind, to = a.guards[guard, KIND], a.guards[guard, TO]
@@ -134,17 +137,19 @@ def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> i
 
 
 def surfaced(a: AutomatonArrays, now: Now, kind: int) -> bool:
-    """Whether a jump may lead to where the edges that are watched now are watched by other
-    numbers."""
+    """Whether a jump leaves or enters a surface of a switching, where the same edges have other
+    guards."""
     return kind in (SWITCH, LEAVE) or a.fields[now.ints[FIELD], SURFACE] >= 0
 
 
 def on_surface(
     a: AutomatonArrays, now: Now, room: Room, t: float, before: Floats, behind: Floats
 ) -> tuple[int, int, int, int]:
-    """The states before and after a jump from the surface of a switching, which are equal (8): a
-    status; the field that follows, the guard of the surface there, and by which power of the time
-    that vanishes."""
+    """The jump from the surface of a switching (8); the state does not change.
+
+    Returns a status, the field that follows, the guard of the surface there, and the power of the
+    time by which it vanishes.
+    """
     guard = now.ints[FIRED]
     to, own, slides = a.guards[guard, TO], a.guards[guard, AT], a.guards[guard, REST]
     if own < UNKNOWN:
@@ -177,8 +182,8 @@ def entered(
     low: float,
     x: Floats,
 ) -> None:
-    """Go on from a state in a field, to which a guard has led (``OWN``, or none), which vanishes
-    there by a power of the time."""
+    """Begin an arc in a field at a state. ``own`` is the guard that led there (``OWN``, or none);
+    it vanishes there by a power of the time."""
     now.floats[T], now.floats[LOW] = t, low
     now.ints[FIELD], now.ints[LAST_USED], now.ints[GUARD_POWER] = field, own, power
     now.ints[ENTERED], now.ints[WAS_LOW] = 0, 0
@@ -192,8 +197,8 @@ def entered(
 def stays(
     a: AutomatonArrays, now: Now, room: Room, t: float, x: Floats, to: int
 ) -> tuple[int, int]:
-    """Whether a jump to a field is plain, and the field: of the contacts held those are held in it
-    that the jump has left closed."""
+    """The field after a jump that does not leave the mode: the one in which those contacts are held
+    that the jump has left closed. Returns a status and the field."""
     if to != now.ints[FIELD] or a.fields[to, ONTO_GAPS] < 0:
         return LANDED, to
     field = still_held(a, now, room, t, x)
@@ -201,14 +206,14 @@ def stays(
 
 
 def added(now: Now, left: Left, guard: int, t: float, low: float) -> None:
-    """Keep a jump."""
+    """Record a jump."""
     place = now.ints[JUMPS_MADE]
     left.when[place, 0], left.when[place, 1], left.when[place, 2] = t, low, now.floats[TAU]
     left.fired[place], now.ints[JUMPS_MADE] = guard, place + 1
 
 
 def enlarged(now: Now, x: Floats) -> None:
-    """Note the size of a state."""
+    """Update the largest absolute value of each state."""
     for i in range(now.x.shape[0]):
         now.seen[i] = max(now.seen[i], abs(x[i]))
 
@@ -225,11 +230,10 @@ def after(t: float, low: float, duration: float) -> tuple[float, float]:
 def impact(
     a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float, before: Floats, behind: Floats
 ) -> tuple[int, int]:
-    """The states before and after an impact; ``LANDED`` if the next flight is one like others (7),
-    and its field.
+    """The states before and after an impact. Returns a status and the field that follows.
 
-    ``SUM`` where impacts are to be summed from here. Where it is so low that the gap would drown in
-    the rounding of the state that is noted; ``JUMP`` where it cannot be flown here, and ``MAKE``.
+    ``LANDED`` if an ordinary flight follows (7), or a low flight, which is noted; ``SUM`` if all
+    impacts from here on are to be summed; ``JUMP`` or ``MAKE`` if something is missing.
     """
     guard, own = now.ints[FIRED], a.guards[now.ints[FIRED], OWN]
     if now.ints[WAS_LOW] == 0 and not struck(a, now, room, t, before, behind):
@@ -263,7 +267,8 @@ def impact(
 def struck(
     a: AutomatonArrays, now: Now, room: Room, t: float, before: Floats, behind: Floats
 ) -> bool:
-    """Put down the states before and after an impact, and the gap speed; whether all are finite."""
+    """Compute the states before and after an impact and the gap speed; returns whether all are
+    finite."""
     guard, n = now.ints[FIRED], now.x.shape[0]
     if not values(a, a.guards[guard, LAND], t, now.end, room, before):
         return False
@@ -278,7 +283,7 @@ def struck(
 def unchanged(
     a: AutomatonArrays, now: Now, room: Room, t: float, before: Floats, behind: Floats
 ) -> bool:
-    """Whether a reset leaves its guard where it is."""
+    """Whether a reset leaves the value of its guard unchanged."""
     field = now.ints[FIELD]
     program = a.fields[field, FIELD_PROGRAM]
     row = row_of(a, program, field, now.ints[FIRED])
@@ -289,13 +294,13 @@ def unchanged(
 
 
 def beyond(a: AutomatonArrays, now: Now, guard: int) -> bool:
-    """Whether a guard that has fired before any flow is off zero: it was urgent."""
+    """Whether a guard that fired before any flow is not zero: it was urgent."""
     urgent = a.guards[guard, URGENT] == 1
     return urgent and now.orders[guard - a.fields[now.ints[FIELD], GUARDS]] == 0
 
 
 def watch(a: AutomatonArrays, now: Now, guard: int, kind: int) -> None:
-    """Count the impacts of a series: of one contact, with no other jump between."""
+    """Count the impacts of the current series: those of one contact with no other jump between."""
     own = a.guards[guard, OWN]
     if kind != CONTACT:
         now.ints[SERIES] = -1

@@ -1,13 +1,13 @@
-"""A plain arc: steps from a jump to the first guard that fires, and onto it.
+"""One arc: steps from a jump to the first guard that fires, ending on it.
 
-Plain is an arc whose start, events and end leave nothing to weigh (:mod:`.guards`): no guard next
-to zero but the one just used, no two that fire next to each other, no tangency, no flight as low as
-rounding. Where it is not, the status is ``LOOK``, and the driver flies the arc again with all the
-rules of ``docs/semantics.md``. Numbers in brackets are its rules.
+These rules fly an arc if its start, its steps and its end are clear cut (:mod:`.guards`): for
+example, no guard but the one just used is next to zero, none is tangent to zero, and each series of
+a guard has converged. Otherwise the status is ``LOOK``, and Python flies the arc with all the rules
+of ``docs/semantics.md``. Numbers in brackets are those rules.
 
-Taylor steps are made here. Those of another solver are asked for (``STEP``), and so are the
-polynomial of one in which a guard may fire (``SHOW``) and the state on that guard (``LAND_ON``);
-the arc goes on with the answer where it stood.
+Taylor steps are made here. An outside solver is asked for a step (``STEP``), for its polynomial
+where a guard may fire in it (``SHOW``), and to end it on that guard (``LAND_ON``); the arc
+continues with the answer.
 """
 
 from __future__ import annotations
@@ -97,30 +97,30 @@ from .zeros import EPS
 
 __all__ = ("first_step",)
 
-#: Most steps onto a guard: Newton's method, from a zero of its series.
+#: Most iterations of Newton's method from the zero of a guard's series to its own.
 LANDINGS = 10
 
-#: An arc's end is predicted as far as the last terms of its series are this many times rounding,
-#: 1e-6: that is what a step that was made to end there may be off.
+#: The end of an arc is predicted as far as the last terms of its series are this many roundings,
+#: which is 1e-6 of it: so much may a step miss that is made to end there.
 FORESEEN_FAR = 1e10
 
-#: Steps that are to be held against the flow go so far at most, against the way to the expected end
-#: of the arc: what they are does not depend then on the end of the run.
+#: The longest step that is checked against the flow, relative to the way to the expected end of the
+#: arc, so that the steps do not depend on the end of the run.
 WATCHED_AHEAD = 1.5
 
-#: An arc's first step, against that at which the method's error reaches the tolerance.
+#: The first step of an arc, relative to the one at which the method's error reaches the tolerance.
 SAFETY = 0.5
 
 
 def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
-    """Fly the arc that begins at ``now`` to its end, which is put into ``now.end``.
+    """Fly the arc that begins at ``now``; its end is written to ``now.end``.
 
     Returns
     -------
     status : int
-        ``LANDED``, or ``END``; ``STEP``, ``SHOW``, ``LAND_ON`` or ``HOLD``, to be called again with
-        the answer, or ``FULL``, with empty arrays, or ``MAKE``; or ``LOOK``, and nothing has
-        changed but for contacts that have come to be held.
+        ``LANDED`` or ``END``; or what is needed before it can go on: ``STEP``, ``SHOW``,
+        ``LAND_ON``, ``HOLD``, ``MAKE``, or ``FULL``, with empty arrays; or ``LOOK``, and nothing
+        has changed but that contacts may have come to be held.
     """
     if a.fields[now.ints[FIELD], PLAIN] == 0:
         return LOOK
@@ -142,7 +142,7 @@ def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> in
 
 
 def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
-    """At the start of an arc. Another solver is told how to begin."""
+    """Start an arc; an outside solver is told its first step and expected end."""
     copied(now.x, now.end)
     wind(a, now, room)
     for i in range(room.sides.shape[0]):
@@ -164,8 +164,8 @@ def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
 
 
 def at_once(now: Now, guard: int) -> int:
-    """End the arc where it begins: a guard fires before any flow. Where a contact has come to be
-    held it begins anew."""
+    """End the arc where it begins, as a guard fires before any flow. If a contact has come to be
+    held, the arc begins anew."""
     if guard in (JOINED, WANTED):
         now.ints[PHASE] = BEGINS
         return GOES_ON if guard == JOINED else MAKE
@@ -177,7 +177,7 @@ def at_once(now: Now, guard: int) -> int:
 
 
 def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
-    """Make a step, or ask for it."""
+    """Make a step, or ask for one."""
     tau, length = now.floats[TAU], (run[UNTIL] - now.floats[T]) - now.floats[LOW]
     if tau >= length:
         status = ended(a, run, now, room, length)
@@ -235,7 +235,8 @@ def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
 
 
 def looks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
-    """Look for the first guard that fires in a step; go on to its end, or land on the guard."""
+    """Find the first guard that fires in a step; go on to the end of the step, or land on the
+    guard."""
     tau, next_tau = now.floats[TAU], now.floats[STEP_END]
     h, starting = next_tau - tau, now.ints[MADE] == 0
     if now.ints[PHASE] == HELD and not next_tau < now.floats[TO_TAU]:
@@ -277,7 +278,7 @@ def looks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
 
 
 def beyond(now: Now, tau: float) -> float:
-    """Times beyond this one are not, to rounding, that at which a step begins."""
+    """The time from which on times differ, by more than rounding, from the start of a step."""
     return tau + TIE * EPS * (abs(now.floats[T]) + tau)
 
 
@@ -298,17 +299,17 @@ def passes(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) ->
 
 
 def beyond_kink(a: AutomatonArrays, now: Now, room: Room, t: float) -> bool:
-    """Whether a step that ends at a kink has left guards on their side of zero."""
+    """Whether, where a step ends at a kink, each guard is still on its side of zero."""
     program = a.fields[now.ints[FIELD], FIELD_PROGRAM]
     fit = jets(a.programs, program, 0, t, now.end, room.sides, room.c, room.work) == 0
     return fit and goes_on(a, now, room, program, t, now.end)
 
 
 def lands(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
-    """The time at which a guard is zero, to rounding, and the state there (5): Newton's method.
+    """Find the zero of a guard to rounding, and the state there, by Newton's method (5).
 
-    Where the step's series have put guards that are next to each other in the wrong order, that of
-    the one that fired before.
+    If another guard has fired before, which the series of the step have put in the wrong order, the
+    arc ends on that one.
     """
     tau, at, guard = now.floats[TAU], now.floats[TO_TAU], now.ints[EVENT]
     field = now.ints[FIELD]
@@ -354,7 +355,8 @@ def again(run: Floats, now: Now, room: Room, at: float, least: float, most: floa
 
 
 def first_step(c: Matrix, n: int, order: int, relative: float, absolute: Floats) -> float:
-    """Where the first term that another method neglects reaches the tolerance, of ``n`` states."""
+    """The step at which the first term that an outside method neglects reaches the tolerance, for
+    ``n`` states."""
     first, power = math.inf, min(order + 1, c.shape[1] - 1)
     for i in range(n):
         allowed = absolute[i] + relative * abs(c[i, 0])
@@ -365,8 +367,8 @@ def first_step(c: Matrix, n: int, order: int, relative: float, absolute: Floats)
 
 
 def aimed(a: AutomatonArrays, now: Now, room: Room, sides: Ints) -> float:
-    """Where an arc is expected to end, from series of the flow where a step begins; -1 without
-    them. ``sides`` gets those of kinks."""
+    """The expected end of an arc, by series of the flow from the start of a step; -1 without them.
+    ``sides`` gets the sides of kinks."""
     program, order = a.fields[now.ints[FIELD], FIELD_PROGRAM], room.c.shape[1] - 1
     tau = now.floats[TAU]
     t = now.floats[T] + tau
@@ -376,8 +378,8 @@ def aimed(a: AutomatonArrays, now: Now, room: Room, sides: Ints) -> float:
 
 
 def aim(a: AutomatonArrays, now: Now, room: Room, starting: bool) -> float:
-    """The end of a short flight from its series (2); at the start of an arc of one onto a contact,
-    or back onto a guard."""
+    """The end of a short flight by its series (2). At the start of an arc only flights onto a
+    contact, or back onto a guard, are considered."""
     field, best = now.ints[FIELD], math.inf
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
@@ -400,7 +402,7 @@ def aim(a: AutomatonArrays, now: Now, room: Room, starting: bool) -> float:
 
 
 def scaled(c: Floats, factor: float) -> None:
-    """A series times a number."""
+    """Multiply a series by a number."""
     for k in range(c.shape[0]):
         c[k] *= factor
 
@@ -412,7 +414,7 @@ def copied(x: Floats, y: Floats) -> None:
 
 
 def kept(now: Now, room: Room, left: Left, tau: float, h: float) -> None:
-    """Keep a step: the arc it belongs to, where it begins, how long it is, and its series."""
+    """Record a step: its arc, start, length and series."""
     place = now.ints[STEPS_MADE] + now.ints[MADE]
     left.owner[place] = now.ints[JUMPS_MADE]
     left.spans[place, 0] = tau

@@ -36,7 +36,7 @@ from .zeros import EPS
 
 
 def wind(a: AutomatonArrays, now: Now, room: Room) -> None:
-    """Note which clock rings first from the start of an arc on, and when."""
+    """Find the clock that rings first from the start of an arc on, and when."""
     field, t, low = now.ints[FIELD], now.floats[T], now.floats[LOW]
     now.floats[DUE] = math.inf
     for g in range(a.fields[field, GUARDS_END], a.fields[field, CLOCKS_END]):
@@ -49,7 +49,7 @@ def wind(a: AutomatonArrays, now: Now, room: Room) -> None:
 
 
 def behind(a: AutomatonArrays, now: Now, room: Room, clock: int, t: float) -> float:
-    """The first of a clock's times behind another; infinite where there is none."""
+    """The first of a clock's times after another; infinite if there is none."""
     program = a.guards[clock, AT]
     if afresh(a.programs, program, 0, t, now.x, room.still, room.aside, room.work) < 0:
         return math.inf
@@ -65,8 +65,8 @@ def beside(now: Now, tau: float) -> bool:
 
 
 def ended(a: AutomatonArrays, run: Floats, now: Now, room: Room, length: float) -> int:
-    """What becomes of an arc that has come to its last time: ``END``, or ``LANDED`` where a clock
-    rings; ``LOOK`` where a guard is zero there, too, or may fire before any flow."""
+    """End an arc at its last time: ``END``, or ``LANDED`` if a clock rings; ``LOOK`` if a guard is
+    zero there, too, or may fire before any flow."""
     if now.floats[DUE] > run[LAST_TIME]:
         return END
     first, last = a.fields[now.ints[FIELD], GUARDS], a.fields[now.ints[FIELD], GUARDS_END]

@@ -1,7 +1,7 @@
-"""Contacts held: the state on them, which a jump leaves closed, and which joins them.
+"""Held contacts: the projection onto them, which of them a jump leaves closed, and which join them.
 
-A field with contacts held leads to those with one contact fewer by their loads, and to those with
-one more by the guards of contacts: a set that is asked for is added to the tables.
+A field with held contacts leads to those with one contact fewer through their loads, and to those
+with one more through the gaps. A set that is missing in the tables is asked for.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ from .places import (
     T,
 )
 
-#: Gap and gap speed, relative to what they are made of in the states seen, below which a contact
-#: that was held stays closed.
+#: A held contact stays closed if gap and gap speed are below this share of the sums of their
+#: absolute terms, at the largest states seen.
 CLOSED = 1e-12
 
 
 def values(
     a: AutomatonArrays, program: int, t: float, x: Floats, room: Room, written: Floats
 ) -> bool:
-    """The state that a program gives; whether it is finite."""
+    """Evaluate a program at a state; returns whether the result is finite."""
     if afresh(a.programs, program, 0, t, x, room.still, room.aside, room.work) < 0:
         return False
     first = a.programs.index[program, OUTPUT]
@@ -58,8 +58,8 @@ def values(
 
 
 def onto(a: AutomatonArrays, field: int, t: float, x: Floats, room: Room, written: Floats) -> bool:
-    """The state on the contacts that are held in a field, or on the surface on which it slides, if
-    it does; whether it is finite."""
+    """Project a state onto the held contacts of a field, or onto the surface on which it slides;
+    returns whether the result is finite."""
     surface = a.fields[field, SURFACE]
     gaps, speeds = a.fields[field, ONTO_GAPS], a.fields[field, ONTO_SPEEDS]
     if surface >= 0:
@@ -73,13 +73,14 @@ def onto(a: AutomatonArrays, field: int, t: float, x: Floats, room: Room, writte
 
 
 def asks(now: Now, guard: int, column: int) -> int:
-    """Ask for what the table of guards does not have yet."""
+    """Ask for a missing entry of the table of guards."""
     now.ints[LACKING], now.ints[LACKING_AT] = guard, column
     return MAKE
 
 
 def twin(a: AutomatonArrays, field: int, own: int) -> int:
-    """The guard of an edge or contact in a field of the same mode; ``HARD`` if it has none."""
+    """The guard of an edge or contact in another field of the same mode; ``HARD`` if there is
+    none."""
     for g in range(a.fields[field, GUARDS], a.fields[field, GUARDS_END]):
         if a.guards[g, OWN] == own:
             return g
@@ -87,8 +88,8 @@ def twin(a: AutomatonArrays, field: int, own: int) -> int:
 
 
 def still_held(a: AutomatonArrays, now: Now, room: Room, t: float, x: Floats) -> int:
-    """The field in which those of the contacts held are held that a jump has left closed; the state
-    is moved onto them. ``UNKNOWN`` where one is asked for, ``HARD`` where it is not plain."""
+    """The field in which those contacts stay held that a jump has left closed; the state is
+    projected onto them. ``UNKNOWN`` if it is missing, ``HARD`` if Python must decide."""
     field = now.ints[FIELD]
     g = a.fields[field, GUARDS]
     while g < a.fields[field, GUARDS_END]:
@@ -120,8 +121,8 @@ def closed(a: AutomatonArrays, now: Now, room: Room, guard: int, t: float, x: Fl
 
 
 def joined(a: AutomatonArrays, now: Now, room: Room, guard: int) -> int:
-    """Hold a contact besides those that are held where an arc begins: ``JOINED``; ``WANTED`` where
-    that field is asked for; ``HARD``, and nothing has changed."""
+    """Hold another contact at the start of an arc: returns ``JOINED``; ``WANTED`` if the field is
+    missing; ``HARD`` if Python must decide, and nothing has changed."""
     if a.fields[now.ints[FIELD], JOINS] == 0:
         return HARD
     rest = a.guards[guard, REST]

@@ -47,27 +47,29 @@ from .zeros import EPS
 
 __all__ = ("at_rest", "does", "far", "own_time", "start", "starts")
 
-#: Power of the time from which on the coefficients of a guard are compared with each other: what
-#: those below are made of is known.
+#: Coefficients of a guard from this power on are compared with each other; for those below, the
+#: sums of absolute terms are known.
 HIGHER = 3
 
-#: A gap speed, against those seen, at which a series of impacts that has no sum is over.
+#: The gap speed, relative to those seen, at which a series of impacts that has no sum is over.
 SPENT_SPEED = 1e-20
 
-#: Positions are known to so many spacings: a flight no higher is none.
+#: Positions are known to so many spacings; a lower flight does not count.
 POSITION_ROUNDING = 8.0
 
-#: What a guard does where an arc begins (:func:`does`): it waits for its next zero; it fires before
-#: any flow; its contact comes to rest. What is a fault: nothing decides; the state is outside the
-#: domain; the flow leads out of it through the edge just taken; or may be one: it leaves the
-#: surface of a switching. And it waits, but begins a flight so low that its gap drowns in rounding.
+#: What a guard does at the start of an arc (:func:`does`). ``ARMED``: it waits for its next zero;
+#: ``FIRES``: before any flow; ``RESTS``: its contact comes to rest. Faults: ``UNDECIDED``: no
+#: derivative decides; ``OUTSIDE``: the state is outside the domain; ``BEYOND``: the flow leaves the
+#: domain through the edge just taken. ``LEAVES``: the flow leaves the surface of a switching, which
+#: may be a fault. ``DROWNS``: it waits, but its flight is so low that the gap is comparable to
+#: rounding.
 ARMED, FIRES, RESTS, UNDECIDED, OUTSIDE, BEYOND, LEAVES, DROWNS = range(8)
 
 
 def starts(a: AutomatonArrays, now: Now, room: Room) -> int:
-    """The guard that fires first before any flow where an arc begins; ``NONE``, or ``HARD`` where
-    something is to be weighed; ``JOINED`` or ``WANTED`` where a contact comes to rest. Notes the
-    guards' orders."""
+    """The first guard that fires before any flow at the start of an arc; ``NONE``; ``HARD`` if
+    Python must decide; ``JOINED`` or ``WANTED`` if a contact comes to rest. Writes the orders of
+    the guards."""
     field, fires, drowned = now.ints[FIELD], NONE, False
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
@@ -85,8 +87,8 @@ def starts(a: AutomatonArrays, now: Now, room: Room) -> int:
 
 
 def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) -> tuple[int, int]:
-    """By which power of the time a guard vanishes at the start of an arc after a jump that was
-    plain, and what it does; ``HARD`` where that is to be weighed, or more jumps are to be known."""
+    """The power of the time by which a guard vanishes at the start of an arc, and what it does
+    there; ``HARD`` if Python must decide."""
     kind, bounds = a.guards[guard, KIND], a.guards[guard, BOUNDS] == 1
     t, n, reach = now.floats[T], now.x.shape[0], so_far(now, now.x)
     used, order, sign = a.guards[guard, OWN] == now.ints[LAST_USED], 0, 1 if c[0] > 0.0 else -1
@@ -146,8 +148,8 @@ def settles(
     bend: float,
     series: bool,
 ) -> bool:
-    """Whether a contact whose gap vanishes by a power of the time comes to rest: its gap speed is
-    zero, too, and nothing pulls."""
+    """Whether a contact whose gap vanishes by a power of the time comes to rest: the gap speed is
+    zero, too, and the force pushes."""
     if order == 0 or a.guards[guard, KIND] != CONTACT or a.guards[guard, BENDS] == 1:
         return False
     if order > 1:
@@ -161,12 +163,12 @@ def settles(
 def at_rest(
     gap: float, speed: float, force: float, size: float, fast: float, bend: float, series: bool
 ) -> bool:
-    """Whether a contact that is pushed together is at rest, with a gap speed that is next to
-    nothing: rounding of the speeds that the run has seen, ``fast``, or such that the flight it
-    leads to is lower than rounding of the positions, or than the gap is off zero.
+    """Whether a contact that is pushed together is at rest: its gap speed is rounding of the speeds
+    seen (``fast``), or the flight to which it leads is lower than the rounding of the position or
+    than the gap itself.
 
-    ``size`` and ``bend`` are the sums of the terms that the gap and its acceleration are made of.
-    In a ``series`` of impacts, which is summed, it is less.
+    ``size`` and ``bend`` are the sums of absolute terms of the gap and of its acceleration. In a
+    ``series`` of impacts, which is summed, a far smaller speed still counts as motion.
     """
     if series:
         slow = abs(speed) <= SPENT_SPEED * fast
@@ -190,24 +192,25 @@ def does(
     before: int,
     urgent: bool,
 ) -> int:
-    """What a guard does where an arc begins (3).
+    """What a guard does at the start of an arc (3).
 
     Parameters
     ----------
     order, sign
         As :func:`start` gives them.
     rests : bool
-        A contact whose gap and gap speed are zero may come to rest.
+        Whether a contact whose gap and gap speed are zero may come to rest.
     used, spent : bool
-        Its edge is the one just taken; it has been taken at this time.
+        Whether its edge is the one just taken; whether it has been taken at this time.
     derived : bool
-        It is no guard of the model's, and may jump.
+        The guard is not the author's (a load, or the end of sliding) and may jump.
     passing : bool
-        There was no jump, but what delays see may have jumped.
+        There was no jump; a window of the past or a signal has ended, and the guard may have
+        jumped.
     before : int
-        The sign that it had before this time, at which it was zero; 0 where nobody knows.
+        Its sign before this time, at which it was zero; 0 if unknown.
     urgent : bool
-        It fires where it is beyond zero on entering.
+        Whether it fires where it is beyond zero on entering.
     """
     urgent = urgent and not passing
     outwards = sign == crossing or (crossing == 0 and sign != 0)
@@ -242,8 +245,8 @@ def start(
     fast: float,
     least: int,
 ) -> tuple[int, int]:
-    """By which power of the time a guard that is not :func:`far` from zero vanishes, and the sign
-    that it takes next: 0 where none of the coefficients of its series along the flow decides.
+    """The power of the time by which a guard vanishes, if it is not :func:`far` from zero, and the
+    sign that it takes next: 0 if no coefficient of its series along the flow decides.
 
     Parameters
     ----------
@@ -252,14 +255,13 @@ def start(
     value, slope : float
         The guard and its rate.
     size, rate, bend : float
-        The sums of the terms that it and its first two derivatives are made of.
+        The sums of absolute terms of the guard and of its first two derivatives.
     high : float
-        What it is made of where states are as large as the run has seen them; a gap that clearly
-        moves is not measured by it.
+        The same sum at the largest states seen; not used for a gap that clearly moves.
     fast : float
-        The same of the rate of a gap, infinite of other guards.
+        The same for the rate of a gap; infinite for other guards.
     least : int
-        The power by which it is known to vanish at least.
+        The least power by which it is known to vanish.
     """
     moves = value > 0.0 and abs(slope) > GUARD_ROUNDING * EPS * fast
     noise = GUARD_ROUNDING * EPS * (size + abs(t) * abs(slope) + (0.0 if moves else high))
@@ -279,15 +281,15 @@ def start(
 
 
 def far(value: float, size: float) -> bool:
-    """Whether a guard is far from zero, against the largest state: nothing is to be weighed."""
+    """Whether a guard is clearly not zero, measured by the largest state."""
     return abs(value) > NEAR * size
 
 
 def own_time(c: Floats, size: float) -> float:
-    """A time over which a guard is close to a cubic, from its Taylor series.
+    """A time over which a guard is close to a cubic, by its Taylor series.
 
     No term from the fourth on is larger there than all before it. ``size`` is that of the numbers
-    the guard is made of: what is rounding beside it counts for nothing.
+    in the guard; what is rounding beside it does not count.
     """
     length = math.inf
     for k in range(HIGHER + 1, c.shape[0]):

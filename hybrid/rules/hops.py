@@ -1,4 +1,5 @@
-"""A flight so low that the gap would drown in the rounding of the state, and the impact at its end.
+"""Flights so low that the gap is comparable to the rounding of the state, and the impact at their
+end.
 
 Numbers in brackets are the rules of ``docs/semantics.md``.
 """
@@ -14,13 +15,13 @@ from .sums import KICK, ONTO_CONTACT, READ, restitution, turned
 
 __all__ = ("drowns", "hop")
 
-#: Status code besides those of :mod:`.flights`: the impact has no speed after it that can be.
+#: Status besides those of :mod:`.flights`: the speed after the impact is negative or no number.
 NO_SPEED = -8
 
 
 def drowns(v: float, force: float, size: float) -> bool:
-    """Whether a gap left with speed ``v``, and drawn back by a force, stays so low that it drowns
-    in the rounding of states of a size (7)."""
+    """Whether a gap that opens with speed ``v`` against a force stays comparable to the rounding of
+    states of a size (7)."""
     return 0.0 < v * v <= -NEAR * force * size
 
 
@@ -39,7 +40,7 @@ def hop(
     after: Floats,
     room: Sums,
 ) -> tuple[int, float, float, int]:
-    """Fly from a contact by series, in which gap and gap speed are coordinates of their own (7).
+    """Fly from a contact by series in which gap and gap speed are coordinates of their own (7).
 
     Parameters
     ----------
@@ -53,8 +54,8 @@ def hop(
     Returns
     -------
     status, time, speed, pieces
-        0, or below zero where the flight belongs to the solver; how long it takes, the gap speed
-        after the impact, and how many pieces of it are in ``room``.
+        0, or negative if the flight cannot be flown here; its duration; the gap speed after the
+        impact; the number of pieces of it in ``room``.
     """
     status, time, u, pieces, _ = fly(
         p, flow, column, held, t, x, v, room.starts, room.lengths, room.series, room.branch,

@@ -1,7 +1,7 @@
-"""A run as far as it is plain: its loop, the sums of impacts, and the rest that follows.
+"""The loop of a run with sums of impacts and low flights.
 
-What is not plain is left to the driver, as :mod:`.advance` says; of a sum that is all that needs
-more than doubles to be believed, and what follows it but a rest that begins plainly.
+What needs more than double precision to be believed of a sum, or all the rules, is left to Python,
+as :mod:`.advance` says.
 """
 
 from __future__ import annotations
@@ -97,7 +97,8 @@ __all__ = ("go",)
 def go(
     a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, sums: Sums, look: Look
 ) -> int:
-    """Go on from ``now``; returns what the driver is asked for (see :mod:`.places`)."""
+    """Go on from ``now``; returns a status that says what is needed from outside
+    (:mod:`.places`)."""
     status, run[UNTIL] = GOES_ON, min(run[LAST_TIME], now.floats[DUE])
     while status == GOES_ON:
         status = advance(a, run, now, room, left)
@@ -113,13 +114,13 @@ def go(
 def accumulated(
     a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, sums: Sums, look: Look
 ) -> int:
-    """Sum the impacts from the one at hand on, and go over their limit.
+    """Sum all impacts from the current one on, and pass their limit.
 
     Returns
     -------
     status : int
-        ``GOES_ON`` behind the limit, or with the impact as it is; ``FULL`` behind the limit;
-        ``MAKE``, to be called again; or ``JUMP``, and nothing has changed.
+        ``GOES_ON`` behind the limit, or at the impact if there is no sum; ``FULL`` behind the
+        limit; ``MAKE``, to be called again; or ``JUMP``, and nothing has changed.
     """
     guard, place, field = now.ints[FIRED], now.ints[JUMPS_MADE], now.ints[FIELD]
     if run[REST_AFTER] == DRIVERS or run[JUMPS_DUE] < math.inf:
@@ -157,7 +158,7 @@ def accumulated(
 
 
 def put(tail: int, degree: int, r: float, v: float, jumps: int, left: Left, sums: Sums) -> None:
-    """Put a sum down."""
+    """Record a sum."""
     row, first = left.sums[tail], tail * CURVE_ROWS
     row[JUMPS_BEFORE], row[CURVE_DEGREE], row[LAST_SPEED], row[RATIO] = jumps, degree, v, r
     row[REMAINING] = sums.lines[LIMITS, 0]
@@ -181,7 +182,8 @@ def believed(
     sums: Sums,
     look: Look,
 ) -> bool:
-    """Whether nothing hides between the flights of a sum, as far as doubles tell."""
+    """Whether no event hides between the flights of a sum, as far as bounds in double precision
+    show."""
     sight, row, first = a.guards[guard, SIGHT], left.sums[tail], tail * CURVE_ROWS
     curve = left.curves[first : first + int(row[CURVE_DEGREE]) + 1]
     if sight == HARD:
@@ -224,16 +226,15 @@ def rests(
 
 
 def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, sums: Sums) -> int:
-    """Fly the flight that begins here, which is so low that the gap would drown in the rounding of
-    the state (7), by its series, in which gap and gap speed are coordinates of their own.
+    """Fly a low flight: its gap is comparable to the rounding of the state, so gap and gap speed
+    are coordinates of their own in its series (7).
 
     Returns
     -------
     status : int
-        ``GOES_ON`` to the impact at its end; ``FULL`` or ``HOLD``, and it is still to be flown; or
-        ``LOOK``, where there is no room for it. ``GOES_ON``, too, where it is long, goes beyond the
-        end of the run, or another guard comes near: the start of the arc is looked at then as any
-        other.
+        ``GOES_ON`` to the impact at its end. ``GOES_ON``, too, if it is not low after all, goes
+        beyond the end of the run, or another guard comes near: the arc then begins as any other.
+        ``FULL`` or ``HOLD``, and it is still to be flown; ``LOOK`` if there is no room for it.
     """
     field, guard, place = now.ints[FIELD], now.ints[FIRED], now.ints[JUMPS_MADE]
     flow, at = a.fields[field, FIELD_PROGRAM], a.guards[guard, AT]
@@ -265,7 +266,8 @@ def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, su
 
 
 def taken(now: Now, left: Left, sums: Sums, piece: int, shares: bool) -> None:
-    """Keep a piece of a flight as a step, by powers of its time, or of the ``shares`` of it."""
+    """Record a piece of a flight as a step, by powers of the time, or with ``shares`` by powers of
+    the share of the step."""
     place, n = now.ints[STEPS_MADE] + piece, now.x.shape[0]
     left.owner[place] = now.ints[JUMPS_MADE]
     left.spans[place, 0], left.spans[place, 1] = sums.starts[piece], sums.lengths[piece]
@@ -301,8 +303,8 @@ def untouched(
 
 
 def domain(a: AutomatonArrays, now: Now) -> int:
-    """Put down the signs that guards have inside the domain, 0 of those that bound nothing; how
-    many there are."""
+    """Write the sign of each guard inside the domain, 0 for those that bound none; returns how many
+    there are."""
     first, last = a.fields[now.ints[FIELD], GUARDS], a.fields[now.ints[FIELD], GUARDS_END]
     for g in range(first, last):
         now.signs[g - first] = -a.guards[g, CROSSING] * a.guards[g, BOUNDS]

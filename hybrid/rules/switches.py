@@ -1,7 +1,7 @@
 """On the surface of a switching: cross it, or slide along it (8).
 
-Each of the two flows goes to one side: that of the first derivative of the surface function along
-it that is not zero.
+Each of the two flows leads to the side given by the first derivative of the surface function along
+it that does not vanish.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from .places import AT, CROSSING, FIELD, FIELD_PROGRAM, FIRED, TO
 
 __all__ = ("follows", "goes")
 
-#: What follows where a flow has reached the surface: the mode across; sliding; nothing decides.
+#: What follows when a flow has reached the surface: the other mode; sliding; nothing decides.
 CROSSES, SLIDES, UNSETTLED = range(3)
 
 
@@ -29,17 +29,17 @@ def follows(a: AutomatonArrays, now: Now, room: Room, t: float, x: Floats) -> in
 
 
 def goes(order: int, other: int, sign: int, crossing: int) -> int:
-    """What follows where a flow has reached the surface.
+    """What follows when a flow has reached the surface.
 
     Parameters
     ----------
     order, other : int
-        By which powers of the time the surface function vanishes along the flow that has reached
-        it, and along that of the mode across.
+        The powers of the time by which the surface function vanishes along the flow that has
+        reached it, and along that of the other mode.
     sign : int
-        The sign that it takes along the latter; 0 where no derivative decides.
+        The sign that it takes along the latter; 0 if no derivative decides.
     crossing : int
-        That which it has across.
+        The sign that it has on the other side.
     """
     if sign == crossing:
         return CROSSES
@@ -49,8 +49,8 @@ def goes(order: int, other: int, sign: int, crossing: int) -> int:
 def heads(
     a: AutomatonArrays, room: Room, field: int, guard: int, t: float, x: Floats
 ) -> tuple[int, int]:
-    """From a zero of a guard: the power of the time by which it vanishes along a field, and the
-    sign that it takes; sign 0 where nothing decides."""
+    """The power of the time by which a guard that is zero vanishes along a field, and the sign that
+    it takes; sign 0 if nothing decides."""
     program, order = a.fields[field, FIELD_PROGRAM], room.c.shape[1] - 1
     size, rate, bend = sizes_of(a, room, guard, t, x)
     fit = afresh(a.programs, program, order, t, x, room.sides, room.c, room.work) == 0

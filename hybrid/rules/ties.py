@@ -1,7 +1,7 @@
-"""Guards that are zero at one time: in which order they fire (4).
+"""Guards that are zero at one time: the order in which they fire (4).
 
 Events next to each other in a step are judged at the event on which it ends, in spacings of its
-time and in what rounding makes of each guard there. Numbers in brackets are the rules of
+time and in the rounding of each guard there. Numbers in brackets are the rules of
 ``docs/semantics.md``.
 """
 
@@ -31,8 +31,8 @@ __all__ = ("latest", "since")
 
 
 def latest(a: AutomatonArrays, now: Now, room: Room, t: float) -> tuple[int, float]:
-    """Of the guards next to that on which a step ends, at ``now.end``, the one that fired longest
-    before it, and how long before; 0 where none did."""
+    """Of the guards next to the one on which a step ends, the one that fired longest before, and
+    how long before; 0 if none did."""
     field, fired, most = now.ints[FIELD], now.ints[EVENT], 0.0
     for g in range(a.fields[field, GUARDS], a.fields[field, GUARDS_END]):
         if beside(a, now, g):
@@ -43,8 +43,8 @@ def latest(a: AutomatonArrays, now: Now, room: Room, t: float) -> tuple[int, flo
 
 
 def together(a: AutomatonArrays, now: Now, room: Room, t: float) -> int:
-    """The guard declared first of those that are zero where a step ends; of the others the sign
-    that each had before is noted. Those whose condition fails there are as if they had fired."""
+    """The guard declared first of those that are zero where a step ends. For the others, the sign
+    before is noted; those whose condition fails there count as fired."""
     field, event = now.ints[FIELD], now.ints[EVENT]
     first, fires = a.fields[field, GUARDS], event
     now.ints[FLIGHTS] += 1
@@ -60,8 +60,7 @@ def together(a: AutomatonArrays, now: Now, room: Room, t: float) -> int:
 
 
 def remembered(a: AutomatonArrays, now: Now, fired: int) -> bool:
-    """Whether anything is known of guards besides the one that fired: that they were zero at this
-    time, too, or have fired."""
+    """Whether any other guard was zero at this time, or has fired."""
     field, flights = now.ints[FIELD], now.ints[FLIGHTS]
     for g in range(a.fields[field, GUARDS], a.fields[field, GUARDS_END]):
         own = a.guards[g, OWN]
@@ -81,8 +80,7 @@ def beside(a: AutomatonArrays, now: Now, guard: int) -> bool:
 
 
 def ago(a: AutomatonArrays, now: Now, room: Room, guard: int, t: float) -> float:
-    """How long ago a guard has fired, by its value and rate at ``now.end``: 0 where that is now,
-    below zero if it has not fired yet."""
+    """How long ago a guard has fired, by its value and rate at ``now.end`` (:func:`since`)."""
     field = now.ints[FIELD]
     program, place = a.fields[field, FIELD_PROGRAM], guard - a.fields[field, GUARDS]
     if afresh(a.programs, program, 1, t, now.end, room.still, room.aside, room.work) < 0:
@@ -94,10 +92,10 @@ def ago(a: AutomatonArrays, now: Now, room: Room, guard: int, t: float) -> float
 
 
 def since(value: float, rate: float, before: int, t: float, rounding: float) -> float:
-    """How long before a time a guard has fired, by its value and rate there: 0 where it is zero, in
-    spacings of the time and in its ``rounding``; below zero if it has not fired yet.
+    """How long before a time a guard has fired, by its value and rate there: 0 if it is zero, to
+    spacings of the time and to its ``rounding``; negative if it has not fired yet.
 
-    ``before``: the sign that it had on the way; 0 asks only whether it is zero.
+    ``before``: its sign on the way; with 0 only zero is recognised.
     """
     if abs(value) <= TIE * EPS * abs(t) * abs(rate) + rounding:
         return 0.0
