@@ -62,6 +62,7 @@ from .places import (
     NO_ROOM,
     OFF,
     PHASE,
+    PROOF,
     RECORD_NOT_FINITE,
     SAME,
     SERVES_UNTIL,
@@ -113,6 +114,8 @@ def look_back(
             again = past.ints[BEHIND] != SAME or past.ints[GUESSED] == 1
             run[JUMPS_DUE] = now.ints[JUMPS_MADE] + 1.0 if again else math.inf
             status = go(a, run, now, room, left, sums, look)
+        if status == PROOF:  # with delays Python judges the whole jump
+            now.ints[PHASE], status = BEGINS, JUMP
         if status == HOLD:
             past.ints[AGAIN] = HOLD
             return HOLD

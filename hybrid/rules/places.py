@@ -123,7 +123,8 @@ LACKING_AT = 20  # the column of that entry
 LASTED = 21  # 1 if the arc before had a positive length
 RINGS = 22  # the clock that rings first
 FLOWING = 23  # the number of states that flow; discrete variables follow
-STATE_INTS = 24
+PROVED = 24  # 1 if Python has shown that the sum at hand passes over no event
+STATE_INTS = 25
 
 #: Columns of the zeros of guards in a step.
 WHEN = 0  # when the guard fires
@@ -166,6 +167,7 @@ SHOW = 10  # the polynomial of its step is needed
 WINDOW = 11  # new windows of the past are needed
 NO_ROOM = 12  # the record of the past is full
 HOLD = 13  # a step, or a low flight, is to be checked against the flow
+PROOF = 14  # whether the sum at hand passes over no event is to be shown in ball arithmetic
 
 #: REST_AFTER: what a run does at an accumulation.
 DRIVERS = 0.0  # Python handles it

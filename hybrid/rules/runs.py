@@ -61,6 +61,8 @@ from .places import (
     OWN,
     PHASE,
     PLAIN,
+    PROOF,
+    PROVED,
     RATIO,
     RELATIVE,
     REMAINING,
@@ -120,7 +122,7 @@ def accumulated(
     -------
     status : int
         ``GOES_ON`` behind the limit, or at the impact if there is no sum; ``FULL`` behind the
-        limit; ``MAKE``, to be called again; or ``JUMP``, and nothing has changed.
+        limit; ``MAKE`` or ``PROOF``, to be called again; or ``JUMP``, and nothing has changed.
     """
     guard, place, field = now.ints[FIRED], now.ints[JUMPS_MADE], now.ints[FIELD]
     if run[REST_AFTER] == DRIVERS or run[JUMPS_DUE] < math.inf:
@@ -148,13 +150,14 @@ def accumulated(
     if not untouched(a, now, left, sums, flow, at, column, t, x):
         now.floats[TRIED] = v
         return GOES_ON
-    if not believed(a, run, now, flow, at, guard, tail, t, x, left, sums, look):
-        return JUMP
+    proved, now.ints[PROVED] = now.ints[PROVED], 0
+    if proved == 0 and not believed(a, run, now, flow, at, guard, tail, t, x, left, sums, look):
+        return PROOF
     end, rest = after(t, low, left.sums[tail, REMAINING])
     if (run[UNTIL] - end) - rest < 0.0:
         now.floats[TRIED] = v
         return GOES_ON
-    return rests(a, run, now, room, left, t, low)
+    return rests(a, run, now, room, left, t, low, proved)
 
 
 def put(tail: int, degree: int, r: float, v: float, jumps: int, left: Left, sums: Sums) -> None:
@@ -206,23 +209,38 @@ def believed(
 
 
 def rests(
-    a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, t: float, low: float
+    a: AutomatonArrays,
+    run: Floats,
+    now: Now,
+    room: Room,
+    left: Left,
+    t: float,
+    low: float,
+    proved: int,
 ) -> int:
-    """Begin the rest that follows a sum, or end the run there."""
+    """Begin the rest that follows a sum, or end the run there.
+
+    Where all the rules are needed to begin the rest, a sum that Python has proved is left with NaN
+    for the state at rest; otherwise the status is ``JUMP``.
+    """
     guard, place, tail, n = now.ints[FIRED], now.ints[JUMPS_MADE], now.ints[TAILS], now.x.shape[0]
     field, first = a.guards[guard, REST], tail * CURVE_ROWS
     limit, x = left.curves[first + AT_LIMIT, :n], left.curves[first + AT_REST, :n]
     end, rest = after(t, low, left.sums[tail, REMAINING])
-    if a.fields[field, PLAIN] == 0 or not onto(a, field, end, limit, room, x):
+    plain = a.fields[field, PLAIN] != 0 and onto(a, field, end, limit, room, x)
+    if not plain and proved == 0:
         return JUMP
     added(now, left, guard, t, low)
     enlarged(now, left.after[place])
     now.ints[FLIGHTS] += 1
     now.spent[a.guards[guard, OWN]] = now.ints[FLIGHTS]
-    entered(a, now, field, a.guards[guard, OWN], 1, end, rest, x)
+    if plain:
+        entered(a, now, field, a.guards[guard, OWN], 1, end, rest, x)
+    else:
+        x[0] = math.nan
     now.ints[SERIES], now.ints[PHASE], now.ints[TAILS] = -1, BEGINS, tail + 1
     last = run[REST_AFTER] == ENDS_THERE or tail + 1 == left.sums.shape[0]
-    return FULL if last else GOES_ON
+    return GOES_ON if plain and not last else FULL
 
 
 def hopped(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, sums: Sums) -> int:

@@ -67,6 +67,8 @@ from ..rules.places import (
     NO_ROOM,
     NONE,
     PHASE,
+    PROOF,
+    PROVED,
     RISES,
     SERIES,
     SHOW,
@@ -85,11 +87,14 @@ from ..rules.places import (
     T,
 )
 from ..trajectory.arcs import Table
+from ..trajectory.clock import Instant
 from ..trajectory.log import Flights, Steps
 from ..trajectory.plan import PATIENCE
 from ..trajectory.trajectory import Status
 from ..zeno.accumulate import Tail
 from ..zeno.narrow import bounded
+from ..zeno.narrow import seen as hides_nothing
+from ..zeno.others import apart
 from . import noting
 from .accumulations import pass_sum
 from .entry import Jumped
@@ -104,7 +109,7 @@ from .watched import Holding
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
-    from ..lowering import Field, Guard
+    from ..lowering import Field, Guard, Scene
     from .driver import Driver
 
 #: Room for jumps and steps at first, the factor by which it grows after each call that has filled
@@ -275,6 +280,11 @@ class Machine:
                     if status == HOLD:
                         self._hold_to_flow()
                         continue
+                    if status == PROOF and self._proves(left):
+                        continue
+                    if status == PROOF:
+                        self.ints[PHASE] = BEGINS
+                        return JUMP
                     if self.outside is None or status not in OUTSIDE_METHODS:
                         return status
                     make = getattr(self.outside, OUTSIDE_METHODS[status])
@@ -596,6 +606,8 @@ class Machine:
                 if driver.status is not None:  # behind the last jump nothing is summed
                     return
                 self._summed(left, sums.index(end))
+                if self.passed:
+                    return
             self._held(fields[end])
             begin = end
 
@@ -621,19 +633,60 @@ class Machine:
         return then.kept
 
     def _summed(self, left: Left, place: int) -> None:
-        """Record a sum of impacts and begin the rest that follows it."""
-        driver, rows = self.driver, left.curves[place * CURVE_ROWS :][:CURVE_ROWS].copy()
-        before, degree, v, r, remaining = left.sums[place].tolist()
-        guard = self.tables.guards[left.fired[int(before) - 1]]
+        """Record a sum of impacts and begin the rest that follows it.
+
+        If that needs all the rules, the driver has begun it (``passed``).
+        """
+        driver = self.driver
+        guard = self.tables.guards[left.fired[int(left.sums[place, JUMPS_BEFORE]) - 1]]
         entry, now, memory = driver.entry, driver.record.now, driver.record.memory
         seen = driver.scene
         if memory is not None and not self.windowed:
             seen = driver.model.through([memory.sights[place]])
-        field, contact = seen.field(entry.field.name), seen.contact(guard.edge)
-        column = field.column(guard.edge)
-        errors, x_inf, at_rest = rows[ERRORS, :-1], rows[AT_LIMIT, :-2], rows[AT_REST, :-2]
+        since = now.t, now.low, entry.x
+        tail = self._tail(left, place, seen.field(entry.field.name), seen, guard.edge, since)
+        at_rest = left.curves[place * CURVE_ROWS + AT_REST, : self.n].copy()
+        self.passed = bool(np.isnan(at_rest[0]))
+        pass_sum(driver, tail, None if self.passed else at_rest)
+
+    def _tail(
+        self,
+        left: Left,
+        place: int,
+        field: Field,
+        seen: Scene,
+        contact: str,
+        since: tuple[float, float, StateVector],
+    ) -> Tail:
+        """A sum of impacts; ``since``: time, in two floats, and state of its first impact."""
+        rows = left.curves[place * CURVE_ROWS :][:CURVE_ROWS].copy()
+        _, degree, v, r, remaining = left.sums[place].tolist()
+        errors, x_inf = rows[ERRORS, :-1], rows[AT_LIMIT, :-2]
         curve = r, rows[: int(degree) + 1], remaining, x_inf, float(errors[0]), errors[1:]
-        pass_sum(driver, Tail(field, contact, column, now.t, now.low, entry.x, v, *curve), at_rest)
+        t, low, x = since
+        return Tail(field, seen.contact(contact), field.column(contact), t, low, x, v, *curve)
+
+    def _proves(self, left: Left) -> bool:
+        """Whether the loop can go on at a sum that bounds in double precision do not decide: ball
+        arithmetic shows that it passes over no event, or that it cannot be summed yet.
+
+        Where something may hide on the way to its limit, the steps from here on are watched.
+        """
+        driver, (t, low, tau) = self.driver, self.floats[[T, LOW, TAU]].tolist()
+        if driver.record.memory is not None:
+            return False
+        seen = driver.scene if self.feed is None else driver.model.at(self.feed.since)
+        contact = self.tables.guards[int(self.ints[FIRED])].edge
+        name, now = self.tables.fields[int(self.ints[FIELD])].name, Instant(t, low).after(tau)
+        since = now.t, now.low, left.after[int(self.ints[JUMPS_MADE])].copy()
+        field = seen.field(name, (contact,))
+        tail = self._tail(left, int(self.ints[TAILS]), field, seen, contact, since)
+        clear, wary = apart(tail), driver.wary
+        if clear and hides_nothing(tail, self.plan.closing):
+            self.ints[PROVED] = 1
+            return True
+        self.floats[TRIED], driver.wary = tail.v, wary or clear
+        return wary or not clear  # watched steps are of another order: the driver begins them
 
     def _flown(self, left: Left, begin: int, end: int) -> bool:
         """Record the arcs that end with some of the jumps; returns whether to look for a cycle."""
