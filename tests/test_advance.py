@@ -581,6 +581,45 @@ def test_a_table_that_throws_off_is_one_call_for_as_many_sums_as_there_is_room_f
     assert len(found) <= 2 + len(run.zeno) // machine.SUMS_KEPT
 
 
+def draggy(force):
+    """A ball that falls onto a floor under gravity and a force."""
+
+    class Draggy(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+
+        @hy.mode(initial=True)
+        def flight(self, t, s):
+            return s.v, force(t, s) - 9.8
+
+        hit = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.6)
+
+    return Draggy(), {"x": 1.0, "v": 0.0}, (0.0, 3.0)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize(
+    "force",
+    [lambda t, s: -0.1 * jnp.abs(s.v) * s.v, lambda t, s: jnp.tanh(50.0 * (t - 0.3))],
+    ids=["a drag with a corner", "a steep load"],
+)
+def test_a_sum_that_only_balls_decide_is_passed_in_the_loop(force, solver, monkeypatch):
+    """The loop asks for the proof alone: the driver makes no jump, and the run is that of the rules
+    one by one."""
+    scene, asked, own = draggy(force), [], machine.proves
+    with monkeypatch.context() as without:
+        without.setattr(Driver, "jump", None)
+        without.setattr(machine, "proves", lambda *given: asked.append(1) or own(*given))
+        run = hy.simulate(*scene, solver=solver, rtol=1e-11)
+    assert asked
+    without_loop(monkeypatch)
+    expected = hy.simulate(*scene, solver="taylor")
+    # errors of a run at 1e-11, over impacts that damp them
+    assert run.zeno[0].t == pytest.approx(expected.zeno[0].t, abs=1e-10)
+    assert [arc.mode for arc in run.arcs[-1:]] == ["flight.rest(hit)"]
+    assert run.zeno[0].verdict == expected.zeno[0].verdict == "certified"
+
+
 class Fast(hy.Automaton):
     """An oscillator over a wall, in time of a small unit."""
 

@@ -302,8 +302,7 @@ class Tables:
             ]
         elif guard.kind is Kind.EDGE and not (judged or (slides and self._again(guard))):
             # an edge that is watched behind it, too, is judged
-            reset = ("reset", name)
-            programs[0] = self._of_values(field, reset, lambda: graph.values(code.closed(*reset)))
+            programs[0] = self._reset(field, guard)
         sizes = self._of_values(field, ("sizes", name, held), lambda: graph.sizes(name, held))
         kind, crossing = NUMBERED[guard.kind], DIRECTIONS[guard.crossing]
         to = UNKNOWN if self._lead(field, guard) else NONE
@@ -344,14 +343,18 @@ class Tables:
     def _clock(self, field: Field, place: int, times: int, base: int) -> list[int]:
         """The row of a clock."""
         clock, slides = field.clocks[place], field.project is not None and not field.held
-        reset, graph = ("reset", clock.edge), self.scene.code.mode(field.mode)
         judged = self._again(clock) if slides else bool(field.held and self.scene.spec.lags)
-        values = lambda: graph.values(self.scene.code.closed(*reset))  # noqa: E731
-        program = -1 if judged else self._of_values(field, reset, values)
+        program = -1 if judged else self._reset(field, clock)
         own = self._fields[base][GUARDS_END] + place if field.held else len(self._rows)
         to, uses = UNKNOWN if self._lead(field, clock) else NONE, [len(self._uses)] * 2
         shape = [0, 0, 1, to, program, -1, -1, *uses, 0]
         return [CLOCK, *shape, times, 0, UNKNOWN, NONE, 0, own, NONE, 0]
+
+    def _reset(self, field: Field, guard: Guard) -> int:
+        """The number of the program of an edge's reset."""
+        code, what = self.scene.code, ("reset", guard.edge)
+        values = lambda: code.mode(field.mode).values(code.closed(*what))  # noqa: E731
+        return self._of_values(field, what, values)
 
     def _surface(self, field: Field) -> int:
         """The number of the program back onto the surface on which a field slides; -1 where it

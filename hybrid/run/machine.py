@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import attrs
 import numpy as np
 
-from ..delay.memory import SUMS, Memory
+from ..delay.memory import SUMS
 from ..delay.windows import Links, Shown
 from ..errors import FlowError
 from ..lowering import released
@@ -23,10 +23,8 @@ from ..rules import unit
 from ..rules.arrays import Left, Now
 from ..rules.calls import held
 from ..rules.places import (
-    AT_LIMIT,
     AT_REST,
     AT_START,
-    BEGAN,
     BEGINS,
     CURVE_ROWS,
     DRIVERS,
@@ -34,7 +32,6 @@ from ..rules.places import (
     END,
     ENDS_THERE,
     ENTERED,
-    ERRORS,
     EXPANSIONS,
     FIELD,
     FIRED,
@@ -48,14 +45,12 @@ from ..rules.places import (
     HELD,
     HOLD,
     IMPACT_COUNT,
-    IN_ARC,
     JUMP,
     JUMPS_BEFORE,
     JUMPS_MADE,
     LACKING,
     LACKING_AT,
     LAND_ON,
-    LAST_TIME,
     LAST_USED,
     LASTED,
     LOOK,
@@ -64,17 +59,14 @@ from ..rules.places import (
     MADE,
     MAKE,
     MAX_STEP,
-    NO_ROOM,
     NONE,
     PHASE,
     PROOF,
-    PROVED,
     RISES,
     SERIES,
     SHOW,
     STEP,
     STEP_END,
-    STEPS_DONE,
     STEPS_MADE,
     STRIKES,
     TAILS,
@@ -83,7 +75,6 @@ from ..rules.places import (
     WALKS,
     WAS_LOW,
     WATCHED,
-    WINDOW,
     T,
 )
 from ..trajectory.arcs import Table
@@ -91,10 +82,7 @@ from ..trajectory.clock import Instant
 from ..trajectory.log import Flights, Steps
 from ..trajectory.plan import PATIENCE
 from ..trajectory.trajectory import Status
-from ..zeno.accumulate import Tail
 from ..zeno.narrow import bounded
-from ..zeno.narrow import seen as hides_nothing
-from ..zeno.others import apart
 from . import noting
 from .accumulations import pass_sum
 from .entry import Jumped
@@ -102,7 +90,9 @@ from .jumps import bounce
 from .kept import KeptSteps
 from .knots import Feed, pass_knot
 from .limits import pass_limit
+from .lookback import looked_back, passes
 from .outside import Outside
+from .proved import proves, tail_of
 from .rooms import Rooms, left_for
 from .watch import Watch
 from .watched import Holding
@@ -200,7 +190,7 @@ class Machine:
             if self.feed is not None and not ended and self._knot(left, status):
                 return
             if self.past is not None and not ended:
-                status = self._passes(left, status)
+                status = passes(self, left, status)
             if status == GOES_ON:
                 if self.takes():
                     continue
@@ -210,7 +200,7 @@ class Machine:
             if stands:
                 driver.watch = Watch(*self._series())
                 self._stand(left, status)
-            self._tell(0.0 if ended or stands else self._hold(left), left)
+            self.tell(0.0 if ended or stands else self._hold(left), left)
             if ended or stands or self._spent(status, left):
                 return
             driver.watch = Watch(*self._series())
@@ -248,7 +238,7 @@ class Machine:
             self._last(left)
         return spent
 
-    def _tell(self, tau: float, left: Left) -> None:
+    def tell(self, tau: float, left: Left) -> None:
         """Report progress; if the user stops the run there, records the arc as far as it was
         flown."""
         try:
@@ -280,9 +270,9 @@ class Machine:
                     if status == HOLD:
                         self._hold_to_flow()
                         continue
-                    if status == PROOF and self._proves(left):
-                        continue
                     if status == PROOF:
+                        if self.driver.record.memory is None and proves(self, left):
+                            continue
                         self.ints[PHASE] = BEGINS
                         return JUMP
                     if self.outside is None or status not in OUTSIDE_METHODS:
@@ -317,7 +307,7 @@ class Machine:
         if self.feed is not None:
             return self._fed(left, self.feed)
         if self.past is not None and self.driver.record.memory is not None:
-            return lambda: self._looked_back(left)
+            return lambda: looked_back(self, left)
         rooms, go, automaton = self.rooms, unit("runs").go, self.tables.automaton
         if left is rooms.left:
             return rooms.call(go, automaton)
@@ -364,98 +354,6 @@ class Machine:
         if self.feed is not None:
             driver.scene = driver.model.at(self.feed.since)
             driver.entry = attrs.evolve(driver.entry, field=driver.field)
-
-    def _looked_back(self, left: Left) -> int:
-        """Call the loop with the record of the past."""
-        memory, now, (room, sums, look) = self.driver.record.memory, self.now, self.rooms.work
-        assert self.past is not None
-        assert memory is not None
-        automaton, links = self.past.linked()
-        past, shown = memory.past(links), memory.shown.tobytes()
-        if not memory.bound or links is not self.links:
-            unit("past").bound(automaton, now, room, past)
-            self.links, memory.bound = links, True
-        self.run[LAST_TIME] = memory.until
-        if self.windowed:
-            return int(unit("runs").go(automaton, self.run, now, room, left, sums, look))
-        go = unit("past").look_back
-        status = int(go(automaton, self.run, now, room, left, sums, look, past))
-        if status == NO_ROOM:
-            memory.make_room(self.driver.t)
-            return self._looked_back(left)
-        memory.told = True
-        if memory.shown.tobytes() != shown:
-            self.driver.scene, memory.bound = memory.read(), True
-        return status
-
-    def _passes(self, left: Left, status: int) -> int:
-        """With delays: pass to the next windows of the past; returns the status, ``GOES_ON`` if the
-        loop is to be called again.
-
-        If an arc that has passed windows must be examined, it is recorded up to the last of them.
-        """
-        driver, memory, place = self.driver, self.driver.record.memory, int(self.ints[JUMPS_MADE])
-        if memory is None:
-            return status
-        if self.windowed:
-            return self._passes_window(left, status, memory)
-        if status in (LOOK, WINDOW) and memory.ints[IN_ARC] == place:
-            last, tau, x = int(memory.ints[STEPS_DONE]), float(memory.floats[BEGAN]), memory.start
-            steps, made = self.kept.take_until(left, last, place, tau)
-            driver.steps += made
-            self._through(tau, x, steps, memory.signs)
-            memory.ints[IN_ARC] = -1
-        if status == WINDOW:
-            memory.told = False
-            driver.scene = memory.look(driver.t, driver.entry.x)
-        elif status == LOOK:
-            memory.told = False
-            memory.pieces.back_to(driver.t)
-            if memory.ends(driver.t):
-                memory.passed(driver.t, driver.entry.x, driver.entry.field)
-                driver.look(driver.entry.x)
-        return GOES_ON if status == WINDOW else status
-
-    def _passes_window(self, left: Left, status: int, memory: Memory) -> int:
-        """The same where the loop comes back at the end of each window: with another solver's
-        steps, and for lags that move, whose windows end where a guard fires."""
-        driver, place, fired = self.driver, int(self.ints[JUMPS_MADE]), None
-        if status == FULL and place and self.plan.memory == "restart":
-            guard = self.tables.guards[left.fired[0]]
-            if guard.kind == "edge":  # through what is seen now it may not be zero
-                self.ints[GUARD_POWER] = 0
-        if status == JUMP and self._fired.kind == "window":
-            fired = self._fired.edge
-        if not fired and (status != END or memory.until >= self.plan.t1):
-            return status
-        steps, made = self._flown_in(left, place, place + 1)
-        driver.steps += made
-        before, tau, x = driver.field.guards, float(self.floats[TAU]), self.now.end.tolist()
-        now = driver.record.now.after(tau)
-        values = [1.0 if g.edge == fired else g.value(now.t, x) for g in before]
-        self._through(tau, self.now.end, steps, np.sign(values))
-        memory.passed(driver.t, driver.entry.x, driver.entry.field, fired)
-        driver.look(driver.entry.x)
-        self._tell(0.0, left)
-        if driver.steps >= self.plan.max_steps:
-            return FULL
-        self.ints[ENTERED], self.now.orders[:] = 1, 0
-        x = driver.entry.x.tolist()
-        pairs = zip(driver.field.guards, values, strict=True)
-        return GOES_ON if all(g.value(driver.t, x) * v > 0 for g, v in pairs) else LOOK
-
-    def _through(self, tau: float, x: StateVector, steps: Steps | None, signs: np.ndarray) -> None:
-        """Record the current arc up to the place where the next windows of the past begin."""
-        driver = self.driver
-        segments = steps.segments(np.array([tau])) if steps and self.dense else []
-        x = driver.record.extend(driver.entry.field, driver.entry.x, x.copy(), tau, segments)
-        edges = [guard.edge for guard in driver.entry.field.guards]
-        driver.go_on_through(dict(zip(edges, signs.tolist(), strict=False)), x)
-        now = driver.record.now
-        self.floats[T], self.floats[LOW], self.floats[TAU] = now.t, now.low, 0.0
-        self.now.x[:], self.now.end[:], self.now.seen[:] = x, x, driver.seen
-        if self.ints[PHASE] == WALKS:
-            self.ints[MADE], self.ints[ENTERED] = 1, 0
 
     def _make(self) -> None:
         """Complete the tables with what the loop has asked for, and make room for it."""
@@ -644,49 +542,22 @@ class Machine:
         if memory is not None and not self.windowed:
             seen = driver.model.through([memory.sights[place]])
         since = now.t, now.low, entry.x
-        tail = self._tail(left, place, seen.field(entry.field.name), seen, guard.edge, since)
+        tail = tail_of(left, place, seen.field(entry.field.name), seen.contact(guard.edge), since)
         at_rest = left.curves[place * CURVE_ROWS + AT_REST, : self.n].copy()
         self.passed = bool(np.isnan(at_rest[0]))
         pass_sum(driver, tail, None if self.passed else at_rest)
 
-    def _tail(
-        self,
-        left: Left,
-        place: int,
-        field: Field,
-        seen: Scene,
-        contact: str,
-        since: tuple[float, float, StateVector],
-    ) -> Tail:
-        """A sum of impacts; ``since``: time, in two floats, and state of its first impact."""
-        rows = left.curves[place * CURVE_ROWS :][:CURVE_ROWS].copy()
-        _, degree, v, r, remaining = left.sums[place].tolist()
-        errors, x_inf = rows[ERRORS, :-1], rows[AT_LIMIT, :-2]
-        curve = r, rows[: int(degree) + 1], remaining, x_inf, float(errors[0]), errors[1:]
-        t, low, x = since
-        return Tail(field, seen.contact(contact), field.column(contact), t, low, x, v, *curve)
+    @property
+    def present(self) -> Scene:
+        """The scene at the present piece of the signals."""
+        driver = self.driver
+        return driver.scene if self.feed is None else driver.model.at(self.feed.since)
 
-    def _proves(self, left: Left) -> bool:
-        """Whether the loop can go on at a sum that bounds in double precision do not decide: ball
-        arithmetic shows that it passes over no event, or that it cannot be summed yet.
-
-        Where something may hide on the way to its limit, the steps from here on are watched.
-        """
-        driver, (t, low, tau) = self.driver, self.floats[[T, LOW, TAU]].tolist()
-        if driver.record.memory is not None:
-            return False
-        seen = driver.scene if self.feed is None else driver.model.at(self.feed.since)
-        contact = self.tables.guards[int(self.ints[FIRED])].edge
-        name, now = self.tables.fields[int(self.ints[FIELD])].name, Instant(t, low).after(tau)
-        since = now.t, now.low, left.after[int(self.ints[JUMPS_MADE])].copy()
-        field = seen.field(name, (contact,))
-        tail = self._tail(left, int(self.ints[TAILS]), field, seen, contact, since)
-        clear, wary = apart(tail), driver.wary
-        if clear and hides_nothing(tail, self.plan.closing):
-            self.ints[PROVED] = 1
-            return True
-        self.floats[TRIED], driver.wary = tail.v, wary or clear
-        return wary or not clear  # watched steps are of another order: the driver begins them
+    @property
+    def instant(self) -> Instant:
+        """The time that the loop has reached."""
+        t, low, tau = self.floats[[T, LOW, TAU]].tolist()
+        return Instant(t, low).after(tau)
 
     def _flown(self, left: Left, begin: int, end: int) -> bool:
         """Record the arcs that end with some of the jumps; returns whether to look for a cycle."""
@@ -694,7 +565,7 @@ class Machine:
         fired, (t, low, lengths) = left.fired[begin:end], left.when[begin:end].T.copy()
         modes, edges = tables.named[:, fired]
         jumps = Table(t, low, edges, left.before[begin:end].copy(), left.after[begin:end].copy())
-        steps, count = self._flown_in(left, begin, end)
+        steps, count = self.flown_in(left, begin, end)
         first = driver.entry.x
         onto = {}
         for k in np.flatnonzero(tables.constrained[fired]).tolist():
@@ -706,7 +577,7 @@ class Machine:
         driver.steps += count
         return noting.flown(driver, flights)
 
-    def _flown_in(self, left: Left, begin: int, end: int) -> tuple[Steps | None, int]:
+    def flown_in(self, left: Left, begin: int, end: int) -> tuple[Steps | None, int]:
         """The steps of some arcs, if they are kept, and their number; the first arc includes those
         held."""
         return self.kept.take(left, int(self.ints[STEPS_MADE]), begin, end)
@@ -720,14 +591,14 @@ class Machine:
     def _arc(self, left: Left, place: int, tau: float, end: StateVector) -> StateVector:
         """Record an arc; returns the state at its end."""
         self._come_to_piece()
-        driver, (steps, count) = self.driver, self._flown_in(left, place, place + 1)
+        driver, (steps, count) = self.driver, self.flown_in(left, place, place + 1)
         segments = [] if steps is None else steps.segments(np.array([tau]))
         driver.steps += count
         driver.passed(tau)
         return driver.record.arc(driver.entry.field, driver.entry.x, end, tau, segments)
 
     @property
-    def _fired(self) -> Guard:
+    def fired(self) -> Guard:
         """The guard that fired last, in the driver's field."""
         field, guard = self.driver.entry.field, self.tables.guards[int(self.ints[FIRED])]
         return field.guard(guard.edge)
@@ -749,11 +620,11 @@ class Machine:
                 driver.record.memory.told = False
             driver.entry = attrs.evolve(driver.entry, field=driver.field)
             if self.ints[WAS_LOW]:
-                bounce(driver, self._fired, before, left.after[place].copy(), speed)
-            elif self._fired.kind == "clock":
-                driver.ring(self._fired, float(self.floats[DUE]), before)
+                bounce(driver, self.fired, before, left.after[place].copy(), speed)
+            elif self.fired.kind == "clock":
+                driver.ring(self.fired, float(self.floats[DUE]), before)
             else:
-                driver.jump(self._fired, before)
+                driver.jump(self.fired, before)
 
     def _tied(self) -> dict[str, int]:
         """By edge, the sign before its zero of each guard that was zero when the last flight

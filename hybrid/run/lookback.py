@@ -1,0 +1,137 @@
+"""The compiled loop with delays: windows of the past, and how arcs go on from one to the next."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..rules import unit
+from ..rules.places import (
+    BEGAN,
+    END,
+    ENTERED,
+    FULL,
+    GOES_ON,
+    GUARD_POWER,
+    IN_ARC,
+    JUMP,
+    JUMPS_MADE,
+    LAST_TIME,
+    LOOK,
+    LOW,
+    MADE,
+    NO_ROOM,
+    PHASE,
+    STEPS_DONE,
+    TAU,
+    WALKS,
+    WINDOW,
+    T,
+)
+
+if TYPE_CHECKING:
+    from ..automaton.shapes import StateVector
+    from ..delay.memory import Memory
+    from ..rules.arrays import Left
+    from ..trajectory.log import Steps
+    from .machine import Machine
+
+
+def looked_back(machine: Machine, left: Left) -> int:
+    """Call the loop with the record of the past."""
+    memory, now, (room, sums, look) = machine.driver.record.memory, machine.now, machine.rooms.work
+    assert machine.past is not None
+    assert memory is not None
+    automaton, links = machine.past.linked()
+    past, shown = memory.past(links), memory.shown.tobytes()
+    if not memory.bound or links is not machine.links:
+        unit("past").bound(automaton, now, room, past)
+        machine.links, memory.bound = links, True
+    machine.run[LAST_TIME] = memory.until
+    if machine.windowed:
+        return int(unit("runs").go(automaton, machine.run, now, room, left, sums, look))
+    go = unit("past").look_back
+    status = int(go(automaton, machine.run, now, room, left, sums, look, past))
+    if status == NO_ROOM:
+        memory.make_room(machine.driver.t)
+        return looked_back(machine, left)
+    memory.told = True
+    if memory.shown.tobytes() != shown:
+        machine.driver.scene, memory.bound = memory.read(), True
+    return status
+
+
+def passes(machine: Machine, left: Left, status: int) -> int:
+    """With delays: pass to the next windows of the past; returns the status, ``GOES_ON`` if the
+    loop is to be called again.
+
+    If an arc that has passed windows must be examined, it is recorded up to the last of them.
+    """
+    driver, place = machine.driver, int(machine.ints[JUMPS_MADE])
+    memory = driver.record.memory
+    if memory is None:
+        return status
+    if machine.windowed:
+        return _passes_window(machine, left, status, memory)
+    if status in (LOOK, WINDOW) and memory.ints[IN_ARC] == place:
+        last, tau, x = int(memory.ints[STEPS_DONE]), float(memory.floats[BEGAN]), memory.start
+        steps, made = machine.kept.take_until(left, last, place, tau)
+        driver.steps += made
+        _through(machine, tau, x, steps, memory.signs)
+        memory.ints[IN_ARC] = -1
+    if status == WINDOW:
+        memory.told = False
+        driver.scene = memory.look(driver.t, driver.entry.x)
+    elif status == LOOK:
+        memory.told = False
+        memory.pieces.back_to(driver.t)
+        if memory.ends(driver.t):
+            memory.passed(driver.t, driver.entry.x, driver.entry.field)
+            driver.look(driver.entry.x)
+    return GOES_ON if status == WINDOW else status
+
+
+def _passes_window(machine: Machine, left: Left, status: int, memory: Memory) -> int:
+    """The same where the loop comes back at the end of each window: with another solver's
+    steps, and for lags that move, whose windows end where a guard fires."""
+    driver, place, fired = machine.driver, int(machine.ints[JUMPS_MADE]), None
+    if status == FULL and place and machine.plan.memory == "restart":
+        guard = machine.tables.guards[left.fired[0]]
+        if guard.kind == "edge":  # through what is seen now it may not be zero
+            machine.ints[GUARD_POWER] = 0
+    if status == JUMP and machine.fired.kind == "window":
+        fired = machine.fired.edge
+    if not fired and (status != END or memory.until >= machine.plan.t1):
+        return status
+    steps, made = machine.flown_in(left, place, place + 1)
+    driver.steps += made
+    before, tau, x = driver.field.guards, float(machine.floats[TAU]), machine.now.end.tolist()
+    now = driver.record.now.after(tau)
+    values = [1.0 if g.edge == fired else g.value(now.t, x) for g in before]
+    _through(machine, tau, machine.now.end, steps, np.sign(values))
+    memory.passed(driver.t, driver.entry.x, driver.entry.field, fired)
+    driver.look(driver.entry.x)
+    machine.tell(0.0, left)
+    if driver.steps >= machine.plan.max_steps:
+        return FULL
+    machine.ints[ENTERED], machine.now.orders[:] = 1, 0
+    x = driver.entry.x.tolist()
+    pairs = zip(driver.field.guards, values, strict=True)
+    return GOES_ON if all(g.value(driver.t, x) * v > 0 for g, v in pairs) else LOOK
+
+
+def _through(
+    machine: Machine, tau: float, x: StateVector, steps: Steps | None, signs: np.ndarray
+) -> None:
+    """Record the current arc up to the place where the next windows of the past begin."""
+    driver = machine.driver
+    segments = steps.segments(np.array([tau])) if steps and machine.dense else []
+    x = driver.record.extend(driver.entry.field, driver.entry.x, x.copy(), tau, segments)
+    edges = [guard.edge for guard in driver.entry.field.guards]
+    driver.go_on_through(dict(zip(edges, signs.tolist(), strict=False)), x)
+    now = driver.record.now
+    machine.floats[T], machine.floats[LOW], machine.floats[TAU] = now.t, now.low, 0.0
+    machine.now.x[:], machine.now.end[:], machine.now.seen[:] = x, x, driver.seen
+    if machine.ints[PHASE] == WALKS:
+        machine.ints[MADE], machine.ints[ENTERED] = 1, 0
