@@ -58,15 +58,15 @@ def rings(
     fires there: of those that are zero at one time that of the edge declared first (4)."""
     end = driver.record.now.after(flown.length)
     if fired is not None:
-        tied = not _precedes(driver, fired, clock) and _zero(driver, fired, end, flown.x, t)
+        tied = not _precedes(driver, fired, clock) and is_zero(driver, fired, end, flown.x, t)
         return tied, fired
     for guard in driver.entry.field.guards:
-        if _precedes(driver, guard, clock) and _zero(driver, guard, end, flown.x, t):
+        if _precedes(driver, guard, clock) and is_zero(driver, guard, end, flown.x, t):
             return False, guard
     return True, None
 
 
-def _zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float) -> bool:
+def is_zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float) -> bool:
     """Whether a guard that moves in its direction is zero at a time, next to which an arc ends: in
     spacings of that, and in what rounding makes of the guard; and its condition holds."""
     value, rate, _ = guard.lie(end.t, x.tolist())

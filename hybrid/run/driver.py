@@ -181,7 +181,7 @@ class Driver:
         if self.loop is None or more or bears or len(jumped.vanishing) > 1:
             return False
         field, alone = self.own.field(self.mode), self.record.memory is None or jumped.starting
-        alone = alone and self.record.now.until(self.plan.t1) > 0
+        alone = alone and self.record.now.until(min(self.plan.t1, self.scene.until)) > 0
         alone = alone and not (jumped.starting and field.project is not None)
         return alone and self.loop.may(field)
 
@@ -210,10 +210,10 @@ class Driver:
 
     def look(self, x: StateVector) -> None:
         """Let delays see the past from here, where what they see has come to an end, and signals
-        be on the piece that begins here."""
+        be on the piece that leads here: behind a knot the run goes on over it."""
         memory = self.record.memory
-        if self.scene.until <= self.t:
-            self.scene = self.model.at(self.t)
+        if self.scene.until < self.t:
+            self.scene = self.model.at(float(np.nextafter(self.t, -np.inf)))
         if memory is not None and memory.due(self.t):
             self.scene = memory.look(self.t, x)
 
