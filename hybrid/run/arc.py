@@ -110,6 +110,7 @@ class ArcFlow:
         self.over: frozenset[str] = frozenset()
         self.left: set[int] = set()
         self.predicted: set[int] = set()
+        self.turning: dict[int, Zero] = {}
         self.made = 0
 
     def run(self) -> Flown:
@@ -406,10 +407,9 @@ class ArcFlow:
         """The first of a guard's zeros in a step at which it fires; tangencies are added (1).
 
         ``end``: the state at the step's end. A zero that seems to turn round within the tolerance,
-        and is deeper at the end, is none.
+        and is deeper at the end, is none; one that has not turned round there may in the next step.
         """
-        guard = self.field.guards[index]
-        shallow: Zero | None = None
+        guard, shallow = self.field.guards[index], self.turning.pop(index, None)
         for zero in found:
             if zero.cut is not None:
                 after = segment.start + zero.cut.after * segment.length
@@ -423,15 +423,23 @@ class ArcFlow:
                 fires(guard.crossing, zero.direction) and self._holds(guard, zero.tau, segment, end)
             ):
                 shallow = None
+            elif shallow is not None:  # the way back
+                shallow = None
             elif self._touches(guard, zero.tau, segment, tolerance):
                 grazes.append((zero.tau, index))
-                shallow = zero if shallow is None else None  # the way back
+                shallow = zero
             else:
                 return Fired(index, zero.tau, zero.direction)
-        if shallow is None or abs(self.ends[guard.edge]) <= tolerance:
+        if shallow is None:
             return None
-        grazes.remove((shallow.tau, index))
-        return Fired(index, shallow.tau, shallow.direction)
+        deep = self.ends[guard.edge] * shallow.direction
+        if deep <= tolerance:
+            if abs(deep) <= tolerance:
+                self.turning[index] = shallow
+            return None
+        if (shallow.tau, index) in grazes:
+            grazes.remove((shallow.tau, index))
+        return Fired(index, max(shallow.tau, segment.start), shallow.direction)
 
     def _holds(self, guard: Guard, tau: float, segment: Segment, end: StateVector) -> bool:
         """Whether an edge's condition holds on the way along a step. What rounding alone has moved
