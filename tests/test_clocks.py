@@ -328,5 +328,5 @@ def test_a_clock_may_end_the_run():
 def test_a_clock_may_ring_at_the_last_time_of_a_run(method):
     """Behind it is an arc of no length, for which a method of SciPy has no step."""
     run = hy.simulate(Sampled(), {"x": 1.0, "u": 0.0}, (0.0, 0.1), method=method)
-    assert run.jumps.t.tolist() == [0.1] and run.t1 == 0.1
+    assert (run.jumps.t.tolist(), run.t1) == ([0.1], 0.1)
     assert run.final.u == -0.5 * run.final.x

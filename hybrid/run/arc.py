@@ -419,11 +419,11 @@ class ArcFlow:
                     return Fired(index, zero.tau, zero.direction, zero.cut)
             elif zero.direction == 0:
                 grazes.append((zero.tau, index))
-            elif not (
-                fires(guard.crossing, zero.direction) and self._holds(guard, zero.tau, segment, end)
+            elif (
+                shallow is not None  # the way back
+                or not fires(guard.crossing, zero.direction)
+                or not self._holds(guard, zero.tau, segment, end)
             ):
-                shallow = None
-            elif shallow is not None:  # the way back
                 shallow = None
             elif self._touches(guard, zero.tau, segment, tolerance):
                 grazes.append((zero.tau, index))
