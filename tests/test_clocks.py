@@ -322,3 +322,11 @@ def test_a_clock_may_end_the_run():
     run = hy.simulate(Alarm(), {"x": 0.0}, (0.0, 2.0), solver="taylor")
     assert run.status is hy.Status.TERMINATED
     assert (run.t1, run.final.x) == (0.75, 0.75)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "Radau", "BDF", "LSODA", "RK23"])
+def test_a_clock_may_ring_at_the_last_time_of_a_run(method):
+    """Behind it is an arc of no length, for which a method of SciPy has no step."""
+    run = hy.simulate(Sampled(), {"x": 1.0, "u": 0.0}, (0.0, 0.1), method=method)
+    assert (run.jumps.t.tolist(), run.t1) == ([0.1], 0.1)
+    assert run.final.u == -0.5 * run.final.x

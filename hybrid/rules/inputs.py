@@ -47,6 +47,7 @@ from .places import (
     T,
 )
 from .runs import go
+from .ties import ago
 from .zeros import EPS
 
 __all__ = ("feed", "put_in", "through")
@@ -71,7 +72,7 @@ def through(
         run[LAST_TIME] = inputs.knots[place + 1]
         status = go(a, run, now, room, left, sums, look)
         last = place + 2 >= inputs.knots.shape[0] or inputs.place[1] == 0
-        if status != END or last or now.ints[MADE] == 0:
+        if status != END or last or now.ints[MADE] == 0 or not apart(a, now, room):
             return status
         inputs.place[0] = place + 1
         feed(a, room, inputs)
@@ -80,6 +81,15 @@ def through(
             feed(a, room, inputs)
             return status
         goes_on(now, inputs)
+
+
+def apart(a: AutomatonArrays, now: Now, room: Room) -> bool:
+    """Whether no guard that the model declares is zero where an arc has come to a knot."""
+    t, _ = after(now.floats[T], now.floats[LOW], now.floats[TAU])
+    for g in range(a.fields[now.ints[FIELD], GUARDS], a.fields[now.ints[FIELD], GUARDS_END]):
+        if a.guards[g, KIND] != RELEASE and ago(a, now, room, g, t) == 0.0:
+            return False
+    return True
 
 
 def goes_on(now: Now, inputs: InputArrays) -> None:

@@ -112,6 +112,7 @@ class ArcFlow:
         self.over: frozenset[str] = frozenset()
         self.left: set[int] = set()
         self.predicted: set[int] = set()
+        self.turning: dict[int, Zero] = {}
         self.made = 0
 
     def run(self) -> Flown:
@@ -121,6 +122,8 @@ class ArcFlow:
 
     def _run(self) -> Flown:
         length = self.now.until(self.until)
+        if not length > 0.0:  # a jump at the last time: solvers take no step of no length
+            return Flown(None, 0.0, self.x, [], [])
         self.pace = Pace(self.field, self.now.t, length)
         target = self.predict(length)
         self._begin_guards()
@@ -407,10 +410,10 @@ class ArcFlow:
         ``grazes`` (1).
 
         ``end``: the state at the step's end. A crossing that seems to turn back within the
-        tolerance counts as a crossing if the guard is deeper at the end.
+        tolerance counts as a crossing if the guard is deeper at the end; one that has not turned
+        back there may do so in the next step.
         """
-        guard = self.field.guards[index]
-        shallow: Zero | None = None
+        guard, shallow = self.field.guards[index], self.turning.pop(index, None)
         for zero in found:
             if zero.cut is not None:
                 after = segment.start + zero.cut.after * segment.length
@@ -420,19 +423,27 @@ class ArcFlow:
                     return Fired(index, zero.tau, zero.direction, zero.cut)
             elif zero.direction == 0:
                 grazes.append((zero.tau, index))
-            elif not (
-                fires(guard.crossing, zero.direction) and self._holds(guard, zero.tau, segment, end)
+            elif (
+                shallow is not None  # the way back
+                or not fires(guard.crossing, zero.direction)
+                or not self._holds(guard, zero.tau, segment, end)
             ):
                 shallow = None
             elif self._touches(guard, zero.tau, segment, tolerance):
                 grazes.append((zero.tau, index))
-                shallow = zero if shallow is None else None  # the way back
+                shallow = zero
             else:
                 return Fired(index, zero.tau, zero.direction)
-        if shallow is None or abs(self.ends[guard.edge]) <= tolerance:
+        if shallow is None:
             return None
-        grazes.remove((shallow.tau, index))
-        return Fired(index, shallow.tau, shallow.direction)
+        deep = self.ends[guard.edge] * shallow.direction
+        if deep <= tolerance:
+            if abs(deep) <= tolerance:
+                self.turning[index] = shallow
+            return None
+        if (shallow.tau, index) in grazes:
+            grazes.remove((shallow.tau, index))
+        return Fired(index, max(shallow.tau, segment.start), shallow.direction)
 
     def _holds(self, guard: Guard, tau: float, segment: Segment, end: StateVector) -> bool:
         """Whether an edge's condition holds at a time within a step. Components that differ from

@@ -58,15 +58,15 @@ def rings(
     are zero at one time, the edge declared first fires (4)."""
     end = driver.record.now.after(flown.length)
     if fired is not None:
-        tied = not _precedes(driver, fired, clock) and _zero(driver, fired, end, flown.x, t)
+        tied = not _precedes(driver, fired, clock) and is_zero(driver, fired, end, flown.x, t)
         return tied, fired
     for guard in driver.entry.field.guards:
-        if _precedes(driver, guard, clock) and _zero(driver, guard, end, flown.x, t):
+        if _precedes(driver, guard, clock) and is_zero(driver, guard, end, flown.x, t):
             return False, guard
     return True, None
 
 
-def _zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float) -> bool:
+def is_zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float) -> bool:
     """Whether a guard that moves in its firing direction is zero at a time, and its condition
     holds. Zero is meant to spacings of the time and to the rounding of the guard."""
     value, rate, _ = guard.lie(end.t, x.tolist())

@@ -166,7 +166,7 @@ class Driver:
         if self.loop is None or more or bears or len(jumped.vanishing) > 1:
             return False
         field, alone = self.own.field(self.mode), self.record.memory is None or jumped.starting
-        alone = alone and self.record.now.until(self.plan.t1) > 0
+        alone = alone and self.record.now.until(min(self.plan.t1, self.scene.until)) > 0
         alone = alone and not (jumped.starting and field.project is not None)
         return alone and self.loop.may(field)
 
@@ -194,10 +194,11 @@ class Driver:
         return float(np.maximum(self.seen, np.abs(x))[: self.scene.spec.flows].max())
 
     def look(self, x: StateVector) -> None:
-        """Advance the windows of the past and the pieces of signals to the current time, if due."""
+        """Advance the windows of the past and the pieces of signals to the current time, if due. At
+        a knot the signals stay on the piece that leads there, until the run passes the knot."""
         memory = self.record.memory
-        if self.scene.until <= self.t:
-            self.scene = self.model.at(self.t)
+        if self.scene.until < self.t:
+            self.scene = self.model.at(float(np.nextafter(self.t, -np.inf)))
         if memory is not None and memory.due(self.t):
             self.scene = memory.look(self.t, x)
 

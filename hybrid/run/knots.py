@@ -11,13 +11,14 @@ import numpy as np
 
 from ..delay.windows import Links
 from ..errors import DomainError
-from ..lowering import Scene
+from ..lowering import Field, Guard, Scene
 from ..lowering.mode import RELEASE_SUFFIX
 from ..rules.arrays import InputArrays
 from ..rules.guards import GUARD_ROUNDING
 from ..rules.zeros import EPS
 from ..trajectory.clock import Instant
-from .entry import Jumped, opened, signs_at_end
+from .clocks import is_zero
+from .entry import Entry, Jumped, opened, signs_at_end
 from .noting import add_jump
 
 if TYPE_CHECKING:
@@ -27,12 +28,16 @@ if TYPE_CHECKING:
 #: Pieces that the loop is given at a time.
 PIECES_AHEAD = 4096
 
+#: Guards of what a model declares; the others follow from it, and may jump.
+DECLARED = ("edge", "contact", "switch")
+
 
 def pass_knot(driver: Driver, t: float, x: StateVector) -> None:
     """Continue an arc behind a knot.
 
-    A contact at rest opens if its gap or gap speed jumps there; a surface that jumps over the state
-    is crossed; a guard that has jumped over zero fires (1).
+    A guard that is zero there fires first, from left values (4). A contact at rest opens if its gap
+    or gap speed jumps there; a surface that jumps over the state is crossed; a guard that has
+    jumped over zero fires (1).
 
     Raises
     ------
@@ -42,52 +47,98 @@ def pass_knot(driver: Driver, t: float, x: StateVector) -> None:
     entry, field, there = driver.entry, driver.entry.field, driver.model.at(t)
     came = driver.came() if entry.here is None else driver.jumped
     known = came.vanishing if driver.record.young else {}
-    signs = signs_at_end(entry, t, x, driver.reach(x))
+    spent = driver.spent.union(known)
+    signs = _sides(entry, spent, t, x, driver.reach(x))
     driver.record.now = Instant(t)
-    off = _jumped(driver, there, t, x, signs)
+    if driver.scene.until == t and _fires(driver, spent, t, x):
+        return
+    driver.scene = there
+    off = {guard.edge: guard for guard in _off(driver, there, t, x)}
+    _require_within(driver, there, off, signs, t, x)
+    over = [edge for edge, guard in off.items() if _is_over(guard, signs, t, x)]
     open_ = [c for c in field.held if opened(there, field.mode, c, t, x)]
-    for edge in (*off, *(f"{contact}{RELEASE_SUFFIX}" for contact in open_)):
+    for edge in (*over[:1], *(f"{contact}{RELEASE_SUFFIX}" for contact in open_)):
         driver.record.arc(field, x, x, 0.0, [])
         driver.watch.reset()
-        if edge not in off:
+        if edge not in over:
             driver.record.released(edge.removesuffix(RELEASE_SUFFIX), t)
         add_jump(driver, edge, x, x)
-    driver.look(x)
     driver.cycles.forget()
-    if off:
-        driver.enter(field.guard(off[0]).to, x, Jumped())
+    if over:
+        driver.enter(off[over[0]].to, x, Jumped())
     elif open_:
         driver.enter(field.mode, x, Jumped(held=tuple(c for c in field.held if c not in open_)))
     else:
+        known = {edge: power for edge, power in known.items() if edge not in off}
         driver.enter(field.mode, x, Jumped(known, field.held, passing=signs))
 
 
-def _jumped(
-    driver: Driver, there: Scene, t: float, x: StateVector, signs: dict[str, int]
-) -> list[str]:
-    """The surfaces that have jumped over the state; at most one may."""
-    field, found = driver.entry.field, []
-    behind = there.field(field.mode)
-    switching = there.spec.sliding(field.mode)
-    if switching is not None:
-        behind = there.field(switching.positive)
-    for guard in behind.guards:
+def _fires(driver: Driver, spent: frozenset[str], t: float, x: StateVector) -> bool:
+    """Carry out the jump of a guard that is zero before a knot, but for rounding, if there is one:
+    of several that of the edge declared first (4). ``spent``: edges just taken."""
+    entry, now = driver.entry, driver.record.now
+    own = (g for g in entry.field.guards if g.kind in DECLARED and g.edge not in spent)
+    zero = [guard for guard in own if is_zero(driver, guard, now, x, t)]
+    if zero:
+        driver.record.arc(entry.field, x, x, 0.0, [])
+        driver.tied = {guard.edge: -1 if guard.lie(t, x.tolist())[1] > 0 else 1 for guard in zero}
+        driver.jump(zero[0], x)
+    return bool(zero)
+
+
+def _sides(
+    entry: Entry, spent: frozenset[str], t: float, x: StateVector, reach: float
+) -> dict[str, int]:
+    """By edge the sign of its guard before a knot; of one that is zero, or whose edge has just been
+    taken, that to which it goes."""
+    signs = signs_at_end(entry, t, x, reach)
+    for guard in entry.field.guards:
+        if guard.edge in spent or not signs[guard.edge]:
+            signs[guard.edge] = int(np.sign(guard.lie(t, x.tolist())[1])) or signs[guard.edge]
+    return signs
+
+
+def _off(driver: Driver, there: Scene, t: float, x: StateVector) -> list[Guard]:
+    """The guards of the mode that are off zero behind a knot, by more than rounding."""
+    behind, state = _watched(driver, there), x.tolist()
+    sizes = (float(there.rounding(guard, behind)(t, state)[0]) for guard in behind.guards)
+    pairs = zip(behind.guards, sizes, strict=True)
+    return [g for g, size in pairs if abs(g.value(t, state)) > GUARD_ROUNDING * EPS * size]
+
+
+def _watched(driver: Driver, there: Scene) -> Field:
+    """The field of the mode, without what is held; while sliding that of the positive side."""
+    mode = driver.entry.field.mode
+    switching = there.spec.sliding(mode)
+    return there.field(mode if switching is None else switching.positive)
+
+
+def _is_over(guard: Guard, signs: dict[str, int], t: float, x: StateVector) -> bool:
+    """Whether a surface has jumped over the state."""
+    return guard.kind == "switch" and guard.value(t, x.tolist()) * signs[guard.edge] < 0
+
+
+def _require_within(
+    driver: Driver,
+    there: Scene,
+    off: dict[str, Guard],
+    signs: dict[str, int],
+    t: float,
+    x: StateVector,
+) -> None:
+    """Refuse a gap that jumps below zero, and a surface that jumps off a state that slides."""
+    switching = there.spec.sliding(driver.entry.field.mode)
+    for edge, guard in off.items():
         value = guard.value(t, x.tolist())
-        size = float(there.rounding(guard, behind)(t, x.tolist())[0])
-        off = abs(value) > GUARD_ROUNDING * EPS * size
-        slides = switching is not None and guard.edge == switching.name
-        below = guard.kind == "contact" and value < 0 and signs.get(guard.edge, 1) > 0
-        if off and (slides or below):
+        slides = switching is not None and edge == switching.name
+        if slides or (guard.kind == "contact" and value < 0 and signs.get(edge, 1) > 0):
             names = ", ".join(signal.name for signal in there.spec.signals)
             what = "surface" if slides else "gap"
             raise DomainError(
                 f"{driver.where(x)}: at this knot of the signals ({names}) the {what} of "
-                f"{guard.edge} jumps to {value:.6g}, and the state does not; a {what} must not "
+                f"{edge} jumps to {value:.6g}, and the state does not; a {what} must not "
                 'jump so: kind="linear" or "cubic" joins its values'
             )
-        if off and guard.kind == "switch" and not slides and value * signs[guard.edge] < 0:
-            found.append(guard.edge)
-    return found[:1]
 
 
 class Feed:
@@ -100,12 +151,13 @@ class Feed:
         self.began, self.start = np.zeros(1), np.zeros(scene.spec.dimension)
         self._made: tuple[Links, InputArrays] | None = None
 
-    def at(self, t: float, goes_on: bool) -> bool:
-        """Move to the piece at a time, if there is one; ``goes_on``: the loop may pass knots by
-        itself."""
-        place = int(np.searchsorted(self.knots[:-1], t, "right")) - 1
+    def at(self, t: float, behind: bool, goes_on: bool) -> bool:
+        """Be at a time, if there is a piece for it; of a knot on that ``behind`` it, or on that
+        which leads there. ``goes_on``: over knots, if all is plain."""
+        place = int(np.searchsorted(self.knots[:-1], t, "right" if behind else "left")) - 1
         self.place[:] = max(place, 0), goes_on, -1, 0
-        return place >= 0 and (t < self.knots[-1] or t == self.last)
+        last = self.knots[-1]
+        return place >= 0 and (t < last or (t == last and (not behind or t == self.last)))
 
     def begins(self, within: bool) -> None:
         """Prepare for a call of the loop; ``within``: it continues the same arc."""

@@ -435,9 +435,11 @@ class Machine:
         jumped = Jumped() if judged or looks_back else driver.came()
         if driver.scene.samples:
             t, goes_on = driver.t, self.outside is None and not driver.wary
-            if self.feed is None or not self.feed.at(t, goes_on):
-                self.feed = Feed(driver.model, t, self.plan.t1)
-                self.feed.at(t, goes_on)
+            where = t, driver.scene.until > t, goes_on
+            if self.feed is None or not self.feed.at(*where):
+                first = t if where[1] else float(np.nextafter(t, -np.inf))
+                self.feed = Feed(driver.model, first, self.plan.t1)
+                self.feed.at(*where)
             self.links = None
         edge, power = next(iter(jumped.vanishing.items()), (jumped.used, 0))
         ints[FIELD], ints[ENTERED], ints[PHASE] = field, judged, BEGINS
@@ -613,8 +615,6 @@ class Machine:
         else:
             driver.tied = self._tied()
             before = self._last(left)
-            if self.feed is not None:
-                driver.look(before)
             driver.spent |= self._over()
             if driver.record.memory is not None:
                 driver.record.memory.told = False

@@ -92,6 +92,8 @@ def _recall(driver: Driver, run: Solution, place: int, arc: Arc, row: JumpRow) -
 def _came(driver: Driver, run: Solution, arc: Arc) -> Jumped:
     """What is known of a state at which a run ended within an arc."""
     driver.look(arc.last)
+    if driver.scene.samples:  # on the piece that leads there
+        driver.scene = driver.model.at(float(np.nextafter(driver.t, -np.inf)))
     row = run.own_jumps.get(len(run.parts) - 2)
     young = arc.length <= TIE * np.spacing(abs(arc.t0))
     if not (young and row):

@@ -332,3 +332,35 @@ def test_a_count_that_has_no_limit_is_named(way):
     assert result.status == "jump_loop"
     if way.tells("run"):
         assert "each time a reset has changed n," in result.said
+
+
+class Top(hy.Automaton):
+    """A ball on its way up to a mark, which is counted, as is the top of its flight."""
+
+    x = hy.state()
+    v = hy.state()
+    n = hy.state()
+    tops = hy.state()
+    mark = hy.parameter(0.25)
+
+    @hy.mode
+    def flies(self, t, s):
+        return s.v, -8.0, 0.0, 0.0
+
+    @hy.edge(flies, to=flies, guard=lambda self, t, s: s.x - self.mark, crossing=hy.EITHER)
+    def passes(self, t, s):
+        return s.replace(n=s.n + 1)
+
+    @hy.edge(flies, to=flies, guard=lambda self, t, s: s.v)
+    def turns(self, t, s):
+        return s.replace(tops=s.tops + 1)
+
+
+@pytest.mark.parametrize("length", [0.4375, 0.5, 0.7, 1.0])
+def test_a_mark_that_is_touched_is_not_passed(way, length):
+    """The top of the flight is at the mark, which is then no crossing, there and back: however
+    steps lie about it. A mark a thousandth lower is passed twice."""
+    starts, given = [[0.0, 2.0, 0.0, 0.0]] * 2, {"mark": [0.25, 0.249]}
+    touched, passed = way.many(Top(), starts, (0.0, length), given, rtol=1e-9)
+    assert (touched.final.n, touched.final.tops) == (0, 1)
+    assert (passed.final.n, passed.final.tops) == (2, 1)

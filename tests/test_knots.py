@@ -1,0 +1,133 @@
+"""Jumps at the time of a knot: what is zero there fires first, then what is behind it holds."""
+
+import numpy as np
+import pytest
+
+import hybrid as hy
+
+SOLVERS = ["taylor", "scipy", "diffrax"]
+
+#: Flows are polynomials of second degree, which every solver flies to rounding.
+CLOSE = 1e-9
+
+FLAT = ([0.0, 1.0], [0.0, 0.0])
+
+
+class Floor(hy.Automaton):
+    """A ball on a floor that is put up or down."""
+
+    x = hy.state()
+    v = hy.state()
+    floor = hy.signal(kind="previous", outside="hold")
+    push = hy.signal(kind="previous", outside="hold")
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, -10.0 + self.push(t)
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x - self.floor(t), restitution=0.5)
+
+
+class Marked(hy.Automaton):
+    """Motion past a mark, which is counted there or turned round."""
+
+    x = hy.state()
+    v = hy.state()
+    mark = hy.signal(kind="previous", outside="hold")
+    keeps: float = hy.parameter(1.0, doc="of the speed, behind the mark")
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, 0.0
+
+    @hy.edge(flight, guard=lambda self, t, s: self.mark(t) - s.x)
+    def passes(self, t, s):
+        return s.replace(v=self.keeps * s.v)
+
+
+class Sides(hy.Automaton):
+    """Falls by one, and by two below a mark."""
+
+    x = hy.state()
+    mark = hy.signal(kind="previous", outside="hold")
+
+    @hy.mode(initial=True)
+    def above(self, t, s):
+        return (-1.0,)
+
+    @hy.mode
+    def below(self, t, s):
+        return (-2.0,)
+
+    side = hy.switching(above, below, surface=lambda self, t, s: s.x - self.mark(t))
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+def test_an_impact_at_a_knot_is_on_the_floor_before_it(solver):
+    """The floor falls by 1 as the ball strikes it, at 0.5: it rises from where the floor was."""
+    model = Floor(floor=([0.0, 0.5], [0.0, -1.0]), push=FLAT)
+    run = hy.simulate(model, {"x": 1.25, "v": 0.0}, (0.0, 0.7), solver=solver)
+    assert run.jumps.edge.tolist() == ["impact"]
+    assert np.allclose([run.jumps.t[0], *run.final], [0.5, 2.5 * 0.2 - 5 * 0.04, 0.5], atol=CLOSE)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_floor_that_rises_at_the_impact_is_refused(solver):
+    """After the impact the ball would be below it."""
+    model = Floor(floor=([0.0, 0.5], [0.0, 0.1]), push=FLAT)
+    with pytest.raises(hy.DomainError, match="gap of impact jumps"):
+        hy.simulate(model, {"x": 1.25, "v": 0.0}, (0.0, 0.7), solver=solver)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize(("to", "times"), [(-0.5, [0.5]), (1.5, [0.5, 1.5])])
+def test_a_mark_that_moves_as_it_is_passed_is_passed_once(solver, to, times):
+    """One that moves back has been passed already, one that moves on is passed again."""
+    model = Marked(mark=([0.0, 0.5], [0.5, to]))
+    run = hy.simulate(model, {"x": 0.0, "v": 1.0}, (0.0, 3.0), solver=solver)
+    assert np.allclose(run.jumps.t, times, atol=CLOSE)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_wall_that_moves_off_as_it_is_struck_has_been_struck(solver):
+    """It turns the motion round at 0.5, where it was."""
+    model = Marked(mark=([0.0, 0.5], [0.5, 1.5]), keeps=-0.5)
+    run = hy.simulate(model, {"x": 0.0, "v": 1.0}, (0.0, 0.8), solver=solver)
+    assert np.allclose([*run.jumps.t, run.final.x], [0.5, 0.35], atol=CLOSE)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_wall_that_moves_over_what_strikes_it_is_refused(solver):
+    """Behind the knot the state is out of the mode's domain."""
+    model = Marked(mark=([0.0, 0.5], [0.5, -0.5]), keeps=-0.5)
+    with pytest.raises(hy.DomainError):
+        hy.simulate(model, {"x": 0.0, "v": 1.0}, (0.0, 0.8), solver=solver)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_surface_that_jumps_back_as_it_is_crossed_is_crossed_back(solver):
+    """At 1 the state falls through zero, where the surface goes half a unit below it."""
+    model = Sides(mark=([0.0, 1.0], [0.0, -0.5]))
+    run = hy.simulate(model, {"x": 1.0}, (0.0, 2.0), solver=solver)
+    assert np.allclose([*run.jumps.t, run.final.x], [1.0, 1.0, 1.5, -1.5], atol=CLOSE)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+def test_a_run_goes_on_from_a_jump_at_a_knot(solver):
+    """Cut at the impact, and at the knot, it is the run that is made in one."""
+    model = Floor(floor=([0.0, 0.5], [0.0, -1.0]), push=FLAT)
+    first = hy.simulate(model, {"x": 1.25, "v": 0.0}, (0.0, 0.5), solver=solver)
+    second = hy.simulate(model, first, (0.5, 0.7), solver=solver)
+    assert (first + second).jumps.edge.tolist() == ["impact"]
+    assert np.allclose([*second.final], [0.3, 0.5], atol=CLOSE)
+
+
+def test_lanes_take_the_jumps_of_knots_as_runs_do():
+    """The same floor, under three balls of which one strikes it at the knot."""
+    model = Floor(floor=([0.0, 0.5], [0.0, -1.0]), push=FLAT)
+    start = {"x": np.array([1.25, 1.0, 2.0]), "v": np.zeros(3)}
+    lanes = hy.ensemble(model, start, (0.0, 0.7))
+    for i, x in enumerate(start["x"]):
+        run = hy.simulate(model, {"x": x, "v": 0.0}, (0.0, 0.7), solver="taylor")
+        assert int(lanes.jumps[i]) == len(run.jumps)
+        assert abs(float(lanes.x[i]) - run.final.x) < CLOSE
