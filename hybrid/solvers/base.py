@@ -61,6 +61,10 @@ def method_of(solver: str, method: str | None, known: Iterable[str]) -> str:
     return method or names[0]
 
 
+#: What stands for ``atol=0``: a state that is 0 has no relative error, and methods divide by it.
+LEAST_ATOL = float(np.finfo(float).tiny)
+
+
 def tolerances(rtol: Any, atol: Any, dimension: int, own: float) -> tuple[float, np.ndarray]:
     """Tolerances of a step: a number, and a number or one for each element of the state.
 
@@ -85,9 +89,10 @@ def tolerances(rtol: Any, atol: Any, dimension: int, own: float) -> tuple[float,
         absolute = np.array(-1.0)
     if absolute.shape not in ((), (dimension,)) or not np.all(absolute >= 0):
         raise OptionError(
-            f"atol={atol!r}: a number, or one for each of the {dimension} elements of the state"
+            f"atol={atol!r}: a number of at least 0, or one for each of the {dimension} elements of "
+            "the state"
         )
-    return relative, absolute
+    return relative, np.maximum(absolute, LEAST_ATOL)
 
 
 class Stepper(abc.ABC):
