@@ -314,9 +314,13 @@ class Builder:
             return given
         if not is_number(given) or not 0 <= float(given) <= 1:
             names = [f'"{name}"' for name, marker in self.markers.items() if marker is given]
-            said = f"is the parameter itself; give its name, {names[0]}" if names else (
-                f"= {given!r}; give a parameter's name, a number from 0 to 1 or a function "
-                "(self, t, s, u)"
+            said = (
+                f"is the parameter itself; give its name, {names[0]}"
+                if names
+                else (
+                    f"= {given!r}; give a parameter's name, a number from 0 to 1 or a function "
+                    "(self, t, s, u)"
+                )
             )
             self.faults.append(f"{where}: restitution {said}")
             return lambda self, t, s, u: 1.0

@@ -164,22 +164,22 @@ def parameter(
 
 def _bounds(positive: bool, between: tuple[float, float] | None) -> Callable[..., None]:
     from ..errors import ParameterError
-    from .reals import reals
+    from .reals import reals, short
 
     def check(model: Any, field: Any, value: Any) -> None:
         if _is_traced(value):
             return
-        name = f"{type(model).__name__}.{field.name}"
+        given = f"{type(model).__name__}.{field.name} = {short(value)}"
         try:
             numbers = reals(value).ravel().tolist()
         except ValueError:
-            raise ParameterError(f"{name} = {value!r}: a number or an array of numbers") from None
+            raise ParameterError(f"{given}: a number or an array of numbers") from None
         if not all(map(math.isfinite, numbers)):
-            raise ParameterError(f"{name} = {value!r}: must be finite")
+            raise ParameterError(f"{given}: must be finite")
         if positive and not all(number > 0 for number in numbers):
-            raise ParameterError(f"{name} = {value!r}: must be positive")
+            raise ParameterError(f"{given}: must be positive")
         if between is not None and not all(between[0] <= n <= between[1] for n in numbers):
-            raise ParameterError(f"{name} = {value!r}: must lie in [{between[0]}, {between[1]}]")
+            raise ParameterError(f"{given}: must lie in [{between[0]}, {between[1]}]")
 
     return check
 

@@ -17,6 +17,7 @@ import numpy as np
 from ..errors import OptionError
 from .markers import State, _Named
 from .past import looks_back
+from .reals import short
 from .record import Record
 from .spec import Spec
 from .trace import caller, real_valued, wide
@@ -192,7 +193,8 @@ def require_outputs(spec: Spec, names: Any, taken: Sequence[str] = ()) -> list[s
     """
     known = [output.name for output in spec.outputs]
     if isinstance(names, str) or not all(isinstance(name, str) for name in names):
-        raise OptionError(f'{spec.model}: {names!r}: give names in a list, ["energy"]')
+        example = names if isinstance(names, str) else (*known, *spec.names)[0]
+        raise OptionError(f'{spec.model}: {short(names)}: give names in a list, ["{example}"]')
     for name in names:
         if name not in (*known, *spec.names):
             there = ", ".join((*spec.names, *known))

@@ -91,3 +91,14 @@ class Record:
     def __repr__(self) -> str:
         pairs = zip(self._fields, self._values, strict=True)
         return "(" + ", ".join(f"{name}={value}" for name, value in pairs) + ")"
+
+
+def parts(record: Record) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """The values of a record, and what they are of: to JAX a record is a pytree."""
+    return record._values, (record._fields, record._label, record._unpacked)
+
+
+def whole(what: tuple[Any, ...], values: Any) -> Record:
+    """The record of :func:`parts`."""
+    fields, label, unpacked = what
+    return Record(fields, tuple(values), label, unpacked)

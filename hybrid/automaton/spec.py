@@ -351,7 +351,8 @@ class Spec:
             due = f"{len(names)} states ({', '.join(names)})"
             raise ValueError(f"{what} for {due}") from None
         if len(values) != len(names):
-            raise ValueError(f"{len(values)} values for {len(names)} states ({', '.join(names)})")
+            count = "one value" if len(values) == 1 else f"{len(values)} values"
+            raise ValueError(f"{count} for {len(names)} states ({', '.join(names)})")
         return [*values, *others.values()]
 
     def require_rates(self, record: Any) -> None:

@@ -13,6 +13,7 @@ from ..automaton.base import require_model
 from ..automaton.digest import digest
 from ..automaton.markers import RISING, Crossing
 from ..automaton.outputs import evaluated
+from ..automaton.reals import short
 from ..automaton.spec import Spec
 from ..errors import TABLES, HybridError, OptionError, need
 from ..lowering import Scene, scene_of
@@ -188,9 +189,11 @@ def ensemble(
         "max_steps": max_steps,
         "memory": memory,
     }
+    _require_options(model.spec, parameters, certify, progress)
     given = start, t, dict(parameters or {}), history, seed
     begins = mode_of(scene, mode)
     runs = _Runs(Lanes(model, *given), _asked(scene, options), begins, certify, measures)
+    _require_names(runs.lanes, measures)
     if section is not None:  # a fault of it is no lane's own
         measures.section_of(runs.lanes.lane(0), runs.lanes)
 
@@ -205,6 +208,41 @@ def ensemble(
     if len(runs.refused) == runs.lanes.count:
         raise runs.refused[0]
     return _dataset(scene.spec, runs.lanes, runs.rows, measures)
+
+
+def _require_options(spec: Spec, parameters: Any, certify: Any, progress: Any) -> None:
+    """Refuse options that no lane could use.
+
+    Raises
+    ------
+    OptionError
+    """
+    if not isinstance(parameters, Mapping | None):
+        raise OptionError(
+            f"{spec.model}: parameters={short(parameters)}: values by name, {{name: values}}"
+        )
+    if not isinstance(certify, bool):
+        raise OptionError(f"{spec.model}: certify={certify!r}: True or False")
+    if progress is not None and not callable(progress):
+        raise OptionError(f"{spec.model}: progress={progress!r}: a function of a number, or None")
+
+
+def _require_names(lanes: Lanes, measures: Measures) -> None:
+    """Refuse a model whose states or varied parameters are named as columns of the table are.
+
+    Raises
+    ------
+    OptionError
+    """
+    columns = {"lane", *_Row._fields} - {"x", "measured"}
+    columns |= set(measures.coordinates())
+    columns |= {"hits", "t_section"} if measures.section is not None else set()
+    for name in (*lanes.spec.names, *lanes.varied):
+        if name in columns - {"t0", "t1"}:
+            raise OptionError(
+                f"{lanes.spec.model}: {name!r} is a state or a parameter of it, and a column of "
+                "the table of lanes; give it another name in the model"
+            )
 
 
 def _asked(scene: Scene, options: dict[str, Any]) -> Asked:
@@ -424,8 +462,23 @@ def _dataset(spec: Spec, lanes: Lanes, rows: _Rows, measures: Measures) -> xarra
         coords=lanes.coordinates() | measures.coordinates(),
         attrs={"model": spec.model, **{f"status_{n}": said for n, said in STATUSES.items()}},
     )
-    found = {each.__name__: ("lane", np.asarray(each(table))) for each in measures.functions}
-    return table.assign(found)
+    return table.assign({each.__name__: ("lane", _of(table, each)) for each in measures.functions})
+
+
+def _of(table: xarray.Dataset, function: Callable[..., Any]) -> np.ndarray:
+    """What a function makes of the table: a column.
+
+    Raises
+    ------
+    OptionError
+    """
+    column, lanes = np.asarray(function(table)), table.sizes["lane"]
+    if column.shape != (lanes,):
+        raise OptionError(
+            f"{table.attrs['model']}: measure {function.__name__}: it gives an array of shape "
+            f"{column.shape}, and {(lanes,)} is due, a value for each lane"
+        )
+    return column
 
 
 __all__ = ["ensemble"]

@@ -10,6 +10,7 @@ import numpy as np
 from ..automaton.base import COUNT_IN_RUN, require_model, require_no_discrete
 from ..errors import OptionError, OrbitError
 from ..result import Trajectory
+from ..run.options import time_of, times_of
 from ..simulation import simulate
 from ..trajectory.trajectory import Status
 from ..variation import factors
@@ -126,8 +127,8 @@ def lyapunov(
     count = size if count is None else count
     if not (isinstance(count, int | np.integer) and 1 <= count <= size):
         raise OptionError(f"count={count!r}: a whole number from 1 to {size}")
-    first, last = _span(t)
-    begin = first + (0.1 * (last - first) if transient is None else float(transient))
+    first, last = times_of(t)
+    begin = first + (0.1 * (last - first) if transient is None else time_of("transient", transient))
     if not first <= begin < last:
         raise OptionError(f"transient={transient!r}: a time shorter than the run, {t!r}")
     frame = np.linalg.qr(np.random.default_rng(0).normal(size=(size, int(count))))[0]
@@ -139,14 +140,6 @@ def lyapunov(
     run = _run(model, start, (begin, last), options)
     times, growth, _ = _carry(model, run, frame)
     return _exponents(times, growth, run)
-
-
-def _span(t: Any) -> tuple[float, float]:
-    try:
-        first, last = (float(v) for v in t)
-    except (TypeError, ValueError):
-        raise OptionError(f"t={t!r}: give (first, last) time") from None
-    return first, last
 
 
 def _run(model: Any, start: Any, t: tuple[float, float], options: dict[str, Any]) -> Trajectory:

@@ -15,6 +15,9 @@ from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
 from ..lowering import Scene, scene_of
 from ..result import Trajectory
+from ..run.options import Asked, chosen, mode_of, require_count, time_of
+from ..run.sections import section_of
+from ..solvers import renamed
 from ..variation import Factor
 from .delayed import require_constant
 from .grazing import near_grazing, turning
@@ -22,7 +25,7 @@ from .remembering import HistoryShooting
 from .restarting import RestartShooting
 from .returns import with_tolerances
 from .search import Search, depends_on_time, given
-from .shooting import Shooting, Shot
+from .shooting import Guess, Shooting, Shot
 
 if TYPE_CHECKING:
     from ..automaton.shapes import ComplexNumbers, Matrix, Numbers
@@ -195,6 +198,8 @@ def periodic_orbit(
     require_model(model)
     scene = scene_of(model, by="hy.periodic_orbit")
     require_no_discrete(model, "hy.periodic_orbit", COUNT_IN_RUN)
+    require_count("settle", settle, 0)
+    t_max, tol = time_of("t_max", t_max, 0.0), time_of("tol", tol, 0.0)
     options = {**with_tolerances(options, 1e-12, 1e-13), "save": "dense"}
     timed = depends_on_time(scene)
     if period is None and isinstance(section, int | float):
@@ -203,14 +208,35 @@ def periodic_orbit(
         raise OptionError(
             f"{scene.spec.model} depends on time: give period=, that of the forcing or a multiple"
         )
-    if period is not None and not 0 < period < float("inf"):
-        raise OptionError(f"period={period!r}: a time greater than 0")
+    if period is not None:
+        period = time_of("period", period, 0.0)
     shooting = shooting_of(scene, options)(model, timed, tol, options)
+    first = given(scene, guess, t, mode)
+    if section is not None:
+        section_of(model, scene, section)
+    _require_run(scene, first, options)
     search = Search(shooting, section, period, t_max)
-    orbit = _describe(shooting, search.find(given(scene, guess, t, mode), settle))
+    orbit = _describe(shooting, search.find(first, settle))
     for sentence in orbit.grazing:
         warnings.warn(f"{scene.spec.model}: {sentence}", stacklevel=2)
     return orbit
+
+
+def _require_run(scene: Scene, guess: Guess, options: dict[str, Any]) -> None:
+    """Refuse options that no run could use: the search takes faults of a run for a bad guess.
+
+    Raises
+    ------
+    OptionError
+    """
+    mode_of(scene, guess.mode)
+    own = {name: value for name, value in options.items() if name not in ("history", "seed")}
+    solver, method = renamed(own.pop("solver", "scipy"), own.pop("method", None))
+    unknown = [name for name in own if name not in attrs.fields_dict(Asked)]
+    if unknown:
+        raise OptionError(f"{scene.spec.model}: {unknown[0]}= is no option of hy.simulate")
+    asked = Asked(spec=scene.spec, solver=solver, method=method, **own)
+    chosen(asked.plan((guess.t, guess.t + 1.0)), solver, method, asked.controller, scene.spec)
 
 
 def shooting_of(scene: Scene, options: dict[str, Any]) -> type[Shooting]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..automaton.markers import Crossing
 from ..automaton.spec import ContactSpec, Spec
+from . import require_writable
 from .figure import LIMIT_COLOR, LINE_COLOR, OTHER_COLOR, SURFACE_COLOR
 
 if TYPE_CHECKING:
@@ -111,6 +112,7 @@ def laid(nodes: Sequence[ModeNode]) -> Matrix:
 
 def draw(shown: AutomatonChart, path: Any = None) -> Any:
     """The figure of a graph, written to ``path`` if one is given."""
+    require_writable(path)
     from matplotlib.figure import Figure as Drawn
 
     places = laid(shown.nodes)

@@ -14,7 +14,7 @@ from ..errors import OptionError
 from ..lowering import Kind
 from ..trajectory.accumulation import Accumulation
 from ..trajectory.arcs import Arc
-from ..trajectory.trajectory import Solution
+from ..trajectory.trajectory import Solution, counted
 from .figure import Curve, Figure, Panel
 
 if TYPE_CHECKING:
@@ -175,7 +175,7 @@ def zooms(run: Solution, place: int = 0) -> list[tuple[str, tuple[float, float]]
 
 def title(run: Solution) -> str:
     """How many jumps, and where they accumulate; with a bound, if it has been asked for."""
-    head = f"{run.spec.model}: {len(run.jumps)} jumps listed"
+    head = f"{run.spec.model}: {counted(len(run.jumps), 'jump')} listed"
     if not run.zeno:
         return head
     first = run.zeno[0]
