@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hybrid as hy
-from hybrid.solvers.base import NAMES
+from hybrid.solvers.base import METHOD_NAMES
 from hybrid.solvers.diffrax_objects import DEGREES as DIFFRAX
 from hybrid.solvers.scipy_backend import METHODS as SCIPY
 from models.bouncing_ball import BouncingBall
@@ -114,7 +114,7 @@ def test_a_method_given_as_a_solver_says_whose_it_is():
     )
     assert refused(run(method="Tsit5"), hy.OptionError).endswith("one of solver='diffrax'")
     assert refused(run(method="taylor"), hy.OptionError).endswith("write solver='taylor'")
-    assert {name: tuple(own) for name, own in NAMES.items()} == {
+    assert {name: tuple(own) for name, own in METHOD_NAMES.items()} == {
         "scipy": tuple(SCIPY),
         "diffrax": tuple(DIFFRAX),
     }

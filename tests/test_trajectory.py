@@ -139,7 +139,7 @@ def test_options_that_cannot_be_used(options, message):
     [
         ({"x": 1.0}, "no value for v; the states are x, v"),
         ({"x": 1.0, "v": 0.0, "w": 0.0}, "unknown state 'w'"),
-        ([1.0], "1 values for 2 states"),
+        ([1.0], "one value for 2 states"),
         ({"x": "high", "v": 0.0}, "start x = 'high' is no number"),
         ({"x": float("nan"), "v": 0.0}, "is not finite"),
         ({"x": [1.0, 2.0], "v": 0.0}, r"has shape \(2,\); \(\) is due"),

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 MOVES = 27
 
 #: What there is to do about a start, or a jump, outside a domain: of a contact or not, starting.
-REMEDIES = {
+OUTSIDE_REMEDIES = {
     (False, True): "start inside, or in another mode (mode=), or declare the edge with urgent=True",
     (False, False): "mend the reset, or the guard's sign, or declare the edge with urgent=True",
     (True, True): "start where the gap is positive",
@@ -484,7 +484,7 @@ class _Here:
             raise kind(
                 f"{self.where()}: cannot rest here, the contact would have to pull ({value:.6g})"
             )
-        remedy = "" if other else f"; {REMEDIES[guard.kind == 'contact', starting]}"
+        remedy = "" if other else f"; {OUTSIDE_REMEDIES[guard.kind == 'contact', starting]}"
         raise kind(
             f"{self.where()}: the run {what} outside the mode's domain: the guard of "
             f"{guard.edge} is {value:.6g} and must be {side}{other}{remedy}"

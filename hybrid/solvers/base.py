@@ -41,7 +41,7 @@ FINEST = 2.3e-14
 
 
 #: What is said of a flow that has no value where the run leads.
-NOT_FINITE = (
+NO_FLOW_HERE = (
     "the flow is not finite; declare an edge that leaves the mode before, or give the flow a value "
     "beyond (jnp.sqrt(jnp.maximum(s.x, 0.0)))"
 )
@@ -54,7 +54,7 @@ LEADS_BACK = (
 
 
 #: The methods of the solvers that have several.
-NAMES = {
+METHOD_NAMES = {
     "scipy": ("DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA"),
     "diffrax": (
         *("Dopri8", "Tsit5", "Dopri5", "Bosh3", "Heun", "Midpoint", "Ralston"),
@@ -84,7 +84,7 @@ def method_of(solver: str, method: str | None, known: Iterable[str]) -> str:
 
 def owner_of(method: Any) -> str | None:
     """The solver that has a method of that name."""
-    owners = (owner for owner, names in NAMES.items() if method in names)
+    owners = (owner for owner, names in METHOD_NAMES.items() if method in names)
     return next(owners, None) if isinstance(method, str) else None
 
 

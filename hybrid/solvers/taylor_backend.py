@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 #: What is said where there is no step.
 REFUSED = {
     NO_SERIES: "the flow is not finite, or has no Taylor series",
-    NOT_FINITE: base.NOT_FINITE,
+    NOT_FINITE: base.NO_FLOW_HERE,
     NO_STEP: f"the Taylor series does not converge: the step became zero; {LEADS_BACK}",
 }
 
