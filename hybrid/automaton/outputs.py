@@ -48,15 +48,15 @@ def output(function: Callable[..., Any] | None = None, *, unit: str = "", doc: s
     Parameters
     ----------
     unit, doc : str
-        Physical unit and a few words (the method's docstring if omitted); used in tables, pictures
-        and saved files.
+        Physical unit and a short description (the method's docstring if omitted); used in tables,
+        pictures and saved files.
 
     Notes
     -----
-    The method is ``def name(self, t, s)``; it returns a number or an array, by ``jax.numpy``. It is
-    no state: nothing is integrated, and ``x, v = run(t)`` does not have it. ``run(t).name`` works
-    it out from the state there, whatever the mode is, at many times in one call and in 64 bits.
-    ``model.name(t, s)`` calls the method, on a record or a dict of the states.
+    The method is ``def name(self, t, s)``; it returns a number or an array, written with
+    ``jax.numpy``. An output is not a state: it is not integrated, and ``x, v = run(t)`` does not
+    contain it. ``run(t).name`` computes it from the state, in any mode, for many times in one call
+    and in 64 bits. ``model.name(t, s)`` calls the method on a record or a dict of the states.
     """
     hides = _hidden(sys._getframe(1))
     if function is not None:

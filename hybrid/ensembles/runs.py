@@ -86,28 +86,30 @@ def ensemble(
     progress: Callable[[int], None] | None = None,
     seed: int = 0,
 ) -> xarray.Dataset:
-    """Simulate many lanes of one model: each is a run of :func:`hybrid.simulate`.
+    """Simulate one model for arrays of starts and parameters: many *lanes*, each of which is a run
+    of :func:`hybrid.simulate`.
 
     Parameters
     ----------
     model : Automaton
-        Its parameters' values hold where ``parameters`` gives none.
+        Its parameters are used where ``parameters`` gives no values.
     start : dict
-        Each state's value: one for all lanes, or an array with the lanes as first axis.
+        For each state one value for all lanes, or an array with the lanes as first axis.
     t : (t0, t1)
         First and last time; each a number or an array over the lanes.
     parameters : dict, optional
-        Values by name, as ``start``; of a signal its data, or a list of such, one for each lane.
+        Values by name, as in ``start``; for a signal its data, or a list of data, one for each
+        lane.
     solver, method, controller, rtol, atol, max_step, first_step
-        As for :func:`hybrid.simulate`, the same for all lanes. If no solver and no method is named
-        it is ``"taylor"``; with delays, and where a function of the model has no series, that of
+        As for :func:`hybrid.simulate`, the same for all lanes. By default the solver is
+        ``"taylor"``; with delays, and if a function of the model has no series, the default of
         :func:`hybrid.simulate`.
     zeno : "rest", "stop", "truncate", "raise" or "ignore"
-        As for :func:`hybrid.simulate`; with ``"ignore"`` a lane that accumulates goes on to
-        ``max_jumps``.
+        As for :func:`hybrid.simulate`. With ``"raise"`` a lane that accumulates fails, with the
+        status ``"zeno_raised"``; with ``"ignore"`` it continues up to ``max_jumps``.
     max_jumps, max_steps : int
-        A lane ends after so many computed jumps, or steps. Steps are counted where an arc ends, and
-        in a long one now and then.
+        A lane ends after this many computed jumps, or steps. Steps are counted at the end of an
+        arc, and in a long arc now and then.
     mode : str, optional
         Mode at the start, the same for all lanes; the model's initial mode if omitted.
     history : optional
@@ -116,54 +118,53 @@ def ensemble(
     memory : "keep" or "restart"
         As for :func:`hybrid.simulate`.
     certify : bool
-        Whether the verdict on each lane's first accumulation, and the bound on its time, are those
-        of its run, which take proofs and further runs: some ten milliseconds a lane.
+        Whether to compute the verdict on the first accumulation of each lane, and the bound on its
+        time, as for a run: by proofs and further runs, at some ten milliseconds for each lane.
     segments : int
-        Without effect: a lane remembers all that its delays see.
+        Has no effect: a lane remembers its whole past.
     measure : sequence of str and callable
-        Outputs of the model, by name, to work out at the end of each lane and wherever its states
-        are kept, a column each. ``"stick"``: the share of its time at rest on contacts or sliding.
-        ``"period"``: after how many points of the section they repeat, to 1e-6 of their size; 0
-        where those kept do not. A function of the Dataset of all lanes, which gives an array over
-        them; its name is the column's.
+        Further columns. The name of an output: its value at the end of each lane and wherever
+        states are kept. ``"stick"``: the fraction of time at rest on contacts or sliding.
+        ``"period"``: the number of section points after which they repeat, to 1e-6 of their size; 0
+        if they do not. A function of the Dataset of all lanes, which returns an array over the
+        lanes; its name is that of the column.
     section, crossing
-        As :func:`hybrid.return_map` takes them: a jump's name, a surface ``(self, t, s)``, a
-        period, or a function ``(self)`` that gives it; the states of each lane there.
+        Keep the states of each lane on a section, as for :func:`hybrid.return_map`: the name of a
+        jump, a surface ``(self, t, s)``, a period, or a function ``(self)`` that returns it.
     skip, every, keep : int
-        Of the points on the section: how many are passed over, a transient; of how many each first
-        one is kept; and how many are kept, at most. No others are stored.
+        Of the points on the section, skip the first ones (a transient), then keep one of ``every``,
+        and at most ``keep`` of them.
     save : array, optional
         Times at which the states of each lane are kept.
     progress : callable ``(lanes)``, optional
         Called with the number of lanes that have ended.
     seed : int
-        Which random numbers resets draw (``docs/chance.md``), from 0 to 2^26 - 1; those of each
-        lane are others.
+        Seed of the random numbers that resets draw (``docs/chance.md``), from 0 to 2^26 - 1; each
+        lane has its own sequence.
 
     Returns
     -------
     xarray.Dataset
-        Over ``lane``: the time ``t`` and each state at the end, ``mode``, ``jumps`` computed one by
-        one, ``steps``, ``accumulations``, the first one's ``t_inf``, ``ratio`` and ``t_inf_error``
-        (a bound on the error of the sum, not of the integration before it; with ``certify=True`` on
-        both), its ``verdict`` (``"estimated"`` unless ``certify=True``, as nothing is proved then;
-        empty where there is none), ``status``, and its ``reason``, a sentence. A lane that fails is
-        a row with its reason, and the time and state that its last jump led to. With
-        ``"max_jumps"`` the state is that after the last jump. With ``section`` over ``lane`` and
-        ``hit`` the times ``t_section`` and each state, ``x_section``, NaN where a lane has fewer;
-        ``hits`` says how many it met. With ``save`` over ``lane`` and ``time`` each state,
-        ``x_saved``, NaN at times that the lane has not. States, outputs and what varies have their
-        units.
+        Over ``lane``: time ``t``, ``mode`` and each state at the end; the numbers of ``jumps``
+        computed one by one, ``steps`` and ``accumulations``; of the first accumulation ``t_inf``,
+        ``ratio``, ``t_inf_error`` (a bound on the error of the sum, without the integration before
+        it; with ``certify=True`` on both) and ``verdict`` (``"estimated"`` unless ``certify=True``;
+        empty if nothing accumulates); ``status``, and ``reason``, a sentence. A lane that fails is
+        a row with its reason, and the time and state after its last jump. With ``section``, over
+        ``lane`` and ``hit``: times ``t_section`` and each state, ``x_section``, NaN where a lane
+        has fewer; ``hits`` is the number of points met. With ``save``, over ``lane`` and ``time``:
+        each state, ``x_saved``, NaN at times outside the lane. States, outputs and varied
+        parameters have their units as attributes.
 
     Raises
     ------
     OptionError, StartError, ParameterError
-        If what is given cannot be used by any lane.
+        If the arguments cannot be used by any lane.
 
     Notes
     -----
     With the same options a lane equals its run to the last bit, whatever else is in the ensemble;
-    with an explicit Runge-Kutta pair of SciPy or Diffrax but for rounding.
+    with an explicit Runge-Kutta pair of SciPy or Diffrax, up to rounding.
     """
     need("hy.ensemble", TABLES)
     require_model(model)

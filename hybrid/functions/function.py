@@ -126,45 +126,48 @@ def as_function(
 ) -> Callable[[Any, Any], Outcome]:
     """A run as a pure function of (model, start), for ``jit``, ``vmap``, ``grad`` and ``scan``.
 
-    It is the run of :func:`hybrid.simulate`, called back from JAX's program, and its first
-    derivatives are the run's own first variation: through jumps, accumulations, rest, release,
-    sliding and what is seen of the past, in forward and reverse mode
-    (``docs/notes/gradients.md``). Where there is none (a tangency, the limit of a cycle of several
-    edges) they are NaN. Second derivatives are those of the same arcs and jumps flown again by JAX
-    (:mod:`hybrid.replay`), which refuses what it cannot fly: an accumulation, a tangency, delays.
+    The function is the run of :func:`hybrid.simulate`, called back from the JAX program. Its first
+    derivatives come from the first variation of the run: through jumps, accumulations, rest,
+    release, sliding and delays, in forward and reverse mode (``docs/notes/gradients.md``). Where
+    there is no derivative (a tangency, the limit of a cycle of several edges) they are NaN. Second
+    derivatives repeat the same arcs and jumps in JAX (:mod:`hybrid.replay`); there are none through
+    an accumulation, a tangency or delays.
 
     Parameters
     ----------
     model : Automaton
-        One of the class; the function takes any other of it.
+        An instance of the class; the function takes any instance of it.
     t : (t0, t1)
         First and last time; may be traced.
     max_jumps, max_steps : int
-        Bounds on the jumps that are computed one by one, and on steps, which are counted where an
-        arc ends.
+        The most jumps that are computed one by one, and the most steps, counted at the end of each
+        arc.
     solver, method, controller, rtol, atol, max_step, first_step, mode
-        As for :func:`hybrid.simulate`. If no solver and no method is named it is ``"taylor"``, and
-        ``"scipy"`` where a function of the model has no series; of a method alone ``"diffrax"``.
+        As for :func:`hybrid.simulate`. By default the solver is ``"taylor"``, or ``"scipy"`` if a
+        function of the model has no series; if only a method is given, ``"diffrax"``.
     zeno : "rest", "stop" or "ignore"
-        What happens where impacts accumulate; ignored, they are computed one by one.
+        What to do where impacts accumulate: continue at rest, stop, or compute them one by one.
     outputs : tuple of "final", "jumps", "zeno"
-        What to return.
+        The parts to return.
     history, memory
-        For delays, as for :func:`hybrid.simulate`. Derivatives are those at a history that stays
-        as it is; states of which it says nothing were as at the start, and change with it.
+        For delays, as for :func:`hybrid.simulate`. Derivatives hold a given history fixed; states
+        that it leaves out were constant as at the start, and vary with the start.
     segments
-        Without a meaning, and kept for programs that give it: all of the past is remembered.
+        Has no effect: the whole past is remembered.
 
     Returns
     -------
     callable ``(model, start) -> Outcome``
-        ``start`` is a dict (or sequence) of the states. The attribute ``edges`` names the edges.
+        ``start`` is a dict, record or sequence of the states. The attribute ``edges`` names the
+        edges.
 
     Raises
     ------
     OptionError
-        If an option cannot be used, or JAX works in 32 bits: in a program of your own that
-        is your setting to make. Where a second derivative is asked for.
+        If an option cannot be used; when the function is called, if JAX works in 32 bits (set
+        ``jax_enable_x64`` in your program).
+    StartError
+        When the function is called, if a state is missing or of another shape.
 
     Examples
     --------

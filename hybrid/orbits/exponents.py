@@ -84,9 +84,9 @@ def lyapunov(
     start, t
         As for :func:`hybrid.simulate`.
     count : int, optional
-        How many, from the largest on; all if omitted.
+        Number of exponents, from the largest on; all if omitted.
     transient : float, optional
-        Time at the beginning that is left out; a tenth of the run if omitted.
+        Time at the beginning that is not averaged; a tenth of the run if omitted.
     options
         As for :func:`hybrid.simulate`.
 
@@ -97,19 +97,19 @@ def lyapunov(
     Raises
     ------
     OptionError
-        If ``count`` or ``transient`` cannot be used.
+        If ``t``, ``count``, ``transient`` or another option cannot be used.
     OrbitError
-        If the run ends early, grazes, or passes the limit of a cycle of several edges; for a
-        model with delays, whose exponents are infinitely many.
+        If the run ends early, grazes a guard, or passes the limit of a cycle of several edges; for
+        a model with delays, which has infinitely many exponents.
 
     Notes
     -----
-    An orthonormal frame is carried along the run by the first variation of its steps and the
-    saltation matrices of its jumps, and made orthonormal again after each of them; the logarithms
-    of what it grew by are summed. Sources: Benettin, Galgani, Giorgilli & Strelcyn, Meccanica 15
+    An orthonormal frame is propagated along the run by the first variation of its steps and the
+    saltation matrices of its jumps, and orthonormalized after each of them; the logarithms
+    of its growth are summed. Sources: Benettin, Galgani, Giorgilli & Strelcyn, Meccanica 15
     (1980); Müller, Chaos, Solitons & Fractals 5 (1995) for systems with jumps.
 
-    In an autonomous model one exponent is 0: that of a change along the run.
+    In an autonomous model one exponent is 0: that of a perturbation along the run.
 
     Examples
     --------

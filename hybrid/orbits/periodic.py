@@ -147,20 +147,20 @@ def periodic_orbit(
     guess : dict, record, sequence or Trajectory
         A state near the orbit; of a run its last one.
     section : str, callable or float, optional
-        As for :func:`hybrid.return_map`: one return is one turn. A plane through the guess,
-        across the flow, if omitted. Give an edge that jumps once a turn.
+        As for :func:`hybrid.return_map`; one return is one period, so give an edge that fires once
+        per period. A plane through the guess, across the flow, if omitted.
     period : float, optional
-        Of a model that depends on time: the orbit's period, a whole number of those of the
-        forcing. Otherwise a first guess of the orbit's period, in place of a section.
+        If the model depends on time: the period of the orbit, a multiple of that of the
+        forcing. Otherwise a first guess of the period, instead of a section.
     t, mode
         Time and mode of the guess.
     settle : int
-        Turns that are flown before Newton's method begins: towards a stable orbit.
+        Number of periods to simulate before Newton's method begins, to approach a stable orbit.
     t_max : float
-        The longest time a return may take. It is sought in short times first, so that the
-        model's unit of time does not matter as long as a turn takes less.
+        The longest time that a return may take. Returns are sought within short times first, so the
+        unit of time does not matter.
     tol : float
-        How well the orbit must close, relative to its size, to be an orbit.
+        The largest difference between the ends of the orbit, relative to its size.
     options
         As for :func:`hybrid.simulate`; by default ``rtol=1e-12, atol=1e-13``.
 
@@ -170,22 +170,22 @@ def periodic_orbit(
 
     Raises
     ------
-    OptionError
-        If the model depends on time and no period is given.
+    OptionError, StartError
+        If an option or the guess cannot be used, or the model depends on time and no period is
+        given.
     OrbitError
-        If no orbit is found: the message says how far it came. Also if what was found has a
-        multiplier of 1 besides that along the orbit, and drifts by more than the integration
-        may have lost.
+        If no orbit is found; the message says how far the search came. Also if there is a second
+        multiplier of 1 and the run drifts by more than the error of the integration.
 
     Warns
     -----
     UserWarning
-        If the orbit touches a guard, or crosses one almost without speed.
+        If the orbit touches a guard, or crosses one at almost zero speed.
 
     Notes
     -----
-    Newton's method starts from the guess, then from where 8 and 64 turns lead. Its matrix is the
-    product of the fundamental matrices of the arcs and the saltation matrices of the jumps;
+    Newton's method starts from the guess, then from the states after 8 and 64 periods. Its matrix
+    is the product of the fundamental matrices of the arcs and the saltation matrices of the jumps;
     accumulations of impacts have one too (``docs/notes/orbits.md``). Source: di Bernardo, Budd,
     Champneys & Kowalczyk, *Piecewise-smooth Dynamical Systems* (2008).
 

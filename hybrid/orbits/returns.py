@@ -224,40 +224,40 @@ def return_map(
     crossing: Crossing = RISING,
     **options: Any,
 ) -> ReturnMap:
-    """The map from a state to that at the next return to a section: a thing to iterate.
+    """The return map (Poincaré map) of a section: from a state to the state at the next return.
 
     Parameters
     ----------
     model : Automaton
         Autonomous, or periodic in time.
     section : str, callable or float
-        The name of an edge, contact, switching or release: the states just after its jumps. Or
-        a surface ``(self, t, s)``: the states where it crosses zero along an arc. Or a period,
-        or a function ``(self)`` that gives it: the states that long apart (stroboscopic).
+        The name of an edge, contact, switching or release: the states just after its jumps. A
+        surface ``(self, t, s)``: the states where it crosses zero along an arc. A period,
+        or a function ``(self)`` that returns it: the states one period apart (stroboscopic map).
     mode : str, optional
-        The mode in which the states are given; that after the edge, or the model's initial
-        mode, if omitted.
+        The mode of the states; if omitted, the mode after the edge, or the model's initial mode.
     t_max : float
-        The longest time a return may take.
+        The longest time that a return may take.
     crossing : RISING, FALLING or EITHER
-        The direction in which a surface counts.
+        The direction in which a surface is crossed.
     options
         As for :func:`hybrid.simulate`; by default ``rtol=1e-11, atol=1e-12``.
 
     Returns
     -------
     ReturnMap
-        ``P(state, t=0.0)`` is the state at the next return, ``P.time(state)`` how long that
-        takes, ``P.run(state)`` the run from the one to the other, ``P.iterate(state, n)`` the
-        start and ``n`` returns with their times. In a model with delays each return of
-        ``iterate`` goes on with the past of those before it.
+        ``P(state, t=0.0)`` is the state at the next return, ``P.time(state)`` the time until then,
+        ``P.run(state)`` the run in between, ``P.iterate(state, n)`` the start and ``n`` returns
+        with their times. With delays, ``iterate`` keeps the past of the earlier returns.
 
     Raises
     ------
     OptionError
-        If the section is none, or ``t_max`` is no time.
+        If the section, ``t_max`` or another option cannot be used.
     OrbitError
-        When the map is used: if the run does not return within ``t_max``, or ends before.
+        When the map is used, if the run does not return within ``t_max`` or ends before.
+    StartError
+        When the map is used, if the state is incomplete.
 
     Examples
     --------
