@@ -213,6 +213,11 @@ def test_a_run_says_where_its_states_are(run):
         run(1.0)[0]
     with pytest.raises(hy.OptionError, match=r"columns are attributes, jumps\.t"):
         run.jumps["t"]
+    with pytest.raises(IndexError, match=r"accumulation 1: the run has 1 accumulation$"):
+        run.zeno[1]
+    with pytest.raises(IndexError, match="jump 1000: the run has 103 jumps"):
+        run.jumps[1000]
+    assert run.jumps[-1].j == len(run.jumps) - 1
 
 
 def test_a_picture_that_cannot_be_written_is_refused_before_it_is_drawn(run, tmp_path):

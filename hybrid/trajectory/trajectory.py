@@ -94,9 +94,10 @@ class Jumps(Sequence[Jump]):
             )
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
-        t, _, edge, before, after = (column[index] for column in self.table)
+        place = _place(index, len(self), "jump")
+        t, _, edge, before, after = (column[place] for column in self.table)
         sides = (self._observed(t, x) for x in (before, after))
-        return Jump(float(t), range(len(self))[index], edge, *sides)
+        return Jump(float(t), place, edge, *sides)
 
     @property
     def t(self) -> Numbers:
@@ -178,6 +179,27 @@ class Jumps(Sequence[Jump]):
         return "\n".join(head + ["  ..."] * (len(self) > 10))
 
 
+class Accumulations(list[Accumulation]):
+    """The accumulations of a run, in order."""
+
+    def __getitem__(self, index: Any) -> Any:
+        found = index if isinstance(index, slice) else _place(index, len(self), "accumulation")
+        return super().__getitem__(found)
+
+
+def _place(index: Any, count: int, what: str) -> int:
+    """The place of one of so many things.
+
+    Raises
+    ------
+    IndexError
+    """
+    try:
+        return range(count)[index]
+    except IndexError:
+        raise IndexError(f"{what} {index}: the run has {counted(count, what)}") from None
+
+
 @attrs.define(eq=False)
 class Solution:
     """What a run has found, in hybrid time: data, and words for it.
@@ -188,7 +210,7 @@ class Solution:
     spec: Spec
     parameters: dict[str, Any]
     log: Log
-    zeno: list[Accumulation]
+    zeno: list[Accumulation] = attrs.field(converter=Accumulations)
     grazings: list[Jump]
     status: Status
     options: dict[str, Any]
@@ -459,7 +481,7 @@ def counted(count: int, what: str) -> str:
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
-def _times(t: Any) -> Numbers:
+def _times(t: Any) -> np.ndarray:
     """Times as an array.
 
     Raises
