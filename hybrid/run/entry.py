@@ -30,11 +30,10 @@ MOVES = 27
 
 #: What there is to do about a start, or a jump, outside a domain: of a contact or not, starting.
 OUTSIDE_REMEDIES = {
-    (
-        False,
-        True,
-    ): "start inside or in another mode (mode=), turn the guard's sign (or crossing=), or "
-    "declare the edge with urgent=True",
+    (False, True): (
+        "start inside, or in another mode (mode=), or turn the guard's sign or crossing=, "
+        "or declare the edge with urgent=True"
+    ),
     (False, False): "mend the reset, or the guard's sign, or declare the edge with urgent=True",
     (True, True): "start where the gap is positive",
     (True, False): "let the reset lead to where the gap is positive",
