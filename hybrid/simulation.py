@@ -46,58 +46,58 @@ def simulate(
     Parameters
     ----------
     model : Automaton
+        An instance, ``Model(r=0.5)``.
     start : dict, record, sequence or Trajectory
-        The states at ``t[0]``, by name or in declared order. A run: go on where it ended, at
-        ``t[0] = run.t1``, in its mode, with what it holds, slides on and remembers
-        (``docs/runs.md``); ``run + more`` then joins them.
+        The states at ``t[0]``, by name or in declared order. If it is a run, continue where that
+        ended, at ``t[0] = run.t1``, in the same mode, with the same contacts at rest and the same
+        history (``docs/runs.md``); ``run + more`` then joins the two.
     t : (t0, t1)
         First and last time.
     solver : "scipy", "diffrax" or "taylor"
-        Or the name of a solver that is plugged in (``docs/extending.md``).
+        What integrates the flows; also the name of a plug-in (``docs/extending.md``).
     method : str, class or object, optional
-        A method of the solver. SciPy's are DOP853 (default), RK45, RK23, Radau, BDF, LSODA, or a
-        subclass of ``scipy.integrate.OdeSolver``; Diffrax's Dopri8 (default), Tsit5, Dopri5, Bosh3,
-        Heun, Midpoint, Ralston, and Kvaerno3, Kvaerno4, Kvaerno5 for stiff flows, or any
+        A method of the solver. SciPy: DOP853 (default), RK45, RK23, Radau, BDF, LSODA, or a
+        subclass of ``scipy.integrate.OdeSolver``. Diffrax: Dopri8 (default), Tsit5, Dopri5, Bosh3,
+        Heun, Midpoint, Ralston, for stiff flows Kvaerno3, Kvaerno4, Kvaerno5, or any
         ``diffrax.AbstractSolver`` of one ``ODETerm``.
     controller : diffrax.AbstractStepSizeController, optional
-        With ``solver="diffrax"``: what chooses the steps, in times from the start of each arc;
-        Diffrax's ``PIDController`` with the tolerances if omitted.
+        The step size controller of ``solver="diffrax"``; its times count from the start of each
+        arc. Diffrax's ``PIDController`` with the tolerances if omitted.
     rtol, atol : float, optional
-        Tolerances of the solver for each step, in shares of each element of the state and in its
-        own unit; ``atol`` may be an array, one for each element. Each solver's own if omitted:
-        1e-8 and 1e-10; of "taylor", whose steps are then accurate to rounding, 1e-14 and 1e-16
-        where the model looks into no past.
-        ``run.options`` says which they were.
+        Relative and absolute tolerance of each step, not of the run; ``atol`` may be an array, one
+        number for each element of the state, in its unit. By default 1e-8 and 1e-10; for "taylor"
+        without delays 1e-14 and 1e-16, with which steps are accurate to rounding. ``run.options``
+        holds the values used.
     max_step : float, optional
-        The longest step, in time; as long as the tolerances allow if omitted. It is for what is so
-        brief that steps pass over it.
+        The longest step, in the unit of time; bounded by the tolerances only, if omitted. Give one
+        if a force acts so briefly that a step may pass over it.
     first_step : float, optional
-        The first step that is tried wherever the solver starts: at ``t[0]``, after each jump, and
-        with delays where a jump, or the start, arrives. It is made shorter where the tolerances
-        or the next jump ask for that. Chosen from the flow's series if omitted.
+        The first step tried wherever the solver starts: at ``t[0]``, after each jump, and
+        with delays at each breaking point. Shorter if the tolerances or the next jump require it.
+        Chosen from the series of the flow if omitted.
     zeno : "rest", "stop", "truncate", "raise" or "ignore"
-        What happens where jumps accumulate: go on in the resting mode; end the run; permit
-        at most ``max_jumps`` (or ``[1/r]``) impacts, then hold the contact; raise; simulate jumps
-        one by one, as many as ``max_jumps`` permits.
+        What to do where jumps accumulate: continue in the resting mode; end the run; allow
+        at most ``max_jumps`` (or ``[1/r]``) impacts and then hold the contact; raise an error;
+        simulate the jumps one by one, up to ``max_jumps``.
     max_jumps : int, optional
-        The run stops (with that status) behind this many computed jumps, in the state after the
-        last; a million if omitted. With ``zeno="truncate"`` the number of impacts of a series.
+        The run stops, with the status ``MAX_JUMPS``, after this many computed jumps; a million if
+        omitted. With ``zeno="truncate"`` the number of impacts of a series.
     save : "dense", "jumps" or array of times
         Keep dense output; only jumps and the ends of arcs; or the states at these times.
     history : optional
-        What was before ``t[0]``, for flows that look into the past (``docs/delays.md``): by state
-        a number or a function of time, a function of time that gives all states, or an earlier
-        run. The start, for ever, if omitted.
+        The states before ``t[0]``, for models with delays (``docs/delays.md``): a dict with a
+        number or a function of time for each state, a function of time that returns all states, or
+        an earlier run. Constant and equal to the start if omitted.
     memory : "keep" or "restart"
-        What such flows see after a jump: the past as it was, or the state after the jump, for
-        ever (what an integrator does that is started again there).
+        What delayed terms see after a jump: the past as it was, or the state after the jump as a
+        constant past (as if the integrator were restarted there).
     mode : str, optional
         Mode at the start; the model's initial mode if omitted.
     progress : callable ``(t)``, optional
-        Called with the time reached, after each arc, or after some that are flown in a row.
+        Called with the time reached, after each arc or after several arcs.
     seed : int
-        Which random numbers resets draw (``docs/chance.md``), 0 to 2^26 - 1. A run that goes on
-        draws on from its own.
+        Seed of the random numbers that resets draw (``docs/chance.md``), 0 to 2^26 - 1. A run that
+        is continued keeps its sequence.
 
     Returns
     -------
@@ -106,13 +106,20 @@ def simulate(
     Raises
     ------
     OptionError
-        If an option cannot be used; the message lists what can.
+        If an option cannot be used; the message lists the choices.
     StartError
-        If the start is incomplete, not finite, outside the mode's domain, or undecidable.
+        If the start is incomplete, not finite, outside the domain of the mode, or on a guard where
+        no derivative decides what follows.
+    ParameterError
+        If a parameter has another shape than its default.
+    DeclarationError
+        If something that the model's functions use has changed since the class was defined.
     FlowError
         If a flow, guard or reset is not finite, or the solver gives up.
-    DomainError, JumpLoopError
-        If a reset leaves the domain, or jumps follow each other at one time for ever.
+    DomainError
+        If a reset leads out of the domain of its target mode.
+    JumpLoopError
+        If jumps follow each other without end at one time.
     ZenoError
         With ``zeno="raise"``, at an accumulation.
 

@@ -261,3 +261,13 @@ def test_a_run_tells_bounds_and_verdicts():
     line = next(row for row in call("run", "bouncing_ball").output.splitlines() if "t_inf" in row)
     assert "±" in line
     assert "(certified)" in line
+
+
+def test_a_sweep_takes_the_options_of_a_run():
+    """What to do at an accumulation, and by which steps."""
+    asked = "sweep", "bouncing_ball", "--over", "r=[0.5,0.6]", "--solver", "scipy"
+    done = call(*asked, "--method", "RK45", "--rtol", 1e-6, "--zeno", "stop")
+    assert done.output == "BouncingBall: 2 lanes: 2 zeno_stopped\n"
+    refused = call(*asked, "--zeno", "halt")
+    assert refused.exit_code == 2
+    assert "zeno='halt': one of 'rest', 'stop'" in refused.output

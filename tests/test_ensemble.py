@@ -122,18 +122,18 @@ def test_a_failed_lane_is_a_row_with_its_reason():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"parameters": {"e": [0.5]}}, "'e' is none of BouncingBall's: g, r"),
+        ({"parameters": {"e": [0.5]}}, "BouncingBall: parameters: it has no 'e'; there are: g, r"),
         ({"parameters": {"r": [0.5, 1.5]}}, r"BouncingBall.r = .*1.5.*\[0, 1\]"),
         ({"parameters": {"r": [0.5, 0.6], "g": [9.0, 9.1, 9.2]}}, "lanes differ in number"),
         ({"zeno": "often"}, "'rest', 'stop', 'truncate', 'raise', 'ignore'"),
         ({"solver": "euler"}, "solver='euler': there are"),
         ({"solver": "diffrax", "method": "Euler"}, "solver 'diffrax' has"),
         ({"memory": "lose"}, "memory='lose'"),
-        ({"max_steps": 0}, "greater than 0"),
+        ({"max_steps": 0}, "max_steps=0: a whole number, 1 or more"),
         ({"mode": "air"}, r"mode='air'; there are flight, flight.rest\(impact\)"),
         ({"start": {"x": 1.0}}, "no value for v"),
         ({"start": {"x": [[1.0]], "v": 0.0}}, r"x_start has shape \(1, 1\)"),
-        ({"max_jumps": 0}, "greater than 0"),
+        ({"max_jumps": 0}, "max_jumps=0: a whole number, 1 or more"),
     ],
 )
 def test_what_cannot_be_asked(given, message):

@@ -308,7 +308,7 @@ def test_what_is_no_orbit():
         hy.periodic_orbit(BouncingBall(), [1.0, 0.0], t_max=20.0)
     with pytest.raises(hy.OrbitError, match="is an equilibrium"):
         hy.periodic_orbit(VanDerPol(), [0.0, 0.0])
-    with pytest.raises(hy.OptionError, match="no value for v"):
+    with pytest.raises(hy.StartError, match="no value for v"):
         hy.periodic_orbit(VanDerPol(), {"x": 1.0})
 
 

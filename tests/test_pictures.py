@@ -222,6 +222,37 @@ def test_an_automaton_as_boxes_and_arrows(name, tmp_path):
     figure = model.draw(tmp_path / "graph.png")
     assert (tmp_path / "graph.png").stat().st_size > 5_000
     assert set(nodes) <= {text.get_text() for text in figure.axes[0].texts}
+    boxes = texts_apart(figure)
+    assert len(boxes) == len(nodes) + len(labelled) + 2  # the model's name, and how to read arrows
+
+
+def texts_apart(figure):
+    """What the texts of a drawing cover: none of them another."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    boxes = [text.get_window_extent(canvas.get_renderer()) for text in figure.axes[0].texts]
+    for k, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in boxes[:k])
+    return boxes
+
+
+def test_a_clock_is_drawn_with_its_times():
+    """Not with a way in which a guard goes that it does not have."""
+
+    class Sampled(hy.Automaton):
+        x = hy.state()
+        T: float = hy.parameter(0.5)
+
+        @hy.mode
+        def flow(self, t, s):
+            return -s.x
+
+        sample = hy.edge(flow, every="T")
+        dose = hy.edge(flow, at=(1.0, 2.5))
+
+    (arrow,) = graph(Sampled.spec).arrows
+    assert arrow.labels == ("sample every T", "dose at 1, 2.5")
+    assert "guards:" not in "".join(text.get_text() for text in Sampled.draw().axes[0].texts)
 
 
 def test_twelve_modes_are_apart():
@@ -233,12 +264,9 @@ def test_twelve_modes_are_apart():
         edge = hy.edge(f"mode_{k}", to=f"mode_{(k + 1) % 12}", guard=lambda self, t, s: 1.0 - s.x)
         body[f"next_{k}"] = edge(lambda self, t, s: s)
     figure = type("Ring", (hy.Automaton,), body).draw()
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
     assert max(figure.get_size_inches()) < 12
-    boxes = [text.get_window_extent(canvas.get_renderer()) for text in figure.axes[0].texts]
+    boxes = texts_apart(figure)
     assert len(boxes) == 12 + 12 + 2
-    for k, box in enumerate(boxes):
+    for box in boxes:
         assert figure.bbox.contains(box.x0, box.y0)
         assert figure.bbox.contains(box.x1, box.y1)
-        assert not any(box.overlaps(other) for other in boxes[:k])

@@ -6,6 +6,7 @@ import pytest
 import hybrid as hy
 from models.ball_on_circle import BallOnCircle
 from models.bead_on_table import BeadOnTable
+from models.bouncing_ball import BouncingBall
 from models.relay import Relay
 
 from .browser import opened, overflow
@@ -101,7 +102,7 @@ def test_a_page_that_zooms(tmp_path):
     with opened(tmp_path / "run.html", width=390) as (page, complaints):
         page.locator(".main-svg").first.wait_for()
         assert page.title() == page.locator("h1").inner_text()
-        assert page.title().startswith(f"BeadOnTable: {len(run.jumps)} jumps listed, accumulating")
+        assert page.title().startswith("BeadOnTable: jumps accumulate at t = ")
         assert page.locator("meta[name=viewport]").count() == 1
         assert overflow(page) <= 0
         assert not complaints
@@ -112,3 +113,13 @@ def test_gaps_shrink_to_the_last_double():
     run = hy.simulate(BeadOnTable(r=0.5, omega=0.0), [1.0, 0.0], (0, 4))
     gaps = run.plot().axes[4].lines[0].get_ydata()
     np.testing.assert_allclose(gaps[1:] / gaps[:-1], 0.5, rtol=1e-9)
+
+
+def test_gaps_that_hardly_differ_are_not_on_a_logarithmic_axis():
+    """Whose ticks would be 6.25, 6.3, ... times ten to the 0."""
+    from hybrid.plot.of_run import gaps_panel
+
+    even = hy.simulate(BouncingBall(r=0.99), {"x": 1.0, "v": 0.0}, (0.0, 5.0))
+    assert gaps_panel(even).log == ""
+    run = hy.simulate(BouncingBall(), {"x": 1.0, "v": 0.0}, (0.0, 3.0))
+    assert gaps_panel(run).log == "y"

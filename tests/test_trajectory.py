@@ -121,7 +121,7 @@ def test_saving_only_what_is_asked_for():
         ({"rtol": -1.0}, "rtol=-1.0: a number between 0 and 1"),
         ({"atol": [1e-9] * 3}, "one for each of the 2 elements"),
         ({"zeno": "maybe"}, "zeno='maybe': one of 'rest', 'stop'"),
-        ({"max_jumps": 0}, "max_jumps=0: a whole number greater than 0"),
+        ({"max_jumps": 0}, "max_jumps=0: a whole number, 1 or more, or None"),
         ({"save": [3.0, 2.0]}, "increasing times within t"),
         ({"mode": "fly"}, r"mode='fly'; there are flight, flight.rest\(impact\)"),
         ({"history": {"x": 1.0}}, "looks into the past"),
@@ -139,7 +139,7 @@ def test_options_that_cannot_be_used(options, message):
     [
         ({"x": 1.0}, "no value for v; the states are x, v"),
         ({"x": 1.0, "v": 0.0, "w": 0.0}, "unknown state 'w'"),
-        ([1.0], "1 values for 2 states"),
+        ([1.0], "one value for 2 states"),
         ({"x": "high", "v": 0.0}, "start x = 'high' is no number"),
         ({"x": float("nan"), "v": 0.0}, "is not finite"),
         ({"x": [1.0, 2.0], "v": 0.0}, r"has shape \(2,\); \(\) is due"),

@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 import attrs
 import numpy as np
 
-from ..errors import PLOT, DeclarationError, OptionError, ParameterError, TraceError, need
-from . import outputs, signals, trace
+from ..errors import PLOT, DeclarationError, OptionError, ParameterError, need
+from . import outputs, refusals, signals, trace
 from .builder import Builder
 from .captured import Captured, captured
 from .chance import DRAWS, counted, draws
@@ -17,14 +17,6 @@ from .clocks import require_clocks
 from .markers import ContactMarker, EdgeMarker, Mode, State, Switching, is_parameter
 from .past import Asking, Lags, Past, looks_back, plain
 from .spec import ClockSpec, ContactSpec, EdgeSpec, Spec
-
-#: What to say where JAX could not trace an author's code.
-REMEDIES = {
-    "TracerBoolConversionError": "a choice by value: write jnp.where(condition, a, b) for `if`",
-    "TracerArrayConversionError": "a numpy function of a state: use the one of jax.numpy",
-    "ConcretizationTypeError": "a math function of a state: use the one of jax.numpy",
-    "TracerIntegerConversionError": "an index by value: write jnp.where, or index by a constant",
-}
 
 #: What to do where discrete variables are not taken.
 COUNT_IN_RUN = "leave them out of the model, and count in run.jumps"
@@ -161,15 +153,13 @@ def _make_attrs(cls: type, markers: dict[str, Any]) -> None:
             raise ParameterError(f"{cls.__name__}: give parameters by name, {cls.__name__}(r=0.5)")
         unknown = [name for name in parameters if name not in fields]
         if unknown:
-            raise ParameterError(
-                f"{cls.__name__} has no parameter {unknown[0]!r}; "
-                f"there are: {', '.join(fields) or 'none'}"
-            )
+            raise ParameterError(refusals.unknown_parameter(cls, unknown[0], fields))
         generated(self, **parameters | signals.taken(cls.__name__, known, parameters))
         require_clocks(self, cls.spec)  # type: ignore[attr-defined]
 
     __init__.__doc__ = f"Parameters of {cls.__name__}: {', '.join(fields)}."
     cls.__init__ = __init__  # type: ignore[misc]
+    cls.__setattr__ = refusals.unchanging  # type: ignore[assignment]
 
 
 class _Traced:
@@ -204,9 +194,7 @@ class _Traced:
         try:
             make(lags, *each)
         except Exception as fault:  # whatever the author's code raises is a fault to report
-            reason = REMEDIES.get(type(fault).__name__) or str(fault).split("\n")[0]
-            named = isinstance(fault, ValueError | TraceError)
-            said = f"{label}: {reason}" if named else f"{label}: {type(fault).__name__}: {reason}"
+            said = f"{label}: {refusals.reason(fault)}"
             if said not in self.faults:
                 self.faults.append(said)
 

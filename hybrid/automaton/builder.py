@@ -27,6 +27,7 @@ from .markers import (
 from .outputs import Output
 from .past import looks_back
 from .reals import reals
+from .refusals import misplaced
 from .signals import declared, placeholder
 from .spec import (
     ContactSpec,
@@ -117,6 +118,12 @@ class Builder:
             taken += tuple(DOCS) if drawing else ()
             if name in taken or name.startswith("_"):
                 self.faults.append(f"{name}: a name in use here; choose another")
+            unit = getattr(marker, "unit", "")
+            if not isinstance(unit, str):
+                self.faults.append(
+                    f"{name}: unit={unit!r}; give text. A state's value at the start is for "
+                    "hy.simulate(model, start, t)"
+                )
 
     def discrete(self, marker: State) -> tuple[Any, ...]:
         """Kind and default of a discrete variable."""
@@ -179,6 +186,9 @@ class Builder:
 
     def edge(self, marker: EdgeMarker) -> EdgeSpec:
         where = f"edge {marker.name}"
+        if getattr(marker.source, "__name__", "") == marker.name:
+            self.faults.append(f"{where}: write @hy.edge(source, to=mode, guard=...) over it")
+            return EdgeSpec(marker.name, "", "", _unguarded, Crossing.FALLING, marker.reset)
         source, to = (
             self.target(where, "source", marker.source, self.slides()),
             self.target(where, "to", marker.to, [TERMINATE]),
@@ -303,10 +313,16 @@ class Builder:
                 )
             return given
         if not is_number(given) or not 0 <= float(given) <= 1:
-            self.faults.append(
-                f"{where}: restitution={given!r}; give a parameter's name, "
-                "a number from 0 to 1 or a function (self, t, s, u)"
+            names = [f'"{name}"' for name, marker in self.markers.items() if marker is given]
+            said = (
+                f"is the parameter itself; give its name, {names[0]}"
+                if names
+                else (
+                    f"= {given!r}; give a parameter's name, a number from 0 to 1 or a function "
+                    "(self, t, s, u)"
+                )
             )
+            self.faults.append(f"{where}: restitution {said}")
             return lambda self, t, s, u: 1.0
         return lambda self, t, s, u: given
 
@@ -332,9 +348,10 @@ class Builder:
         modes = [marker.name for marker in self.of(Mode)] + list(more)
         if name not in modes:
             known = ", ".join(modes) or "none"
-            self.faults.append(
-                f"{where}: {what}={name!r} is no mode of this class; there are: {known}"
-            )
+            told = f"{name!r} is no mode of this class; there are: {known}"
+            if inspect.isfunction(name):
+                told = f"{name.__name__} is no mode: write @hy.mode over it"
+            self.faults.append(f"{where}: {what}={told}")
         return str(name)
 
     def signature(
@@ -350,6 +367,8 @@ class Builder:
             return
         try:
             inspect.signature(function).bind(None, *arguments, **past)
+            if misplaced(function, arguments):
+                raise TypeError("another order")
         except TypeError:
             given = inspect.signature(function)
             self.faults.append(

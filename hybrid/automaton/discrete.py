@@ -48,15 +48,15 @@ class Discrete(State):
 
 
 def discrete(default: Any = 0, doc: str = "") -> Any:
-    """Declare a variable that only jumps change.
+    """Declare a discrete variable: it is constant between jumps, and resets may change it.
 
     Parameters
     ----------
     default : int, float or bool
-        Its value at the start of a run that gives none. What it is says what the variable is: a
-        whole number, exact to 2^53, a real number, or a flag.
+        The value at the start of a run that gives none. Its type is that of the variable: an
+        integer (exact up to 2^53), a real number, or a boolean.
     doc : str
-        A few words.
+        A short description.
 
     Notes
     -----

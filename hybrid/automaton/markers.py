@@ -24,16 +24,16 @@ class Crossing(enum.Enum):
 
 
 FALLING = Crossing.FALLING
-"""The edge fires where its guard falls to zero (the default): positive inside the domain."""
+"""The edge fires where its guard falls to zero (the default): the guard is positive inside."""
 
 RISING = Crossing.RISING
-"""The edge fires where its guard rises to zero: negative inside the domain."""
+"""The edge fires where its guard rises to zero: the guard is negative inside."""
 
 EITHER = Crossing.EITHER
 """The edge fires where its guard reaches zero from either side."""
 
 TERMINATE = "hy.TERMINATE"
-"""What an edge leads to that ends the run: no mode can have this name."""
+"""The target of an edge that ends the run: ``to=hy.TERMINATE``."""
 
 
 class _Named:
@@ -122,12 +122,26 @@ class Switching(_Named):
 def state(unit: str = "", doc: str = "", shape: tuple[int, ...] = ()) -> Any:
     """Declare a coordinate of the state.
 
+    The order of declaration is the order in the state vector. A state has no default: its value at
+    the start is given to :func:`hybrid.simulate`.
+
     Parameters
     ----------
     unit, doc : str
-        Physical unit and a few words; used in tables, pictures and saved files.
+        Physical unit and a short description; used in tables, pictures and saved files. Units are
+        labels: nothing is converted.
     shape : tuple of int
-        ``()`` for a number; the order of declaration is the order in the state vector.
+        Shape of an array, ``()`` for a number.
+
+    Raises
+    ------
+    DeclarationError
+        When the class is defined, if the unit is not text or the shape is none.
+
+    Examples
+    --------
+    >>> class Ball(hy.Automaton):
+    ...     x = hy.state(unit="m", doc="height")
     """
     return State(unit, doc, (shape,) if isinstance(shape, int) else shape)
 
@@ -139,22 +153,28 @@ def parameter(
     positive: bool = False,
     between: tuple[float, float] | None = None,
 ) -> Any:
-    """Declare a number (or array) on which the model depends.
+    """Declare a parameter: a number or an array that is constant during a run.
 
     Parameters
     ----------
     default : float or array
-        Value where the caller gives none.
+        The value if ``Model()`` is given none. Other values must have the same shape.
+    unit, doc : str
+        Physical unit and a short description; used in tables, pictures and saved files.
     positive : bool
         Refuse values that are not greater than zero.
     between : (low, high), optional
-        Refuse values outside the closed interval.
+        Refuse values outside this closed interval.
 
     Raises
     ------
     ParameterError
-        When a model is made with a value outside these bounds: the message has the
+        When a model is made with a value outside these bounds; the message has the
         name, the value and the bound.
+
+    Examples
+    --------
+    >>> r: float = hy.parameter(0.7, between=(0, 1), doc="coefficient of restitution")
     """
     metadata = {"hybrid": "parameter", "unit": unit, "doc": doc}
     return attrs.field(
@@ -164,22 +184,22 @@ def parameter(
 
 def _bounds(positive: bool, between: tuple[float, float] | None) -> Callable[..., None]:
     from ..errors import ParameterError
-    from .reals import reals
+    from .reals import reals, short
 
     def check(model: Any, field: Any, value: Any) -> None:
         if _is_traced(value):
             return
-        name = f"{type(model).__name__}.{field.name}"
+        given = f"{type(model).__name__}.{field.name} = {short(value)}"
         try:
             numbers = reals(value).ravel().tolist()
         except ValueError:
-            raise ParameterError(f"{name} = {value!r}: a number or an array of numbers") from None
+            raise ParameterError(f"{given}: a number or an array of numbers") from None
         if not all(map(math.isfinite, numbers)):
-            raise ParameterError(f"{name} = {value!r}: must be finite")
+            raise ParameterError(f"{given}: must be finite")
         if positive and not all(number > 0 for number in numbers):
-            raise ParameterError(f"{name} = {value!r}: must be positive")
+            raise ParameterError(f"{given}: must be positive")
         if between is not None and not all(between[0] <= n <= between[1] for n in numbers):
-            raise ParameterError(f"{name} = {value!r}: must lie in [{between[0]}, {between[1]}]")
+            raise ParameterError(f"{given}: must lie in [{between[0]}, {between[1]}]")
 
     return check
 
@@ -201,14 +221,21 @@ def mode(
     Parameters
     ----------
     initial : bool
-        Runs begin here.
+        Whether runs begin in this mode. Needed for one mode if there are several.
     limit_of : tuple of str
-        Names of the edges of a cycle: where they accumulate, this mode follows.
+        Names of the edges of a cycle. Where jumps of this cycle accumulate, this mode follows.
+
+    Raises
+    ------
+    DeclarationError
+        When the class is defined, if the flow cannot be traced or its result does not fit the
+        states.
 
     Notes
     -----
-    The flow is ``def name(self, t, s)``; it returns the time derivatives in the order of
-    the states (a tuple, a record ``s.replace(...)``, or a dict by state).
+    The flow is ``def name(self, t, s)``, or ``(self, t, s, past)`` with delays. It returns the time
+    derivatives of the states: a tuple in declared order, a record ``s.replace(...)``, or a dict by
+    name. It is written with ``jax.numpy``, and read once, when the class is defined.
     """
     if flow is None:
         return lambda function: Mode(function, initial, limit_of)
@@ -230,29 +257,41 @@ def edge(
     """Declare an edge: ``@hy.edge(source, to=mode, guard=...)`` over its reset, or a clock:
     ``@hy.edge(source, every=0.1)``.
 
-    Without a reset, ``name = hy.edge(source, to=mode, guard=...)``, the state stays as it is.
+    Without a reset, ``name = hy.edge(source, to=mode, guard=...)``, the state does not change.
 
     Parameters
     ----------
     source, to : mode or str
-        A mode defined above, or its name; ``to`` is the source if it is not given.
-        ``to=hy.TERMINATE`` ends the run behind the jump, with ``Status.TERMINATED``.
+        A mode defined above, or its name. ``to`` is the source if omitted.
+        ``to=hy.TERMINATE`` ends the run after the jump, with ``Status.TERMINATED``.
     guard : callable ``(self, t, s)``
-        A scalar; positive inside the source's domain when ``crossing`` is ``FALLING``.
+        A scalar function, positive inside the domain of the source mode (with ``RISING``,
+        negative). The edge fires where it reaches zero.
     crossing : FALLING, RISING or EITHER
         The direction in which the guard must reach zero.
     when : callable ``(self, t, s)``, optional
-        A condition, true or greater than 0 where the edge may fire. It is read at a zero of the
-        guard, from the values before the jump; where it fails there the zero is passed. It fires
-        nothing by itself, and the guard does not bound the mode.
+        A condition, true or positive where the edge may fire. It is evaluated at a zero of the
+        guard, before the jump; if it is false there, the edge does not fire. It fires
+        nothing by itself, and the guard then does not bound the domain of the mode.
     urgent : bool
-        Whether the edge fires, too, where its guard is already beyond zero as the mode is entered.
+        Whether the edge also fires if its guard is already beyond zero when the mode is entered.
     at : number, name of a parameter, or sequence of these
         The increasing times at which the edge fires, instead of a guard; a parameter may be an
         array of times.
     every, offset : number or name of a parameter
-        It fires at ``k * every + offset`` for all whole numbers k. A run's first time is none of
-        its times, its last is.
+        The edge fires at ``k * every + offset`` for all integers k. It does not fire at the first
+        time of a run, but does at the last.
+
+    Raises
+    ------
+    DeclarationError
+        When the class is defined, if a mode does not exist, or the guard or reset cannot be traced.
+
+    Notes
+    -----
+    The reset is ``def name(self, t, s)``; it returns the state after the jump:
+    ``s.replace(v=...)``, a tuple in declared order, or a dict. With an argument named ``draw`` it
+    may use random numbers (``docs/chance.md``). The rules are in ``docs/semantics.md``.
     """
     clock = not (at is None and every is None)
     times = Times(at, every, offset) if clock else None
@@ -280,18 +319,26 @@ def contact(
     mode : mode or str
         The mode in which the gap is watched.
     gap : callable ``(self, t, s)``
-        Distance to the obstacle; it may depend on ``t`` (a moving obstacle). An array of them is
-        as many contacts, ``name[0]``, ``name[1]``, ...
+        Distance to the obstacle, positive when the contact is open. It may depend on ``t`` (a
+        moving obstacle). An array declares one contact for each element, ``name[0]``, ``name[1]``,
+        ...
     restitution : str, float or callable ``(self, t, s, u)``
-        Name of a parameter, a number, or a function of the gap's speed ``u < 0`` before
-        the impact that returns the speed after it, over ``abs(u)``. Of several contacts a
-        parameter or function may be an array, one number for each.
+        Name of a parameter, a number, or a function of the speed ``u < 0`` of the gap before
+        the impact that returns the speed after it, divided by ``abs(u)``. For an array of contacts,
+        a parameter or function may give an array, one number for each contact.
     rests : bool
-        Whether the model goes on in the resting mode after impacts have accumulated.
+        Whether the run continues in a resting mode after impacts have accumulated.
     inverse_mass : float, sequence or callable ``(self, t, s)``, optional
         Inverse mass matrix of the positions that the gap depends on, in the order of the
-        state vector: a number, the diagonal, or the matrix. Unit masses if omitted. Of several
-        contacts a number, or the diagonal for the positions that they depend on together.
+        state vector: a number, the diagonal, or the matrix. Unit masses if omitted. For an array of
+        contacts, a number, or the diagonal for the positions that they depend on together.
+
+    Raises
+    ------
+    DeclarationError
+        When the class is defined, if the mode or the parameter does not exist or a function cannot
+        be traced; at the first run, if the gap depends on no position whose derivative is a
+        velocity of the state.
 
     Notes
     -----
@@ -314,15 +361,22 @@ def switching(
     surface : callable ``(self, t, s)``
         A scalar; it may depend on ``t`` (a moving surface).
     slides : bool
-        Whether the state slides where both flows point to the surface; without it that is
-        an error.
+        Whether the state slides where both flows point to the surface; if False, that is an error.
+
+    Raises
+    ------
+    DeclarationError
+        When the class is defined, if a mode does not exist, both are the same, or one of them has a
+        contact.
 
     Notes
     -----
-    Where both flows lead through the surface the run crosses it: a jump of the switching's
-    name, which leaves the state as it is. Where both lead to it, it slides in the arc mode
-    ``"slide(<name>)"`` along the convex combination of the two flows that stays on it, until
-    one of them leads away: a jump ``"<name>.positive"`` or ``"<name>.negative"``.
+    Where one flow points to the surface and the other away from it, the run crosses the surface by
+    a jump that has the name of the switching and changes only the mode. Where both point to it, the
+    state slides in the arc mode ``"slide(<name>)"`` with the convex combination of the two flows
+    that stays on the surface, until one of them points away: a jump ``"<name>.positive"`` or
+    ``"<name>.negative"``. Source: Filippov, *Differential Equations with Discontinuous Righthand
+    Sides* (1988).
     """
     return Switching(positive, negative, surface, slides)
 

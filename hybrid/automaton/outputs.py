@@ -17,6 +17,7 @@ import numpy as np
 from ..errors import OptionError
 from .markers import State, _Named
 from .past import looks_back
+from .reals import short
 from .record import Record
 from .spec import Spec
 from .trace import caller, real_valued, wide
@@ -47,15 +48,15 @@ def output(function: Callable[..., Any] | None = None, *, unit: str = "", doc: s
     Parameters
     ----------
     unit, doc : str
-        Physical unit and a few words (the method's docstring if omitted); used in tables, pictures
-        and saved files.
+        Physical unit and a short description (the method's docstring if omitted); used in tables,
+        pictures and saved files.
 
     Notes
     -----
-    The method is ``def name(self, t, s)``; it returns a number or an array, by ``jax.numpy``. It is
-    no state: nothing is integrated, and ``x, v = run(t)`` does not have it. ``run(t).name`` works
-    it out from the state there, whatever the mode is, at many times in one call and in 64 bits.
-    ``model.name(t, s)`` calls the method, on a record or a dict of the states.
+    The method is ``def name(self, t, s)``; it returns a number or an array, written with
+    ``jax.numpy``. An output is not a state: it is not integrated, and ``x, v = run(t)`` does not
+    contain it. ``run(t).name`` computes it from the state, in any mode, for many times in one call
+    and in 64 bits. ``model.name(t, s)`` calls the method on a record or a dict of the states.
     """
     hides = _hidden(sys._getframe(1))
     if function is not None:
@@ -192,7 +193,8 @@ def require_outputs(spec: Spec, names: Any, taken: Sequence[str] = ()) -> list[s
     """
     known = [output.name for output in spec.outputs]
     if isinstance(names, str) or not all(isinstance(name, str) for name in names):
-        raise OptionError(f'{spec.model}: {names!r}: give names in a list, ["energy"]')
+        example = names if isinstance(names, str) else (*known, *spec.names)[0]
+        raise OptionError(f'{spec.model}: {short(names)}: give names in a list, ["{example}"]')
     for name in names:
         if name not in (*known, *spec.names):
             there = ", ".join((*spec.names, *known))

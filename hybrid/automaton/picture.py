@@ -20,9 +20,9 @@ def picture(function: Callable[..., Any]) -> Callable[..., Any]:
 
     Notes
     -----
-    The method returns a list of arrays of shape ``(k, 2)``, by ``jax.numpy``: a line through ``k``
-    points each, or where ``k`` is 1 a dot. There are as many, of the same shapes, at all times.
-    ``run.animate("run.gif")`` shows them.
+    The method returns a list of arrays of shape ``(k, 2)``, made with ``jax.numpy``: a line through
+    ``k`` points each, or a dot if ``k`` is 1. Their number and shapes are the same at all times.
+    ``run.animate("run.gif")`` draws them.
     """
     setattr(function, MARK, True)
     return function

@@ -53,10 +53,16 @@ class Record:
         return len(self._values[: self._unpacked])
 
     def __getitem__(self, name: str) -> Any:
+        if not isinstance(name, str):
+            raise TypeError(
+                f"[{name!r}]: a record is read by name, s.{self._fields[0]} or "
+                f"s[{self._fields[0]!r}]; or unpacked in the order of its states"
+            )
         try:
             return self._values[self._fields.index(name)]
         except ValueError:
-            raise KeyError(name) from None
+            known = ", ".join(self._fields)
+            raise KeyError(f"no {self._label} named {name!r}; there are: {known}") from None
 
     def keys(self) -> tuple[str, ...]:
         """Names of the fields, in declared order."""
@@ -85,3 +91,14 @@ class Record:
     def __repr__(self) -> str:
         pairs = zip(self._fields, self._values, strict=True)
         return "(" + ", ".join(f"{name}={value}" for name, value in pairs) + ")"
+
+
+def parts(record: Record) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """The values of a record, and what they are of: to JAX a record is a pytree."""
+    return record._values, (record._fields, record._label, record._unpacked)
+
+
+def whole(what: tuple[Any, ...], values: Any) -> Record:
+    """The record of :func:`parts`."""
+    fields, label, unpacked = what
+    return Record(fields, tuple(values), label, unpacked)

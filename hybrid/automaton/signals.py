@@ -53,20 +53,26 @@ def signal(
     Parameters
     ----------
     unit, doc : str
-        Physical unit and a few words.
+        Physical unit and a short description.
     kind : "linear", "previous" or "cubic"
-        What is between the knots: straight lines; the value at the knot before; or a cubic spline
+        Interpolation between the knots: linear; the value at the preceding knot; or a cubic spline
         with two continuous derivatives.
     outside : "error", "hold", "zero" or "periodic"
-        What is before the first knot and behind the last: a run that gets there is refused; the
-        value there; zero; or the same again and again.
+        The value before the first and after the last knot: a run over such times is refused; the
+        value at that knot; zero; or the periodic continuation.
     shape : tuple of int
-        ``()`` for a number at each time.
+        Shape of the value at each time, ``()`` for a number.
+
+    Raises
+    ------
+    ParameterError
+        When a model is made without data, or with times that do not increase or values that are
+        not finite or of another shape.
 
     Notes
     -----
-    Values are given as ``(times, values)``, or as a series of pandas or xarray whose index is the
-    time. Steps end at the knots, which are found by their times.
+    Data are given as ``(times, values)``, or as a series of pandas or xarray whose index is the
+    time. Steps end at the knots.
     """
     metadata = {"hybrid": "signal", "spec": (unit, doc, kind, outside, shape)}
     return attrs.field(metadata=metadata, kw_only=True)

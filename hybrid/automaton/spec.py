@@ -348,10 +348,10 @@ class Spec:
             values = list(record)
         except TypeError:
             what = "one value" if hasattr(record, "shape") else repr(record)
-            due = f"{len(names)} states ({', '.join(names)})"
-            raise ValueError(f"{what} for {due}") from None
+            raise ValueError(f"{what} for {_listed(names)}") from None
         if len(values) != len(names):
-            raise ValueError(f"{len(values)} values for {len(names)} states ({', '.join(names)})")
+            count = "one value" if len(values) == 1 else f"{len(values)} values"
+            raise ValueError(f"{count} for {_listed(names)}")
         return [*values, *others.values()]
 
     def require_rates(self, record: Any) -> None:
@@ -372,6 +372,11 @@ class Spec:
                 f"{found[0]}: only jumps change a discrete variable; leave it out of what the "
                 "flow returns"
             )
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    """How many states are due, and which."""
+    return f"{len(names)} {'state' if len(names) == 1 else 'states'} ({', '.join(names)})"
 
 
 def _difference(missing: list[str], unknown: list[str], names: tuple[str, ...]) -> str:

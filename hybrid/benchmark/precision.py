@@ -16,9 +16,11 @@ from typing import Any, Protocol
 import attrs
 import numpy as np
 
+from ..automaton.reals import reals
 from ..errors import PLOT, HybridError, OptionError, need
 from ..plot.figure import METHOD_COLORS, Curve, Figure, Panel, column
 from ..result import Trajectory
+from ..run.options import require_count
 from ..simulation import simulate
 from ..solvers.base import FINEST
 from ..trajectory.stats import versions
@@ -262,7 +264,10 @@ def bench(
     OptionError
         Where nothing is to be timed.
     """
-    if not solvers or not len(rtol) or repeats < 1:
+    solvers = [solvers] if isinstance(solvers, str) else solvers
+    rtol = np.atleast_1d(reals(rtol)).tolist()
+    require_count("repeats", repeats, 0)
+    if not solvers or not rtol or repeats < 1:
         raise OptionError(
             f"bench: solvers={list(solvers)}, rtol={list(rtol)}, repeats={repeats}: "
             "at least one of each is needed"

@@ -26,26 +26,31 @@ from ..result import Trajectory
 from ..trajectory.stats import versions
 from ..trajectory.trajectory import Status
 from .given import asked, bounds, can_write, pairs, tolerances, values
+from .options import (
+    Absolute,
+    Before,
+    Choice,
+    FirstStep,
+    Json,
+    LongestStep,
+    MemoryKind,
+    MethodName,
+    ModeAtStart,
+    ModelName,
+    MostJumps,
+    Parameters,
+    Quiet,
+    Relative,
+    Since,
+    SolverName,
+    States,
+    Until,
+)
 from .told import as_json, bar, compared, differing, exact, facts, report_of, table, write_jumps
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Simulate hybrid automata through Zeno points."
 )
-
-
-ModelName = Annotated[str, typer.Argument(help="A name in the gallery, FILE.py, or FILE.py:Class.")]
-Parameters = Annotated[
-    list[str] | None, typer.Option("--set", help="A parameter: r=0.8. May be repeated.")
-]
-States = Annotated[list[str] | None, typer.Option("--start", help="A state at the start: x=1.9.")]
-Since = Annotated[float | None, typer.Option("--from", help="First time.")]
-Until = Annotated[float | None, typer.Option("--until", help="Last time.")]
-Before = Annotated[
-    list[str] | None, typer.Option("--history", help="A state before the start: x=0. For delays.")
-]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but faults.")]
-Json = Annotated[bool, typer.Option("--json", help="Print what is found as JSON.")]
-MemoryKind = Annotated[str, typer.Option("--memory", help="keep or restart. For delays.")]
 
 
 @contextmanager
@@ -69,7 +74,12 @@ def _version(asked: bool) -> None:
 def main(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Say the versions."),
+        typer.Option(
+            "--version",
+            callback=_version,
+            is_eager=True,
+            help="Print the versions of hybrid and what it computes with.",
+        ),
     ] = False,
 ) -> None:
     """Simulate hybrid automata through Zeno points."""
@@ -84,26 +94,15 @@ def run(
     until: Until = None,
     history: Before = None,
     memory: MemoryKind = "keep",
-    solver: Annotated[str, typer.Option(help="scipy, diffrax or taylor.")] = "scipy",
-    method: Annotated[
-        str | None, typer.Option(help="A method of the solver: DOP853, RK45 ...")
-    ] = None,
-    rtol: Annotated[
-        float | None, typer.Option(help="Relative tolerance; the solver's own if omitted.")
-    ] = None,
-    atol: Annotated[
-        float | None, typer.Option(help="Absolute tolerance; the solver's own if omitted.")
-    ] = None,
-    max_step: Annotated[float | None, typer.Option(help="The longest step, in time.")] = None,
-    first_step: Annotated[
-        float | None, typer.Option(help="The first step after the start and after each jump.")
-    ] = None,
-    zeno: Annotated[str, typer.Option(help="rest, stop, truncate or raise.")] = "rest",
-    mode: Annotated[str | None, typer.Option(help="Mode at the start.")] = None,
-    max_jumps: Annotated[
-        int | None,
-        typer.Option(help="Stop after so many computed jumps; impacts permitted with truncate."),
-    ] = None,
+    solver: SolverName = "scipy",
+    method: MethodName = None,
+    rtol: Relative = None,
+    atol: Absolute = None,
+    max_step: LongestStep = None,
+    first_step: FirstStep = None,
+    zeno: Choice = "rest",
+    mode: ModeAtStart = None,
+    max_jumps: MostJumps = None,
     plot: Annotated[
         str | None, typer.Option(help="Write a picture: out.png, out.pdf, out.svg, out.html.")
     ] = None,
@@ -268,7 +267,17 @@ def sweep(
     until: Until = None,
     history: Before = None,
     memory: MemoryKind = "keep",
-    solver: Annotated[str | None, typer.Option(help="scipy, diffrax or taylor.")] = None,
+    solver: Annotated[
+        str | None, typer.Option(help="scipy, diffrax or taylor; taylor if it can, if omitted.")
+    ] = None,
+    method: MethodName = None,
+    rtol: Relative = None,
+    atol: Absolute = None,
+    max_step: LongestStep = None,
+    first_step: FirstStep = None,
+    zeno: Choice = "rest",
+    mode: ModeAtStart = None,
+    max_jumps: MostJumps = None,
     measure: Annotated[
         list[str] | None, typer.Option(help="An output, stick, or period. May be repeated.")
     ] = None,
@@ -306,6 +315,8 @@ def sweep(
         made, begin, span = given.run
         begin = {name: value for name, value in begin.items() if name not in axes}
         options = {"history": given.history, "memory": memory, "solver": solver}
+        options |= {"method": method, "rtol": rtol, "atol": atol, "max_step": max_step}
+        options |= {"first_step": first_step, "zeno": zeno, "mode": mode, "max_jumps": max_jumps}
         options |= {"measure": measure or [], "skip": skip, "keep": keep, "store": store}
         try:
             options["section"] = section if section is None else float(section)

@@ -12,7 +12,8 @@ import numpy as np
 
 from .. import gallery
 from ..errors import FILES, HTML, PLOT, OptionError, StartError, need
-from ..plot import is_page
+from ..plot import is_page, require_writable
+from ..result.files import require_netcdf
 
 
 @attrs.frozen
@@ -142,16 +143,8 @@ def can_write(option: str, path: str | None) -> None:
         need(option, HTML if is_page(path) else PLOT)
     elif option == "--save":
         need(option, FILES)
-    if option == "--plot" and not _drawable(path):
-        raise OptionError(f"{option} {path}: end the name in .png, .pdf, .svg or .html")
+        require_netcdf(f"{option} {path}", path)
+    if option == "--plot":
+        require_writable(path, f"{option} ")
     if not Path(path).resolve().parent.is_dir():
         raise OptionError(f"{option} {path}: no such folder")
-
-
-def _drawable(path: str) -> bool:
-    """Whether the end of a picture's name says in which format it is drawn."""
-    if is_page(path):
-        return True
-    from matplotlib.backend_bases import FigureCanvasBase
-
-    return Path(path).suffix.lower()[1:] in FigureCanvasBase.get_supported_filetypes()

@@ -17,6 +17,7 @@ import typer
 from .. import gallery
 from ..errors import HybridError, OptionError
 from ..result import Trajectory
+from ..trajectory.trajectory import counted
 
 #: Accumulations that are printed, at most.
 PRINTED_LIMITS = 20
@@ -52,7 +53,9 @@ def report_of(result: Trajectory) -> None:
     typer.echo(
         f"{result.spec.model}({parameters}), {result.options['solver']} {result.options['method']}"
     )
-    typer.echo(f"{len(result.jumps)} jumps listed; t = {result.t0:.12g} to {result.t1:.12g}")
+    typer.echo(
+        f"{counted(len(result.jumps), 'jump')} listed; t = {result.t0:.12g} to {result.t1:.12g}"
+    )
     for point in result.zeno[:PRINTED_LIMITS]:
         if point.truncation is None:
             _ = point.t_error, point.verdict  # looked for here: the line tells them

@@ -21,6 +21,7 @@ from ..automaton.trace import instance
 from ..errors import OptionError
 from ..rules.guards import TIE
 from ..rules.zeros import EPS
+from ..run.options import require_count
 from ..run.sections import EdgeSection, Period, Section, Surface, section_of
 from ..trajectory.arcs import Arc, Part
 from ..trajectory.log import Flights, Log
@@ -89,8 +90,7 @@ class Measures:
         for name, value, least in zip(
             ("skip", "every", "keep"), points[1:], (0, 1, 1), strict=True
         ):
-            if not (isinstance(value, int | np.integer) and value >= least):
-                raise OptionError(f"{name}={value!r}: a whole number, {least} or more")
+            require_count(name, value, least)
         crossing, skip, every, keep = points
         counts = skip, every, keep, _times(spec, save)
         return cls(spec, named, outputs, functions, section, crossing, *counts)

@@ -13,6 +13,7 @@ from ..automaton.base import require_model
 from ..automaton.digest import digest
 from ..automaton.markers import RISING, Crossing
 from ..automaton.outputs import evaluated
+from ..automaton.reals import short
 from ..automaton.spec import Spec
 from ..errors import TABLES, HybridError, OptionError, need
 from ..lowering import Scene, scene_of
@@ -85,28 +86,30 @@ def ensemble(
     progress: Callable[[int], None] | None = None,
     seed: int = 0,
 ) -> xarray.Dataset:
-    """Simulate many lanes of one model: each is a run of :func:`hybrid.simulate`.
+    """Simulate one model for arrays of starts and parameters: many *lanes*, each of which is a run
+    of :func:`hybrid.simulate`.
 
     Parameters
     ----------
     model : Automaton
-        Its parameters' values hold where ``parameters`` gives none.
+        Its parameters are used where ``parameters`` gives no values.
     start : dict
-        Each state's value: one for all lanes, or an array with the lanes as first axis.
+        For each state one value for all lanes, or an array with the lanes as first axis.
     t : (t0, t1)
         First and last time; each a number or an array over the lanes.
     parameters : dict, optional
-        Values by name, as ``start``; of a signal its data, or a list of such, one for each lane.
+        Values by name, as in ``start``; for a signal its data, or a list of data, one for each
+        lane.
     solver, method, controller, rtol, atol, max_step, first_step
-        As for :func:`hybrid.simulate`, the same for all lanes. If no solver and no method is named
-        it is ``"taylor"``; with delays, and where a function of the model has no series, that of
+        As for :func:`hybrid.simulate`, the same for all lanes. By default the solver is
+        ``"taylor"``; with delays, and if a function of the model has no series, the default of
         :func:`hybrid.simulate`.
     zeno : "rest", "stop", "truncate", "raise" or "ignore"
-        As for :func:`hybrid.simulate`; with ``"ignore"`` a lane that accumulates goes on to
-        ``max_jumps``.
+        As for :func:`hybrid.simulate`. With ``"raise"`` a lane that accumulates fails, with the
+        status ``"zeno_raised"``; with ``"ignore"`` it continues up to ``max_jumps``.
     max_jumps, max_steps : int
-        A lane ends after so many computed jumps, or steps. Steps are counted where an arc ends, and
-        in a long one now and then.
+        A lane ends after this many computed jumps, or steps. Steps are counted at the end of an
+        arc, and in a long arc now and then.
     mode : str, optional
         Mode at the start, the same for all lanes; the model's initial mode if omitted.
     history : optional
@@ -115,54 +118,53 @@ def ensemble(
     memory : "keep" or "restart"
         As for :func:`hybrid.simulate`.
     certify : bool
-        Whether the verdict on each lane's first accumulation, and the bound on its time, are those
-        of its run, which take proofs and further runs: some ten milliseconds a lane.
+        Whether to compute the verdict on the first accumulation of each lane, and the bound on its
+        time, as for a run: by proofs and further runs, at some ten milliseconds for each lane.
     segments : int
-        Without effect: a lane remembers all that its delays see.
+        Has no effect: a lane remembers its whole past.
     measure : sequence of str and callable
-        Outputs of the model, by name, to work out at the end of each lane and wherever its states
-        are kept, a column each. ``"stick"``: the share of its time at rest on contacts or sliding.
-        ``"period"``: after how many points of the section they repeat, to 1e-6 of their size; 0
-        where those kept do not. A function of the Dataset of all lanes, which gives an array over
-        them; its name is the column's.
+        Further columns. The name of an output: its value at the end of each lane and wherever
+        states are kept. ``"stick"``: the fraction of time at rest on contacts or sliding.
+        ``"period"``: the number of section points after which they repeat, to 1e-6 of their size; 0
+        if they do not. A function of the Dataset of all lanes, which returns an array over the
+        lanes; its name is that of the column.
     section, crossing
-        As :func:`hybrid.return_map` takes them: a jump's name, a surface ``(self, t, s)``, a
-        period, or a function ``(self)`` that gives it; the states of each lane there.
+        Keep the states of each lane on a section, as for :func:`hybrid.return_map`: the name of a
+        jump, a surface ``(self, t, s)``, a period, or a function ``(self)`` that returns it.
     skip, every, keep : int
-        Of the points on the section: how many are passed over, a transient; of how many each first
-        one is kept; and how many are kept, at most. No others are stored.
+        Of the points on the section, skip the first ones (a transient), then keep one of ``every``,
+        and at most ``keep`` of them.
     save : array, optional
         Times at which the states of each lane are kept.
     progress : callable ``(lanes)``, optional
         Called with the number of lanes that have ended.
     seed : int
-        Which random numbers resets draw (``docs/chance.md``), from 0 to 2^26 - 1; those of each
-        lane are others.
+        Seed of the random numbers that resets draw (``docs/chance.md``), from 0 to 2^26 - 1; each
+        lane has its own sequence.
 
     Returns
     -------
     xarray.Dataset
-        Over ``lane``: the time ``t`` and each state at the end, ``mode``, ``jumps`` computed one by
-        one, ``steps``, ``accumulations``, the first one's ``t_inf``, ``ratio`` and ``t_inf_error``
-        (a bound on the error of the sum, not of the integration before it; with ``certify=True`` on
-        both), its ``verdict`` (``"estimated"`` unless ``certify=True``, as nothing is proved then;
-        empty where there is none), ``status``, and its ``reason``, a sentence. A lane that fails is
-        a row with its reason, and the time and state that its last jump led to. With
-        ``"max_jumps"`` the state is that after the last jump. With ``section`` over ``lane`` and
-        ``hit`` the times ``t_section`` and each state, ``x_section``, NaN where a lane has fewer;
-        ``hits`` says how many it met. With ``save`` over ``lane`` and ``time`` each state,
-        ``x_saved``, NaN at times that the lane has not. States, outputs and what varies have their
-        units.
+        Over ``lane``: time ``t``, ``mode`` and each state at the end; the numbers of ``jumps``
+        computed one by one, ``steps`` and ``accumulations``; of the first accumulation ``t_inf``,
+        ``ratio``, ``t_inf_error`` (a bound on the error of the sum, without the integration before
+        it; with ``certify=True`` on both) and ``verdict`` (``"estimated"`` unless ``certify=True``;
+        empty if nothing accumulates); ``status``, and ``reason``, a sentence. A lane that fails is
+        a row with its reason, and the time and state after its last jump. With ``section``, over
+        ``lane`` and ``hit``: times ``t_section`` and each state, ``x_section``, NaN where a lane
+        has fewer; ``hits`` is the number of points met. With ``save``, over ``lane`` and ``time``:
+        each state, ``x_saved``, NaN at times outside the lane. States, outputs and varied
+        parameters have their units as attributes.
 
     Raises
     ------
     OptionError, StartError, ParameterError
-        If what is given cannot be used by any lane.
+        If the arguments cannot be used by any lane.
 
     Notes
     -----
     With the same options a lane equals its run to the last bit, whatever else is in the ensemble;
-    with an explicit Runge-Kutta pair of SciPy or Diffrax but for rounding.
+    with an explicit Runge-Kutta pair of SciPy or Diffrax, up to rounding.
     """
     need("hy.ensemble", TABLES)
     require_model(model)
@@ -188,9 +190,11 @@ def ensemble(
         "max_steps": max_steps,
         "memory": memory,
     }
+    _require_options(model.spec, parameters, certify, progress)
     given = start, t, dict(parameters or {}), history, seed
     begins = mode_of(scene, mode)
     runs = _Runs(Lanes(model, *given), _asked(scene, options), begins, certify, measures)
+    _require_names(runs.lanes, measures)
     if section is not None:  # a fault of it is no lane's own
         measures.section_of(runs.lanes.lane(0), runs.lanes)
 
@@ -205,6 +209,41 @@ def ensemble(
     if len(runs.refused) == runs.lanes.count:
         raise runs.refused[0]
     return _dataset(scene.spec, runs.lanes, runs.rows, measures)
+
+
+def _require_options(spec: Spec, parameters: Any, certify: Any, progress: Any) -> None:
+    """Refuse options that no lane could use.
+
+    Raises
+    ------
+    OptionError
+    """
+    if not isinstance(parameters, Mapping | None):
+        raise OptionError(
+            f"{spec.model}: parameters={short(parameters)}: values by name, {{name: values}}"
+        )
+    if not isinstance(certify, bool):
+        raise OptionError(f"{spec.model}: certify={certify!r}: True or False")
+    if progress is not None and not callable(progress):
+        raise OptionError(f"{spec.model}: progress={progress!r}: a function of a number, or None")
+
+
+def _require_names(lanes: Lanes, measures: Measures) -> None:
+    """Refuse a model whose states or varied parameters are named as columns of the table are.
+
+    Raises
+    ------
+    OptionError
+    """
+    columns = {"lane", *_Row._fields} - {"x", "measured"}
+    columns |= set(measures.coordinates())
+    columns |= {"hits", "t_section"} if measures.section is not None else set()
+    for name in (*lanes.spec.names, *lanes.varied):
+        if name in columns - {"t0", "t1"}:
+            raise OptionError(
+                f"{lanes.spec.model}: {name!r} is a state or a parameter of it, and a column of "
+                "the table of lanes; give it another name in the model"
+            )
 
 
 def _asked(scene: Scene, options: dict[str, Any]) -> Asked:
@@ -424,8 +463,23 @@ def _dataset(spec: Spec, lanes: Lanes, rows: _Rows, measures: Measures) -> xarra
         coords=lanes.coordinates() | measures.coordinates(),
         attrs={"model": spec.model, **{f"status_{n}": said for n, said in STATUSES.items()}},
     )
-    found = {each.__name__: ("lane", np.asarray(each(table))) for each in measures.functions}
-    return table.assign(found)
+    return table.assign({each.__name__: ("lane", _of(table, each)) for each in measures.functions})
+
+
+def _of(table: xarray.Dataset, function: Callable[..., Any]) -> np.ndarray:
+    """What a function makes of the table: a column.
+
+    Raises
+    ------
+    OptionError
+    """
+    column, lanes = np.asarray(function(table)), table.sizes["lane"]
+    if column.shape != (lanes,):
+        raise OptionError(
+            f"{table.attrs['model']}: measure {function.__name__}: it gives an array of shape "
+            f"{column.shape}, and {(lanes,)} is due, a value for each lane"
+        )
+    return column
 
 
 __all__ = ["ensemble"]

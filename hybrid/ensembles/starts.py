@@ -12,11 +12,11 @@ import numpy as np
 
 from ..automaton.chance import STREAM, has_stream
 from ..automaton.discrete import misfit
-from ..automaton.reals import reals
+from ..automaton.reals import reals, short
 from ..automaton.record import Record
 from ..automaton.signals import EachLane, of_lanes
 from ..automaton.spec import Spec
-from ..errors import OptionError, StartError
+from ..errors import OptionError, ParameterError, StartError
 from ..lowering import Scene, scene_with
 from ..run.options import values_of
 
@@ -60,7 +60,7 @@ class Lanes:
         self._samples, given = model.samples, {n: v for n, v in given.items() if n not in names}
         _check(model, given)
         if not (isinstance(t, Sequence) and len(t) == 2):
-            raise OptionError(f"t={t!r}: give (first, last) time")
+            raise OptionError(f"{self.spec.model}: t={short(t)}: give (first, last) time")
         states = self._states("start", values_of(self.spec, start, seed))
         self.shapes = tuple(np.shape(getattr(model, p.name)) for p in self.spec.parameters)
         parameters = [
@@ -83,7 +83,7 @@ class Lanes:
             self.x[:, self.spec.place(STREAM)] += np.arange(self.count)
         self.known = [self._full(*each) for each in before]
         if not np.all(self.t[:, 1] > self.t[:, 0]):
-            raise OptionError(f"t={t!r}: the first time before the last, in every lane")
+            raise OptionError(f"t={short(t)}: the first time before the last, in every lane")
 
     def lane(self, i: int) -> Lane:
         """One of the lanes."""
@@ -153,7 +153,7 @@ class Lanes:
         try:
             array = reals(value)
         except ValueError:
-            raise StartError(f"{where} = {value!r} is no number") from None
+            raise StartError(f"{where} = {short(value)} is no number") from None
         if not np.all(np.isfinite(array)):
             raise StartError(f"{where}: a value is not finite")
         own = array.ndim - len(shape)
@@ -180,13 +180,25 @@ def told(what: Any) -> dict[str, str]:
 
 def _check(model: Any, given: dict[str, Any]) -> None:
     """Let the model's own validators see the extremes of the parameters given."""
-    unknown = [name for name in given if name not in {p.name for p in model.spec.parameters}]
+    spec = model.spec
+    unknown = [name for name in given if name not in {p.name for p in spec.parameters}]
     if unknown:
-        known = ", ".join(p.name for p in model.spec.parameters) or "none"
-        raise OptionError(f"parameters: {unknown[0]!r} is none of {model.spec.model}'s: {known}")
+        known = ", ".join(p.name for p in spec.parameters) or "none"
+        raise OptionError(f"{spec.model}: parameters: it has no {unknown[0]!r}; there are: {known}")
     for extreme in (np.min, np.max):
-        ends = {k: extreme(v, axis=0) if np.ndim(v) else v for k, v in given.items()}
-        attrs.evolve(model, **ends)
+        attrs.evolve(model, **{name: _end(spec, name, v, extreme) for name, v in given.items()})
+
+
+def _end(spec: Spec, name: str, value: Any, extreme: Any) -> Any:
+    """The least, or the greatest, of a parameter's values."""
+    where = f"{spec.model}: parameters {name}={short(value)}"
+    try:
+        array = reals(value)
+    except ValueError:
+        raise ParameterError(f"{where}: a number or an array of numbers") from None
+    if not array.size:
+        raise OptionError(f"{where}: no value, so no lane; give one or more")
+    return extreme(array, axis=0) if array.ndim else value
 
 
 __all__ = ["Lane", "Lanes", "told"]

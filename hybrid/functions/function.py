@@ -11,20 +11,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.lax import stop_gradient
+from jax.tree_util import register_pytree_node
 
+from ..automaton import record
 from ..automaton.base import require_model
 from ..automaton.discrete import number
+from ..automaton.reals import reals, short
+from ..automaton.record import Record
 from ..automaton.spec import Spec
-from ..errors import OptionError
+from ..errors import OptionError, StartError
 from ..lowering import Scene, scene_of
 from ..replay.fly import at
 from ..replay.function import Replay, when
-from ..run.options import Asked, mode_of
+from ..run.options import Asked, mode_of, require_count, times_of, values_of
 from ..solvers import renamed
 from .batch import Gradients, values
 from .derivatives import REASON_NUMBERS, REASONS, Layout, Runs
 
 OUTPUTS = ("final", "jumps", "zeno")
+
+register_pytree_node(Record, record.parts, record.whole)
 
 #: How accumulations may be passed.
 ZENO_CHOICES = ("rest", "stop", "ignore")
@@ -46,14 +52,14 @@ __all__ = ["REASONS", "JumpTable", "Limit", "Outcome", "as_function"]
 class JumpTable(NamedTuple):
     """Jumps in order, ``max_jumps`` rows; unused rows hold NaN, and -1 as edge.
 
-    ``edge`` is a place in ``function.edges``; ``before`` and ``after`` are dicts of columns. Those
-    of a series of impacts that was summed are not among them.
+    ``edge`` is a place in ``function.edges``; ``before`` and ``after`` are records of columns,
+    ``after.v``. The impacts of a series that was summed are not among them.
     """
 
     t: Any
     edge: Any
-    before: dict[str, Any]
-    after: dict[str, Any]
+    before: Record
+    after: Record
     count: Any
 
 
@@ -64,7 +70,7 @@ class Limit(NamedTuple):
     """
 
     t: Any
-    state: dict[str, Any]
+    state: Record
     ratio: Any
     error: Any
 
@@ -76,8 +82,8 @@ class Outcome(NamedTuple):
     ----------
     t : number
         Where the run ended: the last time, unless ``status`` says otherwise.
-    final : dict
-        The state there.
+    final : Record
+        The state there: ``final.x``.
     jumps : JumpTable
     zeno : Limit
     status : int
@@ -106,8 +112,11 @@ def as_function(
     max_steps: int = 4096,
     solver: str | None = None,
     method: Any = None,
+    controller: Any = None,
     rtol: float | None = None,
     atol: Any = None,
+    max_step: float | None = None,
+    first_step: float | None = None,
     zeno: str = "rest",
     mode: str | None = None,
     outputs: tuple[str, ...] = OUTPUTS,
@@ -117,45 +126,48 @@ def as_function(
 ) -> Callable[[Any, Any], Outcome]:
     """A run as a pure function of (model, start), for ``jit``, ``vmap``, ``grad`` and ``scan``.
 
-    It is the run of :func:`hybrid.simulate`, called back from JAX's program, and its first
-    derivatives are the run's own first variation: through jumps, accumulations, rest, release,
-    sliding and what is seen of the past, in forward and reverse mode
-    (``docs/notes/gradients.md``). Where there is none (a tangency, the limit of a cycle of several
-    edges) they are NaN. Second derivatives are those of the same arcs and jumps flown again by JAX
-    (:mod:`hybrid.replay`), which refuses what it cannot fly: an accumulation, a tangency, delays.
+    The function is the run of :func:`hybrid.simulate`, called back from the JAX program. Its first
+    derivatives come from the first variation of the run: through jumps, accumulations, rest,
+    release, sliding and delays, in forward and reverse mode (``docs/notes/gradients.md``). Where
+    there is no derivative (a tangency, the limit of a cycle of several edges) they are NaN. Second
+    derivatives repeat the same arcs and jumps in JAX (:mod:`hybrid.replay`); there are none through
+    an accumulation, a tangency or delays.
 
     Parameters
     ----------
     model : Automaton
-        One of the class; the function takes any other of it.
+        An instance of the class; the function takes any instance of it.
     t : (t0, t1)
         First and last time; may be traced.
     max_jumps, max_steps : int
-        Bounds on the jumps that are computed one by one, and on steps, which are counted where an
-        arc ends.
-    solver, method, rtol, atol, mode
-        As for :func:`hybrid.simulate`. If no solver and no method is named it is ``"taylor"``, and
-        ``"scipy"`` where a function of the model has no series; of a method alone ``"diffrax"``.
+        The most jumps that are computed one by one, and the most steps, counted at the end of each
+        arc.
+    solver, method, controller, rtol, atol, max_step, first_step, mode
+        As for :func:`hybrid.simulate`. By default the solver is ``"taylor"``, or ``"scipy"`` if a
+        function of the model has no series; if only a method is given, ``"diffrax"``.
     zeno : "rest", "stop" or "ignore"
-        What happens where impacts accumulate; ignored, they are computed one by one.
+        What to do where impacts accumulate: continue at rest, stop, or compute them one by one.
     outputs : tuple of "final", "jumps", "zeno"
-        What to return.
+        The parts to return.
     history, memory
-        For delays, as for :func:`hybrid.simulate`. Derivatives are those at a history that stays
-        as it is; states of which it says nothing were as at the start, and change with it.
+        For delays, as for :func:`hybrid.simulate`. Derivatives hold a given history fixed; states
+        that it leaves out were constant as at the start, and vary with the start.
     segments
-        Without a meaning, and kept for programs that give it: all of the past is remembered.
+        Has no effect: the whole past is remembered.
 
     Returns
     -------
     callable ``(model, start) -> Outcome``
-        ``start`` is a dict (or sequence) of the states. The attribute ``edges`` names the edges.
+        ``start`` is a dict, record or sequence of the states. The attribute ``edges`` names the
+        edges.
 
     Raises
     ------
     OptionError
-        If an option cannot be used, or JAX works in 32 bits: in a program of your own that
-        is your setting to make. Where a second derivative is asked for.
+        If an option cannot be used; when the function is called, if JAX works in 32 bits (set
+        ``jax_enable_x64`` in your program).
+    StartError
+        When the function is called, if a state is missing or of another shape.
 
     Examples
     --------
@@ -165,15 +177,9 @@ def as_function(
     """
     require_model(model)
     spec: Spec = model.spec
-    unknown = [name for name in outputs if name not in OUTPUTS]
-    if unknown:
-        raise OptionError(f"outputs: {unknown[0]!r} is none of {', '.join(OUTPUTS)}")
-    if zeno not in ZENO_CHOICES:
-        raise OptionError(
-            f"zeno={zeno!r}: functions know 'rest', 'stop' and 'ignore' (impacts one by one); for "
-            "'truncate' and 'raise' use hy.simulate"
-        )
-    steps: dict[str, Any] = {"solver": solver, "method": method, "rtol": rtol, "atol": atol}
+    _require_options(spec, t, max_jumps, zeno, outputs)
+    steps: dict[str, Any] = {"solver": solver, "method": method, "controller": controller}
+    steps |= {"rtol": rtol, "atol": atol, "max_step": max_step, "first_step": first_step}
     steps |= {"zeno": zeno, "mode": mode}
     runs = runs_of(model, outputs, max_jumps, max_steps, history, memory=memory, **steps)
     fly = _called(runs)
@@ -190,6 +196,28 @@ def as_function(
 
     function.edges = runs.edges  # type: ignore[attr-defined]
     return function
+
+
+def _require_options(spec: Spec, t: Any, max_jumps: Any, zeno: Any, outputs: Any) -> None:
+    """Refuse what only functions take, or do not take.
+
+    Raises
+    ------
+    OptionError
+    """
+    unknown = [name for name in outputs if name not in OUTPUTS]
+    if isinstance(outputs, str) or unknown:
+        raise OptionError(
+            f"{spec.model}: outputs={short(outputs)}: a tuple of some of {', '.join(OUTPUTS)}"
+        )
+    if zeno not in ZENO_CHOICES:
+        raise OptionError(
+            f"{spec.model}: zeno={zeno!r}: functions know 'rest', 'stop' and 'ignore' (impacts one "
+            "by one); for 'truncate' and 'raise' use hy.simulate"
+        )
+    require_count("max_jumps", max_jumps, 0)
+    if not (isinstance(t, tuple | list) and any(isinstance(end, jax.core.Tracer) for end in t)):
+        times_of(t)
 
 
 def _require_wide() -> None:
@@ -213,14 +241,30 @@ def _parameters(spec: Spec, model: Any) -> tuple[Any, ...]:
 
 
 def _values(spec: Spec, start: Any) -> tuple[Any, ...]:
-    return tuple(spec.values(start if isinstance(start, Mapping) else tuple(start)))
+    """What is given for each state; what JAX does not trace is checked as by ``hy.simulate``."""
+    if not any(isinstance(value, jax.core.Tracer) for value in jax.tree.leaves(start)):
+        values = tuple(values_of(spec, start))
+        for state, value in zip(spec.states, values, strict=True):
+            _require_numbers(spec, state.name, value)
+        return values
+    try:
+        return tuple(spec.values(start if isinstance(start, Mapping | Record) else tuple(start)))
+    except (TypeError, ValueError) as fault:
+        raise StartError(f"{spec.model}: start: {fault}") from None
+
+
+def _require_numbers(spec: Spec, name: str, value: Any) -> None:
+    try:
+        reals(value)
+    except ValueError:
+        raise StartError(f"{spec.model}: start {name} = {short(value)} is no number") from None
 
 
 def _vector(spec: Spec, start: tuple[Any, ...]) -> Any:
     parts = []
     for state, value in zip(spec.states, start, strict=True):
         if value.shape != state.shape:
-            raise OptionError(
+            raise StartError(
                 f"{spec.model}: start {state.name} has shape {value.shape}; {state.shape} is due"
             )
         parts.append(value.reshape(-1))
@@ -228,10 +272,7 @@ def _vector(spec: Spec, start: tuple[Any, ...]) -> Any:
 
 
 def _outcome(spec: Spec, parts: dict[str, Any], ints: Any) -> Outcome:
-    def named(vector: Any) -> dict[str, Any]:
-        record = spec.record(vector, number)
-        return {name: record[name] for name in record.keys()}
-
+    named = partial(spec.record, of=number)
     status, jumps, limit = ints[-1], None, None
     if "times" in parts:
         states = named(parts["before"]), named(parts["after"])

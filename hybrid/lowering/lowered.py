@@ -57,15 +57,8 @@ class Lowered:
         return trace.trace(self.spec, call, extra, self.shapes)
 
     def closed(self, kind: str, name: str) -> Any:
-        """The class's own trace, or one for these shapes where they are not the defaults'."""
-        closed = self.cls.traces[kind, name]
-        given = tuple(tuple(v.aval.shape) for v in closed.jaxpr.invars[: len(self.shapes)])
-        if given == self.shapes:
-            return closed
-        raise TraceError(
-            f"{self.spec.model}: parameters of shapes {self.shapes} where the defaults "
-            f"have {given}; give arrays of the defaults' shapes"
-        )
+        """The class's own trace of a function."""
+        return self.cls.traces[kind, name]
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:
         """What ``make`` returns, made only the first time."""

@@ -27,7 +27,7 @@ from ..automaton.spec import (
     Spec,
     Transition,
 )
-from ..errors import OptionError, TraceError
+from ..errors import OptionError, ParameterError, TraceError
 from .automaton import Tables
 from .derivatives import node_shape
 from .field import Contact, Field, Guard, Kink, Scalar
@@ -382,10 +382,18 @@ def scene_of(model: Any, by: str = "") -> Scene:
     ------
     OptionError
         If it has signals, and is asked for ``by`` what cannot have any.
+    ParameterError
+        If a parameter is of another shape than its default, with which the class was traced.
     """
     require_no_signal(model.spec, by)
     parameters = model.parameters
     shapes = tuple(v.shape for v in parameters)
+    for spec, shape in zip(model.spec.parameters, shapes, strict=True):
+        if shape != np.shape(spec.default):
+            raise ParameterError(
+                f"{model.spec.model}.{spec.name} has shape {shape}; {np.shape(spec.default)} is "
+                "due, that of its default; for many values use hy.ensemble or hy.sweep"
+            )
     return scene_with(type(model), shapes, tuple(flat(parameters)), model.samples)
 
 

@@ -116,7 +116,7 @@ def _drawable(found: Bifurcation, name: Any) -> bool:
 
 def _axis(name: str, values: Any) -> str:
     unit = values.attrs.get("units")
-    return f"{name} ({unit})" if unit else name
+    return f"{name} [{unit}]" if unit else name
 
 
 __all__ = ["Bifurcation", "bifurcation"]

@@ -10,6 +10,7 @@ import numpy as np
 from ..automaton.base import COUNT_IN_RUN, require_model, require_no_discrete
 from ..errors import OptionError, OrbitError
 from ..result import Trajectory
+from ..run.options import time_of, times_of
 from ..simulation import simulate
 from ..trajectory.trajectory import Status
 from ..variation import factors
@@ -83,9 +84,9 @@ def lyapunov(
     start, t
         As for :func:`hybrid.simulate`.
     count : int, optional
-        How many, from the largest on; all if omitted.
+        Number of exponents, from the largest on; all if omitted.
     transient : float, optional
-        Time at the beginning that is left out; a tenth of the run if omitted.
+        Time at the beginning that is not averaged; a tenth of the run if omitted.
     options
         As for :func:`hybrid.simulate`.
 
@@ -96,19 +97,19 @@ def lyapunov(
     Raises
     ------
     OptionError
-        If ``count`` or ``transient`` cannot be used.
+        If ``t``, ``count``, ``transient`` or another option cannot be used.
     OrbitError
-        If the run ends early, grazes, or passes the limit of a cycle of several edges; for a
-        model with delays, whose exponents are infinitely many.
+        If the run ends early, grazes a guard, or passes the limit of a cycle of several edges; for
+        a model with delays, which has infinitely many exponents.
 
     Notes
     -----
-    An orthonormal frame is carried along the run by the first variation of its steps and the
-    saltation matrices of its jumps, and made orthonormal again after each of them; the logarithms
-    of what it grew by are summed. Sources: Benettin, Galgani, Giorgilli & Strelcyn, Meccanica 15
+    An orthonormal frame is propagated along the run by the first variation of its steps and the
+    saltation matrices of its jumps, and orthonormalized after each of them; the logarithms
+    of its growth are summed. Sources: Benettin, Galgani, Giorgilli & Strelcyn, Meccanica 15
     (1980); Müller, Chaos, Solitons & Fractals 5 (1995) for systems with jumps.
 
-    In an autonomous model one exponent is 0: that of a change along the run.
+    In an autonomous model one exponent is 0: that of a perturbation along the run.
 
     Examples
     --------
@@ -126,8 +127,8 @@ def lyapunov(
     count = size if count is None else count
     if not (isinstance(count, int | np.integer) and 1 <= count <= size):
         raise OptionError(f"count={count!r}: a whole number from 1 to {size}")
-    first, last = _span(t)
-    begin = first + (0.1 * (last - first) if transient is None else float(transient))
+    first, last = times_of(t)
+    begin = first + (0.1 * (last - first) if transient is None else time_of("transient", transient))
     if not first <= begin < last:
         raise OptionError(f"transient={transient!r}: a time shorter than the run, {t!r}")
     frame = np.linalg.qr(np.random.default_rng(0).normal(size=(size, int(count))))[0]
@@ -139,14 +140,6 @@ def lyapunov(
     run = _run(model, start, (begin, last), options)
     times, growth, _ = _carry(model, run, frame)
     return _exponents(times, growth, run)
-
-
-def _span(t: Any) -> tuple[float, float]:
-    try:
-        first, last = (float(v) for v in t)
-    except (TypeError, ValueError):
-        raise OptionError(f"t={t!r}: give (first, last) time") from None
-    return first, last
 
 
 def _run(model: Any, start: Any, t: tuple[float, float], options: dict[str, Any]) -> Trajectory:

@@ -15,6 +15,9 @@ from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
 from ..lowering import Scene, scene_of
 from ..result import Trajectory
+from ..run.options import Asked, chosen, mode_of, require_count, time_of
+from ..run.sections import section_of
+from ..solvers import renamed
 from ..variation import Factor
 from .delayed import require_constant
 from .grazing import near_grazing, turning
@@ -22,7 +25,7 @@ from .remembering import HistoryShooting
 from .restarting import RestartShooting
 from .returns import with_tolerances
 from .search import Search, depends_on_time, given
-from .shooting import Shooting, Shot
+from .shooting import Guess, Shooting, Shot
 
 if TYPE_CHECKING:
     from ..automaton.shapes import ComplexNumbers, Matrix, Numbers
@@ -144,20 +147,20 @@ def periodic_orbit(
     guess : dict, record, sequence or Trajectory
         A state near the orbit; of a run its last one.
     section : str, callable or float, optional
-        As for :func:`hybrid.return_map`: one return is one turn. A plane through the guess,
-        across the flow, if omitted. Give an edge that jumps once a turn.
+        As for :func:`hybrid.return_map`; one return is one period, so give an edge that fires once
+        per period. A plane through the guess, across the flow, if omitted.
     period : float, optional
-        Of a model that depends on time: the orbit's period, a whole number of those of the
-        forcing. Otherwise a first guess of the orbit's period, in place of a section.
+        If the model depends on time: the period of the orbit, a multiple of that of the
+        forcing. Otherwise a first guess of the period, instead of a section.
     t, mode
         Time and mode of the guess.
     settle : int
-        Turns that are flown before Newton's method begins: towards a stable orbit.
+        Number of periods to simulate before Newton's method begins, to approach a stable orbit.
     t_max : float
-        The longest time a return may take. It is sought in short times first, so that the
-        model's unit of time does not matter as long as a turn takes less.
+        The longest time that a return may take. Returns are sought within short times first, so the
+        unit of time does not matter.
     tol : float
-        How well the orbit must close, relative to its size, to be an orbit.
+        The largest difference between the ends of the orbit, relative to its size.
     options
         As for :func:`hybrid.simulate`; by default ``rtol=1e-12, atol=1e-13``.
 
@@ -167,22 +170,22 @@ def periodic_orbit(
 
     Raises
     ------
-    OptionError
-        If the model depends on time and no period is given.
+    OptionError, StartError
+        If an option or the guess cannot be used, or the model depends on time and no period is
+        given.
     OrbitError
-        If no orbit is found: the message says how far it came. Also if what was found has a
-        multiplier of 1 besides that along the orbit, and drifts by more than the integration
-        may have lost.
+        If no orbit is found; the message says how far the search came. Also if there is a second
+        multiplier of 1 and the run drifts by more than the error of the integration.
 
     Warns
     -----
     UserWarning
-        If the orbit touches a guard, or crosses one almost without speed.
+        If the orbit touches a guard, or crosses one at almost zero speed.
 
     Notes
     -----
-    Newton's method starts from the guess, then from where 8 and 64 turns lead. Its matrix is the
-    product of the fundamental matrices of the arcs and the saltation matrices of the jumps;
+    Newton's method starts from the guess, then from the states after 8 and 64 periods. Its matrix
+    is the product of the fundamental matrices of the arcs and the saltation matrices of the jumps;
     accumulations of impacts have one too (``docs/notes/orbits.md``). Source: di Bernardo, Budd,
     Champneys & Kowalczyk, *Piecewise-smooth Dynamical Systems* (2008).
 
@@ -195,6 +198,8 @@ def periodic_orbit(
     require_model(model)
     scene = scene_of(model, by="hy.periodic_orbit")
     require_no_discrete(model, "hy.periodic_orbit", COUNT_IN_RUN)
+    require_count("settle", settle, 0)
+    t_max, tol = time_of("t_max", t_max, 0.0), time_of("tol", tol, 0.0)
     options = {**with_tolerances(options, 1e-12, 1e-13), "save": "dense"}
     timed = depends_on_time(scene)
     if period is None and isinstance(section, int | float):
@@ -203,14 +208,35 @@ def periodic_orbit(
         raise OptionError(
             f"{scene.spec.model} depends on time: give period=, that of the forcing or a multiple"
         )
-    if period is not None and not 0 < period < float("inf"):
-        raise OptionError(f"period={period!r}: a time greater than 0")
+    if period is not None:
+        period = time_of("period", period, 0.0)
     shooting = shooting_of(scene, options)(model, timed, tol, options)
+    first = given(scene, guess, t, mode)
+    if section is not None:
+        section_of(model, scene, section)
+    _require_run(scene, first, options)
     search = Search(shooting, section, period, t_max)
-    orbit = _describe(shooting, search.find(given(scene, guess, t, mode), settle))
+    orbit = _describe(shooting, search.find(first, settle))
     for sentence in orbit.grazing:
         warnings.warn(f"{scene.spec.model}: {sentence}", stacklevel=2)
     return orbit
+
+
+def _require_run(scene: Scene, guess: Guess, options: dict[str, Any]) -> None:
+    """Refuse options that no run could use: the search takes faults of a run for a bad guess.
+
+    Raises
+    ------
+    OptionError
+    """
+    mode_of(scene, guess.mode)
+    own = {name: value for name, value in options.items() if name not in ("history", "seed")}
+    solver, method = renamed(own.pop("solver", "scipy"), own.pop("method", None))
+    unknown = [name for name in own if name not in attrs.fields_dict(Asked)]
+    if unknown:
+        raise OptionError(f"{scene.spec.model}: {unknown[0]}= is no option of hy.simulate")
+    asked = Asked(spec=scene.spec, solver=solver, method=method, **own)
+    chosen(asked.plan((guess.t, guess.t + 1.0)), solver, method, asked.controller, scene.spec)
 
 
 def shooting_of(scene: Scene, options: dict[str, Any]) -> type[Shooting]:

@@ -15,6 +15,7 @@ from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
 from ..lowering import scene_of
 from ..result import Trajectory
+from ..run.options import require_count, start_of, time_of
 from ..run.sections import EdgeSection, Period, Return, Section, Surface, section_of
 from ..simulation import simulate
 from ..trajectory.trajectory import Status
@@ -126,7 +127,7 @@ class ReturnMap:
 
     def _point(self, state: Any, t: float, history: Any = None) -> Point:
         given = self.options.get("history") if history is None else history
-        return Point(t, self._vector(state), self.mode, given)
+        return Point(time_of("t", t), self._vector(state), self.mode, given)
 
     def iterate(self, state: Any, n: int, t: float = 0.0) -> Iterates:
         """``n`` returns, one after the other, from a state at time ``t``.
@@ -137,8 +138,7 @@ class ReturnMap:
             ``n + 1`` states, the start included, with their times ``.t``; the columns of a
             coordinate are ``.x``.
         """
-        if not (isinstance(n, int | np.integer) and n >= 0):
-            raise OptionError(f"n={n!r}: a whole number of returns")
+        require_count("n", n, 0)
         points = [self._point(state, t)]
         points += self._points(points[0], n)
         return Iterates(self.scene.spec, points)
@@ -154,8 +154,7 @@ class ReturnMap:
     def _vector(self, state: Any) -> StateVector:
         if isinstance(state, np.ndarray) and state.shape == (self.scene.spec.dimension,):
             return state
-        values = self.scene.spec.values(state)
-        return np.concatenate([np.ravel(np.asarray(v, dtype=float)) for v in values])
+        return start_of(self.scene.spec, state)
 
     def _from(self, point: Point) -> Trajectory:
         start = self.scene.spec.record(self._vector(point.state))
@@ -225,40 +224,40 @@ def return_map(
     crossing: Crossing = RISING,
     **options: Any,
 ) -> ReturnMap:
-    """The map from a state to that at the next return to a section: a thing to iterate.
+    """The return map (Poincaré map) of a section: from a state to the state at the next return.
 
     Parameters
     ----------
     model : Automaton
         Autonomous, or periodic in time.
     section : str, callable or float
-        The name of an edge, contact, switching or release: the states just after its jumps. Or
-        a surface ``(self, t, s)``: the states where it crosses zero along an arc. Or a period,
-        or a function ``(self)`` that gives it: the states that long apart (stroboscopic).
+        The name of an edge, contact, switching or release: the states just after its jumps. A
+        surface ``(self, t, s)``: the states where it crosses zero along an arc. A period,
+        or a function ``(self)`` that returns it: the states one period apart (stroboscopic map).
     mode : str, optional
-        The mode in which the states are given; that after the edge, or the model's initial
-        mode, if omitted.
+        The mode of the states; if omitted, the mode after the edge, or the model's initial mode.
     t_max : float
-        The longest time a return may take.
+        The longest time that a return may take.
     crossing : RISING, FALLING or EITHER
-        The direction in which a surface counts.
+        The direction in which a surface is crossed.
     options
         As for :func:`hybrid.simulate`; by default ``rtol=1e-11, atol=1e-12``.
 
     Returns
     -------
     ReturnMap
-        ``P(state, t=0.0)`` is the state at the next return, ``P.time(state)`` how long that
-        takes, ``P.run(state)`` the run from the one to the other, ``P.iterate(state, n)`` the
-        start and ``n`` returns with their times. In a model with delays each return of
-        ``iterate`` goes on with the past of those before it.
+        ``P(state, t=0.0)`` is the state at the next return, ``P.time(state)`` the time until then,
+        ``P.run(state)`` the run in between, ``P.iterate(state, n)`` the start and ``n`` returns
+        with their times. With delays, ``iterate`` keeps the past of the earlier returns.
 
     Raises
     ------
     OptionError
-        If the section is none, or ``t_max`` is no time.
+        If the section, ``t_max`` or another option cannot be used.
     OrbitError
-        When the map is used: if the run does not return within ``t_max``, or ends before.
+        When the map is used, if the run does not return within ``t_max`` or ends before.
+    StartError
+        When the map is used, if the state is incomplete.
 
     Examples
     --------
@@ -266,12 +265,11 @@ def return_map(
     >>> P.iterate({"x": 0.0, "v": 3.0}, 100).v
     """
     require_model(model)
-    if not 0 < float(t_max) < float("inf"):
-        raise OptionError(f"t_max={t_max!r}: a time greater than 0")
+    t_max = time_of("t_max", t_max, 0.0)
     options.setdefault("save", "dense")
     if options["save"] != "dense":
         raise OptionError(f"save={options['save']!r}: a return is found on dense output")
-    return ReturnMap(model, section, mode, float(t_max), crossing, options)
+    return ReturnMap(model, section, mode, t_max, crossing, options)
 
 
 def _mode_after(spec: Any, edge: str) -> str | None:

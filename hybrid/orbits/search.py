@@ -11,6 +11,7 @@ from ..automaton.markers import RISING
 from ..errors import HybridError, OptionError, OrbitError
 from ..lowering import Scene
 from ..result import Trajectory
+from ..run.options import start_of, time_of
 from ..variation.carried import WINDOW_SPACINGS
 from .returns import FIRST_WINDOW, ReturnMap
 from .shooting import EQUILIBRIUM_MOVE, Guess, Shooting, Shot
@@ -50,12 +51,7 @@ def given(scene: Scene, guess: Any, t: float, mode: str | None) -> Guess:
         last = guess.mode
         history = guess if scene.spec.lags else None
         return Guess(guess.t1, guess.parts[-1].last, last, 0.0, history)
-    try:
-        values = scene.spec.values(guess)
-    except ValueError as fault:
-        raise OptionError(f"{scene.spec.model}: guess={guess!r}: {fault}") from None
-    x = np.concatenate([np.ravel(np.asarray(v, dtype=float)) for v in values])
-    return Guess(t, x, mode, 0.0)
+    return Guess(time_of("t", t), start_of(scene.spec, guess, what="guess"), mode, 0.0)
 
 
 @attrs.frozen(eq=False)

@@ -10,7 +10,8 @@ import attrs
 import numpy as np
 
 from ..automaton.markers import Crossing
-from ..automaton.spec import ContactSpec, Spec
+from ..automaton.spec import ClockSpec, ContactSpec, Spec, Transition
+from . import require_writable
 from .figure import LIMIT_COLOR, LINE_COLOR, OTHER_COLOR, SURFACE_COLOR
 
 if TYPE_CHECKING:
@@ -18,6 +19,10 @@ if TYPE_CHECKING:
 
 #: What a label says of the way in which a guard reaches zero.
 WAYS = {Crossing.FALLING: "↓", Crossing.RISING: "↑", Crossing.EITHER: "↕"}
+WAYS_IN_WORDS = {"↓": "falls to zero", "↑": "rises to zero", "↕": "either"}
+
+#: Where along an arrow its label may be: the first place that no other label is at.
+LABEL_PLACES = (0.5, 0.36, 0.64, 0.24, 0.76)
 
 #: Inches: of a letter, of a line of them, around a name, of a loop; and how far arrows bend, of
 #: their length.
@@ -87,7 +92,7 @@ def graph(spec: Spec) -> AutomatonChart:
                 places[name] = len(nodes)
                 nodes.append(ModeNode("end", "end"))
         pair = places[edge.source], places[edge.to]
-        labels.setdefault(pair, []).append(f"{edge.name} {WAYS[edge.crossing]}")
+        labels.setdefault(pair, []).append(f"{edge.name} {_when(edge)}")
     for mode in spec.modes:
         last = [edge.to for edge in spec.transitions if edge.name in mode.limit_of[-1:]]
         for name in last:
@@ -95,6 +100,18 @@ def graph(spec: Spec) -> AutomatonChart:
     arrows = [Arrow(*pair, tuple(lines)) for pair, lines in labels.items()]
     arrows += [Arrow(places[one], places[other]) for one, other in joined]
     return AutomatonChart(spec.model, tuple(nodes), tuple(arrows))
+
+
+def _when(edge: Transition) -> str:
+    """When an edge fires: which way its guard goes, or at which times."""
+    if not isinstance(edge, ClockSpec):
+        return WAYS[edge.crossing]
+    every, at = edge.times.every, edge.times.at
+    if every is not None:
+        return f"every {every}"
+    times = [at] if isinstance(at, str) else np.atleast_1d(np.asarray(at, dtype=object)).tolist()
+    shown = ", ".join(f"{time:g}" if isinstance(time, float | int) else str(time) for time in times)
+    return f"at {shown}" if len(times) < 4 else f"at {len(times)} times"
 
 
 def laid(nodes: Sequence[ModeNode]) -> Matrix:
@@ -111,6 +128,7 @@ def laid(nodes: Sequence[ModeNode]) -> Matrix:
 
 def draw(shown: AutomatonChart, path: Any = None) -> Any:
     """The figure of a graph, written to ``path`` if one is given."""
+    require_writable(path)
     from matplotlib.figure import Figure as Drawn
 
     places = laid(shown.nodes)
@@ -118,13 +136,16 @@ def draw(shown: AutomatonChart, path: Any = None) -> Any:
     drawn = Drawn()
     axes = drawn.add_axes((0.0, 0.0, 1.0, 1.0))
     corners = [places[k] + s * node.half for k, node in enumerate(shown.nodes) for s in (-1, 1)]
+    taken = [(place, node.half) for place, node in zip(places, shown.nodes, strict=True)]
     for arrow in shown.arrows:
-        corners += _arrow(axes, shown, places, arrow, center)
+        corners += _arrow(axes, shown, places, arrow, center, taken)
     for place, node in zip(places, shown.nodes, strict=True):
         _node(axes, node, place)
     low, high = np.min(corners, axis=0) - 0.25, np.max(corners, axis=0) + 0.25
     low[1], high[1] = low[1] - 0.3, high[1] + 0.3
-    said = "guards: ↓ falls to zero, ↑ rises to zero, ↕ either"
+    written = "".join(label for arrow in shown.arrows for label in arrow.labels)
+    ways = [f"{way} {words}" for way, words in WAYS_IN_WORDS.items() if way in written]
+    said = f"guards: {', '.join(ways)}" if ways else ""
     low[0] = min(low[0], high[0] - 0.75 * LETTER * len(said))
     axes.text(low[0] + 0.1, high[1] - 0.2, shown.model, fontsize=11, va="center", weight="bold")
     axes.text(low[0] + 0.1, low[1] + 0.17, said, fontsize=7.5, va="center", color="#555555")
@@ -158,16 +179,26 @@ def _node(axes: Any, node: ModeNode, place: Numbers) -> None:
 
 
 def _arrow(
-    axes: Any, shown: AutomatonChart, places: Matrix, arrow: Arrow, center: Numbers
+    axes: Any,
+    shown: AutomatonChart,
+    places: Matrix,
+    arrow: Arrow,
+    center: Numbers,
+    taken: list[tuple[Numbers, Numbers]],
 ) -> list[np.ndarray]:
-    """Draw an arrow with its labels; corners of what it covers."""
+    """Draw an arrow with its labels; corners of what it covers.
+
+    ``taken``: middles and half sizes of the boxes and labels there are, to which its own is added.
+    """
     from matplotlib.patches import FancyArrowPatch
     from matplotlib.path import Path
 
     ends = shown.nodes[arrow.source], shown.nodes[arrow.to]
     a, b = places[arrow.source], places[arrow.to]
     loop = arrow.source == arrow.to
-    curve = _loop(ends[0], a, center) if loop else _bow(a, b, BEND if arrow.labels else 0.0)
+    back = any((o.source, o.to) == (arrow.to, arrow.source) and o.labels for o in shown.arrows)
+    bend = BEND if arrow.labels and back else 0.0
+    curve = _loop(ends[0], a, center) if loop else _bow(a, b, bend)
     for node, place in zip(ends, (a, b), strict=True):
         curve = curve[np.any(np.abs(curve - place) > node.half + 0.03, axis=1)]
     dashed = not arrow.labels
@@ -184,11 +215,14 @@ def _arrow(
     )
     if not arrow.labels:
         return [curve.min(axis=0), curve.max(axis=0)]
-    middle = curve[len(curve) // 2]
-    outwards = middle - (a if loop else 0.5 * (a + b))
     size = np.array([0.85 * LETTER * max(map(len, arrow.labels)), LINE * len(arrow.labels)])
+    outwards = curve[len(curve) // 2] - a if loop else np.array([a[1] - b[1], b[0] - a[0]])
     outwards = outwards / max(float(np.linalg.norm(outwards)), 1e-9)
-    place = middle + outwards * (0.5 * np.abs(outwards) @ size + 0.05)
+    away = outwards * (0.5 * np.abs(outwards) @ size + 0.05)
+    spots = [curve[int(share * (len(curve) - 1))] + away for share in LABEL_PLACES]
+    free = (p for p in spots if not any(_overlap(p, 0.5 * size, *other) for other in taken))
+    place = next(free, spots[0])
+    taken.append((place, 0.5 * size))
     axes.text(
         *place,
         "\n".join(arrow.labels),
@@ -199,6 +233,11 @@ def _arrow(
         bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85},
     )
     return [curve.min(axis=0), curve.max(axis=0), place - 0.5 * size, place + 0.5 * size]
+
+
+def _overlap(place: Numbers, half: Numbers, other: Numbers, other_half: Numbers) -> bool:
+    """Whether two boxes, each by its middle and half its size, cover a common place."""
+    return bool(np.all(np.abs(place - other) < half + other_half))
 
 
 def _bow(a: Numbers, b: Numbers, bend: float) -> Matrix:

@@ -11,6 +11,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from . import require_writable
 from .figure import STYLES, Cells, Columns, Curve, Figure, Panel
 
 #: Pixels: a panel, the space between two, and what stands above and below all of them (a name
@@ -52,6 +53,7 @@ def draw(figure: Figure, path: Any = None) -> go.Figure:
     path : str or path, optional
         Also write it there, as a page of HTML that needs no network.
     """
+    require_writable(path)
     panels = _stacked(figure.columns)
     height = int(sum(panel.share for panel in panels) * PANEL)
     drawn = make_subplots(

@@ -10,6 +10,7 @@ import numpy as np
 from ..automaton.picture import looks
 from ..errors import OptionError
 from ..trajectory.trajectory import Solution
+from . import require_writable
 from .figure import METHOD_COLORS
 
 #: Dots a frame has in an inch.
@@ -23,6 +24,7 @@ def animate(run: Solution, path: Any, seconds: float, fps: int, size: tuple[floa
 
     if Path(path).suffix.lower() != ".gif":
         raise OptionError(f"{path}: end the name in .gif")
+    require_writable(path)
     if not (0 < seconds < np.inf and 0 < fps < np.inf and round(seconds * fps) > 1):
         raise OptionError(f"seconds={seconds!r}, fps={fps!r}: two frames at least")
     times = np.linspace(run.t0, run.t1, round(seconds * fps))

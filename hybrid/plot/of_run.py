@@ -14,7 +14,7 @@ from ..errors import OptionError
 from ..lowering import Kind
 from ..trajectory.accumulation import Accumulation
 from ..trajectory.arcs import Arc
-from ..trajectory.trajectory import Solution
+from ..trajectory.trajectory import Solution, counted
 from .figure import Curve, Figure, Panel
 
 if TYPE_CHECKING:
@@ -124,13 +124,14 @@ def modes_panel(run: Solution) -> Panel:
 
 
 def gaps_panel(run: Solution) -> Panel:
-    """Time between jumps, by number, on a logarithmic axis."""
+    """Time between jumps, by number; on a logarithmic axis if they differ by a factor of ten."""
     pairs = _gaps(run)
     title = "time between jumps" if pairs else "fewer than two jumps"
     notes = [f"{gap:.12g} after jump {number}" for number, gap in pairs]
     x, y = np.array(pairs).reshape(-1, 2).T
     curve = Curve(x=x, y=y, look="series", notes=notes)
-    return Panel(curves=[curve], x="jump", y="time to the next", log="y", title=title)
+    log = "y" if len(y) and y.max() > 10.0 * y.min() else ""
+    return Panel(curves=[curve], x="jump", y="time to the next", log=log, title=title)
 
 
 def _gaps(run: Solution) -> list[tuple[int, float]]:
@@ -175,17 +176,15 @@ def zooms(run: Solution, place: int = 0) -> list[tuple[str, tuple[float, float]]
 
 def title(run: Solution) -> str:
     """How many jumps, and where they accumulate; with a bound, if it has been asked for."""
-    head = f"{run.spec.model}: {len(run.jumps)} jumps listed"
     if not run.zeno:
-        return head
-    first = run.zeno[0]
+        return f"{run.spec.model}: {counted(len(run.jumps), 'jump')}"
     more = f" (first of {len(run.zeno)})" if len(run.zeno) > 1 else ""
-    return f"{head}, accumulating at {_time(first)}{more}"
+    return f"{run.spec.model}: jumps accumulate at {_time(run.zeno[0])}{more}"
 
 
 def _time(point: Accumulation) -> str:
-    bound = f" ± {point.t_error:.0e}" if point.measured else ""
-    return f"t = {point.t:.15g}{bound}"
+    """With as many digits as a picture has room for, or as are known."""
+    return f"t = {point.t:.15g} ± {point.t_error:.0e}" if point.measured else f"t = {point.t:.6g}"
 
 
 # ---------------------------------------------------------------------------------------

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import TYPE_CHECKING, Any
 
+from ..automaton.reals import reals, short
 from ..errors import OptionError
+from . import require_writable
 from .figure import STYLES, Curve, Figure, Panel
 
 if TYPE_CHECKING:
@@ -25,6 +28,9 @@ USUAL_WIDTH, LEAST_SCALE, ENTRY_WIDTH = 3.5, 0.6, 1.5
 
 def draw(figure: Figure, path: Any = None, size: tuple[float, float] | None = None) -> Drawn:
     """Draw a figure, of some inches, and write it to ``path`` if one is given."""
+    require_writable(path)
+    if size is not None:
+        _require_size(size)
     import matplotlib as mpl
     from matplotlib.figure import Figure as Drawn
 
@@ -48,6 +54,21 @@ def draw(figure: Figure, path: Any = None, size: tuple[float, float] | None = No
         if path is not None:
             drawn.savefig(path, dpi=150)
     return drawn
+
+
+def _require_size(size: Any) -> None:
+    """Refuse what is no width and height.
+
+    Raises
+    ------
+    OptionError
+    """
+    try:
+        width, height = reals(size).tolist()
+    except (TypeError, ValueError):
+        width = height = 0.0
+    if not (0 < width < inf and 0 < height < inf):
+        raise OptionError(f"size={short(size)}: (width, height), in inches")
 
 
 def draw_on(figure: Figure, axes: Any) -> Drawn:

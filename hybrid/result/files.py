@@ -20,7 +20,7 @@ import attrs
 import numpy as np
 
 from ..automaton.spec import OutputSpec, Spec, StateSpec
-from ..errors import FILES, TABLES, StoreError, need
+from ..errors import FILES, TABLES, OptionError, StoreError, need
 from ..segment import Segment
 from ..trajectory.accumulation import Accumulation, Truncation
 from ..trajectory.arcs import Arc, JumpRow
@@ -44,11 +44,17 @@ def to_xarray(run: Solution, t: Any = None) -> xarray.Dataset:
     arc and 15 points between (so a jump's time stands there twice: before and after).
     """
     need("run.to_xarray", TABLES)
+    names = (*run.spec.names, *(output.name for output in run.spec.outputs))
+    if "time" in names:
+        raise OptionError(
+            f"{run.spec.model}: 'time' is a state or an output of it, and the axis of the dataset; "
+            "give it another name in the model"
+        )
     import xarray as xr
 
     if t is not None:
+        states = np.atleast_2d(run.states(t))
         times = np.atleast_1d(np.asarray(t, dtype=float))
-        states = run.states(times)
     elif run.samples is not None:
         times, states = run.options["times"], run.samples
     else:
@@ -76,6 +82,24 @@ def _numbers(run: Solution) -> dict[str, Any]:
     return {name: np.asarray(value, dtype=float).tolist() for name, value in own}
 
 
+#: Ends of names that are those of other formats.
+OTHER_FORMATS = (".csv", ".txt", ".json", ".mat", ".npz", ".npy", ".pkl", ".zarr", ".py", ".png")
+
+
+def require_netcdf(what: str, path: Any) -> None:
+    """Refuse a name of a file that says that it is something else.
+
+    Raises
+    ------
+    OptionError
+    """
+    if Path(path).suffix.lower() in OTHER_FORMATS:
+        raise OptionError(
+            f"{what}: a run is written as NetCDF: end the name in .nc. Its jumps as a table: "
+            "run.jumps.to_pandas().to_csv(path), hybrid run --csv"
+        )
+
+
 def save(run: Solution, path: Any) -> None:
     """Write a trajectory to a NetCDF file.
 
@@ -84,10 +108,15 @@ def save(run: Solution, path: Any) -> None:
 
     Raises
     ------
+    OptionError
+        If the name is that of a file of another format.
     StoreError
         If the file cannot be written; the message says why.
     """
     need("run.save", FILES)
+    require_netcdf(f"run.save({str(path)!r})", path)
+    if not Path(path).resolve().parent.is_dir():
+        raise StoreError(f"cannot write {path}: no such folder")
     if run.spec.signals:
         raise StoreError(
             f"{run.spec.model}: a run with signals ({run.spec.signals[0].name}) cannot be saved as "

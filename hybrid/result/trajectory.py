@@ -33,8 +33,7 @@ class Trajectory(Solution):
     parameters : dict
         Values of the model's parameters.
     log : Log
-        What was kept: ``parts``, arcs and chattering tails, and ``own_jumps``, the jumps by the
-        place of the part they led from.
+        The stored data, for internal use: arcs, summed series of impacts, and jumps.
     zeno : list of Accumulation
         Limit points of jumps, in order.
     samples : array, shape (number of times, n), or None
@@ -42,21 +41,20 @@ class Trajectory(Solution):
     grazings : list of Jump
         Tangencies of a guard, which fire no edge (``before`` and ``after`` are the same).
     status : Status
-        An enumeration whose text is a sentence.
+        How the run ended; ``str(run.status)`` is a sentence with the remedy.
     options : dict
-        What the run was made with: the options of :func:`hybrid.simulate` by name. Where no method,
-        tolerances or mode were given, those that were taken. ``save`` is ``"times"``, and ``times``
-        has them, where the states at some times were asked for. What was before the start of a
-        model with delays is not among them.
+        The options of :func:`hybrid.simulate` by name, with the method, tolerances and mode that
+        were used. If states at given times were asked for, ``save`` is ``"times"`` and ``times``
+        holds them. The history of a model with delays is not included.
     pairs : list of (int, int)
-        Places of a contact's positions and velocities in the state vector.
+        Places of the positions and velocities of contacts in the state vector.
     hindsight : Hindsight or None
-        How the model looked at each time of the run (:mod:`hybrid.delay.hindsight`); None in a run
-        that was loaded.
+        Evaluates the model at past times of the run, for internal use; None in a run that was
+        loaded.
     stats : Stats or None
-        Steps, and what they took; None in a run from a file that does not say.
+        Numbers of steps and evaluations, and the duration; None in an old file.
     versions : dict
-        Of this package, Python, and what computes; empty in a run from a file that does not say.
+        Versions of this package, Python and the libraries; empty in an old file.
     """
 
     def __add__(self, more: Trajectory) -> Trajectory:
@@ -111,34 +109,35 @@ class Trajectory(Solution):
         ax: Any = None,
         size: tuple[float, float] | None = None,
     ) -> Any:
-        """Draw the run: states over time, modes, phase portrait, gaps between impacts.
+        """Draw the run: states over time, modes, phase portrait, times between jumps.
 
         Parameters
         ----------
         names : sequence of str, optional
-            States and outputs to draw; all states, if omitted. A path in this place is ``path``.
+            States and outputs to draw; all states if omitted. ``run.plot("run.png")`` gives the
+            path instead.
         path : str or path, optional
-            Also write the figure there. ``.html``: a page that zooms and answers the pointer,
-            and needs no network (extra ``report``).
+            Also write the figure there. A name that ends in ``.html`` gives an interactive page
+            that needs no network (extra ``report``).
         panels : sequence of str, optional
-            Some of ``"time"``, ``"phase"`` (of the first two names), ``"gaps"`` and ``"modes"``;
-            all of them if omitted, ``"time"`` where names are given. What would be empty is left
+            Some of ``"time"``, ``"phase"`` (of the first two names), ``"gaps"`` and ``"modes"``.
+            All of them if omitted, but only ``"time"`` if names are given. Empty panels are left
             out.
         ax : matplotlib.axes.Axes, or several, optional
-            Draw there, a panel on each; nothing else of their figure is touched.
+            Draw on these axes, one for each panel; the rest of their figure is not touched.
         size : (width, height), optional
-            In inches.
+            Size of the figure in inches.
 
         Returns
         -------
         matplotlib.figure.Figure
-            With ``.html`` plotly's ``Figure``.
+            For ``.html`` a ``plotly`` figure.
 
         Raises
         ------
         OptionError
-            If matplotlib, or for a page plotly, is missing; if a name is that of no state or
-            output, or a panel is none of these; if there are more or fewer axes than panels.
+            If matplotlib (for a page, plotly) is missing; if a name, panel, size or path cannot be
+            used; if the number of axes is not that of the panels.
         """
         if isinstance(names, str | PathLike):
             names, path = None, names
@@ -164,24 +163,24 @@ class Trajectory(Solution):
         fps: int = 20,
         size: tuple[float, float] = (4.0, 4.0),
     ) -> None:
-        """Write a moving picture of a model that says what it looks like (:func:`hybrid.picture`).
+        """Write an animation of a model that has a :func:`hybrid.picture`.
 
         Parameters
         ----------
         path : str or path
             Ends in ``.gif``.
         seconds : float
-            How long it lasts, whatever the times of the run are.
+            Duration of the animation, independent of the times of the run.
         fps : int
-            Frames in a second.
+            Frames per second.
         size : (width, height)
-            In inches, of a hundred dots.
+            In inches, with 100 dots per inch.
 
         Raises
         ------
         OptionError
-            If matplotlib is missing; if the model does not say what it looks like, or the run keeps
-            no dense output.
+            If matplotlib is missing, the path cannot be used, the model has no
+            :func:`hybrid.picture`, or the run keeps no dense output.
         """
         need("run.animate", PLOT)
         from ..plot.moving import animate
@@ -193,17 +192,39 @@ class Trajectory(Solution):
         return f"<pre>{escape(repr(self))}</pre>\n{sketch(self)}"
 
     def to_xarray(self, t: Any = None) -> xarray.Dataset:
-        """The states as a dataset.
+        """The states and outputs over time as a dataset.
 
         Parameters
         ----------
         t : array, optional
-            Times; where omitted, those the run was asked to save, or 16 points an arc.
+            Times. If omitted, the times that the run was asked to save, or both ends of each arc
+            and 15 times in between.
+
+        Returns
+        -------
+        xarray.Dataset
+            Variables over the dimension ``time``, with units; parameters as attributes.
+
+        Raises
+        ------
+        OptionError
+            If xarray is missing, or a time is outside the run.
         """
         return files.to_xarray(self, t)
 
     def save(self, path: Any) -> None:
-        """Write the whole trajectory, dense output included, to a NetCDF file."""
+        """Write the whole trajectory, with its dense output, to a NetCDF file (``run.nc``).
+
+        :func:`hybrid.load` reads it. An existing file is replaced only when the new one is
+        complete.
+
+        Raises
+        ------
+        OptionError
+            If a package is missing, or the name is that of another format.
+        StoreError
+            If the file cannot be written.
+        """
         files.save(self, path)
 
 
@@ -212,18 +233,24 @@ def load(path: Any, model: Any = None) -> Trajectory:
 
     Parameters
     ----------
+    path : str or path
     model : type or Automaton, optional
-        The model of the run, whose methods work out its outputs: a file holds their names.
+        The model of the run, which is needed to compute its outputs and forces: the file holds only
+        the names of the outputs.
+
+    Returns
+    -------
+    Trajectory
 
     Raises
     ------
     StoreError
         If there is no such file, it was not written by this package, or it is damaged; if ``model``
-        has another name, other states or other parameters than the run.
+        has another name, other states or other parameters than the model of the run.
 
     Notes
     -----
-    The file is read by HDF5, some versions of which crash on a file that was made to do so: load
-    files of strangers in a process that may end.
+    The file is read by HDF5, some versions of which can be crashed by a malicious file: load files
+    that you do not trust in a separate process.
     """
     return files.read(path, Trajectory, model)

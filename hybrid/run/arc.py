@@ -21,6 +21,7 @@ from ..rules.guards import TIE, TIED_IN_STEP, in_unit, shallow
 from ..rules.zeros import EPS
 from ..segment import Segment
 from ..solvers import Solver, Stepper
+from ..solvers.base import NO_FLOW_HERE
 from ..trajectory.clock import Instant
 from ..trajectory.plan import Plan
 from ..zeno.flight import falls
@@ -244,7 +245,7 @@ class ArcFlow:
 
     def _begin(self, length: float, target: float | None) -> Stepper:
         if not all(map(isfinite, self.field.rhs(self.now.t, self.x.tolist()))):
-            raise FlowError(f"{self._where()}: the flow is not finite")
+            raise FlowError(f"{self._where()}: {NO_FLOW_HERE}")
         first, sizes = self.first_step(length), None
         if target is not None:
             powers = target ** np.arange(1, ORDER + 1)

@@ -28,6 +28,17 @@ if TYPE_CHECKING:
 #: leaves zero: it is a difference of numbers that may move at very different rates.
 MOVES = 27
 
+#: What there is to do about a start, or a jump, outside a domain: of a contact or not, starting.
+OUTSIDE_REMEDIES = {
+    (False, True): (
+        "start inside, or in another mode (mode=), or turn the guard's sign or crossing=, "
+        "or declare the edge with urgent=True"
+    ),
+    (False, False): "mend the reset, or the guard's sign, or declare the edge with urgent=True",
+    (True, True): "start where the gap is positive",
+    (True, False): "let the reset lead to where the gap is positive",
+}
+
 #: The remedy for a start on a guard where no derivative decides.
 STARTS_OFF = "; start off the guard"
 
@@ -485,7 +496,8 @@ class _Here:
             raise kind(
                 f"{self.where()}: cannot rest here, the contact would have to pull ({value:.6g})"
             )
+        remedy = "" if other else f"; {OUTSIDE_REMEDIES[guard.kind == 'contact', starting]}"
         raise kind(
             f"{self.where()}: the run {what} outside the mode's domain: the guard of "
-            f"{guard.edge} is {value:.6g} and must be {side}{other}"
+            f"{guard.edge} is {value:.6g} and must be {side}{other}{remedy}"
         )

@@ -14,7 +14,7 @@ import numpy as np
 from ..automaton.chance import STREAM, has_stream, stream
 from ..automaton.discrete import misfit
 from ..automaton.markers import name_of
-from ..automaton.reals import real, reals
+from ..automaton.reals import real, reals, short
 from ..automaton.record import Record
 from ..automaton.spec import Spec
 from ..delay.history import pieces
@@ -79,12 +79,12 @@ class Asked:
             If one of them cannot be used.
         """
         rtol, atol = self._allowed
-        t0, t1 = _times(t)
+        t0, t1 = times_of(t)
         if self.zeno not in ZENO:
             raise OptionError(f"zeno={self.zeno!r}: one of {', '.join(map(repr, ZENO))}")
         for name, count in (("max_jumps", self.max_jumps), ("max_steps", self.max_steps)):
-            if count is not None and not _is_count(count):
-                raise OptionError(f"{name}={count!r}: a whole number greater than 0, or None")
+            if count is not None:
+                require_count(name, count, 1, ", or None")
         if self.progress is not None and not callable(self.progress):
             raise OptionError(f"progress={self.progress!r}: a function of the time, or None")
         dense, samples = _saving(self.save, t0, t1)
@@ -149,8 +149,8 @@ def mode_of(scene: Scene, mode: Any) -> str:
     return begins
 
 
-def start_of(spec: Spec, start: Any, seed: int = 0) -> Numbers:
-    """The state at the start; a run is lane 0.
+def start_of(spec: Spec, start: Any, seed: int = 0, what: str = "start") -> Numbers:
+    """The state at the start, or at ``what`` it is called; a run is lane 0.
 
     Raises
     ------
@@ -158,26 +158,25 @@ def start_of(spec: Spec, start: Any, seed: int = 0) -> Numbers:
         If it is none.
     """
     x: list[float] = []
-    for state, value in zip(spec.states, values_of(spec, start, seed), strict=True):
+    for state, value in zip(spec.states, values_of(spec, start, seed, what), strict=True):
+        given = f"{spec.model}: {what} {state.name}"
         try:
             array = reals(value)
         except ValueError:
-            raise StartError(f"{spec.model}: start {state.name} = {value!r} is no number") from None
+            raise StartError(f"{given} = {short(value)} is no number") from None
         if array.shape != state.shape:
-            raise StartError(
-                f"{spec.model}: start {state.name} has shape {array.shape}; {state.shape} is due"
-            )
+            raise StartError(f"{given} has shape {array.shape}; {state.shape} is due")
         wrong = misfit(state.kind, array)
         if wrong:
-            raise StartError(f"{spec.model}: start {state.name} = {value!r} {wrong}")
+            raise StartError(f"{given} = {short(value)} {wrong}")
         numbers = array.ravel().tolist()
         if not all(map(isfinite, numbers)):
-            raise StartError(f"{spec.model}: start {state.name} = {value!r} is not finite")
+            raise StartError(f"{given} = {short(value)} is not finite")
         x += numbers
     return np.array(x)
 
 
-def values_of(spec: Spec, start: Any, seed: int = 0) -> Any:
+def values_of(spec: Spec, start: Any, seed: int = 0, what: str = "start") -> Any:
     """What is given for each state, in declared order."""
     own, number = has_stream(start), None
     if seed != 0 and (own or not spec.chances):
@@ -194,7 +193,7 @@ def values_of(spec: Spec, start: Any, seed: int = 0) -> Any:
             raise ValueError("give the states by name, or in order")
         values = spec.values(start)
     except ValueError as fault:
-        raise StartError(f"{spec.model}: start={start!r}: {fault}") from None
+        raise StartError(f"{spec.model}: {what}={short(start)}: {fault}") from None
     if number is not None:
         values[spec.names.index(STREAM)] = number
     return values
@@ -216,16 +215,50 @@ def _longest(name: str, value: Any, t0: float, t1: float) -> float:
     return length
 
 
-def _is_count(value: Any) -> bool:
+def require_count(name: str, value: Any, least: int, otherwise: str = "") -> None:
+    """Refuse what is no whole number, or less than the least.
+
+    Raises
+    ------
+    OptionError
+    """
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    return whole and bool(value > 0)
+    if not (whole and value >= least):
+        raise OptionError(f"{name}={short(value)}: a whole number, {least} or more{otherwise}")
 
 
-def _times(t: Any) -> tuple[float, float]:
+def time_of(name: str, value: Any, least: float = -np.inf) -> float:
+    """A finite time that is greater than the least.
+
+    Raises
+    ------
+    OptionError
+        If it is none.
+    """
+    try:
+        time = real(value)
+    except ValueError:
+        time = np.nan
+    if not (isfinite(time) and time > least):
+        more = f" greater than {least:g}" if isfinite(least) else ""
+        raise OptionError(f"{name}={short(value)}: a finite time{more}")
+    return time
+
+
+def times_of(t: Any) -> tuple[float, float]:
+    """First and last time of a run.
+
+    Raises
+    ------
+    OptionError
+        If they are no times, or not in this order.
+    """
     try:
         t0, t1 = (real(v) for v in t)
     except (TypeError, ValueError):
-        raise OptionError(f"t={t!r}: give (first, last) time") from None
+        raise OptionError(
+            f"t={short(t)}: give (first, last) time; times at which states are wanted go to save="
+        ) from None
     if not (isfinite(t0) and isfinite(t1) and t1 > t0):
         raise OptionError(f"t={t!r}: two finite times, the first before the last")
     return t0, t1
@@ -237,12 +270,14 @@ def _saving(save: Any, t0: float, t1: float) -> tuple[bool, np.ndarray | None]:
             raise OptionError(f"save={save!r}: 'dense', 'jumps' or an array of times")
         return save == "dense", None
     try:
+        if isinstance(save, bool):
+            raise ValueError("a flag")
         times = np.atleast_1d(reals(save))
     except ValueError:
-        raise OptionError(f"save={save!r}: 'dense', 'jumps' or an array of times") from None
+        raise OptionError(f"save={short(save)}: 'dense', 'jumps' or an array of times") from None
     ordered = times.ndim == 1 and np.all(np.diff(times) > 0)
     if not ordered or not times.size or not (times[0] >= t0 and times[-1] <= t1):
-        raise OptionError(f"save: increasing times within t = ({t0}, {t1})")
+        raise OptionError(f"save={short(save)}: increasing times within t = ({t0}, {t1})")
     return False, times
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import attrs
 
 from ..automaton.markers import RISING, Crossing
+from ..automaton.refusals import reason
 from ..automaton.trace import caller, scalar, trace
 from ..errors import OptionError
 from ..events import fires, zeros
@@ -110,7 +111,7 @@ def section_of(model: Any, scene: Scene, section: Any, crossing: Crossing = RISI
             )
         return EdgeSection(section)
     if callable(section) and len(inspect.signature(section).parameters) == 1:
-        section = section(model)
+        section = _period_of(model, scene, section)
     if callable(section):
         return _surface(model, scene, section, crossing)
     try:
@@ -123,6 +124,17 @@ def section_of(model: Any, scene: Scene, section: Any, crossing: Crossing = RISI
             "(self, t, s), a period greater than 0, or a function (self) that gives one"
         )
     return Period(period)
+
+
+def _period_of(model: Any, scene: Scene, function: Callable[..., Any]) -> Any:
+    """What a function of the model alone gives."""
+    try:
+        return function(model)
+    except Exception as fault:  # whatever the caller's function raises
+        raise OptionError(
+            f"{scene.spec.model}: section: a function of one argument gets the model, and gives a "
+            f"period; a surface is a function (self, t, s): {type(fault).__name__}: {fault}"
+        ) from None
 
 
 def _jumps(scene: Scene) -> list[str]:
@@ -139,8 +151,7 @@ def _surface(model: Any, scene: Scene, function: Callable[..., Any], crossing: C
     try:
         closed = code.once(("section", function), lambda: trace(spec, call, 0, code.shapes))
     except Exception as fault:  # whatever the caller's function raises
-        reason = str(fault).split("\n")[0]
-        raise OptionError(f"{spec.model}: section {function!r}: {reason}") from fault
+        raise OptionError(f"{spec.model}: section, a surface: {reason(fault)}") from fault
     graph, numbers = code.mode(spec.initial), scene.numbers(spec.initial, ())
 
     def bound(what: str, made: int) -> Scalar:

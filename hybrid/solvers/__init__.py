@@ -25,7 +25,7 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from ..errors import OptionError
-from .base import Solver, Stepper
+from .base import Solver, Stepper, owner_of
 
 #: What makes a solver from a method and its tolerances: its class, as a rule.
 Maker = Callable[..., Solver]
@@ -73,7 +73,11 @@ def maker(solver: str) -> Maker:
         return SOLVERS[solver]()
     plugged = {point.name: point for point in entry_points(group=GROUP)}
     if not isinstance(solver, str) or solver not in plugged:
-        raise OptionError(f"solver={solver!r}: there are {', '.join([*SOLVERS, *plugged])}")
+        owner = owner_of(solver)
+        known, said = ", ".join([*SOLVERS, *plugged]), ""
+        if owner is not None:
+            said = f"; {solver} is a method: solver={owner!r}, method={solver!r}"
+        raise OptionError(f"solver={solver!r}: there are {known}{said}")
     made: Maker = plugged[solver].load()
     return made
 

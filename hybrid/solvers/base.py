@@ -40,11 +40,27 @@ if TYPE_CHECKING:
 FINEST = 2.3e-14
 
 
+#: What is said of a flow that has no value where the run leads.
+NO_FLOW_HERE = (
+    "the flow is not finite; declare an edge that leaves the mode before, or give the flow a value "
+    "beyond (jnp.sqrt(jnp.maximum(s.x, 0.0)))"
+)
+
 #: What is said where steps get stuck at a jump of the flow.
 LEADS_BACK = (
     "where a flow that jumps (sign, where) leads back to the jump from both sides, declare "
     "hy.switching"
 )
+
+
+#: The methods of the solvers that have several.
+METHOD_NAMES = {
+    "scipy": ("DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA"),
+    "diffrax": (
+        *("Dopri8", "Tsit5", "Dopri5", "Bosh3", "Heun", "Midpoint", "Ralston"),
+        *("Kvaerno3", "Kvaerno4", "Kvaerno5"),
+    ),
+}
 
 
 def method_of(solver: str, method: str | None, known: Iterable[str]) -> str:
@@ -57,8 +73,23 @@ def method_of(solver: str, method: str | None, known: Iterable[str]) -> str:
     """
     names = list(known)
     if method is not None and method not in names:
-        raise OptionError(f"method={method!r}: solver {solver!r} has {', '.join(names)}")
+        owner, said = owner_of(method), ""
+        if method == "taylor":
+            said = "; write solver='taylor'"
+        elif owner is not None:
+            said = f"; {method} is one of solver={owner!r}"
+        raise OptionError(f"method={method!r}: solver {solver!r} has {', '.join(names)}{said}")
     return method or names[0]
+
+
+def owner_of(method: Any) -> str | None:
+    """The solver that has a method of that name."""
+    owners = (owner for owner, names in METHOD_NAMES.items() if method in names)
+    return next(owners, None) if isinstance(method, str) else None
+
+
+#: What stands for ``atol=0``: a state that is 0 has no relative error, and methods divide by it.
+LEAST_ATOL = float(np.finfo(float).tiny)
 
 
 def tolerances(rtol: Any, atol: Any, dimension: int, own: float) -> tuple[float, np.ndarray]:
@@ -87,7 +118,7 @@ def tolerances(rtol: Any, atol: Any, dimension: int, own: float) -> tuple[float,
         raise OptionError(
             f"atol={atol!r}: a number, or one for each of the {dimension} elements of the state"
         )
-    return relative, absolute
+    return relative, np.maximum(absolute, LEAST_ATOL)
 
 
 class Stepper(abc.ABC):

@@ -18,7 +18,7 @@ from ..automaton.trace import wide
 from ..errors import FlowError, OptionError
 from ..lowering import Field
 from ..segment import Segment, from_values, integrals, interpolated, nodes, to_powers
-from .base import FINEST, Solver, Stepper, method_of
+from .base import FINEST, NO_FLOW_HERE, Solver, Stepper, method_of
 from .diffrax_program import (
     AHEAD,
     ASKED_LENGTH,
@@ -323,5 +323,5 @@ class DiffraxStepper(Stepper):
     def _reason(self, tau: float, x: StateVector) -> str:
         """Why there is no step from a state."""
         if not np.all(np.isfinite(self.field.rhs(self.t0 + tau, x.tolist()))):
-            return "the flow is not finite"
+            return NO_FLOW_HERE
         return "the solver gave up: the step became too small, or the flow is not finite"

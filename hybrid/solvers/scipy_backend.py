@@ -21,7 +21,7 @@ from scipy.integrate import BDF, DOP853, LSODA, RK23, RK45, OdeSolver, Radau
 from ..errors import FlowError, OptionError
 from ..lowering import Field
 from ..segment import Segment, from_powers, interpolated, nodes
-from .base import FINEST, Solver, Stepper, method_of
+from .base import FINEST, NO_FLOW_HERE, Solver, Stepper, method_of
 from .pairs import PairTables, lower
 
 if TYPE_CHECKING:
@@ -234,10 +234,10 @@ class _OdeStepper(Stepper):
         solver = self.solver
         rate = np.asarray(solver.fun(solver.t, solver.y))
         if not np.all(np.isfinite(rate)) or not np.all(np.isfinite(solver.y)):
-            return "the flow is not finite"
+            return NO_FLOW_HERE
         probe = np.asarray(solver.fun(solver.t + 1e-9, solver.y + 1e-9 * rate))
         if not np.all(np.isfinite(probe)):
-            return "the flow is not finite"
+            return NO_FLOW_HERE
         return f"the solver gave up: {message}"
 
 

@@ -18,6 +18,7 @@ from ..rules import unit
 from ..rules.kinks import NO_SERIES, NOT_FINITE
 from ..rules.steps import NO_STEP
 from ..segment import Segment, from_powers, terms
+from . import base
 from .base import LEADS_BACK, Solver, Stepper
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 #: What is said where there is no step.
 REFUSED = {
     NO_SERIES: "the flow is not finite, or has no Taylor series",
-    NOT_FINITE: "the flow is not finite",
+    NOT_FINITE: base.NO_FLOW_HERE,
     NO_STEP: f"the Taylor series does not converge: the step became zero; {LEADS_BACK}",
 }
 

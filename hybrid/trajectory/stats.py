@@ -14,25 +14,24 @@ USED = ("numpy", "scipy", "jax", "diffrax", "numba", "python-flint")
 
 @attrs.frozen
 class Stats:
-    """What a run has cost.
+    """The cost of a run.
 
-    Steps are the solver's. Flights that are lower than rounding, and series of impacts that are
-    summed, have none; the runs that measure errors, which are made when these are asked for, are
-    not counted.
+    Flights below rounding and summed series of impacts take no steps. The further runs by which
+    errors are measured, on demand, are not counted.
 
     Attributes
     ----------
     steps : int
-        Steps that were accepted, those of arcs among them that delays let be flown again.
+        Accepted steps, including those of arcs that are repeated because of delays.
     rejected : int or None
-        Attempts at a step that were made again, shorter: they lost more than the tolerances allow.
-        None where it cannot be known: SciPy's Radau, BDF and LSODA do not tell, nor do arcs that
-        run as one compiled program with ``solver="diffrax"``, nor solvers that are plugged in and
-        do not count. 0 with Taylor series, whose length is known before a step is made.
+        Steps that exceeded the tolerances and were repeated with a shorter length. None if it is
+        not known: for SciPy's Radau, BDF and LSODA, for arcs that run as one compiled program with
+        ``solver="diffrax"``, and for plug-ins that do not count. 0 with Taylor series, which know
+        the length of a step before making it.
     evaluations : int or None
-        Evaluations of the flow, for Jacobian matrices by differences too; with Taylor series
-        expansions of it, one for each step that is tried. None where it cannot be known:
-        ``solver="diffrax"``, and solvers that are plugged in and do not count.
+        Evaluations of the flow, including those for Jacobian matrices by differences; with Taylor
+        series its expansions, one for each step. None if it is not known: for
+        ``solver="diffrax"``, and for plug-ins that do not count.
     seconds : float
         Wall time in :func:`hybrid.simulate`, compilation included, in seconds.
     """

@@ -17,6 +17,7 @@ import attrs
 import numpy as np
 
 from ..automaton.outputs import observed
+from ..automaton.reals import reals, short
 from ..automaton.record import Record
 from ..automaton.spec import Spec
 from ..errors import FRAMES, OptionError, need
@@ -86,11 +87,17 @@ class Jumps(Sequence[Jump]):
         return len(self.t)
 
     def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, str):
+            raise OptionError(
+                f"jumps[{index!r}]: columns are attributes, jumps.t, jumps.edge, jumps.before.x; "
+                "jumps[0] is the first jump"
+            )
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
-        t, _, edge, before, after = (column[index] for column in self.table)
+        place = _place(index, len(self), "jump")
+        t, _, edge, before, after = (column[place] for column in self.table)
         sides = (self._observed(t, x) for x in (before, after))
-        return Jump(float(t), range(len(self))[index], edge, *sides)
+        return Jump(float(t), place, edge, *sides)
 
     @property
     def t(self) -> Numbers:
@@ -166,10 +173,31 @@ class Jumps(Sequence[Jump]):
         return pd.DataFrame(self.columns)
 
     def __repr__(self) -> str:
-        head = [f"{len(self)} jumps"] + [
+        head = [counted(len(self), "jump")] + [
             f"  {jump.t:.12g}  {jump.edge}  {jump.before} -> {jump.after}" for jump in self[:10]
         ]
         return "\n".join(head + ["  ..."] * (len(self) > 10))
+
+
+class Accumulations(list[Accumulation]):
+    """The accumulations of a run, in order."""
+
+    def __getitem__(self, index: Any) -> Any:
+        found = index if isinstance(index, slice) else _place(index, len(self), "accumulation")
+        return super().__getitem__(found)
+
+
+def _place(index: Any, count: int, what: str) -> int:
+    """The place of one of so many things.
+
+    Raises
+    ------
+    IndexError
+    """
+    try:
+        return range(count)[index]
+    except IndexError:
+        raise IndexError(f"{what} {index}: the run has {counted(count, what)}") from None
 
 
 @attrs.define(eq=False)
@@ -182,7 +210,7 @@ class Solution:
     spec: Spec
     parameters: dict[str, Any]
     log: Log
-    zeno: list[Accumulation]
+    zeno: list[Accumulation] = attrs.field(converter=Accumulations)
     grazings: list[Jump]
     status: Status
     options: dict[str, Any]
@@ -263,11 +291,28 @@ class Solution:
         OptionError
             Outside the run, or where no dense output was kept.
         """
-        return self.observed(np.asarray(t, dtype=float), self.states(t, j, side=side))
+        times = _times(t)
+        return self.observed(times, self.states(times, j, side=side))
+
+    def __getattr__(self, name: str) -> Any:
+        """Say where what is asked for is, as nothing here has that name."""
+        spec = None if name.startswith("_") else self.spec
+        own = () if spec is None else (*spec.names, *(output.name for output in spec.outputs))
+        if name in own:
+            raise AttributeError(
+                f"a run has no {name!r} of its own: run(t).{name} at a time or an array of times, "
+                f"run.final.{name} at the end, run.jumps.after.{name} behind each jump"
+            )
+        if name in ("t", "y", "x", "sol", "t_events", "y_events"):
+            raise AttributeError(
+                f"a run has no {name!r}: run(t) has the states at a time or an array of times, "
+                "run.jumps.t the times of the jumps, run.t0 and run.t1 the ends"
+            )
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def states(self, t: Any, j: int | None = None, *, side: str = "right") -> np.ndarray:
         """The same as vectors: an axis of coordinates behind those of ``t``."""
-        times = np.asarray(t, dtype=float)
+        times = _times(t)
         if side not in ("right", "left"):
             raise OptionError(f"side={side!r}: 'right' or 'left'")
         bad = times[(times < self.t0) | (times > self.t1) | np.isnan(times)]
@@ -408,7 +453,8 @@ class Solution:
             Their verdicts and the bounds on them are looked for.
         """
         lines = [
-            f"{self.spec.model}, t = {self.t0:g} to {self.t1:g}: {len(self.jumps)} jumps listed."
+            f"{self.spec.model}, t = {self.t0:g} to {self.t1:g}: "
+            f"{counted(len(self.jumps), 'jump')} listed."
         ]
         lines += _few(self.zeno, explain, len(self.zeno) if whole else EXPLAINED)
         if self.status is Status.MAX_JUMPS:
@@ -424,9 +470,28 @@ class Solution:
         return f"The run ended at the edge {self.jumps[-1].edge}, which leads to hy.TERMINATE."
 
     def __repr__(self) -> str:
-        head = f"{self.spec.model}: {self.t0:g} <= t <= {self.t1:g}, {len(self.jumps)} jumps listed"
+        jumps = counted(len(self.jumps), "jump")
+        head = f"{self.spec.model}: {self.t0:g} <= t <= {self.t1:g}, {jumps} listed"
         zeno = _few(self.zeno, lambda point: f"accumulation at t = {point.t!r}", LISTED)
         return "\n  ".join([head, *zeno, self.ending])
+
+
+def counted(count: int, what: str) -> str:
+    """How many there are of a thing."""
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
+def _times(t: Any) -> np.ndarray:
+    """Times as an array.
+
+    Raises
+    ------
+    OptionError
+    """
+    try:
+        return reals(t)
+    except ValueError:
+        raise OptionError(f"t={short(t)}: a time, or an array of times") from None
 
 
 def _few(
