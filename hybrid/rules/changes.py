@@ -32,23 +32,22 @@ from .places import (
     AT,
     AT_LIMIT,
     AT_REST,
+    CLOCKS_END,
+    CONSTRAINED,
     CURVE_DEGREE,
     CURVE_ROWS,
     FIELD,
     FIELD_PROGRAM,
     GUARDS,
-    GUARDS_END,
     JUMPS_BEFORE,
     KIND,
     LAST_SPEED,
     LAST_TIME,
-    ONTO_GAPS,
+    LEAVE,
     RATIO,
     RELEASE,
     REMAINING,
-    REST,
     TAU,
-    TO,
     UNKNOWN,
 )
 from .slopes import onto_contacts, product, rates, reset
@@ -170,11 +169,10 @@ def along(
         for k in range(found.shape[1]):
             found[i, k] = math.nan
     for j in range(jumps + int(ends)):
+        field = flown_in(a, now, left, j, jumps)
         own = s.of_fields[field]
         if own < 0:
             return OF_FIELD if own == UNKNOWN else LEFT_TO_PYTHON, field
-        if not followed(a, now, left, field, j, jumps):
-            return LEFT_TO_PYTHON, field
         row, length = s.fields[own], now.floats[TAU] if j == jumps else left.when[j, 2]
         if j == 0:
             begun(s, row, t, x, room)
@@ -187,27 +185,21 @@ def along(
         own = s.of_guards[guard]
         if own < 0:
             return OF_GUARD if own == UNKNOWN else LEFT_TO_PYTHON, guard
-        to = field if sums_up else a.guards[guard, TO]
+        to = field if sums_up else flown_in(a, now, left, j + 1, jumps)
         if s.of_fields[to] < 0:
             return OF_FIELD if s.of_fields[to] == UNKNOWN else LEFT_TO_PYTHON, to
-        later = s.fields[s.of_fields[to]]
-        t, x = left.when[j, 0], left.after[j]
-        first, smooth = 3 + 2 * n + j * (1 + 2 * n), a.guards[guard, KIND] == RELEASE
+        later, smooth = s.fields[s.of_fields[to]], a.guards[guard, KIND] in (RELEASE, LEAVE)
+        t, x, first = left.when[j, 0], left.after[j], 3 + 2 * n + j * (1 + 2 * n)
         if not jumped(
             s, s.guards[own], row, later, t, left.before[j], x, smooth, first, room, found
         ):
             return LEFT_TO_PYTHON, guard
         if sums_up:
-            flow, column = a.fields[field, FIELD_PROGRAM], guard - a.fields[field, GUARDS]
-            if not accumulated(
-                a, flow, a.guards[guard, AT], column, s, own, t, x, left, tail, sums, room, found
-            ):
+            if not accumulated(a, field, guard, s, own, t, x, left, tail, sums, room, found):
                 return LEFT_TO_PYTHON, guard
             t, _ = after(t, left.when[j, 1], left.sums[tail, REMAINING])
-            field, x = a.guards[guard, REST], left.curves[tail * CURVE_ROWS + AT_REST, :n]
+            x = left.curves[tail * CURVE_ROWS + AT_REST, :n]
             tail += 1
-        else:
-            field = to
     if not ends:  # at the last jump
         put(room.moved, 0, found, 0)
         for i in range(n):
@@ -215,17 +207,15 @@ def along(
     return KNOWN, 0
 
 
-def followed(a: AutomatonArrays, now: Now, left: Left, field: int, arc: int, jumps: int) -> bool:
-    """Whether an arc was flown in a field, and ends as changes are carried: where contacts are held
-    that is by a release of the only one, or with the run."""
-    if arc == jumps:
-        return now.ints[FIELD] == field
-    guard = left.fired[arc]
-    own = a.fields[field, GUARDS] <= guard < a.fields[field, GUARDS_END]
-    if not own or a.fields[field, ONTO_GAPS] < 0:
-        return own
-    to = a.guards[guard, TO]
-    return a.guards[guard, KIND] == RELEASE and a.fields[to, ONTO_GAPS] < 0
+def flown_in(a: AutomatonArrays, now: Now, left: Left, arc: int, jumps: int) -> int:
+    """The field of an arc: that in which the guard is watched that has ended it, or that in which
+    the run has come to its end."""
+    field = now.ints[FIELD]
+    if arc < jumps:
+        field, guard = 0, left.fired[arc]
+        while not a.fields[field, GUARDS] <= guard < a.fields[field, CLOCKS_END]:
+            field += 1
+    return field
 
 
 def put(change: Matrix, row: int, found: Matrix, place: int) -> None:
@@ -253,8 +243,7 @@ def carries(s: Slopes, row: Ints, t: float, x: Floats, length: float, room: Chan
     columns, begins = 1 + arc.shape[1], room.lines[ARC_START, :n]
     for k in range(state.shape[1]):
         state[0, k] = 0.0
-    onto, held = row[ONTO], row[HELD_COUNT]
-    if onto >= 0 and not onto_contacts(s, onto, held, t, x, 0, columns, state, room):
+    if not projected(s, row, t, x, columns, state, moved, room):
         return False
     for i in range(n):
         begins[i] = x[i]
@@ -265,6 +254,30 @@ def carries(s: Slopes, row: Ints, t: float, x: Floats, length: float, room: Chan
     for i in range(n):
         for k in range(state.shape[1]):
             state[1 + i, k] = moved[1 + i, k]
+    return True
+
+
+def projected(
+    s: Slopes,
+    row: Ints,
+    t: float,
+    x: Floats,
+    columns: int,
+    state: Matrix,
+    moved: Matrix,
+    room: Changes,
+) -> bool:
+    """Project a change at equal times onto the contacts held in a field, or onto the surface on
+    which it slides."""
+    onto, held = row[ONTO], row[HELD_COUNT]
+    if onto < 0:
+        return True
+    if held > 0:
+        return onto_contacts(s, onto, held, t, x, 0, columns, state, room)
+    reset(s, onto, t, x, 0, columns, state, moved, room)
+    for i in range(1, 1 + x.shape[0]):
+        for k in range(state.shape[1]):
+            state[i, k] = moved[i, k]
     return True
 
 
@@ -335,9 +348,8 @@ def jumped(
 
 def accumulated(
     a: AutomatonArrays,
-    flow: int,
-    at: int,
-    column: int,
+    field: int,
+    guard: int,
     s: Slopes,
     contact: int,
     t: float,
@@ -350,11 +362,14 @@ def accumulated(
 ) -> bool:
     """Carry a change through a sum of impacts."""
     n, row, first = x.shape[0], left.sums[tail], tail * CURVE_ROWS
+    flow, at = a.fields[field, FIELD_PROGRAM], a.guards[guard, AT]
+    column = guard - a.fields[field, GUARDS]
+    held = a.fields[field, CONSTRAINED] == 1
     curve = left.curves[first : first + int(row[CURVE_DEGREE]) + 1]
     x_inf, out, state, moved = left.curves[first + AT_LIMIT, :n], room.out, room.state, room.moved
     none = room.maps[:0]
     usable = limit(
-        a.programs, flow, at, column, False, s, contact, t, x, row[LAST_SPEED], row[RATIO],
+        a.programs, flow, at, column, held, s, contact, t, x, row[LAST_SPEED], row[RATIO],
         row[REMAINING], curve, x_inf, none, sums, room, out,
     )  # fmt: skip
     if not usable <= USABLE:

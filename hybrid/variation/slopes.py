@@ -21,7 +21,7 @@ from .series import POINTS, room_for
 HOT_RUNS = 1000
 
 #: Kinds of guards whose jumps the rules carry changes through.
-CARRIED = (Kind.EDGE, Kind.CONTACT, Kind.RELEASE)
+CARRIED = (Kind.EDGE, Kind.CONTACT, Kind.RELEASE, Kind.SWITCH, Kind.LEAVE, Kind.CLOCK)
 
 
 class SlopeTables:
@@ -122,7 +122,11 @@ class SlopeTables:
         return [self._program(series.jets), first, self._count]
 
     def _onto(self, field: Field) -> list[int]:
-        """The program of the projection onto contacts held, and how many are."""
+        """The program of the projection onto contacts held, and how many are; or of that onto the
+        surface on which the field slides."""
+        slides = self.of.scene.spec.sliding(field.mode)
+        if slides is not None:
+            return [self._values(self.of.of_surface(field.mode, slides.name)), 0]
         return [self._values(self.of.of_contacts(field)) if field.held else NONE, len(field.held)]
 
     def _values(self, rows: Rows) -> int:
