@@ -199,6 +199,28 @@ class Heavy(hy.Automaton):
     )
 
 
+class Sampled(hy.Automaton):
+    """A cart on a rail, driven by what a controller has seen last, that strikes a wall."""
+
+    x = hy.state()
+    v = hy.state()
+    u: float = hy.discrete(0.0)
+    period = hy.parameter(0.31)
+    gain = hy.parameter(1.5)
+    wall = hy.parameter(0.8)
+    r = hy.parameter(0.6)
+
+    @hy.mode(initial=True)
+    def drive(self, t, s):
+        return s.v, s.u - 0.2 * s.v
+
+    @hy.edge(drive, to=drive, every="period")
+    def look(self, t, s):
+        return s.replace(u=-self.gain * s.x - 0.5 * s.v)
+
+    hit = hy.contact(drive, gap=lambda self, t, s: s.x + self.wall, restitution="r")
+
+
 class Delayed(hy.Automaton):
     """Two lags, a history that need not lead to the start, and kicks that come back."""
 
@@ -347,6 +369,11 @@ SCENES = {
     "rubbed": (Rubbed, {"r": (0.4, 0.7), "c": (1.0, 3.0), "v": (0.3, 1.0)}, (0.0, 2.0)),
     "corner": (Corner, {"r": (0.3, 0.5), "y": (0.5, 0.7), "lean": (0.1, 0.4)}, (0.0, 2.0)),
     "heavy": (Heavy, {"r": (0.4, 0.7), "p": (0.1, 0.3), "q": (0.4, 0.6)}, (0.0, 1.5)),
+    "sampled": (
+        Sampled,
+        {"period": (0.29, 0.34), "gain": (1.0, 2.0), "wall": (0.2, 0.5), "x": (0.6, 1.0)},
+        (0.0, 4.0),
+    ),
     "delayed": (
         Delayed,
         {"k": (0.5, 1.5), "tau": (0.4, 0.9), "y": (0.5, 1.0)},
@@ -450,6 +477,22 @@ def compared(name, seed):
         if far[place] > off:
             off, worst = float(far[place]), f"number {place} by number {column}"
     return Compared(worst, off, judged, left, none)
+
+
+def carried(name, seed):
+    """Whether machine code alone carries the derivatives of a scene's run, and how far they are
+    from those that are carried along the run's record, against their size."""
+    model, row = drawn(name, seed)
+    options = dict(*SCENES[name][3:])
+    runs = runs_of(model, OUTPUTS, max_jumps=24, max_steps=4096, **options)
+    gradients = Gradients(runs)
+    together = gradients.together(row[None])
+    alone = together is not None and any(len(flown.lanes) for flown, _ in together.changes())
+    (*_, slopes), (*_, others) = gradients(row), runs.slopes(row)
+    known = np.isfinite(others)
+    assert np.array_equal(known, np.isfinite(slopes))
+    size = 1.0 + np.abs(others[known])
+    return alone, float(np.max(np.abs(slopes[known] - others[known]) / size, initial=0.0))
 
 
 def differences(runs, row, column, step, ints):

@@ -171,6 +171,17 @@ def test_derivatives_against_differences(name, seed):
     assert found.judged > 50, found
 
 
+@pytest.mark.parametrize(
+    "name", ["relay", "belt", "pool", "corner", "rubbed", "sampled", "table", "heavy"]
+)
+def test_machine_code_carries_derivatives_as_the_walk_does(name):
+    """Through switchings and sliding, jumps beside contacts held and at one instant, forces that
+    turn, clocks, sums and rests: without Python, and the same numbers."""
+    alone, apart = gradients.carried(name, 0)
+    assert alone
+    assert apart < 1e-9  # both resolve limits to 1e-11 of their size
+
+
 def test_reverse_mode_is_forward_mode():
     """Through impacts, a sum, rest and a release: the same matrix, read the other way."""
     table = hy.as_function(BeadOnTable(), t=(0.0, 3.0), max_jumps=32)
