@@ -14,6 +14,7 @@ from .guards import row_of, so_far
 from .hops import drowns
 from .jets import OUTPUT, afresh
 from .places import (
+    AHEAD,
     AT,
     BEGINS,
     CLOCK,
@@ -74,7 +75,7 @@ from .ties import remembered
 __all__ = ("advance",)
 
 
-def advance(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
+def advance(a: AutomatonArrays, run: Floats, now: Now, room: Room, short: Room, left: Left) -> int:
     """Go on from ``now``; returns what the driver is asked for (see :mod:`.places`)."""
     status = LANDED
     while status == LANDED:
@@ -83,7 +84,7 @@ def advance(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -
                 return FULL
             if now.ints[LOW_AHEAD] > 0:
                 return HOPS
-            status = arc(a, run, now, room, left)
+            status = arc(a, run, now, room, short, left)
         if status == LANDED:
             status = jump(a, run, now, room, left)
     return status
@@ -250,6 +251,7 @@ def impact(
     if afresh(a.programs, flow, 2, t, behind, room.still, room.aside, room.work) < 0:
         return JUMP, HARD
     force = 2.0 * room.aside[row_of(a, flow, field, guard), 2]
+    now.floats[AHEAD] = -2.0 * speed / force if force < 0.0 else 0.0
     if not drowns(speed, force, so_far(now, behind)):
         return LANDED, field
     if a.guards[guard, AT] < UNKNOWN:
@@ -298,7 +300,7 @@ def watch(a: AutomatonArrays, now: Now, guard: int, kind: int) -> None:
     """Count the impacts of a series: of one contact, with no other jump between."""
     own = a.guards[guard, OWN]
     if kind != CONTACT:
-        now.ints[SERIES] = -1
+        now.ints[SERIES], now.floats[AHEAD] = -1, 0.0
     elif own == now.ints[SERIES]:
         now.ints[IMPACT_COUNT] += 1
     else:

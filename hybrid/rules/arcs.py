@@ -31,8 +31,9 @@ from .guards import (
 )
 from .jets import afresh, jets
 from .kinks import turn
-from .lengths import falls
+from .lengths import FURTHER, SHORT_SHARE, falls
 from .places import (
+    AHEAD,
     AIM,
     BEGINS,
     CONDITION,
@@ -74,8 +75,10 @@ from .places import (
     NONE,
     PHASE,
     PLAIN,
+    REACH,
     RELATIVE,
     SEES,
+    SHORT,
     SHOW,
     STEP,
     STEP_END,
@@ -112,8 +115,9 @@ WATCHED_AHEAD = 1.5
 SAFETY = 0.5
 
 
-def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
-    """Fly the arc that begins at ``now`` to its end, which is put into ``now.end``.
+def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, short: Room, left: Left) -> int:
+    """Fly the arc that begins at ``now`` to its end, which is put into ``now.end``; where it is
+    expected to be a short flight, by the series that ``short`` has room for.
 
     Returns
     -------
@@ -127,15 +131,15 @@ def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> in
     status = GOES_ON
     while status == GOES_ON:
         run[UNTIL] = min(run[LAST_TIME], now.floats[DUE])
-        phase = now.ints[PHASE]
+        phase, own = now.ints[PHASE], short if now.ints[SHORT] == 1 else room
         if phase == BEGINS:
             status = begins(a, run, now, room)
         elif phase == WALKS:
-            status = walks(a, run, now, room, left)
+            status = walks(a, run, now, own, left)
         elif phase in (LOOKS, SEES, HELD):
-            status = looks(a, run, now, room, left)
+            status = looks(a, run, now, own, left)
         else:
-            status = lands(a, run, now, room, left)
+            status = lands(a, run, now, own, left)
     if status < STEP and status != FULL:
         now.ints[PHASE] = BEGINS
     return status
@@ -148,7 +152,10 @@ def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     for i in range(room.sides.shape[0]):
         room.sides[i] = 0
     now.floats[TAU], now.ints[MADE], now.ints[PHASE] = 0.0, 0, WALKS
+    now.ints[SHORT] = 0
     if run[METHOD_ORDER] == 0.0 and run[WATCHED] == 0.0:
+        known = now.floats[AHEAD] > 0.0
+        now.ints[SHORT] = int(known and now.floats[AHEAD] <= SHORT_SHARE * now.floats[REACH])
         return GOES_ON
     program, order = a.fields[now.ints[FIELD], FIELD_PROGRAM], room.c.shape[1] - 1
     if jets(a.programs, program, order, now.floats[T], now.x, room.sides, room.c, room.work) < 0:
@@ -200,6 +207,9 @@ def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
             until = length if ahead <= 0.0 else min(length, now.floats[AIM])
             now.floats[TO_TAU] = min(until, tau + longest)
             return STEP
+    ahead = FURTHER * now.floats[AHEAD]
+    if now.ints[MADE] == 0 and run[WATCHED] == 0.0 and 0.0 < ahead < now.floats[REACH]:
+        longest = min(longest, ahead)
     field = now.ints[FIELD]
     status, made, crossed = step(
         a.programs,
@@ -219,6 +229,8 @@ def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
         now.end,
     )
     now.ints[EXPANSIONS] += 1
+    if now.ints[SHORT] == 0 and made < longest:
+        now.floats[REACH] = made
     fires = NONE if now.ints[MADE] > 0 else HARD if status < 0 else starts(a, now, room)
     if fires != NONE or status < 0:
         return at_once(now, fires)
@@ -290,7 +302,7 @@ def passes(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) ->
         turn(a.programs, program, now.ints[CROSSED], room.c, room.sides)
         if now.ints[CROSSED] >= 0 and not beyond_kink(a, now, room, now.floats[T] + next_tau):
             return LOOK
-    now.floats[TAU], now.ints[PHASE] = next_tau, WALKS
+    now.floats[TAU], now.ints[PHASE], now.ints[SHORT] = next_tau, WALKS, 0
     now.ints[MADE] += 1
     for g in range(now.orders.shape[0]):
         now.orders[g] = 0
@@ -420,5 +432,5 @@ def kept(now: Now, room: Room, left: Left, tau: float, h: float) -> None:
     n = now.x.shape[0]
     if left.series.shape[0] > 0:
         for i in range(n):
-            for k in range(room.c.shape[1]):
-                left.series[place * n + i, k] = room.c[i, k]
+            for k in range(left.series.shape[1]):
+                left.series[place * n + i, k] = room.c[i, k] if k < room.c.shape[1] else 0.0

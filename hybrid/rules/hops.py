@@ -5,7 +5,7 @@ Numbers in brackets are the rules of ``docs/semantics.md``.
 
 from __future__ import annotations
 
-from .arrays import Floats, Ints, Programs, Sums
+from .arrays import Floats, Ints, Matrix, Programs, Sums
 from .flights import fly
 from .guards import NEAR
 from .jets import values
@@ -56,11 +56,13 @@ def hop(
         0, or below zero where the flight belongs to the solver; how long it takes, the gap speed
         after the impact, and how many pieces of it are in ``room``.
     """
-    status, time, u, pieces, _ = fly(
-        p, flow, column, held, t, x, v, room.starts, room.lengths, room.series, room.branch,
-        room.end, room.c, room.aside, room.work, room.rows, room.found, room.sides, signs, rounding,
-        LAST_TERMS,
-    )  # fmt: skip
+    status, time, u, pieces = _flown(
+        p, flow, column, held, t, x, v, signs, rounding, room.low, room
+    )
+    if status < 0 or pieces > 1:  # it is long, or has kinks on the way
+        status, time, u, pieces = _flown(
+            p, flow, column, held, t, x, v, signs, rounding, room.c, room
+        )
     if status < 0:
         return status, time, 0.0, 0
     end, read, n = t + time, room.lines[READ], x.shape[0]
@@ -73,3 +75,25 @@ def hop(
         after[j] = before[j]
     turned(after, speed - read[n], read)
     return 0, time, speed, pieces
+
+
+def _flown(
+    p: Programs,
+    flow: int,
+    column: int,
+    held: bool,
+    t: float,
+    x: Floats,
+    v: float,
+    signs: Ints,
+    rounding: float,
+    c: Matrix,
+    room: Sums,
+) -> tuple[int, float, float, int]:
+    """The flight, by series of which ``c`` has the coefficients."""
+    status, time, u, pieces, _ = fly(
+        p, flow, column, held, t, x, v, room.starts, room.lengths, room.series, room.branch,
+        room.end, c, room.aside, room.work, room.rows, room.found, room.sides, signs, rounding,
+        LAST_TERMS,
+    )  # fmt: skip
+    return status, time, u, pieces

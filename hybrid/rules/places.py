@@ -60,8 +60,11 @@ UNTIL, STEP_LOSS, TOLERANCES = range(12, 15)
 #: Places in a state's floats: the time in two; the local time; the speed at which a sum was tried
 #: last; the local time at which a step ends; where the solver is to step to, or to land; where the
 #: arc is expected to end; the length of its first step; the gap speed after an impact; when
-#: the first clock rings; how many there are.
-T, LOW, TAU, TRIED, STEP_END, TO_TAU, AIM, FIRST_LENGTH, GAP_SPEED, DUE, STATE_FLOATS = range(11)
+#: the first clock rings; how long the flight that begins is, where it is known to be one back onto
+#: its contact, else 0; how long the last step was that was made by series of the whole order; how
+#: many there are.
+T, LOW, TAU, TRIED, STEP_END, TO_TAU, AIM, FIRST_LENGTH, GAP_SPEED, DUE = range(10)
+AHEAD, REACH, STATE_FLOATS = range(10, 13)
 
 #: Places in a state's integers: the field, and the guard that fired; the series of impacts; whether
 #: the driver has looked at the arc's start; jumps and steps kept, and expansions made; then what
@@ -70,10 +73,12 @@ T, LOW, TAU, TRIED, STEP_END, TO_TAU, AIM, FIRST_LENGTH, GAP_SPEED, DUE, STATE_F
 #: flight that begins is one so low that the gap would drown in rounding (2: and follows the flow),
 #: and whether one ends; arcs flown that take time; the guard last used (``OWN``); the guard of
 #: which the table has not all, and the column; whether the arc before had a length; the clock that
-#: rings first; how many elements of the state flow.
+#: rings first; how many elements of the state flow; whether the step is made by short series; how
+#: many there are.
 FIELD, FIRED, SERIES, IMPACT_COUNT, ENTERED, JUMPS_MADE, STEPS_MADE, EXPANSIONS = range(8)
 PHASE, MADE, EVENT, CROSSED, LANDINGS_TRIED, TAILS, GUARD_POWER, LOW_AHEAD = range(8, 16)
-WAS_LOW, FLIGHTS, LAST_USED, LACKING, LACKING_AT, LASTED, RINGS, FLOWING, STATE_INTS = range(16, 25)
+WAS_LOW, FLIGHTS, LAST_USED, LACKING, LACKING_AT, LASTED, RINGS, FLOWING, SHORT = range(16, 25)
+STATE_INTS = 25
 
 #: Columns of the zeros of guards in a step: when each fires; by how much what its series leaves
 #: open may move that; and how far it was off zero where the arc began, if it vanishes there.

@@ -16,6 +16,7 @@ from .guards import GUARD_ROUNDING, largest, so_far
 from .hops import hop
 from .places import (
     ABSOLUTE,
+    AHEAD,
     AT,
     AT_LIMIT,
     AT_REST,
@@ -100,7 +101,7 @@ def go(
     """Go on from ``now``; returns what the driver is asked for (see :mod:`.places`)."""
     status, run[UNTIL] = GOES_ON, min(run[LAST_TIME], now.floats[DUE])
     while status == GOES_ON:
-        status = advance(a, run, now, room, left)
+        status = advance(a, run, now, room, sums.short, left)
         if status == SUM:
             status = accumulated(a, run, now, room, left, sums, look)
         elif status == HOPS:
@@ -219,6 +220,7 @@ def rests(
     now.spent[a.guards[guard, OWN]] = now.ints[FLIGHTS]
     entered(a, now, field, a.guards[guard, OWN], 1, end, rest, x)
     now.ints[SERIES], now.ints[PHASE], now.ints[TAILS] = -1, BEGINS, tail + 1
+    now.floats[AHEAD] = 0.0
     last = run[REST_AFTER] == ENDS_THERE or tail + 1 == left.sums.shape[0]
     return FULL if last else GOES_ON
 
