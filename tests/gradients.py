@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import attrs
 import jax.numpy as jnp
 import numpy as np
@@ -422,17 +424,19 @@ class Compared:
     off : float
         The largest distance that the differences' own error does not explain, against the size of
         that derivative.
-    judged, left : int
-        Derivatives that were compared, and those whose differences say too little.
-    none : int
-        Derivatives that are NaN though the differences know one.
+    judged : int
+        Derivatives that were compared.
+    left : Counter
+        Those whose differences say too little, by what they are of and why.
+    none : Counter
+        Those that are NaN though the differences know one.
     """
 
     what: str
     off: float
     judged: int
-    left: int
-    none: int
+    left: Counter
+    none: Counter
 
 
 def drawn(name, seed):
@@ -458,25 +462,38 @@ def compared(name, seed):
     options = dict(*SCENES[name][3:])
     runs = runs_of(model, OUTPUTS, max_jumps=24, max_steps=4096, **options)
     numbers, ints, slopes = Gradients(runs)(row)
-    off, judged, left, none, worst = 0.0, 0, 0, 0, ""
+    of, by = names(model, runs.layout)
+    off, judged, left, none, worst = 0.0, 0, Counter(), Counter(), ""
     for column in range(len(row)):
         step = STEP * max(1.0, abs(row[column]))
         pair = [differences(runs, row, column, s, ints) for s in (step, 0.5 * step)]
         if pair[0] is None or pair[1] is None:
-            left += len(numbers)
+            left[f"all by {by[column]}, runs beside take another course"] += len(numbers)
             continue
         known = np.isfinite(numbers) & (np.arange(len(numbers)) != runs.layout.length - 1)
         size = 1.0 + np.abs(pair[1])
         error = 3.0 * np.abs(pair[0] - pair[1])
         told = known & (error <= 1e-6 * size)
-        left += int(np.sum(known & ~told))
-        none += int(np.sum(told & np.isnan(slopes[:, column])))
+        for place in np.flatnonzero(known & ~told):
+            left[f"{of[place]} by {by[column]}, two steps of differences disagree"] += 1
+        for place in np.flatnonzero(told & np.isnan(slopes[:, column])):
+            none[f"{of[place]} by {by[column]}"] += 1
         far = np.where(told, np.abs(slopes[:, column] - pair[1]) - error, 0.0) / size
         judged += int(np.sum(told))
         place = int(np.nanargmax(far))
         if far[place] > off:
-            off, worst = float(far[place]), f"number {place} by number {column}"
+            off, worst = float(far[place]), f"{of[place]} by {by[column]}"
     return Compared(worst, off, judged, left, none)
+
+
+def names(model, layout):
+    """What the numbers are called that a run gives, and those that it is given."""
+    sizes = {name: place.stop - place.start for name, place in layout.places.items()}
+    of = [name for name, size in sizes.items() for _ in range(size)]
+    spec = model.spec
+    given = [(p.name, np.size(getattr(model, p.name))) for p in spec.parameters]
+    given += [(state.name, int(np.prod(state.shape))) for state in spec.states]
+    return of, [name for name, size in [*given, ("t0", 1), ("t1", 1)] for _ in range(size)]
 
 
 def carried(name, seed):

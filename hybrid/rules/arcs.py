@@ -33,7 +33,6 @@ from .jets import afresh, jets
 from .kinks import turn
 from .lengths import FURTHER, SHORT_SHARE, falls
 from .places import (
-    AHEAD,
     AIM,
     BEGINS,
     CONDITION,
@@ -51,6 +50,7 @@ from .places import (
     FIRST_LENGTH,
     FIRST_STEP,
     FULL,
+    GAP_SPEED,
     GOES_ON,
     GUARDS,
     GUARDS_END,
@@ -75,6 +75,7 @@ from .places import (
     NONE,
     PHASE,
     PLAIN,
+    PULL,
     REACH,
     RELATIVE,
     SEES,
@@ -154,8 +155,7 @@ def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     now.floats[TAU], now.ints[MADE], now.ints[PHASE] = 0.0, 0, WALKS
     now.ints[SHORT] = 0
     if run[METHOD_ORDER] == 0.0 and run[WATCHED] == 0.0:
-        known = now.floats[AHEAD] > 0.0
-        now.ints[SHORT] = int(known and now.floats[AHEAD] <= SHORT_SHARE * now.floats[REACH])
+        now.ints[SHORT] = int(0.0 < expected(now) <= SHORT_SHARE * now.floats[REACH])
         return GOES_ON
     program, order = a.fields[now.ints[FIELD], FIELD_PROGRAM], room.c.shape[1] - 1
     if jets(a.programs, program, order, now.floats[T], now.x, room.sides, room.c, room.work) < 0:
@@ -168,6 +168,12 @@ def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     if order > 0:
         now.floats[FIRST_LENGTH] = first_step(room.c, n, order, run[RELATIVE], absolute)
     return GOES_ON
+
+
+def expected(now: Now) -> float:
+    """How long a flight is that begins at a contact, as far as it is known, else 0."""
+    pull = now.floats[PULL]
+    return -2.0 * now.floats[GAP_SPEED] / pull if pull < 0.0 else 0.0
 
 
 def at_once(now: Now, guard: int) -> int:
@@ -207,7 +213,7 @@ def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
             until = length if ahead <= 0.0 else min(length, now.floats[AIM])
             now.floats[TO_TAU] = min(until, tau + longest)
             return STEP
-    ahead = FURTHER * now.floats[AHEAD]
+    ahead = FURTHER * expected(now)
     if now.ints[MADE] == 0 and run[WATCHED] == 0.0 and 0.0 < ahead < now.floats[REACH]:
         longest = min(longest, ahead)
     field = now.ints[FIELD]

@@ -34,6 +34,7 @@ from .places import (
     LASTED,
     NONE,
     OWN,
+    PULL,
     RELEASE,
     RISES,
     SERIES,
@@ -117,6 +118,8 @@ def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) ->
         if settles(a, now, room, guard, c, order, sign, size, rate, bend, series):
             return order, RESTS
         low = kind == CONTACT and order == 1 and drowns(c[1], 2.0 * c[2], reach)
+        if kind == CONTACT and used:
+            now.floats[PULL] = 2.0 * c[2]
         hard = kind == CONTACT and a.guards[guard, BENDS] == 1
         if order > RISES or (order > 0 and hard):
             return order, HARD

@@ -12,16 +12,27 @@ from .jets import values
 from .lengths import LAST_TERMS
 from .sums import KICK, ONTO_CONTACT, READ, restitution, turned
 
-__all__ = ("drowns", "hop")
+__all__ = ("drowns", "hop", "tells")
 
 #: Status code besides those of :mod:`.flights`: the impact has no speed after it that can be.
 NO_SPEED = -8
+
+#: A flight drowns by far, or not, where it does as well with a speed so many times as high, or as
+#: low: forces a thousand times as large would have to follow each other to decide otherwise.
+BY_FAR = 32.0
 
 
 def drowns(v: float, force: float, size: float) -> bool:
     """Whether a gap left with speed ``v``, and drawn back by a force, stays so low that it drowns
     in the rounding of states of a size (7)."""
     return 0.0 < v * v <= -NEAR * force * size
+
+
+def tells(v: float, force: float, size: float) -> bool:
+    """Whether the force of the flight before, 0 if it is not known, says whether one drowns: of one
+    that does by far, or by far does not."""
+    high = not drowns(v / BY_FAR, force, size)
+    return force < 0.0 and (high or drowns(v * BY_FAR, force, size))
 
 
 def hop(

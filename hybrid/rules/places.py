@@ -60,11 +60,11 @@ UNTIL, STEP_LOSS, TOLERANCES = range(12, 15)
 #: Places in a state's floats: the time in two; the local time; the speed at which a sum was tried
 #: last; the local time at which a step ends; where the solver is to step to, or to land; where the
 #: arc is expected to end; the length of its first step; the gap speed after an impact; when
-#: the first clock rings; how long the flight that begins is, where it is known to be one back onto
-#: its contact, else 0; how long the last step was that was made by series of the whole order; how
+#: the first clock rings; the force that draws a contact back, as far as it is known of a flight
+#: from it, else 0; how long the last step was that its series ended, those of the whole order; how
 #: many there are.
 T, LOW, TAU, TRIED, STEP_END, TO_TAU, AIM, FIRST_LENGTH, GAP_SPEED, DUE = range(10)
-AHEAD, REACH, STATE_FLOATS = range(10, 13)
+PULL, REACH, STATE_FLOATS = range(10, 13)
 
 #: Places in a state's integers: the field, and the guard that fired; the series of impacts; whether
 #: the driver has looked at the arc's start; jumps and steps kept, and expansions made; then what

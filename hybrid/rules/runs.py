@@ -16,7 +16,6 @@ from .guards import GUARD_ROUNDING, largest, so_far
 from .hops import hop
 from .places import (
     ABSOLUTE,
-    AHEAD,
     AT,
     AT_LIMIT,
     AT_REST,
@@ -62,6 +61,7 @@ from .places import (
     OWN,
     PHASE,
     PLAIN,
+    PULL,
     RATIO,
     RELATIVE,
     REMAINING,
@@ -220,7 +220,7 @@ def rests(
     now.spent[a.guards[guard, OWN]] = now.ints[FLIGHTS]
     entered(a, now, field, a.guards[guard, OWN], 1, end, rest, x)
     now.ints[SERIES], now.ints[PHASE], now.ints[TAILS] = -1, BEGINS, tail + 1
-    now.floats[AHEAD] = 0.0
+    now.floats[PULL] = 0.0
     last = run[REST_AFTER] == ENDS_THERE or tail + 1 == left.sums.shape[0]
     return FULL if last else GOES_ON
 
