@@ -81,8 +81,9 @@ WAS_LOW, FLIGHTS, LAST_USED, LACKING, LACKING_AT, LASTED, RINGS, FLOWING, SHORT 
 STATE_INTS = 25
 
 #: Columns of the zeros of guards in a step: when each fires; by how much what its series leaves
-#: open may move that; and how far it was off zero where the arc began, if it vanishes there.
-WHEN, BLUR, OFF = 0, 1, 2
+#: open may move that; how far it was off zero where the arc began, if it vanishes there; and the
+#: sum of the terms that it was made of there, below zero where that is not known.
+WHEN, BLUR, OFF, MADE_OF, ZERO_COLUMNS = range(5)
 
 #: What comes next in an arc: its start; a step; to look at a step, another solver's by series of
 #: the flow; to land; the jump at its end; to look at another solver's step by its polynomial; to go
