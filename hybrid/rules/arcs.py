@@ -31,7 +31,7 @@ from .guards import (
 )
 from .jets import afresh, jets
 from .kinks import turn
-from .lengths import FURTHER, SHORT_SHARE, falls
+from .lengths import SHORT_SHARE, STEP_FURTHER, falls
 from .places import (
     AIM,
     BEGINS,
@@ -76,9 +76,9 @@ from .places import (
     PHASE,
     PLAIN,
     PULL,
-    REACH,
     RELATIVE,
     SEES,
+    SERIES_REACH,
     SHORT,
     SHOW,
     STEP,
@@ -155,7 +155,7 @@ def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     now.floats[TAU], now.ints[MADE], now.ints[PHASE] = 0.0, 0, WALKS
     now.ints[SHORT] = 0
     if run[METHOD_ORDER] == 0.0 and run[WATCHED] == 0.0:
-        now.ints[SHORT] = int(0.0 < expected(now) <= SHORT_SHARE * now.floats[REACH])
+        now.ints[SHORT] = int(0.0 < expected(now) <= SHORT_SHARE * now.floats[SERIES_REACH])
         return GOES_ON
     program, order = a.fields[now.ints[FIELD], FIELD_PROGRAM], room.c.shape[1] - 1
     if jets(a.programs, program, order, now.floats[T], now.x, room.sides, room.c, room.work) < 0:
@@ -213,8 +213,8 @@ def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
             until = length if ahead <= 0.0 else min(length, now.floats[AIM])
             now.floats[TO_TAU] = min(until, tau + longest)
             return STEP
-    ahead = FURTHER * expected(now)
-    if now.ints[MADE] == 0 and run[WATCHED] == 0.0 and 0.0 < ahead < now.floats[REACH]:
+    ahead = STEP_FURTHER * expected(now)
+    if now.ints[MADE] == 0 and run[WATCHED] == 0.0 and 0.0 < ahead < now.floats[SERIES_REACH]:
         longest = min(longest, ahead)
     field = now.ints[FIELD]
     status, made, crossed = step(
@@ -236,7 +236,7 @@ def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
     )
     now.ints[EXPANSIONS] += 1
     if now.ints[SHORT] == 0 and made < longest:
-        now.floats[REACH] = made
+        now.floats[SERIES_REACH] = made
     fires = NONE if now.ints[MADE] > 0 else HARD if status < 0 else starts(a, now, room)
     if fires != NONE or status < 0:
         return at_once(now, fires)

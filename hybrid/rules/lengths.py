@@ -44,7 +44,7 @@ SHORT_SHARE = 0.25
 
 #: A step goes so many times as far as the flight is expected to, which is known but for how its
 #: force changes.
-FURTHER = 1.25
+STEP_FURTHER = 1.25
 
 #: Below this coefficients have lost digits, or all of them; and a series of which the next one
 #: would be smaller than this has not ended where they are zero.

@@ -64,7 +64,7 @@ UNTIL, STEP_LOSS, TOLERANCES = range(12, 15)
 #: from it, else 0; how long the last step was that its series ended, those of the whole order; how
 #: many there are.
 T, LOW, TAU, TRIED, STEP_END, TO_TAU, AIM, FIRST_LENGTH, GAP_SPEED, DUE = range(10)
-PULL, REACH, STATE_FLOATS = range(10, 13)
+PULL, SERIES_REACH, STATE_FLOATS = range(10, 13)
 
 #: Places in a state's integers: the field, and the guard that fired; the series of impacts; whether
 #: the driver has looked at the arc's start; jumps and steps kept, and expansions made; then what
