@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import attrs
 import jax.numpy as jnp
 import numpy as np
@@ -199,6 +201,28 @@ class Heavy(hy.Automaton):
     )
 
 
+class Sampled(hy.Automaton):
+    """A cart on a rail, driven by what a controller has seen last, that strikes a wall."""
+
+    x = hy.state()
+    v = hy.state()
+    u: float = hy.discrete(0.0)
+    period = hy.parameter(0.31)
+    gain = hy.parameter(1.5)
+    wall = hy.parameter(0.8)
+    r = hy.parameter(0.6)
+
+    @hy.mode(initial=True)
+    def drive(self, t, s):
+        return s.v, s.u - 0.2 * s.v
+
+    @hy.edge(drive, to=drive, every="period")
+    def look(self, t, s):
+        return s.replace(u=-self.gain * s.x - 0.5 * s.v)
+
+    hit = hy.contact(drive, gap=lambda self, t, s: s.x + self.wall, restitution="r")
+
+
 class Delayed(hy.Automaton):
     """Two lags, a history that need not lead to the start, and kicks that come back."""
 
@@ -347,6 +371,11 @@ SCENES = {
     "rubbed": (Rubbed, {"r": (0.4, 0.7), "c": (1.0, 3.0), "v": (0.3, 1.0)}, (0.0, 2.0)),
     "corner": (Corner, {"r": (0.3, 0.5), "y": (0.5, 0.7), "lean": (0.1, 0.4)}, (0.0, 2.0)),
     "heavy": (Heavy, {"r": (0.4, 0.7), "p": (0.1, 0.3), "q": (0.4, 0.6)}, (0.0, 1.5)),
+    "sampled": (
+        Sampled,
+        {"period": (0.29, 0.34), "gain": (1.0, 2.0), "wall": (0.2, 0.5), "x": (0.6, 1.0)},
+        (0.0, 4.0),
+    ),
     "delayed": (
         Delayed,
         {"k": (0.5, 1.5), "tau": (0.4, 0.9), "y": (0.5, 1.0)},
@@ -395,17 +424,19 @@ class Compared:
     off : float
         The largest distance that the differences' own error does not explain, against the size of
         that derivative.
-    judged, left : int
-        Derivatives that were compared, and those whose differences say too little.
-    none : int
-        Derivatives that are NaN though the differences know one.
+    judged : int
+        Derivatives that were compared.
+    left : Counter
+        Those whose differences say too little, by what they are of and why.
+    none : Counter
+        Those that are NaN though the differences know one.
     """
 
     what: str
     off: float
     judged: int
-    left: int
-    none: int
+    left: Counter
+    none: Counter
 
 
 def drawn(name, seed):
@@ -431,25 +462,54 @@ def compared(name, seed):
     options = dict(*SCENES[name][3:])
     runs = runs_of(model, OUTPUTS, max_jumps=24, max_steps=4096, **options)
     numbers, ints, slopes = Gradients(runs)(row)
-    off, judged, left, none, worst = 0.0, 0, 0, 0, ""
+    of, by = names(model, runs.layout)
+    off, judged, left, none, worst = 0.0, 0, Counter(), Counter(), ""
     for column in range(len(row)):
         step = STEP * max(1.0, abs(row[column]))
         pair = [differences(runs, row, column, s, ints) for s in (step, 0.5 * step)]
         if pair[0] is None or pair[1] is None:
-            left += len(numbers)
+            left[f"all by {by[column]}, runs beside take another course"] += len(numbers)
             continue
         known = np.isfinite(numbers) & (np.arange(len(numbers)) != runs.layout.length - 1)
         size = 1.0 + np.abs(pair[1])
         error = 3.0 * np.abs(pair[0] - pair[1])
         told = known & (error <= 1e-6 * size)
-        left += int(np.sum(known & ~told))
-        none += int(np.sum(told & np.isnan(slopes[:, column])))
+        for place in np.flatnonzero(known & ~told):
+            left[f"{of[place]} by {by[column]}, two steps of differences disagree"] += 1
+        for place in np.flatnonzero(told & np.isnan(slopes[:, column])):
+            none[f"{of[place]} by {by[column]}"] += 1
         far = np.where(told, np.abs(slopes[:, column] - pair[1]) - error, 0.0) / size
         judged += int(np.sum(told))
         place = int(np.nanargmax(far))
         if far[place] > off:
-            off, worst = float(far[place]), f"number {place} by number {column}"
+            off, worst = float(far[place]), f"{of[place]} by {by[column]}"
     return Compared(worst, off, judged, left, none)
+
+
+def names(model, layout):
+    """What the numbers are called that a run gives, and those that it is given."""
+    sizes = {name: place.stop - place.start for name, place in layout.places.items()}
+    of = [name for name, size in sizes.items() for _ in range(size)]
+    spec = model.spec
+    given = [(p.name, np.size(getattr(model, p.name))) for p in spec.parameters]
+    given += [(state.name, int(np.prod(state.shape))) for state in spec.states]
+    return of, [name for name, size in [*given, ("t0", 1), ("t1", 1)] for _ in range(size)]
+
+
+def carried(name, seed):
+    """Whether machine code alone carries the derivatives of a scene's run, and how far they are
+    from those that are carried along the run's record, against their size."""
+    model, row = drawn(name, seed)
+    options = dict(*SCENES[name][3:])
+    runs = runs_of(model, OUTPUTS, max_jumps=24, max_steps=4096, **options)
+    gradients = Gradients(runs)
+    together = gradients.together(row[None])
+    alone = together is not None and any(len(flown.lanes) for flown, _ in together.changes())
+    (*_, slopes), (*_, others) = gradients(row), runs.slopes(row)
+    known = np.isfinite(others)
+    assert np.array_equal(known, np.isfinite(slopes))
+    size = 1.0 + np.abs(others[known])
+    return alone, float(np.max(np.abs(slopes[known] - others[known]) / size, initial=0.0))
 
 
 def differences(runs, row, column, step, ints):

@@ -10,6 +10,8 @@ import numpy as np
 
 import hybrid as hy
 from hybrid import gallery
+from hybrid.functions.batch import values
+from hybrid.functions.function import runs_of
 
 #: Impacts, rests, releases, cycles of edges, sliding, and a lag.
 NAMES = [
@@ -74,3 +76,23 @@ def differences(name, count, seed=0, **options):
         states = [np.ravel(lanes[key].values[i]) for key in model.spec.names]
         if final is not None and not np.array_equal(np.concatenate(states), final):
             yield i, "final"
+
+
+#: Jumps of a lane whose events are compared: it ends behind them.
+EVENTS = 64
+
+
+def events_apart(name, count, seed=0):
+    """Lanes whose events are not their runs', to the last bit: edges, times, and the states before
+    and after; with the status, and where they ended."""
+    model, start, (t0, t1), parameters = draw(name, count, seed)
+    runs = runs_of(model, ("final", "jumps", "zeno"), max_jumps=EVENTS, max_steps=4096)
+    given = [*parameters.values(), *start.values()]
+    rows = np.column_stack([*(np.reshape(v, (count, -1)) for v in given), *np.full((2, count), t0)])
+    rows[:, -1] = t1
+    together = values(runs, rows)
+    for i, row in enumerate(rows):
+        for lane, run in zip(together, runs.values(row), strict=True):
+            if not np.array_equal(lane[i], run, equal_nan=True):
+                yield i
+                break

@@ -529,6 +529,33 @@ def test_a_low_flight_beyond_the_end_of_a_run_is_cut_off(monkeypatch):
     assert run.final.v == pytest.approx(slow.final.v, abs=ROUNDING)
 
 
+class Pressed(hy.Automaton):
+    """A ball that a force a hundred thousand times as large presses down from a time on."""
+
+    x = hy.state()
+    v = hy.state()
+    r = hy.parameter(0.5)
+
+    @hy.mode
+    def flight(self, t, s):
+        return s.v, jnp.where(t > 0.04 - 5e-5, -1e5, -1.0)
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x - 1.0, restitution="r")
+
+
+@pytest.mark.parametrize("way", [hy.simulate, hy.ensemble], ids=lambda way: way.__name__)
+def test_a_flight_may_be_low_that_those_before_do_not_lead_one_to_expect(way):
+    """The force decides that is there, and not that of the flight before: each flight takes half
+    as long as the last."""
+    start, options = {"x": 1.0, "v": 0.02}, {"solver": "taylor", "zeno": "ignore"}
+    ends = [way(Pressed(), start, (0.0, 1.0), max_jumps=k, **options) for k in range(1, 8)]
+    t = [float(end.t1 if way is hy.simulate else end.t[0]) for end in ends]
+    flights = np.diff(t)
+    assert flights[0] < 1e-5
+    # a spacing of the time is 7e-18, the shortest flight 7e-8
+    assert flights[1:] / flights[:-1] == pytest.approx(0.5, abs=1e-9)
+
+
 def test_low_flights_as_plain_python_agree(monkeypatch):
     """No index is below zero."""
     scene = SCENES["soft"]

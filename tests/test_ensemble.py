@@ -18,7 +18,7 @@ from models.bouncing_ball import BouncingBall
 from models.hard_spring import HardSpring
 
 from . import systems
-from .lanes import NAMES, differences
+from .lanes import NAMES, differences, events_apart
 
 TIGHT = {"rtol": 1e-11, "atol": 1e-12}
 
@@ -214,6 +214,12 @@ def test_any_solver_gives_the_same():
 def test_a_lane_equals_its_run_to_the_last_bit(name):
     """Time, state, jumps, accumulation, status and reason, of random lanes."""
     assert not list(differences(name, 10 if name == "delay_bounce" else 60))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_events_of_a_lane_are_those_of_its_run(name):
+    """Which edges jump, when, from which state to which."""
+    assert not list(events_apart(name, 4 if name == "delay_bounce" else 25))
 
 
 @pytest.mark.parametrize("name", NAMES[:4])

@@ -17,6 +17,7 @@ from hybrid.lowering.tape import linked
 from hybrid.rules import unit
 from hybrid.rules.code import DIGEST
 from hybrid.rules.jets import FLOW
+from hybrid.rules.lengths import LOW_ORDER
 from hybrid.solvers.taylor_backend import HIGHEST
 
 from .test_advance import Duffing
@@ -54,7 +55,7 @@ def _bits(c):
     return np.where(np.isnan(c), np.nan, c).tobytes()
 
 
-def _held(programs, number, size, draw, orders=(0, 1, 2, 5, ORDER)):
+def _held(programs, number, size, draw, orders=(0, 1, 2, 5, LOW_ORDER, ORDER)):
     """Hold the code of a program to the rule, at random states."""
     begin, end = programs.index[number][:2]
     assert begin == end or programs.code[number]

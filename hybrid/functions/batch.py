@@ -16,11 +16,12 @@ import attrs
 import numpy as np
 
 from ..ensembles.threads import FIRST_LANES as FIRST
-from ..ensembles.threads import Abreast, FlownLanes, GivenLanes, abreast
+from ..ensembles.threads import LANE_SUMS, Abreast, FlownLanes, GivenLanes, abreast
 from ..errors import HybridError
 from ..lowering import Scene, scene_with
 from ..lowering.tape import lent, room
 from ..rules import unit
+from ..rules.arrays import Left
 from ..rules.changes import KNOWN, OF_FIELD, OF_GUARD
 from ..rules.lanes import (
     AT_TIME,
@@ -34,6 +35,7 @@ from ..rules.lanes import (
     T_INF,
 )
 from ..run import Driver
+from ..run.rooms import left_for
 from ..variation import Derivatives, Owned
 from .derivatives import REASON_NUMBERS, Runs
 
@@ -149,7 +151,7 @@ class Gradients:
         slopes = np.full((*numbers.shape, flat.shape[1]), np.nan)
         left = np.ones(len(flat), dtype=bool)
         fit = np.flatnonzero(_usual(flat))
-        together = self._together(flat[fit]) if len(fit) else None
+        together = self.together(flat[fit]) if len(fit) else None
         if together is not None:
             for flown, found in together.changes():
                 which = fit[flown.lanes]
@@ -161,7 +163,7 @@ class Gradients:
         shape = rows.shape[:-1]
         return tuple(a.reshape(*shape, *a.shape[1:]) for a in (numbers, ints, slopes))  # type: ignore[return-value]
 
-    def _together(self, rows: Matrix) -> Changing | None:
+    def together(self, rows: Matrix) -> Changing | None:
         """What flies the rows; it is made with the first that can be flown."""
         if self._made is None:
             self._made = _first(self.runs, rows, Changing)
@@ -195,6 +197,7 @@ class Changing(Abreast):
         super().__init__(scene, driver, mode, lanes, rows)
         self.derived = Owned(Derivatives(scene, True), self.tables)
         self.derived.add_field(self.field)
+        self.bends = any(scene.field(name).changes for name in scene.modes)
 
     def of(self, lanes: GivenLanes) -> Changing:
         """The same for other lanes."""
@@ -204,6 +207,15 @@ class Changing(Abreast):
         rows = 3 + 2 * n + self.rows * (1 + 2 * n)
         other.found = np.empty((count, rows, columns + n + 2))
         return other
+
+    @property
+    def _needs(self) -> tuple[Any, ...]:
+        return *super()._needs, self.bends
+
+    def _left(self, n: int) -> Left:
+        """With the series of steps, where a flow may change its formula in one."""
+        rows = self.most[1] * n if self.bends else 0
+        return left_for(n, *self.most, (rows, self.loop.order + 1), LANE_SUMS)
 
     def changes(self) -> Iterator[tuple[FlownLanes, np.ndarray]]:
         """What becomes of the lanes whose changes are known, and these."""

@@ -27,7 +27,6 @@ from ..rules.places import (
     LEAVE,
     LOCAL,
     NONE,
-    OFF,
     OWN,
     PLAIN,
     RELEASE,
@@ -37,6 +36,7 @@ from ..rules.places import (
     TO,
     UNKNOWN,
     WINDOW_END,
+    ZERO_COLUMNS,
 )
 from .lowered import window_ends
 from .mode import RELEASE_SUFFIX, Kind
@@ -168,7 +168,7 @@ class Tables:
         own, all_ = (
             np.zeros((2, count), dtype=np.int64) for count in (self.widest, len(self.guards))
         )
-        return (*own, np.zeros((self.widest, OFF + 1)), *all_)
+        return (*own, np.zeros((self.widest, ZERO_COLUMNS)), *all_)
 
     def complete(self, number: int, column: int, sight: Sight) -> None:
         """Add what the loop has asked for of a guard: the field that it leads to, or in which it is

@@ -3,10 +3,10 @@
 A rule reads a program operation by operation (:mod:`hybrid.rules.jets`). Here the text of one
 operation, as LLVM has it from numba, is put in once for each of the program's with its numbers: all
 that they decide falls away, and the lengths of loops are left. For one order, that of a run's
-steps, the program may be written out, and no loop is left either. Nothing is contracted and nothing
-is reckoned in another order, so that the code gives the bits that the rule gives
-(``docs/notes/tape.md``). It is kept beside the rules' own, by the content of the operations, and
-another process has it at once.
+steps, and that of its short flights the program may be written out, and no loop is left either.
+Nothing is contracted and nothing is reckoned in another order, so that the code gives the bits that
+the rule gives (``docs/notes/tape.md``). It is kept beside the rules' own, by the content of the
+operations, and another process has it at once.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from ..rules import library
 from ..rules.arrays import Programs
 from ..rules.code import binding, engine, keep, kept, machine, missing
 from ..rules.jets import FLOW, OPS
+from ..rules.lengths import short_order
 from ..rules.operations import INTEGRAL
 
 #: A longer program is left to the rule: an operation takes 5 to 10 ms to compile, so that a process
@@ -76,14 +77,9 @@ PROGRAM_TEXT = """
 define void @program(i64 %order, i64 %columns, {arrays}) {{
 entry:
   %stride = mul i64 %columns, 8
-  %is.order = icmp eq i64 %order, {order}
-  %is.wide = icmp eq i64 %columns, {columns}
-  %is.written = and i1 %is.order, %is.wide
-  br i1 %is.written, label %written, label %any
-written:
+  br label %is{orders}
 {written}
-  br label %done
-any:
+is0:
 {first}
   %none = icmp slt i64 %order, 1
   br i1 %none, label %done, label %second
@@ -102,6 +98,18 @@ more.orders:
 done:
   ret void
 }}
+"""
+
+#: What is written out for an order, the last of so many.
+WRITTEN_TEXT = """
+is{place}:
+  %order{place} = icmp eq i64 %order, {order}
+  %wide{place} = icmp eq i64 %columns, {columns}
+  %both{place} = and i1 %order{place}, %wide{place}
+  br i1 %both{place}, label %written{place}, label %is{next}
+written{place}:
+{calls}
+  br label %done
 """
 
 
@@ -279,23 +287,32 @@ def _text(rows: Sequence[Sequence[int]], flow: Sequence[int], order: int) -> str
     growth = [(INTEGRAL, i, place, 0, 0, 0) for i, place in enumerate(flow)]
     codes = {row[0] for row in (*rows, *growth)}
     names = [f"{when}{code}" for code in codes for when in ("first", "later")]
-    wide = order + 1
-    written = [
-        _calls(each, k, str(wide), str(8 * wide))
-        for k in range(wide if order else 0)
-        for each in ((rows, growth) if k < order else (rows,))
-    ]
+    orders = sorted({order, short_order(order)}) if order else []
+    written = (_written(rows, growth, *each) for each in enumerate(orders, 1))
     return PROGRAM_TEXT.format(
         declarations="\n".join(f"declare void @{name}({TAKES})" for name in names),
         arrays=", ".join(f"ptr noalias %{name}" for name in ARRAYS),
-        order=order or -1,
-        columns=wide,
+        orders=len(orders),
         written="\n".join(written),
         first=_calls(rows, 0),
         flow=_calls(growth, 0),
         ops=_calls(rows, "%k"),
         flows=_calls(growth, "%k"),
     )
+
+
+def _written(
+    rows: Sequence[Sequence[int]], growth: Sequence[Sequence[int]], place: int, order: int
+) -> str:
+    """A program at all orders up to one."""
+    wide = order + 1
+    calls = [
+        _calls(each, k, str(wide), str(8 * wide))
+        for k in range(wide)
+        for each in ((rows, growth) if k < order else (rows,))
+    ]
+    given = {"place": place, "next": place - 1, "order": order, "columns": wide}
+    return WRITTEN_TEXT.format(calls="\n".join(calls), **given)
 
 
 def _calls(

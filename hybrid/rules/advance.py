@@ -12,7 +12,7 @@ from .arcs import arc, copied
 from .arrays import AutomatonArrays, Floats, Left, Now, Room
 from .contacts import asks, onto, still_held, twin, values
 from .guards import row_of, so_far
-from .hops import drowns
+from .hops import drowns, tells
 from .jets import OUTPUT, afresh
 from .places import (
     AT,
@@ -50,6 +50,7 @@ from .places import (
     ONTO_GAPS,
     OWN,
     PHASE,
+    PULL,
     PULLED,
     RELEASE,
     RESET,
@@ -75,7 +76,7 @@ from .ties import remembered
 __all__ = ("advance",)
 
 
-def advance(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
+def advance(a: AutomatonArrays, run: Floats, now: Now, room: Room, short: Room, left: Left) -> int:
     """Go on from ``now``; returns a status that says what is needed from outside
     (:mod:`.places`)."""
     status = LANDED
@@ -85,7 +86,7 @@ def advance(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -
                 return FULL
             if now.ints[LOW_AHEAD] > 0:
                 return HOPS
-            status = arc(a, run, now, room, left)
+            status = arc(a, run, now, room, short, left)
         if status == LANDED:
             status = jump(a, run, now, room, left)
     return status
@@ -249,12 +250,13 @@ def impact(
     alike = speed > 0.0 and field == now.ints[FIELD]
     if alike and count >= run[FIRST_SUMMED] and speed <= run[SPEED_FALL] * tried:
         return SUM, field
-    flow = a.fields[field, FIELD_PROGRAM]
+    flow, size = a.fields[field, FIELD_PROGRAM], so_far(now, behind)
     guard = twin(a, field, own)
-    if afresh(a.programs, flow, 2, t, behind, room.still, room.aside, room.work) < 0:
-        return JUMP, HARD
-    force = 2.0 * room.aside[row_of(a, flow, field, guard), 2]
-    if not drowns(speed, force, so_far(now, behind)):
+    if count == 1 or not tells(speed, now.floats[PULL], size):
+        if afresh(a.programs, flow, 2, t, behind, room.still, room.aside, room.work) < 0:
+            return JUMP, HARD
+        now.floats[PULL] = 2.0 * room.aside[row_of(a, flow, field, guard), 2]
+    if not drowns(speed, now.floats[PULL], size):
         return LANDED, field
     if a.guards[guard, AT] < UNKNOWN:
         return JUMP, HARD
@@ -303,7 +305,7 @@ def watch(a: AutomatonArrays, now: Now, guard: int, kind: int) -> None:
     """Count the impacts of the current series: those of one contact with no other jump between."""
     own = a.guards[guard, OWN]
     if kind != CONTACT:
-        now.ints[SERIES] = -1
+        now.ints[SERIES], now.floats[PULL] = -1, 0.0
     elif own == now.ints[SERIES]:
         now.ints[IMPACT_COUNT] += 1
     else:

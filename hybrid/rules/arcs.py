@@ -31,7 +31,7 @@ from .guards import (
 )
 from .jets import afresh, jets
 from .kinks import turn
-from .lengths import falls
+from .lengths import SHORT_SHARE, STEP_FURTHER, falls
 from .places import (
     AIM,
     BEGINS,
@@ -50,6 +50,7 @@ from .places import (
     FIRST_LENGTH,
     FIRST_STEP,
     FULL,
+    GAP_SPEED,
     GOES_ON,
     GUARDS,
     GUARDS_END,
@@ -74,8 +75,11 @@ from .places import (
     NONE,
     PHASE,
     PLAIN,
+    PULL,
     RELATIVE,
     SEES,
+    SERIES_REACH,
+    SHORT,
     SHOW,
     STEP,
     STEP_END,
@@ -112,8 +116,9 @@ WATCHED_AHEAD = 1.5
 SAFETY = 0.5
 
 
-def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
-    """Fly the arc that begins at ``now``; its end is written to ``now.end``.
+def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, short: Room, left: Left) -> int:
+    """Fly the arc that begins at ``now``; its end is written to ``now.end``. Where a short flight
+    is expected, ``short`` has the room for its series.
 
     Returns
     -------
@@ -127,15 +132,15 @@ def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> in
     status = GOES_ON
     while status == GOES_ON:
         run[UNTIL] = min(run[LAST_TIME], now.floats[DUE])
-        phase = now.ints[PHASE]
+        phase, own = now.ints[PHASE], short if now.ints[SHORT] == 1 else room
         if phase == BEGINS:
             status = begins(a, run, now, room)
         elif phase == WALKS:
-            status = walks(a, run, now, room, left)
+            status = walks(a, run, now, own, left)
         elif phase in (LOOKS, SEES, HELD):
-            status = looks(a, run, now, room, left)
+            status = looks(a, run, now, own, left)
         else:
-            status = lands(a, run, now, room, left)
+            status = lands(a, run, now, own, left)
     if status < STEP and status != FULL:
         now.ints[PHASE] = BEGINS
     return status
@@ -148,7 +153,9 @@ def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     for i in range(room.sides.shape[0]):
         room.sides[i] = 0
     now.floats[TAU], now.ints[MADE], now.ints[PHASE] = 0.0, 0, WALKS
+    now.ints[SHORT] = 0
     if run[METHOD_ORDER] == 0.0 and run[WATCHED] == 0.0:
+        now.ints[SHORT] = int(0.0 < expected(now) <= SHORT_SHARE * now.floats[SERIES_REACH])
         return GOES_ON
     program, order = a.fields[now.ints[FIELD], FIELD_PROGRAM], room.c.shape[1] - 1
     if jets(a.programs, program, order, now.floats[T], now.x, room.sides, room.c, room.work) < 0:
@@ -161,6 +168,12 @@ def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     if order > 0:
         now.floats[FIRST_LENGTH] = first_step(room.c, n, order, run[RELATIVE], absolute)
     return GOES_ON
+
+
+def expected(now: Now) -> float:
+    """How long a flight is that begins at a contact, as far as it is known, else 0."""
+    pull = now.floats[PULL]
+    return -2.0 * now.floats[GAP_SPEED] / pull if pull < 0.0 else 0.0
 
 
 def at_once(now: Now, guard: int) -> int:
@@ -200,6 +213,9 @@ def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
             until = length if ahead <= 0.0 else min(length, now.floats[AIM])
             now.floats[TO_TAU] = min(until, tau + longest)
             return STEP
+    ahead = STEP_FURTHER * expected(now)
+    if now.ints[MADE] == 0 and run[WATCHED] == 0.0 and 0.0 < ahead < now.floats[SERIES_REACH]:
+        longest = min(longest, ahead)
     field = now.ints[FIELD]
     status, made, crossed = step(
         a.programs,
@@ -219,6 +235,8 @@ def walks(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
         now.end,
     )
     now.ints[EXPANSIONS] += 1
+    if now.ints[SHORT] == 0 and made < longest:
+        now.floats[SERIES_REACH] = made
     fires = NONE if now.ints[MADE] > 0 else HARD if status < 0 else starts(a, now, room)
     if fires != NONE or status < 0:
         return at_once(now, fires)
@@ -291,7 +309,7 @@ def passes(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) ->
         turn(a.programs, program, now.ints[CROSSED], room.c, room.sides)
         if now.ints[CROSSED] >= 0 and not beyond_kink(a, now, room, now.floats[T] + next_tau):
             return LOOK
-    now.floats[TAU], now.ints[PHASE] = next_tau, WALKS
+    now.floats[TAU], now.ints[PHASE], now.ints[SHORT] = next_tau, WALKS, 0
     now.ints[MADE] += 1
     for g in range(now.orders.shape[0]):
         now.orders[g] = 0
@@ -422,5 +440,5 @@ def kept(now: Now, room: Room, left: Left, tau: float, h: float) -> None:
     n = now.x.shape[0]
     if left.series.shape[0] > 0:
         for i in range(n):
-            for k in range(room.c.shape[1]):
-                left.series[place * n + i, k] = room.c[i, k]
+            for k in range(left.series.shape[1]):
+                left.series[place * n + i, k] = room.c[i, k] if k < room.c.shape[1] else 0.0

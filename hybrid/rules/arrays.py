@@ -199,8 +199,10 @@ class Sums(NamedTuple):
         The gap's acceleration, and where the curve is, at some times.
     ints : Ints
         How many flights are known, and the branch of the first.
-    high : Matrix
-        As ``c``, for series of a higher order.
+    high, low : Matrix
+        As ``c``, for series of a higher order, and of a lower one.
+    short : Room
+        That of the loop, with fewer coefficients: for steps of short flights.
     starts, lengths, series, branch, end, c, aside, work, rows, found, sides
         Of flights, see :func:`.flights.fly`.
     """
@@ -210,6 +212,8 @@ class Sums(NamedTuple):
     times: Floats
     ints: Ints
     high: Matrix
+    low: Matrix
+    short: Room
     starts: Floats
     lengths: Floats
     series: Matrix

@@ -25,36 +25,40 @@ from .arrays import (
     Sums,
     Table,
 )
-from .jets import values
+from .guards import NEAR
+from .jets import afresh, values
+from .kinks import count
 from .lanes import ENDED, LAST_JUMP, MADE_JUMPS, OUTCOME, SUMMED, bound, lanes
-from .limits import USABLE, limit
+from .limits import KINK_SIDE, SAME_FLOW, SAME_KINK_TIME, USABLE, copied, limit, passed_at
 from .places import (
     AT,
     AT_LIMIT,
     AT_REST,
+    CLOCKS_END,
+    CONSTRAINED,
     CURVE_DEGREE,
     CURVE_ROWS,
     FIELD,
     FIELD_PROGRAM,
     GUARDS,
-    GUARDS_END,
     JUMPS_BEFORE,
     KIND,
     LAST_SPEED,
     LAST_TIME,
-    ONTO_GAPS,
+    LEAVE,
     RATIO,
     RELEASE,
     REMAINING,
-    REST,
+    STEPS_MADE,
     TAU,
-    TO,
     UNKNOWN,
 )
-from .slopes import onto_contacts, product, rates, reset
+from .polynomials import power_value
+from .slopes import onto_contacts, product, rates, read, reset
 from .variation import (
     GRADIENT,
     HELD_COUNT,
+    KINKED,
     ONTO,
     RESET_SLOPES,
     SLOPES_FROM,
@@ -69,8 +73,19 @@ __all__ = ("flown",)
 #: a field, or of a guard.
 KNOWN, LEFT_TO_PYTHON, OF_FIELD, OF_GUARD = 0, 1, 2, 3
 
-# Rows of ``lines``: the start of an arc; the flow before a jump, and behind it; a gradient.
-ARC_START, FLOW_BEFORE, FLOW_BEHIND, GRADIENT_ROW = 0, 1, 2, 3
+#: Change of a guard, or of what decides which jump comes first, against the terms of which it is
+#: made, that is rounding of them.
+TIED = 1e-9
+
+#: The distance from a piece's end at which the flow is read on its side of a kink is at least this,
+#: against the time since the arc began, as rounding would decide on the side of a shorter one; and
+#: at most this share of the piece.
+TOLD_APART, MOST_ASIDE = 1e-10, 0.25
+
+# Rows of ``lines``: the start of a piece of an arc, and the state next to it; the flow before a
+# jump or a kink, and behind it; a gradient, or how the time of a kink changes; and flows beyond an
+# end of an arc.
+PIECE_START, PIECE_INSIDE, FLOW_BEFORE, FLOW_BEHIND, GRADIENT_ROW, NEAR_ROW, FAR_ROW = range(7)
 
 
 def flown(
@@ -165,49 +180,56 @@ def along(
     found: Matrix,
 ) -> tuple[int, int]:
     """Carry the changes along a run; as :func:`flown` puts them down."""
-    n, tail = x.shape[0], 0
+    n, tail, end, opens = x.shape[0], 0, 0, True
     for i in range(found.shape[0]):
         for k in range(found.shape[1]):
             found[i, k] = math.nan
     for j in range(jumps + int(ends)):
+        field = flown_in(a, now, left, j, jumps)
         own = s.of_fields[field]
         if own < 0:
             return OF_FIELD if own == UNKNOWN else LEFT_TO_PYTHON, field
-        if not followed(a, now, left, field, j, jumps):
-            return LEFT_TO_PYTHON, field
         row, length = s.fields[own], now.floats[TAU] if j == jumps else left.when[j, 2]
-        if j == 0:
-            begun(s, row, t, x, room)
-        if not length > 0.0 or not carries(s, row, t, x, length, room):
-            return LEFT_TO_PYTHON, field
+        begin, end = end, until(now, left, end, j)
+        if opens:
+            starts = j > 0 or begun(s, row, left, begin, end, t, x, room)
+            if not length > 0.0 or not starts:
+                return LEFT_TO_PYTHON, field
+            if not carries(a, field, s, row, left, begin, end, t, x, length, sums, room):
+                return LEFT_TO_PYTHON, field
         if j == jumps:
-            ended(s, row, run[LAST_TIME], now.end, room, found)
-            return KNOWN, 0
+            there = ended(s, row, left, begin, end, run[LAST_TIME], now.end, room, found)
+            return KNOWN if there else LEFT_TO_PYTHON, field
         guard, sums_up = left.fired[j], tail < tails and left.sums[tail, JUMPS_BEFORE] == j + 1
         own = s.of_guards[guard]
         if own < 0:
             return OF_GUARD if own == UNKNOWN else LEFT_TO_PYTHON, guard
-        to = field if sums_up else a.guards[guard, TO]
+        t, x, first = left.when[j, 0], left.after[j], 3 + 2 * n + j * (1 + 2 * n)
+        before, line = left.before[j], s.guards[own]
+        if opens and not arrives(s, line, row, left, begin, end, t, before, room):
+            return LEFT_TO_PYTHON, guard
+        if not opens and not together(s, line, t, before, room):
+            return LEFT_TO_PYTHON, guard
+        jumped(s, line, t, before, first, room, found)
+        alone = opens
+        opens = sums_up or j + 1 == jumps or left.when[j + 1, 2] > 0.0
+        if not opens:
+            copied(room.moved, room.state)
+            continue
+        smooth = alone and a.guards[guard, KIND] in (RELEASE, LEAVE)
+        to = field if sums_up else flown_in(a, now, left, j + 1, jumps)
         if s.of_fields[to] < 0:
             return OF_FIELD if s.of_fields[to] == UNKNOWN else LEFT_TO_PYTHON, to
-        later = s.fields[s.of_fields[to]]
-        t, x = left.when[j, 0], left.after[j]
-        first, smooth = 3 + 2 * n + j * (1 + 2 * n), a.guards[guard, KIND] == RELEASE
-        if not jumped(
-            s, s.guards[own], row, later, t, left.before[j], x, smooth, first, room, found
-        ):
+        row = s.fields[s.of_fields[to]]
+        later = end if sums_up else until(now, left, end, j + 1)
+        if not leaves(s, row, left, end, later, t, x, smooth, room):
             return LEFT_TO_PYTHON, guard
         if sums_up:
-            flow, column = a.fields[field, FIELD_PROGRAM], guard - a.fields[field, GUARDS]
-            if not accumulated(
-                a, flow, a.guards[guard, AT], column, s, own, t, x, left, tail, sums, room, found
-            ):
+            if not accumulated(a, field, guard, s, own, t, x, left, tail, sums, room, found):
                 return LEFT_TO_PYTHON, guard
             t, _ = after(t, left.when[j, 1], left.sums[tail, REMAINING])
-            field, x = a.guards[guard, REST], left.curves[tail * CURVE_ROWS + AT_REST, :n]
+            x = left.curves[tail * CURVE_ROWS + AT_REST, :n]
             tail += 1
-        else:
-            field = to
     if not ends:  # at the last jump
         put(room.moved, 0, found, 0)
         for i in range(n):
@@ -215,17 +237,23 @@ def along(
     return KNOWN, 0
 
 
-def followed(a: AutomatonArrays, now: Now, left: Left, field: int, arc: int, jumps: int) -> bool:
-    """Whether an arc was flown in a field, and ends as changes are carried: where contacts are held
-    that is by a release of the only one, or with the run."""
-    if arc == jumps:
-        return now.ints[FIELD] == field
-    guard = left.fired[arc]
-    own = a.fields[field, GUARDS] <= guard < a.fields[field, GUARDS_END]
-    if not own or a.fields[field, ONTO_GAPS] < 0:
-        return own
-    to = a.guards[guard, TO]
-    return a.guards[guard, KIND] == RELEASE and a.fields[to, ONTO_GAPS] < 0
+def until(now: Now, left: Left, begins: int, arc: int) -> int:
+    """Where the steps of an arc end, which begin there."""
+    end = begins
+    while end < now.ints[STEPS_MADE] and left.owner[end] == arc:
+        end += 1
+    return end
+
+
+def flown_in(a: AutomatonArrays, now: Now, left: Left, arc: int, jumps: int) -> int:
+    """The field of an arc: that in which the guard is watched that has ended it, or that in which
+    the run has come to its end."""
+    field = now.ints[FIELD]
+    if arc < jumps:
+        field, guard = 0, left.fired[arc]
+        while not a.fields[field, GUARDS] <= guard < a.fields[field, CLOCKS_END]:
+            field += 1
+    return field
 
 
 def put(change: Matrix, row: int, found: Matrix, place: int) -> None:
@@ -235,36 +263,199 @@ def put(change: Matrix, row: int, found: Matrix, place: int) -> None:
             found[place, k] = change[row, k]
 
 
-def begun(s: Slopes, row: Ints, t: float, x: Floats, room: Changes) -> None:
+def begun(
+    s: Slopes,
+    row: Ints,
+    left: Left,
+    begin: int,
+    end: int,
+    t: float,
+    x: Floats,
+    room: Changes,
+) -> bool:
     """The change at the start of a run."""
     n, state, flow = x.shape[0], room.state, room.lines[FLOW_BEHIND]
     first = state.shape[1] - n - 2
-    rates(s, row[SLOPES_PROGRAM], t, x, room, flow)
     for i in range(n + 1):
         for k in range(state.shape[1]):
             state[i, k] = 1.0 if i > 0 and k == first + i - 1 else 0.0
+    if not flow_at(s, row, left, begin, end, False, t, x, room, flow):
+        return False
     for i in range(n):
         state[1 + i, first + n] = -flow[i]
+    return True
 
 
-def carries(s: Slopes, row: Ints, t: float, x: Floats, length: float, room: Changes) -> bool:
-    """Carry a change along an arc. On contacts it begins with its start's projection."""
-    n, state, moved, arc = x.shape[0], room.state, room.moved, room.arc
-    columns, begins = 1 + arc.shape[1], room.lines[ARC_START, :n]
+def flow_at(
+    s: Slopes,
+    row: Ints,
+    left: Left,
+    begin: int,
+    end: int,
+    ends: bool,
+    t: float,
+    x: Floats,
+    room: Changes,
+    flow: Floats,
+) -> bool:
+    """The flow at an end of an arc, on its side of what may change its formula; whether it is the
+    same beyond: where it is not, neighbours have that before the end, or not at all."""
+    if row[KINKED] < 0 or end == begin:
+        rates(s, row[SLOPES_PROGRAM], t, x, room, flow)
+        return True
+    step, n, beside = end - 1 if ends else begin, x.shape[0], room.lines[PIECE_INSIDE]
+    length, series = left.spans[step, 1], left.series[step * n : (step + 1) * n]
+    aside = apart(left, step)
+    for i in range(n):
+        _, flow[i] = power_value(series[i], 0, series.shape[1] - 1, length if ends else 0.0)
+    for place in range(2):
+        further = (1 + place) * (aside if ends else -aside)
+        for i in range(n):
+            beside[i] = x[i] + further * flow[i]
+        rates(s, row[SLOPES_PROGRAM], t + further, beside[:n], room, room.lines[NEAR_ROW + place])
+    for i in range(n):
+        _, middle = power_value(series[i], 0, series.shape[1] - 1, 0.5 * length)
+        beyond = 2.0 * room.lines[NEAR_ROW, i] - room.lines[FAR_ROW, i]
+        if abs(beyond - flow[i]) > NEAR * max(abs(flow[i]), abs(middle)):
+            return False
+    return aside > 0.0
+
+
+def apart(left: Left, step: int) -> float:
+    """How far from the end of a step its side of a kink is told; 0 where it is too short."""
+    length = left.spans[step, 1]
+    aside = max(KINK_SIDE * length, TOLD_APART * (left.spans[step, 0] + length))
+    return aside if aside <= MOST_ASIDE * length else 0.0
+
+
+def carries(
+    a: AutomatonArrays,
+    field: int,
+    s: Slopes,
+    row: Ints,
+    left: Left,
+    begin: int,
+    end: int,
+    t: float,
+    x: Floats,
+    length: float,
+    sums: Sums,
+    room: Changes,
+) -> bool:
+    """Carry a change along an arc. On contacts it begins with its start's projection; where the
+    flow changes its formula it goes from step to step."""
+    n, state, columns = x.shape[0], room.state, 1 + room.arc.shape[1]
+    begins, inside = room.lines[PIECE_START, :n], room.lines[PIECE_INSIDE, :n]
     for k in range(state.shape[1]):
         state[0, k] = 0.0
-    onto, held = row[ONTO], row[HELD_COUNT]
-    if onto >= 0 and not onto_contacts(s, onto, held, t, x, 0, columns, state, room):
+    if not projected(s, row, t, x, columns, state, room.moved, room):
         return False
-    for i in range(n):
-        begins[i] = x[i]
-    places = s.places[row[SLOPES_FROM] : row[SLOPES_UNTIL]]
-    if carried(s.programs, row[SLOPES_PROGRAM], places, t, begins, length, t, x, room, arc) < 0:
+    if row[KINKED] < 0:
+        for i in range(n):
+            begins[i] = inside[i] = x[i]
+        return passes(s, row, t, length, 0.0, n, room)
+    for step in range(begin, end):
+        aside, since = apart(left, step), left.spans[step, 0]
+        for i in range(n):
+            series = left.series[step * n + i]
+            begins[i] = series[0]
+            inside[i], _ = power_value(series, 0, series.shape[0] - 1, aside)
+        if step > begin and not bent(a, field, s, row, left, step, t + since, sums, room):
+            return False
+        if not aside > 0.0 or not passes(s, row, t + since, left.spans[step, 1], aside, n, room):
+            return False
+    return end > begin
+
+
+def passes(
+    s: Slopes, row: Ints, t: float, length: float, aside: float, n: int, room: Changes
+) -> bool:
+    """Carry a change along a piece of an arc on which no formula changes."""
+    begins, inside = room.lines[PIECE_START, :n], room.lines[PIECE_INSIDE, :n]
+    places, state = s.places[row[SLOPES_FROM] : row[SLOPES_UNTIL]], room.state
+    program, arc = row[SLOPES_PROGRAM], room.arc
+    status = carried(s.programs, program, places, t, begins, length, t + aside, inside, room, arc)
+    if status < 0:
         return False
-    mapped(arc, 0, n, state, moved)
+    mapped(arc, 0, n, state, room.moved)
     for i in range(n):
         for k in range(state.shape[1]):
-            state[1 + i, k] = moved[1 + i, k]
+            state[1 + i, k] = room.moved[1 + i, k]
+    return True
+
+
+def bent(
+    a: AutomatonArrays,
+    field: int,
+    s: Slopes,
+    row: Ints,
+    left: Left,
+    step: int,
+    t: float,
+    sums: Sums,
+    room: Changes,
+) -> bool:
+    """Carry a change through the start of a step, where the flow may jump as a kink passes zero;
+    whether neighbours have that at a time that is smooth."""
+    n, flow, jumps = room.state.shape[0] - 1, a.fields[field, FIELD_PROGRAM], False
+    here, jump, x = room.lines[FLOW_BEFORE], room.lines[FLOW_BEHIND], room.lines[PIECE_START, :n]
+    for i in range(n):
+        before, later = left.series[(step - 1) * n + i], left.series[step * n + i, 1]
+        _, here[i] = power_value(before, 0, before.shape[0] - 1, left.spans[step - 1, 1])
+        jump[i] = later - here[i]
+        jumps = jumps or abs(jump[i]) > SAME_FLOW * max(abs(later), abs(here[i]))
+    if not jumps:
+        return True
+    afresh(a.programs, flow, 0, t, x, sums.sides, sums.aside, sums.work)
+    read(s, row[KINKED], t, x, room)
+    found = False
+    for kink in range(count(a.programs, flow)):
+        if passed_at(a.programs, flow, kink, t, x, here, left.spans[step - 1, 1], sums, room):
+            if not turned(kink, here, found, room):
+                return False
+            found = True
+    for k in range(room.state.shape[1]):
+        for i in range(n):
+            room.state[1 + i, k] -= jump[i] * room.moved[0, k]
+    return found
+
+
+def turned(kink: int, flow: Floats, known: bool, room: Changes) -> bool:
+    """When neighbours pass a kink; whether that is, if it is known of another, at the same time."""
+    state, columns, n = room.state, 1 + room.arc.shape[1], room.state.shape[0] - 1
+    row = room.read[kink * columns : (kink + 1) * columns]
+    rate = row[0]
+    for i in range(n):
+        rate += row[1 + i] * flow[i]
+    for k in range(state.shape[1]):
+        time = -product(row, state, 1 + n, columns, 0, k) / rate
+        if known and abs(time - room.moved[0, k]) > SAME_KINK_TIME * abs(room.moved[0, k]):
+            return False
+        room.moved[0, k] = time
+    return True
+
+
+def projected(
+    s: Slopes,
+    row: Ints,
+    t: float,
+    x: Floats,
+    columns: int,
+    state: Matrix,
+    moved: Matrix,
+    room: Changes,
+) -> bool:
+    """Project a change at equal times onto the contacts held in a field, or onto the surface on
+    which it slides."""
+    onto, held = row[ONTO], row[HELD_COUNT]
+    if onto < 0:
+        return True
+    if held > 0:
+        return onto_contacts(s, onto, held, t, x, 0, columns, state, room)
+    reset(s, onto, t, x, 0, columns, state, moved, room)
+    for i in range(1, 1 + x.shape[0]):
+        for k in range(state.shape[1]):
+            state[i, k] = moved[i, k]
     return True
 
 
@@ -283,61 +474,98 @@ def image(matrix: Matrix, row: int, n: int, state: Matrix, k: int) -> float:
     return total
 
 
-def jumped(
+def arrives(
     s: Slopes,
     own: Ints,
     row: Ints,
-    later: Ints,
+    left: Left,
+    begin: int,
+    end: int,
     t: float,
     before: Floats,
-    behind: Floats,
-    smooth: bool,
-    first: int,
     room: Changes,
-    found: Matrix,
 ) -> bool:
-    """Carry a change through a jump from a field to another, put down from row ``first`` on.
-
-    ``smooth``: the flow goes on as it was.
-    """
-    n, state, moved = before.shape[0], room.state, room.moved
-    arrives, leaves = room.lines[FLOW_BEFORE], room.lines[FLOW_BEHIND]
-    across = room.lines[GRADIENT_ROW]
-    columns = 1 + room.arc.shape[1]
-    rates(s, row[SLOPES_PROGRAM], t, before, room, arrives)
-    rates(s, later[SLOPES_PROGRAM], t, behind, room, leaves)
+    """Carry a change to the time at which a guard fires."""
+    n, state, columns = before.shape[0], room.state, 1 + room.arc.shape[1]
+    flow, across = room.lines[FLOW_BEFORE], room.lines[GRADIENT_ROW]
+    if not flow_at(s, row, left, begin, end, True, t, before, room, flow):
+        return False
     values(s.programs, own[GRADIENT], t, before, room.sides, room.c, room.work, across)
     rate = across[0]
     for i in range(n):
-        rate += across[1 + i] * arrives[i]
+        rate += across[1 + i] * flow[i]
     if rate == 0.0:
         return False
     for k in range(state.shape[1]):
         state[0, k] = 0.0
         state[0, k] = -product(across, state, 1 + n, columns, 0, k) / rate
         for i in range(n):
-            state[1 + i, k] += arrives[i] * state[0, k]
+            state[1 + i, k] += flow[i] * state[0, k]
+    return True
+
+
+def together(s: Slopes, own: Ints, t: float, before: Floats, room: Changes) -> bool:
+    """Whether a guard to whose zero a jump has led is zero for neighbours, too."""
+    n, state, columns = before.shape[0], room.state, 1 + room.arc.shape[1]
+    flow, across = room.lines[FLOW_BEFORE], room.lines[GRADIENT_ROW]
+    values(s.programs, own[GRADIENT], t, before, room.sides, room.c, room.work, across)
+    for k in range(state.shape[1]):
+        size = abs(across[1 + n + k]) if k < columns - 1 - n else 0.0
+        for i in range(1 + n):
+            size += abs(across[i] * state[i, k])
+        for i in range(n):  # of which a change that is rounding of others is made
+            size += abs(across[1 + i] * flow[i] * state[0, k])
+        if abs(product(across, state, 1 + n, columns, 0, k)) > TIED * size:
+            return False
+    return True
+
+
+def jumped(
+    s: Slopes, own: Ints, t: float, before: Floats, first: int, room: Changes, found: Matrix
+) -> None:
+    """Carry a change of time and state through a jump, put down from row ``first`` on."""
+    n, state, moved = before.shape[0], room.state, room.moved
+    if own[RESET_SLOPES] >= 0:
+        reset(s, own[RESET_SLOPES], t, before, 0, 1 + room.arc.shape[1], state, moved, room)
+    else:
+        copied(state, moved)
     for i in range(1 + n):
         put(state, i, found, first + i)
-    if own[RESET_SLOPES] >= 0:
-        reset(s, own[RESET_SLOPES], t, before, 0, columns, state, moved, room)
-    else:
-        for i in range(1 + n):
-            for k in range(state.shape[1]):
-                moved[i, k] = state[i, k]
+    for i in range(1, 1 + n):
+        put(moved, i, found, first + n + i)
+
+
+def leaves(
+    s: Slopes,
+    row: Ints,
+    left: Left,
+    begin: int,
+    end: int,
+    t: float,
+    x: Floats,
+    smooth: bool,
+    room: Changes,
+) -> bool:
+    """From a change of time and state behind a jump to that of the state at equal times.
+
+    ``smooth``: the flow goes on as it was.
+    """
+    n, state, moved = x.shape[0], room.state, room.moved
+    flow = room.lines[FLOW_BEHIND]
+    if not flow_at(s, row, left, begin, end, False, t, x, room, flow):
+        return False
+    if smooth:
+        flow = room.lines[FLOW_BEFORE]
     for i in range(n):
-        put(moved, 1 + i, found, first + 1 + n + i)
-        flow = arrives[i] if smooth else leaves[i]
         for k in range(state.shape[1]):
-            state[1 + i, k] = moved[1 + i, k] - flow * moved[0, k]
+            state[1 + i, k] = moved[1 + i, k] - flow[i] * moved[0, k]
     return True
 
 
 def accumulated(
     a: AutomatonArrays,
-    flow: int,
-    at: int,
-    column: int,
+    field: int,
+    guard: int,
     s: Slopes,
     contact: int,
     t: float,
@@ -350,11 +578,14 @@ def accumulated(
 ) -> bool:
     """Carry a change through a sum of impacts."""
     n, row, first = x.shape[0], left.sums[tail], tail * CURVE_ROWS
+    flow, at = a.fields[field, FIELD_PROGRAM], a.guards[guard, AT]
+    column = guard - a.fields[field, GUARDS]
+    held = a.fields[field, CONSTRAINED] == 1
     curve = left.curves[first : first + int(row[CURVE_DEGREE]) + 1]
     x_inf, out, state, moved = left.curves[first + AT_LIMIT, :n], room.out, room.state, room.moved
     none = room.maps[:0]
     usable = limit(
-        a.programs, flow, at, column, False, s, contact, t, x, row[LAST_SPEED], row[RATIO],
+        a.programs, flow, at, column, held, s, contact, t, x, row[LAST_SPEED], row[RATIO],
         row[REMAINING], curve, x_inf, none, sums, room, out,
     )  # fmt: skip
     if not usable <= USABLE:
@@ -371,11 +602,23 @@ def accumulated(
     return True
 
 
-def ended(s: Slopes, row: Ints, t: float, x: Floats, room: Changes, found: Matrix) -> None:
+def ended(
+    s: Slopes,
+    row: Ints,
+    left: Left,
+    begin: int,
+    end: int,
+    t: float,
+    x: Floats,
+    room: Changes,
+    found: Matrix,
+) -> bool:
     """The change of the last time, and of the state there."""
     n, flow, last = x.shape[0], room.lines[FLOW_BEFORE], found.shape[1] - 1
-    rates(s, row[SLOPES_PROGRAM], t, x, room, flow)
+    if not flow_at(s, row, left, begin, end, True, t, x, room, flow):
+        return False
     for k in range(found.shape[1]):
         found[0, k] = 1.0 if k == last else 0.0
         for i in range(n):
             found[1 + i, k] = room.state[1 + i, k] + (flow[i] if k == last else 0.0)
+    return True

@@ -32,8 +32,10 @@ from .places import (
     KIND,
     LAST_USED,
     LASTED,
+    MADE_OF,
     NONE,
     OWN,
+    PULL,
     RELEASE,
     RISES,
     SERIES,
@@ -73,6 +75,7 @@ def starts(a: AutomatonArrays, now: Now, room: Room) -> int:
     field, fires, drowned = now.ints[FIELD], NONE, False
     first = a.fields[field, GUARDS]
     for g in range(first, a.fields[field, GUARDS_END]):
+        now.zeros[g - first, MADE_OF] = -1.0
         if now.ints[ENTERED] == 0:
             c = room.c[row_of(a, a.fields[field, FIELD_PROGRAM], field, g)]
             now.orders[g - first], what = start_of(a, now, room, g, c)
@@ -101,6 +104,7 @@ def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) ->
     beyond = before != 0 or outside  # rounding, of a guard that is large
     if least > 0 or beyond or not far(c[0], reach):
         size, rate, bend = sizes_of(a, room, guard, t, now.x)
+        now.zeros[guard - a.fields[now.ints[FIELD], GUARDS], MADE_OF] = size
         high, fast = 0.0, math.inf
         if not math.isfinite(c[0]) or not size < math.inf:
             return 0, HARD
@@ -119,6 +123,8 @@ def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) ->
         if settles(a, now, room, guard, c, order, sign, size, rate, bend, series):
             return order, RESTS
         low = kind == CONTACT and order == 1 and drowns(c[1], 2.0 * c[2], reach)
+        if kind == CONTACT and used:
+            now.floats[PULL] = 2.0 * c[2]
         hard = kind == CONTACT and a.guards[guard, BENDS] == 1
         if order > RISES or (order > 0 and hard):
             return order, HARD

@@ -275,5 +275,5 @@ def _keep(
     starts[piece], lengths[piece] = time, h
     for i in range(x.shape[0]):
         x[i], _ = power_value(c[i], 0, c.shape[1] - 1, h)
-        for k in range(c.shape[1] if series.shape[0] > 0 else 0):
-            series[piece * x.shape[0] + i, k] = c[i, k]
+        for k in range(series.shape[1] if series.shape[0] > 0 else 0):
+            series[piece * x.shape[0] + i, k] = c[i, k] if k < c.shape[1] else 0.0

@@ -29,6 +29,7 @@ from .places import (
     GUARDS_END,
     LOOKS,
     LOW,
+    MADE_OF,
     NONE,
     OFF,
     PHASE,
@@ -264,7 +265,9 @@ def shallow(slope: float, bend: float, tolerance: float) -> bool:
 
 def has_left(a: AutomatonArrays, now: Now, room: Room, c: Floats, guard: int, s: float) -> bool:
     """Whether a guard that was zero has been larger than its rounding on the way (2)."""
-    size, _, _ = sizes_of(a, room, guard, now.floats[T], now.x)
+    size = now.zeros[guard - a.fields[now.ints[FIELD], GUARDS], MADE_OF]
+    if size < 0.0:
+        size, _, _ = sizes_of(a, room, guard, now.floats[T], now.x)
     noise = GUARD_ROUNDING * EPS * size + 2.0 * abs(c[0])
     for k in range(1, 4):
         value, _ = power_value(c, 0, c.shape[0] - 1, 0.25 * k * s)

@@ -6,23 +6,34 @@ Numbers in brackets are the rules of ``docs/semantics.md``.
 
 from __future__ import annotations
 
-from .arrays import Floats, Ints, Programs, Sums
+from .arrays import Floats, Ints, Matrix, Programs, Sums
 from .flights import fly
 from .guards import NEAR
 from .jets import values
 from .lengths import LAST_TERMS
 from .sums import KICK, ONTO_CONTACT, READ, restitution, turned
 
-__all__ = ("drowns", "hop")
+__all__ = ("drowns", "hop", "tells")
 
 #: Status besides those of :mod:`.flights`: the speed after the impact is negative or no number.
 NO_SPEED = -8
+
+#: A flight drowns by far, or not, where it does as well with a speed so many times as high, or as
+#: low: forces a thousand times as large would have to follow each other to decide otherwise.
+BY_FAR = 32.0
 
 
 def drowns(v: float, force: float, size: float) -> bool:
     """Whether a gap that opens with speed ``v`` against a force stays comparable to the rounding of
     states of a size (7)."""
     return 0.0 < v * v <= -NEAR * force * size
+
+
+def tells(v: float, force: float, size: float) -> bool:
+    """Whether the force of the flight before, 0 if it is not known, says whether one drowns: of one
+    that does by far, or by far does not."""
+    high = not drowns(v / BY_FAR, force, size)
+    return force < 0.0 and (high or drowns(v * BY_FAR, force, size))
 
 
 def hop(
@@ -57,11 +68,13 @@ def hop(
         0, or negative if the flight cannot be flown here; its duration; the gap speed after the
         impact; the number of pieces of it in ``room``.
     """
-    status, time, u, pieces, _ = fly(
-        p, flow, column, held, t, x, v, room.starts, room.lengths, room.series, room.branch,
-        room.end, room.c, room.aside, room.work, room.rows, room.found, room.sides, signs, rounding,
-        LAST_TERMS,
-    )  # fmt: skip
+    status, time, u, pieces = _flown(
+        p, flow, column, held, t, x, v, signs, rounding, room.low, room
+    )
+    if status < 0 or pieces > 1:  # it is long, or has kinks on the way
+        status, time, u, pieces = _flown(
+            p, flow, column, held, t, x, v, signs, rounding, room.c, room
+        )
     if status < 0:
         return status, time, 0.0, 0
     end, read, n = t + time, room.lines[READ], x.shape[0]
@@ -74,3 +87,25 @@ def hop(
         after[j] = before[j]
     turned(after, speed - read[n], read)
     return 0, time, speed, pieces
+
+
+def _flown(
+    p: Programs,
+    flow: int,
+    column: int,
+    held: bool,
+    t: float,
+    x: Floats,
+    v: float,
+    signs: Ints,
+    rounding: float,
+    c: Matrix,
+    room: Sums,
+) -> tuple[int, float, float, int]:
+    """The flight, by series of which ``c`` has the coefficients."""
+    status, time, u, pieces, _ = fly(
+        p, flow, column, held, t, x, v, room.starts, room.lengths, room.series, room.branch,
+        room.end, c, room.aside, room.work, room.rows, room.found, room.sides, signs, rounding,
+        LAST_TERMS,
+    )  # fmt: skip
+    return status, time, u, pieces

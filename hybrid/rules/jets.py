@@ -54,12 +54,13 @@ def jets(
     c[n, 0] = t
     for k in range(1, order + 1):
         c[n, k] = 1.0 if k == 1 else 0.0
-    for _ in range(p.index[program, KINKS + 1] - p.index[program, KINKS] + 1):
+    kinks = p.index[program, KINKS + 1] - p.index[program, KINKS]
+    for _ in range(kinks + 1):
         if p.code[program] != 0:
             run_code(p.code[program], order, p.more, p.numbers, sides, c, work)
         else:
             _recur(p, program, order, sides, c, work)
-        if not _decided(p, program, order, sides, c):
+        if kinks == 0 or not _decided(p, program, order, sides, c):
             break
     for i in range(n):
         if missing(c, i, order):
@@ -145,7 +146,7 @@ def missing(c: Matrix, row: int, order: int) -> bool:
     that grows by such a value misses its coefficient of order 1.
     """
     last = math.isnan(c[row, order])
-    return last or math.isnan(c[row, 0]) or math.isnan(c[row, min(1, order)])
+    return last or (order > 0 and (math.isnan(c[row, 0]) or math.isnan(c[row, 1])))
 
 
 def _decided(p: Programs, program: int, order: int, sides: Ints, c: Matrix) -> bool:

@@ -55,9 +55,12 @@ from .places import (
     MAKE,
     METHOD_ORDER,
     PHASE,
+    PULL,
     RATIO,
     REMAINING,
     SERIES,
+    SERIES_REACH,
+    SHORT,
     STEPS_MADE,
     TAILS,
     TAU,
@@ -258,7 +261,8 @@ def begun(a: AutomatonArrays, now: Now, t: float, x: Floats, field: int) -> None
     )
     now.ints[ENTERED], now.ints[PHASE], now.ints[MADE], now.ints[GUARD_POWER] = 0, BEGINS, 0, 1
     now.ints[JUMPS_MADE], now.ints[STEPS_MADE], now.ints[EXPANSIONS], now.ints[TAILS] = 0, 0, 0, 0
-    now.ints[LOW_AHEAD], now.ints[WAS_LOW] = 0, 0
+    now.ints[LOW_AHEAD], now.ints[WAS_LOW], now.ints[SHORT] = 0, 0, 0
+    now.floats[PULL], now.floats[SERIES_REACH] = 0.0, 0.0
     now.ints[FLIGHTS] += 1  # what was tied, or spent, is so no more
     copied(x, now.x)
     for i in range(x.shape[0]):

@@ -34,6 +34,18 @@ SHORTEST_CUT = 1e-12
 #: An element of the state is measured by its first terms, so many.
 FIRST_TERMS = 3
 
+#: Series of low flights have this order; those of short ones no less, and else half the usual one.
+LOW_ORDER = 8
+
+#: A flight is short up to this share of a usual step. The usual order is 1.65 times half the
+#: natural logarithm of what is asked for, so that series of half the order are as exact up to a
+#: share of exp(-2 / 1.65), which is 0.30.
+SHORT_SHARE = 0.25
+
+#: A step goes so many times as far as the flight is expected to, which is known but for how its
+#: force changes.
+STEP_FURTHER = 1.25
+
 #: Below this coefficients have lost digits, or all of them; and a series of which the next one
 #: would be smaller than this has not ended where they are zero.
 FAINT, REPRESENTED = 1e-290, 1e-200
@@ -58,11 +70,11 @@ def held_length(c: Matrix, size: int, share: float, length: float) -> float:
     return length
 
 
-def tolerated_length(c: Matrix, size: int, loss: Floats) -> float:
-    """Length at which they fall to what a step may lose: a share of the element, in the first place
-    of ``loss``, and a number for each, behind it; to rounding where that is more, and no further
-    than all series have converged."""
-    length = math.inf
+def tolerated_length(c: Matrix, size: int, loss: Floats, most: float) -> float:
+    """Length, ``most`` at most, at which they fall to what a step may lose: a share of the element,
+    in the first place of ``loss``, and a number for each, behind it; to rounding where that is
+    more, and no further than all series have converged."""
+    length = most
     for i in range(size):
         if loss[0] > CONVERGED or loss[1 + i] > CONVERGED * abs(c[i, 0]):
             length = _within(c[i], CONVERGED, 0.0, length)
@@ -146,6 +158,11 @@ def known(c: Floats) -> int:
         return order
     ratio = (abs(c[last]) / abs(c[first])) ** (1.0 / (last - first))
     return order if abs(c[last]) * ratio * ratio >= REPRESENTED else last
+
+
+def short_order(order: int) -> int:
+    """The order of the series of short flights, by the usual one."""
+    return min(order, max(LOW_ORDER, order // 2))
 
 
 def power(s: float, k: int) -> float:

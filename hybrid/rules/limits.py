@@ -338,14 +338,8 @@ def bent(
     found = False
     for k in range(crossed):
         kink = sums.branch[count(p, flow) + k]
-        value = sums.aside[p.kinks[p.index[flow, KINKS] + kink, KINK_ROW], 0]
-        row = room.read[kink * columns : (kink + 1) * columns]
-        rate, size = row[0], abs(row[0] * now)
-        for j in range(n):
-            rate += row[1 + j] * here[j]
-            size += abs(row[1 + j] * x[j])
-        if abs(value) <= KINK_SIDE * length * abs(rate) + KINK_ROUNDING * size and rate != 0.0:
-            if not passed(row, rate, n, found, room):
+        if passed_at(p, flow, kink, now, x, here, length, sums, room):
+            if not passed(kink, here, n, found, room):
                 return False
             found = True
     for k in range(columns):
@@ -354,9 +348,36 @@ def bent(
     return found
 
 
-def passed(row: Floats, rate: float, n: int, known: bool, room: Changes) -> bool:
+def passed_at(
+    p: Programs,
+    flow: int,
+    kink: int,
+    t: float,
+    x: Floats,
+    rates: Floats,
+    length: float,
+    sums: Sums,
+    room: Changes,
+) -> bool:
+    """Whether a kink of a flow passes zero at the end of a piece; its value is in ``sums.aside``,
+    and its derivatives are among those read."""
+    n, columns = x.shape[0], room.before.shape[1]
+    value = sums.aside[p.kinks[p.index[flow, KINKS] + kink, KINK_ROW], 0]
+    row = room.read[kink * columns : (kink + 1) * columns]
+    rate, size = row[0], abs(row[0] * t)
+    for j in range(n):
+        rate += row[1 + j] * rates[j]
+        size += abs(row[1 + j] * x[j])
+    return abs(value) <= KINK_SIDE * length * abs(rate) + KINK_ROUNDING * size and rate != 0.0
+
+
+def passed(kink: int, rates: Floats, n: int, known: bool, room: Changes) -> bool:
     """When neighbours pass a kink; whether that is, if it is known of another, at the same time."""
     when, columns = room.lines[TIME_JUMP], room.flight.shape[1]
+    row = room.read[kink * columns : (kink + 1) * columns]
+    rate = row[0]
+    for j in range(n):
+        rate += row[1 + j] * rates[j]
     for k in range(columns):
         total = row[k] if k > n else 0.0
         for j in range(n):

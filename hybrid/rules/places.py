@@ -96,7 +96,9 @@ AIM = 6  # the expected end of the arc
 FIRST_LENGTH = 7  # the length of the first step
 GAP_SPEED = 8  # the gap speed after an impact
 DUE = 9  # the time of the clock that rings first
-STATE_FLOATS = 10
+PULL = 10  # the force that draws a contact back in the flight from it; 0 if it is not known
+SERIES_REACH = 11  # the length of the last step of the whole order that its series ended
+STATE_FLOATS = 12
 
 #: Integers of the current state.
 FIELD = 0  # the field
@@ -123,13 +125,16 @@ LACKING_AT = 20  # the column of that entry
 LASTED = 21  # 1 if the arc before had a positive length
 RINGS = 22  # the clock that rings first
 FLOWING = 23  # the number of states that flow; discrete variables follow
-PROVED = 24  # 1 if Python has shown that the sum at hand passes over no event
-STATE_INTS = 25
+SHORT = 24  # 1 if the step is made by series of lower order
+PROVED = 25  # 1 if Python has shown that the sum at hand passes over no event
+STATE_INTS = 26
 
 #: Columns of the zeros of guards in a step.
 WHEN = 0  # when the guard fires
 BLUR = 1  # how much the remainder of its series may move that
 OFF = 2  # how far from zero it was at the start of the arc, where it vanishes
+MADE_OF = 3  # the sum of its absolute terms there; negative if it is not known
+ZERO_COLUMNS = 4
 
 #: What comes next in an arc.
 BEGINS = 0  # its start

@@ -63,6 +63,7 @@ from .places import (
     PLAIN,
     PROOF,
     PROVED,
+    PULL,
     RATIO,
     RELATIVE,
     REMAINING,
@@ -103,7 +104,7 @@ def go(
     (:mod:`.places`)."""
     status, run[UNTIL] = GOES_ON, min(run[LAST_TIME], now.floats[DUE])
     while status == GOES_ON:
-        status = advance(a, run, now, room, left)
+        status = advance(a, run, now, room, sums.short, left)
         if status == SUM:
             status = accumulated(a, run, now, room, left, sums, look)
         elif status == HOPS:
@@ -239,6 +240,7 @@ def rests(
     else:
         x[0] = math.nan
     now.ints[SERIES], now.ints[PHASE], now.ints[TAILS] = -1, BEGINS, tail + 1
+    now.floats[PULL] = 0.0
     last = run[REST_AFTER] == ENDS_THERE or tail + 1 == left.sums.shape[0]
     return GOES_ON if plain and not last else FULL
 

@@ -38,9 +38,9 @@ EXCESS = 0.02
 #: flight has rates of ``1 / s**3`` its size, so that nothing hides by being small and brief.
 RATES, RATES_FACTORIAL = 3, 6.0
 
-#: How often a tail is halved, at most. Three or four halvings leave one flight, five more a
-#: thirty-second of it, over which bounds of time, position and speed are as small.
-TAIL_HALVINGS = 9
+#: How often a tail is halved, at most. Three or four halvings leave one flight, ten more a part of
+#: it of 1/1024, over which bounds of time, position and speed are as small.
+TAIL_HALVINGS = 14
 
 #: How much wider a box is than the points in it, on either side.
 BOX_MARGIN = 0.25

@@ -110,7 +110,7 @@ def _length(
     found: Matrix,
 ) -> tuple[int, float, int]:
     """How long a step is, at most ``most``, and the kink that ends it; a status before them."""
-    longest, crossed = min(tolerated_length(c, states(p, program), loss), most), -1
+    longest, crossed = tolerated_length(c, states(p, program), loss, most), -1
     watched = count(p, program) > 0
     if watched:
         longest = min(longest, holding(p, program, c))

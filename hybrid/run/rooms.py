@@ -13,6 +13,7 @@ import numpy as np
 
 from ..rules.arrays import AutomatonArrays, Left, Look, Now, Room, Sums
 from ..rules.calls import held
+from ..rules.lengths import short_order
 from ..rules.places import CURVE_ROWS, FLOWING, REMAINING, STATE_FLOATS, STATE_INTS, TOLERANCES
 from ..rules.sights import LAW_POINTS, STATE_ROWS, TAIL_HALVINGS
 from ..rules.sums import STRETCH_POINTS
@@ -28,7 +29,9 @@ def work_for(tables: Tables, n: int, order: int) -> tuple[Room, Sums, Look]:
     stretches, shown = np.zeros((TAIL_HALVINGS + 2, 5)), np.zeros((STRETCH_POINTS + 2, n + 4))
     pairs = [np.zeros((rows, 2)) for rows in (STATE_ROWS + n, bounds, 2 * LAW_POINTS + 2)]
     look = Look(stretches, shown, *pairs)
-    return tables.room(order), room_for_sums(needs, n), look
+    own = tables.room(order)
+    short = own._replace(c=np.empty((len(own.c), short_order(order) + 1)))
+    return own, room_for_sums(needs, n)._replace(short=short), look
 
 
 def now_for(tables: Tables, n: int) -> Now:

@@ -19,6 +19,7 @@ from numpy.polynomial import legendre
 
 from ..errors import OrbitError
 from ..lowering import Field
+from ..rules.changes import MOST_ASIDE, TOLD_APART
 from ..rules.limits import KINK_ROUNDING, KINK_SIDE, SAME_FLOW, SAME_KINK_TIME
 from ..segment import Segment, nodes
 from .derivatives import Derivatives, MatrixFunction
@@ -38,11 +39,6 @@ STEP_PLACES = nodes(8)
 
 #: The share at which a step starts.
 START = np.zeros(1)
-
-#: The distance from a piece's end at which the flow is read on its side of a kink is at least this,
-#: against the time since the arc began, as rounding would decide on the side of a shorter one; and
-#: at most this share of the piece.
-TOLD_APART, MOST_ASIDE = 1e-10, 0.25
 
 
 class Flowing(Protocol):

@@ -12,6 +12,7 @@ import numpy as np
 from ..delay.pieces import window_on
 from ..delay.windows import TO_POWERS
 from ..errors import OrbitError
+from ..rules.changes import TIED
 from ..rules.limits import SAME_FLOW
 from ..rules.places import WINDOW_DEGREE
 from ..segment import from_values, nodes
@@ -19,7 +20,7 @@ from ..trajectory.arcs import Arc, JumpRow
 from .derivatives import Derivatives
 from .limit import through
 from .past import PastVariation, Shift, Strand
-from .walk import TIED, Chatter, Course, DelayedArc, Factor, Walk
+from .walk import Chatter, Course, DelayedArc, Factor, Walk
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Mask, Matrix, Numbers

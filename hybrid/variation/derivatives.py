@@ -191,10 +191,9 @@ class Derivatives:
     def project(self, field: Field) -> MatrixFunction:
         """``(t, x) -> (n, columns)``: of the way back onto the contacts held, or the surface, at
         a state that is there."""
-        switching, code = self.scene.spec.sliding(field.mode), self.scene.code
+        switching = self.scene.spec.sliding(field.mode)
         if switching is not None:
-            onto = lambda g: g.values(code.onto_closed(switching.name))  # noqa: E731
-            return self.matrix(self._slopes(("onto", field.name), field.mode, (), onto))
+            return self.matrix(self.of_surface(field.mode, switching.name))
         gaps, speeds = (
             self._slopes(("onto", of_speed, field.name), field.mode, field.held, moved)
             for of_speed, moved in (
@@ -204,6 +203,11 @@ class Derivatives:
         )
         first, second = self.matrix(gaps), self.matrix(speeds)
         return lambda t, x: after(second(t, x), first(t, x))
+
+    def of_surface(self, mode: str, switching: str) -> Rows:
+        """Of the way back onto the surface on which a mode slides."""
+        onto = lambda g: g.values(self.scene.code.onto_closed(switching))  # noqa: E731
+        return self._slopes(("onto", mode), mode, (), onto)
 
     def of_contacts(self, field: Field) -> Rows:
         """Of the gap of each contact held its derivatives and the direction in which it is taken

@@ -13,7 +13,7 @@ from ..lowering.native import Native
 from ..lowering.tape import Jets, Linked
 from ..rules.arrays import Changes, Slopes
 from ..rules.places import HARD, NONE, UNKNOWN
-from ..rules.variation import GRADIENT, RESET_SLOPES, REST_ROW
+from ..rules.variation import GRADIENT, KINKED, RESET_SLOPES, REST_ROW
 from .derivatives import Derivatives, Rows
 from .series import POINTS, room_for
 
@@ -21,7 +21,7 @@ from .series import POINTS, room_for
 HOT_RUNS = 1000
 
 #: Kinds of guards whose jumps the rules carry changes through.
-CARRIED = (Kind.EDGE, Kind.CONTACT, Kind.RELEASE)
+CARRIED = (Kind.EDGE, Kind.CONTACT, Kind.RELEASE, Kind.SWITCH, Kind.LEAVE, Kind.CLOCK)
 
 
 class SlopeTables:
@@ -78,6 +78,8 @@ class SlopeTables:
         """The row of a field, which is added if it is new."""
         if field.name not in self._fields:
             row = [*self._along(field, None), *self._onto(field), *[NONE] * (REST_ROW - 4)]
+            if field.changes:
+                row[KINKED] = self._values(self.of.of_watched(field))
             self._fields[field.name] = len(self._rows)
             self._rows.append(row)
             self._slopes = None
@@ -122,7 +124,11 @@ class SlopeTables:
         return [self._program(series.jets), first, self._count]
 
     def _onto(self, field: Field) -> list[int]:
-        """The program of the projection onto contacts held, and how many are."""
+        """The program of the projection onto contacts held, and how many are; or of that onto the
+        surface on which the field slides."""
+        slides = self.of.scene.spec.sliding(field.mode)
+        if slides is not None:
+            return [self._values(self.of.of_surface(field.mode, slides.name)), 0]
         return [self._values(self.of.of_contacts(field)) if field.held else NONE, len(field.held)]
 
     def _values(self, rows: Rows) -> int:
@@ -154,12 +160,10 @@ class Owned(SlopeTables):
             self._native.go_on(self.slopes.programs)
 
     def add_field(self, number: int) -> None:
-        """Add a field; where its formula changes, what that does is left to Python."""
-        field = self.automaton.fields[number]
+        """Add a field; one that has no series is left to Python."""
         self._of_fields[number] = HARD
-        if not field.changes:
-            with suppress(TraceError):
-                self._of_fields[number] = self.field(field)
+        with suppress(TraceError):
+            self._of_fields[number] = self.field(self.automaton.fields[number])
 
     def add_guard(self, number: int) -> None:
         """Add a guard; where it changes its formula, that is left to Python."""

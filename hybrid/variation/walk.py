@@ -23,6 +23,7 @@ import numpy as np
 
 from ..errors import OrbitError
 from ..lowering import Field, Guard, Kind, Scene, require_no_signal, scene_of
+from ..rules.changes import TIED
 from ..rules.guards import NEAR
 from ..rules.limits import DIFFERENCE_ROUNDING
 from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
@@ -34,10 +35,6 @@ from .limit import LimitVariation, through
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers, StateVector
-
-#: Change of a guard, or of what decides which jump comes first, against the terms of which it is
-#: made, that is rounding of them.
-TIED = 1e-9
 
 #: A guard that fires further from its zero than this, against what it jumps by when a jump of the
 #: past is seen, has fired because of that.

@@ -23,6 +23,7 @@ from ..rules import unit
 from ..rules.arrays import Programs, Sums
 from ..rules.flights import most_pieces
 from ..rules.guards import GUARD_ROUNDING
+from ..rules.lengths import LOW_ORDER
 from ..rules.sums import (
     BRANCH,
     ERROR,
@@ -362,6 +363,8 @@ def room_for_sums(needs: Sequence[int], n: int) -> Sums:
         times=np.zeros(GRID + LAST_POINT + 1),
         ints=np.zeros(BRANCH + kinks + most, dtype=np.int64),
         high=work.c,
+        low=np.empty((len(work.c), LOW_ORDER + 1)),
+        short=work,
         starts=np.zeros(most),
         lengths=np.zeros(most),
         series=np.zeros((n * most, ORDER + 1)),
