@@ -10,9 +10,15 @@ import pytest
 
 import hybrid as hy
 
+from .contract.ways import WAYS
 from .systems import without_loop
 
 SOLVERS = ["taylor", "scipy", "diffrax"]
+
+#: One of each mechanism.
+SOME = ["DOP853", "Radau", "taylor", "Tsit5", "ensemble", "as_function"]
+
+ways = pytest.mark.parametrize("way", [WAYS[name] for name in SOME], ids=SOME)
 
 #: The tolerance of SciPy's and Diffrax's runs is 1e-8 a step, of some tens; Taylor's is rounding.
 CLOSE = {"taylor": 1e-13, "scipy": 1e-6, "diffrax": 1e-6}
@@ -186,6 +192,54 @@ def test_clocks_are_no_accumulation():
     assert run.jumps.t.tolist() == list(times)
     assert not run.zeno
     assert run.status is hy.Status.REACHED_END
+
+
+class Both(hy.Automaton):
+    """Two clocks that ring together at every second time of one, and a guard behind them."""
+
+    x = hy.state()
+    n = hy.state()
+
+    @hy.mode(initial=True)
+    def falls(self, t, s):
+        return -1.0, 0.0
+
+    @hy.edge(falls, every=0.5)
+    def lifts(self, t, s):
+        return s.replace(x=0.0, n=10.0 * s.n + 1.0)
+
+    @hy.edge(falls, every=1.0)
+    def counts(self, t, s):
+        return s.replace(n=10.0 * s.n + 2.0)
+
+    @hy.edge(falls, guard=lambda self, t, s: s.x)
+    def lands(self, t, s):
+        return s.replace(x=5.0, n=10.0 * s.n + 3.0)
+
+
+@ways
+def test_clocks_of_one_time_all_ring_before_what_is_declared_behind_them(way):
+    """A guard that the first of them leaves at zero fires at once, and last."""
+    result = way.run(Both(), {"x": 5.0, "n": 0.0}, (0.0, 2.25))
+    assert list(result.times) == [0.5, 0.5, 1.0, 1.0, 1.0, 1.5, 1.5, 2.0, 2.0, 2.0]
+    assert result.final.n == 13_123_13_123
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_of_clocks_that_ring_together_none_is_lost(solver):
+    class Pair(hy.Automaton):
+        x = hy.state()
+
+        @hy.mode(initial=True)
+        def stays(self, t, s):
+            return 0.0
+
+        more = hy.edge(stays, every=0.5)(lambda self, t, s: s.x + 1.0)
+        double = hy.edge(stays, every=0.25)(lambda self, t, s: 2.0 * s.x)
+
+    run = hy.simulate(Pair(), {"x": 0.0}, (0.0, 1.1), solver=solver)
+    assert run.jumps.edge.tolist() == ["double", "more", "double"] * 2
+    assert run.final.x == 10.0
 
 
 @pytest.mark.parametrize("model", [Sampled, Kicked, Relay])

@@ -348,7 +348,7 @@ class Tables:
         judged = self._again(clock) if slides else bool(field.held and self.scene.spec.lags)
         values = lambda: graph.values(self.scene.code.closed(*reset))  # noqa: E731
         program = -1 if judged else self._of_values(field, reset, values)
-        own = self._fields[base][GUARDS_END] + place if field.held else len(self._rows)
+        own = (self._fields[base][GUARDS_END] if field.held else len(self._rows)) + place
         to, uses = UNKNOWN if self._lead(field, clock) else NONE, [len(self._uses)] * 2
         shape = [0, 0, 1, to, program, -1, -1, *uses, 0]
         return [CLOCK, *shape, times, 0, UNKNOWN, NONE, 0, own, NONE, 0]

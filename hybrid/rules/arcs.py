@@ -169,7 +169,7 @@ def at_once(now: Now, guard: int) -> int:
     if guard in (JOINED, WANTED):
         now.ints[PHASE] = BEGINS
         return GOES_ON if guard == JOINED else MAKE
-    if guard < 0:
+    if guard < 0 or now.floats[DUE] <= now.floats[T]:  # a clock may ring before it
         return LOOK
     copied(now.x, now.end)
     now.ints[FIRED] = guard
