@@ -133,6 +133,13 @@ def test_a_clock_rings_at_the_multiples_of_its_period(solver):
     assert run(0.35).x == pytest.approx(held, abs=CLOSE[solver])
 
 
+@pytest.mark.parametrize("method", ["RK45", "Radau", "BDF", "LSODA"])
+def test_a_clock_may_ring_at_the_last_time(method):
+    run = hy.simulate(Sampled(), {"x": 1.0, "u": 0.0}, (0.0, 1.0), solver="scipy", method=method)
+    assert run.jumps.t[-1] == run.t1 == 1.0
+    assert run.final.u == -0.5 * run.jumps[-1].before.x
+
+
 def test_an_offset_moves_all_times_and_the_first_time_of_a_run_is_none():
     run = hy.simulate(Sampled(offset=0.05), {"x": 1.0, "u": 0.0}, (0.05, 0.4), solver="taylor")
     assert run.jumps.t.tolist() == [k * 0.1 + 0.05 for k in range(1, 4)]
@@ -330,7 +337,6 @@ def test_a_run_with_clocks_is_pickled_and_saved(tmp_path):
         ({"at": 1.0, "every": 1.0}, "together with every="),
         ({"at": 1.0, "guard": lambda self, t, s: s.x}, "guard= together with at="),
         ({"at": float("nan")}, "is no time"),
-        ({"every": 1.0, "when": lambda self, t, s: s.x}, "when= together with at="),
         ({"at": 1.0, "urgent": True}, "urgent= together with at="),
         ({}, "give a guard, or the times"),
     ],

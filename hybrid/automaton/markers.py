@@ -243,8 +243,9 @@ def edge(
         The direction in which the guard must reach zero.
     when : callable ``(self, t, s)``, optional
         A condition, true or greater than 0 where the edge may fire. It is read at a zero of the
-        guard, from the values before the jump; where it fails there the zero is passed. It fires
-        nothing by itself, and the guard does not bound the mode.
+        guard, or at a time of a clock, from the values before the jump; where it fails there the
+        zero, or the time, is passed. It fires nothing by itself, and the guard does not bound the
+        mode.
     urgent : bool
         Whether the edge fires, too, where its guard is already beyond zero as the mode is entered.
     at : number, name of a parameter, or sequence of these

@@ -267,7 +267,7 @@ class Scene:
         kinks = self._kinks(mode, held, name, lambda g: g.deciding(name))
         bounds = kind is not Kind.EDGE or code.bounds(edge, self.values)
         when, urgent = None, False
-        if isinstance(edge, EdgeSpec) and kind is Kind.EDGE:
+        if isinstance(edge, EdgeSpec) and kind in (Kind.EDGE, Kind.CLOCK):
             urgent = edge.urgent
             if edge.when is not None:
                 closed = lambda: code.closed("when", name)  # noqa: E731

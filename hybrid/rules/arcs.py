@@ -144,7 +144,7 @@ def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> in
 def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     """At the start of an arc. Another solver is told how to begin."""
     copied(now.x, now.end)
-    wind(a, now, room)
+    wind(a, now, room, now.floats[T], now.floats[LOW])
     for i in range(room.sides.shape[0]):
         room.sides[i] = 0
     now.floats[TAU], now.ints[MADE], now.ints[PHASE] = 0.0, 0, WALKS

@@ -119,6 +119,8 @@ class ArcFlow:
 
     def _run(self) -> Flown:
         length = self.now.until(self.until)
+        if length <= 0.0:  # behind a jump at the last time
+            return Flown(None, 0.0, self.x, [], [])
         self.pace = Pace(self.field, self.now.t, length)
         target = self.predict(length)
         self._begin_guards()

@@ -91,6 +91,7 @@ from ..trajectory.plan import PATIENCE
 from ..trajectory.trajectory import Status
 from ..zeno.accumulate import Tail
 from ..zeno.narrow import bounded
+from . import clocks
 from .entry import Jumped
 from .knots import Feed, pass_knot
 from .limits import pass_limit
@@ -690,20 +691,30 @@ class Machine:
         powers = nodes(degree)[:, None] ** np.arange(degree + 1)
         return Steps(owner, start, length, np.einsum("sik,jk->sji", series, powers))
 
-    def _last(self, left: Left) -> StateVector:
-        """Add the arc that no jump of the loop has ended; returns the state at its end."""
-        return self._arc(
-            left, int(self.ints[JUMPS_MADE]), float(self.floats[TAU]), self.now.end.copy()
-        )
+    def _last(self, left: Left, goes_on: bool = False) -> StateVector:
+        """Add the arc that no jump of the loop has ended, or what has been flown of one that goes
+        on; returns the state at its end."""
+        place, tau = int(self.ints[JUMPS_MADE]), float(self.floats[TAU])
+        return self._arc(left, place, tau, self.now.end.copy(), goes_on)
 
-    def _arc(self, left: Left, place: int, tau: float, end: StateVector) -> StateVector:
-        """Add an arc; returns the state at its end."""
+    def _rings(self, due: float) -> bool:
+        """Whether one of the clocks that ring where the arc ends fires."""
+        self._come_to_piece()
+        driver = self.driver
+        end = driver.entry.field.along(due, self.now.end)
+        return clocks.first(driver, due, end) is not None
+
+    def _arc(
+        self, left: Left, place: int, tau: float, end: StateVector, goes_on: bool = False
+    ) -> StateVector:
+        """Add an arc, or a part of one that goes on; returns the state at its end."""
         self._come_to_piece()
         driver, (steps, count) = self.driver, self._flown_in(left, place, place + 1)
         segments = [] if steps is None else steps.segments(np.array([tau]))
         driver.steps += count
         driver.passed(tau)
-        return driver.record.arc(driver.entry.field, driver.entry.x, end, tau, segments)
+        keep = driver.record.extend if goes_on else driver.record.arc
+        return keep(driver.entry.field, driver.entry.x, end, tau, segments)
 
     @property
     def _fired(self) -> Guard:
@@ -714,10 +725,18 @@ class Machine:
     def _stand(self, left: Left, status: int) -> None:
         """Where the loop stopped: at the end, or at a jump to judge."""
         driver, place = self.driver, int(self.ints[JUMPS_MADE])
-        speed = float(self.floats[GAP_SPEED])
+        speed, due = float(self.floats[GAP_SPEED]), float(self.floats[DUE])
         if status == END:
             self._last(left)
             driver.status = Status.REACHED_END
+        elif self._fired.kind == "clock" and not self._rings(due):
+            x = self._last(left, goes_on=due < self.plan.t1)
+            if due == self.plan.t1:
+                driver.status = Status.REACHED_END
+                return
+            driver.spent |= self._over()
+            driver.entry = attrs.evolve(driver.entry, x=x)
+            clocks.go_by(driver, due, x)
         else:
             driver.tied = self._tied()
             before = self._last(left)
@@ -730,7 +749,8 @@ class Machine:
             if self.ints[WAS_LOW]:
                 driver.bounce(self._fired, before, left.after[place].copy(), speed)
             elif self._fired.kind == "clock":
-                driver.ring(self._fired, float(self.floats[DUE]), before)
+                clock = clocks.first(driver, due, before)
+                driver.ring(clock or self._fired, due, before)
             else:
                 driver.jump(self._fired, before)
 
