@@ -261,7 +261,8 @@ def _trajectory(data: Any, cls: type[Kind]) -> Kind:
         for name, unit, doc, sh, off, *kind in meta["states"]
     ]
     outputs = tuple(OutputSpec(*row) for row in meta.get("outputs", ()))
-    signals = tuple(SignalSpec(*row, shape=tuple(shape)) for *row, shape in meta.get("signals", ()))
+    rows = meta.get("signals", ())
+    signals = tuple(SignalSpec(n, u, d, k, out, tuple(shape)) for n, u, d, k, out, shape in rows)
     spec = Spec(meta["model"], tuple(states), (), (), (), "", outputs=outputs, signals=signals)
     arcs = _arcs(data, meta["modes"])
     zeno = [_read_accumulation(spec, point) for point in meta["zeno"]]
