@@ -10,7 +10,7 @@ import attrs
 import numpy as np
 
 from ..automaton.markers import Crossing
-from ..automaton.spec import ContactSpec, Spec
+from ..automaton.spec import ClockSpec, ContactSpec, EdgeSpec, Spec, Transition
 from .figure import LIMIT_COLOR, LINE_COLOR, OTHER_COLOR, SURFACE_COLOR
 
 if TYPE_CHECKING:
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 #: What a label says of the way in which a guard reaches zero.
 WAYS = {Crossing.FALLING: "↓", Crossing.RISING: "↑", Crossing.EITHER: "↕"}
+
+#: Times of a clock that its label names; of more it says how many.
+TIMES_SHOWN = 3
 
 #: Inches: of a letter, of a line of them, around a name, of a loop; and how far arrows bend, of
 #: their length.
@@ -87,7 +90,7 @@ def graph(spec: Spec) -> AutomatonChart:
                 places[name] = len(nodes)
                 nodes.append(ModeNode("end", "end"))
         pair = places[edge.source], places[edge.to]
-        labels.setdefault(pair, []).append(f"{edge.name} {WAYS[edge.crossing]}")
+        labels.setdefault(pair, []).append(label(edge))
     for mode in spec.modes:
         last = [edge.to for edge in spec.transitions if edge.name in mode.limit_of[-1:]]
         for name in last:
@@ -95,6 +98,18 @@ def graph(spec: Spec) -> AutomatonChart:
     arrows = [Arrow(*pair, tuple(lines)) for pair, lines in labels.items()]
     arrows += [Arrow(places[one], places[other]) for one, other in joined]
     return AutomatonChart(spec.model, tuple(nodes), tuple(arrows))
+
+
+def label(edge: Transition) -> str:
+    """What an arrow says of an edge: how its guard reaches zero, or when it rings."""
+    asks = ", when" if isinstance(edge, EdgeSpec) and edge.when is not None else ""
+    if not isinstance(edge, ClockSpec):
+        return f"{edge.name} {WAYS[edge.crossing]}{asks}"
+    if edge.times.at is None:
+        return f"{edge.name}, every {edge.times.every}{asks}"
+    times = [edge.times.at] if np.ndim(edge.times.at) == 0 else list(edge.times.at)
+    said = ", ".join(map(str, times)) if len(times) <= TIMES_SHOWN else f"{len(times)} times"
+    return f"{edge.name}, at {said}{asks}"
 
 
 def laid(nodes: Sequence[ModeNode]) -> Matrix:
