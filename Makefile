@@ -1,13 +1,14 @@
 # Two commands do everything on a machine with Python 3.11 (or later) and make:
 #   make        environment, then the main job: runs with numbers beside exact values, pictures
 #   make test   environment, then lint, types and tests
-# and two write pages:
+# and three write pages:
 #   make paper  environment, then out/paper/index.html: the paper's claims, figures and verdicts
 #   make docs   environment, then out/site/index.html: the documentation, and its tests
+#   make notebooks  environment, then out/notebooks: the pages with code as notebooks
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test paper docs bench clean
+.PHONY: run test paper docs notebooks bench clean
 
 run: .venv/installed
 	mkdir -p out
@@ -28,6 +29,9 @@ paper: .venv/installed
 docs: .venv/installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	HYBRID_SITE=out/site $(BIN)/python -m pytest -n 2 -m pages tests/test_docs.py tests/test_site.py
+
+notebooks: .venv/installed
+	$(BIN)/python docs/notebooks.py
 
 bench: .venv/installed
 	$(BIN)/python benchmarks/example_1.py

@@ -73,11 +73,13 @@ def projected(segment: Segment, t0: float, project: Callable[..., Any]) -> Segme
     ends, degree = segment.at(nodes(1)), segment.degree
     if not segment.coefficients[1:].any():
         times = t0 + segment.start, t0 + segment.end
-        if all((project(t, x.tolist()) == x).all() for t, x in zip(times, ends, strict=True)):
+        rows = zip(times, ends, (False, True), strict=True)
+        if all((project(t, x.tolist(), last) == x).all() for t, x, last in rows):
             return segment
     times = (t0 + segment.start + segment.length * nodes(degree)).tolist()
-    states = segment.at(nodes(degree)).tolist()
-    values = np.array([project(t, x) for t, x in zip(times, states, strict=True)])
+    states, inner = segment.at(nodes(degree)).tolist(), [False] * degree
+    rows = zip(times, states, [*inner, True], strict=True)
+    values = np.array([project(*row) for row in rows])
     return Segment(segment.start, segment.length, from_values(degree) @ values)
 
 

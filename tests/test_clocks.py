@@ -10,9 +10,15 @@ import pytest
 
 import hybrid as hy
 
+from .contract.ways import WAYS
 from .systems import without_loop
 
 SOLVERS = ["taylor", "scipy", "diffrax"]
+
+#: One of each mechanism.
+SOME = ["DOP853", "Radau", "taylor", "Tsit5", "ensemble", "as_function"]
+
+ways = pytest.mark.parametrize("way", [WAYS[name] for name in SOME], ids=SOME)
 
 #: The tolerance of SciPy's and Diffrax's runs is 1e-8 a step, of some tens; Taylor's is rounding.
 CLOSE = {"taylor": 1e-13, "scipy": 1e-6, "diffrax": 1e-6}
@@ -127,6 +133,13 @@ def test_a_clock_rings_at_the_multiples_of_its_period(solver):
     assert run(0.35).x == pytest.approx(held, abs=CLOSE[solver])
 
 
+@pytest.mark.parametrize("method", ["RK45", "Radau", "BDF", "LSODA"])
+def test_a_clock_may_ring_at_the_last_time(method):
+    run = hy.simulate(Sampled(), {"x": 1.0, "u": 0.0}, (0.0, 1.0), solver="scipy", method=method)
+    assert run.jumps.t[-1] == run.t1 == 1.0
+    assert run.final.u == -0.5 * run.jumps[-1].before.x
+
+
 def test_an_offset_moves_all_times_and_the_first_time_of_a_run_is_none():
     run = hy.simulate(Sampled(offset=0.05), {"x": 1.0, "u": 0.0}, (0.05, 0.4), solver="taylor")
     assert run.jumps.t.tolist() == [k * 0.1 + 0.05 for k in range(1, 4)]
@@ -186,6 +199,54 @@ def test_clocks_are_no_accumulation():
     assert run.jumps.t.tolist() == list(times)
     assert not run.zeno
     assert run.status is hy.Status.REACHED_END
+
+
+class Both(hy.Automaton):
+    """Two clocks that ring together at every second time of one, and a guard behind them."""
+
+    x = hy.state()
+    n = hy.state()
+
+    @hy.mode(initial=True)
+    def falls(self, t, s):
+        return -1.0, 0.0
+
+    @hy.edge(falls, every=0.5)
+    def lifts(self, t, s):
+        return s.replace(x=0.0, n=10.0 * s.n + 1.0)
+
+    @hy.edge(falls, every=1.0)
+    def counts(self, t, s):
+        return s.replace(n=10.0 * s.n + 2.0)
+
+    @hy.edge(falls, guard=lambda self, t, s: s.x)
+    def lands(self, t, s):
+        return s.replace(x=5.0, n=10.0 * s.n + 3.0)
+
+
+@ways
+def test_clocks_of_one_time_all_ring_before_what_is_declared_behind_them(way):
+    """A guard that the first of them leaves at zero fires at once, and last."""
+    result = way.run(Both(), {"x": 5.0, "n": 0.0}, (0.0, 2.25))
+    assert list(result.times) == [0.5, 0.5, 1.0, 1.0, 1.0, 1.5, 1.5, 2.0, 2.0, 2.0]
+    assert result.final.n == 13_123_13_123
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_of_clocks_that_ring_together_none_is_lost(solver):
+    class Pair(hy.Automaton):
+        x = hy.state()
+
+        @hy.mode(initial=True)
+        def stays(self, t, s):
+            return 0.0
+
+        more = hy.edge(stays, every=0.5)(lambda self, t, s: s.x + 1.0)
+        double = hy.edge(stays, every=0.25)(lambda self, t, s: 2.0 * s.x)
+
+    run = hy.simulate(Pair(), {"x": 0.0}, (0.0, 1.1), solver=solver)
+    assert run.jumps.edge.tolist() == ["double", "more", "double"] * 2
+    assert run.final.x == 10.0
 
 
 @pytest.mark.parametrize("model", [Sampled, Kicked, Relay])
@@ -276,7 +337,6 @@ def test_a_run_with_clocks_is_pickled_and_saved(tmp_path):
         ({"at": 1.0, "every": 1.0}, "together with every="),
         ({"at": 1.0, "guard": lambda self, t, s: s.x}, "guard= together with at="),
         ({"at": float("nan")}, "is no time"),
-        ({"every": 1.0, "when": lambda self, t, s: s.x}, "when= together with at="),
         ({"at": 1.0, "urgent": True}, "urgent= together with at="),
         ({}, "give a guard, or the times"),
     ],

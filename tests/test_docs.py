@@ -1,5 +1,6 @@
 """The code blocks and commands of the README and of every page run as they stand, in order."""
 
+import json
 import re
 import shlex
 import subprocess
@@ -129,6 +130,35 @@ def test_links_lead_somewhere():
         for link in re.findall(r"\]\(([^)#]+)\)", prose):
             if "://" not in link:
                 assert (path.parent / link).exists(), f"{path.name}: {link}"
+
+
+def test_pages_are_notebooks(tmp_path):
+    """Their cells are the blocks of the page, which are run above; what is printed is left out."""
+    subprocess.run([sys.executable, ROOT / "docs/notebooks.py", tmp_path], check=True)
+    made = {path.stem: json.loads(path.read_text()) for path in tmp_path.glob("*.ipynb")}
+    pages = {Path(p).stem: blocks(p, "python") for p in PAGES if re.fullmatch(r"docs/\w+\.md", p)}
+    assert set(made) == {name for name, own in pages.items() if own}
+    for name, book in made.items():
+        cells = {kind: [] for kind in ("code", "markdown")}
+        for cell in book["cells"]:
+            cells[cell["cell_type"]].append("".join(cell["source"]))
+        assert [cell + "\n" for cell in cells["code"]] == pages[name], name
+        assert "```python" not in "".join(cells["markdown"]), name
+        assert len({cell["id"] for cell in book["cells"]}) == len(book["cells"]), name
+        prose = re.sub(r"```.*?```", "", "".join(cells["markdown"]), flags=re.DOTALL)
+        for link in re.findall(r"\]\(([^)#]+)", prose):
+            assert "://" in link or (tmp_path / link).exists(), f"{name}: {link}"
+
+
+def test_a_notebook_shows_what_its_page_shows(tmp_path, capsys):
+    """Cell after cell, as a kernel runs them."""
+    subprocess.run([sys.executable, ROOT / "docs/notebooks.py", tmp_path], check=True)
+    book, scope = json.loads((tmp_path / "discrete.ipynb").read_text()), {"__name__": "__main__"}
+    for cell in book["cells"]:
+        if cell["cell_type"] == "code":
+            exec(compile("".join(cell["source"]), "discrete.ipynb", "exec"), scope)
+    shown = [text for _, text in SHOWN.findall((ROOT / "docs/discrete.md").read_text())]
+    agree(capsys.readouterr().out, "".join(shown))
 
 
 def test_the_readme_is_short():

@@ -163,6 +163,51 @@ def test_a_model_that_says_what_it_looks_like_moves(tmp_path):
     assert len(Pendulum().look(0.0, run(1.0))) == 2
 
 
+class Measured(hy.Automaton):
+    """A body on a road that is measured, which counts."""
+
+    x = hy.state()
+    n = hy.discrete(0)
+    road = hy.signal()
+
+    @hy.mode(initial=True)
+    def rides(self, t, s):
+        return 1.0
+
+    @hy.edge(rides, every=0.5, when=lambda self, t, s: self.road(t) > 0.5)
+    def count(self, t, s):
+        return s.replace(n=s.n + 1)
+
+    @hy.edge(rides, at=(0.25, 0.75))
+    def mark(self, t, s):
+        return s
+
+    @hy.picture
+    def look(self, t, s):
+        return [jnp.stack([s.x, self.road(t)])[None], jnp.stack([0.0, 1.0 * s.n])[None]]
+
+
+def test_a_picture_reads_signals_and_discrete_variables(tmp_path):
+    run = hy.simulate(Measured(road=([0.0, 2.0], [0.0, 2.0])), {"x": 0.0}, (0.0, 2.0))
+    run.animate(tmp_path / "run.gif", seconds=0.5, fps=10, size=(2.0, 2.0))
+    times = np.array([0.5, 1.75])
+    body, count = looks(run.spec, run.parameters, times, run.states(times))
+    np.testing.assert_allclose(body[:, 0], [[0.5, 0.5], [1.75, 1.75]], atol=1e-8)
+    assert count[:, 0, 1].tolist() == [0.0, 2.0]
+
+
+def test_an_axis_of_equal_gaps_has_labels_that_differ():
+    """Of a clock, whose jumps are as far from each other."""
+    run = hy.simulate(Measured(road=([0.0, 9.0], [1.0, 1.0])), {"x": 0.0}, (1.0, 9.0))
+    figure = run.plot(["x"], panels=("gaps",))
+    FigureCanvasAgg(figure).draw()
+    axes = figure.axes[-1]
+    low, high = axes.get_ylim()
+    assert low < 0.48 < 0.52 < high
+    named = [each.get_text() for each in axes.get_yticklabels() if each.get_text()]
+    assert len(named) == len(set(named))
+
+
 class Shapeless(Pendulum):
     @hy.picture
     def look(self, t, s):
@@ -196,6 +241,11 @@ GRAPHS = {
         Relay,
         ["up", "slide(relay)", "down"],
         {("up", "down"): ["relay ↓"], ("down", "up"): ["relay ↑"]},
+    ),
+    "clocks": (
+        Measured,
+        ["rides"],
+        {("rides", "rides"): ["count, every 0.5, when", "mark, at 0.25, 0.75"]},
     ),
     "tanks": (
         TwoTanks,

@@ -235,7 +235,7 @@ class _Traced:
             return
         trace.require_real(closed)
         if kind != "flow":
-            require_written(closed)
+            require_written(closed, kind not in ("reset", "when", "clock"))
         self.traces[kind, owner] = closed
         for place, number in enumerate(numbers):
             name = self.spec.lags[number].name
@@ -273,11 +273,11 @@ class _Traced:
         return trace.scalar(lag)
 
 
-def require_written(closed: Any) -> None:
+def require_written(closed: Any, derived: bool = False) -> None:
     """See :func:`hybrid.lowering.jaxpr.require_written`."""
     from ..lowering import jaxpr
 
-    jaxpr.require_written(closed)
+    jaxpr.require_written(closed, derived)
 
 
 def _label(kind: str, owner: str) -> str:

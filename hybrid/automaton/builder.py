@@ -234,16 +234,15 @@ class Builder:
     def clock(self, where: str, marker: EdgeMarker, source: str, to: str) -> EdgeSpec:
         """An edge that fires at given times; without any where these are none."""
         assert marker.times is not None
-        own = EdgeSpec(marker.name, source, to, _unguarded, marker.crossing, marker.reset)
+        own = EdgeSpec(
+            marker.name, source, to, _unguarded, marker.crossing, marker.reset, when=marker.when
+        )
         parameters = [name for name, m in self.markers.items() if is_parameter(m)]
         found = list(faults(marker.times, parameters))
         if marker.guard is not None:
             found.append("guard= together with at= or every=; give one of them")
         if marker.when is not None:
-            found.append(
-                "when= together with at= or every=: it fires at each of its times; let its reset "
-                "return the state as it is where the condition fails"
-            )
+            self.signature(f"{where}, when", marker.when, ("t", "s"))
         if marker.urgent is not False:
             found.append(
                 "urgent= together with at= or every=: its times are never beyond zero; leave it out"

@@ -271,8 +271,8 @@ def edge(
         The direction in which the guard must reach zero.
     when : callable ``(self, t, s)``, optional
         A condition, true or positive where the edge may fire. It is evaluated at a zero of the
-        guard, before the jump; if it is false there, the edge does not fire. It fires
-        nothing by itself, and the guard then does not bound the domain of the mode.
+        guard, or at a time of a clock, before the jump; if it is false there, the edge does not
+        fire. It fires nothing by itself, and the guard then does not bound the domain of the mode.
     urgent : bool
         Whether the edge also fires if its guard is already beyond zero when the mode is entered.
     at : number, name of a parameter, or sequence of these

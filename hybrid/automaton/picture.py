@@ -53,9 +53,11 @@ def looks(spec: Spec, parameters: Any, t: Any, x: Any) -> list[np.ndarray]:
         return [jnp.asarray(line) for line in lines]
 
     given = [np.asarray(parameters[each.name], dtype=float) for each in spec.parameters]
+    pieces = [parameters[signal.name].pieces(t) for signal in spec.signals]
+    axes = (None,) * len(given) + (0,) * len(pieces)
     try:
         with wide():
-            lines = jax.jit(jax.vmap(shapes, in_axes=(None, 0, 0)))(tuple(given), t, x)
+            lines = jax.jit(jax.vmap(shapes, in_axes=(axes, 0, 0)))((*given, *pieces), t, x)
     except TypeError as fault:
         raise OptionError(f"{spec.model}: {found[0]}: {fault}") from None
     for line in lines:

@@ -218,6 +218,11 @@ def require_real(closed: Any) -> None:
                 f"a call of Python that gives nothing back ({line_of(equation)}the primitive "
                 f"{equation.primitive.name!r}); leave it out: run(t) and @hy.output show what is"
             )
+        if equation.primitive.name == "scatter" and not _sets(equation):
+            raise TraceError(
+                f"x.at[i].apply(f) ({line_of(equation)}the primitive 'scatter'); write "
+                "x.at[i].set(f(x[i]))"
+            )
         kinds = [getattr(var.aval, "dtype", None) for var in equation.outvars]
         if not all(isinstance(kind, np.dtype) and kind.kind in "fiub" for kind in kinds):
             keys = any(not isinstance(kind, np.dtype) for kind in kinds if kind is not None)
@@ -231,6 +236,13 @@ def require_real(closed: Any) -> None:
         inner = (value for value in equation.params.values() if hasattr(value, "consts"))
         for each in inner:
             require_real(each)
+
+
+def _sets(equation: Any) -> bool:
+    """Whether a scatter puts in what it is given: else it applies a function to what is there."""
+    update = equation.params["update_jaxpr"]
+    update = getattr(update, "jaxpr", update)
+    return update is None or update.outvars[0] is update.invars[1]
 
 
 def line_of(equation: Any) -> str:

@@ -225,7 +225,7 @@ def _step(graph: Graph, node: tuple[Any, ...], place: Mapping[int, int]) -> _Ste
     if op not in BALLS and op != "select":
         what = f"the operation {op!r}"
         if op == "foreign":
-            what = graph.called_by(arguments[0]).said
+            what = graph.called_by(arguments[0]).words[0]
         raise TraceError(f"nothing can be proved: there is no enclosure of {what}")
     places = tuple(place[a] for a in arguments)
     quick = RANGES.get(op)

@@ -172,6 +172,7 @@ FORGIVING: dict[str, Callable[..., Any]] = {
     "asinh": np.arcsinh,
     "acosh": np.arccosh,
     "atanh": np.arctanh,
+    "div": np.divide,
     "pow": np.power,
     "round": np.round,
     "away": lambda x: np.copysign(np.floor(np.abs(x) + 0.5), x),

@@ -236,7 +236,8 @@ class Tables:
         lags = self._lags(field) if plain else -1
         times = [self._times(field, clock) for clock in field.clocks if plain]
         plain = plain and HARD not in (surface, lags, *times) and (not field.held or min(onto) >= 0)
-        whens = [self._when(field, guard) for guard in field.guards] if plain else []
+        watched = (*field.guards, *field.clocks) if plain else ()
+        whens = [self._when(field, guard) for guard in watched]
         plain = plain and -1 not in whens
         self.numbers[field.name] = len(self.fields)
         self.fields.append(field)
@@ -345,10 +346,10 @@ class Tables:
         clock, slides = field.clocks[place], field.project is not None and not field.held
         judged = self._again(clock) if slides else bool(field.held and self.scene.spec.lags)
         program = -1 if judged else self._reset(field, clock)
-        own = self._fields[base][GUARDS_END] + place if field.held else len(self._rows)
+        own = (self._fields[base][GUARDS_END] if field.held else len(self._rows)) + place
         to, uses = UNKNOWN if self._lead(field, clock) else NONE, [len(self._uses)] * 2
-        shape = [0, 0, 1, to, program, -1, -1, *uses, 0]
-        return [CLOCK, *shape, times, 0, UNKNOWN, NONE, 0, own, NONE, 0]
+        shape, when = [0, 0, 1, to, program, -1, -1, *uses, 0], self._when(field, clock)
+        return [CLOCK, *shape, times, 0, UNKNOWN, NONE, 0, own, when, 0]
 
     def _reset(self, field: Field, guard: Guard) -> int:
         """The number of the program of an edge's reset."""

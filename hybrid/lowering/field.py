@@ -166,15 +166,19 @@ class Field:
         """Pickled as what it comes from."""
         return self.scene.field, (self.name, self.touching)
 
-    def onto(self, t: float, x: list[float]) -> Any:
-        """As ``project``, of a field that has one: an arc keeps this, which is pickled."""
+    def onto(self, t: float, x: list[float], ends: bool = False) -> Any:
+        """As ``project``, of a field that has one: an arc keeps this, which is pickled.
+
+        ``ends``: at the end of a stretch, which at a knot of signals is on the piece before it.
+        """
         assert self.project is not None
         if not self.scene.samples:
             return self.project(t, x)
         first, last, there = self._made.get("onto", (np.inf, -np.inf, None))
-        if not first <= t < last:  # the arc goes on over knots
-            there = self.scene.projection(self.mode, self.held, self.scene.values_at(t))
-            self._made["onto"] = (*self.scene.span(t), there)
+        within = float(np.nextafter(t, -np.inf)) if ends else t
+        if not first <= within < last:  # the arc goes on over knots
+            there = self.scene.projection(self.mode, self.held, self.scene.values_at(within))
+            self._made["onto"] = (*self.scene.span(within), there)
         return there(t, x)
 
     def along(self, t: float, x: StateVector) -> np.ndarray:

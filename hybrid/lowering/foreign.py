@@ -41,6 +41,10 @@ IN_WORDS = {
         "an entry set at a position made from the state",
         "write jnp.where(jnp.arange(n) == i, new, old)",
     ),
+    "lgamma": (
+        "the logarithm of the gamma function",
+        "write Stirling's series, or a polynomial fit of it, over the range that is used",
+    ),
     "pure_callback io_callback": (
         "a call of Python",
         "write this part with jax.numpy",
@@ -74,14 +78,9 @@ class Foreign:
         self._call = jit(function)
 
     @property
-    def said(self) -> str:
-        """What it is, and where it is written."""
-        return f"{_known(self.name)[0]} ({self.line}the primitive {self.name!r})"
-
-    @property
-    def instead(self) -> str:
-        """What to write instead."""
-        return _known(self.name)[1]
+    def words(self) -> tuple[str, str]:
+        """What it is, and where it is written; what to write instead."""
+        return in_words(self.name, self.line)
 
     def __call__(self, *numbers: float) -> list[float]:
         return np.asarray(self._call(np.array(numbers, dtype=float))).tolist()  # type: ignore[no-any-return]
@@ -108,8 +107,11 @@ class Foreign:
         return Foreign(self.name, self.line, slopes)
 
 
-def _known(name: str) -> tuple[str, str]:
-    return next((said for names, said in IN_WORDS.items() if name in names.split()), OTHER)
+def in_words(name: str, line: str) -> tuple[str, str]:
+    """What a primitive is, with the author's line, and what to write instead."""
+    known = (said for names, said in IN_WORDS.items() if name in names.split())
+    what, instead = next(known, OTHER)
+    return f"{what} ({line}the primitive {name!r})", instead
 
 
 def of_primitive(equation: Any, line: str, values: Sequence[Any]) -> Foreign:

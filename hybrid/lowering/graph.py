@@ -45,7 +45,8 @@ class Graph:
     ``still`` are the names of inputs that only jumps change; to be told before any node is made.
 
     What cannot be written as scalar code is called: ``("foreign", number, *arguments)`` with its
-    number in ``foreign``, whose results are its parts; ``line`` is the author's that is read.
+    number in ``foreign``, whose results are its parts; ``line`` is the author's that is read, and
+    ``written_at`` the first with an operation of which there is no series.
     """
 
     def __init__(self, exact: bool = False, long: bool = False) -> None:
@@ -58,6 +59,7 @@ class Graph:
         self._leaves: list[int] = []
         self.foreign: list[Foreign] = []
         self.line = ""
+        self.written_at: dict[str, str] = {}
 
     def node(self, *key: Any) -> int:
         """The number of this node, made if it is new; constants are folded."""
@@ -209,7 +211,7 @@ def states_in(graph: Graph, root: int) -> set[int]:
 def _identity(
     op: str, args: tuple[Any, ...], values: list[Any], exact: bool
 ) -> tuple[Any, ...] | None:
-    """``x + 0``, ``x * 1``, ``x - 0``, ``x / 1``, and a choice already made."""
+    """``x + 0``, ``x * 1``, ``x - 0``, ``x / 1``, ``max(x, -inf)``, and a choice already made."""
     if op == "select":
         return (args[1] if values[0] else args[2],) if values[0] is not None else None
     if op == "add" and values[0] == 0:
@@ -220,6 +222,9 @@ def _identity(
         return ("neg", args[1])
     if op == "mul" and values[0] == 1:
         return (args[1],)
+    if op in ("max", "min"):  # where nothing is larger, or smaller
+        least = -math.inf if op == "max" else math.inf
+        return next(((args[1 - k],) for k in (0, 1) if values[k] == least), None)
     if op in ("mul", "div") and values[1] == 1:
         return (args[0],)
     if op == "mul" and not exact and 0 in [v for v in values if v is not None]:

@@ -13,10 +13,10 @@ import numpy as np
 from ..automaton.trace import line_of
 from ..errors import TraceError
 from .elements import constant, distributed, each, mapped, quotient, unsigned
-from .foreign import of_primitive
+from .foreign import in_words, of_primitive
 from .graph import WHOLE_VALUED, Graph, Ids, needed
 from .matrices import cholesky, determinants, linear_solve, triangular_solve
-from .moves import DATA_MOVES, move, picked, placed, scatter_add
+from .moves import COMBINED, DATA_MOVES, move, picked, placed, scattered
 from .orders import in_order, largest, of_jax, searched
 
 #: Elementwise primitives that become a node of the same name.
@@ -31,6 +31,9 @@ ELEMENTWISE = {
 #: Primitives that are such on numbers: those that order -0.0, 0.0 and NaN as well among them.
 OTHER_NAMES = {"add_any": "add", "lt_to": "lt", "le_to": "le"}
 
+#: Of these there is no series, and no derivative.
+UNSERIED = ("lgamma",)
+
 #: Logic of flags, where other operations are such too; of whole numbers it is bit by bit.
 BITWISE = {"and", "or", "xor", "not"}
 OF_FLAGS = {"max": "or", "min": "and", "add": "or", "mul": "and"}
@@ -44,6 +47,9 @@ BELOW_ZERO = {"sub", "neg", "convert_element_type"}
 WRAPPING = {"convert_element_type", "integer_pow", "square", "reduce_sum", "cumsum", "dot_general"}
 
 
+#: Whole exponents up to this are written out as products.
+WRITTEN_POWER = 64
+
 #: Terms of the polynomial that is ``sin(a) / a`` where ``a`` is less than 1, to rounding.
 SINC_TERMS = 10
 
@@ -53,8 +59,10 @@ def read(graph: Graph, closed: Any, inputs: Sequence[Ids]) -> list[Ids]:
     return _evaluate(graph, closed.jaxpr, closed.consts, inputs)
 
 
-def require_written(closed: Any) -> None:
+def require_written(closed: Any, derived: bool = False) -> None:
     """Refuse a function that calls others: what only a flow may.
+
+    ``derived``: one whose derivatives are needed.
 
     Raises
     ------
@@ -67,11 +75,13 @@ def require_written(closed: Any) -> None:
         inputs.append(np.array([graph.input(f"x{i}") for i in names], dtype=np.int64))
     roots = [i for ids in read(graph, closed, inputs) for i in ids.reshape(-1).tolist()]
     for op, *arguments in map(graph.nodes.__getitem__, needed(graph, roots)):
+        if op in UNSERIED and derived:
+            said, instead = in_words(op, graph.written_at[op])
+            raise TraceError(f"{said} has no derivative, which is asked for here; {instead}")
         if op == "foreign":
-            function = graph.called_by(arguments[0])
+            said, instead = graph.called_by(arguments[0]).words
             raise TraceError(
-                f"{function.said} cannot be written out, as only in a flow it need not be; "
-                f"{function.instead}"
+                f"{said} cannot be written out, as only in a flow it need not be; {instead}"
             )
 
 
@@ -111,6 +121,8 @@ def _written(graph: Graph, equation: Any, inputs: list[Ids], name: str) -> list[
     if name in ("div", "rem") and np.issubdtype(equation.outvars[0].aval.dtype, np.integer):
         return [each(partial(quotient, graph, name), *inputs)]
     if name in ELEMENTWISE:
+        if name in UNSERIED:
+            graph.written_at.setdefault(name, graph.line)
         return [mapped(graph, name, inputs)]
     if name in PRIMITIVES:
         return [PRIMITIVES[name](graph, params, *inputs)]
@@ -127,7 +139,7 @@ def _written(graph: Graph, equation: Any, inputs: list[Ids], name: str) -> list[
         return [largest(graph, equation, *inputs)]
     if name == "sort" and (rows := in_order(graph, equation, inputs)) is not None:
         return rows
-    for make in (searched, determinants, sinc):
+    for make in (searched, determinants, sinc, copysign):
         if (found := make(graph, equation, inputs)) is not None:
             return found
     if inner is not None and name not in ("while", "scan"):
@@ -137,8 +149,8 @@ def _written(graph: Graph, equation: Any, inputs: list[Ids], name: str) -> list[
         return [move(graph, equation, inputs)]
     if (entries := picked(graph, equation, inputs)) is not None:
         return [entries]
-    if name == "scatter-add" and placed(graph, name, inputs):
-        return [scatter_add(graph, equation, inputs)]
+    if name in COMBINED and (combined := scattered(graph, equation, inputs)) is not None:
+        return [combined]
     if name == "custom_linear_solve":
         return linear_solve(graph, params, inputs, read)
     return _called(graph, equation, inputs)
@@ -198,10 +210,28 @@ def _integer_pow(graph: Graph, params: Any, x: Ids) -> Ids:
 
 
 def _power(graph: Graph, params: Any, x: Ids, y: Ids) -> Ids:
-    """``x^y``; by ``exp(y log x)`` where the exponent moves, so that it has a series."""
-    if not any(graph.moves(int(i)) for i in y.reshape(-1)):
-        return mapped(graph, "pow", [x, y])
-    return mapped(graph, "exp", [mapped(graph, "mul", [y, mapped(graph, "log", [x])])])
+    """``x^y``: a product where the exponent is whole, which has a series at 0, too; by
+    ``exp(y log x)`` where it moves, so that it has one at all."""
+
+    def power(base: int, exponent: int) -> int:
+        value = graph.value(exponent)
+        if value is not None and value == round(value) and abs(value) <= WRITTEN_POWER:
+            return int(_integer_pow(graph, {"y": round(value)}, np.array(base)))
+        if not graph.moves(exponent):
+            return graph.node("pow", base, exponent)
+        return graph.node("exp", graph.node("mul", exponent, graph.node("log", base)))
+
+    return each(power, x, y)
+
+
+def copysign(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None:
+    """``copysign``, of which JAX looks at a bit; None where an equation is no such. The sign of 0
+    is taken for plus."""
+    if not of_jax(equation, "copysign") or len(equation.outvars) != 1:
+        return None
+    size = mapped(graph, "abs", [inputs[0]])
+    plus = mapped(graph, "ge", [inputs[1], constant(graph, 0.0)])
+    return [mapped(graph, "select", [plus, size, mapped(graph, "neg", [size])])]
 
 
 def sinc(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None:

@@ -111,19 +111,33 @@ def _together(graph: Graph, matrix: list[list[int]], right: list[int]) -> list[i
 
 
 def determinants(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None:
-    """``jnp.linalg.det`` and ``slogdet`` of a matrix; None where an equation is no such.
+    """``jnp.linalg.det`` and ``slogdet`` of a matrix, and their rates beside them; None where an
+    equation is no such.
 
     JAX takes them from factors, whose rows change places; there is nothing to choose in products.
     """
     det = of_jax(equation, "det")
     if not (det or of_jax(equation, "slogdet")):
         return None
-    (matrix,) = inputs
+    matrix, rated, each = inputs[0], len(inputs) == 2, 1 if det else 2
+    if len(inputs) > 2 or len(equation.outvars) != each * len(inputs):
+        return None
     if matrix.ndim != 2 or not (BY_DETERMINANTS if det else 0) < len(matrix) <= LARGEST_DETERMINANT:
         return None
     value = _determinant(graph, matrix.tolist())
-    size = graph.node("log", graph.node("abs", value))
-    return [np.array(n) for n in ([value] if det else [graph.node("sign", value), size])]
+    size, sign = graph.node("log", graph.node("abs", value)), graph.node("sign", value)
+    found = [value] if det else [sign, size]
+    if rated:
+        rate = _rate(graph, matrix, inputs[1])
+        found += [rate] if det else [graph.const(0.0), graph.node("div", rate, value)]
+    return [np.array(n) for n in found]
+
+
+def _rate(graph: Graph, matrix: Ids, rates: Ids) -> int:
+    """The rate of a determinant: those of its rows, one after the other."""
+    rows = matrix.tolist()
+    each = ([*rows[:i], rates[i].tolist(), *rows[i + 1 :]] for i in range(len(rows)))
+    return graph.total([_determinant(graph, replaced) for replaced in each])
 
 
 def _determinant(graph: Graph, matrix: list[list[int]]) -> int:

@@ -11,21 +11,24 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import TraceError
-from .elements import choosing, constant, each, few, mapped, taken
+from .elements import MOST_CHOICES, choosing, constant, each, few, mapped, taken
 from .graph import Graph, Ids
 
 #: Primitives that only move data; JAX itself moves the node numbers where numpy is not
 #: told how below.
-DATA_MOVES = {"gather", "pad", "dynamic_slice", "dynamic_update_slice", "scatter"}
+DATA_MOVES = {"gather", "pad", "dynamic_slice", "dynamic_update_slice"}
+
+#: What puts numbers into an array, and what becomes of an old and a new one; None: the new one.
+COMBINED = {
+    "scatter": None,
+    "scatter-add": "add",
+    "scatter-mul": "mul",
+    "scatter-min": "min",
+    "scatter-max": "max",
+}
 
 #: Of the inputs of a primitive, those that are moved, where it is not the first alone.
-MOVED_INPUTS = {
-    "pad": (0, 1),
-    "dynamic_update_slice": (0, 1),
-    "scatter": (0, 2),
-    "scatter-add": (0, 2),
-}
+MOVED_INPUTS = {"pad": (0, 1), "dynamic_update_slice": (0, 1)}
 
 
 def _places(name: str, inputs: list[Ids]) -> list[int]:
@@ -36,8 +39,7 @@ def _places(name: str, inputs: list[Ids]) -> list[int]:
 
 def placed(graph: Graph, name: str, inputs: list[Ids]) -> bool:
     """Whether all positions are known, or are one of a few."""
-    counts = [graph.leaves(i) for i in _places(name, inputs)]
-    return few(counts) and (name != "scatter-add" or max(counts, default=1) == 1)
+    return few([graph.leaves(i) for i in _places(name, inputs)])
 
 
 def move(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
@@ -53,7 +55,7 @@ def move(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
     operands: list[Any] = []
     for place, ids in enumerate(inputs):
         if place in MOVED_INPUTS.get(name, (0,)):
-            operands.append(ids.astype(float) if name.startswith("scatter") else ids)
+            operands.append(ids)
         else:
             operands.append(each(graph.value, ids))
     if name == "pad" and all(min(row) >= 0 == row[2] for row in equation.params["padding_config"]):
@@ -135,13 +137,56 @@ def _entries(
     return mapped(graph, "select", [inside, entries, constant(graph, filling)])
 
 
-def scatter_add(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
-    """``x.at[i].add(y)``, one summand a place: let JAX put the summands' places over zeros."""
+def scattered(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids | None:
+    """``x.at[i].add(y)`` and its like; ``set``, too, at positions that move. None where positions
+    move and are those of more than single entries, or many."""
     operand, indices, updates = inputs
-    zeros, places = np.zeros(operand.shape), np.arange(1, updates.size + 1).reshape(updates.shape)
-    counts = move(graph, equation, [zeros, indices, np.ones(updates.shape)])
-    if counts.max(initial=0) > 1:
-        raise TraceError("x.at[...].add(...) with a repeated position; add the summands first")
-    landed = move(graph, equation, [zeros, indices, places])
-    summands = np.concatenate([[graph.const(0.0)], updates.reshape(-1)])
-    return mapped(graph, "add", [operand, summands[landed]])
+    op = COMBINED[equation.primitive.name]
+    if all(graph.value(i) is not None for i in indices.reshape(-1).tolist()):
+        return _combined(graph, equation, inputs, op)
+    condition = choosing(graph, indices.reshape(-1).tolist())
+    if condition is not None:
+        ways = [each(partial(taken, graph, condition, way), indices) for way in (1, 0)]
+        yes, no = (scattered(graph, equation, [operand, way, updates]) for way in ways)
+        if yes is None or no is None:
+            return None
+        return mapped(graph, "select", [np.array(condition), yes, no])
+    numbers, entries = equation.params["dimension_numbers"], updates.reshape(-1)
+    single = operand.ndim == 1 and not numbers.update_window_dims and indices.shape[-1:] == (1,)
+    if not single or max(operand.size, entries.size) > MOST_CHOICES:
+        return None
+    result, places = operand.copy(), constant(graph, np.arange(operand.size))
+    for where, value in zip(indices.reshape(-1), entries, strict=True):
+        here = mapped(graph, "eq", [places, np.array(where)])
+        new = np.array(value) if op is None else mapped(graph, op, [result, np.array(value)])
+        result = mapped(graph, "select", [here, new, result])
+    return result
+
+
+def _combined(graph: Graph, equation: Any, inputs: list[Ids], op: str | None) -> Ids:
+    """The same at known positions, of which some may be one: JAX tells which update comes to which,
+    those of the least numbers first."""
+    operand, indices, updates = inputs
+    count, result = updates.size, operand.copy()
+    left = np.arange(count).reshape(updates.shape)
+    while True:
+        landed = _landed(equation, operand.shape, each(graph.value, indices), left, count)
+        found = landed < count
+        if not found.any():
+            return result
+        new = updates.reshape(-1)[landed[found]]
+        result[found] = new if op is None else mapped(graph, op, [result[found], new])
+        left = np.where(np.isin(left, landed[found]), count, left)
+
+
+def _landed(
+    equation: Any, shape: tuple[int, ...], indices: Ids, numbers: np.ndarray, none: int
+) -> np.ndarray:
+    """The least number that comes to each entry; where none does, ``none``."""
+    import jax
+
+    dimensions, mode = (equation.params[name] for name in ("dimension_numbers", "mode"))
+    with jax.ensure_compile_time_eval(), jax.enable_x64(True):
+        empty = np.full(shape, none)
+        found = jax.lax.scatter_min(empty, indices, numbers, dimensions, mode=mode)
+        return np.asarray(found)

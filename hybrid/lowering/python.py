@@ -124,7 +124,8 @@ def _source(graph: Graph, inputs: Sequence[str], size: int, outputs: Ids) -> str
         elif node[0] == "input":
             text[number] = node[1]
         else:
-            expression = _expression(node, text)
+            known = all(graph.nodes[a][0] == "const" for a in node[1:])
+            expression = _expression(node, text, known)
             if number in fixed:
                 before.append(f"n{number} = {expression}")
                 text[number] = f"n{number}"
@@ -155,9 +156,10 @@ def _index(name: str) -> int:
     return int(name[1:])
 
 
-def _expression(node: tuple[Any, ...], text: dict[int, str]) -> str:
+def _expression(node: tuple[Any, ...], text: dict[int, str], known: bool) -> str:
+    """A node as source; ``known``: of constants, which have stayed as they are no number."""
     arguments = [text[a] for a in node[1:]]
-    if node[0] in TEMPLATES:
+    if node[0] in TEMPLATES and not (known and node[0] == "div"):
         return TEMPLATES[node[0]].format(*arguments)
     return f"_{node[0]}({', '.join(arguments)})"
 

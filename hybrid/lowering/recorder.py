@@ -18,6 +18,7 @@ import numpy as np
 from ..errors import TraceError
 from ..rules import operations as rule
 from .derivatives import degree, unknowns
+from .foreign import in_words
 from .graph import Graph, Ids, inputs_of, needed, rebuilt
 from .tape import Tape, Watched, ints, table
 from .taylor import SLOPES
@@ -41,11 +42,6 @@ PAIRS = {
     "cos": (rule.SINE, 1),
     "sinh": (rule.SINH, 0),
     "cosh": (rule.SINH, 1),
-}
-
-#: What to write where an operation has no recurrence.
-INSTEAD = {
-    "lgamma": "write Stirling's series, or a polynomial fit of it, over the range that is used",
 }
 
 
@@ -384,12 +380,11 @@ class _Recorder:
         return alone and degree(self.graph, number) <= 1
 
     def _refused(self, op: str, arguments: Sequence[int]) -> str:
-        instead, what = INSTEAD.get(op, "use another function"), repr(op)
-        if op == "foreign":
-            function = self.graph.called_by(arguments[0])
-            instead, what = function.instead, function.said
+        called = op == "foreign"
+        words = self.graph.called_by(arguments[0]).words if called else None
+        said, instead = words or in_words(op, self.graph.written_at.get(op, ""))
         return (
-            f"{self.where}: {what} has no Taylor series; {instead}, or use solver='scipy' or "
+            f"{self.where}: {said} has no Taylor series; {instead}, or use solver='scipy' or "
             "solver='diffrax'"
         )
 

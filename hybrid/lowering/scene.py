@@ -8,7 +8,7 @@ Nothing is made for a mode that a run does not enter.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import cached_property, lru_cache, partial
 from typing import Any
 
@@ -81,6 +81,14 @@ class Scene:
         there = Scene(*self._made, self.values_at(t), self.samples)
         there.until = float(self.knots(t, math.inf, 1)[1])
         return there
+
+    def through_time(self, times: Iterable[float]) -> Iterator[Scene]:
+        """The same model at each of some increasing times."""
+        here, since = self, math.inf
+        for t in times:
+            if self.samples and not since <= t < here.until:
+                here, since = self.at(t), t
+            yield here
 
     def values_at(self, t: float) -> tuple[float, ...]:
         """The values with the pieces of the signals at a time."""
@@ -267,7 +275,7 @@ class Scene:
         kinks = self._kinks(mode, held, name, lambda g: g.deciding(name))
         bounds = kind is not Kind.EDGE or code.bounds(edge, self.values)
         when, urgent = None, False
-        if isinstance(edge, EdgeSpec) and kind is Kind.EDGE:
+        if isinstance(edge, EdgeSpec) and kind in (Kind.EDGE, Kind.CLOCK):
             urgent = edge.urgent
             if edge.when is not None:
                 closed = lambda: code.closed("when", name)  # noqa: E731

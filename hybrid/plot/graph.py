@@ -10,7 +10,7 @@ import attrs
 import numpy as np
 
 from ..automaton.markers import Crossing
-from ..automaton.spec import ClockSpec, ContactSpec, Spec, Transition
+from ..automaton.spec import ClockSpec, ContactSpec, EdgeSpec, Spec, Transition
 from . import require_writable
 from .figure import LIMIT_COLOR, LINE_COLOR, OTHER_COLOR, SURFACE_COLOR
 
@@ -23,6 +23,9 @@ WAYS_IN_WORDS = {"↓": "falls to zero", "↑": "rises to zero", "↕": "either"
 
 #: Where along an arrow its label may be: the first place that no other label is at.
 LABEL_PLACES = (0.5, 0.36, 0.64, 0.24, 0.76)
+
+#: Times of a clock that its label names; of more it says how many.
+TIMES_SHOWN = 3
 
 #: Inches: of a letter, of a line of them, around a name, of a loop; and how far arrows bend, of
 #: their length.
@@ -92,7 +95,7 @@ def graph(spec: Spec) -> AutomatonChart:
                 places[name] = len(nodes)
                 nodes.append(ModeNode("end", "end"))
         pair = places[edge.source], places[edge.to]
-        labels.setdefault(pair, []).append(f"{edge.name} {_when(edge)}")
+        labels.setdefault(pair, []).append(label(edge))
     for mode in spec.modes:
         last = [edge.to for edge in spec.transitions if edge.name in mode.limit_of[-1:]]
         for name in last:
@@ -102,16 +105,16 @@ def graph(spec: Spec) -> AutomatonChart:
     return AutomatonChart(spec.model, tuple(nodes), tuple(arrows))
 
 
-def _when(edge: Transition) -> str:
-    """When an edge fires: which way its guard goes, or at which times."""
+def label(edge: Transition) -> str:
+    """What an arrow says of an edge: how its guard reaches zero, or when it rings."""
+    asks = ", when" if isinstance(edge, EdgeSpec) and edge.when is not None else ""
     if not isinstance(edge, ClockSpec):
-        return WAYS[edge.crossing]
-    every, at = edge.times.every, edge.times.at
-    if every is not None:
-        return f"every {every}"
-    times = [at] if isinstance(at, str) else np.atleast_1d(np.asarray(at, dtype=object)).tolist()
-    shown = ", ".join(f"{time:g}" if isinstance(time, float | int) else str(time) for time in times)
-    return f"at {shown}" if len(times) < 4 else f"at {len(times)} times"
+        return f"{edge.name} {WAYS[edge.crossing]}{asks}"
+    if edge.times.at is None:
+        return f"{edge.name}, every {edge.times.every}{asks}"
+    times = [edge.times.at] if np.ndim(edge.times.at) == 0 else list(edge.times.at)
+    said = ", ".join(map(str, times)) if len(times) <= TIMES_SHOWN else f"{len(times)} times"
+    return f"{edge.name}, at {said}{asks}"
 
 
 def laid(nodes: Sequence[ModeNode]) -> Matrix:

@@ -28,8 +28,7 @@ def animate(run: Solution, path: Any, seconds: float, fps: int, size: tuple[floa
     if not (0 < seconds < np.inf and 0 < fps < np.inf and round(seconds * fps) > 1):
         raise OptionError(f"seconds={seconds!r}, fps={fps!r}: two frames at least")
     times = np.linspace(run.t0, run.t1, round(seconds * fps))
-    states = np.concatenate([np.reshape(v, (len(times), -1)) for v in run(times)], axis=1)
-    lines = looks(run.spec, run.parameters, times, states)
+    lines = looks(run.spec, run.parameters, times, run.states(times))
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.add_subplot(aspect="equal")
     seen = np.concatenate([line.reshape(-1, 2) for line in lines])

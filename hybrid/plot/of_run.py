@@ -397,13 +397,15 @@ def _obstacle(run: Solution, index: int) -> list[Curve]:
     times = np.linspace(run.t0, run.t1, 600)
     state = run.spec.vector(run.final)
     curves = []
-    for guard in run.surfaces.values():
+    for edge, guard in run.surfaces.items():
         if guard.uses != (index,) or guard.kind is not Kind.CONTACT:
             continue
-        values = np.array([guard.value(t, state.tolist()) for t in times.tolist()])
-        moved = state.copy()
+        moved, x = state.copy(), state.tolist()
         moved[index] += 1.0
-        slope = guard.value(run.t1, moved.tolist()) - guard.value(run.t1, state.tolist())
+        slope = guard.value(run.t1, moved.tolist()) - guard.value(run.t1, x)
+        scenes = run.hindsight.scene.through_time(times.tolist())
+        there = zip(times.tolist(), scenes, strict=True)
+        values = np.array([scene.guards[edge].value(t, x) for t, scene in there])
         if abs(abs(slope) - 1.0) < 1e-12:
             place = state[index] - slope * values
             curves.append(Curve(x=times, y=place, look="surface", name="obstacle"))

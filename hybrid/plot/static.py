@@ -21,6 +21,9 @@ COLUMN_WIDTHS, ROW_HEIGHT, MARGINS, MANY_ROWS, LOW_ROW = (8.0, 11.0, 14.0), 2.1,
 #: Points from which on a line is a bar, which ends where it ends.
 BAR_WIDTH = 4.0
 
+#: A logarithmic axis over less than this factor is widened by it, to both sides.
+NARROW_LOG = 1.1
+
 #: Inches of a column from which down letters are smaller, the least share of their size, and inches
 #: of an entry in the legend.
 USUAL_WIDTH, LEAST_SCALE, ENTRY_WIDTH = 3.5, 0.6, 1.5
@@ -122,6 +125,9 @@ def _panel(axes: Axes, panel: Panel) -> None:
         axes.set_xscale("log")
     if "y" in panel.log:
         axes.set_yscale("log")
+        low, high = axes.get_ylim()
+        if high < NARROW_LOG * low:  # its ticks would all read the same
+            axes.set_ylim(low / NARROW_LOG, high * NARROW_LOG)
     if panel.reverse:
         axes.invert_xaxis()
     if panel.square:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import mkstemp
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import attrs
 import numpy as np
 
+from ..automaton.signals import Samples, SignalSpec
 from ..automaton.spec import OutputSpec, Spec, StateSpec
 from ..errors import FILES, TABLES, OptionError, StoreError, need
 from ..segment import Segment
@@ -117,11 +118,6 @@ def save(run: Solution, path: Any) -> None:
     require_netcdf(f"run.save({str(path)!r})", path)
     if not Path(path).resolve().parent.is_dir():
         raise StoreError(f"cannot write {path}: no such folder")
-    if run.spec.signals:
-        raise StoreError(
-            f"{run.spec.model}: a run with signals ({run.spec.signals[0].name}) cannot be saved as "
-            "a file yet, which has no place for their data: pickle it"
-        )
     import xarray as xr
 
     arcs, segments = run.arcs, [s for arc in run.arcs for s in arc.segments]
@@ -153,6 +149,7 @@ def save(run: Solution, path: Any) -> None:
         "jump_before": (("jump", "element"), jumps.before),
         "jump_after": (("jump", "element"), jumps.after),
     }
+    data |= _signals(run)
     if run.samples is not None:
         data["sample_t"] = ("sample", run.options["times"])
         data["sample_state"] = (("sample", "element"), run.samples)
@@ -162,6 +159,17 @@ def save(run: Solution, path: Any) -> None:
             xr.Dataset(data, attrs=attributes).to_netcdf(part, engine="h5netcdf")
     except (OSError, RuntimeError) as fault:  # HDF5 reports a full disk as a RuntimeError
         raise StoreError(f"cannot write {path}: {fault}") from None
+
+
+def _signals(run: Solution) -> dict[str, Any]:
+    """The data of the signals, in declared order."""
+    data: dict[str, Any] = {}
+    for place, signal in enumerate(run.spec.signals):
+        samples, knot = run.parameters[signal.name], f"knot_{place}"
+        rows = samples.values.reshape(len(samples.times), -1)
+        data[f"signal_{place}_t"] = (knot, samples.times)
+        data[f"signal_{place}_values"] = ((knot, f"value_{place}"), rows)
+    return data
 
 
 @contextmanager
@@ -196,6 +204,7 @@ def _meta(run: Solution, modes: list[str], edges: list[str]) -> dict[str, Any]:
         "states": [
             [s.name, s.unit, s.doc, list(s.shape), s.offset, s.kind] for s in run.spec.states
         ],
+        "signals": [list(attrs.astuple(signal)) for signal in run.spec.signals],
         "outputs": [[output.name, output.unit, output.doc] for output in run.spec.outputs],
         "parameters": _numbers(run),
         "options": {k: np.asarray(v).tolist() for k, v in options.items()},
@@ -281,7 +290,9 @@ def _trajectory(data: Any, cls: type[Kind]) -> Kind:
         for name, unit, doc, sh, off, *kind in meta["states"]
     ]
     outputs = tuple(OutputSpec(*row) for row in meta.get("outputs", ()))
-    spec = Spec(meta["model"], tuple(states), (), (), (), "", outputs=outputs)
+    rows = meta.get("signals", ())
+    signals = tuple(SignalSpec(n, u, d, k, out, tuple(shape)) for n, u, d, k, out, shape in rows)
+    spec = Spec(meta["model"], tuple(states), (), (), (), "", outputs=outputs, signals=signals)
     arcs = _arcs(data, meta["modes"])
     zeno = [_read_accumulation(spec, point) for point in meta["zeno"]]
     options, samples = meta["options"], None
@@ -289,7 +300,7 @@ def _trajectory(data: Any, cls: type[Kind]) -> Kind:
         options["times"], samples = data.sample_t.values, data.sample_state.values
     return cls(
         spec,
-        meta["parameters"],
+        meta["parameters"] | _samples(data, signals),
         Log(arcs, _by_arc(_jumps(data, meta["edges"]), arcs)),
         zeno,
         [_read_grazing(spec, *row) for row in meta["grazings"]],
@@ -300,6 +311,15 @@ def _trajectory(data: Any, cls: type[Kind]) -> Kind:
         stats=_stats(meta.get("stats")),
         versions={str(k): str(v) for k, v in meta.get("versions", {}).items()},
     )
+
+
+def _samples(data: Any, signals: Sequence[SignalSpec]) -> dict[str, Samples]:
+    """The data of signals by name."""
+    found = {}
+    for place, signal in enumerate(signals):
+        times, rows = (data[f"signal_{place}_{what}"].values for what in ("t", "values"))
+        found[signal.name] = Samples(signal, times, rows.reshape(len(times), *signal.shape))
+    return found
 
 
 def _own(run: Solution, model: Any) -> Spec:
@@ -313,8 +333,10 @@ def _own(run: Solution, model: Any) -> Spec:
     spec: Spec | None = getattr(model, "spec", None)
     if spec is None:
         raise StoreError(f"model={model!r}: give a subclass of hy.Automaton, or one's instance")
-    parameters = [parameter.name for parameter in spec.parameters]
-    known, own = ((*s.names, *(state.shape for state in s.states)) for s in (run.spec, spec))
+    parameters = spec.given
+    known, own = (
+        (*s.names, *(state.shape for state in s.states), *s.signals) for s in (run.spec, spec)
+    )
     if (run.spec.model, known, sorted(run.parameters)) != (spec.model, own, sorted(parameters)):
         raise StoreError(
             f"a run of {run.spec.model} with states {', '.join(run.spec.names)} and parameters "

@@ -10,6 +10,7 @@ import math
 
 from .arcs import arc, copied
 from .arrays import AutomatonArrays, Floats, Left, Now, Room
+from .clocks import passed, rung
 from .contacts import asks, onto, still_held, twin, values
 from .guards import row_of, so_far
 from .hops import drowns, tells
@@ -98,11 +99,14 @@ def jump(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> i
     Returns ``LANDED``; ``JUMP`` if the jump needs all the rules; ``SUM`` or ``MAKE`` if it is still
     to be made once these are answered.
     """
+    t, low = after(now.floats[T], now.floats[LOW], now.floats[TAU])
+    if a.guards[now.ints[FIRED], KIND] == CLOCK:
+        t, low = now.floats[DUE], 0.0
+        fits = onto(a, now.ints[FIELD], t, now.end, room, now.end)
+        if fits and not rung(a, now, room, t, now.end):
+            return passed(a, run, now, room, t)
     guard, place = now.ints[FIRED], now.ints[JUMPS_MADE]
     kind, to = a.guards[guard, KIND], a.guards[guard, TO]
-    t, low = after(now.floats[T], now.floats[LOW], now.floats[TAU])
-    if kind == CLOCK:
-        t, low = now.floats[DUE], 0.0
     before, behind, low_flight = left.before[place], left.after[place], now.ints[WAS_LOW] == 1
     status, used, power = JUMP, a.guards[guard, OWN], 1
     made = to != NONE and (kind == RELEASE or a.guards[guard, RESET] >= 0)

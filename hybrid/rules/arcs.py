@@ -149,7 +149,7 @@ def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, short: Room, left
 def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
     """Start an arc; an outside solver is told its first step and expected end."""
     copied(now.x, now.end)
-    wind(a, now, room)
+    wind(a, now, room, now.floats[T], now.floats[LOW])
     for i in range(room.sides.shape[0]):
         room.sides[i] = 0
     now.floats[TAU], now.ints[MADE], now.ints[PHASE] = 0.0, 0, WALKS
@@ -182,7 +182,7 @@ def at_once(now: Now, guard: int) -> int:
     if guard in (JOINED, WANTED):
         now.ints[PHASE] = BEGINS
         return GOES_ON if guard == JOINED else MAKE
-    if guard < 0:
+    if guard < 0 or now.floats[DUE] <= now.floats[T]:  # a clock may ring before it
         return LOOK
     copied(now.x, now.end)
     now.ints[FIRED] = guard

@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 
 from .arrays import AutomatonArrays, Floats, Now, Room
-from .guards import TIE, TIED_IN_STEP
+from .guards import TIE, TIED_IN_STEP, holds
 from .jets import OUTPUT, afresh
 from .places import (
     AT,
+    BEGINS,
     CLOCKS_END,
     DUE,
     END,
@@ -20,24 +21,32 @@ from .places import (
     FLIGHTS,
     GUARDS,
     GUARDS_END,
+    JOINS,
+    JUMP,
     LANDED,
     LAST_TIME,
     LOOK,
     LOW,
     MADE,
+    METHOD_ORDER,
+    NONE,
     OWN,
+    PHASE,
     RINGS,
     STEP_END,
+    STEPS_MADE,
     TAU,
+    WALKS,
+    WATCHED,
     T,
 )
 from .ties import ago
 from .zeros import EPS
 
 
-def wind(a: AutomatonArrays, now: Now, room: Room) -> None:
-    """Find the clock that rings first from the start of an arc on, and when."""
-    field, t, low = now.ints[FIELD], now.floats[T], now.floats[LOW]
+def wind(a: AutomatonArrays, now: Now, room: Room, t: float, low: float) -> None:
+    """Find the clock that rings first from a time on, and when."""
+    field = now.ints[FIELD]
     now.floats[DUE] = math.inf
     for g in range(a.fields[field, GUARDS_END], a.fields[field, CLOCKS_END]):
         spent = now.spent[a.guards[g, OWN]] == now.ints[FLIGHTS]
@@ -46,6 +55,36 @@ def wind(a: AutomatonArrays, now: Now, room: Room) -> None:
             due = behind(a, now, room, g, t)
         if due < now.floats[DUE]:
             now.floats[DUE], now.ints[RINGS] = due, g
+
+
+def rung(a: AutomatonArrays, now: Now, room: Room, t: float, x: Floats) -> bool:
+    """Whether a clock fires at a time at which some ring: the first whose condition holds. Those
+    whose conditions fail are passed, whatever that one's reset makes of them."""
+    field, fires = now.ints[FIELD], NONE
+    for g in range(a.fields[field, GUARDS_END], a.fields[field, CLOCKS_END]):
+        own = a.guards[g, OWN]
+        if now.spent[own] == now.ints[FLIGHTS]:
+            continue
+        if behind(a, now, room, g, math.nextafter(t, -math.inf)) != t:
+            continue
+        if not holds(a, room, g, t, x):
+            now.spent[own] = now.ints[FLIGHTS]
+        elif fires == NONE:
+            fires = g
+    now.ints[FIRED] = now.ints[RINGS] if fires == NONE else fires
+    return fires != NONE
+
+
+def passed(a: AutomatonArrays, run: Floats, now: Now, room: Room, t: float) -> int:
+    """Go on within an arc, over a time of clocks whose conditions fail."""
+    plain = run[METHOD_ORDER] == 0.0 and run[WATCHED] == 0.0 and a.fields[now.ints[FIELD], JOINS]
+    if not plain:
+        now.ints[PHASE] = BEGINS
+        return JUMP
+    wind(a, now, room, t, 0.0)
+    now.ints[STEPS_MADE] -= now.ints[MADE]
+    now.ints[PHASE] = WALKS
+    return LANDED
 
 
 def behind(a: AutomatonArrays, now: Now, room: Room, clock: int, t: float) -> float:

@@ -13,10 +13,12 @@ from ..lowering import Field, Guard
 from ..lowering.automaton import DIRECTIONS
 from ..rules.guards import GUARD_ROUNDING, TIE
 from ..rules.zeros import EPS
+from ..trajectory.clock import Instant
+from .entry import Jumped, signs_at_end
+from .knots import pass_knot
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
-    from ..trajectory.clock import Instant
     from .arc import Flown
     from .driver import Driver
 
@@ -41,7 +43,55 @@ def at_once(driver: Driver) -> bool:
         return False
     driver.renew()
     guards = (driver.entry.field.guards[index] for index in driver.entry.at_once)
-    return not any(_precedes(driver, guard, clock) for guard in guards)
+    if any(_precedes(driver, guard, clock) for guard in guards):
+        return False
+    if clock.holds(t, driver.entry.x.tolist()):
+        return True
+    driver.spent |= {clock.edge}
+    return at_once(driver)
+
+
+def first(driver: Driver, t: float, x: StateVector) -> Guard | None:
+    """Of the clocks that ring at the end of an arc the first whose condition holds; None where
+    there is no such."""
+    found = (clock for clock in driver.entry.field.clocks if _rings_at(driver, clock, t, x))
+    return next((clock for clock in found if clock.holds(t, x.tolist())), None)
+
+
+def failing(driver: Driver, x: StateVector) -> set[str]:
+    """The clocks that ring now, and whose conditions fail: their time is over."""
+    t = driver.t
+    found = (clock for clock in driver.entry.field.clocks if clock.when is not None)
+    return {
+        clock.edge
+        for clock in found
+        if _rings_at(driver, clock, t, x) and not clock.holds(t, x.tolist())
+    }
+
+
+def _rings_at(driver: Driver, clock: Guard, t: float, x: StateVector) -> bool:
+    """Whether a clock that has not rung there rings at a time."""
+    assert clock.after is not None
+    before = float(np.nextafter(t, -np.inf))
+    rung = clock.edge in driver.spent and driver.record.now.until(t) <= 0
+    return not rung and float(clock.after(before, x.tolist())) == t
+
+
+def go_by(driver: Driver, t: float, x: StateVector) -> None:
+    """Go on within an arc behind a time of clocks whose conditions fail, where the run is."""
+    memory, entry = driver.record.memory, driver.entry
+    driver.record.now = Instant(t)
+    over = driver.spent | failing(driver, x)
+    if memory is not None and memory.ends(t):
+        memory.passed(t, x, entry.field)
+    if memory is None and driver.scene.until <= t:
+        pass_knot(driver, t, x)
+    else:
+        came = driver.came() if entry.here is None else driver.jumped
+        known = came.vanishing if driver.record.young else {}
+        signs = signs_at_end(entry, t, x, driver.reach(x))
+        driver.enter(entry.field.mode, x, Jumped(known, entry.field.held, passing=signs))
+    driver.spent |= over
 
 
 def _precedes(driver: Driver, guard: Guard, clock: Guard) -> bool:
@@ -52,18 +102,22 @@ def _precedes(driver: Driver, guard: Guard, clock: Guard) -> bool:
 
 
 def rings(
-    driver: Driver, clock: Guard, t: float, fired: Guard | None, flown: Flown
-) -> tuple[bool, Guard | None]:
-    """Whether a clock rings at the end of an arc, or else the guard that fires there. Of those that
-    are zero at one time, the edge declared first fires (4)."""
-    end = driver.record.now.after(flown.length)
+    driver: Driver, t: float, fired: Guard | None, flown: Flown
+) -> tuple[Guard | None, Guard | None, bool]:
+    """The clock that fires where an arc ends, which goes no further than the time at which one
+    rings; else the guard that fires there: of those that are zero at one time that of the edge
+    declared first (4). Then whether that time is the clock's."""
+    end, field = driver.record.now.after(flown.length), driver.entry.field
+    clock = first(driver, t, field.along(t, flown.x))
     if fired is not None:
-        tied = not _precedes(driver, fired, clock) and is_zero(driver, fired, end, flown.x, t)
-        return tied, fired
-    for guard in driver.entry.field.guards:
-        if _precedes(driver, guard, clock) and is_zero(driver, guard, end, flown.x, t):
-            return False, guard
-    return True, None
+        tied = is_zero(driver, fired, end, flown.x, t)
+        last = clock is None or _precedes(driver, fired, clock)
+        return (None, fired, tied) if last or not tied else (clock, None, True)
+    for guard in field.guards:
+        precedes = clock is None or _precedes(driver, guard, clock)
+        if precedes and is_zero(driver, guard, end, flown.x, t):
+            return None, guard, True
+    return clock, None, True
 
 
 def is_zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float) -> bool:

@@ -306,7 +306,7 @@ class Driver:
     def flow_arc(self) -> None:
         """Flow an arc step by step and carry out the jump that ends it."""
         entry, now, memory = self.entry, self.record.now, self.record.memory
-        (clock, due), until = clocks.due(self, entry.field, entry.x), self.horizon
+        (_, due), until = clocks.due(self, entry.field, entry.x), self.horizon
         flown = ArcFlow(self.scene, self.flies, self.plan, entry, now, min(due, until)).run()
         self.steps += flown.steps
         if memory is not None:
@@ -321,12 +321,18 @@ class Driver:
             edge = entry.field.guards[index].edge
             self.record.grazings.append(Jump(now.t + tau, self.record.j, edge, record, record))
         fired = None if flown.fired is None else entry.field.guards[flown.fired]
-        rings = clock is not None and due <= until and not flown.interrupted
-        if clock is not None and rings:
-            rings, fired = clocks.rings(self, clock, due, fired, flown)
-        if not rings and self._passes(fired, flown):
+        at_clock = due <= until and not flown.interrupted
+        clock, tied = None, False
+        if at_clock:
+            clock, fired, tied = clocks.rings(self, due, fired, flown)
+        by = at_clock and clock is None and fired is None and due < self.plan.t1
+        if by or (clock is None and self._passes(fired, flown)):
             self.record.extend(entry.field, entry.x, flown.x, flown.length, flown.segments)
-            self.pass_window(fired, flown.x)
+            if by:
+                self.passed(flown.length)
+                clocks.go_by(self, due, entry.field.along(due, flown.x))
+            else:
+                self.pass_window(fired, flown.x)
             return
         x = self.record.arc(
             entry.field, entry.x, flown.x, flown.length, flown.segments, flown.carried
@@ -336,11 +342,12 @@ class Driver:
         self.tied = flown.tied
         self.passed(flown.length)
         self.spent |= flown.over
-        if clock is not None and rings:
+        if clock is not None:
             self.ring(clock, due, x)
         elif fired is None:
             self.status = Status.INTERRUPTED if flown.interrupted else Status.REACHED_END
         else:
+            self.record.now = Instant(due) if tied else self.record.now
             self.jump(fired, x, flown.carried)
 
     def _passes(self, fired: Guard | None, flown: Flown) -> bool:

@@ -20,7 +20,7 @@ from ..rules.zeros import EPS
 from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Status
 from ..zeno.accumulate import hop
-from . import switch
+from . import clocks, switch
 from .accumulations import accumulate
 from .entry import Entry, Jumped, before_impact, beyond_kinks, opened
 from .limits import pass_limit
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 def carry_out(driver: Driver, guard: Guard, x: StateVector, carried: bool = False) -> None:
     """Carry out the jump of a guard that fired; ``carried``: it jumped over zero."""
     driver.tied = {edge: sign for edge, sign in driver.tied.items() if edge != guard.edge}
-    driver.spent |= {guard.edge}
+    driver.spent |= {guard.edge} | clocks.failing(driver, x)
     if guard.kind == "contact":
         _impact(driver, guard, x)
     elif guard.kind == "release":

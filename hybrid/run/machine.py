@@ -83,7 +83,7 @@ from ..trajectory.log import Flights, Steps
 from ..trajectory.plan import PATIENCE
 from ..trajectory.trajectory import Status
 from ..zeno.narrow import bounded
-from . import noting
+from . import clocks, noting
 from .accumulations import pass_sum
 from .entry import Jumped
 from .jumps import bounce
@@ -584,20 +584,30 @@ class Machine:
         held."""
         return self.kept.take(left, int(self.ints[STEPS_MADE]), begin, end)
 
-    def _last(self, left: Left) -> StateVector:
-        """Record the arc that no jump of the loop has ended; returns the state at its end."""
-        return self._arc(
-            left, int(self.ints[JUMPS_MADE]), float(self.floats[TAU]), self.now.end.copy()
-        )
+    def _last(self, left: Left, goes_on: bool = False) -> StateVector:
+        """Add the arc that no jump of the loop has ended, or what has been flown of one that goes
+        on; returns the state at its end."""
+        place, tau = int(self.ints[JUMPS_MADE]), float(self.floats[TAU])
+        return self._arc(left, place, tau, self.now.end.copy(), goes_on)
 
-    def _arc(self, left: Left, place: int, tau: float, end: StateVector) -> StateVector:
-        """Record an arc; returns the state at its end."""
+    def _rings(self, due: float) -> bool:
+        """Whether one of the clocks that ring where the arc ends fires."""
+        self._come_to_piece()
+        driver = self.driver
+        end = driver.entry.field.along(due, self.now.end)
+        return clocks.first(driver, due, end) is not None
+
+    def _arc(
+        self, left: Left, place: int, tau: float, end: StateVector, goes_on: bool = False
+    ) -> StateVector:
+        """Add an arc, or a part of one that goes on; returns the state at its end."""
         self._come_to_piece()
         driver, (steps, count) = self.driver, self.flown_in(left, place, place + 1)
         segments = [] if steps is None else steps.segments(np.array([tau]))
         driver.steps += count
         driver.passed(tau)
-        return driver.record.arc(driver.entry.field, driver.entry.x, end, tau, segments)
+        keep = driver.record.extend if goes_on else driver.record.arc
+        return keep(driver.entry.field, driver.entry.x, end, tau, segments)
 
     @property
     def fired(self) -> Guard:
@@ -608,10 +618,18 @@ class Machine:
     def _stand(self, left: Left, status: int) -> None:
         """Handle the place at which the loop has stopped: the end of the run, or a jump."""
         driver, place = self.driver, int(self.ints[JUMPS_MADE])
-        speed = float(self.floats[GAP_SPEED])
+        speed, due = float(self.floats[GAP_SPEED]), float(self.floats[DUE])
         if status == END:
             self._last(left)
             driver.status = Status.REACHED_END
+        elif self.fired.kind == "clock" and not self._rings(due):
+            x = self._last(left, goes_on=due < self.plan.t1)
+            if due == self.plan.t1:
+                driver.status = Status.REACHED_END
+                return
+            driver.spent |= self._over()
+            driver.entry = attrs.evolve(driver.entry, x=x)
+            clocks.go_by(driver, due, x)
         else:
             driver.tied = self._tied()
             before = self._last(left)
@@ -622,7 +640,8 @@ class Machine:
             if self.ints[WAS_LOW]:
                 bounce(driver, self.fired, before, left.after[place].copy(), speed)
             elif self.fired.kind == "clock":
-                driver.ring(self.fired, float(self.floats[DUE]), before)
+                clock = clocks.first(driver, due, before)
+                driver.ring(clock or self.fired, due, before)
             else:
                 driver.jump(self.fired, before)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from ..automaton.spec import Spec
 from ..errors import OptionError
-from ..lowering import Field
+from ..lowering import Field, Scene
 from ..lowering.automaton import DIRECTIONS
 from ..rules.guards import TIE
 from ..rules.zeros import EPS
@@ -77,7 +78,7 @@ def onward(driver: Driver, run: Solution) -> Callable[[], Jumped]:
 
 def _recall(driver: Driver, run: Solution, place: int, arc: Arc, row: JumpRow) -> None:
     """Note a jump of the earlier run: it may belong to a series of impacts or a cycle."""
-    scene = run.hindsight.at(place, arc.t1, "left") if run.hindsight else driver.scene
+    scene = _scenes(driver, run)(place, arc.t1, "left")
     field, cycles = scene.field(arc.mode), driver.cycles
     guard = field.guard(row.edge)
     clock = cycles.clock(scene, field, guard, arc.t0, arc.first, arc.length)
@@ -104,7 +105,7 @@ def _came(driver: Driver, run: Solution, arc: Arc) -> Jumped:
         driver.tied = _tied(driver, flown) if row and isinstance(flown, Arc) else {}
         return attrs.evolve(jumped, held=arc.held, starting=not row)
     place = len(run.parts) - 1
-    scenes = run.hindsight.at if run.hindsight else lambda *_: driver.scene
+    scenes = _scenes(driver, run)
     end = Entry(scenes(place, arc.t1, "left").field(arc.mode), arc.first, None, [], [])
     middle = 0.5 * arc.length if arc.segments else 0.0
     t, x = arc.t0 + (arc.low + middle), arc.local(middle)
@@ -112,6 +113,15 @@ def _came(driver: Driver, run: Solution, arc: Arc) -> Jumped:
     signs = signs_at_end(end, arc.t1, arc.last, float(run.size.max()))
     signs = {g.edge: signs[g.edge] for g in end.field.guards if g.kind != "window"}
     return attrs.evolve(jumped, held=arc.held, passing=signs)
+
+
+def _scenes(driver: Driver, run: Solution) -> Callable[..., Scene]:
+    """The scene at a time of a part of a run; of one from a file, which has seen no past, that of
+    the model given."""
+    if run.hindsight:
+        return run.hindsight.at
+    before = lambda t: float(np.nextafter(t, -np.inf))  # noqa: E731
+    return lambda _, t, side="right": driver.model.at(before(t) if side == "left" else t)
 
 
 def _signs(field: Field, t: float, x: Any) -> list[int]:

@@ -18,8 +18,9 @@ from ..lowering import Scene, scene_of
 from .arcs import Table
 
 if TYPE_CHECKING:
-    from ..automaton.shapes import Numbers
+    from ..automaton.shapes import Integers, Numbers
     from ..lowering.mode import ModeGraph
+    from ..lowering.python import Program
     from .trajectory import Solution
 
 
@@ -37,7 +38,7 @@ def force(run: Solution, contact: str, t: Any) -> np.ndarray:
         number = run.place(when)
         mode, held = run.parts[number].flown_in
         if contact in held:
-            here = run.hindsight.at(number, when) if run.spec.windows else scene
+            here = run.hindsight.at(number, when) if run.spec.lags else scene.at(when)
             graph = here.code.mode(mode)
             bears = graph.program(("force", contact), partial(_forces, graph, contact))
             found[place] = here.bind(bears, here.numbers(mode, held))(when, x)[0]
@@ -76,9 +77,36 @@ def impulses(
                 f"{spec.model}: what an impact of {contact} gives depends on the past, so no table "
                 "of jumps tells it; run(t) has the states on both sides"
             )
+        if scene.samples:
+            turn = graph.program(("turned", contact), partial(_turned, graph, contact))
+            found[rows] = _on_pieces(scene, mode, (program, turn), table, rows)
+            continue
         gives = scene.bind(program, scene.numbers(mode, ()))
         columns = table.t[rows].tolist(), table.before[rows].tolist()
         found[rows] = [gives(*row)[0] for row in zip(*columns, strict=True)]
+    return found
+
+
+def _turned(graph: ModeGraph, contact: str) -> list[int]:
+    return [*graph.push(contact), graph.contact(contact).weight]
+
+
+def _on_pieces(
+    scene: Scene, mode: str, programs: tuple[Program, Program], table: Table, rows: Integers
+) -> list[float]:
+    """The impulses of impacts of a model with signals. At a knot one was given on the piece before
+    it, or on that behind it: the states tell on which."""
+    found, times = [], table.t[rows].tolist()
+    for k, t, behind in zip(rows.tolist(), times, scene.through_time(times), strict=True):
+        before, pieces, own = table.before[k].tolist(), [behind], []
+        if scene.span(t)[0] == t:
+            pieces.append(scene.at(float(np.nextafter(t, -np.inf))))
+        for here in pieces:
+            numbers = here.numbers(mode, ())
+            (gives,), (*push, weight) = (here.bind(p, numbers)(t, before) for p in programs)
+            seen = (table.after[k] - table.before[k]) @ push / np.dot(push, push) / weight
+            own.append((abs(gives - seen), gives))
+        found.append(min(own)[1])
     return found
 
 

@@ -267,8 +267,8 @@ class Solution:
 
     @property
     def surfaces(self) -> dict[str, Any]:
-        """The guards by edge, for pictures; empty in a run that was loaded."""
-        return dict(self.hindsight.scene.guards) if self.hindsight else {}
+        """The guards by edge, as they are at the end; empty in a run that was loaded."""
+        return dict(self.hindsight.scene.at(self.t1).guards) if self.hindsight else {}
 
     def __call__(self, t: Any, j: int | None = None, *, side: str = "right") -> Record:
         """The state at times ``t``.
