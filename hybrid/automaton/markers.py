@@ -33,7 +33,7 @@ EITHER = Crossing.EITHER
 """The edge fires where its guard reaches zero from either side."""
 
 TERMINATE = "hy.TERMINATE"
-"""What an edge leads to that ends the run: no mode can have this name."""
+"""Target of an edge that ends the run. No mode can have this name."""
 
 
 class _Named:
@@ -71,7 +71,8 @@ class Mode(_Named):
 
 @attrs.frozen(eq=False)
 class Times:
-    """When an edge fires that has no guard: at given times, or ``every`` period."""
+    """Firing times of an edge without a guard: the list ``at``, or every ``every`` from
+    ``offset``."""
 
     at: Any
     every: Any
@@ -120,14 +121,14 @@ class Switching(_Named):
 
 
 def state(unit: str = "", doc: str = "", shape: tuple[int, ...] = ()) -> Any:
-    """Declare a coordinate of the state.
+    """Declare a coordinate of the state. The order of declaration is the order in the state vector.
 
     Parameters
     ----------
     unit, doc : str
-        Physical unit and a few words; used in tables, pictures and saved files.
+        Physical unit and a short description; used in tables, pictures and saved files.
     shape : tuple of int
-        ``()`` for a number; the order of declaration is the order in the state vector.
+        ``()`` for a number.
     """
     return State(unit, doc, (shape,) if isinstance(shape, int) else shape)
 
@@ -144,7 +145,7 @@ def parameter(
     Parameters
     ----------
     default : float or array
-        Value where the caller gives none.
+        Value if the caller gives none.
     positive : bool
         Refuse values that are not greater than zero.
     between : (low, high), optional
@@ -153,8 +154,8 @@ def parameter(
     Raises
     ------
     ParameterError
-        When a model is made with a value outside these bounds: the message has the
-        name, the value and the bound.
+            When a model is made with a value outside these bounds; the message gives the name, the
+        value and the bound.
     """
     metadata = {"hybrid": "parameter", "unit": unit, "doc": doc}
     return attrs.field(
@@ -185,7 +186,7 @@ def _bounds(positive: bool, between: tuple[float, float] | None) -> Callable[...
 
 
 def _is_traced(value: Any) -> bool:
-    """Whether a value is known only when JAX runs: nothing can be checked of it."""
+    """Whether a value is a JAX tracer, whose number cannot be checked."""
     jax = None if isinstance(value, float | int) else sys.modules.get("jax")
     return jax is not None and isinstance(value, jax.core.Tracer)
 
@@ -201,14 +202,14 @@ def mode(
     Parameters
     ----------
     initial : bool
-        Runs begin here.
+        Runs begin in this mode.
     limit_of : tuple of str
-        Names of the edges of a cycle: where they accumulate, this mode follows.
+        Names of the edges of a cycle; where the cycle accumulates, the run continues in this mode.
 
     Notes
     -----
-    The flow is ``def name(self, t, s)``; it returns the time derivatives in the order of
-    the states (a tuple, a record ``s.replace(...)``, or a dict by state).
+    The flow is ``def name(self, t, s)``; it returns the time derivatives in the order of the states
+    (a tuple, a record ``s.replace(...)``, or a dict by state).
     """
     if flow is None:
         return lambda function: Mode(function, initial, limit_of)
@@ -230,29 +231,29 @@ def edge(
     """Declare an edge: ``@hy.edge(source, to=mode, guard=...)`` over its reset, or a clock:
     ``@hy.edge(source, every=0.1)``.
 
-    Without a reset, ``name = hy.edge(source, to=mode, guard=...)``, the state stays as it is.
+    Without a reset, ``name = hy.edge(source, to=mode, guard=...)``, the state does not change.
 
     Parameters
     ----------
     source, to : mode or str
-        A mode defined above, or its name; ``to`` is the source if it is not given.
-        ``to=hy.TERMINATE`` ends the run behind the jump, with ``Status.TERMINATED``.
+            A mode defined above, or its name; ``to`` defaults to the source. ``to=hy.TERMINATE``
+        ends the run after the jump, with ``Status.TERMINATED``.
     guard : callable ``(self, t, s)``
         A scalar; positive inside the source's domain when ``crossing`` is ``FALLING``.
     crossing : FALLING, RISING or EITHER
         The direction in which the guard must reach zero.
     when : callable ``(self, t, s)``, optional
-        A condition, true or greater than 0 where the edge may fire. It is read at a zero of the
-        guard, from the values before the jump; where it fails there the zero is passed. It fires
-        nothing by itself, and the guard does not bound the mode.
+            A condition, true or greater than 0 where the edge may fire. It is read at a zero of the
+        guard, with the values before the jump; if it fails, that zero is passed over. The condition
+        alone fires nothing, and a guard with a condition does not bound the mode.
     urgent : bool
-        Whether the edge fires, too, where its guard is already beyond zero as the mode is entered.
+        Whether the edge also fires if its guard is already beyond zero when the mode is entered.
     at : number, name of a parameter, or sequence of these
-        The increasing times at which the edge fires, instead of a guard; a parameter may be an
+            Increasing times at which the edge fires, instead of a guard; a parameter may be an
         array of times.
     every, offset : number or name of a parameter
-        It fires at ``k * every + offset`` for all whole numbers k. A run's first time is none of
-        its times, its last is.
+            The edge fires at ``k * every + offset`` for all whole numbers k. It does not fire at
+        the initial time of a run, but may fire at the final time.
     """
     clock = not (at is None and every is None)
     times = Times(at, every, offset) if clock else None
@@ -261,7 +262,7 @@ def edge(
 
 
 def _unchanged(self: Any, t: Any, s: Any) -> Any:
-    """The reset of an edge that is given none."""
+    """The reset of an edge declared without one."""
     return s
 
 
@@ -280,24 +281,24 @@ def contact(
     mode : mode or str
         The mode in which the gap is watched.
     gap : callable ``(self, t, s)``
-        Distance to the obstacle; it may depend on ``t`` (a moving obstacle). An array of them is
-        as many contacts, ``name[0]``, ``name[1]``, ...
+            Distance to the obstacle; it may depend on ``t`` (a moving obstacle). An array of gaps
+        declares one contact per element, ``name[0]``, ``name[1]``, ...
     restitution : str, float or callable ``(self, t, s, u)``
-        Name of a parameter, a number, or a function of the gap's speed ``u < 0`` before
-        the impact that returns the speed after it, over ``abs(u)``. Of several contacts a
-        parameter or function may be an array, one number for each.
+            Name of a parameter, a number, or a function of the gap speed ``u < 0`` before the
+        impact that returns the gap speed after it divided by ``abs(u)``. For an array of gaps, a
+        parameter or a function may give an array, one number per contact.
     rests : bool
-        Whether the model goes on in the resting mode after impacts have accumulated.
+        Whether the run continues in the resting mode after impacts have accumulated.
     inverse_mass : float, sequence or callable ``(self, t, s)``, optional
-        Inverse mass matrix of the positions that the gap depends on, in the order of the
-        state vector: a number, the diagonal, or the matrix. Unit masses if omitted. Of several
-        contacts a number, or the diagonal for the positions that they depend on together.
+            Inverse mass matrix of the positions that the gap depends on, in the order of the state
+        vector: a number, the diagonal, or the matrix. Unit masses if omitted. For an array of gaps:
+        a number, or the diagonal over all positions that any of the gaps depends on.
 
     Notes
     -----
-    The impulse acts along ``W grad_q(gap)`` on the velocities, where ``q`` are the
-    positions in the gap and ``W`` the inverse mass; a moving gap's own speed is
-    ``u = d(gap)/dt`` along the flow, and the impact maps ``u`` to ``-r u``.
+    The impulse changes the velocities along ``W grad_q(gap)``, where ``q`` are the positions in the
+    gap and ``W`` the inverse mass matrix. The gap speed is ``u = d(gap)/dt`` along the flow, the
+    motion of the obstacle included; the impact maps ``u`` to ``-r u``.
     """
     return ContactMarker(mode, gap, restitution, rests, inverse_mass)
 
@@ -314,15 +315,16 @@ def switching(
     surface : callable ``(self, t, s)``
         A scalar; it may depend on ``t`` (a moving surface).
     slides : bool
-        Whether the state slides where both flows point to the surface; without it that is
-        an error.
+            Whether the state slides where both flows point to the surface. If not, reaching such a
+        point is an error.
 
     Notes
     -----
-    Where both flows lead through the surface the run crosses it: a jump of the switching's
-    name, which leaves the state as it is. Where both lead to it, it slides in the arc mode
-    ``"slide(<name>)"`` along the convex combination of the two flows that stays on it, until
-    one of them leads away: a jump ``"<name>.positive"`` or ``"<name>.negative"``.
+    Where both flows lead through the surface the run crosses it: a jump named after the switching,
+    which does not change the state. Where both lead to the surface, the state slides in the arc
+    mode ``"slide(<name>)"`` with the Filippov vector field, the convex combination of the two flows
+    that is tangent to the surface. Sliding ends when one flow leads away: a jump
+    ``"<name>.positive"`` or ``"<name>.negative"``.
     """
     return Switching(positive, negative, surface, slides)
 
@@ -333,12 +335,12 @@ def is_parameter(value: Any) -> bool:
 
 
 def name_of(mode: Any) -> Any:
-    """The name of a mode given by its marker or its name."""
+    """The name of a mode, given as a marker or a name."""
     return mode.name if isinstance(mode, Mode) else mode
 
 
 def is_number(value: Any) -> bool:
-    """Whether ``value`` is a finite real number (and not a flag)."""
+    """Whether ``value`` is a finite real number and not a bool."""
     if isinstance(value, bool):
         return False
     try:

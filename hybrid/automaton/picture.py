@@ -1,4 +1,4 @@
-"""What a model looks like: points and lines in the plane, for moving pictures."""
+"""What a model looks like in the plane, as points and lines, for animations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..errors import OptionError
 from .spec import Spec
 from .trace import caller, wide
 
-#: What marks a method that draws.
+#: Attribute that marks a drawing method.
 MARK = "_hybrid_picture"
 
 
@@ -20,8 +20,8 @@ def picture(function: Callable[..., Any]) -> Callable[..., Any]:
 
     Notes
     -----
-    The method returns a list of arrays of shape ``(k, 2)``, by ``jax.numpy``: a line through ``k``
-    points each, or where ``k`` is 1 a dot. There are as many, of the same shapes, at all times.
+    The method returns a list of ``jax.numpy`` arrays of shape ``(k, 2)``: each is a line through
+    ``k`` points, or a dot if ``k`` is 1. Their number and shapes must not depend on time.
     ``run.animate("run.gif")`` shows them.
     """
     setattr(function, MARK, True)
@@ -29,12 +29,12 @@ def picture(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def looks(spec: Spec, parameters: Any, t: Any, x: Any) -> list[np.ndarray]:
-    """The lines of a model at times ``t`` and states ``x``: of each an array ``(n, k, 2)``.
+    """The lines of a model at times ``t`` and states ``x``: arrays of shape ``(n, k, 2)``.
 
     Raises
     ------
     OptionError
-        If the model has no such method, or more than one, or it returns something else.
+        If the model does not have exactly one such method, or the method returns something else.
     """
     import jax
     import jax.numpy as jnp
