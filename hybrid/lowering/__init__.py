@@ -1,4 +1,5 @@
-"""The spec, lowered for one run: only the modes, guards and outputs that the run needs."""
+"""Lowering: a model's spec and traces become the code of the modes, guards and outputs a run
+needs."""
 
 from .lowered import window_ends
 from .mode import Kind

@@ -1,7 +1,7 @@
-"""Moving data: where positions are known the numbers of nodes move, and cost nothing.
+"""Data movement: with known positions, node numbers are rearranged at no run-time cost.
 
-Where a position depends on the state, an entry of a table is picked: one operation, however long
-the table is.
+With a position that depends on the state, an entry of a table is picked: one operation for a table
+of any length.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ from ..errors import TraceError
 from .elements import choosing, constant, each, few, mapped, taken
 from .graph import Graph, Ids
 
-#: Primitives that only move data; JAX itself moves the node numbers where numpy is not
-#: told how below.
+#: Primitives that only move data; JAX itself rearranges the node numbers.
 DATA_MOVES = {"gather", "pad", "dynamic_slice", "dynamic_update_slice", "scatter"}
 
-#: Of the inputs of a primitive, those that are moved, where it is not the first alone.
+#: Indices of the inputs that hold data rather than positions; by default the first.
 MOVED_INPUTS = {
     "pad": (0, 1),
     "dynamic_update_slice": (0, 1),
@@ -29,19 +28,19 @@ MOVED_INPUTS = {
 
 
 def _places(name: str, inputs: list[Ids]) -> list[int]:
-    """Nodes of the positions that a primitive moves numbers from or to."""
+    """Nodes of the positions of a data movement."""
     moved = MOVED_INPUTS.get(name, (0,))
     return [i for k, ids in enumerate(inputs) if k not in moved for i in ids.reshape(-1).tolist()]
 
 
 def placed(graph: Graph, name: str, inputs: list[Ids]) -> bool:
-    """Whether all positions are known, or are one of a few."""
+    """Whether all positions are known, or are choices among few known ones."""
     counts = [graph.leaves(i) for i in _places(name, inputs)]
     return few(counts) and (name != "scatter-add" or max(counts, default=1) == 1)
 
 
 def move(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
-    """Let JAX move the node numbers."""
+    """Let JAX rearrange the node numbers."""
     import jax
 
     name = equation.primitive.name
@@ -58,14 +57,14 @@ def move(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
             operands.append(each(graph.value, ids))
     if name == "pad" and all(min(row) >= 0 == row[2] for row in equation.params["padding_config"]):
         widths = [row[:2] for row in equation.params["padding_config"]]
-        return np.pad(operands[0], widths, constant_values=int(operands[1]))  # spares a compilation
+        return np.pad(operands[0], widths, constant_values=int(operands[1]))  # avoids a compilation
     with jax.ensure_compile_time_eval(), jax.enable_x64(True):
         moved_ids = equation.primitive.bind(*operands, **equation.params)
     return np.asarray(moved_ids).astype(np.int64)
 
 
 def picked(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids | None:
-    """``x[i]`` with positions that move; None where an equation is no such."""
+    """``x[i]`` with varying positions; None for other equations."""
     if equation.primitive.name == "dynamic_slice":
         operand, *starts = inputs
         sizes = equation.params["slice_sizes"]
@@ -88,7 +87,7 @@ def picked(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids | None:
 
 
 def _at_zero(equation: Any, shape: tuple[int, ...], indices: tuple[int, ...]) -> np.ndarray:
-    """Places of the entries of a gather whose positions are all 0, counted through its operand."""
+    """Flat operand indices of the entries that a gather reads with all positions 0."""
     import jax
     from jax.lax import GatherScatterMode
 
@@ -99,7 +98,7 @@ def _at_zero(equation: Any, shape: tuple[int, ...], indices: tuple[int, ...]) ->
 
 
 def _filling(equation: Any) -> float | None:
-    """What stands for entries beyond a table's end; None where the last ones do."""
+    """The value of entries beyond the end of a table; None if positions are clamped."""
     from jax.lax import GatherScatterMode
 
     if equation.params.get("mode") != GatherScatterMode.FILL_OR_DROP:
@@ -136,7 +135,10 @@ def _entries(
 
 
 def scatter_add(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
-    """``x.at[i].add(y)``, one summand a place: let JAX put the summands' places over zeros."""
+    """``x.at[i].add(y)`` without repeated positions.
+
+    JAX scatters the indices of the summands over zeros.
+    """
     operand, indices, updates = inputs
     zeros, places = np.zeros(operand.shape), np.arange(1, updates.size + 1).reshape(updates.shape)
     counts = move(graph, equation, [zeros, indices, np.ones(updates.shape)])
