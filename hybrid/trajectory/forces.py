@@ -1,7 +1,7 @@
-"""What contacts bear in a run: the force on one at rest, the impulse of one that is struck.
+"""Contact forces of a run: the force on a contact at rest, the impulse of an impact.
 
-Both are multipliers of ``W grad_q(gap)`` (:mod:`hybrid.lowering.contact`): the force keeps the
-gap's acceleration at zero, the impulse gives the gap the speed that the restitution asks for.
+Both are multipliers of ``W grad_q(gap)`` (:mod:`hybrid.lowering.contact`). The force keeps the
+gap's acceleration at zero; the impulse gives the gap the speed that the restitution demands.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def _impulse(graph: ModeGraph, contact: str) -> list[int]:
 
 
 def _struck(run: Solution, contact: str) -> Numbers:
-    """When a contact is struck; not where its impacts accumulate, and are weaker than any force."""
+    """Times at which a contact is struck, except where its impacts accumulate and fade out."""
     times = run.jumps.t[run.jumps.edge == contact]
     return times[~np.isin(times, [point.t for point in run.zeno])]
 
@@ -88,7 +88,8 @@ def scene_known(spec: Spec, parameters: Mapping[str, Any], scene: Scene | None) 
     Raises
     ------
     OptionError
-        In a run that was loaded without its model, or that has looked at a past it does not know.
+            If the run was loaded without its model, or depends on a past that the file does not
+        contain.
     """
     if scene is not None:
         return scene

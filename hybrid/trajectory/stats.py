@@ -1,4 +1,4 @@
-"""What a run has cost, and what it was made with."""
+"""The cost of a run, and the versions of the packages used."""
 
 from __future__ import annotations
 
@@ -8,31 +8,30 @@ from importlib.metadata import PackageNotFoundError, version
 
 import attrs
 
-#: Packages whose versions have a say in the numbers of a run.
+#: Packages whose versions affect the numbers of a run.
 USED = ("numpy", "scipy", "jax", "diffrax", "numba", "python-flint")
 
 
 @attrs.frozen
 class Stats:
-    """What a run has cost.
+    """The cost of a run.
 
-    Steps are the solver's. Flights that are lower than rounding, and series of impacts that are
-    summed, have none; the runs that measure errors, which are made when these are asked for, are
-    not counted.
+    Steps are the solver's. Flights below rounding and summed series of impacts need none. Runs that
+    measure errors are made on request and not counted.
 
     Attributes
     ----------
     steps : int
-        Steps that were accepted, those of arcs among them that delays let be flown again.
+        Accepted steps, including those of arcs that delays require to be repeated.
     rejected : int or None
-        Attempts at a step that were made again, shorter: they lost more than the tolerances allow.
-        None where it cannot be known: SciPy's Radau, BDF and LSODA do not tell, nor do arcs that
-        run as one compiled program with ``solver="diffrax"``, nor solvers that are plugged in and
-        do not count. 0 with Taylor series, whose length is known before a step is made.
+            Steps that were repeated with a shorter length because their error exceeded the
+        tolerances. None if unknown: SciPy's Radau, BDF and LSODA, arcs that run as one compiled
+        program with ``solver="diffrax"``, and plugged-in solvers that do not count. 0 with Taylor
+        series, whose step length is known in advance.
     evaluations : int or None
-        Evaluations of the flow, for Jacobian matrices by differences too; with Taylor series
-        expansions of it, one for each step that is tried. None where it cannot be known:
-        ``solver="diffrax"``, and solvers that are plugged in and do not count.
+            Evaluations of the flow, including those for finite-difference Jacobians; with Taylor
+        series, expansions of the flow, one per step tried. None if unknown: ``solver="diffrax"``,
+        and plugged-in solvers that do not count.
     seconds : float
         Wall time in :func:`hybrid.simulate`, compilation included, in seconds.
     """
@@ -55,7 +54,7 @@ class Stats:
 
 @cache
 def versions() -> dict[str, str]:
-    """Versions of this package, of Python, and of what computes, as far as it is installed."""
+    """Versions of this package, of Python, and of the installed numerical packages."""
     from .. import __version__
 
     found = {"hybrid": __version__, "python": platform.python_version()}
