@@ -1,4 +1,4 @@
-"""What a run returns: its data, and what is done with them."""
+"""What a run returns: its data, and the methods to use them."""
 
 from __future__ import annotations
 
@@ -25,80 +25,80 @@ if TYPE_CHECKING:
 class Trajectory(Solution):
     """The result of a run, in hybrid time.
 
-    ``run(t)`` is the state at a time, ``run.arcs`` and ``run.jumps`` the tables, ``run.final``
-    and ``run.mode`` where it ended.
+    ``run(t)`` is the state at a time, ``run.arcs`` and ``run.jumps`` are the tables, ``run.final``
+    and ``run.mode`` the state and mode at the end.
 
     Attributes
     ----------
     parameters : dict
         Values of the model's parameters.
     log : Log
-        What was kept: ``parts``, arcs and chattering tails, and ``own_jumps``, the jumps by the
-        place of the part they led from.
+            The record: ``parts`` (arcs and chattering tails) and ``own_jumps`` (jumps by the index
+        of the part that they end).
     zeno : list of Accumulation
         Limit points of jumps, in order.
     samples : array, shape (number of times, n), or None
         With ``save=times``: the states at these times.
     grazings : list of Jump
-        Tangencies of a guard, which fire no edge (``before`` and ``after`` are the same).
+        Tangencies of a guard, which fire no edge (``before`` and ``after`` are equal).
     status : Status
         An enumeration whose text is a sentence.
     options : dict
-        What the run was made with: the options of :func:`hybrid.simulate` by name. Where no method,
-        tolerances or mode were given, those that were taken. ``save`` is ``"times"``, and ``times``
-        has them, where the states at some times were asked for. What was before the start of a
-        model with delays is not among them.
+            The options of :func:`hybrid.simulate` by name, with the method, tolerances and mode
+        that were used if none were given. If states at given times were requested, ``save`` is
+        ``"times"`` and ``times`` holds them. The history of a model with delays is not included.
     pairs : list of (int, int)
-        Places of a contact's positions and velocities in the state vector.
+        Indices of contacts' positions and velocities in the state vector.
     hindsight : Hindsight or None
-        How the model looked at each time of the run (:mod:`hybrid.delay.hindsight`); None in a run
-        that was loaded.
+            The model as it was at each time of the run (:mod:`hybrid.delay.hindsight`); None for a
+        loaded run.
     stats : Stats or None
-        Steps, and what they took; None in a run from a file that does not say.
+        Steps and their cost; None if the run's file does not contain them.
     versions : dict
-        Of this package, Python, and what computes; empty in a run from a file that does not say.
+            Versions of this package, Python, and the numerical packages; empty if the run's file
+        does not contain them.
     """
 
     def __add__(self, more: Trajectory) -> Trajectory:
-        """This run and one that goes on where it ended, as one.
+        """This run joined with one that continues it.
 
-        Times, arcs, jumps, accumulations, grazings, saved states and stats are joined, ``j`` counts
-        on. The arc that was cut is one arc again; where the next begins in another mode (a rest
-        that begins at that time) two arcs meet without a jump. ``options`` are those of ``more``,
-        tolerances the larger of the two.
+        Times, arcs, jumps, accumulations, grazings, saved states and stats are joined, and ``j``
+        continues to count. The arc that was cut becomes one arc again; if the next run begins in
+        another mode (a rest that begins at that time), two arcs meet without a jump. ``options``
+        are those of ``more``, with the larger tolerances of the two.
 
         Raises
         ------
         OptionError
-            If ``more`` is another model's, has other parameters, or does not begin at the time, in
+                If ``more`` has another model or other parameters, or does not begin at the time, in
             the mode and in the state in which this run ended.
         """
         return join(self, more) if isinstance(more, Trajectory) else NotImplemented
 
     def settles(self) -> Settled:
-        """Whether the run has come to rest, or to a periodic orbit, as far as it shows.
+        """Whether the run has come to rest or to a periodic orbit, as far as it shows.
 
         Returns
         -------
         Settled
-            ``.kind`` is ``"rest"``, ``"periodic"`` or ``"none"``, ``.reason`` a sentence with the
-            evidence, ``.period``, ``.jumps`` (a period), ``.distance`` and ``.rate`` its numbers;
-            ``.for_ever`` is true of a rest that nothing can end.
+                ``.kind`` is ``"rest"``, ``"periodic"`` or ``"none"``, and ``.reason`` a sentence
+            with the evidence. ``.period``, ``.jumps`` (per period), ``.distance`` and ``.rate``
+            give numbers; ``.for_ever`` is true for a rest that nothing can end.
 
         Raises
         ------
         OptionError
-            If no dense output was kept where it is needed.
+            If dense output is needed but was not kept.
 
         Notes
         -----
-        An orbit is taken for one if its turns have been closer than 10 ``rtol`` for a quarter of
-        the run, or have come so close, or are coming closer, at an even rate that leaves less
-        than a thousandth of its size to go. Moves of less than 100 ``atol`` count as none. (With
-        Taylor series and no tolerances given, 1e-8 and 1e-10 are meant, as on other solvers.) A
-        rest is for ever where neither flow nor guards, nor the gaps that are held, depend on
-        time, the state does not change at all, and delays have seen nothing else for the
-        longest lag; where it may end, the reason says so.
+        An orbit is accepted if its turns have been closer than 10 ``rtol`` for a quarter of the
+        run, or have come that close at an even rate, or are approaching at an even rate that leaves
+        less than a thousandth of its size to go. Changes below 100 ``atol`` count as none. (With
+        Taylor series at default tolerances, 1e-8 and 1e-10 are used, as for other solvers.) A rest
+        is permanent if flow, guards and held gaps do not depend on time, the state does not change
+        at all, and delays have seen nothing else for the longest lag; if it may end, the reason
+        says so.
         """
         return settles(self)
 
@@ -111,34 +111,34 @@ class Trajectory(Solution):
         ax: Any = None,
         size: tuple[float, float] | None = None,
     ) -> Any:
-        """Draw the run: states over time, modes, phase portrait, gaps between impacts.
+        """Plot the run: states over time, modes, phase portrait, gaps between impacts.
 
         Parameters
         ----------
         names : sequence of str, optional
-            States and outputs to draw; all states, if omitted. A path in this place is ``path``.
+                States and outputs to plot; by default all states. A path given here is taken as
+            ``path``.
         path : str or path, optional
-            Also write the figure there. ``.html``: a page that zooms and answers the pointer,
-            and needs no network (extra ``report``).
+                Also write the figure to this file. ``.html``: an interactive page that needs no
+            network (extra ``report``).
         panels : sequence of str, optional
-            Some of ``"time"``, ``"phase"`` (of the first two names), ``"gaps"`` and ``"modes"``;
-            all of them if omitted, ``"time"`` where names are given. What would be empty is left
-            out.
+                Some of ``"time"``, ``"phase"`` (of the first two names), ``"gaps"`` and
+            ``"modes"``; by default all, or ``"time"`` if names are given. Empty panels are omitted.
         ax : matplotlib.axes.Axes, or several, optional
-            Draw there, a panel on each; nothing else of their figure is touched.
+            Axes to plot on, one per panel; the rest of their figure is not changed.
         size : (width, height), optional
             In inches.
 
         Returns
         -------
         matplotlib.figure.Figure
-            With ``.html`` plotly's ``Figure``.
+            With ``.html``, a plotly ``Figure``.
 
         Raises
         ------
         OptionError
-            If matplotlib, or for a page plotly, is missing; if a name is that of no state or
-            output, or a panel is none of these; if there are more or fewer axes than panels.
+                If matplotlib (for a page: plotly) is missing, a name is neither a state nor an
+            output, a panel is unknown, or the numbers of axes and panels differ.
         """
         if isinstance(names, str | PathLike):
             names, path = None, names
@@ -164,24 +164,24 @@ class Trajectory(Solution):
         fps: int = 20,
         size: tuple[float, float] = (4.0, 4.0),
     ) -> None:
-        """Write a moving picture of a model that says what it looks like (:func:`hybrid.picture`).
+        """Write an animation of a model that declares its picture (:func:`hybrid.picture`).
 
         Parameters
         ----------
         path : str or path
             Ends in ``.gif``.
         seconds : float
-            How long it lasts, whatever the times of the run are.
+            Duration of the animation, whatever the time span of the run.
         fps : int
-            Frames in a second.
+            Frames per second.
         size : (width, height)
-            In inches, of a hundred dots.
+            In inches, at 100 dots per inch.
 
         Raises
         ------
         OptionError
-            If matplotlib is missing; if the model does not say what it looks like, or the run keeps
-            no dense output.
+                If matplotlib is missing, the model declares no picture, or the run keeps no dense
+            output.
         """
         need("run.animate", PLOT)
         from ..plot.moving import animate
@@ -189,7 +189,7 @@ class Trajectory(Solution):
         animate(self, path, seconds, fps, size)
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the words of ``repr``, and a small picture."""
+        """The notebook representation: the text of ``repr`` and a small picture."""
         return f"<pre>{escape(repr(self))}</pre>\n{sketch(self)}"
 
     def to_xarray(self, t: Any = None) -> xarray.Dataset:
@@ -198,7 +198,8 @@ class Trajectory(Solution):
         Parameters
         ----------
         t : array, optional
-            Times; where omitted, those the run was asked to save, or 16 points an arc.
+                Times; by default those that the run was asked to save, or both ends and 15 points
+            of each arc.
         """
         return files.to_xarray(self, t)
 
@@ -213,17 +214,17 @@ def load(path: Any, model: Any = None) -> Trajectory:
     Parameters
     ----------
     model : type or Automaton, optional
-        The model of the run, whose methods work out its outputs: a file holds their names.
+        The model of the run. It is needed to evaluate outputs, as the file holds only their names.
 
     Raises
     ------
     StoreError
-        If there is no such file, it was not written by this package, or it is damaged; if ``model``
-        has another name, other states or other parameters than the run.
+            If there is no such file, it was not written by this package, or it is damaged; or if
+        the name, states or parameters of ``model`` do not match the run.
 
     Notes
     -----
-    The file is read by HDF5, some versions of which crash on a file that was made to do so: load
-    files of strangers in a process that may end.
+    The file is read by HDF5, some versions of which crash on maliciously crafted files: load
+    untrusted files in a process of their own.
     """
     return files.read(path, Trajectory, model)
