@@ -1,4 +1,4 @@
-"""The first variation along a turn of a model with delays."""
+"""The first variation along one period of a model with delays."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ def carried(
     shifts: Sequence[Shift] = (),
     breaks: Iterable[float] = (),
 ) -> tuple[Carried, PastVariation]:
-    """A change of a run's start and of its past, carried along the run.
+    """Carry perturbations of a run's start and history along the run.
 
     Parameters
     ----------
     now : array, shape (n, m)
-        The change of the state at the start, as a linear function of ``m`` numbers.
+        Variation of the state at the start, as a linear function of ``m`` numbers.
     strands, shifts
-        That of the record before, and of the times of its jumps.
+        Variation of the history, and of the times of its jumps.
     breaks : iterable of float
-        Where the change of the record breaks.
+        Breaking points of the variation of the history.
 
     Raises
     ------
     OrbitError
-        Where there is none; at accumulations.
+        If there is no first variation, and at accumulations.
     """
     for part in run.parts:
         if not isinstance(part, Arc):
@@ -67,7 +67,12 @@ def carried(
 
 
 def require_constant(scene: Scene) -> None:
-    """Refuse lags that move."""
+    """Refuse lags that depend on time or state.
+
+    Raises
+    ------
+    OrbitError
+    """
     for lag, moves in zip(scene.spec.lags, scene.code.moving, strict=True):
         if moves:
             raise OrbitError(

@@ -1,4 +1,4 @@
-"""``hy.lyapunov``: the mean rates at which neighbours of a run part."""
+"""``hy.lyapunov``: mean rates of separation of neighbouring trajectories."""
 
 from __future__ import annotations
 
@@ -17,35 +17,36 @@ from ..variation import factors
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers
 
-#: Parts of a run whose means are compared.
+#: Number of parts of a run whose means are compared.
 BATCHES = 20
 
-#: Running estimates of the exponents that are returned, evenly over the run.
+#: Number of running estimates that are returned, spaced evenly over the run.
 RUNNING_ESTIMATES = 200
 
-#: Growth of a direction that is rounding beside the largest of the same piece: some 50 roundings.
+#: Relative growth of a direction, compared with the largest of the same piece, that counts as
+#: rounding: some 50 roundings.
 LOST_GROWTH = 1e-14
 
 
 @attrs.frozen(eq=False, repr=False)
 class Exponents:
-    """Lyapunov exponents of a run, and how well they have converged.
+    """Lyapunov exponents of a run, and their convergence.
 
     Attributes
     ----------
     exponents : array, shape (count,)
-        Mean rates, one over the unit of time, largest first; ``-inf`` where directions are
-        lost for good (at rest, sliding, through an accumulation).
+            Mean rates, one over the unit of time, largest first; ``-inf`` for directions that are
+        lost permanently (at rest, while sliding, through an accumulation).
     error : array, shape (count,)
-        Standard error of each: of the means of twenty parts of the run, one after the other.
-        NaN for what is ``-inf``, or where the run is too short to be parted.
+            Standard error of each, from the means of twenty consecutive parts of the run. NaN for
+        ``-inf``, or if the run is too short to be divided.
     sum : float
-        Of the exponents.
+        Sum of the exponents.
     times : array, shape (k,)
     running : array, shape (k, count)
-        Estimates at some times on the way: from the end of the transient until then.
+        Running estimates: from the end of the transient to each of ``times``.
     run : Trajectory
-        Over which they were taken.
+        The run after the transient.
     """
 
     exponents: Numbers
@@ -83,9 +84,9 @@ def lyapunov(
     start, t
         As for :func:`hybrid.simulate`.
     count : int, optional
-        How many, from the largest on; all if omitted.
+        Number of exponents, from the largest on; by default all.
     transient : float, optional
-        Time at the beginning that is left out; a tenth of the run if omitted.
+        Initial time that is discarded; by default a tenth of the run.
     options
         As for :func:`hybrid.simulate`.
 
@@ -96,19 +97,19 @@ def lyapunov(
     Raises
     ------
     OptionError
-        If ``count`` or ``transient`` cannot be used.
+        If ``count`` or ``transient`` is invalid.
     OrbitError
-        If the run ends early, grazes, or passes the limit of a cycle of several edges; for a
-        model with delays, whose exponents are infinitely many.
+            If the run ends early, grazes, or passes the limit of a cycle of several edges; for a
+        model with delays, which has infinitely many exponents.
 
     Notes
     -----
-    An orthonormal frame is carried along the run by the first variation of its steps and the
-    saltation matrices of its jumps, and made orthonormal again after each of them; the logarithms
-    of what it grew by are summed. Sources: Benettin, Galgani, Giorgilli & Strelcyn, Meccanica 15
-    (1980); Müller, Chaos, Solitons & Fractals 5 (1995) for systems with jumps.
+    An orthonormal frame is carried along the run by the variational equation and the saltation
+    matrices of jumps, and re-orthonormalised after each step; the logarithms of its growth are
+    summed. Sources: Benettin, Galgani, Giorgilli & Strelcyn, Meccanica 15 (1980); Müller, Chaos,
+    Solitons & Fractals 5 (1995) for systems with jumps.
 
-    In an autonomous model one exponent is 0: that of a change along the run.
+    In an autonomous model one exponent is 0: that of a perturbation along the flow.
 
     Examples
     --------
@@ -150,7 +151,7 @@ def _span(t: Any) -> tuple[float, float]:
 
 
 def _run(model: Any, start: Any, t: tuple[float, float], options: dict[str, Any]) -> Trajectory:
-    """A run that reaches its last time."""
+    """A run, required to reach its last time."""
     run = simulate(model, start, t, **options)
     if run.status is not Status.REACHED_END:
         raise OrbitError(f"{run.spec.model}: the run ended at t = {run.t1:.9g}: {run.status}")
@@ -158,7 +159,8 @@ def _run(model: Any, start: Any, t: tuple[float, float], options: dict[str, Any]
 
 
 def _carry(model: Any, run: Trajectory, frame: Matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times at the ends of a run's pieces, logarithms of the frame's growth, the last frame."""
+    """End times of a run's pieces, logarithms of the frame's growth over each, and the final
+    frame."""
     times, growth = [], []
     for factor in factors(model, run):
         frame, upper = np.linalg.qr(factor.matrix @ frame)

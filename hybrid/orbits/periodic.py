@@ -27,11 +27,11 @@ from .shooting import Shooting, Shot
 if TYPE_CHECKING:
     from ..automaton.shapes import ComplexNumbers, Matrix, Numbers
 
-#: A multiplier nearer than this to the unit circle is not said to lie inside or outside.
+#: Distance from the unit circle below which a multiplier counts as neither inside nor outside.
 NEUTRAL = 1e-6
 
-#: By how much the tolerances of a second run are finer, the finest that methods take, how many
-#: times a drift must exceed what that changes, and what rounding alone may make of a turn.
+#: For a check with finer tolerances: their ratio, the finest that methods accept, how many times
+#: the drift must exceed the resulting change, and the rounding of one turn.
 FINER_BY, FINEST_RTOL, SURE, TURN_ROUNDING = 30.0, 3e-14, 10.0, 3e-13
 
 
@@ -52,33 +52,33 @@ class PeriodicOrbit:
     ----------
     period : float
     extrema : dict of (float, float)
-        Least and greatest value of each coordinate, by name.
+        Minimum and maximum of each coordinate, by name.
     jumps : float
-        Jumps in a period, releases and switchings included; ``inf`` where they accumulate.
+        Jumps per period, releases and switchings included; ``inf`` where they accumulate.
     sticks : tuple of Stick
         Phases at rest on contacts, or sliding.
     saltations : tuple of Factor
-        Of each jump, and each accumulation: ``.t .edge .matrix``.
+        Saltation matrices of the jumps and accumulations: ``.t .edge .matrix``.
     monodromy : array, shape (n, n)
-        The first variation over a period, from ``start``.
+        The fundamental matrix over a period, from ``start``.
     multipliers : array of complex, shape (n,)
-        Its eigenvalues, largest first. In an autonomous model one of them is 1: that of a
-        change along the orbit.
+            Its eigenvalues, largest first. In an autonomous model one of them is 1, that of a
+        perturbation along the orbit.
     stable : bool
-        Whether all others lie inside the unit circle, by more than rounding (1e-6).
+        Whether all others lie inside the unit circle, by more than 1e-6.
     start : Record
         The state at ``run.t0``, in the middle of an arc.
     run : Trajectory
         One period.
     residual : float
-        Largest difference between its ends, against the size of the orbit.
+        Largest difference between its ends, relative to the size of the orbit.
     autonomous : bool
     grazing : tuple of str
-        Sentences on guards that are touched, or crossed almost without speed: there the
-        multipliers may not say what happens nearby.
+            Sentences about guards that are touched, or crossed at very low speed; the multipliers
+        may then not describe nearby motion.
     errors : array or None
-        Of a model with delays that keep: how much each multiplier changes where the history is
-        resolved more finely. None where the multipliers are those of a matrix of the state.
+            With delays and ``memory="keep"``: the change of each multiplier when the history is
+        resolved more finely. None if the multipliers are those of a matrix of the state.
     """
 
     period: float
@@ -142,22 +142,22 @@ def periodic_orbit(
     model : Automaton
         Autonomous, or periodic in time.
     guess : dict, record, sequence or Trajectory
-        A state near the orbit; of a run its last one.
+        A state near the orbit; of a run, its final state.
     section : str, callable or float, optional
-        As for :func:`hybrid.return_map`: one return is one turn. A plane through the guess,
-        across the flow, if omitted. Give an edge that jumps once a turn.
+            As for :func:`hybrid.return_map`: one return is one turn. By default the plane through
+        the guess and across the flow. An edge should jump once per turn.
     period : float, optional
-        Of a model that depends on time: the orbit's period, a whole number of those of the
-        forcing. Otherwise a first guess of the orbit's period, in place of a section.
+            For a model that depends on time: the orbit's period, a whole multiple of that of the
+        forcing. Otherwise a first guess of the orbit's period, instead of a section.
     t, mode
         Time and mode of the guess.
     settle : int
-        Turns that are flown before Newton's method begins: towards a stable orbit.
+        Turns that are simulated before Newton's method begins, to approach a stable orbit.
     t_max : float
-        The longest time a return may take. It is sought in short times first, so that the
-        model's unit of time does not matter as long as a turn takes less.
+            The longest time a return may take. Short times are tried first, so the model's unit of
+        time does not matter as long as a turn takes less.
     tol : float
-        How well the orbit must close, relative to its size, to be an orbit.
+        Largest residual of an orbit, relative to its size.
     options
         As for :func:`hybrid.simulate`; by default ``rtol=1e-12, atol=1e-13``.
 
@@ -170,19 +170,18 @@ def periodic_orbit(
     OptionError
         If the model depends on time and no period is given.
     OrbitError
-        If no orbit is found: the message says how far it came. Also if what was found has a
-        multiplier of 1 besides that along the orbit, and drifts by more than the integration
-        may have lost.
+            If no orbit is found; the message says how far the search came. Also if the result has a
+        multiplier of 1 besides that along the orbit, and drifts by more than the integration error.
 
     Warns
     -----
     UserWarning
-        If the orbit touches a guard, or crosses one almost without speed.
+        If the orbit touches a guard, or crosses one at very low speed.
 
     Notes
     -----
-    Newton's method starts from the guess, then from where 8 and 64 turns lead. Its matrix is the
-    product of the fundamental matrices of the arcs and the saltation matrices of the jumps;
+    Newton's method starts from the guess, then from the states 8 and 64 turns later. Its matrix is
+    the product of the fundamental matrices of the arcs and the saltation matrices of the jumps;
     accumulations of impacts have one too (``docs/notes/orbits.md``). Source: di Bernardo, Budd,
     Champneys & Kowalczyk, *Piecewise-smooth Dynamical Systems* (2008).
 
@@ -214,7 +213,7 @@ def periodic_orbit(
 
 
 def shooting_of(scene: Scene, options: dict[str, Any]) -> type[Shooting]:
-    """The unknowns of a model's orbits: a state; with delays that after a jump, or a history."""
+    """The shooting method: on a state; with delays, on that after a jump or on a history."""
     if not scene.spec.lags:
         return Shooting
     require_constant(scene)
@@ -247,19 +246,19 @@ def _describe(shooting: Shooting, turn: Shot) -> PeriodicOrbit:
 
 
 def _others(multipliers: ComplexNumbers, autonomous: bool) -> ComplexNumbers:
-    """The multipliers without that of a change along the orbit."""
+    """The multipliers without that of a perturbation along the orbit."""
     if not autonomous:
         return multipliers
     return np.delete(multipliers, np.argmin(np.abs(multipliers - 1.0)))
 
 
 def _besides(multipliers: ComplexNumbers, autonomous: bool) -> bool:
-    """Whether a multiplier is 1 that need not be: nothing then brings a turn back to the orbit."""
+    """Whether another multiplier is 1 as well: turns are then not attracted to a single orbit."""
     return bool(np.any(np.abs(_others(multipliers, autonomous) - 1.0) < NEUTRAL))
 
 
 def _require_closed(shooting: Shooting, turn: Shot) -> None:
-    """Refuse a turn that drifts, where no change of its start would make it close.
+    """Refuse a turn that drifts although no change of its start would close it.
 
     Raises
     ------
@@ -280,7 +279,7 @@ def _require_closed(shooting: Shooting, turn: Shot) -> None:
 
 
 def extrema(run: Trajectory) -> dict[str, tuple[float, float]]:
-    """Least and greatest value of each element of the state along a run, by name."""
+    """Minimum and maximum of each state element along a run, by name."""
     low = np.min([np.minimum(arc.first, arc.last) for arc in run.arcs], axis=0)
     high = np.max([np.maximum(arc.first, arc.last) for arc in run.arcs], axis=0)
     for arc in run.arcs:
