@@ -433,7 +433,7 @@ def room(degree: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _listed(found: Matrix, count: int) -> list[list[float]]:
     if count in (UNFIT, WORK_FULL):
-        raise FlowError("a polynomial whose zeros are asked for is not finite")
+        raise FlowError("a polynomial whose zeros are sought is not finite")
     rows: list[list[float]] = found[: max(count, 0)].tolist()
     return rows
 

@@ -53,7 +53,7 @@ def _disorder(times: Times, named: dict[str, Any]) -> Iterator[str]:
     rows = np.concatenate(values).astype(float).tolist()
     pairs = [(a, b) for a, b in itertools.pairwise(rows) if not a < b]
     if pairs:
-        yield f"at={times.at!r} has {pairs[0][1]!r} behind {pairs[0][0]!r}; give increasing times"
+        yield f"at={times.at!r} has {pairs[0][1]!r} after {pairs[0][0]!r}; give increasing times"
 
 
 def require_clocks(model: Any, spec: Spec) -> None:

@@ -80,7 +80,7 @@ def typed(name: str, kind: str, part: np.ndarray) -> np.ndarray:
         return part
     if np.any(np.abs(part) > MOST_EXACT):
         raise FlowError(
-            f"the discrete variable {name} has come to {np.abs(part).max():g}: whole numbers are "
+            f"the discrete variable {name} has reached {np.abs(part).max():g}: whole numbers are "
             "exact to 2^53 only; reset it before, or declare hy.discrete(0.0)"
         )
     return np.rint(part).astype(np.int64)
@@ -114,7 +114,7 @@ def require_kind(name: str, kind: str, dtype: Any) -> None:
 def misfit(kind: str, values: np.ndarray) -> str | None:
     """Why start values do not fit a kind; None if they do."""
     if kind == "int" and not np.all((values == np.rint(values)) & (np.abs(values) <= MOST_EXACT)):
-        return "is no whole number up to 2^53"
+        return "is not a whole number up to 2^53"
     if kind == "bool" and not np.all((values == 0) | (values == 1)):
         return "is neither True nor False"
     return None

@@ -41,11 +41,11 @@ def looks(spec: Spec, parameters: Any, t: Any, x: Any) -> list[np.ndarray]:
 
     if spec.cls is None:
         what = f"load the run with its model, hy.load(path, {spec.model})"
-        raise OptionError(f"{spec.model}: no file holds what a model looks like: {what}")
+        raise OptionError(f"{spec.model}: a file does not contain the model's picture: {what}")
     found = [name for name in dir(spec.cls) if hasattr(getattr(spec.cls, name), MARK)]
     if len(found) != 1:
         there = f"it has {', '.join(found)}" if found else "it has no method with @hy.picture"
-        raise OptionError(f"{spec.model}: one method is to say what it looks like; {there}")
+        raise OptionError(f"{spec.model}: exactly one method must have @hy.picture; {there}")
     call = caller(spec.cls, spec, getattr(spec.cls, found[0]))
 
     def shapes(values: Any, t: Any, x: Any) -> list[Any]:

@@ -352,7 +352,7 @@ def _faults(spec: SignalSpec, times: np.ndarray, values: np.ndarray) -> Iterator
     elif spec.outside == "periodic" and spec.kind != "previous" and (values[0] != values[-1]).any():
         yield (
             f"it begins with {values[0].tolist()} and ends with {values[-1].tolist()}; a periodic "
-            "signal ends, a period later, with the value with which it begins"
+            "signal must end with its first value"
         )
 
 

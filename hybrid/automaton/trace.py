@@ -215,8 +215,8 @@ def require_real(closed: Any) -> None:
     for equation in closed.jaxpr.eqns:
         if not equation.outvars:
             raise TraceError(
-                f"a call of Python that gives nothing back ({line_of(equation)}the primitive "
-                f"{equation.primitive.name!r}); leave it out: run(t) and @hy.output show what is"
+                f"a Python call without a result ({line_of(equation)}the primitive "
+                f"{equation.primitive.name!r}); leave it out; run(t) and @hy.output show values"
             )
         kinds = [getattr(var.aval, "dtype", None) for var in equation.outvars]
         if not all(isinstance(kind, np.dtype) and kind.kind in "fiub" for kind in kinds):

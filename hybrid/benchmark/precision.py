@@ -130,7 +130,7 @@ class Bench:
             )
         front = self.front
         if not front:
-            return "No solver has come to the end of this run on the same course."
+            return "No solver has finished this run with the jumps of the reference."
         last = [a for a, b in pairwise(front) if a.solver != b.solver] + front[-1:]
         parts = [
             f"down to {self._error(timing)} take {timing.solver} "

@@ -87,7 +87,7 @@ def _drifts(q: Question, flow: Traced, relied: list[str], known: dict[str, Bound
         drift, why = (1.0, "") if name == TIME_NAME else fastest(q, _rate(q, flow, name), known)
         if not math.isfinite(drift):
             reason = f"the rate of {q.labels[name]} has no bounds on the box: {why}"
-            repair = f"bounds of {q.labels[name]} within which it has"
+            repair = f"bounds of {q.labels[name]} within which its rate is bounded"
             return Beside({}, ("undecided", reason, repair))
         found[q.labels[name]] = drift
     return Beside(found)
@@ -148,7 +148,11 @@ class _Rates:
         for name in relied:
             inputs = sorted(self.inputs.get(name, set()) - set(known))
             if inputs:
-                return [name], inputs, "its rate has bounds only where all that it depends on has"
+                return (
+                    [name],
+                    inputs,
+                    "its rate is bounded only if all that it depends on is bounded",
+                )
         return None
 
     def groups(self, free: set[str]) -> list[list[str]]:

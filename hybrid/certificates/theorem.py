@@ -207,7 +207,7 @@ def _starts(setting: Setting, far: float, trial: Trial, law: Restitution) -> dic
         inside = others.inside(q.box, name, time)
         if inside is None:
             reason = f"{name} may leave its bounds, at a rate of {drift:.6g}, in the {time:.6g} "
-            reason += "that the motion may last: what becomes of it there is not known"
+            reason += "that the motion may last; nothing is known outside of them"
             return "undecided", reason, f"other bounds of {name}, or a smaller height"
         start[name] = inside
     return start

@@ -114,8 +114,8 @@ def _called(spec: Spec, state: Callable[[float], np.ndarray], s: float, since: N
             raise
         except Exception as fault:  # any exception of the caller's code
             raise OptionError(
-                f"{spec.model}: history at t = {t!r}: {type(fault).__name__}: {fault}; it is asked "
-                "for as far back as the lags reach"
+                f"{spec.model}: history at t = {t!r}: {type(fault).__name__}: {fault}; it is "
+                "evaluated as far back as the lags reach"
             ) from fault
 
     with wide():  # so that functions of jax.numpy return 64 bits

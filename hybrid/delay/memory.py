@@ -384,8 +384,8 @@ class Memory:
             )
         if status == NEXT_TO_NOTHING:
             raise FlowError(
-                f"{model}, t = {t!r}, {self.scene.spec.record(x)}: a lag is next to nothing, and "
-                "what is seen through it cannot be found; write the state itself where the lag is 0"
+                f"{model}, t = {t!r}, {self.scene.spec.record(x)}: a lag is nearly zero, and "
+                "the state seen through it cannot be found; use the present state for a lag of 0"
             )
 
     def _tell(self) -> OptionError | None:

@@ -45,7 +45,7 @@ def carried(
         if not isinstance(part, Arc):
             raise OrbitError(
                 f"{run.spec.model}: the orbit passes an accumulation of impacts at "
-                f"t = {part.t1:.9g}; the multipliers of such are known without delays only"
+                f"t = {part.t1:.9g}; with delays its multipliers are not available"
             )
     walk = Walk(Course.of(None, run))
     size = max(np.abs(part.first).max() for part in run.arcs) or 1.0
@@ -57,9 +57,8 @@ def carried(
     for moment in found.moments():
         if found.none.any():
             raise OrbitError(
-                f"{run.spec.model}, t = {run.parts[moment.part].t1!r}: two things happen at the "
-                "same instant, and neighbours have them one after the other: there is no first "
-                "variation"
+                f"{run.spec.model}, t = {run.parts[moment.part].t1!r}: two events happen at the "
+                "same instant, but one after the other for neighbours: there is no first variation"
             )
     n = walk.size
     found.saltations = [attrs.evolve(f, matrix=f.matrix[:, :n]) for f in found.saltations]

@@ -203,7 +203,7 @@ def periodic_orbit(
             f"{scene.spec.model} depends on time: give period=, that of the forcing or a multiple"
         )
     if period is not None and not 0 < period < float("inf"):
-        raise OptionError(f"period={period!r}: a time greater than 0")
+        raise OptionError(f"period={period!r}: give a time greater than 0")
     shooting = shooting_of(scene, options)(model, timed, tol, options)
     search = Search(shooting, section, period, t_max)
     orbit = _describe(shooting, search.find(given(scene, guess, t, mode), settle))
@@ -273,8 +273,8 @@ def _require_closed(shooting: Shooting, turn: Shot) -> None:
         raise OrbitError(
             f"{shooting.scene.spec.model}: the run of {turn.guess.period:.9g} from "
             f"{shooting.scene.spec.record(turn.guess.x)} is no periodic orbit: it drifts by "
-            f"{np.max(miss):.2g} of its size a turn, which the integration tells from 0, and with "
-            "a multiplier that is 1 to 1e-6 no orbit near it closes better; give a guess elsewhere"
+            f"{np.max(miss):.2g} of its size a turn, which is more than the integration error, and "
+            "with a multiplier within 1e-6 of 1 no nearby orbit closes better; give another guess"
         )
 
 

@@ -227,7 +227,7 @@ class HistoryShooting(Shooting):
         if not self.lag > 0.0:
             raise OptionError(
                 f"{self.scene.spec.model}: the longest lag is {self.lag:g}: there is no history "
-                "to find; write the state in place of what was no time ago"
+                "to find; use the state itself in place of past(0)"
             )
 
     def _covering(self, period: float) -> int:

@@ -82,7 +82,7 @@ class RestartShooting(Shooting):
         """The jump of a guess's edge closest to one period later."""
         rows = {i: row for i, row in run.own_jumps.items() if row.edge == guess.edge}
         if not rows:
-            raise OrbitError(f"{run.spec.model}: the run has no jump {guess.edge} again")
+            raise OrbitError(f"{run.spec.model}: the run does not jump by {guess.edge} again")
         return min(rows, key=lambda i: abs(rows[i].t - guess.t - guess.period))
 
     def _measure(self, turn: Shot) -> Numbers:

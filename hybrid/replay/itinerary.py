@@ -221,8 +221,8 @@ class _Maker:
     def _smooth(self, t: float, ties: Matrix) -> None:
         if np.any(ties):
             raise OrbitError(
-                f"{self.model}, t = {t!r}: something else happens at the same instant, which "
-                "neighbours have before it or after it: there are no derivatives"
+                f"{self.model}, t = {t!r}: another event happens at the same instant, but "
+                "before or after for neighbours: there are no derivatives"
             )
 
     def _arc(self, arc: Arc, jump: JumpRow | None, ends: bool) -> Iterator[_Leg]:

@@ -110,7 +110,7 @@ def choose(
         point = f"{make.__module__}:{getattr(make, '__qualname__', make)}"
         raise OptionError(
             f"solver={solver!r}: its entry point {point} made {made!r}, "
-            "which is no hybrid.solvers.Solver"
+            "which is not a hybrid.solvers.Solver"
         )
     made.max_step = max_step
     return made

@@ -160,7 +160,7 @@ class SciPySolver(Solver):
             return self.cls(flow, 0.0, x0, length, **options)
         except TypeError as fault:
             raise OptionError(
-                f"method={self.method}: it is made as by scipy.integrate.solve_ivp, from "
+                f"method={self.method}: it is constructed as by scipy.integrate.solve_ivp, from "
                 f"(fun, t0, y0, t_bound) and {', '.join(options)}: {fault}"
             ) from None
 

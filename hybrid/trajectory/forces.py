@@ -73,8 +73,8 @@ def impulses(
         program = graph.program(("impulse", contact), partial(_impulse, graph, contact))
         if spec.lags and scene.code.looks_back(graph.graph, graph.impulse(contact)):
             raise OptionError(
-                f"{spec.model}: what an impact of {contact} gives depends on the past, so no table "
-                "of jumps tells it; run(t) has the states on both sides"
+                f"{spec.model}: the impulse of {contact} depends on the past, and cannot be "
+                "computed from the table of jumps; run(t) has the states on both sides"
             )
         gives = scene.bind(program, scene.numbers(mode, ()))
         columns = table.t[rows].tolist(), table.before[rows].tolist()
@@ -96,7 +96,7 @@ def scene_known(spec: Spec, parameters: Mapping[str, Any], scene: Scene | None) 
     if spec.cls is None or spec.lags:
         why = "looks at the past, which" if spec.lags else "is needed, which"
         raise OptionError(
-            f"{spec.model}: the model {why} this file does not hold: ask before the run is saved"
+            f"{spec.model}: the model {why} this file does not contain: ask before the run is saved"
             + ("" if spec.lags else f", or load it with its model, hy.load(path, {spec.model})")
         )
     return scene_of(spec.cls(**parameters))

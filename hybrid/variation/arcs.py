@@ -294,8 +294,8 @@ def passing(kinks: MatrixFunction, piece: ArcPiece, flow: np.ndarray) -> np.ndar
     rows = -found[there, 2:] / rates[there, None]
     if not len(rows) or np.any(np.abs(rows - rows[0]) > SAME_KINK_TIME * np.abs(rows[0])):
         raise OrbitError(
-            f"t = {t!r}: a flow or a guard jumps there, and neighbours do not have that at a time "
-            "that depends smoothly on them: there is no first variation"
+            f"t = {t!r}: a flow or a guard jumps there, at a time that does not depend smoothly on "
+            "the state: there is no first variation"
         )
     first: np.ndarray = rows[0]
     return first

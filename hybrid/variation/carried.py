@@ -130,7 +130,7 @@ class Carried:
         if not factor.waits or piece is None:
             raise OrbitError(
                 f"{self.walk.model}, t = {t:.9g}: a jump is seen there just when another happens; "
-                "which is first for a neighbour decides on its derivative"
+                "which is first differs between neighbours: there is no derivative"
             )
         assert isinstance(part, Arc)
         return past.arrival(index, part, piece, self.state)[None]
@@ -213,7 +213,7 @@ class Carried:
                 raise OrbitError(
                     f"{self.walk.model}, t = {part.t0:.9g}: impacts accumulate within "
                     f"{part.tail.remaining:.3g}, and the lag {sight.scene.spec.lags[k].name} is "
-                    "shorter, or depends on time or state; no derivative of that is known"
+                    "shorter, or depends on time or state: its derivative is not available"
                 )
             places = ((a - frame[0]) + points) / frame[1]
             values = np.vander(places, WINDOW_DEGREE + 1, increasing=True) @ powers
@@ -238,7 +238,7 @@ class Carried:
         if np.any(np.abs(past.fresh - limit)[seen] > SAME_FLOW * sizes):
             raise OrbitError(
                 f"{self.walk.model}, t = {t:.9g}: each of the impacts that accumulate is seen by "
-                'the flight after it (memory="restart"); no derivative of that is known'
+                'the flight after it (memory="restart"): its derivative is not available'
             )
 
     def _flights(self, past: PastVariation, chatter: Chatter) -> None:

@@ -223,7 +223,7 @@ class PastVariation:
         if np.any(apart):
             raise OrbitError(
                 f"{self.walk.model}, t = {t:.9g}: two jumps of the past are seen there; which is "
-                "first for a neighbour decides on its derivative"
+                "first differs between neighbours: there is no derivative"
             )
         return rows[0]
 

@@ -181,8 +181,8 @@ def factors(model: Any, run: Solution) -> Iterator[Factor]:
         assert isinstance(factor, Factor)
         if factor.ties is not None and np.any(factor.ties):
             raise OrbitError(
-                f"{run.spec.model}, t = {factor.t!r}: at {factor.edge} something else happens at "
-                "the same instant, which neighbours have before it or after it: there is no first "
+                f"{run.spec.model}, t = {factor.t!r}: at {factor.edge} another event happens at "
+                "the same instant, but before or after it for neighbours: there is no first "
                 "variation"
             )
         yield factor
@@ -401,8 +401,8 @@ class Walk:
         rate = float(gradient[0] + gradient[1 : 1 + self.size] @ flow)
         if rate == 0.0:
             raise OrbitError(
-                f"{self.model}, t = {row.t!r}: the guard of {row.edge} is reached without speed; "
-                "a jump that grazes has no first variation"
+                f"{self.model}, t = {row.t!r}: the guard of {row.edge} is reached at zero rate; "
+                "a grazing jump has no first variation"
             )
         return self._widened(-gradient[None, 1:] / rate)[0]
 
