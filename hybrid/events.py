@@ -302,8 +302,7 @@ class _Piece:
     def zeros(
         self, left: float, right: float, order: int, depth: int
     ) -> Iterator[tuple[float, int]]:
-        """Zeros between two fractions of the step; the interval is halved until the guard is
-        resolved."""
+        """Zeros between two fractions of the step, halved until the guard is resolved."""
         width = right - left
         fractions = left + width * nodes(self.degree)
         values = self.sample(fractions)

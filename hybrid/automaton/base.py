@@ -310,8 +310,7 @@ def _captured(cls: type, spec: Spec) -> Iterator[tuple[str, Captured]]:
 
 
 def _functions(spec: Spec) -> Iterator[tuple[str, str, Any, bool, int]]:
-    """Yield kind, owner, function, whether it returns a whole state, and its number of extra
-    arguments."""
+    """Yield kind, owner, function, whether it returns a whole state, number of extra arguments."""
     for mode in spec.modes:
         yield "flow", mode.name, mode.flow, True, 0
     for edge in spec.transitions:

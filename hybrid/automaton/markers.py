@@ -71,8 +71,7 @@ class Mode(_Named):
 
 @attrs.frozen(eq=False)
 class Times:
-    """Firing times of an edge without a guard: the list ``at``, or every ``every`` from
-    ``offset``."""
+    """Firing times of a clock: the list ``at``, or every ``every`` from ``offset``."""
 
     at: Any
     every: Any
@@ -228,10 +227,10 @@ def edge(
     every: Any = None,
     offset: Any = 0.0,
 ) -> Any:
-    """Declare an edge: ``@hy.edge(source, to=mode, guard=...)`` over its reset, or a clock:
-    ``@hy.edge(source, every=0.1)``.
+    """Declare an edge, ``@hy.edge(source, to=mode, guard=...)``, or a clock.
 
-    Without a reset, ``name = hy.edge(source, to=mode, guard=...)``, the state does not change.
+    An edge or a clock (``@hy.edge(source, every=0.1)``) is declared over its reset. Without a
+    reset, ``name = hy.edge(source, to=mode, guard=...)``, the state does not change.
 
     Parameters
     ----------

@@ -163,9 +163,11 @@ class Samples:
 
     @cached_property
     def table(self) -> np.ndarray:
-        """One row per piece (:attr:`SignalSpec.size` numbers each): the piece before the first
-        knot, the pieces between knots, and the piece after the last. A periodic signal uses the
-        inner rows only."""
+        """One row of :attr:`SignalSpec.size` numbers per piece.
+
+        The rows are the piece before the first knot, the pieces between knots, and the piece after
+        the last. A periodic signal uses the inner rows only.
+        """
         spec, times = self.spec, self.times
         values = self.values.reshape(len(times), -1)
         rows = np.zeros((len(times) + 1, 1 + KIND_DEGREES[spec.kind], values.shape[1]))
@@ -258,8 +260,7 @@ class EachLane:
 
 
 def of_lanes(model: Any, given: Mapping[str, Any]) -> dict[str, list[Samples]]:
-    """Data of the signals in ``given``, by name: one per lane if given as a list, else a list of
-    one.
+    """Data of the signals in ``given``, by name, as lists: one entry per lane, or one for all.
 
     Raises
     ------

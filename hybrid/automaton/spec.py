@@ -206,14 +206,12 @@ class Spec:
     cls: Any = attrs.field(default=None, eq=False, repr=False)
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """Pickle a reference to the class; a spec loaded from a file has no class and is pickled
-        whole."""
+        """Pickle a reference to the class; a spec loaded from a file is pickled whole."""
         return super().__reduce_ex__(protocol) if self.cls is None else (_of, (self.cls,))
 
     @property
     def windows(self) -> tuple[tuple[int, ...], ...]:
-        """Shapes of the signal pieces, then of the delay windows: trace inputs after the
-        parameters."""
+        """Shapes of signal pieces and delay windows, which follow the parameters in traces."""
         pieces = tuple((signal.size,) for signal in self.signals)
         return (*pieces, *window_shapes(self.lags, self.dimension))
 
@@ -308,10 +306,10 @@ class Spec:
         return tuple(clock for clock in self.clocks if clock.source in (mode, *sides))
 
     def record(self, vector: Any, of: Callable[..., Any] = typed) -> Record:
-        """The state vector (coordinates on the last axis) as a record, which unpacks to the flowing
-        states.
+        """The state vector (coordinates on the last axis) as a record of all states.
 
-        ``of(name, kind, values)`` converts the values of a discrete variable.
+        It unpacks to the flowing ones. ``of(name, kind, values)`` converts the values of a discrete
+        variable.
         """
         parts = []
         for state in self.states:

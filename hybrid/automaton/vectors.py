@@ -51,8 +51,7 @@ def elements(contact: ContactSpec, count: int) -> list[ContactSpec]:
 def _element(
     function: Callable[..., Any], i: int, count: int, what: str, common: tuple[Any, ...]
 ) -> Callable[..., Any]:
-    """Element ``i`` of a function's result; a result with a shape in ``common`` is shared by
-    all."""
+    """Element ``i`` of a function's result; a result of a shape in ``common`` is shared by all."""
 
     @wraps(function)
     def element(*given: Any, **past: Any) -> Any:

@@ -69,8 +69,7 @@ def _left(stretch: tuple[list[_Move], list[_Move]], cycle: set[str]) -> int:
 
 
 def _states(a: Trajectory, b: Trajectory, jumped: list[tuple[_Move, _Move]]) -> float:
-    """Largest difference of the states in the middle of the arcs, after the jumps, and at the
-    end."""
+    """Largest difference of states in the middle of arcs, after jumps, and at the end."""
     largest = _gap(a.arcs[-1].last, b.arcs[-1].last)
     for steps in jumped:
         after = [step.jump.after for step in steps if step.jump]

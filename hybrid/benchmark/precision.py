@@ -368,8 +368,7 @@ class _Runner:
         return simulate(*self.arguments, **self.options)
 
     def begin(self, judge: _Judge, first: bool) -> None:
-        """Make the first call, measure error and memory, and choose the number of calls per
-        timing."""
+        """Make the first call, measure error and memory, and choose the calls per timing."""
         begun = time.perf_counter()
         try:
             run = self._run()

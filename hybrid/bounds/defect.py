@@ -55,8 +55,7 @@ DOUBLE = 53
 
 @attrs.frozen(eq=False)
 class _StepPart:
-    """A part of a step: midpoint and half-length in time, and the states in powers on ``[-1,
-    1]``."""
+    """A part of a step: midpoint and half-length in time, states in powers on ``[-1, 1]``."""
 
     middle: Any
     half: Any
@@ -192,8 +191,7 @@ class Defect:
         return np.where(np.isfinite(most), most, inf), least
 
     def _plainly(self, field: Field, piece: _StepPart, around: Matrix) -> Numbers:
-        """An upper bound from interval bounds on a box, for a flow without a series on the
-        piece."""
+        """An upper bound from a box, for a flow without a series on the piece."""
         from flint import arb
 
         slopes = _slope(piece.powers) / float(piece.half)
@@ -208,8 +206,7 @@ class Defect:
 
 
 class Sampled:
-    """The defect of a flow with foreign calls, which has no enclosure: at samples of a step
-    only."""
+    """The defect of a flow with foreign calls, at samples of a step: it has no enclosure."""
 
     def share(
         self, field: Field, t: float, length: float, coefficients: Matrix, lost: Any = 0.0
@@ -254,8 +251,7 @@ def defect_of(field: Field) -> Defect | Sampled | None:
 
 
 def follows(field: Field, t: float, segments: Iterable[Segment]) -> bool:
-    """Whether all segments of an arc that begins at ``t`` follow the flow, as far as can be
-    shown."""
+    """Whether all segments of an arc from ``t`` follow the flow, as far as can be shown."""
     defect = defect_of(field)
     return defect is None or all(
         defect.share(field, t + s.start, s.length, s.coefficients) >= 1.0 for s in segments
@@ -272,8 +268,7 @@ def _numbers(field: Field) -> dict[str, Any]:
 
 
 def _inputs(piece: _StepPart, around: Matrix | None) -> dict[str, Any]:
-    """Time and states as series on a piece: about its middle, or with balls that cover all of
-    it."""
+    """Time and states as series on a piece, about its middle or as balls over all of it."""
     from flint import arb, arb_series
 
     from .series import TERMS

@@ -196,8 +196,7 @@ class _Search:
         return top, part, slopes if all(name in slopes for name in part) else None
 
     def face(self, bounds: Bounds, slope: Any) -> Bounds:
-        """The end towards which the expression grows, if its slope has one sign; else
-        ``bounds``."""
+        """The end towards which the expression grows, if its slope has one sign."""
         if slope is None or bounds[0] == bounds[1] or not (slope >= 0 or slope <= 0):
             return bounds
         end = bounds[1] if (slope >= 0) == (self.sign > 0) else bounds[0]

@@ -170,8 +170,7 @@ class IntervalProgram:
     def ranged(
         self, among: Ranges, rows: Mapping[str, int], given: Mapping[str, float]
     ) -> int | None:
-        """Add this program to a set of programs for bounds; returns its number there, or None if an
-        operation has no such bounds.
+        """Add this program to others for bounds; returns its number, None if it has none.
 
         ``rows`` maps inputs to rows of a box; the values of other inputs are in ``given``.
         """

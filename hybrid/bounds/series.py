@@ -259,8 +259,7 @@ SERIES_RULES: dict[str, Callable[..., Any]] = {
 
 
 def with_terms(function: Callable[[], Any], precision: int, terms: int = TERMS) -> Any:
-    """Evaluate ``function`` with given precision and number of terms, both global settings of
-    flint."""
+    """Evaluate ``function`` with these global settings of flint."""
     before = ctx.cap
     ctx.cap = terms
     try:

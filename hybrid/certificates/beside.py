@@ -143,8 +143,7 @@ class _Rates:
         return None
 
     def unbounded(self, relied: Iterable[str], known: Mapping[str, Bounds]) -> Doubt | None:
-        """A state that must stay within its bounds but depends on an unbounded input; None if none
-        does."""
+        """A state that must stay within its bounds but depends on an unbounded input, or None."""
         for name in relied:
             inputs = sorted(self.inputs.get(name, set()) - set(known))
             if inputs:
@@ -185,8 +184,7 @@ class _Rates:
         return why if why is None or not self.oscillates(group, free) else None
 
     def alone(self, name: str, free: dict[str, Growth]) -> str | None:
-        """For a single state: it must not escape upward where positive, nor downward where
-        negative."""
+        """For a single state: it must not escape upward if positive, nor downward if negative."""
         above = growth(self.graph, self.roots[name], free | {name: UPPER})
         below = growth(self.graph, self.roots[name], free | {name: LOWER})
         return _why(above, "up") or _why(below, "down")

@@ -86,8 +86,7 @@ def _own_bounds(q: Question) -> tuple[float, float]:
 
 
 def _coordinates(q: Question) -> tuple[Any, Any]:
-    """``place(h)``, which converts a function of states to relative coordinates; or what prevents
-    it."""
+    """``place(h)``, which converts to relative coordinates; or what prevents it."""
     i, j = q.position, q.velocity
     gap, speed = q.function(q.laws.gap), q.function(q.laws.speed)
     unknown = _not_affine(q, constant_slope(gap, f"x{i}"), constant_slope(speed, f"x{j}"))
@@ -169,8 +168,7 @@ class RelativeSetting:
         return attrs.evolve(smaller, height=box[GAP_NAME][1], speed=box[SPEED_NAME][1])
 
     def drifts(self) -> Beside:
-        """The largest rates of the other states on which the proof depends, and of those beside
-        it."""
+        """The largest rates of the other states, of the proof and beside it."""
         q, flow = self.question, self.place(self.question.laws.flow)
         own, found = {q.position, q.velocity}, dict[int, float]()
         queue = [self.acceleration, self.law, *self.motion, *self.guards.values()]
@@ -251,8 +249,7 @@ def _answer(setting: RelativeSetting, law: Restitution, fault: Fault | None) -> 
 def _starts(
     setting: RelativeSetting, law: Restitution, trial: RelativeTrial
 ) -> dict[str, Any] | Fault:
-    """The largest initial speed, its times, and the rest of the initial set; or what prevents
-    it."""
+    """The largest initial speed, its times, and the initial set; or what prevents it."""
     from ..bounds.balls import high, low
 
     q, others = setting.question, setting.drifts()

@@ -47,8 +47,7 @@ class Restitution:
         return self.ends and (self.ends[0].low, self.ends[1].high)
 
     def fault(self) -> Fault | None:
-        """The fault if the restitution is not strictly between 0 and 1; refuted only by an
-        impact."""
+        """The fault unless the restitution is strictly between 0 and 1; only impacts refute."""
         if self.ends is None:
             reason = "the restitution depends on the time or on states without bounds here"
             return "undecided", reason, "a restitution of the contact's own position and speed"
@@ -66,8 +65,7 @@ class Restitution:
         return verdict, reason, "choose a restitution strictly between 0 and 1"
 
     def happens(self, extreme: Extreme, wrong: Callable[[Any], bool]) -> bool:
-        """Whether an impact has this value. At zero speed there is no impact, so nearby speeds are
-        tested."""
+        """Whether an impact has this value; at zero speed there is none, so try nearby ones."""
         if extreme.at.get(self.velocity, 1.0) != 0.0:
             return True
         low, high = self.box[self.velocity]

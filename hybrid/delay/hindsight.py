@@ -47,8 +47,7 @@ class PastRecord:
         return min(found, len(self.pieces) - 1)
 
     def states(self, times: Numbers, low: float = -np.inf, high: float = np.inf) -> Matrix:
-        """States at some times, from the pieces between ``low`` and ``high`` (extrapolated if
-        necessary)."""
+        """States at some times, from the pieces between ``low`` and ``high`` only."""
         first, last = self.index(low), self.index(high, "left")
         which = np.clip([self.index(t) for t in times.tolist()], first, max(first, last))
         pairs = zip(which.tolist(), times.tolist(), strict=True)
@@ -167,8 +166,7 @@ class Hindsight:
         return scene
 
     def _window(self, piece: Piece, place: float) -> list[np.ndarray]:
-        """A piece as a window: the whole piece, or a narrow part of one that is not a short
-        polynomial."""
+        """A piece as a window; only a narrow part of one that is not a short polynomial."""
         a, b = piece.start, piece.end
         if piece.degree > WINDOW_DEGREE or not np.isfinite(a):
             width = NARROW * (self.longest or 1.0)

@@ -272,8 +272,7 @@ class Memory:
         self.until = t
 
     def tail(self, part: TailPart) -> None:
-        """Record impacts up to their limit: one by one while a delay could see them, then the
-        limit."""
+        """Record impacts one by one while a delay can see them, then their limit."""
         tail = part.tail
         if self.told:
             return
@@ -412,8 +411,7 @@ class Memory:
         self.ints[AGAIN], self.floats[SINCE], self.floats[SINCE_LOW] = GOES_ON, t, low
 
     def make_room(self, t: float) -> None:
-        """Make room for more pieces and breaking points, dropping what no lag sees from time ``t``
-        on."""
+        """Double the capacity, after dropping what no lag sees from time ``t`` on."""
         self._forget(t)
         self.pieces.grow()
         self.breaks.grow()
@@ -484,8 +482,7 @@ class Memory:
     # -- at the end of a window -------------------------------------------------------------
 
     def confirm(self, now: Instant, length: float, segments: Sequence[Segment]) -> Scene | None:
-        """Check guessed windows after a flight: None if they hold, else the scene for a
-        repetition."""
+        """Check guessed windows after a flight: None if they hold, else the scene to repeat it."""
         if not self.guessing or not segments:
             return None
         for segment in segments:

@@ -23,8 +23,7 @@ TO_POWERS = to_centred_powers(WINDOW_DEGREE)
 
 
 class Links(NamedTuple):
-    """Where the programs of the rules' loop hold the windows' numbers; see
-    :class:`hybrid.rules.arrays.PastArrays`."""
+    """Places of the windows' numbers in programs; see :class:`hybrid.rules.arrays.PastArrays`."""
 
     uses: np.ndarray
     asks: np.ndarray

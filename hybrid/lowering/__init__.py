@@ -1,5 +1,4 @@
-"""Lowering: a model's spec and traces become the code of the modes, guards and outputs a run
-needs."""
+"""Lowering: spec and traces become code for the modes, guards and outputs that a run needs."""
 
 from .lowered import window_ends
 from .mode import Kind

@@ -33,8 +33,7 @@ def _dot(*pairs: Any) -> Any:
 
 
 def _solve(*numbers: Any) -> list[Any]:
-    """Solve the linear equations of the unknowns selected by the trailing mask; the others are
-    0."""
+    """Solve for the unknowns selected by the trailing mask; the others are 0."""
     n = round(math.sqrt(len(numbers) + 1)) - 1
     held = [i for i in range(n) if numbers[n * n + n + i]]
     rows = [[numbers[i * n + j] for j in held] for i in held]

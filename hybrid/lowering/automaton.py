@@ -171,10 +171,10 @@ class Tables:
         return (*own, np.zeros((self.widest, OFF + 1)), *all_)
 
     def complete(self, number: int, column: int, sight: Sight) -> None:
-        """Fill in what the loop has requested of a guard: the field that it leads to; the programs
-        at its contact; its resting field; or what bounds need.
+        """Fill in what the loop has requested of a guard.
 
-        ``sight`` gives what is bounded at a contact of a field; see
+        This is the field that it leads to, the programs at its contact, its resting field, or what
+        bounds need. ``sight`` gives what is bounded at a contact of a field; see
         :func:`hybrid.zeno.narrow.bounded`.
         """
         row, guard = self._rows[number], self.guards[number]
@@ -198,8 +198,7 @@ class Tables:
         self._made = None
 
     def _beyond(self, guard: Guard) -> int:
-        """The number of the surface's guard in the mode across, or in the mode that follows
-        sliding."""
+        """The number of the surface's guard in the mode that the guard leads to."""
         name = guard.edge.rpartition(".")[0] if guard.kind is Kind.LEAVE else guard.edge
         to = self.scene.field(guard.to)
         number = self.number(to)
@@ -220,8 +219,7 @@ class Tables:
         return first
 
     def _rest(self, field: Field, guard: Guard) -> int:
-        """The number of the field in which this contact rests as well; ``NONE`` if it does not
-        rest."""
+        """The number of the field with this contact at rest too; ``NONE`` if it does not rest."""
         scene = self.scene
         if not scene.contact(guard.edge).rests:
             return NONE
@@ -291,8 +289,7 @@ class Tables:
         return self._of_values(field, ("onto", of_speed), lambda: graph.onto(of_speed))
 
     def _row(self, field: Field, guard: Guard, base: int) -> list[int]:
-        """A guard's row up to its condition; its columns are named in
-        :mod:`hybrid.rules.places`."""
+        """A guard's row up to its condition; for its columns see :mod:`hybrid.rules.places`."""
         code, uses = self.scene.code, len(self._uses)
         self._uses += guard.uses
         graph, name = code.mode(field.mode), guard.edge

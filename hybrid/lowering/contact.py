@@ -41,8 +41,7 @@ class Pairing:
         return np.eye(size)[:, list(self.positions)]
 
     def at_velocities(self, size: int) -> Matrix:
-        """Matrix, shape ``(size, velocities)``, that places a vector over velocities in the
-        state."""
+        """Matrix, shape ``(size, velocities)``, that places a vector over velocities."""
         return np.eye(size)[:, list(self.velocities)]
 
 
@@ -108,8 +107,7 @@ class Held:
     mask: Any = None
 
     def geometry(self, parameters: Any, t: Any, x: Any) -> tuple[list[Any], list[Any], list[Any]]:
-        """Per contact: gap gradient at the positions, the same at the velocities, impulse
-        direction."""
+        """Per contact: gap gradient at positions, the same at velocities, impulse direction."""
         gradients, speeds, directions = [], [], []
         for contact in self.contacts:
             normal, direction, _ = contact.normal(parameters, t, x)
@@ -119,8 +117,7 @@ class Held:
         return gradients, speeds, directions
 
     def forces(self, parameters: Any, t: Any, x: Any) -> tuple[list[Any], list[Any], list[Any]]:
-        """Multipliers that make every gap's acceleration zero; weights ``N.D``; impulse
-        directions."""
+        """Multipliers that make the gap accelerations zero; weights ``N.D``; directions."""
         _, speeds, directions = self.geometry(parameters, t, x)
         matrix = [[n @ d for d in directions] for n in speeds]
         wanted = [-contact.acceleration(parameters, t, x) for contact in self.contacts]

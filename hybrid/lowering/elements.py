@@ -56,8 +56,7 @@ def unsigned(graph: Graph, bits: int, value: int) -> int:
 
 
 def distributed(graph: Graph, make: Callable[..., int], *arguments: int) -> int:
-    """``make(*arguments)``; where arguments are choices among whole numbers, a choice among
-    results."""
+    """``make(*arguments)``, distributed over choices among whole numbers."""
     condition = choosing(graph, arguments)
     if condition is None:
         return make(*arguments)

@@ -169,8 +169,7 @@ class Field:
         return self.scene.field, (self.name, self.touching)
 
     def onto(self, t: float, x: list[float]) -> Any:
-        """``project`` as a picklable method, which an arc keeps; the signals' pieces are those at
-        ``t``."""
+        """``project`` as a picklable method, with the signals' pieces at ``t``."""
         assert self.project is not None
         if not self.scene.samples:
             return self.project(t, x)
@@ -181,8 +180,7 @@ class Field:
         return there(t, x)
 
     def along(self, t: float, x: StateVector) -> np.ndarray:
-        """The state projected onto the held contacts or the surface; unchanged if there is
-        neither."""
+        """The state projected onto the held contacts or the surface, if there are any."""
         return x if self.project is None else np.array(self.project(float(t), x.tolist()))
 
     @property

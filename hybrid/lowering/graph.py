@@ -111,8 +111,7 @@ class Graph:
         return self._flowing[number]
 
     def leaves(self, number: int) -> int:
-        """Number of known integers or booleans among which a node chooses; 0 if it is anything
-        else."""
+        """Number of known integers or booleans among which a node chooses; 0 if none."""
         return self._leaves[number]
 
     def called(self, function: Foreign, arguments: Sequence[int]) -> int:

@@ -199,8 +199,7 @@ class Lowered:
     def tape(
         self, mode: str, held: bool, touching: frozenset[str] = frozenset()
     ) -> Tape | TraceError:
-        """The tape of a mode (:meth:`.ModeGraph.tape`), or the error that says why there is
-        none."""
+        """The tape of a mode (:meth:`.ModeGraph.tape`), or the error if there is none."""
 
         def make() -> Tape | TraceError:
             try:
@@ -270,8 +269,7 @@ class Lowered:
     def _felt(
         self, i: int, uses: set[int], asks: set[tuple[int, int]], flow: Any
     ) -> tuple[set[int], set[tuple[int, int]]]:
-        """The elements and (lag, element) pairs on which a component of a resting field truly
-        depends.
+        """The true dependence of one component of a resting field, as in :meth:`reach`.
 
         Contact forces cancel some dependences, which neither trace nor graph shows. They are found
         by perturbing random points.
@@ -354,14 +352,13 @@ class Lowered:
         return self.closed("gap" if isinstance(edge, ContactSpec) else "guard", edge.name)
 
     def bounds(self, edge: Transition, parameters: Sequence[float]) -> bool:
-        """Whether a guard bounds its mode, for given parameter values; any windows after them are
-        ignored.
+        """Whether a guard bounds its mode, for given parameter values.
 
         A guard with a condition does not. Nor does the guard of an edge that leads back into its
         mode, if the reset leaves the guard at zero and does not reverse its motion: the flow then
         passes through zero. Identical expressions before and after the reset are taken as equal.
         Otherwise random points decide whether the guard stays at zero and, if the reset changes its
-        rate (a kick), whether it reverses it.
+        rate (a kick), whether it reverses it. Values of windows after the parameters are ignored.
         """
         if isinstance(edge, EdgeSpec) and edge.when is not None:
             return False

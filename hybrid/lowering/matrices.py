@@ -176,8 +176,7 @@ def _substituted(graph: Graph, a: Ids, b: Ids, lower: bool, unit: bool) -> list[
 
 
 def cholesky(graph: Graph, params: Any, a: Ids) -> Ids:
-    """The Cholesky factor ``L`` of a positive definite matrix ``L L^T``, zero above the
-    diagonal."""
+    """The Cholesky factor ``L`` of a matrix ``L L^T``, zero above the diagonal."""
     result = np.full(a.shape, graph.const(0.0))
     for place in np.ndindex(a.shape[:-2]):
         lower = result[place]

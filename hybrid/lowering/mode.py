@@ -179,8 +179,7 @@ class ModeGraph:
         return moved
 
     def turn(self, name: str, held: bool) -> list[int]:
-        """The change :meth:`push`, followed by the gap speed and the gap acceleration along the
-        flow."""
+        """The change :meth:`push`, then gap speed and gap acceleration along the flow."""
         return [*self.push(name), *self.lie_on(name, held)[1:]]
 
     def law(self, name: str) -> list[int]:
@@ -192,8 +191,7 @@ class ModeGraph:
 
     @cached_property
     def forces(self) -> dict[str, int]:
-        """Multipliers that make the gap accelerations of held contacts zero; 0 for other
-        contacts."""
+        """Multipliers that make held contacts' gap accelerations zero; 0 for other contacts."""
         return self._shares("acceleration", True)
 
     def _shares(self, rate: str, of_speed: bool) -> dict[str, int]:
@@ -236,8 +234,7 @@ class ModeGraph:
         return self._along_contacts(self.free, self.forces, True)
 
     def onto(self, of_speed: bool) -> list[int]:
-        """The state projected along the held contacts: one Newton step to zero gaps or gap
-        speeds."""
+        """The state after one Newton step to zero gaps, or gap speeds, of held contacts."""
         shares = self._shares("speed" if of_speed else "gap", of_speed)
         return self._along_contacts(self.x, shares, of_speed)
 
@@ -354,8 +351,7 @@ class ModeGraph:
     def of_values(
         self, key: tuple[Any, ...], nodes: Callable[[], Sequence[int]], more: int = 0
     ) -> Tape:
-        """The tape of functions of the state and of ``more`` extra numbers after it, without a
-        flow.
+        """The tape of functions without a flow, of the state and ``more`` numbers after it.
 
         Raises
         ------

@@ -193,8 +193,7 @@ _MADE: dict[Content, Code] = {}
 
 
 def address(ops: bytes, flow: bytes, order: int) -> int:
-    """The address of a program's code, valid as long as the process lives; 0 if the rule runs
-    it."""
+    """The address of a program's code, valid in this process; 0 if the rule runs it."""
     if library.how() != "machine":
         return 0
     content = ops, flow, order
@@ -242,16 +241,14 @@ def _own() -> bytes:
 
 
 def _name(content: Content) -> str:
-    """The file name of a program: a hash of all inputs of the code except those in the folder
-    name."""
+    """The file name of a program: a hash of the code's inputs, the folder's excepted."""
     *arrays, order = content
     parts = (hashlib.sha256(part).digest() for part in (_own(), *arrays, b"%d" % order))
     return hashlib.sha256(b"".join(parts)).hexdigest()[:32]
 
 
 def _kept(content: Content) -> Code | None:
-    """The code stored in a program's file: a line with the names of called functions, then the
-    code."""
+    """The code in a program's file, which holds a line of called names and the object code."""
     if (body := _read(_name(content))) is None:
         return None
     called, _, code = body.partition(b"\n")
@@ -317,10 +314,10 @@ def _calls(
 
 @cache
 def operations() -> Sequence[bytes] | None:
-    """Bitcode of each operation, specialised to its code; None if numba's argument layout is not
-    the expected one.
+    """Bitcode of each operation, specialised to its code.
 
-    The dispatch between operations is thus optimised away once, not in every program.
+    None if numba's argument layout is not the expected one. The dispatch between operations is thus
+    optimised away once, not in every program.
     """
     name = "operations-" + hashlib.sha256(_own()).hexdigest()[:32]
     if (known := _read(name)) is not None:
@@ -409,8 +406,7 @@ def _loaded(called: Sequence[str], code: bytes) -> Code:
 
 
 def _optimise(module: Any, machine: Any, unrolls: bool = False) -> None:
-    """Inline the operations and simplify, without vectorisation; loops of known length are unrolled
-    on request."""
+    """Inline and simplify, without vectorisation; unroll loops of known length on request."""
     llvm = binding()
     options = llvm.create_pipeline_tuning_options(speed_level=1)
     options.loop_unrolling, options.loop_interleaving = unrolls, False

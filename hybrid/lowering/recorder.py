@@ -253,8 +253,7 @@ class _Recorder:
         return self._new(False)
 
     def _new(self, moves: bool, count: int = 1) -> int:
-        """A new place, or the first of ``count`` consecutive ones: rows if it moves, else
-        numbers."""
+        """The first of ``count`` new places: rows if they move, else numbers."""
         if moves:
             self.rows += count
             return self.rows - count

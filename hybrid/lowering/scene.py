@@ -241,8 +241,7 @@ class Scene:
         return tape.bind(self.numbers(mode, held), [order.index(guard) for guard in guards])
 
     def projection(self, mode: str, held: tuple[str, ...], values: tuple[float, ...]) -> Scalar:
-        """The projection onto a sliding surface or onto held contacts, for given parameter
-        values."""
+        """The projection onto a sliding surface or held contacts, for given parameter values."""
         switching, graph = self.spec.sliding(mode), self.code.mode(mode)
         if switching is not None:
             return self.code.onto(switching.name).bind(values)

@@ -133,8 +133,7 @@ def _ratios(values: Callable[..., tuple[float, ...]], size: int) -> tuple[float,
 
 
 def deciding(graph: Graph, roots: Sequence[int]) -> dict[int, str]:
-    """Functions at whose zeros nodes change their formula, arguments first, and the kind of change
-    (:data:`CHANGE_OF`)."""
+    """Functions at whose zeros nodes change their formula, with the kind of change."""
     found: dict[int, str] = {}
     order = needed(graph, roots)
     still = _steps(graph, order)

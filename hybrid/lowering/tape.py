@@ -150,8 +150,7 @@ class Jets:
         return room(self.tape.needs, self.tape.size, order)
 
     def __call__(self, t: float, x: Sequence[float], sides: list[int], order: int) -> Any:
-        """Taylor coefficients 0 to ``order`` of the states, the functions and the watched
-        functions.
+        """Taylor coefficients 0 to ``order`` of states, functions and watched functions.
 
         ``sides[i]`` is 0 if the branch of kink ``i`` follows from its value, or +1 / -1 if the sign
         from here on is given, because a step has just ended on the kink. It is updated in place: a
@@ -182,8 +181,7 @@ class Jets:
             return False
 
     def _watched(self, c: Matrix) -> list[list[float]]:
-        """The series of the watched functions; an undefined one, on a branch not taken, is set to
-        1."""
+        """The series of the watched functions; 1 for an undefined one, on a branch not taken."""
         watched = c[self.tape.kinks[self.places, 0]]
         if np.isnan(watched).any():
             watched[np.isnan(watched).any(axis=1)] = np.eye(1, c.shape[1])[0]

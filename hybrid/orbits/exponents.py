@@ -159,8 +159,7 @@ def _run(model: Any, start: Any, t: tuple[float, float], options: dict[str, Any]
 
 
 def _carry(model: Any, run: Trajectory, frame: Matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """End times of a run's pieces, logarithms of the frame's growth over each, and the final
-    frame."""
+    """End times of a run's pieces, logarithms of the frame's growth, and the final frame."""
     times, growth = [], []
     for factor in factors(model, run):
         frame, upper = np.linalg.qr(factor.matrix @ frame)

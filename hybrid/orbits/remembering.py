@@ -104,8 +104,7 @@ class Frame:
         return [(moved.get(a, a + later), moved.get(b, b + later)) for a, b in self.pieces]
 
     def states(self, record: PastRecord, later: float, ends: Sequence[Leap]) -> Matrices:
-        """The states of a record at the points, shifted by ``later``; shape ``(pieces, degree + 1,
-        n)``."""
+        """A record's states at the shifted points; shape ``(pieces, degree + 1, n)``."""
         found = []
         for times, (a, b) in zip(self.points, self.bounds(later, ends), strict=True):
             room = RECORD_SIDE * (b - a)
@@ -249,8 +248,7 @@ class HistoryShooting(Shooting):
         return Guess(t, x, mode, guess.period, run.hindsight.before(index, t))
 
     def turn(self, guess: Guess) -> Remembering:
-        """The run of one period from a guess, and the difference of its record between the two
-        ends."""
+        """The run of one period from a guess, and how its record differs at the two ends."""
         run = self.fly(guess, guess.period)
         frame, record = framed(run), run.hindsight.record(0)
         ends = _ends(run, frame)

@@ -110,8 +110,7 @@ class RestartShooting(Shooting):
         return np.where(there, row.after, np.nan)
 
     def describe(self, turn: Shot) -> Description:
-        """Multipliers of the state after the jump and its time; one of the ``1 + n`` is always
-        0."""
+        """Multipliers of the state after the jump and its time, without the one that is 0."""
         found = self._carried(turn)
         values = np.linalg.eigvals(found.matrix).astype(complex)
         values = values[np.argsort(-np.abs(values))][:-1]

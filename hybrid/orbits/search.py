@@ -113,8 +113,7 @@ class Search:
         return shooting.inside(run, run.t1 - period, period)
 
     def _entered(self, guess: Guess, mode: str) -> str:
-        """The mode in which time first passes: that of the guess, or one that it jumps to at
-        once."""
+        """The mode in which time first passes: that of the guess, or one it jumps to at once."""
         short = max(FIRST_WINDOW * self.t_max, WINDOW_SPACINGS * float(np.spacing(abs(guess.t))))
         return str(self.shooting.fly(attrs.evolve(guess, mode=mode), short).mode)
 

@@ -130,8 +130,7 @@ class Panel:
     share: float = 1.0
 
     def span(self, low: float, high: float) -> tuple[float, float] | None:
-        """Vertical bounds of the curves over a horizontal range, with a margin; None if it is
-        empty."""
+        """Vertical bounds of the curves over a horizontal range, with a margin, or None."""
         parts = [c.y[(c.x >= low) & (c.x <= high)] for c in self.curves if c.look != "limit"]
         values = np.concatenate([np.empty(0), *parts])
         values = values[np.isfinite(values)]

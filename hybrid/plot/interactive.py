@@ -209,8 +209,7 @@ def _slide(drawn: go.Figure, figure: Figure, counts: Sequence[int]) -> None:
 
 
 def _buttons(figure: Figure, panels: Sequence[Panel]) -> dict[str, Any]:
-    """Buttons that zoom to a range of the first panel's horizontal axis and adjust the vertical
-    ones."""
+    """Buttons that zoom to a range of the first horizontal axis, and fit the vertical ones."""
     buttons = []
     for label, (low, high) in figure.zooms:
         ranges: dict[str, Any] = {"xaxis.range": [low, high]}

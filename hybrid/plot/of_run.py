@@ -116,8 +116,7 @@ def phase_panel(run: Solution, *, points: int = ALL_POINTS) -> Panel:
 
 
 def modes_panel(run: Solution) -> Panel:
-    """The mode over time, one row per mode in order of appearance; no curves if there is only
-    one."""
+    """The mode over time, a row per mode in order of appearance; no curves if only one."""
     names = list(dict.fromkeys(part.mode for part in run.parts))[::-1]
     curves = []
     for row, name in enumerate(names if len(names) > 1 else ()):
@@ -225,8 +224,7 @@ def _sampled(run: Solution, points: int) -> _Drawn:
 
 
 def _seen(run: Solution) -> list[Arc]:
-    """The arcs to draw; in a long run all of the first tail, but only visible ones of other
-    tails."""
+    """The arcs to draw; in a long run, of tails after the first, only visible ones."""
     least, arcs = (run.t1 - run.t0) / ALL_POINTS if len(run.jumps) > FALLS else 0.0, []
     for part in run.parts:
         if isinstance(part, Arc):
@@ -333,8 +331,7 @@ def _path(run: Solution, drawn: _Drawn, look: str, name: str = "") -> list[Curve
 
 
 def _pair(run: Solution, drawn: _Drawn) -> list[_Column]:
-    """Position and velocity of the first contact, or else the first two elements; empty if there is
-    only one."""
+    """Position and velocity of the first contact, else the first two elements if any."""
     count = len(run.spec.element_names)
     pair = (run.pairs or [(0, 1)])[0]
     return [_element(run, index, drawn) for index in pair] if count > 1 else []

@@ -33,8 +33,7 @@ class ReplayedRun:
         self.fixed = list(laws.guards).index(AT_LENGTH)
 
     def __call__(self, t0: Any, x: Any) -> tuple[tuple[Any, Any, Any], tuple[Any, Any]]:
-        """End times of the steps and states before and after the jumps there; then the final time
-        and state."""
+        """Times, states before and after at the ends of the steps; the final time and state."""
         *steps, _ = self.plan
         chunks = [a.reshape(len(a) // TOGETHER, TOGETHER, *a.shape[1:]) for a in steps]
         blank = jnp.zeros(TOGETHER), *(jnp.zeros((TOGETHER, len(x))) for _ in range(2))

@@ -1,5 +1,4 @@
-"""The results of a run as a function that JAX can differentiate: request the plan, then replay
-it."""
+"""The results of a run as a function that JAX can differentiate, by replay of its plan."""
 
 from __future__ import annotations
 

@@ -199,8 +199,7 @@ def _accumulation(spec: Spec, point: Accumulation) -> dict[str, Any]:
 
 
 def read(path: Any, cls: type[Kind], model: Any = None) -> Kind:
-    """The content of a file that :func:`save` wrote, as an instance of ``cls``: see
-    :func:`hybrid.load`."""
+    """The content of a saved file, as an instance of ``cls``: see :func:`hybrid.load`."""
     need("hy.load", FILES)
     import xarray as xr
 

@@ -226,8 +226,7 @@ def _for_ever(run: Solution, stands: Standing) -> Settled:
 
 
 def _held(run: Solution, scale: Numbers, tol: float) -> Settled | None:
-    """Rest on contacts or a surface over at least the last quarter of the run; None if there is
-    none."""
+    """Rest on contacts or a surface over at least the last quarter of the run, or None."""
     arc = run.parts[-1]
     whole = run.t1 - run.t0
     if not isinstance(arc, Arc) or not arc.constrained or arc.length < 0.25 * whole:
@@ -263,8 +262,7 @@ def _loads(run: Solution, times: Numbers, states: Matrix) -> list[float]:
 
 
 def _still(run: Solution, scale: Numbers, tol: float) -> Settled | None:
-    """Convergence to a point, without a jump, over the last half of the run; None if there is
-    none."""
+    """Convergence to a point, without a jump, over the last half of the run, or None."""
     middle = 0.5 * (run.t0 + run.t1)
     if len(run.jumps) and run.jumps.t[-1] > middle:
         return None

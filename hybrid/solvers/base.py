@@ -189,9 +189,11 @@ class Solver(abc.ABC):
     atol: Any = 0.0
 
     def loss(self, dimension: int) -> np.ndarray:
-        """Tolerated loss per step of the rules' loop beyond rounding, shape ``(1 + dimension,)``: a
-        relative tolerance, then an absolute one per state element
-        (:func:`hybrid.rules.lengths.tolerated_length`)."""
+        """Tolerated loss per step of the rules' loop beyond rounding.
+
+        Shape ``(1 + dimension,)``: a relative tolerance, then an absolute one per state element
+        (:func:`hybrid.rules.lengths.tolerated_length`).
+        """
         return np.zeros(1 + dimension)
 
     @abc.abstractmethod

@@ -107,8 +107,7 @@ class DiffraxSolver(Solver):
         return DiffraxStepper(self, field, t0, x0, length, min(first, length))
 
     def program(self, field: Field) -> StepProgram:
-        """The program for a field, compiled once per class and mode and cached without hashing
-        objects."""
+        """The program for a field, compiled once per class and mode."""
         short = field.code, field.name
         if short not in self._programs:
             key = ("diffrax", field.name, self.key)

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
 
 class PairTables(NamedTuple):
-    """A pair: the first arrays of :class:`hybrid.rules.arrays.Pair`, and the first numbers of its
-    control array."""
+    """A pair: first arrays and first control numbers of :class:`hybrid.rules.arrays.Pair`."""
 
     matrix: np.ndarray
     fractions: np.ndarray

@@ -173,8 +173,7 @@ def _pattern(cls: Any, n: int) -> Any:
 
 @cache
 def _tables(cls: Any) -> PairTables:
-    """The tables of a Runge-Kutta class; the dense output is evaluated with unit vectors as
-    stages."""
+    """The tables of a Runge-Kutta class; dense output is read with unit vectors as stages."""
     count, extra = cls.n_stages, getattr(cls, "A_EXTRA", ())
     units = np.eye(count + 1 + len(extra))
     matrix = lower([*cls.A, cls.B, *extra], len(units))

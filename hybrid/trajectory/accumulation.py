@@ -88,11 +88,10 @@ class Accumulation:
 
     @property
     def proofs(self) -> list[Proof]:
-        """Proofs that the impacts accumulate, from successive impacts, with increasingly narrow
-        bounds.
+        """Proofs that the impacts accumulate, with increasingly narrow bounds.
 
-        They are computed when this, ``verdict`` or ``enclosure`` is first read, and need
-        python-flint (extra ``certify``). Empty if none succeeds.
+        They start from successive impacts, are computed when this, ``verdict`` or ``enclosure`` is
+        first read, and need python-flint (extra ``certify``). Empty if none succeeds.
         """
         if callable(self._proofs):
             self._proofs = self._proofs() if find_spec("flint") is not None else []

@@ -276,8 +276,7 @@ def bend(
 
 
 def passing(kinks: MatrixFunction, piece: ArcPiece, flow: np.ndarray) -> np.ndarray:
-    """The derivative, by state and parameters, of the time at which neighbours pass the kink at the
-    end of a piece.
+    """The derivative, by state and parameters, of the time of the kink that ends a piece.
 
     Raises
     ------

@@ -34,8 +34,7 @@ WINDOW_SPACINGS = 64.0
 
 @attrs.frozen(eq=False)
 class At:
-    """The variation of a moment: of its time, of the states on its sides, and of a limit's
-    ratio."""
+    """The variation of a moment: its time, the states on its sides, a limit's ratio."""
 
     part: int
     time: Numbers
@@ -152,8 +151,7 @@ class Carried:
             self._remembered(self.past, factor, change)
 
     def _apart(self, factor: Factor, change: Matrix) -> Mask:
-        """The numbers whose perturbation makes neighbours take another course at simultaneous
-        jumps."""
+        """The numbers whose perturbation changes the course at simultaneous jumps."""
         if factor.ties is None or not len(factor.ties):
             return np.zeros(change.shape[1], dtype=bool)
         moved, sizes = factor.ties @ change, np.abs(factor.ties) @ np.abs(change)

@@ -174,8 +174,7 @@ class Derivatives:
         return self.matrix(Rows(key, field.mode, field.held, rows, 1 + self.columns))
 
     def of_watched(self, field: Field) -> Rows:
-        """The derivatives of a field's watched functions, a row for each; 0 where no formula
-        changes."""
+        """The derivatives of a field's watched functions as rows; 0 if no formula changes."""
         assert field.jets is not None
         watched = field.jets.tape.watched
         own = [what.node for what in watched if what.switches]
@@ -267,8 +266,7 @@ class Derivatives:
         return tape.bind(self.scene.numbers(rows.mode, tuple(rows.held)))
 
     def _inputs(self, graph: ModeGraph) -> list[int]:
-        """The nodes of the columns; the constant terms of a window stand for the states that it
-        shows."""
+        """The nodes of the columns; a window's constant terms stand for the states it shows."""
         shapes, windows = self.scene.code.shapes, len(self.scene.spec.windows)
         own = len(shapes) - windows
         shown = [graph.inputs[place][0] for place in range(own + 1, len(shapes), 2)]

@@ -54,8 +54,7 @@ SAME_TIME, SAME_MOVING_TIME = 1e-13, 1e-11
 
 @attrs.frozen(eq=False)
 class Strand:
-    """A perturbation between two times: values at Chebyshev points, shape ``(degree + 1, n,
-    m)``."""
+    """A perturbation as values at Chebyshev points, shape ``(degree + 1, n, m)``."""
 
     a: float
     b: float
@@ -159,8 +158,7 @@ class PastVariation:
     # -- what is seen -----------------------------------------------------------------------
 
     def at(self, times: Numbers, near: Numbers) -> Matrices:
-        """The perturbation at some times, shape ``(k, n, m)``, from the strands at the times
-        ``near``."""
+        """The perturbation at some times, shape ``(k, n, m)``, from the strands at ``near``."""
         found = np.empty((len(times), *self.fresh.shape))
         which = np.array([min(bisect_left(self._ends, t), len(self._ends) - 1) for t in near])
         for place in np.unique(which).tolist():
@@ -173,8 +171,7 @@ class PastVariation:
         return self.at(times, np.clip(times, low + room, high - room))
 
     def shown(self, index: int, t: float, near: float, now: Matrix) -> Matrix:
-        """The stacked perturbations that each lag shows at time ``t`` of a part, on the side of
-        ``near``."""
+        """The stacked perturbations that each lag shows at ``t``, on the side of ``near``."""
         pairs = zip(self.sight.places(index, t), self.sight.places(index, near), strict=True)
         return np.vstack(
             [
@@ -228,8 +225,7 @@ class PastVariation:
         return rows[0]
 
     def turned(self, index: int, arc: Arc, piece: ArcPiece) -> Numbers:
-        """``f- - f+`` of the flow where a jump is seen at the end of a piece; 0 at rounding
-        level."""
+        """``f- - f+`` where a jump is seen at the end of a piece; 0 at rounding level."""
         t, x = piece.t + piece.end, piece.segment(piece.end).tolist()
         before, after = (
             np.array(self.walk.look(index, t + s)[0].field(arc.mode).rhs(t, x))
@@ -242,8 +238,7 @@ class PastVariation:
     # -- along an arc -----------------------------------------------------------------------
 
     def along(self, index: int, arc: Arc, now: Matrix) -> Matrix:
-        """Carry a perturbation along an arc, without the effect of jumps that are seen at its
-        end."""
+        """Carry a perturbation along an arc, without jumps that are seen at its end."""
         field, last = _Seeing(self.walk, index, arc), None
         kinks = field.kinks if field.changes else None
         largest = np.zeros(self.size)
@@ -309,8 +304,7 @@ class PastVariation:
     def _collocated(
         self, index: int, arc: Arc, a: float, b: float, now: Matrix
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Values of the perturbation at the Chebyshev points of a step, and states at its Gauss
-        points."""
+        """The perturbation at a step's Chebyshev points, and states at its Gauss points."""
         size, (points, inner, whole) = self.size, _gauss()
         times, count = a + (b - a) * points, COLLOCATION_DEGREE + 1
         states = arc.local((times - arc.t0) - arc.low)

@@ -136,8 +136,7 @@ class SlopeTables:
 
 
 class Owned(SlopeTables):
-    """The derivatives of an automaton's fields and guards, by its numbers, added as runs request
-    them."""
+    """The derivatives of an automaton's fields and guards, by number, as requested."""
 
     def __init__(self, of: Derivatives, automaton: Tables) -> None:
         super().__init__(of)

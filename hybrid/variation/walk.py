@@ -47,15 +47,13 @@ SMOOTH_KINDS = (Kind.RELEASE, Kind.LEAVE)
 
 
 def cleared(matrix: Matrix, sizes: np.ndarray, relative: float) -> Matrix:
-    """A matrix with entries at rounding level of their terms set to 0, so that a lost rank stays
-    lost."""
+    """A matrix with entries at rounding level set to 0, so that a lost rank stays lost."""
     return np.where(np.abs(matrix) <= relative * sizes, 0.0, matrix)
 
 
 @attrs.frozen(eq=False)
 class Course:
-    """The course of a run: its parts, the jumps between them, and its view of the past (None
-    without delays)."""
+    """The course of a run: parts, jumps, and its view of the past (None without delays)."""
 
     scene: Scene
     parts: Sequence[Part]
@@ -407,8 +405,7 @@ class Walk:
         return self._widened(-gradient[None, 1:] / rate)[0]
 
     def _jumps(self, index: int, guard: Guard, field: Field, piece: ArcPiece) -> bool:
-        """Whether a guard that fires at the end of a piece is nonzero in the limit from inside
-        it."""
+        """Whether a guard that fires at the end of a piece tends to a nonzero value there."""
         if not guard.jumps:
             return False
         taus = [piece.end - piece.beside, piece.end - 2.0 * piece.beside]
@@ -419,8 +416,7 @@ class Walk:
         return bool(abs(2.0 * near - far) > NEAR * size)
 
     def _sides(self, index: int, after: int | None, moments: Sequence[Moment]) -> list[np.ndarray]:
-        """Ties of a jump at which a flow jumps too, as neighbours would have the latter before or
-        after."""
+        """Ties of a jump where a flow jumps too: neighbours have that before or after."""
         first, last = moments[0], moments[-1]
         before = self._brinks(index, True)
         found = [before @ self._moved(first.time, first.before)]

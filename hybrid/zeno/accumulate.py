@@ -272,8 +272,7 @@ def hop(
     v: float,
     rounding: float,
 ) -> tuple[float, list[Segment], np.ndarray, np.ndarray, float] | None:
-    """A flight from a contact by Taylor series, and the impact that ends it
-    (:mod:`hybrid.rules.hops`).
+    """A flight from a contact by Taylor series, and its impact (:mod:`hybrid.rules.hops`).
 
     Returns the flight's time and segments, the states before and after the impact, and the gap
     speed after it. None if the solver must integrate the flight.

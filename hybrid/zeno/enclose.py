@@ -68,8 +68,7 @@ class Proof:
 
 @attrs.frozen(eq=False)
 class _Box:
-    """A box around an impact: its duration, its half-width per state element, its largest gap
-    speed."""
+    """A box around an impact: duration, half-width per state element, largest gap speed."""
 
     time: float
     reach: Numbers
@@ -235,8 +234,7 @@ GAP_SLOPES = 5
 
 
 def _question(field: Field, contact: str) -> _Question | None:
-    """The program that encloses the gap, its Lie derivatives, the restitution, the flow, the push,
-    the slopes and the other guards.
+    """The program of all that is enclosed for a contact.
 
     None if the flow or the gap hides a derivative, or an operation has no ball arithmetic.
     """
@@ -272,8 +270,7 @@ def _question(field: Field, contact: str) -> _Question | None:
 
 
 def _even(graph: FixedGraph, lies: list[int], pair: tuple[int, int] | None) -> bool:
-    """Whether the gap's acceleration depends only on its position and velocity, evenly in the
-    latter."""
+    """Whether the gap's acceleration depends on its position and, evenly, its velocity only."""
     if pair is None:
         return False
     names = {name for name in inputs_of(graph, lies) if name[0] != "p"}

@@ -25,8 +25,7 @@ SPEEDS_ALIKE, SPEEDS_FALL = 1e-10, 1.0 - 1e-6
 
 @attrs.frozen(eq=False)
 class Shrinking:
-    """Impacts that recur forever: the contacts struck in a turn, and the ratio of speeds per
-    turn."""
+    """Impacts that recur forever: contacts struck in a turn, and ratio of speeds per turn."""
 
     struck: tuple[int, ...]
     ratio: float

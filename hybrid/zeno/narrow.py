@@ -93,8 +93,7 @@ def _depends(field: Field, contact: str) -> bool:
 
 
 def _damped(tail: Tail) -> bool:
-    """Whether the restitution along the tail agrees with that of the sum's flights and is below
-    1."""
+    """Whether the restitution along the tail is that of the sum's flights, and below 1."""
     if not _depends(tail.field, tail.contact.name):
         return True
     series = _flown(tail)
@@ -169,10 +168,10 @@ def damps(contact: Contact, t: float, x: list[float], speed: float, ratio: float
 
 @attrs.frozen(eq=False, slots=False)
 class Stretch:
-    """A stretch of a tail: the flights after impacts ``first`` to ``last`` (infinite: to the
-    limit).
+    """A stretch of a tail: the flights after impacts ``first`` to ``last``.
 
-    ``begin`` and ``end`` are the fractions of each flight that it covers.
+    An infinite ``last`` is the limit. ``begin`` and ``end`` are the fractions of each flight that
+    it covers.
     """
 
     tail: Tail
@@ -216,8 +215,7 @@ class Stretch:
 
 
 def _bounded(tail: Tail, excess: float) -> bool:
-    """Whether acceleration and restitution in boxes along the tail agree with their values at
-    points."""
+    """Whether acceleration and restitution in boxes along the tail agree with points."""
     if find_spec("flint") is None:
         return True
     try:
@@ -274,13 +272,13 @@ def _within(low: Any, high: Any, least: float, most: float) -> bool:
 
 @attrs.frozen(eq=False)
 class _Look:
-    """What is enclosed in a field, as balls: the gap's acceleration, the accelerations of deciding
-    functions, the restitution, and the last rate of the gap's acceleration.
+    """What is enclosed along a tail, as balls.
 
-    Where gap or flow change their formula at the impacts, the formula on the flights' side is used
-    (for a distance ``|x|``, the one at zero), since balls around that place contain both sides. The
-    accelerations of the deciding functions must then also agree with their values at points, so
-    that none of them changes sign in between.
+    These are the gap's acceleration, the accelerations of deciding functions, the restitution, and
+    the last rate of the gap's acceleration. Where gap or flow change their formula at the impacts,
+    the formula on the flights' side is used (for a distance ``|x|``, the one at zero), since balls
+    around that place contain both sides. The accelerations of the deciding functions must then also
+    agree with their values at points, so that none of them changes sign in between.
     """
 
     program: Any
@@ -403,8 +401,7 @@ class _Gap:
         return found
 
     def program(self, signs: dict[int, int], *others: int) -> Any:
-        """The program of what is enclosed, for given signs of deciding functions, followed by
-        ``others``."""
+        """The program of what is enclosed, for given signs, followed by ``others``."""
         from ..bounds.interval import IntervalProgram
 
         graph, count = self.graph, 1 + len(self.flow)

@@ -56,8 +56,7 @@ def excluded(field: Field, columns: Iterable[int], box: Mapping[str, Any]) -> bo
 
 
 def hull(points: np.ndarray, wider: float) -> dict[str, Any]:
-    """The bounding box of rows of time and state, widened on each side by a fraction of its
-    size."""
+    """The bounding box of rows of time and state, widened on each side by a fraction."""
     low, high = points.min(axis=0), points.max(axis=0)
     room = wider * (high - low)
     times, *states = zip((low - room).tolist(), (high + room).tolist(), strict=True)
