@@ -237,7 +237,7 @@ class Memory:
             for segment in segments
         ]
 
-    # -- what happens ---------------------------------------------------------------------
+    # -- recording ------------------------------------------------------------------------
 
     def flown(self, now: Instant, segments: Sequence[Segment]) -> None:
         """Record segments that begin at an instant, from which their starts count."""
@@ -301,8 +301,8 @@ class Memory:
     def stays(self, part: TailPart) -> bool:
         """Whether the impacts up to their limit see the past through the present windows.
 
-        A vanishing lag sees the impacts themselves; after restarts, each impact sees the previous
-        one.
+        A vanishing lag sees the impacts themselves; after restarts, each flight sees the last
+        impact.
         """
         limit = part.tail.x_inf
         if self.plan.memory == "restart":

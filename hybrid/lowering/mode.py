@@ -290,7 +290,7 @@ class ModeGraph:
         contact = self.contact(held)
         return [self.guard(name), contact.gap, contact.speed, contact.acceleration]
 
-    # -- what is made of it ---------------------------------------------------------------
+    # -- programs and tapes ---------------------------------------------------------------
 
     def program(self, key: Any, make: Callable[[], Sequence[int]]) -> Program:
         """Scalar code of some nodes; the mask follows the parameters."""

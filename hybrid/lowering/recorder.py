@@ -175,7 +175,7 @@ class _Recorder:
         self.given: list[tuple[int, int]] = []
         self.room = 1
 
-    # -- nodes that the recurrences need besides ----------------------------------------
+    # -- further nodes of the recurrences -----------------------------------------------
 
     def _add(self) -> None:
         """Collect all nodes, with the slopes of functions and the watched functions."""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 #: else. Number of rows above which rows are lower, and their height then.
 COLUMN_WIDTHS, ROW_HEIGHT, MARGINS, MANY_ROWS, LOW_ROW = (8.0, 11.0, 14.0), 2.1, 0.8, 4, 1.45
 
-#: Lines at least this wide are bars, with ends cut off exactly.
+#: Lines wider than this (in points) are bars, drawn without projecting ends.
 BAR_WIDTH = 4.0
 
 #: Width per column (inches) below which fonts shrink, smallest font scale, and width of a legend

@@ -11,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers
 
-#: Impacts are summed anew only after their speed has fallen by this factor.
+#: Impacts are summed anew only after their speed has fallen to this fraction.
 PATIENCE = 0.6
 
 #: Impacts of a series before the first attempt at a sum.
