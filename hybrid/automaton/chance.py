@@ -61,7 +61,7 @@ def stream(model: str, seed: Any) -> float:
     except (TypeError, ValueError, OverflowError):
         fits = False
     if not fits:
-        raise OptionError(f"{model}: seed={seed!r}: give a whole number from 0 to {WORD - 1:.0f}")
+        raise OptionError(f"{model}: seed={seed!r}: a whole number from 0 to {WORD - 1:.0f}")
     return float(seed) * WORD
 
 

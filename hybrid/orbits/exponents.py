@@ -126,11 +126,11 @@ def lyapunov(
     size = model.spec.dimension
     count = size if count is None else count
     if not (isinstance(count, int | np.integer) and 1 <= count <= size):
-        raise OptionError(f"count={count!r}: give a whole number from 1 to {size}")
+        raise OptionError(f"count={count!r}: a whole number from 1 to {size}")
     first, last = _span(t)
     begin = first + (0.1 * (last - first) if transient is None else float(transient))
     if not first <= begin < last:
-        raise OptionError(f"transient={transient!r}: give a time shorter than the run, {t!r}")
+        raise OptionError(f"transient={transient!r}: a time shorter than the run, {t!r}")
     frame = np.linalg.qr(np.random.default_rng(0).normal(size=(size, int(count))))[0]
     options = {**options, "save": "dense"}
     if begin > first:

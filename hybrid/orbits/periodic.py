@@ -203,7 +203,7 @@ def periodic_orbit(
             f"{scene.spec.model} depends on time: give period=, that of the forcing or a multiple"
         )
     if period is not None and not 0 < period < float("inf"):
-        raise OptionError(f"period={period!r}: give a time greater than 0")
+        raise OptionError(f"period={period!r}: a time greater than 0")
     shooting = shooting_of(scene, options)(model, timed, tol, options)
     search = Search(shooting, section, period, t_max)
     orbit = _describe(shooting, search.find(given(scene, guess, t, mode), settle))

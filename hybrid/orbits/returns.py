@@ -139,7 +139,7 @@ class ReturnMap:
             array of a coordinate.
         """
         if not (isinstance(n, int | np.integer) and n >= 0):
-            raise OptionError(f"n={n!r}: give a whole number of returns")
+            raise OptionError(f"n={n!r}: a whole number of returns")
         points = [self._point(state, t)]
         points += self._points(points[0], n)
         return Iterates(self.scene.spec, points)
@@ -273,7 +273,7 @@ def return_map(
     """
     require_model(model)
     if not 0 < float(t_max) < float("inf"):
-        raise OptionError(f"t_max={t_max!r}: give a time greater than 0")
+        raise OptionError(f"t_max={t_max!r}: a time greater than 0")
     options.setdefault("save", "dense")
     if options["save"] != "dense":
         raise OptionError(f"save={options['save']!r}: returns need dense output")

@@ -77,15 +77,14 @@ def tolerances(rtol: Any, atol: Any, dimension: int, own: float) -> tuple[float,
     except ValueError:
         relative = 0.0
     if not 0 < relative < 1:
-        raise OptionError(f"rtol={rtol!r}: give a number between 0 and 1")
+        raise OptionError(f"rtol={rtol!r}: a number between 0 and 1")
     try:
         absolute = np.array(own / 100) if atol is None else reals(atol)
     except ValueError:
         absolute = np.array(-1.0)
     if absolute.shape not in ((), (dimension,)) or not np.all(absolute >= 0):
         raise OptionError(
-            f"atol={atol!r}: give a number, or one for each of the {dimension} elements of "
-            "the state"
+            f"atol={atol!r}: a number, or one for each of the {dimension} elements of the state"
         )
     return relative, absolute
 
