@@ -215,7 +215,7 @@ def require_real(closed: Any) -> None:
     for equation in closed.jaxpr.eqns:
         if not equation.outvars:
             raise TraceError(
-                f"a Python call without a result ({line_of(equation)}the primitive "
+                f"a call of Python without a result ({line_of(equation)}the primitive "
                 f"{equation.primitive.name!r}); leave it out; run(t) and @hy.output show values"
             )
         kinds = [getattr(var.aval, "dtype", None) for var in equation.outvars]
