@@ -1,10 +1,10 @@
-"""When a guard is reached: crossings and tangencies of a guard along one step.
+"""Event location: crossings and tangencies of a guard along one step.
 
-A guard along a step is a function of one variable. It is sampled on the step's polynomial
-and turned into Bernstein coefficients, whose zeros :mod:`hybrid.rules.zeros` finds. So two
-crossings inside one step are both found, and a guard that is zero at the start of the step by
-construction (after a jump, at a release) is divided by the power of the local time by which it
-vanishes; its next zero is found however close it is.
+Along a step a guard is a function of one variable. It is sampled on the step's polynomial and
+converted to Bernstein coefficients, whose zeros :mod:`hybrid.rules.zeros` finds. Two crossings
+within one step are therefore both found. A guard that is zero at the start of the step by
+construction (after a jump or a release) is divided by the power of the local time by which it
+vanishes, so its next zero is found however close it is.
 
 The semantics are in ``docs/semantics.md``.
 """
@@ -32,49 +32,51 @@ if TYPE_CHECKING:
     from .automaton.shapes import Matrix, Numbers
     from .lowering import Guard, Kink
 
-#: Degree at which a guard that is no polynomial is sampled, piece by piece.
+#: Degree at which a guard that is not a polynomial is sampled, piece by piece.
 SAMPLED = 12
 
-#: Pieces of a run in which such a guard is sampled at least.
+#: Least number of pieces per run in which such a guard is sampled.
 SHARES = 100
 
-#: Pieces are halved until the last coefficients are this small against the largest.
+#: Pieces are halved until the last coefficients are this small relative to the largest.
 RESOLVED = 1e-6
 
-#: Most pieces at first, and most halvings of one.
+#: Most initial pieces, and most successive halvings of one.
 GUARD_PIECES, DEPTH = 4096, 12
 
-#: Most halvings in a step. To come down to a narrow place takes DEPTH of them; a guard that is
-#: resolved nowhere is rounding, and halving it tells no more.
+#: Most halvings per step. Resolving a narrow feature takes DEPTH of them; a guard that is resolved
+#: nowhere is dominated by rounding, and further halving shows no more.
 GUARD_HALVINGS = 128
 
-#: A deciding function that has changed its sign for good at this share of a step is taken to
-#: cross; one that comes back sooner touches. Far above rounding, far below what a step resolves.
+#: A deciding function crosses if it keeps its new sign within this fraction of the step around its
+#: zero; otherwise it touches. Far above rounding, far below the resolution of a step.
 WIDEST = 1e-4
 
-#: A guard that ends (``sqrt`` at 0) has reached zero there if it is this small beside what it was:
-#: the nearest place that rounding can tell is 1e-16 from the end, its fourth root 1e-4.
+#: A guard that becomes undefined (``sqrt`` at 0) counts as zero there if it is this small relative
+#: to its largest value. Rounding resolves places 1e-16 from the end, where even a fourth root is
+#: 1e-4.
 DOMAIN_END = 1e-4
 
-#: Impacts with no time between them after which a run is taken to be caught in a loop: they slow
-#: down bodies in contact that strike each other again and again.
+#: Impacts at one time after which a run is taken to be in an infinite loop; bodies in contact may
+#: strike each other many times while they slow down.
 STRUCK = 10_000
 
-#: Where, between its start and a zero, a guard is looked at for having left zero.
+#: Fractions of the interval from its start to a zero at which a guard is checked for having left
+#: zero.
 SHARES_OF_FLIGHT = np.array([0.25, 0.5, 0.75])
 
 
 @attrs.frozen
 class Cut:
-    """A place along a step at which a guard changes its formula (see :class:`.scene.Kink`).
+    """A place along a step at which a guard changes its formula (see :class:`.field.Kink`).
 
     Attributes
     ----------
     before, after : float
-        Fractions of the step on its two sides, as near as rounding tells them apart; ``before``
-        is negative where the step begins on it.
+            Fractions of the step just before and after it, as close as rounding permits; ``before``
+        is negative if the step begins on it.
     side : int
-        Sign that the deciding function takes.
+        Sign of the deciding function after it.
     """
 
     kink: Kink
@@ -94,7 +96,8 @@ class Zero:
     direction : int
         ``-1`` falling, ``+1`` rising, ``0`` touching without crossing.
     cut : Cut or None
-        The guard has not been zero: it has jumped here, or ends. With direction 0 it may have.
+            Set if the guard jumps here, or becomes undefined, rather than passing through zero.
+        With direction 0 it may not have changed sign.
     """
 
     tau: float
@@ -119,16 +122,16 @@ def zeros(
     order : int
         Power of the local time by which the guard is known to vanish at the start.
     scale : float
-        A time over which a guard that is no polynomial is smooth.
+        A time over which a non-polynomial guard is smooth.
     tolerance : float
-        A minimum no deeper (higher) than this is a tangency.
+        An extremum within this distance of zero is a tangency.
     ends : dict
-        By edge: the guard at the end of the last step, on which this one must build, so
-        that no sign is lost where two steps meet; and its largest size so far in the arc,
-        for it cannot touch zero before it has left it. Updated here.
+            For each edge the guard's value at the end of the last step, from which this step
+        continues so that no sign change is lost between steps; and its largest size so far in the
+        arc, as it cannot touch zero before it has left it. Updated in place.
     noise : float
-        What rounding makes of a guard that was zero where the arc began: it has not left zero, and
-        does not cross it, before it has been larger.
+            Rounding of a guard that was zero at the start of the arc: it does not cross zero before
+        it has exceeded this.
     """
     places: list[Cut] = []
     for kink in guard.kinks:
@@ -145,9 +148,9 @@ def cuts(
     tolerance: float = 0.0,
     others: Sequence[Cut] = (),
 ) -> Iterator[Cut]:
-    """Where a deciding function changes its sign, from start to end of a step.
+    """Where a deciding function changes sign, from start to end of a step.
 
-    ``others``: places at which it may change its own formula.
+    ``others``: places at which its own formula may change.
     """
     first = kink.value(t0 + segment.start, segment(segment.start).tolist())
     if first == 0.0 and not ends.get(kink.edge):
@@ -163,9 +166,9 @@ def cuts(
 
 
 def _straddle(kink: Kink, segment: Segment, t0: float, share: float, side: int) -> Cut | None:
-    """The cut at a zero of a deciding function; None where it does not change its sign.
+    """The cut at a zero of a deciding function; None if its sign does not change.
 
-    ``side`` 0: the zero is where the arc starts; its side is the sign just after.
+    ``side`` 0: the zero is at the start of the arc, and its side is the sign just after.
     """
 
     def sign(fraction: float) -> float:
@@ -180,21 +183,24 @@ def _straddle(kink: Kink, segment: Segment, t0: float, share: float, side: int) 
         there = sign(after)
         left = before <= 0 or sign(before) == -side
         if left and there and (not side or there == side):
-            # as far again: of a wave that decides (floor), the zero itself is rounded
+            # doubled: a deciding wave (of floor) has a rounded zero
             return Cut(kink, min(before - width, share), after + width, int(there))
         width *= 2.0
     return None
 
 
 def _wider(cut: Cut) -> Cut:
-    """A place at which a guard jumps, where rounding may have it: ``floor(t / T)`` changes beside
-    the zero of ``sin(pi t / T)`` by what rounding makes of a quotient, a product and a sine."""
+    """A cut at which a guard jumps, widened by rounding.
+
+    ``floor(t / T)``, for example, changes near the zero of ``sin(pi t / T)``, up to the rounding of
+    a quotient, a product and a sine.
+    """
     width = 2.0 * (cut.after - cut.before) if cut.kink.change == "jumps" else 0.0
     return attrs.evolve(cut, before=cut.before - width, after=cut.after + width)
 
 
 def among(places: Iterable[Cut], new: Iterable[Cut]) -> list[Cut]:
-    """Cuts and further ones in order; of those that lie on each other the first stands for all."""
+    """Old and new cuts in order; overlapping ones are merged into the first."""
     kept: list[Cut] = []
     for cut in sorted([*places, *map(_wider, new)], key=lambda cut: cut.before):
         if kept and cut.before <= kept[-1].after:
@@ -215,7 +221,7 @@ def _between(
     cuts: Sequence[Cut],
     noise: float = 0.0,
 ) -> Iterator[Zero]:
-    """Zeros between the cuts, and at them those of a guard that jumps over zero."""
+    """Zeros between the cuts, and sign changes of a guard that jumps at them."""
     polynomial = guard.affine and segment.degree <= SAMPLED
     if polynomial:
         degree, pieces = max(segment.degree, order, 1), 1
@@ -233,7 +239,7 @@ def _between(
 
 
 def _spans(pieces: int, cuts: Sequence[Cut]) -> Iterator[tuple[Cut | None, float, float]]:
-    """Parts of a step between its pieces' ends and the cuts; each with the cut before it."""
+    """Parts of a step between piece ends and cuts, each with the cut before it, if any."""
     bounds = [k / pieces for k in range(1, pieces + 1)]
     left: float = 0.0
     pending: Cut | None = None
@@ -249,7 +255,7 @@ def _spans(pieces: int, cuts: Sequence[Cut]) -> Iterator[tuple[Cut | None, float
 
 @attrs.define
 class _Piece:
-    """A step along which a guard is sampled, part by part; ``halvings`` are left."""
+    """A step along which a guard is sampled part by part; ``halvings`` counts those left."""
 
     guard: Guard | Kink
     segment: Segment
@@ -262,14 +268,14 @@ class _Piece:
     halvings: int = GUARD_HALVINGS
 
     def over(self, cut: Cut) -> int:
-        """The direction in which a guard passes over zero at a cut; 0 where it does not.
+        """The direction in which a guard passes zero at a cut; 0 if it does not.
 
-        A corner on zero, and a guard that is zero from there on, have reached it: up to rounding,
-        to which belongs what the guard changes by while the time passes the cut.
+        A corner on zero, and a guard that stays zero from there on, count as reaching zero. This is
+        judged up to rounding, which includes the guard's change over the width of the cut.
         """
         edge, seen = self.guard.edge, ("largest", self.guard.edge)
         old, new = self.ends[edge], self.at(cut.after)
-        if old == 0.0 and cut.before <= 0.0:  # the last step has ended on it
+        if old == 0.0 and cut.before <= 0.0:  # the last step ended on the cut
             old = self.at(cut.before)
         self.ends[edge] = new
         largest = max(abs(old), self.ends.get(seen, 0.0))
@@ -282,9 +288,7 @@ class _Piece:
             least = abs(new) - moved
             if cut.before > 0:
                 moved = abs(old - self.at(cut.before - width))
-            least = min(
-                least, abs(old) - moved
-            )  # of a step that begins beyond it, as it moves there
+            least = min(least, abs(old) - moved)  # for a step that begins beyond the cut
             return -int(np.sign(old)) if least <= 64 * EPS * largest else 0
         if not np.isfinite(new) and abs(old) > DOMAIN_END * largest:
             raise FlowError(f"the guard of {edge} ends before it is zero: beyond it is not finite")
@@ -298,7 +302,7 @@ class _Piece:
     def zeros(
         self, left: float, right: float, order: int, depth: int
     ) -> Iterator[tuple[float, int]]:
-        """Zeros between two fractions of the step; halved until the guard is resolved."""
+        """Zeros between two fractions of the step, halved until the guard is resolved."""
         width = right - left
         fractions = left + width * nodes(self.degree)
         values = self.sample(fractions)
@@ -326,14 +330,14 @@ class _Piece:
                 yield left + width * root, direction
 
     def leaves(self, values: Numbers, root: float) -> bool:
-        """Whether a guard is larger than rounding somewhere before a zero of its polynomial."""
+        """Whether a guard exceeds rounding somewhere before a zero of its polynomial."""
         series = from_values(self.degree) @ values
         between = chebyshev.chebval(2.0 * root * SHARES_OF_FLIGHT - 1.0, series)
         largest = max(np.abs(between).max(), np.abs(values[nodes(self.degree) < root]).max())
         return bool(largest > self.noise)
 
     def refined(self, root: float, direction: int, fractions: Numbers, values: Numbers) -> float:
-        """A zero of a guard too rough for a polynomial, from the guard itself, by halving."""
+        """A zero found by bisection of the guard itself, where its polynomial is too inaccurate."""
         changes = np.flatnonzero(direction * values[:-1] < 0)
         changes = changes[direction * values[changes + 1] > 0]
         if not len(changes):
@@ -381,7 +385,7 @@ def to_bernstein(degree: int) -> np.ndarray:
 
 @cache
 def bernstein_from_chebyshev(degree: int) -> np.ndarray:
-    """Matrix from Chebyshev coefficients to Bernstein's on [0, 1]; its entries are exact."""
+    """Matrix from Chebyshev to Bernstein coefficients on [0, 1], computed in exact fractions."""
     columns, before, now = [], [-1, 2], [1]
     for _ in range(degree + 1):
         shares = [Fraction(c, comb(degree, k)) for k, c in enumerate(now)]
@@ -396,7 +400,7 @@ def bernstein_from_chebyshev(degree: int) -> np.ndarray:
 def roots(bernstein: Numbers, order: int, tolerance: float) -> Iterator[tuple[float, int]]:
     """Zeros in ``(0, 1]`` of a polynomial that vanishes at 0 to the given order.
 
-    Yields ``(point, direction)`` in order; direction 0 is a touch within ``tolerance``.
+    Yields ``(point, direction)`` in order; direction 0 is a tangency within ``tolerance``.
     """
     work, found = room(len(bernstein) - 1)
     b = np.ascontiguousarray(bernstein, dtype=float)
@@ -406,7 +410,7 @@ def roots(bernstein: Numbers, order: int, tolerance: float) -> Iterator[tuple[fl
 
 
 def series_zeros(c: Sequence[float], reach: float, tolerance: float) -> list[tuple[float, int]]:
-    """Zeros in ``(0, reach]`` of the sum of ``c[k] s^k``, as :func:`roots` gives them."""
+    """Zeros in ``(0, reach]`` of the sum of ``c[k] s^k``, in the form of :func:`roots`."""
     work, found = room(len(c) - 1)
     powers = np.array(c, dtype=float)
     count = unit("zeros").series(powers, len(c) - 1, reach, 0, tolerance, work, found)
@@ -414,7 +418,7 @@ def series_zeros(c: Sequence[float], reach: float, tolerance: float) -> list[tup
 
 
 def turning_points(series: Numbers) -> list[float]:
-    """Where in ``(0, 1)`` a Chebyshev series turns."""
+    """The extrema of a Chebyshev series in ``(0, 1)``."""
     work, found = room(len(series) - 1)
     b = bernstein_from_chebyshev(len(series) - 1) @ series
     count = unit("zeros").turns(b, len(b) - 1, work, found)
@@ -422,13 +426,13 @@ def turning_points(series: Numbers) -> list[float]:
 
 
 def room(degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Arrays for the rules on zeros: to work in, and for what is found."""
+    """Work and result arrays for the rules on zeros."""
     return np.empty((degree + SPARE_ROWS, degree + 5)), np.empty((2 * degree + 4, 2))
 
 
 def _listed(found: Matrix, count: int) -> list[list[float]]:
     if count in (UNFIT, WORK_FULL):
-        raise FlowError("a polynomial whose zeros are asked for is not finite")
+        raise FlowError("a polynomial whose zeros are sought is not finite")
     rows: list[list[float]] = found[: max(count, 0)].tolist()
     return rows
 

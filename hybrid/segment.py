@@ -1,7 +1,7 @@
 """One step of a solver as a polynomial; an arc's dense output is a list of these.
 
-Every method's interpolant is a polynomial on its step. All are kept in one form,
-Chebyshev coefficients, so that evaluation, root finding and saving know one form only.
+Every method's interpolant is a polynomial on its step. All are stored as Chebyshev coefficients, so
+evaluation, root finding and saving handle a single form.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from numpy.polynomial import chebyshev
 if TYPE_CHECKING:
     from .automaton.shapes import Matrix, Numbers
 
-#: Sets of places whose matrices are kept: far more than solvers ask for again and again, and few
-#: enough (some megabytes) where each step is looked at in places of its own.
+#: Number of cached evaluation matrices: far more than solvers use repeatedly, and only some
+#: megabytes if each step is evaluated at points of its own.
 PLACES = 1024
 
 
@@ -51,15 +51,15 @@ class Segment:
         return states
 
     def at(self, fractions: Numbers) -> Matrix:
-        """State at some fractions of the step (an array made by :func:`nodes`)."""
+        """State at fractions of the step, cached per set of fractions (as from :func:`nodes`)."""
         return _values_matrix(fractions.tobytes(), self.degree) @ self.coefficients
 
     def later(self, since: float) -> Segment:
-        """The same, counted from so much earlier."""
+        """The segment shifted by ``since``."""
         return Segment(since + self.start, self.length, self.coefficients)
 
     def cut(self, length: float) -> Segment:
-        """The first part of the segment (or a slightly longer one)."""
+        """The first part of the segment, or a slight extension of it."""
         if length == self.length:
             return self
         points = length / self.length * nodes(self.degree)
@@ -68,8 +68,10 @@ class Segment:
 
 
 def projected(segment: Segment, t0: float, project: Callable[..., Any]) -> Segment:
-    """A segment of an arc that stays on a surface, back on it at its nodes; what stands still on it
-    is."""
+    """A segment projected at its nodes onto the surface that its arc stays on.
+
+    A constant segment that lies on the surface is returned as it is.
+    """
     ends, degree = segment.at(nodes(1)), segment.degree
     if not segment.coefficients[1:].any():
         times = t0 + segment.start, t0 + segment.end
@@ -84,9 +86,9 @@ def projected(segment: Segment, t0: float, project: Callable[..., Any]) -> Segme
 
 
 def terms(series: np.ndarray, length: Any) -> np.ndarray:
-    """The terms of power series, the coefficients on the last axis, at the end of a step.
+    """The terms of power series (coefficients on the last axis) at the end of a step.
 
-    Factor by factor: a power of a long step alone may be too large.
+    Multiplied factor by factor: a power of a long step alone may overflow.
     """
     found = series.copy()
     for k in range(1, series.shape[-1]):
@@ -95,14 +97,14 @@ def terms(series: np.ndarray, length: Any) -> np.ndarray:
 
 
 def interpolated(start: float, length: float, values: Matrix) -> Segment:
-    """The segment through states at :func:`nodes`; a state that stays the same stays so exactly."""
+    """The segment through states at :func:`nodes`; constant states stay exactly constant."""
     coefficients = from_values(len(values) - 1) @ (values - values[0])
     coefficients[0] += values[0]
     return Segment(start, length, coefficients)
 
 
 def _basis(xi: Any, degree: int) -> np.ndarray:
-    """Chebyshev polynomials at a number, or at an array of them along a last axis more."""
+    """Chebyshev polynomials at a number, or at an array of them on a new last axis."""
     terms = [xi**0, xi]
     for _ in range(degree - 1):
         terms.append(2.0 * xi * terms[-1] - terms[-2])
@@ -141,13 +143,13 @@ def from_powers(degree: int) -> np.ndarray:
 
 @cache
 def to_powers(degree: int) -> np.ndarray:
-    """The way back."""
+    """Matrix from Chebyshev coefficients to coefficients of powers of the fraction."""
     return np.linalg.inv(from_powers(degree))
 
 
 @cache
 def to_centred_powers(degree: int) -> np.ndarray:
-    """Matrix from Chebyshev coefficients to those of powers of the place on [-1, 1]."""
+    """Matrix from Chebyshev coefficients to coefficients of powers on [-1, 1]."""
     found = np.zeros((degree + 1, degree + 1))
     for k in range(degree + 1):
         found[: k + 1, k] = chebyshev.cheb2poly(np.eye(degree + 1)[k][: k + 1])
@@ -165,9 +167,9 @@ def integrals(degree: int) -> np.ndarray:
 
 
 def apply(matrix: Matrix, values: Any) -> Any:
-    """A small constant matrix times a matrix of columns, of numpy or of JAX.
+    """A small constant matrix times a matrix of columns, for numpy or JAX.
 
-    Written out: for so few numbers a call of a library costs more than the product.
+    Written out, as for so few numbers a library call costs more than the product.
     """
     return (matrix[:, :, None] * values[None]).sum(axis=1)
 

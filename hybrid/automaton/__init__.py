@@ -1,4 +1,4 @@
-"""The declaration: markers in a class body become one frozen, checked spec."""
+"""The declaration layer: markers in a class body become one frozen, checked spec."""
 
 from .base import Automaton
 from .discrete import discrete

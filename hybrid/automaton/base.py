@@ -1,4 +1,4 @@
-"""``hy.Automaton``: from a class body to one frozen spec, checked when it is defined."""
+"""``hy.Automaton``: turns a class body into one frozen spec, checked at class definition."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .spec import ClockSpec, ContactSpec, EdgeSpec, Spec
 #: What to do where discrete variables are not taken.
 COUNT_IN_RUN = "leave them out of the model, and count in run.jumps"
 
-#: What each kind of traced function belongs to.
+#: The kind of declaration that each kind of traced function belongs to.
 OWNERS = {
     "flow": "mode",
     "guard": "edge",
@@ -75,7 +75,7 @@ class Automaton:
 
     @property
     def parameters(self) -> tuple[np.ndarray, ...]:
-        """Values of the parameters, as arrays of 64 bits, in declared order."""
+        """Parameter values as float64 arrays, in declared order."""
         return tuple(np.asarray(getattr(self, p.name), dtype=float) for p in self.spec.parameters)
 
     @property
@@ -85,14 +85,14 @@ class Automaton:
 
     @classmethod
     def draw(cls, path: Any = None) -> Any:
-        """Draw the automaton: modes as boxes, edges as arrows with the way their guards take.
+        """Draw the automaton: modes as boxes, edges as arrows labelled with their crossing.
 
-        Of a contact that rests, and a switching that slides, the modes that follow are dashed.
+        The resting modes of contacts and the sliding modes of switchings are dashed.
 
         Parameters
         ----------
         path : str or path, optional
-            Also write the figure there.
+            Also write the figure to this file.
 
         Returns
         -------
@@ -110,7 +110,7 @@ class Automaton:
 
 
 def _collect(cls: type) -> dict[str, Any]:
-    """Markers of the class and its bases by name; a subclass overrides in place."""
+    """Markers of the class and its bases, by name; a subclass overrides in place."""
     found: dict[str, Any] = {}
     for base in reversed(cls.__mro__):
         if base in (object, Automaton):
@@ -124,7 +124,7 @@ def _collect(cls: type) -> dict[str, Any]:
 
 
 def _inherited(cls: type) -> dict[str, Any]:
-    """Markers of the bases by name."""
+    """Markers of the bases, by name."""
     bases = [vars(base).get("_hybrid_markers", {}) for base in reversed(cls.__mro__[1:])]
     return {name: marker for markers in bases for name, marker in markers.items()}
 
@@ -141,7 +141,7 @@ def _make_attrs(cls: type, markers: dict[str, Any]) -> None:
     fields = {n: value for n, value in markers.items() if is_parameter(value) or n in given}
     cls._hybrid_markers = dict(markers)  # type: ignore[attr-defined]
     if "__init__" in vars(cls):
-        delattr(cls, "__init__")  # which is a fault, and said so
+        delattr(cls, "__init__")  # a fault that Builder.names has reported
     for name in list(vars(cls)):
         if isinstance(vars(cls)[name], State) or name in fields:
             delattr(cls, name)
@@ -163,7 +163,7 @@ def _make_attrs(cls: type, markers: dict[str, Any]) -> None:
 
 
 class _Traced:
-    """The traces of a class as they are made; faults are sentences."""
+    """Traces the functions of a class; ``faults`` collects one sentence per failure."""
 
     def __init__(self, cls: type, spec: Spec, skipped: list[Any]) -> None:
         self.cls, self.spec, self.skipped = cls, spec, skipped
@@ -171,7 +171,7 @@ class _Traced:
         self.faults: list[str] = []
 
     def all(self) -> None:
-        """Find the lags that are asked for, then trace every function."""
+        """Find the lags that the functions ask for, then trace every function."""
         functions = list(_functions(self.spec)) if self.spec.states else []
         functions = [f for f in functions if not any(f[2] is other for other in self.skipped)]
         lags = Lags(self.spec)
@@ -201,7 +201,7 @@ class _Traced:
     def _ask(
         self, lags: Lags, kind: str, owner: str, function: Any, whole: bool, extra: int
     ) -> None:
-        """Note which lags a function asks for."""
+        """Record which lags a function asks for."""
         notes: list[Asking] = []
 
         def past(*given: Any) -> Asking:
@@ -231,7 +231,7 @@ class _Traced:
         closed = trace.trace(self.spec, call, extra)
         trace.require_wide(self.cls, closed, function)
         trace.require_repeatable(self.cls, self.spec, call, extra, closed, function)
-        if kind == "output":  # which no reader of traces asks for
+        if kind == "output":  # no other reader needs the trace of an output
             return
         trace.require_real(closed)
         if kind != "flow":
@@ -245,7 +245,13 @@ class _Traced:
     def _plain_lag(
         self, name: str, function: Any, numbers: list[int], place: int, extra: int
     ) -> Any:
-        """The trace of a lag, refused where it is itself seen in the past."""
+        """The trace of a lag.
+
+        Raises
+        ------
+        ValueError
+            If the lag itself depends on the past or on an impact speed.
+        """
         lag = self._lag(function, numbers, place)
         if not plain(trace.trace(self.spec, lag, extra), len(self.spec.parameters), extra):
             raise ValueError(
@@ -257,7 +263,7 @@ class _Traced:
         return closed
 
     def _lag(self, function: Any, numbers: list[int], place: int) -> Callable[..., Any]:
-        """The lag of one of a function's calls of ``past``, as a function."""
+        """The lag passed in call number ``place`` of ``past``, as a function."""
         made: list[Past] = []
 
         def past(*given: Any) -> Past:
@@ -281,18 +287,18 @@ def require_written(closed: Any, derived: bool = False) -> None:
 
 
 def _label(kind: str, owner: str) -> str:
-    """How messages name a function."""
+    """The name of a function in messages."""
     return f"{OWNERS[kind]} {owner}" + ("" if kind in ("flow", "output") else f", {kind}")
 
 
 def _captured(cls: type, spec: Spec) -> Iterator[tuple[str, Captured]]:
-    """What each function of a class sees besides its arguments, with the function's label."""
+    """What each function of a class reads besides its arguments, with the function's label."""
     for kind, owner, function, *_ in _functions(spec):
         yield from ((_label(kind, owner), found) for found in captured(cls, function))
 
 
 def _functions(spec: Spec) -> Iterator[tuple[str, str, Any, bool, int]]:
-    """Kind, owner, function, whether it gives a whole state, numbers it takes besides."""
+    """Yield kind, owner, function, whether it returns a whole state, number of extra arguments."""
     for mode in spec.modes:
         yield "flow", mode.name, mode.flow, True, 0
     for edge in spec.transitions:
@@ -309,12 +315,12 @@ def _functions(spec: Spec) -> Iterator[tuple[str, str, Any, bool, int]]:
     for switching in spec.switchings:
         yield "surface", switching.name, switching.surface, False, 0
     for output in spec.outputs:
-        if not looks_back(output.function):  # which is a fault, and said so
+        if not looks_back(output.function):  # a fault that outputs.faults reports
             yield "output", output.name, output.function, False, 0
 
 
 def _register_pytree(cls: type) -> None:
-    """Make the model a pytree; it is rebuilt without validators."""
+    """Register the model as a pytree; unflattening skips the validators."""
     import jax
 
     names = [parameter.name for parameter in cls.spec.parameters]  # type: ignore[attr-defined]
@@ -345,15 +351,15 @@ def require_no_discrete(model: Any, what: str, instead: str) -> None:
 
 
 def require_model(model: Any) -> None:
-    """Refuse what is no instance of a model, and one whose functions would now be others.
+    """Refuse anything but a model instance, and a model whose captured values have changed.
 
     Raises
     ------
     OptionError
-        If it is no instance of a model.
+        If ``model`` is not an instance of a model.
     DeclarationError
-        If a global, a variable of an outer function or a class attribute that its functions read
-        has changed since the class was made.
+            If a global, a closure variable or a class attribute that its functions read has changed
+        since the class was made.
     """
     if not hasattr(model, "spec"):
         what = "an instance: write Model()" if isinstance(model, type) else repr(type(model))

@@ -1,4 +1,4 @@
-"""From the markers of a class body to a spec, and a list of what is wrong with them."""
+"""Turns the markers of a class body into a spec and a list of faults."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ from .spec import (
 )
 from .vectors import elements, length
 
-#: Attributes that a record, and a model, have of themselves.
+#: Attribute names that records and models use themselves.
 RECORDS = ("keys", "replace")
 MODELS = ("draw", "parameters", "samples", "spec", "traces")
 
 
 def _unguarded(self: Any, t: Any, s: Any) -> Any:
-    """The guard of an edge that has none."""
+    """Placeholder guard of an edge that has none."""
     return t
 
 
@@ -107,7 +107,7 @@ class Builder:
         )
 
     def names(self) -> None:
-        """Names that a model or a record needs for itself."""
+        """Report names that clash with those of a model or a record."""
         if "__init__" in vars(self.cls):
             self.faults.append(
                 "it has an __init__ of its own: declare what it needs, r = hy.parameter(0.5)"
@@ -126,7 +126,7 @@ class Builder:
                 )
 
     def discrete(self, marker: State) -> tuple[Any, ...]:
-        """Kind and default of a discrete variable."""
+        """Kind and default of a discrete variable; empty for a state."""
         if not isinstance(marker, Discrete):
             return ()
         if not marker.kind:
@@ -150,7 +150,7 @@ class Builder:
         return tuple(given) if whole else ()
 
     def check_defaults(self) -> None:
-        """Each default must be a value that the model could be given."""
+        """Report defaults that the model's own validators refuse."""
         try:
             self.cls(**{each.name: placeholder(each) for each in declared(self.markers)[0]})
         except ParameterError as fault:
@@ -224,7 +224,7 @@ class Builder:
         marker: ContactMarker,
         declared: tuple[Sequence[StateSpec], tuple[ParameterSpec, ...], Any],
     ) -> list[ContactSpec]:
-        """The contact of a marker; of an array of gaps its contacts."""
+        """The contacts of a marker: one, or one per element where the gap is an array."""
         contact = self.contact(marker, declared[1])
         count = length(self.cls, *declared, contact.guard)
         if count == 0:
@@ -232,7 +232,7 @@ class Builder:
         return elements(contact, count) if count else [contact]
 
     def clock(self, where: str, marker: EdgeMarker, source: str, to: str) -> EdgeSpec:
-        """An edge that fires at given times; without any where these are none."""
+        """The edge as a clock; the plain edge if its times have faults."""
         assert marker.times is not None
         own = EdgeSpec(
             marker.name, source, to, _unguarded, marker.crossing, marker.reset, when=marker.when
@@ -275,7 +275,7 @@ class Builder:
         )
 
     def alone(self, where: str, marker: Switching, modes: set[str]) -> None:
-        """The two modes of a switching may share no other, and have no contact."""
+        """Report modes of a switching that have a contact or belong to another switching."""
         for contact in self.of(ContactMarker):
             source = name_of(contact.mode)
             if source in modes:
@@ -291,7 +291,7 @@ class Builder:
                 )
 
     def slides(self) -> list[str]:
-        """Arc modes in which the state slides on a surface."""
+        """Names of the sliding arc modes."""
         return [f"slide({marker.name})" for marker in self.of(Switching) if marker.slides]
 
     def restitution(self, where: str, given: Any, names: list[str]) -> Callable[..., Any]:

@@ -1,8 +1,9 @@
-"""What a model's functions see besides their arguments: globals, closures, class attributes.
+"""What a model's functions read besides their arguments: globals, closures, class attributes.
 
-A function is traced once, when its class is defined; what it sees then is part of the model for
-good. A value that changes later would be ignored without a word, and a value that is new at each
-call (a random number, a clock, a counter) frozen. Both are told to the author.
+A function is traced once, when its class is defined, and the values it reads then become constants
+of the model. A value that changes later would be ignored silently, and a value that differs from
+call to call (a random number, the time, a counter) would be frozen. Both are reported to the
+author.
 """
 
 from __future__ import annotations
@@ -16,25 +17,25 @@ from typing import Any
 import attrs
 import numpy as np
 
-#: Packages whose functions give the same for the same arguments ...
+#: Packages whose functions are taken to be pure ...
 PURE = ("jax", "math", "cmath", "numpy", "builtins", "operator", "functools", "hybrid")
 
-#: ... but for those that have this in their names.
+#: ... except those with this in their names.
 RANDOM = "random"
 
-#: Types whose values cannot change.
+#: Types whose values are immutable.
 IMMUTABLE = (int, float, complex, str, bytes, bool, type(None), np.generic)
 
-#: Longest text of a value, in characters, that a message shows.
+#: Longest repr of a value, in characters, that a message shows.
 SHOWN_CHARACTERS = 40
 
-#: Depth to which lists, mappings and objects are compared.
+#: Depth to which containers and objects are compared.
 COMPARED_DEPTH = 3
 
 
 @attrs.frozen(eq=False)
 class Captured:
-    """A name in a function, and the value that it had when the class was made.
+    """A name that a function reads, with its value when the class was made.
 
     Attributes
     ----------
@@ -42,7 +43,7 @@ class Captured:
         The function that reads it.
     name : str
     owner : type or None
-        The class whose attribute it is; None for a global or a variable of an outer function.
+        The class whose attribute it is; None for a global or a closure variable.
     value : object
         A copy (see :func:`_copy`).
     """
@@ -53,7 +54,7 @@ class Captured:
     value: Any
 
     def change(self) -> str | None:
-        """What has changed since, as part of a sentence; None if nothing has."""
+        """A clause that says what has changed since; None if nothing has."""
         now = _look_up(self.function, self.name, self.owner)
         if now is self.value or (self.value is OPAQUE and isinstance(now, types.ModuleType)):
             return None
@@ -67,7 +68,7 @@ class Captured:
 
 
 class _Missing:
-    """Stands for a name that has no value (any more)."""
+    """Stands for a name without a value."""
 
     def __repr__(self) -> str:
         return "undefined"
@@ -81,19 +82,19 @@ MISSING, OPAQUE = _Missing(), _Opaque()
 
 
 def captured(cls: type | None, function: Any) -> Iterator[Captured]:
-    """All names outside itself that a function reads, those of functions it calls included."""
+    """All outer names that a function reads, directly or through functions that it calls."""
     for read in _reads(cls, function, set()):
         yield Captured(*read, _copy(_look_up(*read)))
 
 
 def values(cls: type | None, function: Any) -> Iterator[tuple[str, Any]]:
-    """Names and values that a function reads, as they are now."""
+    """Names and current values that a function reads."""
     for read in _reads(cls, function, set()):
         yield read[1], _look_up(*read)
 
 
 def may_vary(cls: type, function: Any) -> list[str]:
-    """By what two calls with the same arguments might differ, as far as names tell."""
+    """Names that could make two calls with the same arguments differ."""
     reads = list(_reads(cls, function, set()))
     readers = dict.fromkeys([function, *(reader for reader, _, _ in reads)])
     found = [name for reader in readers for name in _stores(reader)]
@@ -104,7 +105,7 @@ def may_vary(cls: type, function: Any) -> list[str]:
 def _varies(reader: types.FunctionType, value: Any) -> bool:
     if isinstance(value, (*IMMUTABLE, types.FunctionType, np.ndarray)):
         return False
-    if isinstance(value, list | dict | set):  # may hold a counter
+    if isinstance(value, list | dict | set):  # could hold a counter
         return True
     module = value.__name__ if isinstance(value, types.ModuleType) else _module(value)
     pure = module.split(".")[0] in PURE and RANDOM not in module
@@ -112,7 +113,7 @@ def _varies(reader: types.FunctionType, value: Any) -> bool:
 
 
 def _module(value: Any) -> str:
-    """The module of a function or class; of an object, or of its method, that of its class."""
+    """The module of a function or class; for an object or a bound method, that of its class."""
     owner = getattr(value, "__self__", None)
     if owner is not None and not isinstance(owner, types.ModuleType):
         return type(owner).__module__
@@ -123,8 +124,8 @@ def _module(value: Any) -> str:
 def _reads(
     cls: type | None, function: Any, seen: set[int]
 ) -> Iterator[tuple[types.FunctionType, str, type | None]]:
-    """Function, name and owning class of everything read, functions that are called included."""
-    function = inspect.unwrap(getattr(function, "__func__", function))  # of jax.jit, for example
+    """Yield (function, name, owning class) for every read, called functions included."""
+    function = inspect.unwrap(getattr(function, "__func__", function))  # e.g. of jax.jit
     if not isinstance(function, types.FunctionType) or id(function) in seen:
         return
     seen.add(id(function))
@@ -138,14 +139,14 @@ def _reads(
 
 
 def _outer_names(function: types.FunctionType) -> list[str]:
-    """Globals and variables of outer functions that a function reads."""
+    """Globals and closure variables that a function reads."""
     names = dict.fromkeys(function.__code__.co_freevars)
     names.update(dict.fromkeys(n for n in _globals(function.__code__) if n in function.__globals__))
     return list(names)
 
 
 def _is_attribute(cls: type | None, name: str) -> bool:
-    """Whether a name is an attribute that the author gave the class, its methods included."""
+    """Whether a name is an attribute or method that the author gave the class."""
     owner = next((base for base in getattr(cls, "__mro__", ()) if name in vars(base)), None)
     if owner is None or owner.__module__.split(".")[0] in ("hybrid", "builtins"):
         return False
@@ -175,7 +176,7 @@ def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
 
 
 def _globals(code: types.CodeType) -> list[str]:
-    """Names that are read as globals, not as attributes."""
+    """Names read as globals rather than as attributes."""
     instructions = (i for inner in _codes(code) for i in dis.get_instructions(inner))
     return [i.argval for i in instructions if i.opname in ("LOAD_GLOBAL", "LOAD_NAME")]
 
@@ -186,7 +187,7 @@ def _all_names(code: types.CodeType) -> list[str]:
 
 
 def _stores(function: Any) -> list[str]:
-    """The globals, and the variables of outer functions, that a function changes."""
+    """Globals and closure variables that a function assigns."""
     code = getattr(function, "__code__", None)
     if code is None:
         return []
@@ -196,7 +197,7 @@ def _stores(function: Any) -> list[str]:
 
 
 def _copy(value: Any, depth: int = COMPARED_DEPTH) -> Any:
-    """A value that can be compared later, whatever happens to the one given."""
+    """A snapshot that stays comparable if the original value is mutated."""
     if isinstance(value, (*IMMUTABLE, _Missing)):
         return value
     if isinstance(value, types.FunctionType):
@@ -213,7 +214,7 @@ def _copy(value: Any, depth: int = COMPARED_DEPTH) -> Any:
 
 
 def _code_of(code: types.CodeType) -> tuple[Any, ...]:
-    """What a function does, wherever it stands in its file."""
+    """What a function does, independent of its position in the file."""
     constants = (_code_of(c) if isinstance(c, types.CodeType) else c for c in code.co_consts)
     return code.co_code, code.co_names, *map(repr, constants)
 

@@ -1,9 +1,9 @@
 """Random numbers in resets: ``draw.uniform()``, ``draw.normal()``.
 
-They are a function of the seed, the lane, the number of the jump among those that draw, and the
-call in it, so every solver sees the same ones, and a derivative sees constants. Two discrete
-variables of the model hold what they are made of: ``stream``, from seed and lane, and ``draws``,
-which counts those jumps.
+A number is a function of the seed, the lane, the count of drawing jumps so far and the call within
+the reset. Every solver therefore sees the same numbers, and a derivative sees constants. The model
+stores these inputs in two discrete variables: ``stream`` (seed and lane) and ``draws`` (the count
+of drawing jumps).
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from typing import Any
 from ..errors import OptionError
 from .record import Record
 
-#: Names and descriptions of the discrete variables of a model that draws.
+#: Names and descriptions of the discrete variables added to a model that draws.
 DRAWS, STREAM = "draws", "stream"
 DOCS = {DRAWS: "jumps so far that have drawn", STREAM: "seed times 2^26, plus lane"}
 
-#: Words have as many bits as two of which the product is exact in doubles.
+#: Number of values of a 26-bit word; the product of two words is exact in a double.
 WORD = 2.0**26
 
-#: Multipliers and steps of the keys: the first 26 bits of those of Philox4x32, made odd.
+#: Multipliers and key increments: the first 26 bits of those of Philox4x32, made odd.
 MULTIPLIERS = float(0xD2511F53 >> 6 | 1), float(0xCD9E8D57 >> 6 | 1)
 KEY_STEPS = float(0x9E3779B9 >> 6 | 1), float(0xBB67AE85 >> 6 | 1)
 PHILOX_ROUNDS = 16
@@ -37,7 +37,7 @@ def draws(function: Any) -> bool:
 
 
 def counted(place: int, call: Any) -> Any:
-    """A traced reset, ``draws`` being at that place of the state, for which its jump counts."""
+    """A traced reset that first increments ``draws``, at index ``place`` of the state."""
 
     def reset(parameters: Any, t: Any, x: Any, *extra: Any) -> Any:
         import jax.numpy as jnp
@@ -49,12 +49,12 @@ def counted(place: int, call: Any) -> Any:
 
 
 def stream(model: str, seed: Any) -> float:
-    """The number of the stream of lane 0; the lane is added to it.
+    """The stream number of lane 0; the lane number is added to it.
 
     Raises
     ------
     OptionError
-        If the seed is no whole number from 0 to 2^26 - 1.
+        If the seed is not a whole number from 0 to 2^26 - 1.
     """
     try:
         fits = seed == int(seed) and 0 <= seed < WORD
@@ -66,29 +66,29 @@ def stream(model: str, seed: Any) -> float:
 
 
 def has_stream(start: Any) -> bool:
-    """Whether a start says what its stream is."""
+    """Whether a start gives its own stream."""
     return isinstance(start, Mapping | Record) and STREAM in start.keys()
 
 
 class Draw:
-    """``draw`` in the trace of a reset; each call gives another number."""
+    """The ``draw`` argument in the trace of a reset; each call gives a new number."""
 
     def __init__(self, state: Record) -> None:
         self._state, self._calls = state, 0
 
     def uniform(self) -> Any:
-        """A number between 0 and 1, both left out, each as likely as another."""
+        """A number uniformly distributed on the open interval (0, 1)."""
         return self._next()[0]
 
     def normal(self) -> Any:
-        """A number of the normal distribution of mean 0 and deviation 1."""
+        """A number of the standard normal distribution."""
         import jax.numpy as jnp
 
         one, other = self._next()  # Box and Muller 1958
         return jnp.sqrt(-2.0 * jnp.log(one)) * jnp.cos(2.0 * jnp.pi * other)
 
     def _next(self) -> tuple[Any, Any]:
-        """Two numbers between 0 and 1: those of the middle of a 52-bit cell."""
+        """Two numbers in (0, 1), each the midpoint of a cell of width 2^-52."""
         key, count = self._state[STREAM].astype(float), self._state[DRAWS].astype(float)
         (seed, lane), (high, low) = _words(key), _words(count)
         a, b, c, d = mixed((low, high, float(self._calls), 0.0), (seed, lane))
@@ -97,11 +97,11 @@ class Draw:
 
 
 def mixed(counter: Any, key: Any) -> Any:
-    """Four words of 26 bits that four words and a key determine, in doubles, exactly.
+    """Four 26-bit words, mixed from four words and a key in exact double arithmetic.
 
-    Philox (Salmon, Moraes, Dror and Shaw 2011) with sums where it has exclusive or, and more
-    rounds: a bit that changes in what goes in changes each bit with probability 1/2 from 16 on, as
-    far as 2^14 samples show; after 10 it does not.
+    This is Philox (Salmon, Moraes, Dror and Shaw 2011) with addition in place of exclusive or, and
+    with more rounds: in tests with 2^14 samples, flipping one input bit flips each output bit with
+    probability 1/2 from 16 rounds on, but not after 10.
     """
     (a, b, c, d), (k, m) = counter, key
     for _ in range(PHILOX_ROUNDS):
@@ -112,7 +112,7 @@ def mixed(counter: Any, key: Any) -> Any:
 
 
 def _words(number: Any) -> tuple[Any, Any]:
-    """The words of a whole number below 2^52, the higher first."""
+    """The high and low words of a whole number below 2^52."""
     import jax.numpy as jnp
 
     high = jnp.floor(number / WORD)

@@ -1,4 +1,4 @@
-"""Clocks: the times at which an edge fires, as functions of time and parameters."""
+"""Clocks: the firing times of an edge as functions of time and parameters."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Given = Any
 
 
 def faults(times: Times, parameters: Sequence[str]) -> Iterator[str]:
-    """What is wrong with the times of an edge, as far as numbers show it."""
+    """What is wrong with the declared times of an edge, as far as their values are known."""
     if not (times.at is None or times.every is None):
         yield "at= together with every=; give one of them"
     named = [given for given in _given(times) if isinstance(given, str)]
@@ -34,14 +34,14 @@ def faults(times: Times, parameters: Sequence[str]) -> Iterator[str]:
 
 
 def _given(times: Times) -> list[Given]:
-    """The numbers and names that are given, one by one."""
+    """The given numbers and names, one by one."""
     if times.at is None:
         return [times.every, times.offset]
     return [times.at] if np.ndim(times.at) == 0 else list(times.at)
 
 
 def _disorder(times: Times, named: dict[str, Any]) -> Iterator[str]:
-    """What is wrong with the values of times, where all are known."""
+    """What is wrong with times whose values are all known."""
     values = [np.ravel(named.get(g, g) if isinstance(g, str) else g) for g in _given(times)]
     if times.at is None:
         period = values[0]
@@ -53,11 +53,11 @@ def _disorder(times: Times, named: dict[str, Any]) -> Iterator[str]:
     rows = np.concatenate(values).astype(float).tolist()
     pairs = [(a, b) for a, b in itertools.pairwise(rows) if not a < b]
     if pairs:
-        yield f"at={times.at!r} has {pairs[0][1]!r} behind {pairs[0][0]!r}; give increasing times"
+        yield f"at={times.at!r} has {pairs[0][1]!r} after {pairs[0][0]!r}; give increasing times"
 
 
 def require_clocks(model: Any, spec: Spec) -> None:
-    """Refuse values of parameters that make no times.
+    """Refuse parameter values that give a clock no valid times.
 
     Raises
     ------
@@ -72,8 +72,10 @@ def require_clocks(model: Any, spec: Spec) -> None:
 
 
 def first_after(times: Times) -> Callable[..., Any]:
-    """The function of a model that gives the first of the times behind ``t``; infinite where
-    there is none. A time is ``k * period + offset``, of whole numbers k."""
+    """A model function: the first firing time after ``t``, infinite if there is none.
+
+    Periodic times are ``k * period + offset`` for whole numbers k.
+    """
 
     def periodic(self: Any, t: Any, s: Any) -> Any:
         import jax.numpy as jnp
@@ -93,8 +95,10 @@ def first_after(times: Times) -> Callable[..., Any]:
 
 
 def from_nearest(times: Times) -> Callable[..., Any]:
-    """The function of a model that gives the way from ``t`` to the nearest of the times: what the
-    edge's guard is beside its zeros, for derivatives."""
+    """A model function: the signed distance from ``t`` to the nearest firing time.
+
+    It serves as the clock's guard where derivatives need one.
+    """
 
     def periodic(self: Any, t: Any, s: Any) -> Any:
         import jax.numpy as jnp
@@ -124,7 +128,7 @@ def _listed(model: Any, times: Times) -> Any:
 
 
 def clock(spec: Any, times: Times) -> ClockSpec:
-    """An edge with these times instead of a guard."""
+    """The edge ``spec`` as a clock with these times in place of a guard."""
     own = {f.name: getattr(spec, f.name) for f in attrs.fields(type(spec))}
     own |= {"guard": from_nearest(times), "after": first_after(times), "times": times}
     return ClockSpec(**own)

@@ -1,4 +1,4 @@
-"""A digest of all that a class of models says: two processes know by it that they have the same."""
+"""A digest of a class of models, by which two processes recognise the same class."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-#: Where in memory something is, in its text.
+#: Memory address in a repr.
 PLACE = re.compile(r" at 0x[0-9a-fA-F]+")
 
 
 def digest(cls: Any) -> str:
-    """What a class declares, what was traced, and what its functions see besides."""
+    """SHA-256 of what a class declares, its traces, and the values that its functions capture."""
     parts = list(_parts(cls))
     return sha256("\0".join(PLACE.sub("", part) for part in parts).encode()).hexdigest()
 
@@ -29,7 +29,7 @@ def _parts(cls: Any) -> Iterator[str]:
 
 
 def _text(value: Any) -> str:
-    """All of a value; a large array's own text is shortened."""
+    """The full text of a value; repr would shorten a large array."""
     if isinstance(value, tuple):
         return f"({', '.join(map(_text, value))})"
     if isinstance(value, dict):

@@ -1,7 +1,7 @@
-"""Variables that only jumps change: ``count = hy.discrete(0)``.
+"""Discrete variables, which only jumps change: ``count = hy.discrete(0)``.
 
-They stand behind the states in the state vector, with derivative zero. What is declared with a
-whole number or a flag is one wherever an author or a user sees it.
+They follow the states in the state vector and have derivative zero. One declared with a whole
+number or a flag is an integer or a boolean wherever an author or a user sees it.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import numpy as np
 from ..errors import FlowError
 from .markers import State
 
-#: Kinds by the letters of numpy's types.
+#: Kind of a discrete variable, by numpy's dtype letters.
 KIND_OF = {"b": "bool", "i": "int", "u": "int", "f": "float"}
 
-#: Whole numbers up to this are doubles, each of them.
+#: All whole numbers up to this are exact in a double.
 MOST_EXACT = 2.0**53
 
-#: What a reset must give for a kind, by the letters of numpy's types, and how to say so.
+#: Dtype letters that a reset may return for each kind, and the remedy for others.
 DUE_KINDS = {"int": "iu", "bool": "b", "float": "iufb"}
 KIND_REMEDIES = {
     "int": "a whole number is due: jnp.floor(...).astype(int), or declare hy.discrete(0.0)",
@@ -37,7 +37,7 @@ class Discrete(State):
 
     @property
     def kind(self) -> str:
-        """``"int"``, ``"float"`` or ``"bool"``; empty where the default is no such number."""
+        """``"int"``, ``"float"`` or ``"bool"``; empty if the default is no such value."""
         try:
             value = np.asarray(self.default)
         except ValueError:
@@ -67,12 +67,12 @@ def discrete(default: Any = 0, doc: str = "") -> Any:
 
 
 def typed(name: str, kind: str, part: np.ndarray) -> np.ndarray:
-    """Numbers of a run as what was declared; as they are where they are none.
+    """Values of a run converted to the declared kind; unchanged if any is not finite.
 
     Raises
     ------
     FlowError
-        If a whole number is too large for a double to be exact.
+        If a whole number is too large to be exact in a double.
     """
     if kind == "bool" and np.isfinite(part).all():
         return part > 0.5
@@ -80,14 +80,14 @@ def typed(name: str, kind: str, part: np.ndarray) -> np.ndarray:
         return part
     if np.any(np.abs(part) > MOST_EXACT):
         raise FlowError(
-            f"the discrete variable {name} has come to {np.abs(part).max():g}: whole numbers are "
+            f"the discrete variable {name} has reached {np.abs(part).max():g}: whole numbers are "
             "exact to 2^53 only; reset it before, or declare hy.discrete(0.0)"
         )
     return np.rint(part).astype(np.int64)
 
 
 def traced(name: str, kind: str, part: Any) -> Any:
-    """The same in a trace."""
+    """The counterpart of :func:`typed` for traces."""
     import jax.numpy as jnp
 
     if kind == "bool":
@@ -96,12 +96,12 @@ def traced(name: str, kind: str, part: Any) -> Any:
 
 
 def number(name: str, kind: str, part: Any) -> Any:
-    """The numbers as they are."""
+    """``part`` unchanged: the counterpart of :func:`typed` that converts nothing."""
     return part
 
 
 def require_kind(name: str, kind: str, dtype: Any) -> None:
-    """Refuse a reset's value of another kind.
+    """Refuse a reset's value whose dtype does not fit the kind.
 
     Raises
     ------
@@ -112,9 +112,9 @@ def require_kind(name: str, kind: str, dtype: Any) -> None:
 
 
 def misfit(kind: str, values: np.ndarray) -> str | None:
-    """Why values at the start are none of a kind; None if they are."""
+    """Why start values do not fit a kind; None if they do."""
     if kind == "int" and not np.all((values == np.rint(values)) & (np.abs(values) <= MOST_EXACT)):
-        return "is no whole number up to 2^53"
+        return "is not a whole number up to 2^53"
     if kind == "bool" and not np.all((values == 0) | (values == 1)):
         return "is neither True nor False"
     return None

@@ -71,7 +71,7 @@ class Mode(_Named):
 
 @attrs.frozen(eq=False)
 class Times:
-    """When an edge fires that has no guard: at given times, or ``every`` period."""
+    """Firing times of a clock: the list ``at``, or every ``every`` from ``offset``."""
 
     at: Any
     every: Any
@@ -120,7 +120,7 @@ class Switching(_Named):
 
 
 def state(unit: str = "", doc: str = "", shape: tuple[int, ...] = ()) -> Any:
-    """Declare a coordinate of the state.
+    """Declare a coordinate of the state. The order of declaration is the order in the state vector.
 
     The order of declaration is the order in the state vector. A state has no default: its value at
     the start is given to :func:`hybrid.simulate`.
@@ -205,7 +205,7 @@ def _bounds(positive: bool, between: tuple[float, float] | None) -> Callable[...
 
 
 def _is_traced(value: Any) -> bool:
-    """Whether a value is known only when JAX runs: nothing can be checked of it."""
+    """Whether a value is a JAX tracer, whose number cannot be checked."""
     jax = None if isinstance(value, float | int) else sys.modules.get("jax")
     return jax is not None and isinstance(value, jax.core.Tracer)
 
@@ -254,8 +254,7 @@ def edge(
     every: Any = None,
     offset: Any = 0.0,
 ) -> Any:
-    """Declare an edge: ``@hy.edge(source, to=mode, guard=...)`` over its reset, or a clock:
-    ``@hy.edge(source, every=0.1)``.
+    """Declare an edge, ``@hy.edge(source, to=mode, guard=...)``, or a clock.
 
     Without a reset, ``name = hy.edge(source, to=mode, guard=...)``, the state does not change.
 
@@ -276,7 +275,7 @@ def edge(
     urgent : bool
         Whether the edge also fires if its guard is already beyond zero when the mode is entered.
     at : number, name of a parameter, or sequence of these
-        The increasing times at which the edge fires, instead of a guard; a parameter may be an
+            Increasing times at which the edge fires, instead of a guard; a parameter may be an
         array of times.
     every, offset : number or name of a parameter
         The edge fires at ``k * every + offset`` for all integers k. It does not fire at the first
@@ -300,7 +299,7 @@ def edge(
 
 
 def _unchanged(self: Any, t: Any, s: Any) -> Any:
-    """The reset of an edge that is given none."""
+    """The reset of an edge declared without one."""
     return s
 
 
@@ -342,9 +341,9 @@ def contact(
 
     Notes
     -----
-    The impulse acts along ``W grad_q(gap)`` on the velocities, where ``q`` are the
-    positions in the gap and ``W`` the inverse mass; a moving gap's own speed is
-    ``u = d(gap)/dt`` along the flow, and the impact maps ``u`` to ``-r u``.
+    The impulse changes the velocities along ``W grad_q(gap)``, where ``q`` are the positions in the
+    gap and ``W`` the inverse mass matrix. The gap speed is ``u = d(gap)/dt`` along the flow, the
+    motion of the obstacle included; the impact maps ``u`` to ``-r u``.
     """
     return ContactMarker(mode, gap, restitution, rests, inverse_mass)
 
@@ -387,12 +386,12 @@ def is_parameter(value: Any) -> bool:
 
 
 def name_of(mode: Any) -> Any:
-    """The name of a mode given by its marker or its name."""
+    """The name of a mode, given as a marker or a name."""
     return mode.name if isinstance(mode, Mode) else mode
 
 
 def is_number(value: Any) -> bool:
-    """Whether ``value`` is a finite real number (and not a flag)."""
+    """Whether ``value`` is a finite real number and not a bool."""
     if isinstance(value, bool):
         return False
     try:

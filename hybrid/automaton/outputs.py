@@ -1,7 +1,6 @@
-"""Outputs: what a state means, by name, worked out where somebody asks for it.
+"""Outputs: named functions of time and state, evaluated on demand.
 
-No solver and no rule knows of them. They are the author's own methods, made functions of many
-times at once by JAX.
+Solvers and rules do not know them. They are the author's own methods, vectorised over times by JAX.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ class Output(_Named):
 
 
 def _asked(function: Callable[..., Any], model: Any, t: Any, s: Any) -> Any:
-    """A method's value at a record, or at a dict as functions of :func:`as_function` give it."""
+    """The method's value at a record, or at a dict of states (as :func:`as_function` returns)."""
     states = Record(tuple(s), tuple(s.values())) if isinstance(s, Mapping) else s
     return function(model, t, states)
 
@@ -65,7 +64,7 @@ def output(function: Callable[..., Any] | None = None, *, unit: str = "", doc: s
 
 
 def _hidden(body: Any) -> Callable[[Any], bool]:
-    """Whether a function takes the name that a state has in a class body."""
+    """A test whether a function shadows a state of the same name in the class body."""
     return lambda function: isinstance(body.f_locals.get(getattr(function, "__name__", "")), State)
 
 
@@ -75,7 +74,7 @@ def _said(function: Any) -> str:
 
 
 def faults(markers: Mapping[str, Any], inherited: Mapping[str, Any]) -> Iterator[str]:
-    """What is wrong with the outputs of a class, but for their signatures."""
+    """What is wrong with the outputs of a class, apart from their signatures."""
     for name, marker in markers.items():
         before = inherited.get(name)
         kinds = {type(each) for each in (marker, before)}
@@ -86,7 +85,7 @@ def faults(markers: Mapping[str, Any], inherited: Mapping[str, Any]) -> Iterator
 
 
 def numbers(call: Callable[..., Any]) -> Callable[..., Any]:
-    """``call`` with its result checked to be a number or an array of such."""
+    """``call`` with its result checked to be a real number or array."""
 
     def checked(parameters: Any, t: Any, x: Any) -> Any:
         import jax.numpy as jnp
@@ -98,7 +97,7 @@ def numbers(call: Callable[..., Any]) -> Callable[..., Any]:
 
 @lru_cache(maxsize=256)
 def _vectorised(cls: Any, name: str, lanes: bool) -> Callable[..., Any]:
-    """An output as a function of many times and states, and of parameters where ``lanes``."""
+    """An output vectorised over times and states, and over parameters if ``lanes``."""
     import jax
 
     spec: Spec = cls.spec
@@ -110,16 +109,16 @@ def _vectorised(cls: Any, name: str, lanes: bool) -> Callable[..., Any]:
 def evaluated(
     spec: Spec, name: str, parameters: Sequence[Any], t: Any, x: Any, lanes: bool = False
 ) -> np.ndarray:
-    """An output at states ``x`` (last axis the coordinates) and times ``t``, one for each.
+    """Values of an output at states ``x`` (coordinates on the last axis) and times ``t``.
 
-    The result has the axes of ``t``, then its own. ``parameters`` are the parameters, then the data
-    of signals; with ``lanes`` the former have a first axis for the states, too. Rows are filled up
-    to a power of two: little is compiled for ever other numbers of times.
+    The result has the axes of ``t``, then those of the output. ``parameters`` are the parameters,
+    then the data of the signals; with ``lanes`` each parameter has a leading axis, one entry per
+    state. The number of rows is padded to a power of two, so few sizes are compiled.
 
     Raises
     ------
     OptionError
-        In a run that was loaded without its model.
+        If the run was loaded from a file without its model.
     """
     if spec.cls is None:
         raise OptionError(
@@ -142,16 +141,16 @@ def evaluated(
 
 
 def _filled(rows: np.ndarray, size: int) -> np.ndarray:
-    """Rows up to a number of them: the last again and again, or zeros where there is none."""
+    """Rows padded to ``size`` by repeating the last one, or with zeros if there is none."""
     if not len(rows):
         return np.zeros((size, *rows.shape[1:]))
     return np.concatenate([rows, np.broadcast_to(rows[-1], (size - len(rows), *rows.shape[1:]))])
 
 
 class Observed(Record):
-    """A record of a run: the states, and by name the outputs, worked out when asked for.
+    """A record of a run: its states, and by name its outputs, evaluated on demand.
 
-    What it unpacks to, iterates over and is compared by are the states.
+    Iteration, unpacking and comparison see the states only.
     """
 
     def __init__(self, spec: Spec, parameters: Mapping[str, Any], t: Any, x: Any) -> None:
@@ -179,17 +178,17 @@ class Observed(Record):
 
 
 def observed(spec: Spec, parameters: Mapping[str, Any], t: Any, x: Any) -> Record:
-    """The states ``x`` at times ``t`` of a run, with the model's outputs where it has any."""
+    """The states ``x`` at times ``t`` as a record, with outputs if the model has any."""
     return Observed(spec, parameters, t, x) if spec.outputs else spec.record(x)
 
 
 def require_outputs(spec: Spec, names: Any, taken: Sequence[str] = ()) -> list[str]:
-    """The outputs asked for by name, without those that are states.
+    """The output names among ``names``; names of states are left out.
 
     Raises
     ------
     OptionError
-        Where one is neither, or has a name that is taken.
+        If a name is neither a state nor an output, or is in ``taken``.
     """
     known = [output.name for output in spec.outputs]
     if isinstance(names, str) or not all(isinstance(name, str) for name in names):

@@ -1,8 +1,8 @@
-"""What a model sees of its past: ``past(lag)``, and the lags that it asks for.
+"""What a model sees of its past: ``past(lag)`` and the lags it asks for.
 
-In a trace the past is a polynomial in time, one for each lag: the record of the run on a *window*
-of the past. Its numbers are inputs of the trace, behind the parameters, so that every reader of
-the trace takes a model with delays for one without: on a window it is one.
+In a trace the past is, for each lag, a polynomial in time: the recorded trajectory on one *window*
+of the past. Its coefficients are inputs of the trace, after the parameters. On a window a model
+with delays is therefore an ordinary model for every reader of the trace.
 """
 
 from __future__ import annotations
@@ -27,10 +27,11 @@ class LagSpec:
     Attributes
     ----------
     name : str
-        For messages: the parameter, the number, or where it is asked for.
+        Name in messages: the parameter, the number, or the function that asks for it.
     value : float or None
-        A number; None where it is a parameter, or depends on time or state.
+        The lag if it is a constant; None if it is a parameter or depends on time or state.
     parameter : str or None
+        The parameter that is the lag, if one is.
     """
 
     name: str
@@ -47,23 +48,23 @@ def looks_back(function: Any) -> bool:
 
 
 def window_shapes(lags: Iterable[LagSpec], dimension: int) -> tuple[tuple[int, ...], ...]:
-    """Shapes of the windows' arrays: for each lag its frame and its coefficients.
+    """Shapes of the windows' arrays: a frame and a coefficient array for each lag.
 
-    The frame is the middle and half the length of the window; the coefficients are those of the
-    powers of the place in it, from -1 to 1, one row each.
+    The frame holds the midpoint and the half-length of the window. Row k of the coefficients
+    multiplies the k-th power of the window's local coordinate, which runs from -1 to 1.
     """
     return ((2,), (WINDOW_DEGREE + 1, dimension)) * len(tuple(lags))
 
 
 def blank(lags: Iterable[LagSpec], dimension: int, shown: float = np.nan) -> list[np.ndarray]:
-    """Windows that show the same everywhere; at first nothing."""
+    """Constant windows with value ``shown``; NaN, i.e. no value, by default."""
     rows = np.zeros((WINDOW_DEGREE + 1, dimension))
     rows[0] = shown
     return [np.array([0.0, 1.0]), rows] * len(tuple(lags))
 
 
 def remembered(spec: Any, vector: Any) -> Record:
-    """What is seen of a state in the past: what flows."""
+    """The part of a state that is recorded for delays: the flowing states."""
     whole = spec.record(vector, number)
     names = tuple(state.name for state in spec.flowing)
     label = "state that flows, which alone are remembered," if spec.discrete else "state"
@@ -71,9 +72,9 @@ def remembered(spec: Any, vector: Any) -> Record:
 
 
 class Past:
-    """``past`` in a trace: the record at ``t - lag``, from the windows of the lags asked for.
+    """``past`` in a trace: the record at ``t - lag``, evaluated from the windows.
 
-    ``numbers`` are those lags' places among the model's, in the order of the calls.
+    ``numbers`` are the indices of the lags among the model's, in the order of the calls.
     """
 
     def __init__(self, spec: Any, t: Any, windows: Any, numbers: Iterable[int]) -> None:
@@ -94,7 +95,7 @@ class Past:
 
 
 class Asking:
-    """``past`` while the lags are being found: it takes notes, and shows nothing."""
+    """``past`` during the search for lags: it records each lag and returns a dummy state."""
 
     def __init__(self, spec: Any, t: Any, *_: Any) -> None:
         self.spec, self.t = spec, t
@@ -111,7 +112,12 @@ class Asking:
 
 
 def _number(lag: Any) -> Any:
-    """A lag, refused where it is none whatever the time and state."""
+    """The lag, checked to be a scalar and, if known, finite and not negative.
+
+    Raises
+    ------
+    ValueError
+    """
     if isinstance(lag, str) or np.shape(lag) != ():
         what = repr(lag) if isinstance(lag, str) else f"of shape {np.shape(lag)}"
         raise ValueError(f"past(lag): the lag is {what}; one number is due")
@@ -121,9 +127,9 @@ def _number(lag: Any) -> Any:
 
 
 class Lags:
-    """The lags of a model as they are found, function by function.
+    """Collects the lags of a model, function by function.
 
-    ``numbers[kind, owner]`` lists the places in ``found`` of those that a function asks for.
+    ``numbers[kind, owner]`` lists, for one function, the indices in ``found`` of its lags.
     """
 
     def __init__(self, spec: Any) -> None:
@@ -132,7 +138,7 @@ class Lags:
         self.numbers: dict[tuple[str, str], list[int]] = {}
 
     def note(self, key: tuple[str, str], where: str, lags: list[Any], parameters: Any) -> None:
-        """Give each lag of a function its place; equal parameters and numbers share one."""
+        """Register the lags of one function; equal parameters and equal numbers share one entry."""
         names = [p.name for p in self.spec.parameters]
         by_identity = {id(value): name for name, value in zip(names, parameters, strict=True)}
         places: dict[int, int] = {}
@@ -155,9 +161,9 @@ class Lags:
 
 
 def plain(lag: Any, parameters: int, extra: int) -> bool:
-    """Whether a traced lag depends on parameters, ``t`` and ``x`` alone.
+    """Whether a traced lag depends on parameters, ``t`` and ``x`` only.
 
-    Its inputs are parameters, windows of the past, ``t``, ``x`` and ``extra`` numbers.
+    The inputs of the trace are parameters, windows of the past, ``t``, ``x`` and ``extra`` numbers.
     """
     jaxpr = lag.jaxpr
     needed = {id(v) for v in jaxpr.outvars}
@@ -170,14 +176,14 @@ def plain(lag: Any, parameters: int, extra: int) -> bool:
 
 
 def _is_known(lag: Any) -> bool:
-    """Whether a lag is a number when the class is defined."""
+    """Whether a lag is a number already when the class is defined."""
     import jax
 
     return not isinstance(lag, jax.core.Tracer)
 
 
 def asking(function: Callable[..., Any], past: Any) -> Callable[..., Any]:
-    """``function`` with its ``past`` given, where it takes one."""
+    """``function`` with its argument ``past`` bound, if it takes one."""
     if not looks_back(function):
         return function
     return partial(function, past=past)

@@ -1,4 +1,4 @@
-"""What a model looks like: points and lines in the plane, for moving pictures."""
+"""What a model looks like in the plane, as points and lines, for animations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..errors import OptionError
 from .spec import Spec
 from .trace import caller, wide
 
-#: What marks a method that draws.
+#: Attribute that marks a drawing method.
 MARK = "_hybrid_picture"
 
 
@@ -29,23 +29,23 @@ def picture(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def looks(spec: Spec, parameters: Any, t: Any, x: Any) -> list[np.ndarray]:
-    """The lines of a model at times ``t`` and states ``x``: of each an array ``(n, k, 2)``.
+    """The lines of a model at times ``t`` and states ``x``: arrays of shape ``(n, k, 2)``.
 
     Raises
     ------
     OptionError
-        If the model has no such method, or more than one, or it returns something else.
+        If the model does not have exactly one such method, or the method returns something else.
     """
     import jax
     import jax.numpy as jnp
 
     if spec.cls is None:
         what = f"load the run with its model, hy.load(path, {spec.model})"
-        raise OptionError(f"{spec.model}: no file holds what a model looks like: {what}")
+        raise OptionError(f"{spec.model}: a file does not contain the model's picture: {what}")
     found = [name for name in dir(spec.cls) if hasattr(getattr(spec.cls, name), MARK)]
     if len(found) != 1:
         there = f"it has {', '.join(found)}" if found else "it has no method with @hy.picture"
-        raise OptionError(f"{spec.model}: one method is to say what it looks like; {there}")
+        raise OptionError(f"{spec.model}: exactly one method must have @hy.picture; {there}")
     call = caller(spec.cls, spec, getattr(spec.cls, found[0]))
 
     def shapes(values: Any, t: Any, x: Any) -> list[Any]:

@@ -1,4 +1,4 @@
-"""Numbers that a caller gives: real ones, or a clear no."""
+"""Converts values given by a caller to real numbers, or refuses them."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def short(value: Any) -> str:
 
 
 def reals(value: Any) -> np.ndarray:
-    """A number, sequence or array as an array of floats.
+    """A number, sequence or array as a float array.
 
     Raises
     ------
     ValueError
-        If it is text, a date, complex, masked, without order, or too large for a float.
+        If the value is text, a date, complex, masked, a set or dict, or too large for a float.
     """
     if isinstance(value, float):
         return np.asarray(value, dtype=float)
@@ -48,7 +48,7 @@ def real(value: Any) -> float:
     Raises
     ------
     ValueError
-        If it is none.
+        If the value is not exactly one real number.
     """
     if isinstance(value, float):
         return float(value)

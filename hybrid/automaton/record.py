@@ -9,9 +9,8 @@ from typing import Any
 class Record:
     """Named values in declared order.
 
-    Fields are attributes; iteration yields the values of the first ``unpacked`` of them, which
-    are all but the discrete variables, and ``len`` counts these. ``changed`` are those that
-    :meth:`replace` was given.
+    Fields are attributes. Iteration yields, and ``len`` counts, the first ``unpacked`` values: all
+    except the discrete variables. ``changed`` names the fields that :meth:`replace` was given.
     """
 
     _fields: tuple[str, ...]

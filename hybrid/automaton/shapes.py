@@ -1,16 +1,16 @@
-"""What arrays hold, for annotations: their numbers and dimensions.
+"""Array types for annotations, with dtypes and dimensions.
 
-A size that has a letter is one size in all arguments of a call, and in what it returns: ``n`` is
-the number of coordinates of a state. ``_`` is any size.
+A named size is the same in all arguments and the result of one call: ``n`` is the number of
+coordinates of a state. ``_`` is any size.
 """
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
-#: A state, or what is added to one.
+#: A state, or an increment of one.
 StateVector = Float[np.ndarray, "n"]
 
-#: States, a row each.
+#: States, one per row.
 StateVectors = Float[np.ndarray, "_ n"]
 
 Numbers = Float[np.ndarray, "_"]

@@ -1,8 +1,8 @@
-"""Signals: inputs of a model that are given as data, at knots, and read at the present time.
+"""Signals: inputs of a model that are given as data and read at the present time.
 
-Between two knots a signal is a polynomial in time. In a trace it is that of the piece on which the
-present time is: its numbers are inputs of the trace, behind the parameters, so that data stay data
-however many there are. What reads a trace takes a model with signals for one without.
+Between two knots a signal is a polynomial in time. In a trace its current polynomial is an input,
+after the parameters, so the trace does not grow with the data. For every reader of the trace a
+model with signals is therefore an ordinary model.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from ..errors import OptionError, ParameterError
 from .reals import reals
 
-#: The degree of the polynomials of each kind, and what may be outside the data.
+#: Polynomial degree of each kind, and the choices for times outside the data.
 KIND_DEGREES = {"previous": 0, "linear": 1, "cubic": 3}
 BEYOND_DATA = ("error", "hold", "zero", "periodic")
 
@@ -37,7 +37,7 @@ class SignalSpec:
 
     @property
     def size(self) -> int:
-        """How many numbers a piece is: the time from which it counts, and its coefficients."""
+        """Numbers per piece: the time from which it counts, then its coefficients."""
         return 1 + (1 + KIND_DEGREES[self.kind]) * prod(self.shape)
 
 
@@ -106,14 +106,14 @@ def declared(markers: Mapping[str, Any]) -> tuple[tuple[SignalSpec, ...], list[s
 
 
 class Present:
-    """A signal in a trace: its value at the present time, by the numbers of its piece."""
+    """A signal in a trace: its value at the present time, from the coefficients of its piece."""
 
     def __init__(self, spec: SignalSpec, t: Any, piece: Any) -> None:
         self.spec, self.t, self.piece = spec, t, piece
 
     def __call__(self, t: Any) -> Any:
         here = t
-        while here is not self.t and hasattr(here, "primal"):  # a derivative by time
+        while here is not self.t and hasattr(here, "primal"):  # tracers of a time derivative
             here = here.primal
         if here is not self.t:
             name = self.spec.name
@@ -129,9 +129,10 @@ class Present:
 
 
 class Samples:
-    """The data of a signal of a model: knots, and the polynomials between them.
+    """The data of a model's signal: knots, and polynomials between them.
 
-    ``model.road(t)`` is its value at a time, or at an array of times (its first axes).
+    ``model.road(t)`` is the value at a time, or at an array of times (the leading axes of the
+    result).
 
     Attributes
     ----------
@@ -141,7 +142,7 @@ class Samples:
     Raises
     ------
     OptionError
-        When it is asked for a time outside its data, unless it is declared what is there.
+        When it is evaluated outside its data and declared with ``outside="error"``.
     """
 
     def __init__(self, spec: SignalSpec, times: np.ndarray, values: np.ndarray) -> None:
@@ -168,8 +169,11 @@ class Samples:
 
     @cached_property
     def table(self) -> np.ndarray:
-        """A row for each piece (:attr:`SignalSpec.size`): what is before the first knot, the pieces
-        between two knots, and what is behind the last; of a periodic signal the middle ones."""
+        """One row of :attr:`SignalSpec.size` numbers per piece.
+
+        The rows are the piece before the first knot, the pieces between knots, and the piece after
+        the last. A periodic signal uses the inner rows only.
+        """
         spec, times = self.spec, self.times
         values = self.values.reshape(len(times), -1)
         rows = np.zeros((len(times) + 1, 1 + KIND_DEGREES[spec.kind], values.shape[1]))
@@ -179,18 +183,18 @@ class Samples:
             rows[0, 0], rows[-1, 0] = values[0], values[-1]
         if spec.outside == "zero":
             rows[[0, -1]] = 0.0
-        if spec.outside == "error" and KIND_DEGREES[spec.kind]:  # it ends with its last time
+        if spec.outside == "error" and KIND_DEGREES[spec.kind]:  # the last piece includes its end
             rows[-1], since[-1] = rows[-2], since[-2]
         return np.column_stack([since, rows.reshape(len(rows), -1)])
 
     @property
     def period(self) -> float:
-        """The time after which it is the same again; infinite unless it is periodic."""
+        """The period; infinite unless the signal is periodic."""
         span = float(self.times[-1] - self.times[0])
         return span if self.spec.outside == "periodic" else np.inf
 
     def knots(self, t: float, last: float, count: int) -> np.ndarray:
-        """The next knots behind a time and before another, no more than so many."""
+        """Up to ``count`` knots after ``t`` and before ``last``."""
         times, period = self.times, self.period
         if np.isfinite(period):
             first = np.floor((t - times[0]) / period) - 1.0
@@ -200,7 +204,7 @@ class Samples:
         return times[begin : min(begin + count, int(np.searchsorted(times, last)))]
 
     def pieces(self, t: np.ndarray) -> np.ndarray:
-        """The rows of the pieces at some times, a knot belonging to the piece behind it."""
+        """The table rows that hold at times ``t``; a knot belongs to the piece after it."""
         times, period = self.times, self.period
         if not np.isfinite(period):
             return self.table[np.searchsorted(times, t, "right")]
@@ -215,13 +219,13 @@ class Samples:
         return rows
 
     def within(self, t: np.ndarray) -> np.ndarray:
-        """Of times, whether the signal is known there."""
+        """For each time, whether the signal is defined there."""
         if self.spec.outside != "error":
             return np.ones(np.shape(t), dtype=bool)
         return (self.times[0] <= t) & (t <= self.times[-1])
 
     def require(self, model: str, t0: float, t1: float) -> None:
-        """Refuse a run that gets to where the signal is not known.
+        """Refuse a run that leaves the times at which the signal is defined.
 
         Raises
         ------
@@ -250,19 +254,19 @@ class Samples:
 
 
 class EachLane:
-    """A signal of which each lane has its own data: a row of pieces is one lane's."""
+    """A signal with its own data in each lane; ``pieces`` returns one row per lane."""
 
     def __init__(self, lanes: Sequence[Samples]) -> None:
         self.lanes = lanes
 
     def pieces(self, t: np.ndarray) -> np.ndarray:
-        """The rows of the pieces at a time for each lane."""
+        """The table rows at one time per lane."""
         pairs = zip(self.lanes, t.reshape(-1, 1), strict=True)
         return np.concatenate([samples.pieces(when) for samples, when in pairs])
 
 
 def of_lanes(model: Any, given: Mapping[str, Any]) -> dict[str, list[Samples]]:
-    """By name the data of signals that are given lane by lane, in a list; else those of all.
+    """Data of the signals in ``given``, by name, as lists: one entry per lane, or one for all.
 
     Raises
     ------
@@ -279,7 +283,7 @@ def of_lanes(model: Any, given: Mapping[str, Any]) -> dict[str, list[Samples]]:
 
 
 def _between(spec: SignalSpec, times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """The coefficients of the pieces between the knots, by powers of the time from the first."""
+    """Coefficients of the pieces between the knots, in powers of the time since the left knot."""
     if spec.kind == "previous":
         return values[:-1, None]
     if spec.kind == "linear":
@@ -293,12 +297,12 @@ def _between(spec: SignalSpec, times: np.ndarray, values: np.ndarray) -> np.ndar
 
 
 def taken(model: str, specs: Sequence[SignalSpec], given: Mapping[str, Any]) -> dict[str, Samples]:
-    """The data of a model's signals, as it is given them.
+    """The data of a model's signals, checked.
 
     Raises
     ------
     ParameterError
-        If they are no data, or there are none.
+        If the data of a signal are missing or invalid.
     """
     missing = [spec.name for spec in specs if spec.name not in given]
     if missing:
@@ -324,7 +328,7 @@ def _taken(name: str, spec: SignalSpec, given: Any) -> Samples:
 
 
 def _pair(given: Any) -> tuple[Any, Any]:
-    """Times and values of what is given."""
+    """Times and values from a pair or a pandas or xarray series."""
     if hasattr(given, "dims") and hasattr(given, "coords"):  # xarray
         return given.coords[given.dims[0]].values, given.values
     if hasattr(given, "index") and hasattr(given, "to_numpy"):  # pandas
@@ -341,7 +345,7 @@ def _real(part: Any) -> np.ndarray:
 
 
 def _faults(spec: SignalSpec, times: np.ndarray, values: np.ndarray) -> Iterator[str]:
-    """What is wrong with data."""
+    """What is wrong with the data."""
     least = 3 if spec.kind == "cubic" and spec.outside == "periodic" else 2
     if times.ndim != 1 or len(times) < least:
         yield f"times of shape {times.shape}; give a row of {least} or more"
@@ -355,12 +359,12 @@ def _faults(spec: SignalSpec, times: np.ndarray, values: np.ndarray) -> Iterator
     elif spec.outside == "periodic" and spec.kind != "previous" and (values[0] != values[-1]).any():
         yield (
             f"it begins with {values[0].tolist()} and ends with {values[-1].tolist()}; a periodic "
-            "signal ends, a period later, with the value with which it begins"
+            "signal must end with its first value"
         )
 
 
 def blank(specs: Sequence[SignalSpec], shown: float = 0.0) -> list[np.ndarray]:
-    """Pieces that show the same everywhere."""
+    """Constant pieces with value ``shown``."""
     rows = [np.zeros(spec.size) for spec in specs]
     for spec, row in zip(specs, rows, strict=True):
         row[1 : 1 + prod(spec.shape)] = shown
@@ -368,6 +372,6 @@ def blank(specs: Sequence[SignalSpec], shown: float = 0.0) -> list[np.ndarray]:
 
 
 def placeholder(spec: SignalSpec) -> Samples:
-    """Data for a model that is made to look at its parameters only."""
+    """Dummy data, for a model made only to check its parameters."""
     times = np.arange(4.0)
     return Samples(spec, times, np.zeros((4, *spec.shape)))

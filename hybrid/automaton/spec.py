@@ -1,4 +1,4 @@
-"""One frozen description of a model, made once when its class is defined."""
+"""The frozen description of a model, made once when its class is defined."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ from .signals import SignalSpec
 
 @attrs.frozen
 class StateSpec:
-    """A coordinate: its place in the state vector is ``offset : offset + size``.
+    """A coordinate; it occupies ``offset : offset + size`` of the state vector.
 
-    ``kind`` and ``default`` are of a discrete variable: ``"int"``, ``"float"`` or ``"bool"``.
+    ``kind`` (``"int"``, ``"float"`` or ``"bool"``) and ``default`` are set for discrete variables
+    only.
     """
 
     name: str
@@ -50,7 +51,7 @@ class ParameterSpec:
 
 @attrs.frozen(eq=False)
 class OutputSpec:
-    """An output: its name, unit and description, and the method (not in a run from a file)."""
+    """An output: name, unit, description and method (None if the run was loaded from a file)."""
 
     name: str
     unit: str
@@ -60,7 +61,7 @@ class OutputSpec:
 
 @attrs.frozen(eq=False)
 class ModeSpec:
-    """A mode: its name and flow; the cycle of edges at whose limit it is entered."""
+    """A mode: its name, its flow, and the cycle of edges at whose limit it is entered."""
 
     name: str
     flow: Callable[..., Any]
@@ -69,7 +70,7 @@ class ModeSpec:
 
 @attrs.frozen(eq=False)
 class EdgeSpec:
-    """An edge: where it leads from and to, its guard and reset, and when it may fire."""
+    """An edge: source, target, guard, reset, and the condition under which it may fire."""
 
     name: str
     source: str
@@ -83,9 +84,10 @@ class EdgeSpec:
 
 @attrs.frozen(eq=False)
 class ClockSpec(EdgeSpec):
-    """An edge that fires at given times, whatever the state is.
+    """An edge that fires at given times, whatever the state.
 
-    ``after(self, t, s)`` is the first of them behind ``t``, and the guard the way to the nearest.
+    ``after(self, t, s)`` is the first firing time after ``t``; the guard is the signed distance to
+    the nearest one.
     """
 
     after: Callable[..., Any]
@@ -94,9 +96,9 @@ class ClockSpec(EdgeSpec):
 
 @attrs.frozen(eq=False)
 class ContactSpec:
-    """A unilateral contact; an edge from its mode to itself with a derived reset.
+    """A unilateral contact: an edge from its mode to itself, with a derived reset.
 
-    ``among``: the contacts that were declared with it, as one array of gaps.
+    ``among`` names all contacts that were declared with it as one array of gaps.
     """
 
     name: str
@@ -126,7 +128,7 @@ class SwitchingSpec:
 
     @property
     def ends(self) -> tuple[LeaveSpec, LeaveSpec]:
-        """What ends sliding, into the positive and into the negative side."""
+        """The two edges that end sliding, to the positive and to the negative side."""
         return (
             LeaveSpec(self.name, "positive", self.mode, self.positive, Crossing.RISING),
             LeaveSpec(self.name, "negative", self.mode, self.negative, Crossing.FALLING),
@@ -134,12 +136,12 @@ class SwitchingSpec:
 
     @property
     def mode(self) -> str:
-        """The arc mode in which the state slides."""
+        """The sliding arc mode."""
         return f"slide({self.name})"
 
     @property
     def sides(self) -> tuple[SideSpec, SideSpec]:
-        """The surface as it is watched from its two modes."""
+        """The surface as a guard of each of the two modes."""
         falling, rising = Crossing.FALLING, Crossing.RISING
         return (
             SideSpec(self.name, self.positive, self.negative, self.surface, falling),
@@ -149,7 +151,7 @@ class SwitchingSpec:
 
 @attrs.frozen(eq=False)
 class SideSpec:
-    """A switching seen from one of its modes: its surface is a guard that leads across."""
+    """A switching seen from one of its modes: its surface is the guard that leads across."""
 
     name: str
     source: str
@@ -160,7 +162,7 @@ class SideSpec:
 
 @attrs.frozen(eq=False)
 class LeaveSpec:
-    """The end of sliding into a side: its guard is the surface's rate under that side's flow."""
+    """The end of sliding to one side; the guard is the surface's rate along that side's flow."""
 
     switching: str
     side: str
@@ -177,7 +179,7 @@ Transition = EdgeSpec | ContactSpec | SideSpec | LeaveSpec
 
 
 def _of(cls: Any) -> Spec:
-    """The description of a class."""
+    """The spec of a class (unpickles a spec)."""
     spec: Spec = cls.spec
     return spec
 
@@ -186,9 +188,9 @@ def _of(cls: Any) -> Spec:
 class Spec:
     """The whole model.
 
-    ``states`` are those that flow, in declared order, and behind them the discrete variables.
-    ``transitions`` holds edges, contacts and the two sides of each switching, in declared order;
-    ``lags`` what its functions ask of the past.
+    ``states`` holds the flowing states in declared order, then the discrete variables.
+    ``transitions`` holds edges, contacts and the two sides of each switching, in declared order.
+    ``lags`` holds the lags that its functions ask for.
     """
 
     model: str
@@ -204,13 +206,12 @@ class Spec:
     cls: Any = attrs.field(default=None, eq=False, repr=False)
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """Pickled as that of its class; one of a run from a file has none."""
+        """Pickle a reference to the class; a spec loaded from a file is pickled whole."""
         return super().__reduce_ex__(protocol) if self.cls is None else (_of, (self.cls,))
 
     @property
     def windows(self) -> tuple[tuple[int, ...], ...]:
-        """Shapes of the pieces of signals, and of the windows of the past: they follow the
-        parameters in every trace."""
+        """Shapes of signal pieces and delay windows, which follow the parameters in traces."""
         pieces = tuple((signal.size,) for signal in self.signals)
         return (*pieces, *window_shapes(self.lags, self.dimension))
 
@@ -241,7 +242,7 @@ class Spec:
 
     @cached_property
     def flows(self) -> int:
-        """How many elements of the state vector flow; those behind them jump only."""
+        """Number of flowing elements; the elements of the state vector after them only jump."""
         return sum(state.size for state in self.flowing)
 
     @cached_property
@@ -251,12 +252,12 @@ class Spec:
         return tuple(edge.name for edge in edges if draws(edge.reset))
 
     def place(self, name: str) -> int:
-        """Where a state begins in the state vector."""
+        """The index at which a state begins in the state vector."""
         return self.states[self.names.index(name)].offset
 
     @property
     def element_names(self) -> tuple[str, ...]:
-        """A name for each element of the state vector: ``x``, ``q[0]``, ``q[1]``."""
+        """A name per element of the state vector: ``x``, ``q[0]``, ``q[1]``."""
         return tuple(
             state.name + (str(list(index)) if index else "")
             for state in self.states
@@ -264,25 +265,25 @@ class Spec:
         )
 
     def output(self, name: str) -> OutputSpec:
-        """The output of that name."""
+        """The output with this name."""
         return next(output for output in self.outputs if output.name == name)
 
     def mode_after(self, cycle: tuple[str, ...]) -> ModeSpec | None:
-        """The mode that its author has named for the limit of a cycle of edges."""
+        """The mode declared as the limit of a cycle of edges, if any."""
         return next((m for m in self.modes if m.limit_of and set(m.limit_of) == set(cycle)), None)
 
     def switching(self, name: str) -> SwitchingSpec:
-        """The switching of that name."""
+        """The switching with this name."""
         return next(switching for switching in self.switchings if switching.name == name)
 
     def sliding(self, mode: str) -> SwitchingSpec | None:
-        """The switching on whose surface an arc mode slides, if it does."""
+        """The switching whose sliding mode this is, if any."""
         return next((switching for switching in self.switchings if switching.mode == mode), None)
 
     def leaving(self, mode: str) -> tuple[Transition, ...]:
-        """What is watched in a mode, in declared order.
+        """The transitions watched in a mode, in declared order.
 
-        Where the state slides: its own edges, those of both modes, what ends sliding.
+        In a sliding mode: its own edges, those of both sides, then the two that end sliding.
         """
         watched = [edge for edge in self.transitions if not isinstance(edge, ClockSpec)]
         own = tuple(edge for edge in watched if edge.source == mode)
@@ -299,15 +300,16 @@ class Spec:
         return tuple(edge for edge in self.transitions if isinstance(edge, ClockSpec))
 
     def ringing(self, mode: str) -> tuple[ClockSpec, ...]:
-        """Those that fire in a mode; while the state slides, those of both sides do."""
+        """The clocks of a mode; in a sliding mode, those of both sides too."""
         switching = self.sliding(mode)
         sides = () if switching is None else (switching.positive, switching.negative)
         return tuple(clock for clock in self.clocks if clock.source in (mode, *sides))
 
     def record(self, vector: Any, of: Callable[..., Any] = typed) -> Record:
-        """The state vector (last axis the coordinates) as a record; it unpacks to what flows.
+        """The state vector (coordinates on the last axis) as a record of all states.
 
-        ``of`` makes of the name, kind and number of a discrete variable what is seen of it.
+        It unpacks to the flowing ones. ``of(name, kind, values)`` converts the values of a discrete
+        variable.
         """
         parts = []
         for state in self.states:
@@ -317,21 +319,21 @@ class Spec:
         return Record(self.names, tuple(parts), unpacked=len(self.flowing))
 
     def vector(self, record: Record) -> Any:
-        """A record (of columns, too) as the state vector."""
+        """A record, also of columns, as the state vector."""
         parts = [np.asarray(record[name], dtype=float) for name in self.names]
         lead = parts[0].shape[: parts[0].ndim - len(self.states[0].shape)]
         return np.concatenate([part.reshape((*lead, -1)) for part in parts], axis=-1)
 
     def values(self, record: Any, held: Any = None) -> list[Any]:
-        """The fields of a record, mapping or sequence in the order of the state vector.
+        """The fields of a record, mapping or sequence, in the order of the state vector.
 
-        Discrete variables may be left out, and a sequence has none: they are those of the record
-        ``held``, or their defaults.
+        Discrete variables may be omitted, as they are in a sequence; they then come from the record
+        ``held``, or are their defaults.
 
         Raises
         ------
         ValueError
-            If a field is missing, unknown, or there are too many or too few.
+            If a field is missing or unknown, or a sequence has the wrong length.
         """
         others = {s.name: s.default if held is None else held[s.name] for s in self.discrete}
         if isinstance(record, (dict, Mapping, Record)):
@@ -355,7 +357,7 @@ class Spec:
         return [*values, *others.values()]
 
     def require_rates(self, record: Any) -> None:
-        """Refuse the rates of what does not flow.
+        """Refuse a flow's result that gives rates of discrete variables.
 
         Raises
         ------

@@ -1,9 +1,9 @@
-"""One trace, many readers: a model's functions as jaxprs.
+"""Traces a model's functions as jaxprs, once for all readers.
 
-Every flow, guard and reset is traced once, when its class is defined, in 64 bits and with
-the parameters as inputs, so that changing a parameter traces nothing again. The signature
-is the same everywhere: ``(parameters, t, x, *extra)`` with ``parameters`` a tuple of arrays
-in declared order and ``x`` the state vector.
+Every flow, guard and reset is traced once, when its class is defined, in 64 bits and with the
+parameters as inputs, so that changing a parameter retraces nothing. All traces have the signature
+``(parameters, t, x, *extra)``, where ``parameters`` is a tuple of arrays in declared order and
+``x`` the state vector.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ Traced = Callable[..., Any]
 
 
 def wide() -> Any:
-    """A context in which JAX works in 64 bits; the user's own setting is left alone."""
+    """A context in which JAX uses 64 bits; the user's global setting is unchanged."""
     import jax
 
     return jax.enable_x64(True)
 
 
 def instance(cls: type, names: Sequence[str], values: Sequence[Any]) -> Any:
-    """A model built without validators, so that tracers pass through it."""
+    """A model built without validators, so that it may hold tracers."""
     model: Any = object.__new__(cls)
     for name, value in zip(names, values, strict=True):
         object.__setattr__(model, name, value)
@@ -51,8 +51,8 @@ def caller(
 ) -> Traced:
     """The author's ``function(self, t, s, ...)`` with the signature of this module.
 
-    Where it looks into the past, ``lags`` are the numbers of the lags it asks for; ``past`` makes
-    what it looks at.
+    For a function that takes ``past``, ``lags`` are the indices of its lags, and ``past(spec, t,
+    windows, lags)`` makes the object it is given.
     """
     count, given = len(spec.parameters), spec.signals
     names = spec.given
@@ -72,7 +72,7 @@ def caller(
 def vector(spec: Spec, call: Traced, rates: bool) -> Traced:
     """``call`` with its result (tuple, record, dict) flattened to a state vector.
 
-    ``rates``: of a flow, in which discrete variables rest.
+    With ``rates`` the result is a flow's, and discrete variables get rate zero.
     """
 
     def flat(parameters: Any, t: Any, x: Any, *extra: Any) -> Any:
@@ -97,7 +97,7 @@ def vector(spec: Spec, call: Traced, rates: bool) -> Traced:
 
 
 def scalar(call: Traced) -> Traced:
-    """``call`` with its result checked to be one number."""
+    """``call`` with its result checked to be one real number."""
 
     def one(parameters: Any, t: Any, x: Any, *extra: Any) -> Any:
         import jax.numpy as jnp
@@ -116,7 +116,7 @@ def scalar(call: Traced) -> Traced:
 
 
 def condition(call: Traced) -> Traced:
-    """``call`` as a number that is greater than 0 where its result is, or is true."""
+    """``call`` as a number: a truth value becomes 1 or -1; a number is unchanged."""
 
     def number(*given: Any) -> Any:
         import jax.numpy as jnp
@@ -128,7 +128,7 @@ def condition(call: Traced) -> Traced:
 
 
 def real_valued(array: Any, name: str) -> Any:
-    """The array given, unless it is complex: its imaginary part would be lost.
+    """``array``, refused if it is complex.
 
     Raises
     ------
@@ -145,7 +145,7 @@ def trace(spec: Spec, call: Traced, extra: int = 0, shapes: Sequence[Any] | None
     Parameters
     ----------
     shapes : sequence of tuple, optional
-        Shapes of the parameters and windows; those of the defaults if omitted.
+        Shapes of the parameters and windows; by default those of the parameters' defaults.
     """
     import jax
 
@@ -160,7 +160,7 @@ def trace(spec: Spec, call: Traced, extra: int = 0, shapes: Sequence[Any] | None
 
 
 def again(closed: Any) -> Traced:
-    """A traced function as a function that JAX can trace again (to differentiate it)."""
+    """A closed jaxpr as a function that JAX can trace again, for example to differentiate it."""
     from jax.extend.core import jaxpr_as_fun
 
     function = jaxpr_as_fun(closed)
@@ -172,13 +172,13 @@ def again(closed: Any) -> Traced:
 
 
 def require_wide(cls: type, closed: Any, function: Callable[..., Any]) -> None:
-    """Refuse a trace in which a 32-bit number takes part.
+    """Refuse a trace that contains a 32-bit number.
 
     Raises
     ------
     TraceError
-        Names the captured constant. It was made in 32 bits before this package could
-        widen it, so its digits are already lost.
+            Names the captured constant. It was rounded to 32 bits before this package saw it, so
+        its digits are lost.
     """
     narrow = next(_narrow(closed), None)
     if narrow is None:
@@ -191,7 +191,7 @@ def require_wide(cls: type, closed: Any, function: Callable[..., Any]) -> None:
 
 
 def _narrow(closed: Any) -> Iterator[Any]:
-    """Constants and values of fewer than 64 bits in a closed jaxpr, inner ones included."""
+    """Constants and values of fewer than 64 bits in a closed jaxpr, nested ones included."""
     for constant in closed.consts:
         if _is_narrow(constant):
             yield constant
@@ -205,18 +205,18 @@ def _narrow(closed: Any) -> Iterator[Any]:
 
 
 def require_real(closed: Any) -> None:
-    """Refuse a function that makes complex numbers or random keys on its way, or that prints.
+    """Refuse a function that computes complex numbers or random keys, or that prints.
 
     Raises
     ------
     TraceError
-        With the author's line.
+        Names the author's line.
     """
     for equation in closed.jaxpr.eqns:
         if not equation.outvars:
             raise TraceError(
-                f"a call of Python that gives nothing back ({line_of(equation)}the primitive "
-                f"{equation.primitive.name!r}); leave it out: run(t) and @hy.output show what is"
+                f"a call of Python without a result ({line_of(equation)}the primitive "
+                f"{equation.primitive.name!r}); leave it out; run(t) and @hy.output show values"
             )
         if equation.primitive.name == "scatter" and not _sets(equation):
             raise TraceError(
@@ -246,7 +246,7 @@ def _sets(equation: Any) -> bool:
 
 
 def line_of(equation: Any) -> str:
-    """The author's line that an equation is of; nothing where JAX does not know it."""
+    """The author's line behind an equation; empty if JAX does not know it."""
     from jax.extend.source_info_util import summarize
 
     found = re.match(r"(.+?):(\d+)", str(summarize(equation.source_info)))
@@ -271,7 +271,7 @@ def _captured_name(cls: type, function: Callable[..., Any], constant: Any) -> st
 def require_repeatable(
     cls: type, spec: Spec, call: Traced, extra: int, closed: Any, function: Callable[..., Any]
 ) -> None:
-    """Refuse a function that gives something else when it is traced again.
+    """Refuse a function that gives a different trace when it is traced again.
 
     Raises
     ------
@@ -280,7 +280,7 @@ def require_repeatable(
     names = may_vary(cls, function)
     if not names:
         return
-    second = trace(spec, lambda *given: call(*given), extra)  # JAX remembers what it has traced
+    second = trace(spec, lambda *given: call(*given), extra)  # the lambda defeats JAX's trace cache
     pairs = zip_longest(_constants(closed), _constants(second))
     if str(closed.jaxpr) != str(second.jaxpr) or not all(_equal(*pair) for pair in pairs):
         raise TraceError(
@@ -295,7 +295,7 @@ def _equal(one: Any, other: Any) -> bool:
 
 
 def _constants(closed: Any) -> Iterator[Any]:
-    """Constants and literals of a closed jaxpr, inner ones included."""
+    """Constants and literals of a closed jaxpr, nested ones included."""
     yield from closed.consts
     for equation in closed.jaxpr.eqns:
         yield from (value.val for value in equation.invars if hasattr(value, "val"))

@@ -1,4 +1,4 @@
-"""Many contacts in one line: a gap that is an array is as many contacts, each with its name."""
+"""Arrays of contacts: an array-valued gap declares one contact per element."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ def length(
     signals: tuple[SignalSpec, ...],
     gap: Any,
 ) -> int | None:
-    """How many contacts a gap is; None for one number, and where tracing it will tell a fault."""
+    """Number of elements of an array gap; None for a scalar, or if tracing fails."""
     import jax.numpy as jnp
 
     spec = Spec(cls.__name__, tuple(states), parameters, (), (), "", signals=signals, cls=cls)
     call = caller(cls, spec, gap, past=Asking)
     try:
         (found,) = trace(spec, lambda *given: jnp.asarray(call(*given))).out_avals
-    except Exception:  # whatever the author's code raises is told when it is traced for good
+    except Exception:  # any fault of the author's code is reported by the later trace
         return None
     return found.shape[0] if len(found.shape) == 1 else None
 
 
 def elements(contact: ContactSpec, count: int) -> list[ContactSpec]:
-    """The contacts that one declared with an array of gaps is."""
+    """One contact per element of an array of gaps."""
     names = tuple(f"{contact.name}[{i}]" for i in range(count))
     return [
         attrs.evolve(
@@ -51,7 +51,7 @@ def elements(contact: ContactSpec, count: int) -> list[ContactSpec]:
 def _element(
     function: Callable[..., Any], i: int, count: int, what: str, common: tuple[Any, ...]
 ) -> Callable[..., Any]:
-    """One element of what a function gives; a number, where that is ``common`` to all, as it is."""
+    """Element ``i`` of a function's result; a result of a shape in ``common`` is shared by all."""
 
     @wraps(function)
     def element(*given: Any, **past: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Solvers side by side on a user's own model: whether they agree, and speed against error."""
+"""Comparisons of solvers on a user's model: agreement, and speed against error."""
 
 from .precision import Bench, bench
 

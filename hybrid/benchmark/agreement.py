@@ -1,8 +1,8 @@
-"""All solvers side by side on one run: what differs, and what of it the tolerance explains.
+"""All solvers on one run: how they differ, and which differences the tolerance explains.
 
-A difference is explained if it is no larger than what errors of the size of the tolerance,
-made at each of some steps, grow to. How errors grow is measured: by a second reference run
-from a start a little beside the first.
+A difference is explained if it is no larger than what errors of the size of the tolerance, made at
+each of some steps, grow to. Error growth is measured by a second reference run from a slightly
+perturbed start.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..result import Trajectory
 from ..simulation import simulate
 from .differences import differences
 
-#: What is run, by label; the first is the reference.
+#: Options of each method, by label; the first is the reference.
 COMPARED_METHODS: dict[str, dict[str, Any]] = {
     "taylor": {"solver": "taylor"},
     "scipy DOP853": {"solver": "scipy", "method": "DOP853"},
@@ -30,24 +30,25 @@ COMPARED_METHODS: dict[str, dict[str, Any]] = {
     "diffrax Kvaerno5": {"solver": "diffrax", "method": "Kvaerno5"},
 }
 
-#: Steps whose errors may add up, and the relative change of the start that measures their growth.
+#: Number of steps whose errors may add up, and the relative perturbation of the start that measures
+#: error growth.
 ERROR_STEPS, GROWTH_PROBE = 30, 1e-7
 
-#: Quantities that must be the same, and those that may differ by an explained amount.
+#: Quantities that must agree, and those that may differ by an explained amount.
 SAME_QUANTITIES = ("edges", "modes", "verdicts")
 CLOSE_QUANTITIES = ("times", "states", "t_inf", "releases")
 
 
 @attrs.frozen
 class Difference:
-    """One quantity of one method against the reference.
+    """One quantity of one method compared with the reference.
 
     Attributes
     ----------
     size : float
-        The largest difference; for what must be the same, the number of entries that are not.
+        The largest difference; for quantities that must agree, the number of entries that do not.
     allowed : float
-        What the tolerance explains.
+        The difference that the tolerance explains.
     """
 
     method: str
@@ -68,10 +69,10 @@ class Comparison:
     ----------
     reference : str
     runs : dict
-        A trajectory for each method, or the error it ended in.
+        A trajectory for each method, or the error that it raised.
     differences : list of Difference
     growth : dict
-        By quantity: how much larger an error becomes.
+        Growth factor of errors, by quantity.
     """
 
     reference: str
@@ -102,18 +103,18 @@ def compare(
     methods: Mapping[str, Mapping[str, Any]] | None = None,
     **options: Any,
 ) -> Comparison:
-    """Run a model with all solvers and methods, and compare.
+    """Run a model with all solvers and methods, and compare the results.
 
     Parameters
     ----------
     rtol, atol : float
-        Tolerances of a step, the same for all: what they explain of a difference is measured by
-        them.
+            Tolerances of a step, the same for all methods; they determine which differences are
+        explained.
     methods : dict, optional
-        Options of :func:`hybrid.simulate` by label; the first is the reference. All of the
-        package's if omitted.
+            Options of :func:`hybrid.simulate` by label; the first is the reference. By default all
+        methods of the package.
     options
-        Handed to :func:`hybrid.simulate`.
+        Passed to :func:`hybrid.simulate`.
 
     Returns
     -------
@@ -147,7 +148,7 @@ def _run(model: Any, start: Any, t: Any, options: Any) -> Trajectory | HybridErr
 
 
 def _growth(model: Any, run: Trajectory, t: Any, options: Any) -> dict[str, float]:
-    """By how much an error of the start grows, at least 1."""
+    """Growth factors of an error of the start, at least 1."""
     first = run.arcs[0].first
     for sign in (1.0, -1.0):
         x = first + sign * GROWTH_PROBE * np.maximum(np.abs(first), 1.0)

@@ -1,4 +1,4 @@
-"""How far two runs of a model differ: their jumps in order, their states, their accumulations."""
+"""How two runs of a model differ: jumps in order, states, accumulations."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 def differences(a: Trajectory, b: Trajectory) -> dict[str, float]:
-    """Each quantity's largest difference between two runs.
+    """The largest difference of each quantity between two runs.
 
-    Arcs and jumps are paired in order, from the start and from each accumulation on. The times are
-    those of jumps and of the end.
+    Arcs and jumps are paired in order, starting anew at each accumulation. The times are those of
+    jumps and of the end.
     """
     empty: list[_Move] = []
     stretches = list(zip_longest(_stretches(a), _stretches(b), fillvalue=empty))
@@ -39,14 +39,14 @@ def differences(a: Trajectory, b: Trajectory) -> dict[str, float]:
 
 
 class _Move(NamedTuple):
-    """An arc, and the jump after it; None where it led to a limit, or to the end of the run."""
+    """An arc, and the jump that ends it; None if it ended at a limit or with the run."""
 
     arc: Arc
     jump: JumpRow | None
 
 
 def _stretches(run: Trajectory) -> list[list[_Move]]:
-    """Arcs from one limit to the next, which lies between two arcs of the same ``j``."""
+    """Groups of arcs between limits; a limit separates two arcs with the same ``j``."""
     table = run.jumps.table
     found: list[list[_Move]] = [[]]
     for arc, after in zip_longest(run.arcs, run.arcs[1:]):
@@ -59,17 +59,17 @@ def _stretches(run: Trajectory) -> list[list[_Move]]:
 
 
 def _left(stretch: tuple[list[_Move], list[_Move]], cycle: set[str]) -> int:
-    """Jumps beyond those that two runs share in a stretch.
+    """Number of jumps beyond those that two runs share in a stretch.
 
-    On the way to an accumulation those of its cycle do not count: how many turns a run goes through
-    before it goes over to the limit is its own affair.
+    Near an accumulation, jumps of its cycle do not count, since each run decides after how many
+    turns to pass to the limit.
     """
     edges = [[step.jump.edge for step in steps if step.jump] for steps in stretch]
     return sum(edge not in cycle for edge in max(edges, key=len)[min(map(len, edges)) :])
 
 
 def _states(a: Trajectory, b: Trajectory, jumped: list[tuple[_Move, _Move]]) -> float:
-    """States in the middle of the arcs and after the jumps, and at the end."""
+    """Largest difference of states in the middle of arcs, after jumps, and at the end."""
     largest = _gap(a.arcs[-1].last, b.arcs[-1].last)
     for steps in jumped:
         after = [step.jump.after for step in steps if step.jump]
@@ -87,7 +87,7 @@ def _unequal(a: list[Any], b: list[Any]) -> float:
 
 
 def _largest(a: list[Any], b: list[Any]) -> float:
-    """The largest difference; infinite where one has what the other lacks."""
+    """The largest difference; infinite if a value is missing on one side."""
     pairs = list(zip(a, b, strict=False))
     if len(a) != len(b) or any((p is None) != (q is None) for p, q in pairs):
         return float("inf")

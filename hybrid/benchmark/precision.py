@@ -1,4 +1,4 @@
-"""Speed against error on a user's own model: each solver at several tolerances, in turns."""
+"""Speed against error on a user's model: each solver at several tolerances, interleaved."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ from ..trajectory.stats import versions
 from ..trajectory.trajectory import Status
 from .differences import differences
 
-#: Solvers and tolerances that are timed where none are named.
+#: Default solvers and tolerances.
 TIMED_SOLVERS = ("taylor", "scipy:DOP853", "scipy:LSODA", "diffrax:Dopri8", "diffrax:Tsit5")
 TIMED_TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 
-#: Absolute tolerances, against the relative ones: the share of the solvers' own.
+#: Ratio of absolute to relative tolerances, as in the solvers' defaults.
 ABSOLUTE_SHARE = 1e-2
 
-#: Seconds that one timing takes at least, so that the clock and the scheduler do not show: as many
-#: calls are made.
+#: Least duration of one timing, in seconds, to average over clock and scheduler; calls are repeated
+#: accordingly.
 LEAST_TIMING = 5e-3
 
-#: Runs of which one of another method is taken for exact, where the model has no exact values.
+#: Runs to compare with if the model has no exact values; a method is not compared with itself.
 REFERENCES: dict[str, dict[str, Any]] = {
     "taylor": {"solver": "taylor"},
     "scipy:DOP853": {"solver": "scipy", "method": "DOP853", "rtol": FINEST, "atol": 1e-2 * FINEST},
 }
 
-#: What a run has computed beside what it should be: a name, the value, the exact one.
+#: Yields rows of name, computed value, exact value for a run.
 Oracle = Callable[[Trajectory], Iterable[Sequence[Any]]]
 
 
@@ -58,19 +58,19 @@ class Timing:
         ``"solver:method"``.
     rtol : float
     error : float
-        Relative (see :func:`bench`); infinite where the run made other jumps than the exact one,
-        NaN where it failed.
+            Relative error (see :func:`bench`); infinite if the jumps differ from the exact ones,
+        NaN if the run failed.
     seconds : float
-        Of a call, the median; ``low`` and ``high`` are the quartiles.
+        Median duration of a call; ``low`` and ``high`` are the quartiles.
     first : float
-        Seconds of the first call of this solver, which compiles what is not compiled yet; NaN but
-        at its first tolerance.
+            Duration of the first call of this solver, compilation included; NaN except at its first
+        tolerance.
     steps, evaluations : int or None
         As in ``run.stats``.
     memory : int
-        Bytes, the most that were held at one time during a call.
+        Peak memory of a call in bytes.
     reason : str
-        Why there is no number; empty if there is.
+        Why there are no numbers; empty if there are.
     """
 
     solver: str
@@ -98,10 +98,10 @@ class Bench:
     against : str
         What errors are measured against.
     resolution : float
-        Errors below this are not told from 0, as two runs taken for exact differ by it; 0 with
-        exact values.
+            Errors below this are indistinguishable from 0, as two reference runs differ by it; 0
+        with exact values.
     versions, machine : dict
-        What computed, and on what.
+        Versions of the packages, and the machine.
     """
 
     model: str
@@ -113,7 +113,7 @@ class Bench:
 
     @property
     def front(self) -> list[Timing]:
-        """The timings that no other beats in both time and error, the fastest first."""
+        """The Pareto front: timings not beaten in both time and error, fastest first."""
         told = [(max(t.error, self.resolution), t.seconds, t) for t in self.timings]
         found: list[Timing] = []
         for error, _, timing in sorted(
@@ -125,14 +125,14 @@ class Bench:
 
     @property
     def advice(self) -> str:
-        """Which solver to take for which error."""
+        """A sentence: which solver to use for which error."""
         if not isfinite(self.resolution):
             return (
                 "The runs taken for exact differ in their jumps: no error is known; end it sooner."
             )
         front = self.front
         if not front:
-            return "No solver has come to the end of this run on the same course."
+            return "No solver has finished this run with the jumps of the reference."
         last = [a for a, b in pairwise(front) if a.solver != b.solver] + front[-1:]
         parts = [
             f"down to {self._error(timing)} take {timing.solver} "
@@ -146,7 +146,7 @@ class Bench:
         return f"{'below ' if below else ''}{max(timing.error, self.resolution):.0e}"
 
     def __str__(self) -> str:
-        """A table, what errors are measured against, and which solver to take."""
+        """A table, what errors are measured against, and the advice."""
         head = (
             f"{'':18}{'rtol':>8}{'error':>10}{'time':>10}{'quartiles':>20}{'first call':>12}"
             f"{'steps':>9}{'flow':>9}{'memory':>10}"
@@ -170,7 +170,7 @@ class Bench:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """All numbers by name, with the versions and the machine, as JSON knows them."""
+        """All numbers by name, with versions and machine, in a JSON-compatible form."""
         fields = {
             "model": self.model,
             "against": self.against,
@@ -189,12 +189,12 @@ class Bench:
             json.dump(self.to_dict(), file, indent=1, allow_nan=False)
 
     def plot(self, path: Any = None) -> Any:
-        """Draw time against error, a line a solver, with quartiles as bars.
+        """Plot time against error, one line per solver, with quartiles as bars.
 
         Parameters
         ----------
         path : str or path, optional
-            Also write the figure there.
+            Also write the figure to this file.
 
         Returns
         -------
@@ -236,33 +236,33 @@ def bench(
     model, start, t
         As in :func:`hybrid.simulate`.
     solvers : sequence of str
-        ``"scipy:DOP853"``, ``"taylor"``: a solver, and after a colon its method.
+        ``"scipy:DOP853"``, ``"taylor"``: a solver, optionally with a method after a colon.
     rtol : sequence of float
         Relative tolerances; the absolute ones are a hundredth of each, unless ``atol`` is given.
     oracle : callable, optional
-        Of a run, gives rows ``(name, computed, exact)``, as that of a gallery's file does. The
-        error is then the largest difference in a row, against the exact value where that is not 0.
-        Without it a run is compared with one of another method, accurate to rounding (Taylor
-        series; for those, DOP853): the largest difference of a state against the largest state, or
-        of the time of a jump, a limit or a release against the length of the run.
+            Returns rows ``(name, computed, exact)`` for a run, as in a gallery file. The error is
+        the largest difference in a row, relative to the exact value unless that is 0. Without an
+        oracle, a run is compared with one of another method at rounding accuracy (Taylor series, or
+        DOP853 for these). The error is then the largest difference of a state relative to the
+        largest state, or of the time of a jump, limit or release relative to the length of the run.
     repeats : int
-        Rounds of timings. In each round every solver is timed at every tolerance, so that
-        what else the machine does falls on all of them.
+            Rounds of timings. Each round times every solver at every tolerance, so that other load
+        on the machine affects all of them.
     progress : callable, optional
-        Given a line of text at each first call.
+        Receives a line of text at each first call.
     options
-        Handed to :func:`hybrid.simulate`.
+        Passed to :func:`hybrid.simulate`.
 
     Returns
     -------
     Bench
-        ``print(found)`` is a table that ends with advice; ``found.plot(path)`` draws it,
+            ``print(found)`` shows a table that ends with advice; ``found.plot(path)`` plots it,
         ``found.save(path)`` writes it as JSON.
 
     Raises
     ------
     OptionError
-        Where nothing is to be timed.
+        If there is nothing to time.
     """
     solvers = [solvers] if isinstance(solvers, str) else solvers
     rtol = np.atleast_1d(reals(rtol)).tolist()
@@ -286,7 +286,7 @@ def bench(
 
 
 class _Judge(Protocol):
-    """What knows the error of a run."""
+    """Measures the error of a run."""
 
     @property
     def name(self) -> str: ...
@@ -296,7 +296,7 @@ class _Judge(Protocol):
 
 
 class _Exact:
-    """Against exact values."""
+    """Compares with exact values."""
 
     name, resolution = "exact values", 0.0
 
@@ -308,9 +308,9 @@ class _Exact:
             rows = [
                 (np.asarray(a, float), np.asarray(b, float)) for _, a, b, *_ in self.oracle(run)
             ]
-        except IndexError:  # a jump or a limit that it looks at is missing
+        except IndexError:  # a jump or limit that the oracle uses is missing
             return inf
-        except Exception as fault:  # whatever the user's function raises, in one line
+        except Exception as fault:  # any exception of the user's function, in one line
             raise OptionError(f"oracle: {type(fault).__name__}: {fault}") from fault
         if not rows:
             raise OptionError("oracle: it yields no rows (name, computed, exact)")
@@ -320,7 +320,7 @@ class _Exact:
 
 
 class _Tighter:
-    """Against a run of another method, accurate to rounding."""
+    """Compares with a run of another method at rounding accuracy."""
 
     def __init__(self, model: Any, start: Any, t: Any, options: Mapping[str, Any]) -> None:
         self.length = abs(t[1] - t[0])
@@ -356,7 +356,7 @@ class _Tighter:
 
 
 class _Runner:
-    """One solver at one tolerance: called, and timed."""
+    """Runs and times one solver at one tolerance."""
 
     def __init__(
         self, model: Any, start: Any, t: Any, solver: str, rtol: float, options: Mapping[str, Any]
@@ -373,7 +373,7 @@ class _Runner:
         return simulate(*self.arguments, **self.options)
 
     def begin(self, judge: _Judge, first: bool) -> None:
-        """The first call, the error, what was needed, and how many calls are timed at a time."""
+        """Make the first call, measure error and memory, and choose the calls per timing."""
         begun = time.perf_counter()
         try:
             run = self._run()
@@ -395,7 +395,7 @@ class _Runner:
         self.calls = max(1, round(LEAST_TIMING / self._seconds(1)))
 
     def _most(self) -> int:
-        """Bytes held by a call, at most."""
+        """Peak memory of a call in bytes."""
         tracemalloc.start()
         try:
             self._run()
@@ -404,16 +404,16 @@ class _Runner:
             tracemalloc.stop()
 
     def _seconds(self, calls: int) -> float:
-        """Of a call, the mean of some; no garbage is collected meanwhile."""
+        """Mean duration of some calls; garbage collection is off meanwhile."""
         return timeit(self._run, number=calls) / calls
 
     def time(self) -> None:
-        """One timing more."""
+        """Take one more timing."""
         if not self.reason:
             self.samples.append(self._seconds(self.calls))
 
     def timing(self) -> Timing:
-        """What has been found."""
+        """The collected results."""
         if self.reason:
             return Timing(solver=self.solver, rtol=self.rtol, reason=self.reason)
         low, middle, high = np.percentile(self.samples, (25, 50, 75)).tolist()
@@ -423,7 +423,7 @@ class _Runner:
 
 
 def machine() -> dict[str, Any]:
-    """What the numbers were taken on."""
+    """The machine on which the numbers were measured."""
     return {
         "system": platform.system(),
         "processor": platform.processor() or platform.machine(),
@@ -446,7 +446,7 @@ def _drawn(own: Sequence[Timing], number: int, resolution: float) -> list[Curve]
 
 
 def _plain(row: dict[str, Any]) -> dict[str, Any]:
-    """Numbers that are none, or infinite, as JSON has them."""
+    """A row with non-finite floats replaced by None, for JSON."""
     return {
         key: None if isinstance(value, float) and not isfinite(value) else value
         for key, value in row.items()

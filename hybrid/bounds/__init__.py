@@ -1,2 +1,1 @@
-"""Readers of the trace that prove something: bounds of expressions and of errors, rounded
-outward."""
+"""Rigorous readers of the trace: outward-rounded bounds on expressions and on errors."""

@@ -1,9 +1,9 @@
-"""Every operation of a graph on balls: python-flint's ``arb``, rounded outward.
+"""Every operation of a graph in ball arithmetic (python-flint's ``arb``), rounded outward.
 
-A value is a ball (a real number lies in it), ``True``, ``False`` or ``None`` (a test that
-is true at some points of the box and false at others), or :class:`Undefined` (an operation
-may be outside its domain, or overflow; nothing is claimed). Wide balls are taken through
-their ends, because midpoint-radius arithmetic alone overestimates them.
+A value is one of: a ball that contains a real number; ``True``, ``False`` or ``None`` (a test that
+is true at some points of the box and false at others); or :class:`Undefined` (an operation may
+leave its domain or overflow, and nothing is claimed). Wide balls are evaluated at their ends,
+because midpoint-radius arithmetic overestimates them.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from flint import arb, ctx
 
 @attrs.frozen
 class Undefined:
-    """No enclosure, and why."""
+    """A value without an enclosure, and the reason."""
 
     reason: str
 
 
 def ends(x: Any) -> tuple[Any, Any]:
-    """Least and greatest number of a ball, as exact balls."""
+    """The smallest and the largest number of a ball, as exact balls."""
     return (x, x) if x.is_exact() else (x.lower(), x.upper())
 
 
 def span(least: Any, most: Any) -> Any:
-    """The numbers from one exact ball to another.
+    """The ball from one exact ball to another.
 
-    A radius has few bits: it is rounded up, and the midpoint is put so that the lower end
-    stays exact (the upper one, if that is 0). So a square is not negative.
+    A radius has few bits, so it is rounded up, and the midpoint is chosen so that the lower end
+    stays exact (or the upper one, if it is 0). A square therefore stays nonnegative.
     """
     if least == most:
         return least
@@ -47,7 +47,7 @@ def span(least: Any, most: Any) -> Any:
 
 
 def hull(*balls: Any) -> Any:
-    """A ball that holds all of these, its lower end exact."""
+    """A ball that contains all the given ones, with an exact lower end."""
     least, most = ends(balls[0])
     for ball in balls[1:]:
         a, b = ends(ball)
@@ -114,7 +114,7 @@ def absolute(a: Any) -> Any:
 
 
 def square(a: Any) -> Any:
-    """``a * a`` of one and the same ``a``: never negative."""
+    """``a * a``, never negative."""
     least, most = ends(absolute(a))
     return hull(least.max(0) * least.max(0), most * most)
 
@@ -171,10 +171,7 @@ def _rem(a: Any, b: Any) -> Any:
 
 
 def rising(function: Callable[[Any], Any], least: float | None = None, open_: bool = False) -> Any:
-    """A function that never falls, on its domain: from its values at the ends.
-
-    One that never rises serves as well.
-    """
+    """A monotone function on its domain, from its values at the ends."""
 
     def apply(x: Any) -> Any:
         a, b = ends(x)
@@ -198,7 +195,7 @@ def _bounded(function: Callable[[Any], Any], open_: bool = False) -> Any:
 
 
 def _stepwise(function: Callable[[Fraction], int]) -> Any:
-    """A function to whole numbers that never falls."""
+    """A nondecreasing integer-valued function."""
     return rising(lambda v: arb(function(_fraction(v))))
 
 
@@ -236,7 +233,7 @@ def _atan2(y: Any, x: Any) -> Any:
 
 
 def _cut(y: Any, x: Any) -> bool:
-    """Whether the half-line on which ``atan2`` jumps may be met (or the origin)."""
+    """Whether the half-line on which ``atan2`` jumps, or the origin, may be met."""
     above, below = y.lower() > 0, y.upper() < 0
     return not (above or below or x.lower() > 0 or (y.lower() >= 0 and not x.contains(0)))
 
@@ -295,7 +292,7 @@ def _real(a: Any) -> Any:
     return hull(arb(0), arb(1)) if a is None else arb(int(a))
 
 
-#: Every operation but ``select``, which :mod:`.interval` treats itself.
+#: All operations except ``select``, which :mod:`.interval` handles.
 BALLS: dict[str, Callable[..., Any]] = {
     "add": _add,
     "sub": lambda a, b: _add(a, -b),
@@ -357,10 +354,10 @@ _steps = {
     for n in ("floor", "ceil", "round", "away", "trunc")
 }
 
-#: Operations that make sense of an infinite constant.
+#: Operations for which an infinite constant is meaningful.
 LIMITS = {"select", "max", "min", "is_finite", "gt", "ge", "lt", "le", "eq", "ne"}
 
-#: Whether an operation may jump between values while its arguments run through the balls.
+#: Whether an operation may jump while its arguments vary over the balls.
 JUMPS: dict[str, Callable[..., bool]] = {
     **_steps,
     "sign": lambda a: not (a > 0 or a < 0 or a == 0),

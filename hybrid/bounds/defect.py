@@ -1,10 +1,9 @@
-"""How far along a step its polynomial is known to follow the flow, in ball arithmetic.
+"""How far along a step its polynomial provably follows the flow, in ball arithmetic.
 
-With ``p`` a step's polynomial the defect is ``f(t, p(t)) - p'(t)``. A method looks at it at some
-points only, and so does its estimate of the error: a pulse of force between two of them is passed
-over by the step and by what measures the step. Here the defect is bounded on all of the step, by
-power series of balls (:mod:`.ballseries`) on pieces that are halved until the bound is small
-or a point shows that it is not.
+The defect of a step's polynomial ``p`` is ``f(t, p(t)) - p'(t)``. A method and its error estimate
+evaluate it at a few points only, so both can miss a force pulse between them. Here the defect is
+bounded on the whole step, by power series of balls (:mod:`.series`) on pieces. Pieces are halved
+until the bound is small or a point shows that the defect is not.
 """
 
 from __future__ import annotations
@@ -30,32 +29,33 @@ if TYPE_CHECKING:
     from ..segment import Segment
     from .series import Bound
 
-#: Most pieces of a step: some fifty halvings find a jump to rounding, a few times over.
+#: Most pieces of a step; about fifty halvings isolate a jump to rounding, so this allows for
+#: several.
 DEFECT_PIECES = 400
 
-#: Shares of a step at which its defect is sampled, and how far it may be above the median of these:
-#: that of a Runge-Kutta method has zeros among them and is about five times the median at most.
+#: Fractions of a step at which its defect is sampled, and the tolerated factor above the median of
+#: the samples. A Runge-Kutta defect has zeros and is at most about five times the median.
 DEFECT_PLACES, ABOVE_MEDIAN = (np.arange(15) + 0.5) / 15, 32.0
 
-#: Points of a step at which a flow is asked that nothing encloses: each is a call, some ten
-#: microseconds. What acts for less than a part between two of them may be passed over.
+#: Samples of a step for a flow without enclosure; each is a call of some ten microseconds. Effects
+#: shorter than the distance between samples may be missed.
 FLOW_SAMPLES = 256
 
-#: How far a step's polynomial may be off between its ends, against the tolerance at its end: those
-#: of an order less by one are, at a tolerance of 1e-12, off by some hundred times that.
+#: Tolerated error of a step's polynomial between its ends, relative to the tolerance at its end.
+#: Interpolants of one order less are off by some hundred tolerances at 1e-12.
 LOOSE = 1e3
 
-#: Rounding of the flow and of a polynomial's slope, in units of rounding of the rates and of the
-#: state over the step: a polynomial of degree 24 has slopes of up to 576 times its values.
+#: Rounding of the flow and of the polynomial's slope, relative to the rates and to the state over
+#: the step length. A polynomial of degree 24 has slopes of up to 576 times its values.
 SLOPE_ROUNDING = 1024 * EPS
 
-#: Bits of a double.
+#: Bits of a double's mantissa.
 DOUBLE = 53
 
 
 @attrs.frozen(eq=False)
 class _StepPart:
-    """A part of a step: its middle and half length in time, powers of ``[-1, 1]`` of the states."""
+    """A part of a step: midpoint and half-length in time, states in powers on ``[-1, 1]``."""
 
     middle: Any
     half: Any
@@ -68,7 +68,7 @@ class _StepPart:
 
 
 class Defect:
-    """Bounds on the defect of steps in a field; made once for a class and a mode."""
+    """Bounds on the defect of steps in a field; made once per class and mode."""
 
     def __init__(self, field: Field) -> None:
         from .exact import FixedGraph
@@ -87,18 +87,18 @@ class Defect:
     def share(
         self, field: Field, t: float, length: float, coefficients: Matrix, lost: Any = 0.0
     ) -> float:
-        """The share of a step up to which its polynomial is shown to follow the flow.
+        """The fraction of a step up to which its polynomial provably follows the flow.
 
-        1 where nothing is left but what the rounding of the time may be.
+        It is 1 if the rest is within the rounding of the time.
 
         Parameters
         ----------
         t, length : float
-            The step.
+            Start and length of the step.
         coefficients : array, shape (degree + 1, n)
             Chebyshev coefficients of the states on it.
         lost : float or array
-            What the method may lose of each state in the step.
+            Tolerated loss of each state in the step.
         """
         from .interval import PRECISION
         from .series import with_terms
@@ -109,15 +109,15 @@ class Defect:
         return 1.0 if (1.0 - share) * length <= 64 * EPS * max(length, abs(t)) else share
 
     def left_open(self, field: Field, t: float, x: StateVector, off: StateVector) -> StateVector:
-        """How far apart rates may be where time and states are known to their rounding only.
+        """Uncertainty of the rates when time, states and operations are known to rounding only.
 
-        That of the operations included. Where a formula may change, the rates of both are meant;
-        where one ends, nothing is.
+        Where a formula may change, both rates are included; where one is undefined, the result is
+        0.
 
         Parameters
         ----------
         off : array
-            By how much each state may be off.
+            Uncertainty of each state.
         """
         from flint import arb, ctx
 
@@ -132,7 +132,7 @@ class Defect:
         return np.array([2.0 * float(rate.rad()) for rate in rates])
 
     def _bound_to(self, field: Field, series: bool) -> Bound:
-        """The flow with the parameters' values, as precise as flint is at present."""
+        """The flow with parameter values, at flint's present precision."""
         key = "balls", self, series
         found: Bound = field.once(key, lambda: self.balls.bind(field.numbers, series))
         return found
@@ -165,7 +165,7 @@ class Defect:
         return _share(pieces[-1], start, length)
 
     def _bound(self, field: Field, piece: _StepPart) -> tuple[np.ndarray, np.ndarray]:
-        """An upper bound on the defect of a piece, and a lower one, each element's own."""
+        """Upper and lower bounds on the absolute defect of a piece, per state element."""
         from flint import arb
 
         from .series import TERMS
@@ -191,7 +191,7 @@ class Defect:
         return np.where(np.isfinite(most), most, inf), least
 
     def _plainly(self, field: Field, piece: _StepPart, around: Matrix) -> Numbers:
-        """The same where the flow is no series on the piece: from its bounds on a box."""
+        """An upper bound from a box, for a flow without a series on the piece."""
         from flint import arb
 
         slopes = _slope(piece.powers) / float(piece.half)
@@ -206,12 +206,12 @@ class Defect:
 
 
 class Sampled:
-    """The same of a flow that calls functions, which nothing encloses: at points of a step only."""
+    """The defect of a flow with foreign calls, at samples of a step: it has no enclosure."""
 
     def share(
         self, field: Field, t: float, length: float, coefficients: Matrix, lost: Any = 0.0
     ) -> float:
-        """The share of a step up to which its polynomial follows the flow at points."""
+        """The fraction of a step up to which its polynomial follows the flow at the samples."""
         rates, _ = _allowed(field, t, length, coefficients, lost)
         slope = chebyshev.chebder(coefficients) * (2.0 / length)
         for k in range(1, FLOW_SAMPLES):
@@ -223,15 +223,15 @@ class Sampled:
         return 1.0
 
     def left_open(self, field: Field, t: float, x: StateVector, off: StateVector) -> StateVector:
-        """Nothing is known of the rounding of such a flow."""
+        """Zero: nothing is known of the rounding of such a flow."""
         return np.zeros_like(x)
 
 
 def defect_of(field: Field) -> Defect | Sampled | None:
-    """The bounds of a field; None where there are none.
+    """The defect bounds of a field; None if there are none.
 
-    There are none of a flow that is kept on a surface (which no polynomial of a step is), and
-    without python-flint.
+    There are none if the flow is kept on a surface, which no step polynomial is, or if python-flint
+    is missing.
     """
     if field.project is not None:
         return None
@@ -251,7 +251,7 @@ def defect_of(field: Field) -> Defect | Sampled | None:
 
 
 def follows(field: Field, t: float, segments: Iterable[Segment]) -> bool:
-    """Whether all segments of an arc that begins at ``t`` follow the flow, where it can be told."""
+    """Whether all segments of an arc from ``t`` follow the flow, as far as can be shown."""
     defect = defect_of(field)
     return defect is None or all(
         defect.share(field, t + s.start, s.length, s.coefficients) >= 1.0 for s in segments
@@ -263,12 +263,12 @@ def _share(piece: _StepPart, start: Any, length: float) -> float:
 
 
 def _numbers(field: Field) -> dict[str, Any]:
-    """The parameters' values, by the names of a graph's inputs."""
+    """The parameter values by the input names of a graph."""
     return {f"p{i}": value for i, value in enumerate(field.numbers)}
 
 
 def _inputs(piece: _StepPart, around: Matrix | None) -> dict[str, Any]:
-    """Time and states as series on a piece: about its middle, or with balls about all of it."""
+    """Time and states as series on a piece, about its middle or as balls over all of it."""
     from flint import arb, arb_series
 
     from .series import TERMS
@@ -283,7 +283,7 @@ def _inputs(piece: _StepPart, around: Matrix | None) -> dict[str, Any]:
 
 
 def _coefficients(value: Any) -> list[Any] | None:
-    """The coefficients of a result, all of them; None where one is not a finite number."""
+    """The coefficients of a result; None if one is not finite."""
     from flint import arb, arb_series
 
     from .series import TERMS
@@ -297,7 +297,7 @@ def _coefficients(value: Any) -> list[Any] | None:
 
 
 def _slope(powers: Matrix) -> Matrix:
-    """Coefficients of derivatives; enough of them."""
+    """Coefficients of the derivatives, padded to at least ``TERMS`` rows."""
     from .series import TERMS
 
     degree = len(powers) - 1
@@ -309,10 +309,10 @@ def _slope(powers: Matrix) -> Matrix:
 def _allowed(
     field: Field, t: float, length: float, coefficients: Matrix, lost: Any
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What a defect may be: of the order of what it is at most samples, and of the tolerance.
+    """Tolerated defects of a step, and the tolerated change of the state over any part of it.
 
-    Or rounding. And how much of the state a part of the step may leave open, whatever the defect
-    there: rounding.
+    The former follow from the median of the sampled defects, the tolerance and rounding; the latter
+    is rounding.
     """
     n = coefficients.shape[1]
     degree = len(coefficients) - 1
@@ -332,7 +332,7 @@ def _allowed(
 
 @cache
 def _sampling(degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Matrices from Chebyshev coefficients to values and slopes at the samples, on ``[-1, 1]``."""
+    """Matrices from Chebyshev coefficients to values and slopes (on ``[-1, 1]``) at the samples."""
     places = 2.0 * DEFECT_PLACES - 1.0
     slopes = chebyshev.chebder(np.eye(degree + 1))
     return chebyshev.chebvander(places, degree), chebyshev.chebval(places, slopes).T
@@ -340,7 +340,7 @@ def _sampling(degree: int) -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def _halving(degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Matrices from powers on ``[-1, 1]`` to powers on its halves."""
+    """Matrices from powers on ``[-1, 1]`` to powers on its two halves."""
     size = range(degree + 1)
     right = np.array([[comb(k, j) * 0.5**k if k >= j else 0.0 for k in size] for j in size])
     signs = (-1.0) ** (np.arange(degree + 1)[None, :] - np.arange(degree + 1)[:, None])
@@ -349,6 +349,7 @@ def _halving(degree: int) -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def _spread(degree: int) -> np.ndarray:
-    """Matrix from sizes of coefficients to how far each moves as the place runs over the piece."""
+    """Matrix from absolute coefficients to how far each coefficient moves as the expansion point
+    varies over the piece."""
     size = range(degree + 1)
     return np.array([[float(comb(k, j)) if k > j else 0.0 for k in size] for j in size])

@@ -1,7 +1,7 @@
-"""A graph for readers that prove something: no constant is rounded.
+"""A graph without rounded constants, for readers that prove.
 
-An operation on constants is folded only where its result is exact. Where a model's
-parameters are put in as constants, a term times a parameter that is 0 is gone.
+An operation on constants is folded only if its result is exact. With the parameters inserted as
+constants, terms multiplied by a parameter that is 0 vanish.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import numpy as np
 
 from ..lowering.graph import Graph, Ids, fold, needed
 
-#: Operations of which a float's result is always exact.
+#: Operations that are always exact on floats.
 EXACT_OPERATIONS = {
     *("neg", "abs", "sign", "max", "min", "floor", "ceil", "round", "trunc", "real", "select"),
     *("gt", "ge", "lt", "le", "eq", "ne", "and", "or", "xor", "not", "is_finite"),
 }
 
-#: Operations whose result is finite wherever their arguments are.
+#: Operations whose result is finite whenever their arguments are.
 TOTAL = EXACT_OPERATIONS | {
     *("const", "input", "add", "sub", "mul", "sin", "cos", "atan", "tanh", "asinh", "exp"),
     *("sinh", "cosh", "exp2", "expm1", "logistic", "cbrt", "erf", "erfc", "away"),
@@ -31,9 +31,9 @@ TOTAL = EXACT_OPERATIONS | {
 class FixedGraph(Graph):
     """A graph in which constants stay as exact as they were written.
 
-    ``0 * a`` is 0 where ``a`` cannot fail to be finite; with ``exact=False`` everywhere, and
-    so are ``0 / a`` and a choice between zeros, which is right for a derivative: what an
-    expression does not depend on does not count.
+    ``0 * a`` becomes 0 if ``a`` is certainly finite. With ``exact=False`` it always does, and so do
+    ``0 / a`` and a choice between zeros: this is right for a derivative, where only true dependence
+    counts.
     """
 
     def _simplify(self, key: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -64,14 +64,14 @@ class FixedGraph(Graph):
 
 
 def _vanishes(op: str, values: Sequence[Any]) -> bool:
-    """Whether a derivative that is put together from these is zero wherever there is one."""
+    """Whether a derivative composed of these values is zero wherever it exists."""
     if op == "div":
         return bool(values[0] == 0)
     return op == "select" and bool(values[1] == 0 and values[2] == 0)
 
 
 def _exact(op: str, values: Sequence[Any]) -> bool:
-    """Whether the folded value of an operation is the exact one."""
+    """Whether the folded value of an operation is exact."""
     if op in EXACT_OPERATIONS:
         return True
     if op not in ("add", "sub", "mul") or not all(math.isfinite(v) for v in values):
@@ -83,9 +83,10 @@ def _exact(op: str, values: Sequence[Any]) -> bool:
 
 
 def hides_derivatives(closed: Any) -> bool:
-    """Whether a trace holds back a derivative (``stop_gradient``): proofs rest on them all.
+    """Whether a trace hides a derivative (``stop_gradient``) that proofs would need.
 
-    That of a matrix whose factors solve equations is not held back: the equations have it.
+    Derivatives of a matrix factorisation are not needed if its factors only serve to solve
+    equations.
     """
     return _hides(closed.jaxpr)
 
@@ -98,7 +99,7 @@ def _hides(jaxpr: Any) -> bool:
 
 
 def _solves(jaxpr: Any, factors: Any) -> bool:
-    """Whether an equation gives factors, and these to the solution of equations alone."""
+    """Whether an equation computes factors that only serve to solve equations."""
     names = {factors.primitive.name} if factors is not None else set()
     names |= {e.primitive.name for part in _inner(factors) for e in part.eqns} if names else set()
     users = _users(jaxpr, factors) if names & {"lu", "cholesky"} else [None]
@@ -106,14 +107,14 @@ def _solves(jaxpr: Any, factors: Any) -> bool:
 
 
 def _users(jaxpr: Any, equation: Any) -> list[Any]:
-    """The equations that use the results of one; None where they are results of all."""
+    """The equations that use an equation's results, and None if the jaxpr returns them."""
     own = {id(var) for var in equation.outvars}
     found = [e for e in jaxpr.eqns if any(id(var) in own for var in e.invars)]
     return [*found, *([None] if any(id(var) in own for var in jaxpr.outvars) else [])]
 
 
 def _inner(equation: Any) -> Iterator[Any]:
-    """The jaxprs in an equation."""
+    """The jaxprs nested in an equation."""
     for inner in equation.params.values():
         for part in inner if isinstance(inner, tuple | list) else [inner]:
             part = getattr(part, "jaxpr", part)

@@ -1,9 +1,9 @@
-"""Rigorous least and greatest values of an expression on a box, by branch and bound.
+"""Rigorous extrema of an expression on a box, by branch and bound.
 
-A sub-box is bounded by the interval reader, and by the mean value form where the gradient
-has been traced too; where the gradient's sign proves that the expression is monotone in a
-coordinate, the sub-box shrinks to its face. The best value at a point bounds from the
-other side. Both bounds hold however early the search stops.
+A sub-box is bounded by interval evaluation and, if the gradient has been traced, by the mean value
+form. If the gradient's sign proves that the expression is monotone in a coordinate, the sub-box
+shrinks to a face. The best value at a point bounds the extremum from the other side. Both bounds
+hold whenever the search stops.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .interval import Enclosure, IntervalProgram
 Bounds = tuple[float, float]
 Box = dict[str, Bounds]
 
-#: Divisions of a sub-box times nodes of the graph that a search makes, at most.
+#: Most divisions of sub-boxes, times the number of nodes of the graph.
 EFFORT = 60_000
 
 
@@ -32,7 +32,7 @@ class ScalarFunction:
     value : IntervalProgram
         Its root is the expression.
     slopes : IntervalProgram, optional
-        Its roots are the partial derivatives, claimed only where the expression is defined.
+        Its roots are the partial derivatives, valid only where the expression is defined.
     gradient : sequence of str
         The inputs of these partial derivatives, in order.
     """
@@ -50,7 +50,7 @@ class ScalarFunction:
         return len(self.value) + (len(self.slopes) if self.slopes else 0)
 
     def enclose(self, box: Mapping[str, Any]) -> tuple[Enclosure, dict[str, Any]]:
-        """The enclosure over a box, and those of the slopes that are defined."""
+        """The enclosure over a box, and the enclosures of the slopes that are defined."""
         (value,) = self.value.enclose(box)
         if self.slopes is None or not value.defined:
             return value, {}
@@ -58,7 +58,7 @@ class ScalarFunction:
         return value, {name: slope.value for name, slope in named if slope.defined}
 
     def at(self, point: Mapping[str, Any]) -> Any:
-        """The value at a point as a small ball; None where it is not defined."""
+        """The value at a point as a small ball; None if it is not defined."""
         value = self.value.enclose(point)[0]
         return value.value if value.defined else None
 
@@ -70,8 +70,7 @@ class Extreme:
     Attributes
     ----------
     at : dict
-        The point whose value is the bound that is attained; only the coordinates on which
-        the expression depends.
+        The point that attains the inner bound; only coordinates on which the expression depends.
     reason : str
         Why a bound is infinite.
     """
@@ -91,9 +90,9 @@ def extrema(
     ----------
     function : ScalarFunction
     box : mapping of str to (low, high)
-        Bounds of every input of the expression; others are passed over.
+        Bounds of every input of the expression; others are ignored.
     tolerance : float
-        The search stops when the bounds are so close (relative to the value, or to 1).
+        The search stops when the bounds are this close, relative to max(1, |value|).
 
     Returns
     -------
@@ -112,7 +111,7 @@ def supremum(
     sign: int = 1,
     effort: int = EFFORT,
 ) -> Extreme:
-    """The supremum of an expression (times ``sign``) on a box."""
+    """The supremum of ``sign`` times an expression on a box."""
     search = _Search(function, sign)
     whole = {name: box[name] for name in sorted(function.inputs)}
     search.add(whole)
@@ -125,9 +124,9 @@ def supremum(
 
 
 def continuous(function: ScalarFunction, box: Mapping[str, Bounds], effort: int = 200) -> bool:
-    """Whether an expression is shown to be continuous on a box, with a bounded gradient.
+    """Whether an expression is proved continuous on a box, with a bounded gradient.
 
-    Both together make it Lipschitz continuous there.
+    Together these make it Lipschitz continuous there.
     """
     queue = [{name: box[name] for name in function.inputs}]
     for part in itertools.islice(_popped(queue), effort):
@@ -143,7 +142,7 @@ def _popped(queue: list[Box]) -> Iterable[Box]:
 
 
 class _Search:
-    """Open sub-boxes in order of their upper bounds, and the best value at a point."""
+    """Open sub-boxes, ordered by upper bound, and the best value at a point."""
 
     def __init__(self, function: ScalarFunction, sign: int) -> None:
         self.function, self.sign = function, sign
@@ -162,7 +161,7 @@ class _Search:
             self.add(half)
 
     def add(self, part: Box) -> None:
-        """Bound a sub-box; keep it if it may hold more than the best value."""
+        """Bound a sub-box, and keep it if it may exceed the best value."""
         top, part, slopes = self.bound(part)
         point = {name: _middle(bounds) for name, bounds in part.items()}
         value = self.sample(point)
@@ -172,7 +171,7 @@ class _Search:
             heapq.heappush(self.open, (-top, next(self._count), part))
 
     def sample(self, point: dict[str, float]) -> Any:
-        """The value at a point, kept if it is the best."""
+        """The value at a point, recorded if it is the best."""
         from .balls import low
 
         value = self.function.at(point)
@@ -181,7 +180,7 @@ class _Search:
         return value
 
     def bound(self, part: Box) -> tuple[float, Box, dict[str, Any] | None]:
-        """An upper bound on a sub-box, the face on which it is attained, the slopes there."""
+        """An upper bound on a sub-box, the face on which it is attained, and the slopes there."""
         from .balls import high
 
         value, slopes = self.function.enclose(part)
@@ -197,7 +196,7 @@ class _Search:
         return top, part, slopes if all(name in slopes for name in part) else None
 
     def face(self, bounds: Bounds, slope: Any) -> Bounds:
-        """The end towards which the expression grows, where its slope has one sign."""
+        """The end towards which the expression grows, if its slope has one sign."""
         if slope is None or bounds[0] == bounds[1] or not (slope >= 0 or slope <= 0):
             return bounds
         end = bounds[1] if (slope >= 0) == (self.sign > 0) else bounds[0]
@@ -221,7 +220,7 @@ def _middle(bounds: Bounds) -> float:
 
 
 def _halves(part: Box) -> list[Box]:
-    """The two halves of a box, across its widest side (relative to its place)."""
+    """The two halves of a box, across its widest side that can be divided."""
     wide = [name for name, (a, b) in part.items() if a < _middle((a, b)) < b]
     if not wide:
         return [part]

@@ -1,9 +1,9 @@
-"""A reader of the trace: how an expression grows where some of its inputs have no bounds.
+"""A reader of the trace: growth of an expression when some of its inputs are unbounded.
 
-Each node has a range, whose ends may be infinite, and exponents: with ``s`` the size of the
-*growing* inputs it is at most ``C (1 + s)^up`` and at least ``-C (1 + s)^down``, where ``C`` is
-bounded as long as all other inputs are. An operation that may be outside its domain has no
-growth but an :class:`~.balls.Undefined`, as in ball arithmetic.
+Each node has a range, whose ends may be infinite, and growth exponents. With ``s`` the size of the
+*growing* inputs, the value is at most ``C (1 + s)^up`` and at least ``-C (1 + s)^down``, where
+``C`` is bounded as long as all other inputs are. An operation that may leave its domain is
+:class:`~.balls.Undefined`, as in ball arithmetic.
 """
 
 from __future__ import annotations
@@ -18,23 +18,24 @@ from ..lowering.graph import Graph, needed
 from .balls import BALLS, Undefined, high, low, span
 from .interval import OF_ONE_NODE
 
-#: A logarithm grows more slowly than any power; this one is below the roots that models take.
+#: Growth exponent assigned to logarithms, which grow more slowly than any power; it is below the
+#: exponents of roots that models use.
 SLOWLY = 0.125
 
 
 @attrs.frozen
 class Growth:
-    """A range, and how fast its ends move away.
+    """A range, and the growth exponents of its ends.
 
     Attributes
     ----------
     low, high : float
-        Bounds, rounded outward; infinite where there are none.
+        Bounds, rounded outward; may be infinite.
     up, down : float
-        Exponents of growth upward and downward; ``inf`` where no power bounds it.
+        Exponents of growth upward and downward; ``inf`` if no power bounds it.
     least : float
-        Where the growing input is large, the absolute value grows at least with this exponent;
-        ``-inf`` where nothing is known.
+            For large values of the growing input, the absolute value grows at least with this
+        exponent; ``-inf`` if nothing is known.
     """
 
     low: float
@@ -45,12 +46,12 @@ class Growth:
 
     @property
     def positive(self) -> bool:
-        """Whether it is away from zero, on the upper side."""
+        """Whether it is bounded below by a positive number."""
         return self.low > 0.0
 
     @property
     def size(self) -> float:
-        """The exponent of the absolute value."""
+        """The growth exponent of the absolute value."""
         return max(self.up, self.down)
 
     @property
@@ -59,7 +60,7 @@ class Growth:
         return math.isfinite(self.low) and math.isfinite(self.high)
 
     def settled(self) -> Growth:
-        """The same with what the range says of the exponents."""
+        """The growth with exponents tightened by what the range implies."""
         up = min(self.up, 0.0) if self.high < math.inf else self.up
         down = min(self.down, 0.0) if self.low > -math.inf else self.down
         away = self.low > 0.0 or self.high < 0.0
@@ -68,10 +69,10 @@ class Growth:
         )
 
 
-#: An input that may be anything, but does not grow: what comes before it bounds it in finite time.
+#: An arbitrary input that does not grow: earlier states bound it in finite time.
 ANYTHING = Growth(-math.inf, math.inf)
 
-#: A growing input, of several; of one alone, its upper and its lower half.
+#: A growing input, one of several; for a single one, its upper and its lower half.
 GROWING = Growth(-math.inf, math.inf, 1.0, 1.0)
 UPPER, LOWER = Growth(0.0, math.inf, 1.0, 0.0, 1.0), Growth(-math.inf, 0.0, 0.0, 1.0, 1.0)
 
@@ -82,7 +83,7 @@ def between(least: float, most: float) -> Growth:
 
 
 def growth(graph: Graph, root: int, inputs: Mapping[str, Growth]) -> Any:
-    """The growth of a node; :class:`~.balls.Undefined` where it may not be defined."""
+    """The growth of a node; :class:`~.balls.Undefined` if it may not be defined."""
     values: dict[int, Any] = {}
     for number in needed(graph, [root]):
         op, *arguments = graph.nodes[number]
@@ -120,14 +121,14 @@ def _apply(op: str, places: list[int], args: list[Any]) -> Any:
 
 
 def _number(value: Any) -> Growth:
-    """A truth value, too, as a number."""
+    """A value as a growth, truth values included."""
     if isinstance(value, Growth):
         return value
     return between(0.0, 1.0) if value is None else between(float(value), float(value))
 
 
 def _by_balls(op: str, args: list[Any]) -> Any:
-    """An operation with no rule of its own here: on bounds only."""
+    """An operation without a growth rule, evaluated on bounded arguments by balls."""
     if not all(isinstance(a, Growth) and a.bounded for a in args):
         return Undefined(f"{op} of what has no bounds")
     from flint import arb
@@ -166,7 +167,7 @@ def _add(a: Growth, b: Growth) -> Growth:
 
 
 def _times(a: float, b: float) -> float:
-    """A product of ends: zero times infinity is zero."""
+    """A product of range ends, in which zero times infinity is zero."""
     return 0.0 if a == 0.0 or b == 0.0 else a * b
 
 
@@ -184,7 +185,7 @@ def _mul(a: Growth, b: Growth) -> Growth:
 
 
 def _sum(a: float, b: float) -> float:
-    """A sum of least exponents: nothing known of one, nothing of both."""
+    """The sum of two ``least`` exponents; unknown if either is."""
     return -math.inf if -math.inf in (a, b) else a + b
 
 
@@ -238,7 +239,7 @@ def _pow(a: Growth, b: Growth) -> Any:
         return _power_of_any(a, b)
     whole, exponent = b.low.is_integer(), b.low
     if exponent == 0.0:
-        return between(1.0, 1.0)  # of 0, too
+        return between(1.0, 1.0)  # also for 0 ** 0
     if exponent < 0.0:
         found = _pow(a, between(-exponent, -exponent))
         return _inverse(found) if isinstance(found, Growth) else found
@@ -257,7 +258,7 @@ NO_GROWTH = Growth(0.0, 0.0)
 
 
 def _power(a: Growth, exponent: float) -> Growth:
-    """A power of what is not negative."""
+    """A power of a nonnegative value."""
     from flint import arb
 
     def end(value: float) -> Any:
@@ -281,7 +282,7 @@ def _power_of_any(a: Growth, b: Growth) -> Any:
 
 
 def _within(least: float, most: float) -> Callable[..., Growth]:
-    """A function with values between bounds; closer ones from balls."""
+    """A function with values between given bounds, tightened by balls if possible."""
 
     def rule(op: str, *args: Growth) -> Any:
         found = _by_balls(op, list(args))
@@ -293,7 +294,7 @@ def _within(least: float, most: float) -> Callable[..., Growth]:
 def _rises(
     limits: tuple[float, float], share: float = 1.0, domain: float = -math.inf, open_: bool = False
 ) -> Callable[..., Any]:
-    """A rising function with limits at both ends, of so small a share of its argument's growth."""
+    """A nondecreasing function with given limits; ``share`` multiplies its argument's exponents."""
 
     def rule(op: str, a: Growth) -> Any:
         if not (a.low > domain if open_ else a.low >= domain):
@@ -310,7 +311,7 @@ def _rises(
 
 
 def _exponential(limits: tuple[float, float]) -> Callable[..., Any]:
-    """A rising function that no power bounds."""
+    """A nondecreasing function that no power bounds."""
     plain = _rises(limits)
 
     def rule(op: str, a: Growth) -> Any:

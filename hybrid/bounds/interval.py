@@ -1,8 +1,8 @@
 """A reader of the trace: rigorous bounds of its results over a box, in ball arithmetic.
 
-The graph is evaluated node by node on balls (:mod:`.balls`): whatever numbers the inputs
-have within theirs, the result lies in the ball returned, rounding included. Constants and
-parameters are the floats that they are.
+The graph is evaluated node by node on balls (:mod:`.balls`). For all numbers in the input balls,
+the result lies in the returned ball, rounding included. Constants and parameters are taken as exact
+floats.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from ..lowering.ranges import RANGES, Ranges
 from ..rules import unit
 from ..rules.arrays import Bounds
 
-#: Bits of the balls' midpoints: rounding stays far below a double's.
+#: Bits of the balls' midpoints; rounding stays far below that of doubles.
 PRECISION = 96
 
-#: What operations give whose two arguments are one node.
+#: Results of operations whose two arguments are the same node.
 OF_ONE_NODE = {"ge": True, "le": True, "eq": True, "gt": False, "lt": False, "ne": False, "sub": 0}
 
 
 class Undecided(Exception):
-    """An expression is not defined on all of a box, as far as balls can tell."""
+    """An expression is not provably defined on all of a box."""
 
 
 def require_flint() -> None:
-    """Refuse with a remedy where python-flint is missing.
+    """Raise an error with the remedy if python-flint is missing.
 
     Raises
     ------
@@ -64,7 +64,7 @@ class Enclosure:
     value : arb, bool, None or Undefined
         See :mod:`.balls`.
     continuous : bool
-        No switch, step or other jump of the expression lies in the box.
+        Whether the box contains no switch, step or other jump of the expression.
     """
 
     value: Any
@@ -85,14 +85,14 @@ class IntervalProgram:
     graph : Graph
         Its inputs are named ``p0, p1, ..., t, x0, x1, ...`` (and extra names).
     roots : sequence of int
-        The nodes to be enclosed.
+        The nodes to enclose.
     precision : int
         Bits of the balls' midpoints.
 
     Notes
     -----
-    Evaluation without subdivision: the enclosure of a root tends to its value as the box
-    shrinks, and overestimates on wide boxes. :func:`.extrema.extrema` subdivides.
+    There is no subdivision: the enclosure of a root tends to its value as the box shrinks, but
+    overestimates on wide boxes. :func:`.extrema.extrema` subdivides.
     """
 
     def __init__(self, graph: Graph, roots: Iterable[int], precision: int = PRECISION) -> None:
@@ -144,7 +144,7 @@ class IntervalProgram:
         return [Enclosure(_finite(values[place]), not jumps[place]) for place in self._places]
 
     def ranges(self, box: Mapping[str, Any]) -> list[tuple[float, float]] | None:
-        """Bounds of the roots in doubles, which cost less; None where they say nothing."""
+        """Cheaper bounds of the roots in doubles; None if they are inconclusive."""
         if self._ranges is None:
             return None
         given = [box[name] for name in sorted(self.inputs)]
@@ -155,7 +155,7 @@ class IntervalProgram:
         return [(low, high) for low, high in found[self._places].tolist()]
 
     def excludes_zero(self, box: Mapping[str, Any]) -> bool:
-        """Whether each root is shown to be defined, and not zero, on all of a box."""
+        """Whether every root is provably defined and nonzero on all of a box."""
         ranges = self.ranges(box)
         if ranges is not None and all(low > 0.0 or high < 0.0 for low, high in ranges):
             return True
@@ -170,9 +170,9 @@ class IntervalProgram:
     def ranged(
         self, among: Ranges, rows: Mapping[str, int], given: Mapping[str, float]
     ) -> int | None:
-        """Add the program for these bounds to others: its number there, None if there is none.
+        """Add this program to others for bounds; returns its number, None if it has none.
 
-        ``rows``: the inputs that are rows of a box; the others are given.
+        ``rows`` maps inputs to rows of a box; the values of other inputs are in ``given``.
         """
         return among.add(self._steps, self._places, rows, given)
 
@@ -197,7 +197,7 @@ class IntervalProgram:
 
 @attrs.frozen
 class _Step:
-    """A node made ready: its rules, the test whether it jumps, the places of its arguments."""
+    """A node prepared for evaluation: its rule, its test for jumps, its arguments' places."""
 
     op: str
     places: tuple[int, ...] = ()
@@ -244,7 +244,7 @@ def _apply(step: _Step, args: list[Any]) -> tuple[Any, bool]:
 
 
 def _select(args: list[Any], jumps: list[bool]) -> tuple[Any, bool]:
-    """The branch taken; both where the test is not decided."""
+    """The branch taken, or the hull of both if the test is undecided."""
     from .balls import Undefined, hull
 
     test, yes, no = args

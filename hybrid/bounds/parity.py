@@ -1,10 +1,9 @@
 """A reader of the trace: proofs that an expression is even or odd in some of its inputs.
 
-Every expression has a normal form up to its sign: ``(sign, term)``, with arguments of sums,
-products and maxima in a fixed order and signs moved outward (``sin(-a) = -sin(a)``,
-``cos(-a) = cos(a)``). The expression is written down twice, as it is and with the inputs'
-signs flipped. Equal normal forms prove that it is even, opposite ones that it is odd;
-anything else proves nothing.
+Every expression has a normal form up to sign, ``(sign, term)``: arguments of sums, products and
+maxima are sorted and signs are moved outward (``sin(-a) = -sin(a)``, ``cos(-a) = cos(a)``). The
+expression is normalised as it is and with the inputs' signs flipped. Equal normal forms prove that
+it is even, opposite ones that it is odd; any other outcome proves nothing.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from ..lowering.graph import Graph, needed
 
 Parity = Literal["even", "odd", "unknown"]
 
-#: A sign and a term: the numbers +1 or -1 and the place in a table of terms.
+#: A sign, +1 or -1, and an index into the table of terms.
 Signed = tuple[int, int]
 
 ODD_FUNCTIONS = {
@@ -25,7 +24,7 @@ ODD_FUNCTIONS = {
 }
 EVEN_FUNCTIONS = {"cos", "cosh", "abs", "is_finite"}
 
-#: Operations whose two arguments may change places.
+#: Commutative operations.
 SYMMETRIC = {"eq", "ne", "and", "or", "xor"}
 
 #: A test written with its arguments exchanged.
@@ -43,8 +42,8 @@ def parity(graph: Graph, root: int, flipped: Collection[str]) -> Parity:
     Returns
     -------
     "even", "odd" or "unknown"
-        The first two are proofs, for real arithmetic; ``"unknown"`` says that this reader
-        found none. What is identically zero is called even.
+            The first two are proofs, in real arithmetic; ``"unknown"`` means that no proof was
+        found. An expression that is identically zero counts as even.
     """
     forms = _Forms(graph)
     plain, turned = forms.of(root, frozenset()), forms.of(root, frozenset(flipped))
@@ -54,7 +53,7 @@ def parity(graph: Graph, root: int, flipped: Collection[str]) -> Parity:
 
 
 class _Forms:
-    """A table of terms; equal expressions have one entry."""
+    """A table of terms, with one entry for equal expressions."""
 
     def __init__(self, graph: Graph) -> None:
         self.graph = graph

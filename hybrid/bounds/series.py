@@ -1,10 +1,10 @@
-"""Every operation of a graph on power series of balls: what a function does all along a curve.
+"""Every operation of a graph on power series of balls, to bound functions along a curve.
 
-Coefficients of a series whose first one is a ball hold the Taylor coefficients at every
-point of that ball: with the expansion about its middle they bound the function on all of it,
-to as many digits as it is smooth (Taylor's theorem). So nothing can hide between points: a pulse
-is seen however narrow it is. Where a function is no series on the whole piece (an undecided test,
-a root near zero) the result is :class:`.balls.Undefined`.
+The coefficients of a series whose first one is a ball contain the Taylor coefficients at every
+point of that ball. With the expansion about its middle they bound the function on all of it, as
+accurately as its smoothness permits (Taylor's theorem). Nothing can hide between points: a pulse is
+seen however narrow it is. Where a function is not analytic on the whole piece (an undecided test, a
+root near zero), the result is :class:`.balls.Undefined`.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from flint import arb, arb_series, ctx
 from ..lowering.graph import Graph, needed
 from .balls import BALLS, Undefined
 
-#: Terms of the series. Twelve: a piece of a tenth of the radius of convergence is then known to
-#: 1e-12 of what it does, and more would cost more than they spare pieces.
+#: Terms of the series. With twelve, a piece of a tenth of the radius of convergence is resolved to
+#: a relative 1e-12; more terms cost more than they save in pieces.
 TERMS = 12
 
-#: Step functions: they are constant on a piece where their result is one number there.
+#: Step functions; each is constant on a piece where its enclosure is a single number.
 STEP_FUNCTIONS = {"floor", "ceil", "round", "away", "trunc", "sign"}
 
-#: Tests, and what joins them.
+#: Tests, and logical operations.
 TESTS = {"gt", "ge", "lt", "le", "eq", "ne"}
 LOGIC = {"and", "or", "xor", "not", "is_finite"}
 
 
 class Balls:
-    """Some nodes of a graph, made ready to be evaluated often.
+    """Some nodes of a graph, prepared for repeated evaluation.
 
     Parameters
     ----------
@@ -46,15 +46,15 @@ class Balls:
         self.roots = [place[root] for root in roots]
 
     def bind(self, numbers: Sequence[float], series: bool) -> Bound:
-        """The same with the parameters' values, for series or for balls."""
+        """The nodes with parameter values, for evaluation on series or on balls."""
         return Bound(self, numbers, series)
 
 
 class Bound:
-    """Nodes with the parameters' values: what depends on these alone is worked out once.
+    """Nodes with parameter values; what depends on these only is computed once.
 
-    On series numbers are series, too, where they are added or multiplied: flint makes them so
-    each time, which costs more than the sum.
+    For evaluation on series, numbers in sums and products are converted to series in advance: flint
+    would convert them each time, at more than the cost of the sum.
     """
 
     def __init__(self, balls: Balls, numbers: Sequence[float], series: bool) -> None:
@@ -89,7 +89,7 @@ class Bound:
         ]
 
     def __call__(self, inputs: Mapping[str, Any]) -> list[Any]:
-        """The nodes: ``arb_series``, a number, a truth value or ``Undefined``."""
+        """Values of the roots: ``arb_series``, numbers, truth values or ``Undefined``."""
         values = self.values.copy()
         for place, name in self.inputs:
             values[place] = inputs[name]
@@ -106,12 +106,12 @@ class Bound:
 
 
 def _placed(node: tuple[Any, ...], place: Mapping[int, int]) -> tuple[str, list[Any]]:
-    """An operation, and the places of its arguments; what an input or a constant is given."""
+    """An operation with the places of its arguments, or with the data of an input or constant."""
     op, *given = node
     return op, given if op in ("input", "const") else [place[a] for a in given]
 
 
-#: Operations that are the same on balls and on series. Narrow balls lose nothing by them.
+#: Operations that are the same on balls and on series; narrow balls lose nothing by them.
 ARITHMETIC = {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "neg": operator.neg}
 
 
@@ -259,7 +259,7 @@ SERIES_RULES: dict[str, Callable[..., Any]] = {
 
 
 def with_terms(function: Callable[[], Any], precision: int, terms: int = TERMS) -> Any:
-    """A result with so many bits and terms; flint keeps both in a context of its own."""
+    """Evaluate ``function`` with these global settings of flint."""
     before = ctx.cap
     ctx.cap = terms
     try:

@@ -1,7 +1,7 @@
 """Proofs of complete chattering before a run, by interval arithmetic, never by sampling.
 
-``question.py``: what is asked, checked, and the functions it needs, read from the trace.
-``restitution.py``, ``beside.py``: what both proofs ask of impacts, and of states beside them.
+``question.py``: the checked question, and the functions that it needs, read from the trace.
+``restitution.py``, ``beside.py``: conditions of both proofs on impacts and on other states.
 ``setting.py``, ``theorem.py``: Theorem 1 of Akhmet and Çağ, with (C2). ``relative.py``: the lemma
 without (C2), in coordinates relative to the contact. ``result.py``: the answer.
 """
@@ -24,32 +24,32 @@ def certify(
 ) -> Certificate:
     """Prove, from the right-hand side alone, that a contact's impacts accumulate.
 
-    With bounds of position and velocity, Theorem 1 of Akhmet and Çağ is asked: a fixed
-    obstacle, forces of position and velocity. With bounds of ``gap`` and ``speed`` (the
-    coordinates relative to the contact), the lemma without (C2): moving obstacles, and
-    forces that depend on the time or are not even in the velocity.
+    If the box bounds position and velocity, Theorem 1 of Akhmet and Çağ is used: a fixed obstacle,
+    and forces that depend on position and velocity. If it bounds ``gap`` and ``speed`` (coordinates
+    relative to the contact), the lemma without (C2) is used: it allows moving obstacles, and forces
+    that depend on time or are not even in the velocity.
 
     Parameters
     ----------
     model : Automaton
     box : mapping of str to (low, high)
-        Theorem 1: position from the obstacle to the largest height, velocity
-        ``(-c, c)``. Lemma: ``"gap": (0, y)``, ``"speed": (0, w)`` (an absolute value),
-        and what the gap's acceleration depends on besides: ``"t"``, other states. In both,
-        bounds of states that might end the motion. Elements of an array are named ``"q[0]"``.
+            Theorem 1: the position from the obstacle to the largest height, and the velocity ``(-c,
+        c)``. Lemma: ``"gap": (0, y)``, ``"speed": (0, w)`` (an absolute value), and all else that
+        the gap's acceleration depends on: ``"t"``, other states. For both, bounds of states that
+        might end the motion. Elements of an array are named ``"q[0]"``.
     mode, contact : str, optional
-        Which contact; needed where there are several.
+        Which contact; needed if there are several.
 
     Returns
     -------
     Certificate
-        ``verdict`` is ``"certified"`` (proved), ``"refuted"`` (a condition is proved not
-        to hold on this box; the motion may chatter all the same) or ``"undecided"``.
+            ``verdict`` is ``"certified"`` (proved), ``"refuted"`` (a condition is proved to fail on
+        this box; the motion may chatter nevertheless) or ``"undecided"``.
 
     Raises
     ------
     OptionError
-        If the question cannot be asked; the message says why and what would mend it.
+        If the question cannot be asked; the message gives the reason and the remedy.
 
     Examples
     --------

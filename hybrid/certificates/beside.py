@@ -1,15 +1,15 @@
-"""The states beside a proof: whether one of them may end the motion before its impacts accumulate.
+"""States beside those of a proof: whether they may end the motion before the impacts accumulate.
 
-A proof bounds what the gap's acceleration depends on. The other states move along, and a motion
-is one only as long as all of them exist: ``q' = q^2`` has no value after ``1 / q(0)``. A state is
+A proof bounds what the gap's acceleration depends on. The other states move along, and the motion
+exists only as long as they all do: ``q' = q^2`` has no solution after ``1 / q(0)``. A state is
 harmless
 
-* if it grows no faster than in proportion to itself, wherever it starts: read off the flow with
-  bounds for all but the state itself (:mod:`hybrid.bounds.growth`);
-* if it has bounds in the box, its rate is bounded there, and it starts so far inside that it cannot
-  leave them in time.
+* if its rate is at most proportional to the state itself, for any initial value. This is read off
+  the flow, with bounds for all other states (:mod:`hybrid.bounds.growth`);
+* if it has bounds in the box, its rate is bounded there, and it starts far enough inside that it
+  cannot leave them in time.
 
-States that depend on each other in a circle are judged together.
+States that depend on each other cyclically are judged together.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ COARSE = 1e-6
 
 @attrs.frozen(eq=False)
 class Beside:
-    """What was found of the states beside a proof.
+    """What was found about the states beside a proof.
 
     Attributes
     ----------
     drifts : dict of str to float
-        The largest rates of those that must not leave their bounds in the box, by name; among
-        them the time, whose rate is 1.
+            Largest absolute rates, by name, of the states that must stay within the box; for time,
+        the rate is 1.
     fault : tuple of str or None
-        Verdict, reason and repair, where a state may end the motion.
+        Verdict, reason and repair, if a state may end the motion.
     """
 
     drifts: dict[str, float]
     fault: Fault | None = None
 
     def inside(self, box: Mapping[str, Bounds], name: str, time: float) -> Bounds | None:
-        """From where the bounds are not left within a time; None where there is nothing left."""
+        """Initial values from which the box is not left within ``time``; None if there are none."""
         low, high = box[name]
         far = math.nextafter(self.drifts[name] * time, math.inf)
         start = low if name == TIME_NAME else math.nextafter(low + far, math.inf)
@@ -57,7 +57,7 @@ class Beside:
 
 
 def beside(q: Question, flow: Traced, bounds: Mapping[str, Bounds]) -> Beside:
-    """Judge the states of which a proof has no bounds.
+    """Judge the states that a proof does not bound.
 
     Parameters
     ----------
@@ -81,13 +81,13 @@ def beside(q: Question, flow: Traced, bounds: Mapping[str, Bounds]) -> Beside:
 
 
 def _drifts(q: Question, flow: Traced, relied: list[str], known: dict[str, Bounds]) -> Beside:
-    """The rates of the states that are within bounds, which must be bounded too."""
+    """Bound the rates of the states that must stay within the box."""
     found = {}
     for name in relied:
         drift, why = (1.0, "") if name == TIME_NAME else fastest(q, _rate(q, flow, name), known)
         if not math.isfinite(drift):
             reason = f"the rate of {q.labels[name]} has no bounds on the box: {why}"
-            repair = f"bounds of {q.labels[name]} within which it has"
+            repair = f"bounds of {q.labels[name]} within which its rate is bounded"
             return Beside({}, ("undecided", reason, repair))
         found[q.labels[name]] = drift
     return Beside(found)
@@ -98,7 +98,7 @@ def _rate(q: Question, flow: Traced, name: str) -> ScalarFunction:
 
 
 def fastest(q: Question, rate: ScalarFunction, box: Mapping[str, Bounds]) -> tuple[float, str]:
-    """The largest absolute rate of a state on a box; and why, where it has no bounds."""
+    """The largest absolute rate of a state on a box, and the reason if it is infinite."""
     q.bounds(rate)
     least, most = extrema(rate, box, COARSE)
     return max(-least.low, most.high), most.reason or least.reason
@@ -113,7 +113,7 @@ def _fault(q: Question, who: list[str], wanted: list[str], why: str) -> Fault:
     return "undecided", reason, f"other bounds, on which the flow of {names} is defined"
 
 
-#: States, inputs without bounds on which they depend, and what is wrong with their rates.
+#: States, unbounded inputs on which they depend, and what is wrong with their rates.
 Doubt = tuple[list[str], list[str], str]
 
 
@@ -134,7 +134,7 @@ class _Rates:
         )
 
     def first_fault(self, known: Mapping[str, Bounds]) -> Doubt | None:
-        """The states that may end the motion; None where none does."""
+        """The first group of states that may end the motion; None if there is none."""
         for group in self.groups(set(self.roots) - set(known)):
             why = self.fault(group, known)
             if why is not None:
@@ -143,15 +143,19 @@ class _Rates:
         return None
 
     def unbounded(self, relied: Iterable[str], known: Mapping[str, Bounds]) -> Doubt | None:
-        """A state that must stay within its bounds, and depends on what has none."""
+        """A state that must stay within its bounds but depends on an unbounded input, or None."""
         for name in relied:
             inputs = sorted(self.inputs.get(name, set()) - set(known))
             if inputs:
-                return [name], inputs, "its rate has bounds only where all that it depends on has"
+                return (
+                    [name],
+                    inputs,
+                    "its rate is bounded only if all that it depends on is bounded",
+                )
         return None
 
     def groups(self, free: set[str]) -> list[list[str]]:
-        """The free states, those that depend on each other in a circle together, causes first."""
+        """The free states in groups of cyclic dependence, causes before effects."""
         reach = {name: self.reached(name, free) for name in free}
         order = sorted(free, key=lambda name: (len(reach[name]), int(name[1:])))
         found: dict[frozenset[str], list[str]] = {}
@@ -161,7 +165,7 @@ class _Rates:
         return list(found.values())
 
     def reached(self, name: str, free: set[str]) -> set[str]:
-        """The free states that the rate of one depends on, through others too."""
+        """The free states on which the rate of one depends, directly or indirectly."""
         found: set[str] = set()
         queue = [name]
         while queue:
@@ -171,7 +175,7 @@ class _Rates:
         return found
 
     def fault(self, group: list[str], known: Mapping[str, Bounds]) -> str | None:
-        """Why a group may cease to exist; None where it cannot."""
+        """Why a group may cease to exist in finite time; None if it cannot."""
         around = {name: between(*known[name]) for name in known}
         free = dict.fromkeys([*self.roots, TIME_NAME], ANYTHING) | around
         if len(group) == 1:
@@ -180,13 +184,13 @@ class _Rates:
         return why if why is None or not self.oscillates(group, free) else None
 
     def alone(self, name: str, free: dict[str, Growth]) -> str | None:
-        """One state: it must not run away upward where it is positive, nor downward below."""
+        """For a single state: it must not escape upward if positive, nor downward if negative."""
         above = growth(self.graph, self.roots[name], free | {name: UPPER})
         below = growth(self.graph, self.roots[name], free | {name: LOWER})
         return _why(above, "up") or _why(below, "down")
 
     def together(self, group: list[str], free: dict[str, Growth]) -> str | None:
-        """States in a circle: all their rates must be bounded in proportion to them."""
+        """For cyclically dependent states: all rates must be at most proportional to the states."""
         grown = free | dict.fromkeys(group, GROWING)
         found = [growth(self.graph, self.roots[name], grown) for name in group]
         return next(
@@ -194,10 +198,11 @@ class _Rates:
         )
 
     def oscillates(self, group: list[str], free: dict[str, Growth]) -> bool:
-        """A position and its velocity, in a potential that does not drive it away for ever.
+        """Whether a position and its velocity move in a potential from which they cannot escape.
 
-        Forces of the position alone must not push outward faster than in proportion, all others
-        not along the velocity: the energy then grows at most in proportion to itself.
+        Forces that depend on the position alone must not push outward more than proportionally, and
+        all others not along the velocity more than proportionally. The energy then grows at most
+        exponentially.
         """
         for place, speed in (group, group[::-1]) if len(group) == 2 else ():
             if self.graph.nodes[self.roots[place]] == ("input", speed):
@@ -206,7 +211,7 @@ class _Rates:
         return False
 
     def holds(self, node: int, sign: int, place: str, speed: str, free: dict[str, Growth]) -> bool:
-        """Whether a term of the force on a position does not drive it away."""
+        """Whether a term of the force on a position cannot make it escape."""
         if inputs_of(self.graph, [node]) <= {place}:
             regions = [free | {place: half} for half in (UPPER, LOWER)]
         else:
@@ -222,7 +227,7 @@ GROWTH_ENDS = ("up", "down")
 
 
 def _why(rate: Any, end: str) -> str | None:
-    """What is wrong with a rate; None if it is defined, and at most linear in this direction."""
+    """What is wrong with a rate; None if it is defined and at most linear in this direction."""
     if isinstance(rate, Undefined):
         return f"its rate is not defined everywhere ({rate.reason})"
     if getattr(rate, end) > 1.0:

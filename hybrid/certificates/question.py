@@ -1,4 +1,4 @@
-"""What is asked of a certificate: options checked, functions read from the trace."""
+"""The question put to a certificate: checked options, and functions read from the trace."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ Traced = Callable[..., Any]
 
 @attrs.frozen(eq=False)
 class Question:
-    """A contact of a model with its parameters' values, and a box.
+    """A contact of a model with parameter values, and a box.
 
     Attributes
     ----------
     box : dict
-        Bounds by the name they were given under.
+        Bounds by the names under which they were given.
     relative : bool
         Whether the box is in coordinates relative to the contact.
     position, velocity : int
-        Places in the state vector of the gap's position and of its velocity; of the first
-        pair, where the gap depends on several.
+            Indices in the state vector of the gap's position and its velocity; the first pair if
+        the gap depends on several.
     """
 
     spec: Spec
@@ -64,19 +64,19 @@ class Question:
 
     @property
     def labels(self) -> dict[str, str]:
-        """The inputs of the functions (``x0``, ``t``) to the names in the box."""
+        """Maps the inputs of the functions (``x0``, ``t``) to the names in the box."""
         names = {f"x{i}": name for i, name in enumerate(self.spec.element_names)}
         if self.relative:
             names |= {f"x{self.position}": GAP_NAME, f"x{self.velocity}": SPEED_NAME}
         return {**names, TIME_NAME: TIME_NAME}
 
     def bounds(self, *functions: ScalarFunction) -> dict[str, Bounds]:
-        """Bounds of the inputs of these functions.
+        """Bounds of the inputs of the given functions.
 
         Raises
         ------
         OptionError
-            If the box has none for one of them.
+            If the box has no bounds for one of them.
         """
         inputs = sorted(set().union(*(f.inputs for f in functions)))
         labels = self.labels
@@ -94,7 +94,7 @@ class Question:
     def answer(
         self, statement: str, verdict: str, reason: str, repair: str = "", **found: Any
     ) -> Certificate:
-        """What is said of the statement asked about."""
+        """The certificate that answers the question."""
         return Certificate(
             model=self.spec.model,
             contact=self.contact.name,
@@ -111,7 +111,7 @@ class Question:
         return {self.labels[name]: value for name, value in point.items()}
 
     def function(self, call: Traced) -> ScalarFunction:
-        """An expression of ``(parameters, t, x)``, with its gradient where it has one."""
+        """An expression of ``(parameters, t, x)``, with its gradient if there is one."""
 
         def slopes(parameters: Any, *point: Any) -> Any:
             import jax
@@ -137,7 +137,7 @@ class Question:
         return self._program(flow, exact=True, kept=range(self.spec.dimension))
 
     def _program(self, call: Traced, exact: bool, kept: Sequence[int] = (0,)) -> IntervalProgram:
-        """Some results of an expression, the parameters' values put in."""
+        """Some results of an expression, with the parameter values inserted."""
         shapes = self.code.shapes
         closed = trace.trace(self.spec, call, 0, shapes)
         graph = FixedGraph(exact)
@@ -149,16 +149,22 @@ class Question:
             raise TraceError(f"{self.spec.model}: {fault}") from None
 
     def law(self, place: Traced, speed: Traced) -> ScalarFunction:
-        """The restitution; ``place`` gives the state at an impact, ``speed`` the gap's speed."""
+        """The restitution; ``place`` gives the state at an impact, ``speed`` the gap speed."""
         law = trace.again(self.code.closed("restitution", self.contact.name))
         return self.function(lambda p, t, z: law(p, t, place(p, t, z), speed(p, t, z)))
 
     def on_contact(self, parameters: Any, t: Any, x: Any) -> Any:
-        """A state with its position moved to where the gap is zero; for affine gaps."""
+        """A state with its position moved to zero gap; for affine gaps."""
         return solved(self.laws.gap, self.position, parameters, t, x, 0.0)
 
     def other_guards(self, place: Callable[[Traced], Traced]) -> dict[str, ScalarFunction]:
-        """The guards of the mode's other edges; ``place`` puts the state into them."""
+        """The guards of the mode's other edges; ``place`` converts them to the proof's coordinates.
+
+        Raises
+        ------
+        OptionError
+            If one of the edges is urgent.
+        """
         edges = [e for e in self.spec.leaving(self.contact.source) if e is not self.contact]
         urgent = [e.name for e in edges if isinstance(e, EdgeSpec) and e.urgent]
         if urgent:
@@ -171,7 +177,7 @@ class Question:
 
 
 def solved(h: Traced, k: int, parameters: Any, t: Any, x: Any, value: Any) -> Any:
-    """A state whose element ``k`` gives ``h`` this value, where ``h`` is affine in it."""
+    """The state with element ``k`` such that ``h`` has the given value; ``h`` is affine in it."""
     import jax
     import jax.numpy as jnp
 
@@ -182,7 +188,7 @@ def solved(h: Traced, k: int, parameters: Any, t: Any, x: Any, value: Any) -> An
 
 
 def ask(model: Any, box: Any, mode: str | None, contact: str | None) -> Question:
-    """A checked question.
+    """Check a question.
 
     Raises
     ------
@@ -208,7 +214,12 @@ def ask(model: Any, box: Any, mode: str | None, contact: str | None) -> Question
 
 
 def _require_own_derivatives(code: Lowered, contact: ContactSpec) -> None:
-    """The proofs rest on derivatives of the traces; ``stop_gradient`` falsifies them."""
+    """Refuse ``stop_gradient``, which falsifies the derivatives on which the proofs rest.
+
+    Raises
+    ------
+    OptionError
+    """
     for kind, name in (("flow", contact.source), ("gap", contact.name)):
         if hides_derivatives(code.closed(kind, name)):
             raise OptionError(

@@ -1,13 +1,13 @@
-"""The lemma without (C2), asked in coordinates relative to the contact, before a run.
+"""The lemma without (C2), in coordinates relative to the contact, before a run.
 
-For a gap ``g = b x + phi(t, others)`` whose speed is ``b' v + psi(...)`` with constant ``b``
-and ``b'``, position and velocity are functions of gap, gap speed and the rest:
+For a gap ``g = b x + phi(t, others)`` whose speed is ``b' v + psi(...)`` with constant ``b`` and
+``b'``, position and velocity are functions of gap, gap speed and the rest:
 
     x = (y - phi) / b,    v = (w - psi) / b'.
 
-They are put into the traces, so the acceleration is bounded as a function of ``y``, ``w``,
-the time and the other states. For other gaps the acceleration is bounded over a box of all
-states, and the answer says what that leaves open.
+These are inserted into the traces, so the acceleration is bounded as a function of ``y``, ``w``,
+time and the other states. For other gaps the acceleration is bounded over a box of all states, and
+the answer says what that leaves open.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def by_lemma(question: Question) -> Certificate:
 
 
 def _motion(q: Question, place: Any) -> tuple[ScalarFunction, ...]:
-    """Gap and gap speed at position 0 and velocity 0: what moves the coordinates."""
+    """Gap at position 0 and gap speed at velocity 0: the motion of the coordinate system."""
 
     def rest(h: Traced, k: int) -> ScalarFunction:
         return q.function(lambda p, t, z: h(p, t, place(_itself)(p, t, z).at[k].set(0.0)))
@@ -61,7 +61,7 @@ def _motion(q: Question, place: Any) -> tuple[ScalarFunction, ...]:
 
 
 def _law(q: Question, place: Any) -> ScalarFunction:
-    """The restitution as a function of the coordinates, on the contact where these are its own."""
+    """The restitution in the coordinates of the proof; at zero gap if these are relative."""
     if not q.relative:
         return q.law(_itself, q.laws.speed)
     state = place(_itself)
@@ -86,7 +86,7 @@ def _own_bounds(q: Question) -> tuple[float, float]:
 
 
 def _coordinates(q: Question) -> tuple[Any, Any]:
-    """``place(h)``: a function of states as one of relative coordinates; or what prevents it."""
+    """``place(h)``, which converts to relative coordinates; or what prevents it."""
     i, j = q.position, q.velocity
     gap, speed = q.function(q.laws.gap), q.function(q.laws.speed)
     unknown = _not_affine(q, constant_slope(gap, f"x{i}"), constant_slope(speed, f"x{j}"))
@@ -109,7 +109,7 @@ def _coordinates(q: Question) -> tuple[Any, Any]:
 
 
 def _not_affine(q: Question, gap: Any, speed: Any) -> str | None:
-    """What of gap and gap speed is not known to be affine, given their slopes; None if all is."""
+    """What of gap and gap speed is not known to be affine, given their slopes; None if both are."""
     names = q.spec.element_names
     if len(q.laws.pairing.positions) > 1:
         listed = ", ".join(names[k] for k in q.laws.pairing.positions)
@@ -124,9 +124,9 @@ def _not_affine(q: Question, gap: Any, speed: Any) -> str | None:
 
 @attrs.frozen(eq=False)
 class RelativeSetting:
-    """A contact, and what the proof needs as functions of relative coordinates.
+    """A contact, and the functions that the proof needs, in relative coordinates.
 
-    ``place`` turns a function of states into one of these coordinates.
+    ``place`` converts a function of states to these coordinates.
     """
 
     question: Question
@@ -148,13 +148,13 @@ class RelativeSetting:
         return named
 
     def restitution(self) -> Restitution:
-        """The restitution on the contact, at gap speeds that lead into it."""
+        """The restitution on the contact, at approaching gap speeds."""
         v = f"x{self.question.velocity}"
         box = self.box()
         return Restitution.of(self.law, box | ({v: (-self.speed, 0.0)} if v in box else {}), v)
 
     def smaller(self, scale: float, span: float) -> RelativeSetting:
-        """The same on a box with smaller gaps and speeds, and a shorter time."""
+        """The setting on a box with smaller gaps and speeds, and a shorter time."""
         q = self.question
         box = {
             **q.box,
@@ -168,7 +168,7 @@ class RelativeSetting:
         return attrs.evolve(smaller, height=box[GAP_NAME][1], speed=box[SPEED_NAME][1])
 
     def drifts(self) -> Beside:
-        """The largest rates of the other states on which the proof depends, and of those beside."""
+        """The largest rates of the other states, of the proof and beside it."""
         q, flow = self.question, self.place(self.question.laws.flow)
         own, found = {q.position, q.velocity}, dict[int, float]()
         queue = [self.acceleration, self.law, *self.motion, *self.guards.values()]
@@ -185,7 +185,7 @@ class RelativeSetting:
         return attrs.evolve(others, drifts={**relied, **others.drifts})
 
     def regularity(self) -> Any:
-        """Gap and gap speed, as functions of time and the rest, must not jump."""
+        """Check that gap and gap speed are continuous in time and the other states."""
         box = self.box()
         for function in self.motion:
             if not continuous(function, {name: box[name] for name in function.inputs}):
@@ -204,7 +204,7 @@ def _itself(p: Any, t: Any, x: Any) -> Any:
 
 @attrs.frozen
 class RelativeTrial:
-    """The lemma on one box: the acceleration's extrema, and ``rho`` from below and above."""
+    """The lemma on one box: extrema of the acceleration, and lower and upper bounds on ``rho``."""
 
     least: Extreme
     most: Extreme
@@ -249,7 +249,7 @@ def _answer(setting: RelativeSetting, law: Restitution, fault: Fault | None) -> 
 def _starts(
     setting: RelativeSetting, law: Restitution, trial: RelativeTrial
 ) -> dict[str, Any] | Fault:
-    """The largest speed, its times, and what they leave of the box; or what prevents it."""
+    """The largest initial speed, its times, and the initial set; or what prevents it."""
     from ..bounds.balls import high, low
 
     q, others = setting.question, setting.drifts()
@@ -276,9 +276,9 @@ def _starts(
 
 
 def _room(q: Question, drifts: dict[str, float]) -> float:
-    """How long the motion may last: half the time of the box is left for its start.
+    """How long the motion may last, so that half the box's time is left for its start.
 
-    The other states, too, may drift by a quarter of their bounds to either side.
+    The other states may drift by a quarter of their range to either side.
     """
     rooms = [0.5 * (b - a) for name, (a, b) in q.box.items() if name == TIME_NAME]
     for name, drift in drifts.items():

@@ -1,4 +1,4 @@
-"""The restitution of the impacts that there are: on the contact, at speeds that lead into it."""
+"""The restitution at the possible impacts: on the contact, at approaching speeds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import attrs
 from ..bounds.extrema import Bounds, Extreme, ScalarFunction, extrema
 from .result import Fault
 
-#: Shares of the box's largest speed at which it is asked what a restitution at rest hints at.
+#: Fractions of the box's largest speed at which to test what the restitution at rest suggests.
 HINT_SPEEDS = tuple(0.5**k for k in (1, 4, 10, 30, 100, 300, 900))
 
 
@@ -21,13 +21,13 @@ class Restitution:
     Attributes
     ----------
     law : ScalarFunction
-        Of a state at an impact.
+        The restitution at an impact.
     box : dict
-        Bounds of its inputs; a velocity that leads into the contact, with 0 as one end.
+        Bounds of its inputs; the velocity is approaching, with 0 as one end.
     velocity : str
         The input that is this velocity.
     ends : (Extreme, Extreme) or None
-        Infimum and supremum; None if the law depends on more than the box bounds.
+        Infimum and supremum; None if the law depends on inputs that the box does not bound.
     """
 
     law: ScalarFunction
@@ -43,11 +43,11 @@ class Restitution:
 
     @property
     def bounds(self) -> Bounds | None:
-        """The bounds that are proved."""
+        """The proved bounds."""
         return self.ends and (self.ends[0].low, self.ends[1].high)
 
     def fault(self) -> Fault | None:
-        """The restitution must lie strictly between 0 and 1; refuted only by an impact."""
+        """The fault unless the restitution is strictly between 0 and 1; only impacts refute."""
         if self.ends is None:
             reason = "the restitution depends on the time or on states without bounds here"
             return "undecided", reason, "a restitution of the contact's own position and speed"
@@ -65,7 +65,7 @@ class Restitution:
         return verdict, reason, "choose a restitution strictly between 0 and 1"
 
     def happens(self, extreme: Extreme, wrong: Callable[[Any], bool]) -> bool:
-        """Whether an impact has it: at a point of no speed there is none, so near that one."""
+        """Whether an impact has this value; at zero speed there is none, so try nearby ones."""
         if extreme.at.get(self.velocity, 1.0) != 0.0:
             return True
         low, high = self.box[self.velocity]

@@ -1,4 +1,4 @@
-"""Whether Theorem 1 speaks of a contact: a fixed obstacle, forces of position and velocity."""
+"""Whether Theorem 1 applies to a contact: a fixed obstacle, forces of position and velocity."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from ..lowering.graph import needed
 from .question import TIME_NAME, Question
 from .restitution import Restitution
 
-#: A box may begin so far (relative to its place) from the wall and count as touching it.
+#: A box that begins within this distance of the wall (relative to the wall's position, or 1) counts
+#: as touching it.
 TOUCH = 1e-9
 
 
@@ -23,13 +24,13 @@ class Setting:
     Attributes
     ----------
     acceleration : ScalarFunction
-        Of the gap, in free flight.
+        The gap's acceleration in free flight.
     slope : arb
         ``b``.
     wall : arb
         ``phi``.
     near, far : float
-        The wall's position (rounded to its outer side) and the other end of the box.
+        The wall's position (rounded outward) and the other end of the box.
     limit : arb
         The largest absolute gap speed of the box.
     """
@@ -62,7 +63,7 @@ class Setting:
         return absolute(self.slope * (arb(far) - self.wall))
 
     def restitution(self) -> Restitution:
-        """The restitution at the wall, where the velocity leads into it."""
+        """The restitution at the wall, at approaching velocities."""
         q, v = self.question, f"x{self.question.velocity}"
         law = q.law(q.on_contact, lambda p, t, x: q.laws.speed(p, t, q.on_contact(p, t, x)))
         inward = (-self.speed, 0.0) if self.slope > 0 else (0.0, self.speed)
@@ -70,7 +71,7 @@ class Setting:
 
 
 def setting_of(q: Question) -> Setting | str:
-    """The setting, or the sentence that says why the theorem does not apply."""
+    """The setting, or a sentence that says why the theorem does not apply."""
     from ..bounds.balls import absolute, high, low
 
     if len(q.laws.pairing.positions) > 1:
@@ -114,7 +115,12 @@ def _require_bounds(q: Question) -> None:
 
 
 def _require_touch(q: Question, ends: Bounds, near: float, below: bool) -> None:
-    """The box must reach from the wall inward."""
+    """Refuse a box that does not extend inward from the wall.
+
+    Raises
+    ------
+    OptionError
+    """
     name, room = q.spec.element_names[q.position], TOUCH * max(1.0, abs(near))
     start, far = ends if below else ends[::-1]
     sign = 1.0 if below else -1.0
@@ -127,7 +133,7 @@ def _require_touch(q: Question, ends: Bounds, near: float, below: bool) -> None:
 
 
 def constant_slope(function: ScalarFunction, name: str) -> Any:
-    """The derivative with respect to an input in which the function is affine, else None."""
+    """The derivative by an input in which the function is affine; None if it is not."""
     if name not in function.gradient or function.slopes is None or _may_step(function, name):
         return None
     root = function.slopes.roots[function.gradient.index(name)]
@@ -139,7 +145,7 @@ def constant_slope(function: ScalarFunction, name: str) -> Any:
 
 
 def _may_step(function: ScalarFunction, name: str) -> bool:
-    """Whether an operation that can jump, and has no slope there, works on an input."""
+    """Whether an operation that can jump, and hides this in its slope, acts on an input."""
     from ..bounds.balls import JUMPS
 
     graph = function.value.graph

@@ -1,8 +1,8 @@
 """Theorem 1 of Akhmet and Çağ: a fixed obstacle, forces even in the velocity.
 
-For a gap ``g = b (x - phi)`` and ``x' = v`` the theorem is asked in the gap's own
-coordinates, in which the acceleration is ``a = L_f^2 g``: it is the paper's ``f`` where
-``b`` is 1, and covers an obstacle above the body (``b < 0``) too.
+For a gap ``g = b (x - phi)`` and ``x' = v`` the theorem is applied in the gap's own coordinates, in
+which the acceleration is ``a = L_f^2 g``. This is the paper's ``f`` if ``b`` is 1, and also covers
+an obstacle above the body (``b < 0``).
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from .setting import Setting, setting_of
 
 THEOREM = "Theorem 1 (fixed obstacle, (C1), (C2))"
 
-#: What mends it where the theorem does not speak.
+#: The remedy where the theorem does not apply.
 BY_LEMMA = (
     'ask without (C2), in relative coordinates: box={"gap": (0, y), "speed": (0, w), ...} '
     "with bounds of t and of other states that the gap's acceleration depends on"
 )
 
-#: Accuracy of the extrema in the answer, and in trials on the way to a repair.
+#: Accuracy of the extrema in the answer, and in trials in search of a repair.
 FINE, COARSE = 1e-13, 1e-6
 
-#: Bisections on the way to a repair.
+#: Bisections in search of a repair.
 TRIALS = 20
 
 
@@ -39,7 +39,7 @@ TRIALS = 20
 class Trial:
     """The numbers of the theorem on one box.
 
-    ``left`` bounds ``M sqrt(2 (h - phi) / m)`` from below and above; None without (C1).
+    ``left`` bounds ``M sqrt(2 (h - phi) / m)`` from below and above; None if (C1) fails.
     """
 
     least: Extreme
@@ -112,7 +112,7 @@ def _below(high: float) -> float:
 
 
 def _parity(setting: Setting) -> Fault | None:
-    """(C2): the proof of evenness, or a point at which it fails."""
+    """(C2): None if evenness is proved, else the fault, with a counterexample if one is found."""
     function, q = setting.acceleration, setting.question
     v = f"x{q.velocity}"
     (root,) = function.value.roots
@@ -132,7 +132,7 @@ def _parity(setting: Setting) -> Fault | None:
 
 
 def edges_fault(guards: dict[str, ScalarFunction], box: dict[str, Bounds]) -> Fault | None:
-    """No other edge may be taken inside the box."""
+    """The fault if another edge may be taken inside the box."""
     for name, guard in guards.items():
         bounded = False
         if guard.inputs <= set(box):
@@ -194,7 +194,7 @@ def _certified(
 
 
 def _starts(setting: Setting, far: float, trial: Trial, law: Restitution) -> dict[str, Any] | Fault:
-    """From where the motion chatters: the height, and the states that must not end it before."""
+    """The initial set: heights, and the other states that must not end the motion; or a fault."""
     q = setting.question
     names = q.spec.element_names
     bounds = (min(setting.near, far), max(setting.near, far))
@@ -207,7 +207,7 @@ def _starts(setting: Setting, far: float, trial: Trial, law: Restitution) -> dic
         inside = others.inside(q.box, name, time)
         if inside is None:
             reason = f"{name} may leave its bounds, at a rate of {drift:.6g}, in the {time:.6g} "
-            reason += "that the motion may last: what becomes of it there is not known"
+            reason += "that the motion may last; nothing is known outside of them"
             return "undecided", reason, f"other bounds of {name}, or a smaller height"
         start[name] = inside
     return start
@@ -216,7 +216,7 @@ def _starts(setting: Setting, far: float, trial: Trial, law: Restitution) -> dic
 def _longest(setting: Setting, far: float, trial: Trial, law: Restitution) -> float:
     """The longest time from the height to the accumulation: the fall, and all flights.
 
-    A flight comes back with the speed with which it left, and lasts at most ``2 v / m``.
+    A flight returns with the speed with which it left, and lasts at most ``2 v / m``.
     """
     from flint import arb, ctx
 
@@ -271,7 +271,7 @@ def _failure(setting: Setting, trial: Trial) -> tuple[str, str]:
 
 
 def _smallest_speed(setting: Setting, trial: Trial) -> float | None:
-    """A speed beyond which the inequality holds on this height; None if none was found."""
+    """A speed beyond which the inequality holds at this height; None if none was found."""
     from flint import arb
 
     from ..bounds.balls import absolute, high

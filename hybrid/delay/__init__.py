@@ -1,1 +1,1 @@
-"""The past of a run: what was before it, the record of it, and what its flows see of it."""
+"""Delays: the history before a run, the record of its past, and what its flows see of it."""

@@ -1,8 +1,8 @@
-"""What a run saw of its past at any time of it, for those who look at the run afterwards.
+"""The model of a run as it was at any of its times, for analyses after the run.
 
-A model with delays is, between two breaking points, a model without: a scene that looks through
-windows on the record (:mod:`hybrid.delay.memory`). Here the windows are the pieces of the record
-themselves, so that one scene serves as long as every lag looks at the same piece.
+Between two breaking points a model with delays is an ordinary model: a scene whose delayed terms
+are windows on the record (:mod:`hybrid.delay.memory`). Here the windows are the pieces of the
+record themselves, so one scene serves as long as every lag looks at the same piece.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ if TYPE_CHECKING:
     from ..automaton.shapes import IntegerMatrix, Matrix, Numbers
     from ..trajectory.trajectory import Solution
 
-#: Width of the window on a piece that is no polynomial of low degree, against the longest lag.
+#: Half-width of the window on a piece that is not a low-degree polynomial, relative to the longest
+#: lag.
 NARROW = 1e-2
 
 
 class PastRecord:
-    """Pieces in order of time, looked at from one side where two of them meet."""
+    """Pieces in order of time; where two meet, either side can be chosen."""
 
     def __init__(self, pieces: Iterable[Piece]) -> None:
         self.pieces = [piece for piece in pieces if piece.end > piece.start]
@@ -41,12 +42,12 @@ class PastRecord:
         self.starts = [piece.start for piece in self.pieces]
 
     def index(self, t: float, side: str = "right") -> int:
-        """The piece at a time; where two meet, the later one, or that before it."""
+        """Index of the piece at time ``t``; where two meet, of the one on the given side."""
         found = (bisect_left if side == "left" else bisect_right)(self.ends, t)
         return min(found, len(self.pieces) - 1)
 
     def states(self, times: Numbers, low: float = -np.inf, high: float = np.inf) -> Matrix:
-        """States at some times, of pieces between ``low`` and ``high`` (or a little beyond)."""
+        """States at some times, from the pieces between ``low`` and ``high`` only."""
         first, last = self.index(low), self.index(high, "left")
         which = np.clip([self.index(t) for t in times.tolist()], first, max(first, last))
         pairs = zip(which.tolist(), times.tolist(), strict=True)
@@ -54,20 +55,20 @@ class PastRecord:
 
 
 class Hindsight:
-    """The scenes of a run: how its model looked at any time of it.
+    """The scenes of a run: its model as it was at any time.
 
     Attributes
     ----------
     scene : Scene
-        With nothing before its windows.
+        The scene with empty windows.
     history : sequence of Piece or None
         The record before the run; None for a model without delays.
     memory : "keep" or "restart"
     breaks : (array, array)
-        Times at which the record does not join smoothly, as far back as lags reach from the run's
-        end, and the order of each element there.
+            Breaking points of the record, as far back as the lags reach from the run's end, and the
+        order of each state element there.
     earlier : Solution or None
-        The run that this one goes on from.
+        The run that this one continues.
     """
 
     def __init__(
@@ -85,7 +86,7 @@ class Hindsight:
         self._scenes: dict[tuple[int, ...], Scene] = {}
 
     def __reduce__(self) -> Any:
-        """Pickled without what is made when it is asked for."""
+        """Pickle without cached values."""
         more = self.breaks, self.earlier
         return Hindsight, (self.scene, self.history, self.memory, self._log, *more)
 
@@ -102,7 +103,7 @@ class Hindsight:
 
     @cached_property
     def longest(self) -> float:
-        """The longest lag that is constant; 0 without any."""
+        """The longest constant lag; 0 if there is none."""
         return max([lag for lag in self.lags if lag == lag], default=0.0)
 
     @cached_property
@@ -113,7 +114,7 @@ class Hindsight:
         return [scene.code.lag(k).bind(values) for k in range(len(spec.lags))]
 
     def places(self, part: int, t: float) -> list[float]:
-        """Where each lag looks at a time of a part of the run."""
+        """The times at which the lags look, at time ``t`` in a part of the run."""
         if not any(self.scene.code.moving):
             return [t - lag for lag in self.lags]
         arc = self._parts[part]
@@ -123,7 +124,7 @@ class Hindsight:
         return [t - float(lag(t, x)) for lag in self._lags]
 
     def record(self, part: int) -> PastRecord:
-        """The record as it is seen during a part of the run."""
+        """The record as seen during a part of the run."""
         key = part if self.memory == "restart" and part else 0
         if key not in self._records:
             self._records[key] = PastRecord(self._seen(key))
@@ -140,7 +141,7 @@ class Hindsight:
         return [*(self.history or ()), *flown]
 
     def before(self, part: int, t: float) -> Before | None:
-        """What a run that goes on from a time of a part of this one is given as its history."""
+        """The history for a run that continues from time ``t`` in a part of this one."""
         if self.history is None:
             return None
         pieces = until(self.record(part).pieces, t)
@@ -148,7 +149,7 @@ class Hindsight:
         return Before([piece for piece in pieces if piece.end > needed] or pieces[-1:])
 
     def at(self, part: int, t: float, side: str = "right") -> Scene:
-        """The scene at a time of a part of the run."""
+        """The scene at time ``t`` in a part of the run."""
         if self.history is None:
             return self.scene.at(float(np.nextafter(t, -np.inf)) if side == "left" else t)
         record = self.record(part)
@@ -165,7 +166,7 @@ class Hindsight:
         return scene
 
     def _window(self, piece: Piece, place: float) -> list[np.ndarray]:
-        """A piece as a window: all of it, or where it is no short polynomial a narrow part."""
+        """A piece as a window; only a narrow part of one that is not a short polynomial."""
         a, b = piece.start, piece.end
         if piece.degree > WINDOW_DEGREE or not np.isfinite(a):
             width = NARROW * (self.longest or 1.0)

@@ -1,4 +1,4 @@
-"""What was before a run: constants, functions of time, or an earlier run."""
+"""The history of a run: constants, functions of time, or an earlier run."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @attrs.frozen(eq=False)
 class Before:
-    """The record before a run, as the runs before it left it (:meth:`.Hindsight.before`)."""
+    """The record before a run that continues an earlier one (:meth:`.Hindsight.before`)."""
 
     pieces: list[Piece]
 
@@ -36,18 +36,19 @@ def pieces(
     Parameters
     ----------
     history : None, mapping, record, sequence, callable or Solution
-        Nothing: the start, for ever. By state (or in declared order) a number, an array or a
-        function of time; states left out are as at the start. A function of time that gives all
-        states. A trajectory: its record up to ``t0``, and before it what was before that run.
+            None: the start state at all times. A mapping by state, or a sequence in declared order:
+        numbers, arrays or functions of time; omitted states are constant at their start value. A
+        callable: a function of time that returns all states. A trajectory: its record up to ``t0``,
+        preceded by its own history.
     x : array
         The state at ``t0``.
     memory : "keep" or "restart"
-        Whether of a trajectory all is seen, or what follows its last jump.
+        Whether the whole trajectory is seen, or only what follows its last jump.
 
     Raises
     ------
     OptionError
-        If it cannot be understood.
+        If the history is invalid.
     """
     if history is None:
         return [constant(x, t0)]
@@ -61,7 +62,7 @@ def pieces(
 
 
 def from_start(spec: Spec, history: Any) -> np.ndarray:
-    """Of each element, whether it was before the run as it is at its start."""
+    """For each state element, whether its history is its start value."""
     if isinstance(history, Mapping | Record):
         given = set(history.keys())
         parts = [np.full(state.shape, state.name not in given).reshape(-1) for state in spec.states]
@@ -70,7 +71,7 @@ def from_start(spec: Spec, history: Any) -> np.ndarray:
 
 
 def _of_states(spec: Spec, history: Any, t0: float, x: StateVector) -> Piece:
-    """Constants and functions, state by state."""
+    """The piece of a history given state by state."""
     if isinstance(history, Mapping | Record):
         given = {name: history[name] for name in history.keys()}
     else:
@@ -104,25 +105,25 @@ def _state_by_state(spec: Spec, given: Mapping[str, Any], t: float) -> Numbers:
 
 
 def _called(spec: Spec, state: Callable[[float], np.ndarray], s: float, since: Numbers) -> Matrix:
-    """The states that a function of the caller's gives."""
+    """The states returned by a function of the caller."""
 
     def at(t: float) -> np.ndarray:
         try:
             return state(t)
         except OptionError:
             raise
-        except Exception as fault:  # whatever the caller's code raises
+        except Exception as fault:  # any exception of the caller's code
             raise OptionError(
-                f"{spec.model}: history at t = {t!r}: {type(fault).__name__}: {fault}; it is asked "
-                "for as far back as the lags reach"
+                f"{spec.model}: history at t = {t!r}: {type(fault).__name__}: {fault}; it is "
+                "evaluated as far back as the lags reach"
             ) from fault
 
-    with wide():  # a function of jax.numpy, too, gives 64 bits
+    with wide():  # so that functions of jax.numpy return 64 bits
         return np.array([at(t) for t in (s + since).tolist()])
 
 
 def _of_run(spec: Spec, run: Solution, t0: float, memory: str) -> list[Piece]:
-    """The pieces of an earlier run, which must reach ``t0``, and of what was before it."""
+    """The pieces of an earlier run, which must reach ``t0``, preceded by those of its history."""
     if run.spec.names != spec.names:
         theirs, own = ", ".join(run.spec.names), ", ".join(spec.names)
         raise OptionError(f"{spec.model}: history: a run with the states {theirs}, not {own}")
@@ -147,7 +148,7 @@ def _of_run(spec: Spec, run: Solution, t0: float, memory: str) -> list[Piece]:
 
 
 def _broken(pieces: list[Piece], run: Solution) -> list[Piece]:
-    """Pieces with the breaking points within arcs, which steps have ended on, of an earlier run."""
+    """The pieces, with the breaking points that an earlier run had within its arcs."""
     for t, orders in zip(*run.hindsight.breaks, strict=True) if run.hindsight else ():
         near = min(range(len(pieces)), key=lambda k: abs(pieces[k].start - t))
         piece = pieces[near]
@@ -157,12 +158,12 @@ def _broken(pieces: list[Piece], run: Solution) -> list[Piece]:
 
 
 def until(pieces: list[Piece], t: float) -> list[Piece]:
-    """The part of a record that is before a time."""
+    """The part of a record before time ``t``."""
     return [attrs.evolve(p, end=min(p.end, t)) for p in pieces if p.start < t]
 
 
 def unknown(spec: Spec, end: float) -> Piece:
-    """What was before a run that does not say it."""
+    """Stands for the unknown history of a loaded run: NaN."""
     return constant(np.full(spec.dimension, np.nan), end)
 
 

@@ -1,16 +1,16 @@
-"""What a run with delays remembers, and until when its flows look through the same windows.
+"""The record of a run with delays, and the windows through which its flows see the past.
 
-Between two breaking points of what they see, flows with delays are flows that depend on time: the
-record at ``t - lag`` is smooth there, and is handed to them as a polynomial (a *window*). The
-driver flies from window to window; everything else (guards, contacts, accumulations, rests) does
-not know of delays. A window ends
+Between two breaking points of the delayed terms, a flow with delays is an ordinary time-dependent
+flow: the record at ``t - lag`` is smooth there and is passed to it as a polynomial, a *window*. The
+driver integrates from window to window; guards, contacts, accumulations and rests do not know of
+delays. A window ends
 
-* where what is seen does not join smoothly: a breaking point, hit exactly. Its order is tracked
-  for each element of the state (0: it jumps, 1: its derivative does, ...), through each lag, until
-  it is above that of the method;
+* at a breaking point, where the seen record is not smooth. Steps end exactly there. Its order is
+  tracked for each state element (0: the state jumps, 1: its derivative does, ...) through each lag,
+  until it exceeds that of the method;
 * where one polynomial would not be as accurate as the run;
-* where the record ends, if the lag is no shorter than a step. If it is, what will be seen is
-  guessed, flown over, and guessed again until it is what was flown.
+* where the record ends, if the lag is at least as long as a step. If it is shorter, the part not
+  yet known is guessed, integrated, and corrected until guess and result agree.
 
 See ``docs/notes/delays.md``.
 """
@@ -98,22 +98,22 @@ from .windows import NO_LINKS, TO_POWERS, Links, reach
 if TYPE_CHECKING:
     from ..automaton.shapes import Integers, Numbers, StateVector
 
-#: Sums that a call of the rules' own loop makes at most.
+#: Most sums of impacts in one call of the rules' loop.
 SUMS = 8
 
-#: Degree up to which dense output falls behind a method of higher order.
+#: Dense output up to this degree is less accurate than a method of higher order.
 CUBIC = 3
 
-#: From terms of powers of the fraction of a step to Chebyshev coefficients.
+#: From terms in powers of the fraction of a step to Chebyshev coefficients.
 TURN = np.ascontiguousarray(from_powers(WIDTH - 1))
 
-#: From values at the nodes of a window to Chebyshev coefficients, and from these to powers.
+#: From values at a window's nodes to Chebyshev coefficients, and from these to powers.
 FROM_VALUES, TO_PLACES = map(np.ascontiguousarray, (from_values(WINDOW_DEGREE), TO_POWERS))
 
 
 @attrs.define
 class Then:
-    """A scene as it looked back earlier; ``kept``: the run goes on from there."""
+    """An earlier view of the past; with ``kept`` the run continues from it."""
 
     scene: Scene
     kept: bool = False
@@ -125,15 +125,15 @@ class Memory:
     Attributes
     ----------
     until : float
-        The present windows serve until this time.
+        Time up to which the present windows are valid.
     shown : array
-        Their numbers, as the trace takes them.
+        Numbers of the windows, as the trace takes them.
     bound : bool
-        Whether the programs of the rules' own loop have them.
+        Whether the programs of the rules' loop hold these numbers.
     told : bool
-        The loop has remembered what is being kept.
+        Whether the rules' loop has already recorded the arcs and jumps now being added.
     sights : array
-        Of each sum that a call of the loop has made, the windows.
+        The windows at each sum of impacts that a call of the loop made.
     """
 
     def __init__(
@@ -174,21 +174,21 @@ class Memory:
 
     @property
     def start(self) -> StateVector:
-        """The state where the rules' own loop has gone on through windows within an arc."""
+        """The state from which the rules' loop continued through windows within an arc."""
         return self._begun
 
     @property
     def signs(self) -> Integers:
-        """The signs of the guards there."""
+        """The signs of the guards at that state."""
         return self.past().signs[0]  # type: ignore[no-any-return]
 
     @property
     def _size(self) -> int:
-        """Numbers of all windows."""
+        """Number of values of all windows."""
         return len(self._lags) * (2 + (WINDOW_DEGREE + 1) * self.scene.spec.dimension)
 
     def _all_fixed(self, x: StateVector) -> Numbers | None:
-        """The lags, if all are constant and may be."""
+        """The lags if all are constant, finite and not negative; otherwise None."""
         if any(self.moving):
             return None
         lags = np.array([lag(self.plan.t0, x.tolist()) for lag in self._lags], dtype=float)
@@ -196,7 +196,7 @@ class Memory:
 
     @property
     def until(self) -> float:
-        """The present windows serve until this time."""
+        """Time up to which the present windows are valid."""
         return float(self.floats[SERVES_UNTIL])
 
     @until.setter
@@ -204,16 +204,16 @@ class Memory:
         self.floats[SERVES_UNTIL] = t
 
     def due(self, t: float) -> bool:
-        """Whether other windows are due at a time."""
+        """Whether new windows are needed at time ``t``."""
         return not self.told and self.until <= t
 
     def _start(self, x: StateVector) -> Integers:
-        """Orders at the start: 0 where the history does not lead to it."""
+        """Orders at the start; 0 where the history does not end in the start state."""
         end = self.pieces.last.state(self.plan.t0, np.zeros(1))[0]
         return np.where(end == x, 1, 0)
 
     def fork(self) -> Memory:
-        """The same, for a run that leaves this one here."""
+        """A copy, for a run that branches off here."""
         other = copy(self)
         other.floats, other.ints = self.floats.copy(), self.ints.copy()
         other.pieces, other.breaks = self.pieces.copy(other.ints), self.breaks.copy(other.ints)
@@ -226,9 +226,9 @@ class Memory:
         return other
 
     def refined(self, field: Field, now: Instant, segments: Sequence[Segment]) -> list[Segment]:
-        """Dense output as accurate as the steps, where a method's own is a cubic (if that).
+        """Dense output as accurate as the steps, for methods whose own is a cubic or less.
 
-        What is read off between the steps is flown by a lag later: its errors are not made good.
+        Values between the steps enter the flow one lag later, where errors cannot be corrected.
         """
         return [
             swept(field, now, segment, self.order - segment.degree)
@@ -237,10 +237,10 @@ class Memory:
             for segment in segments
         ]
 
-    # -- what happens ---------------------------------------------------------------------
+    # -- recording ------------------------------------------------------------------------
 
     def flown(self, now: Instant, segments: Sequence[Segment]) -> None:
-        """Segments flown from an instant on (their starts are counted from it)."""
+        """Record segments that begin at an instant, from which their starts count."""
         if self.told:
             return
         self.ints[STEPPED] += len(segments)
@@ -248,13 +248,13 @@ class Memory:
             self.pieces.add(piece_of(segment, now.t, now.low))
 
     def flights(self, flights: Flights) -> None:
-        """Arcs in a row, and the jumps after them."""
+        """Record consecutive arcs and the jumps after them."""
         for arc, row in zip(flights.arcs, flights.rows(), strict=True):
             self.flown(Instant(arc.t0, arc.low), arc.segments)
             self.jumped(row.t, row.before, row.after)
 
     def jumped(self, t: float, before: StateVector, after: StateVector) -> None:
-        """A jump; with ``memory="restart"`` all before it is forgotten."""
+        """Record a jump; with ``memory="restart"`` everything before it is forgotten."""
         if self.told:
             return
         if self.plan.memory == "restart":
@@ -272,7 +272,7 @@ class Memory:
         self.until = t
 
     def tail(self, part: TailPart) -> None:
-        """Impacts up to their limit: one by one while they are seen, then the limit alone."""
+        """Record impacts one by one while a delay can see them, then their limit."""
         tail = part.tail
         if self.told:
             return
@@ -294,14 +294,15 @@ class Memory:
         self.breaks.add(part.t1, np.ones(len(tail.x_inf), dtype=int))
 
     def _low(self, arc: Arc, x: StateVector) -> bool:
-        """Whether nothing that is seen of a flight can be told from the limit."""
+        """Whether a flight, as far as delays see it, is indistinguishable from the limit."""
         there = np.concatenate([s(s.start + s.length * nodes(4)) for s in arc.segments])
         return self._near(there, x)
 
     def stays(self, part: TailPart) -> bool:
-        """Whether impacts up to their limit see the past that is shown here.
+        """Whether the impacts up to their limit see the past through the present windows.
 
-        A lag that vanishes sees the impacts themselves, and after restarts all see the last.
+        A vanishing lag sees the impacts themselves; after restarts, each flight sees the last
+        impact.
         """
         limit = part.tail.x_inf
         if self.plan.memory == "restart":
@@ -309,7 +310,7 @@ class Memory:
         return not self.guessing or self._low(part.arc(0), limit)
 
     def _near(self, there: np.ndarray, x: StateVector) -> bool:
-        """Whether what is seen of some states cannot be told from a state."""
+        """Whether states, as far as delays see them, are indistinguishable from ``x``."""
         seen = self.all_seen
         size = np.abs(x)
         allowed = WINDOW_SHARE * (self.plan.atol + self.plan.rtol * size) + SHOWN_ROUNDING * size
@@ -319,25 +320,25 @@ class Memory:
 
     @property
     def guessing(self) -> bool:
-        """Whether a window shows what is not yet flown."""
+        """Whether a window contains guessed values."""
         return bool(self.ints[GUESSED])
 
     @property
     def known(self) -> float:
-        """Until when the windows show what was flown."""
+        """Time up to which the windows show recorded values."""
         return float(self.floats[GUESSED_FROM]) if self.guessing else self.until
 
     def look(self, t: float, x: StateVector) -> Scene:
-        """The scene as it looks back from a time; ``until`` says for how long.
+        """The scene with windows from time ``t`` on; ``until`` says how long they are valid.
 
-        Behind a jump lags look through the same windows, up to the jump, while they can.
+        After a jump the lags keep their windows where possible.
 
         Raises
         ------
         FlowError
-            Where the record is not finite, or rough everywhere.
+            If the record is not finite, or not smooth anywhere.
         OptionError
-            Where the caller's history cannot be asked.
+            If the caller's history cannot be evaluated.
         """
         joins, self._joins = self._joins, False
         self.floats[GUESSED_FROM] = t
@@ -350,19 +351,19 @@ class Memory:
         return self.read()
 
     def _looks(self, t: float, x: StateVector) -> None:
-        """Note where the lags look from a time."""
+        """Store the state, and the times at which the lags look at time ``t``."""
         self._present[:] = x
         if self._fixed is None:
             self._now[:] = [t - self._place(k, t, x) for k in range(len(self._lags))]
 
     def _read(self) -> int:
-        """Read windows, or go on doing so; what comes of it."""
+        """Compute windows, or continue to; returns the rule's status."""
         if self.pieces.full:
             self.pieces.grow()
         return int(unit("windows").read(self.floats[GUESSED_FROM], False, self.past()))
 
     def _found(self, status: int) -> None:
-        """See to it that windows are found."""
+        """Complete the search for windows, evaluating the history on request, or raise."""
         fault = None
         while status == ASKS_VALUES:
             fault = self._tell()
@@ -382,12 +383,12 @@ class Memory:
             )
         if status == NEXT_TO_NOTHING:
             raise FlowError(
-                f"{model}, t = {t!r}, {self.scene.spec.record(x)}: a lag is next to nothing, and "
-                "what is seen through it cannot be found; write the state itself where the lag is 0"
+                f"{model}, t = {t!r}, {self.scene.spec.record(x)}: a lag is nearly zero, and "
+                "the state seen through it cannot be found; use the present state for a lag of 0"
             )
 
     def _tell(self) -> OptionError | None:
-        """Put down what is asked for of the caller's history; why there is none."""
+        """Supply requested values of the caller's history; returns its error, if any."""
         a, b = self.floats[[ASKED_FROM, ASKED_UNTIL]].tolist()
         pieces = [self.pieces.piece(k) for k in range(*self.ints[[ASKED, ASKED_UP_TO]].tolist())]
         try:
@@ -399,33 +400,33 @@ class Memory:
         return None
 
     def read(self) -> Scene:
-        """The scene as it looks back through the windows that have been read."""
+        """The scene with the windows just computed."""
         self.bound = False
         return self.scene.through([self.shown])
 
     def begins(self, going: int, arc: int, t: float, low: float) -> None:
-        """Begin a call of the rules' own loop, in the middle of an arc or before one."""
+        """Begin a call of the rules' loop, within an arc or before one."""
         within = going and self.ints[IN_ARC] == arc
         self.ints[STEPS_DONE : FLIGHTS_DONE + 1], self.ints[IN_ARC] = 0, 0 if within else -1
         self.ints[AGAIN], self.floats[SINCE], self.floats[SINCE_LOW] = GOES_ON, t, low
 
     def make_room(self, t: float) -> None:
-        """Room for more pieces and breaking points than what is seen from a time on."""
+        """Double the capacity, after dropping what no lag sees from time ``t`` on."""
         self._forget(t)
         self.pieces.grow()
         self.breaks.grow()
 
     def _forget(self, t: float) -> None:
-        """Drop what no lag sees from a time on, if all are constant."""
+        """If all lags are constant, drop what none of them sees from time ``t`` on."""
         if not any(self.moving):
             self.pieces.forget(t - self._now.max())
             self.breaks.forget(t - self._now.max())
 
     @contextmanager
     def as_at(self, t: float, x: StateVector) -> Iterator[Then]:
-        """What was to be seen at a time that the rules' own loop has gone beyond.
+        """The view of the past at an earlier time, which the rules' loop has passed.
 
-        Unless that is kept all is as before.
+        On exit everything is restored, unless it is marked as kept.
         """
         were, then = vars(self).copy(), Then(self.scene)
         try:
@@ -445,7 +446,7 @@ class Memory:
                 vars(self).update(were)
 
     def past(self, links: Links | None = None) -> PastArrays:
-        """The record and the windows as the rules take them; with the links given last."""
+        """The record and the windows as arrays of the rules; by default with the last links."""
         links = links or (self._made[-1] if self._made else NO_LINKS)
         arrays = self.pieces.rows, self.breaks.arrays[0], links
         if self._past is None or any(a is not b for a, b in zip(arrays, self._made, strict=True)):
@@ -468,7 +469,7 @@ class Memory:
         )
 
     def _place(self, k: int, t: float, x: StateVector) -> float:
-        """Where a lag looks."""
+        """The time at which a lag looks."""
         lag = self._lags[k](t, x.tolist())
         if not (isfinite(lag) and lag >= 0):
             state = self.scene.spec.record(x)
@@ -481,7 +482,7 @@ class Memory:
     # -- at the end of a window -------------------------------------------------------------
 
     def confirm(self, now: Instant, length: float, segments: Sequence[Segment]) -> Scene | None:
-        """After a flight: None if its windows showed what was flown, else the scene to fly anew."""
+        """Check guessed windows after a flight: None if they hold, else the scene to repeat it."""
         if not self.guessing or not segments:
             return None
         for segment in segments:
@@ -496,15 +497,15 @@ class Memory:
         return self.read()
 
     def ends(self, t: float) -> bool:
-        """Whether the windows end within rounding of a time."""
+        """Whether the windows end within rounding of time ``t``."""
         if self.told:
             return False
         return t < self.until < self.plan.t1 and self.until - t <= 2.0 * slack_of(t)
 
     def passed(self, t: float, x: StateVector, field: Field, fired: str | None = None) -> None:
-        """The windows' end is reached: note the breaking point that follows from theirs.
+        """The end of the windows is reached: record the breaking point that follows from it.
 
-        ``fired`` is the edge of the guard by which a lag that moves came to the end of its own.
+        ``fired`` is the edge of the guard by which a varying lag reached the end of its window.
         """
         key = field.mode, field.held
         if key not in self._reach:

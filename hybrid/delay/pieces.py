@@ -1,4 +1,4 @@
-"""The record of a run with delays, in pieces; where they do not join smoothly; windows on it."""
+"""The record of a run with delays: its pieces, its breaking points, and windows on it."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 #: Rounding of places at the ends of a piece.
 INSIDE = 1e-12
 
-#: Pieces and breaking points for which there is room at first, the columns of a piece's row, and
-#: the most coefficients that one may have: those of the highest steps.
+#: Initial capacity for pieces and breaking points; columns of a piece's row; and most coefficients
+#: of a piece, which are those of steps of the highest order.
 FIRST_ROOM, COLUMNS, WIDTH = 256, 6, HIGHEST + 1
 
 
@@ -45,16 +45,16 @@ class Piece:
     Attributes
     ----------
     state : callable ``(s, since)``
-        The states at ``s + since`` (an array), shape ``(len(since), n)``: in two parts, so that on
-        a short window they do not drown in the rounding of the time.
+            The states at ``s + since`` (an array), shape ``(len(since), n)``. The time is split in
+        two parts so that short windows are not lost in its rounding.
     degree : float
-        That of a polynomial, infinity where it is a function of the caller's.
+        The degree of the polynomial; infinity for a function of the caller.
     orders : array or None
-        Those of a breaking point at the start of a piece of an earlier run.
+        Orders of a breaking point at the start, in a piece of an earlier run.
     rows : array, shape (degree + 1, n), or None
-        Chebyshev coefficients, about the middle of the piece.
+        Chebyshev coefficients about the middle of the piece.
     frame : tuple
-        The time from which it is counted, in two floats, and there its middle and half its length.
+        The reference time in two floats, then the midpoint relative to it, and half the length.
     """
 
     start: float
@@ -90,7 +90,7 @@ def _shown(frame: tuple[float, ...], rows: Matrix, s: float, since: Numbers) -> 
 
 
 def chebyshev_sum(places: Numbers, rows: Matrix) -> Matrix:
-    """Chebyshev series at places, by their cosines: for a few places faster than a recurrence."""
+    """Chebyshev series at some places, by cosines: for few places faster than a recurrence."""
     if np.abs(places).max() > 1.0 + INSIDE:
         return np.polynomial.chebyshev.chebvander(places, len(rows) - 1) @ rows
     angles = np.arccos(np.minimum(np.maximum(places, -1.0), 1.0))
@@ -98,7 +98,7 @@ def chebyshev_sum(places: Numbers, rows: Matrix) -> Matrix:
 
 
 def constant(x: StateVector, end: float) -> Piece:
-    """The same state for all times before ``end``."""
+    """The constant state ``x`` at all times before ``end``."""
     return Piece(-np.inf, end, partial(_always, x), 0, rows=x[None])
 
 
@@ -107,7 +107,7 @@ def _always(x: StateVector, s: float, since: Numbers) -> StateVectors:
 
 
 def states(pieces: Sequence[Piece], s: float, since: Numbers) -> Matrix:
-    """States at ``s + since`` from pieces in order; beyond them the outer ones go on."""
+    """States at ``s + since`` from pieces in order; the outer pieces are extrapolated."""
     if len(pieces) == 1:
         return pieces[0].state(s, since)
     starts = np.array([piece.start for piece in pieces[1:]]) - s
@@ -119,9 +119,10 @@ def states(pieces: Sequence[Piece], s: float, since: Numbers) -> Matrix:
 
 
 def swept(field: Field, now: Instant, segment: Segment, count: int) -> Segment:
-    """A segment brought nearer to the solution between its ends.
+    """A segment made more accurate between its ends by ``count`` Picard sweeps.
 
-    Each sweep integrates the flow along it, which gains an order, and meets the end again.
+    Each sweep integrates the flow along the segment, which gains an order, and is then corrected to
+    meet the end of the step.
     """
     degree = segment.degree + count
     places, h = nodes(degree), segment.length
@@ -136,9 +137,9 @@ def swept(field: Field, now: Instant, segment: Segment, count: int) -> Segment:
 
 
 class Pieces:
-    """The record: pieces in order of time, those no longer needed forgotten.
+    """The record: pieces in order of time, without those no longer needed.
 
-    They are rows of arrays that the rules' own loop adds to, whose number is in ``ints``.
+    They are stored in arrays to which the rules' loop appends; their number is in ``ints``.
     """
 
     def __init__(self, ints: Integers, pieces: Sequence[Piece], dimension: int) -> None:
@@ -150,28 +151,28 @@ class Pieces:
         self.forget_all(pieces)
 
     def forget_all(self, pieces: Iterable[Piece]) -> None:
-        """Begin anew."""
+        """Replace all pieces."""
         self.ints[PIECES_KEPT], self._others = 0, {}
         for piece in pieces:
             self.add(piece)
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of pieces."""
         return int(self.ints[PIECES_KEPT])
 
     @property
     def full(self) -> bool:
-        """Whether there is no room for one more."""
+        """Whether the arrays are full."""
         return self.count == len(self.degrees)
 
     @property
     def ends(self) -> Numbers:
-        """When they end."""
+        """End times of the pieces."""
         return self.spans[: self.count, UP_TO]
 
     def add(self, piece: Piece) -> None:
-        """Append a piece; one without length is left out."""
+        """Append a piece, unless its length is zero."""
         if not piece.end > piece.start:
             return
         place, n = self.count, self.dimension
@@ -187,12 +188,12 @@ class Pieces:
         self.ints[PIECES_KEPT] += 1
 
     def grow(self) -> None:
-        """Make room for as many again."""
+        """Double the capacity."""
         held = self.spans, self.degrees, self.rows
         self.spans, self.degrees, self.rows = (np.concatenate([a, np.empty_like(a)]) for a in held)
 
     def forget(self, before: float) -> None:
-        """Drop what ends before a time, if that is the larger part."""
+        """Drop pieces that end before a time, if they are the majority."""
         count, kept = int(np.searchsorted(self.ends, before)), self.count
         if count > 64 and 2 * count > kept:
             self._drop(count, kept)
@@ -206,12 +207,12 @@ class Pieces:
         self.ints[PIECES_KNOWN] -= count
 
     def back_to(self, t: float) -> None:
-        """Drop what begins at a time or after it."""
+        """Drop pieces that begin at time ``t`` or later."""
         begins = self.spans[: self.count, 0]
         self.ints[PIECES_KEPT] = int(np.searchsorted(begins, t - 0.5 * slack_of(t)))
 
     def copy(self, ints: np.ndarray) -> Pieces:
-        """One that grows by itself."""
+        """An independent copy."""
         other = copy(self)
         other.ints, other._others = ints, dict(self._others)
         other.spans, other.degrees = self.spans.copy(), self.degrees.copy()
@@ -219,7 +220,7 @@ class Pieces:
         return other
 
     def piece(self, place: int) -> Piece:
-        """A piece of the record."""
+        """The piece at index ``place``."""
         if self.degrees[place] < 0:
             return self._others[place]
         start, end, *frame = self.spans[place].tolist()
@@ -236,9 +237,9 @@ class Pieces:
 
 
 class Breaks:
-    """Breaking points of the record: times in order, and the order of each element there.
+    """Breaking points of the record: times in order, and the order of each state element there.
 
-    They, too, are in arrays that the rules' own loop adds to.
+    They are stored in arrays to which the rules' loop appends.
     """
 
     def __init__(self, ints: Integers, dimension: int) -> None:
@@ -249,7 +250,7 @@ class Breaks:
 
     @property
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
-        """Times and orders, with room for more."""
+        """Times and orders, unused capacity included."""
         return self._times, self._orders
 
     @property
@@ -258,7 +259,7 @@ class Breaks:
         return self._times[: self.ints[BREAKS]]
 
     def add(self, t: float, orders: Integers) -> None:
-        """A breaking point at the present time; those at one time are one."""
+        """Append a breaking point; points at the same time are merged."""
         place = int(self.ints[BREAKS])
         if place and t <= self._times[place - 1] + slack_of(t):
             self._orders[place - 1] = np.minimum(self._orders[place - 1], orders)
@@ -269,16 +270,16 @@ class Breaks:
         self.ints[BREAKS] += 1
 
     def grow(self) -> None:
-        """Make room for as many again."""
+        """Double the capacity."""
         self._times = np.concatenate([self._times, np.empty_like(self._times)])
         self._orders = np.concatenate([self._orders, np.empty_like(self._orders)])
 
     def known(self) -> tuple[Numbers, IntegerMatrix]:
-        """The times, and the orders, for those who come after the run."""
+        """Copies of the times and the orders."""
         return self.times.copy(), self._orders[: self.ints[BREAKS]].copy()
 
     def forget(self, before: float) -> None:
-        """Drop those before a time, if they are the larger part."""
+        """Drop points before a time, if they are the majority."""
         count, kept = int(np.searchsorted(self.times, before)), int(self.ints[BREAKS])
         if count > 64 and 2 * count > kept:
             for array in self.arrays:
@@ -286,21 +287,22 @@ class Breaks:
             self.ints[BREAKS] = kept - count
 
     def copy(self, ints: np.ndarray) -> Breaks:
-        """One that grows by itself."""
+        """An independent copy."""
         other = copy(self)
         other.ints, other._times, other._orders = ints, self._times.copy(), self._orders.copy()
         return other
 
 
 def slack_of(*times: float) -> float:
-    """Times nearer than this are one, if sums of such times are rounded."""
+    """Distance below which times are equal up to the rounding of their sums."""
     return 8.0 * ulp(max(map(abs, times)))
 
 
 def window_on(a: float, b: float, values: Matrix) -> list[np.ndarray]:
-    """A window through states at its nodes, as the trace takes it: its frame and coefficients.
+    """A window through states at its nodes, as the trace takes it: frame and coefficients.
 
-    What is rounding is left out: on a short window the derivatives of rounding are large.
+    Coefficients at rounding level are dropped, as their derivatives would be large on a short
+    window.
     """
     frame = np.array([0.5 * a + 0.5 * b, 0.5 * (b - a)])
     series = from_values(WINDOW_DEGREE) @ values

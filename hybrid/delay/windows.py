@@ -1,4 +1,4 @@
-"""Numbers of the windows through which delays look back: see :mod:`hybrid.delay.memory`."""
+"""The numbers of the windows through which delays look back: see :mod:`hybrid.delay.memory`."""
 
 from __future__ import annotations
 
@@ -18,13 +18,12 @@ if TYPE_CHECKING:
     from ..rules.arrays import AutomatonArrays
 
 
-#: From Chebyshev coefficients to those of powers of the place in the window.
+#: From Chebyshev coefficients to powers of the window's local coordinate.
 TO_POWERS = to_centred_powers(WINDOW_DEGREE)
 
 
 class Links(NamedTuple):
-    """Where the windows of the past are in the programs of the rules' own loop, as
-    :class:`hybrid.rules.arrays.PastArrays` says."""
+    """Places of the windows' numbers in programs; see :class:`hybrid.rules.arrays.PastArrays`."""
 
     uses: np.ndarray
     asks: np.ndarray
@@ -41,17 +40,17 @@ def _table(rows: Any, width: int) -> IntegerMatrix:
     return np.array(rows, dtype=np.int64).reshape(-1, width)
 
 
-#: Where there are no programs.
+#: For an automaton without programs.
 NO_PROGRAMS = np.zeros(0, dtype=np.int64)
 EMPTY_TABLES = [_table([], width) for width in (1, 1, 2, 2, 6, 6)]
 NO_LINKS = Links(*EMPTY_TABLES, NO_PROGRAMS, np.zeros((0, 1)), _table([], 1))  # type: ignore[call-arg]
 
 
 class Shown:
-    """The programs of the rules' own loop for one run, with numbers of its own.
+    """The programs of the rules' loop for one run, with numbers of its own.
 
-    A window is numbers among the others: nothing else changes from one to the next. Where jumps
-    change what is seen (``restarts``) a rest does not end where its load is zero.
+    Windows are numbers of the programs; nothing else changes from one window to the next. With
+    ``restarts``, a jump changes what delays see, so a release is not handled by the loop.
     """
 
     def __init__(self, tables: Tables, restarts: bool) -> None:
@@ -63,7 +62,7 @@ class Shown:
         self._links = NO_LINKS
 
     def linked(self) -> tuple[AutomatonArrays, Links]:
-        """The automaton, and where its windows are."""
+        """The automaton's arrays, and where its windows are."""
         known = self.tables.automaton
         if known is not self._of:
             programs, bounds = known.programs, known.bounds
@@ -83,7 +82,7 @@ class Shown:
         return self._own, self._links
 
     def _found(self, known: AutomatonArrays) -> Links:
-        """Where the windows are in the programs of all runs."""
+        """Where the windows are in the shared programs, cached on the tables."""
         if self.tables.links is None or self.tables.links[0] is not known:
             self.tables.links = known, self._find()
         return self.tables.links[1]  # type: ignore[no-any-return]
@@ -114,13 +113,14 @@ class Shown:
         )
 
     def _windows(self, given: IntegerMatrix) -> IntegerMatrix:
-        """Of places of parameters those of windows, and which of their numbers they are."""
+        """The entries of ``given`` that refer to windows, renumbered from the first window."""
         among = (given[:, 1] >= self.first) & (given[:, 1] < self.first + self.count)
         return given[among] - [0, self.first]
 
 
 def reach(fields: Sequence[Field]) -> tuple[np.ndarray, np.ndarray]:
-    """What each element's derivative depends on in some fields, at present and of the past."""
+    """Dependence of each element's derivative in some fields: on present elements, and on (lag,
+    element) pairs of the past."""
     spec, uses, asks = fields[0].code.spec, [], []
     n, lags = spec.dimension, len(spec.lags)
     if not lags:

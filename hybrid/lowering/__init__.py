@@ -1,4 +1,4 @@
-"""The spec, lowered for one run: only the modes, guards and outputs that the run needs."""
+"""Lowering: spec and traces become code for the modes, guards and outputs that a run needs."""
 
 from .lowered import window_ends
 from .mode import Kind

@@ -1,4 +1,4 @@
-"""The operations of a graph on numbers: Python's, and numpy's scalars, which do not raise."""
+"""The operations of a graph on Python numbers, and on numpy scalars, which do not raise."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _dot(*pairs: Any) -> Any:
 
 
 def _solve(*numbers: Any) -> list[Any]:
-    """Linear equations among the unknowns that the mask at the end counts; the others are 0."""
+    """Solve for the unknowns selected by the trailing mask; the others are 0."""
     n = round(math.sqrt(len(numbers) + 1)) - 1
     held = [i for i in range(n) if numbers[n * n + n + i]]
     rows = [[numbers[i * n + j] for j in held] for i in held]
@@ -52,10 +52,10 @@ def _solve_or_nan(*numbers: Any) -> list[Any]:
 
 
 def solve(matrix: list[list[Any]], right: list[Any], exchange: bool = False) -> list[Any]:
-    """A few linear equations by elimination, written out.
+    """Solve a small linear system by elimination.
 
-    With ``exchange`` the row with the largest number of a column comes first; without, the matrix
-    is definite, and its numbers may be arrays of JAX.
+    With ``exchange`` rows are exchanged (partial pivoting). Without it the matrix must be definite,
+    and its entries may be JAX arrays.
     """
     rows = [[*row, value] for row, value in zip(matrix, right, strict=True)]
     size = len(rows)
@@ -66,7 +66,7 @@ def solve(matrix: list[list[Any]], right: list[Any], exchange: bool = False) -> 
             best = max(range(k, size), key=lambda i: abs(rows[i][k]))
             rows[k], rows[best] = rows[best], rows[k]
         for i in range(k + 1, size):
-            if exchange and rows[i][k] == 0.0:  # of many contacts most do not touch each other
+            if exchange and rows[i][k] == 0.0:  # with many contacts, most entries are zero
                 continue
             factor = rows[i][k] / rows[k][k]
             pairs = zip(rows[i][k + 1 :], rows[k][k + 1 :], strict=True)
@@ -79,15 +79,15 @@ def solve(matrix: list[list[Any]], right: list[Any], exchange: bool = False) -> 
 
 
 class Entries(tuple[Any, ...]):
-    """Numbers of which one is picked."""
+    """The entries of a table."""
 
     @cached_property
     def knots(self) -> list[float]:
-        """Those behind the first, in order, each once."""
+        """The entries after the first, sorted, without repetitions."""
         return sorted(set(map(float, self[1:])))
 
     def wave(self, x: float) -> float:
-        """A function of ``x`` that changes its sign at each knot, and is zero nowhere else."""
+        """A function of ``x`` that changes sign at each knot and is nonzero elsewhere."""
         knots = self.knots
         if not math.isfinite(x) or len(knots) < 2:
             return x - knots[0] if knots else math.nan
@@ -97,7 +97,7 @@ class Entries(tuple[Any, ...]):
 
 
 def entry(table: Sequence[Any], place: Any) -> Any:
-    """An entry of a table, or the nearest that there is."""
+    """The table's entry at ``place``, clamped to its range; NaN if ``place`` is not finite."""
     return table[min(max(int(place), 0), len(table) - 1)] if math.isfinite(place) else math.nan
 
 
@@ -105,7 +105,7 @@ def _logistic(x: float) -> float:
     return 1.0 / (1.0 + math.exp(-x)) if x >= 0 else 1.0 - 1.0 / (1.0 + math.exp(x))
 
 
-#: Every operation of a graph on Python numbers.
+#: The scalar operations of a graph on Python numbers.
 OPERATIONS: dict[str, Callable[..., Any]] = {
     "add": operator.add,
     "sub": operator.sub,
@@ -147,7 +147,7 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
     },
 }
 
-#: Those of a graph of a mode besides, of many numbers.
+#: Operations on many numbers, which occur in mode graphs.
 LONG: dict[str, Callable[..., Any]] = {
     "sum": _sum,
     "dot": _dot,
@@ -159,7 +159,7 @@ LONG: dict[str, Callable[..., Any]] = {
     "wave": lambda x, table: table.wave(x),
 }
 
-#: The same operations on numpy scalars, where the plain ones would raise.
+#: The same operations on numpy scalars, which give NaN or infinity where Python would raise.
 FORGIVING: dict[str, Callable[..., Any]] = {
     **OPERATIONS,
     **LONG,

@@ -1,4 +1,4 @@
-"""An automaton as the arrays that the rules' own loop takes (:mod:`hybrid.rules.advance`)."""
+"""An automaton as the arrays that the rules' loop takes (:mod:`hybrid.rules.advance`)."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ if TYPE_CHECKING:
 
     Sight = Callable[[Field, Contact], Any]
 
-#: Steps of runs after which programs are compiled: those of a small flow take as long as compiling
-#: it does, 0.1 s. After so many of one order they are written out for that: it takes three times
-#: as long.
+#: Number of steps after which programs are compiled: for a small flow that many steps take about as
+#: long as compiling, 0.1 s. After HOT_ORDER_STEPS steps of one order, code specialised to that
+#: order is compiled, which takes three times as long.
 HOT_STEPS, HOT_ORDER_STEPS = 1 << 16, 1 << 18
 
 Nodes = Callable[[], Sequence[int]]
 
-#: Kinds of guards as the rules number them.
+#: Numbers of the kinds of guards in the rules.
 NUMBERED = {
     Kind.EDGE: EDGE,
     Kind.CONTACT: CONTACT,
@@ -67,20 +67,21 @@ NUMBERED = {
     Kind.WINDOW: WINDOW_END,
 }
 
-#: Kinds of guards that may change their formula in the loop.
+#: Kinds of guards whose formula may change within the loop.
 MAY_BEND = (Kind.EDGE, Kind.CONTACT, Kind.SWITCH, Kind.LEAVE)
 
-#: Directions in which a guard fires.
+#: The direction of zero crossing in which a guard fires; 0 is either.
 DIRECTIONS = {Crossing.FALLING: -1, Crossing.RISING: 1, Crossing.EITHER: 0}
 
 
 class Tables:
-    """The fields of a scene that have been asked for, as rows of tables.
+    """The fields of a scene requested so far, as rows of tables.
 
-    ``fields`` are as numbered, ``numbers`` those by name; ``guards`` are in the order of their own,
-    ``modes`` the field that each is watched in, and ``_leads`` the one that it leads to.
-    ``widest``: guards of the field that has the most; ``parts`` are the programs in order.
-    ``others``: steps are those of another solver.
+    ``fields`` are in the order of their numbers, and ``numbers`` maps names to numbers. ``guards``
+    lists the guards of all fields; for each of them ``modes`` holds the field in which it is
+    watched and ``_leads`` the field to which it leads. ``widest`` is the largest number of guards
+    of a field, and ``parts`` lists the programs in order. ``others`` is true if another solver
+    makes the steps.
     """
 
     def __init__(self, scene: Scene, others: bool = False) -> None:
@@ -93,42 +94,42 @@ class Tables:
         self._programs = Linked()
         self.bounds = Ranges()
         self.parts: list[Jets] = []
-        self._most = np.zeros(3, dtype=int)  # what the largest program needs
+        self._most = np.zeros(3, dtype=int)  # maximum of the programs' sizes
         self.widest = 0
-        self.links: Any = None  # of delays: see :class:`.windows.Shown`
+        self.links: Any = None  # of delays, see :class:`.windows.Shown`
         self._fields: list[list[int]] = []
         self._rows: list[list[int]] = []
         self._uses: list[int] = []
         self._made: AutomatonArrays | None = None
-        self.named: np.ndarray  # for each guard the field and the edge, by name
-        self.rings: np.ndarray  # whether it is a clock
-        self.constrained: np.ndarray  # whether contacts are held there, or the state slides
-        self.free: dict[tuple[int, ...], list[Any]] = {}  # arrays that no run is using
-        self._steps: Counter[int] = Counter()  # by their order
+        self.named: np.ndarray  # two rows: the field and the edge of each guard, by name
+        self.rings: np.ndarray  # whether a guard is a clock
+        self.constrained: np.ndarray  # whether the guard's field is a resting or sliding one
+        self.free: dict[tuple[int, ...], list[Any]] = {}  # work arrays not used by a run
+        self._steps: Counter[int] = Counter()  # steps made, by order
         self._recalled, self._order, self._native = 0, 0, Native()
 
     def plain(self, number: int) -> bool:
-        """Whether the rules' own loop may fly the arcs of a field."""
+        """Whether the rules' loop can integrate the arcs of a field."""
         return bool(self._fields[number][PLAIN])
 
     def first(self, number: int) -> int:
-        """The number of the first guard of a field."""
+        """The number of a field's first guard."""
         return self._fields[number][GUARDS]
 
     def own(self, number: int) -> list[int]:
-        """The numbers of a field's guards where no contact is held."""
+        """The numbers of the corresponding guards of the mode without held contacts."""
         first, last = self._fields[number][GUARDS : GUARDS_END + 1]
         return [row[OWN] for row in self._rows[first:last]]
 
     def number(self, field: Field) -> int:
-        """The number of a field, which is added if it is new."""
+        """The number of a field, which is added if new."""
         if field.name not in self.numbers:
             self._add(field)
         return self.numbers[field.name]
 
     @property
     def automaton(self) -> AutomatonArrays:
-        """The automaton, as far as its fields have been asked for."""
+        """The arrays of all fields requested so far."""
         if self._made is None:
             fields, uses = (np.array(rows, dtype=np.int64) for rows in (self._fields, self._uses))
             guards = np.array(self._rows, dtype=np.int64).reshape(-1, GUARD_COLUMNS)
@@ -140,13 +141,12 @@ class Tables:
             self.rings = np.array([guard.kind is Kind.CLOCK for guard in self.guards], dtype=bool)
             self.constrained = fields[[self.numbers[m] for m in self.modes], CONSTRAINED] > 0
             self._made = AutomatonArrays(programs, fields, guards, uses, self.bounds.arrays())
-        if library.how() != "machine":  # plain Python calls no address
+        if library.how() != "machine":  # plain Python calls no machine code
             self._made.programs.code[:] = 0
         return self._made
 
     def flown(self, steps: int, order: int) -> None:
-        """Count steps of an order that runs have made; where they are many, go on compiling the
-        programs."""
+        """Count steps made at an order; past the thresholds, continue compiling the programs."""
         self._steps[order] += steps
         if self._steps.total() > HOT_STEPS:
             written = order if self._steps[order] > HOT_ORDER_STEPS else 0
@@ -154,27 +154,28 @@ class Tables:
 
     @property
     def needs(self) -> tuple[int, ...]:
-        """What the largest program needs, as :func:`.tape.room` takes it; then the most that are
-        bounded."""
+        """Sizes of the largest program, as :func:`.tape.room` takes them, then the largest number
+        of bounded quantities."""
         return (*self._most.tolist(), self.bounds.most)
 
     def room(self, order: int) -> Room:
-        """Arrays to work in, for one run."""
+        """Work arrays for one run."""
         self._order = order
         return room(self._most, self.scene.spec.dimension, order)
 
     def watches(self) -> tuple[np.ndarray, ...]:
-        """What a run notes of guards: see :class:`.rules.arrays.Now`, from ``orders`` on."""
+        """Arrays for a run's guard data: see :class:`.rules.arrays.Now`, from ``orders`` on."""
         own, all_ = (
             np.zeros((2, count), dtype=np.int64) for count in (self.widest, len(self.guards))
         )
         return (*own, np.zeros((self.widest, ZERO_COLUMNS)), *all_)
 
     def complete(self, number: int, column: int, sight: Sight) -> None:
-        """Add what the loop has asked for of a guard: the field that it leads to, or in which it is
-        held besides; what low flights and sums need; or what is needed once there is a sum.
+        """Fill in what the loop has requested of a guard.
 
-        ``sight``: what is bounded at a contact of a field; see :func:`hybrid.zeno.narrow.bounded`.
+        This is the field that it leads to, the programs at its contact, its resting field, or what
+        bounds need. ``sight`` gives what is bounded at a contact of a field; see
+        :func:`hybrid.zeno.narrow.bounded`.
         """
         row, guard = self._rows[number], self.guards[number]
         field = self.fields[self.numbers[self.modes[number]]]
@@ -197,19 +198,19 @@ class Tables:
         self._made = None
 
     def _beyond(self, guard: Guard) -> int:
-        """The guard of a surface in the mode across, or behind an end of sliding."""
+        """The number of the surface's guard in the mode that the guard leads to."""
         name = guard.edge.rpartition(".")[0] if guard.kind is Kind.LEAVE else guard.edge
         to = self.scene.field(guard.to)
         number = self.number(to)
         return self.first(number) + to.column(name) if self.plain(number) else HARD
 
     def _slides(self, guard: Guard) -> int:
-        """The field that slides on a surface."""
+        """The number of the sliding field of a surface; ``NONE`` if it does not slide."""
         switching = self.scene.spec.switching(guard.edge)
         return self.number(self.scene.field(switching.mode)) if switching.slides else NONE
 
     def _at(self, field: Field, contact: str) -> int:
-        """The first of the programs of what happens at a contact."""
+        """The number of the first program of a contact; ``HARD`` if there is none."""
         try:
             parts = field.at_contact(contact)
         except TraceError:
@@ -218,7 +219,7 @@ class Tables:
         return first
 
     def _rest(self, field: Field, guard: Guard) -> int:
-        """The field of a contact at rest, with those that are held."""
+        """The number of the field with this contact at rest too; ``NONE`` if it does not rest."""
         scene = self.scene
         if not scene.contact(guard.edge).rests:
             return NONE
@@ -262,16 +263,18 @@ class Tables:
         self._made = None
 
     def _may(self, guard: Guard) -> bool:
-        """Whether the loop may look at a guard: at one that changes its formula where it may not
-        end."""
+        """Whether the loop can watch a guard: if its formula changes, it must stay defined."""
         if not guard.kinks:
             return True
         known = guard.kind in MAY_BEND and not self.scene.spec.lags
         return known and all(kink.change != "ends" for kink in guard.kinks)
 
     def _lead(self, field: Field, guard: Guard) -> str:
-        """The name of the field that a guard leads to; of a jump within the mode that in which all
-        contacts stay held. None where what is held is judged: see :data:`.places.JOINS`."""
+        """Name of the field to which a guard leads; a jump within the mode keeps all contacts held.
+
+        Empty where Python decides what stays held (see :data:`.places.JOINS`) and for an edge that
+        ends the run.
+        """
         if guard.kind is Kind.RELEASE:
             if len(field.held) > 1 and self.scene.spec.lags:
                 return ""
@@ -282,19 +285,20 @@ class Tables:
         return field.name if guard.to == field.mode else guard.to
 
     def _onto(self, field: Field, of_speed: bool) -> int:
-        """The number of a program that moves a state along the contacts held."""
+        """The number of the program that projects a state along the held contacts."""
         graph = self.scene.code.mode(field.mode)
         return self._of_values(field, ("onto", of_speed), lambda: graph.onto(of_speed))
 
     def _row(self, field: Field, guard: Guard, base: int) -> list[int]:
-        """A guard's row up to its condition; columns are named in :mod:`hybrid.rules.places`."""
+        """A guard's row up to its condition; for its columns see :mod:`hybrid.rules.places`."""
         code, uses = self.scene.code, len(self._uses)
         self._uses += guard.uses
         graph, name = code.mode(field.mode), guard.edge
         programs, held, corner = [-1, -1], bool(field.held), guard.kind is Kind.CONTACT
         slides = field.project is not None and not held
         lags, bends = bool(self.scene.spec.lags), bool(guard.kinks)
-        # what stays held after a jump that delays see is judged, and a guard that may have jumped
+        # Python decides these: what stays held after a jump that delays see, and guards that may
+        # jump
         judged = (held and lags) or (bends and (corner or guard.jumps))
         if guard.kind is Kind.CONTACT and not judged:
             programs = [
@@ -309,7 +313,7 @@ class Tables:
         to = UNKNOWN if self._lead(field, guard) else NONE
         shape = [int(guard.bounds), int(guard.affine), to, *programs, sizes, uses, len(self._uses)]
         kinked = any(other.kinks for other in field.guards)
-        judged = guard.kind is Kind.SWITCH and (slides or lags)  # and so is this
+        judged = guard.kind is Kind.SWITCH and (slides or lags)  # Python decides this one too
         at = HARD if judged or kinked or field.hurried else UNKNOWN
         if guard.kind is Kind.WINDOW:
             at = window_ends(self.scene.spec).index(name)
@@ -320,8 +324,8 @@ class Tables:
         return [kind, crossing, *shape, int(bends), at, 0, UNKNOWN, rest, 0, own]
 
     def _when(self, field: Field, guard: Guard) -> int:
-        """The number of the program of an edge's condition; ``NONE`` where it has none, -1 where
-        there is no such program."""
+        """The number of the program of an edge's condition; ``NONE`` if it has none, -1 if the
+        condition has no program."""
         if guard.when is None:
             return NONE
         code, what = self.scene.code, ("when", guard.edge)
@@ -330,19 +334,19 @@ class Tables:
         )
 
     def _again(self, guard: Guard) -> bool:
-        """Whether an edge is watched in the mode to which it leads."""
+        """Whether an edge is also watched in the mode to which it leads."""
         spec = self.scene.spec
         edges = (*spec.leaving(guard.to), *spec.ringing(guard.to))
         return any(edge.name == guard.edge for edge in edges)
 
     def _times(self, field: Field, clock: Guard) -> int:
-        """The number of the program of a clock's times; ``HARD`` where there is none."""
+        """The number of the program of a clock's times; ``HARD`` if there is none."""
         graph, key = self.scene.code.mode(field.mode), ("clock", clock.edge)
         number = self._of_values(field, key, lambda: graph.values(self.scene.code.closed(*key)))
         return HARD if number < 0 else number
 
     def _clock(self, field: Field, place: int, times: int, base: int) -> list[int]:
-        """The row of a clock."""
+        """The row of a clock in the table of guards."""
         clock, slides = field.clocks[place], field.project is not None and not field.held
         judged = self._again(clock) if slides else bool(field.held and self.scene.spec.lags)
         program = -1 if judged else self._reset(field, clock)
@@ -358,8 +362,8 @@ class Tables:
         return self._of_values(field, what, values)
 
     def _surface(self, field: Field) -> int:
-        """The number of the program back onto the surface on which a field slides; -1 where it
-        slides on none, ``HARD`` where there is no such program."""
+        """The number of the program that projects onto the sliding surface; -1 if the field does
+        not slide, ``HARD`` if there is no program."""
         code, switching = self.scene.code, self.scene.spec.sliding(field.mode)
         if switching is None:
             return -1
@@ -368,8 +372,8 @@ class Tables:
         return HARD if number < 0 else number
 
     def _lags(self, field: Field) -> int:
-        """The number of the program of lags that move; -1 where none does, ``HARD`` where there is
-        no such program."""
+        """The number of the program of state- or time-dependent lags; -1 if there are none,
+        ``HARD`` if there is no program."""
         code, names = self.scene.code, [lag.name for lag in self.scene.spec.lags]
         if not any(code.moving):
             return -1
@@ -379,10 +383,10 @@ class Tables:
         return HARD if number < 0 else number
 
     def _watch(self, field: Field) -> int:
-        """The number of a program of a field's guards alone.
+        """The number of the program of a field's guards.
 
-        -1 where another solver's steps are made without the loop, as nothing is watched, and where
-        there is no such program.
+        -1 if there is no such program, or if nothing is watched (another solver then needs no
+        loop).
         """
         if not field.guards:
             return -1
@@ -390,7 +394,7 @@ class Tables:
         return self._of_values(field, ("guards", *edges), lambda: list(map(graph.guard, edges)))
 
     def _of_values(self, field: Field, key: tuple[object, ...], nodes: Nodes) -> int:
-        """The number of a program for values only; -1 where an operation has none."""
+        """The number of a program that computes values only; -1 if an operation has no program."""
         try:
             found = self.scene.code.mode(field.mode).of_values(key, nodes)
         except TraceError:

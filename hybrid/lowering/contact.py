@@ -1,15 +1,15 @@
-"""What follows from a gap and a flow: the impact, the resting field, its force.
+"""Laws derived from a gap and a flow: impact, resting field and contact force.
 
-For a gap ``g(t, x)`` and a flow ``f``, with ``q`` the positions that the gap depends on,
-``N = dg/dq``, ``W`` the inverse mass and ``D = W N`` placed at the velocities of ``q``:
+For a gap ``g(t, x)`` and a flow ``f``, let ``q`` be the positions that the gap depends on, ``N =
+dg/dq``, ``W`` the inverse mass, and ``D = W N`` placed at the velocities of ``q``:
 
 * gap speed ``u = L_f g``, gap acceleration ``a = L_f u``;
 * impact (Newton): ``v -> v + D (u_after - u) / (N.D)`` with ``u_after = r |u|``;
 * resting field: ``f - D a / (N.D)``, along which the gap's acceleration is zero;
 * load: ``-a``, the contact force over ``1 / (N.D)``; contact ends when it reaches zero;
-* projection: back onto ``g = 0`` along ``N`` and ``u = 0`` along ``D`` (drift removal).
+* projection (drift removal): onto ``g = 0`` along ``N`` and onto ``u = 0`` along ``D``.
 
-Several contacts held at once share one system of equations for their forces.
+The forces of several held contacts solve one linear system.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ if TYPE_CHECKING:
 
 @attrs.frozen
 class Pairing:
-    """Places in the state vector of the gap's positions and of their velocities."""
+    """Indices in the state vector of the gap's positions and of their velocities."""
 
     positions: tuple[int, ...]
     velocities: tuple[int, ...]
 
     def at_positions(self, size: int) -> Matrix:
-        """Matrix that puts one number for each position at its place in the state."""
+        """Matrix, shape ``(size, positions)``, that places a vector over positions in the state."""
         return np.eye(size)[:, list(self.positions)]
 
     def at_velocities(self, size: int) -> Matrix:
-        """Matrix that puts one number for each velocity at its place in the state."""
+        """Matrix, shape ``(size, velocities)``, that places a vector over velocities."""
         return np.eye(size)[:, list(self.velocities)]
 
 
 def lie(h: Traced, flow: Traced) -> Traced:
-    """The derivative of ``h(parameters, t, x)`` along the flow."""
+    """The Lie derivative of ``h(parameters, t, x)`` along the flow."""
 
     def derivative(parameters: Any, t: Any, x: Any) -> Any:
         import jax
@@ -60,7 +60,7 @@ def lie(h: Traced, flow: Traced) -> Traced:
 
 @attrs.frozen
 class ContactLaws:
-    """The derived functions of one contact, ready to be traced."""
+    """The derived functions of one contact, which JAX can trace."""
 
     gap: Traced
     speed: Traced
@@ -80,7 +80,7 @@ class ContactLaws:
         return normal, self.pairing.at_velocities(x.size) @ push, normal @ push
 
     def impact(self, parameters: Any, t: Any, x: Any) -> Any:
-        """The state after an impact, then the gap's speed after it."""
+        """The state after an impact, followed by the gap speed after it."""
         import jax.numpy as jnp
 
         _, direction, weight = self.normal(parameters, t, x)
@@ -89,17 +89,17 @@ class ContactLaws:
         return jnp.append(x + direction * ((after - before) / weight), after)
 
     def push(self, parameters: Any, t: Any, x: Any) -> Any:
-        """Change of the state that changes the gap's speed by one."""
+        """Change of the state that changes the gap speed by one."""
         _, direction, weight = self.normal(parameters, t, x)
         return direction / weight
 
 
 @attrs.frozen
 class Held:
-    """Contacts closed at once: the field while they are held, and each one's load.
+    """Contacts held at the same time: the resting field and the load of each contact.
 
-    With a ``mask`` only those of the contacts are held whose entry is true: an array, so that
-    compiled code need not be written anew for each set of contacts.
+    With a boolean array ``mask``, only the selected contacts are held; compiled code then serves
+    every set of contacts.
     """
 
     contacts: tuple[ContactLaws, ...]
@@ -107,7 +107,7 @@ class Held:
     mask: Any = None
 
     def geometry(self, parameters: Any, t: Any, x: Any) -> tuple[list[Any], list[Any], list[Any]]:
-        """Gradients at the positions, the same at the velocities, impulse directions."""
+        """Per contact: gap gradient at positions, the same at velocities, impulse direction."""
         gradients, speeds, directions = [], [], []
         for contact in self.contacts:
             normal, direction, _ = contact.normal(parameters, t, x)
@@ -117,7 +117,7 @@ class Held:
         return gradients, speeds, directions
 
     def forces(self, parameters: Any, t: Any, x: Any) -> tuple[list[Any], list[Any], list[Any]]:
-        """Multipliers that hold every gap's acceleration at zero, weights, directions."""
+        """Multipliers that make the gap accelerations zero; weights ``N.D``; directions."""
         _, speeds, directions = self.geometry(parameters, t, x)
         matrix = [[n @ d for d in directions] for n in speeds]
         wanted = [-contact.acceleration(parameters, t, x) for contact in self.contacts]
@@ -125,7 +125,7 @@ class Held:
         return self._solve(matrix, wanted), weights, directions
 
     def _solve(self, matrix: list[list[Any]], right: list[Any]) -> list[Any]:
-        """The equations of the contacts held; 0 for the others."""
+        """Solve the equations of the held contacts; multipliers of the others are 0."""
         if self.mask is None:
             return solve(matrix, right)
         import jax.numpy as jnp
@@ -138,13 +138,13 @@ class Held:
         return solve(rows, [jnp.where(held, b, 0.0) for held, b in zip(pairs, right, strict=True)])
 
     def rest(self, parameters: Any, t: Any, x: Any) -> Any:
-        """The flow while the contacts are held."""
+        """The resting field."""
         multipliers, _, directions = self.forces(parameters, t, x)
         pairs = zip(multipliers, directions, strict=True)
         return self.flow(parameters, t, x) + sum(m * d for m, d in pairs)
 
     def load(self, index: int) -> Traced:
-        """Contact force over ``1 / (N.D)``: positive while that obstacle pushes."""
+        """The contact force over ``1 / (N.D)``: positive while the obstacle pushes."""
 
         def load(parameters: Any, t: Any, x: Any) -> Any:
             multipliers, weights, _ = self.forces(parameters, t, x)
@@ -153,7 +153,7 @@ class Held:
         return load
 
     def project(self, parameters: Any, t: Any, x: Any) -> Any:
-        """The state moved onto all gaps 0 (two Newton steps) and all gap speeds 0."""
+        """The state projected onto zero gaps (two Newton steps) and zero gap speeds."""
         for _ in range(2):
             gradients, _, _ = self.geometry(parameters, t, x)
             matrix = [[n @ m for m in gradients] for n in gradients]
@@ -170,7 +170,7 @@ def laws(
 ) -> ContactLaws:
     """The derived functions of a contact, from the traces of its gap and flow.
 
-    ``together``: positions of the contacts that were declared with it.
+    ``together``: positions of all contacts declared with it as one array of gaps.
     """
     gap = again(cls.traces["gap", contact.name])
     flow = again(cls.traces["flow", contact.source])
@@ -183,8 +183,10 @@ def laws(
 def _mass(
     cls: Any, spec: Spec, contact: ContactSpec, positions: Sequence[int], together: Sequence[int]
 ) -> Traced:
-    """The inverse mass matrix of the positions as a function; of one of several contacts out of
-    what is given for all their positions together."""
+    """The inverse mass matrix of the contact's positions, as a function.
+
+    A diagonal given for an array of gaps covers the positions of all of them (``together``).
+    """
     size, own = len(positions), [list(together).index(place) for place in positions]
     given = contact.inverse_mass
     if isinstance(given, str):
@@ -212,7 +214,7 @@ def _mass(
 
 
 def _require_diagonal(spec: Spec, contact: ContactSpec, shape: tuple[int, ...], size: int) -> None:
-    """Refuse an inverse mass that is not one number for each position.
+    """Refuse an inverse mass without exactly one number per position.
 
     Raises
     ------
@@ -237,13 +239,12 @@ def pair(
     flows : list of set of int
         Elements that each component of the flow depends on.
     unit : callable ``(i, j)``
-        Whether component ``i`` of the flow grows as fast as element ``j``.
+        Whether component ``i`` of the flow has slope one in element ``j``.
 
     Raises
     ------
     DeclarationError
-        If a position's derivative is not its velocity (plus what depends on time and
-        positions only).
+        If the derivative of a position is not its velocity plus a function of time and positions.
     """
     names = spec.element_names
     positions, velocities = [], []

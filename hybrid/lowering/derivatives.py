@@ -1,8 +1,8 @@
-"""Derivatives on the graph itself: along a direction, and gradients.
+"""Derivatives of graph nodes: directional derivatives and gradients.
 
-They are nodes of the same graph, so that what derivatives share with functions, and with each
-other, is there once, and nothing is traced again. The rules are JAX's: the slope of ``abs`` at 0 is
-1, that of ``max`` at a tie is shared.
+They are nodes of the same graph, so subexpressions are shared with the functions and nothing is
+traced again. Nonsmooth rules are those of JAX: the slope of ``abs`` at 0 is 1, and that of ``max``
+at a tie is split evenly.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from ..errors import TraceError
 from .graph import TIME_PLACE, WHOLE_VALUED, Graph, needed, states_in
 from .taylor import SLOPES
 
-#: Operations whose derivative is 0 wherever there is one.
+#: Operations with zero derivative wherever it exists, or with rules of their own.
 FLAT = WHOLE_VALUED | {
     "floor",
     "ceil",
@@ -55,7 +55,10 @@ def _power(g: Graph, a: int, p: int) -> list[int]:
 
 
 def _by_exponent(g: Graph, a: int, p: int) -> int:
-    """``a^p log a``, and 0 where ``a`` is 0 (an exponent that moves is written otherwise)."""
+    """The slope ``a^p log a`` by the exponent; 0 where ``a`` is 0 or ``p`` is constant.
+
+    A varying exponent is written as ``exp(p log a)`` instead.
+    """
     zero, one = g.const(0.0), g.const(1.0)
     if g.value(p) is not None:
         return zero
@@ -68,7 +71,7 @@ def _angle(g: Graph, y: int, x: int) -> list[int]:
     return [g.node("div", x, square), g.node("neg", g.node("div", y, square))]
 
 
-#: The slope of an operation along each of its arguments.
+#: The partial derivatives of an operation by its arguments.
 LOCAL_SLOPES: dict[str, Callable[..., list[int]]] = {
     "add": lambda g, a, b: [g.const(1.0)] * 2,
     "sub": lambda g, a, b: [g.const(1.0), g.const(-1.0)],
@@ -97,7 +100,7 @@ LOCAL_SLOPES: dict[str, Callable[..., list[int]]] = {
 
 
 def times(g: Graph, a: int, b: int) -> int:
-    """A product; signs are kept as signs."""
+    """A product; factors -1 become ``neg``."""
     if g.value(a) == -1.0:
         return g.node("neg", b)
     return g.node("neg", a) if g.value(b) == -1.0 else g.node("mul", a, b)
@@ -113,7 +116,7 @@ def _slopes(g: Graph, number: int) -> list[int]:
 
 
 def along(g: Graph, root: int, rates: Mapping[int, int]) -> int:
-    """The derivative of a node along the direction in which inputs change at ``rates``."""
+    """The derivative of a node when the inputs change at ``rates``."""
     zero = g.const(0.0)
     tangents = dict(rates)
     for number in needed(g, [root]):
@@ -152,14 +155,14 @@ def _tangent(g: Graph, number: int, tangents: dict[int, int], zero: int) -> int:
 
 
 def _rates(g: Graph, arguments: Sequence[int], tangents: Mapping[int, int]) -> int:
-    """The rates of what is called: another call, whose parts are theirs."""
+    """The rates of a foreign call's results: another foreign call."""
     number, *own = arguments
     function = g.called_by(number)
     return g.called(function.rates, [*own, *(tangents[a] for a in own)])
 
 
 def gradient(g: Graph, root: int, inputs: Sequence[int]) -> list[int]:
-    """The derivatives of a node with respect to inputs."""
+    """The partial derivatives of a node by the given inputs (reverse mode)."""
     zero, order = g.const(0.0), needed(g, [root])
     changes = _changing(g, order, inputs)
     adjoints: dict[int, list[int]] = {root: [g.const(1.0)]}
@@ -195,7 +198,7 @@ def gradient(g: Graph, root: int, inputs: Sequence[int]) -> list[int]:
 
 
 def _changing(g: Graph, order: Sequence[int], inputs: Sequence[int]) -> set[int]:
-    """The nodes that depend on some inputs, of nodes in order."""
+    """The nodes in ``order`` that depend on the given inputs."""
     found = set(inputs)
     for number in order:
         op, *arguments = g.nodes[number]
@@ -211,7 +214,7 @@ def _backward(
     adjoints: dict[int, list[int]],
     changes: set[int],
 ) -> None:
-    """Through equations: ``A' m = s`` for the share ``s`` of each unknown."""
+    """Reverse rule of ``solve``: with ``A' m = s`` for the adjoints ``s`` of the unknowns."""
     matrix, right, mask = equations(g.nodes[number][1:])
     n = len(right)
     columns = [[row[i] for row in matrix] for i in range(n)]
@@ -235,7 +238,7 @@ def _through(
     adjoints: dict[int, list[int]],
     changes: set[int],
 ) -> None:
-    """Through what is called: by the derivatives of its results."""
+    """Reverse rule of a foreign call, by the Jacobian of its results."""
     number, *own = arguments
     sizes = {i: g.total(share) for i, share in shares.items()}
     slopes = g.called(g.called_by(number).slopes, own)
@@ -249,24 +252,24 @@ def _through(
 def solved(
     g: Graph, matrix: Sequence[Sequence[int]], right: Sequence[int], mask: Sequence[int]
 ) -> int:
-    """The node of linear equations among the unknowns that the mask counts; the others are 0."""
+    """The node of a linear system in the unknowns selected by ``mask``; the others are 0."""
     return g.node("solve", *(a for row in matrix for a in row), *right, *mask)
 
 
 def parts(g: Graph, number: int, count: int) -> list[int]:
-    """The unknowns of equations."""
+    """The nodes of the unknowns of a system."""
     return [g.node("part", number, g.const(i)) for i in range(count)]
 
 
 def equations(arguments: Sequence[int]) -> tuple[list[list[int]], list[int], list[int]]:
-    """Matrix, right side and mask among the arguments of equations."""
+    """Matrix, right-hand side and mask among the arguments of a ``solve`` node."""
     n = unknowns(len(arguments))
     matrix = [list(arguments[i * n : i * n + n]) for i in range(n)]
     return matrix, list(arguments[n * n : n * n + n]), list(arguments[n * n + n :])
 
 
 def unknowns(count: int) -> int:
-    """Of equations with so many arguments."""
+    """Number of unknowns of a ``solve`` node with ``count`` arguments."""
     n = 0
     while n * n + 2 * n < count:
         n += 1
@@ -274,7 +277,7 @@ def unknowns(count: int) -> int:
 
 
 def degree(graph: Graph, root: int) -> float:
-    """Degree of a polynomial in ``t`` and ``x``; infinite where a node is none."""
+    """Degree of a node as a polynomial in ``t`` and ``x``; infinite if it is not one."""
     found: dict[int, float] = {}
     for number in needed(graph, [root]):
         node = graph.nodes[number]
@@ -303,5 +306,5 @@ def degree(graph: Graph, root: int) -> float:
 
 
 def node_shape(graph: Graph, root: int) -> tuple[bool, tuple[int, ...]]:
-    """Whether a node is affine, and the elements of the state that it is made of."""
+    """Whether a node is affine, and the elements of the state that it depends on."""
     return degree(graph, root) <= 1, tuple(sorted(states_in(graph, root) - {TIME_PLACE}))

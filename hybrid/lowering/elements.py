@@ -1,4 +1,4 @@
-"""What is made of arrays of nodes element by element, and choices among whole numbers."""
+"""Elementwise operations on arrays of nodes, and choices among whole numbers."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import numpy as np
 
 from .graph import Graph, Ids
 
-#: Most whole numbers among which a choice is written out, as that of a place in a table; of two
-#: together as many as of each. Places are found by halves, in steps that share their conditions.
+#: Largest number of known whole numbers, e.g. table indices, among which a choice is written out
+#: case by case; two such choices together may have that many each. A binary search for an index
+#: makes choices whose steps share their conditions.
 MOST_CHOICES = 64
 
 
@@ -27,14 +28,14 @@ def mapped(graph: Graph, op: str, inputs: list[Ids]) -> Ids:
 
 
 def each(make: Callable[..., int], *inputs: Ids) -> Ids:
-    """What is made of each element."""
+    """An array of ``make(*elements)`` over the broadcast inputs."""
     arrays = np.broadcast_arrays(*inputs)
     rows = zip(*(a.reshape(-1).tolist() for a in arrays), strict=True)
     return np.array([make(*row) for row in rows], dtype=np.int64).reshape(arrays[0].shape)
 
 
 def quotient(graph: Graph, op: str, *arguments: int) -> int:
-    """A quotient of whole numbers, or what is left of it."""
+    """The integer quotient (``div``) or remainder (``rem``) of whole numbers."""
 
     def make(a: int, b: int) -> int:
         x, y = graph.value(a), graph.value(b)
@@ -47,7 +48,7 @@ def quotient(graph: Graph, op: str, *arguments: int) -> int:
 
 
 def unsigned(graph: Graph, bits: int, value: int) -> int:
-    """A whole number without a sign: below zero it begins again from above."""
+    """A whole number as unsigned: ``2**bits`` is added to a negative one."""
     if (known := graph.value(value)) is not None:
         return value if known >= 0 else graph.const(known + 2**bits)
     below = graph.node("lt", value, graph.const(0.0))
@@ -55,7 +56,7 @@ def unsigned(graph: Graph, bits: int, value: int) -> int:
 
 
 def distributed(graph: Graph, make: Callable[..., int], *arguments: int) -> int:
-    """What is made of some nodes; of choices among whole numbers a choice among the results."""
+    """``make(*arguments)``, distributed over choices among whole numbers."""
     condition = choosing(graph, arguments)
     if condition is None:
         return make(*arguments)
@@ -65,7 +66,7 @@ def distributed(graph: Graph, make: Callable[..., int], *arguments: int) -> int:
 
 
 def choosing(graph: Graph, numbers: Sequence[int]) -> int | None:
-    """The first condition of choices among whole numbers; None where they are no such, or many."""
+    """The first condition among choices of whole numbers; None if there are none or too many."""
     counts = [graph.leaves(number) for number in numbers]
     if not few(counts):
         return None
@@ -74,12 +75,12 @@ def choosing(graph: Graph, numbers: Sequence[int]) -> int | None:
 
 
 def few(counts: Sequence[int]) -> bool:
-    """Whether there are choices among whole numbers only, not too many of them together."""
+    """Whether all nodes are whole numbers or choices among few of them."""
     return 0 < math.prod(counts) <= MOST_CHOICES**2 and max(counts, default=1) <= MOST_CHOICES
 
 
 def taken(graph: Graph, condition: int, way: int, number: int) -> int:
-    """A choice where a condition holds (1), or does not (0)."""
+    """A choice, given that ``condition`` holds (``way=1``) or fails (``way=0``)."""
     if graph.leaves(number) <= 1:
         return number
     _, which, *cases = graph.nodes[number]

@@ -1,4 +1,4 @@
-"""What is flown in a mode, and what is watched there: fields, guards and contacts."""
+"""Fields, guards and contacts: what is integrated and watched in a mode."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 Scalar = Callable[..., Any]
 
-#: Most states whose Jacobian is written out: for a thousand terms Python takes a tenth of a second.
+#: Largest number of states for which the Jacobian is written out; a thousand terms take 0.1 s in
+#: Python.
 WRITTEN = 32
 
 
@@ -32,14 +33,14 @@ class Kink:
     Attributes
     ----------
     edge : object
-        A name of its own, by which its signs are remembered along an arc.
+        A unique key, by which its sign is remembered along an arc.
     value : callable ``(t, x)``
     affine : bool
-        Affine in ``t`` and ``x``.
+        Whether it is affine in ``t`` and ``x``.
     uses : tuple of int
         Elements of the state that it depends on.
     change : "jumps", "bends" or "ends"
-        What the guard may do there; beyond an end it has no value.
+        What the guard may do there; beyond an end it is undefined.
     """
 
     edge: Any
@@ -56,31 +57,31 @@ class Guard:
     Attributes
     ----------
     edge : str
-        Name of the edge, contact or switching; ``"<contact>.release"`` for the end of a rest,
-        ``"<switching>.positive"`` and ``"<switching>.negative"`` for those of sliding.
+            Name of the edge, contact or switching; ``"<contact>.release"`` for the end of a rest,
+        ``"<switching>.positive"`` and ``"<switching>.negative"`` for the ends of sliding.
     kind : Kind
     to : str
         The mode it leads to.
     value : callable ``(t, x)``
         The guard.
     lie : callable ``(t, x)``
-        The guard and its first two derivatives along the flow.
+        The guard and its first two Lie derivatives along the flow.
     affine : bool
-        Affine in ``t`` and ``x``: a polynomial wherever the state is one.
+        Whether it is affine in ``t`` and ``x``, so that it is a polynomial where the state is.
     uses : tuple of int
         Elements of the state that the guard depends on.
     trace : callable
-        Gives the guard's jaxpr.
+        Returns the guard's jaxpr.
     kinks : tuple of Kink
-        Where it changes its formula; of a load also where its contact's gap and gap speed do.
+        Where it changes its formula; for a load also where the contact's gap and gap speed do.
     bounds : bool
-        Whether it bounds its mode; an event that the flow passes does not.
+        Whether it bounds its mode; the flow passes through an event that does not.
     after : callable ``(t, x)``, optional
-        Of a clock, whose guard is not watched: the first of its times behind ``t``.
+        For a clock, whose guard is not watched: the first firing time after ``t``.
     when : callable ``(t, x)`` or None
-        Of an edge with a condition: greater than 0 where it holds.
+        For an edge with a condition: positive where the condition holds.
     urgent : bool
-        Whether an edge fires where its guard is beyond zero as the mode is entered.
+        Whether the edge fires if its guard is beyond zero when the mode is entered.
     """
 
     edge: str
@@ -99,7 +100,7 @@ class Guard:
     urgent: bool = False
 
     def holds(self, t: float, x: list[float]) -> bool:
-        """Whether it may fire: its condition, if it has one, holds."""
+        """Whether it may fire here: true without a condition."""
         return self.when is None or bool(self.when(t, x) > 0.0)
 
     @property
@@ -109,39 +110,40 @@ class Guard:
 
     @property
     def jumps(self) -> bool:
-        """Whether it may change its sign without a zero."""
+        """Whether its sign may change without a zero."""
         return any(kink.change != "bends" for kink in self.kinks)
 
 
 @attrs.frozen(eq=False, slots=False)
 class Field:
-    """What a solver flows in one mode (or resting mode), and what is watched there.
+    """What a solver integrates in a mode (resting and sliding modes included) and what is watched.
 
     Attributes
     ----------
     rhs : callable ``(t, x) -> tuple``
-        Time derivatives.
+        Time derivatives of the states.
     jets : Jets or None
-        Taylor series of the states, of the guards in order, and of what is watched; None where
-        the model uses something that has no Taylor series.
+            Taylor series of the states, the guards in order, and the watched functions; None if the
+        model uses an operation without a Taylor series.
     refused : str
-        Why there are no series, where there are none.
+        Why there are no series.
     held : tuple of str
         Contacts held closed here.
     trace, code, parameters
-        What gives the flow's jaxpr, what else is made for the class, and the parameters' values.
+            A function that returns the flow's jaxpr, the generated code of the class, and the
+        parameter values.
     numbers : tuple of float
-        The same as one list, and behind them the mask: which contacts are held.
+        The parameter values as one list, then the mask of the held contacts.
     project : callable ``(t, x)`` or None
-        Back onto the held contacts' gaps, or onto the surface on which the state slides.
+        Projection onto the held contacts' gaps, or onto the sliding surface.
     changes : tuple of Kink
         Where the flow changes its formula.
     scene, touching : Scene, frozenset of str
-        Where it comes from: ``scene.field(name, touching)``.
+        Its origin: ``scene.field(name, touching)``.
     clocks : tuple of Guard
-        What fires here at given times.
+        Edges that fire here at given times.
     graph : ModeGraph, optional
-        What the series are made of, where it is not that of the mode (:mod:`.local`).
+        The graph behind the series, if it is not that of the mode (:mod:`.local`).
     """
 
     name: str
@@ -163,7 +165,7 @@ class Field:
     graph: Any = None
 
     def __reduce__(self) -> Any:
-        """Pickled as what it comes from."""
+        """Pickle by origin."""
         return self.scene.field, (self.name, self.touching)
 
     def onto(self, t: float, x: list[float], ends: bool = False) -> Any:
@@ -182,7 +184,7 @@ class Field:
         return there(t, x)
 
     def along(self, t: float, x: StateVector) -> np.ndarray:
-        """A state on the contacts held, or on the surface; where there is neither, as it is."""
+        """The state projected onto the held contacts or the surface, if there are any."""
         return x if self.project is None else np.array(self.project(float(t), x.tolist()))
 
     @property
@@ -192,32 +194,35 @@ class Field:
 
     @property
     def hurried(self) -> bool:
-        """Whether entering it may fire an edge at any time: a jump back into it is never idle."""
+        """Whether an urgent edge with a condition is watched, which may fire on any entry.
+
+        A jump back into this field is then never without effect.
+        """
         return any(guard.urgent and guard.when is not None for guard in self.guards)
 
     def column(self, edge: str) -> int:
-        """Place of an edge's guard among the guards."""
+        """Index of an edge's guard among the guards."""
         return next(i for i, guard in enumerate(self.guards) if guard.edge == edge)
 
     def guard(self, edge: str) -> Guard:
-        """The guard of an edge, or its clock."""
+        """The guard or clock of an edge."""
         return next(guard for guard in (*self.guards, *self.clocks) if guard.edge == edge)
 
     @property
     def leans(self) -> bool:
-        """Whether where contacts are at rest, or the state slides, may depend on the past."""
+        """Whether the resting set or the sliding surface may depend on the past."""
         slides = self.project is not None and not self.held and bool(self.code.spec.lags)
         return slides or (bool(self.held) and self.code.mode(self.mode).leans)
 
     @cached_property
     def kinks(self) -> int:
-        """Number of kinks, and of what else is watched along a series (see :mod:`.tape`)."""
+        """Number of kinks and other functions watched along a series (see :mod:`.tape`)."""
         return len(self.jets.watched) if self.jets else 0
 
     @cached_property
     def jacobian(self) -> Scalar | None:
-        """The derivatives of the flow by the state, row by row; None where there are none, or so
-        many that differences of the flow cost less than to write them out."""
+        """The Jacobian of the flow by the state, row by row; None if it has no code, or if it is so
+        large that finite differences are cheaper than writing it out."""
         graph, held = self.code.mode(self.mode), bool(self.held)
         if len(graph.x) > WRITTEN:
             return None
@@ -229,7 +234,7 @@ class Field:
         return program.bind(self.numbers)
 
     def expand(self, t: float, x: list[float], sides: list[int]) -> Any:
-        """The series of states, guards and what is watched, as lists of coefficients.
+        """Taylor coefficients of the states, the guards and the watched functions.
 
         See :class:`.tape.Jets`.
         """
@@ -237,13 +242,13 @@ class Field:
         return self.jets(t, x, sides, ORDER)
 
     def at_contact(self, name: str) -> list[Jets]:
-        """What happens at a contact of the mode, for values (:meth:`.ModeGraph.contact_tapes`)."""
+        """Programs for the values at a contact of the mode (:meth:`.ModeGraph.contact_tapes`)."""
         graph = self.graph or self.code.mode(self.mode)
         tapes = graph.contact_tapes(name, bool(self.held))
         return [tape.bind(self.numbers) for tape in tapes]
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:
-        """What ``make`` returns, made only the first time."""
+        """The result of ``make``, cached under ``key``."""
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]
@@ -255,10 +260,10 @@ class Field:
 
 @attrs.frozen(eq=False)
 class Contact:
-    """The derived laws of a contact (see :mod:`.contact`), as scalar functions.
+    """The derived laws of a contact (see :mod:`.contact`) as scalar functions.
 
-    ``local``: a fixed obstacle before one position, and a flow that depends on that position
-    and its velocity only: flights with one speed are alike, whenever they are.
+    ``local``: the obstacle is fixed and faces one position, and the flow depends on that position
+    and its velocity only. Flights that start at the same speed are then identical at all times.
     """
 
     name: str
@@ -272,5 +277,5 @@ class Contact:
     scene: Any
 
     def __reduce__(self) -> Any:
-        """Pickled as what it comes from."""
+        """Pickle by origin."""
         return self.scene.contact, (self.name,)

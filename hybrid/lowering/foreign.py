@@ -1,8 +1,9 @@
-"""What a trace asks for that cannot be written as scalar code: compiled by JAX, and called.
+"""Foreign functions: operations of a trace without scalar code, compiled by JAX and called.
 
-A loop of a length that depends on the state, eigenvalues, a sort of many: a node of the graph calls
-it for numbers, and its results are parts of that node. Its derivatives are functions of the same
-kind. There is no Taylor series of it, no enclosure, and nothing is known of where it switches.
+Examples are a loop whose length depends on the state, eigenvalues, and a sort of many numbers. A
+graph node calls the function on numbers, and its results are parts of that node. Its derivatives
+are foreign functions too. It has no Taylor series and no enclosure, and where it switches is
+unknown.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 
 from .jit import jit
 
-#: What a primitive is in the author's words, and what to write instead, by names of primitives.
+#: For primitives, by name: a description for the author, and what to write instead.
 IN_WORDS = {
     "while": (
         "a loop that ends by a condition",
@@ -56,7 +57,7 @@ IN_WORDS = {
     ),
 }
 
-#: The same of any other primitive.
+#: The same for all other primitives.
 OTHER = "this function", "write this part with arithmetic, jnp.where or a loop of fixed length"
 
 
@@ -68,9 +69,9 @@ class Foreign:
     name : str
         The primitive, for messages.
     line : str
-        The author's own, for messages.
+        The author's line, for messages.
     function : callable
-        Of an array of numbers, which gives another.
+        Maps an array of numbers to an array of numbers.
     """
 
     def __init__(self, name: str, line: str, function: Callable[[Any], Any]) -> None:
@@ -87,7 +88,7 @@ class Foreign:
 
     @cached_property
     def rates(self) -> Foreign:
-        """Its results' rates; of its arguments, then their rates."""
+        """The directional derivative: a function of the arguments, then their rates."""
         import jax
         import jax.numpy as jnp
 
@@ -98,7 +99,7 @@ class Foreign:
 
     @cached_property
     def slopes(self) -> Foreign:
-        """The derivatives of its results by its arguments, result by result."""
+        """The Jacobian of the results by the arguments, row by row."""
         import jax
 
         def slopes(numbers: Any) -> Any:
@@ -115,14 +116,14 @@ def in_words(name: str, line: str) -> tuple[str, str]:
 
 
 def of_primitive(equation: Any, line: str, values: Sequence[Any]) -> Foreign:
-    """The function of an equation of a trace.
+    """The function that an equation of a trace computes.
 
     Parameters
     ----------
     line : str
-        That of the author.
+        The author's line.
     values
-        Of all inputs, element by element: their values, and None where they are arguments.
+        For every element of all inputs: its value if constant, None if it is an argument.
     """
     import jax.numpy as jnp
 

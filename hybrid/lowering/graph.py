@@ -1,9 +1,9 @@
-"""The trace as scalar arithmetic: one node an element, shared subexpressions once.
+"""A trace as scalar arithmetic: one node per element, common subexpressions shared.
 
-A jaxpr works on arrays. Scalar code needs each element's own expression. Here an array is
-a numpy array of node numbers; moving data (slicing, reshaping, stacking, gathering) moves
-numbers and costs nothing at run time, arithmetic makes nodes, and nodes of constants are
-folded (:mod:`.jaxpr`). The readers (:mod:`.python`, :mod:`.taylor`) see a list of nodes only.
+A jaxpr works on arrays, but scalar code needs an expression for each element. Here an array is a
+numpy array of node numbers. Moving data (slicing, reshaping, stacking, gathering) moves node
+numbers and costs nothing at run time; arithmetic makes nodes, and constants are folded
+(:mod:`.jaxpr`). The readers (:mod:`.python`, :mod:`.taylor`) see only a list of nodes.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from .foreign import Foreign
 
 Ids = np.ndarray
 
-#: Operations whose results are flags or whole numbers.
+#: Operations whose results are booleans or integers.
 WHOLE_VALUED = {"gt", "ge", "lt", "le", "eq", "ne", "and", "or", "xor", "not", "is_finite", "trunc"}
 
-#: Stands for the time among places in the state vector.
+#: Stands for time among indices into the state vector.
 TIME_PLACE = -1
 
-#: Sums of up to so many terms are written out.
+#: Sums of up to this many terms are written out.
 WRITTEN_TERMS = 3
 
 
 class Graph:
-    """Nodes ``(op, *arguments)`` in an order in which arguments come first.
+    """Nodes ``(op, *arguments)``, ordered so that arguments come first.
 
-    ``exact`` keeps ``0 * x``, which is not 0 where ``x`` is not finite; without it the graph
-    shows what depends on what.
+    ``("const", value)`` and ``("input", name)`` are leaves; other arguments are node numbers. Equal
+    nodes are one node.
 
-    ``("const", value)`` and ``("input", name)`` are leaves; other arguments are node
-    numbers. Equal nodes are one node. With ``long`` a sum of many terms is one node, ``("sum",
-    ...)``, and so is one of products, ``("dot", a, b, a, b, ...)``: a product with a matrix has as
-    many nodes as it has rows.
+    With ``exact``, ``0 * x`` is kept, as it is not 0 where ``x`` is not finite; without it the
+    graph shows true dependence. With ``long``, a sum of many terms is one node, ``("sum", ...)``,
+    and so is a sum of products, ``("dot", a, b, a, b, ...)``: a matrix-vector product has one node
+    per row.
 
-    ``still`` are the names of inputs that only jumps change; to be told before any node is made.
+    ``still`` names the inputs that only jumps change; set it before any node is made.
 
     What cannot be written as scalar code is called: ``("foreign", number, *arguments)`` with its
     number in ``foreign``, whose results are its parts; ``line`` is the author's that is read, and
@@ -62,7 +62,7 @@ class Graph:
         self.written_at: dict[str, str] = {}
 
     def node(self, *key: Any) -> int:
-        """The number of this node, made if it is new; constants are folded."""
+        """The number of a node, which is made if new; constants are folded."""
         key = self._simplify(key)
         if len(key) == 1:
             return int(key[0])
@@ -75,7 +75,7 @@ class Graph:
         return self._known[key]
 
     def const(self, value: Any) -> int:
-        """A constant's node; kept apart by type and by the sign of zero."""
+        """The node of a constant; types and signs of zero are kept apart."""
         value = value.item() if hasattr(value, "item") else value
         tag = repr(value)
         return self.node("const", value, tag)
@@ -86,7 +86,7 @@ class Graph:
         return node[1] if node[0] == "const" else None
 
     def input(self, name: str) -> int:
-        """The node of a named input."""
+        """The node of an input."""
         return self.node("input", name)
 
     def total(self, terms: Sequence[int]) -> int:
@@ -104,7 +104,7 @@ class Graph:
         return self.total([self.node("mul", *pair) for pair in kept])
 
     def moves(self, number: int) -> bool:
-        """Whether a node depends on the time or the state."""
+        """Whether a node depends on time or state."""
         return self._moving[number]
 
     def flows(self, number: int) -> bool:
@@ -112,22 +112,22 @@ class Graph:
         return self._flowing[number]
 
     def leaves(self, number: int) -> int:
-        """Among how many whole numbers and flags a node chooses; 0 where it is something else."""
+        """Number of known integers or booleans among which a node chooses; 0 if none."""
         return self._leaves[number]
 
     def called(self, function: Foreign, arguments: Sequence[int]) -> int:
-        """The node of a function that is called; its parts are the results."""
+        """The node of a foreign call; its parts are the results."""
         if function not in self.foreign:
             self.foreign.append(function)
         number = self.const(self.foreign.index(function))
         return self.node("foreign", number, *arguments)
 
     def called_by(self, number: int) -> Foreign:
-        """What the number in a node calls."""
+        """The function of a foreign call, given its number node."""
         return self.foreign[int(self.value(number))]
 
     def known(self, *key: Any) -> int | None:
-        """The number of this node where there is one."""
+        """The number of this node, if it exists."""
         return self._known.get(key)
 
     @staticmethod
@@ -156,7 +156,7 @@ class Graph:
             folded = fold(op, values)
             if folded is not None:
                 return ("const", folded, repr(folded))
-        if op == "sqrt":  # of a square: its corner at zero is then known to be one
+        if op == "sqrt":  # of a square: makes the corner at zero visible
             inner, *factors = self.nodes[arguments[0]]
             if inner == "mul" and factors[0] == factors[1]:
                 return ("abs", factors[0])
@@ -164,7 +164,7 @@ class Graph:
 
 
 def needed(graph: Graph, roots: Sequence[int]) -> list[int]:
-    """The nodes that the roots depend on, arguments first."""
+    """The nodes on which the roots depend, arguments first."""
     seen: set[int] = set()
     stack = list(roots)
     while stack:
@@ -182,8 +182,8 @@ def rebuilt(
 ) -> list[int]:
     """The roots with some nodes replaced.
 
-    ``change`` gets a node whose arguments are the new ones, and gives what stands for it, or None
-    where it stays.
+    ``change`` receives a node with its new arguments and returns the replacement, or None to keep
+    the node.
     """
     new: dict[int, int] = {}
     for number in needed(graph, roots):
@@ -196,13 +196,13 @@ def rebuilt(
 
 
 def inputs_of(graph: Graph, roots: Sequence[int]) -> set[str]:
-    """The names of the inputs that the roots depend on."""
+    """Names of the inputs on which the roots depend."""
     nodes = (graph.nodes[number] for number in needed(graph, roots))
     return {node[1] for node in nodes if node[0] == "input"}
 
 
 def states_in(graph: Graph, root: int) -> set[int]:
-    """The elements of the state that a node depends on; :data:`TIME_PLACE` stands for the time."""
+    """The elements of the state on which a node depends; :data:`TIME_PLACE` stands for time."""
     names = inputs_of(graph, [root])
     places = {int(name[1:]) for name in names if name.startswith("x")}
     return places | ({TIME_PLACE} if "t" in names else set())
@@ -233,7 +233,7 @@ def _identity(
 
 
 def fold(op: str, values: Sequence[Any]) -> Any:
-    """The value of an operation on constants; None where it is not a finite number."""
+    """The value of an operation on constants; None if it is not a finite number."""
     if op in ("solve", "part", "foreign", "table", "pick", "knot", "wave"):
         return None
     try:

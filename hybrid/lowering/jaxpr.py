@@ -1,4 +1,4 @@
-"""A jaxpr read into a graph: arithmetic becomes nodes, and moving data moves their numbers."""
+"""Reads a jaxpr into a graph: arithmetic makes nodes, data movement permutes their numbers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ELEMENTWISE = {
     *("and", "or", "xor", "not", "is_finite"),
 }
 
-#: Primitives that are such on numbers: those that order -0.0, 0.0 and NaN as well among them.
+#: Primitives equivalent to others on numbers; total-order comparisons also order -0.0, 0.0 and NaN.
 OTHER_NAMES = {"add_any": "add", "lt_to": "lt", "le_to": "le"}
 
 #: Of these there is no series, and no derivative.
@@ -38,11 +38,12 @@ UNSERIED = ("lgamma",)
 BITWISE = {"and", "or", "xor", "not"}
 OF_FLAGS = {"max": "or", "min": "and", "add": "or", "mul": "and"}
 
-#: Whole numbers with room for all that occur; what is made of others may wrap round.
+#: Integer types wide enough for the values that occur; narrower ones may wrap round.
 WHOLE_KINDS = (np.int64, np.int32, np.uint64, np.uint32)
 BITS = "bits"
 
-#: Where those without a sign may come from below zero.
+#: Operations whose unsigned result may stem from a negative value, and non-elementwise operations
+#: that may wrap round.
 BELOW_ZERO = {"sub", "neg", "convert_element_type"}
 WRAPPING = {"convert_element_type", "integer_pow", "square", "reduce_sum", "cumsum", "dot_general"}
 
@@ -67,7 +68,7 @@ def require_written(closed: Any, derived: bool = False) -> None:
     Raises
     ------
     TraceError
-        With the author's line, and what to write instead.
+        Names the author's line and what to write instead.
     """
     graph, inputs, count = Graph(exact=True), [], 0
     for var in closed.jaxpr.invars:
@@ -157,7 +158,7 @@ def _written(graph: Graph, equation: Any, inputs: list[Ids], name: str) -> list[
 
 
 def _name(equation: Any) -> str:
-    """What an equation does; :data:`BITS` where its whole numbers are bits, or may wrap round."""
+    """The operation of an equation; :data:`BITS` if it acts on bits or may wrap round."""
     name = OTHER_NAMES.get(equation.primitive.name, equation.primitive.name)
     if name in ELEMENTWISE or name in WRAPPING:
         kind = equation.outvars[0].aval.dtype
@@ -169,7 +170,7 @@ def _name(equation: Any) -> str:
 
 
 def _called(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
-    """The results of what cannot be written out."""
+    """The results of an operation without scalar code, as a foreign call."""
     avals = [var.aval for var in equation.outvars]
     nodes = [i for ids in inputs for i in ids.reshape(-1).tolist()]
     values = [graph.value(i) for i in nodes]
@@ -187,7 +188,7 @@ def _called(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids]:
 
 
 def _typed(graph: Graph, numbers: Ids, kind: Any) -> Ids:
-    """Numbers as flags, or as whole numbers, where they stand for such."""
+    """Numbers converted to booleans or integers where ``kind`` is such a type."""
     if kind.kind == "b":
         return mapped(graph, "ne", [numbers, constant(graph, 0.0)])
     return mapped(graph, "trunc", [numbers]) if np.issubdtype(kind, np.integer) else numbers
@@ -235,8 +236,8 @@ def copysign(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None
 
 
 def sinc(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None:
-    """``sin(pi x) / (pi x)``, near 0 as a polynomial; None where an equation is no such, or asks
-    for its derivative besides."""
+    """``sin(pi x) / (pi x)``, near 0 as a polynomial; None if the equation is another one, or also
+    asks for the derivative."""
     if not of_jax(equation, "sinc") or len(equation.outvars) != 1:
         return None
     angle = mapped(graph, "mul", [constant(graph, math.pi), inputs[0]])
@@ -310,14 +311,14 @@ def _dot(graph: Graph, params: Any, a: Ids, b: Ids) -> Ids:
 
 
 def _rows(node: Callable[[Any], int], rows: Ids, inner: int = 1) -> Ids:
-    """One node for each list along the last axis (with ``inner`` 2, along the last two)."""
+    """One node per list along the last axis (with ``inner=2``, along the last two axes)."""
     shape = rows.shape[: rows.ndim - inner]
     lists = rows.reshape(-1, *rows.shape[rows.ndim - inner :]).tolist()
     return np.array([node(row) for row in lists], dtype=np.int64).reshape(shape)
 
 
 def _scan(graph: Graph, params: Any, inputs: list[Ids]) -> list[Ids]:
-    """A loop of fixed length, written out."""
+    """A loop of fixed length, unrolled."""
     nc, nk = params["num_consts"], params["num_carry"]
     consts, carry, xs = inputs[:nc], inputs[nc : nc + nk], inputs[nc + nk :]
     order = range(params["length"])
@@ -333,7 +334,7 @@ def _scan(graph: Graph, params: Any, inputs: list[Ids]) -> list[Ids]:
 
 
 def _cond(graph: Graph, params: Any, inputs: list[Ids]) -> list[Ids]:
-    """All branches, then a choice for each element."""
+    """All branches, followed by an elementwise choice."""
     which, operands = inputs[0], inputs[1:]
     cases = [read(graph, branch, operands) for branch in params["branches"]]
     if len(cases) == 2:
@@ -383,7 +384,7 @@ def _same(graph: Graph, params: Any, x: Ids) -> Ids:
     return x
 
 
-#: Primitive name to the rule that gives its single result.
+#: Maps a primitive to the rule for its single result.
 PRIMITIVES: dict[str, Callable[..., Ids]] = {
     "integer_pow": _integer_pow,
     "pow": _power,

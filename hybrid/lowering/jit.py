@@ -1,4 +1,4 @@
-"""``jax.jit`` with the compiler's settings that suit these programs."""
+"""``jax.jit`` with compiler options that suit these programs."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 
 from ..automaton.trace import wide
 
-#: Options of XLA. Its newer emitters take twice as long to compile these programs, which then run
-#: no faster; its library for reductions costs more to call than these small sums do; and to split
-#: a small program for several threads of the compiler costs more than it saves.
+#: XLA options. The newer emitters take twice as long to compile these programs, without making them
+#: faster. Calling the reduction library costs more than these small sums. Splitting a small program
+#: across compiler threads costs more than it saves.
 XLA_OPTIONS = {
     "xla_cpu_use_fusion_emitters": False,
     "xla_cpu_experimental_ynn_fusion_type": "",
@@ -19,10 +19,10 @@ XLA_OPTIONS = {
 
 
 def jit(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function compiled in 64 bits when first called.
+    """A function compiled in 64 bits when it is first called.
 
-    Its arguments are trees of numbers and arrays. Which numbers, and whether they come as
-    Python's, numpy's or JAX's, does not matter: it is compiled once for each set of shapes.
+    Its arguments are pytrees of numbers and arrays. It is compiled once per set of shapes, for
+    Python, numpy and JAX numbers alike.
     """
     import jax
 
@@ -45,7 +45,7 @@ def _strong(value: Any) -> Any:
 
 
 def _array(value: Any) -> Any:
-    """An array whose type does not depend on where the number came from."""
+    """An array with the same type wherever the number came from."""
     import numpy as np
 
     if hasattr(value, "weak_type"):
@@ -55,7 +55,7 @@ def _array(value: Any) -> Any:
 
 @cache
 def _options() -> dict[str, Any]:
-    """Those of the settings that this version of XLA knows."""
+    """The options that this version of XLA knows."""
     return {name: value for name, value in XLA_OPTIONS.items() if _known(name, value)}
 
 
@@ -64,6 +64,6 @@ def _known(name: str, value: Any) -> bool:
 
     try:
         jax.jit(lambda x: x + 1.0, compiler_options={name: value})(0.0)
-    except Exception:  # an unknown option is an error of the backend's own type
+    except Exception:  # the backend raises an error type of its own
         return False
     return True

@@ -1,9 +1,9 @@
-"""A mode as it is near a point: what it calls is there a polynomial of the second degree.
+"""Local model of a mode: foreign functions replaced by second-degree Taylor polynomials.
 
-Impacts are summed from Taylor series, and a flow that calls a function has none. About a point the
-function is replaced by its value, slopes and curvatures, which are numbers like the parameters:
-the flow's tape is made once, and given other numbers at each point. How far the flow is from it is
-for the caller to see.
+Impacts are summed from Taylor series, and a flow with a foreign call has none. About a point, the
+function is replaced by its value, gradient and Hessian, which are inputs like the parameters. The
+flow's tape is made once and given other numbers at each point. The caller checks how far the local
+model is from the flow.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from .foreign import Foreign
     from .lowered import Lowered
 
-#: Most arguments of a function that is replaced: its curvatures are half as many as their square.
+#: Most arguments of a replaced function; the Hessian has about half their square entries.
 MOST_ARGUMENTS = 12
 
 
 class LocalGraph(ModeGraph):
-    """The graph of a mode near a point."""
+    """The graph of a mode with foreign calls replaced by local polynomials."""
 
     def __init__(self, code: Lowered, mode: str) -> None:
         super().__init__(code, mode)
@@ -41,7 +41,7 @@ class LocalGraph(ModeGraph):
 
     @cached_property
     def free(self) -> list[int]:
-        """The flow where no contact is held, with polynomials for what it calls."""
+        """The flow without held contacts, with polynomials in place of foreign calls."""
         graph, roots = self.graph, self.values(self.code.field_closed(self.mode, ()))
         new: dict[int, int] = {}
         places: dict[int, dict[int, int]] = {}
@@ -61,7 +61,7 @@ class LocalGraph(ModeGraph):
     def _polynomials(
         self, number: int, own: list[int], near: list[int], roots: list[int]
     ) -> dict[int, int]:
-        """A polynomial for each result of a call that the flow needs."""
+        """The polynomial of each result that the flow needs of a foreign call."""
         graph, size = self.graph, len(own)
         if size > MOST_ARGUMENTS:
             raise TraceError(f"a function of more than {MOST_ARGUMENTS} numbers is called")
@@ -79,7 +79,7 @@ class LocalGraph(ModeGraph):
         return found
 
     def _numbers(self, count: int) -> list[int]:
-        """Inputs behind the parameters and the mask."""
+        """New inputs, after the parameters and the mask."""
         begin = self.first + self.given
         self.given += count
         return [self.graph.input(f"p{begin + i}") for i in range(count)]
@@ -90,7 +90,7 @@ class LocalGraph(ModeGraph):
         return Program(self.graph, ["t", "x"], len(self.x), np.array(nodes))
 
     def about(self, t: float, x: list[float], numbers: tuple[float, ...]) -> list[float]:
-        """The numbers of the polynomials about a point, in the order of their inputs."""
+        """The coefficients of the polynomials about a point, in the order of their inputs."""
         unused = [0.0] * self.given
         values, found = list(self._arguments.bind([*numbers, *unused])(t, x)), list[float]()
         for function, own, results in self.calls:
@@ -100,7 +100,7 @@ class LocalGraph(ModeGraph):
 
 
 def _polynomial(function: Foreign, here: list[float], results: list[int]) -> list[float]:
-    """Of each result value, slopes, and half the curvatures (those of two arguments whole)."""
+    """Per result: value, gradient, and Hessian entries ``i <= j``, the diagonal ones halved."""
     size, found = len(here), list[float]()
     value, slopes = function(*here), function.slopes(*here)
     bends = np.reshape(function.slopes.slopes(*here), (-1, size, size))
@@ -112,7 +112,7 @@ def _polynomial(function: Foreign, here: list[float], results: list[int]) -> lis
 
 
 def near(field: Field, contact: str, t: float, x: list[float]) -> Field | None:
-    """A field as it is near a point where a contact is struck; None where there is no series."""
+    """The local model of a field about an impact; None if it has no Taylor series."""
     code, held = field.code, bool(field.held)
     graph = code.near(field.mode)
     try:
@@ -127,8 +127,10 @@ def near(field: Field, contact: str, t: float, x: list[float]) -> Field | None:
 
 
 def off(field: Field, column: int, t: float, x: list[float]) -> tuple[Any, float]:
-    """How far a field near a point is from the flow: of each rate, and of a gap's acceleration,
-    the latter against itself."""
+    """Error of a local model at a point.
+
+    Returns the absolute error of each rate, and the relative error of the gap's acceleration.
+    """
     graph, held = field.graph, bool(field.held)
     name, guard = field.guards[column].edge, field.guards[column]
     flow = graph.program(("flow", held), lambda: graph.flow(held)).bind(field.numbers)

@@ -1,4 +1,4 @@
-"""The generated code of one class: traces read once, kept for every run and parameter value."""
+"""The generated code of one class, shared by all runs and parameter values."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ if TYPE_CHECKING:
 #: Order of the Taylor series of flows and gaps.
 ORDER = 16
 
-#: Points at which it is asked whether a reset turns a guard's motion round: what it does at half of
-#: all points goes unseen once in a million.
+#: Number of random points at which to check whether a reset reverses a guard's motion. A reversal
+#: on half of all points is missed once in a million.
 RESET_SAMPLES = 20
 
-#: Steps of the secant method to a zero of a guard, and how large the guard may be there, relative
-#: to where it began: some thousands of roundings of a reset's arithmetic.
+#: Most secant steps to a zero of a guard, and the residual that counts as zero, relative to the
+#: initial values: some thousand times the rounding of a reset's arithmetic.
 SECANTS, AT_ZERO = 60, 1e-12
 
-#: For each element of a flow: elements, and lags with elements, that it depends on.
+#: For each component of a flow: the elements, and the (lag, element) pairs, that it depends on.
 Reach = list[tuple[set[int], set[tuple[int, int]]]]
 
 
@@ -61,7 +61,7 @@ class Lowered:
         return self.cls.traces[kind, name]
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:
-        """What ``make`` returns, made only the first time."""
+        """The result of ``make``, cached under ``key``."""
         if key not in self._programs:
             self._programs[key] = make()
         return self._programs[key]
@@ -93,7 +93,7 @@ class Lowered:
         extra: Sequence[str] = (),
         exact: bool = False,
     ) -> Program:
-        """Scalar code of a closed jaxpr; ``exact`` for what the author wrote."""
+        """Scalar code of a closed jaxpr; use ``exact`` for functions of the author."""
 
         def make() -> Program:
             graph = Graph(exact)
@@ -107,13 +107,13 @@ class Lowered:
         return self.once(key, make)
 
     def dependencies(self, closed: Any, extra: Sequence[str] = ()) -> list[set[int]]:
-        """For each element of a result, the elements of ``x`` it depends on; -1 is time."""
+        """The elements of ``x`` that each element of a result depends on; -1 stands for time."""
         graph = Graph()
         (outputs,) = read(graph, closed, self.inputs(graph, extra))
         return [states_in(graph, int(i)) for i in outputs.reshape(-1)]
 
     def local(self, name: str) -> bool:
-        """See :class:`.scene.Contact`."""
+        """See :class:`.field.Contact`."""
         return bool(self.once(("local", name), lambda: self._local(name)))
 
     def _local(self, name: str) -> bool:
@@ -131,16 +131,16 @@ class Lowered:
         return self.program(("flow", mode), lambda: self.closed("flow", mode), exact=True)
 
     def held(self, names: tuple[str, ...]) -> contacts.Held:
-        """The laws of contacts held at once."""
+        """The laws of contacts held at the same time."""
         flow = trace.again(self.closed("flow", self.contact_spec(names[0]).source))
         return contacts.Held(tuple(self.laws(name) for name in names), flow)
 
     def rest_closed(self, names: tuple[str, ...]) -> Any:
-        """The jaxpr of the flow while contacts are held."""
+        """The jaxpr of the resting field."""
         return self.once(("rest closed", names), lambda: self.trace(self.held(names).rest))
 
     def load_closed(self, names: tuple[str, ...], index: int) -> Any:
-        """The jaxpr of the load of one of the contacts held."""
+        """The jaxpr of the load of contact number ``index`` among those held."""
         key = ("load closed", names, index)
         return self.once(key, lambda: self.trace(self.held(names).load(index)))
 
@@ -152,21 +152,21 @@ class Lowered:
         return Sliding(trace.again(self.closed("surface", name)), *flows)
 
     def rate_closed(self, name: str, side: str) -> Any:
-        """The jaxpr of the rate of a switching's surface under the flow of a side."""
+        """The jaxpr of the rate of a switching surface along one side's flow."""
         key = ("rate closed", name, side)
         return self.once(key, lambda: self.trace(self.sliding(name).rate(side)))
 
     def onto(self, name: str) -> Program:
-        """Projection onto a switching's surface."""
+        """Projection onto a switching surface."""
         return self.program(("onto", name), lambda: self.onto_closed(name))
 
     def onto_closed(self, name: str) -> Any:
-        """The jaxpr of that."""
+        """The jaxpr of the projection onto a switching surface."""
         key = "onto closed", name
         return self.once(key, lambda: self.trace(self.sliding(name).project))
 
     def field_closed(self, mode: str, held: tuple[str, ...]) -> Any:
-        """The jaxpr of the flow of a mode, or of it with contacts held, or on a surface."""
+        """The jaxpr of a mode's flow, of its resting field, or of the sliding field."""
         switching = self.spec.sliding(mode)
         if switching is not None:
             key, name = ("slide closed", mode), switching.name
@@ -174,11 +174,11 @@ class Lowered:
         return self.rest_closed(held) if held else self.closed("flow", mode)
 
     def mode(self, name: str) -> ModeGraph:
-        """The graph of a mode, or of sliding."""
+        """The graph of a mode or a sliding mode."""
         return self.once(("mode", name), lambda: ModeGraph(self, name))  # type: ignore[no-any-return]
 
     def near(self, name: str) -> LocalGraph:
-        """The graph of a mode near a point (:mod:`.local`)."""
+        """The graph of a mode's local model (:mod:`.local`)."""
         from .local import LocalGraph
 
         return self.once(("near", name), lambda: LocalGraph(self, name))  # type: ignore[no-any-return]
@@ -186,7 +186,7 @@ class Lowered:
     def tape(
         self, mode: str, held: bool, touching: frozenset[str] = frozenset()
     ) -> Tape | TraceError:
-        """The tape of a mode (:meth:`.ModeGraph.tape`); why there is none where there is none."""
+        """The tape of a mode (:meth:`.ModeGraph.tape`), or the error if there is none."""
 
         def make() -> Tape | TraceError:
             try:
@@ -205,13 +205,13 @@ class Lowered:
 
     @cached_property
     def moving(self) -> tuple[bool, ...]:
-        """Which lags depend on time or state."""
+        """For each lag, whether it depends on time or state."""
         return tuple(
             bool(self.dependencies(self.closed("lag", lag.name))[0]) for lag in self.spec.lags
         )
 
     def window_closed(self, number: int, side: str) -> Any:
-        """The jaxpr of the guard that a lag's place is inside its window, at one of its ends."""
+        """The jaxpr of a window guard: the distance of ``t - lag`` from one end of its window."""
 
         def inside(parameters: Any, t: Any, x: Any) -> Any:
             lag = trace.again(self.closed("lag", self.spec.lags[number].name))
@@ -222,29 +222,29 @@ class Lowered:
         return self.once(("window", number, side), lambda: self.trace(inside))
 
     def asked(self, closed: Any, extra: Sequence[str] = ()) -> list[set[tuple[int, int]]]:
-        """For each element of a result, what it asks of the past: lags and elements.
+        """The (lag, element) pairs that each element of a result reads from the past.
 
-        As the author wrote it: a flow that is called so reads what it multiplies by 0.
+        Exact dependence: a function that is called reads also what it multiplies by 0.
         """
         graph, first = Graph(exact=True), sum(map(prod, self._own_shapes))
         (outputs,) = read(graph, closed, self.inputs(graph, extra))
         return [self._past_in(graph, int(i), first) for i in outputs.reshape(-1)]
 
     def timed(self, closed: Any, extra: Sequence[str] = ()) -> bool:
-        """Whether a function depends on time, as on signals, but for what it sees a constant lag
-        ago."""
+        """Whether a function depends on time, directly or through signals; the past at constant
+        lags does not count."""
         graph = Graph()
         inputs = self.inputs(graph, extra)
         rows = inputs[len(self._own_shapes) + 1 : len(self.shapes) : 2]
         for ids in rows if not any(self.moving) else ():
-            ids[1:] = graph.const(0.0)  # a window that shows the same everywhere
+            ids[1:] = graph.const(0.0)  # a constant window
         (outputs,) = read(graph, closed, inputs)
         signals = inputs[len(self.spec.parameters) : len(self._own_shapes)]
         moves = {"t", *(graph.nodes[int(i)][1] for ids in signals for i in ids)}
         return not moves.isdisjoint(inputs_of(graph, outputs.reshape(-1).tolist()))
 
     def reach(self, mode: str, held: tuple[str, ...]) -> Reach:
-        """For each element's derivative: elements, and lags with elements, that it depends on."""
+        """What each component of a flow depends on: elements, and (lag, element) pairs."""
         return self.once(("reach", mode, held), lambda: self._reach(mode, held))
 
     def _reach(self, mode: str, held: tuple[str, ...]) -> Reach:
@@ -256,9 +256,10 @@ class Lowered:
     def _felt(
         self, i: int, uses: set[int], asks: set[tuple[int, int]], flow: Any
     ) -> tuple[set[int], set[tuple[int, int]]]:
-        """What a flow along contacts depends on in truth: their forces take some of it away.
+        """The true dependence of one component of a resting field, as in :meth:`reach`.
 
-        The traces know of that no more than the algebra of the forces; random points do.
+        Contact forces cancel some dependences, which neither trace nor graph shows. They are found
+        by perturbing random points.
         """
         rhs = self.program(("felt", id(flow)), lambda: flow)
         first = self.spec.dimension + sum(map(prod, self._own_shapes))
@@ -281,7 +282,7 @@ class Lowered:
         )
 
     def defaults(self) -> list[float]:
-        """Values of the parameters, and of windows that show 1 everywhere."""
+        """The parameters' defaults, followed by signals and windows of constant value 1."""
         shown = blank(self.spec.lags, self.spec.dimension, 1.0)
         own = (p.default for p in self.spec.parameters)
         return flat([*own, *no_signal(self.spec.signals, 1.0), *shown])
@@ -301,7 +302,7 @@ class Lowered:
 
     @cached_property
     def seen(self) -> tuple[tuple[int, ...], ...]:
-        """For each lag the elements of the state that some function asks for."""
+        """For each lag, the elements of the state that some function reads."""
         extra = {"restitution": ["u"]}
         parts = [self.asked(c, extra.get(kind, [])) for (kind, _), c in self.cls.traces.items()]
         pairs = {pair for part in parts for element in part for pair in element}
@@ -312,8 +313,8 @@ class Lowered:
 
     @cached_property
     def beside(self) -> list[int]:
-        """Discrete elements of the state by which no flow, guard or state goes, at a jump neither:
-        they may count."""
+        """Discrete elements on which no flow, guard or state depends, not even through resets. They
+        may count freely."""
         used: set[int] = set()
         rows: list[tuple[int, set[int]]] = []
         for (kind, _), closed in self.cls.traces.items():
@@ -338,13 +339,13 @@ class Lowered:
         return self.closed("gap" if isinstance(edge, ContactSpec) else "guard", edge.name)
 
     def bounds(self, edge: Transition, parameters: Sequence[float]) -> bool:
-        """Whether a guard bounds its mode, for these values of the parameters (of windows, which
-        may follow them, it is not asked what they show). One with a condition does not.
+        """Whether a guard bounds its mode, for given parameter values.
 
-        One does not if its edge leads back into the mode, and the reset leaves the guard at zero
-        and does not turn its motion round: the flow goes on through zero. What is the same
-        expression before and after the reset is the same; else random points show whether the
-        guard stays at zero, and of a kick, which changes its rate, whether that turns it round.
+        A guard with a condition does not. Nor does the guard of an edge that leads back into its
+        mode, if the reset leaves the guard at zero and does not reverse its motion: the flow then
+        passes through zero. Identical expressions before and after the reset are taken as equal.
+        Otherwise random points decide whether the guard stays at zero and, if the reset changes its
+        rate (a kick), whether it reverses it. Values of windows after the parameters are ignored.
         """
         if isinstance(edge, EdgeSpec) and edge.when is not None:
             return False
@@ -352,7 +353,7 @@ class Lowered:
         return not stays or (kicked is not None and self._turns(edge.crossing, kicked, parameters))
 
     def kicks(self, edge: Transition) -> bool:
-        """Whether parameters may decide if a guard bounds its mode."""
+        """Whether the parameter values may decide if a guard bounds its mode."""
         return self._kick(edge)[1] is not None
 
     def _kick(self, edge: Transition) -> tuple[bool, Program | None]:
@@ -361,8 +362,8 @@ class Lowered:
         return self.once(("stays", edge.name), lambda: self._stays(edge))  # type: ignore[no-any-return]
 
     def _stays(self, edge: EdgeSpec) -> tuple[bool, Program | None]:
-        """Whether a reset leaves its guard at zero; and where it may change the guard's rate, both
-        before and after."""
+        """Whether a reset leaves its guard at zero, and, if it may change the guard's rate, a
+        program of guard and rate, each before and after the reset."""
         reset = trace.again(self.closed("reset", edge.name))
         guard = trace.again(self.closed("guard", edge.name))
         rate = contacts.lie(guard, trace.again(self.closed("flow", edge.source)))
@@ -383,7 +384,7 @@ class Lowered:
         return stays, kick if stays else None
 
     def _stays_zero(self, kick: Program) -> bool:
-        """Whether a reset leaves its guard at zero, for whatever parameters: at zeros that the
+        """Whether a reset leaves its guard at zero for any parameters, tested at zeros that the
         secant method finds from random points."""
         draw, own = random.Random(0), sum(map(prod, self._own_shapes))
         places = range(1 + self.spec.dimension)
@@ -409,7 +410,7 @@ class Lowered:
         return all(there() for _ in range(RESET_SAMPLES))
 
     def _turns(self, crossing: Crossing, kicked: Program, parameters: Sequence[float]) -> bool:
-        """Whether a reset turns its guard's motion round at one of a few random points."""
+        """Whether a reset reverses its guard's motion at one of a few random points."""
         own = sum(map(prod, self._own_shapes))
         pairs = kicked.bind([*parameters[:own], *self.defaults()[own:]])
         direction = {Crossing.FALLING: -1, Crossing.RISING: 1}.get(crossing, 0)
@@ -423,20 +424,20 @@ class Lowered:
         return False
 
     def guards_closed(self, mode: str) -> dict[str, Callable[[], Any]]:
-        """The jaxprs of a mode's guards, by name: of its edges, and of the ends of windows."""
+        """The jaxprs of a mode's guards, by name: those of its edges and of the window ends."""
         edges = {e.name: partial(self.guard_closed, e) for e in self.spec.leaving(mode)}
         moving = [k for k, moves in enumerate(self.moving) if moves]
         windows = {(k, side): partial(self.window_closed, k, side) for k in moving for side in "ab"}
         return edges | {window_edge(*key): closed for key, closed in windows.items()}
 
     def mass_closed(self, name: str) -> Any:
-        """The jaxpr of a contact's inverse mass matrix; None where it is 1."""
+        """The jaxpr of a contact's inverse mass matrix; None if it is not declared."""
         if self.contact_spec(name).inverse_mass is None:
             return None
         return self.once(("mass", name), lambda: self.trace(self.laws(name).mass))
 
     def pairing(self, name: str) -> contacts.Pairing:
-        """Positions of a contact's gap and their velocities."""
+        """The positions in a contact's gap and their velocities."""
 
         def make() -> contacts.Pairing:
             contact = self.contact_spec(name)
@@ -449,7 +450,7 @@ class Lowered:
         return self.once(("pairing", name), make)
 
     def _unit(self, mode: str) -> Callable[[int, int], bool]:
-        """Whether a component of the flow has slope one in an element, at random points."""
+        """A test whether a component of the flow has slope one in an element, at random points."""
         rhs = self.flow(mode).bind(self.defaults())
         draw = random.Random(0)
 
@@ -477,17 +478,17 @@ class Lowered:
 
 
 def window_edge(number: int, side: str) -> str:
-    """Name of the guard by which a lag that moves comes to an end, a or b, of its window."""
+    """Name of the guard at end ``"a"`` or ``"b"`` of the window of a varying lag."""
     return f"past({number}).{side}"
 
 
 def window_ends(spec: Spec) -> list[str]:
-    """The names of all such guards, as they are counted."""
+    """Names of the window guards of all lags, in the order of their numbers."""
     return [window_edge(number, side) for number in range(len(spec.lags)) for side in "ab"]
 
 
 def lowered(cls: Any, shapes: tuple[tuple[int, ...], ...]) -> Lowered:
-    """The generated code of a class, kept on the class."""
+    """The generated code of a class, cached on the class."""
     store = cls.__dict__.get("_hybrid_lowered")
     if store is None:
         store = {}

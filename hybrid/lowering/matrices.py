@@ -1,9 +1,8 @@
-"""Linear algebra in a trace as arithmetic on the elements, where matrices are small.
+"""Linear algebra on small matrices, written as arithmetic on the elements.
 
-A library finds the solution of ``A y = b`` by factors of ``A``; what depends on time and state, and
-how, is seen in the equations themselves. Two or three of them are solved by determinants, more are
-a node of their own (``docs/notes/tape.md``), and so are those of contact forces. The factors are
-nodes that nothing needs.
+A library solves ``A y = b`` by factors of ``A``, but the dependence on time and state is visible in
+the equations themselves. Up to three equations are solved by determinants; more become one node
+(``docs/notes/tape.md``), as the equations of contact forces do. The factors remain as unused nodes.
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ from .orders import of_jax
 if TYPE_CHECKING:
     from ..automaton.shapes import MaskMatrix
 
-#: Nodes of a closed jaxpr's results (:mod:`.jaxpr`).
+#: Reads a closed jaxpr into nodes (:mod:`.jaxpr`).
 Read = Callable[[Graph, Any, list[Ids]], list[Ids]]
 
-#: Most unknowns found by determinants: of four, the products are more than elimination makes.
+#: Most unknowns solved by determinants; for four, elimination needs fewer products.
 BY_DETERMINANTS = 3
 
 #: Largest matrix whose determinant is written out: it has 255 minors.
@@ -33,7 +32,7 @@ LARGEST_DETERMINANT = 8
 
 
 def linear_solve(graph: Graph, params: Any, inputs: list[Ids], read: Read) -> list[Ids]:
-    """The unknowns of ``A y = b``, where ``A`` is given by what it makes of a vector, a jaxpr."""
+    """The solution of ``A y = b``, where a jaxpr gives the product of ``A`` with a vector."""
     counts = params["const_lengths"]
     matvec, own = params["jaxprs"].matvec, inputs[: counts.matvec]
     rights = inputs[sum(counts) :]
@@ -46,10 +45,10 @@ def linear_solve(graph: Graph, params: Any, inputs: list[Ids], read: Read) -> li
 def _matrix(
     graph: Graph, matvec: Any, read: Read, own: list[Ids], shapes: list[tuple[int, ...]]
 ) -> Ids:
-    """Nodes of a linear function's matrix, from what it makes of each unit vector.
+    """The matrix of a linear function, from its values at the unit vectors.
 
-    It is read by itself, with its matrices as inputs: a graph that is not exact leaves of sums with
-    0 and products with 1 the elements that the vectors pick.
+    It is read in a graph of its own, with its matrices as inputs. That graph is not exact, so sums
+    with 0 and products with 1 reduce to the elements that the unit vectors select.
     """
     alone, names = Graph(), [i for ids in own for i in ids.reshape(-1).tolist()]
     given = iter([alone.input(f"a{k}") for k in range(len(names))])
@@ -68,7 +67,7 @@ def _matrix(
 
 
 def _there(graph: Graph, alone: Graph, known: dict[int, int], number: int) -> int:
-    """A node of the matrix's own graph as one of the graph of a flow."""
+    """A node of the matrix's own graph, copied into the graph of the flow."""
     op, *arguments = alone.nodes[number]
     if op == "input":
         return known[int(arguments[0][1:])]
@@ -78,7 +77,7 @@ def _there(graph: Graph, alone: Graph, known: dict[int, int], number: int) -> in
 
 
 def _solved(graph: Graph, matrix: Ids, right: Ids) -> Ids:
-    """The unknowns, those that have no equation in common apart."""
+    """Solve the system, each independent block separately."""
     found = np.zeros(len(right), dtype=np.int64)
     for group in _groups(np.vectorize(lambda i: graph.value(i) != 0)(matrix)):
         rows, values = matrix[np.ix_(group, group)].tolist(), right[group].tolist()
@@ -114,7 +113,7 @@ def determinants(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | 
     """``jnp.linalg.det`` and ``slogdet`` of a matrix, and their rates beside them; None where an
     equation is no such.
 
-    JAX takes them from factors, whose rows change places; there is nothing to choose in products.
+    JAX computes them by pivoted factors; products need no pivoting, hence no choices.
     """
     det = of_jax(equation, "det")
     if not (det or of_jax(equation, "slogdet")):
@@ -141,7 +140,7 @@ def _rate(graph: Graph, matrix: Ids, rates: Ids) -> int:
 
 
 def _determinant(graph: Graph, matrix: list[list[int]]) -> int:
-    """By the minors of the last rows, each of which those with a row more have in common."""
+    """The determinant by minors of the last rows; larger minors share the smaller ones."""
     size = len(matrix)
     minors: dict[tuple[int, ...], int] = {(j,): number for j, number in enumerate(matrix[-1])}
     for row in reversed(matrix[:-1]):
@@ -155,7 +154,7 @@ def _determinant(graph: Graph, matrix: list[list[int]]) -> int:
 def _expanded(
     graph: Graph, row: list[int], columns: tuple[int, ...], minors: dict[tuple[int, ...], int]
 ) -> int:
-    """A minor by its first row."""
+    """A minor, expanded along its first row."""
     rest = [minors[columns[:k] + columns[k + 1 :]] for k in range(len(columns))]
     pairs = [(row[j], minor) for j, minor in zip(columns, rest, strict=True)]
     if len(pairs) <= WRITTEN_TERMS:
@@ -165,7 +164,7 @@ def _expanded(
 
 
 def triangular_solve(graph: Graph, params: Any, a: Ids, b: Ids) -> Ids:
-    """``A X = B``, or ``X A = B``, with a triangular matrix, row after row."""
+    """Solve ``A X = B`` or ``X A = B`` for triangular ``A`` by substitution."""
     if not params["left_side"]:
         turned = {**params, "left_side": True, "transpose_a": not params["transpose_a"]}
         return triangular_solve(graph, turned, a, b.swapaxes(-1, -2)).swapaxes(-1, -2)
@@ -191,7 +190,7 @@ def _substituted(graph: Graph, a: Ids, b: Ids, lower: bool, unit: bool) -> list[
 
 
 def cholesky(graph: Graph, params: Any, a: Ids) -> Ids:
-    """The lower triangle ``L`` of a definite matrix ``L L^T``; what is above it is 0."""
+    """The Cholesky factor ``L`` of a matrix ``L L^T``, zero above the diagonal."""
     result = np.full(a.shape, graph.const(0.0))
     for place in np.ndindex(a.shape[:-2]):
         lower = result[place]

@@ -1,9 +1,9 @@
-"""One graph of a mode: its flow, its guards, its contacts, and a mask of those that are held.
+"""The graph of a mode: its flow, guards and contacts, with a mask of the held contacts.
 
-What follows from a gap and a flow is in :mod:`.contact`. Here it is made of nodes, once for a mode,
-whatever contacts are held: their forces are the unknowns of one node of linear equations, and which
-of them count is a number of each contact, an input behind the parameters. So the cost of a mode
-grows as a power of its contacts, and not with their subsets.
+The laws are those of :mod:`.contact`, made once per mode as nodes, for any set of held contacts.
+The contact forces are the unknowns of one node of linear equations, and the mask is an input for
+each contact, after the parameters. So the cost of a mode grows polynomially with its contacts, not
+with the number of their subsets.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
 
 Scalar = Callable[..., Any]
 
-#: How a guard is named that is the load of a contact.
+#: Suffix of the guard that is the load of a contact.
 RELEASE_SUFFIX = ".release"
 
 
 class Kind(StrEnum):
-    """What it means that a guard is zero."""
+    """What a guard belongs to."""
 
     EDGE = "edge"
     CONTACT = "contact"
@@ -50,14 +50,14 @@ class Kind(StrEnum):
 
 @attrs.frozen
 class Normal:
-    """A contact: gap, its rates along the free flow, and how an impulse acts.
+    """A contact: its gap, the gap's rates along the free flow, and the effect of an impulse.
 
     Attributes
     ----------
     normal, push : list of node
-        Gradient of the gap at its positions; the impulse's direction at their velocities.
+        Gradient of the gap at its positions; direction of the impulse at their velocities.
     weight
-        Change of the gap's speed by such an impulse.
+        Change of the gap speed by a unit impulse.
     """
 
     pairing: Pairing
@@ -69,14 +69,14 @@ class Normal:
     weight: int
 
     def way(self, of_speed: bool) -> dict[int, int]:
-        """How an impulse moves the velocities, or the gradient the positions: by element."""
+        """The impulse direction by velocity element, or the gap gradient by position element."""
         if of_speed:
             return dict(zip(self.pairing.velocities, self.push, strict=True))
         return dict(zip(self.pairing.positions, self.normal, strict=True))
 
 
 class ModeGraph:
-    """The graph of a mode of a class, or of sliding."""
+    """The graph of a mode or a sliding mode of a class."""
 
     def __init__(self, code: Lowered, mode: str) -> None:
         self.code, self.mode, self.spec = code, mode, code.spec
@@ -96,22 +96,22 @@ class ModeGraph:
         self._guards: dict[str, int] = {}
 
     def masked(self, held: Collection[str]) -> tuple[float, ...]:
-        """Which contacts are held, as numbers."""
+        """The mask of held contacts, as numbers."""
         return tuple(float(name in held) for name in self.resting)
 
     def values(self, closed: Any, *extra: int) -> list[int]:
-        """Nodes of what a trace gives."""
+        """Nodes of a trace's result."""
         given = [np.array(i) for i in extra]
         (outputs,) = read(self.graph, closed, [*self.own, *given])
         return [int(i) for i in outputs.reshape(-1)]
 
     @cached_property
     def free(self) -> list[int]:
-        """The flow where no contact is held."""
+        """The flow without held contacts."""
         return self.values(self.code.field_closed(self.mode, ()))
 
     def rate(self, node: int, flow: Sequence[int]) -> int:
-        """The derivative of a node along a flow."""
+        """The Lie derivative of a node along a flow."""
         one = self.graph.const(1.0)
         return along(self.graph, node, {self.t: one, **dict(zip(self.x, flow, strict=True))})
 
@@ -137,11 +137,11 @@ class ModeGraph:
         return Normal(pairing, gap, speed, self.rate(speed, self.free), normal, push, weight)
 
     def cornered(self, name: str) -> bool:
-        """Whether the gap of a contact has a corner where it is zero, as a distance has."""
+        """Whether a contact's gap has a corner at zero, as a distance does."""
         return self.contact(name).gap != self.guard(name)
 
     def impact(self, name: str) -> list[int]:
-        """The state after an impact, then the gap's speed after it."""
+        """The state after an impact, followed by the gap speed after it."""
         return [*self._pushed(self.contact(name), self.impulse(name)), self._speed_after(name)]
 
     def _speed_after(self, name: str) -> int:
@@ -150,7 +150,7 @@ class ModeGraph:
         return self.graph.node("mul", share, self.graph.node("abs", contact.speed))
 
     def impulse(self, name: str) -> int:
-        """What an impact gives: the multiplier of the impulse's direction."""
+        """The impulse of an impact: the multiplier of the impulse direction."""
         contact = self.contact(name)
         change = self.graph.node("sub", self._speed_after(name), contact.speed)
         return self.graph.node("div", change, contact.weight)
@@ -162,7 +162,7 @@ class ModeGraph:
         return moved
 
     def push(self, name: str) -> list[int]:
-        """Change of the state that changes the gap's speed by one."""
+        """Change of the state that changes the gap speed by one."""
         contact, graph = self.contact(name), self.graph
         change = [graph.const(0.0)] * len(self.x)
         for place, push in zip(contact.pairing.velocities, contact.push, strict=True):
@@ -179,12 +179,11 @@ class ModeGraph:
         return moved
 
     def turn(self, name: str, held: bool) -> list[int]:
-        """An impulse's change of the state, as :meth:`push`; then the gap's speed, and its
-        acceleration along the flow."""
+        """The change :meth:`push`, then gap speed and gap acceleration along the flow."""
         return [*self.push(name), *self.lie_on(name, held)[1:]]
 
     def law(self, name: str) -> list[int]:
-        """The restitution; the speed that it is asked for is one state more."""
+        """The restitution coefficient; the impact speed is an extra state at the end."""
         speed = self.graph.input(f"x{len(self.x)}")
         return self.values(self.code.closed("restitution", name), speed)
 
@@ -192,12 +191,12 @@ class ModeGraph:
 
     @cached_property
     def forces(self) -> dict[str, int]:
-        """Multipliers that hold the gaps' accelerations at zero; 0 for those that are not held."""
+        """Multipliers that make held contacts' gap accelerations zero; 0 for other contacts."""
         return self._shares("acceleration", True)
 
     def _shares(self, rate: str, of_speed: bool) -> dict[str, int]:
-        """What moves along the contacts, of the velocities or of the positions, together take away
-        from the gaps of those held, or from a rate of these; 0 for the others."""
+        """Multipliers of the contact directions, of velocities or positions, that cancel the given
+        rate of all held gaps; 0 for other contacts."""
         contacts = {name: self.contact(name) for name in self.resting}
         ways = {name: contact.way(of_speed) for name, contact in contacts.items()}
         felt = {
@@ -224,19 +223,18 @@ class ModeGraph:
         return found
 
     def _if_held(self, mask: int, value: int) -> int:
-        """A number that is 0 where its contact is not held; the only one of a mode always is."""
+        """``value``, or 0 if its contact is not held; the only contact of a mode is always held."""
         if len(self.resting) == 1:
             return value
         return self.graph.node("select", mask, value, self.graph.const(0.0))
 
     @cached_property
     def along_contacts(self) -> list[int]:
-        """The flow along the contacts held."""
+        """The resting field of the held contacts."""
         return self._along_contacts(self.free, self.forces, True)
 
     def onto(self, of_speed: bool) -> list[int]:
-        """The state moved along the contacts held: their gaps, or gap speeds, are taken away to
-        first order."""
+        """The state after one Newton step to zero gaps, or gap speeds, of held contacts."""
         shares = self._shares("speed" if of_speed else "gap", of_speed)
         return self._along_contacts(self.x, shares, of_speed)
 
@@ -253,7 +251,7 @@ class ModeGraph:
 
     @cached_property
     def leans(self) -> bool:
-        """Whether where contacts are at rest depends on the past."""
+        """Whether the resting set depends on the past."""
         of = [n for name in self.resting for n in self._place(name)]
         lags = bool(self.spec.lags)
         return lags and any(self.code.looks_back(self.graph, node) for node in of)
@@ -263,11 +261,11 @@ class ModeGraph:
         return [contact.gap, contact.speed, *contact.normal, *contact.push]
 
     def flow(self, held: bool) -> list[int]:
-        """The flow, free or along contacts."""
+        """The free flow or the resting field."""
         return self.along_contacts if held else self.free
 
     def guard(self, name: str) -> int:
-        """The node of a guard: an edge's, a window's end, or the load of a contact."""
+        """The node of a guard: of an edge, of a window end, or the load of a contact."""
         if name not in self._guards:
             self._guards[name] = self._guard(name)
         return self._guards[name]
@@ -280,33 +278,33 @@ class ModeGraph:
         return value
 
     def traced(self, name: str) -> Callable[[], Any]:
-        """What gives the trace of a guard; of a clock's too, which is not watched."""
+        """A function that returns the trace of a guard, or of an unwatched clock."""
         return self.closed.get(name) or partial(self.code.closed, "guard", name)
 
     def deciding(self, name: str) -> list[int]:
-        """Nodes by whose formula a guard changes: of a load also gap, gap speed and free
-        acceleration of its contact, which end its rest too."""
+        """Nodes whose change of formula matters for a guard. For a load these include the contact's
+        gap, gap speed and free acceleration, which can end the rest too."""
         held = name.removesuffix(RELEASE_SUFFIX)
         if held == name:
             return [self.guard(name)]
         contact = self.contact(held)
         return [self.guard(name), contact.gap, contact.speed, contact.acceleration]
 
-    # -- what is made of it ---------------------------------------------------------------
+    # -- programs and tapes ---------------------------------------------------------------
 
     def program(self, key: Any, make: Callable[[], Sequence[int]]) -> Program:
-        """Scalar code of some nodes; the mask is behind the parameters."""
+        """Scalar code of some nodes; the mask follows the parameters."""
         return self.code.once(("mode", self.kept, key), lambda: self._program(make()))  # type: ignore[no-any-return]
 
     def _program(self, nodes: Sequence[int]) -> Program:
         return Program(self.graph, ["t", "x"], len(self.x), np.array(nodes))
 
     def lie(self, name: str, held: bool) -> list[int]:
-        """A guard and its first two derivatives along the flow."""
+        """A guard and its first two Lie derivatives along the flow."""
         return self._lie(self.guard(name), held)
 
     def lie_on(self, name: str, held: bool) -> list[int]:
-        """The same of a gap with the formula that it has where it is zero."""
+        """The same of a gap, with the formula that holds where it is zero."""
         return self._lie(self.contact(name).gap, held)
 
     def _lie(self, node: int, held: bool) -> list[int]:
@@ -314,13 +312,13 @@ class ModeGraph:
         return [node, first, self.rate(first, self.flow(held))]
 
     def sizes(self, name: str, held: bool) -> list[int]:
-        """Sums of the absolute terms of which a guard and its derivatives are made."""
+        """Sums of the absolute values of the terms of a guard and of its two Lie derivatives."""
         guard, moving = self.guard(name), [self.graph.const(1.0), *self.flow(held)]
         first = self.rate(guard, self.flow(held))
         return [self.size(guard), self._terms(guard, moving), self._terms(first, moving)]
 
     def size(self, node: int) -> int:
-        """The sum of the absolute terms of which a node is made."""
+        """The sum of the absolute values of a node's terms, a constant offset included."""
         graph, zeros = self.graph, dict.fromkeys(self.x, self.graph.const(0.0))
         (offset,) = rebuilt(graph, [node], lambda n: zeros.get(graph.known(*n) or -1))
         known = graph.node("is_finite", offset)
@@ -334,14 +332,14 @@ class ModeGraph:
         return graph.dot([(graph.node("abs", a), graph.node("abs", b)) for a, b in pairs])
 
     def tape(self, held: bool, touching: Collection[str] = ()) -> Tape:
-        """The tape of the flow, and of all guards in the order of :meth:`watched`.
+        """The tape of the flow and of all guards, in the order of :meth:`watched`.
 
-        ``touching``: contacts whose gaps have the formula that they have where they are zero.
+        Gaps of the contacts in ``touching`` have the formula that holds where they are zero.
 
         Raises
         ------
         TraceError
-            Where an operation has no recurrence.
+            If an operation has no recurrence.
         """
         guards = [
             self.contact(name).gap if name in touching else self.guard(name)
@@ -353,30 +351,30 @@ class ModeGraph:
     def of_values(
         self, key: tuple[Any, ...], nodes: Callable[[], Sequence[int]], more: int = 0
     ) -> Tape:
-        """The tape of functions alone, of the state and of some numbers behind it.
+        """The tape of functions without a flow, of the state and ``more`` numbers after it.
 
         Raises
         ------
         TraceError
-            Where an operation has none.
+            If an operation cannot be put on a tape.
         """
         where, size = f"{self.spec.model}, mode {self.mode}", len(self.x) + more
         make = lambda: tape(self.graph, size, np.array([]), nodes(), where)  # noqa: E731
         return self.code.once(("values", self.kept, *key), make)  # type: ignore[no-any-return]
 
     def along(self, held: bool, nodes: Sequence[int]) -> Tape:
-        """The tape of the flow, and of functions along it.
+        """The tape of the flow and of functions along it.
 
         Raises
         ------
         TraceError
-            Where an operation has no recurrence.
+            If an operation has no recurrence.
         """
         where, flow = f"{self.spec.model}, mode {self.mode}", np.array(self.flow(held))
         return tape(self.graph, len(self.x), flow, nodes, where)
 
     def contact_tapes(self, name: str, held: bool) -> list[Tape]:
-        """What happens at a contact, for values: :meth:`land`, :meth:`turn`, :meth:`law`."""
+        """Tapes for the values at a contact: :meth:`land`, :meth:`turn`, :meth:`law`."""
         return [
             self.of_values(("land", name), lambda: self.land(name)),
             self.of_values(("turn", name, held), lambda: self.turn(name, held)),
@@ -384,11 +382,11 @@ class ModeGraph:
         ]
 
     def watched(self, held: bool) -> list[str]:
-        """Names of the guards: all that are declared, and with contacts held their loads."""
+        """Names of the guards: those declared and, with contacts held, their loads."""
         return [*self.closed, *(f"{name}{RELEASE_SUFFIX}" for name in self.resting if held)]
 
     def projection(self, numbers: Sequence[float]) -> Scalar:
-        """The state moved onto all gaps 0 (two Newton steps) and all gap speeds 0.
+        """A function that projects a state onto zero gaps (two Newton steps) and zero gap speeds.
 
         Parameters
         ----------
@@ -401,7 +399,7 @@ class ModeGraph:
 
 
 def _groups(names: Sequence[str], linked: Mapping[tuple[str, str], bool]) -> list[list[str]]:
-    """Contacts whose forces depend on each other, in declared order."""
+    """Groups of contacts whose forces are coupled, each in declared order."""
     groups: list[list[str]] = []
     for name in names:
         meets = [g for g in groups if any(linked[name, i] or linked[i, name] for i in g)]

@@ -1,7 +1,7 @@
-"""Moving data: where positions are known the numbers of nodes move, and cost nothing.
+"""Data movement: with known positions, node numbers are rearranged at no run-time cost.
 
-Where a position depends on the state, an entry of a table is picked: one operation, however long
-the table is.
+With a position that depends on the state, an entry of a table is picked: one operation for a table
+of any length.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MOVED_INPUTS = {"pad": (0, 1), "dynamic_update_slice": (0, 1)}
 
 
 def _places(name: str, inputs: list[Ids]) -> list[int]:
-    """Nodes of the positions that a primitive moves numbers from or to."""
+    """Nodes of the positions of a data movement."""
     moved = MOVED_INPUTS.get(name, (0,))
     return [i for k, ids in enumerate(inputs) if k not in moved for i in ids.reshape(-1).tolist()]
 
@@ -43,7 +43,7 @@ def placed(graph: Graph, name: str, inputs: list[Ids]) -> bool:
 
 
 def move(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
-    """Let JAX move the node numbers."""
+    """Let JAX rearrange the node numbers."""
     import jax
 
     name = equation.primitive.name
@@ -60,14 +60,14 @@ def move(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids:
             operands.append(each(graph.value, ids))
     if name == "pad" and all(min(row) >= 0 == row[2] for row in equation.params["padding_config"]):
         widths = [row[:2] for row in equation.params["padding_config"]]
-        return np.pad(operands[0], widths, constant_values=int(operands[1]))  # spares a compilation
+        return np.pad(operands[0], widths, constant_values=int(operands[1]))  # avoids a compilation
     with jax.ensure_compile_time_eval(), jax.enable_x64(True):
         moved_ids = equation.primitive.bind(*operands, **equation.params)
     return np.asarray(moved_ids).astype(np.int64)
 
 
 def picked(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids | None:
-    """``x[i]`` with positions that move; None where an equation is no such."""
+    """``x[i]`` with varying positions; None for other equations."""
     if equation.primitive.name == "dynamic_slice":
         operand, *starts = inputs
         sizes = equation.params["slice_sizes"]
@@ -90,7 +90,7 @@ def picked(graph: Graph, equation: Any, inputs: list[Ids]) -> Ids | None:
 
 
 def _at_zero(equation: Any, shape: tuple[int, ...], indices: tuple[int, ...]) -> np.ndarray:
-    """Places of the entries of a gather whose positions are all 0, counted through its operand."""
+    """Flat operand indices of the entries that a gather reads with all positions 0."""
     import jax
     from jax.lax import GatherScatterMode
 
@@ -101,7 +101,7 @@ def _at_zero(equation: Any, shape: tuple[int, ...], indices: tuple[int, ...]) ->
 
 
 def _filling(equation: Any) -> float | None:
-    """What stands for entries beyond a table's end; None where the last ones do."""
+    """The value of entries beyond the end of a table; None if positions are clamped."""
     from jax.lax import GatherScatterMode
 
     if equation.params.get("mode") != GatherScatterMode.FILL_OR_DROP:

@@ -1,4 +1,4 @@
-"""Programs as machine code of their own, for runs that are long.
+"""Machine code for single programs, for long runs.
 
 A rule reads a program operation by operation (:mod:`hybrid.rules.jets`). Here the text of one
 operation, as LLVM has it from numba, is put in once for each of the program's with its numbers: all
@@ -30,16 +30,16 @@ from ..rules.jets import FLOW, OPS
 from ..rules.lengths import short_order
 from ..rules.operations import INTEGRAL
 
-#: A longer program is left to the rule: an operation takes 5 to 10 ms to compile, so that a process
-#: that ends never waits for a second.
+#: A longer program is left to the rule: compiling takes 5 to 10 ms an operation, and a process that
+#: ends should not wait more than a second.
 LONGEST_PROGRAM = 64
 
-#: Longer ones, and those without a flow, are not written out for an order: that takes 10 to 20 ms
-#: an operation, and the code would be longer than what a processor keeps at hand.
+#: Longer programs, and those without a flow, are not unrolled for an order: that takes 10 to 20 ms
+#: an operation, and the code would exceed the processor's cache.
 WRITTEN_OUT = 24
 
-#: What an operation is given, by numba's names: its row, the arrays, and what makes up an array. As
-#: no index is below zero, of all lengths that of the matrix's rows alone is looked at.
+#: Arguments of an operation, by numba's names: its row, the arrays, and the parts of an array.
+#: Indices are never negative, so the number of matrix rows is the only length that is read.
 ROW_NUMBERS = ("out", "a", "b", "d", "e")
 ARRAYS = ("more", "s", "sides", "c", "work")
 ARRAY_PARTS = {"0": "null", "1": "null", "2": "0", "3": "8", "5.0": "0", "6.0": "8"}
@@ -51,11 +51,11 @@ GIVEN = {
     **{"arg.c.5.1": "%columns", "arg.c.6.0": "%stride", "arg.c.6.1": "8"},
 }
 
-#: What an operation that is known takes: numbers of its row, the order, and the arrays.
+#: Arguments of a specialised operation: numbers of its row, the order, and the arrays.
 TAKES = ", ".join(f"i64 %{name}" for name in (*ROW_NUMBERS, "k", "columns", "stride"))
 TAKES += "".join(f", ptr noalias %{name}" for name in ARRAYS)
 
-#: An operation that is known, at order 0 and at others.
+#: A specialised operation, for order 0 and for higher orders.
 OPERATION_TEXT = """
 define void @first{op}({takes}) {{
   %unused = alloca i64
@@ -71,7 +71,7 @@ define void @later{op}({takes}) {{
 }}
 """
 
-#: The code of a program: for each order all its operations, then the next order of the states.
+#: The code of a program: for each order all operations, then the next order of the states.
 PROGRAM_TEXT = """
 {declarations}
 define void @program(i64 %order, i64 %columns, {arrays}) {{
@@ -113,21 +113,21 @@ written{place}:
 """
 
 
-#: Passes that put operations in, and those that simplify what is left of a program with loops:
-#: as fast a code as from all passes, in a quarter of their time.
+#: Passes that inline the operations, and those that simplify a program with loops. The code is as
+#: fast as after all passes, in a quarter of their time.
 INLINED = ("always_inliner", "global_dead_code_eliminate")
 SIMPLIFIED = (*INLINED, "sroa", "simplify_cfg", "instruction_combine", "new_gvn", "simplify_cfg")
 
 
 class Native:
-    """Has programs compiled behind a run, one after another.
+    """Compiles programs in the background, one after another.
 
-    One at a time, so that a process that ends waits for one at most.
+    At most one compilation is running, so a process that ends waits for at most one.
 
     Attributes
     ----------
     order : int
-        That for which they are written out; 0: none.
+        The order for which programs are unrolled; 0 if none.
     """
 
     def __init__(self) -> None:
@@ -135,8 +135,8 @@ class Native:
         self._going: tuple[int, Future[int]] | None = None
 
     def go_on(self, programs: Programs, order: int = 0) -> None:
-        """Take up the code that is done, and ask for that of the next program; with an order,
-        written out for it."""
+        """Install code that has been compiled, and start compiling the next program, unrolled for
+        ``order`` unless that is 0."""
         if order and order != self.order:
             self.order, self.asked = order, 0
         if (going := self._going) is not None:
@@ -155,13 +155,13 @@ class Native:
 
 
 def compile_all(programs: Programs, numbers: Iterable[int] | None = None, order: int = 0) -> None:
-    """Compile programs now: all, or those with some numbers; with an order, written out for it."""
+    """Compile the given programs (by default all) now, unrolled for ``order`` unless that is 0."""
     for number in range(len(programs.code)) if numbers is None else numbers:
         programs.code[number] = address(*_content(programs, number, order))
 
 
 def recall(programs: Programs, first: int, order: int = 0) -> None:
-    """Take up code that there is, of other runs and processes, from a program on."""
+    """Install existing code, of other runs or processes, for programs from number ``first`` on."""
     if library.how() == "machine":
         for number in range(first, len(programs.code)):
             contents = {_content(programs, number, given): None for given in (order, 0)}
@@ -174,8 +174,8 @@ def _thread() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1, "hybrid-native")
 
 
-#: What a program is known by: its operations, the places of its flow, and for which order it is
-#: written out.
+#: Key of a program's code: its operations, the rows of its flow, and the order for which it is
+#: unrolled.
 Content = tuple[bytes, bytes, int]
 
 
@@ -188,21 +188,21 @@ def _content(programs: Programs, number: int, order: int) -> Content:
 
 
 class Code(NamedTuple):
-    """Where a program's code is, and what owns it."""
+    """The address of a program's code, and the object that owns the memory."""
 
     address: int
     owner: Any
 
 
-#: What a program has that is left to the rule.
+#: Stands for a program that is left to the rule.
 NO_CODE = Code(0, None)
 
-#: All code of the process, by the content of the programs.
+#: All code of this process, by program content.
 _MADE: dict[Content, Code] = {}
 
 
 def address(ops: bytes, flow: bytes, order: int) -> int:
-    """Where the code of a program is, as long as the process lasts; 0: it is left to the rule."""
+    """The address of a program's code, valid in this process; 0 if the rule runs it."""
     if library.how() != "machine":
         return 0
     content = ops, flow, order
@@ -211,7 +211,7 @@ def address(ops: bytes, flow: bytes, order: int) -> int:
 
 
 def _known(content: Content) -> Code | None:
-    """The code of a program that has been compiled, here or in another process."""
+    """Existing code of a program, compiled by this or another process; None if there is none."""
     if content in _MADE:
         return _MADE[content]
     code = _kept(content)
@@ -219,7 +219,7 @@ def _known(content: Content) -> Code | None:
 
 
 def _made(content: Content) -> Code:
-    """Compile a program, if it is short enough, and keep the code."""
+    """Compile a program, if it is short enough, and store its code on disk."""
     *arrays, order = content
     ops, flow = (np.frombuffer(part, dtype=np.int64) for part in arrays)
     rows = ops.reshape(-1, 6).tolist()
@@ -240,7 +240,7 @@ def _made(content: Content) -> Code:
 
 
 def folder() -> Path:
-    """Where code is kept: what changes the rules, LLVM or the processor changes it."""
+    """The folder for code; it changes with the rules, LLVM and the processor."""
     return library.folder / "programs"
 
 
@@ -250,15 +250,14 @@ def _own() -> bytes:
 
 
 def _name(content: Content) -> str:
-    """The name of a program's file: a hash of all that the code depends on, the folder apart."""
+    """The file name of a program: a hash of the code's inputs, the folder's excepted."""
     *arrays, order = content
     parts = (hashlib.sha256(part).digest() for part in (_own(), *arrays, b"%d" % order))
     return hashlib.sha256(b"".join(parts)).hexdigest()[:32]
 
 
 def _kept(content: Content) -> Code | None:
-    """The code in a program's file: the names of the functions that it calls in a line, and the
-    code."""
+    """The code in a program's file, which holds a line of called names and the object code."""
     if (body := _read(_name(content))) is None:
         return None
     called, _, code = body.partition(b"\n")
@@ -266,14 +265,14 @@ def _kept(content: Content) -> Code | None:
 
 
 def _read(name: str) -> bytes | None:
-    """What is in a file, if that is as it was written."""
+    """The intact content of a file; None if it is missing or damaged."""
     with contextlib.suppress(OSError):
         return kept(folder() / name)
     return None
 
 
 def _keep(name: str, body: bytes) -> None:
-    """Write a file, where that can be done."""
+    """Write a file if possible."""
     with contextlib.suppress(OSError):
         folder().mkdir(exist_ok=True)
         keep(folder() / name, body)
@@ -283,7 +282,7 @@ def _keep(name: str, body: bytes) -> None:
 
 
 def _text(rows: Sequence[Sequence[int]], flow: Sequence[int], order: int) -> str:
-    """A program in LLVM's language."""
+    """A program as LLVM text."""
     growth = [(INTEGRAL, i, place, 0, 0, 0) for i, place in enumerate(flow)]
     codes = {row[0] for row in (*rows, *growth)}
     names = [f"{when}{code}" for code in codes for when in ("first", "later")]
@@ -318,7 +317,7 @@ def _written(
 def _calls(
     rows: Sequence[Sequence[int]], k: int | str, columns: str = "%columns", stride: str = "%stride"
 ) -> str:
-    """Operations at one order."""
+    """Calls of all operations at one order."""
     when = "first" if k == 0 else "later"
     arrays = ", ".join(f"ptr %{name}" for name in ARRAYS)
     lines = []
@@ -333,10 +332,10 @@ def _calls(
 
 @cache
 def operations() -> Sequence[bytes] | None:
-    """Each operation in LLVM's language, as far as its code alone decides; None where numba has
-    arranged what they are given otherwise.
+    """Bitcode of each operation, specialised to its code.
 
-    What decides between the operations then falls away once, and not in each program.
+    None if numba's argument layout is not the expected one. The dispatch between operations is thus
+    optimised away once, not in every program.
     """
     name = "operations-" + hashlib.sha256(_own()).hexdigest()[:32]
     if (known := _read(name)) is not None:
@@ -347,7 +346,7 @@ def operations() -> Sequence[bytes] | None:
 
 
 def _taken_apart() -> list[bytes] | None:
-    """One operation, as the loader of the rules keeps it, with each code."""
+    """Specialise the operation stored by the rules' loader to each operation code."""
     llvm = binding()
     module = llvm.parse_assembly(library.text("operation"))
     own = [f for f in module.functions if not f.is_declaration]
@@ -384,7 +383,7 @@ def _taken_apart() -> list[bytes] | None:
 
 
 def _alone(apart: Any, code: int, made_for: Any) -> bytes:
-    """One of the operations."""
+    """A module with one specialised operation."""
     own = apart.clone()
     for function in _defined(own):
         if function.name not in (f"first{code}", f"later{code}"):
@@ -398,7 +397,7 @@ def _defined(module: Any) -> list[Any]:
 
 
 def _compiled(operations: Sequence[bytes], text: str, written: bool) -> tuple[list[str], bytes]:
-    """The names of the functions that a program calls, and its code."""
+    """Names of the external functions that a program calls, and its object code."""
     llvm = binding()
     module = llvm.parse_assembly(text)
     for operation in operations:
@@ -417,7 +416,7 @@ def _compiled(operations: Sequence[bytes], text: str, written: bool) -> tuple[li
 
 
 def _loaded(called: Sequence[str], code: bytes) -> Code:
-    """A program's code, put where it can run; none where it calls a function that is not there."""
+    """Load object code; :data:`NO_CODE` if it calls a function that is missing."""
     if missing(called):
         return NO_CODE
     own = engine([code])
@@ -425,8 +424,7 @@ def _loaded(called: Sequence[str], code: bytes) -> Code:
 
 
 def _optimise(module: Any, machine: Any, unrolls: bool = False) -> None:
-    """Put the operations in, and simplify what is left; no loop is made of vectors, and those alone
-    unrolled of which the length is known."""
+    """Inline and simplify, without vectorisation; unroll loops of known length on request."""
     llvm = binding()
     options = llvm.create_pipeline_tuning_options(speed_level=1)
     options.loop_unrolling, options.loop_interleaving = unrolls, False
@@ -437,7 +435,7 @@ def _optimise(module: Any, machine: Any, unrolls: bool = False) -> None:
 
 
 def _passed(module: Any, machine: Any, passes: Iterable[str]) -> None:
-    """Put a module through passes of LLVM's."""
+    """Run some LLVM passes over a module."""
     llvm = binding()
     builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options())
     manager = llvm.create_new_module_pass_manager()

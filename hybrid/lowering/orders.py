@@ -1,4 +1,4 @@
-"""What is larger: the largest of some numbers, numbers in order, a number's place among others."""
+"""Order relations: argmax, sorting, and binary search in a table."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 from .elements import mapped
 from .graph import Graph, Ids
 
-#: Most numbers put in order by exchanges, of which each pair of them needs one.
+#: Largest sort that is written out; it needs one exchange per pair.
 MOST_SORTED = 12
 
-#: Shorter sorted tables are read as JAX reads them: nested choices, of which there are enclosures.
+#: Tables up to this length are searched by nested choices, as JAX does, which have enclosures.
 MOST_NESTED = 64
 
 
 def largest(graph: Graph, equation: Any, x: Ids) -> Ids:
-    """``argmax``, ``argmin``: of equal ones the first."""
+    """``argmax`` or ``argmin``; the first index in case of a tie."""
     flags = equation.invars[0].aval.dtype.kind == "b"
     op = "gt" if equation.primitive.name == "argmax" else "lt"
     (axis,) = equation.params["axes"]
@@ -43,10 +43,8 @@ def _first(graph: Graph, op: str, flags: bool, row: list[int]) -> int:
 
 
 def in_order(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None:
-    """A sort by its first numbers, what stands beside them moved along; None where there are many.
-
-    Neighbours are exchanged until all are in order: equal ones stay as they are.
-    """
+    """A stable sort by the first operand, the others permuted along (bubble sort); None if there
+    are several keys or too many numbers."""
     params = equation.params
     rows = [np.moveaxis(ids, params["dimension"], -1).copy() for ids in inputs]
     count = rows[0].shape[-1]
@@ -63,7 +61,7 @@ def in_order(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None
 
 
 def searched(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None:
-    """``jnp.searchsorted`` in a long table, by halves; None where an equation is no such."""
+    """``jnp.searchsorted`` in a long table, by binary search; None for other equations."""
     if not of_jax(equation, "searchsorted") or len(inputs) != 2:
         return None
     knots, numbers = inputs
@@ -78,7 +76,7 @@ def searched(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None
 
 
 def _place(graph: Graph, table: int, count: int, op: str, number: int) -> int:
-    """How many entries a number has passed; the table begins with one that is not asked for."""
+    """Number of entries that ``number`` has passed; the table's first entry is a dummy."""
     place, step = graph.const(0), 1 << count.bit_length() >> 1
     while step:
         further = graph.node("add", place, graph.const(step))
@@ -89,7 +87,7 @@ def _place(graph: Graph, table: int, count: int, op: str, number: int) -> int:
 
 
 def of_jax(equation: Any, name: str) -> bool:
-    """Whether an equation calls a function of ``jax.numpy`` with some name."""
+    """Whether an equation calls the ``jax.numpy`` function of this name."""
     params = equation.params
     if params.get("name") != name or not hasattr(params.get("jaxpr"), "jaxpr"):
         return False

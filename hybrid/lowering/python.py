@@ -1,10 +1,9 @@
-"""A reader of the trace: scalar Python functions, as fast as hand-written ones.
+"""Generates scalar Python functions from the graph, as fast as hand-written ones.
 
-The generated source is compiled once for a class; ``bind`` gives it the values of the
-parameters, and what depends on parameters alone is computed there and then. Python's
-``math`` raises where IEEE arithmetic gives ``inf`` or ``nan`` (also in the branch of a
-``where`` that is not taken); such a call is answered by the same source run on numpy
-scalars, which do not raise.
+The source is compiled once per class. ``bind`` inserts the parameter values and evaluates at once
+what depends on parameters only. Python's ``math`` raises where IEEE arithmetic gives ``inf`` or
+``nan``, also in a ``where`` branch that is not taken; such calls are repeated by the same source on
+numpy scalars, which do not raise.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from .graph import Graph, Ids, needed
 Scalar = Callable[..., Any]
 
 
-#: Operations written in place; ``{0}``, ``{1}``, ``{2}`` are the arguments.
+#: Operations written inline; ``{0}``, ``{1}``, ``{2}`` are the arguments.
 TEMPLATES = {
     "add": "({0} + {1})",
     "sub": "({0} - {1})",
@@ -70,7 +69,7 @@ class Program:
         self._maker: Scalar | None = None
 
     def bind(self, parameters: Sequence[float]) -> Scalar:
-        """The function for these values of the (flattened) parameters."""
+        """The function for these (flattened) parameter values."""
         forgiving: list[Scalar] = []
 
         def fallback(*arguments: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What has bounds in doubles (:mod:`hybrid.rules.bounds`), and programs of such."""
+"""Programs for interval bounds in doubles (:mod:`hybrid.rules.bounds`)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from ..rules import bounds as rule
 from ..rules.arrays import Bounds
 
-#: Operations on bounds, as the rule numbers them.
+#: Operations on bounds, with their numbers in the rule.
 RANGES = {
     name: int(getattr(rule, f"{name.upper()}_BOUNDS"))
     for name in ("add", "sub", "neg", "mul", "div", "square", "sqrt", "exp", "sin", "cos", "abs")
@@ -18,7 +18,7 @@ RANGES = {
 
 
 class Ranges:
-    """Programs for bounds one behind the other, to which more are added."""
+    """Concatenated programs for bounds, to which more can be added."""
 
     def __init__(self) -> None:
         self._index: list[list[int]] = []
@@ -26,13 +26,15 @@ class Ranges:
         self._numbers: list[float] = []
         self._results: list[int] = []
         self.most = 1
-        self.given: list[tuple[int, int]] = []  # places of parameters, and which they are
+        self.given: list[tuple[int, int]] = []  # (place in the numbers, parameter index)
 
     def add(
         self, steps: Sequence[Any], results: Sequence[int], rows: Mapping[str, int], given: Any
     ) -> int | None:
-        """The number of a program, whose inputs are rows of a box or given; None where there is
-        none of some operation."""
+        """Add a program; its inputs are rows of a box or values in ``given``.
+
+        Returns its number, or None if an operation has no bounds.
+        """
         ops = [self._op(step, rows, given) for step in steps]
         known = [op for op in ops if op is not None]
         if len(known) < len(ops):
@@ -57,7 +59,7 @@ class Ranges:
         return [step.range, *step.places, *[0] * (2 - len(step.places))]
 
     def arrays(self) -> Bounds:
-        """All so far."""
+        """All programs so far, as arrays."""
         index = np.array(self._index, dtype=np.int64).reshape(-1, 4)
         ops = np.array(self._ops, dtype=np.int64).reshape(-1, 3)
         results = np.array(self._results, dtype=np.int64)

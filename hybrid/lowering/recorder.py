@@ -1,10 +1,10 @@
-"""A reader of the graph: nodes put into a tape (:mod:`.tape`).
+"""Writes graph nodes to a tape (:mod:`.tape`).
 
-A node of the graph is an operation. Where a model switches formula (``abs``, ``where``, ``max``,
-``floor``), the coefficients belong to the branch at the start. The function that decides is
-returned too, as a *kink*: the series hold up to its first zero. So are the arguments of functions
-that are flat to rounding almost everywhere (``exp``, ``tanh``), whose coefficients show nothing of
-a pulse to come.
+Each node is an operation. Where a model switches formula (``abs``, ``where``, ``max``, ``floor``),
+the coefficients belong to the branch at the start of the step. The deciding function is returned as
+a *kink*: the series holds up to its first zero. Also returned are the arguments of functions that
+are flat to rounding almost everywhere (``exp``, ``tanh``), whose coefficients do not show a coming
+pulse.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .graph import Graph, Ids, inputs_of, needed, rebuilt
 from .tape import Tape, Watched, ints, table
 from .taylor import SLOPES
 
-#: Operations that the rule has under the same name.
+#: Operations that the rule implements under the same name.
 NUMBERED_OPS = {
     **{"add": rule.ADD, "sub": rule.SUB, "neg": rule.NEG, "div": rule.DIV, "gt": rule.GT},
     **{"ge": rule.GE, "lt": rule.LT, "le": rule.LE, "eq": rule.EQ, "ne": rule.NE},
@@ -33,10 +33,10 @@ NUMBERED_OPS = {
     **{name: getattr(rule, name.upper()) for name in SLOPES},
 }
 
-#: Comparisons: those that are watched, and those that hold or fail at a point only.
+#: Comparisons: watched ones, and those that change only at a point.
 ORDERED, EQUAL = ("gt", "ge", "lt", "le"), ("eq", "ne")
 
-#: Pairs of functions that are made together: the operation, and the place in the pair.
+#: Functions computed in pairs: the operation, and the index in the pair.
 PAIRS = {
     "sin": (rule.SINE, 0),
     "cos": (rule.SINE, 1),
@@ -54,7 +54,7 @@ def _size(g: Graph, a: int) -> int:
 
 
 def _sign(g: Graph, a: int) -> int:
-    """Where it stays zero it is zero."""
+    """The sign of ``a``; 0 while ``a`` stays zero."""
     zero = g.const(0.0)
     below = g.node("select", g.node("lt", a, zero), g.const(-1.0), a)
     return g.node("select", g.node("gt", a, zero), g.const(1.0), below)
@@ -74,7 +74,7 @@ def _away(g: Graph, a: int) -> int:
 
 
 def _round(g: Graph, a: int) -> int:
-    """To the nearest; halfway to the even one, which counts where nothing moves only."""
+    """The nearest integer; ties go to the even one, which matters for constants only."""
     raised = g.node("add", a, g.const(0.5))
     whole = g.node("floor", raised)
     if g.moves(a):
@@ -90,8 +90,9 @@ def _rem(g: Graph, a: int, b: int) -> int:
     return g.node("sub", a, g.node("mul", b, _trunc(g, g.node("div", a, b))))
 
 
-#: Where, by its argument, a function is more than rounding: beyond, ``tanh`` is constant; below,
-#: ``exp(a)`` is nothing beside any number that occurs with it (``exp(-200)`` is 1e-87).
+#: The arguments for which a function differs from a constant by more than rounding: beyond,
+#: ``tanh`` is constant; below, ``exp(a)`` is negligible beside any number that occurs with it
+#: (``exp(-200)`` is 1e-87).
 BANDS = {
     "exp": (-200.0, math.inf),
     "exp2": (-300.0, math.inf),
@@ -104,12 +105,12 @@ BANDS = {
     "cosh": (-200.0, 200.0),
 }
 
-#: Operations with poles, far from which they may be next to nothing: which argument of theirs is
-#: zero there.
+#: Operations with poles, away from which they may be negligible, and the index of the argument that
+#: is zero at the pole.
 POLES = {"div": 1, "pow": 0}
 
 
-#: Operations made of others.
+#: Operations that are expressed by others.
 MADE_OF_OTHERS: dict[str, Callable[..., int]] = {
     "abs": _size,
     "sign": _sign,
@@ -125,21 +126,21 @@ MADE_OF_OTHERS: dict[str, Callable[..., int]] = {
 
 
 def tape(graph: Graph, size: int, flow: Ids, functions: Sequence[int], where: str) -> Tape:
-    """The tape of a flow, and of functions along it.
+    """The tape of a flow and of functions along it.
 
     Parameters
     ----------
     size : int
         Number of states.
     flow : list of node
-        Empty for functions whose values alone are asked for.
+        Empty if only values of the functions are needed.
     where : str
         Model and mode, for messages.
 
     Raises
     ------
     TraceError
-        Where an operation has no recurrence.
+        If an operation has no recurrence.
     """
     roots = rebuilt(graph, [*map(int, flow), *map(int, functions)], lambda n: _made(graph, n))
     return _Recorder(graph, size, roots[: len(flow)], roots[len(flow) :], where).tape()
@@ -150,7 +151,7 @@ def _made(graph: Graph, node: tuple[Any, ...]) -> int | None:
 
 
 class _Recorder:
-    """Puts the nodes into arrays. ``place[node]`` is a row, or ``-1 - i`` for a number."""
+    """Writes nodes into arrays; ``place[node]`` is a row, or ``-1 - i`` for number ``i``."""
 
     def __init__(
         self, graph: Graph, size: int, flow: list[int], functions: list[int], where: str
@@ -170,10 +171,10 @@ class _Recorder:
         self.given: list[tuple[int, int]] = []
         self.room = 1
 
-    # -- nodes that the recurrences need besides ----------------------------------------
+    # -- further nodes of the recurrences -----------------------------------------------
 
     def _add(self) -> None:
-        """Slopes of functions, and deciding functions, until no node is missing."""
+        """Collect all nodes, with the slopes of functions and the watched functions."""
         graph, frontier, seen = self.graph, [*self.flow, *self.functions], set[int]()
         while frontier:
             new = [n for n in needed(graph, frontier) if n not in seen]
@@ -183,7 +184,7 @@ class _Recorder:
         self.nodes = needed(graph, [*roots, *map(self._root, self.watched)])
 
     def _root(self, what: Watched) -> int:
-        """The node whose series is that of what is watched."""
+        """The node whose series is watched."""
         return self.graph.node("nearest", what.node) if what.kind == "step" else what.node
 
     def _besides(self, number: int) -> list[int]:
@@ -204,7 +205,7 @@ class _Recorder:
         return [*self.slopes.get(number, ())]
 
     def _seen(self, op: str, arguments: list[int]) -> Watched | None:
-        """What an operation asks to be watched."""
+        """What an operation requires to be watched; None if nothing."""
         if op in (*ORDERED, *EQUAL):
             difference = self.graph.node("sub", *arguments)
             return Watched("kink" if op in ORDERED else "point", difference)
@@ -217,14 +218,14 @@ class _Recorder:
         return Watched("pole", arguments[POLES[op]]) if op in POLES else None
 
     def _side(self, op: str, arguments: list[int]) -> int:
-        """The place of an operation's kink; -1 where nothing moves."""
+        """Index of an operation's kink; -1 if it is constant along the flow."""
         what = self._seen(op, arguments)
         return -1 if what is None else self.watched.get(what, -1)
 
     # -- places ---------------------------------------------------------------------------
 
     def _put_places(self) -> None:
-        """A place for each node, before any operation: some are made of what comes later."""
+        """Give every node a place before any operation is written, as some use later nodes."""
         for number in self.nodes:
             op, *rest = self.graph.nodes[number]
             if op == "const":
@@ -248,7 +249,7 @@ class _Recorder:
         return self._new(False)
 
     def _new(self, moves: bool, count: int = 1) -> int:
-        """A place, or the first of several."""
+        """The first of ``count`` new places: rows if they move, else numbers."""
         if moves:
             self.rows += count
             return self.rows - count
@@ -262,7 +263,7 @@ class _Recorder:
     # -- operations -----------------------------------------------------------------------
 
     def tape(self) -> Tape:
-        """The arrays."""
+        """Write all operations and return the tape."""
         self._put_places()
         for number in self.nodes:
             op = self.graph.nodes[number][0]
@@ -290,7 +291,7 @@ class _Recorder:
         )
 
     def _row(self, number: int) -> int:
-        """The row of what is asked for, also where it does not move."""
+        """The row of a requested function; a constant one is copied to a row."""
         place = self.place[number]
         if place >= 0:
             return place
@@ -299,7 +300,7 @@ class _Recorder:
         return row
 
     def _record(self, number: int) -> None:
-        """Put down an operation; a steady one reads numbers as if they were rows."""
+        """Write an operation; an operation on constants treats numbers as rows."""
         op, *arguments = self.graph.nodes[number]
         moves = self.graph.moves(number)
         if op in ("pick", "knot"):
@@ -335,7 +336,7 @@ class _Recorder:
             raise TraceError(self._refused(op, arguments))
 
     def _pick(self, number: int, table: int, place: int) -> None:
-        """An entry of a table, whose places stand once however often it is read."""
+        """Write the reading of a table entry; the places of a table's entries are listed once."""
         moves, entries = self.graph.moves(number), self.graph.nodes[table][1:]
         names = [self.place[number], self.place[place], *(self.place[a] for a in entries)]
         out, index, *listed = names if moves else [-1 - name for name in names]
@@ -352,14 +353,14 @@ class _Recorder:
         return [self._side(op, arguments)] if op in (*ORDERED, *EQUAL, "floor") else []
 
     def _list(self, places: Sequence[int]) -> int:
-        """Where a list of arguments begins."""
+        """Append a list of arguments; returns where it begins."""
         self.more += places
         return len(self.more) - len(places)
 
     def _pair(
         self, op: str, number: int, argument: int, written: list[tuple[int, ...]], moves: bool
     ) -> None:
-        """Two functions as one operation, put down with the first of them."""
+        """Write two functions as one operation, at the first of them."""
         code, second = PAIRS[op]
         twin = next(name for name, value in PAIRS.items() if value == (code, 1 - second))
         other = self.graph.known(twin, argument)
@@ -375,7 +376,7 @@ class _Recorder:
         written.append((code, *(names if moves else [-1 - place for place in names]), clock))
 
     def _is_clock(self, number: int) -> bool:
-        """Whether a node is affine in time, and the state is not in it."""
+        """Whether a node is affine in time and independent of the state."""
         alone = all(name[0] != "x" for name in inputs_of(self.graph, [number]))
         return alone and degree(self.graph, number) <= 1
 

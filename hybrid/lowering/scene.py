@@ -1,8 +1,7 @@
 """A model made ready to run: scalar functions of its modes, guards and contacts.
 
-What depends on the class alone (graphs, generated code) is made once for a class and kept;
-what depends on the values of the parameters is bound once for a run, in microseconds.
-Nothing is made for a mode that a run does not enter.
+Graphs and generated code depend on the class alone and are cached on it. Parameter values are bound
+once per run, in microseconds. Nothing is made for a mode that a run does not enter.
 """
 
 from __future__ import annotations
@@ -40,9 +39,9 @@ from .taylor import flat
 
 
 class Scene:
-    """A model with its parameters' values, ready for a driver.
+    """A model with its parameter values, ready for a driver.
 
-    Fields and contacts are made when first asked for, and kept.
+    Fields and contacts are made on first use and cached.
     """
 
     def __init__(
@@ -61,21 +60,21 @@ class Scene:
         self._names: dict[tuple[str, frozenset[str]], str] = {}
 
     def __reduce__(self) -> Any:
-        """Pickled as its class and its numbers; what is made of them is made again."""
+        """Pickle the class and the numbers; derived objects are made again."""
         return Scene, (*self._made, self.values, self.samples)
 
     @cached_property
     def parameters(self) -> tuple[Any, ...]:
-        """Values of the parameters, then the pieces of signals and the windows of the past."""
+        """Parameter values, then the signal pieces and the windows of the past."""
         return _arrays(self.code.shapes, self.values)
 
     def through(self, windows: Sequence[np.ndarray]) -> Scene:
-        """The same model on other windows of the past."""
+        """The same model with other windows of the past."""
         shown = tuple(flat(windows))
         return Scene(*self._made, (*self.values[: len(self.values) - len(shown)], *shown))
 
     def at(self, t: float) -> Scene:
-        """The same model on the pieces of its signals at a time, ``until`` the next knot."""
+        """The same model with the signal pieces at time ``t``; ``until`` is the next knot."""
         if not self.samples:
             return self
         there = Scene(*self._made, self.values_at(t), self.samples)
@@ -91,24 +90,24 @@ class Scene:
             yield here
 
     def values_at(self, t: float) -> tuple[float, ...]:
-        """The values with the pieces of the signals at a time."""
+        """The numeric values, with the signal pieces at time ``t``."""
         if not self.samples:
             return self.values
         row = self.pieces(np.array([t]))[0].tolist()
         return (*self.values[: len(self.values) - len(row)], *row)
 
     def span(self, t: float) -> tuple[float, float]:
-        """Times around one between which the signals are on the pieces of there."""
+        """The time interval around ``t`` on which the signal pieces do not change."""
         begun = (float(each.pieces(np.array([t]))[0, 0]) for each in self.samples)
         return max((s for s in begun if s <= t), default=t), float(self.knots(t, math.inf, 1)[1])
 
     def pieces(self, times: np.ndarray) -> np.ndarray:
-        """The numbers of the signals' pieces at some times."""
+        """The numbers of the signal pieces at some times, one row per time."""
         return np.concatenate([each.pieces(times) for each in self.samples], axis=1)
 
     def knots(self, t: float, last: float, count: int) -> np.ndarray:
-        """A time, the next knots of signals behind it, no more than so many, and what these go to:
-        the knot that follows, or a time."""
+        """Ends of successive signal pieces: ``t``, up to ``count`` knots after it, and the next
+        knot or ``last``."""
         found = [each.knots(t, last, count + 1) for each in self.samples]
         all_ = np.unique(np.concatenate(found))[: count + 1]
         full = [each[-1] for each in found if len(each) == count + 1]
@@ -117,7 +116,7 @@ class Scene:
 
     @cached_property
     def modes(self) -> tuple[str, ...]:
-        """Modes in which a run may start: those declared, each contact's rest, each sliding."""
+        """Modes in which a run may start: declared, resting with one contact, and sliding modes."""
         rests = [
             rest_name(e.source, (e.name,))
             for e in self.spec.transitions
@@ -127,14 +126,14 @@ class Scene:
         return (*(mode.name for mode in self.spec.modes), *rests, *slides)
 
     def starts(self, name: str) -> bool:
-        """Whether a run may start in an arc mode: one of ``modes``, or several contacts' rest."""
+        """Whether a run may start in an arc mode; resting modes with several contacts included."""
         if name in self.modes:
             return True
         mode, held = parted(name)
         return all(each in self.modes for each in (mode, *(rest_name(mode, (c,)) for c in held)))
 
     def name(self, mode: str, held: Collection[str]) -> str:
-        """The arc mode of a mode with contacts held, these in declared order."""
+        """The arc mode with the contacts ``held``, which it names in declared order."""
         if not held:
             return mode
         key = mode, frozenset(held)
@@ -144,11 +143,11 @@ class Scene:
         return self._names[key]
 
     def field(self, name: str, touching: Collection[str] = ()) -> Field:
-        """The field of a mode, or of a resting mode ``"mode.rest(contact, ...)"``.
+        """The field of a mode or of a resting mode ``"mode.rest(contact, ...)"``.
 
-        ``touching``: contacts from which a flight begins. A gap that has a corner at zero, as a
-        distance has, has the formula of there all along it: on which side of the corner rounding
-        has put the state says nothing.
+        ``touching`` names contacts at which a flight begins. If such a gap has a corner at zero, as
+        a distance does, it uses the formula that holds at zero throughout: rounding decides on
+        which side of the corner the state lies, so the side means nothing.
         """
         if name not in self._fields:
             self._fields[name] = self._make_field(name, *parted(name))
@@ -194,7 +193,7 @@ class Scene:
         return attrs.evolve(field, jets=jets, guards=guards, touching=corners)
 
     def _on_zero(self, field: Field, guard: Guard) -> Guard:
-        """The guard of a contact with the formula that its gap has at zero."""
+        """The guard of a contact, with the formula that its gap has at zero."""
         name, mode, held = guard.edge, field.mode, bool(field.held)
         graph = self.code.mode(mode)
         gap = graph.program(("gap on", name), lambda: [graph.contact(name).gap])
@@ -207,12 +206,12 @@ class Scene:
 
     @cached_property
     def tables(self) -> Tables:
-        """The fields as the rules' own loop takes them, with steps of its own."""
+        """The fields as arrays for the rules' loop, which makes its own Taylor steps."""
         return Tables(self)
 
     @cached_property
     def watched(self) -> Tables:
-        """The same, with another solver's steps."""
+        """The same, with steps made by another solver."""
         return Tables(self, others=True)
 
     def _kinks(
@@ -232,7 +231,7 @@ class Scene:
         )
 
     def numbers(self, mode: str, held: tuple[str, ...]) -> tuple[float, ...]:
-        """Values of the parameters, and of a mode's mask: which of its contacts are held."""
+        """The parameter values, then the mask of a mode's held contacts."""
         return (*self.values, *self.code.mode(mode).masked(held))
 
     def _series(
@@ -242,7 +241,7 @@ class Scene:
         guards: list[str],
         touching: frozenset[str] = frozenset(),
     ) -> Jets | str:
-        """The series of the flow and of some of the guards; why there are none."""
+        """The series of the flow and of some guards; a message if there are none."""
         tape = self.code.tape(mode, bool(held), touching)
         if not isinstance(tape, Tape):
             return str(tape)
@@ -250,8 +249,7 @@ class Scene:
         return tape.bind(self.numbers(mode, held), [order.index(guard) for guard in guards])
 
     def projection(self, mode: str, held: tuple[str, ...], values: tuple[float, ...]) -> Scalar:
-        """Back onto the surface on which a mode slides, or onto contacts held in it, for some
-        values of the parameters."""
+        """The projection onto a sliding surface or held contacts, for given parameter values."""
         switching, graph = self.spec.sliding(mode), self.code.mode(mode)
         if switching is not None:
             return self.code.onto(switching.name).bind(values)
@@ -284,21 +282,21 @@ class Scene:
         return Guard(name, kind, edge.to, edge.crossing, *made, when=when, urgent=urgent)
 
     def _clock(self, edge: Transition, mode: str, held: tuple[str, ...]) -> Guard:
-        """What fires at given times; its guard is what it is beside them."""
+        """The edge as a clock, with its guard unwatched."""
         guard, key = self._guard(edge, Kind.CLOCK, mode, held), ("clock", edge.name)
         after = self.code.program(key, lambda: self.code.closed(*key)).bind(self.values)
         return attrs.evolve(guard, kinks=(), bounds=False, after=after)
 
     def rounding(self, guard: Guard, field: Field) -> Scalar:
-        """Sizes whose rounding the guard and its first two derivatives carry."""
+        """Sizes whose rounding the guard and its first two Lie derivatives carry."""
         graph, held = self.code.mode(field.mode), bool(field.held)
         program = graph.program(("sizes", guard.edge, held), lambda: graph.sizes(guard.edge, held))
         return self.bind(program, self.numbers(field.mode, field.held))
 
     def bind(self, program: Program, numbers: tuple[float, ...] | None = None) -> Scalar:
-        """A program of the class's code as a function, for these values of the parameters.
+        """A program of the class as a function for the current parameter values, cached.
 
-        ``numbers`` are the values with a mode's mask.
+        ``numbers`` are the values followed by a mode's mask.
         """
         given = self.values if numbers is None else numbers
         key = program, given[len(self.values) :]
@@ -312,7 +310,7 @@ class Scene:
         return self.bind(self.code.program(("reset", edge), closed))
 
     def is_contact(self, edge: str) -> bool:
-        """Whether an edge's name is that of a contact."""
+        """Whether this is the name of a contact."""
         return edge in self.contacts
 
     @cached_property
@@ -322,20 +320,20 @@ class Scene:
 
     @cached_property
     def conditional(self) -> frozenset[str]:
-        """Names of the edges that have a condition."""
+        """Names of the edges with a condition."""
         edges = (e for e in self.spec.transitions if isinstance(e, EdgeSpec))
         return frozenset(e.name for e in edges if e.when is not None)
 
     @cached_property
     def paired(self) -> list[tuple[int, int]]:
-        """Places of the positions and of the velocities of all contacts."""
+        """(position, velocity) index pairs of all contacts."""
         contacts = [name for name, guard in self.guards.items() if guard.kind is Kind.CONTACT]
         pairings = [self.code.pairing(name) for name in contacts]
         return [pair for p in pairings for pair in zip(p.positions, p.velocities, strict=True)]
 
     @cached_property
     def guards(self) -> dict[str, Guard]:
-        """The guards of the modes by edge, ends of windows left out."""
+        """The guards of all modes by edge name, without window ends."""
         watched = (guard for mode in self.spec.modes for guard in self.field(mode.name).guards)
         return {guard.edge: guard for guard in watched if guard.kind is not Kind.WINDOW}
 
@@ -365,7 +363,7 @@ class Scene:
 
 
 def _arrays(shapes: tuple[tuple[int, ...], ...], values: tuple[float, ...]) -> tuple[Any, ...]:
-    """Flattened parameters in their shapes again."""
+    """Flattened parameters in their original shapes."""
     ends = np.cumsum([*map(math.prod, shapes)])
     parts = np.split(np.array(values), ends[:-1]) if shapes else []
     return tuple(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True))
@@ -384,7 +382,7 @@ def _scene(
 
 
 def scene_of(model: Any, by: str = "") -> Scene:
-    """The scene of a model; models of equal parameters and signals share one.
+    """The scene of a model; models with equal parameters and signals share one.
 
     Raises
     ------
@@ -406,7 +404,7 @@ def scene_of(model: Any, by: str = "") -> Scene:
 
 
 def require_no_signal(spec: Spec, by: str) -> None:
-    """Refuse a model with signals, where something asks that knows none.
+    """Refuse a model with signals if the caller named in ``by`` does not support them.
 
     Raises
     ------
@@ -425,23 +423,23 @@ def scene_with(
     values: tuple[float, ...],
     samples: tuple[Samples, ...] = (),
 ) -> Scene:
-    """The scene of a class with these parameters, as one list, and these signals."""
+    """The scene of a class, given flattened parameters and signal data."""
     return _scene(cls, shapes, tuple(values), samples)
 
 
 def rest_name(mode: str, held: tuple[str, ...]) -> str:
-    """The arc mode of contacts at rest: ``"<mode>.rest(<contact>, ...)"``."""
+    """The resting mode of held contacts: ``"<mode>.rest(<contact>, ...)"``."""
     return f"{mode}.rest({', '.join(held)})" if held else mode
 
 
 def parted(name: str) -> tuple[str, tuple[str, ...]]:
-    """The mode of an arc mode, and the contacts held."""
+    """The mode and the held contacts in the name of an arc mode."""
     mode, _, rest = name.partition(".rest(")
     return mode, tuple(rest.removesuffix(")").split(", ")) if rest else ()
 
 
 def _unwritten(name: str, source: str, to: str) -> EdgeSpec:
-    """An edge that no author has written: the end of a rest, or of a window."""
+    """An edge that no author declares: the end of a rest or of a window."""
 
     def unused(*_: Any) -> None:
         raise TraceError(f"{name} has no function of its own")
@@ -456,7 +454,7 @@ def _kind(edge: Transition) -> Kind:
 
 
 def released(edge: str) -> str:
-    """The contact that a release ends."""
+    """The contact whose rest a release ends."""
     return edge.removesuffix(".release")
 
 

@@ -1,4 +1,4 @@
-"""Formulas that change where a function is zero: the function, and the formula on each side."""
+"""Piecewise formulas: the deciding function, and the formula on each side of its zero."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .derivatives import node_shape
 from .graph import WHOLE_VALUED, Graph, needed, rebuilt, states_in
 from .python import Program
 
-#: What an operation is where the function that decides is above zero, or below.
+#: The result of an operation where its deciding function is positive (``above``) or negative.
 CHOICES: dict[str, Callable[..., int]] = {
     "abs": lambda graph, above, a: a if above else graph.node("neg", a),
     "sign": lambda graph, above, a: graph.const(1.0 if above else -1.0),
@@ -23,11 +23,11 @@ CHOICES: dict[str, Callable[..., int]] = {
     **dict.fromkeys(("lt", "le"), lambda graph, above, *rest: graph.const(not above)),
 }
 
-#: Operations that have the formula of below zero where the function that decides is zero.
+#: Operations that at a zero of their deciding function have the formula of the negative side.
 LOW_AT_ZERO = {"gt", "le"}
 
-#: What becomes of a value where an operation changes its formula: it may jump, or bends only, or
-#: has no value beyond.
+#: What the value does where an operation changes its formula: it jumps, has a corner (bends), or
+#: becomes undefined (ends).
 CHANGE_OF = {
     **dict.fromkeys(("gt", "ge", "lt", "le", "sign", "floor", "ceil", "trunc"), "jumps"),
     **dict.fromkeys(("round", "away", "rem"), "jumps"),
@@ -35,25 +35,25 @@ CHANGE_OF = {
     **dict.fromkeys(("sqrt", "log", "log1p", "acosh", "asin", "acos", "atanh"), "ends"),
 }
 
-#: Of two operations that change at one place the one that says more.
+#: If two operations change at the same place, the first of these counts.
 _SEVERITY = ("ends", "jumps", "bends")
 
-#: Random points at which the ratio of two functions is taken: what is one number there is one.
+#: Number of random points at which the ratio of two functions must agree to count as constant.
 RATIO_SAMPLES = 20
 
 
 def choosers(graph: Graph, roots: Sequence[int]) -> list[int]:
-    """Functions by whose sign nodes take one formula or another, arguments first."""
+    """Functions whose sign selects the formula of a node, arguments first."""
     nodes = [graph.nodes[number] for number in needed(graph, roots)]
     found = [decider_of(graph, op, rest) for op, *rest in nodes if op in CHOICES]
     return list(dict.fromkeys(number for number in found if graph.flows(number)))
 
 
 def one_sided(graph: Graph, roots: Sequence[int], signs: Mapping[int, int]) -> list[int]:
-    """Nodes with the formulas that they have where some functions have these signs.
+    """Nodes with the formulas that hold where deciding functions have the given signs.
 
-    ``signs`` are of :func:`choosers`, in their order. Behind the nodes follow these functions
-    themselves, with the formulas that they have there.
+    ``signs`` maps functions of :func:`choosers`, in their order, to signs. These functions, with
+    their own formulas there, are appended to the result.
     """
     nodes = [*roots, *signs]
     for place, sign in enumerate(signs.values(), start=len(roots)):
@@ -69,7 +69,7 @@ def one_sided(graph: Graph, roots: Sequence[int], signs: Mapping[int, int]) -> l
 
 
 def decider_of(graph: Graph, op: str, arguments: list[int]) -> int:
-    """The function whose zeros are the places at which an operation changes its formula."""
+    """The function at whose zeros an operation changes its formula."""
     a, *rest = arguments
     if op in ("gt", "ge", "lt", "le", "max", "min"):
         return graph.node("sub", a, rest[0])
@@ -85,17 +85,17 @@ def decider_of(graph: Graph, op: str, arguments: list[int]) -> int:
 
 
 def on_zero(graph: Graph, size: int, gap: int, numbers: Sequence[float]) -> int:
-    """A gap with the formula that it has where it is zero, if it has a corner there.
+    """A gap with the formula that holds where it is zero, if it has a corner there.
 
-    It has one, as a distance ``|u|`` has, where its formulas are multiples of the function that
-    decides between them, and positive on either side of its zero.
+    It has a corner, as a distance ``|u|`` does, if its formulas are multiples of the deciding
+    function and positive on either side of the zero.
 
     Parameters
     ----------
     size : int
         Number of states.
     numbers
-        Any values of the parameters.
+        Any parameter values.
     """
     for decider, side in _belongs(graph, gap).items():
         formulas = [one_sided(graph, [gap], {decider: sign})[0] for sign in (1, -1)]
@@ -107,9 +107,10 @@ def on_zero(graph: Graph, size: int, gap: int, numbers: Sequence[float]) -> int:
 
 
 def _belongs(graph: Graph, root: int) -> dict[int, int]:
-    """For each function of :func:`choosers` the sign of the side to which its zero belongs.
+    """For each function of :func:`choosers`, the sign of the side that includes its zero.
 
-    Not of one whose zero belongs to either, as that of ``u > 0`` and ``u >= 0`` in one node.
+    Functions whose zero belongs to both sides, as with ``u > 0`` and ``u >= 0`` in one node, are
+    left out.
     """
     sides: dict[int, set[int]] = {}
     for op, *rest in (graph.nodes[number] for number in needed(graph, [root])):
@@ -119,7 +120,7 @@ def _belongs(graph: Graph, root: int) -> dict[int, int]:
 
 
 def _ratios(values: Callable[..., tuple[float, ...]], size: int) -> tuple[float, float]:
-    """The constant ratios of two functions to a first one; not a number where they are none."""
+    """The constant ratios of two functions to a first one; NaN if they are not constant."""
     draw, found = Random(0), set()
     for _ in range(RATIO_SAMPLES):
         x = [draw.uniform(-1.5, 1.5) for _ in range(size)]
@@ -132,8 +133,7 @@ def _ratios(values: Callable[..., tuple[float, ...]], size: int) -> tuple[float,
 
 
 def deciding(graph: Graph, roots: Sequence[int]) -> dict[int, str]:
-    """Functions at whose zeros nodes change their formula, arguments first, and how each does
-    there (:data:`CHANGE_OF`)."""
+    """Functions at whose zeros nodes change their formula, with the kind of change."""
     found: dict[int, str] = {}
     order = needed(graph, roots)
     still = _steps(graph, order)
@@ -153,7 +153,7 @@ def deciding(graph: Graph, roots: Sequence[int]) -> dict[int, str]:
 
 
 def _wave(graph: Graph, decider: int) -> int:
-    """Of a search by halves what decides on them all."""
+    """One deciding function for all steps of a binary search; other functions are unchanged."""
     op, *arguments = graph.nodes[decider]
     if op == "sub" and (knot := graph.nodes[arguments[1]])[0] == "knot":
         return graph.node("wave", arguments[0], knot[1])
@@ -161,7 +161,7 @@ def _wave(graph: Graph, decider: int) -> int:
 
 
 def _steps(graph: Graph, order: Sequence[int]) -> set[int]:
-    """Nodes that change in jumps only, which is where what they are made of changes."""
+    """Piecewise constant nodes, which jump only where their arguments do."""
     found: set[int] = set()
     for number in order:
         op, *arguments = graph.nodes[number]
@@ -177,7 +177,7 @@ def _steps(graph: Graph, order: Sequence[int]) -> set[int]:
 def deciders(
     graph: Graph, size: int, roots: Sequence[int]
 ) -> list[tuple[Program, bool, tuple[int, ...], str]]:
-    """The same as (program, affine, elements, change)."""
+    """The result of :func:`deciding` as (program, affine, elements, change)."""
     found = {_wave(graph, number): change for number, change in deciding(graph, roots).items()}
     return [
         (Program(graph, ["t", "x"], size, np.array(number)), *node_shape(graph, number), change)
@@ -186,7 +186,7 @@ def deciders(
 
 
 def _never_negative(graph: Graph, number: int) -> bool:
-    """Whether a node is a sum or product of squares and the like, as a distance is."""
+    """Whether a node cannot be negative by construction, as a sum of squares."""
     op, *arguments = graph.nodes[number]
     if op == "const":
         return bool(arguments[0] >= 0)

@@ -1,8 +1,8 @@
-"""A flow, and functions along it, as arrays that a rule interprets (:mod:`hybrid.rules.jets`).
+"""Tape: a flow and functions along it, as arrays that a rule interprets.
 
-Nothing is compiled for a model, and nothing is written out: the rule reads the operations once for
-each order of the Taylor series. What does not move along the flow is computed once for the values
-of the parameters, which are no part of the tape. How one is made is in :mod:`.recorder`; see
+Nothing is compiled or generated per model: the rule (:mod:`hybrid.rules.jets`) reads the operations
+once for each order of the Taylor series. What is constant along the flow is computed once per set
+of parameter values; these are not part of the tape. :mod:`.recorder` makes tapes; see
 ``docs/notes/tape.md``.
 """
 
@@ -25,7 +25,7 @@ from ..rules.zeros import SPARE_ROWS
 if TYPE_CHECKING:
     from ..automaton.shapes import IntegerMatrix, Integers, Matrix, Numbers
 
-#: Of each operation's columns: which name rows or numbers, and which a list of such.
+#: For each operation, which of its columns refer to rows or numbers, and which to lists of these.
 NAME_COLUMNS, LIST_COLUMNS = np.zeros((2, rule.INTEGRAL, 6), dtype=bool)
 NAME_COLUMNS[:, 2:4] = True
 NAME_COLUMNS[rule.SELECT, 4], NAME_COLUMNS[rule.FLOOR, 3] = True, False
@@ -33,23 +33,24 @@ NAME_COLUMNS[[rule.SUM_OF, rule.DOT, rule.SOLVE], 2:4] = NAME_COLUMNS[rule.PICK,
 LIST_COLUMNS[[rule.SUM_OF, rule.DOT, rule.SOLVE, rule.PICK], 2] = True
 LIST_COLUMNS[rule.ATAN2, 4] = True
 
-#: Kinds of what is watched, in the order of their numbers in a rule.
+#: Kinds of watched functions, in the order of their numbers in the rules.
 KINDS = ("kink", "step", "band", "pole", "point")
 
 
 @attrs.frozen
 class Watched:
-    """What ends the series of a step besides their own last terms.
+    """A function that limits the validity of a step's series.
 
     Attributes
     ----------
     kind : "kink", "step", "band", "pole" or "point"
-        A function at whose zero the formula switches; one that does so at each of its whole
-        numbers, of which the nearest is taken off; the argument of a function that is more than
-        rounding between ``low`` and ``high`` only; what a quotient or power has a pole at; a
-        function at whose zero alone a formula holds, which is not watched along the flow.
+            kink: the formula switches at its zero. step: the formula switches at each whole number
+        of the function; the nearest one is subtracted. band: the argument of a function that
+        differs from a constant only between ``low`` and ``high``. pole: a quotient or power has a
+        pole at its zero. point: a formula holds at its zero alone; it is not watched along the
+        flow.
     node : int
-        The function (of steps without what is taken off) is a node of the graph.
+        The function as a node of the graph (for a step, without the subtraction).
     """
 
     kind: str
@@ -59,12 +60,12 @@ class Watched:
 
     @property
     def code(self) -> int:
-        """The kind, as a rule has it."""
+        """The number of the kind in the rules."""
         return KINDS.index(self.kind)
 
     @property
     def switches(self) -> bool:
-        """Whether the formula of the flow is another where it passes zero."""
+        """Whether the flow changes its formula where the function passes zero."""
         return self.kind in ("kink", "step", "point")
 
 
@@ -77,18 +78,18 @@ class Tape:
     size, rows
         Number of states, and of rows of coefficients.
     ops, more, flow, output, affine
-        As the rule takes them; ``output`` are the functions.
+        As the rule takes them; ``output`` lists the rows of the functions.
     kinks, watched
-        What decides and what else is watched, as the rule takes it; what it is.
+        The watched functions as the rule takes them, and their descriptions.
     steady
-        The operations on what does not move.
+        Operations on values that are constant along the flow.
     numbers
-        What does not move: constants at their places.
+        Values that are constant along the flow; constants are filled in.
     given
-        Places of parameters among them, and their numbers.
+        Places of parameters among the numbers, and the parameters' indices.
     room
-        Length of the array in which equations are solved, and behind them two states, their rates
-        and the sides of all kinks are put aside.
+            Length of the work array: it holds linear systems, then two states, their rates, and the
+        sides of all kinks.
     """
 
     size: int
@@ -107,11 +108,11 @@ class Tape:
 
     @property
     def needs(self) -> tuple[int, int, int]:
-        """Rows, kinks, and the length of the array beside them, for :func:`room`."""
+        """Number of rows, number of kinks, and work array length, as :func:`room` takes them."""
         return self.rows, len(self.kinks), self.room
 
     def bind(self, parameters: Sequence[float], functions: Sequence[int] | None = None) -> Jets:
-        """The tape for these values of the (flattened) parameters, for some of its functions."""
+        """The tape for these (flattened) parameter values and for some of its functions."""
         numbers = self.numbers.copy()
         numbers[self.given[0]] = np.asarray(parameters, dtype=float)[self.given[1]]
         sides, work = np.zeros(len(self.kinks), dtype=np.int64), np.zeros(self.room)
@@ -122,7 +123,7 @@ class Tape:
 
 @attrs.frozen(eq=False, slots=False)
 class Jets:
-    """A tape with the values of the parameters, for some of its functions: a program."""
+    """A program: a tape with parameter values, for some of its functions."""
 
     tape: Tape
     numbers: Numbers
@@ -131,34 +132,34 @@ class Jets:
 
     @cached_property
     def places(self) -> np.ndarray:
-        """Which of all that is watched is watched along the series."""
+        """Indices of the functions that are watched along the series."""
         return ints([i for i, what in enumerate(self.tape.watched) if what.kind != "point"])
 
     @cached_property
     def watched(self) -> tuple[Watched, ...]:
-        """What is watched along the series."""
+        """The functions that are watched along the series."""
         return tuple(self.tape.watched[i] for i in self.places)
 
     @cached_property
     def alone(self) -> Programs:
-        """This program, and no other."""
+        """This program as an array of one."""
         return linked([self])
 
     def room(self, order: int) -> Room:
-        """Arrays to work in, for this program alone."""
+        """Work arrays for this program alone."""
         return room(self.tape.needs, self.tape.size, order)
 
     def __call__(self, t: float, x: Sequence[float], sides: list[int], order: int) -> Any:
-        """Coefficients 0 .. ``order`` of the states, of the functions, and of what is watched.
+        """Taylor coefficients 0 to ``order`` of states, functions and watched functions.
 
-        ``sides[i]`` is 0 (the branch of kink ``i`` is taken by value) or +1 / -1 (the sign that it
-        has from here on: a step has just ended on it). It is completed in place: a kink that is
-        zero here gets the sign that it is about to have.
+        ``sides[i]`` is 0 if the branch of kink ``i`` follows from its value, or +1 / -1 if the sign
+        from here on is given, because a step has just ended on the kink. It is updated in place: a
+        kink that is zero here gets the sign that it is about to take.
 
         Raises
         ------
         ValueError
-            Where the series do not exist (``sqrt`` at 0, for instance).
+            If the series do not exist (``sqrt`` at 0, for instance).
         """
         tape = self.tape
         all_sides = np.zeros(len(tape.kinks), dtype=np.int64)
@@ -173,14 +174,14 @@ class Jets:
         return c[: tape.size].tolist(), c[self.output].tolist(), watched
 
     def finite(self, t: float, x: Sequence[float], order: int) -> bool:
-        """Whether the coefficients of the states are there, and numbers."""
+        """Whether the Taylor coefficients of the states exist and are finite."""
         try:
             return bool(np.isfinite(self(t, x, [], order)[0]).all())
         except ValueError:
             return False
 
     def _watched(self, c: Matrix) -> list[list[float]]:
-        """The series of what is watched; on a branch that is not taken nothing happens."""
+        """The series of the watched functions; 1 for an undefined one, on a branch not taken."""
         watched = c[self.tape.kinks[self.places, 0]]
         if np.isnan(watched).any():
             watched[np.isnan(watched).any(axis=1)] = np.eye(1, c.shape[1])[0]
@@ -188,7 +189,7 @@ class Jets:
 
 
 def room(needs: Iterable[int], states: int, order: int) -> Room:
-    """Arrays to work in for programs, none of which needs more than :attr:`Tape.needs` says."""
+    """Work arrays for programs within the sizes ``needs`` (see :attr:`Tape.needs`)."""
     rows, kinks, beside = needs
     return Room(
         np.empty((rows, order + 1)),
@@ -204,7 +205,7 @@ def room(needs: Iterable[int], states: int, order: int) -> Room:
 
 @contextmanager
 def lent(free: dict[Any, list[Any]], needs: Any, make: Callable[[], Any]) -> Iterator[Any]:
-    """Arrays to work in, such as nobody is using: threads share what they are for, and not them."""
+    """Borrow work arrays that no other thread is using; they are made if all are in use."""
     unused = free.setdefault(needs, [])
     try:
         rooms = unused.pop()
@@ -217,7 +218,7 @@ def lent(free: dict[Any, list[Any]], needs: Any, make: Callable[[], Any]) -> Ite
 
 
 class Linked:
-    """Programs one behind the other, to which more are added."""
+    """Concatenated programs, to which more can be added."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -225,7 +226,7 @@ class Linked:
         self._parts: list[list[np.ndarray]] = [[] for _ in Programs._fields]
 
     def add(self, part: Jets) -> int:
-        """Put a program behind the others, whose number is returned."""
+        """Append a program and return its number."""
         ops, more, numbers, kinks, bands, output, flow, affine, code = _arrays(part)
         ends, move = self._ends, partial(_moved, by=self._ends[2])
         named, listed = NAME_COLUMNS[ops[:, 0]], LIST_COLUMNS[ops[:, 0]]
@@ -239,13 +240,13 @@ class Linked:
         return self.count - 1
 
     def programs(self) -> Programs:
-        """All so far; what was joined before is joined to what came after it."""
+        """All programs so far, as arrays."""
         self._parts = [[np.concatenate(column)] for column in self._parts]
         return Programs(*(column[0] for column in self._parts))
 
 
 def linked(parts: Sequence[Jets]) -> Programs:
-    """Programs one behind the other: places of numbers and of lists are counted on."""
+    """Several programs concatenated, with references to numbers and lists shifted."""
     together = Linked()
     for part in parts:
         together.add(part)
@@ -253,7 +254,7 @@ def linked(parts: Sequence[Jets]) -> Programs:
 
 
 def _arrays(part: Jets) -> list[np.ndarray]:
-    """The arrays of a program alone, in the order of :class:`.Programs`."""
+    """The arrays of one program, in the order of :class:`.Programs` after the index."""
     tape = part.tape
     bands = np.array([(what.low, what.high) for what in tape.watched]).reshape(-1, 2)
     given = [tape.ops, tape.more, part.numbers, tape.kinks, bands]
@@ -261,15 +262,15 @@ def _arrays(part: Jets) -> list[np.ndarray]:
 
 
 def _moved(places: np.ndarray, by: int) -> np.ndarray:
-    """Places of numbers, which are below zero, counted on."""
+    """References to numbers, which are negative, shifted by ``by``."""
     return np.where(places < 0, places - by, places)
 
 
 def ints(values: Any) -> np.ndarray:
-    """Whole numbers as an array."""
+    """An array of 64-bit integers."""
     return np.array(values, dtype=np.int64)
 
 
 def table(rows: Sequence[Sequence[int]], width: int) -> np.ndarray:
-    """Rows of one width, filled with zeros."""
+    """Rows padded with zeros to one width."""
     return ints([[*row, *[0] * (width - len(row))] for row in rows]).reshape(-1, width)

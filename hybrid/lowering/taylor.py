@@ -1,4 +1,4 @@
-"""What Taylor series are made of: the slopes of elementary functions, and polynomials."""
+"""Ingredients of Taylor series: slopes of elementary functions, polynomial evaluation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from .graph import Graph
 
-#: y = phi(a) with y' = slope(a, y) a': the expression of the slope as a graph.
+#: For y = phi(a) with y' = slope(a, y) a': the slope as a graph expression.
 SLOPES: dict[str, Callable[[Graph, int, int], int]] = {
     "exp": lambda g, a, y: y,
     "exp2": lambda g, a, y: g.node("mul", g.const(math.log(2.0)), y),
@@ -47,7 +47,7 @@ def _bell(g: Graph, a: int, factor: float) -> int:
 
 
 def polynomial(coefficients: Sequence[float], s: float) -> float:
-    """Value of ``sum_k c_k s^k`` by Horner's rule."""
+    """The value of ``sum_k c_k s^k`` (Horner's rule)."""
     value = 0.0
     for c in reversed(coefficients):
         value = value * s + c

@@ -1,4 +1,4 @@
-"""A run as far as it meets a section."""
+"""Cuts a run where it meets a section."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..trajectory.trajectory import Status
 
 
 def cut(run: Trajectory, at: Return) -> Trajectory:
-    """A run as far as a return; where that is a jump, just after it."""
+    """The run up to a return; if that is a jump, to just after it."""
     part = run.parts[at.part]
     jump = run.own_jumps.get(at.part)
     kept: list[Part] = list(run.parts[: at.part])

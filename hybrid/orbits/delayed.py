@@ -1,4 +1,4 @@
-"""The first variation along a turn of a model with delays."""
+"""The first variation along one period of a model with delays."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ def carried(
     shifts: Sequence[Shift] = (),
     breaks: Iterable[float] = (),
 ) -> tuple[Carried, PastVariation]:
-    """A change of a run's start and of its past, carried along the run.
+    """Carry perturbations of a run's start and history along the run.
 
     Parameters
     ----------
     now : array, shape (n, m)
-        The change of the state at the start, as a linear function of ``m`` numbers.
+        Variation of the state at the start, as a linear function of ``m`` numbers.
     strands, shifts
-        That of the record before, and of the times of its jumps.
+        Variation of the history, and of the times of its jumps.
     breaks : iterable of float
-        Where the change of the record breaks.
+        Breaking points of the variation of the history.
 
     Raises
     ------
     OrbitError
-        Where there is none; at accumulations.
+        If there is no first variation, and at accumulations.
     """
     for part in run.parts:
         if not isinstance(part, Arc):
             raise OrbitError(
                 f"{run.spec.model}: the orbit passes an accumulation of impacts at "
-                f"t = {part.t1:.9g}; the multipliers of such are known without delays only"
+                f"t = {part.t1:.9g}; with delays its multipliers are not available"
             )
     walk = Walk(Course.of(None, run))
     size = max(np.abs(part.first).max() for part in run.arcs) or 1.0
@@ -57,9 +57,8 @@ def carried(
     for moment in found.moments():
         if found.none.any():
             raise OrbitError(
-                f"{run.spec.model}, t = {run.parts[moment.part].t1!r}: two things happen at the "
-                "same instant, and neighbours have them one after the other: there is no first "
-                "variation"
+                f"{run.spec.model}, t = {run.parts[moment.part].t1!r}: two events happen at the "
+                "same instant, but one after the other for neighbours: there is no first variation"
             )
     n = walk.size
     found.saltations = [attrs.evolve(f, matrix=f.matrix[:, :n]) for f in found.saltations]
@@ -67,7 +66,12 @@ def carried(
 
 
 def require_constant(scene: Scene) -> None:
-    """Refuse lags that move."""
+    """Refuse lags that depend on time or state.
+
+    Raises
+    ------
+    OrbitError
+    """
     for lag, moves in zip(scene.spec.lags, scene.code.moving, strict=True):
         if moves:
             raise OrbitError(

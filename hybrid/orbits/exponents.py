@@ -1,4 +1,4 @@
-"""``hy.lyapunov``: the mean rates at which neighbours of a run part."""
+"""``hy.lyapunov``: mean rates of separation of neighbouring trajectories."""
 
 from __future__ import annotations
 
@@ -18,35 +18,36 @@ from ..variation import factors
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers
 
-#: Parts of a run whose means are compared.
+#: Number of parts of a run whose means are compared.
 BATCHES = 20
 
-#: Running estimates of the exponents that are returned, evenly over the run.
+#: Number of running estimates that are returned, spaced evenly over the run.
 RUNNING_ESTIMATES = 200
 
-#: Growth of a direction that is rounding beside the largest of the same piece: some 50 roundings.
+#: Relative growth of a direction, compared with the largest of the same piece, that counts as
+#: rounding: some 50 roundings.
 LOST_GROWTH = 1e-14
 
 
 @attrs.frozen(eq=False, repr=False)
 class Exponents:
-    """Lyapunov exponents of a run, and how well they have converged.
+    """Lyapunov exponents of a run, and their convergence.
 
     Attributes
     ----------
     exponents : array, shape (count,)
-        Mean rates, one over the unit of time, largest first; ``-inf`` where directions are
-        lost for good (at rest, sliding, through an accumulation).
+            Mean rates, one over the unit of time, largest first; ``-inf`` for directions that are
+        lost permanently (at rest, while sliding, through an accumulation).
     error : array, shape (count,)
-        Standard error of each: of the means of twenty parts of the run, one after the other.
-        NaN for what is ``-inf``, or where the run is too short to be parted.
+            Standard error of each, from the means of twenty consecutive parts of the run. NaN for
+        ``-inf``, or if the run is too short to be divided.
     sum : float
-        Of the exponents.
+        Sum of the exponents.
     times : array, shape (k,)
     running : array, shape (k, count)
-        Estimates at some times on the way: from the end of the transient until then.
+        Running estimates: from the end of the transient to each of ``times``.
     run : Trajectory
-        Over which they were taken.
+        The run after the transient.
     """
 
     exponents: Numbers
@@ -143,7 +144,7 @@ def lyapunov(
 
 
 def _run(model: Any, start: Any, t: tuple[float, float], options: dict[str, Any]) -> Trajectory:
-    """A run that reaches its last time."""
+    """A run, required to reach its last time."""
     run = simulate(model, start, t, **options)
     if run.status is not Status.REACHED_END:
         raise OrbitError(f"{run.spec.model}: the run ended at t = {run.t1:.9g}: {run.status}")
@@ -151,7 +152,7 @@ def _run(model: Any, start: Any, t: tuple[float, float], options: dict[str, Any]
 
 
 def _carry(model: Any, run: Trajectory, frame: Matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times at the ends of a run's pieces, logarithms of the frame's growth, the last frame."""
+    """End times of a run's pieces, logarithms of the frame's growth, and the final frame."""
     times, growth = [], []
     for factor in factors(model, run):
         frame, upper = np.linalg.qr(factor.matrix @ frame)

@@ -1,4 +1,4 @@
-"""Guards that an orbit touches, or nearly: there its multipliers say little of what is near."""
+"""Guards that an orbit touches or nearly touches, where its multipliers may be misleading."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from ..variation.walk import SMOOTH_KINDS
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers
 
-#: A guard's rate at a jump, against its largest, below which the jump is said to graze; the
-#: square of this is what a guard that turns back has come to, against its largest value.
+#: A jump is nearly grazing if the guard's rate is below this fraction of its largest rate. The
+#: square is the corresponding fraction for the value of a guard that turns back near zero.
 GRAZES = 1e-3
 
 
@@ -46,17 +46,17 @@ class Along:
 
     @property
     def largest(self) -> float:
-        """Its largest value, nearly."""
+        """Its largest absolute value at the sampled points."""
         return max(float(np.abs(step.values).max()) for arc in self.arcs for step in arc)
 
     @property
     def fastest(self) -> float:
-        """Its largest rate, nearly."""
+        """An upper estimate of its largest rate."""
         steps = [step for arc in self.arcs for step in arc]
         return max(2.0 / s.length * np.abs(chebyshev.chebder(s.series)).sum() for s in steps)
 
     def nearest(self) -> Iterator[tuple[float, float]]:
-        """Times and values where it comes near to zero from afar, and turns back."""
+        """Times and values of its near-zero extrema, between places where it is far from zero."""
         bound = GRAZES**2 * self.largest
         for arc in self.arcs:
             times = np.concatenate([step.times for step in arc])
@@ -77,12 +77,12 @@ def _turned(step: Step, bound: float) -> Iterator[tuple[float, float]]:
 
 
 def turning(series: Numbers) -> Numbers:
-    """Where a Chebyshev series turns, inside (-1, 1)."""
+    """The extrema of a Chebyshev series inside (-1, 1)."""
     return 2.0 * np.array(turning_points(series)) - 1.0
 
 
 def near_grazing(run: Trajectory) -> list[str]:
-    """Sentences on guards that a run touches, or reaches almost without speed."""
+    """Sentences about guards that a run touches, or reaches at very low speed."""
     found: list[str] = []
     summed = {edge for point in run.zeno for edge in point.edges}
     for along in _guards(run):
@@ -133,7 +133,7 @@ def _steps(run: Trajectory, guard: Guard, index: int, arc: Arc) -> list[Step]:
 
 
 def _looking(run: Trajectory, guard: Guard, index: int, mode: str) -> Callable[..., float]:
-    """A guard that sees the past."""
+    """A guard that depends on the past."""
 
     def value(t: float, x: list[float]) -> float:
         field = run.hindsight.at(index, t).field(mode)

@@ -30,11 +30,11 @@ from .shooting import Guess, Shooting, Shot
 if TYPE_CHECKING:
     from ..automaton.shapes import ComplexNumbers, Matrix, Numbers
 
-#: A multiplier nearer than this to the unit circle is not said to lie inside or outside.
+#: Distance from the unit circle below which a multiplier counts as neither inside nor outside.
 NEUTRAL = 1e-6
 
-#: By how much the tolerances of a second run are finer, the finest that methods take, how many
-#: times a drift must exceed what that changes, and what rounding alone may make of a turn.
+#: For a check with finer tolerances: their ratio, the finest that methods accept, how many times
+#: the drift must exceed the resulting change, and the rounding of one turn.
 FINER_BY, FINEST_RTOL, SURE, TURN_ROUNDING = 30.0, 3e-14, 10.0, 3e-13
 
 
@@ -55,33 +55,33 @@ class PeriodicOrbit:
     ----------
     period : float
     extrema : dict of (float, float)
-        Least and greatest value of each coordinate, by name.
+        Minimum and maximum of each coordinate, by name.
     jumps : float
-        Jumps in a period, releases and switchings included; ``inf`` where they accumulate.
+        Jumps per period, releases and switchings included; ``inf`` where they accumulate.
     sticks : tuple of Stick
         Phases at rest on contacts, or sliding.
     saltations : tuple of Factor
-        Of each jump, and each accumulation: ``.t .edge .matrix``.
+        Saltation matrices of the jumps and accumulations: ``.t .edge .matrix``.
     monodromy : array, shape (n, n)
-        The first variation over a period, from ``start``.
+        The fundamental matrix over a period, from ``start``.
     multipliers : array of complex, shape (n,)
-        Its eigenvalues, largest first. In an autonomous model one of them is 1: that of a
-        change along the orbit.
+            Its eigenvalues, largest first. In an autonomous model one of them is 1, that of a
+        perturbation along the orbit.
     stable : bool
-        Whether all others lie inside the unit circle, by more than rounding (1e-6).
+        Whether all others lie inside the unit circle, by more than 1e-6.
     start : Record
         The state at ``run.t0``, in the middle of an arc.
     run : Trajectory
         One period.
     residual : float
-        Largest difference between its ends, against the size of the orbit.
+        Largest difference between its ends, relative to the size of the orbit.
     autonomous : bool
     grazing : tuple of str
-        Sentences on guards that are touched, or crossed almost without speed: there the
-        multipliers may not say what happens nearby.
+            Sentences about guards that are touched, or crossed at very low speed; the multipliers
+        may then not describe nearby motion.
     errors : array or None
-        Of a model with delays that keep: how much each multiplier changes where the history is
-        resolved more finely. None where the multipliers are those of a matrix of the state.
+            With delays and ``memory="keep"``: the change of each multiplier when the history is
+        resolved more finely. None if the multipliers are those of a matrix of the state.
     """
 
     period: float
@@ -145,7 +145,7 @@ def periodic_orbit(
     model : Automaton
         Autonomous, or periodic in time.
     guess : dict, record, sequence or Trajectory
-        A state near the orbit; of a run its last one.
+        A state near the orbit; of a run, its final state.
     section : str, callable or float, optional
         As for :func:`hybrid.return_map`; one return is one period, so give an edge that fires once
         per period. A plane through the guess, across the flow, if omitted.
@@ -240,7 +240,7 @@ def _require_run(scene: Scene, guess: Guess, options: dict[str, Any]) -> None:
 
 
 def shooting_of(scene: Scene, options: dict[str, Any]) -> type[Shooting]:
-    """The unknowns of a model's orbits: a state; with delays that after a jump, or a history."""
+    """The shooting method: on a state; with delays, on that after a jump or on a history."""
     if not scene.spec.lags:
         return Shooting
     require_constant(scene)
@@ -273,19 +273,19 @@ def _describe(shooting: Shooting, turn: Shot) -> PeriodicOrbit:
 
 
 def _others(multipliers: ComplexNumbers, autonomous: bool) -> ComplexNumbers:
-    """The multipliers without that of a change along the orbit."""
+    """The multipliers without that of a perturbation along the orbit."""
     if not autonomous:
         return multipliers
     return np.delete(multipliers, np.argmin(np.abs(multipliers - 1.0)))
 
 
 def _besides(multipliers: ComplexNumbers, autonomous: bool) -> bool:
-    """Whether a multiplier is 1 that need not be: nothing then brings a turn back to the orbit."""
+    """Whether another multiplier is 1 as well: turns are then not attracted to a single orbit."""
     return bool(np.any(np.abs(_others(multipliers, autonomous) - 1.0) < NEUTRAL))
 
 
 def _require_closed(shooting: Shooting, turn: Shot) -> None:
-    """Refuse a turn that drifts, where no change of its start would make it close.
+    """Refuse a turn that drifts although no change of its start would close it.
 
     Raises
     ------
@@ -300,13 +300,13 @@ def _require_closed(shooting: Shooting, turn: Shot) -> None:
         raise OrbitError(
             f"{shooting.scene.spec.model}: the run of {turn.guess.period:.9g} from "
             f"{shooting.scene.spec.record(turn.guess.x)} is no periodic orbit: it drifts by "
-            f"{np.max(miss):.2g} of its size a turn, which the integration tells from 0, and with "
-            "a multiplier that is 1 to 1e-6 no orbit near it closes better; give a guess elsewhere"
+            f"{np.max(miss):.2g} of its size a turn, which is more than the integration error, and "
+            "with a multiplier within 1e-6 of 1 no nearby orbit closes better; give another guess"
         )
 
 
 def extrema(run: Trajectory) -> dict[str, tuple[float, float]]:
-    """Least and greatest value of each element of the state along a run, by name."""
+    """Minimum and maximum of each state element along a run, by name."""
     low = np.min([np.minimum(arc.first, arc.last) for arc in run.arcs], axis=0)
     high = np.max([np.maximum(arc.first, arc.last) for arc in run.arcs], axis=0)
     for arc in run.arcs:

@@ -1,11 +1,11 @@
-"""Newton's method for orbits of models with delays that remember through their jumps.
+"""Newton's method for orbits of models with delays whose record is kept through jumps.
 
-What decides on all that follows is the record over the longest lag: its values at Chebyshev points
-of the pieces between its breaking points, and the times at which what is seen of it jumps. They are
-the unknowns. A step changes them, and the turns that follow make a record of the model of them:
-with its breaking points where they belong.
+The record over the longest lag determines the future: its values at Chebyshev points of the pieces
+between its breaking points, and the times of its visible jumps. These are the unknowns. A Newton
+step changes them, and the turns simulated next turn the result into a record of the model, with
+breaking points in the right places.
 
-How well the pieces resolve the first variation is told by a second, finer set of points.
+A second, finer set of points shows how well the pieces resolve the first variation.
 """
 
 from __future__ import annotations
@@ -37,25 +37,26 @@ if TYPE_CHECKING:
 #: Degree on each piece of the record, and on the finer set.
 RECORD_DEGREE, FINE_DEGREE = 18, 26
 
-#: Pieces are halved until their last coefficients are this small, relative; and most halvings.
+#: Pieces are halved until their last coefficients are this small (relative); and most halvings.
 RECORD_TOLERANCE, RECORD_HALVINGS = 1e-9, 4
 
-#: The record jumps where two pieces are further apart than this, against its size.
+#: Relative difference of adjacent pieces above which the record jumps between them.
 RECORD_JUMP = 1e-10
 
-#: Share of a piece at whose distance from its ends its side of a breaking point is told.
+#: Distance from the ends of a piece, relative to its length, at which it is evaluated on its side
+#: of a breaking point.
 RECORD_SIDE = 1e-7
 
-#: Multipliers that differ by this between the two sets of points are no longer given ...
+#: Multipliers that differ by more than this between the two sets of points are not reported ...
 KNOWN_MULTIPLIER = 1e-5
 
-#: ... and those that are not known may be as large as this.
+#: ... and those not reported must not be larger than this.
 HIDDEN_MULTIPLIER = 0.5
 
 
 @attrs.frozen(eq=False)
 class Leap:
-    """A jump of the record that is seen."""
+    """A visible jump of the record."""
 
     t: float
     before: StateVector
@@ -63,7 +64,7 @@ class Leap:
 
 
 def leaps(record: PastRecord, low: float, high: float, seen: Sequence[int]) -> list[Leap]:
-    """Where the record jumps between two times, in the elements that are seen."""
+    """The jumps of the record between two times, in the elements that delays see."""
     found = []
     for earlier, later in pairwise(record.pieces):
         t = later.start
@@ -77,14 +78,14 @@ def leaps(record: PastRecord, low: float, high: float, seen: Sequence[int]) -> l
 
 @attrs.frozen(eq=False)
 class Frame:
-    """The pieces of a record before a time, and the points on them.
+    """The pieces of a record before a given time, and the points on them.
 
     Attributes
     ----------
     pieces : list of (float, float)
         In order; the last one ends at that time.
     leaps : list of Leap
-        Jumps that are seen; each is the end of a piece.
+        Visible jumps; each is at the end of a piece.
     degree : int
     """
 
@@ -98,12 +99,12 @@ class Frame:
         return [a + (b - a) * nodes(self.degree) for a, b in self.pieces]
 
     def bounds(self, later: float, ends: Sequence[Leap]) -> list[tuple[float, float]]:
-        """The pieces some time later, where the jumps are those of ``ends``."""
+        """The pieces shifted by ``later``, with the jumps moved to those in ``ends``."""
         moved = {leap.t: end.t for leap, end in zip(self.leaps, ends, strict=True)}
         return [(moved.get(a, a + later), moved.get(b, b + later)) for a, b in self.pieces]
 
     def states(self, record: PastRecord, later: float, ends: Sequence[Leap]) -> Matrices:
-        """A record at the points some time later; shape ``(pieces, degree + 1, n)``."""
+        """A record's states at the shifted points; shape ``(pieces, degree + 1, n)``."""
         found = []
         for times, (a, b) in zip(self.points, self.bounds(later, ends), strict=True):
             room = RECORD_SIDE * (b - a)
@@ -124,7 +125,7 @@ class Frame:
 
 
 def framed(run: Trajectory) -> Frame:
-    """The pieces of the record before a run that is a period of an orbit."""
+    """The pieces of the record before a run that is one period of an orbit."""
     sight, period = run.hindsight, run.t1 - run.t0
     record, lag = sight.record(0), sight.longest
     low, high = run.t0 - lag, run.t0
@@ -161,7 +162,7 @@ def _resolved(
 
 
 def monodromy(run: Trajectory, frame: Frame) -> tuple[np.ndarray, Carried]:
-    """What a period makes of a change of the record before it: of values at points, and of jumps.
+    """The matrix that maps a perturbation of the record, in values and jump times, over one period.
 
     Returns
     -------
@@ -187,12 +188,12 @@ def monodromy(run: Trajectory, frame: Frame) -> tuple[np.ndarray, Carried]:
 
 
 def _ends(run: Trajectory, frame: Frame) -> list[Leap]:
-    """The jumps of the record a period later.
+    """The jumps of the record one period later.
 
     Raises
     ------
     OrbitError
-        If they are more or fewer.
+        If their number has changed.
     """
     sight = run.hindsight
     found = leaps(sight.record(0), run.t1 - sight.longest, run.t1, _seen(run))
@@ -205,7 +206,7 @@ def _ends(run: Trajectory, frame: Frame) -> list[Leap]:
 
 
 def _row(shifts: Iterable[Shift], t: float) -> Matrix:
-    """The change of the time of the jump at a time."""
+    """The variation of the time of the jump at ``t``."""
     return min(shifts, key=lambda shift: abs(shift.t - t)).row[None]
 
 
@@ -225,15 +226,15 @@ class HistoryShooting(Shooting):
         if not self.lag > 0.0:
             raise OptionError(
                 f"{self.scene.spec.model}: the longest lag is {self.lag:g}: there is no history "
-                "to find; write the state in place of what was no time ago"
+                "to find; use the state itself in place of past(0)"
             )
 
     def _covering(self, period: float) -> int:
-        """Turns that cover the longest lag."""
+        """Number of turns that cover the longest lag."""
         return max(1, ceil(self.lag / period))
 
     def centred(self, guess: Guess) -> Guess:
-        """The same turn, begun in the middle of an arc of a record that has been flown."""
+        """The same turn, started in the middle of an arc with a simulated record."""
         run = self.fly(guess, (1 + self._covering(guess.period)) * guess.period)
         since = run.t1 - guess.period
         arcs = [(i, arc) for i, arc in enumerate(run.parts) if isinstance(arc, Arc)]
@@ -247,7 +248,7 @@ class HistoryShooting(Shooting):
         return Guess(t, x, mode, guess.period, run.hindsight.before(index, t))
 
     def turn(self, guess: Guess) -> Remembering:
-        """The run from a guess for one period, and how its record differs at the two ends."""
+        """The run of one period from a guess, and how its record differs at the two ends."""
         run = self.fly(guess, guess.period)
         frame, record = framed(run), run.hindsight.record(0)
         ends = _ends(run, frame)
@@ -265,7 +266,7 @@ class HistoryShooting(Shooting):
         return turn.scale
 
     def _step(self, turn: Shot) -> tuple[np.ndarray, float]:
-        """Changes of the record and of the period."""
+        """Newton step: changes of the record and of the period."""
         assert isinstance(turn, Remembering)
         run, frame, scale, size = turn.run, turn.frame, turn.scale, len(turn.guess.x)
         matrix = monodromy(run, frame)[0] - np.eye(len(scale))
@@ -285,13 +286,13 @@ class HistoryShooting(Shooting):
         return found[: len(scale)] * scale, stretch
 
     def moved(self, turn: Shot, step: Numbers, stretch: float) -> Guess:
-        """Where the record changed by a step leads after the longest lag at least."""
+        """The guess that a changed record leads to, after at least the longest lag."""
         changed = self.changed(turn, step, stretch)
         length = self._covering(changed.period) * changed.period
         return self.after(self.fly(changed, length), changed.period)
 
     def changed(self, turn: Shot, step: Numbers, stretch: float) -> Guess:
-        """The guess of a turn with the record and the period changed by a step."""
+        """The guess of a turn, with record and period changed by a step."""
         assert isinstance(turn, Remembering)
         frame, guess = turn.frame, turn.guess
         states = frame.states(turn.run.hindsight.record(0), 0.0, frame.leaps)
@@ -314,7 +315,7 @@ class HistoryShooting(Shooting):
         Raises
         ------
         OrbitError
-            If they do not agree on one that may matter.
+            If they disagree on one that may matter.
         """
         assert isinstance(turn, Remembering)
         matrix, found = monodromy(turn.run, turn.frame)
@@ -335,12 +336,12 @@ class HistoryShooting(Shooting):
 
 
 def _piece(a: float, b: float, degree: int, points: Numbers, values: Matrix) -> Piece:
-    """A piece of a record with these values at its points; its ends may have been moved."""
+    """A piece of a record with these values at its points, and possibly moved ends."""
     strand = Strand(float(points[0]), float(points[-1]), values[:, :, None])
     return Piece(a, b, lambda s, since: strand(s + since)[:, :, 0], degree)
 
 
 def _sorted(matrix: Matrix) -> ComplexNumbers:
-    """Eigenvalues, largest first; of a pair the one above the real axis first."""
+    """Eigenvalues, largest first; of a complex pair, the one in the upper half-plane first."""
     values = np.linalg.eigvals(matrix).astype(complex)
     return values[np.lexsort((-values.imag, -np.round(np.abs(values), 9)))]

@@ -1,7 +1,7 @@
 """Newton's method for orbits of models with delays whose memory restarts at jumps.
 
-The state just after a jump, and its time, decide on all that follows: they are the unknowns. A
-turn ends just after the jump of the same edge that comes nearest to a period later.
+The state just after a jump, and its time, determine the future; they are the unknowns. A turn ends
+just after the jump of the same edge closest to one period later.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .shooting import EQUILIBRIUM_MOVE, Description, Guess, Shooting, Shot
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers, StateVector
 
-#: How long a turn is flown, in periods, for its jump to come.
+#: Simulated length of a turn, in periods, within which its jump must occur.
 PERIODS_FLOWN = 1.5
 
 
@@ -38,7 +38,7 @@ class RestartShooting(Shooting):
     """Newton's method on the states after jumps."""
 
     def centred(self, guess: Guess) -> Guess:
-        """The turn begun just after a jump, that which a longer arc follows than any other."""
+        """The turn, started just after the jump that precedes the longest arc."""
         run = self.fly(guess, PERIODS_FLOWN * guess.period + guess.period)
         jumps = {i: row for i, row in run.own_jumps.items() if isinstance(run.parts[i + 1], Arc)}
         chosen = [i for i, row in jumps.items() if row.t >= run.t1 - PERIODS_FLOWN * guess.period]
@@ -55,13 +55,13 @@ class RestartShooting(Shooting):
         return Landed(row.t, self._closed(row.edge, row.t, row.after), mode, period, None, row.edge)
 
     def _closed(self, edge: str, t: float, x: StateVector) -> StateVector:
-        """A state on the contact of an edge, if that is one."""
+        """A state projected onto the contact of an edge, if the edge is one."""
         if not self.scene.is_contact(edge):
             return x
         return np.array(self.scene.contact(edge).land(t, x.tolist()))
 
     def turn(self, guess: Guess) -> Shot:
-        """The run from just after a jump to just after the one that comes a period later."""
+        """The run from just after a jump to just after the corresponding one a period later."""
         assert isinstance(guess, Landed)
         x = self._closed(guess.edge, guess.t, guess.x)
         guess = attrs.evolve(guess, x=x, history=None)
@@ -79,17 +79,17 @@ class RestartShooting(Shooting):
         return Shot(guess, run, miss, sizes, float(np.max(np.abs(miss) / sizes)) + apart)
 
     def _nearest(self, run: Trajectory, guess: Landed) -> int:
-        """The jump of a guess's edge that comes nearest to a period after it."""
+        """The jump of a guess's edge closest to one period later."""
         rows = {i: row for i, row in run.own_jumps.items() if row.edge == guess.edge}
         if not rows:
-            raise OrbitError(f"{run.spec.model}: the run has no jump {guess.edge} again")
+            raise OrbitError(f"{run.spec.model}: the run does not jump by {guess.edge} again")
         return min(rows, key=lambda i: abs(rows[i].t - guess.t - guess.period))
 
     def _measure(self, turn: Shot) -> Numbers:
         return turn.scale
 
     def _step(self, turn: Shot) -> tuple[np.ndarray, float]:
-        """Changes of the state after the jump, and of its time."""
+        """Newton step: changes of the state after the jump, and of its time."""
         matrix = self._carried(turn).matrix - np.eye(len(turn.scale))
         count = len(turn.scale) if self.timed else len(turn.scale) - 1
         system = (matrix * turn.scale / turn.scale[:, None])[:count, :count]
@@ -102,7 +102,7 @@ class RestartShooting(Shooting):
         return attrs.evolve(guess, x=guess.x + step[:-1], t=guess.t + float(step[-1]))
 
     def again(self, turn: Shot, period: float) -> StateVector:
-        """The state after the jump a shorter period later; not a number where there is none."""
+        """The state after the jump one shorter period later; NaN if there is none."""
         guess = attrs.evolve(turn.guess, period=period)
         assert isinstance(guess, Landed)
         row = turn.run.own_jumps[self._nearest(turn.run, guess)]
@@ -110,7 +110,7 @@ class RestartShooting(Shooting):
         return np.where(there, row.after, np.nan)
 
     def describe(self, turn: Shot) -> Description:
-        """Multipliers of the states after the jump and its time; one of ``1 + n`` is always 0."""
+        """Multipliers of the state after the jump and its time, without the one that is 0."""
         found = self._carried(turn)
         values = np.linalg.eigvals(found.matrix).astype(complex)
         values = values[np.argsort(-np.abs(values))][:-1]

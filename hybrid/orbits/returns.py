@@ -1,4 +1,4 @@
-"""``hy.return_map``: from a state to where the run from there next meets a section."""
+"""``hy.return_map``: the map from a state to where its run next meets a section."""
 
 from __future__ import annotations
 
@@ -25,17 +25,18 @@ from .cut import cut
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
 
-#: The first window in which a return is sought, of the longest, and how they grow: the time in
-#: which a model lives is not known, and no more than a few times too much is flown.
+#: Length of the first window in which a return is sought, relative to the longest, and growth
+#: factor of windows. The time scale of a model is unknown; this simulates at most a few times too
+#: much.
 FIRST_WINDOW, WINDOW_GROWTH = 4.0**-20, 4.0
 
-#: Length of a window, against the return time seen last.
+#: Length of a window, relative to the last return time.
 MARGIN = 1.25
 
 
 @attrs.frozen(eq=False)
 class Point:
-    """A point of a return map: time, state, mode, and of a model with delays what was before."""
+    """A point of a return map: time, state, mode, and the history of a model with delays."""
 
     t: float
     state: Any
@@ -44,7 +45,7 @@ class Point:
 
 
 class Iterates(Sequence[Record]):
-    """Points of a return map, the first one being the start.
+    """Points of a return map, beginning with the start.
 
     Attributes
     ----------
@@ -73,13 +74,13 @@ class Iterates(Sequence[Record]):
 
 
 def with_tolerances(options: dict[str, Any], rtol: float, atol: float) -> dict[str, Any]:
-    """Options of a run, with these tolerances where the caller has given none."""
+    """Options of a run, with these tolerances as defaults."""
     given = {name: value for name, value in options.items() if value is not None}
     return {"rtol": rtol, "atol": atol, **given}
 
 
 class ReturnMap:
-    """The map from a state to the one where its run next meets a section; see :func:`return_map`.
+    """The map from a state to the next return of its run to a section; see :func:`return_map`.
 
     ``P(state)`` is the state at the next return.
     """
@@ -104,19 +105,19 @@ class ReturnMap:
     def __call__(self, state: Any, t: float = 0.0) -> Record:
         """The state at the next return of the run that starts from ``state`` at time ``t``.
 
-        A model with delays starts with the ``history=`` that the map was given.
+        A model with delays starts with the ``history=`` of the map.
         """
         return self.run(state, t).final
 
     def time(self, state: Any, t: float = 0.0) -> float:
-        """How long the run takes to return."""
+        """The time that the run takes to return."""
         run = self.run(state, t)
         return run.t1 - run.t0
 
     def run(self, state: Any, t: float = 0.0, history: Any = None) -> Trajectory:
-        """The run from a state to its next return, which is where it ends.
+        """The run from a state to its next return, where it ends.
 
-        ``history`` is that of a model with delays, in place of the one the map was given.
+        ``history`` replaces that of the map, for a model with delays.
 
         Raises
         ------
@@ -130,13 +131,13 @@ class ReturnMap:
         return Point(time_of("t", t), self._vector(state), self.mode, given)
 
     def iterate(self, state: Any, n: int, t: float = 0.0) -> Iterates:
-        """``n`` returns, one after the other, from a state at time ``t``.
+        """``n`` successive returns from a state at time ``t``.
 
         Returns
         -------
         Iterates
-            ``n + 1`` states, the start included, with their times ``.t``; the columns of a
-            coordinate are ``.x``.
+                ``n + 1`` states, beginning with the start, and their times ``.t``; ``.x`` is the
+            array of a coordinate.
         """
         require_count("n", n, 0)
         points = [self._point(state, t)]
@@ -167,7 +168,7 @@ class ReturnMap:
         return run
 
     def _flown(self, start: Any, point: Point, count: int) -> tuple[Trajectory, list[Return]]:
-        """A run in windows that grow until it has returned so often, and where."""
+        """A run in growing windows until it has returned ``count`` times, and its returns."""
         assert not isinstance(self.section, Period)
         window = MARGIN * self._took if self._took else FIRST_WINDOW * self.t_max
         while True:
@@ -181,9 +182,9 @@ class ReturnMap:
             window *= WINDOW_GROWTH
 
     def lap(self, state: Any, t: float = 0.0) -> tuple[Trajectory, float]:
-        """A run from a return to the next, without a start on the section; and how long it takes.
+        """A run from a state to its second return, and the time between the two returns.
 
-        What is returned goes from a state to its second return.
+        Nothing then starts on the section.
         """
         point = self._point(state, t)
         run, (first, second) = self._flown(self.scene.spec.record(point.state), point, 2)
@@ -197,13 +198,18 @@ class ReturnMap:
         return simulate(self.model, start, times, mode=point.mode, **options)
 
     def _land(self, run: Trajectory, start: Any, point: Point) -> Trajectory:
-        """A run that ends on a surface: flown again to there, which is more than dense output."""
+        """A run that ends on a surface, repeated to end there: more accurate than dense output."""
         if not isinstance(self.section, Surface):
             return run
         return self._simulate(start, point, run.t1 - run.t0)
 
     def _returned(self, run: Trajectory, period: float | None) -> Trajectory:
-        """The run itself if it lasted a whole period; else an error that says why not."""
+        """The run itself if it lasted a whole period; otherwise an error with the reason.
+
+        Raises
+        ------
+        OrbitError
+        """
         if period is not None and run.status is Status.REACHED_END:
             return run
         why = f"it is in {run.mode} at t = {run.t1:.9g}, {run.final}"
@@ -273,7 +279,7 @@ def return_map(
 
 
 def _mode_after(spec: Any, edge: str) -> str | None:
-    """The mode that follows an edge, where there is one only."""
+    """The mode that follows an edge, if it is unique."""
     name, _, what = edge.rpartition(".")
     of = name if what == "release" else edge
     modes = {e.to for e in spec.transitions if e.name == of}

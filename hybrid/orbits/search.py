@@ -1,4 +1,4 @@
-"""The search for a periodic orbit: from a guess to a turn that is closed."""
+"""The search for a periodic orbit: from a guess to a closed turn."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from ..variation.carried import WINDOW_SPACINGS
 from .returns import FIRST_WINDOW, ReturnMap
 from .shooting import EQUILIBRIUM_MOVE, Guess, Shooting, Shot
 
-#: Turns flown before Newton's method is tried again.
+#: Turns simulated before each attempt of Newton's method.
 ROUNDS = (0, 8, 64)
 
-#: Parts of a period that are tried as the period of an autonomous orbit.
+#: Divisors of a period that are tried to find the minimal one of an autonomous orbit.
 DIVISORS = (2, 3, 4, 5)
 
-#: What the turn after an orbit may fail to close by.
+#: Tolerated residual of the turn after an orbit.
 LASTS = 1e-6
 
-#: A turn that moves so many times farther than it fails to close, and farther than rounding in its
-#: states, is no equilibrium, however small it is beside the state.
+#: A turn is not an equilibrium, however small relative to the state, if it moves by this many times
+#: its residual and by more than rounding.
 OPEN, TURN_NOISE = 1e3, 1e-12
 
 
 def depends_on_time(scene: Scene) -> bool:
     """Whether any flow, guard, reset or law of a model depends on time explicitly.
 
-    What is seen of the past does not count, where the lag is constant.
+    The past at constant lags does not count.
     """
     code = scene.code
 
@@ -46,7 +46,7 @@ def depends_on_time(scene: Scene) -> bool:
 
 
 def given(scene: Scene, guess: Any, t: float, mode: str | None) -> Guess:
-    """A guess as a caller gives it: a state, or a run that goes on from its end."""
+    """The caller's guess: a state, or a run to be continued from its end."""
     if isinstance(guess, Trajectory):
         last = guess.mode
         history = guess if scene.spec.lags else None
@@ -64,7 +64,7 @@ class Search:
     t_max: float
 
     def find(self, guess: Guess, settle: int) -> Shot:
-        """A closed turn, from the guess or from where it leads."""
+        """A closed turn, found from the guess or from a later state of its run."""
         reached: list[str] = []
         for turns in ROUNDS:
             try:
@@ -87,7 +87,7 @@ class Search:
         )
 
     def timed(self, guess: Guess) -> Guess:
-        """A guess with the time that its turn takes."""
+        """The guess with the duration of its turn."""
         if self.period is not None:
             return attrs.evolve(guess, period=self.period)
         shooting = self.shooting
@@ -109,18 +109,23 @@ class Search:
         return shooting.inside(run, run.t1 - period, period)
 
     def _entered(self, guess: Guess, mode: str) -> str:
-        """The mode in which time passes first: that of the guess, or one that it is left for."""
+        """The mode in which time first passes: that of the guess, or one it jumps to at once."""
         short = max(FIRST_WINDOW * self.t_max, WINDOW_SPACINGS * float(np.spacing(abs(guess.t))))
         return str(self.shooting.fly(attrs.evolve(guess, mode=mode), short).mode)
 
     def advanced(self, guess: Guess, turns: int) -> Guess:
-        """Where a number of turns lead."""
+        """The guess after a number of turns."""
         if not turns:
             return guess
         return self.shooting.after(self.shooting.fly(guess, turns * guess.period), guess.period)
 
     def moving(self, turn: Shot) -> Shot:
-        """Refuse an equilibrium for a periodic orbit."""
+        """The turn, refused if it is an equilibrium.
+
+        Raises
+        ------
+        OrbitError
+        """
         shooting, guess = self.shooting, turn.guess
         rate = np.abs(shooting.flow(guess)) / turn.scale[: len(guess.x)]
         moves = float(np.max(rate)) * guess.period
@@ -136,7 +141,12 @@ class Search:
         )
 
     def lasting(self, turn: Shot) -> Shot:
-        """Refuse a turn after which the model is not what it was: the period is not its own."""
+        """The turn, refused if the next one does not close: the period is then not the model's own.
+
+        Raises
+        ------
+        OptionError
+        """
         shooting, guess = self.shooting, turn.guess
         later = attrs.evolve(guess, t=guess.t + guess.period)
         if guess.history is not None:
@@ -150,7 +160,7 @@ class Search:
         )
 
     def shortest(self, turn: Shot) -> Shot:
-        """An orbit that goes round several times, once."""
+        """The minimal orbit of one that runs through itself several times."""
         spread = self.shooting.spread(turn.run)
         for part in () if self.shooting.timed else DIVISORS:
             guess = attrs.evolve(turn.guess, period=turn.guess.period / part)
@@ -163,7 +173,7 @@ class Search:
 
 
 def _plane(shooting: Shooting, guess: Guess, mode: str) -> Any:
-    """The plane through a state, across the flow there; coordinates against their own size."""
+    """The plane through a state across the flow there, with coordinates scaled by their size."""
     scene = shooting.scene
     flow = shooting.flow(attrs.evolve(guess, mode=mode))
     if not np.any(flow):

@@ -1,12 +1,12 @@
 """Newton's method for a run that ends where it begins.
 
-The unknowns are the state in the middle of an arc, where nothing is about to fire, and, in an
+The unknowns are the state in the middle of an arc, where no guard is about to fire, and, in an
 autonomous model, the period. With the monodromy matrix ``M`` of the run from ``x`` to ``y`` ::
 
     (M - 1) dx + f(y) dT = x - y,        f(x) . dx = 0
 
-where the last equation says that the start does not slide along the orbit. Where time matters
-``T`` is known and the first equation alone is solved.
+where the last equation fixes the start along the orbit. If the model depends on time, ``T`` is
+known and the first equation is solved with ``dT = 0``.
 """
 
 from __future__ import annotations
@@ -29,31 +29,31 @@ from ..variation import Factor, factors
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers, StateVector
 
-#: Most steps of Newton's method, and most halvings of one.
+#: Most Newton steps, and most halvings of one.
 NEWTON_STEPS, NEWTON_HALVINGS = 40, 8
 
-#: What a step of Newton's method may change, against the size of the orbit and the period.
+#: Largest change by a Newton step, relative to the size of the orbit and to the period.
 NEWTON_REACH = 0.5
 
-#: An element of the state smaller than this many times ``atol`` is measured by that.
+#: State elements smaller than this many times ``atol`` are scaled by that value instead.
 FLOOR_ATOLS = 1e3
 
-#: What the residual is more by where the ends of a turn are in different modes.
+#: Added to the residual if the ends of a turn are in different modes.
 OTHER_MODE = 1.0
 
-#: An orbit that moves less than this, against its size, in a period, is an equilibrium.
+#: Relative motion per period below which an orbit is an equilibrium.
 EQUILIBRIUM_MOVE = 1e-6
 
-#: An element that moves less than this, against its size, is measured as if it did so much.
+#: Smallest variation of an element used for scaling, relative to its size.
 HARDLY = 1e-9
 
-#: Shortest arc of a plain mode, against the period, in which an orbit is begun.
+#: Shortest arc of a plain mode in which an orbit may start, relative to the period.
 SHORTEST_ARC = 1e-2
 
 
 @attrs.frozen(eq=False)
 class Guess:
-    """Where a turn begins, how long it takes, and of a model with delays what was before."""
+    """The start of a turn, its period, and the history of a model with delays."""
 
     t: float
     x: StateVector
@@ -64,14 +64,14 @@ class Guess:
 
 @attrs.frozen(eq=False)
 class Shot:
-    """A run of one period and how far it is from being closed.
+    """A run of one period, and how far it is from being closed.
 
     Attributes
     ----------
     scale : array, shape (n,)
-        Largest size of each element along it.
+        Largest absolute value of each element along it.
     residual : float
-        Largest difference between its ends, against ``scale``; more by 1 where they are in
+            Largest difference between its ends, relative to ``scale``; plus 1 if they are in
         different modes.
     """
 
@@ -94,7 +94,7 @@ class Description:
     multipliers : array of complex
         Largest first.
     errors : array or None
-        Of the multipliers, where they are known.
+        Errors of the multipliers, if known.
     """
 
     matrix: Matrix
@@ -111,7 +111,7 @@ class Shooting:
         self.scene: Scene = scene_of(model, by="hy.periodic_orbit")
 
     def turn(self, guess: Guess) -> Shot:
-        """The run from a guess for one period."""
+        """The run of one period from a guess."""
         field = None if guess.mode is None else self.scene.field(guess.mode)
         x = guess.x
         if field is not None and field.project is not None:
@@ -123,7 +123,7 @@ class Shooting:
         return Shot(guess, run, miss, scale, residual)
 
     def fly(self, guess: Guess, length: float) -> Trajectory:
-        """A run from a guess that lasts a time."""
+        """The run of a given length from a guess."""
         span, start = (guess.t, guess.t + length), self.scene.spec.record(guess.x)
         options = {**self.options, "history": guess.history}
         run = simulate(self.model, start, span, mode=guess.mode, **options)
@@ -132,15 +132,15 @@ class Shooting:
         return run
 
     def after(self, run: Trajectory, period: float) -> Guess:
-        """A guess where a run ends."""
+        """A guess at the end of a run."""
         history = run.hindsight.before(len(run.parts) - 1, run.t1)
         last = run.mode
         return Guess(run.t1, run.parts[-1].last, last, period, history)
 
     def inside(self, run: Trajectory, since: float, period: float) -> Guess:
-        """A guess in the middle of the longest arc of a run from a time on.
+        """A guess in the middle of a run's longest arc after a given time.
 
-        On a section, or just after a jump, something may be about to fire.
+        On a section, or just after a jump, a guard may be about to fire.
         """
         arcs = [arc for arc in run.parts if isinstance(arc, Arc) and arc.t1 > since]
         lasts = [arc.t1 - max(arc.t0, since) for arc in arcs]
@@ -150,7 +150,7 @@ class Shooting:
         return Guess(t, arc.local(np.array(tau)), arc.mode, period)
 
     def _apart(self, run: Trajectory) -> float:
-        """What the residual is more by where the ends of a turn are in different modes."""
+        """The addition to the residual if the ends of a turn are in different modes."""
         same = run.mode == run.parts[0].mode
         return 0.0 if same else OTHER_MODE
 
@@ -162,16 +162,16 @@ class Shooting:
         return np.maximum(sizes, np.maximum(FLOOR_ATOLS * atol, 1e-300))
 
     def spread(self, run: Trajectory) -> StateVector:
-        """How far each element goes along a run; that of one that hardly moves, from its size."""
+        """The range of each element along a run, at least a small fraction of its size."""
         ends = [state for arc in run.arcs for state in (arc.first, arc.last)]
         inside = [s(s.start + 0.5 * s.length) for a in run.arcs for s in a.segments]
         goes: np.ndarray = np.ptp(np.array(ends + inside), axis=0)
         return np.maximum(goes, HARDLY * self._scale(run))
 
     def centred(self, guess: Guess) -> Guess:
-        """The same turn, begun in the middle of its longest arc: of a plain mode if there is one.
+        """The same turn, started in the middle of its longest arc, of a plain mode if there is one.
 
-        A short change of the start then changes neither the mode nor the guard it starts on.
+        A small change of the start then affects neither its mode nor a guard on which it starts.
         """
         run = self.turn(guess).run
         arcs = [arc for arc in run.parts if isinstance(arc, Arc)]
@@ -182,7 +182,7 @@ class Shooting:
         return Guess(t, arc.local(np.array(half)), arc.mode, guess.period)
 
     def refine(self, guess: Guess) -> Shot:
-        """Newton's method from a guess, as far as it goes."""
+        """Newton's method from a guess, until it stops improving."""
         turn = self.turn(guess)
         for _ in range(NEWTON_STEPS):
             better = self._improved(turn)
@@ -192,7 +192,7 @@ class Shooting:
         return turn
 
     def _improved(self, turn: Shot) -> Shot | None:
-        """A step of Newton's method, shortened until it gains; None where it does not."""
+        """A Newton step, shortened until it improves; None if it does not."""
         step, stretch = self._step(turn)
         far = float(np.max(np.abs(step) / self._measure(turn)))
         size = max(far, abs(stretch) / turn.guess.period)
@@ -213,7 +213,7 @@ class Shooting:
         return attrs.evolve(guess, x=guess.x + step, period=guess.period + stretch)
 
     def _step(self, turn: Shot) -> tuple[np.ndarray, float]:
-        """Changes of the state and of the period."""
+        """Newton step: changes of the state and of the period."""
         guess, run, scale = turn.guess, turn.run, self._measure(turn)
         matrix = self.variation(run)[0] - np.eye(len(scale))
         system = matrix * scale / scale[:, None]
@@ -230,7 +230,7 @@ class Shooting:
         return step, 0.0 if self.timed else float(found[-1]) * guess.period
 
     def _measure(self, turn: Shot) -> StateVector:
-        """What a change of the unknowns is measured by: how far they go, wherever that is."""
+        """Scale of the unknowns: their range along the run, which does not depend on the origin."""
         return self.spread(turn.run)
 
     def flow(self, guess: Guess) -> StateVector:
@@ -243,7 +243,7 @@ class Shooting:
         return np.array(scene.field(mode).rhs(guess.t, guess.x.tolist()))
 
     def again(self, turn: Shot, period: float) -> StateVector:
-        """The state a shorter period later."""
+        """The state after a shorter period."""
         return np.concatenate([np.ravel(v) for v in turn.run(turn.guess.t + period)])
 
     def describe(self, turn: Shot) -> Description:

@@ -1,7 +1,7 @@
-"""Pictures: what is drawn (``figure``, ``of_run``) apart from what draws it.
+"""Plots: figures as data (``figure``, ``of_run``), separate from the drawing.
 
-A :class:`~.figure.Figure` is curves and cells in panels, and nothing else. ``static`` draws it
-with matplotlib, ``interactive`` with plotly; both show the same numbers in the same colours.
+A :class:`~.figure.Figure` consists of curves and cells in panels. ``static`` draws it with
+matplotlib, ``interactive`` with plotly, with the same numbers and colours.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from ..errors import OptionError
 
 
 def is_page(path: Any) -> bool:
-    """Whether a picture of this name is a page of HTML."""
+    """Whether a file name is that of an HTML page."""
     return str(path).lower().endswith(".html")
 
 

@@ -11,7 +11,8 @@ import numpy as np
 LINE_COLOR, OTHER_COLOR, IMPACT_COLOR = "#1f5a96", "#d07c1a", "#c44e52"
 LIMIT_COLOR, SURFACE_COLOR = "#2e8b57", "#8c8c8c"
 
-#: Colours of the methods in a comparison, which the colour-blind tell apart (Okabe and Ito, 2008).
+#: Colours of the methods in a comparison, distinguishable by the colour-blind (Okabe and Ito,
+#: 2008).
 METHOD_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 
 
@@ -25,7 +26,7 @@ class Style:
     dot: float = 0.0
 
 
-#: What a curve may be; the names say what it shows.
+#: Looks of curves, named after what they show.
 STYLES = {
     "line": Style(color=LINE_COLOR, width=1.1),
     "rest": Style(color=LINE_COLOR, width=2.6),
@@ -53,17 +54,17 @@ def _floats(values: Any) -> np.ndarray:
 
 @attrs.frozen(kw_only=True, eq=False)
 class Curve:
-    """Points joined, dotted or both; NaN interrupts the line.
+    """Points drawn as a line, dots or both; NaN interrupts the line.
 
     Attributes
     ----------
     x, y : array, shape (n,)
     name : str
-        In the legend; empty: not in it. Curves of one name are one entry.
+        Name in the legend; empty if it has no entry. Curves of the same name share one.
     look : str
         A key of ``STYLES``.
     notes : sequence of str
-        What is shown when a point is hovered; one a point, or none.
+        Hover texts, one per point; or empty.
     """
 
     x: np.ndarray = attrs.field(converter=_floats)
@@ -86,7 +87,7 @@ class Cells:
     kinds : sequence of (str, str)
         Name and colour of each kind.
     notes : array of str, shape (m, n), or None
-        What is shown when a cell is hovered.
+        Hover texts of the cells.
     """
 
     x: np.ndarray
@@ -103,18 +104,18 @@ class Panel:
     Attributes
     ----------
     x, y : str
-        What the axes show; panels of a column with the same ``x`` move together.
+        Axis labels; panels of a column with the same ``x`` zoom together.
     log : str
         Logarithmic axes: ``""``, ``"x"``, ``"y"`` or ``"xy"``.
     title : str
     reverse : bool
-        Whether the first axis runs from right to left.
+        Whether the horizontal axis runs from right to left.
     square : bool
         Whether both axes have the same scale.
     ticks : sequence of str
-        Names of 0, 1, 2 ... on the second axis; numbers, if there are none.
+        Labels of 0, 1, 2 ... on the vertical axis; numbers if empty.
     share : float
-        Its height, against that of others.
+        Height relative to other panels.
     """
 
     curves: Sequence[Curve] = ()
@@ -129,7 +130,7 @@ class Panel:
     share: float = 1.0
 
     def span(self, low: float, high: float) -> tuple[float, float] | None:
-        """Bounds of what is shown between two places of the first axis, with a margin."""
+        """Vertical bounds of the curves over a horizontal range, with a margin, or None."""
         parts = [c.y[(c.x >= low) & (c.x <= high)] for c in self.curves if c.look != "limit"]
         values = np.concatenate([np.empty(0), *parts])
         values = values[np.isfinite(values)]
@@ -144,16 +145,16 @@ Columns = tuple[tuple[Panel, ...], ...]
 
 @attrs.frozen(kw_only=True, eq=False)
 class Slider:
-    """What changes in a figure as a value does.
+    """How a figure changes with a value.
 
     Attributes
     ----------
     label : str
         The value's name.
     stops : sequence of (str, columns)
-        The value as text, and the panels at it; all stops have the same axes.
+        The value as text, and the panels for it; all stops have the same axes.
     start : int
-        The stop that is shown first, and in print.
+        The stop shown first, and in print.
     """
 
     label: str
@@ -163,7 +164,7 @@ class Slider:
 
 @attrs.frozen(kw_only=True, eq=False)
 class Figure:
-    """Panels in columns, side by side.
+    """A figure: panels in columns, side by side.
 
     Attributes
     ----------
@@ -171,11 +172,11 @@ class Figure:
         A short name, for files and links.
     title : str
     columns : tuple of tuples of Panel
-        Columns from left to right, each from top to bottom; with a slider those of its start.
+        Columns from left to right, each from top to bottom; with a slider, those of its start.
     widths : sequence of float
-        Widths of the columns against each other; the first is the widest, if there are none.
+        Relative widths of the columns; if empty, the first is the widest.
     zooms : sequence of (str, (low, high))
-        Ranges of the first axis worth looking at: what they are called, and their ends.
+        Labels and ends of interesting ranges of the horizontal axis.
     slider : Slider or None
     """
 
@@ -188,10 +189,10 @@ class Figure:
 
 
 def column(*panels: Panel) -> Columns:
-    """Panels below each other, as the columns of a figure."""
+    """Panels in one column, as the columns of a figure."""
     return (panels,)
 
 
 def slid(slider: Slider, **rest: object) -> Figure:
-    """A figure with a slider, showing its start."""
+    """A figure with a slider, at its start."""
     return Figure(columns=slider.stops[slider.start][1], slider=slider, **rest)  # type: ignore[arg-type]

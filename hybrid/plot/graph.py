@@ -1,4 +1,4 @@
-"""A model as modes and edges: nodes and arrows as data, and the drawing of them."""
+"""A model as a graph of modes and edges: nodes and arrows as data, and their drawing."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .figure import LIMIT_COLOR, LINE_COLOR, OTHER_COLOR, SURFACE_COLOR
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers
 
-#: What a label says of the way in which a guard reaches zero.
+#: Symbols for the crossing directions of guards.
 WAYS = {Crossing.FALLING: "↓", Crossing.RISING: "↑", Crossing.EITHER: "↕"}
 WAYS_IN_WORDS = {"↓": "falls to zero", "↑": "rises to zero", "↕": "either"}
 
@@ -27,11 +27,11 @@ LABEL_PLACES = (0.5, 0.36, 0.64, 0.24, 0.76)
 #: Times of a clock that its label names; of more it says how many.
 TIMES_SHOWN = 3
 
-#: Inches: of a letter, of a line of them, around a name, of a loop; and how far arrows bend, of
-#: their length.
+#: Lengths in inches: a letter, a line, the margin around a name, a loop; and the bend of arrows
+#: relative to their length.
 LETTER, LINE, AROUND, LOOP, BEND = 0.085, 0.16, 0.16, 0.82, 0.16
 
-#: What the kinds of nodes look like: colour, and whether it is dashed.
+#: Colour of each kind of node, and whether it is dashed.
 NODE_KINDS = {
     "initial": (LINE_COLOR, False),
     "mode": (LINE_COLOR, False),
@@ -43,21 +43,21 @@ NODE_KINDS = {
 
 @attrs.frozen
 class ModeNode:
-    """A mode, a rest on a contact, or sliding on a surface; ``kind``: see ``NODE_KINDS``."""
+    """A mode, a rest on a contact, or sliding on a surface; for ``kind`` see ``NODE_KINDS``."""
 
     name: str
     kind: str
 
     @property
     def half(self) -> Numbers:
-        """Half its width and its height, in inches."""
+        """Half the width and half the height, in inches."""
         return np.array([0.5 * LETTER * len(self.name) + AROUND, 0.5 * LINE + 0.5 * AROUND])
 
 
 @attrs.frozen
 class Arrow:
-    """All edges from one node to another; without labels both ways, as contacts and switchings
-    imply."""
+    """All edges from one node to another; without labels, the two-way link of a contact or
+    switching to its derived mode."""
 
     source: int
     to: int
@@ -66,7 +66,7 @@ class Arrow:
 
 @attrs.frozen
 class AutomatonChart:
-    """The nodes of a model, those that belong together next to each other, and its arrows."""
+    """The nodes of a model, related ones adjacent, and its arrows."""
 
     model: str
     nodes: tuple[ModeNode, ...]
@@ -74,7 +74,7 @@ class AutomatonChart:
 
 
 def graph(spec: Spec) -> AutomatonChart:
-    """The modes of a model with what leads from one to another."""
+    """The graph of a model's modes and transitions."""
     known = [mode.name for mode in spec.modes]
     nodes, joined = list[ModeNode](), list[tuple[str, str]]()
     for name in known:
@@ -118,7 +118,7 @@ def label(edge: Transition) -> str:
 
 
 def laid(nodes: Sequence[ModeNode]) -> Matrix:
-    """Where the nodes are, in inches: beside each other, or around an ellipse."""
+    """Positions of the nodes in inches: side by side, or around an ellipse."""
     count = len(nodes)
     if count < 3:
         gap = 2.0 + sum(float(node.half[0]) for node in nodes)
@@ -244,7 +244,7 @@ def _overlap(place: Numbers, half: Numbers, other: Numbers, other_half: Numbers)
 
 
 def _bow(a: Numbers, b: Numbers, bend: float) -> Matrix:
-    """Points of a bow from one place to another, to the left of the way."""
+    """Points of a bow from ``a`` to ``b``, bent to the left."""
     way = b - a
     aside = 0.5 * (a + b) + 2.0 * bend * np.array([-way[1], way[0]])
     s = np.linspace(0.0, 1.0, 201)[:, None]

@@ -1,4 +1,4 @@
-"""Figures drawn with plotly: they zoom, answer the pointer, and slide."""
+"""Figures drawn with plotly: zoomable, with hover texts and sliders."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from plotly.subplots import make_subplots
 from . import require_writable
 from .figure import STYLES, Cells, Columns, Curve, Figure, Panel
 
-#: Pixels: a panel, the space between two, and what stands above and below all of them (a name
-#: of an axis, and a legend of three lines on a phone).
+#: Heights in pixels: a panel, the space between two, and the margins above and below all (for an
+#: axis label, and a legend of three lines on a phone).
 PANEL, BETWEEN, TOP_MARGIN, BOTTOM_MARGIN = 230, 72, 34, 110
 
-#: Pixels for a slider below, for a menu above.
+#: Height in pixels of a slider below, and of a menu above.
 SLIDER, MENU = 84, 40
 
-#: What a drawn figure can do; shared by all pages.
+#: Plotly options shared by all pages.
 CONFIG = {
     "responsive": True,
     "displaylogo": False,
     "modeBarButtonsToRemove": ["select2d", "lasso2d"],
 }
 
-#: A figure's page; without the viewport a phone would show it as wide as a desk's screen.
+#: A figure's page; without the viewport tag a phone would show it at desktop width.
 PAGE = """<!doctype html>
 <html lang="en">
 <head>
@@ -45,13 +45,13 @@ PAGE = """<!doctype html>
 
 
 def draw(figure: Figure, path: Any = None) -> go.Figure:
-    """A figure that zooms; its columns are set below each other, so that a phone can show it.
+    """An interactive figure; all panels are stacked in one column to fit a phone.
 
     Parameters
     ----------
     figure : Figure
     path : str or path, optional
-        Also write it there, as a page of HTML that needs no network.
+        Also write it to this file, as an HTML page that needs no network.
     """
     require_writable(path)
     panels = _stacked(figure.columns)
@@ -98,7 +98,7 @@ def _stacked(columns: Columns) -> list[Panel]:
 
 
 def _add(drawn: go.Figure, panels: Sequence[Panel]) -> None:
-    """The traces of panels; curves of one name share an entry in the legend."""
+    """Add the traces of panels; curves of the same name share a legend entry."""
     named: set[str] = set()
     for row, panel in enumerate(panels, start=1):
         traces = [*_cells(panel.cells), *(_curve(curve) for curve in panel.curves)]
@@ -131,7 +131,7 @@ def _curve(curve: Curve) -> go.Scatter:
 
 
 def _cells(cells: Cells | None) -> Iterator[go.Heatmap | go.Scatter]:
-    """A map, and a mark in the legend for each kind of its cells."""
+    """A heat map, and a legend entry for each kind of cell."""
     if cells is None:
         return
     count = len(cells.kinds)
@@ -154,7 +154,7 @@ def _cells(cells: Cells | None) -> Iterator[go.Heatmap | go.Scatter]:
 
 
 def _axes(drawn: go.Figure, row: int, panel: Panel, panels: Sequence[Panel]) -> None:
-    """Names, scales, and which first axes move together."""
+    """Set labels and scales, and link matching horizontal axes."""
     first = next(i for i, other in enumerate(panels, start=1) if _moves_with(other, panel))
     drawn.update_xaxes(
         title_text=panel.x,
@@ -185,7 +185,7 @@ def _moves_with(one: Panel, other: Panel) -> bool:
 
 
 def _slide(drawn: go.Figure, figure: Figure, counts: Sequence[int]) -> None:
-    """One set of traces a stop, of which one is visible."""
+    """Add a slider that shows the traces of one stop at a time."""
     slider = figure.slider
     assert slider is not None
     owner = np.repeat(np.arange(len(counts)), counts)
@@ -211,7 +211,7 @@ def _slide(drawn: go.Figure, figure: Figure, counts: Sequence[int]) -> None:
 
 
 def _buttons(figure: Figure, panels: Sequence[Panel]) -> dict[str, Any]:
-    """Buttons that show a range of the first panel's axis, and what is in it."""
+    """Buttons that zoom to a range of the first horizontal axis, and fit the vertical ones."""
     buttons = []
     for label, (low, high) in figure.zooms:
         ranges: dict[str, Any] = {"xaxis.range": [low, high]}

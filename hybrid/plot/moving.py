@@ -1,4 +1,4 @@
-"""A run as a moving picture, of a model that says what it looks like."""
+"""Animations of runs, for models that declare their picture."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from ..trajectory.trajectory import Solution
 from . import require_writable
 from .figure import METHOD_COLORS
 
-#: Dots a frame has in an inch.
+#: Resolution of a frame, in dots per inch.
 FRAME_DPI = 100
 
 
 def animate(run: Solution, path: Any, seconds: float, fps: int, size: tuple[float, float]) -> None:
-    """Write a moving picture: see :meth:`hybrid.Trajectory.animate`."""
+    """Write an animation: see :meth:`hybrid.Trajectory.animate`."""
     from matplotlib.animation import PillowWriter
     from matplotlib.figure import Figure
 

@@ -1,4 +1,4 @@
-"""Figures of a run: states over time, phase portrait, gaps between jumps, the way to a limit."""
+"""Figures of a run: states over time, phase portrait, gaps between jumps, approach to a limit."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ from .figure import Curve, Figure, Panel
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers
 
-#: Points drawn of an arc, at most and at least, and of a run; arcs of a long run get fewer.
+#: Most and fewest points per arc, and most points per run; the arcs of a long run get fewer.
 ARC_POINTS, LEAST_POINTS, ALL_POINTS = 200, 17, 20000
 
-#: How near to an accumulation arcs are shown, of the time to it: beyond, doubles tell no more.
+#: Smallest remaining time to an accumulation that is shown, relative to the whole; closer, doubles
+#: show nothing.
 NEAREST_TO_LIMIT = 1e-12
 
-#: Jumps that a phase portrait shows, at most; in a run of more, flights that are too short to be
-#: seen are left out, but for those before the first accumulation, which one may zoom into.
+#: Most jumps in a phase portrait. In a run with more, flights too short to be seen are omitted,
+#: except before the first accumulation, where one may zoom in.
 FALLS = 2000
 
-#: What can be drawn of a run, and panels below each other, at most.
+#: The panels of a run, and most panels per column.
 PANELS, MOST_ROWS = ("time", "phase", "gaps", "modes"), 6
 
 
 def figure(
     run: Solution, chosen: Sequence[str] | None = None, shown: Sequence[str] | None = None
 ) -> Figure:
-    """A run on one figure.
+    """A run as one figure.
 
-    ``time``: each of the states and outputs chosen over time (all states, if none are), impacts
-    marked, accumulations as lines, resting arcs thicker, and the obstacle where a gap is the
-    distance of one coordinate to it. ``modes``: below, in which mode the run is, if in more than
-    one. Beside them ``phase``: of the first contact's position and velocity, or of the first two
-    that are chosen; and ``gaps``: the times between jumps against their number on a logarithmic
-    axis, where a chattering series is a straight line. All of them, if none are asked for; where
-    some states are chosen, ``time``. Where no dense output was kept there are dots at what was: the
-    ends of arcs, and the times asked for.
+    ``time``: each chosen state and output over time (by default all states), with impacts marked,
+    accumulations as lines, resting arcs thicker, and the obstacle if a gap is the distance of one
+    coordinate to it. ``modes``: below these, the mode over time, if there are several. Beside them,
+    ``phase``: the first contact's position and velocity, or the first two chosen names; and
+    ``gaps``: the times between jumps by number on a logarithmic axis, where a chattering series is
+    a straight line. By default all panels are shown, or only ``time`` if names are chosen. Without
+    dense output, dots show the recorded states: the ends of arcs, and the requested times.
 
     Raises
     ------
@@ -79,7 +79,13 @@ def figure(
 def _kinds(
     run: Solution, chosen: Sequence[str] | None, shown: Sequence[str] | None
 ) -> Sequence[str]:
-    """The kinds of panels that are asked for."""
+    """The requested kinds of panels.
+
+    Raises
+    ------
+    OptionError
+        If one is unknown.
+    """
     kinds = PANELS if shown is None and chosen is None else shown or ("time",)
     kinds = (kinds,) if isinstance(kinds, str) else kinds
     unknown = [kind for kind in kinds if kind not in PANELS]
@@ -92,7 +98,7 @@ def _kinds(
 def states_panel(
     run: Solution, name: str, *, look: str = "line", points: int = ALL_POINTS
 ) -> Panel:
-    """One element of the state over time, with impacts, rests, limits and the obstacle."""
+    """One state element over time, with impacts, rests, limits and the obstacle."""
     index = run.spec.element_names.index(name)
     return _over_time(run, _element(run, index, _sampled(run, points)), look)
 
@@ -100,17 +106,17 @@ def states_panel(
 def path(
     run: Solution, index: int, *, look: str = "line", name: str = "", points: int = ALL_POINTS
 ) -> list[Curve]:
-    """One element over time: a curve for the flights, a thicker one for the rests."""
+    """One element over time: a curve for the flights, and a thicker one for the rests."""
     return _path(run, _along_element(_sampled(run, points), index), look, name)
 
 
 def phase_panel(run: Solution, *, points: int = ALL_POINTS) -> Panel:
-    """Velocity over position of the first contact (else the first two elements)."""
+    """Velocity over position of the first contact, or else the first two elements."""
     return _phase(run, *_pair(run, _sampled(run, points)))
 
 
 def modes_panel(run: Solution) -> Panel:
-    """In which mode the run is, a row for each in order of appearance; without curves if in one."""
+    """The mode over time, a row per mode in order of appearance; no curves if only one."""
     names = list(dict.fromkeys(part.mode for part in run.parts))[::-1]
     curves = []
     for row, name in enumerate(names if len(names) > 1 else ()):
@@ -135,7 +141,7 @@ def gaps_panel(run: Solution) -> Panel:
 
 
 def _gaps(run: Solution) -> list[tuple[int, float]]:
-    """Jumps by number, and the time to the next: down to the last double, but in long runs."""
+    """Number of each jump and time to the next, at full resolution except in long runs."""
     if len(run.jumps) > FALLS:
         return [(j, gap) for j, gap in enumerate(run.jumps.gaps.tolist(), 1) if gap > 0.0]
     return [
@@ -146,9 +152,9 @@ def _gaps(run: Solution) -> list[tuple[int, float]]:
 
 
 def approach_panel(run: Solution, name: str, place: int = 0, *, points: int = ALL_POINTS) -> Panel:
-    """An element that vanishes in the limit, over the time that is left, on a logarithmic axis.
+    """An element that vanishes in the limit, over the remaining time on a logarithmic axis.
 
-    The impacts, which crowd together over time, are equally far apart on it.
+    The impacts, which cluster in time, are evenly spaced on it.
     """
     point, index = run.zeno[place], run.spec.element_names.index(name)
     since = run.zeno[place - 1].t if place else run.t0
@@ -165,7 +171,7 @@ def approach_panel(run: Solution, name: str, place: int = 0, *, points: int = AL
 
 
 def zooms(run: Solution, place: int = 0) -> list[tuple[str, tuple[float, float]]]:
-    """The whole run, and nearer and nearer to an accumulation."""
+    """Zoom ranges: the whole run, then closer and closer to an accumulation."""
     whole = [("whole run", (run.t0, run.t1))]
     if not run.zeno:
         return whole
@@ -199,8 +205,8 @@ def _count(arcs: int, points: int) -> int:
 
 
 class _Drawn(NamedTuple):
-    """What is drawn of a run: of each flight and each rest the times and the states; and single
-    states, where nothing between them was kept."""
+    """Times and states to draw: along each flight and each rest; and single states where no dense
+    output was kept."""
 
     flights: list[tuple[np.ndarray, np.ndarray]]
     rests: list[tuple[np.ndarray, np.ndarray]]
@@ -208,7 +214,7 @@ class _Drawn(NamedTuple):
 
 
 def _sampled(run: Solution, points: int) -> _Drawn:
-    """The whole run, with about so many points."""
+    """The whole run, with about ``points`` points."""
     seen = _seen(run)
     dense = [arc for arc in seen if arc.segments]
     flights = [arc for arc in dense if not arc.constrained]
@@ -217,7 +223,7 @@ def _sampled(run: Solution, points: int) -> _Drawn:
 
 
 def _seen(run: Solution) -> list[Arc]:
-    """The arcs; in a long run those of the first tail, and of the others what can be seen."""
+    """The arcs to draw; in a long run, of tails after the first, only visible ones."""
     least, arcs = (run.t1 - run.t0) / ALL_POINTS if len(run.jumps) > FALLS else 0.0, []
     for part in run.parts:
         if isinstance(part, Arc):
@@ -231,14 +237,14 @@ def _seen(run: Solution) -> list[Arc]:
 
 
 def _kept(run: Solution, arcs: Sequence[Arc]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The ends of arcs without dense output, and the states that were asked for."""
+    """The ends of arcs without dense output, and the requested states."""
     bare = [arc for arc in arcs if not arc.segments and arc.length > 0.0]
     kept = [(np.array([arc.t0, arc.t1]), np.array([arc.first, arc.last])) for arc in bare]
     return kept if run.samples is None else [*kept, (run.options["times"], run.samples)]
 
 
 def _along(arcs: Sequence[Arc], points: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Times and states of each arc; long arcs have more points."""
+    """Times and states along each arc; long arcs get more points."""
     sizes = np.sqrt([arc.length for arc in arcs])
     counts = np.clip(points * sizes / max(np.sum(sizes), 1e-300), LEAST_POINTS, ARC_POINTS).astype(
         int
@@ -251,8 +257,8 @@ def _along(arcs: Sequence[Arc], points: int) -> list[tuple[np.ndarray, np.ndarra
 
 
 class _Column(NamedTuple):
-    """A number over time: what an axis says of it, its values along what is drawn, on both sides of
-    the jumps and at the limits, and its place in the state (None: it is an output)."""
+    """A quantity over time: its name and axis label, its values along what is drawn, before and
+    after jumps and at limits, and its index in the state (None for an output)."""
 
     name: str
     axis: str
@@ -264,7 +270,7 @@ class _Column(NamedTuple):
 
 
 def _columns(run: Solution, name: str, drawn: _Drawn) -> list[_Column]:
-    """A state or an output, each of its elements."""
+    """The columns of a state or an output, one per element."""
     elements = run.spec.element_names
     if name in elements:
         return [_element(run, elements.index(name), drawn)]
@@ -291,7 +297,7 @@ def _columns(run: Solution, name: str, drawn: _Drawn) -> list[_Column]:
 
 
 def _element(run: Solution, index: int, drawn: _Drawn) -> _Column:
-    """An element of the state."""
+    """An element of the state as a column."""
     name, axis = run.spec.element_names[index], _axis(*_named(run, index))
     before, after = (side[:, index] for side in (run.jumps.table.before, run.jumps.table.after))
     limits = _limit_states(run)[:, index]
@@ -324,7 +330,7 @@ def _path(run: Solution, drawn: _Drawn, look: str, name: str = "") -> list[Curve
 
 
 def _pair(run: Solution, drawn: _Drawn) -> list[_Column]:
-    """Position and velocity of the first contact, else the first two elements, if there are two."""
+    """Position and velocity of the first contact, else the first two elements if any."""
     count = len(run.spec.element_names)
     pair = (run.pairs or [(0, 1)])[0]
     return [_element(run, index, drawn) for index in pair] if count > 1 else []
@@ -346,7 +352,7 @@ def _phase(run: Solution, one: _Column, other: _Column) -> Panel:
 
 
 def _joined(parts: Sequence[Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Pieces of a curve as one, interrupted between them."""
+    """Pieces of a curve joined by NaN."""
     gap = np.full(1, np.nan)
     x, y = ([np.concatenate([part[k], gap]) for part in parts] for k in (0, 1))
     empty = [np.empty(0)]
@@ -358,7 +364,7 @@ def _staying(run: Solution) -> str:
 
 
 def _impacts(run: Solution, name: str, before: Numbers, after: Numbers) -> list[Curve]:
-    """Jumps at their places after them; not releases, where nothing jumps."""
+    """Jumps, at the values after them; releases are omitted, as nothing jumps there."""
     shown = np.array([not str(edge).endswith(".release") for edge in run.jumps.edge], dtype=bool)
     if not np.any(shown):
         return []
@@ -371,7 +377,7 @@ def _impacts(run: Solution, name: str, before: Numbers, after: Numbers) -> list[
 
 
 def _limits(run: Solution, curves: Sequence[Curve]) -> list[Curve]:
-    """Accumulations, as lines as high as what is drawn."""
+    """Accumulations as vertical lines over the range of the curves."""
     values = np.concatenate([curve.y[np.isfinite(curve.y)] for curve in curves])
     ends = [values.min(), values.max()] if values.size else [0.0, 1.0]
     return [
@@ -393,7 +399,7 @@ def _rows(column: Any) -> Matrix:
 
 
 def _obstacle(run: Solution, index: int) -> list[Curve]:
-    """The obstacle, where a gap grows as fast as this coordinate: ``x - gap(t, x)``."""
+    """The obstacle ``x - gap(t, x)``, if a gap has slope 1 or -1 in this coordinate alone."""
     times = np.linspace(run.t0, run.t1, 600)
     state = run.spec.vector(run.final)
     curves = []
@@ -413,7 +419,7 @@ def _obstacle(run: Solution, index: int) -> list[Curve]:
 
 
 def _named(run: Solution, index: int) -> tuple[str, str]:
-    """The name of an element of the state, and its unit."""
+    """The name and the unit of a state element."""
     owners = [state for state in run.spec.states if state.offset <= index]
     return run.spec.element_names[index], owners[-1].unit
 

@@ -1,4 +1,4 @@
-"""A run as a small drawing for notebooks, inline SVG: a strip for each element of the state."""
+"""A small drawing of a run for notebooks, as inline SVG with a strip per state element."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ from .of_run import path
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers
 
-#: Pixels: the whole width, what is left of it for names, a strip with what is between two, and
-#: below them; the largest number of strips; and a distance that nobody sees.
+#: Lengths in pixels: the total width, the space for names, the height of a strip, the space between
+#: two, and that below all; most strips; and an invisible distance.
 SKETCH_WIDTH, NAMES, STRIP, BETWEEN_STRIPS, BELOW, MOST_STRIPS, UNSEEN = 420, 64, 38, 8, 16, 6, 0.6
 
-#: Jumps from which on a run is sampled at so many even times; limits that are shown, at most.
+#: Number of jumps above which a run is sampled evenly, and the number of samples; most limits
+#: shown.
 CROWDED, EVEN, MOST_LIMITS = 300, 500, 40
 
 
 def sketch(run: Solution) -> str:
-    """The run as SVG, some kilobytes, without fonts or scripts of its own."""
+    """The run as SVG of some kilobytes, without fonts or scripts."""
     names = run.spec.element_names[:MOST_STRIPS]
     bottom = len(names) * (STRIP + BETWEEN_STRIPS)
     parts = [part for i, name in enumerate(names) for part in _strip(run, i, name)]
@@ -46,7 +47,7 @@ def sketch(run: Solution) -> str:
 
 
 def _strip(run: Solution, index: int, name: str) -> Iterator[str]:
-    """One element over time: its name, its range, its curves."""
+    """One element over time: its name and its curves."""
     curves = _curves(run, index)
     values = np.concatenate([curve.y for curve in curves] or [np.zeros(1)])
     values = values[np.isfinite(values)]
@@ -81,7 +82,7 @@ def _across(run: Solution, t: Numbers) -> Numbers:
 
 
 def _line(x: Numbers, y: Numbers, dots: bool) -> str:
-    """A path through points that can be told apart; NaN interrupts it."""
+    """An SVG path through distinguishable points; NaN interrupts it."""
     found, last, pen = [], (np.inf, np.inf), "M"
     for a, b in zip(x.tolist(), y.tolist(), strict=True):
         if not np.isfinite(b):

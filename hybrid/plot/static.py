@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Drawn
 
-#: Inches: width of one column, of two and of more, height of a row and of all but the rows; rows
-#: from which on they are lower, and their height then.
+#: Inches: total width for one, two and more columns, height of a row, and height of everything
+#: else. Number of rows above which rows are lower, and their height then.
 COLUMN_WIDTHS, ROW_HEIGHT, MARGINS, MANY_ROWS, LOW_ROW = (8.0, 11.0, 14.0), 2.1, 0.8, 4, 1.45
 
-#: Points from which on a line is a bar, which ends where it ends.
+#: Lines wider than this (in points) are bars, drawn without projecting ends.
 BAR_WIDTH = 4.0
 
 #: A logarithmic axis over less than this factor is widened by it, to both sides.
@@ -75,12 +75,12 @@ def _require_size(size: Any) -> None:
 
 
 def draw_on(figure: Figure, axes: Any) -> Drawn:
-    """Draw a figure's panels on axes that there are, as many; returns the figure of the first.
+    """Draw a figure's panels on existing axes, one each; returns the figure of the first axes.
 
     Raises
     ------
     OptionError
-        If there are more or fewer axes than panels.
+        If the numbers of axes and panels differ.
     """
     import numpy as np
 
@@ -95,7 +95,7 @@ def draw_on(figure: Figure, axes: Any) -> Drawn:
 
 
 def _size(figure: Figure) -> tuple[float, float]:
-    """Inches that show it readably."""
+    """A readable size in inches."""
     rows = max(sum(panel.share for panel in column) for column in figure.columns)
     height = LOW_ROW if rows > MANY_ROWS else ROW_HEIGHT
     width = COLUMN_WIDTHS[min(len(figure.columns), len(COLUMN_WIDTHS)) - 1]
@@ -103,7 +103,7 @@ def _size(figure: Figure) -> tuple[float, float]:
 
 
 def _column(part: Any, panels: tuple[Panel, ...]) -> None:
-    """Panels below each other; those with the same first axis share it."""
+    """Draw panels in a column; neighbours with the same horizontal axis share it."""
     grid = part.add_gridspec(len(panels), 1, height_ratios=[panel.share for panel in panels])
     above: Axes | None = None
     for row, panel in enumerate(panels):

@@ -1,4 +1,4 @@
-"""A finished run flown again by JAX, arc for arc, for its derivatives."""
+"""Replay of a finished run in JAX, arc by arc, for its derivatives."""
 
 from .itinerary import Itinerary, blank, plan_of
 from .laws import laws_of

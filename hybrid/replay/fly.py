@@ -1,11 +1,11 @@
-"""The run of a plan as a function that JAX derives, as often and in whichever mode it is asked.
+"""The run of a plan as a function that JAX can differentiate repeatedly, in either mode.
 
-A step is a collocation at Gauss's points. Its unknowns are the states at the points and, of a step
-that ends with a jump, its length: the equation that closes it says that the guard is zero. All of
-them are known from the run; how they change is said by the implicit function theorem: with ``J``
-the derivative of the equations ``F = 0`` at the run's own values ``u0``, a step ``u - F(u) / J``
-of Newton's from ``u0`` is right to first order in all that ``F`` depends on, two are right to
-second. Nothing is decided here.
+A step is a collocation at Gauss points. Its unknowns are the states at these points and, for a step
+that ends with a jump, its length; the closing equation is then that the guard is zero. The values
+are known from the run, and the implicit function theorem gives their derivatives. With ``J`` the
+derivative of the equations ``F = 0`` at the run's values ``u0``, one Newton step ``u - F(u) / J``
+from ``u0`` is correct to first order in everything that ``F`` depends on, and two are correct to
+second order. No decisions are made here.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from ..variation.arcs import gauss
 from .itinerary import TOGETHER, Itinerary
 from .laws import AT_END, AT_LENGTH, Laws, chosen
 
-#: Orders of the derivatives that are right.
+#: Highest order of correct derivatives.
 DERIVATIVE_ORDERS = 2
 
 
 class ReplayedRun:
-    """What a run of a class gives, by what it is given."""
+    """The results of a run of a class, as a function of its inputs."""
 
     def __init__(self, laws: Laws, plan: Itinerary, parameters: Any, t1: Any) -> None:
         self.laws, self.plan, self.parameters, self.t1 = laws, plan, parameters, t1
@@ -33,8 +33,7 @@ class ReplayedRun:
         self.fixed = list(laws.guards).index(AT_LENGTH)
 
     def __call__(self, t0: Any, x: Any) -> tuple[tuple[Any, Any, Any], tuple[Any, Any]]:
-        """Times of the steps' ends, states before and after what happens there; and time and state
-        at the last of them."""
+        """Times, states before and after at the ends of the steps; the final time and state."""
         *steps, _ = self.plan
         chunks = [a.reshape(len(a) // TOGETHER, TOGETHER, *a.shape[1:]) for a in steps]
         blank = jnp.zeros(TOGETHER), *(jnp.zeros((TOGETHER, len(x))) for _ in range(2))
@@ -55,7 +54,7 @@ class ReplayedRun:
         x = at(plan.first, chosen(self.laws.onto, onto, p, plan.masks, t, x))
 
         def moved(u: Any) -> tuple[Any, Any, Any]:
-            """What the points should be, and time and state at the end."""
+            """Updated stage values, and time and state at the end."""
             states, length = u[:-1].reshape(-1, n), plan.lengths * (1.0 + u[-1])
             along = lambda c, z: chosen(  # noqa: E731
                 self.laws.flows, flow, p, plan.masks, t + c * length, z
@@ -79,12 +78,12 @@ class ReplayedRun:
 
 
 def at(value: Any, found: Any) -> Any:
-    """The run's own value, which changes as what was found."""
+    """``value`` with the derivatives of ``found``."""
     return value + (found - stop_gradient(found))
 
 
 def _implicit(residual: Any, known: Any) -> Any:
-    """The zero of a residual, as a function of all that it is made of; its value is known."""
+    """The known zero of a residual, with its derivatives by everything in the residual."""
     slopes = stop_gradient(jax.jacfwd(residual)(known))
 
     def better(found: Any, _: Any) -> tuple[Any, None]:

@@ -1,4 +1,4 @@
-"""What a run gives, as a function that JAX derives: its plan is asked for, then flown."""
+"""The results of a run as a function that JAX can differentiate, by replay of its plan."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from .laws import Laws, laws_of
 
 
 class Replay:
-    """Runs of a class, flown again.
+    """Replays of runs of a class.
 
     Parameters
     ----------
     cls : type
     shapes : sequence of tuple
-        Those of the parameters.
+        Shapes of the parameters.
     parts : dict
-        The shapes of what a run gives, by name, in order.
+        Names and shapes of a run's results, in order.
     rows, room : int
-        Of the table of jumps; most steps.
+        Rows of the table of jumps; most steps.
     ask : callable
-        Gives the plan of the run of a row of numbers; of rows, an array of each.
+        Returns the plan of the run for a row of numbers; for several rows, stacked plans.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Replay:
 
     @cached_property
     def written(self) -> bool:
-        """Whether all flows are arithmetic: JAX derives no loop in reverse mode."""
+        """Whether all flows are arithmetic; JAX cannot differentiate loops in reverse mode."""
         modes = [self.code.mode(mode.name) for mode in self.code.spec.modes]
         return all(mode.free and not mode.graph.foreign for mode in modes)
 
@@ -67,12 +67,12 @@ class Replay:
         return tuple(jax.ShapeDtypeStruct(part.shape, part.dtype) for part in plan)
 
     def plan(self, row: Any) -> Any:
-        """That of the run of a row of numbers."""
+        """The plan of the run for a row of numbers."""
         given = stop_gradient(row)
         return jax.pure_callback(self.ask, self.given, given, vmap_method="expand_dims")
 
     def fly(self, plan: Any, row: Any) -> Any:
-        """What a run gives, by the row of numbers of which this is the plan, and there alone."""
+        """The results of a run; ``plan`` must be that of ``row``."""
         plan = Itinerary._make(plan)
         row, n = bounded(DERIVATIVE_ORDERS, row), self.code.spec.dimension
         pairs = zip(pairwise(self.ends), self.shapes, strict=True)
@@ -89,7 +89,7 @@ class Replay:
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def bounded(orders: int, row: Any) -> Any:
-    """A row of numbers by which may be derived so many times."""
+    """The row, differentiable at most ``orders`` times."""
     return row
 
 
@@ -105,7 +105,7 @@ def _(orders: int, rows: Any, changes: Any) -> Any:
 
 @custom_vmap  # type: ignore[untyped-decorator]
 def any_lane(condition: Any) -> Any:
-    """Whether a condition holds in any lane: one number, however many lanes there are."""
+    """Whether a condition holds in any lane: a single value for any number of lanes."""
     return condition
 
 
@@ -118,7 +118,7 @@ def _(size: int, batched: Any, condition: Any) -> tuple[Any, bool]:
 def when(condition: Any, then: Callable[[], Any], otherwise: Any) -> Any:
     """``then()`` where the condition holds, ``otherwise`` elsewhere.
 
-    ``then`` is not computed at all where the condition holds in no lane.
+    ``then`` is not evaluated if the condition holds in no lane.
     """
     return jax.lax.cond(
         any_lane(condition),

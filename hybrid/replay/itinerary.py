@@ -1,4 +1,4 @@
-"""What a run has decided, as numbers: the steps of its arcs and what ends each of them."""
+"""The decisions of a run as numbers: the steps of its arcs, and what ends each of them."""
 
 from __future__ import annotations
 
@@ -29,33 +29,33 @@ from .laws import AT_END, AT_LENGTH, IDENTITY, Laws, laws_of
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers, StateVector
 
-#: Last terms of the series of a step's slopes, relative, that are small enough: a collocation at
-#: Gauss's points errs at its end by about their square.
+#: Tolerated relative size of the last terms of a step's slopes; the error of Gauss collocation at
+#: the end of a step is about their square.
 SLOPE_RIPPLE = math.sqrt(COLLOCATION_TOLERANCE)
 
-#: Steps that are skipped together where a run has fewer than there is room for.
+#: Number of steps that are skipped together if a run has fewer than there is room for.
 TOGETHER = 32
 
 
 class Itinerary(NamedTuple):
-    """The steps of a run, one after the other; unused rows repeat the last.
+    """The steps of a run in order; unused rows repeat the last one.
 
     Attributes
     ----------
     laws : array of int, shape (steps, 4)
-        Numbers of the flow, of the guard that ends the step, of the reset, and of the projection
-        with which it begins.
+            Numbers of the flow, of the guard that ends the step, of the reset, and of the
+        projection at its start.
     used : array of bool, shape (steps,)
     lengths, ends : array, shape (steps,)
-        How long the step is, and the time at its end.
+        Length of the step, and the time at its end.
     masks : array, shape (steps, contacts)
         Which contacts are held.
     inner : array, shape (steps, stages, n)
         States at the stages of the collocation.
     first, before, after : array, shape (steps, n)
-        States at its ends, and after the jump.
+        States at its start, at its end, and after the jump.
     jumps : array of int, shape (rows,)
-        For each row of the table of jumps the step that ends with it; -1 where there is none.
+        For each row of the table of jumps, the step that ends with it; -1 if there is none.
     """
 
     laws: np.ndarray
@@ -78,7 +78,7 @@ def blank(laws: Laws, room: int, rows: int) -> Itinerary:
     room : int
         Most steps.
     rows : int
-        Those of the table of jumps.
+        Rows of the table of jumps.
     """
     n, stages = laws.spec.dimension, len(gauss()[0])
     steps = -(-room // TOGETHER) * TOGETHER
@@ -108,14 +108,14 @@ def plan_of(
     touched : sequence of float
         Times of tangencies.
     ends : bool
-        Whether it ends at its last time, and not by a jump.
+        Whether the run ends at its last time rather than by a jump.
     room, rows : int
         As for :func:`blank`.
 
     Raises
     ------
     OrbitError
-        Where a run cannot be flown again.
+        If the run cannot be replayed.
     """
     laws, model = laws_of(course.scene.code), course.scene.spec.model
     if touched:
@@ -159,12 +159,12 @@ class _Leg:
 
 
 class _Maker:
-    """Makes steps of a course.
+    """Makes the steps of a course.
 
     Attributes
     ----------
     jumps : list of int
-        Steps made so far that end with a jump.
+        Numbers of the steps made so far that end with a jump.
     """
 
     def __init__(self, course: Course, laws: Laws) -> None:
@@ -174,7 +174,7 @@ class _Maker:
         self.jumps: list[int] = []
 
     def steps(self, ends: bool) -> Iterator[_Leg]:
-        """Steps in order."""
+        """The steps in order."""
         parts, jumps = self.course.parts, self.course.jumps
         self._smooth(parts[0].t0, self.walk.begin()[1])
         for index, part in enumerate(parts):
@@ -186,7 +186,7 @@ class _Maker:
                     "take differences of these, or end the run before"
                 )
             jump, after = jumps.get(index), None if last else parts[index + 1]
-            if last and index and jump is None and not part.length:  # behind the last jump
+            if last and index and jump is None and not part.length:  # after the last jump
                 return
             if jump is None and not last:
                 raise OrbitError(
@@ -198,7 +198,12 @@ class _Maker:
             yield from self._arc(part, jump, ends and last)
 
     def _alone(self, index: int, jump: JumpRow, after: Part | None) -> None:
-        """A jump must come alone, and at a time and to a state that depend smoothly on all."""
+        """Refuse simultaneous jumps, and jumps that do not depend smoothly on everything.
+
+        Raises
+        ------
+        OrbitError
+        """
         if isinstance(after, Arc) and not after.length and index + 1 in self.course.jumps:
             raise OrbitError(
                 f"{self.model}: at t = {jump.t!r} several jumps have no time between them; a run "
@@ -216,8 +221,8 @@ class _Maker:
     def _smooth(self, t: float, ties: Matrix) -> None:
         if np.any(ties):
             raise OrbitError(
-                f"{self.model}, t = {t!r}: something else happens at the same instant, which "
-                "neighbours have before it or after it: there are no derivatives"
+                f"{self.model}, t = {t!r}: another event happens at the same instant, but "
+                "before or after for neighbours: there are no derivatives"
             )
 
     def _arc(self, arc: Arc, jump: JumpRow | None, ends: bool) -> Iterator[_Leg]:

@@ -1,7 +1,8 @@
-"""The functions of a class that a replay is made of, by number, as functions that JAX derives.
+"""The functions of a class that a replay uses, by number, as differentiable JAX functions.
 
-They are the class's own traces and what follows from a contact's or a switching's
-(:mod:`hybrid.lowering.contact`, :mod:`hybrid.lowering.sliding`); which contacts are held is a mask.
+They are the class's own traces and the derived laws of contacts and switchings
+(:mod:`hybrid.lowering.contact`, :mod:`hybrid.lowering.sliding`); a mask says which contacts are
+held.
 """
 
 from __future__ import annotations
@@ -17,23 +18,23 @@ from ..lowering.contact import Held
 from ..lowering.lowered import Lowered
 from ..lowering.mode import RELEASE_SUFFIX
 
-#: ``(parameters, mask, t, x)``, and what a function gives.
+#: A function of ``(parameters, mask, t, x)``.
 Law = Callable[..., Any]
 
-#: What ends a step of a replay, beside the guards: its length does not change; the last time.
+#: Conditions other than guards that end a step: its length is fixed; or it ends at the last time.
 AT_LENGTH, AT_END = "length", "end"
 
-#: A reset, or a projection, that leaves the state as it is.
+#: A reset or projection that does not change the state.
 IDENTITY = "same"
 
 
 class Laws:
-    """The functions of a class by name, and the numbers of these.
+    """The functions of a class by name; their order defines their numbers.
 
     Attributes
     ----------
     contacts : tuple of str
-        Those that may be held, in the order of the mask.
+        Contacts that can be held, in the order of the mask.
     flows : dict
         By mode, and whether contacts are held.
     guards : dict
@@ -41,7 +42,7 @@ class Laws:
     resets : dict
         By edge.
     onto : dict
-        By mode: projections onto the contacts held, or onto the surface.
+        By mode: projections onto the held contacts or the surface.
     """
 
     def __init__(self, code: Lowered) -> None:
@@ -81,7 +82,7 @@ class Laws:
             )(p, t, x)
 
     def _held(self, mode: str, names: Sequence[str]) -> Callable[[Any], Held]:
-        """Contacts of a mode, held as a mask says."""
+        """The contacts of a mode, held according to a mask."""
         laws = tuple(self.code.laws(name) for name in names)
         flow = again(self.code.closed("flow", mode))
         places = [self.contacts.index(name) for name in names]
@@ -89,7 +90,7 @@ class Laws:
 
 
 def chosen(laws: dict[Any, Law], number: Any, *given: Any) -> Any:
-    """The result of one of some functions."""
+    """The result of function ``number``."""
     branches = list(laws.values())
     return branches[0](*given) if len(branches) == 1 else jax.lax.switch(number, branches, *given)
 
@@ -108,6 +109,6 @@ def _nothing(p: Any, mask: Any, t: Any, x: Any) -> Any:
 
 
 def laws_of(code: Lowered) -> Laws:
-    """The functions of a class, kept with its generated code."""
+    """The functions of a class, cached with its generated code."""
     made: Laws = code.once("replay", lambda: Laws(code))
     return made

@@ -1,4 +1,4 @@
-"""What a run returns: pictures, files, and whether it settles, on top of its data."""
+"""The result of a run: its data, with plots, files and the analysis of its long-term behaviour."""
 
 from .trajectory import Trajectory, load
 

@@ -1,9 +1,8 @@
 """Trajectories as datasets and files.
 
-A file holds every arc with its dense output (Chebyshev coefficients, so evaluation after
-loading gives the same numbers), all jumps, accumulations and grazings. Chattering tails are
-written out as the arcs that a double can tell from their limit. The layout is in
-``docs/notes/file-format.md``.
+A file holds every arc with its dense output (Chebyshev coefficients, so evaluation after loading
+gives the same numbers), all jumps, accumulations and grazings. Chattering tails are written as the
+arcs that a double can tell from their limit. The layout is in ``docs/notes/file-format.md``.
 """
 
 from __future__ import annotations
@@ -34,15 +33,15 @@ if TYPE_CHECKING:
 
 Kind = TypeVar("Kind", bound=Solution)
 
-#: Raised when the layout changes.
+#: Version of the layout; incremented when it changes.
 FORMAT = 1
 
 
 def to_xarray(run: Solution, t: Any = None) -> xarray.Dataset:
     """The states at times ``t`` as variables over the dimension ``time``.
 
-    Where ``t`` is omitted: the times that the run was asked to save, or both ends of each
-    arc and 15 points between (so a jump's time stands there twice: before and after).
+    By default, the times that the run was asked to save, or both ends of each arc and 15 points
+    between (a jump's time then appears twice: before and after).
     """
     need("run.to_xarray", TABLES)
     names = (*run.spec.names, *(output.name for output in run.spec.outputs))
@@ -77,7 +76,7 @@ def to_xarray(run: Solution, t: Any = None) -> xarray.Dataset:
 
 
 def _numbers(run: Solution) -> dict[str, Any]:
-    """Values of the parameters; the data of signals are left out."""
+    """Parameter values, without the data of signals."""
     data = [signal.name for signal in run.spec.signals]
     own = ((name, value) for name, value in run.parameters.items() if name not in data)
     return {name: np.asarray(value, dtype=float).tolist() for name, value in own}
@@ -104,8 +103,7 @@ def require_netcdf(what: str, path: Any) -> None:
 def save(run: Solution, path: Any) -> None:
     """Write a trajectory to a NetCDF file.
 
-    The file appears whole or not at all: an older one of this name is lost only when the new one
-    is complete, whatever interrupts the writing.
+    The write is atomic: an existing file is replaced only when the new one is complete.
 
     Raises
     ------
@@ -174,7 +172,7 @@ def _signals(run: Solution) -> dict[str, Any]:
 
 @contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
-    """A file beside ``path`` to write to, which takes its place once it is complete."""
+    """A temporary file beside ``path``, which replaces it once complete."""
     handle, name = mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
     os.close(handle)
     part = Path(name)
@@ -189,7 +187,7 @@ def _replacing(path: Path) -> Iterator[Path]:
 
 
 def _permissions(path: Path) -> int:
-    """Those of the file that is replaced, else those of a new file."""
+    """Permissions of the file that is replaced, or those of a new file."""
     if path.exists():
         return path.stat().st_mode & 0o777
     mask = os.umask(0)
@@ -239,7 +237,7 @@ def _accumulation(spec: Spec, point: Accumulation) -> dict[str, Any]:
 
 
 def read(path: Any, cls: type[Kind], model: Any = None) -> Kind:
-    """What is in a file that :func:`save` wrote, as one of a class: see :func:`hybrid.load`."""
+    """The content of a saved file, as an instance of ``cls``: see :func:`hybrid.load`."""
     need("hy.load", FILES)
     import xarray as xr
 
@@ -252,13 +250,13 @@ def read(path: Any, cls: type[Kind], model: Any = None) -> Kind:
         return run
     except StoreError as fault:
         raise StoreError(f"cannot read {path}: {fault}") from None
-    except Exception as fault:  # a damaged file may fail anywhere in HDF5, or in what reads it
+    except Exception as fault:  # a damaged file may fail anywhere in HDF5 or its readers
         reason = f"{type(fault).__name__}: {fault}"
         raise StoreError(f"cannot read {path}: not a saved trajectory ({reason})") from None
 
 
 def _require_own_numbers(path: Path) -> None:
-    """Refuse a file whose numbers are elsewhere, or are more than it holds.
+    """Refuse a file whose data are stored elsewhere, or are larger than the file.
 
     Raises
     ------
@@ -323,12 +321,12 @@ def _samples(data: Any, signals: Sequence[SignalSpec]) -> dict[str, Samples]:
 
 
 def _own(run: Solution, model: Any) -> Spec:
-    """What a model is that has made a run.
+    """The spec of the model that made a run.
 
     Raises
     ------
     StoreError
-        If it is another than the run's.
+        If it does not match the run.
     """
     spec: Spec | None = getattr(model, "spec", None)
     if spec is None:
@@ -347,7 +345,7 @@ def _own(run: Solution, model: Any) -> Spec:
 
 
 def _stats(saved: dict[str, Any] | None) -> Stats | None:
-    """What the run has cost; None where the file is from before that was kept."""
+    """The cost of the run; None if the file predates it."""
     if saved is None:
         return None
     rejected, evaluations = (
@@ -365,7 +363,7 @@ def _jumps(data: Any, edges: list[str]) -> dict[int, JumpRow]:
 
 
 def _by_arc(jumps: dict[int, JumpRow], arcs: list[Arc]) -> dict[int, JumpRow]:
-    """The arc each jump leads from: the last arc with as many jumps before it as the jump."""
+    """The jumps by the arc that each ends: the last arc with as many jumps before it."""
     last = {arc.j: index for index, arc in enumerate(arcs)}
     return {last[j]: row for j, row in jumps.items()}
 

@@ -1,4 +1,4 @@
-"""Two runs of which the second goes on where the first ended, as one."""
+"""Joins two runs, the second of which continues the first."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Kind = TypeVar("Kind", bound=Solution)
 
 
 def join(run: Kind, more: Kind) -> Kind:
-    """A run and one that goes on where it ended: see :meth:`hybrid.Trajectory.__add__`."""
+    """A run joined with one that continues it: see :meth:`hybrid.Trajectory.__add__`."""
     _require_fit(run, more)
     before = len(run.jumps)
     log = run.log.then(more.log, before)
@@ -46,7 +46,12 @@ def join(run: Kind, more: Kind) -> Kind:
 
 
 def _require_fit(run: Solution, more: Solution) -> None:
-    """Refuse runs of which the second does not begin as the first ended."""
+    """Refuse a second run that does not begin as the first ended.
+
+    Raises
+    ------
+    OptionError
+    """
     first, why = more.arcs[0], run.differs(more.spec, more.parameters)
     moved = np.abs(first.first - run.log.kept[-1].last)
     saves = [each.options["save"] for each in (run, more)]
@@ -77,7 +82,7 @@ def _options(run: Solution, more: Solution) -> dict[str, Any]:
 
 
 def _released(points: Sequence[Accumulation], more: Solution) -> list[Accumulation]:
-    """The accumulations of a run; those that led to a rest which ended later say when."""
+    """The accumulations of a run, with the release times of rests that ended in the next run."""
     found = list(points)
     for edges, place in {point.edges: place for place, point in enumerate(points)}.items():
         point, release = found[place], f"{edges[0]}.release"

@@ -1,4 +1,4 @@
-"""``run.settles()``: whether a run has come to rest, or to an orbit, and how that is known."""
+"""``run.settles()``: whether a run has reached rest or a periodic orbit, with the evidence."""
 
 from __future__ import annotations
 
@@ -24,48 +24,49 @@ from .standing import RATE_PARTS, SAMPLED_DEGREE, Standing, standing
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers
 
-#: Distances below this many times ``rtol``, three turns in a row, are those of a closed orbit.
+#: Three successive turns closer than this many times ``rtol`` are a closed orbit.
 CLOSED_RTOLS = 10.0
 
-#: Moves of less than this many times ``atol`` are none.
+#: Changes below this many times ``atol`` count as none.
 STILL_ATOLS = 100.0
 
-#: Longest orbit, in returns, that is looked for.
+#: Longest orbit searched for, in returns.
 LONGEST_ORBIT = 16
 
-#: Least number of turns that is looked at; and how far all turns to come may lead, against the size
-#: of the orbit.
+#: Least number of turns, and largest total distance that the remaining turns may cover, relative to
+#: the size of the orbit.
 SHRINKING, REMAINING_DISTANCE = 5, 1e-3
 
-#: Distances must have fallen by this factor at least, and are looked at back to that factor. A slow
-#: passage, or a beat, falls by much too, but not at an even rate.
+#: Distances must have fallen by at least the first factor, and are examined back to the second. In
+#: a slow passage or a beat they also fall by a large factor, but not at an even rate.
 LEAST_FALL, LOOKED_AT_FALL = 10.0, 1e4
 
-#: Turns for one half of the fall (of its logarithm), at most, against those for the other: so many
-#: times as many, and so many more. Distances like 1/k^2, those of the slowest passage, give 3.2
-#: times as many over a factor of 100, 1.8 over 10.
+#: The (logarithmic) fall is even if neither half takes more than this factor times the turns of the
+#: other, plus this number. Distances like 1/k^2, those of the slowest passage, give a ratio of 3.2
+#: over a factor of 100 and of 1.8 over 10.
 EVEN_RATIO, EVEN_TURNS = 1.4, 2.0
 
-#: Distances are compared by the largest of so many: those of complex multipliers rise and fall.
+#: Distances are compared by the maximum of this many, as complex multipliers make them oscillate.
 WAVE = 3
 
-#: A closed orbit must have been one for this share of the run, or been approached evenly.
+#: Fraction of the run for which a closed orbit must have been closed, unless it was approached
+#: evenly.
 SETTLED_SHARE = 0.25
 
-#: Distances of this ratio are much the same.
+#: Distances within this ratio count as similar.
 ALIKE = 10.0
 
-#: Shares of a step at which the state is looked at.
+#: Fractions of a step at which the state is sampled.
 STEP_SHARES = (0.0, 0.25, 0.5, 0.75)
 
-#: A zero found in Bernstein's form, which has lost some digits of the highest terms, moves by no
-#: more than this in a step of Newton's method on the Chebyshev series.
+#: Largest Newton correction, on the Chebyshev series, of a zero found in Bernstein form, which has
+#: lost some digits of the highest terms.
 NEWTON_MOVE = 1e-6
 
-#: The last turns from which the rate of approach is taken.
+#: Number of last turns from which the rate of approach is taken.
 MEAN_TURNS = 12
 
-#: Digits of a period that are ever shown.
+#: Most digits of a period that are shown.
 DIGITS = 12
 
 
@@ -80,12 +81,12 @@ class Settled:
         A sentence with the evidence.
     period : float or None
     jumps : float or None
-        Jumps in a period; ``inf`` where they accumulate.
+        Jumps per period; ``inf`` where they accumulate.
     distance : float or None
-        Between the last two turns (at rest: how far the state still moves), against the size of
-        the orbit.
+            Distance between the last two turns (at rest: how far the state still moves), relative
+        to the size of the orbit.
     rate : float or None
-        By what that distance is multiplied each turn; None where it has been rounding all along.
+        Factor by which that distance changes per turn; None if it has been rounding all along.
     for_ever : bool
         Whether nothing can end the rest (see :mod:`.standing`).
     """
@@ -104,7 +105,7 @@ class Settled:
 
 @attrs.frozen(eq=False)
 class Returns:
-    """Times and states at which a run comes back to something."""
+    """Times and states at which a run returns to some event or level."""
 
     to: str
     t: Numbers
@@ -113,7 +114,7 @@ class Returns:
 
 @attrs.frozen(eq=False)
 class Turns:
-    """The last turns of a run, taken as ``length`` returns each, and distances between them."""
+    """The last turns of a run, each of ``length`` returns, and the distances between them."""
 
     returns: Returns
     length: int
@@ -138,10 +139,10 @@ def settles(run: Solution) -> Settled:
 
 
 def _tolerances(run: Solution) -> tuple[float, np.ndarray]:
-    """Up to what the caller means states to be the same: the run's tolerances.
+    """The tolerances within which the caller means states to be equal: those of the run.
 
-    Those at which Taylor series run where none are given say how accurate they are, not what is
-    meant: there it is what is meant on the other solvers.
+    The default tolerances of Taylor series only state their accuracy; the defaults of the other
+    solvers are used instead.
     """
     usual = Solver.own_rtol, Solver.own_rtol / 100
     rtol, atol = (run.options.get(name, u) for name, u in zip(("rtol", "atol"), usual, strict=True))
@@ -153,7 +154,7 @@ def _tolerances(run: Solution) -> tuple[float, np.ndarray]:
 
 
 def _doubt(found: Settled, stands: Standing | None) -> str | None:
-    """The clause on a rest that may not last; None where there is nothing to say."""
+    """A clause saying that a rest may not last; None if it does not apply."""
     if found.kind == "periodic" or (stands is None and found.kind == "none"):
         return None
     if stands is None:
@@ -164,7 +165,7 @@ def _doubt(found: Settled, stands: Standing | None) -> str | None:
 
 
 def _turning(run: Solution, scale: Numbers, tol: float) -> Settled:
-    """An orbit, or nothing."""
+    """The result for an orbit, or for neither rest nor orbit."""
     tried = [turns for returns in _returns(run) for turns in _turns(returns, scale)]
     for turns in tried:
         if _settled(turns, run, tol):
@@ -179,14 +180,14 @@ def _turning(run: Solution, scale: Numbers, tol: float) -> Settled:
 
 
 def _scale(run: Solution) -> Numbers:
-    """Size of each element of the state over the last half of a run."""
+    """Size of each state element over the last half of a run."""
     states = _states(run, 0.5 * (run.t0 + run.t1))[1]
     size: np.ndarray = np.abs(states).max(axis=0)
     return np.where(size > 0, size, 1.0)
 
 
 def _states(run: Solution, since: float) -> tuple[np.ndarray, np.ndarray]:
-    """Times and states along a run from a time on: at the ends of arcs and along their steps."""
+    """Times and states of a run from a time on: at the ends of arcs and within their steps."""
     times, states = [], []
     for arc in run.arcs:
         if arc.t1 >= since:
@@ -199,9 +200,9 @@ def _states(run: Solution, since: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _moves(run: Solution, states: Matrix, scale: Numbers) -> float:
-    """How far the states lie apart, beyond what the tolerance makes of it.
+    """Spread of the states beyond the absolute tolerance, relative to their size.
 
-    It makes nothing of a run whose states are all below it: ``atol`` is then in other units.
+    The tolerance is ignored if all states are below it: ``atol`` is then meant for other units.
     """
     slack = STILL_ATOLS * _tolerances(run)[1]
     slack = slack if np.any(run.size > slack) else 0.0 * slack
@@ -225,7 +226,7 @@ def _for_ever(run: Solution, stands: Standing) -> Settled:
 
 
 def _held(run: Solution, scale: Numbers, tol: float) -> Settled | None:
-    """Held still by contacts, or on a surface, over the last quarter of the run at least."""
+    """Rest on contacts or a surface over at least the last quarter of the run, or None."""
     arc = run.parts[-1]
     whole = run.t1 - run.t0
     if not isinstance(arc, Arc) or not arc.constrained or arc.length < 0.25 * whole:
@@ -250,7 +251,7 @@ def _held(run: Solution, scale: Numbers, tol: float) -> Settled | None:
 
 
 def _loads(run: Solution, times: Numbers, states: Matrix) -> list[float]:
-    """The smallest load of the contacts held at the end, at some times; none if not known."""
+    """The loads of the contacts held at the end, at the given times; empty if not known."""
     if run.hindsight is None:
         return []
     found = []
@@ -261,7 +262,7 @@ def _loads(run: Solution, times: Numbers, states: Matrix) -> list[float]:
 
 
 def _still(run: Solution, scale: Numbers, tol: float) -> Settled | None:
-    """The last half of the run tends to a point, without a jump."""
+    """Convergence to a point, without a jump, over the last half of the run, or None."""
     middle = 0.5 * (run.t0 + run.t1)
     if len(run.jumps) and run.jumps.t[-1] > middle:
         return None
@@ -285,7 +286,7 @@ def _still(run: Solution, scale: Numbers, tol: float) -> Settled | None:
 
 
 def _even(run: Solution) -> np.ndarray:
-    """Times that part the last half of a run evenly."""
+    """Evenly spaced times in the last half of a run."""
     return np.linspace(0.5 * (run.t0 + run.t1), run.t1, 16 * RATE_PARTS)
 
 
@@ -294,7 +295,7 @@ def _even(run: Solution) -> np.ndarray:
 
 
 def _returns(run: Solution) -> list[Returns]:
-    """What a run comes back to: limits of jumps, jumps of each edge, a level; rarest first."""
+    """Returns of a run to limits of jumps, to jumps of each edge, and to a level; rarest first."""
     found = []
     for edges in {point.edges for point in run.zeno}:
         points = [p for p in run.zeno if p.edges == edges]
@@ -312,12 +313,12 @@ def _returns(run: Solution) -> list[Returns]:
 
 
 def _longest(times: Numbers) -> float:
-    """Twice the longest time between the last returns: later than that they have ceased."""
+    """Twice the longest recent time between returns: after a longer pause they have ceased."""
     return 2.0 * float(np.max(np.diff(times[-LONGEST_ORBIT:])))
 
 
 def _crossings(run: Solution) -> Returns:
-    """Rising crossings of the middle of the coordinate that varies most, against its size."""
+    """Upward crossings of the mid-level of the coordinate with the largest relative variation."""
     states = _states(run, 0.5 * (run.t0 + run.t1))[1]
     spread, size = np.ptp(states, axis=0), np.abs(states).max(axis=0)
     i = int(np.argmax(spread / np.where(size > 0, size, 1.0)))
@@ -346,7 +347,7 @@ def _rising(series: Numbers, level: float) -> list[float]:
 
 
 def _turns(returns: Returns, scale: Numbers) -> Iterator[Turns]:
-    """Turns of 1, 2, ... returns, each with the distances between one turn and the next."""
+    """Turns of 1, 2, ... returns, each with the distances between successive turns."""
     t, x = returns.t, returns.x / scale
     for length in range(1, LONGEST_ORBIT + 1):
         if len(t) < (SHRINKING + 1) * length + 1:
@@ -362,7 +363,7 @@ def _turns(returns: Returns, scale: Numbers) -> Iterator[Turns]:
 
 
 def _settled(turns: Turns, run: Solution, tol: float) -> bool:
-    """Whether turns have come to an orbit, or tend to one at a rate that leaves no doubt."""
+    """Whether turns have reached an orbit, or approach one at a conclusive rate."""
     distances = _highest(turns.distances, WAVE)
     if distances[-1] > tol:
         return _falls(distances) and _beyond(distances) <= REMAINING_DISTANCE
@@ -372,7 +373,7 @@ def _settled(turns: Turns, run: Solution, tol: float) -> bool:
 
 
 def _highest(values: Numbers, count: int) -> Numbers:
-    """The largest of each value and those before it, so many in all."""
+    """The running maximum over ``count`` values."""
     if len(values) < count:
         return values[-1:]
     highest: np.ndarray = np.lib.stride_tricks.sliding_window_view(values, count).max(axis=1)
@@ -380,9 +381,9 @@ def _highest(values: Numbers, count: int) -> Numbers:
 
 
 def _falls(distances: Numbers) -> bool:
-    """Whether distances fall by much, at an even rate.
+    """Whether distances fall by a large factor at an even rate.
 
-    A passage along what is almost an orbit becomes slower and slower, a beat comes to its turning
+    A passage near an almost closed orbit becomes slower and slower; a beat approaches its turning
     point faster and faster.
     """
     last = float(distances[-1])
@@ -396,7 +397,7 @@ def _falls(distances: Numbers) -> bool:
 
 
 def _beyond(distances: Numbers) -> float:
-    """How far all turns to come lead, if they go on as they did of late."""
+    """Total distance that future turns will cover at the recent rate."""
     last = float(distances[-1])
     start = int(np.flatnonzero(distances >= LEAST_FALL * last)[-1])
     if not last:
@@ -406,7 +407,7 @@ def _beyond(distances: Numbers) -> float:
 
 
 def _shortest(turns: Turns, tried: list[Turns]) -> Turns:
-    """The shortest orbit that is as nearly closed: one that shrinks turning round is that too."""
+    """The shortest orbit that closes about as well; it may rotate while it shrinks."""
     return next(
         shorter
         for shorter in tried
@@ -417,7 +418,7 @@ def _shortest(turns: Turns, tried: list[Turns]) -> Turns:
 
 
 def _rate(distances: Numbers, tol: float) -> float | None:
-    """Mean factor from one distance to the next, where they are more than rounding."""
+    """Mean ratio of successive distances, as far as they exceed rounding; None if none do."""
     recent = distances[-MEAN_TURNS:]
     ratios = [after / before for before, after in pairwise(recent) if after > 1e-2 * tol]
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else None

@@ -1,11 +1,11 @@
-"""Rest that nothing can end: what a run shows at its end, and what its model says of the rest.
+"""Permanent rest: what a run shows at its end, and what its model implies.
 
-Where the state does not change, neither flow nor guards nor the gaps that are held depend on time,
-and all that delays see has stood still for the longest lag, the next instant finds everything as
-this one did. If then no guard is zero, and what holds the state pushes, nothing changes any more.
+Suppose the state does not change, flow, guards and held gaps do not depend on time, and everything
+that delays see has been constant for the longest lag. Then the next instant equals this one. If in
+addition no guard is zero, and the contacts that hold the state push, nothing ever changes.
 
-A position that a contact holds stands still because its gap, which is zero, depends on it and on
-what stands still: its rate is rounding, whatever its size. All other rates must be zero.
+A position held by a contact is constant because its gap, which is zero, depends only on it and on
+constant values; its rate is rounding, whatever its size. All other rates must be exactly zero.
 """
 
 from __future__ import annotations
@@ -24,21 +24,22 @@ from ..trajectory.trajectory import Solution
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers
 
-#: Differences below this, against the size of an element along the run, are rounding.
+#: Differences below this, relative to the largest value of an element in the run, are rounding.
 CHANGE_ROUNDING = 1e-14
 
-#: A guard nearer to zero than this, against the terms it is made of (a load: against the largest
-#: that it was), is not away from it: what integration loses may have brought it there.
+#: A guard closer to zero than this is not safely away from it, as integration errors may have
+#: brought it there; relative to the terms of the guard, or for a load to its largest value.
 AWAY = 1e-6
 
-#: Parts of the last half of a run in which the rates of what moves are compared, and times in each.
-#: Noise grows in all of them once in 720 times, and by no power of ten from the first to the last.
+#: Number of parts of the last half of a run in which rates are compared, of times in each, and the
+#: overall growth that is decisive by itself. Noise grows through all parts in one of 720 cases, and
+#: never tenfold from the first to the last.
 RATE_PARTS, TIMES, MUCH = 6, 4, 10.0
 
 #: Degree at which a function of the state is sampled along a step to find its zeros.
 SAMPLED_DEGREE = 16
 
-#: Places along a step at which loads are looked at.
+#: Places along a step at which loads are evaluated.
 LOAD_PLACES = nodes(8)
 
 
@@ -49,15 +50,15 @@ class Standing:
     Attributes
     ----------
     since : float
-        From when on everything that is seen stands still.
+        Time since which everything that delays see is constant.
     load, least : float or None
-        Of the contacts that are held: the smallest load at the end, and on the way there.
+        Smallest load of the held contacts, at the end and on the way there.
     but : str or None
-        Why that may not be for ever.
+        Why the rest may not be permanent.
     still : bool
-        Whether it stands still.
+        Whether the state is constant.
     doubtful : bool
-        Whether what moves grows, or might lift what a contact holds.
+        Whether what still moves grows, or might lift a held contact.
     """
 
     since: float
@@ -69,7 +70,7 @@ class Standing:
 
 
 def standing(run: Solution) -> Standing | None:
-    """How a run stands still at its end; None if its model, or how it ended, is not known."""
+    """How a run stands still at its end; None if its model or its last arc is not known."""
     arc, sight = run.parts[-1], run.hindsight
     if sight is None or not isinstance(arc, Arc) or not arc.segments:
         return None
@@ -89,7 +90,7 @@ def standing(run: Solution) -> Standing | None:
 
 
 def _moves(run: Solution, arc: Arc, field: Field) -> tuple[str, bool] | None:
-    """What moves, and whether that may end a rest; None where nothing does."""
+    """What still moves, and whether it may end a rest; None if nothing moves."""
     for contact in field.held:
         if field.code.timed(field.code.closed("gap", contact)):
             return f"the gap of {contact}, which is held, depends on time", True
@@ -107,14 +108,14 @@ def _moves(run: Solution, arc: Arc, field: Field) -> tuple[str, bool] | None:
 
 
 def _held(field: Field) -> set[int]:
-    """Places of positions that a contact alone holds, and of their velocities."""
+    """Indices of positions that a single contact holds, and of their velocities."""
     pairs = [field.code.pairing(contact) for contact in field.held]
     single = [pair for pair in pairs if len(pair.positions) == 1]
     return {int(place) for pair in single for place in (*pair.positions, *pair.velocities)}
 
 
 def _grow(run: Solution, arc: Arc, places: list[int]) -> list[bool]:
-    """Whether the rates of some elements grow all through the last half of a run."""
+    """Whether the rates of some elements grow throughout the last half of a run."""
     first = max(arc.t0, 0.5 * (run.t0 + run.t1))
     times = np.linspace(first, arc.t1, RATE_PARTS * TIMES)
     states = arc.local(np.clip((times - arc.t0) - arc.low, 0.0, arc.length))
@@ -129,7 +130,7 @@ def _grow(run: Solution, arc: Arc, places: list[int]) -> list[bool]:
 
 
 def _stands(record: PastRecord, arc: Arc, seen: list[int], size: Numbers) -> float:
-    """From when on the record shows the last state, in what is seen of it."""
+    """The time since which the record equals the last state, in all elements that delays see."""
     for piece in reversed(record.pieces):
         start = piece.start if np.isfinite(piece.start) else piece.end - 1.0
         states = piece.state(start, (piece.end - start) * LOAD_PLACES)[:, seen]
@@ -142,7 +143,7 @@ def _stands(record: PastRecord, arc: Arc, seen: list[int], size: Numbers) -> flo
 
 
 def _loads(sight: Hindsight, part: int, arc: Arc) -> list[list[float]]:
-    """Loads of the contacts held, along an arc."""
+    """Loads of the held contacts along an arc, one list per sampled time."""
     found = []
     for segment in arc.segments:
         times = arc.t0 + arc.low + segment.start + segment.length * LOAD_PLACES

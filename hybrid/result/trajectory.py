@@ -1,4 +1,4 @@
-"""What a run returns: its data, and what is done with them."""
+"""What a run returns: its data, and the methods to use them."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 class Trajectory(Solution):
     """The result of a run, in hybrid time.
 
-    ``run(t)`` is the state at a time, ``run.arcs`` and ``run.jumps`` the tables, ``run.final``
-    and ``run.mode`` where it ended.
+    ``run(t)`` is the state at a time, ``run.arcs`` and ``run.jumps`` are the tables, ``run.final``
+    and ``run.mode`` the state and mode at the end.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Trajectory(Solution):
     samples : array, shape (number of times, n), or None
         With ``save=times``: the states at these times.
     grazings : list of Jump
-        Tangencies of a guard, which fire no edge (``before`` and ``after`` are the same).
+        Tangencies of a guard, which fire no edge (``before`` and ``after`` are equal).
     status : Status
         How the run ended; ``str(run.status)`` is a sentence with the remedy.
     options : dict
@@ -58,45 +58,45 @@ class Trajectory(Solution):
     """
 
     def __add__(self, more: Trajectory) -> Trajectory:
-        """This run and one that goes on where it ended, as one.
+        """This run joined with one that continues it.
 
-        Times, arcs, jumps, accumulations, grazings, saved states and stats are joined, ``j`` counts
-        on. The arc that was cut is one arc again; where the next begins in another mode (a rest
-        that begins at that time) two arcs meet without a jump. ``options`` are those of ``more``,
-        tolerances the larger of the two.
+        Times, arcs, jumps, accumulations, grazings, saved states and stats are joined, and ``j``
+        continues to count. The arc that was cut becomes one arc again; if the next run begins in
+        another mode (a rest that begins at that time), two arcs meet without a jump. ``options``
+        are those of ``more``, with the larger tolerances of the two.
 
         Raises
         ------
         OptionError
-            If ``more`` is another model's, has other parameters, or does not begin at the time, in
+                If ``more`` has another model or other parameters, or does not begin at the time, in
             the mode and in the state in which this run ended.
         """
         return join(self, more) if isinstance(more, Trajectory) else NotImplemented
 
     def settles(self) -> Settled:
-        """Whether the run has come to rest, or to a periodic orbit, as far as it shows.
+        """Whether the run has come to rest or to a periodic orbit, as far as it shows.
 
         Returns
         -------
         Settled
-            ``.kind`` is ``"rest"``, ``"periodic"`` or ``"none"``, ``.reason`` a sentence with the
-            evidence, ``.period``, ``.jumps`` (a period), ``.distance`` and ``.rate`` its numbers;
-            ``.for_ever`` is true of a rest that nothing can end.
+                ``.kind`` is ``"rest"``, ``"periodic"`` or ``"none"``, and ``.reason`` a sentence
+            with the evidence. ``.period``, ``.jumps`` (per period), ``.distance`` and ``.rate``
+            give numbers; ``.for_ever`` is true for a rest that nothing can end.
 
         Raises
         ------
         OptionError
-            If no dense output was kept where it is needed.
+            If dense output is needed but was not kept.
 
         Notes
         -----
-        An orbit is taken for one if its turns have been closer than 10 ``rtol`` for a quarter of
-        the run, or have come so close, or are coming closer, at an even rate that leaves less
-        than a thousandth of its size to go. Moves of less than 100 ``atol`` count as none. (With
-        Taylor series and no tolerances given, 1e-8 and 1e-10 are meant, as on other solvers.) A
-        rest is for ever where neither flow nor guards, nor the gaps that are held, depend on
-        time, the state does not change at all, and delays have seen nothing else for the
-        longest lag; where it may end, the reason says so.
+        An orbit is accepted if its turns have been closer than 10 ``rtol`` for a quarter of the
+        run, or have come that close at an even rate, or are approaching at an even rate that leaves
+        less than a thousandth of its size to go. Changes below 100 ``atol`` count as none. (With
+        Taylor series at default tolerances, 1e-8 and 1e-10 are used, as for other solvers.) A rest
+        is permanent if flow, guards and held gaps do not depend on time, the state does not change
+        at all, and delays have seen nothing else for the longest lag; if it may end, the reason
+        says so.
         """
         return settles(self)
 
@@ -188,7 +188,7 @@ class Trajectory(Solution):
         animate(self, path, seconds, fps, size)
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the words of ``repr``, and a small picture."""
+        """The notebook representation: the text of ``repr`` and a small picture."""
         return f"<pre>{escape(repr(self))}</pre>\n{sketch(self)}"
 
     def to_xarray(self, t: Any = None) -> xarray.Dataset:

@@ -1,18 +1,18 @@
-"""Interchangeable solvers, chosen by a flag.
+"""Interchangeable solvers, chosen by name.
 
 ``scipy``
-    SciPy's methods. DOP853 is the default: eighth order, and an impact's landing is a step
-    of the method itself. Radau for stiff flows. BDF and LSODA restart at order one after
-    each jump.
+        SciPy's methods. DOP853 is the default: eighth order, and it lands on an impact with a step
+    of the method itself. Use Radau for stiff flows. BDF and LSODA restart at order one after each
+    jump.
 ``diffrax``
-    Diffrax's methods, some steps ahead in each call of a compiled program. Dopri8 is the default;
+        Diffrax's methods, several steps per call of a compiled program. Dopri8 is the default; use
     Kvaerno5 for stiff flows.
 ``taylor``
-    Taylor series made from the trace, for flows that are not stiff: accurate to rounding where
-    no tolerance is given, and of a lower order where one is. To rounding, it is also what a
-    run's error bounds are measured with.
+        Taylor series made from the trace, for flows that are not stiff: accurate to rounding if no
+    tolerance is given, of a lower order otherwise. At rounding level it also measures the error
+    bounds of runs.
 
-A solver only flows (:mod:`.base`). A package of its own adds one by an entry point of the
+A solver only integrates flows (:mod:`.base`). Another package can add one by an entry point of the
 group ``hybrid.solvers`` (``docs/extending.md``).
 """
 
@@ -27,10 +27,10 @@ from typing import Any
 from ..errors import OptionError
 from .base import Solver, Stepper, owner_of
 
-#: What makes a solver from a method and its tolerances: its class, as a rule.
+#: Makes a solver from a method and its tolerances; usually the solver's class.
 Maker = Callable[..., Solver]
 
-#: Entry points of this group are such callables.
+#: The entry point group of such callables.
 GROUP = "hybrid.solvers"
 
 
@@ -62,12 +62,12 @@ SOLVERS: dict[str, Callable[[], Maker]] = {
 
 
 def maker(solver: str) -> Maker:
-    """What makes the solver of that name.
+    """The maker of the solver with this name.
 
     Raises
     ------
     OptionError
-        If there is none.
+        If there is no such solver.
     """
     if isinstance(solver, str) and solver in SOLVERS:
         return SOLVERS[solver]()
@@ -83,8 +83,7 @@ def maker(solver: str) -> Maker:
 
 
 def renamed(solver: str, method: Any) -> tuple[str, Any]:
-    """A solver and a method; where the method is now a solver of its own that one, with a warning
-    to the caller of the caller."""
+    """The current solver and method for deprecated names, with a warning at the caller's caller."""
     if solver != "diffrax" or not isinstance(method, str) or method != "Taylor":
         return solver, method
     text = "solver='diffrax', method='Taylor' is now solver='taylor'"
@@ -100,12 +99,12 @@ def choose(
     max_step: float = float("inf"),
     controller: Any = None,
 ) -> Solver:
-    """The solver of that name; ``controller`` is a step size controller of Diffrax.
+    """The solver with this name; ``controller`` is a step size controller of Diffrax.
 
     Raises
     ------
     OptionError
-        If there is none, or it has no such method.
+        If there is no such solver, or it has no such method.
     """
     make = maker(solver)
     if controller is not None and solver != "diffrax":
@@ -115,14 +114,14 @@ def choose(
         point = f"{make.__module__}:{getattr(make, '__qualname__', make)}"
         raise OptionError(
             f"solver={solver!r}: its entry point {point} made {made!r}, "
-            "which is no hybrid.solvers.Solver"
+            "which is not a hybrid.solvers.Solver"
         )
     made.max_step = max_step
     return made
 
 
 def own_rtol(solver: str) -> float:
-    """The relative tolerance of the solver of that name, where none is given.
+    """The default relative tolerance of a solver.
 
     Raises
     ------
@@ -133,7 +132,7 @@ def own_rtol(solver: str) -> float:
 
 
 def averages(solver: str) -> bool:
-    """Whether the solver of that name weighs the mean error of a state."""
+    """Whether a solver controls the mean error over the elements of the state."""
     return bool(getattr(maker(solver), "averages", False))
 
 

@@ -1,22 +1,21 @@
-"""What a solver must do: flow. Events, jumps and accumulations are not its business.
+"""The solver interface: a solver integrates flows; events and jumps are handled elsewhere.
 
-A :class:`Solver` holds a method and its tolerances. ``begin`` gives a :class:`Stepper` for
-one arc, in the arc's local time ``tau`` (zero at its start): so a step near an accumulation
-may be far shorter than the spacing of floats around ``t``.
+A :class:`Solver` holds a method and its tolerances. ``begin`` returns a :class:`Stepper` for one
+arc, in the arc's local time ``tau``, which starts at zero. Near an accumulation a step may
+therefore be far shorter than the spacing of floats around ``t``.
 
-Contract (held by ``tests/contract``)
--------------------------------------
-* ``step(limit)`` makes one accepted step from ``tau``. It never passes the arc's
-  ``length``; a method that can repeat a step stops at ``limit`` too.
-* ``segment()`` is the last step's interpolant; its end is ``tau``, exactly. Where nobody
-  watches a guard or keeps dense output it is not asked for, and costs nothing.
-* ``land(tau)`` replaces the last step by one that ends at ``tau``, inside it, as
-  accurately as the method can, and returns its segment. The arc ends there: ``step`` is
-  not called again.
-* ``finish(length)`` makes one step or many towards the end, where nobody looks at them, and
-  returns how many.
-* A flow that is not finite, or a step that cannot be made, raises
-  :class:`~hybrid.errors.FlowError` with the time and state; the driver adds the mode.
+Contract (tested by ``tests/contract``)
+---------------------------------------
+* ``step(limit)`` makes one accepted step from ``tau``. It never passes the arc's ``length``; a
+  method that can repeat a step stops at ``limit`` too.
+* ``segment()`` is the last step's interpolant; it ends at ``tau`` exactly. If no guard is watched
+  and no dense output kept, it is not called and costs nothing.
+* ``land(tau)`` replaces the last step by one that ends at ``tau``, inside it, as accurately as the
+  method can, and returns its segment. The arc ends there: ``step`` is not called again.
+* ``finish(length)`` makes one or more steps towards the end of an arc in which nothing is watched,
+  and returns their number.
+* If the flow is not finite or a step is impossible, :class:`~hybrid.errors.FlowError` is raised
+  with the time and state; the driver adds the mode.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
     from ..lowering import Field
     from .pairs import PairTables
 
-#: No step can be held to less, relative to the state.
+#: Smallest relative tolerance of a step.
 FINEST = 2.3e-14
 
 
@@ -64,12 +63,12 @@ METHOD_NAMES = {
 
 
 def method_of(solver: str, method: str | None, known: Iterable[str]) -> str:
-    """The method named, or the first that a solver has.
+    """The named method, by default the first of ``known``.
 
     Raises
     ------
     OptionError
-        If it has no such method.
+        If the solver has no such method.
     """
     names = list(known)
     if method is not None and method not in names:
@@ -93,14 +92,14 @@ LEAST_ATOL = float(np.finfo(float).tiny)
 
 
 def tolerances(rtol: Any, atol: Any, dimension: int, own: float) -> tuple[float, np.ndarray]:
-    """Tolerances of a step: a number, and a number or one for each element of the state.
+    """Checked tolerances: ``rtol`` as a number, ``atol`` as a number or one per state element.
 
-    Where none is given ``rtol`` is the solver's ``own``, and ``atol`` a hundredth of that.
+    ``rtol`` defaults to the solver's ``own``, and ``atol`` to a hundredth of ``own``.
 
     Raises
     ------
     OptionError
-        If they are not that.
+        If a tolerance is invalid.
     """
     if rtol is None and atol is None:
         return own, np.array(own / 100)
@@ -127,7 +126,11 @@ class Stepper(abc.ABC):
     Attributes
     ----------
     repeats : bool
-        Whether :meth:`land` makes the step anew, so that steps may go on from there.
+        Whether :meth:`land` repeats the step, so that stepping may continue from there.
+    tau : float
+        Local time reached.
+    x : array
+        State there.
     """
 
     repeats = False
@@ -136,10 +139,10 @@ class Stepper(abc.ABC):
 
     @abc.abstractmethod
     def step(self, limit: float) -> None:
-        """One accepted step, not beyond local time ``limit``."""
+        """Make one accepted step, not beyond local time ``limit``."""
 
     def finish(self, length: float) -> int:
-        """As many steps at once as suit it, and how many; nobody asks for their segments."""
+        """Make one or more steps towards ``length``, without segments; returns their number."""
         self.step(length)
         return 1
 
@@ -149,15 +152,15 @@ class Stepper(abc.ABC):
 
     @abc.abstractmethod
     def land(self, tau: float) -> Segment:
-        """The last step again, ending at ``tau``; sets ``self.x``."""
+        """Repeat the last step so that it ends at ``tau``; sets ``self.x``."""
 
     def arrive(self, tau: float) -> None:
-        """As :meth:`land`, where nobody asks for the segment."""
+        """Like :meth:`land`, without the segment."""
         self.land(tau)
 
     def powers(self) -> tuple[float, float, np.ndarray]:
-        """The last step's interpolant: where it begins, how long it is, and its coefficients by
-        powers of the fraction of the step, a row for each element of the state."""
+        """The last step's interpolant: start, length, and coefficients in powers of the fraction of
+        the step, one row per state element."""
         segment = self.segment()
         return segment.start, segment.length, (to_powers(segment.degree) @ segment.coefficients).T
 
@@ -169,37 +172,35 @@ class Solver(abc.ABC):
     ----------
     name, method : str
     order : int
-        Order of the method; the driver chooses an arc's first step by it.
+        Order of the method; the driver uses it to choose an arc's first step.
     whole : bool
-        Whether the rules' own loop makes these steps, so that it can fly whole arcs.
+        Whether the rules' loop makes these steps, so that it can integrate whole arcs.
     highest : int
-        The order of the steps that it then makes.
+        Order of the steps that the loop then makes.
     rejected, evaluations : int or None
-        Attempts at a step that failed, and evaluations of the flow (:class:`hybrid.Stats`), of one
-        that counts them.
+        Rejected steps and evaluations of the flow (:class:`hybrid.Stats`); None if not counted.
     max_step : float
-        The longest step. Those that can stop at the limit of a step are given one: it is for those
-        that cannot.
+            Longest step, for methods that cannot stop at the limit of a step; other steppers
+        receive it as that limit.
     asked : bool
-        Whether that loop may ask its steppers for steps: they have :meth:`Stepper.powers`.
+        Whether the loop may request steps from its steppers; they have :meth:`Stepper.powers`.
     rtol, atol
-        What a step may lose; rounding, of a method that knows no tolerances.
+        Tolerances of a step; for a method without tolerances, rounding.
     exact : bool
         Whether its steps are accurate to rounding.
     cuts : bool
-        Whether it looks itself for the places at which a flow changes its formula, and ends steps
-        there.
+        Whether it finds formula changes of the flow itself and ends steps there.
     tables : PairTables or None
-        Of an explicit Runge-Kutta pair, with which that loop makes its steps in lanes.
+        Tables of an explicit Runge-Kutta pair, with which the loop makes its steps in lanes.
     own_rtol : float
-        The relative tolerance where the caller gives none; the absolute one is then a hundredth
-        of it. Of the class, for it is asked before one is made.
+            Default relative tolerance; the default absolute one is a hundredth of it. A class
+        attribute, as it is read before a solver is made.
     """
 
     own_rtol = 1e-8
 
-    #: Whether it holds the mean error of all elements of the state to the tolerances: one that
-    #: rests then counts among them, and they are tightened by as much.
+    #: Whether it controls the mean error over all elements of the state. A state that does not
+    #: change then still counts in the mean, and the tolerances are tightened accordingly.
     averages = False
 
     name: str
@@ -218,8 +219,11 @@ class Solver(abc.ABC):
     atol: Any = 0.0
 
     def loss(self, dimension: int) -> np.ndarray:
-        """What a step of the rules' own may lose beyond rounding: a share of each element of the
-        state, and a number for each (:func:`hybrid.rules.lengths.tolerated_length`)."""
+        """Tolerated loss per step of the rules' loop beyond rounding.
+
+        Shape ``(1 + dimension,)``: a relative tolerance, then an absolute one per state element
+        (:func:`hybrid.rules.lengths.tolerated_length`).
+        """
         return np.zeros(1 + dimension)
 
     @abc.abstractmethod
@@ -234,6 +238,6 @@ class Solver(abc.ABC):
     ) -> Stepper:
         """A stepper for an arc of at most ``length`` from ``(t0, x0)``.
 
-        ``sizes`` is given for a short flight between impacts: how far each element will go
-        from ``x0``. A method that starts at low order measures its error against them.
+        ``sizes`` is given for a short flight between impacts: the distance that each element will
+        move from ``x0``. A method that starts at low order measures its error relative to these.
         """

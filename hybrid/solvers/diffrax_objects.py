@@ -1,7 +1,7 @@
-"""Diffrax's methods, by name or as objects, with a step size controller: the caller's own too.
+"""Diffrax's methods, by name or as objects, with an optional step size controller.
 
-Some steps ahead are made in one call of a compiled program (:mod:`.diffrax_program`), and handed
-out one by one: a call costs as much as ten or a hundred small steps.
+A call of a compiled program (:mod:`.diffrax_program`) costs as much as ten to a hundred small
+steps, so each call makes several steps ahead, which are then handed out one by one.
 """
 
 from __future__ import annotations
@@ -54,11 +54,10 @@ DEGREES = {
     "Kvaerno5": 3,
 }
 
-#: Degree at which other dense output is sampled, of whatever form it is: none of Diffrax's has a
-#: higher.
+#: Degree at which the dense output of other methods is sampled; none in Diffrax has a higher one.
 OTHER_DEGREE = 8
 
-#: Sweeps of Picard's iteration that raise an interpolant to the order of its method.
+#: Picard sweeps that raise an interpolant to the order of its method.
 SWEEPS = {"Dopri8": 2}
 
 
@@ -69,13 +68,13 @@ class DiffraxSolver(Solver):
     ----------
     method : diffrax.AbstractSolver
     controller : diffrax.AbstractStepSizeController, optional
-        Diffrax's ``PIDController`` with the tolerances if omitted. It sees times from the start of
-        each arc.
+            By default Diffrax's ``PIDController`` with the tolerances. Its times count from the
+        start of each arc.
 
     Attributes
     ----------
     ahead : int
-        Steps of the arc before: so many are made ahead where an arc begins.
+        Number of steps of the previous arc; as many are made ahead at the start of an arc.
     """
 
     name = "diffrax"
@@ -90,7 +89,7 @@ class DiffraxSolver(Solver):
             raise OptionError(f"method={self.method}: it does not take one diffrax.ODETerm")
         try:
             self.order = _order(method)
-        except TypeError:  # what has arrays in it is no key
+        except TypeError:  # an object that holds arrays is not hashable
             self.order = _order.__wrapped__(method)
         self.ahead = 1
         self._programs: dict[Any, StepProgram] = {}
@@ -108,7 +107,7 @@ class DiffraxSolver(Solver):
         return DiffraxStepper(self, field, t0, x0, length, min(first, length))
 
     def program(self, field: Field) -> StepProgram:
-        """Compiled once for a class and mode; found again without a look at the object's values."""
+        """The program for a field, compiled once per class and mode."""
         short = field.code, field.name
         if short not in self._programs:
             key = ("diffrax", field.name, self.key)
@@ -122,7 +121,7 @@ class DiffraxSolver(Solver):
 
     @property
     def key(self) -> Any:
-        """What tells objects apart: their values, or where these have none (arrays) themselves."""
+        """Identifies method and controller: by value, or by identity if they hold arrays."""
         try:
             hash((self.object, self.controller))
         except TypeError:
@@ -131,7 +130,7 @@ class DiffraxSolver(Solver):
 
     @property
     def known(self) -> bool:
-        """Whether the method is one of those known by name, with nothing about it changed."""
+        """Whether the method is one known by name, with its default settings."""
         return self.method in DEGREES and bool(self.object == _named(self.method))
 
     @property
@@ -142,8 +141,11 @@ class DiffraxSolver(Solver):
 
 @cache
 def _tables(name: str) -> PairTables:
-    """An explicit method known by name as tables; its own dense output is asked for those of unit
-    vectors, which sweeps of Picard's iteration continue with stages of their own."""
+    """The tables of an explicit method known by name.
+
+    The dense output is evaluated with unit vectors as stages; Picard sweeps then add stages of
+    their own.
+    """
     method, degree = _named(name), DEGREES[name]
     table, s = method.tableau, nodes(degree)
     count, rows = table.num_stages, [[], *table.a_lower]
@@ -172,12 +174,12 @@ def _tables(name: str) -> PairTables:
 
 
 def solver_of(method: Any, rtol: float, atol: Any, controller: Any = None) -> Solver:
-    """A method by name, or an object.
+    """A Diffrax solver from a method's name or object.
 
     Raises
     ------
     OptionError
-        If the controller is none, or there is no such method.
+        If the controller is not one, or there is no such method.
     """
     if controller is not None and not isinstance(controller, diffrax.AbstractStepSizeController):
         raise OptionError(
@@ -190,7 +192,7 @@ def solver_of(method: Any, rtol: float, atol: Any, controller: Any = None) -> So
 
 @cache
 def _order(method: Any) -> int:
-    """The order of a method, which takes longer to ask for than a step."""
+    """The order of a method, cached because computing it takes longer than a step."""
     return int(method.order(diffrax.ODETerm(lambda t, y, args: y)))
 
 
@@ -200,10 +202,10 @@ def _named(name: str) -> Any:
 
 
 class DiffraxStepper(Stepper):
-    """Steps along one arc, some of them ahead in each call of a compiled program.
+    """Steps along one arc, several of them ahead in each call of a compiled program.
 
-    A step made ahead counts where the next step asked for is just that: from the state that the one
-    before has led to, and with the same limit, or tried no further than to both limits.
+    A step made ahead is used only if it is the one requested: it starts from the state that the
+    previous step reached, and its limit is the same or it stays within both limits.
     """
 
     repeats = True
@@ -231,7 +233,7 @@ class DiffraxStepper(Stepper):
 
     def step(self, limit: float) -> None:
         if not self._is_made(limit):
-            if self.x is not self._end:  # what is remembered is of another state
+            if self.x is not self._end:  # the method's memory belongs to another state
                 self.index = -1
             self._make(limit, min(self.ahead, AHEAD, self.program.places))
             self.ahead *= 2
@@ -244,7 +246,7 @@ class DiffraxStepper(Stepper):
         return self.segment()
 
     def arrive(self, tau: float) -> None:
-        """Step again from where the last step began, onto ``tau``, whatever it loses."""
+        """Repeat the last step so that it ends at ``tau``, without error control."""
         longer = self.wanted - self.tau
         self.tau, self.x, self.index = self._before
         self._make(tau, 1, forced=True)
@@ -252,11 +254,11 @@ class DiffraxStepper(Stepper):
         self.wanted = tau + longer
 
     def finish(self, length: float) -> int:
-        """Diffrax's own loop, so many attempts at a time."""
+        """Integrate with Diffrax's own loop, a bounded number of attempts per call."""
         left = np.asarray(self.program.whole(self._asked(length)))
         tau, h, steps, rejected = left[:4].tolist()
         if not (self.tau < tau and np.all(np.isfinite(left))):
-            self.step(length)  # which says what is wrong
+            self.step(length)  # raises the error
             return 1
         self.tau, self.wanted, self.x = tau, tau + h, left[4:]
         self.solver.rejected += int(rejected)
@@ -284,7 +286,7 @@ class DiffraxStepper(Stepper):
         return bool(limit == self._limit or self.wanted <= min(limit, self._limit))
 
     def _make(self, limit: float, count: int, forced: bool = False) -> None:
-        """Make steps up to a limit, so many at most."""
+        """Make at most ``count`` steps up to a limit."""
         n, numbers = self.program.n, self._asked(limit, count, forced)
         try:
             left, self.memories = self.program.run(numbers, self.memories)
@@ -299,7 +301,7 @@ class DiffraxStepper(Stepper):
             raise FlowError(self._reason(self.tau, self.x))
 
     def _asked(self, limit: float, count: int = 1, forced: bool = False) -> Numbers:
-        """What a program is told."""
+        """The numeric inputs of a program call."""
         numbers, n = self.numbers, self.program.n
         numbers[INDEX], numbers[ASKED_TAU], numbers[ASKED_TO] = self.index, self.tau, self.wanted
         numbers[ASKED_LIMIT], numbers[ASKED_STEPS], numbers[FORCED] = limit, count, forced
@@ -307,7 +309,7 @@ class DiffraxStepper(Stepper):
         return numbers
 
     def _take(self) -> None:
-        """Go on to the end of the next step made."""
+        """Advance to the end of the next step made."""
         row = self.rows[self.used]
         self._before = self.tau, self.x, self.used
         self._last = self.tau, row[MADE_STATES:].reshape(self.program.states, -1)
@@ -317,11 +319,11 @@ class DiffraxStepper(Stepper):
         self.index = self.used
         self.solver.rejected += int(refused - self._refused)
         self._refused = refused
-        if self.used == self.made and not isfinite(self.x.sum()):  # no step follows such a one
+        if self.used == self.made and not isfinite(self.x.sum()):  # no step can follow
             raise FlowError(self._reason(*self._before[:2]))
 
     def _reason(self, tau: float, x: StateVector) -> str:
-        """Why there is no step from a state."""
+        """Why no step from this state is possible."""
         if not np.all(np.isfinite(self.field.rhs(self.t0 + tau, x.tolist()))):
             return NO_FLOW_HERE
         return "the solver gave up: the step became too small, or the flow is not finite"

@@ -1,8 +1,8 @@
 """Steps of a Diffrax method as a compiled program.
 
-Each attempt at a step is the method's ``step`` and the controller's ``adapt_step_size``. Numbers
-(parameters, start, time, tolerances) are arguments of the program: changing one does not compile
-again. What method and controller remember is carried from step to step, and begun anew at each
+Each attempt at a step calls the method's ``step`` and the controller's ``adapt_step_size``. Numbers
+(parameters, start, time, tolerances) are arguments of the program, so changing them does not
+recompile it. The memory of method and controller is carried from step to step and reset at each
 jump.
 """
 
@@ -25,60 +25,60 @@ from ..segment import apply, integrals, nodes
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers
 
-#: Most attempts at a step: each that is refused is cut to a fifth or more by Diffrax's controllers,
-#: so that the smallest of floats is reached before.
+#: Most attempts at a step. Diffrax's controllers shrink a rejected step to at least a fifth, so the
+#: smallest float would be reached earlier.
 ATTEMPTS = 200
 
-#: Most steps ahead, and most numbers that they leave: to clear and to copy so many takes about as
-#: long as a call.
+#: Most steps made ahead, and most numbers returned for them: clearing and copying that many takes
+#: about as long as a call.
 AHEAD, NUMBERS = 32, 8192
 
-#: A step this short against the time in the arc cannot be made.
+#: Shortest possible step, relative to the local time.
 SHORTEST = 1e-14
 
-#: Most attempts between two looks from Python, where nobody asks for steps one by one.
+#: Most attempts per call when Diffrax's own loop integrates.
 ATTEMPTS_AT_ONCE = 100_000
 
-#: What a program is told, before the state, the absolute tolerances and the parameters.
+#: Places of the inputs of a program; the state, the absolute tolerances and the parameters follow.
 INDEX, T0, ASKED_TAU, ASKED_TO, ASKED_LIMIT, ASKED_LENGTH, ASKED_STEPS = range(7)
 FORCED, ASKED_RTOL, ASKED_STATE = range(7, 10)
 
-#: What each step leaves before its states: its end, that of the step that comes next, and the
-#: attempts refused so far.
+#: Places of what each step returns before its states: its end, the end of the step to try next, and
+#: the number of rejected attempts so far.
 MADE_END, MADE_NEXT, MADE_REFUSED, MADE_STATES = range(4)
 
 
 class MethodMemory(NamedTuple):
-    """What a method and a controller remember."""
+    """The memory of a method and a controller."""
 
     method: Any
     controller: Any
 
 
 class StepProgram:
-    """Steps of a method along a field, one after another, as a compiled function.
+    """Successive steps of a method along a field, as a compiled function.
 
     Parameters
     ----------
     method : diffrax.AbstractSolver
     controller : diffrax.AbstractStepSizeController or None
     degree : int
-        Of the dense output.
+        Degree of the dense output.
     sweeps : int
-        Of Picard's iteration, which raise that to the order of the method.
+        Number of Picard sweeps that raise the dense output to the order of the method.
 
     Attributes
     ----------
     run : callable ``(numbers, memories)``
-        Gives an array and new memories. In the array are how many steps are made and how many
-        attempts at the next one have failed, and a row for each step. The memories are those
-        before each step, and after the last. ``numbers[INDEX]`` says with which to begin: -1 at
-        the start of an arc.
+            Returns an array and new memories. The array holds the number of steps made, the number
+        of attempts rejected, and one row per step. The memories are those before each step and
+        after the last one. ``numbers[INDEX]`` selects the memory to begin with; -1 is the start of
+        an arc.
     whole : callable ``(numbers)``
-        Makes steps by Diffrax's own loop; gives the time that they reach, the length of the next,
-        how many they are, attempts refused, and the state.
+            Integrates with Diffrax's own loop; returns the time reached, the next step length, the
+        numbers of accepted and rejected steps, and the state.
     empty : tree of arrays
-        Memories for such a start.
+        Memories for the start of an arc.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class StepProgram:
             )
 
     def flat(self, parameters: Sequence[Any]) -> Numbers:
-        """Parameters in a row, those of the arc before at once."""
+        """The parameters as one row, cached for the previous arc's parameters."""
         same, row = self._flat
         if same is not parameters:
             row = np.concatenate([np.zeros(0), *map(np.ravel, parameters)])
@@ -108,7 +108,7 @@ class StepProgram:
         return row
 
     def _begin(self, given: StepInputs) -> tuple[MethodMemory, Any]:
-        """What is remembered at the start of an arc, and the end of its first step."""
+        """The memory at the start of an arc, and the end of its first step."""
         begun = given.controller.init(
             given.term,
             given.tau,
@@ -161,7 +161,7 @@ class StepProgram:
         return jnp.concatenate([jnp.stack([reached, mean, *counts]), solution.ys[-1]])
 
     def _attempt(self, given: StepInputs, going: Going) -> Going:
-        """One attempt at a step."""
+        """Attempt one step."""
         tau, x, forced = going.tau, going.x, given.forced
         end = jnp.where(forced, given.limit, jnp.minimum(going.wanted, given.limit))
         y, error, dense, memory, result = given.method.step(
@@ -199,8 +199,8 @@ class StepProgram:
     def _values(self, given: StepInputs, tau: Any, end: Any, x: Any, y: Any, dense: Any) -> Any:
         """The states at the nodes of a step.
 
-        The interpolant may be brought nearer to the solution between the ends of the step: each
-        sweep integrates the flow along it, which gains an order, and meets the end again.
+        Each Picard sweep integrates the flow along the interpolant, which gains an order, and is
+        then corrected to meet the end of the step.
         """
         s, h = jnp.asarray(nodes(self.states - 1)), end - tau
         path = given.method.interpolation_cls(t0=tau, t1=end, **dense)
@@ -213,8 +213,8 @@ class StepProgram:
 
 
 class Going(NamedTuple):
-    """Where the steps of a call are: how many are made, attempts at the next, all refused so far,
-    the local time, the end of the next step, the state, what is remembered, and what is left."""
+    """State of the loop: steps made, attempts at the next one, rejected attempts, local time, end
+    of the next step, state, memory, and the rows and memories to return."""
 
     made: Any
     tries: Any
@@ -228,7 +228,7 @@ class Going(NamedTuple):
 
 
 class StepInputs:
-    """What a program is given, taken apart."""
+    """The inputs of a program, unpacked."""
 
     def __init__(self, program: StepProgram, numbers: Any) -> None:
         self.index, self.t0, self.tau, self.wanted, self.limit, self.length = numbers[:ASKED_STEPS]
@@ -245,7 +245,7 @@ class StepInputs:
 
 
 def _strong(tree: Any) -> Any:
-    """A tree of arrays, none of them of a type that another would change."""
+    """A tree of arrays without weak types."""
     arrays = jax.tree.map(jnp.asarray, tree)
     return jax.tree.map(lambda leaf: jax.lax.convert_element_type(leaf, leaf.dtype), arrays)
 
@@ -255,13 +255,13 @@ def _where(condition: Any, one: Any, other: Any) -> Any:
 
 
 def _put(rows: Any, place: Any, row: Any) -> Any:
-    """Rows with another one at a place, in each array of a tree."""
+    """A tree of arrays with row ``place`` of each replaced."""
     put = jax.lax.dynamic_update_index_in_dim
     return jax.tree.map(lambda leaf, one: put(leaf, one, place, 0), rows, row)
 
 
 def _with_tolerances(method: Any, rtol: Any, atol: Any) -> Any:
-    """An implicit method whose root finder asks for the tolerances of the steps gets ours."""
+    """The method, with our tolerances for its root finder if that uses those of the steps."""
     finder = getattr(method, "root_finder", None)
     if finder is None or isinstance(getattr(finder, "rtol", 0.0), (int, float, jax.Array)):
         return method

@@ -1,7 +1,7 @@
-"""Explicit Runge-Kutta pairs as the rules' own loop takes them (:mod:`hybrid.rules.pairs`).
+"""Explicit Runge-Kutta pairs as the rules' loop takes them (:mod:`hybrid.rules.pairs`).
 
-Tables are read from the library that has the method, and its dense output too: it is asked for that
-of a step of length one whose stages are unit vectors.
+The tables are read from the library that has the method. Its dense output is evaluated for a step
+of length one whose stages are unit vectors.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
 
 class PairTables(NamedTuple):
-    """A pair: the first arrays of :class:`hybrid.rules.arrays.Pair`, and the first numbers of its
-    control."""
+    """A pair: first arrays and first control numbers of :class:`hybrid.rules.arrays.Pair`."""
 
     matrix: np.ndarray
     fractions: np.ndarray
@@ -28,7 +27,7 @@ class PairTables(NamedTuple):
     control: tuple[float, ...]
 
     def pair(self, n: int, rtol: float, atol: Any) -> Pair:
-        """The same for ``n`` states, with arrays to work in."""
+        """The pair for ``n`` states, with work arrays."""
         control = np.array([*self.control, rtol, *np.broadcast_to(atol, n)])
         going, states = np.zeros(PACE_PLACES), np.zeros((STEP_STATES, n))
         rates = np.zeros((len(self.matrix), n))
@@ -36,12 +35,12 @@ class PairTables(NamedTuple):
         return Pair(matrix, fractions, errors, dense, control, going, states, rates)
 
 
-#: Of a solver whose steps are others.
+#: Stands for a solver whose steps are not Runge-Kutta steps.
 NO_TABLES = PairTables(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)), ())
 
 
 def lower(rows: Any, count: int) -> Matrix:
-    """A matrix of so many rows and columns, of rows that are shorter."""
+    """A ``count`` by ``count`` matrix from shorter rows, padded with zeros."""
     matrix = np.zeros((count, count))
     for s, row in enumerate(rows):
         matrix[s, : len(row)] = row

@@ -1,9 +1,9 @@
 """SciPy's own ``OdeSolver`` classes, driven step by step.
 
-The Runge-Kutta classes are copied, and started afresh by setting their state, which costs a
-microsecond where a constructor takes as long as a step; the implicit and multistep ones carry
-memory of their past and are constructed anew for each arc. BDF and LSODA restart at order one
-after each jump: prefer a Runge-Kutta method where jumps are many.
+Runge-Kutta solvers are copied and restarted by setting their state, which takes a microsecond; a
+constructor takes as long as a step. Implicit and multistep solvers remember past steps and are
+constructed anew for each arc. BDF and LSODA restart at order one after each jump, so prefer a
+Runge-Kutta method if there are many jumps.
 """
 
 from __future__ import annotations
@@ -37,23 +37,23 @@ METHODS: dict[str, Any] = {
 }
 ORDERS = {"DOP853": 8, "RK45": 5, "RK23": 3, "Radau": 5, "BDF": 2, "LSODA": 2}
 
-#: Those that are started afresh, and count the steps that they reject.
+#: Classes that can be restarted and whose rejected steps are counted.
 RUNGE_KUTTA = (DOP853, RK45, RK23)
 
 #: Their shortest step, in spacings of the time.
 SCIPY_SPACINGS = 10.0
 
-#: Degree of the dense output of the methods whose polynomial is sampled.
+#: Degree of the dense output of methods whose interpolant is sampled.
 SAMPLED_DEGREES = {"Radau": 3, "BDF": 5, "LSODA": 12}
 
-#: The same of a class of the user's, and its order as far as an arc's first step is chosen by it.
+#: The same for a user's class, and its assumed order for the choice of an arc's first step.
 OTHER_DEGREE, LOWEST = 8, 1
 
 
 class SciPySolver(Solver):
     """One of SciPy's methods: DOP853 (default), RK45, RK23, Radau, BDF, LSODA.
 
-    Or a class of the user's, made and asked for steps as ``scipy.integrate.solve_ivp`` does.
+    A user's class is constructed and stepped as ``scipy.integrate.solve_ivp`` does it.
     """
 
     name = "scipy"
@@ -124,8 +124,8 @@ class SciPySolver(Solver):
     ) -> Stepper:
         """A stepper of an implicit or multistep method.
 
-        A short flight is integrated as the way gone from ``x0``, with tolerances relative
-        to its extent: at order one, the absolute ones would lose it altogether.
+        A short flight is integrated as the displacement from ``x0``, with tolerances relative to
+        its extent; at order one, the absolute tolerances would swallow it.
         """
         known = self.cls in METHODS.values()
         degree = SAMPLED_DEGREES[self.method] if known else OTHER_DEGREE
@@ -160,7 +160,7 @@ class SciPySolver(Solver):
             return self.cls(flow, 0.0, x0, length, **options)
         except TypeError as fault:
             raise OptionError(
-                f"method={self.method}: it is made as by scipy.integrate.solve_ivp, from "
+                f"method={self.method}: it is constructed as by scipy.integrate.solve_ivp, from "
                 f"(fun, t0, y0, t_bound) and {', '.join(options)}: {fault}"
             ) from None
 
@@ -173,7 +173,7 @@ def _pattern(cls: Any, n: int) -> Any:
 
 @cache
 def _tables(cls: Any) -> PairTables:
-    """A Runge-Kutta class as tables; its own dense output is asked for those of unit vectors."""
+    """The tables of a Runge-Kutta class; dense output is read with unit vectors as stages."""
     count, extra = cls.n_stages, getattr(cls, "A_EXTRA", ())
     units = np.eye(count + 1 + len(extra))
     matrix = lower([*cls.A, cls.B, *extra], len(units))
@@ -190,7 +190,7 @@ def _tables(cls: Any) -> PairTables:
 
 
 def _jacobian(field: Field, t0: float) -> Any:
-    """The flow's derivatives by the state, in local time; None where there are none."""
+    """The flow's Jacobian in local time; None if it is not written out."""
     slopes = field.jacobian
     if slopes is None:
         return None
@@ -214,7 +214,7 @@ def _restart(solver: Any, flow: Any, x0: StateVector, length: float, first: floa
 
 
 class _OdeStepper(Stepper):
-    """What every SciPy stepper does: step, and say what went wrong."""
+    """Base of the SciPy steppers: makes steps and explains failures."""
 
     def __init__(self, solver: Any) -> None:
         self.solver = solver
@@ -242,7 +242,7 @@ class _OdeStepper(Stepper):
 
 
 class RungeKuttaStepper(_OdeStepper):
-    """DOP853, RK45, RK23: the interpolant's coefficients are read off."""
+    """DOP853, RK45, RK23: reads the interpolant's coefficients directly."""
 
     repeats = True
     _made: tuple[float, float, np.ndarray] | None = None
@@ -260,12 +260,12 @@ class RungeKuttaStepper(_OdeStepper):
         return self.segment()
 
     def arrive(self, tau: float) -> None:
-        """Step again from where the last step began, onto ``tau``."""
+        """Repeat the last step so that it ends at ``tau``."""
         solver, (start, length, powers) = self.solver, self.powers()
         solver.t, solver.y, solver.f = self._before
         solver.h_abs = tau - solver.t
         self._towards(tau)
-        if self.tau < tau:  # refused, though a longer step was accepted: take its interpolant
+        if self.tau < tau:  # rejected, though a longer step was accepted: use its interpolant
             share = (tau - start) / length
             self._made = start, tau - start, powers * share ** np.arange(powers.shape[1])
             self.tau, self.x = tau, self._made[2].sum(axis=1)
@@ -293,13 +293,13 @@ class RungeKuttaStepper(_OdeStepper):
         return self._made
 
     def segment(self) -> Segment:
-        """The same as a segment."""
+        """The interpolant as a segment."""
         start, length, powers = self.powers()
         return Segment(start, length, from_powers(powers.shape[1] - 1) @ powers.T)
 
 
 class SampledStepper(_OdeStepper):
-    """Radau, BDF, LSODA, and classes of others: the interpolant, a polynomial, is sampled."""
+    """Radau, BDF, LSODA and users' classes: samples the interpolant, which is a polynomial."""
 
     _whole: Segment | None = None
     _last: Segment | None = None
@@ -324,7 +324,7 @@ class SampledStepper(_OdeStepper):
         return self._last
 
     def land(self, tau: float) -> Segment:
-        """The interpolant at ``tau``: these methods cannot repeat a step."""
+        """The interpolant up to ``tau``: these methods cannot repeat a step."""
         whole = self._whole or self.segment()
         self.tau, self.x = tau, whole(tau)
         self._last = whole.cut(tau - whole.start)
@@ -332,7 +332,7 @@ class SampledStepper(_OdeStepper):
 
 
 def _dop853_basis() -> np.ndarray:
-    """Powers of the fraction in DOP853's nested interpolant, one row for each term."""
+    """Coefficients of DOP853's nested basis in powers of the fraction, one row per term."""
     x, one_minus = np.polynomial.Polynomial([0, 1]), np.polynomial.Polynomial([1, -1])
     rows, factor = [], x
     for index in range(7):

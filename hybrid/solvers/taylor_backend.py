@@ -1,7 +1,7 @@
-"""Taylor series of the flow, one a step, from its tape: by the rules in :mod:`hybrid.rules.steps`.
+"""Taylor series of the flow from its tape, one per step (rules in :mod:`hybrid.rules.steps`).
 
-A step is as long as its series is exact to the tolerance, or to rounding, and is held against the
-flow; it ends at a kink (``abs``, ``where``).
+A step is as long as its series meets the tolerance, or is exact to rounding, and is checked against
+the flow. It ends at a kink (``abs``, ``where``).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .base import LEADS_BACK, Solver, Stepper
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers, StateVector
 
-#: What is said where there is no step.
+#: Why a step is impossible, by status.
 REFUSED = {
     NO_SERIES: "the flow is not finite, or has no Taylor series",
     NOT_FINITE: base.NO_FLOW_HERE,
@@ -32,36 +32,40 @@ REFUSED = {
 }
 
 
-#: Order of the steps that the loop makes to rounding (measured, ``docs/notes/loop.md``). Those of
-#: the driver, which are few, are of a lower one: the last coefficients of steps of 1e-10 would be
-#: beyond what a double can be. Where they are the loop takes that, too.
+#: Order of the steps that the loop makes at rounding level (measured, ``docs/notes/loop.md``). The
+#: driver makes few steps, of a lower order: in steps of 1e-10 the last coefficients would overflow
+#: a double. Where they do, the loop lowers the order too.
 HIGHEST = 28
 
-#: A tolerance no larger asks for series that are exact to rounding.
+#: Tolerances up to this ask for series that are exact to rounding.
 LEAST_TOLERANCE = 1e-14
 
-#: To hold a step against the flow, kinks and guards costs as well: so many times the order pay that
-#: would cost least if a step cost only its terms (measured, ``docs/notes/loop.md``).
+#: Checking a step against the flow, kinks and guards has a cost of its own. It therefore pays to
+#: multiply the order that is optimal for the series alone by this factor (measured,
+#: ``docs/notes/loop.md``).
 ORDER_FACTOR = 1.65
 
 
 def order_at(rtol: float) -> int:
-    """The order that costs least. If a step cost only its terms, the k-th k times the first, it
-    would be that at which the radius of convergence is e^2 steps (Jorba & Zou)."""
+    """The cheapest order for a tolerance.
+
+    If only the terms of the series had a cost, the k-th being k times that of the first, it would
+    be the order at which the radius of convergence is e^2 steps (Jorba & Zou).
+    """
     if rtol <= LEAST_TOLERANCE:
         return HIGHEST
     return min(HIGHEST, math.ceil(ORDER_FACTOR * (1.0 - 0.5 * math.log(rtol))))
 
 
 class TaylorSolver(Solver):
-    """Taylor series of an order that follows from the tolerance; at its own they are exact to
-    rounding."""
+    """Taylor series of an order that follows from the tolerance; exact to rounding by default."""
 
     name = method = "taylor"
     whole = cuts = True
     evaluations: int
 
-    #: Its steps lose some roundings each: what is weighed against the tolerances is known as well.
+    #: Each step loses a few roundings, so quantities compared with the tolerances are known to this
+    #: accuracy.
     own_rtol = LEAST_TOLERANCE
 
     def __init__(self, method: str | None, rtol: float, atol: Any) -> None:
@@ -125,7 +129,7 @@ class TaylorStepper(Stepper):
             unit("kinks").turn(programs, 0, crossed, self.room.c, sides)
         self.tau = limit if start + h >= limit else start + h
         self._start, self._made = start, self.tau - start
-        if self._made != h:  # the time is rounded, and the state is that of the rounded time
+        if self._made != h:  # the time was rounded: move the state to the rounded time
             flow = self.rhs(self.t0 + self.tau, end.tolist())
             end += (self._made - h) * np.array(flow)
         self.x = end
@@ -134,7 +138,7 @@ class TaylorStepper(Stepper):
         """The same series, cut at ``tau``."""
         c, aside, work, _, _, sides, _, _ = self.room
         if tau < self.tau:
-            sides[:] = 0  # those beyond a kink that the step ended at
+            sides[:] = 0  # drop the sides beyond a kink at which the step ended
         self._made, t, end = tau - self._start, self.t0 + self._start, np.empty(len(self.x))
         where = self.jets.alone, 0, t, self._made, False
         if not unit("checks").arrives(*where, sides, c, aside, work, end):
@@ -143,7 +147,7 @@ class TaylorStepper(Stepper):
         return self.segment()
 
     def segment(self) -> Segment:
-        """The last step's series, in Chebyshev form."""
+        """The last step's series in Chebyshev form."""
         series = self.room.c[: len(self.x)]
         values = from_powers(self.order) @ terms(series, self._made).T
         return Segment(self._start, self.tau - self._start, values)

@@ -1,9 +1,9 @@
-"""Any method, with each step cut until it is shown to have seen all of the flow.
+"""Wraps a method so that each step is verified along all of the flow, and cut where it fails.
 
-A method looks at a flow at a few points a step, and so does its estimate of the error. What is
-between them (a pulse of force of a thousandth of the step) is passed over. Here the polynomial of
-each step is held against the flow along all of it, in ball arithmetic
-(:mod:`hybrid.bounds.defect`); where it fails the step is made again, up to there.
+A method evaluates a flow at a few points per step, and so does its error estimate. Anything between
+them, such as a force pulse lasting a thousandth of the step, is missed. Here the polynomial of each
+step is compared with the flow along the whole step, in ball arithmetic
+(:mod:`hybrid.bounds.defect`). Where it deviates, the step is repeated up to there.
 """
 
 from __future__ import annotations
@@ -22,40 +22,40 @@ from .base import Solver, Stepper
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
 
-#: Times a step is cut: some fifty find a pulse that is a millionth of a step.
+#: Most cuts of one step; about fifty isolate a pulse a millionth of the step long.
 CUTS = 60
 
-#: The next step, against one that had to be cut.
+#: Growth of the step limit after a step that had to be cut.
 GROWTH = 4.0
 
-#: Parts of half a step in which the flow's rounding is looked at, and most where it grows towards
-#: the end: they are then shorter than the rounding of any time.
+#: Least number of parts of half a step over which rounding is integrated, and most where rounding
+#: grows towards the end; the last parts are then shorter than the rounding of any time.
 PARTS, HALVINGS = 2, 64
 
-#: What rounding leaves open of a step, against its states, where no force acts briefly: a few
-#: roundings, and as many more as the flow's exponent in a step of a series may be.
+#: Relative effect of rounding on a step without brief forces: a few roundings, amplified by the
+#: growth of the flow over one step.
 ORDINARY = 64 * EPS
 
 
 class Watchful(Solver):
-    """Another solver, whose steps are held against the flow.
+    """Another solver, whose steps are verified along the flow.
 
     Parameters
     ----------
     most : int, optional
-        Steps in all. With this a step that cannot be shown to have seen all of its flow, and one
-        step too many, is a :class:`FlowError`. Without, steps go on unwatched from there.
+            Largest total number of steps. If given, exceeding it, or a step that cannot be
+        verified, raises a :class:`FlowError`. If omitted, steps continue unverified from there.
     shaken : bool
-        Move the state after each step by what rounding may have done to the forces.
+        Perturb the state after each step by the possible effect of rounding on the forces.
     trusted : bool
-        Take the steps as they are.
+        Accept all steps without verifying them.
 
     Attributes
     ----------
     cut : bool
         Whether a step had to be cut.
     blurred : float
-        What that is in all, against the states' sizes.
+        Accumulated relative perturbation beyond ordinary rounding.
     """
 
     cuts = True
@@ -73,14 +73,14 @@ class Watchful(Solver):
         self.name, self.method, self.order = inner.name, inner.method, inner.order
 
     def count(self) -> None:
-        """One step more."""
+        """Count a step against ``most``."""
         if self.most is not None:
             self.most -= 1
             if self.most < 0:
                 self.give_up("too many steps")
 
     def give_up(self, why: str) -> None:
-        """Watch no more, or raise.
+        """Stop verifying, or raise if ``most`` was given.
 
         Raises
         ------
@@ -107,13 +107,12 @@ class Watchful(Solver):
 
 
 class WatchfulStepper(Stepper):
-    """The steps of another stepper, cut where they leave the flow.
+    """The steps of another stepper, cut where they deviate from the flow.
 
     Attributes
     ----------
     longest : float
-        The longest step that is tried next: one that had to be cut was longer than the flow can be
-        seen by.
+        Longest step to try next; reduced when a step had to be cut.
     """
 
     repeats = True
@@ -153,7 +152,7 @@ class WatchfulStepper(Stepper):
         self.hold()
 
     def hold(self) -> None:
-        """Cut the last step to what it is shown to have seen of the flow."""
+        """Cut the last step to the part that is verified along the flow."""
         inner = self.inner
         self.solver.count()
         for cut in range(0 if self.solver.blind else CUTS):
@@ -172,11 +171,11 @@ class WatchfulStepper(Stepper):
         self.solver.give_up("a step cannot be shown to have seen all of the flow")
 
     def _blur(self, segment: Segment) -> None:
-        """Add up what rounding leaves open of the flow, in the run that is to be moved by it.
+        """Perturb the state, in a shaken run, by what rounding leaves uncertain of the flow.
 
-        Always to the same side: what is lost in a step need not be won back in the next. What
-        forces ask for to change their formula is moved only where it is brief forces that move it,
-        and on its way: it would else be asked again from before the place of change.
+        The perturbation always has the same sign, as errors of successive steps need not cancel.
+        States that decide a change of formula are perturbed only by brief forces, and only in the
+        direction of motion; otherwise the state would be moved back before the change.
         """
         solver = self.solver
         if not solver.shaken:
@@ -195,11 +194,11 @@ class WatchfulStepper(Stepper):
     def _left_open(
         self, segment: Segment, sizes: StateVector, end: float, side: float
     ) -> StateVector:
-        """The integral of what rounding leaves open, over the half of a step at one of its ends.
+        """The integral of the flow's rounding uncertainty over half a step, from one of its ends.
 
-        It is large where a force acts in a narrow zone, and where the flow jumps at the end of the
-        step: there for the time in which rounding decides on the side. So parts are halved towards
-        the end, until what is left matters no more than all before.
+        The uncertainty is large where a force acts in a narrow zone. It is also large where the
+        flow jumps at the end of the step, for the time during which rounding decides on the side.
+        Parts are therefore halved towards the end until the rest matters no more than all before.
         """
         field, defect = self.field, self.defect
 

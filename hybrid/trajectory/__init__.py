@@ -1,4 +1,4 @@
-"""What a run is asked for, what it keeps as it goes on, and what it has found: data."""
+"""What a run was asked for, what it records, and what it found: data only."""
 
 from .trajectory import Solution, Status
 

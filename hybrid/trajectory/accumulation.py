@@ -16,11 +16,11 @@ from ..zeno.cycle import period
 if TYPE_CHECKING:
     from ..zeno.enclose import Proof
 
-#: What ``t`` may be off, against the time from the first impact of the series on: an error that is
-#: no small part of it comes from another series than the one that happens.
+#: Largest ``t_error`` of a certified accumulation, relative to the time from the first impact of
+#: the series to the limit. A larger error would allow for a different series.
 THERE = 1e-3
 
-#: Gaps that fall by less than this from one to the next are not said to shrink.
+#: Ratio of successive gaps above which they are not said to shrink.
 SHRINKS = 1.0 - 1e-9
 
 
@@ -33,11 +33,11 @@ class Truncation:
     impacts : int
         Impacts permitted.
     t_inf : float
-        Where the full series would have ended (NaN if it does not accumulate from here).
+        End of the full series (NaN if it does not accumulate from here).
     gap : float
-        ``t_inf`` minus the time of the last impact permitted.
+        ``t_inf`` minus the time of the last permitted impact.
     height : float
-        Largest gap in what is left out.
+        Largest gap in the omitted part.
     """
 
     impacts: int
@@ -53,7 +53,7 @@ class Accumulation:
     Attributes
     ----------
     t : float
-        When the jumps accumulate.
+        Time at which the jumps accumulate.
     state : Record
         The limit of the state.
     ratio : float
@@ -61,12 +61,12 @@ class Accumulation:
     edges : tuple of str
         The cycle of edges.
     limits : tuple of (str, Record)
-        Where resets move the state: the jumps of a turn in order, and the limit of the state after
-        each; the last is ``state``. Empty where all are the same.
+            If resets move the state: the jumps of a turn in order, each with the limit of the state
+        after it; the last is ``state``. Otherwise empty.
     mode : str or None
         The mode entered after it.
     t_release : float or None
-        When that mode was left; None if it was not in this run.
+        When that mode was left; None if it was not left in this run.
     truncation : Truncation or None
         With ``zeno="truncate"``: the distance to the full solution.
     """
@@ -88,10 +88,10 @@ class Accumulation:
 
     @property
     def proofs(self) -> list[Proof]:
-        """Proofs that the impacts accumulate: from an early one on, and narrower from later ones.
+        """Proofs that the impacts accumulate, with increasingly narrow bounds.
 
-        They are looked for when this, ``verdict`` or ``enclosure`` is first read, and need
-        python-flint (extra ``certify``). Empty where none succeeds.
+        They start from successive impacts, are computed when this, ``verdict`` or ``enclosure`` is
+        first read, and need python-flint (extra ``certify``). Empty if none succeeds.
         """
         if callable(self._proofs):
             self._proofs = self._proofs() if find_spec("flint") is not None else []
@@ -100,7 +100,7 @@ class Accumulation:
 
     @property
     def _judged(self) -> bool:
-        """Whether the verdict is known already."""
+        """Whether the verdict is known without further computation."""
         return not callable(self._proofs) and (self.measured or not self._proofs)
 
     @property
@@ -112,24 +112,24 @@ class Accumulation:
     def verdict(self) -> str:
         """How the accumulation is known.
 
-        ``"certified"`` where it is proved from an impact on that was flown, and the runs with
-        which this one is compared show it at the same place (``t_error`` is small against the
-        time from the first impact of the series on); ``"estimated"`` where the series was
-        summed and seen to converge; ``"truncated"`` where ``zeno="truncate"`` cut it off.
+        ``"certified"`` if it is proved from an integrated impact on, and the comparison runs show
+        it at the same place (``t_error`` is small relative to the time since the first impact of
+        the series); ``"estimated"`` if the series was summed and seen to converge; ``"truncated"``
+        if ``zeno="truncate"`` cut it off.
         """
         return "certified" if self._proved else self._verdict
 
     @property
     def _proved(self) -> bool:
-        """Whether there is a proof, of a series that happens where it was found."""
+        """Whether there is a proof, and the comparison runs confirm the series."""
         return bool(self.proofs) and self.t_error <= THERE * (self.t - self._since)
 
     @property
     def enclosure(self) -> tuple[float, float] | None:
-        """Bounds on ``t``: the narrowest proved from an impact on, made wider by ``t_error``.
+        """Bounds on ``t``: the narrowest proved ones, widened by ``t_error``.
 
-        The proof takes the impact's state as it is given; what the integration before it has
-        lost is measured, not proved, and is what ``t_error`` bounds.
+        The proof takes the state at the impact as exact. The error of the integration before it is
+        measured rather than proved, and ``t_error`` bounds it.
         """
         if not self._proved:
             return self._enclosure
@@ -145,15 +145,15 @@ class Accumulation:
 
     @property
     def measured(self) -> bool:
-        """Whether ``t_error`` is known already: to ask for it makes runs."""
+        """Whether ``t_error`` is known without further runs."""
         return not callable(self._errors)
 
     @property
     def t_error(self) -> float:
-        """Bound on the error of ``t``: of the integration before, and of the closing.
+        """Bound on the error of ``t``, from the integration and from the summation.
 
-        The first is measured when this is first read, by a second run in Taylor series
-        accurate to rounding; infinite if that run does not show the same accumulations.
+        The former is measured when this is first read, by a second run with Taylor series accurate
+        to rounding; it is infinite if that run does not show the same accumulations.
         """
         return self._error[0]
 
@@ -163,7 +163,7 @@ class Accumulation:
         return self._error[1]
 
     def __repr__(self) -> str:
-        """What is known; the bound and the verdict where they have been asked for."""
+        """What is known; bound and verdict only if they have been computed."""
         if self.truncation is not None:
             return explain(self)
         bound = f" ± {self.t_error:.1g}" if self.measured else ""

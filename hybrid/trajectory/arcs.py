@@ -1,4 +1,4 @@
-"""The parts of a trajectory: arcs, and chattering tails that stand for infinitely many."""
+"""The parts of a trajectory: arcs, and chattering tails that stand for infinitely many arcs."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 
 class _Moded:
-    """What the name of a part's mode says."""
+    """Properties that follow from the name of a part's mode."""
 
     mode: str
 
     @property
     def held(self) -> tuple[str, ...]:
-        """The contacts at rest; empty if none is."""
+        """The contacts at rest; empty if there are none."""
         return self.flown_in[1]
 
     @property
@@ -36,13 +36,13 @@ class _Moded:
 
     @property
     def sliding(self) -> str | None:
-        """The switching along whose surface it slides; None if it does not."""
+        """The switching on whose surface the state slides; None if it does not slide."""
         mode = parted(self.mode)[0]
         return mode.removeprefix("slide(").removesuffix(")") if mode.endswith(")") else None
 
     @property
     def constrained(self) -> bool:
-        """Whether it stays on a surface: at rest on contacts, or sliding."""
+        """Whether the state stays on a surface: at rest on contacts, or sliding."""
         return self.mode.endswith(")")
 
 
@@ -53,18 +53,18 @@ class Arc(_Moded):
     Attributes
     ----------
     mode : str
-        The mode, ``"<mode>.rest(<contact>)"`` at rest, ``"slide(<switching>)"`` sliding;
-        ``held`` and ``sliding`` say which contact and which switching.
+            The mode; ``"<mode>.rest(<contact>)"`` at rest, ``"slide(<switching>)"`` while sliding.
+        ``held`` and ``sliding`` give the contacts and the switching.
     j : int
         Number of jumps before it.
     t0 : float
-        Where it starts.
+        Start time.
     low : float
-        What ``t0`` lacks to the time of the jump (compensated sum): ``t0 + low``.
+        Rounding error of ``t0``: the jump is at ``t0 + low`` (compensated sum).
     length : float
         Duration; exact where ``t1 - t0`` would round to zero.
     t1 : float
-        Where it ends: as the jump there has it, or the run's last time.
+        End time: that of the jump there, or the run's last time.
     first, last : array
         States at its ends.
     segments : sequence of Segment
@@ -83,12 +83,12 @@ class Arc(_Moded):
     project: Callable[..., Any] | None = None
 
     def ending(self, x: StateVector) -> Arc:
-        """The same with another state at its end."""
+        """The arc with another final state."""
         row = self.mode, self.j, self.t0, self.low, self.length, self.t1, self.first, x
         return Arc(*row, self.segments, self.project)
 
     def then(self, other: Arc) -> Arc:
-        """This arc and one that goes on in its mode where it was cut, as one."""
+        """This arc joined with one that continues it in the same mode."""
         since = (other.t0 - self.t0) + (other.low - self.low)
         segments = [*self.segments, *(segment.later(since) for segment in other.segments)]
         length = since + other.length
@@ -118,7 +118,7 @@ class Arc(_Moded):
         return states.reshape((*tau.shape, len(self.first)))
 
     def _ends(self, tau: Numbers) -> Matrix:
-        """The states at the two ends, where nothing between them was kept."""
+        """The states at the two ends, for an arc without dense output."""
         if np.any((tau > 0) & (tau < self.length)):
             raise OptionError(
                 "no dense output was kept (save='jumps', or times): there are the states at "
@@ -129,7 +129,7 @@ class Arc(_Moded):
 
 @attrs.frozen(eq=False)
 class JumpRow:
-    """A jump as it is kept: states as vectors, the time in two floats."""
+    """A jump as stored: states as vectors, the time in two floats."""
 
     t: float
     low: float
@@ -158,7 +158,7 @@ class Table(NamedTuple):
 
 @attrs.frozen(eq=False)
 class TailPart(_Moded):
-    """A chattering tail in a trajectory: from arc ``j`` on, ``tail.count + 1`` arcs."""
+    """A chattering tail in a trajectory: ``tail.count + 1`` arcs from arc ``j`` on."""
 
     tail: Tail
     j: int
@@ -204,7 +204,7 @@ class TailPart(_Moded):
 
     @cached_property
     def jumps(self) -> Table:
-        """All impacts of the tail that are listed."""
+        """All listed impacts of the tail."""
         tail = self.tail
         since = tail.times[1:]
         t = tail.t + since
@@ -212,7 +212,7 @@ class TailPart(_Moded):
         return Table(t, (tail.t - t) + since + tail.low, names, *tail.impacts)
 
     def arc_at(self, t: float, side: str = "right") -> Arc:
-        """The arc of the tail that covers a time, by the listed times of its impacts."""
+        """The arc of the tail that covers time ``t``, by the listed impact times."""
         listed = self.tail.t + self.tail.times
         return self.arc(max(int(np.searchsorted(listed, t, side=side)) - 1, 0))  # type: ignore[call-overload]
 

@@ -13,7 +13,7 @@ class Instant:
     low: float = 0.0
 
     def after(self, duration: float) -> Instant:
-        """This instant plus a duration, without rounding (two-sum, Knuth)."""
+        """This instant plus a duration, in compensated arithmetic (two-sum, Knuth)."""
         total = self.t + duration
         back = total - self.t
         low = (self.t - (total - back)) + (duration - back) + self.low

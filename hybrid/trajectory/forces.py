@@ -1,7 +1,7 @@
-"""What contacts bear in a run: the force on one at rest, the impulse of one that is struck.
+"""Contact forces of a run: the force on a contact at rest, the impulse of an impact.
 
-Both are multipliers of ``W grad_q(gap)`` (:mod:`hybrid.lowering.contact`): the force keeps the
-gap's acceleration at zero, the impulse gives the gap the speed that the restitution asks for.
+Both are multipliers of ``W grad_q(gap)`` (:mod:`hybrid.lowering.contact`). The force keeps the
+gap's acceleration at zero; the impulse gives the gap the speed that the restitution demands.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def _impulse(graph: ModeGraph, contact: str) -> list[int]:
 
 
 def _struck(run: Solution, contact: str) -> Numbers:
-    """When a contact is struck; not where its impacts accumulate, and are weaker than any force."""
+    """Times at which a contact is struck, except where its impacts accumulate and fade out."""
     times = run.jumps.t[run.jumps.edge == contact]
     return times[~np.isin(times, [point.t for point in run.zeno])]
 
@@ -74,8 +74,8 @@ def impulses(
         program = graph.program(("impulse", contact), partial(_impulse, graph, contact))
         if spec.lags and scene.code.looks_back(graph.graph, graph.impulse(contact)):
             raise OptionError(
-                f"{spec.model}: what an impact of {contact} gives depends on the past, so no table "
-                "of jumps tells it; run(t) has the states on both sides"
+                f"{spec.model}: the impulse of {contact} depends on the past, and cannot be "
+                "computed from the table of jumps; run(t) has the states on both sides"
             )
         if scene.samples:
             turn = graph.program(("turned", contact), partial(_turned, graph, contact))
@@ -116,14 +116,15 @@ def scene_known(spec: Spec, parameters: Mapping[str, Any], scene: Scene | None) 
     Raises
     ------
     OptionError
-        In a run that was loaded without its model, or that has looked at a past it does not know.
+            If the run was loaded without its model, or depends on a past that the file does not
+        contain.
     """
     if scene is not None:
         return scene
     if spec.cls is None or spec.lags:
         why = "looks at the past, which" if spec.lags else "is needed, which"
         raise OptionError(
-            f"{spec.model}: the model {why} this file does not hold: ask before the run is saved"
+            f"{spec.model}: the model {why} this file does not contain: ask before the run is saved"
             + ("" if spec.lags else f", or load it with its model, hy.load(path, {spec.model})")
         )
     return scene_of(spec.cls(**parameters))

@@ -1,8 +1,7 @@
-"""What a run keeps as it goes on: parts and jumps, one by one or many at a time.
+"""The record of a run in progress: parts and jumps, one at a time or many at once.
 
-A call of the rules' own loop leaves thousands of arcs as a few arrays. They are taken apart into
-:class:`Arc` and :class:`JumpRow` when somebody asks for these; the table of jumps needs them as
-arrays anyway.
+A call of the rules' loop leaves thousands of arcs as a few arrays. They are converted to
+:class:`Arc` and :class:`JumpRow` only on request; the table of jumps needs arrays anyway.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ class Steps(NamedTuple):
     Attributes
     ----------
     arc : array of int
-        The arc they belong to, counted from the first of these.
+        The arc that each belongs to, counted from the first of these.
     start, length : array
         Local start, and length.
     values : array, shape (steps, degree + 1, n)
@@ -43,7 +42,7 @@ class Steps(NamedTuple):
     values: np.ndarray
 
     def segments(self, lengths: Numbers) -> list[Segment]:
-        """The same as polynomials; the last of each arc is cut where the arc ends."""
+        """The steps as polynomials; the last one of each arc is cut where the arc ends."""
         degree = self.values.shape[1] - 1
         first = self.values[:, :1]
         coefficients = np.einsum("ij,kjn->kin", from_values(degree), self.values - first)
@@ -53,32 +52,32 @@ class Steps(NamedTuple):
         points = (kept / self.length)[short, None] * nodes(degree)
         to_values = chebyshev.chebvander(2.0 * points - 1.0, degree)
         coefficients[short] = from_values(degree) @ to_values @ coefficients[short]
-        coefficients[:, 0] += first[:, 0]  # last: a state that stays the same stays so exactly
+        coefficients[:, 0] += first[:, 0]  # last: constant states stay exact
         columns = self.start.tolist(), kept.tolist(), coefficients
         return [Segment(*row) for row in zip(*columns, strict=True)]
 
 
 @attrs.frozen(eq=False)
 class Flights:
-    """Arcs in a row, each ended by a jump.
+    """Consecutive arcs, each ended by a jump.
 
     Attributes
     ----------
     j : int
-        Number of jumps before the first of them.
+        Number of jumps before the first arc.
     modes : array of str
-        Of each arc.
+        The mode of each arc.
     t, low : float
-        Where the first arc starts.
+        Start of the first arc, in two floats.
     x : array, shape (n,)
-        Its state there.
+        State there.
     lengths : array, shape (arcs,)
     jumps : Table
         The jump after each arc.
     steps : Steps or None
         The dense output, if it is kept.
     onto : dict
-        By mode, where contacts are held or the state slides, the projection onto these.
+        For modes with held contacts or sliding, the projection onto these.
     """
 
     j: int
@@ -131,11 +130,11 @@ class Flights:
         return [self._kept(Arc(*row)) for row in columns]
 
     def _began(self, mode: str, t: float, x: StateVector) -> StateVector:
-        """The state at the start of an arc, on the contacts held."""
+        """The state at the start of an arc, projected onto the held contacts."""
         return np.array(self.onto[mode](t, x.tolist())) if parted(mode)[1] else x
 
     def _kept(self, arc: Arc) -> Arc:
-        """An arc on what it is held to."""
+        """An arc projected onto its contacts or surface."""
         onto = self.onto.get(arc.mode)
         if onto is None:
             return arc
@@ -143,7 +142,7 @@ class Flights:
         return attrs.evolve(arc, segments=segments, project=onto)
 
     def later(self) -> Flights:
-        """All but the first."""
+        """All arcs except the first."""
         jumps, steps = self.jumps, self.steps
         if steps is not None:
             kept = steps.arc > 0
@@ -161,15 +160,15 @@ class Flights:
         return (JumpRow(*row) for row in zip(*columns, strict=True))
 
     def arc_at(self, t: float) -> Arc:
-        """The arc at a time, the later one where two meet."""
+        """The arc at time ``t``; the later one where two meet."""
         return self.arcs[int(np.searchsorted(self.jumps.t[:-1], t, side="right"))]
 
 
 class Log:
-    """Parts in order of time, and the jumps that led from them.
+    """Parts in order of time, and the jumps between them.
 
-    ``kept``: parts, and several at once as :class:`Flights`. ``own``: jumps by the place in
-    ``kept`` of the part they led from.
+    ``kept`` holds parts, and groups of arcs as :class:`Flights`. ``own`` maps the index in ``kept``
+    of a part to the jump that ends it.
     """
 
     def __init__(
@@ -180,22 +179,22 @@ class Log:
 
     @property
     def ends_with_jump(self) -> bool:
-        """Whether nothing is kept behind the last jump, or nothing at all."""
+        """Whether the log is empty or ends with a jump."""
         last = self.kept[-1] if self.kept else None
         return last is None or isinstance(last, Flights) or len(self.kept) - 1 in self.own
 
     def add(self, part: Part | Flights) -> None:
-        """Add a part, or several."""
+        """Append a part or a group of arcs."""
         self.kept.append(part)
 
     def jump(self, row: JumpRow) -> None:
-        """Add a jump from the last part."""
+        """Append a jump that ends the last part."""
         self.own[len(self.kept) - 1] = row
 
     def then(self, other: Log, j: int) -> Log:
-        """This and one that goes on where it ended, after ``j`` jumps, as one.
+        """This log joined with one that continues it after ``j`` jumps.
 
-        An arc that was cut there is one arc again: where the same mode goes on without a jump.
+        An arc that was cut there, i.e. whose mode continues without a jump, becomes one arc again.
         """
         kept, own, jumps = list(self.kept), dict(self.own), dict(other.own)
         more = [attrs.evolve(part, j=part.j + j) for part in other.kept]
@@ -211,7 +210,7 @@ class Log:
         return Log([*kept, *more], own)
 
     def apart(self) -> tuple[list[Part], dict[int, JumpRow]]:
-        """All parts one by one, and the jumps by the place of the part they led from."""
+        """All parts one by one, and the jumps by the index of the part that they end."""
         parts: list[Part] = []
         jumps: dict[int, JumpRow] = {}
         for place, part in enumerate(self.kept):

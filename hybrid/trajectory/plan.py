@@ -1,4 +1,4 @@
-"""What a run was asked for, checked."""
+"""The checked options of a run."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers
 
-#: Impacts are summed anew only after their speed has fallen to this share.
+#: Impacts are summed anew only after their speed has fallen to this fraction.
 PATIENCE = 0.6
 
-#: Impacts of a series before they are summed for the first time.
+#: Impacts of a series before the first attempt at a sum.
 PATIENT = 2
 
 
@@ -27,27 +27,27 @@ class Plan:
     cap : int or None
         Impacts permitted in a series, with ``zeno="truncate"``.
     dense : bool
-        Keep dense output.
+        Whether to keep dense output.
     samples : array or None
         Times at which to keep the state.
     memory : "keep" or "restart"
-        What delays see after a jump: what was, or the state after it.
+        What delays see after a jump: the recorded past, or the state after the jump.
     accumulations : int or None
-        Stop at this accumulation (a second run, to measure errors).
+        Stop at this accumulation (in a second run, which measures errors).
     closing, patience : float, int
-        Tolerance of a tail against the run's, and impacts before the first try at one.
+        Tolerance of a sum relative to the run's, and impacts before the first attempt at one.
     watchful : int or None
-        Hold every step against the flow all along it, at most so many
+            Verify every step along the flow, for at most this many steps
         (:mod:`hybrid.solvers.watchful`).
     shaken : bool
-        Move the states of such a run by what rounding does to forces that act briefly.
+        Perturb the states of such a run by the effect of rounding on brief forces.
     trusted : bool
-        Take its steps as they are: a run like it has been held against the flow.
+        Accept its steps unverified: a run like it has been verified.
     max_step, first_step : float
-        The longest step, and the longest first one of an arc; infinite where they are not limited.
+        Longest step, and longest first step of an arc; infinite if not limited.
     max_steps : float
-        Steps after which the run ends; looked at between arcs, and between calls of the rules' own
-        loop.
+            Number of steps after which the run ends; checked between arcs and between calls of the
+        rules' loop.
     """
 
     t0: float
@@ -78,9 +78,9 @@ class Plan:
 
     @property
     def bounded(self) -> bool:
-        """Whether the caller bounds the steps."""
+        """Whether the caller limits the step length."""
         return min(self.max_step, self.first_step) < np.inf
 
     def longest(self, tau: float) -> float:
-        """The longest step from a local time of an arc."""
+        """The longest step from local time ``tau`` of an arc."""
         return self.max_step if tau else min(self.max_step, self.first_step)

@@ -1,4 +1,4 @@
-"""What a run has cost, and what it was made with."""
+"""The cost of a run, and the versions of the packages used."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import attrs
 
-#: Packages whose versions have a say in the numbers of a run.
+#: Packages whose versions affect the numbers of a run.
 USED = ("numpy", "scipy", "jax", "diffrax", "numba", "python-flint")
 
 
@@ -54,7 +54,7 @@ class Stats:
 
 @cache
 def versions() -> dict[str, str]:
-    """Versions of this package, of Python, and of what computes, as far as it is installed."""
+    """Versions of this package, of Python, and of the installed numerical packages."""
     from .. import __version__
 
     found = {"hybrid": __version__, "python": platform.python_version()}

@@ -1,8 +1,8 @@
-"""What a run has found: hybrid time first. Arcs joined by jumps, and limit points of jumps.
+"""What a run found, in hybrid time: arcs joined by jumps, and limit points of jumps.
 
-A trajectory is a list of arcs; between two of them lies a jump or an accumulation of
-jumps. The arcs of a chattering tail, of which there are infinitely many, are made from its
-curve when asked for, as many as a double can tell from the limit.
+A trajectory is a list of arcs; between two of them lies a jump or an accumulation of jumps. A
+chattering tail has infinitely many arcs; they are made from its curve on request, as many as a
+double can tell from the limit.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from .stats import Stats
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers
 
-#: Accumulations that a run lists when it is printed, and explains unless all are asked for.
+#: Accumulations that ``repr`` lists, and that ``explain`` explains by default.
 LISTED, EXPLAINED = 9, 36
 
 
@@ -57,7 +57,7 @@ class Status(enum.Enum):
 
 @attrs.frozen(eq=False)
 class Jump:
-    """A jump: at time ``t``, from arc ``j`` to arc ``j + 1``, by the edge of that name.
+    """A jump: at time ``t``, from arc ``j`` to arc ``j + 1``, by the named edge.
 
     ``before`` and ``after`` are the states on its two sides.
     """
@@ -126,27 +126,27 @@ class Jumps(Sequence[Jump]):
 
     @cached_property
     def impulse(self) -> Numbers:
-        """What each impact gives: the velocities change by ``impulse * W grad_q(gap)``.
+        """The impulse of each impact: the velocities change by ``impulse * W grad_q(gap)``.
 
-        NaN for a jump of no contact: an edge's reset is not known to be an impulse, and a release
-        gives none. With ``inverse_mass`` the mass's and the gap's units make it one of momentum;
-        ``W`` is 1 without.
+        NaN for a jump that is not an impact: an edge's reset need not be an impulse, and a release
+        has none. With ``inverse_mass`` it is an impulse in the units of mass and gap; without,
+        ``W`` is 1.
 
         Raises
         ------
         OptionError
-            In a run that was loaded without its model; where it depends on the past.
+            If the run was loaded without its model, or the impulse depends on the past.
         """
         return self._impulses(self.table)
 
     @cached_property
     def gaps(self) -> np.ndarray:
-        """Time between each jump and the one before it, from compensated times."""
+        """Time between successive jumps, from compensated times."""
         return np.diff(self.table.t) + np.diff(self.table.low)
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """The table, a name for each column: ``t``, ``j``, ``edge``, ``x_before``, ``x_after``."""
+        """The table as a dict of columns: ``t``, ``j``, ``edge``, ``x_before``, ``x_after``."""
         found = {"t": self.t, "j": self.j, "edge": self.edge}
         for side, record in (("before", self.before), ("after", self.after)):
             for name in record.keys():
@@ -156,7 +156,7 @@ class Jumps(Sequence[Jump]):
         return found
 
     def to_pandas(self) -> Any:
-        """The table as a data frame of pandas, a row a jump: see :attr:`columns`.
+        """The table as a pandas data frame, one row per jump: see :attr:`columns`.
 
         Returns
         -------
@@ -202,9 +202,9 @@ def _place(index: Any, count: int, what: str) -> int:
 
 @attrs.define(eq=False)
 class Solution:
-    """What a run has found, in hybrid time: data, and words for it.
+    """What a run found, in hybrid time: data, and sentences about it.
 
-    Its attributes are described where they are read: at :class:`hybrid.Trajectory`.
+    The attributes are documented at :class:`hybrid.Trajectory`.
     """
 
     spec: Spec
@@ -221,7 +221,7 @@ class Solution:
     versions: dict[str, str] = attrs.Factory(dict)
 
     def observed(self, t: Any, x: Any) -> Record:
-        """The record of states ``x`` (last axis the coordinates) at times ``t``."""
+        """The record of states ``x`` (coordinates on the last axis) at times ``t``."""
         return observed(self.spec, self.parameters, t, x)
 
     # -- the record at a time -----------------------------------------------------------
@@ -237,7 +237,7 @@ class Solution:
 
     @property
     def own_jumps(self) -> dict[int, JumpRow]:
-        """Jumps by the place of the part they led from; those within tails left out."""
+        """Jumps by the index of the part that they end; those within tails left out."""
         return self._apart[1]
 
     @property
@@ -252,11 +252,11 @@ class Solution:
 
     @cached_property
     def size(self) -> Numbers:
-        """Largest size of each element over the run."""
+        """Largest absolute value of each state element over the run."""
         return np.abs([state for arc in self.arcs for state in (arc.first, arc.last)]).max(axis=0)  # type: ignore[no-any-return]
 
     def differs(self, spec: Spec, parameters: dict[str, Any]) -> str:
-        """How the run's model differs from another; empty where it does not."""
+        """How the run's model differs from another one; empty if it does not."""
         mine, other = ([(s.name, s.shape) for s in own.states] for own in (self.spec, spec))
         if (self.spec.model, mine) != (spec.model, other):
             return f"the run is one of {self.spec.model}({', '.join(self.spec.names)})"
@@ -277,19 +277,20 @@ class Solution:
         ----------
         t : float or array
         j : int, optional
-            Number of jumps so far: picks one of several states at a jump time.
+            Number of jumps so far: selects one of several states at a jump time.
         side : "right" or "left"
             At a jump time: the state after all jumps there, or before them.
 
         Returns
         -------
         Record
-            Fields of shape ``t.shape`` (plus the state's own shape); the model's outputs by name.
+                Fields of shape ``t.shape`` (plus the state's own shape), and the model's outputs by
+            name.
 
         Raises
         ------
         OptionError
-            Outside the run, or where no dense output was kept.
+            Outside the run, or if no dense output was kept.
         """
         times = _times(t)
         return self.observed(times, self.states(times, j, side=side))
@@ -328,7 +329,7 @@ class Solution:
         return states.reshape((*times.shape, self.spec.dimension))
 
     def _kept(self, times: np.ndarray) -> np.ndarray | None:
-        """The states that the run was asked to keep at these times, if it was."""
+        """The states kept at exactly these times; None if the run did not keep them."""
         if self.samples is None or not len(self.samples):
             return None
         asked = self.options["times"]
@@ -336,7 +337,7 @@ class Solution:
         return self.samples[places] if np.all(asked[places] == times) else None
 
     def _arc_of(self, j: int, times: np.ndarray) -> Arc:
-        """The arc after ``j`` jumps; a limit of jumps lies between two arcs of the same ``j``."""
+        """The arc after ``j`` jumps; a limit of jumps separates two arcs with the same ``j``."""
         found = [arc for arc in self.arcs if arc.j == j]
         if not found:
             raise OptionError(f"j = {j}: this run has arcs 0 to {self.arcs[-1].j}")
@@ -358,7 +359,7 @@ class Solution:
         return [part.t0 for part in self.parts]
 
     def place(self, t: float, side: str = "right") -> int:
-        """The number of the part at a time."""
+        """The index of the part at time ``t``."""
         found = (bisect_right if side == "right" else bisect_left)(self._starts, t)
         return max(found - 1, 0)
 
@@ -393,20 +394,21 @@ class Solution:
         Returns
         -------
         array
-            Of the shape of ``t``: at rest the multiplier of ``W grad_q(gap)`` that holds the gap at
-            zero; 0 while the contact is open; NaN at an impact. With ``inverse_mass`` it is a force
-            in the units of mass and gap; without, where all masses are 1, an acceleration.
+                Of the shape of ``t``. At rest, the multiplier of ``W grad_q(gap)`` that holds the
+            gap at zero; 0 while the contact is open; NaN at an impact. With ``inverse_mass`` it is
+            a force in the units of mass and gap; without, all masses are 1, and it is an
+            acceleration.
 
         Raises
         ------
         OptionError
-            If there is no such contact, at a time outside the run, where no dense output was kept,
-            and in a run that was loaded without its model.
+                If there is no such contact, the time is outside the run, no dense output was kept,
+            or the run was loaded without its model.
 
         Notes
         -----
-        With several contacts at rest each has its own share. Where a rest begins or ends it is that
-        of the right side; where impacts accumulate it is that of the rest that follows.
+        Several contacts at rest each have their own share. Where a rest begins or ends, the value
+        is that on the right side; where impacts accumulate, that of the rest that follows.
         """
         return force(self, contact, t)
 
@@ -449,8 +451,8 @@ class Solution:
         Parameters
         ----------
         whole : bool
-            Explain all accumulations; if there are many, the first and the last of them otherwise.
-            Their verdicts and the bounds on them are looked for.
+                Whether to explain all accumulations; by default only the first and the last of
+            many. Their verdicts and error bounds are computed.
         """
         lines = [
             f"{self.spec.model}, t = {self.t0:g} to {self.t1:g}: "
@@ -497,7 +499,7 @@ def _times(t: Any) -> np.ndarray:
 def _few(
     points: Sequence[Accumulation], say: Callable[[Accumulation], str], most: int
 ) -> list[str]:
-    """A line for each, the middle ones left out where there are more than so many."""
+    """One line per point; the middle ones are left out if there are more than ``most``."""
     if len(points) <= most:
         return [say(point) for point in points]
     first, last = points[: most - most // 2], points[-(most // 2) :]

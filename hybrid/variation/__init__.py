@@ -1,4 +1,4 @@
-"""The first variation of a run: how it changes with its start, its parameters and its times."""
+"""The first variation of a run: its dependence on start, parameters and times."""
 
 from .carried import At, Carried
 from .derivatives import Derivatives

@@ -1,9 +1,10 @@
-"""The first variation along an arc: fundamental matrices, by power series from the start of each
-step, or, where a flow has none, by collocation on dense output.
+"""The first variation along an arc: fundamental matrices of the variational equation.
 
-A change of the state obeys ``d' = f_x d + f_p dp``. Where a formula of the flow changes, the flow
-may jump from ``f-`` to ``f+``: with ``k`` the function whose zero decides, that is a jump of the
-saltation matrix ``1 + (f+ - f-) k_x / (k_t + k_x f-)``.
+They are computed by power series from the start of each step or, for a flow without series, by
+collocation on dense output. A perturbation of the state obeys ``d' = f_x d + f_p dp``. Where a
+formula of the flow changes, the flow may jump from ``f-`` to ``f+``. With ``k`` the deciding
+function, the perturbation then jumps by the saltation matrix ``1 + (f+ - f-) k_x / (k_t + k_x
+f-)``.
 """
 
 from __future__ import annotations
@@ -27,22 +28,22 @@ from .derivatives import Derivatives, MatrixFunction
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers
 
-#: Stages of the collocation, whose order is twice as many.
+#: Stages of the collocation; its order is twice that.
 STAGES = 8
 
-#: Relative error of a collocation at which a step is no longer halved; and most halvings of one:
-#: where a formula bends, as many as a double has bits, a few times.
+#: Relative error below which a step is no longer halved, and most halvings of a step. A corner of a
+#: formula takes as many as a double has bits, so this allows for several.
 COLLOCATION_TOLERANCE, COLLOCATION_HALVINGS = 1e-12, 200
 
-#: Shares of a step at which it is asked on which side of its kinks it is, and how large the state.
+#: Fractions of a step at which the sides of its kinks and the size of the state are evaluated.
 STEP_PLACES = nodes(8)
 
-#: The share at which a step starts.
+#: The fraction at which a step starts.
 START = np.zeros(1)
 
 
 class Flowing(Protocol):
-    """What has a flow: a field, or one that looks back from each time anew."""
+    """Anything with a flow: a field, or a flow with delays that is evaluated anew at each time."""
 
     @property
     def rhs(self) -> Callable[..., Any]: ...
@@ -50,7 +51,7 @@ class Flowing(Protocol):
 
 @attrs.frozen(eq=False)
 class ArcPiece:
-    """A part of a step of an arc that begins at ``t``, in its local time."""
+    """A part of a step, in the local time of an arc that begins at ``t``."""
 
     t: float
     segment: Segment
@@ -70,12 +71,12 @@ class ArcPiece:
 
     @property
     def beside(self) -> float:
-        """How far from an end its side of a kink is told."""
+        """Distance from an end at which its side of a kink is evaluated."""
         share = max(KINK_SIDE, TOLD_APART * self.segment.end / self.length)
         return min(share, MOST_ASIDE) * self.length
 
     def inside(self, ends: bool) -> float:
-        """The local time there."""
+        """The local time at that distance from an end."""
         return self.end - self.beside if ends else self.start + self.beside
 
     def halves(self) -> list[ArcPiece]:
@@ -85,7 +86,7 @@ class ArcPiece:
         return [ArcPiece(self.t, self.segment, start, half) for start in starts]
 
     def flow(self, field: Flowing, ends: bool) -> tuple[np.ndarray, np.ndarray]:
-        """The flow at one of its ends, as it is on this side of it; and its size about there."""
+        """The one-sided limit of the flow at one of its ends, and the size of the flow near it."""
         end, way = (self.end, -1.0) if ends else (self.start, 1.0)
         taus = [end + way * s for s in (self.beside, 2.0 * self.beside, 0.5 * self.length)]
         near, far, middle = (
@@ -95,7 +96,7 @@ class ArcPiece:
 
 
 def composed(second: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """One change after the other; columns beyond the state's are those of parameters."""
+    """The composition of two maps; columns after those of the state belong to parameters."""
     size = len(first)
     found = second[:, :size] @ first
     found[:, size:] += second[:, size:]
@@ -108,7 +109,7 @@ def along(
     t: float,
     segments: Sequence[Segment],
 ) -> Iterator[tuple[float, np.ndarray]]:
-    """Local times, and matrices that carry a change from the time before to each of them.
+    """Local times, and matrices that map a perturbation from each time to the next.
 
     Parameters
     ----------
@@ -117,7 +118,7 @@ def along(
     t : float
         Time at the start of the arc to which the segments belong.
     segments : sequence of Segment
-        None where the arc has no length.
+        Empty if the arc has no length.
     """
     series, rates = of.series(field), partial(of.flow, field)
     kinks, largest = None, np.zeros(of.size)
@@ -138,7 +139,7 @@ def along(
 
 
 def _resolve(rate: MatrixFunction, piece: ArcPiece, units: np.ndarray) -> np.ndarray:
-    """The matrix of a piece, halved until it is resolved."""
+    """The matrix of a piece, which is halved until it is resolved."""
     open_pieces, left, found = [(piece, *collocate(rate, piece))], COLLOCATION_HALVINGS, None
     while open_pieces:
         piece, once, ripple = open_pieces.pop()
@@ -157,8 +158,11 @@ def _resolve(rate: MatrixFunction, piece: ArcPiece, units: np.ndarray) -> np.nda
 
 
 def sizes(piece: ArcPiece, matrix: Matrix, units: Numbers) -> Matrix:
-    """What a matrix is measured by: changes of the state by the largest, those by a parameter by
-    their own and by what they are where they change the state by its size."""
+    """Scale of a matrix's entries.
+
+    State columns are scaled by their largest entry. Parameter columns are scaled by the
+    larger of their own largest entry and the ratio of each state's size to the parameter's.
+    """
     size, largest = len(matrix), np.abs(matrix).max(axis=0)
     rows = np.abs(piece.segment.at(STEP_PLACES)).max(axis=0)
     return np.hstack(
@@ -170,8 +174,8 @@ def sizes(piece: ArcPiece, matrix: Matrix, units: Numbers) -> Matrix:
 
 
 def collocate(rate: MatrixFunction, piece: ArcPiece) -> tuple[np.ndarray, np.ndarray]:
-    """The matrix of a piece, and the last terms of the series whose integral it is: where they are
-    nothing, so is what is left out."""
+    """The matrix of a piece by collocation, and the size of the last terms of the Legendre series
+    that is integrated, which estimates the error."""
     points, inner, weights, series = gauss()
     taus, whole = piece.start + piece.length * points, piece.length == piece.segment.length
     states = piece.segment.at(points) if whole else piece.segment(taus)
@@ -188,8 +192,8 @@ def collocate(rate: MatrixFunction, piece: ArcPiece) -> tuple[np.ndarray, np.nda
 
 @cache
 def gauss() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Points of Gauss and Legendre on [0, 1], integrals to each of them, and to 1; and the matrix
-    from values there to coefficients of Legendre's polynomials."""
+    """Gauss-Legendre collocation on [0, 1]: points, matrix of integrals to each point, weights of
+    the integral to 1, and matrix from values to Legendre coefficients."""
     points, weights = legendre.leggauss(STAGES)
     values = np.linalg.inv(legendre.legvander(points, STAGES - 1))
     whole = [legendre.legint(row, lbnd=-1.0) for row in np.eye(STAGES)]
@@ -202,10 +206,10 @@ def gauss() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 
 def told(segments: Sequence[Segment]) -> list[Segment]:
-    """Steps that are long enough for their sides of kinks to be told.
+    """The steps that are long enough to be evaluated on their sides of kinks.
 
-    Where a method has closed in on a kink, its last steps before that are not: they are made part
-    of the step before them.
+    The last steps of a method that closes in on a kink are not; they are merged into the step
+    before.
     """
     kept: list[Segment] = []
     for segment in segments:
@@ -240,7 +244,7 @@ def pieces(kinks: MatrixFunction | None, t: float, segment: Segment) -> list[Arc
 
 
 def _zero(values: Callable[[float], np.ndarray], k: int, a: float, b: float) -> float:
-    """The zero of one of some values between places at which its signs differ, by bisection."""
+    """A sign change of one component of ``values`` between ``a`` and ``b``, by bisection."""
     low = values(a)[k]
     while True:
         middle = 0.5 * (a + b)
@@ -250,7 +254,7 @@ def _zero(values: Callable[[float], np.ndarray], k: int, a: float, b: float) -> 
 
 
 def middle(field: Flowing, t: float, segment: Segment) -> np.ndarray:
-    """Sizes of the flow in the middle of a step."""
+    """The absolute value of the flow in the middle of a step."""
     tau = segment.start + 0.5 * segment.length
     return np.abs(field.rhs(t + tau, segment(tau).tolist()))
 
@@ -258,7 +262,7 @@ def middle(field: Flowing, t: float, segment: Segment) -> np.ndarray:
 def bend(
     kinks: MatrixFunction, field: Flowing, before: ArcPiece, after: ArcPiece, largest: np.ndarray
 ) -> np.ndarray | None:
-    """The saltation from a piece of an arc to the next; None where the flow does not jump."""
+    """The saltation matrix between two pieces of an arc; None if the flow does not jump."""
     there, here = before.flow(field, True), after.flow(field, False)
     jump = here[0] - there[0]
     if np.all(np.abs(jump) <= SAME_FLOW * np.maximum(largest, np.maximum(there[1], here[1]))):
@@ -268,13 +272,12 @@ def bend(
 
 
 def passing(kinks: MatrixFunction, piece: ArcPiece, flow: np.ndarray) -> np.ndarray:
-    """When neighbours pass the kinks at the end of a piece: the derivative of that time by a
-    change of state and parameters.
+    """The derivative, by state and parameters, of the time of the kink that ends a piece.
 
     Raises
     ------
     OrbitError
-        If nothing is passed there, or several things are, at different times for neighbours.
+        If there is no kink there, or several that neighbours pass at different times.
     """
     t, found = piece.t + piece.end, kinks(piece.t + piece.end, piece.segment(piece.end))
     slopes, state = found[:, 2 : 2 + len(flow)], piece.segment(piece.end)
@@ -286,8 +289,8 @@ def passing(kinks: MatrixFunction, piece: ArcPiece, flow: np.ndarray) -> np.ndar
     rows = -found[there, 2:] / rates[there, None]
     if not len(rows) or np.any(np.abs(rows - rows[0]) > SAME_KINK_TIME * np.abs(rows[0])):
         raise OrbitError(
-            f"t = {t!r}: a flow or a guard jumps there, and neighbours do not have that at a time "
-            "that depends smoothly on them: there is no first variation"
+            f"t = {t!r}: a flow or a guard jumps there, at a time that does not depend smoothly on "
+            "the state: there is no first variation"
         )
     first: np.ndarray = rows[0]
     return first

@@ -1,4 +1,4 @@
-"""A change of a run's start, of its parameters and of its past, on its way along the run."""
+"""Perturbations of a run's start, parameters and history, carried along the run."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from .walk import Chatter, Course, DelayedArc, Factor, Walk
 if TYPE_CHECKING:
     from ..automaton.shapes import Mask, Matrix, Numbers
 
-#: Flights of a series of impacts shorter than this, against the first, are remembered as one; the
-#: same where what jumps at impacts is seen by the flow.
+#: Flights of a series of impacts shorter than this, relative to the first, are recorded as one; the
+#: second value applies if delays see jumps at the impacts.
 SHORT_FLIGHT, SHORT_SEEN_FLIGHT = 1e-6, 1e-9
 
 #: Least length of a window, in spacings of the time.
@@ -35,7 +35,7 @@ WINDOW_SPACINGS = 64.0
 
 @attrs.frozen(eq=False)
 class At:
-    """How a moment changes: its time, the states on its sides, and of a limit its ratio."""
+    """The variation of a moment: its time, the states on its sides, a limit's ratio."""
 
     part: int
     time: Numbers
@@ -45,21 +45,21 @@ class At:
 
 
 class Carried:
-    """The change of the state at equal times, as a linear function of ``m`` numbers.
+    """The variation of the state at equal times, as a linear function of ``m`` numbers.
 
     Attributes
     ----------
     state : array, shape (n, m)
     given : array, shape (q, m)
-        That of the parameters, as far as the walk has columns for them.
+        Variation of the parameters, if the walk has columns for them.
     past : PastVariation or None
-        That of what is remembered; a model with delays needs it before it begins.
+        Variation of the record; required before the start for a model with delays.
     none : array of bool, shape (m,)
         The numbers by which there is no derivative any more.
     last : At or None
         The last moment passed.
     limits : int
-        Accumulations passed so far.
+        Number of accumulations passed so far.
     """
 
     def __init__(
@@ -73,28 +73,28 @@ class Carried:
         self.saltations = list[Factor]()
 
     def remember(self, past: PastVariation) -> None:
-        """Carry the change of what is remembered as well."""
+        """Carry the variation of the record as well."""
         self.past = past
         self.walk.arrival = past.arrives
 
     def moments(self) -> Iterator[At]:
-        """Along the run; gives what happens on the way."""
+        """Carry the perturbation along the run; yields the moments on the way."""
         for piece in self.walk.pieces():
             yield from self.through(piece)
 
     def final(self) -> Matrix:
-        """The change of the state at the end of the run; NaN where there is none."""
+        """The variation of the state at the end of the run; NaN where there is none."""
         past, none, place = self.past, self.none, len(self.walk.course.parts) - 1
         part, piece = self.walk.course.parts[place], self.walk.piece(place, True)
         if past is not None and piece is not None and past.arrives(place, part.t1):
             assert isinstance(part, Arc)
-            if past.turned(place, part, piece).any():  # it comes before the end, or after it
+            if past.turned(place, part, piece).any():  # it may come before or after the end
                 none = none | (past.arrival(place, part, piece, self.state) != 0.0)
                 none[-1] = True
         return self.state * np.where(none, np.nan, 1.0)
 
     def through(self, piece: Factor | DelayedArc | Chatter) -> Iterator[At]:
-        """Through a piece of the run; gives what happens at its end."""
+        """Carry the perturbation through a piece of the run; yields the moments at its end."""
         if isinstance(piece, DelayedArc):
             assert self.past is not None
             self._touch(piece.arc.t1)
@@ -106,13 +106,13 @@ class Carried:
             yield from self._applied(piece, self._change(piece))
 
     def _touch(self, t: float) -> None:
-        """Neighbours of a run that touches a guard go another way."""
+        """After a tangency, neighbours take another course."""
         while self.touched and self.touched[0] <= t:
             self.none[:-1] = True
             self.touched.pop(0)
 
     def _change(self, factor: Factor) -> Matrix:
-        """What a factor is applied to."""
+        """The perturbation to which a factor is applied."""
         if self.past is None:
             return np.vstack([self.state, self.given])
         index, ends = factor.part, bool(factor.moments)
@@ -121,7 +121,7 @@ class Carried:
         return np.vstack([change, self._arrival(factor, t)])
 
     def _arrival(self, factor: Factor, t: float) -> Matrix:
-        """The change of the time at which a jump is seen, of which a factor has a column."""
+        """The variation of the time at which a jump of the past is seen, as a row."""
         index, past, part = factor.part, self.past, self.walk.course.parts[factor.part]
         nothing = np.zeros((1, self.state.shape[1]))
         if past is None or not factor.moments or not past.arrives(index, t):
@@ -130,7 +130,7 @@ class Carried:
         if not factor.waits or piece is None:
             raise OrbitError(
                 f"{self.walk.model}, t = {t:.9g}: a jump is seen there just when another happens; "
-                "which is first for a neighbour decides on its derivative"
+                "which is first differs between neighbours: there is no derivative"
             )
         assert isinstance(part, Arc)
         return past.arrival(index, part, piece, self.state)[None]
@@ -152,7 +152,7 @@ class Carried:
             self._remembered(self.past, factor, change)
 
     def _apart(self, factor: Factor, change: Matrix) -> Mask:
-        """The numbers whose change makes neighbours take another course at jumps together."""
+        """The numbers whose perturbation changes the course at simultaneous jumps."""
         if factor.ties is None or not len(factor.ties):
             return np.zeros(change.shape[1], dtype=bool)
         moved, sizes = factor.ties @ change, np.abs(factor.ties) @ np.abs(change)
@@ -172,7 +172,7 @@ class Carried:
     # -- accumulations in a model with delays -----------------------------------------------
 
     def _to_limit(self, chatter: Chatter) -> Iterator[At]:
-        """Through an accumulation of impacts: the past is a polynomial that changes, too."""
+        """Carry the perturbation through an accumulation; the windows of the past vary as well."""
         past, part, tail = self.past, chatter.part, chatter.part.tail
         assert past is not None
         windows, rows = self._windows(past, chatter)
@@ -199,7 +199,7 @@ class Carried:
     def _windows(
         self, past: PastVariation, chatter: Chatter
     ) -> tuple[list[np.ndarray], np.ndarray]:
-        """Windows on what each lag sees on the way to a limit, and how their numbers change."""
+        """Windows on what each lag sees up to a limit, and the variation of their numbers."""
         part, sight = chatter.part, past.sight
         shapes, shown = sight.scene.code.shapes, part.tail.field.parameters
         own = len(shapes) - len(sight.scene.spec.windows)
@@ -212,7 +212,7 @@ class Carried:
                 raise OrbitError(
                     f"{self.walk.model}, t = {part.t0:.9g}: impacts accumulate within "
                     f"{part.tail.remaining:.3g}, and the lag {sight.scene.spec.lags[k].name} is "
-                    "shorter, or depends on time or state; no derivative of that is known"
+                    "shorter, or depends on time or state: its derivative is not available"
                 )
             places = ((a - frame[0]) + points) / frame[1]
             values = np.vander(places, WINDOW_DEGREE + 1, increasing=True) @ powers
@@ -225,18 +225,23 @@ class Carried:
     def _require_same(
         self, past: PastVariation, limit: np.ndarray, t: float, x: np.ndarray
     ) -> None:
-        """After each impact another state is seen: that must not matter for derivatives either."""
+        """Refuse impacts whose restarted past differs from the limit, also in the first variation.
+
+        Raises
+        ------
+        OrbitError
+        """
         seen = sorted({e for each in past.sight.scene.code.seen for e in each})
         sizes = np.abs(past.fresh).max(axis=0) + np.abs(limit).max(axis=0)
         sizes += np.abs(x).max() / past.units
         if np.any(np.abs(past.fresh - limit)[seen] > SAME_FLOW * sizes):
             raise OrbitError(
                 f"{self.walk.model}, t = {t:.9g}: each of the impacts that accumulate is seen by "
-                'the flight after it (memory="restart"); no derivative of that is known'
+                'the flight after it (memory="restart"): its derivative is not available'
             )
 
     def _flights(self, past: PastVariation, chatter: Chatter) -> None:
-        """Remember the change along the flights on the way to a limit, one by one."""
+        """Record the variation along the flights up to a limit, one by one."""
         part, walk, before = chatter.part, self.walk, (self.saltations, self.none)
         seen = {e for each in past.sight.scene.code.seen for e in each}
         jump = part.jump(1) if part.tail.count else None
@@ -261,7 +266,7 @@ class Carried:
 
 @attrs.frozen(eq=False)
 class _Within:
-    """How a part of a run looked back, for its own parts."""
+    """The view of the past within one part of a run, for the flights of that part."""
 
     whole: object
     index: int

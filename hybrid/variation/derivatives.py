@@ -1,9 +1,8 @@
 """Derivatives of a model's flows, guards and resets, as programs.
 
-Each is made of nodes of its mode's own graph (:mod:`hybrid.lowering.derivatives`), once for a
-class, and read like any other program: nothing is traced again. Columns are time first, then the
-elements of the state; in a model with delays then what each lag shows of them; then, where they are
-asked for, the elements of the parameters.
+They are nodes of the mode's own graph (:mod:`hybrid.lowering.derivatives`), made once per class and
+evaluated like any other program. The columns are time, then the elements of the state; with delays,
+then what each lag shows of these; then, on request, the elements of the parameters.
 """
 
 from __future__ import annotations
@@ -33,11 +32,11 @@ class Rows:
     Attributes
     ----------
     key
-        A name of their own.
+        A unique key.
     mode, held
-        The mode, and the contacts held.
+        The mode, and the held contacts.
     nodes : callable
-        Gives the nodes, from the mode's graph.
+        Returns the nodes, given the mode's graph.
     columns : int
     """
 
@@ -49,15 +48,15 @@ class Rows:
 
 
 class Derivatives:
-    """The derivatives of one scene, made when first asked for.
+    """The derivatives of one scene, made on first use.
 
     Attributes
     ----------
     size, count : int
-        Elements of the state, and of the parameters if there are columns for them; with
-        ``windows`` those of the windows of the past are among these.
+            Number of state elements, and of parameter elements if these have columns; with
+        ``windows``, the numbers of the windows of the past are among the latter.
     units : array, shape (count,)
-        The sizes of the parameters; 1 where one is 0.
+        Absolute values of the parameters; 1 for a zero.
     """
 
     def __init__(self, scene: Scene, parameters: bool = False, windows: bool = False) -> None:
@@ -72,36 +71,38 @@ class Derivatives:
         self._series: dict[Any, Series | None] = {}
 
     def flow(self, field: Field) -> MatrixFunction:
-        """``(t, x) -> (n, columns)``: of the flow of a mode, at rest and sliding as well."""
+        """``(t, x) -> (n, columns)``: derivatives of the flow, also at rest and while sliding."""
         held = bool(field.held)
         flow = self._slopes(("flow", field.name), field.mode, field.held, lambda g: g.flow(held))
         return self.matrix(flow)
 
     def guard(self, guard: Guard, field: Field) -> MatrixFunction:
-        """``(t, x) -> (1, columns)``: of a guard."""
+        """``(t, x) -> (1, columns)``: derivatives of a guard."""
         return self.matrix(self.of_guard(guard, field))
 
     def of_guard(self, guard: Guard, field: Field) -> Rows:
-        """The same."""
+        """The derivatives of a guard, as rows."""
         key = "guard", guard.edge, field.name
         return self._slopes(key, field.mode, field.held, lambda g: [_node(g, guard)])
 
     def of_speed(self, guard: Guard, field: Field) -> Rows:
-        """Of a guard's rate along the flow, a row."""
+        """The derivatives of a guard's rate along the flow, as a row."""
         held = bool(field.held)
         rate = lambda g: [g.rate(_node(g, guard), g.flow(held))]  # noqa: E731
         return self._slopes(("rate", guard.edge, field.name), field.mode, field.held, rate)
 
     def lag(self, number: int, field: Field) -> MatrixFunction:
-        """``(t, x) -> (1, columns)``: of a lag."""
+        """``(t, x) -> (1, columns)``: derivatives of a lag."""
         code, name = self.scene.code, self.scene.spec.lags[number].name
         nodes = lambda g: g.values(code.closed("lag", name))  # noqa: E731
         return self.matrix(self._slopes(("lag", number, field.mode), field.mode, (), nodes))
 
     def series(self, field: Field, gap: Guard | None = None) -> Series | None:
-        """The derivatives of :meth:`flow`, but for those by time, and the flow itself, in power
-        series; None where there are none. A gap is a coordinate behind the state, on which
-        nothing depends."""
+        """Power series of :meth:`flow`, without the time column, and of the flow itself.
+
+        None if there are none. A gap, if given, is an extra coordinate after the state, on which
+        nothing depends.
+        """
         key = field.name, gap and gap.edge
         if key not in self._series:
             moving = self.scene.spec.lags and not self.windows
@@ -120,8 +121,8 @@ class Derivatives:
     def _sparse(
         self, graph: ModeGraph, field: Field, gap: Guard | None
     ) -> tuple[Tape | None, np.ndarray]:
-        """The tape of a flow and of those of its derivatives that are not zero, and their places;
-        nothing is derived by a gap."""
+        """The tape of a flow and of its nonzero derivatives, and their (row, column) places; a gap
+        has no column of derivatives."""
         held, zero, inputs = bool(field.held), graph.graph.const(0.0), self._inputs(graph)[1:]
         more = [] if gap is None else [graph.rate(_node(graph, gap), graph.flow(held))]
         slopes = [gradient(graph.graph, node, inputs) for node in (*graph.flow(held), *more)]
@@ -134,14 +135,14 @@ class Derivatives:
         return tape, np.array(places, dtype=np.int64).reshape(-1, 2)
 
     def of_law(self, contact: str) -> Rows:
-        """Of the restitution at rest, a row."""
+        """The derivatives of the restitution at rest, as a row."""
         code, mode = self.scene.code, self.scene.contact(contact).mode
         closed = lambda: code.closed("restitution", contact)  # noqa: E731
         at_rest = lambda g: g.values(closed(), g.graph.const(-0.0))  # noqa: E731
         return self._slopes(("law", contact), mode, (), at_rest)
 
     def reset(self, edge: str, kind: Kind) -> MatrixFunction:
-        """``(t, x) -> (n, columns)``: of what a jump does to the state."""
+        """``(t, x) -> (n, columns)``: derivatives of the state after a jump."""
         rows = self.of_reset(edge, kind)
         if rows is not None:
             return self.matrix(rows)
@@ -149,7 +150,7 @@ class Derivatives:
         return lambda t, x: same
 
     def of_reset(self, edge: str, kind: Kind) -> Rows | None:
-        """The same; None where the state stays as it is."""
+        """The derivatives of the state after a jump, as rows; None if the state does not change."""
         code = self.scene.code
         if kind is Kind.CONTACT:
             mode = self.scene.contact(edge).mode
@@ -163,8 +164,7 @@ class Derivatives:
     def kinks(
         self, key: Any, field: Field, roots: Callable[[ModeGraph], list[int]]
     ) -> MatrixFunction:
-        """``(t, x) -> (k, 1 + columns)``: functions at whose zeros nodes change their formula,
-        and their derivatives."""
+        """``(t, x) -> (k, 1 + columns)``: deciding functions, and their derivatives."""
 
         def rows(graph: ModeGraph) -> list[int]:
             inputs, found = self._inputs(graph), deciding(graph.graph, roots(graph))
@@ -174,7 +174,7 @@ class Derivatives:
         return self.matrix(Rows(key, field.mode, field.held, rows, 1 + self.columns))
 
     def of_watched(self, field: Field) -> Rows:
-        """Of what the series of a field watch, a row for each; 0 where no formula changes."""
+        """The derivatives of a field's watched functions as rows; 0 if no formula changes."""
         assert field.jets is not None
         watched = field.jets.tape.watched
         own = [what.node for what in watched if what.switches]
@@ -210,8 +210,8 @@ class Derivatives:
         return self._slopes(("onto", mode), mode, (), onto)
 
     def of_contacts(self, field: Field) -> Rows:
-        """Of the gap of each contact held its derivatives and the direction in which it is taken
-        away, and of its speed."""
+        """For the gap, then the gap speed, of each held contact: its derivatives, and the direction
+        in which the projection removes it."""
         size = self.size
 
         def rows(graph: ModeGraph) -> list[int]:
@@ -258,19 +258,19 @@ class Derivatives:
         return self._made[rows.key]
 
     def values(self, rows: Rows) -> Jets:
-        """Rows one behind the other, as a program for values.
+        """Rows concatenated, as a program for values.
 
         Raises
         ------
         TraceError
-            Where an operation has none.
+            If an operation cannot be put on a tape.
         """
         graph = self.scene.code.mode(rows.mode)
         tape = graph.of_values((*rows.key, self.count), lambda: rows.nodes(graph))
         return tape.bind(self.scene.numbers(rows.mode, tuple(rows.held)))
 
     def _inputs(self, graph: ModeGraph) -> list[int]:
-        """The nodes by which is derived; the first row of a window is a change of what is seen."""
+        """The nodes of the columns; a window's constant terms stand for the states it shows."""
         shapes, windows = self.scene.code.shapes, len(self.scene.spec.windows)
         own = len(shapes) - windows
         shown = [graph.inputs[place][0] for place in range(own + 1, len(shapes), 2)]
@@ -280,8 +280,8 @@ class Derivatives:
 
 
 def after(later: np.ndarray, earlier: np.ndarray) -> np.ndarray:
-    """The derivatives of what follows another at the same time, of theirs by time, state, and all
-    else; shapes ``(n, columns)``."""
+    """The derivatives of a composition at one time; both have columns for time, state, and others,
+    shape ``(n, columns)``."""
     end = 1 + len(later)
     found: np.ndarray = later[:, 1:end] @ earlier
     found[:, 0] += later[:, 0]
@@ -290,5 +290,5 @@ def after(later: np.ndarray, earlier: np.ndarray) -> np.ndarray:
 
 
 def _node(graph: ModeGraph, guard: Guard) -> int:
-    """The node of a guard; of a gap with the formula that it has where it is zero."""
+    """The node of a guard; of a gap with the formula that holds where it is zero."""
     return graph.contact(guard.edge).gap if guard.kind is Kind.CONTACT else graph.guard(guard.edge)

@@ -15,16 +15,17 @@ from .slopes import SlopeTables
 
 
 class LimitVariation(NamedTuple):
-    """From a change of the state after a tail's first impact to one at its limit.
+    """Maps a perturbation of the state after a tail's first impact to the limit.
 
-    The last columns are those of the parameters, or of directions of these.
+    The last columns belong to the parameters, or to directions of them.
 
     Attributes
     ----------
     matrix : array, shape (n, n + q)
-        At equal times. It has lost two ranks: gap and gap speed are zero at rest.
+            Variation of the state at equal times. It has lost two ranks: gap and gap speed are zero
+        at rest.
     time, state, ratio : array, shapes (n + q,), (n, n + q) and (n + q,)
-        Of the time of the limit, of the state there, and of the ratio of the series.
+        Variation of the time of the limit, of the state there, and of the ratio of the series.
     """
 
     matrix: np.ndarray
@@ -34,17 +35,17 @@ class LimitVariation(NamedTuple):
 
 
 def through(of: Derivatives, tail: Tail, directions: np.ndarray | None = None) -> LimitVariation:
-    """Through an accumulation.
+    """The first variation through an accumulation.
 
     Parameters
     ----------
     directions : array, shape (q, m), optional
-        In which the parameters change; else each of them does.
+        Directions in parameter space; by default each parameter is one.
 
     Raises
     ------
     OrbitError
-        Where the impacts of the tail do not depend smoothly on its start.
+        If the impacts of the tail do not depend smoothly on its start.
     """
     where = f"mode {tail.field.name}, t = {tail.t!r}"
     tables, guard = SlopeTables(of), tail.field.guards[tail.column]

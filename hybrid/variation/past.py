@@ -1,17 +1,17 @@
-"""The change of what a run with delays remembers.
+"""The variation of the record of a run with delays.
 
-A change ``d`` of the record is carried along an arc by ::
+A perturbation ``d`` of the record obeys, along an arc, ::
 
     d' = f_x d + f_p dp + sum of f_k d(t - lag_k)
 
-by collocation at Gauss points; what it asks of the past it finds in its own earlier pieces. (The
-windows through which a flow looks back are functions of time and of their lag, so that ``f_x`` and
-``f_p`` contain ``-f_k x'(t - lag_k)`` times the change of the lag.) A jump of the record that comes
-later by ``s`` is seen later, by ``s`` and by what its lag grows: where the flow jumps there from
-``f-`` to ``f+``, the change becomes ``d + (f- - f+) ds``.
+which is solved by collocation at Gauss points; delayed values come from its own earlier pieces.
+(The windows of a flow are functions of time and of their lag, so ``f_x`` and ``f_p`` contain ``-f_k
+x'(t - lag_k)`` times the variation of the lag.) If a jump of the record comes later by ``s``, it is
+seen later by ``s`` plus the growth of its lag. Where the flow jumps there from ``f-`` to ``f+``,
+the perturbation becomes ``d + (f- - f+) ds``.
 
-With ``memory="restart"`` what a flow sees after a jump is the state after it, and nothing else of
-the past. See ``docs/notes/gradients.md``.
+With ``memory="restart"`` a flow sees only the state after the last jump and what follows. See
+``docs/notes/gradients.md``.
 """
 
 from __future__ import annotations
@@ -44,16 +44,17 @@ COLLOCATION_DEGREE = 14
 #: Most halvings of a step.
 DELAYED_HALVINGS = 6
 
-#: Breaking points are followed through this many lags.
+#: Number of lags through which breaking points are followed.
 GENERATIONS = 6
 
-#: Times nearer than this, relative, are one; the same of lags that depend on time or state.
+#: Relative distance below which times are equal, and the same for lags that depend on time or
+#: state.
 SAME_TIME, SAME_MOVING_TIME = 1e-13, 1e-11
 
 
 @attrs.frozen(eq=False)
 class Strand:
-    """A change between two times: values at Chebyshev points, shape ``(degree + 1, n, m)``."""
+    """A perturbation as values at Chebyshev points, shape ``(degree + 1, n, m)``."""
 
     a: float
     b: float
@@ -68,7 +69,7 @@ class Strand:
 
 @attrs.frozen(eq=False)
 class Shift:
-    """A jump of the record from ``before`` to ``after``, and the change of its time."""
+    """A jump of the record from ``before`` to ``after``, and the variation of its time."""
 
     t: float
     before: Numbers
@@ -81,7 +82,7 @@ class Shift:
 
 
 def descendants(times: Iterable[float], lags: Sequence[float], last: float) -> list[float]:
-    """Breaking points up to a time: those given, and what follows through the lags."""
+    """Breaking points up to ``last``: the given times, and those that follow through the lags."""
     found = now = set(times)
     for _ in range(GENERATIONS):
         now = {t + lag for t in now for lag in lags if lag > 0 and t + lag <= last}
@@ -90,7 +91,7 @@ def descendants(times: Iterable[float], lags: Sequence[float], last: float) -> l
 
 
 def distinct(times: Iterable[float]) -> list[float]:
-    """Times in order, those that are nearly one once."""
+    """Times in order, nearly equal ones merged."""
     found: list[float] = []
     for t in sorted(times):
         if not found or t - found[-1] > SAME_TIME * max(1.0, abs(t)):
@@ -99,18 +100,18 @@ def distinct(times: Iterable[float]) -> list[float]:
 
 
 class PastVariation:
-    """The change of a run's record, as a linear function of ``m`` numbers.
+    """The variation of a run's record, as a linear function of ``m`` numbers.
 
     Attributes
     ----------
     given : array, shape (q, m)
-        The change of the parameters, as far as there are columns for them.
+        Variation of the parameters, if they have columns.
     units : array, shape (m,)
-        What a change of each number is measured by.
+        Scale of each number.
     strands, shifts
-        The change of the record so far, and of the times of its jumps.
+        Variation of the record so far, and of the times of its jumps.
     fresh : array, shape (n, m)
-        Of the state after the last jump.
+        Variation of the state after the last jump.
     """
 
     def __init__(
@@ -132,20 +133,20 @@ class PastVariation:
 
     @property
     def restarts(self) -> bool:
-        """Whether the past is forgotten at jumps."""
+        """Whether jumps erase the past."""
         return bool(self.sight.memory == "restart")
 
     def broken(self, times: Iterable[float]) -> None:
-        """The record breaks at some times, and what sees it later."""
+        """Add breaking points of the record, and those that follow through the lags."""
         self.breaks = distinct([*self.breaks, *descendants(times, self.sight.lags, self.end)])
 
     def add(self, strand: Strand) -> None:
-        """What follows in time."""
+        """Append the next strand."""
         self.strands.append(strand)
         self._ends.append(strand.b)
 
     def jumped(self, shift: Shift, fresh: Matrix) -> None:
-        """The record jumps, to a state that changes by ``fresh``."""
+        """Record a jump, after which the variation of the state is ``fresh``."""
         self.fresh = fresh
         if self.restarts:
             self.shifts, self.strands = [], [Strand(shift.t - 1.0, shift.t, fresh[None])]
@@ -157,7 +158,7 @@ class PastVariation:
     # -- what is seen -----------------------------------------------------------------------
 
     def at(self, times: Numbers, near: Numbers) -> Matrices:
-        """The change at some times, shape ``(k, n, m)``, on the strands at times near them."""
+        """The perturbation at some times, shape ``(k, n, m)``, from the strands at ``near``."""
         found = np.empty((len(times), *self.fresh.shape))
         which = np.array([min(bisect_left(self._ends, t), len(self._ends) - 1) for t in near])
         for place in np.unique(which).tolist():
@@ -165,13 +166,12 @@ class PastVariation:
         return found
 
     def within(self, times: Numbers, low: float, high: float) -> Matrices:
-        """The same on the smooth piece between two times."""
+        """The perturbation on the smooth piece between two times."""
         room = KINK_SIDE * max(high - low, 0.0)
         return self.at(times, np.clip(times, low + room, high - room))
 
     def shown(self, index: int, t: float, near: float, now: Matrix) -> Matrix:
-        """Changes of what each lag shows at a time of a part, below each other; from the side on
-        which ``near`` is."""
+        """The stacked perturbations that each lag shows at ``t``, on the side of ``near``."""
         pairs = zip(self.sight.places(index, t), self.sight.places(index, near), strict=True)
         return np.vstack(
             [
@@ -181,13 +181,13 @@ class PastVariation:
         )
 
     def changed(self, index: int, t: float, near: float, now: Matrix) -> Matrix:
-        """Changes of state, of what is seen, and of parameters, below each other."""
+        """The stacked perturbations of the state, of what is seen, and of the parameters."""
         return np.vstack([now, self.shown(index, t, near, now), self.given])
 
     # -- jumps that are seen ----------------------------------------------------------------
 
     def seen(self, index: int, t: float) -> Iterator[tuple[int, Shift]]:
-        """The jumps of the record that are seen at a time, and by which lag."""
+        """The jumps of the record that are seen at a time, each with the number of its lag."""
         code = self.sight.scene.code
         for k, place in enumerate(self.sight.places(index, t)):
             room = (SAME_MOVING_TIME if code.moving[k] else SAME_TIME) * max(1.0, abs(t))
@@ -200,12 +200,12 @@ class PastVariation:
         return next(self.seen(index, t), None) is not None
 
     def arrival(self, index: int, arc: Arc, piece: ArcPiece, now: Matrix) -> Numbers:
-        """How the time changes at which a jump is seen at the end of a piece.
+        """The variation of the time at which a jump is seen at the end of a piece.
 
         Raises
         ------
         OrbitError
-            If several are, at times that differ for the neighbours.
+            If several jumps are seen, at times that differ for neighbours.
         """
         t, near = piece.t + piece.end, piece.t + piece.inside(True)
         scene, of = self.walk.look(index, near)
@@ -220,12 +220,12 @@ class PastVariation:
         if np.any(apart):
             raise OrbitError(
                 f"{self.walk.model}, t = {t:.9g}: two jumps of the past are seen there; which is "
-                "first for a neighbour decides on its derivative"
+                "first differs between neighbours: there is no derivative"
             )
         return rows[0]
 
     def turned(self, index: int, arc: Arc, piece: ArcPiece) -> Numbers:
-        """How much the flow falls where a jump is seen at the end of a piece."""
+        """``f- - f+`` where a jump is seen at the end of a piece; 0 at rounding level."""
         t, x = piece.t + piece.end, piece.segment(piece.end).tolist()
         before, after = (
             np.array(self.walk.look(index, t + s)[0].field(arc.mode).rhs(t, x))
@@ -238,7 +238,7 @@ class PastVariation:
     # -- along an arc -----------------------------------------------------------------------
 
     def along(self, index: int, arc: Arc, now: Matrix) -> Matrix:
-        """Carry a change along an arc; jumps that are seen at its end are left to what follows."""
+        """Carry a perturbation along an arc, without jumps that are seen at its end."""
         field, last = _Seeing(self.walk, index, arc), None
         kinks = field.kinks if field.changes else None
         largest = np.zeros(self.size)
@@ -274,7 +274,7 @@ class PastVariation:
         largest: Numbers,
         now: Matrix,
     ) -> Matrix:
-        """The change after what happens between two pieces of an arc."""
+        """The perturbation after the event between two pieces of an arc."""
         t = before.t + before.end
         if self.arrives(index, t):
             fall = self.turned(index, arc, before)
@@ -287,8 +287,8 @@ class PastVariation:
         return now
 
     def _step(self, index: int, arc: Arc, a: float, b: float, now: Matrix, depth: int) -> Matrix:
-        """Carry the change over a step, or over its halves if it is not resolved."""
-        if not b > a:  # nothing but rounding of the time
+        """Carry the perturbation over a step, or over its halves if it is not resolved."""
+        if not b > a:  # only rounding of the time
             return now
         values, states = self._collocated(index, arc, a, b, now)
         sizes = np.abs(np.tensordot(from_values(COLLOCATION_DEGREE), values, 1))
@@ -304,7 +304,7 @@ class PastVariation:
     def _collocated(
         self, index: int, arc: Arc, a: float, b: float, now: Matrix
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Values of the change at the Chebyshev points of a step, and states in it."""
+        """The perturbation at a step's Chebyshev points, and states at its Gauss points."""
         size, (points, inner, whole) = self.size, _gauss()
         times, count = a + (b - a) * points, COLLOCATION_DEGREE + 1
         states = arc.local((times - arc.t0) - arc.low)
@@ -331,8 +331,8 @@ class PastVariation:
 
 @cache
 def _gauss() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gauss points, which are inside of a step; the matrices from values at Chebyshev points to
-    values there, and from those back to integrals."""
+    """Interior Gauss points; the matrix from values at Chebyshev points to values at these; and the
+    matrix from those to integrals at the Chebyshev points."""
     points = 0.5 + 0.5 * leggauss(COLLOCATION_DEGREE)[0]
     places = 2.0 * points - 1.0
     inner = chebyshev.chebvander(places, COLLOCATION_DEGREE) @ from_values(COLLOCATION_DEGREE)
@@ -344,7 +344,7 @@ def _gauss() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 class _Seeing:
-    """The flow of an arc, looking back from each time as it did."""
+    """The flow of an arc, with the view of the past that it had at each time."""
 
     def __init__(self, walk: Walk, index: int, arc: Arc) -> None:
         self.walk, self.index, self.arc = walk, index, arc
@@ -355,6 +355,6 @@ class _Seeing:
         return self.walk.look(self.index, t)[0].field(self.arc.mode).rhs(t, x)
 
     def kinks(self, t: float, x: np.ndarray) -> np.ndarray:
-        """Functions at whose zeros its formula changes, and their derivatives."""
+        """Its deciding functions, and their derivatives."""
         of, field = self.walk.look(self.index, t)[1], self.walk.scene.field(self.arc.mode)
         return of.kinks(("flow", field.name), field, lambda g: g.flow(bool(field.held)))(t, x)

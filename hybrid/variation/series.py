@@ -1,4 +1,4 @@
-"""The first variation along a piece of an arc by power series, where the flow has them."""
+"""The first variation along a piece of an arc, by power series."""
 
 from __future__ import annotations
 
@@ -24,16 +24,18 @@ if TYPE_CHECKING:
 def room_for(
     needs: Sequence[int], read: int, states: int, columns: int, along: int = 0, points: int = 0
 ) -> Changes:
-    """Arrays to work in.
+    """Work arrays.
 
     Parameters
     ----------
     needs
-        What the largest program needs, as :attr:`.Tape.needs` says; and the numbers it gives.
+        Sizes of the largest program, as in :attr:`.Tape.needs`.
+    read : int
+        Most numbers that a program returns.
     columns, along : int
-        Time, states and parameters; directions for these, if there are.
+        Number of columns for time, states and parameters; number of parameter directions, if any.
     points : int
-        Of the limits of impacts.
+        Number of points of the limits of impacts.
     """
     rows, kinks, beside = needs
     own, wide = 1 + states, max(columns, 1 + states + along)
@@ -77,11 +79,11 @@ class Series:
     Attributes
     ----------
     jets : Jets
-        The derivatives that are not always zero are its functions.
+        Its functions are the derivatives that are not identically zero.
     places : array of int, shape (k, 2)
-        Of each its row and its column.
+        Row and column of each.
     shape : (int, int)
-        Rows and columns: of all derivatives, the columns of parameters behind those of the state.
+        Rows and columns of all derivatives; the parameters' columns follow those of the state.
     """
 
     jets: Jets
@@ -90,12 +92,12 @@ class Series:
 
     @cached_property
     def _room(self) -> Changes:
-        """Arrays to work in."""
+        """Work arrays."""
         rows, columns = self.shape
         return room_for(self.jets.tape.needs, len(self.places), rows, 1 + columns)
 
     def carried(self, piece: ArcPiece) -> Matrix | None:
-        """The matrix of a piece on which no formula changes; None where there are no series."""
+        """The matrix of a piece without formula changes; None if there are no series."""
         found, inside, start = np.empty(self.shape), piece.start, piece.first
         beside = start.copy()
         if len(self._room.sides):

@@ -1,4 +1,4 @@
-"""Derivatives of a scene's functions as the rules take them (:class:`.Slopes`)."""
+"""Derivatives of a scene's functions, in the form the rules take (:class:`.Slopes`)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from ..rules.variation import GRADIENT, KINKED, RESET_SLOPES, REST_ROW
 from .derivatives import Derivatives, Rows
 from .series import POINTS, room_for
 
-#: Runs after which programs are compiled: the changes of those take as long as that does, 0.3 s.
+#: Number of runs after which programs are compiled; carrying perturbations along that many takes as
+#: long as compiling, 0.3 s.
 HOT_RUNS = 1000
 
 #: Kinds of guards whose jumps the rules carry changes through.
@@ -25,11 +26,10 @@ CARRIED = (Kind.EDGE, Kind.CONTACT, Kind.RELEASE, Kind.SWITCH, Kind.LEAVE, Kind.
 
 
 class SlopeTables:
-    """The fields and the guards whose derivatives have been asked for, as rows of tables.
+    """The fields and guards whose derivatives have been requested, as rows of tables.
 
-    ``parts`` are the programs in order.
-
-    All of its methods raise a :class:`TraceError` where an operation has no series, or no rule.
+    ``parts`` lists the programs in order. All methods raise a :class:`TraceError` if an operation
+    has no series or rule.
     """
 
     def __init__(self, of: Derivatives) -> None:
@@ -44,7 +44,7 @@ class SlopeTables:
 
     @property
     def needs(self) -> tuple[int, ...]:
-        """What the largest program needs, as :attr:`.Tape.needs` says."""
+        """Sizes of the largest program, as in :attr:`.Tape.needs`."""
         return tuple(self._needs.tolist())
 
     @property
@@ -66,16 +66,16 @@ class SlopeTables:
         return Slopes(self._programs.programs(), places, fields, guards, none, none)
 
     def _owners(self) -> list[np.ndarray]:
-        """Which rows are those of an automaton's fields and guards."""
+        """Row numbers of an automaton's fields and guards."""
         return [np.zeros(0, dtype=np.int64)] * 2
 
     def room(self, directions: int = 0) -> Changes:
-        """Arrays to work in."""
+        """Work arrays."""
         sizes = self.of.size, self.of.columns, directions, POINTS
         return room_for(self.needs, self._read, *sizes)
 
     def field(self, field: Field) -> int:
-        """The row of a field, which is added if it is new."""
+        """The row of a field, which is added if new."""
         if field.name not in self._fields:
             row = [*self._along(field, None), *self._onto(field), *[NONE] * (REST_ROW - 4)]
             if field.changes:
@@ -86,7 +86,7 @@ class SlopeTables:
         return self._fields[field.name]
 
     def guard(self, field: Field, guard: Guard) -> int:
-        """The row of a guard that fires."""
+        """Add the row of a guard that fires."""
         if guard.kind is Kind.CONTACT:
             return self.contact(field, guard)
         return self._add(
@@ -94,7 +94,7 @@ class SlopeTables:
         )
 
     def contact(self, field: Field, guard: Guard) -> int:
-        """The row of a contact whose impacts may be summed."""
+        """Add the row of a contact whose impacts may be summed."""
         of, scene = self.of, self.of.scene
         rest = NONE
         if scene.contact(guard.edge).rests:
@@ -142,7 +142,7 @@ class SlopeTables:
 
 
 class Owned(SlopeTables):
-    """Those of the fields and guards of an automaton, by its numbers, as runs ask for them."""
+    """The derivatives of an automaton's fields and guards, by number, as requested."""
 
     def __init__(self, of: Derivatives, automaton: Tables) -> None:
         super().__init__(of)
@@ -154,7 +154,7 @@ class Owned(SlopeTables):
         self._of_guards: dict[int, int] = {}
 
     def flown(self, runs: int) -> None:
-        """Count runs whose changes are carried; where they are many, go on compiling programs."""
+        """Count runs with perturbations; past the threshold, continue compiling the programs."""
         self._runs += runs
         if self._runs > HOT_RUNS:
             self._native.go_on(self.slopes.programs)
@@ -166,7 +166,7 @@ class Owned(SlopeTables):
             self._of_fields[number] = self.field(self.automaton.fields[number])
 
     def add_guard(self, number: int) -> None:
-        """Add a guard; where it changes its formula, that is left to Python."""
+        """Add a guard; if it may jump, Python handles it."""
         guard, mode = self.automaton.guards[number], self.automaton.modes[number]
         self._of_guards[number] = HARD
         if guard.kind in CARRIED and not guard.jumps:

@@ -1,15 +1,14 @@
 """The first variation along a run: fundamental matrices of arcs, saltation matrices of jumps.
 
-A small change of the state is carried along an arc by ``d(Phi)/dt = Df Phi``, ``Phi = 1`` at
-its start. Through a jump with guard ``g`` and reset ``R``, from the flow ``f-`` to ``f+``, it is
-carried by the saltation matrix (all derivatives at the state before the jump) ::
+A small perturbation of the state is carried along an arc by ``d(Phi)/dt = Df Phi``, with ``Phi =
+1`` at its start. Through a jump with guard ``g`` and reset ``R``, from the flow ``f-`` to ``f+``,
+it is carried by the saltation matrix (all derivatives at the state before the jump) ::
 
     S = R_x + (f+ - R_x f- - R_t) g_x / (g_t + g_x f-)
 
-which accounts for the neighbour's jumping a little earlier or later. Both are taken at equal
-times. A change of parameters is carried along beside it. See ``docs/notes/orbits.md``; di
-Bernardo, Budd, Champneys & Kowalczyk, *Piecewise-smooth Dynamical Systems* (2008), sections 2.5
-and 6.2.
+which accounts for the neighbour's jump being a little earlier or later. Both are taken at equal
+times. Perturbations of parameters are carried alongside. See ``docs/notes/orbits.md``; di Bernardo,
+Budd, Champneys & Kowalczyk, *Piecewise-smooth Dynamical Systems* (2008), sections 2.5 and 6.2.
 """
 
 from __future__ import annotations
@@ -40,19 +39,18 @@ if TYPE_CHECKING:
 #: past is seen, has fired because of that.
 SEEN = 1e-6
 
-#: Kinds of jumps that leave the state and, where they begin, the flow as they are.
+#: Kinds of jumps that change neither the state nor, at the jump, the flow.
 SMOOTH_KINDS = (Kind.RELEASE, Kind.LEAVE)
 
 
 def cleared(matrix: Matrix, sizes: np.ndarray, relative: float) -> Matrix:
-    """A matrix with 0 for what is rounding of the terms it is made of: a lost rank stays lost."""
+    """A matrix with entries at rounding level set to 0, so that a lost rank stays lost."""
     return np.where(np.abs(matrix) <= relative * sizes, 0.0, matrix)
 
 
 @attrs.frozen(eq=False)
 class Course:
-    """What a run has left: parts, the jumps that led from them, and how it looked into the past
-    (None if it does not)."""
+    """The course of a run: parts, jumps, and its view of the past (None without delays)."""
 
     scene: Scene
     parts: Sequence[Part]
@@ -61,7 +59,7 @@ class Course:
 
     @classmethod
     def of(cls, model: Any, run: Solution) -> Course:
-        """That of a trajectory."""
+        """The course of a trajectory."""
         sight = run.hindsight if run.spec.lags else None
         return cls(
             sight.scene if sight else scene_of(model),
@@ -73,9 +71,9 @@ class Course:
 
 @attrs.frozen(eq=False)
 class Moment:
-    """How the time of a jump or of a limit, and the states there, change.
+    """The variation of the time of a jump or a limit, and of the states there.
 
-    The columns of its matrices are those of the change that the factor is applied to.
+    The columns of its matrices are those of the perturbation to which the factor is applied.
 
     Attributes
     ----------
@@ -83,9 +81,9 @@ class Moment:
         The part of the run that it ends.
     time : array, shape (m,)
     before, after : array, shape (n, m)
-        Of the states on its sides; of a limit both are that at it.
+        Variation of the states on its sides; for a limit both are that of the state at it.
     ratio : array, shape (m,), or None
-        Of a limit: that of its ratio.
+        For a limit: variation of its ratio.
     """
 
     part: int
@@ -97,26 +95,27 @@ class Moment:
 
 @attrs.frozen(eq=False)
 class Factor:
-    """A matrix by which a piece of a run carries a small change of the state.
+    """A matrix by which a piece of a run carries a small perturbation of the state.
 
     Attributes
     ----------
     t : float
         Time at its end.
     edge : str or None
-        Of a jump: its edge; of an accumulation: those that accumulate. None along an arc.
+        For a jump, its edge; for an accumulation, the edges that accumulate; None along an arc.
     matrix : array, shape (n, n)
-        With parameters ``(n, n + q)``: behind the state's columns there are theirs. With delays
-        those of what each lag shows are between them, and last is one for the time at which a jump
-        of the past is seen.
+            With parameters ``(n, n + q)``: their columns follow those of the state. With delays,
+        the columns for what each lag shows are between them, and the last column is for the time at
+        which a jump of the past is seen.
     moments : tuple of Moment
-        Of a jump, or several with no time between them, and of a limit.
+        For a jump, simultaneous jumps, or a limit.
     ties : array, shape (k, n + q)
-        Numbers that must not change: where they do, neighbours take another course.
+            Linear functions of the perturbation that must be zero; otherwise neighbours take
+        another course.
     waits : bool
-        The jump comes when one of the past is seen.
+        Whether the jump occurs because a jump of the past is seen.
     part : int
-        The part of the run that it ends, if it has moments; else that which it begins.
+        The part of the run that it ends, if it has moments; otherwise the one it begins.
     """
 
     t: float
@@ -130,7 +129,7 @@ class Factor:
 
 @attrs.frozen(eq=False)
 class DelayedArc:
-    """An arc of a run with delays, along which what is seen changes too."""
+    """An arc of a run with delays, along which the delayed terms vary too."""
 
     index: int
     arc: Arc
@@ -162,8 +161,8 @@ def factors(model: Any, run: Solution) -> Iterator[Factor]:
     Raises
     ------
     OrbitError
-        Where the run passes the limit of a cycle of several edges, for which no derivative is
-        known; or where the neighbours of the run take another course. In a model with delays.
+            If the run passes the limit of a cycle of several edges, for which no derivative is
+        known; if neighbours of the run take another course; and for a model with delays.
     """
     require_no_signal(run.spec, "a first variation")
     if run.spec.lags:
@@ -177,14 +176,14 @@ def factors(model: Any, run: Solution) -> Iterator[Factor]:
         assert isinstance(factor, Factor)
         if factor.ties is not None and np.any(factor.ties):
             raise OrbitError(
-                f"{run.spec.model}, t = {factor.t!r}: at {factor.edge} something else happens at "
-                "the same instant, which neighbours have before it or after it: there is no first "
+                f"{run.spec.model}, t = {factor.t!r}: at {factor.edge} another event happens at "
+                "the same instant, but before or after it for neighbours: there is no first "
                 "variation"
             )
         yield factor
 
 
-#: A jump, and the place of the part that it ends.
+#: A jump, with the index of the part that it ends.
 Row = tuple[int, JumpRow]
 
 
@@ -193,8 +192,7 @@ Look = tuple[Scene, Derivatives]
 
 
 class Walk:
-    """A walk over the parts of a run; with columns for the elements of the parameters if they are
-    asked for."""
+    """A walk over the parts of a run, with columns for the parameters on request."""
 
     def __init__(self, course: Course, parameters: bool = False) -> None:
         self.course, self.scene, self.parameters = course, course.scene, parameters
@@ -206,16 +204,16 @@ class Walk:
 
     @cached_property
     def columns(self) -> int:
-        """Of matrices that are applied to a change."""
+        """Number of columns of matrices that are applied to a perturbation."""
         return self.of.columns - 1 + bool(self.course.sight)
 
     def begin(self) -> tuple[np.ndarray, np.ndarray]:
-        """The flow at the start, and what must not change there by time, state and parameters."""
+        """The flow at the start, and the derivatives of what must not change there."""
         return self._flow(0, False), self._brinks(0, False)
 
     def pieces(self) -> Iterator[Factor | DelayedArc | Chatter]:
-        """ArcPiece by piece, in order (:func:`factors`)."""
-        group: list[Row] = []  # jumps with no time between them
+        """The pieces of the run in order (see :func:`factors`)."""
+        group: list[Row] = []  # simultaneous jumps
         parts, jumps = self.course.parts, self.course.jumps
         yield from self.onto(0)
         for index, part in enumerate(parts):
@@ -240,7 +238,7 @@ class Walk:
             yield self.jump(group, None)
 
     def onto(self, index: int) -> Iterator[Factor]:
-        """What begins at rest, or sliding, begins with its start's projection."""
+        """The projection at the start of a resting or sliding part."""
         part, (scene, of) = self.course.parts[index], self.beside(index, False)
         field = scene.field(part.mode)
         if isinstance(part, Arc) and field.project is not None:
@@ -258,7 +256,7 @@ class Walk:
             yield Factor(t + end, None, matrix)
 
     def limit(self, index: int, part: TailPart, found: LimitVariation | None = None) -> Factor:
-        """Through an accumulation; by derivatives of another scene, if these are ``found``."""
+        """The factor of an accumulation; ``found`` gives derivatives of another scene."""
         found = found or through(self.of, part.tail)
         moment = Moment(index, found.time, found.state, found.state, found.ratio)
         name = f"limit of {part.tail.contact.name}"
@@ -276,11 +274,11 @@ class Walk:
         return self._known[id(scene)]
 
     def beside(self, index: int, ends: bool) -> Look:
-        """The same at an end of a part, as it is on its side."""
+        """The scene and its derivatives at an end of a part, on the side of the part."""
         return self.look(index, self.moment(index, ends)[1], "left" if ends else "right")
 
     def moment(self, index: int, ends: bool) -> tuple[float, float]:
-        """When a part begins or ends, and a time beside that inside of it."""
+        """The time at which a part begins or ends, and a nearby time inside it."""
         part, piece = self.course.parts[index], self.piece(index, ends)
         t = part.t1 if ends else part.t0
         return t, t if piece is None else piece.t + piece.inside(ends)
@@ -288,7 +286,7 @@ class Walk:
     # -- jumps ------------------------------------------------------------------------------
 
     def jump(self, group: Sequence[Row], after: int | None) -> Factor:
-        """One jump, or several with no time between them; ``after`` is the part that follows."""
+        """The factor of one jump or of simultaneous jumps; ``after`` is the part that follows."""
         index, first = group[0]
         field, guard = self.fired(index, first)
         piece, before = self.piece(index, True), self._flow(index, True)
@@ -314,7 +312,7 @@ class Walk:
         )
 
     def _waits(self, index: int, guard: Guard, row: JumpRow) -> bool:
-        """Whether a guard has fired because what it sees has jumped."""
+        """Whether a guard has fired because a delayed term of it has jumped."""
         if not self.arrival(index, row.t):
             return False
         piece, x = self.piece(index, True), row.before.tolist()
@@ -325,14 +323,14 @@ class Walk:
         return bool(abs(guard.value(row.t, x)) > SEEN * abs(guard.value(row.t, x) - later))
 
     def _widened(self, matrix: Matrix) -> Matrix:
-        """A matrix with a column of zeros for the time at which a jump of the past is seen."""
+        """A matrix with an added zero column for the time at which a jump of the past is seen."""
         missing = self.columns - matrix.shape[1]
         return np.pad(matrix, ((0, 0), (0, missing))) if missing else matrix
 
     def _moments(
         self, group: Sequence[Row], time: Numbers, before: Numbers
     ) -> tuple[tuple[Moment, ...], np.ndarray]:
-        """Times and states of jumps one after the other; what must not change for them."""
+        """The moments of successive jumps at one time, and the ties between them."""
         state = np.eye(self.size, len(time)) + np.outer(before, time)
         moments, ties = [], [np.zeros((0, len(time)))]
         for number, (place, row) in enumerate(group):
@@ -344,8 +342,8 @@ class Walk:
         return tuple(moments), np.vstack(ties)
 
     def _tie(self, place: int, row: JumpRow, time: Numbers, state: Matrix) -> Matrix:
-        """The change of a guard that is zero when the jump before leads to it: for neighbours it
-        must be so too. One that is over its zero fires for neighbours as well."""
+        """The variation of a guard that is zero after the preceding jump, which must stay zero for
+        neighbours; empty for a guard beyond its zero, which also fires for neighbours."""
         field, guard = self.fired(place, row)
         of = self.beside(place, True)[1]
         if self._beyond(place, field, guard, row):
@@ -354,7 +352,7 @@ class Walk:
         return cleared(gradient @ moved, np.abs(gradient) @ np.abs(moved), TIED)
 
     def _beyond(self, place: int, field: Field, guard: Guard, row: JumpRow) -> bool:
-        """Whether a guard that fires is over its zero."""
+        """Whether a guard that fires is beyond its zero."""
         x, scene = row.before.tolist(), self.beside(place, True)[0]
         size = scene.rounding(guard, field)(row.t, x)[0]
         return bool(abs(guard.value(row.t, x)) > NEAR * size)
@@ -369,7 +367,7 @@ class Walk:
         return of.reset(row.edge, kind)(row.t, row.before)
 
     def _moved(self, time: Numbers, state: Matrix) -> Matrix:
-        """Changes of time, state and parameters, one below the other."""
+        """The stacked perturbations of time, state and parameters."""
         others = self.of.columns - 1 - self.size
         return np.vstack([time, state, np.eye(others, len(time), self.size)])
 
@@ -382,8 +380,8 @@ class Walk:
         flow: StateVector,
         jumped: ArcPiece | None,
     ) -> Numbers:
-        """How the time changes at which a guard fires; of one that has jumped over its zero at the
-        end of a piece, that at which its formula changes."""
+        """The variation of the time at which a guard fires; for a guard that jumped over zero at
+        the end of ``jumped``, of the time at which its formula changes."""
         of = self.beside(index, True)[1]
         if jumped is not None:
             key = "guard", guard.edge, field.name
@@ -398,13 +396,13 @@ class Walk:
         rate = float(gradient[0] + gradient[1 : 1 + self.size] @ flow)
         if rate == 0.0:
             raise OrbitError(
-                f"{self.model}, t = {row.t!r}: the guard of {row.edge} is reached without speed; "
-                "a jump that grazes has no first variation"
+                f"{self.model}, t = {row.t!r}: the guard of {row.edge} is reached at zero rate; "
+                "a grazing jump has no first variation"
             )
         return self._widened(-gradient[None, 1:] / rate)[0]
 
     def _jumps(self, index: int, guard: Guard, field: Field, piece: ArcPiece) -> bool:
-        """Whether a guard that fires at the end of a piece is not zero there, seen from it."""
+        """Whether a guard that fires at the end of a piece tends to a nonzero value there."""
         if not guard.jumps:
             return False
         taus = [piece.end - piece.beside, piece.end - 2.0 * piece.beside]
@@ -415,8 +413,7 @@ class Walk:
         return bool(abs(2.0 * near - far) > NEAR * size)
 
     def _sides(self, index: int, after: int | None, moments: Sequence[Moment]) -> list[np.ndarray]:
-        """What must not change for a jump at which flows jump as well: neighbours would have that
-        before the jump, or after it."""
+        """Ties of a jump where a flow jumps too: neighbours have that before or after."""
         first, last = moments[0], moments[-1]
         before = self._brinks(index, True)
         found = [before @ self._moved(first.time, first.before)]
@@ -425,8 +422,8 @@ class Walk:
         return [cleared(rows, np.abs(rows).max(initial=0.0), TIED) for rows in found]
 
     def _brinks(self, index: int, ends: bool) -> Matrix:
-        """Derivatives of the functions that are zero at an end of an arc, and beyond which its flow
-        is another."""
+        """Derivatives of the deciding functions that are zero at an end of an arc and beyond which
+        the flow differs."""
         (scene, of), piece = self.beside(index, ends), self.piece(index, ends)
         field = scene.field(self.course.parts[index].mode)
         if piece is None or not field.changes:
@@ -445,7 +442,7 @@ class Walk:
         return found[near, 1:] if np.any(np.abs(other - flow) > NEAR * size) else found[:0, 1:]
 
     def _flow(self, index: int, ends: bool) -> Numbers:
-        """The flow at an end of a part, as it is on its side."""
+        """The flow at an end of a part, on the side of the part."""
         part, piece = self.course.parts[index], self.piece(index, ends)
         field = self.beside(index, ends)[0].field(part.mode)
         if piece is not None and field.changes:
@@ -456,7 +453,7 @@ class Walk:
         return np.array(field.rhs(t, x.tolist()))
 
     def piece(self, index: int, ends: bool) -> ArcPiece | None:
-        """The first or last step of an arc."""
+        """The last step of an arc if ``ends``, otherwise the first."""
         part = self.course.parts[index]
         if not isinstance(part, Arc) or not part.segments:
             return None

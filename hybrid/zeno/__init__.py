@@ -1,4 +1,4 @@
-"""Infinitely many jumps in a finite time: found, summed, left behind."""
+"""Accumulations: infinitely many jumps in a finite time, detected, summed and passed."""
 
 from .accumulate import Tail, close
 

@@ -50,20 +50,22 @@ if TYPE_CHECKING:
     from ..segment import Segment
     from .enclose import Proof
 
-#: Impacts of a tail from which a proof is tried, and shares of all that are listed.
+#: Impacts of a tail from which a proof is tried, as numbers and as fractions of the listed ones.
 PROOF_IMPACTS, SHARES_LISTED = (0, 3, 10, 30, 60, 100, 160, 250, 400, 1000, 4000), (0.25, 0.5, 0.75)
 
-#: Flights, and times, of a tail at which a flow is compared with what it is near a point; for what
-#: is between them.
+#: Number of flights, and of times, of a tail at which a flow is compared with its local model; and
+#: a safety factor for the times between.
 COMPARED, BETWEEN_CAUTION = 16, 4.0
 
-#: Most impacts that are flown to find one from which a proof succeeds: half a second of them.
+#: Most impacts integrated to find one from which a proof succeeds; they take half a second.
 FLOWN_IMPACTS = 400
 
 
 @attrs.frozen(eq=False)
 class Tail:
-    """Infinitely many impacts from one on, ``y(1)``, to their limit.
+    """Infinitely many impacts, from ``y(1)`` to their limit.
+
+    The point ``y(w)`` of the curve is the state after an impact; impact ``n`` is ``y(r**n)``.
 
     Attributes
     ----------
@@ -74,17 +76,16 @@ class Tail:
     v : float
         Gap speed after it.
     r : float
-        Restitution at rest: the ratio of the series.
+        Restitution at rest, which is the limit ratio of the series.
     curve : array, shape (degree + 1, 2 + n)
-        Chebyshev coefficients in ``2 w - 1`` of time and state, relative to ``y(1)``, and
-        of ``l``.
+        Chebyshev coefficients in ``2 w - 1`` of time and state, relative to ``y(1)``, and of ``l``.
     remaining : float
         Time from ``y(1)`` to the accumulation point.
     x_inf : array
-        State there.
+        State at the accumulation point.
     t_error : float
     x_error : array
-        Bounds on the error of the closing (not of what came before it).
+        Bounds on the error of the summation (not of the integration before it).
     """
 
     field: Field
@@ -111,14 +112,14 @@ class Tail:
 
     @cached_property
     def count(self) -> int:
-        """Impacts after ``y(1)`` that a double can still tell from the limit."""
+        """Number of impacts after ``y(1)`` that a double can tell from the limit."""
         resolution = max(ulp(self.t + self.remaining), 1e-300)
         share = min(max(resolution / self.remaining, 1e-300), 1.0)
         return max(0, ceil(log(share) / log(self.r)))
 
     @cached_property
     def times(self) -> np.ndarray:
-        """Times from ``y(1)`` to each impact listed, the first being 0."""
+        """Times from ``y(1)`` to each listed impact; the first is 0."""
         w = self.r ** np.arange(self.count + 1)
         times = chebyshev.chebval(2.0 * w - 1.0, self.curve[:, 0])
         times[0] = 0.0
@@ -126,7 +127,7 @@ class Tail:
 
     @cached_property
     def impacts(self) -> tuple[Matrix, Matrix]:
-        """States before and after the impacts ``y(r)``, ``y(r^2)``, ... that are listed."""
+        """States before and after the listed impacts ``y(r)``, ``y(r^2)``, ..."""
         chatter, shape = _chatter(self.field, self.contact), (self.count, len(self.x))
         before, after = np.empty(shape), np.empty(shape)
         tail = self.curve, self.t, self.x, self.v, self.r
@@ -135,7 +136,7 @@ class Tail:
         return before, after
 
     def state(self, since: float) -> list[float]:
-        """State at a time after ``y(1)``."""
+        """The state at a time ``since`` after ``y(1)``."""
         n = max(int(np.searchsorted(self.times, since, side="right")) - 1, 0)
         flight = self.flight(n)
         if flight is None:
@@ -145,13 +146,13 @@ class Tail:
         return [polynomial(c, s - start) for c in series.tolist()]
 
     def prove(self) -> list[Proof]:
-        """Proofs in order of time: the first from an impact that was flown, narrower ones later.
+        """Proofs of the accumulation, in order of time; the first is from an integrated impact.
 
-        The tail's first impact was flown by the run. Where no box around it can be enclosed, the
-        flights that follow are flown here one after the other, each held against the flow all
-        along it, until one can. Without a proof from one of these there is none: what follows
-        is known from the curve, which a proof must not rest on. Once the accumulation is proved,
-        later impacts, from the curve, narrow the bounds down.
+        The run has integrated up to the tail's first impact. If no box around it can be enclosed,
+        the next flights are integrated here one by one, each verified along the flow, until one
+        can. Without such a proof there is none, since later impacts come from the curve, on which a
+        proof must not rest. Once the accumulation is proved, later impacts from the curve narrow
+        the bounds.
         """
         first, stage = self._flown_proof()
         if first is None:
@@ -164,7 +165,7 @@ class Tail:
         return [first, *within]
 
     def _flown_proof(self) -> tuple[Proof | None, int]:
-        """The proof from the earliest impact flown from which there is one, and which."""
+        """A proof from the earliest integrated impact that yields one, and that impact's number."""
         t, x, v = self.t, self.x, self.v
         for n in range(FLOWN_IMPACTS + 1):
             if n in PROOF_IMPACTS:
@@ -185,10 +186,10 @@ class Tail:
         return prove(self.field, self.contact.name, t, x, v)
 
     def shown(self, first: float, last: float, begin: float, end: float) -> Matrix:
-        """Points of the flights from ``y(first)`` to ``y(last)``, between two shares of each.
+        """Points of the flights from ``y(first)`` to ``y(last)``, between two fractions of each.
 
-        Rows are time, state, gap speed at the end of the flight, and the times at which this begins
-        and ends; the last two are the least and the most of each column.
+        Each row holds time, state, gap speed at the end of the flight, and the times at which the
+        flight begins and ends. The last two rows are the minimum and the maximum of each column.
         """
         tail = self.curve, self.t, self.x, self.v, self.r
         out = np.empty((STRETCH_POINTS + 2, len(self.x) + 4))
@@ -199,7 +200,7 @@ class Tail:
 
     @contextmanager
     def programs(self) -> Iterator[tuple[Programs, Sums]]:
-        """The flow, then what happens at the contact; and room for a sum."""
+        """The programs of the flow and of the contact, with work arrays for a sum."""
         chatter = _chatter(self.field, self.contact)
         with chatter.lent() as given:
             yield chatter.programs, given
@@ -221,10 +222,10 @@ def close(
     rtol: float,
     atol: float,
 ) -> Tail | None:
-    """Sum the impacts that follow an impact with speed ``v``; None where it cannot yet be done.
+    """Sum the impacts that follow an impact with gap speed ``v``.
 
-    None means that the series does not converge well enough from here: the impacts are too
-    strong, or do not accumulate at all. The tolerances are of the result.
+    Returns None if the series does not converge well enough from here: the impacts are still too
+    strong, or do not accumulate. ``rtol`` and ``atol`` are tolerances of the result.
     """
     called = field.jets is None
     if called:
@@ -248,7 +249,7 @@ def close(
 
 
 def clear(tail: Tail, field: Field, column: int) -> bool:
-    """Whether no other guard of a field is reached along a tail, impacts and flights."""
+    """Whether no other guard of a field reaches zero along a tail, at impacts and in flights."""
     chatter, signs = _chatter(tail.field, tail.contact), _inside(field)
     of = chatter.programs, 0, 1, column, tail.field.project is not None
     rounding = GUARD_ROUNDING * EPS * float(np.max(np.abs(tail.x_inf)))
@@ -258,7 +259,7 @@ def clear(tail: Tail, field: Field, column: int) -> bool:
 
 
 def _inside(field: Field) -> Integers:
-    """The signs that guards have inside the domain; 0 of those that bound nothing."""
+    """The signs of guards inside the domain; 0 for a guard that bounds nothing."""
     signs = {Crossing.FALLING: 1, Crossing.RISING: -1}
     return np.array([signs.get(g.crossing, 0) if g.bounds else 0 for g in field.guards])
 
@@ -272,10 +273,10 @@ def hop(
     v: float,
     rounding: float,
 ) -> tuple[float, list[Segment], np.ndarray, np.ndarray, float] | None:
-    """A flight from a contact by series, and the impact at its end (:mod:`hybrid.rules.hops`): its
-    time and segments, the states before and after the impact, and the gap speed after it.
+    """A flight from a contact by Taylor series, and its impact (:mod:`hybrid.rules.hops`).
 
-    None where the flight belongs to the solver.
+    Returns the flight's time and segments, the states before and after the impact, and the gap
+    speed after it. None if the solver must integrate the flight.
     """
     if field.jets is None:
         return None
@@ -292,9 +293,9 @@ def hop(
 
 
 def _compared(tail: Tail, rtol: float, atol: float) -> Tail | None:
-    """A sum with the flow near a point, if the flow itself is that close to it all along the tail.
+    """Accept a sum of the local model if the flow is close enough to it all along the tail.
 
-    A force off by a share of itself changes the times of all flights by as much.
+    A relative error of the force changes the times of all flights by the same fraction.
     """
     mids = (0.5 * (a + b) for a, b in pairwise(tail.times[:COMPARED].tolist()))
     since = [*np.linspace(0.0, tail.remaining, COMPARED)[:-1].tolist(), *mids]
@@ -312,22 +313,22 @@ def _compared(tail: Tail, rtol: float, atol: float) -> Tail | None:
 
 
 def _chatter(field: Field, contact: Contact) -> _Chatter:
-    """The map of a contact in a field, made once."""
+    """The impact map of a contact in a field, cached."""
     return field.once(("sum", contact.name), lambda: _Chatter.of(field, contact))  # type: ignore[no-any-return]
 
 
 @attrs.frozen(eq=False)
 class _Chatter:
-    """The map of a contact in a field as programs, and room for its sum.
+    """The impact map of a contact in a field as programs, with work arrays for its sum.
 
     Attributes
     ----------
     tapes : list of Tape
-        Those of the programs: the flow, and what happens at the contact.
+        The tapes of the programs: the flow, then those of the contact.
     local : bool
-        Whether all flights see the same forces.
+        Whether all flights experience the same forces.
     free : dict
-        Room that no sum is using: threads share the programs, and not the room.
+        Work arrays not in use: threads share the programs but not these.
     """
 
     programs: Programs
@@ -337,14 +338,14 @@ class _Chatter:
 
     @classmethod
     def of(cls, field: Field, contact: Contact) -> _Chatter:
-        """From the flow and what happens at the contact."""
+        """Make it from the flow and the laws of the contact."""
         assert field.jets is not None
         parts = [field.jets, *field.at_contact(contact.name)]
         local = contact.local and not field.held
         return cls(linked(parts), [part.tape for part in parts], local, {})
 
     def lent(self) -> AbstractContextManager[Sums]:
-        """Room for one sum."""
+        """Borrow work arrays for one sum."""
         return lent(self.free, "sum", self._new)
 
     def _new(self) -> Sums:
@@ -353,7 +354,7 @@ class _Chatter:
 
 
 def room_for_sums(needs: Sequence[int], n: int) -> Sums:
-    """Room for the sums of ``n`` states by programs none of which needs more than this."""
+    """Work arrays for sums over ``n`` states, for programs within the sizes ``needs``."""
     work, points = room(needs, n, HIGH_ORDER), MOST_DEGREE + 1
     kinks = len(work.sides)
     most = most_pieces(kinks)

@@ -1,26 +1,26 @@
-"""Where a cycle of jumps accumulates, by sequence acceleration.
+"""The limit of a cycle of jumps, by sequence acceleration.
 
-Cycles of edges have no chatter map to be summed: two tanks filled by turns, a block that rocks
-from edge to edge, a contact that forgets to damp slow impacts. What is known of them is the
-sequence of the times and states at which a cycle closes. Its limit is found in three steps, each
-of which may say no.
+Cycles of edges have no impact map that could be summed: two tanks filled in turn, a block that
+rocks from edge to edge, a contact that ceases to damp slow impacts. All that is known is the
+sequence of times and states at which the cycle closes. Its limit is found in three steps, each of
+which may reject it.
 
-1. *Raabe's test.* With ``a_k`` the durations of successive cycles, ``q_k = 1 / (a_{k-1}/a_k - 1)``
-   grows by ``1/p`` a cycle where ``a_k`` falls like ``k^-p``, and stays where it falls like a
-   geometric series. Only sequences that grow by less than ``1/p`` with ``p`` clearly above 1 have a
-   sum: the harmonic one is turned away.
+1. *Raabe's test.* Let ``a_k`` be the durations of successive cycles. Then ``q_k = 1 / (a_{k-1}/a_k
+  - 1)`` grows by ``1/p`` per cycle if ``a_k`` falls like ``k^-p``, and is constant for a geometric
+  series. Only sequences that grow by less than ``1/p`` with ``p`` clearly above 1 have a sum; the
+  harmonic series is rejected.
 2. *Acceleration.* Wynn's epsilon algorithm (exact for sums of geometric sequences) and Levin's
-   transformation (for those that fall like powers) give estimates from fewer and more terms. What
-   changes between the last ones bounds the error. Weniger, *Nonlinear sequence transformations*,
-   Computer Physics Reports 10 (1989).
-3. *The cause.* Shrinking gaps are a suspicion only. At the limit the guard of each jump must be
-   zero where the jump before it leads, and the resets of a turn must lead back to where it began;
-   :mod:`hybrid.run.limits` asks that of the model.
+  transformation (for power laws) give estimates from increasing numbers of terms. The change
+  between the last estimates bounds the error. Weniger, *Nonlinear sequence transformations*,
+  Computer Physics Reports 10 (1989).
+3. *The cause.* Shrinking gaps alone prove nothing. At the limit, the guard of each jump must be
+  zero at the state after the previous jump, and the resets of a turn must lead back to its start;
+  :mod:`hybrid.run.limits` checks this against the model.
 
-A cycle that shrinks to an eighth or less a turn is at rounding after a few turns, too few for the
-first two steps. There each duration is a small part of the one before, so that Aitken's formula,
-which is exact for one geometric sequence, is asked after three turns already; what it changes from
-one turn to the next is an error that only grows smaller.
+A cycle that shrinks by a factor of eight or more per turn reaches rounding after a few turns, too
+few for the first two steps. Each duration is then a small fraction of the previous one, so Aitken's
+formula, which is exact for one geometric sequence, is used from three turns on. Its change from one
+turn to the next bounds an error that keeps decreasing.
 """
 
 from __future__ import annotations
@@ -36,29 +36,29 @@ from ..rules.lanes import FAST_FALL, FEW_TURNS, LONGEST_CYCLE
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers
 
-#: Turns that show a cycle, and turns that do where durations fall like a power.
+#: Turns that establish a cycle, and turns needed if durations fall like a power.
 LEAST_CYCLES, POWER_CYCLES = 6, 48
 
-#: Power of the cycle's number by which durations must fall, at least.
+#: Smallest exponent ``p`` of a power law ``k^-p`` of durations.
 RAABE = 1.1
 
-#: Growth of Raabe's quantity above which durations fall like a power.
+#: Growth of Raabe's quantity above which durations are taken to fall like a power.
 RAABE_GROWTH = 0.05
 
-#: Most terms of Levin's transformation, and how its places thin out towards the start.
+#: Most terms of Levin's transformation, and the ratio of successive places towards the start.
 TERMS, THIN = 12, 0.7
 
-#: Largest share of the time since the first cycle that may be left to the limit.
+#: Largest remaining time to the limit, relative to the time since the first cycle.
 LEFT_TO_LIMIT = 1e-3
 
-#: Share of its largest distance to the limit at which a state must have arrived. (The sum of a
-#: sequence that only changes sign has a value, but no limit.)
+#: Largest final distance of a state to the limit, relative to its largest one. (A sequence that
+#: only alternates in sign has a sum by acceleration, but no limit.)
 NEARER = 0.5
 
-#: What is left, against what the last estimates changed.
+#: Safety factor on the change between the last estimates.
 ESTIMATE_CAUTION = 8.0
 
-#: Rounding of times and states, relative.
+#: Relative rounding of times and states.
 CYCLE_ROUNDING = 4e-16
 
 
@@ -72,17 +72,17 @@ class CycleLimit:
     remaining : float
         Time from the last jump to the limit.
     x_inf : array
-        The state there.
+        The state at the limit.
     ratio : float
-        Limit of the ratio of successive durations: 1 where they fall like a power.
+        Limit of the ratio of successive durations; 1 if they fall like a power.
     t_error : float
     x_error : array
-        Bounds on the error of the acceleration (not of what came before it).
+        Bounds on the error of the acceleration (not of the integration before it).
     turns : int
-        Closings of the cycle that were used.
+        Number of closings of the cycle that were used.
     limits : tuple of (edge, array)
-        Where resets move the state: the jumps of a turn, and the limits of the states after them;
-        the last is ``x_inf``.
+            If resets move the state: the jumps of a turn, each with the limit of the state after
+        it; the last is ``x_inf``.
     """
 
     edges: tuple[str, ...]
@@ -96,9 +96,9 @@ class CycleLimit:
 
 
 def period(edges: Sequence[str], turns: int = LEAST_CYCLES) -> int:
-    """Edges in the shortest cycle of which the last ones are repetitions; 0 if there is none.
+    """Length of the shortest cycle that the last edges repeat; 0 if there is none.
 
-    The turns before the last, which it repeats, must be as many as ``turns``.
+    The last turn must repeat ``turns`` turns before it.
     """
     for length in range(1, LONGEST_CYCLE + 1):
         needed = length * (turns + 1)
@@ -118,16 +118,16 @@ def limit(
     atol: float,
     beside: Sequence[int] = (),
 ) -> CycleLimit | None:
-    """The limit of a cycle; None where it does not accumulate, or not well enough yet.
+    """The limit of a cycle; None if it does not accumulate, or not yet clearly enough.
 
     Parameters
     ----------
     times : array, shape (cycles + 1,)
-        When the cycle closed, from the first time on.
+        Times at which the cycle closed.
     states : array, shape (cycles + 1, n)
         States after those jumps.
     rtol, atol : float
-        What the jumps are known to: the limit need not be known better.
+        Accuracy of the jumps; the limit need not be more accurate.
     beside
         See :func:`accelerated`.
     """
@@ -162,12 +162,12 @@ def limit(
 def accelerated(
     columns: Matrix, power: bool, beside: Sequence[int] = ()
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Limits of sequences, one a column; bounds on their errors; their sizes.
+    """Limits of sequences (one per column), bounds on their errors, and their sizes.
 
-    Columns ``beside`` are of discrete variables by which nothing else goes: they stay as they are,
-    and where they still change their error is infinite.
+    Columns in ``beside`` hold discrete variables on which nothing else depends. They keep their
+    last value, with infinite error if they still change.
     """
-    with np.errstate(all="ignore"):  # steps that vanish to rounding: no estimate is best there
+    with np.errstate(all="ignore"):  # vanishing steps: a non-finite estimate loses
         now, error = np.array([_accelerated(column, power) for column in columns.T]).T
     scale, rounding = np.abs(now) + np.ptp(columns, axis=0), CYCLE_ROUNDING * len(columns)
     error += rounding * scale
@@ -177,13 +177,13 @@ def accelerated(
 
 
 def _fast(durations: Numbers) -> int:
-    """How many of the last durations are each a small part of the one before."""
+    """Number of last durations that are each a small fraction of the previous one."""
     slow = np.flatnonzero(durations[1:] > FAST_FALL * durations[:-1])
     return len(durations) - (int(slow[-1]) + 1 if len(slow) else 0)
 
 
 def _raabe(durations: Numbers) -> float:
-    """Growth of ``1 / (a_{k-1}/a_k - 1)`` a cycle, over the last half."""
+    """Growth per cycle of ``1 / (a_{k-1}/a_k - 1)``, over the last half."""
     own = 1.0 / (durations[:-1] / durations[1:] - 1.0)
     half = len(own) // 2
     return float((own[-1] - own[half]) / (len(own) - 1 - half))
@@ -205,7 +205,7 @@ def _accelerated(sequence: Numbers, power: bool) -> tuple[float, float]:
 
 
 def _aitken(sequence: np.ndarray) -> float:
-    """Aitken's formula on the last three: the limit, if the steps are a geometric sequence."""
+    """Aitken's formula on the last three terms: the limit of a geometric sequence."""
     before, last = np.diff(sequence[-3:])
     still = abs(last) <= CYCLE_ROUNDING * len(sequence) * abs(sequence[-1])
     return float(sequence[-1] + (0.0 if still else last * last / (before - last)))
@@ -225,10 +225,10 @@ def _epsilon(sequence: Numbers) -> list[float]:
 
 
 def _levin(sequence: Numbers) -> list[float]:
-    """Levin's transformation, from few terms to many, at places that thin out geometrically.
+    """Levin's transformation for increasing numbers of terms, at geometrically thinning places.
 
-    The remainder is ``k a_k`` times a polynomial in ``1/k``. (At successive places, as in the
-    u-transform, it would be the same but for rounding, which this keeps small.)
+    The remainder is ``k a_k`` times a polynomial in ``1/k``. Successive places, as in the
+    u-transform, would give the same but amplify rounding.
     """
     count = np.arange(1, len(sequence))
     terms = np.diff(sequence)
@@ -243,6 +243,6 @@ def _levin(sequence: Numbers) -> list[float]:
         rows = np.column_stack([np.ones(k + 1), (place * terms[place - 1])[:, None] * powers])
         try:
             estimates.append(float(np.linalg.solve(rows, sequence[place])[0]))
-        except np.linalg.LinAlgError:  # terms that do not thin out: no limit to be seen
+        except np.linalg.LinAlgError:  # the terms do not thin out: no limit can be seen
             return []
     return estimates

@@ -1,13 +1,13 @@
-"""A proof, from an impact on, that impacts accumulate; and when and where, between bounds.
+"""Proves that the impacts following a given one accumulate, with bounds on time and state.
 
-In a box of time and state the gap's acceleration, the flow, the restitution and the change of
-state at an impact are enclosed by ball arithmetic. The lemma (:mod:`.lemma`) then bounds the
-remaining time and the sum of the impacts' speeds, these bound how far time and state go, and if
-that is less far than the box reaches, no motion from the impact leaves it: the bounds are proved.
-Other guards must have no zero in the box. See ``docs/notes/certificates.md``.
+Ball arithmetic encloses the gap's acceleration, the flow, the restitution and the change of state
+at an impact over a box of time and state. The lemma (:mod:`.lemma`) then bounds the remaining time
+and the sum of the impact speeds, and these bound how far time and state move. If that is less than
+the size of the box, no motion from the impact leaves the box, and the bounds are proved. Other
+guards must have no zero in the box. See ``docs/notes/certificates.md``.
 
-The impact's state is taken as it is given. What the integration before it has lost is not part
-of the proof.
+The state at the impact is taken as exact: errors of the integration before it are not part of the
+proof.
 """
 
 from __future__ import annotations
@@ -33,26 +33,26 @@ if TYPE_CHECKING:
     from ..automaton.shapes import Numbers, StateVector
     from ..lowering import Field
 
-#: Boxes that are tried, and how far a box reaches, against what is needed of it.
+#: Most boxes tried, and the size of a box relative to what the previous one required.
 BOX_TRIES, BOX_REACH = 12, 1.5
 
 
 @attrs.frozen(eq=False)
 class Proof:
-    """Proved bounds of an accumulation, from an impact on.
+    """Proved bounds on an accumulation, from one impact on.
 
     Attributes
     ----------
     t, speed : float
-        The impact: its time and the gap's speed after it.
+        Time of the impact, and gap speed after it.
     m, M : float
         The gap's acceleration stays in ``[-M, -m]``.
     rho : float
-        Speeds fall at least by this factor.
+        Upper bound on the ratio of successive speeds.
     low, high : float
-        Bounds of the time of the accumulation.
+        Bounds on the time of the accumulation.
     x_low, x_high : array
-        Bounds of the state there.
+        Bounds on the state there.
     """
 
     t: float
@@ -68,20 +68,20 @@ class Proof:
 
 @attrs.frozen(eq=False)
 class _Box:
-    """A box around an impact: for so long, so far in each element, up to such a gap speed."""
+    """A box around an impact: duration, half-width per state element, largest gap speed."""
 
     time: float
     reach: Numbers
     speed: float
 
     def within(self, other: _Box) -> bool:
-        """Whether another box reaches as far."""
+        """Whether the other box contains this one."""
         far = bool(np.all(self.reach <= other.reach))
         return far and self.time <= other.time and self.speed <= other.speed
 
 
 def prove(field: Field, contact: str, t: float, x: StateVector, v: float) -> Proof | None:
-    """Prove that the impacts of a contact accumulate; None where the proof does not succeed.
+    """Prove that the impacts of a contact accumulate; None if the proof fails.
 
     Parameters
     ----------
@@ -152,12 +152,12 @@ class _Question:
     Attributes
     ----------
     program : IntervalProgram
-        The gap and its two derivatives along the flow, the restitution, the flow, the push, the
-        slopes, the other guards.
+            The gap and its two Lie derivatives, the restitution, the flow, the push, the slopes,
+        the other guards.
     pair : (int, int) or None
-        The one position and velocity on which, with the time, gap and gap speed depend.
+        The one position and one velocity on which, with time, the gap and its speed depend.
     even : bool
-        Whether nothing else, not the time either, makes the gap's acceleration, and that evenly in
+            Whether the gap's acceleration depends on that pair only, not on time, and is even in
         the velocity.
     """
 
@@ -197,11 +197,11 @@ class _Bounds:
 
     @property
     def pushes(self) -> bool:
-        """Whether all is defined on the box, and the gap accelerated towards zero all over it."""
+        """Whether all is defined on the box and the gap's acceleration is negative all over it."""
         return self.sound and bool(self.m > 0)
 
     def needed(self, says: Chattering) -> _Box:
-        """How far the motion goes: along the flow, and by the impacts."""
+        """The box that the motion needs: the reach of the flow plus that of the impacts."""
         from ..bounds.balls import high
 
         assert says.remaining is not None
@@ -216,7 +216,7 @@ class _Bounds:
         return _Box(high(time), np.array([high(far) for far in reach]), high(says.speed))
 
     def _near(self, says: Chattering, time: Any) -> Iterator[tuple[int, Any]]:
-        """How far position and velocity go, by the gap and the gap speed that they make."""
+        """Bounds on the position and the velocity from those on gap and gap speed."""
         if not self.slopes:
             return
         assert self.pair is not None
@@ -229,14 +229,14 @@ class _Bounds:
         yield self.pair[1], turn / abs(speed_v).lower()
 
 
-#: Derivatives of gap and gap speed by the time, the position and the velocity.
+#: Number of derivatives of gap and gap speed by time, position and velocity.
 GAP_SLOPES = 5
 
 
 def _question(field: Field, contact: str) -> _Question | None:
-    """Gap, its two derivatives, restitution, flow, push, slopes, and the other guards, as balls.
+    """The program of all that is enclosed for a contact.
 
-    None where the flow or the gap holds a derivative back, or there are no balls of an operation.
+    None if the flow or the gap hides a derivative, or an operation has no ball arithmetic.
     """
     from ..bounds.interval import IntervalProgram
 
@@ -270,7 +270,7 @@ def _question(field: Field, contact: str) -> _Question | None:
 
 
 def _even(graph: FixedGraph, lies: list[int], pair: tuple[int, int] | None) -> bool:
-    """Whether a gap before one position is accelerated evenly in its speed, by these two alone."""
+    """Whether the gap's acceleration depends on its position and, evenly, its velocity only."""
     if pair is None:
         return False
     names = {name for name in inputs_of(graph, lies) if name[0] != "p"}
@@ -282,7 +282,8 @@ def _even(graph: FixedGraph, lies: list[int], pair: tuple[int, int] | None) -> b
 
 
 def _pair(field: Field, contact: str, graph: FixedGraph, lies: list[int]) -> Any:
-    """The position and the velocity that alone, with the time, make the gap and its speed."""
+    """The one position and velocity on which, with time, the gap and its speed depend; None if
+    there are more."""
     pairing = field.code.pairing(contact)
     if len(pairing.positions) != 1:
         return None
@@ -294,6 +295,6 @@ def _pair(field: Field, contact: str, graph: FixedGraph, lies: list[int]) -> Any
 
 
 def _slopes(graph: FixedGraph, lies: list[int], by: list[int]) -> list[int]:
-    """The slopes, in the order of :meth:`_Bounds._near`, by time, position and velocity."""
+    """The slopes by time, position and velocity, in the order of :meth:`_Bounds._near`."""
     height, speed, _ = lies
     return [*gradient(graph, height, by)[:2], *gradient(graph, speed, by)]

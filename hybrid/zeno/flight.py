@@ -1,6 +1,6 @@
-"""One flight between two impacts of a contact, from Taylor series.
+"""One flight between two impacts of a contact, by Taylor series.
 
-The gap is carried as a coordinate of its own (:mod:`hybrid.rules.flights`).
+The gap is a coordinate of its own (:mod:`hybrid.rules.flights`).
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
     from ..lowering import Field
 
 
-#: Start, length, and a series for each element of the state.
+#: Start, length, and the Taylor coefficients of each state element.
 Piece = tuple[float, float, np.ndarray]
 
 
 @attrs.frozen(eq=False)
 class Flight:
-    """A flight: how long, where it ends, and with which gap speed (``u < 0``).
+    """A flight: its duration, final state and final gap speed (``u < 0``).
 
-    ``pieces`` are ``(start, length, series of the states)``; one where the flight is short.
-    ``branch`` says on which sides of its kinks it began and which it crossed, in order.
+    ``pieces`` are ``(start, length, series of the states)``; a short flight has one. ``branch``
+    holds the sides of its kinks at the start, then the kinks that it crossed, in order.
     """
 
     time: float
@@ -56,8 +56,8 @@ def segments(pieces: Sequence[Piece]) -> list[Segment]:
 def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight | None:
     """The flight that leaves a contact with gap speed ``v > 0``.
 
-    Returns None where a few series do not reach its end: the flight is long against the
-    time in which the forces or the gap change, and belongs to the solver.
+    Returns None if a few series do not reach its end. The flight is then long compared with the
+    time scale of forces or gap, and the solver must integrate it.
     """
     if field.jets is None:
         return None
@@ -78,13 +78,13 @@ def fly(field: Field, column: int, t: float, x: list[float], v: float) -> Flight
 
 
 def pieces_of(count: int, starts: Numbers, lengths: Numbers, series: Matrix) -> tuple[Piece, ...]:
-    """The pieces of a flight, as the rule has put them down."""
+    """The pieces of a flight from the arrays of the rule."""
     parts = np.split(series[: count * (len(series) // len(starts))].copy(), count)
     return tuple(zip(starts[:count].tolist(), lengths[:count].tolist(), parts, strict=True))
 
 
 def rise(field: Field, column: int, t: float, x: list[float], v: float) -> float | None:
-    """How far the gap opens after it was left with speed ``v``; None where one series is too short.
+    """Largest gap after leaving a contact with speed ``v``; None if one series is too short.
 
     The gap is a coordinate of its own, as in :func:`fly`.
     """
@@ -104,8 +104,11 @@ def rise(field: Field, column: int, t: float, x: list[float], v: float) -> float
 
 
 def falls(series: list[list[float]], gap: list[float], far: float = 1.0) -> float | None:
-    """Where a gap first falls to zero, no further than ``far`` times the length over which the
-    series of the states and the gap are exact."""
+    """The first time at which a gap falls to zero; None if there is none.
+
+    The search extends to ``far`` times the length over which the series of states and gap are
+    exact.
+    """
     c = np.array(series)
     zero = unit("lengths").falls(c, len(c), np.array(gap), far, *room(ORDER))
     return zero if zero < float("inf") else None

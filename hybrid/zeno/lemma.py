@@ -1,10 +1,10 @@
 """The lemma of complete chattering without symmetry, on balls (``docs/notes/certificates.md``).
 
-While a gap's acceleration stays in ``[-M, -m]`` with ``m > 0``, a flight that leaves the
-contact with gap speed ``v`` comes back with a speed in ``[v sqrt(m/M), v sqrt(M/m)]``. With
-restitution ``r`` and ``rho = r sqrt(M/m) < 1`` the speeds contract, the flights' lengths
-sum, and the sum is enclosed. Where the acceleration depends on the gap and evenly on its speed
-alone, it comes back with the speed ``v`` itself, and ``rho = r``.
+While a gap's acceleration stays in ``[-M, -m]`` with ``m > 0``, a flight that leaves the contact
+with gap speed ``v`` returns with a speed in ``[v sqrt(m/M), v sqrt(M/m)]``. With restitution ``r``
+and ``rho = r sqrt(M/m) < 1`` the speeds contract, the durations of the flights have a finite sum,
+and the sum is enclosed. If the acceleration depends only on the gap and, evenly, on its speed, the
+flight returns with speed ``v``, and ``rho = r``.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ import attrs
 
 @attrs.frozen
 class Chattering:
-    """What the lemma says of a motion that leaves the contact with gap speed ``v``.
+    """Conclusions of the lemma for a motion that leaves the contact with gap speed ``v``.
 
     Attributes
     ----------
     rho : arb
-        Factor of the speeds, from above; the lemma speaks only where it is below 1.
+        Upper bound on the ratio of successive speeds; the lemma applies only if it is below 1.
     contracts : bool
         Whether ``rho < 1`` is shown.
     height, speed : arb
-        Gap and absolute gap speed that the motion does not exceed: it stays in ``B(v)``.
+        Bounds on the gap and the absolute gap speed: the motion stays in ``B(v)``.
     flight : (arb, arb)
-        Bounds of the first flight's length.
+        Bounds on the duration of the first flight.
     remaining : (arb, arb) or None
-        Bounds of the time to the accumulation; None where ``rho < 1`` is not shown.
+        Bounds on the time to the accumulation; None if ``rho < 1`` is not shown.
     """
 
     rho: Any
@@ -42,19 +42,19 @@ class Chattering:
 
 
 def chattering(v: Any, m: Any, M: Any, r: Any, even: bool = False) -> Chattering:
-    """The lemma's numbers, every one rounded to its safe side.
+    """The numbers of the lemma, each rounded to the safe side.
 
     Parameters
     ----------
     v : float, ``(low, high)`` or arb
         Gap speed after the last impact, greater than 0.
     m, M : float or arb
-        ``-M <= L_f^2 gap <= -m < 0`` on a box that holds ``B(v)`` and the remaining time;
-        that it does is the caller's to check, with ``height``, ``speed``, ``remaining``.
+            ``-M <= L_f^2 gap <= -m < 0`` on a box that contains ``B(v)`` and the remaining time;
+        the caller must check containment, with ``height``, ``speed`` and ``remaining``.
     r : float, ``(low, high)`` or arb
         Restitution in that box.
     even : bool
-        The acceleration depends on the gap and the square of its speed alone.
+        Whether the acceleration depends only on the gap and the square of its speed.
 
     Returns
     -------
@@ -102,12 +102,12 @@ def largest_speed(m: float, M: float, r: Any, height: float, speed: float, time:
     m, M, r
         As in :func:`chattering`; ``rho < 1``.
     height, speed, time : float
-        The box: gap and absolute gap speed at most these, for so long.
+        Size of the box: largest gap, largest absolute gap speed, and duration.
 
     Returns
     -------
     float
-        Rounded down; 0 where ``rho < 1`` is not shown.
+        Rounded down; 0 if ``rho < 1`` is not shown.
     """
     from flint import arb, ctx
 

@@ -1,16 +1,17 @@
-"""Whether a sum of impacts has seen all of what lies between its start and its limit.
+"""Checks that nothing hides between the sampled flights of a sum of impacts.
 
-The curve of a tail is made of some flights. What acts between them (a pulse of force, a bump of the
-table, a restitution that changes at some speed) is looked for here, before the sum is believed:
+The curve of a tail is built from a few flights. Before the sum is accepted, effects between them (a
+force pulse, a bump of the table, a restitution that changes at some speed) are searched for:
 
-- the restitution at every impact of the tail, down to speed zero, against that of the flights;
-- with python-flint the gap's acceleration and the restitution in boxes that hold the motion from
-  the first impact to the limit: their bounds in doubles rounded outwards, and where these do not
-  decide in ball arithmetic. What they allow must be what is there at points of the tail, but for
-  :data:`EXCESS`. A pulse that is fainter than this, or that the points have met, is brief against
-  its flight and shows in the acceleration's rates of change: the last of :data:`RATES` must be what
-  it is at the points, but for what bends a flight by the same excess;
-- the guards of other edges in such boxes (:mod:`.others`), which must not be zero there.
+- The restitution at every impact of the tail, down to speed zero, is compared with that of the
+  flights.
+- With python-flint, the gap's acceleration and the restitution are bounded in boxes that contain
+  the motion from the first impact to the limit: in doubles rounded outwards and, if these do not
+  decide, in ball arithmetic. The bounds must agree with the values at points of the tail up to
+  :data:`EXCESS`. A fainter pulse, or one that the points have met, is brief compared with its
+  flight and shows in the acceleration's rates of change. The last of :data:`RATES` must therefore
+  agree with its values at the points, up to what bends a flight by the same excess.
+- The guards of other edges must not be zero in such boxes (:mod:`.others`).
 """
 
 from __future__ import annotations
@@ -57,20 +58,21 @@ from .flight import fly
 if TYPE_CHECKING:
     from ..lowering import Contact, Field
 
-#: What of a loss that fades is not told from none: some hundred roundings of the restitution.
+#: A loss below this counts as zero: a few hundred roundings of the restitution.
 LOST = 1e-13
 
 
 def seen(tail: Tail, closing: float = 1.0) -> bool:
     """Whether nothing hides between the flights of a sum.
 
-    ``closing``: tolerance of the sum against the run's; a closer look is taken for a closer sum.
+    ``closing``: tolerance of the sum relative to the run's; a more accurate sum is checked more
+    closely.
     """
     return _damped(tail) and _bounded(tail, EXCESS * closing**0.5)
 
 
 def _depends(field: Field, contact: str) -> bool:
-    """Whether a contact's restitution is no constant."""
+    """Whether a contact's restitution is not constant."""
     code = field.code
 
     def look() -> bool:
@@ -91,7 +93,7 @@ def _depends(field: Field, contact: str) -> bool:
 
 
 def _damped(tail: Tail) -> bool:
-    """Whether the restitution along the tail is what the sum's flights have it, and below 1."""
+    """Whether the restitution along the tail is that of the sum's flights, and below 1."""
     if not _depends(tail.field, tail.contact.name):
         return True
     series = _flown(tail)
@@ -114,9 +116,10 @@ def _damped(tail: Tail) -> bool:
 
 
 def _flown(tail: Tail) -> tuple[np.ndarray, np.ndarray] | None:
-    """Logarithms of the growth of the speed in a flight, and of the restitution after it.
+    """Logarithms of the speed ratio over a flight, and of the restitution after it.
 
-    Chebyshev coefficients in the place on the curve from which the flight begins.
+    Chebyshev coefficients in the place on the curve at which the flight begins; None if there is no
+    such flight.
     """
     rows = [[0.0, log(tail.r)]]
     for w in nodes(LAW_POINTS)[1:].tolist():
@@ -133,12 +136,13 @@ def _flown(tail: Tail) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def damps(contact: Contact, t: float, x: list[float], speed: float, ratio: float) -> bool:
-    """Whether impacts slower than ``speed`` lose so much that their series has a sum.
+    """Whether impacts slower than ``speed`` lose enough for their series to have a sum.
 
-    What is lost may fade with the speed, below :data:`LOST` where it is not told from nothing; it
-    must not stop all at once. Where it fades, flights that have shortened by a constant ``ratio``
-    will not go on to; and as ``dn = -dv / (v lost(v))`` impacts have a speed about ``v``, each for
-    a time like ``v``, their times have a sum only if ``v / lost(v)`` falls with ``v``.
+    The loss ``lost(v) = 1 - r(v)`` may fade with the speed, until it is below :data:`LOST` and
+    counts as zero, but must not vanish abruptly. If it fades, flights that have shortened by a
+    constant ``ratio`` will not continue to do so. There are ``dn = -dv / (v lost(v))`` impacts near
+    speed ``v``, each lasting a time proportional to ``v``, so their times have a sum only if ``v /
+    lost(v)`` falls with ``v``.
     """
     fades = 1.0 - contact.law(t, x, -0.0) < LEAST_LOSS
     if fades and ratio < 1.0:
@@ -164,9 +168,10 @@ def damps(contact: Contact, t: float, x: list[float], speed: float, ratio: float
 
 @attrs.frozen(eq=False, slots=False)
 class Stretch:
-    """A stretch of a tail: the flights after impacts ``first`` to ``last``, infinite for the limit.
+    """A stretch of a tail: the flights after impacts ``first`` to ``last``.
 
-    ``begin``, ``end``: the shares of each flight that it is about.
+    An infinite ``last`` is the limit. ``begin`` and ``end`` are the fractions of each flight that
+    it covers.
     """
 
     tail: Tail
@@ -182,11 +187,11 @@ class Stretch:
 
     @cached_property
     def points(self) -> list[tuple[float, list[float], float]]:
-        """Times, states and gap speeds before impacts, at points of the flights."""
+        """Times, states, and gap speeds before impacts, at points of the flights."""
         return [(t, x, u) for t, *x, u, _, _ in self._shown[:-2]]
 
     def box(self) -> dict[str, Any]:
-        """Bounds of time (within the flights), states, and gap speeds before impacts."""
+        """Bounds on time (within the flights), states, and gap speeds before impacts."""
         (early, *low, slow, leaves, _), (late, *high, fast, _, lands) = self._shown[-2:]
         rooms = [BOX_MARGIN * (b - a) for a, b in zip(low, high, strict=True)]
         ends = zip(low, high, rooms, strict=True)
@@ -197,11 +202,11 @@ class Stretch:
 
     @property
     def longest(self) -> float:
-        """The time of its longest flight."""
+        """Duration of the longest flight."""
         return max(lands - leaves for *_, leaves, lands in self._shown[:-2])
 
     def halves(self) -> list[Stretch]:
-        """Two stretches of about half the time each; of a single flight, its two parts."""
+        """Two stretches of about half the duration; of a single flight, its two halves."""
         if self.first == self.last:
             middle = 0.5 * (self.begin + self.end)
             return [attrs.evolve(self, end=middle), attrs.evolve(self, begin=middle)]
@@ -210,12 +215,12 @@ class Stretch:
 
 
 def _bounded(tail: Tail, excess: float) -> bool:
-    """Whether acceleration and restitution in boxes along the tail are what they are at points."""
+    """Whether acceleration and restitution in boxes along the tail agree with points."""
     if find_spec("flint") is None:
         return True
     try:
         look, stretches = _look(tail), [(TAIL_HALVINGS, Stretch(tail))]
-    except TraceError:  # an operation of which there are no balls
+    except TraceError:  # an operation without ball arithmetic
         return True
     while stretches:
         left, stretch = stretches.pop()
@@ -252,7 +257,7 @@ def _fits(look: _Look, stretch: Stretch, excess: float) -> bool:
 def _steady(
     look: _Look, stretch: Stretch, low: Any, high: Any, excess: float, small: float
 ) -> bool:
-    """Whether the last rate is small, or what it is at the points, but for an excess."""
+    """Whether the last rate is small, or agrees with its values at the points up to an excess."""
     if _within(low, high, -small, small):
         return True
     rates = [look.rate(*point) for point in stretch.points]
@@ -267,13 +272,13 @@ def _within(low: Any, high: Any, least: float, most: float) -> bool:
 
 @attrs.frozen(eq=False)
 class _Look:
-    """What is looked at in a field, as balls: the gap's acceleration, the restitution, and last the
-    acceleration's last rate.
+    """What is enclosed along a tail, as balls.
 
-    Where gap or flow change their formula at the impacts, they have here that of the side on which
-    the flights are (of a distance ``|x|`` that at zero): balls about the place do not know it. In
-    between stand then the accelerations of the functions that decide. They, too, must be what they
-    are at points, so that none of them changes its sign between these.
+    These are the gap's acceleration, the accelerations of deciding functions, the restitution, and
+    the last rate of the gap's acceleration. Where gap or flow change their formula at the impacts,
+    the formula on the flights' side is used (for a distance ``|x|``, the one at zero), since balls
+    around that place contain both sides. The accelerations of the deciding functions must then also
+    agree with their values at points, so that none of them changes sign in between.
     """
 
     program: Any
@@ -283,11 +288,11 @@ class _Look:
 
 
 def bounded(field: Field, contact: Contact) -> tuple[bool, Any]:
-    """Whether a restitution is no constant; what is looked at where no function decides on
-    formulas, for bounds in doubles.
+    """Whether a restitution is not constant, and what is bounded in doubles along its tails.
 
-    An :class:`.IntervalProgram`, the rows of a box that are its inputs, and the others' values;
-    or, as the rules number it, that there is nothing to look at, or that more is to be looked at.
+    The second value is an :class:`.IntervalProgram`, the rows of a box that are its inputs, and the
+    values of the other inputs. It is ``NONE`` if nothing can be bounded, ``HARD`` if deciding
+    functions require ball arithmetic.
     """
     return _depends(field, contact.name), _ranged(field, contact)
 
@@ -345,7 +350,7 @@ def _look(tail: Tail) -> _Look:
 
 
 class _Gap:
-    """The gap of a contact along a field, and the functions that decide on their formulas."""
+    """The gap of a contact along a field, with the functions that decide on formulas."""
 
     def __init__(self, field: Field, contact: str) -> None:
         from ..bounds.exact import FixedGraph
@@ -368,7 +373,7 @@ class _Gap:
         return [int(i) for i in found.reshape(-1)]
 
     def signs(self, tail: Tail) -> dict[int, int]:
-        """Deciding functions that are zero at the limit, and their signs in all flights."""
+        """The deciding functions that are zero at the limit, with their signs in all flights."""
         if self.deciding is None:
             return {}
         given = named("p", flat(tail.field.parameters))
@@ -379,12 +384,12 @@ class _Gap:
             found.append([float(e.value.mid()) if e.defined else np.nan for e in each])
         rounding = 64 * EPS * max(np.abs(tail.x_inf).max(), np.abs(tail.x).max())
         last, *others = np.where(np.abs(found) <= rounding, 0.0, np.sign(found))
-        ways = np.min(others, axis=0) + np.max(others, axis=0)  # +-1 where no two are opposite
+        ways = np.min(others, axis=0) + np.max(others, axis=0)  # +-1 if no two signs are opposite
         columns = zip(self.choosers, last, ways, strict=True)
         return {n: int(way) for n, end, way in columns if end == 0.0 and abs(way) == 1.0}
 
     def guards(self, field: Field, contact: str) -> list[int]:
-        """The guards beside that of the contact; none where one has no bounds."""
+        """The guards other than the contact's; empty if one of them has no bounds."""
         from ..bounds.interval import IntervalProgram
 
         others = [guard for guard in field.guards if guard.edge != contact]
@@ -396,7 +401,7 @@ class _Gap:
         return found
 
     def program(self, signs: dict[int, int], *others: int) -> Any:
-        """What is looked at where deciding functions have these signs, and behind it others."""
+        """The program of what is enclosed, for given signs, followed by ``others``."""
         from ..bounds.interval import IntervalProgram
 
         graph, count = self.graph, 1 + len(self.flow)

@@ -1,7 +1,7 @@
-"""Guards of other edges, bounded in boxes that hold a motion: whether one may be zero there.
+"""Bounds on the guards of other edges over boxes that contain a motion.
 
-A sum of impacts, or the limit of a cycle, stands for infinitely many flights that nobody looks
-along. An event in one of them, however brief, does not escape bounds over boxes that hold them all.
+A sum of impacts, or the limit of a cycle, stands for infinitely many flights along which nothing is
+watched. Bounds over boxes that contain all of them catch any event, however brief.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 
 def apart(tail: Tail) -> bool:
-    """Whether no other guard is zero between the first impact and the limit, as far as bounds tell.
+    """Whether no other guard is zero between the first impact and the limit, as far as bounds show.
 
-    One that is zero at the limit is bounded up to the last flights.
+    A guard that is zero at the limit is bounded up to the last flights only.
     """
     field, t_inf, x_inf = tail.field, tail.t + tail.remaining, tail.x_inf.tolist()
     others = [i for i in range(len(field.guards)) if i != tail.column]
@@ -46,15 +46,17 @@ def apart(tail: Tail) -> bool:
 
 
 def excluded(field: Field, columns: Iterable[int], box: Mapping[str, Any]) -> bool:
-    """Whether some guards of a field are not zero in a box of time and states, as far as there are
-    bounds of them."""
+    """Whether bounds exclude a zero of the given guards in a box of time and states.
+
+    Guards without bounds are ignored.
+    """
     looks = field.code.once(("bounded guards", field.name), lambda: _looks(field))
     whole = {**parameters(field), **box}
     return all(looks[i] is None or looks[i].excludes_zero(whole) for i in columns)
 
 
 def hull(points: np.ndarray, wider: float) -> dict[str, Any]:
-    """The box of some rows of time and state, wider on either side by a share of its size."""
+    """The bounding box of rows of time and state, widened on each side by a fraction."""
     low, high = points.min(axis=0), points.max(axis=0)
     room = wider * (high - low)
     times, *states = zip((low - room).tolist(), (high + room).tolist(), strict=True)
@@ -62,7 +64,7 @@ def hull(points: np.ndarray, wider: float) -> dict[str, Any]:
 
 
 def _looks(field: Field) -> list[Any]:
-    """What bounds each guard of a field; None where there are no bounds."""
+    """The interval program of each guard of a field; None if there are no bounds."""
     if find_spec("flint") is None:
         return [None] * len(field.guards)
     from ..bounds.interval import IntervalProgram
