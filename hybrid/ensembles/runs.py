@@ -78,7 +78,7 @@ def ensemble(
     measure: Any = (),
     section: Any = None,
     crossing: Crossing = RISING,
-    skip: int = 0,
+    skip: int | None = 0,
     every: int = 1,
     keep: int = 32,
     save: Any = None,
@@ -130,7 +130,9 @@ def ensemble(
         period, or a function ``(self)`` that gives it; the states of each lane there.
     skip, every, keep : int
         Of the points on the section: how many are passed over, a transient; of how many each first
-        one is kept; and how many are kept, at most. No others are stored.
+        one is kept; and how many are kept, at most. No others are stored. With ``skip=None`` the
+        last ones are kept, and with them the mode behind each, how large each state was, and how
+        far the lane still moves.
     save : array, optional
         Times at which the states of each lane are kept.
     progress : callable ``(lanes)``, optional
@@ -150,9 +152,11 @@ def ensemble(
         a row with its reason, and the time and state that its last jump led to. With
         ``"max_jumps"`` the state is that after the last jump. With ``section`` over ``lane`` and
         ``hit`` the times ``t_section`` and each state, ``x_section``, NaN where a lane has fewer;
-        ``hits`` says how many it met. With ``save`` over ``lane`` and ``time`` each state,
-        ``x_saved``, NaN at times that the lane has not. States, outputs and what varies have their
-        units.
+        ``hits`` says how many it met. With ``skip=None`` also ``mode_section``, a number for the
+        mode of an arc, ``x_size``, a bound on the size of a state along the way, and ``moves``, the
+        largest change of a state over the last eighth of the time, against its size. With ``save``
+        over ``lane`` and ``time`` each state, ``x_saved``, NaN at times that the lane has not.
+        States, outputs and what varies have their units.
 
     Raises
     ------
@@ -174,7 +178,7 @@ def ensemble(
             "section, save and stick in a call of its own"
         )
     scene = scene_of(model, by="hy.ensemble with section, save or stick" * measures.anything)
-    solver, method = renamed(_solver(scene, solver, method), method)
+    solver, method = renamed(solver_for(scene, solver, method), method)
     options = {
         "solver": solver,
         "method": method,
@@ -229,8 +233,8 @@ def _flier(
     return lambda i: runs.row(lanes.lane(i))
 
 
-def _solver(scene: Scene, solver: str | None, method: Any) -> str:
-    """The solver named; else Taylor series, where the model has them."""
+def solver_for(scene: Scene, solver: str | None, method: Any) -> str:
+    """The solver of an ensemble: the one named; else Taylor series, where the model has them."""
     if solver is not None:
         return solver
     series = method is None and not scene.spec.lags
@@ -428,4 +432,4 @@ def _dataset(spec: Spec, lanes: Lanes, rows: _Rows, measures: Measures) -> xarra
     return table.assign(found)
 
 
-__all__ = ["ensemble"]
+__all__ = ["ensemble", "solver_for"]
