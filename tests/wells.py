@@ -29,9 +29,55 @@ class Floor(hy.Automaton):
     v = hy.state(unit="m/s")
     G: float = hy.parameter(0.6, unit="m")
     e: float = hy.parameter(0.7, between=(0, 1))
+    g: float = hy.parameter(1.0, unit="m/s^2")
 
     @hy.mode
     def flight(self, t, s):
-        return s.v, -1.0
+        return s.v, -self.g
 
     impact = hy.contact(flight, gap=lambda self, t, s: s.x - self.G * jnp.sin(t), restitution="e")
+
+
+class Belt(hy.Automaton):
+    """A block on a belt, held by a spring; friction falls with the slip's speed."""
+
+    x = hy.state()
+    v = hy.state()
+    belt: float = hy.parameter(0.2)
+    damping: float = hy.parameter(1.3)
+
+    @hy.mode(initial=True)
+    def slow(self, t, s):
+        return s.v, -s.x - self.damping * s.v + 1.0 / (1.0 + 3.0 * (self.belt - s.v))
+
+    @hy.mode
+    def fast(self, t, s):
+        return s.v, -s.x - self.damping * s.v - 1.0 / (1.0 + 3.0 * (s.v - self.belt))
+
+    friction = hy.switching(fast, slow, surface=lambda self, t, s: s.v - self.belt)
+
+
+class Rooms(hy.Automaton):
+    """What lies above zero goes to another room, where it is told by the same coordinate."""
+
+    x = hy.state()
+
+    @hy.mode(initial=True)
+    def entry(self, t, s):
+        return (jnp.sign(s.x),)
+
+    @hy.mode
+    def here(self, t, s):
+        return (-s.x,)
+
+    @hy.mode
+    def there(self, t, s):
+        return (-s.x,)
+
+    @hy.edge(entry, to=there, guard=lambda self, t, s: 3.0 - s.x)
+    def rises(self, t, s):
+        return s
+
+    @hy.edge(entry, to=here, guard=lambda self, t, s: s.x + 3.0)
+    def falls(self, t, s):
+        return s

@@ -121,7 +121,8 @@ class Measures:
         if self.section is not None:
             shapes |= {"hits": (), "t": (self.keep,), "points": (self.keep, self.spec.dimension)}
         if self.section is not None and self.skip is None:
-            shapes |= {"modes": (self.keep,), "size": (self.spec.dimension,), "moves": ()}
+            shapes |= {"modes": (self.keep,), "moves": ()}
+            shapes |= dict.fromkeys(("size", "range"), (self.spec.dimension,))
         if self.times is not None:
             shapes["saved"] = (len(self.times), self.spec.dimension)
         return shapes | dict.fromkeys(self.names, ())
@@ -163,7 +164,8 @@ class Measures:
                 {"long_name": "number of a mode"},
             )
             made["moves"] = "lane", views["moves"], {"long_name": MOVES, "units": "1"}
-            made |= self._sizes(views["size"])
+            for what in ("size", "range"):
+                made |= self._vectors(what, views[what])
         if self.times is not None:
             made |= self._states(lanes, "saved", "time", self.times, views["saved"])
         for name in self.names:
@@ -181,11 +183,11 @@ class Measures:
             made["time"] = "time", self.times
         return made
 
-    def _sizes(self, sizes: np.ndarray) -> dict[str, Any]:
-        """What the states come to."""
-        record = self.spec.record(sizes)
+    def _vectors(self, what: str, values: np.ndarray) -> dict[str, Any]:
+        """A number for each state."""
+        record = self.spec.record(values)
         return {
-            f"{s.name}_size": (
+            f"{s.name}_{what}": (
                 ("lane", *(f"{s.name}_{i}" for i in range(len(s.shape)))),
                 record[s.name],
                 told(s),
@@ -246,6 +248,8 @@ class MeasuredLane(Log):
         self.numbers = np.full(asked.size, np.nan)
         self.views = asked.views(self.numbers)
         self.met, self.stuck, self.size = 0, 0.0, 0.0 * lane.x
+        self.middle = 0.5 * (lane.t[0] + lane.t[1])
+        self.low, self.high = np.inf + self.size, -np.inf + self.size
         self.scene = lane.scene
         strobes = self._strobes(lane.t[1])
         times = np.empty(0) if asked.times is None else asked.times
@@ -300,6 +304,7 @@ class MeasuredLane(Log):
             self._unroll()
         if "moves" in self.views:
             self.views["size"][...] = self.size
+            self.views["range"][...] = np.maximum(self.high - self.low, 0.0)
             self.views["moves"][...] = self._moves(t1)
         if "stick" in self.views and t1 > self.t0:
             self.views["stick"][...] = self.stuck / (t1 - self.t0)
@@ -331,14 +336,13 @@ class MeasuredLane(Log):
         """Put down a state; of points on a section the mode behind them."""
         self.views[name][place] = x
         if name == "points" and "modes" in self.views:
-            self.views["modes"][place] = _number(self.scene, mode)
+            self.views["modes"][place] = number_of(self.scene, mode)
 
     def _look(self, then: Part | Flights | None = None) -> None:
         """Look at what is kept; ``then`` comes after it."""
         for part in self.kept:
             if self.sized:
-                for segment in (s for arc in _arcs(part) for s in arc.segments):
-                    self.size = np.maximum(self.size, np.abs(segment.coefficients).sum(axis=0))
+                self._measure(part)
             if isinstance(part, Flights):
                 constrained = np.array([name.endswith(")") for name in part.modes])
                 self.stuck += float(part.lengths[constrained].sum())
@@ -351,6 +355,17 @@ class MeasuredLane(Log):
                 self._jumps(part, self.section.name, then)
             elif isinstance(self.section, Surface):
                 self._crossings(part, self.section)
+
+    def _measure(self, part: Part | Flights) -> None:
+        """How large the states are; and between which bounds they lie in the second half."""
+        for arc in _arcs(part):
+            for segment in arc.segments:
+                size = np.abs(segment.coefficients)
+                self.size = np.maximum(self.size, size.sum(axis=0))
+                if arc.t0 + segment.start >= self.middle:
+                    around = size[1:].sum(axis=0)
+                    self.low = np.minimum(self.low, segment.coefficients[0] - around)
+                    self.high = np.maximum(self.high, segment.coefficients[0] + around)
 
     def _jumps(self, part: Part | Flights, edge: str, then: Part | Flights | None) -> None:
         """Jumps of an edge."""
@@ -393,7 +408,7 @@ def _mode_at(part: Part | Flights, t: float) -> str:
     return part.arc_at(t).mode if isinstance(part, Flights) else part.mode
 
 
-def _number(scene: Scene, mode: str) -> int:
+def number_of(scene: Scene, mode: str) -> int:
     """A number for a mode of an arc: no other one has it."""
     if mode in scene.modes:
         return scene.modes.index(mode)
@@ -407,4 +422,4 @@ def _at(part: Part | Flights, t: float) -> np.ndarray:
     return arc.local((t - arc.t0) - arc.low if t > arc.t0 else 0.0)
 
 
-__all__ = ["MeasuredLane", "Measures"]
+__all__ = ["MeasuredLane", "Measures", "number_of"]

@@ -153,9 +153,10 @@ def ensemble(
         ``"max_jumps"`` the state is that after the last jump. With ``section`` over ``lane`` and
         ``hit`` the times ``t_section`` and each state, ``x_section``, NaN where a lane has fewer;
         ``hits`` says how many it met. With ``skip=None`` also ``mode_section``, a number for the
-        mode of an arc, ``x_size``, a bound on the size of a state along the way, and ``moves``, the
-        largest change of a state over the last eighth of the time, against its size. With ``save``
-        over ``lane`` and ``time`` each state, ``x_saved``, NaN at times that the lane has not.
+        mode of an arc; ``x_size`` and ``x_range``, bounds on the size of a state, and on what it
+        spans in the second half of the time; and ``moves``, the largest change of a state over the
+        last eighth of the time, against its size. With ``save`` over ``lane`` and ``time`` each
+        state, ``x_saved``, NaN at times that the lane has not.
         States, outputs and what varies have their units.
 
     Raises

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..automaton.base import COUNT_IN_RUN, require_model, require_no_discrete
 from ..ensembles import ensemble
-from ..ensembles.measures import SAME_POINT, STILL_SHARE
+from ..ensembles.measures import SAME_POINT, STILL_SHARE, number_of
 from ..ensembles.runs import solver_for
 from ..errors import OptionError
 from ..lowering import scene_of
@@ -123,7 +123,10 @@ class Basins:
         lines = [f"{self.table.attrs['model']}: {self.labels.size} starts"]
         lines += [f"  {attractor}" for attractor in self.attractors]
         if self.none:
-            lines.append(f"  none found, or failed: {self.none:.4g} of the starts")
+            lines.append(
+                f"  none found, or failed: {self.none:.4g} of the starts (see status; else fly "
+                "longer, keep more points, or give a section that orbits meet once a turn)"
+            )
         return "\n".join(lines)
 
     __repr__ = __str__
@@ -208,9 +211,9 @@ def basins(
     over : dict
         Values at the start by the names of states.
     section : str, callable or float
-        As :func:`hybrid.return_map` takes it: where returns are looked at. A period (that of the
-        forcing; any short time where there is none) meets everything; a jump's name, or a
-        surface, only what comes there. A lane that rests is known wherever it does.
+        As :func:`hybrid.return_map` takes it: where returns are looked at. In a forced model the
+        period of the forcing, which all lanes meet, at one phase; in others a surface, or a jump's
+        name, that orbits meet once a turn. A lane that rests is known whatever it meets.
     keep : int
         How many points of each lane are looked at, the last ones. A chaotic attractor takes some
         hundreds.
@@ -317,9 +320,10 @@ class _Flown:
         held = np.array([str(mode).endswith(")") for mode in self.column("mode")])
         done = self.column("status") == Status.REACHED_END.name.lower()
         rests = done & ((self.column("moves") <= SAME_POINT) | (ceased & held))
-        _, numbers = np.unique(self.column("mode"), return_inverse=True)
-        ends, comes = self.states("", 1), done & ~rests & ~ceased
-        return Tails(points, modes, ends, numbers, rests, comes, self.states("_size", 1))
+        scene, ends = scene_of(self.model), (self.states("", 1), self.column("mode").tolist())
+        numbers = np.array([number_of(scene, mode) for mode in ends[1]])
+        sizes = self.states("_size", 1), self.states("_range", 1)
+        return Tails(points, modes, ends[0], numbers, rests, done & ~rests & ~ceased, *sizes)
 
     def begun(self, lane: int) -> dict[str, Any]:
         """Where a lane starts."""

@@ -50,8 +50,8 @@ class Tails:
         Lanes that are at rest there.
     comes : array of bool, shape (lanes,)
         Others, of which the points are looked at.
-    size : array, shape (lanes, n)
-        How large the states were.
+    size, range : array, shape (lanes, n)
+        How large the states were; what they spanned in the second half of the time.
     """
 
     points: np.ndarray
@@ -61,36 +61,34 @@ class Tails:
     rests: np.ndarray
     comes: np.ndarray
     size: np.ndarray
+    range: np.ndarray
 
-    def known(self, lane: int) -> tuple[np.ndarray, np.ndarray]:
-        """The points that a lane has, and their modes."""
+    def own(self, lane: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The points that a lane has, and their modes; what its states span, how large they are."""
         there = np.isfinite(self.points[lane]).all(axis=1)
-        return self.points[lane][there], self.modes[lane][there]
+        sizes = self.range[lane], self.size[lane]
+        return self.points[lane][there], self.modes[lane][there], *sizes
 
 
 @attrs.frozen(eq=False)
 class Nearness:
-    """What is one place: within a share of what points span, or, of how large the states were
-    along the way, within a share that integration may have lost."""
+    """What is one place: within a share of what is spanned, or, of how large the states were along
+    the way, within a share that integration may have lost."""
 
     share: float
     rounding: float
 
-    def widths(self, points: Matrix, size: Matrix) -> np.ndarray:
+    def widths(self, span: np.ndarray, size: np.ndarray) -> np.ndarray:
         """By coordinate how far points of one place lie apart at most."""
-        span = np.ptp(points, axis=0)
-        found: np.ndarray = np.maximum(self.share * span, self.rounding * size.max(axis=0))
+        found: np.ndarray = np.maximum(self.share * span, self.rounding * size)
         return np.where(found > 0, found, 1.0)
 
-    def recurs(self, tails: Tails, lane: int) -> bool:
-        """Whether the last points of a lane lie beside those of its first half."""
-        points, modes = tails.known(lane)
+    def recurs(self, points: Matrix, modes: np.ndarray, span: np.ndarray, size: np.ndarray) -> bool:
+        """Whether the last of some points in a row lie beside those of the first half."""
         if len(points) < FEWEST_POINTS:
             return False
-        width, half = self.widths(points, tails.size[lane : lane + 1]), len(points) // 2
-        last = slice(-max(1, int(LAST_PART * len(points))), None)
-        beside = Cloud.of(points[:half], modes[:half], width).beside(points[last], modes[last])
-        return bool(beside.mean() >= HITS)
+        half, width = len(points) // 2, self.widths(span, size)
+        return bool(Cloud.of(points[:half], modes[:half], width).hit(points, modes))
 
 
 @attrs.frozen(eq=False)
@@ -120,7 +118,8 @@ class Cloud:
         last = max(1, int(LAST_PART * points.shape[-2]))
         points, modes = points[..., -last:, :], modes[..., -last:]
         known = np.isfinite(points).all(axis=-1).sum(axis=-1)
-        return self.beside(points, modes).sum(axis=-1) >= HITS * np.maximum(known, 1)
+        found: np.ndarray = self.beside(points, modes).sum(axis=-1) >= HITS * np.maximum(known, 1)
+        return found
 
 
 def _placed(points: Matrix, modes: np.ndarray, width: np.ndarray) -> np.ndarray:
@@ -137,27 +136,38 @@ def grouped(
     as it was flown.
     """
     labels = np.full(len(tails.ends), NONE)
-    own = np.array([bool(c) and nearness.recurs(tails, i) for i, c in enumerate(tails.comes)], bool)
-    if not (own.any() or tails.rests.any()):
+    own = [lane for lane in _where(tails.comes) if nearness.recurs(*tails.own(lane))]
+    known = np.concatenate([tails.ends[tails.rests], *(tails.own(lane)[0] for lane in own)])
+    if not len(known):
         return labels, []
-    spanned = np.concatenate([tails.ends[tails.rests], *(tails.known(i)[0] for i in _where(own))])
-    width = nearness.widths(spanned, tails.size[own | tails.rests])
+    settled = tails.rests.copy()
+    settled[own] = True
+    width = nearness.widths(np.ptp(known, axis=0), tails.size[settled].max(axis=0))
     firsts = _at_rest(tails, width, labels)
-    clouds: dict[int, Cloud] = {}
-    for lane in _where(own):
-        if labels[lane] == NONE:
-            points, modes = locate(lane)
-            there = [n for n, c in clouds.items() if c.hit(points, modes)]
-            number = there[0] if there else len(firsts)
-            if not there:
-                clouds[number] = Cloud.of(points, modes, width)
-                firsts.append(lane)
-                left = tails.comes & (labels == NONE)
-                labels[left] = np.where(
-                    clouds[number].hit(tails.points[left], tails.modes[left]), number, NONE
-                )
-            labels[lane] = number
+    clouds = []
+    for number in range(len(firsts)):
+        here = labels == number
+        clouds.append(Cloud.of(tails.ends[here], tails.end_modes[here], width))
+        _join(tails, labels, clouds[-1], number)
+    for lane in own:
+        if labels[lane] != NONE:
+            continue
+        points, modes = locate(lane)
+        there = [number for number, cloud in enumerate(clouds) if cloud.hit(points, modes)]
+        if there:
+            labels[lane] = there[0]
+        elif nearness.recurs(points, modes, *tails.own(lane)[2:]):
+            labels[lane] = len(firsts)
+            firsts.append(lane)
+            clouds.append(Cloud.of(points, modes, width))
+            _join(tails, labels, clouds[-1], labels[lane])
     return labels, firsts
+
+
+def _join(tails: Tails, labels: np.ndarray, cloud: Cloud, number: int) -> None:
+    """Number the lanes whose last points lie beside those of an attractor."""
+    left = np.flatnonzero(tails.comes & (labels == NONE))
+    labels[left[cloud.hit(tails.points[left], tails.modes[left])]] = number
 
 
 def _at_rest(tails: Tails, width: np.ndarray, labels: np.ndarray) -> list[int]:
