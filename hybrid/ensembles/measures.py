@@ -38,7 +38,7 @@ NAMED = {
 }
 
 #: How far a lane still moves.
-MOVES = "largest change of a state over the last eighth of the time, against its size"
+STILL_MOVES = "largest change of a state over the last eighth of the time, against its size"
 
 #: A lane that does not move has not done so for this share of its time.
 STILL_SHARE = 0.125
@@ -163,7 +163,7 @@ class Measures:
                 views["modes"],
                 {"long_name": "number of a mode"},
             )
-            made["moves"] = "lane", views["moves"], {"long_name": MOVES, "units": "1"}
+            made["moves"] = "lane", views["moves"], {"long_name": STILL_MOVES, "units": "1"}
             for what in ("size", "range"):
                 made |= self._vectors(what, views[what])
         if self.times is not None:

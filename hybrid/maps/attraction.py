@@ -19,7 +19,7 @@ from ..trajectory.trajectory import Status
 from .boundary import Dimension, dimension
 from .grid import sweep
 from .picture import drawn, region_figure
-from .recurrence import NONE, Nearness, Tails, grouped
+from .recurrence import NOWHERE, Nearness, Tails, grouped
 
 if TYPE_CHECKING:
     import xarray
@@ -144,7 +144,7 @@ class Basins:
     @property
     def none(self) -> float:
         """The share of the starts that leads to none that was found."""
-        return float(np.mean(self.labels == NONE))
+        return float(np.mean(self.labels == NOWHERE))
 
     def boundary(self) -> Dimension:
         """The dimension of the boundary between basins, with its standard error.
@@ -184,7 +184,7 @@ class Basins:
             If the map goes over more than two states, or what draws is missing.
         """
         kinds = [f"{attractor.number}: {attractor.what}" for attractor in self.attractors]
-        numbers = [*range(len(kinds)), NONE] if self.none else [*range(len(kinds))]
+        numbers = [*range(len(kinds)), NOWHERE] if self.none else [*range(len(kinds))]
         known = dict(zip(numbers, [*kinds, "none found, or failed"], strict=False))
         axes = [f"{name}_start" for name in self.names]
         title = f"{self.table.attrs['model']}: basins"

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 FARTHEST = 1 / 8
 
 #: Parts of the first axis that are left out in turn, to see how much the result depends on them.
-PARTS = 8
+JACKKNIFE_PARTS = 8
 
 #: Distances that a slope is taken from, at least.
 FEWEST_DISTANCES = 3
@@ -67,7 +67,9 @@ def dimension(labels: np.ndarray, what: str) -> Dimension:
         raise OptionError(f"{what}: no boundary: neighbours do not differ")
     slope = _slope(steps, counts)
     without = [_slope(steps, np.delete(counts, part, axis=1)) for part in range(counts.shape[1])]
-    jackknife = np.sqrt((PARTS - 1) * np.mean((np.array(without) - np.mean(without)) ** 2))
+    jackknife = np.sqrt(
+        (JACKKNIFE_PARTS - 1) * np.mean((np.array(without) - np.mean(without)) ** 2)
+    )
     middle = len(steps) // 2
     short, long = slice(middle + 1), slice(middle, None)
     bend = _slope(steps[short], counts[short]) - _slope(steps[long], counts[long])
@@ -85,7 +87,11 @@ def _counts(labels: np.ndarray, step: int, margin: int) -> np.ndarray:
         beside = moved[tuple(slice(margin, -margin) for _ in labels.shape)]
         differ |= beside != inner
         known &= beside >= 0
-    parts = zip(np.array_split(differ & known, PARTS), np.array_split(known, PARTS), strict=True)
+    parts = zip(
+        np.array_split(differ & known, JACKKNIFE_PARTS),
+        np.array_split(known, JACKKNIFE_PARTS),
+        strict=True,
+    )
     return np.array([[a.sum(), b.sum()] for a, b in parts], dtype=float)
 
 

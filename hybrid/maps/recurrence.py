@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ..automaton.shapes import Matrix
 
 #: Points of which the last ones are compared with earlier ones: so many at least.
-FEWEST_POINTS = 4
+FEWEST_RETURNS = 4
 
 #: The part of the kept points that must lie beside earlier ones, and the share of them that does.
 #: On a periodic orbit all do; on a chaotic attractor, of which a finite number of points is known,
@@ -31,7 +31,7 @@ FEWEST_POINTS = 4
 LAST_PART, HITS = 0.25, 0.5
 
 #: The number of lanes that are on no attractor.
-NONE = -1
+NOWHERE = -1
 
 
 @attrs.frozen(eq=False)
@@ -85,7 +85,7 @@ class Nearness:
 
     def recurs(self, points: Matrix, modes: np.ndarray, span: np.ndarray, size: np.ndarray) -> bool:
         """Whether the last of some points in a row lie beside those of the first half."""
-        if len(points) < FEWEST_POINTS:
+        if len(points) < FEWEST_RETURNS:
             return False
         half, width = len(points) // 2, self.widths(span, size)
         return bool(Cloud.of(points[:half], modes[:half], width).hit(points, modes))
@@ -135,7 +135,7 @@ def grouped(
     ``locate(lane)`` gives points, and their modes, that a lane meets when it goes on for as long
     as it was flown.
     """
-    labels = np.full(len(tails.ends), NONE)
+    labels = np.full(len(tails.ends), NOWHERE)
     own = [lane for lane in _where(tails.comes) if nearness.recurs(*tails.own(lane))]
     known = np.concatenate([tails.ends[tails.rests], *(tails.own(lane)[0] for lane in own)])
     if not len(known):
@@ -150,7 +150,7 @@ def grouped(
         clouds.append(Cloud.of(tails.ends[here], tails.end_modes[here], width))
         _join(tails, labels, clouds[-1], number)
     for lane in own:
-        if labels[lane] != NONE:
+        if labels[lane] != NOWHERE:
             continue
         points, modes = locate(lane)
         there = [number for number, cloud in enumerate(clouds) if cloud.hit(points, modes)]
@@ -166,7 +166,7 @@ def grouped(
 
 def _join(tails: Tails, labels: np.ndarray, cloud: Cloud, number: int) -> None:
     """Number the lanes whose last points lie beside those of an attractor."""
-    left = np.flatnonzero(tails.comes & (labels == NONE))
+    left = np.flatnonzero(tails.comes & (labels == NOWHERE))
     labels[left[cloud.hit(tails.points[left], tails.modes[left])]] = number
 
 
@@ -191,4 +191,4 @@ def _where(mask: np.ndarray) -> list[int]:
     return [int(i) for i in np.flatnonzero(mask)]
 
 
-__all__ = ["NONE", "Nearness", "Tails", "grouped"]
+__all__ = ["NOWHERE", "Nearness", "Tails", "grouped"]
