@@ -29,7 +29,7 @@ from ..trajectory.log import Flights, Log
 from .starts import Lane, Lanes, told
 
 if TYPE_CHECKING:
-    from ..automaton.shapes import Numbers, StateVector
+    from ..automaton.shapes import Matrix, Numbers, StateVector
 
 #: Measures by name that are no state or output of the model, and what they are.
 NAMED = {
@@ -113,6 +113,31 @@ class Measures:
     def anything(self) -> bool:
         """Whether lanes have to be looked at on their way."""
         return bool(self.shapes)
+
+    @property
+    def jumps_only(self) -> bool:
+        """Whether all that is asked for of a lane is in the table of its jumps."""
+        return isinstance(self.section, str) and set(self.shapes) == {"hits", "t", "points"}
+
+    def of_jumps(self, fired: Matrix, when: Matrix, after: np.ndarray) -> Matrix:
+        """What is kept of lanes whose jumps are known.
+
+        Parameters
+        ----------
+        fired : array of bool, shape (lanes, jumps)
+            Which jumps are those of the section.
+        when, after : arrays, shapes (lanes, jumps) and (lanes, jumps, n)
+            Times, and states after them.
+        """
+        assert self.skip is not None
+        numbers = np.full((len(fired), self.size), np.nan)
+        views = self.views(numbers)
+        views["hits"][...] = fired.sum(axis=1)
+        place, rest = np.divmod(np.cumsum(fired, axis=1) - 1 - self.skip, self.every)
+        lanes, jumps = np.nonzero(fired & (rest == 0) & (place >= 0) & (place < self.keep))
+        where = lanes, place[lanes, jumps]
+        views["t"][where], views["points"][where] = when[lanes, jumps], after[lanes, jumps]
+        return numbers
 
     @cached_property
     def shapes(self) -> dict[str, tuple[int, ...]]:

@@ -25,7 +25,7 @@ from ..trajectory.trajectory import Status
 from .measures import MeasuredLane, Measures
 from .processes import Shared, Unfit
 from .starts import Lane, Lanes, told
-from .threads import FlownLanes, GivenLanes, abreast
+from .threads import LANE_JUMPS, FlownLanes, GivenLanes, abreast
 
 if TYPE_CHECKING:
     import xarray
@@ -316,16 +316,19 @@ class _Runs:
         yield from self.others(job)
 
     def plain(self, scene: Scene) -> Iterator[None]:
-        """Fly lanes that need no judgement, some at a time; none that is looked at on its way."""
-        lanes = self.lanes
+        """Fly lanes that need no judgement, some at a time; of those that are looked at on their
+        way the ones of which jumps say all that is asked for."""
+        lanes, rows = self.lanes, 0
         if self.measures.anything:
-            return
+            if not self.measures.jumps_only:
+                return
+            rows = LANE_JUMPS
         try:
             driver = self.asked.driver(scene, lanes.t[0].tolist(), lanes.x[0], lanes.before(0))
         except HybridError:  # it is the lanes' own
             return
         given = GivenLanes(lanes.values, lanes.t, lanes.x)
-        together = abreast(scene, driver, self.mode, given)
+        together = abreast(scene, driver, self.mode, given, rows)
         for flown in together.fly() if together else ():
             self._put(together, flown)
             yield
@@ -343,8 +346,16 @@ class _Runs:
             names = np.array([together.mode(number) for number in modes], dtype=object)
             verdict = np.where(told[:, SUMMED] > 0, "estimated", "")
             counts = told[:, MADE_JUMPS], told[:, MADE_STEPS], told[:, SUMMED]
-            said = verdict, status.name.lower(), str(status), np.nan
+            said = verdict, status.name.lower(), str(status), self._measured(together, those)
             self.rows.put(which, _Row._make((t, x, names, *counts, t_inf, error, ratio, *said)))
+
+    def _measured(self, together: Any, flown: FlownLanes) -> Any:
+        """What is asked for of lanes besides their ends, from their jumps."""
+        if not self.measures.anything:
+            return np.nan
+        edges = [guard.edge == self.measures.section for guard in together.tables.guards]
+        fired = np.array([*edges, False])[flown.fired]  # -1 where there are no more
+        return self.measures.of_jumps(fired, flown.when, flown.around[:, :, 1])
 
     def others(self, job: Callable[[], tuple[Any, ...]]) -> Iterator[None]:
         """Fly the lanes that are left, one by one, here and in other processes."""

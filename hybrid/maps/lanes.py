@@ -19,6 +19,7 @@ from ..automaton.reals import reals
 from ..automaton.spec import Spec
 from ..automaton.trace import instance
 from ..ensembles import ensemble
+from ..ensembles.measures import NAMED
 from ..ensembles.processes import Unfit
 from ..errors import OptionError, StoreError
 from ..trajectory.stats import versions
@@ -32,7 +33,7 @@ LEAST_BLOCK, MOST_BLOCK, BLOCKS = 16, 1024, 64
 
 
 #: Options with which lanes go one after another through the loop of a run.
-ONE_BY_ONE = ("section", "save", "certify")
+ONE_BY_ONE = ("save", "certify")
 
 
 @attrs.frozen(eq=False, slots=False)
@@ -76,10 +77,13 @@ class AskedLanes:
     @property
     def one_by_one(self) -> bool:
         """Whether another process saves time: lanes that threads of machine code fly together have
-        all cores already."""
-        measured = self.options.get("measure", ())
-        looks = any(self.options.get(name) is not None for name in ONE_BY_ONE)
-        return looks or (not callable(measured) and "stick" in measured)
+        all cores already, those of which jumps are asked among them."""
+        asked, measured = self.options, self.options.get("measure", ())
+        looks = any(asked.get(name) is not None for name in ONE_BY_ONE)
+        named = () if callable(measured) else [m for m in measured if m in NAMED]
+        section = asked.get("section")
+        jumps = isinstance(section, str) and asked.get("skip", 0) is not None
+        return looks or bool(named) or not (section is None or jumps)
 
     def rows(self, number: int) -> slice:
         """The lanes of a block."""
