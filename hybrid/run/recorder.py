@@ -273,7 +273,7 @@ class Recorder:
 
     def released(self, contact: str, t: float) -> None:
         """Note the release in the contact's last accumulation."""
-        point = next((p for p in reversed(self.zeno) if p.edges == (contact,)), None)
+        point = next((p for p in reversed(self.zeno) if p.held_by(contact)), None)
         if point is not None and point.mode is not None and point.t_release is None:
             point.t_release = t
 
