@@ -27,9 +27,10 @@ from ..trajectory.stats import versions
 if TYPE_CHECKING:
     import xarray
 
-#: Lanes in a block, at least and at most, and how many blocks there are where both allow it: a
-#: block is what an interrupt costs, and a file in a store.
-LEAST_BLOCK, MOST_BLOCK, BLOCKS = 16, 1024, 64
+#: Lanes in a block, at least and, in maps that are not large, at most; how many blocks there are
+#: where both allow it; and how many at most: a block is what an interrupt costs, and in a store a
+#: file for each column, of which there are some thirty.
+LEAST_BLOCK, MOST_BLOCK, BLOCKS, MOST_BLOCKS = 16, 1024, 64, 256
 
 
 #: Options with which lanes go one after another through the loop of a run.
@@ -171,7 +172,7 @@ def block_of(count: int, block: Any) -> int:
     OptionError
     """
     if block is None:
-        return max(LEAST_BLOCK, min(MOST_BLOCK, -(-count // BLOCKS)))
+        return max(LEAST_BLOCK, min(MOST_BLOCK, -(-count // BLOCKS)), -(-count // MOST_BLOCKS))
     if not (isinstance(block, int | np.integer) and block >= 1):
         raise OptionError(f"block={block!r}: a number of lanes, 1 or more")
     return int(block)
@@ -200,8 +201,10 @@ def _text(value: Any) -> str:
         seen = {name: _inner(each) for name, each in values(None, value)}
         return f"{_text(value.__code__)} {_text(value.__defaults__)} {_text(seen)}"
     if hasattr(value, "__array__"):
-        array = np.asarray(value)
-        return f"{array.shape} {array.tolist()}"
+        array = np.ascontiguousarray(value)
+        known = array.dtype.kind in "biufc"
+        said = sha256(array.tobytes()).hexdigest() if known else array.tolist()
+        return f"{array.shape} {array.dtype} {said}"
     if isinstance(value, list | tuple):
         return f"({', '.join(map(_text, value))})"
     if isinstance(value, str | bytes | int | float | complex | type(None)):

@@ -55,7 +55,8 @@ class Store:
             told["block"] = asked.block
             self.group.attrs["hybrid"] = told
         if DONE not in self.group:
-            self.group.create_array(DONE, shape=(asked.blocks,), chunks=(1,), dtype=float)
+            over = {"shape": (asked.blocks,), "chunks": (1,), "dimension_names": ("block",)}
+            self.group.create_array(DONE, dtype=float, **over)
 
     @property
     def missing(self) -> list[int]:
@@ -107,6 +108,14 @@ class Store:
                 data[name] = array.metadata.dimension_names, values, dict(array.attrs)
         own = {name: data.pop(name) for name in coordinates}
         return xarray.Dataset(data, coords=own, attrs=attributes)
+
+    def opened(self) -> xarray.Dataset:
+        """All lanes, when no block is missing, as columns that stay on disk."""
+        import xarray
+
+        attributes, coordinates = json.loads(self.group.attrs["attributes"])
+        found = xarray.open_zarr(self.path, chunks=None, consolidated=False, drop_variables=[DONE])
+        return found.set_coords(coordinates).assign_attrs(attributes)
 
 
 def status(path: Any) -> dict[str, Any]:
