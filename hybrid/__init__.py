@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from .certificates import Certificate, certify
     from .ensembles import ensemble
     from .functions import as_function
-    from .maps import Bifurcation, bifurcation, sweep
+    from .maps import Basins, Bifurcation, Region, basins, bifurcation, region, sweep
     from .orbits import lyapunov, periodic_orbit, return_map
     from .result import Trajectory, load
     from .simulation import simulate
@@ -69,8 +69,12 @@ _LAZY = {
     "periodic_orbit": "orbits",
     "return_map": "orbits",
     "ensemble": "ensembles",
+    "Basins": "maps",
     "Bifurcation": "maps",
+    "Region": "maps",
+    "basins": "maps",
     "bifurcation": "maps",
+    "region": "maps",
     "sweep": "maps",
     "simulate": "simulation",
     "load": "result",
@@ -107,6 +111,7 @@ __all__ = [
     "RISING",
     "TERMINATE",
     "Automaton",
+    "Basins",
     "Bench",
     "Bifurcation",
     "Certificate",
@@ -118,6 +123,7 @@ __all__ = [
     "OptionError",
     "OrbitError",
     "ParameterError",
+    "Region",
     "StartError",
     "Stats",
     "Status",
@@ -126,6 +132,7 @@ __all__ = [
     "Trajectory",
     "ZenoError",
     "as_function",
+    "basins",
     "bench",
     "bifurcation",
     "certify",
@@ -140,6 +147,7 @@ __all__ = [
     "parameter",
     "periodic_orbit",
     "picture",
+    "region",
     "return_map",
     "signal",
     "simulate",

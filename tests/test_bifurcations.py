@@ -1,6 +1,7 @@
 """Diagrams of bifurcations, and maps that are finer where lanes differ (``docs/maps.md``)."""
 
 import math
+import warnings
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -137,6 +138,62 @@ def test_cells_are_halved_where_orbits_differ():
     for end in (once.min(), once.max()):
         beside = np.abs(table.G.values - end)
         assert 0 < np.sort(beside)[1] <= width
+
+
+def bounds_of(e):
+    """From where on a ball may strike once in each period, and up to where stably."""
+    least = math.pi * (1 - e) / (1 + e)
+    return least, math.hypot(least, 2 * (1 + e * e) / (1 + e) ** 2)
+
+
+def exists(table):
+    """Of each lane whether there is an orbit that strikes once a period."""
+    return np.array([orbit is not None for orbit in map(orbit_of, table.G.values, table.e.values)])
+
+
+def stable(table):
+    """Of each lane whether that orbit is stable."""
+    found = map(orbit_of, table.G.values, table.e.values)
+    return np.array([o is not None and np.abs(o.multipliers).max() < 1.0 for o in found])
+
+
+def orbit_of(G, e):
+    """The orbit that strikes once a period, if there is one."""
+    least = bounds_of(e)[0]
+    begins = math.acos(min(1.0, least / G))
+    guess = {"x": G * math.sin(begins) + 1e-9, "v": math.pi}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            orbit = hy.periodic_orbit(Table(G=G, e=e), guess, period=2 * math.pi, t=begins)
+    except hy.OrbitError:
+        return None
+    return orbit if orbit.jumps == 1 else None  # not the one at rest on the table
+
+
+def border_of(e, which, width):
+    """The amplitudes between which the border lies, and how many lanes were flown to find it."""
+    exact = bounds_of(e)[which == "stable"]
+    table = hy.sweep(
+        Table(e=e), {"G": exact + np.array([-0.1, 0.07]), "e": [e]}, {"x": 3.0, "v": 0.0},
+        (0.0, 0.01), measure=[{"exists": exists, "stable": stable}[which]], refine={"G": width},
+        by=which,
+    )  # fmt: skip
+    order = np.argsort(table.G.values)
+    G, kinds = table.G.values[order], table[which].values[order]
+    (place,) = np.flatnonzero(np.diff(kinds))
+    return float(G[place]), float(G[place + 1]), len(G)
+
+
+@pytest.mark.parametrize("which", ["exists", "stable"])
+@pytest.mark.parametrize("e", [0.5, 0.8])
+def test_borders_of_an_orbit_to_a_millionth(e, which):
+    """Refinement by what :func:`hybrid.periodic_orbit` finds ends beside the closed forms."""
+    low, high, lanes = border_of(e, which, 1e-6)
+    assert high - low <= 1e-6
+    # beside the fold Newton's method has lost half of its digits, of 1e-12
+    assert low - 1e-9 <= bounds_of(e)[which == "stable"] <= high + 1e-9
+    assert lanes < 60
 
 
 def once_a_period(table):

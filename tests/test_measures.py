@@ -186,7 +186,7 @@ def test_nothing_is_stored_of_what_is_skipped(monkeypatch):
     monkeypatch.setattr(runs, "MeasuredLane", Counting)
     lanes = hy.ensemble(
         BeadOnTable(r=0.5, omega=6.0), {"x": 1.5, "v": 0.0}, (0.0, 300.0),
-        section="impact", skip=100, keep=3,
+        section="impact", skip=100, keep=3, measure=["stick"],
     )  # fmt: skip
     assert int(lanes.hits[0]) > 200
     assert max(sizes) == 1
@@ -220,3 +220,56 @@ def test_what_cannot_be_measured(asked, said):
     """Wrong use is one clear error before any lane flies."""
     with pytest.raises(hy.OptionError, match=said):
         hy.ensemble(Ball(), {"x": 1.0, "v": 0.0}, (0.0, 1.0), **asked)
+
+
+@pytest.mark.parametrize("asked", [{}, {"skip": 3, "every": 2, "keep": 5}])
+def test_jumps_of_lanes_that_machine_code_flies(asked, monkeypatch):
+    """Points at the jumps of a contact are those of the loop of a run, to the last bit."""
+    from hybrid.ensembles import measures
+
+    def fly():
+        return hy.ensemble(
+            Ball(r=0.95),
+            {"x": 1.0, "v": np.linspace(-1.0, 1.0, 40)},
+            (0.0, 6.0),
+            section="impact",
+            **asked,
+        )
+
+    flown, driven = [], runs._Runs.row
+    monkeypatch.setattr(runs._Runs, "row", lambda self, lane: flown.append(1) or driven(self, lane))
+    table = fly()
+    assert len(flown) < 5
+    monkeypatch.setattr(measures.Measures, "jumps_only", property(lambda self: False))
+    assert table.identical(fly())
+    assert len(flown) >= 40
+    assert np.isfinite(table.v_section.values).any()
+
+
+@pytest.mark.parametrize(("section", "every"), [("impact", 1), ("impact", 3), (0.05, 1), (0.05, 4)])
+def test_the_last_points(section, every):
+    """``skip=None`` keeps the last ones of those that are kept otherwise."""
+    asked = {"start": {"x": 1.0, "v": 0.0}, "t": (0.0, 9.0), "section": section, "every": every}
+    everyone = hy.ensemble(Ball(r=0.95), **asked, keep=999)
+    last = hy.ensemble(Ball(r=0.95), **asked, skip=None, keep=4)
+    there = np.isfinite(everyone.t_section.values[0])
+    for name in ("t_section", "x_section", "v_section"):
+        assert last[name].values[0].tolist() == everyone[name].values[0][there][-4:].tolist()
+    assert last.hits.values == everyone.hits.values
+    assert last.hit.values.tolist() == [-4 * every, -3 * every, -2 * every, -every]
+
+
+def test_how_far_a_lane_still_moves():
+    """A ball at rest does not, one that has jumped of late has no bound, an oscillator swings."""
+    rest = hy.ensemble(Ball(), {"x": 1.0, "v": 0.0}, (0.0, 60.0), section=1.0, skip=None)
+    assert rest.moves.values.tolist() == [0.0]
+    assert 1.0 <= rest.x_size.values[0] < 1.5  # a sum of coefficients: a bound
+    assert rest.x_range.values[0] == pytest.approx(0.0, abs=1e-15)
+    assert rest.mode_section.values[0, :3].tolist() == [1.0, 1.0, 1.0]  # at rest on the contact
+    jumping = hy.ensemble(Ball(), {"x": 1.0, "v": 0.0}, (0.0, 1.6), section=1.0, skip=None)
+    assert jumping.moves.values.tolist() == [np.inf]
+    swing = hy.ensemble(Swing(), {"x": 0.0, "v": 1.0}, (0.0, 80.0), section=1.0, skip=None)
+    # x = sin t: ten units of time show more than a period, sampled at nine of them
+    assert 1.0 < swing.moves.values[0] <= 2.0
+    # a bound by sums of coefficients, over steps of more than a unit of time
+    assert 2.0 <= swing.x_range.values[0] < 4.0

@@ -1,5 +1,6 @@
 """The command line."""
 
+from . import maps
 from .commands import app
 
-__all__ = ["app"]
+__all__ = ["app", "maps"]

@@ -1,5 +1,5 @@
 """The command line: ``hybrid run``, ``list``, ``check``, ``compare``, ``bench``,
-``certify``, ``sweep``, ``report``.
+``certify``, ``report``; the commands of maps are in :mod:`.maps`.
 
 Exit codes: 0 done (``certify``: certified); 1 solvers differ by more than the tolerance
 explains (``certify``: refuted); 2 something asked for cannot be done (one line says what);
@@ -8,7 +8,6 @@ explains (``certify``: refuted); 2 something asked for cannot be done (one line 
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,7 +16,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import attrs
-import numpy as np
 import typer
 
 from .. import gallery
@@ -25,7 +23,7 @@ from ..errors import PLOT, DeclarationError, HybridError, OptionError, need
 from ..result import Trajectory
 from ..trajectory.stats import versions
 from ..trajectory.trajectory import Status
-from .given import asked, bounds, can_write, pairs, tolerances, values
+from .given import asked, bounds, can_write, pairs, tolerances
 from .options import (
     Absolute,
     Before,
@@ -54,7 +52,7 @@ app = typer.Typer(
 
 
 @contextmanager
-def _one_line() -> Iterator[None]:
+def one_line() -> Iterator[None]:
     """Faults as one line on standard error and exit code 2."""
     try:
         yield
@@ -117,7 +115,7 @@ def run(
     json: Json = False,
 ) -> None:
     """Run a model, say what happened, and draw or save it."""
-    with _one_line():
+    with one_line():
         given = asked(model, set_, start, since, until, history)
         can_write("--plot", plot)
         can_write("--save", save)
@@ -144,13 +142,13 @@ def run(
             report_of(result)
             if oracle:
                 compared(rows)
-        for what, path, write in (
+        for what, path, write_it in (
             ("picture", plot, result.plot),
             ("trajectory", save, result.save),
             ("jumps", table_, partial(write_jumps, result)),
         ):
             if path is not None:
-                _write(partial(write, path))
+                write(partial(write_it, path))
                 if not (quiet or json):
                     typer.echo(f"{what}: {path}")
     if result.status is Status.INTERRUPTED:
@@ -174,7 +172,7 @@ def compare(
     """Run a model with all solvers side by side: what differs, and what explains it."""
     from ..benchmark.agreement import compare as run_all
 
-    with _one_line():
+    with one_line():
         given = asked(model, set_, start, since, until, history)
         options = {"rtol": rtol, "atol": atol, "history": given.history, "memory": memory}
         found = run_all(*given.run, **options)
@@ -218,7 +216,7 @@ def bench(
     from ..benchmark import bench as measure
     from ..benchmark.precision import TIMED_SOLVERS
 
-    with _one_line():
+    with one_line():
         if out is not None:
             need("--out", PLOT)
         given = asked(model, set_, start, since, until, history)
@@ -238,7 +236,7 @@ def bench(
             typer.echo(as_json(found.to_dict()) if json else str(found))
         if out is not None:
             name = Path(model.partition(":")[0]).stem
-            _write(lambda: _keep(found, out, name))
+            write(lambda: _keep(found, out, name))
             if not (quiet or json):
                 typer.echo(f"table, figure, numbers: {out / name}.txt, .png, .json")
 
@@ -252,101 +250,6 @@ def _keep(found: Any, out: Path, name: str) -> None:
     (out / f"{name}.txt").write_text(f"{found}\n", encoding="utf-8")
     found.plot(out / f"{name}.png")
     found.save(out / f"{name}.json")
-
-
-@app.command()
-def sweep(
-    model: Annotated[str | None, typer.Argument(help="As for run; none with --status.")] = None,
-    over: Annotated[
-        list[str] | None,
-        typer.Option(help="r=0.3:0.9:40, or r=[0.3,0.5]; a parameter, or a state's start."),
-    ] = None,
-    set_: Parameters = None,
-    start: States = None,
-    since: Since = None,
-    until: Until = None,
-    history: Before = None,
-    memory: MemoryKind = "keep",
-    solver: Annotated[
-        str | None, typer.Option(help="scipy, diffrax or taylor; taylor if it can, if omitted.")
-    ] = None,
-    method: MethodName = None,
-    rtol: Relative = None,
-    atol: Absolute = None,
-    max_step: LongestStep = None,
-    first_step: FirstStep = None,
-    zeno: Choice = "rest",
-    mode: ModeAtStart = None,
-    max_jumps: MostJumps = None,
-    measure: Annotated[
-        list[str] | None, typer.Option(help="An output, stick, or period. May be repeated.")
-    ] = None,
-    section: Annotated[
-        str | None, typer.Option(help="A jump's name, or a period: points of each lane there.")
-    ] = None,
-    skip: Annotated[int, typer.Option(help="Points on the section to pass over.")] = 0,
-    keep: Annotated[int, typer.Option(help="Points to keep at most.")] = 32,
-    store: Annotated[
-        str | None, typer.Option(help="Where blocks are kept as they are done: map.zarr.")
-    ] = None,
-    save: Annotated[str | None, typer.Option(help="Write the map: out.nc.")] = None,
-    status: Annotated[
-        str | None, typer.Option(help="Say how far the map is that is stored there.")
-    ] = None,
-    quiet: Quiet = False,
-    json: Json = False,
-) -> None:
-    """Run a model over a grid of parameters and starts; with --store it can be gone on with."""
-    from ..maps.store import status as stored
-
-    with _one_line():
-        if status is not None:
-            found = stored(status)
-            said = "{model}: {done} of {blocks} blocks are done, {lanes} lanes in all"
-            if json or not quiet:
-                typer.echo(as_json(found) if json else said.format(**found))
-            return
-        if model is None:
-            raise OptionError("hybrid sweep MODEL --over NAME=FROM:TO:COUNT, or --status map.zarr")
-        can_write("--save", save)
-        axes = values(over or [])
-        first = [f"{name}=0" for name in axes]  # a state that is swept needs no start
-        given = asked(model, set_, [*(start or []), *first], since, until, history)
-        made, begin, span = given.run
-        begin = {name: value for name, value in begin.items() if name not in axes}
-        options = {"history": given.history, "memory": memory, "solver": solver}
-        options |= {"method": method, "rtol": rtol, "atol": atol, "max_step": max_step}
-        options |= {"first_step": first_step, "zeno": zeno, "mode": mode, "max_jumps": max_jumps}
-        options |= {"measure": measure or [], "skip": skip, "keep": keep, "store": store}
-        try:
-            options["section"] = section if section is None else float(section)
-        except ValueError:
-            options["section"] = section
-        try:
-            table = _sweep(made, axes, begin, span, options)
-        except KeyboardInterrupt:
-            left = f"; what is done is in {store}" if store else ""
-            typer.echo(f"hybrid: interrupted{left}", err=True)
-            raise typer.Exit(130) from None
-        names, counts = np.unique(table.status.values, return_counts=True)
-        told = dict(zip(names.tolist(), counts.tolist(), strict=True))
-        if json:
-            typer.echo(as_json({"lanes": int(counts.sum()), "status": told}))
-        elif not quiet:
-            ends = ", ".join(f"{count} {name}" for name, count in told.items())
-            typer.echo(f"{table.attrs['model']}: {counts.sum()} lanes: {ends}")
-        if save is not None:
-            _write(partial(table.to_netcdf, save, engine="h5netcdf"))
-
-
-def _sweep(model: Any, axes: Any, start: Any, span: Any, options: dict[str, Any]) -> Any:
-    from ..maps import sweep as fly
-
-    lanes = math.prod(len(values) for values in axes.values())
-    if not sys.stderr.isatty():
-        return fly(model, axes, start, span, **options)
-    with bar((0.0, lanes)) as told:
-        return fly(model, axes, start, span, progress=lambda done, _: told(done), **options)
 
 
 #: Exit codes of ``hybrid certify``.
@@ -369,7 +272,7 @@ def certify(
     """Prove that impacts accumulate: exit code 0 certified, 1 refuted, 3 undecided."""
     from ..certificates import certify as prove
 
-    with _one_line():
+    with one_line():
         made = gallery.find(model).cls(**pairs(set_ or [], "--set"))
         found = prove(made, bounds(box or []), mode, contact)
     if json or not quiet:
@@ -400,7 +303,7 @@ def check(
     from ..lowering import Scene
     from ..lowering.taylor import flat
 
-    with _one_line():
+    with one_line():
         try:
             entry = gallery.find(file)
             spec = entry.cls.spec
@@ -439,7 +342,7 @@ def report(
     """Reproduce the paper *Analysis of Impact Chattering*: a page of claims and verdicts."""
     judged: list[Any] = []
     tell = partial(_judged, judged, quiet or json)
-    with _one_line():
+    with one_line():
         path = gallery.paper().report(out, only or [], tell)
     if json:
         typer.echo(as_json({"page": str(path), "claims": judged}))
@@ -467,7 +370,7 @@ def _simulate(model: Any, start: Any, span: tuple[float, float], **options: Any)
         return simulate(model, start, span, progress=progress, **options)
 
 
-def _write(action: Callable[[], Any]) -> None:
+def write(action: Callable[[], Any]) -> None:
     """Write a file, or say why it cannot be written."""
     try:
         action()

@@ -19,6 +19,8 @@ from ..automaton.reals import reals
 from ..automaton.spec import Spec
 from ..automaton.trace import instance
 from ..errors import OptionError
+from ..lowering import Scene
+from ..lowering.scene import parted, rest_name
 from ..rules.guards import TIE
 from ..rules.zeros import EPS
 from ..run.options import require_count
@@ -28,13 +30,19 @@ from ..trajectory.log import Flights, Log
 from .starts import Lane, Lanes, told
 
 if TYPE_CHECKING:
-    from ..automaton.shapes import Numbers, StateVector
+    from ..automaton.shapes import Matrix, Numbers, StateVector
 
 #: Measures by name that are no state or output of the model, and what they are.
 NAMED = {
     "stick": "share of the time at rest on contacts or sliding",
     "period": "points of the section after which they repeat, 0 where they do not",
 }
+
+#: How far a lane still moves.
+STILL_MOVES = "largest change of a state over the last eighth of the time, against its size"
+
+#: A lane that does not move has not done so for this share of its time.
+STILL_SHARE = 0.125
 
 #: Points of a section are the same where they differ by this share at most of what the lane's
 #: states come to: more than tolerances leave on a stable orbit, less than one of twice the period.
@@ -63,7 +71,7 @@ class Measures:
     functions: tuple[Callable[..., Any], ...]
     section: Any
     crossing: Crossing
-    skip: int
+    skip: int | None
     every: int
     keep: int
     times: Numbers | None
@@ -90,7 +98,8 @@ class Measures:
         for name, value, least in zip(
             ("skip", "every", "keep"), points[1:], (0, 1, 1), strict=True
         ):
-            require_count(name, value, least)
+            if not (name == "skip" and value is None):
+                require_count(name, value, least)
         crossing, skip, every, keep = points
         counts = skip, every, keep, _times(spec, save)
         return cls(spec, named, outputs, functions, section, crossing, *counts)
@@ -105,12 +114,40 @@ class Measures:
         """Whether lanes have to be looked at on their way."""
         return bool(self.shapes)
 
+    @property
+    def jumps_only(self) -> bool:
+        """Whether all that is asked for of a lane is in the table of its jumps."""
+        return isinstance(self.section, str) and set(self.shapes) == {"hits", "t", "points"}
+
+    def of_jumps(self, fired: Matrix, when: Matrix, after: np.ndarray) -> Matrix:
+        """What is kept of lanes whose jumps are known.
+
+        Parameters
+        ----------
+        fired : array of bool, shape (lanes, jumps)
+            Which jumps are those of the section.
+        when, after : arrays, shapes (lanes, jumps) and (lanes, jumps, n)
+            Times, and states after them.
+        """
+        assert self.skip is not None
+        numbers = np.full((len(fired), self.size), np.nan)
+        views = self.views(numbers)
+        views["hits"][...] = fired.sum(axis=1)
+        place, rest = np.divmod(np.cumsum(fired, axis=1) - 1 - self.skip, self.every)
+        lanes, jumps = np.nonzero(fired & (rest == 0) & (place >= 0) & (place < self.keep))
+        where = lanes, place[lanes, jumps]
+        views["t"][where], views["points"][where] = when[lanes, jumps], after[lanes, jumps]
+        return numbers
+
     @cached_property
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """What is kept of each lane, by name."""
         shapes: dict[str, tuple[int, ...]] = {}
         if self.section is not None:
             shapes |= {"hits": (), "t": (self.keep,), "points": (self.keep, self.spec.dimension)}
+        if self.section is not None and self.skip is None:
+            shapes |= {"modes": (self.keep,), "moves": ()}
+            shapes |= dict.fromkeys(("size", "range"), (self.spec.dimension,))
         if self.times is not None:
             shapes["saved"] = (len(self.times), self.spec.dimension)
         return shapes | dict.fromkeys(self.names, ())
@@ -145,6 +182,15 @@ class Measures:
             made["hits"] = "lane", views["hits"], {"long_name": "points met on the section"}
             made["t_section"] = ("lane", "hit"), views["t"], {"long_name": "time"}
             made |= self._states(lanes, "section", "hit", views["t"], views["points"])
+        if "modes" in views:
+            made["mode_section"] = (
+                ("lane", "hit"),
+                views["modes"],
+                {"long_name": "number of a mode"},
+            )
+            made["moves"] = "lane", views["moves"], {"long_name": STILL_MOVES, "units": "1"}
+            for what in ("size", "range"):
+                made |= self._vectors(what, views[what])
         if self.times is not None:
             made |= self._states(lanes, "saved", "time", self.times, views["saved"])
         for name in self.names:
@@ -155,11 +201,24 @@ class Measures:
         """The numbers of the points that are kept, and the times."""
         made: dict[str, Any] = {}
         if self.section is not None:
-            numbers = self.skip + self.every * np.arange(self.keep)
+            first = -self.every * self.keep if self.skip is None else self.skip
+            numbers = first + self.every * np.arange(self.keep)
             made["hit"] = "hit", numbers, {"long_name": "number of the point on the section"}
         if self.times is not None:
             made["time"] = "time", self.times
         return made
+
+    def _vectors(self, what: str, values: np.ndarray) -> dict[str, Any]:
+        """A number for each state."""
+        record = self.spec.record(values)
+        return {
+            f"{s.name}_{what}": (
+                ("lane", *(f"{s.name}_{i}" for i in range(len(s.shape)))),
+                record[s.name],
+                told(s),
+            )
+            for s in self.spec.states
+        }
 
     def _states(
         self, lanes: Lanes, what: str, axis: str, t: np.ndarray, x: np.ndarray
@@ -214,6 +273,9 @@ class MeasuredLane(Log):
         self.numbers = np.full(asked.size, np.nan)
         self.views = asked.views(self.numbers)
         self.met, self.stuck, self.size = 0, 0.0, 0.0 * lane.x
+        self.middle = 0.5 * (lane.t[0] + lane.t[1])
+        self.low, self.high = np.inf + self.size, -np.inf + self.size
+        self.scene = lane.scene
         strobes = self._strobes(lane.t[1])
         times = np.empty(0) if asked.times is None else asked.times
         self.due = {"points": strobes, "saved": times}
@@ -222,20 +284,34 @@ class MeasuredLane(Log):
     def dense(self) -> bool:
         """Whether steps are looked at."""
         timed = any(map(len, self.due.values()))
-        return isinstance(self.section, Surface) or timed or "period" in self.views
+        return isinstance(self.section, Surface) or timed or self.sized
+
+    @property
+    def sized(self) -> bool:
+        """Whether it is asked how large the states are."""
+        return "period" in self.views or "size" in self.views
 
     def _strobes(self, t1: float) -> np.ndarray:
         """The times of a section in time that are kept."""
         if not isinstance(self.section, Period):
             return np.empty(0)
-        numbers = self.asked.skip + self.asked.every * np.arange(self.asked.keep)
+        skip, every, keep = self.asked.skip, self.asked.every, self.asked.keep
+        if skip is None:
+            numbers = np.arange(0, self._periods(t1), every)[-keep:]
+        else:
+            numbers = skip + every * np.arange(keep)
         times = self.t0 + (1 + numbers) * self.section.period
         times = np.where(np.abs(times - t1) <= TIE * np.spacing(abs(t1)), t1, times)
         return times[times <= t1]
 
+    def _periods(self, t1: float) -> int:
+        """How many periods there are to a time."""
+        assert isinstance(self.section, Period)
+        return int((t1 - self.t0) / self.section.period * (1.0 + TIE * EPS))
+
     def add(self, part: Part | Flights) -> None:
         """Look at the part before, which has ended, and keep this one in its place."""
-        self._look()
+        self._look(part)
         self.kept, self.own = [part], {}
 
     def end(self) -> np.ndarray:
@@ -244,11 +320,17 @@ class MeasuredLane(Log):
         t1 = self.kept[-1].t1 if self.kept else self.t0
         for name, times in self.due.items():
             for place in np.flatnonzero(times == t1).tolist() if self.kept else ():
-                self.views[name][place] = self.kept[-1].last
+                self._put(name, place, self.kept[-1].last, self.kept[-1].mode)
         if isinstance(self.section, Period):
-            self.met = int((t1 - self.t0) / self.section.period * (1.0 + TIE * EPS))
+            self.met = self._periods(t1)
             times = self.due["points"]
             self.views["t"][: len(times)] = np.where(times <= t1, times, np.nan)
+        elif "modes" in self.views:
+            self._unroll()
+        if "moves" in self.views:
+            self.views["size"][...] = self.size
+            self.views["range"][...] = np.maximum(self.high - self.low, 0.0)
+            self.views["moves"][...] = self._moves(t1)
         if "stick" in self.views and t1 > self.t0:
             self.views["stick"][...] = self.stuck / (t1 - self.t0)
         if "hits" in self.views:
@@ -257,11 +339,35 @@ class MeasuredLane(Log):
             self.views["period"][...] = _period(self.views["points"], self.size)
         return self.numbers
 
-    def _look(self) -> None:
+    def _unroll(self) -> None:
+        """The oldest of the last points first: they have been put down round and round."""
+        kept = -(-self.met // self.asked.every)
+        if kept > self.asked.keep:
+            for name in ("t", "points", "modes"):
+                view = self.views[name]
+                view[...] = np.roll(view, -(kept % self.asked.keep), axis=0)
+
+    def _moves(self, t1: float) -> float:
+        """How far the state still moves; infinite where it has jumped of late."""
+        part = self.kept[-1] if self.kept else None
+        since = t1 - STILL_SHARE * (t1 - self.t0)
+        if not isinstance(part, Arc) or part.t0 > since:
+            return np.inf
+        states = np.array([_at(part, t) for t in np.linspace(since, t1, 9).tolist()])
+        far = np.abs(states - part.last).max(axis=0)
+        return float((far / np.where(self.size > 0, self.size, 1.0)).max())
+
+    def _put(self, name: str, place: int, x: StateVector, mode: str) -> None:
+        """Put down a state; of points on a section the mode behind them."""
+        self.views[name][place] = x
+        if name == "points" and "modes" in self.views:
+            self.views["modes"][place] = number_of(self.scene, mode)
+
+    def _look(self, then: Part | Flights | None = None) -> None:
+        """Look at what is kept; ``then`` comes after it."""
         for part in self.kept:
-            if "period" in self.views:
-                for segment in (s for arc in _arcs(part) for s in arc.segments):
-                    self.size = np.maximum(self.size, np.abs(segment.coefficients).sum(axis=0))
+            if self.sized:
+                self._measure(part)
             if isinstance(part, Flights):
                 constrained = np.array([name.endswith(")") for name in part.modes])
                 self.stuck += float(part.lengths[constrained].sum())
@@ -269,37 +375,70 @@ class MeasuredLane(Log):
                 self.stuck += part.length
             for name, times in self.due.items():
                 for k in np.flatnonzero((times >= part.t0) & (times < part.t1)).tolist():
-                    self.views[name][k] = _at(part, float(times[k]))
+                    self._put(name, k, _at(part, float(times[k])), _mode_at(part, float(times[k])))
             if isinstance(self.section, EdgeSection):
-                self._jumps(part, self.section.name)
+                self._jumps(part, self.section.name, then)
             elif isinstance(self.section, Surface):
                 self._crossings(part, self.section)
 
-    def _jumps(self, part: Part | Flights, edge: str) -> None:
+    def _measure(self, part: Part | Flights) -> None:
+        """How large the states are; and between which bounds they lie in the second half."""
+        for arc in _arcs(part):
+            for segment in arc.segments:
+                size = np.abs(segment.coefficients)
+                self.size = np.maximum(self.size, size.sum(axis=0))
+                if arc.t0 + segment.start >= self.middle:
+                    around = size[1:].sum(axis=0)
+                    self.low = np.minimum(self.low, segment.coefficients[0] - around)
+                    self.high = np.maximum(self.high, segment.coefficients[0] + around)
+
+    def _jumps(self, part: Part | Flights, edge: str, then: Part | Flights | None) -> None:
         """Jumps of an edge."""
-        row = self.own.get(0)
+        row, behind = self.own.get(0), _first_mode(then) or part.mode
         if isinstance(part, Flights):
+            modes = [*part.modes[1:].tolist(), behind]
             for k in np.flatnonzero(part.jumps.edge == edge).tolist():
-                self._meet(float(part.jumps.t[k]), part.jumps.after[k])
+                self._meet(float(part.jumps.t[k]), part.jumps.after[k], modes[k])
         elif isinstance(part, Arc) and row is not None and row.edge == edge:
-            self._meet(row.t, row.after)
+            self._meet(row.t, row.after, behind)
 
     def _crossings(self, part: Part | Flights, surface: Surface) -> None:
         """Crossings of a surface."""
         for arc in _arcs(part):
             for tau in surface.crossings(arc, starts=arc.t0 <= self.t0):
-                self._meet(arc.t0 + (arc.low + tau), arc.local(tau))
+                self._meet(arc.t0 + (arc.low + tau), arc.local(tau), arc.mode)
 
-    def _meet(self, t: float, x: StateVector) -> None:
-        place, rest = divmod(self.met - self.asked.skip, self.asked.every)
+    def _meet(self, t: float, x: StateVector, mode: str) -> None:
+        skip, keep = self.asked.skip, self.asked.keep
+        place, rest = divmod(self.met - (skip or 0), self.asked.every)
         self.met += 1
-        if rest == 0 and 0 <= place < self.asked.keep:
-            self.views["t"][place], self.views["points"][place] = t, x
+        place = place % keep if skip is None else place
+        if rest == 0 and 0 <= place < keep:
+            self.views["t"][place] = t
+            self._put("points", place, x, mode)
 
 
 def _arcs(part: Part | Flights) -> Sequence[Arc]:
     """The arcs of a part, but for those within a sum of impacts."""
     return part.arcs if isinstance(part, Flights) else [part] if isinstance(part, Arc) else []
+
+
+def _first_mode(part: Part | Flights | None) -> str | None:
+    """The mode in which a part begins."""
+    return None if part is None else part.modes[0] if isinstance(part, Flights) else part.mode
+
+
+def _mode_at(part: Part | Flights, t: float) -> str:
+    """The mode of a part at a time."""
+    return part.arc_at(t).mode if isinstance(part, Flights) else part.mode
+
+
+def number_of(scene: Scene, mode: str) -> int:
+    """A number for a mode of an arc: no other one has it."""
+    if mode in scene.modes:
+        return scene.modes.index(mode)
+    own, held = parted(mode)
+    return len(scene.modes) + sum(1 << scene.modes.index(rest_name(own, (c,))) for c in held)
 
 
 def _at(part: Part | Flights, t: float) -> np.ndarray:
@@ -308,4 +447,4 @@ def _at(part: Part | Flights, t: float) -> np.ndarray:
     return arc.local((t - arc.t0) - arc.low if t > arc.t0 else 0.0)
 
 
-__all__ = ["MeasuredLane", "Measures"]
+__all__ = ["MeasuredLane", "Measures", "number_of"]

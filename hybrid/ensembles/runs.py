@@ -26,7 +26,7 @@ from ..trajectory.trajectory import Status
 from .measures import MeasuredLane, Measures
 from .processes import Shared, Unfit
 from .starts import Lane, Lanes, told
-from .threads import FlownLanes, GivenLanes, abreast
+from .threads import LANE_JUMPS, FlownLanes, GivenLanes, abreast
 
 if TYPE_CHECKING:
     import xarray
@@ -79,7 +79,7 @@ def ensemble(
     measure: Any = (),
     section: Any = None,
     crossing: Crossing = RISING,
-    skip: int = 0,
+    skip: int | None = 0,
     every: int = 1,
     keep: int = 32,
     save: Any = None,
@@ -133,7 +133,8 @@ def ensemble(
         jump, a surface ``(self, t, s)``, a period, or a function ``(self)`` that returns it.
     skip, every, keep : int
         Of the points on the section, skip the first ones (a transient), then keep one of ``every``,
-        and at most ``keep`` of them.
+        and at most ``keep`` of them. With ``skip=None`` the last ones are kept, and with them the
+        mode after each, the size of each state, and how far the lane still moves.
     save : array, optional
         Times at which the states of each lane are kept.
     progress : callable ``(lanes)``, optional
@@ -152,8 +153,11 @@ def ensemble(
         empty if nothing accumulates); ``status``, and ``reason``, a sentence. A lane that fails is
         a row with its reason, and the time and state after its last jump. With ``section``, over
         ``lane`` and ``hit``: times ``t_section`` and each state, ``x_section``, NaN where a lane
-        has fewer; ``hits`` is the number of points met. With ``save``, over ``lane`` and ``time``:
-        each state, ``x_saved``, NaN at times outside the lane. States, outputs and varied
+        has fewer; ``hits`` is the number of points met. With ``skip=None`` also ``mode_section``, a
+        number for the mode of an arc; ``x_size`` and ``x_range``, bounds on the size of a state and
+        on its span in the second half of the time; ``moves``, the largest change of a state over
+        the last eighth of the time, relative to its size. With ``save``, over ``lane`` and
+        ``time``: each state, ``x_saved``, NaN at times outside the lane. States, outputs and varied
         parameters have their units as attributes.
 
     Raises
@@ -176,7 +180,7 @@ def ensemble(
             "section, save and stick in a call of its own"
         )
     scene = scene_of(model, by="hy.ensemble with section, save or stick" * measures.anything)
-    solver, method = renamed(_solver(scene, solver, method), method)
+    solver, method = renamed(solver_for(scene, solver, method), method)
     options = {
         "solver": solver,
         "method": method,
@@ -268,8 +272,8 @@ def _flier(
     return lambda i: runs.row(lanes.lane(i))
 
 
-def _solver(scene: Scene, solver: str | None, method: Any) -> str:
-    """The solver named; else Taylor series, where the model has them."""
+def solver_for(scene: Scene, solver: str | None, method: Any) -> str:
+    """The solver of an ensemble: the one named; else Taylor series, where the model has them."""
     if solver is not None:
         return solver
     series = method is None and not scene.spec.lags
@@ -350,16 +354,19 @@ class _Runs:
         yield from self.others(job)
 
     def plain(self, scene: Scene) -> Iterator[None]:
-        """Fly lanes that need no judgement, some at a time; none that is looked at on its way."""
-        lanes = self.lanes
+        """Fly lanes that need no judgement, some at a time; of those that are looked at on their
+        way the ones of which jumps say all that is asked for."""
+        lanes, rows = self.lanes, 0
         if self.measures.anything:
-            return
+            if not self.measures.jumps_only:
+                return
+            rows = LANE_JUMPS
         try:
             driver = self.asked.driver(scene, lanes.t[0].tolist(), lanes.x[0], lanes.before(0))
         except HybridError:  # it is the lanes' own
             return
         given = GivenLanes(lanes.values, lanes.t, lanes.x)
-        together = abreast(scene, driver, self.mode, given)
+        together = abreast(scene, driver, self.mode, given, rows)
         for flown in together.fly() if together else ():
             self._put(together, flown)
             yield
@@ -377,8 +384,16 @@ class _Runs:
             names = np.array([together.mode(number) for number in modes], dtype=object)
             verdict = np.where(told[:, SUMMED] > 0, "estimated", "")
             counts = told[:, MADE_JUMPS], told[:, MADE_STEPS], told[:, SUMMED]
-            said = verdict, status.name.lower(), str(status), np.nan
+            said = verdict, status.name.lower(), str(status), self._measured(together, those)
             self.rows.put(which, _Row._make((t, x, names, *counts, t_inf, error, ratio, *said)))
+
+    def _measured(self, together: Any, flown: FlownLanes) -> Any:
+        """What is asked for of lanes besides their ends, from their jumps."""
+        if not self.measures.anything:
+            return np.nan
+        edges = [guard.edge == self.measures.section for guard in together.tables.guards]
+        fired = np.array([*edges, False])[flown.fired]  # -1 where there are no more
+        return self.measures.of_jumps(fired, flown.when, flown.around[:, :, 1])
 
     def others(self, job: Callable[[], tuple[Any, ...]]) -> Iterator[None]:
         """Fly the lanes that are left, one by one, here and in other processes."""
@@ -482,4 +497,4 @@ def _of(table: xarray.Dataset, function: Callable[..., Any]) -> np.ndarray:
     return column
 
 
-__all__ = ["ensemble"]
+__all__ = ["ensemble", "solver_for"]

@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 #: bounds there are so many calls for each thread, that all end together.
 BLOCK_LANES, LEAST_LANES, CALLS_EACH = 256, 8, 4
 
+#: Jumps of a call, of those that are kept: what is kept of them takes some megabytes.
+BLOCK_JUMPS = 2**17
+
 #: Lanes that are flown first, to see what the tables of all must have.
 FIRST_LANES = 16
 
@@ -192,7 +195,8 @@ class Abreast:
 
     def _in_threads(self, which: Integers) -> Iterator[FlownLanes]:
         threads = _threads()
-        size = min(BLOCK_LANES, max(LEAST_LANES, len(which) // (CALLS_EACH * threads)))
+        most = min(BLOCK_LANES, BLOCK_JUMPS // max(1, self.rows))
+        size = max(LEAST_LANES, min(most, len(which) // (CALLS_EACH * threads)))
         automaton = self.tables.automaton
         if len(which) <= size:
             flown, steps = self._block(automaton, which)

@@ -8,12 +8,17 @@ from typing import TYPE_CHECKING, Any
 import attrs
 import numpy as np
 
-from ..errors import PLOT, OptionError, need
-from ..plot.figure import Curve, Figure, Panel, column
+from ..errors import OptionError
+from ..plot.figure import Curve, Density, Figure, Panel, column
 from .grid import sweep
+from .picture import axis, drawn
 
 if TYPE_CHECKING:
     import xarray
+
+#: More points than these are drawn as how many there are in a cell; and cells along each axis, at
+#: most: about as many as a picture has dots.
+MOST_DOTS, CELLS = 20_000, (1000, 600)
 
 
 @attrs.frozen(eq=False)
@@ -33,37 +38,45 @@ class Bifurcation:
     name: str
 
     def plot(self, state: str, path: Any = None) -> Any:
-        """Draw the points, a column for each value of the parameter.
+        """Draw the points, a column for each value of the parameter; many as their density.
 
         Parameters
         ----------
         state : str
             A state, or an output that was measured.
         path : str or path, optional
-            Also write the figure there.
+            Also write the figure there; a page if it ends in .html.
 
         Returns
         -------
-        matplotlib.figure.Figure
+        The figure of matplotlib, or of plotly.
 
         Raises
         ------
         OptionError
-            If there is no such column, or matplotlib is missing.
+            If there is no such column, or what draws is missing.
         """
-        need("bifurcation.plot", PLOT)
-        from ..plot.static import draw
-
         known = [str(name).removesuffix("_section") for name in self.table if _drawable(self, name)]
         if state not in known:
             raise OptionError(f"{state!r}: there are points of {', '.join(known)}")
         points = self.table[f"{state}_section"]
-        x, y = np.broadcast_arrays(self.table[self.name].values[:, None], points.values)
-        curve = Curve(x=x.ravel(), y=y.ravel(), look="mark")
-        ours = _axis(self.name, self.table[self.name]), _axis(state, points)
-        panel = Panel(curves=[curve], x=ours[0], y=ours[1])
+        values = np.broadcast_to(self.table[self.name].values[:, None], points.shape)
+        known_points = np.isfinite(points.values)
+        shown = _shown(values[known_points], points.values[known_points])
+        across, up = axis(self.name, self.table[self.name]), axis(state, points)
+        panel = attrs.evolve(shown, x=across, y=up)
         title = f"{self.table.attrs['model']}: {state} on the section"
-        return draw(Figure(name="bifurcation", title=title, columns=column(panel)), path)
+        figure = Figure(name="bifurcation", title=title, columns=column(panel))
+        return drawn(figure, path, "bifurcation")
+
+
+def _shown(x: np.ndarray, y: np.ndarray) -> Panel:
+    """Points as dots, or as their density."""
+    if x.size <= MOST_DOTS:
+        return Panel(curves=[Curve(x=x, y=y, look="mark")], share=2.0)
+    each = min(CELLS[0], np.unique(x).size), CELLS[1]
+    count, across, up = np.histogram2d(x, y, bins=each)
+    return Panel(density=Density(x=across, y=up, count=count.T), share=2.0)
 
 
 def bifurcation(
@@ -112,11 +125,6 @@ def _drawable(found: Bifurcation, name: Any) -> bool:
     """Whether a column is a number at each point."""
     is_point = str(name).endswith("_section") and name != "t_section"
     return is_point and found.table[name].dims == (found.name, "hit")
-
-
-def _axis(name: str, values: Any) -> str:
-    unit = values.attrs.get("units")
-    return f"{name} [{unit}]" if unit else name
 
 
 __all__ = ["Bifurcation", "bifurcation"]

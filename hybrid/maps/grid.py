@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..automaton.base import require_model
-from ..errors import TABLES, need
+from ..errors import TABLES, OptionError, need
 from .lanes import AskedLanes, block_of, dimension, points_of
 from .refine import Lattice, refined
 from .store import Store
@@ -32,6 +32,7 @@ def sweep(
     refine: Mapping[str, float] | None = None,
     by: str = "verdict",
     progress: Progress | None = None,
+    load: bool = True,
     **options: Any,
 ) -> xarray.Dataset:
     """Simulate a model over a grid of parameters and starts, in blocks.
@@ -48,8 +49,9 @@ def sweep(
     executor : concurrent.futures.Executor, optional
         What flies blocks: a pool of threads or processes, Dask's ``Client.get_executor()``. Without
         one they are flown here, where an ensemble has threads on all cores; blocks of lanes that go
-        one by one (``section``, ``save``, ``certify``) are shared with other processes where that
-        pays. A block whose worker has died is flown again, here.
+        one by one (a ``section`` that is no jump's name, ``save``, ``certify``, ``"stick"``) are
+        shared with other processes where that pays. A block whose worker has died is flown again,
+        here.
     store : path, optional
         A Zarr group into which each block is written once. Where it exists, what is there is not
         flown again (extra ``maps``).
@@ -62,6 +64,9 @@ def sweep(
         The column by which they differ.
     progress : callable ``(done, lanes)``, optional
         Called after each block; with ``refine`` of each round.
+    load : bool
+        With ``store`` and False the columns stay on disk until they are looked at, over ``lane``:
+        for maps that do not fit into memory.
     options
         As :func:`hybrid.ensemble` takes them: ``measure``, ``section``, ``solver`` and the others.
 
@@ -87,12 +92,14 @@ def sweep(
     need("hy.sweep", TABLES)
     require_model(model)
     axes = points_of(model.spec, over)
+    if not load and (store is None or refine is not None):
+        raise OptionError(f"{model.spec.model}: load=False takes store=, and no refine=")
 
     def fly(points: Mapping[str, np.ndarray], turn: int = 0) -> xarray.Dataset:
         lanes = block_of(len(next(iter(points.values()))), block)
         place = store if store is None or not turn else Path(store) / f"round{turn}"
         asked = AskedLanes(model, points, {} if start is None else start, t, options, lanes)
-        return lanes_of(asked, executor, place, progress)
+        return lanes_of(asked, executor, place, progress, load)
 
     names = {name: dimension(model.spec, name) for name in axes}
     if refine is not None:
@@ -101,11 +108,17 @@ def sweep(
         return table if others else table.swap_dims(lane=first).sortby(first)
     grid = [v.ravel() for v in np.meshgrid(*axes.values(), indexing="ij")]
     table = fly(dict(zip(axes, grid, strict=True)))
+    if not load:
+        return table
     return folded(table, {names[name]: values for name, values in axes.items()})
 
 
 def lanes_of(
-    asked: AskedLanes, executor: Any, store: Any, progress: Progress | None = None
+    asked: AskedLanes,
+    executor: Any,
+    store: Any,
+    progress: Progress | None = None,
+    load: bool = True,
 ) -> xarray.Dataset:
     """All lanes as a table over ``lane``, those that a store has from there."""
     import xarray
@@ -124,7 +137,7 @@ def lanes_of(
             if progress is not None:
                 progress(min(done * asked.block, asked.count), asked.count)
     if kept is not None:
-        return kept.table()
+        return kept.table() if load else kept.opened()
     made = [tables[number] for number in range(asked.blocks)]
     return xarray.concat(made, dim="lane", data_vars="minimal", coords="minimal", compat="equals")
 

@@ -19,6 +19,7 @@ from ..automaton.reals import reals
 from ..automaton.spec import Spec
 from ..automaton.trace import instance
 from ..ensembles import ensemble
+from ..ensembles.measures import NAMED
 from ..ensembles.processes import Unfit
 from ..errors import OptionError, StoreError
 from ..trajectory.stats import versions
@@ -26,13 +27,14 @@ from ..trajectory.stats import versions
 if TYPE_CHECKING:
     import xarray
 
-#: Lanes in a block, at least and at most, and how many blocks there are where both allow it: a
-#: block is what an interrupt costs, and a file in a store.
-LEAST_BLOCK, MOST_BLOCK, BLOCKS = 16, 1024, 64
+#: Lanes in a block, at least and, in maps that are not large, at most; how many blocks there are
+#: where both allow it; and how many at most: a block is what an interrupt costs, and in a store a
+#: file for each column, of which there are some thirty.
+LEAST_BLOCK, MOST_BLOCK, BLOCKS, MOST_BLOCKS = 16, 1024, 64, 256
 
 
 #: Options with which lanes go one after another through the loop of a run.
-ONE_BY_ONE = ("section", "save", "certify")
+ONE_BY_ONE = ("save", "certify")
 
 
 @attrs.frozen(eq=False, slots=False)
@@ -76,10 +78,13 @@ class AskedLanes:
     @property
     def one_by_one(self) -> bool:
         """Whether another process saves time: lanes that threads of machine code fly together have
-        all cores already."""
-        measured = self.options.get("measure", ())
-        looks = any(self.options.get(name) is not None for name in ONE_BY_ONE)
-        return looks or (not callable(measured) and "stick" in measured)
+        all cores already, those of which jumps are asked among them."""
+        asked, measured = self.options, self.options.get("measure", ())
+        looks = any(asked.get(name) is not None for name in ONE_BY_ONE)
+        named = () if callable(measured) else [m for m in measured if m in NAMED]
+        section = asked.get("section")
+        jumps = isinstance(section, str) and asked.get("skip", 0) is not None
+        return looks or bool(named) or not (section is None or jumps)
 
     def rows(self, number: int) -> slice:
         """The lanes of a block."""
@@ -167,7 +172,7 @@ def block_of(count: int, block: Any) -> int:
     OptionError
     """
     if block is None:
-        return max(LEAST_BLOCK, min(MOST_BLOCK, -(-count // BLOCKS)))
+        return max(LEAST_BLOCK, min(MOST_BLOCK, -(-count // BLOCKS)), -(-count // MOST_BLOCKS))
     if not (isinstance(block, int | np.integer) and block >= 1):
         raise OptionError(f"block={block!r}: a number of lanes, 1 or more")
     return int(block)
@@ -196,8 +201,10 @@ def _text(value: Any) -> str:
         seen = {name: _inner(each) for name, each in values(None, value)}
         return f"{_text(value.__code__)} {_text(value.__defaults__)} {_text(seen)}"
     if hasattr(value, "__array__"):
-        array = np.asarray(value)
-        return f"{array.shape} {array.tolist()}"
+        array = np.ascontiguousarray(value)
+        known = array.dtype.kind in "biufc"
+        said = sha256(array.tobytes()).hexdigest() if known else array.tolist()
+        return f"{array.shape} {array.dtype} {said}"
     if isinstance(value, list | tuple):
         return f"({', '.join(map(_text, value))})"
     if isinstance(value, str | bytes | int | float | complex | type(None)):

@@ -1,13 +1,15 @@
 """A map on disk: a Zarr group whose arrays have a shard for each block, written once.
 
 What the numbers depend on stands in the group's attributes; a block is there when its place in the
-array ``_done`` says so, which is written last.
+array ``_done`` has the time at which it was written, which is put down last.
 """
 
 from __future__ import annotations
 
 import json
+from collections import Counter
 from pathlib import Path
+from time import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
 #: Parts of a shard that can be read alone.
 SHARD_PARTS = 4
 
-#: The array that says which blocks are there.
+#: The array that says which blocks are there, and since when.
 DONE = "_done"
 
 
@@ -50,14 +52,16 @@ class Store:
             )
         if own is None:
             told = {"key": key, "model": asked.spec.model, "count": asked.count}
+            told["block"] = asked.block
             self.group.attrs["hybrid"] = told
         if DONE not in self.group:
-            self.group.create_array(DONE, shape=(asked.blocks,), chunks=(1,), dtype=bool)
+            over = {"shape": (asked.blocks,), "chunks": (1,), "dimension_names": ("block",)}
+            self.group.create_array(DONE, dtype=float, **over)
 
     @property
     def missing(self) -> list[int]:
         """The blocks that are not there."""
-        return [int(number) for number in np.flatnonzero(~self.group[DONE][:])]
+        return [int(number) for number in np.flatnonzero(self.group[DONE][:] == 0)]
 
     def put(self, number: int, table: xarray.Dataset) -> None:
         """Write a block."""
@@ -73,7 +77,7 @@ class Store:
                 self.group[name][...] = values
         if "attributes" not in self.group.attrs:
             self.group.attrs["attributes"] = json.dumps([table.attrs, [*table.coords]])
-        self.group[DONE][number] = True
+        self.group[DONE][number] = time()
 
     def _create(self, name: str, variable: Any) -> None:
         """The array of a variable: a shard for each block."""
@@ -105,9 +109,18 @@ class Store:
         own = {name: data.pop(name) for name in coordinates}
         return xarray.Dataset(data, coords=own, attrs=attributes)
 
+    def opened(self) -> xarray.Dataset:
+        """All lanes, when no block is missing, as columns that stay on disk."""
+        import xarray
+
+        attributes, coordinates = json.loads(self.group.attrs["attributes"])
+        found = xarray.open_zarr(self.path, chunks=None, consolidated=False, drop_variables=[DONE])
+        return found.set_coords(coordinates).assign_attrs(attributes)
+
 
 def status(path: Any) -> dict[str, Any]:
-    """How far a stored map is: its model, lanes and blocks, how many are done.
+    """How far a stored map is: its model, lanes and blocks, how many are done, lanes a second (0
+    where too few blocks say), and how many lanes had each status and verdict.
 
     Raises
     ------
@@ -119,13 +132,35 @@ def status(path: Any) -> dict[str, Any]:
     found = [group for group in (_open(each, "r") for each in groups) if DONE in group]
     if not found:
         raise StoreError(f"{path} is no map that hybrid has stored")
-    done = [group[DONE][:] for group in found]
+    when = [group[DONE][:] for group in found]
     return {
         "model": found[0].attrs["hybrid"]["model"],
         "lanes": sum(int(group.attrs["hybrid"]["count"]) for group in found),
-        "blocks": sum(len(each) for each in done),
-        "done": sum(int(each.sum()) for each in done),
+        "blocks": sum(len(each) for each in when),
+        "done": sum(int(np.count_nonzero(each)) for each in when),
+        "pace": _pace(found, np.concatenate(when)),
+        "status": _counted(found, "status"),
+        "verdict": _counted(found, "verdict"),
     }
+
+
+def _pace(groups: list[Any], when: np.ndarray) -> float:
+    """Lanes a second, from the first block written to the last; a pause between is in it."""
+    there = when[when > 0]
+    lasted = float(np.ptp(there)) if there.size > 1 else 0.0
+    block = max(int(group.attrs["hybrid"]["block"]) for group in groups)
+    return block * (there.size - 1) / lasted if lasted else 0.0
+
+
+def _counted(groups: list[Any], name: str) -> dict[str, int]:
+    """How many lanes of the blocks that are done have each value of a column of text."""
+    found: Counter[str] = Counter()
+    for group in groups:
+        known, block = group.attrs["hybrid"], int(group.attrs["hybrid"]["block"])
+        for number in np.flatnonzero(group[DONE][:]).tolist() if name in group else ():
+            rows = slice(number * block, min((number + 1) * block, int(known["count"])))
+            found.update(map(str, group[name][rows].tolist()))
+    return dict(sorted(found.items()))
 
 
 def _open(path: Any, mode: str) -> Any:

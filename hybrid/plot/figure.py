@@ -11,6 +11,9 @@ import numpy as np
 LINE_COLOR, OTHER_COLOR, IMPACT_COLOR = "#1f5a96", "#d07c1a", "#c44e52"
 LIMIT_COLOR, SURFACE_COLOR = "#2e8b57", "#8c8c8c"
 
+#: Colours of a density, from few points to many.
+DENSITY_COLORS = ("#c6d7ea", "#6f9bc8", "#1f5a96", "#0b1f3a")
+
 #: Colours of the methods in a comparison, distinguishable by the colour-blind (Okabe and Ito,
 #: 2008).
 METHOD_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
@@ -44,6 +47,8 @@ STYLES = {
     "point": Style(color=LIMIT_COLOR, dot=7.0),
     "surface": Style(color=SURFACE_COLOR, width=1.3),
     **{f"method {i}": Style(color=c, width=1.3, dot=6.0) for i, c in enumerate(METHOD_COLORS)},
+    "proved": Style(color="#000000", width=1.8),
+    **{f"method {i} dot": Style(color=c, dot=3.0) for i, c in enumerate(METHOD_COLORS)},
     **{f"method {i} bar": Style(color=c, width=0.9) for i, c in enumerate(METHOD_COLORS)},
 }
 
@@ -98,8 +103,24 @@ class Cells:
 
 
 @attrs.frozen(kw_only=True, eq=False)
+class Density:
+    """How many points lie in each cell of a grid.
+
+    Attributes
+    ----------
+    x, y : array
+        Edges of the cells, shapes (n + 1,) and (m + 1,).
+    count : array, shape (m, n)
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    count: np.ndarray
+
+
+@attrs.frozen(kw_only=True, eq=False)
 class Panel:
-    """Axes with curves, over cells if there are any.
+    """Axes with curves, over cells or a density if there are any.
 
     Attributes
     ----------
@@ -120,6 +141,7 @@ class Panel:
 
     curves: Sequence[Curve] = ()
     cells: Cells | None = None
+    density: Density | None = None
     x: str = "t"
     y: str = ""
     log: str = ""

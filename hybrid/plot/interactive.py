@@ -12,7 +12,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from . import require_writable
-from .figure import STYLES, Cells, Columns, Curve, Figure, Panel
+from .figure import DENSITY_COLORS, STYLES, Cells, Columns, Curve, Density, Figure, Panel
 
 #: Heights in pixels: a panel, the space between two, and the margins above and below all (for an
 #: axis label, and a legend of three lines on a phone).
@@ -101,7 +101,11 @@ def _add(drawn: go.Figure, panels: Sequence[Panel]) -> None:
     """Add the traces of panels; curves of the same name share a legend entry."""
     named: set[str] = set()
     for row, panel in enumerate(panels, start=1):
-        traces = [*_cells(panel.cells), *(_curve(curve) for curve in panel.curves)]
+        traces = [
+            *_cells(panel.cells),
+            *_density(panel.density),
+            *(_curve(curve) for curve in panel.curves),
+        ]
         for trace in traces:
             trace.showlegend = bool(trace.name) and trace.name not in named
             trace.legendgroup = trace.name
@@ -151,6 +155,22 @@ def _cells(cells: Cells | None) -> Iterator[go.Heatmap | go.Scatter]:
     for name, color in cells.kinds:
         marker = {"color": color, "symbol": "square", "size": 11}
         yield go.Scatter(x=[None], y=[None], name=name, mode="markers", marker=marker)
+
+
+def _density(density: Density | None) -> Iterator[go.Heatmap]:
+    """Cells with points, by the logarithm of how many."""
+    if density is None:
+        return
+    shares = np.linspace(0.0, 1.0, len(DENSITY_COLORS)).tolist()
+    yield go.Heatmap(
+        x=density.x,
+        y=density.y,
+        z=np.log10(np.where(density.count > 0, density.count, np.nan)),
+        colorscale=list(zip(shares, DENSITY_COLORS, strict=True)),
+        showscale=False,
+        text=density.count,
+        hovertemplate="%{text} points<extra></extra>",
+    )
 
 
 def _axes(drawn: go.Figure, row: int, panel: Panel, panels: Sequence[Panel]) -> None:

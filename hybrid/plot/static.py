@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from ..automaton.reals import reals, short
 from ..errors import OptionError
 from . import require_writable
-from .figure import STYLES, Curve, Figure, Panel
+from .figure import DENSITY_COLORS, STYLES, Curve, Density, Figure, Panel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -119,6 +119,8 @@ def _column(part: Any, panels: tuple[Panel, ...]) -> None:
 def _panel(axes: Axes, panel: Panel) -> None:
     if panel.cells is not None:
         _cells(axes, panel.cells)
+    if panel.density is not None:
+        _density(axes, panel.density)
     for curve in panel.curves:
         _curve(axes, curve)
     if "x" in panel.log:
@@ -165,6 +167,17 @@ def _cells(axes: Axes, cells: Any) -> None:
     )
     for name, color in cells.kinds:
         axes.plot([], [], "s", color=color, label=name)
+
+
+def _density(axes: Axes, density: Density) -> None:
+    """Cells with points, by the logarithm of how many."""
+    from matplotlib.colors import LinearSegmentedColormap, LogNorm
+    from numpy import ma
+
+    colors = LinearSegmentedColormap.from_list("density", DENSITY_COLORS)
+    count = ma.masked_equal(density.count, 0)
+    norm = LogNorm(1, max(2, density.count.max(initial=0)))
+    axes.pcolormesh(density.x, density.y, count, cmap=colors, norm=norm, rasterized=True)
 
 
 def _legend(drawn: Drawn) -> Any:

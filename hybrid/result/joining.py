@@ -85,10 +85,11 @@ def _released(points: Sequence[Accumulation], more: Solution) -> list[Accumulati
     """The accumulations of a run, with the release times of rests that ended in the next run."""
     found = list(points)
     for edges, place in {point.edges: place for place, point in enumerate(points)}.items():
-        point, release = found[place], f"{edges[0]}.release"
-        freed = [row.t for row in more.own_jumps.values() if row.edge == release]
+        point = found[place]
+        releases = {f"{contact}.release" for contact in edges if point.held_by(contact)}
+        freed = [row.t for row in more.own_jumps.values() if row.edge in releases]
         summed = [other.t for other in more.zeno if other.edges == edges]
-        held = len(edges) == 1 and point.mode and point.t_release is None
+        held = point.mode and point.t_release is None
         if held and freed and freed[0] < min(summed, default=np.inf):
             found[place] = attrs.evolve(point, t_release=freed[0])
     return found

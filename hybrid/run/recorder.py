@@ -275,7 +275,7 @@ class Recorder:
 
     def released(self, contact: str, t: float) -> None:
         """Note the release in the last accumulation of the contact."""
-        point = next((p for p in reversed(self.zeno) if p.edges == (contact,)), None)
+        point = next((p for p in reversed(self.zeno) if p.held_by(contact)), None)
         if point is not None and point.mode is not None and point.t_release is None:
             point.t_release = t
 

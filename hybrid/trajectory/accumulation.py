@@ -11,6 +11,7 @@ import attrs
 import numpy as np
 
 from ..automaton.record import Record
+from ..lowering.scene import parted
 from ..zeno.cycle import period
 
 if TYPE_CHECKING:
@@ -85,6 +86,12 @@ class Accumulation:
     _errors: Any = attrs.field(default=None, alias="errors", repr=False)
     _proofs: Any = attrs.field(default=(), alias="proofs", repr=False)
     _since: float = attrs.field(default=inf, alias="since", repr=False)
+
+    def held_by(self, contact: str) -> bool:
+        """Whether it led to a rest that the release of a contact ends: the one whose impacts
+        accumulate, or of those in a cycle of edges one that is held."""
+        held = parted(self.mode or "")[1]
+        return self.edges == (contact,) or (contact in self.edges and contact in held)
 
     @property
     def proofs(self) -> list[Proof]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import attrs
 import numpy as np
@@ -30,6 +31,9 @@ NEAR_BORDER = (0.2309, 0.23099, 0.23101, 0.2311)
 GAMMAS = np.sort(np.concatenate([np.linspace(0.0, 0.6, 31), NEAR_BORDER]))
 DELTAS = np.linspace(0.0, 0.5, 16)
 SLICES = (0.1, 0.5, 1.0, 2.0, 5.0, 10.0)
+
+#: Where the map is kept from one report to the next.
+KEPT = Path(__file__).parents[2] / "out" / "maps" / "beam.zarr"
 
 #: Flights in a row, each shorter than the one before, that make a series.
 SERIES = 10
@@ -122,8 +126,7 @@ class Map:
 @cache
 def whole() -> Map:
     """The map on its grid."""
-    gamma, delta, w = (a.reshape(-1) for a in np.meshgrid(GAMMAS, DELTAS, SLICES, indexing="ij"))
-    return compared(fly(delta, gamma, w))
+    return compared(fly({"gamma": GAMMAS, "delta": DELTAS, "w": SLICES}, store=KEPT))
 
 
 def compared(lanes: Lanes) -> Map:

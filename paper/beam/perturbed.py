@@ -79,10 +79,10 @@ def locked() -> PeriodicOrbit:
 @cache
 def elsewhere() -> tuple[int, int]:
     """Of the beams from other starts: how many there are, how many come to rest for ever."""
-    delta, w = (a.ravel() for a in np.meshgrid(DAMPED, SLICES))
-    found = [fly(delta, WEAK, w, start) for start in ELSEWHERE]
-    rest = sum(int(np.sum(~np.isnan(f.held) & np.isnan(f.released))) for f in found)
-    return len(ELSEWHERE) * delta.size, rest if pushes_always(WEAK) else 0
+    heights = np.array(ELSEWHERE) - beam().obstacle
+    found = fly({"y": heights, "delta": DAMPED, "w": SLICES}, WEAK)
+    rest = int(np.sum(~np.isnan(found.held) & np.isnan(found.released)))
+    return len(found.w), rest if pushes_always(WEAK) else 0
 
 
 def longest_row(run: Trajectory) -> int:

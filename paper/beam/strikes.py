@@ -8,6 +8,8 @@ mode, no certificate.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from shutil import rmtree
 from typing import Any
 
 import attrs
@@ -16,7 +18,11 @@ import numpy as np
 
 from hybrid import gallery
 from hybrid.automaton import Automaton, edge, mode, parameter, state
-from hybrid.ensembles import ensemble
+from hybrid.errors import StoreError
+from hybrid.maps import sweep
+
+#: Where the beam of the figure starts.
+START = 1.3
 
 #: Speeds: of the impacts that are kept, of an impact so slow that the beam is held.
 LEVELS, HELD = np.array([0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4, 1e-5]), 1e-6
@@ -150,10 +156,12 @@ class Lanes:
         return ~np.isnan(self.held) & np.isnan(self.released) & left
 
 
-def fly(delta: Any, gamma: Any, w: Any, start: float = 1.3, end: Any = None) -> Lanes:
-    """Fly lanes of the given parameters from rest at ``start``, each blow by itself.
+def fly(over: Mapping[str, Any], gamma: float = 0.0, store: Any = None) -> Lanes:
+    """Fly all beams of a grid from rest, each blow by itself.
 
-    Those held too late to tell whether they are released are flown for longer than ``end``.
+    ``over`` has values of ``delta``, ``gamma``, ``w``, and of ``y``, the height above the obstacle,
+    which is that of the figure if omitted; the last name varies fastest. What is in the store is
+    not flown again; one of another map, as of an older state of this file, is made anew.
 
     Raises
     ------
@@ -161,41 +169,52 @@ def fly(delta: Any, gamma: Any, w: Any, start: float = 1.3, end: Any = None) -> 
         If a lane fails.
     """
     own = gallery.find("moon_holmes").cls()
-    delta, gamma, w = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in (delta, gamma, w)))
-    model = Struck(r=own.r, obstacle=own.obstacle)
+    model = Struck(r=own.r, obstacle=own.obstacle, gamma=gamma)
     none = np.zeros(len(LEVELS) + 1)
-    first = {"y": start - own.obstacle, "v": 0.0, "age": 0.0, "flight": 0.0, "row": 0.0}
-    first |= {"first": 0.0, "longest": 0.0, "count": 0.0, "pace": FAR, "fuse": FAR}
-    first |= {"times": none, "speeds": none + FAR}  # type: ignore[dict-item]
-    end = LASTS + PERIODS * 2.0 * np.pi / w if end is None else end
-    parameters = {"delta": delta, "gamma": gamma, "w": w}
-    found = ensemble(model, first, (0.0, end), parameters, rtol=RTOL, atol=ATOL, zeno="ignore")
-    failed = found.status.values != "reached_end"
+    first: dict[str, Any] = {"y": START - own.obstacle, "v": 0.0, "age": 0.0, "flight": 0.0}
+    first |= {"row": 0.0, "first": 0.0, "longest": 0.0, "count": 0.0, "pace": FAR, "fuse": FAR}
+    first |= {"times": none, "speeds": none + FAR}
+    start = {name: value for name, value in first.items() if name not in over}
+    asked: dict[str, Any] = {"rtol": RTOL, "atol": ATOL, "zeno": "ignore"}
+    try:
+        table = sweep(model, over, start, _span, store=store, **asked)
+    except StoreError:
+        rmtree(store)
+        table = sweep(model, over, start, _span, store=store, **asked)
+    return _lanes(table, over, gamma)
+
+
+def _span(model: Any) -> tuple[float, float]:
+    """So long, and so many periods of the forcing."""
+    return 0.0, LASTS + PERIODS * 2.0 * np.pi / model.w
+
+
+def _lanes(table: Any, over: Mapping[str, Any], gamma: float) -> Lanes:
+    """The map as rows."""
+    rows = [a.ravel() for a in np.meshgrid(*over.values(), indexing="ij")]
+    given = {"gamma": np.full(rows[0].size, gamma), **dict(zip(over, rows, strict=True))}
+    delta, gammas, w = (given[name] for name in ("delta", "gamma", "w"))
+
+    def flat(name: str) -> np.ndarray:
+        values: np.ndarray = table[name].values
+        return values.reshape(len(delta), *values.shape[len(over) :])
+
+    failed = flat("status") != "reached_end"
     if np.any(failed):
         place = int(np.argmax(failed))
-        where = f"delta = {delta[place]}, gamma = {gamma[place]}, w = {w[place]}"
-        raise ArithmeticError(f"lane {place} ({where}): {found.status.values[place]}")
-    modes, speeds = found["mode"].values, found.speeds.values
+        where = f"delta = {delta[place]}, gamma = {gammas[place]}, w = {w[place]}"
+        raise ArithmeticError(f"lane {place} ({where}): {flat('reason')[place]}")
+    modes, speeds = flat("mode"), flat("speeds")
     never = speeds >= FAR
-    lanes = Lanes(
+    return Lanes(
         delta,
-        gamma,
+        gammas,
         w,
-        end,
-        np.where(modes == "flies", np.nan, found.fuse.values),
-        np.where(modes == "released", found.age.values, np.nan),
-        found.longest.values.astype(int),
-        found["count"].values.astype(int),
-        np.where(never, np.nan, found.times.values),
+        LASTS + PERIODS * 2.0 * np.pi / w,
+        np.where(modes == "flies", np.nan, flat("fuse")),
+        np.where(modes == "released", flat("age"), np.nan),
+        flat("longest").astype(int),
+        flat("count").astype(int),
+        np.where(never, np.nan, flat("times")),
         np.where(never, np.nan, speeds),
     )
-    late = lanes.late
-    if np.any(late):
-        longer = end[late] + PERIODS * 2.0 * np.pi / w[late]
-        again = fly(delta[late], gamma[late], w[late], start, longer)
-        names = [field.name for field in attrs.fields(Lanes)]
-        columns = {name: np.array(getattr(lanes, name)) for name in names}
-        for name, column in columns.items():
-            column[late] = getattr(again, name)
-        lanes = Lanes(**columns)
-    return lanes

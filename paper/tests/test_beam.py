@@ -21,10 +21,8 @@ def number(claim, what):
 @pytest.fixture(scope="module")
 def small():
     """A map of 60 beams."""
-    gamma, delta, w = np.meshgrid(
-        [0.0, 0.1, 0.2, 0.2309, 0.2311, 0.3], [0.05, 0.3], [0.1, 0.5, 1.0, 2.0, 5.0], indexing="ij"
-    )
-    return chart.compared(strikes.fly(delta.ravel(), gamma.ravel(), w.ravel()))
+    over = {"gamma": [0.0, 0.1, 0.2, 0.2309, 0.2311, 0.3], "delta": [0.05, 0.3]}
+    return chart.compared(strikes.fly(over | {"w": [0.1, 0.5, 1.0, 2.0, 5.0]}))
 
 
 def test_the_proof_fails_as_printed_and_is_mended():
@@ -141,8 +139,28 @@ def test_a_fast_forcing_locks_the_beam(small):
     assert not perturbed.flown(*perturbed.LOCKED).zeno
 
 
-def test_claims_of_the_map(monkeypatch):
+def test_a_map_is_kept(tmp_path, monkeypatch):
+    """What is stored is not flown again; a store of another map is made anew."""
+    pytest.importorskip("zarr")
+    over = {"gamma": [0.0, 0.3], "delta": [0.1], "w": [1.0]}
+    store = tmp_path / "beam.zarr"
+    first = strikes.fly(over, store=store)
+    flown = []
+    real = strikes.sweep
+    monkeypatch.setattr(
+        strikes,
+        "sweep",
+        lambda *given, **asked: real(*given, progress=lambda *n: flown.append(n), **asked),
+    )
+    assert np.array_equal(strikes.fly(over, store=store).count, first.count)
+    assert not flown
+    assert len(strikes.fly(over | {"w": [1.0, 2.0]}, store=store).count) == 4
+    assert flown == [(4, 4)]
+
+
+def test_claims_of_the_map(monkeypatch, tmp_path):
     """Verdicts and figure on a coarse grid; the slider has all slices, the cells both kinds."""
+    monkeypatch.setattr(chart, "KEPT", tmp_path / "beam.zarr")
     monkeypatch.setattr(chart, "GAMMAS", np.array([0.0, 0.04, 0.23099, 0.23101, 0.3]))
     monkeypatch.setattr(chart, "DELTAS", np.array([0.1, 0.3]))
     monkeypatch.setattr(perturbed, "GAMMAS", chart.GAMMAS)

@@ -1,0 +1,47 @@
+"""When the rest ends that an accumulation has led to."""
+
+import pytest
+
+import hybrid as hy
+from hybrid.result import joining
+
+from .test_bifurcations import Valve
+
+
+class Watched(Valve):
+    """The relief valve, and an event wherever it turns."""
+
+    @hy.edge("open", to="open", guard=lambda self, t, s: s.y2)
+    def turn(self, t, s):
+        return s
+
+
+START = {"y1": 2.0, "y2": 0.0, "y3": 12.0}
+
+
+def exact(point, q):
+    """On the seat pressure grows by ``20 q`` a unit of time, up to the spring's force, 10."""
+    return point.t + (10.0 - point.state.y3) / (20.0 * q)
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+@pytest.mark.parametrize("model", [Valve, Watched])
+def test_a_valve_is_released_by_pressure(model, solver):
+    """Whether its impacts accumulate alone, or in a cycle with events between them."""
+    run = hy.simulate(model(q=0.2), START, (0.0, 8.0), solver=solver)
+    (point,) = run.zeno
+    assert point.mode == "open.rest(seat)"
+    assert len(point.edges) == (2 if model is Watched else 1)
+    # pressure is linear at rest: what the solvers' tolerances of 1e-8 leave
+    assert point.t_release == pytest.approx(exact(point, 0.2), abs=1e-7)
+
+
+def test_a_release_in_a_run_that_goes_on():
+    """Is that of the accumulation before, of a cycle too."""
+    first = hy.simulate(Watched(q=0.2), START, (0.0, 4.0), solver="taylor")
+    (point,) = first.zeno
+    assert point.t_release is None
+    begun = {"y1": 0.0, "y2": 0.0, "y3": first.final.y3}
+    more = hy.simulate(Valve(q=0.2), begun, (4.0, 8.0), solver="taylor", mode="open.rest(seat)")
+    (known,) = joining._released([point], more)
+    assert known.t_release == pytest.approx(exact(point, 0.2), abs=1e-12)
