@@ -10,11 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..lowering import Field, Guard
-from ..lowering.automaton import DIRECTIONS
-from ..rules.guards import GUARD_ROUNDING, TIE
-from ..rules.zeros import EPS
 from ..trajectory.clock import Instant
-from .entry import Jumped, signs_at_end
+from .entry import Jumped, is_zero, signs_at_end
 from .knots import pass_knot
 
 if TYPE_CHECKING:
@@ -118,14 +115,3 @@ def rings(
         if precedes and is_zero(driver, guard, end, flown.x, t):
             return None, guard, True
     return clock, None, True
-
-
-def is_zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float) -> bool:
-    """Whether a guard that moves in its firing direction is zero at a time, and its condition
-    holds. Zero is meant to spacings of the time and to the rounding of the guard."""
-    value, rate, _ = guard.lie(end.t, x.tolist())
-    size = driver.scene.rounding(guard, driver.entry.field)(end.t, x.tolist())[0]
-    noise = TIE * np.spacing(abs(t)) * abs(rate) + GUARD_ROUNDING * EPS * size
-    moves = rate * (DIRECTIONS[guard.crossing] or rate) > 0
-    moves = moves and guard.holds(end.t, x.tolist())
-    return bool(moves and abs(value) + abs(rate * end.until(t)) <= noise)

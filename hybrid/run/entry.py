@@ -18,11 +18,13 @@ from ..lowering.automaton import DIRECTIONS, NUMBERED
 from ..lowering.local import near
 from ..rules import unit
 from ..rules.entries import BEYOND, FIRES, LEAVES, OUTSIDE, UNDECIDED
-from ..rules.guards import NEAR
+from ..rules.guards import GUARD_ROUNDING, NEAR, TIE
 from ..rules.zeros import EPS
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Numbers, StateVector
+    from ..trajectory.clock import Instant
+    from .driver import Driver
 
 #: How often a step of rounding's size is doubled in search of the place where a deciding function
 #: leaves zero: it is a difference of numbers that may move at very different rates.
@@ -337,6 +339,17 @@ def _require_on_surface(scene: Scene, field: Field, t: float, x: StateVector) ->
 def describe(scene: Scene, field: Field, t: float, x: StateVector) -> str:
     """Model, mode, time and state, for error messages."""
     return f"{scene.spec.model}, mode {field.name}, t = {t!r}, {scene.spec.record(x)}"
+
+
+def is_zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float) -> bool:
+    """Whether a guard that moves in its firing direction is zero at a time, and its condition
+    holds. Zero is meant to spacings of the time and to the rounding of the guard."""
+    value, rate, _ = guard.lie(end.t, x.tolist())
+    size = driver.scene.rounding(guard, driver.entry.field)(end.t, x.tolist())[0]
+    noise = TIE * np.spacing(abs(t)) * abs(rate) + GUARD_ROUNDING * EPS * size
+    moves = rate * (DIRECTIONS[guard.crossing] or rate) > 0
+    moves = moves and guard.holds(end.t, x.tolist())
+    return bool(moves and abs(value) + abs(rate * end.until(t)) <= noise)
 
 
 @attrs.frozen(eq=False, slots=False)

@@ -17,8 +17,7 @@ from ..rules.arrays import InputArrays
 from ..rules.guards import GUARD_ROUNDING
 from ..rules.zeros import EPS
 from ..trajectory.clock import Instant
-from .clocks import is_zero
-from .entry import Entry, Jumped, opened, signs_at_end
+from .entry import Entry, Jumped, is_zero, opened, signs_at_end
 from .noting import add_jump
 
 if TYPE_CHECKING:
