@@ -347,6 +347,8 @@ def dask():
     """Lanes that go one by one, on a local cluster of one worker and of two."""
     import distributed
 
+    from tests.wells import Floor  # what a worker finds by its module
+
     over = {"G": np.linspace(0.6, 1.0, 16), "v": np.linspace(2.5, 3.5, 12)}
     asked = {"start": {"x": 0.0}, "t": (0.0, 600.0), "section": 2 * np.pi, "skip": 40, "keep": 8}
     first = None
@@ -358,8 +360,8 @@ def dask():
         ):
             by = {"executor": client.get_executor()}
             few = {"G": over["G"], "v": over["v"][:1]}
-            hy.sweep(Table(), few, **asked, **by, block=1)  # all compile
-            seconds, _, table = timed(partial(hy.sweep, Table(), over, **asked, **by, block=8))
+            hy.sweep(Floor(), few, **asked, **by, block=1)  # all compile
+            seconds, _, table = timed(partial(hy.sweep, Floor(), over, **asked, **by, block=8))
         first = first or (seconds, table)
         told = f"{first[0] / seconds:.2f} times, the same: {table.identical(first[1])}"
         print(f"{workers} workers: {seconds:.2f} s, {told}")

@@ -116,7 +116,7 @@ def test_many_points_are_a_density(monkeypatch, tmp_path):
     )  # fmt: skip
     panel = diagram._shown(*(np.repeat(np.arange(5.0), 3), np.arange(15.0)))
     assert panel.density.count.sum() == 15
-    assert panel.density.count.shape == (600, 5)
+    assert panel.density.count.shape == (400, 5)
     (axes,) = found.plot("v", tmp_path / "density.png").axes
     assert axes.collections
     pytest.importorskip("plotly")

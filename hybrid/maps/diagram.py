@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 #: More points than these are drawn as how many there are in a cell; and cells along each axis, at
 #: most: about as many as a picture has dots.
-MOST_DOTS, CELLS = 20_000, (1000, 600)
+MOST_DOTS, CELLS = 20_000, (1000, 400)
 
 
 @attrs.frozen(eq=False)
