@@ -301,7 +301,7 @@ def test_a_clock_is_drawn_with_its_times():
         dose = hy.edge(flow, at=(1.0, 2.5))
 
     (arrow,) = graph(Sampled.spec).arrows
-    assert arrow.labels == ("sample every T", "dose at 1, 2.5")
+    assert arrow.labels == ("sample, every T", "dose, at 1.0, 2.5")
     assert "guards:" not in "".join(text.get_text() for text in Sampled.draw().axes[0].texts)
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 #: How long a value may be that is shown in a message.
-SHORT = Repr()
-SHORT.maxstring, SHORT.maxother = 60, 120
+SHOWN_SHORT = Repr()
+SHOWN_SHORT.maxstring, SHOWN_SHORT.maxother = 60, 120
 
 #: Kinds of numpy's types that turn into floats without being numbers, or lose what they are.
 NOT_REAL = "cmMSU"
@@ -17,7 +17,7 @@ NOT_REAL = "cmMSU"
 
 def short(value: Any) -> str:
     """A value as it is shown in a message: numbers of numpy as numbers, long ones cut."""
-    shown = SHORT.repr(value.item() if isinstance(value, np.generic) else value)
+    shown = SHOWN_SHORT.repr(value.item() if isinstance(value, np.generic) else value)
     return " ".join(shown.split())
 
 
