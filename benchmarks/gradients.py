@@ -24,9 +24,9 @@ def main(count):
         judged = sum(each.judged for each in found)
         print(f"{name:14} {worst.off:8.1e}  {judged} compared; {worst.what}", flush=True)
         for text in ("left", "none"):
-            for what, count in sum((getattr(each, text) for each in found), Counter()).items():
+            for what, many in sum((getattr(each, text) for each in found), Counter()).items():
                 why = what if text == "left" else f"{what}: no derivative"
-                print(f"    {count:6} of {why}")
+                print(f"    {many:6} of {why}")
 
 
 if __name__ == "__main__":

@@ -236,6 +236,17 @@ def test_a_lane_equals_its_run_whatever_is_asked(name, options):
     assert not list(differences(name, 12, seed=1, **options))
 
 
+def test_sums_that_begin_with_long_flights_need_no_driver(monkeypatch):
+    """The third rate of a smooth force is what it is at points, in parts of a flight that are
+    small enough."""
+    monkeypatch.setattr(runs._Runs, "others", lambda *_: iter(()))
+    x = [2.2193, 2.3654, 2.3501, 2.4496, 2.4435, 2.3158]
+    r = [0.8491, 0.9264, 0.9102, 0.9387, 0.9425, 0.9439]
+    start, tolerances = {"x": x, "v": 0.0}, {"rtol": 1e-9, "atol": 1e-9}
+    lanes = hy.ensemble(HardSpring(), start, (0, 3), {"r": r}, **tolerances)
+    assert set(lanes.status.values) == {"reached_end"}
+
+
 def test_lanes_that_need_no_judgement_need_no_driver(monkeypatch):
     """Impacts before any sum, and flights to the end: machine code alone, on every thread."""
     monkeypatch.setattr(runs._Runs, "others", lambda *_: iter(()))
