@@ -164,7 +164,7 @@ def test_the_picture(wells, tmp_path):
     figure = wells.plot(tmp_path / "basins.png")
     assert Path(tmp_path / "basins.png").stat().st_size > 1000
     (axes,) = figure.axes
-    assert axes.get_xlabel() == "x at the start (m)"
+    assert axes.get_xlabel() == "x at the start [m]"
     (legend,) = figure.legends
     assert [text.get_text()[:18] for text in legend.get_texts()] == [
         "0: rest in free, x",

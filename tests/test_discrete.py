@@ -271,7 +271,7 @@ FLOW = hy.mode(initial=True)
         (lambda self, t, s: s.replace(n=s.n / 2), lambda self, t, s: 1.0, "a whole number is due"),
         (lambda self, t, s: s, lambda self, t, s: {"x": 1.0, "n": 0.0}, "only jumps change"),
         (lambda self, t, s: s, lambda self, t, s: s.replace(n=1), "only jumps change"),
-        (lambda self, t, s: s, lambda self, t, s: (1.0, 0.0), "2 values for 1 states"),
+        (lambda self, t, s: s, lambda self, t, s: (1.0, 0.0), "2 values for 1 state"),
         (lambda self, t, s: s, lambda self, t, s, past: past(1.0).n, "no state that flows"),
     ],
 )

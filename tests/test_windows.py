@@ -10,7 +10,7 @@ import hybrid as hy
 from hybrid.delay import memory, pieces
 from hybrid.rules.load import Library
 from hybrid.rules.places import END
-from hybrid.run import machine
+from hybrid.run import lookback, machine
 from models.delay_bounce import DelayBounce
 from models.delay_jump import DelayJump
 from models.pyragas import Pyragas
@@ -168,7 +168,7 @@ def test_machine_code_and_python_agree(name, monkeypatch):
     """As plain Python that refuses indices below zero."""
     run = flown(SCENES[name])
     monkeypatch.setenv("HYBRID_RULES", "checked")
-    for module in (machine, memory):
+    for module in (machine, lookback, memory):
         monkeypatch.setattr(module, "unit", Library("hybrid.rules").unit)
     alike(run, flown(SCENES[name]), *SCENES[name][2])
 
@@ -177,7 +177,7 @@ def test_machine_code_and_python_agree(name, monkeypatch):
 def test_a_run_is_one_call(name, monkeypatch):
     """From its start to its end, through all windows, sums, rests and releases."""
     flown(SCENES[name])
-    found, known = [], machine.unit
+    found, known = [], lookback.unit
 
     def unit(which):
         rules = known(which)
@@ -188,7 +188,7 @@ def test_a_run_is_one_call(name, monkeypatch):
 
         return rules if which != "past" else SimpleNamespace(bound=rules.bound, look_back=look_back)
 
-    monkeypatch.setattr(machine, "unit", unit)
+    monkeypatch.setattr(lookback, "unit", unit)
     flown(SCENES[name])
     assert found == [END]
 

@@ -34,6 +34,9 @@ OWNERS = {
     "output": "output",
 }
 
+#: The kinds of which only values are needed: a function without a derivative may be in these.
+VALUES_ONLY = ("reset", "restitution", "when", "clock")
+
 
 class Automaton:
     """Base class of a hybrid automaton; a model is a subclass.
@@ -235,7 +238,7 @@ class _Traced:
             return
         trace.require_real(closed)
         if kind != "flow":
-            require_written(closed, kind not in ("reset", "when", "clock"))
+            require_written(closed, kind not in VALUES_ONLY)
         self.traces[kind, owner] = closed
         for place, number in enumerate(numbers):
             name = self.spec.lags[number].name

@@ -304,8 +304,8 @@ def over(gap, restitution=0.5):
     class Ball(hy.Automaton):
         x = hy.state()
         v = hy.state()
-        y = hy.state(1.0)
-        z = hy.state(0.3)
+        y = hy.state()
+        z = hy.state()
 
         @hy.mode
         def flight(self, t, s):
@@ -374,7 +374,7 @@ def test_a_distance_met_from_its_other_side_is_refused(place, by):
     class Thrown(hy.Automaton):
         x = hy.state()
         v = hy.state()
-        g = hy.state(2.0)
+        g = hy.state()
 
         @hy.mode
         def flight(self, t, s):
