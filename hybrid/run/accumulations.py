@@ -48,18 +48,25 @@ def accumulate(driver: Driver, contact: Contact, x: StateVector, v: float, name:
 
 
 def summed(driver: Driver, contact: Contact, x: StateVector, v: float, field: Field) -> Tail | None:
-    """The sum of all impacts from here on; None where there is none (yet).
-
-    Where an event may hide between here and the limit, steps are watched until a sum is found.
-    """
+    """The sum of all impacts from here on; None where there is none (yet)."""
     column, now, plan = field.column(contact.name), driver.record.now, driver.plan
     rtol, atol = plan.closing * plan.rtol, plan.closing * plan.limit
     tail = close(field, contact, column, now.t, now.low, x, v, rtol, atol)
-    if tail is None or not (clear(tail, field, column) and apart(tail)):
+    if tail is None or not clear(tail, field, column):
         return None
-    whole = seen(tail, plan.closing)
+    return tail if passes_nothing(driver, tail) else None
+
+
+def passes_nothing(driver: Driver, tail: Tail) -> bool:
+    """Whether a sum of impacts passes over no event, shown in ball arithmetic.
+
+    Where something may hide on the way to its limit, the steps from here on are watched.
+    """
+    if not apart(tail):
+        return False
+    whole = seen(tail, driver.plan.closing)
     driver.wary |= not whole
-    return tail if whole else None
+    return whole
 
 
 def pass_sum(driver: Driver, tail: Tail, at_rest: StateVector | None = None) -> None:

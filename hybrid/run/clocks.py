@@ -84,9 +84,7 @@ def go_by(driver: Driver, t: float, x: StateVector) -> None:
     if memory is None and driver.scene.until <= t:
         pass_knot(driver, t, x)
     else:
-        came = driver.came() if entry.here is None else driver.jumped
-        known = came.vanishing if driver.record.young else {}
-        signs = signs_at_end(entry, t, x, driver.reach(x))
+        signs, known = signs_at_end(entry, t, x, driver.reach(x)), driver.vanishing
         driver.enter(entry.field.mode, x, Jumped(known, entry.field.held, passing=signs))
     driver.spent |= over
 

@@ -356,6 +356,12 @@ class Driver:
             return fired.kind == "window"
         return self.horizon < self.plan.t1 and not flown.interrupted
 
+    @property
+    def vanishing(self) -> dict[str, int]:
+        """By edge, the power by which its guard vanishes where the current arc has just begun."""
+        came = self.came() if self.entry.here is None else self.jumped
+        return came.vanishing if self.record.young else {}
+
     def passed(self, length: float) -> None:
         """After an arc of positive length, edges taken before it may fire again."""
         if length > 0:
@@ -367,7 +373,7 @@ class Driver:
         ``signs``: by edge, the sign of its guard at the end of the last step.
         """
         field, self.spent = self.entry.field, frozenset()
-        known = self.came().vanishing if self.record.young else {}
+        known = self.vanishing
         self.begin(field, x, lambda: Jumped(known, field.held, passing=signs))
         self.seen = np.maximum(self.seen, np.abs(x))
 
@@ -381,8 +387,7 @@ class Driver:
             return
         signs = signs_at_end(self.entry, t, x, self.reach(x))
         memory.passed(t, x, field, fired.edge if fired else None)
-        known = self.jumped.vanishing if self.record.young else {}
-        self.enter(field.mode, x, Jumped(known, field.held, passing=signs))
+        self.enter(field.mode, x, Jumped(self.vanishing, field.held, passing=signs))
 
     def jump(self, guard: Guard, x: StateVector, carried: bool = False) -> None:
         """Carry out the jump of a guard that fired; ``carried``: it jumped over zero."""

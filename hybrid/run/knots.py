@@ -44,8 +44,7 @@ def pass_knot(driver: Driver, t: float, x: StateVector) -> None:
         If a gap jumps below zero, or a surface jumps away from a state that slides on it.
     """
     entry, field, there = driver.entry, driver.entry.field, driver.model.at(t)
-    came = driver.came() if entry.here is None else driver.jumped
-    known = came.vanishing if driver.record.young else {}
+    known = driver.vanishing
     spent = driver.spent.union(known)
     signs = _sides(entry, spent, t, x, driver.reach(x))
     driver.record.now = Instant(t)

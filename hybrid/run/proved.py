@@ -16,8 +16,7 @@ from ..rules.places import (
     TRIED,
 )
 from ..zeno.accumulate import Tail
-from ..zeno.narrow import seen as hides_nothing
-from ..zeno.others import apart
+from .accumulations import passes_nothing
 
 if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
@@ -27,23 +26,21 @@ if TYPE_CHECKING:
 
 
 def proves(machine: Machine, left: Left) -> bool:
-    """Whether the loop can go on at a sum that bounds in double precision do not decide: ball
-    arithmetic shows that it passes over no event, or that it cannot be summed yet.
-
-    Where something may hide on the way to its limit, the steps from here on are watched.
-    """
+    """Whether the loop can go on at a sum that bounds in double precision do not decide: it is
+    proved, or is none yet. Where steps come to be watched, which are of another order, the driver
+    begins them."""
     driver, seen, now = machine.driver, machine.present, machine.instant
     contact = machine.tables.guards[int(machine.ints[FIRED])].edge
     name = machine.tables.fields[int(machine.ints[FIELD])].name
     since = now.t, now.low, left.after[int(machine.ints[JUMPS_MADE])].copy()
     field = seen.field(name, (contact,))
     tail = tail_of(left, int(machine.ints[TAILS]), field, seen.contact(contact), since)
-    clear, wary = apart(tail), driver.wary
-    if clear and hides_nothing(tail, machine.plan.closing):
+    wary = driver.wary
+    if passes_nothing(driver, tail):
         machine.ints[PROVED] = 1
-        return True
-    machine.floats[TRIED], driver.wary = tail.v, wary or clear
-    return wary or not clear  # watched steps are of another order: the driver begins them
+    else:
+        machine.floats[TRIED] = tail.v
+    return driver.wary == wary
 
 
 def tail_of(
