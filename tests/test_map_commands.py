@@ -138,3 +138,17 @@ def test_a_refined_plane_is_dots(tmp_path):
 def right_of_zero(table):
     """In which well a lane is."""
     return table.x > 0
+
+
+@pytest.mark.parametrize(
+    "command", [["sweep"], ["basins"], ["bifurcation", "x"], ["region", "--over", "v=0:1:2"]]
+)
+def test_all_maps_have_the_options_of_a_run(command):
+    """Tolerances, methods, steps and what is done at accumulations: checked as for a run."""
+    asked = [command[0], WELLS, *command[1:], "--over", "x=0:1:2", "--until", "1"]
+    asked += ["--start", "v=0"] if command[0] != "region" else []
+    asked += ["--section", "1.0"]
+    for option, value in {"rtol": "-1", "method": "none", "max-step": "0", "zeno": "no"}.items():
+        done = call(app, [*asked, "--solver", "scipy", f"--{option}", value])
+        assert done.exit_code == 2, done.output
+        assert option.replace("-", "_") in done.stderr

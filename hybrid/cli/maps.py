@@ -6,7 +6,8 @@ import math
 import sys
 from collections.abc import Callable
 from contextlib import contextmanager
-from functools import partial
+from functools import partial, wraps
+from inspect import Parameter, Signature, signature
 from typing import TYPE_CHECKING, Annotated, Any
 
 import attrs
@@ -64,6 +65,9 @@ Plot = Annotated[
     str | None, typer.Option(help="Write a picture: out.png, out.pdf, out.svg, out.html.")
 ]
 
+#: What reads the options that all maps have.
+Reader = partial["_Asked"]
+
 CROSSINGS = {"rising": RISING, "falling": FALLING, "either": EITHER}
 
 
@@ -76,6 +80,17 @@ class _Asked:
     start: dict[str, Any]
     span: tuple[float, float]
     options: dict[str, Any]
+    save: str | None
+
+    def require_section(self) -> None:
+        """Refuse a map of points on a section without one."""
+        if self.options["section"] is None:
+            raise OptionError("--section is needed: a jump's name, a period, or v=0")
+
+    def write(self, table: Any) -> None:
+        """Write the table of lanes, if that is asked."""
+        if self.save is not None:
+            write(partial(table.to_netcdf, self.save, engine="h5netcdf"))
 
     def fly(self, how: Callable[..., Any], **more: Any) -> Any:
         """Call what makes a map; interrupted, say where what is done is kept."""
@@ -99,22 +114,61 @@ class _Asked:
             yield lambda done, _: told(done)
 
 
-def _map(
-    model: str,
-    over: list[str] | None,
-    set_: list[str] | None,
-    start: list[str] | None,
-    times: tuple[float | None, float | None],
-    history: list[str] | None,
-    **options: Any,
+def _common(
+    model: ModelName,
+    over: Over = None,
+    set_: Parameters = None,
+    start: States = None,
+    since: Since = None,
+    until: Until = None,
+    history: Before = None,
+    memory: MemoryKind = "keep",
+    solver: Solver = None,
+    method: MethodName = None,
+    rtol: Relative = None,
+    atol: Absolute = None,
+    max_step: LongestStep = None,
+    first_step: FirstStep = None,
+    zeno: Choice = "rest",
+    mode: ModeAtStart = None,
+    max_jumps: MostJumps = None,
+    section: Section = None,
+    crossing: Crossing = "rising",
+    store: Kept = None,
+    save: Save = None,
 ) -> _Asked:
-    """What the options say that all maps have."""
+    """The map that the options say which all maps have."""
+    can_write("--save", save)
     axes = values(over or [])
     first = [f"{name}=0" for name in axes]  # a state that is swept needs no start
-    given = asked(model, set_, [*(start or []), *first], *times, history)
+    given = asked(model, set_, [*(start or []), *first], since, until, history)
     made, begun, span = given.run
     begun = {name: value for name, value in begun.items() if name not in axes}
-    return _Asked(made, axes, begun, span, {"history": given.history, **options})
+    options = {"history": given.history, "memory": memory, "solver": solver, "method": method}
+    options |= {"rtol": rtol, "atol": atol, "max_step": max_step, "first_step": first_step}
+    options |= {"zeno": zeno, "mode": mode, "max_jumps": max_jumps, "store": store}
+    return _Asked(made, axes, begun, span, options | _section(section, crossing), save)
+
+
+def _of_maps(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options that all maps have, and as its first argument what reads them.
+
+    Its own options follow; one of the same name takes the place of the common one.
+    """
+    shared = signature(_common, eval_str=True).parameters
+    _, *own = signature(command, eval_str=True).parameters.values()
+    all_ = {**shared, **{each.name: each for each in own}}
+
+    @wraps(command)
+    def told(**given: Any) -> None:
+        common = {name: given.pop(name) for name in shared}
+        with one_line():
+            command(partial(_common, **common), **given)
+
+    options = [each.replace(kind=Parameter.KEYWORD_ONLY) for each in all_.values()]
+    told.__signature__ = Signature(options)  # type: ignore[attr-defined]
+    told.__annotations__ = {each.name: each.annotation for each in options}
+    return told
 
 
 def _section(section: str | None, crossing: str) -> dict[str, Any]:
@@ -145,31 +199,13 @@ class _Level:
 
 
 @app.command()
+@_of_maps
 def sweep(
+    common: Reader,
     model: Annotated[str | None, typer.Argument(help="As for run; none with --status.")] = None,
-    over: Over = None,
-    set_: Parameters = None,
-    start: States = None,
-    since: Since = None,
-    until: Until = None,
-    history: Before = None,
-    memory: MemoryKind = "keep",
-    solver: Solver = None,
-    method: MethodName = None,
-    rtol: Relative = None,
-    atol: Absolute = None,
-    max_step: LongestStep = None,
-    first_step: FirstStep = None,
-    zeno: Choice = "rest",
-    mode: ModeAtStart = None,
-    max_jumps: MostJumps = None,
     measure: Measure = None,
-    section: Section = None,
-    crossing: Crossing = "rising",
     skip: Skip = 0,
     keep: Keep = 32,
-    store: Kept = None,
-    save: Save = None,
     status: Annotated[
         str | None, typer.Option(help="Say how far the map is that is stored there.")
     ] = None,
@@ -180,41 +216,25 @@ def sweep(
     from ..maps import sweep as fly
     from ..maps.store import status as stored
 
-    with one_line():
-        if status is not None:
-            found = stored(status)
-            if json or not quiet:
-                typer.echo(as_json(found) if json else _how_far(found))
-            return
-        if model is None:
-            raise OptionError("hybrid sweep MODEL --over NAME=FROM:TO:COUNT, or --status map.zarr")
-        can_write("--save", save)
-        options = {"measure": measure or [], "skip": skip, "keep": keep, "store": store}
-        options |= {"memory": memory, "solver": solver, **_section(section, crossing)}
-        options |= {"method": method, "rtol": rtol, "atol": atol, "max_step": max_step}
-        options |= {"first_step": first_step, "zeno": zeno, "mode": mode, "max_jumps": max_jumps}
-        table = _map(model, over, set_, start, (since, until), history, **options).fly(fly)
-        _tell(table, json, quiet)
-        _save(table, save)
+    if status is not None:
+        found = stored(status)
+        if json or not quiet:
+            typer.echo(as_json(found) if json else _how_far(found))
+        return
+    if common.keywords["model"] is None:
+        raise OptionError("hybrid sweep MODEL --over NAME=FROM:TO:COUNT, or --status map.zarr")
+    given = common()
+    table = given.fly(fly, measure=measure or [], skip=skip, keep=keep)
+    _tell(table, json, quiet)
+    given.write(table)
 
 
 @app.command()
+@_of_maps
 def basins(
-    model: ModelName,
-    over: Over = None,
-    set_: Parameters = None,
-    start: States = None,
-    since: Since = None,
-    until: Until = None,
-    history: Before = None,
-    memory: MemoryKind = "keep",
-    solver: Solver = None,
-    section: Section = None,
-    crossing: Crossing = "rising",
+    common: Reader,
     keep: Keep = 100,
     near: Annotated[float, typer.Option(help="One place, as a share of what is spanned.")] = 0.01,
-    store: Kept = None,
-    save: Save = None,
     plot: Plot = None,
     quiet: Quiet = False,
     json: Json = False,
@@ -222,43 +242,28 @@ def basins(
     """To which attractor each start leads: rest, or an orbit; and a picture of it."""
     from ..maps import basins as find
 
-    with one_line():
-        can_write("--save", save)
-        can_write("--plot", plot)
-        if section is None:
-            raise OptionError("--section is needed: a jump's name, a period, or v=0")
-        options = {"keep": keep, "near": near, "store": store, "memory": memory, "solver": solver}
-        options |= _section(section, crossing)
-        found = _map(model, over, set_, start, (since, until), history, **options).fly(find)
-        if json:
-            rows = [attrs.asdict(each) for each in found.attractors]
-            for row in rows:
-                row["state"] = {name: row["state"][name] for name in row["state"].keys()}
-            typer.echo(as_json({"attractors": rows, "none": found.none}))
-        elif not quiet:
-            typer.echo(str(found))
-        _save(found.table, save)
-        _draw(found.plot, plot, json or quiet)
+    can_write("--plot", plot)
+    given = common()
+    given.require_section()
+    found = given.fly(find, keep=keep, near=near)
+    if json:
+        rows = [attrs.asdict(each) for each in found.attractors]
+        for row in rows:
+            row["state"] = {name: row["state"][name] for name in row["state"].keys()}
+        typer.echo(as_json({"attractors": rows, "none": found.none}))
+    elif not quiet:
+        typer.echo(str(found))
+    given.write(found.table)
+    _draw(found.plot, plot, json or quiet)
 
 
 @app.command()
+@_of_maps
 def bifurcation(
-    model: ModelName,
+    common: Reader,
     state: Annotated[str, typer.Argument(help="The state, or output, that is drawn.")],
-    over: Over = None,
-    set_: Parameters = None,
-    start: States = None,
-    since: Since = None,
-    until: Until = None,
-    history: Before = None,
-    memory: MemoryKind = "keep",
-    solver: Solver = None,
-    section: Section = None,
-    crossing: Crossing = "rising",
     skip: Skip = 100,
     keep: Keep = 50,
-    store: Kept = None,
-    save: Save = None,
     plot: Plot = None,
     quiet: Quiet = False,
     json: Json = False,
@@ -266,44 +271,28 @@ def bifurcation(
     """Points on a section over a parameter, once transients have died away; and a picture."""
     from ..maps import bifurcation as find
 
-    with one_line():
-        can_write("--save", save)
-        can_write("--plot", plot)
-        if section is None:
-            raise OptionError("--section is needed: a jump's name, a period, or v=0")
-        options = {"skip": skip, "keep": keep, "store": store, "memory": memory, "solver": solver}
-        given = _map(model, over, set_, start, (since, until), history, **options)
-        own = {state} & {output.name for output in given.model.spec.outputs}
-        asked_for = {"measure": ["period", *own], **_section(section, crossing)}
-        found = given.fly(find, **asked_for)
-        _tell(found.table, json, quiet)
-        _save(found.table, save)
-        _draw(partial(found.plot, state), plot, json or quiet)
+    can_write("--plot", plot)
+    given = common()
+    given.require_section()
+    own = {state} & {output.name for output in given.model.spec.outputs}
+    found = given.fly(find, measure=["period", *own], skip=skip, keep=keep)
+    _tell(found.table, json, quiet)
+    given.write(found.table)
+    _draw(partial(found.plot, state), plot, json or quiet)
 
 
 @app.command()
+@_of_maps
 def region(
-    model: ModelName,
-    over: Over = None,
-    set_: Parameters = None,
-    start: States = None,
-    since: Since = None,
-    until: Until = None,
-    history: Before = None,
-    memory: MemoryKind = "keep",
-    solver: Solver = None,
+    common: Reader,
     by: Annotated[str, typer.Option(help="The column: verdict, mode, status, period.")] = "verdict",
     box: Annotated[
         list[str] | None,
         typer.Option(help="What is proved is drawn over it: bounds as for certify. Repeat it."),
     ] = None,
     measure: Measure = None,
-    section: Section = None,
-    crossing: Crossing = "rising",
     skip: Skip = 0,
     keep: Keep = 32,
-    store: Kept = None,
-    save: Save = None,
     plot: Plot = None,
     quiet: Quiet = False,
     json: Json = False,
@@ -311,16 +300,13 @@ def region(
     """A plane by what becomes of each lane, and what is proved of it; and a picture."""
     from ..maps import region as find
 
-    with one_line():
-        can_write("--save", save)
-        can_write("--plot", plot)
-        options = {"measure": measure or [], "skip": skip, "keep": keep, "store": store}
-        options |= {"memory": memory, "solver": solver, **_section(section, crossing)}
-        options |= {"by": by, "box": bounds(box) if box else None}
-        found = _map(model, over, set_, start, (since, until), history, **options).fly(find)
-        _tell(found.table, json, quiet)
-        _save(found.table, save)
-        _draw(found.plot, plot, json or quiet)
+    can_write("--plot", plot)
+    given = common()
+    options = {"measure": measure or [], "skip": skip, "keep": keep, "by": by}
+    found = given.fly(find, **options, box=bounds(box) if box else None)
+    _tell(found.table, json, quiet)
+    given.write(found.table)
+    _draw(found.plot, plot, json or quiet)
 
 
 def _tell(table: Any, json: bool, quiet: bool) -> None:
@@ -343,11 +329,6 @@ def _how_far(found: dict[str, Any]) -> str:
         ends = ", ".join(f"{count} {name or 'none'}" for name, count in found[what].items())
         said += f"\n  {what}: {ends}" if ends else ""
     return said
-
-
-def _save(table: Any, path: str | None) -> None:
-    if path is not None:
-        write(partial(table.to_netcdf, path, engine="h5netcdf"))
 
 
 def _draw(draw: Callable[[str], Any], path: str | None, silent: bool) -> None:
