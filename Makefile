@@ -30,7 +30,7 @@ docs: .venv/installed
 	HYBRID_SITE=out/site $(BIN)/python -m pytest -n 2 -m pages tests/test_docs.py tests/test_site.py
 
 bench: .venv/installed
-	$(BIN)/python benchmarks/example_1.py
+	$(BIN)/python benchmarks/report.py
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -m venv .venv
