@@ -126,6 +126,7 @@ def made(kept: Path, again: list[str], quick: bool) -> None:
     """Run what is missing."""
     kept.mkdir(parents=True, exist_ok=True)
     small = ["--quick"] if quick else []
+    sizes = "measure.py", "losses.py"
     jobs = {
         name: (kept / f"{name}.json", ["measure.py", name, "--json", str(kept)]) for name in TASKS
     }
@@ -136,7 +137,7 @@ def made(kept: Path, again: list[str], quick: bool) -> None:
             continue
         begin = time.perf_counter()
         print(f"[{number}/{len(jobs)}] {name} ...", end="", flush=True)
-        text, fault = run([*command, *small], LONGEST)
+        text, fault = run([*command, *(small if command[0] in sizes else [])], LONGEST)
         print(f" {time.perf_counter() - begin:.0f} s {fault}", flush=True)
         if path.suffix == ".txt" and not fault:
             path.write_text(text)
