@@ -209,7 +209,8 @@ def cell(rows: dict[str, Row], prefix: str, wanted: float, ours: Row) -> str:
     if not timed:
         return "not installed" if "not installed" in own[0].reason else "fails"
     fit = min(timed, key=lambda r: (not r.keeps(wanted), r.seconds or 0.0))
-    ratio = f"{(fit.seconds or 0.0) / (ours.seconds or 1.0):.2g}"
+    times = (fit.seconds or 0.0) / (ours.seconds or 1.0)
+    ratio = f"{times:.0f}" if times >= 10 else f"{times:.2g}"
     return ratio if fit.keeps(wanted) else f"({ratio})"
 
 

@@ -149,7 +149,7 @@ def landed(gap, low, high, leaves):
         following = tau - here / rate
         if not low < following < high:
             following = 0.5 * (low + high)
-        if abs(following - tau) <= 1e-16 * tau:
+        if abs(following - tau) <= 4e-16 * tau:
             break
         tau = following
     return tau

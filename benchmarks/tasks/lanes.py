@@ -26,7 +26,7 @@ from peers import solve_ivp_restarts
 from tasks.impacts import example_1
 
 WALL, TOLERANCE, IMPACTS, CHECKED, UNTIL = 2.0, 1e-9, 40, 20, 3.0
-LANES, FEW, QUICK = 10_000, 40, 500
+LANES, SOME, FEW, QUICK = 10_000, 2_000, 40, 500
 CORES = os.cpu_count() or 1
 STEP = {"rtol": TOLERANCE, "atol": TOLERANCE}
 
@@ -110,6 +110,11 @@ def mapped(x, r):
     return jax.vmap(nested)(x, r)
 
 
+def at_once(x, r):
+    """All lanes in one map."""
+    return np.asarray(mapped(x, r))
+
+
 def in_threads(x, r):
     """The lanes in pieces of about a thousand, as many at a time as there are cores."""
     parts = max(1, len(x) // 1000)
@@ -147,8 +152,8 @@ def task(name, quick):
         "numba, Dormand-Prince by hand, all cores": lambda rtol: way(by_hand(resting))(rtol),
     }
     if not resting:
-        ways["diffeqsolve Tsit5, vmap, in threads"] = way(in_threads)
-        ways["diffeqsolve Tsit5, one vmap"] = way(lambda x, r: np.asarray(mapped(x, r)))
+        ways["diffeqsolve Tsit5, vmap, in threads"] = way(in_threads, min(count, SOME))
+        ways["diffeqsolve Tsit5, one vmap"] = way(at_once, min(count, SOME))
         ways["solve_ivp DOP853, a process a core"] = way(in_processes, FEW)
     aim = f"to rest by t = {UNTIL:g}" if resting else f"to {IMPACTS} impacts"
     what = "limit" if resting else "last impact"
