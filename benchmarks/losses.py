@@ -3,8 +3,8 @@
     python benchmarks/losses.py [--quick]
 
 Each flight of what is printed is flown again on its own, by heyoka to rounding: does it end earlier
-than it did? Behind a plus are touches no deeper than the tolerance that were passed. heyoka makes
-the flights again, so it is needed.
+than it did? Behind a plus are touches that were passed, no deeper than what the tolerance, absolute
+and relative, leaves open of the position. heyoka makes the flights again, so it is needed.
 """
 
 from __future__ import annotations

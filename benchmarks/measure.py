@@ -33,6 +33,10 @@ LEAST_TURNS, TURNS, ENOUGH = 3, 9, 8.0
 #: Seconds that one timing takes at least: as many calls are made.
 SHORTEST = 5e-3
 
+#: Calls before the first turn, and the seconds after which there is no other: runs of this package
+#: that are long have machine code of their own compiled meanwhile.
+WARM_CALLS, WARMING = 6, 1.2
+
 #: A call that takes longer is timed by no more turns than its first call.
 SLOW = 3.0
 
@@ -130,9 +134,13 @@ def begun(task: Task, make: Any, row: Row, first: bool) -> tuple[Call, int, list
     if not math.isfinite(error) or not row.count:
         row.reason = "not the motion that is asked for"
         return None
-    begin = task.clock()
-    call()
-    again = max(task.clock() - begin, 1e-9)
+    end = time.perf_counter() + WARMING
+    for _ in range(WARM_CALLS):
+        begin = task.clock()
+        call()
+        again = max(task.clock() - begin, 1e-9)
+        if time.perf_counter() > end:
+            break
     samples = [again / row.count] if again > SLOW else []
     return call, max(1, math.ceil(SHORTEST / again)), samples
 

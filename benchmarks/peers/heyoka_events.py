@@ -86,7 +86,8 @@ EARLIER = 1e-2
 
 def lost(task, rows, tolerance):
     """Flights that end earlier when they are flown again, and those that end earlier in a touch, no
-    deeper than the tolerance; flights that begin too slowly to tell are left out."""
+    deeper than what a tolerance, relative and absolute, leaves open of the position there; flights
+    that begin too slowly to tell are left out."""
     flights, early = Flights(task, None, 1), [0, 0]
     for (t, x, v), (end, *_) in pairwise(rows):
         off = x - task.wall(FUNCTIONS, t), v - task.wall_speed(FUNCTIONS, t)
@@ -94,7 +95,8 @@ def lost(task, rows, tolerance):
             continue
         again = flights.fly(t, (x, v), end + 1.0)
         if len(again) and again[0, 0] < end - EARLIER:
-            early[int(depth(task, *again[0]) <= (tolerance or 0.0))] += 1
+            open_ = (tolerance or 0.0) * (1.0 + abs(task.floor + again[0, 1]))
+            early[int(depth(task, *again[0]) <= open_)] += 1
     return tuple(early)
 
 

@@ -1,6 +1,6 @@
 """Impacts of a point over a wall, as many as a task asks for.
 
-Errors are of the times of impacts, of the first ten or twenty where the motion is chaotic, against
+Errors are of the times of impacts, of the first five or twenty where the motion is chaotic, against
 heyoka in extended precision (without it: this package, to rounding). Whether an impact was lost is
 asked of each flight of a chaotic motion on its own: flown again, to rounding, does it end earlier?
 """
@@ -27,7 +27,7 @@ from tasks import peers, tolerances
 CHAOTIC, SOME, FEW = 10_000, 1_000, 100
 
 #: Impacts that are compared where the motion is chaotic: later ones say nothing.
-COMPARED = {"chaotic_table": 10, "duffing": 20}
+COMPARED = {"chaotic_table": 5, "duffing": 20}
 
 #: What flies as many impacts as are asked for; the others fly a few.
 FAST = ("heyoka_events", "numba_taylor", "taylor")
