@@ -34,7 +34,7 @@ notebooks: .venv/installed
 	$(BIN)/python docs/notebooks.py
 
 bench: .venv/installed
-	$(BIN)/python benchmarks/example_1.py
+	$(BIN)/python benchmarks/report.py
 
 .venv/installed: pyproject.toml
 	$(PYTHON) -m venv .venv

@@ -86,7 +86,7 @@ def test_every_page_is_there(site):
     pages = {f"{path.relative_to(site).with_suffix('')}" for path in site.rglob("*.html")}
     docs = ROOT / "docs"
     written = {f"{path.relative_to(docs).with_suffix('')}" for path in docs.rglob("*.md")}
-    assert pages == written | {"index", "gallery", "benchmarks", "contributing", "changelog", "404"}
+    assert pages == written | {"index", "gallery", "contributing", "changelog", "404"}
 
 
 def test_links_lead_to_what_is_there(site, pages):

@@ -1,4 +1,4 @@
-"""heyoka's Taylor integrator with a terminal event, whose callback turns the velocity.
+"""heyoka's Taylor integrator with terminal events, whose callback turns the velocity.
 
 Later runs use the machine code of the first.
 """
@@ -6,59 +6,77 @@ Later runs use the machine code of the first.
 from __future__ import annotations
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import heyoka
 import numpy as np
 
 from peers.oscillator import FUNCTIONS
 
+SYMBOLS = SimpleNamespace(sin=heyoka.sin, cos=heyoka.cos, concatenate=np.concatenate)
 
-def integrator(task, tolerance, impacts, real=float):
-    """An integrator, the rows that it fills, and how many are filled."""
-    x, v = heyoka.make_vars("x", "v")
-    found, count = np.empty((impacts, 3), dtype=real), [0]
-    functions = FUNCTIONS if real is float else np
-
-    def impact(ta, _):
-        moves = task.wall_speed(functions, ta.time)
-        speed = real(task.r) * (moves - ta.state[1])
-        above = abs(ta.state[0] - task.wall(functions, ta.time))  # by rounding
-        ta.state[:] = task.wall(functions, ta.time) + above, moves + speed
-        if speed < task.slow:
-            ta.state[:] = task.start
-        found[count[0]] = ta.time, *ta.state
-        count[0] += 1
-        return count[0] < impacts
-
-    wall = heyoka.t_event(
-        x - task.wall(heyoka, heyoka.time),
-        callback=impact,
-        direction=heyoka.event_direction.negative,
-        fp_type=real,
-    )
-    given = {} if tolerance is None else {"tol": real(tolerance)}
-    flow = [(x, v), (v, heyoka.expression(task.force(heyoka, heyoka.time, x, v)))]
-    state, events = np.array(task.start, dtype=real), [wall]
-    made = heyoka.taylor_adaptive(flow, state, t_events=events, fp_type=real, **given)
-    return made, found, count
+#: More states are compiled compactly.
+LARGE = 20
 
 
-def begin(made, count, t, state):
-    """Put an integrator somewhere."""
-    made.time, made.state[:], count[0] = t, state, 0
-    made.reset_cooldowns()
+class Flights:
+    """An integrator, the rows that it fills, and where a rest ends that it has to leave."""
+
+    def __init__(self, task, tolerance, impacts, real=float):
+        names = heyoka.make_vars(*(f"y{i}" for i in range(len(task.start))))
+        self.task, self.left, self.count = task, None, 0
+        self.rows = np.empty((impacts, 1 + len(names)), dtype=real)
+        y = np.array(names, dtype=object)
+        walls = [
+            heyoka.t_event(
+                gap,
+                callback=self.strike(which),
+                direction=heyoka.event_direction.negative,
+                fp_type=real,
+            )
+            for which, gap in enumerate(task.gaps(SYMBOLS, heyoka.time, y))
+        ]
+        given = {} if tolerance is None else {"tol": real(tolerance)}
+        if len(names) > LARGE:  # as its manual says of large systems
+            given["compact_mode"] = True
+        slopes = [heyoka.expression(e) for e in task.flow(SYMBOLS, heyoka.time, y)]
+        flow, state = list(zip(names, slopes, strict=True)), np.array(task.start, dtype=real)
+        self.made = heyoka.taylor_adaptive(flow, state, t_events=walls, fp_type=real, **given)
+
+    def strike(self, which):
+        def impact(ta, _):
+            row, t, y = self.task.rebound(ta.time, ta.state, which)
+            self.rows[self.count] = row
+            self.count += 1
+            if t != ta.time:
+                self.left = t, y
+                return False
+            ta.state[:] = y
+            return self.count < len(self.rows)
+
+        return impact
+
+    def begin(self, t, state):
+        """Put the integrator somewhere."""
+        self.made.time, self.made.state[:] = t, state
+        self.made.reset_cooldowns()
+
+    def fly(self, t, state, until):
+        """The rows from a state on."""
+        self.count, self.left = 0, (t, state)
+        while self.left is not None and self.count < len(self.rows):
+            (t, state), self.left = self.left, None
+            if t < until:
+                self.begin(t, state)
+                self.made.propagate_until(until)
+        found = self.rows[: self.count]
+        return found[found[:, 0] <= until].copy()
 
 
-def prepare(task, tolerance, impacts, real=float):
+def prepare(task, tolerance, real=float):
     """A call that makes the impacts; ``tolerance`` None: to rounding."""
-    made, found, count = integrator(task, tolerance, impacts, real)
-
-    def fly():
-        begin(made, count, real(task.begin), task.start)
-        made.propagate_until(real(task.until))
-        return found[: count[0]].copy()
-
-    return fly
+    flights = Flights(task, tolerance, task.impacts, real)
+    return lambda: flights.fly(real(task.begin), task.start, real(task.until))
 
 
 #: A flight that is flown again ends at another time by what a step may lose, over the gap's speed
@@ -68,17 +86,17 @@ EARLIER = 1e-2
 
 def lost(task, rows, tolerance):
     """Flights that end earlier when they are flown again, and those that end earlier in a touch, no
-    deeper than the tolerance; flights that begin too slowly to tell are left out."""
-    made, found, count = integrator(task, None, 1)
-    early = [0, 0]
+    deeper than what a tolerance, relative and absolute, leaves open of the position there; flights
+    that begin too slowly to tell are left out."""
+    flights, early = Flights(task, None, 1), [0, 0]
     for (t, x, v), (end, *_) in pairwise(rows):
         off = x - task.wall(FUNCTIONS, t), v - task.wall_speed(FUNCTIONS, t)
         if off[0] <= 1e-9 and off[1] <= max(task.slow, 1e-9):
             continue
-        begin(made, count, t, (x, v))
-        made.propagate_until(end + 1.0)
-        if count[0] == 1 and found[0, 0] < end - EARLIER:
-            early[int(depth(task, *found[0]) <= (tolerance or 0.0))] += 1
+        again = flights.fly(t, (x, v), end + 1.0)
+        if len(again) and again[0, 0] < end - EARLIER:
+            open_ = (tolerance or 0.0) * (1.0 + abs(task.floor + again[0, 1]))
+            early[int(depth(task, *again[0]) <= open_)] += 1
     return tuple(early)
 
 

@@ -13,6 +13,8 @@ import math
 import numba
 import numpy as np
 
+from peers.oscillator import ABOVE
+
 ORDER, PLACES, LONGEST = 20, 16, 1.0
 
 compiled = numba.njit(error_model="numpy", fastmath={"contract"})
@@ -147,7 +149,7 @@ def landed(gap, low, high, leaves):
         following = tau - here / rate
         if not low < following < high:
             following = 0.5 * (low + high)
-        if abs(following - tau) <= 1e-16 * tau:
+        if abs(following - tau) <= 4e-16 * tau:
             break
         tau = following
     return tau
@@ -169,18 +171,26 @@ def flown(jet, given, wall, t, x0, v0, leaves, tolerance, x, v, gap, work):
 
 
 @compiled
-def solved(jet, wall, given, r, slow, t, x0, v0, tolerance, impacts):
-    """Time, and position and velocity after it, of each impact."""
+def solved(jet, wall, rest, given, r, slow, t, x0, v0, tolerance, impacts, until):
+    """Time, and position and velocity after it, of each impact; how many there are."""
     x, v, gap = np.zeros(ORDER + 1), np.zeros(ORDER + 1), np.zeros(ORDER + 1)
     work, rows, leaves, start = np.zeros((4, ORDER + 1)), np.empty((impacts, 3)), False, (x0, v0)
     for k in range(impacts):
         t, v0 = flown(jet, given, wall, t, x0, v0, leaves, tolerance, x, v, gap, work)
+        if t > until:
+            return rows, k
         height, moves = wall(given, t)
         speed = r * (moves - v0)
         leaves = speed >= slow
         x0, v0 = (height, moves + speed) if leaves else start
         rows[k] = t, x0, v0
-    return rows
+        if not leaves:
+            stick, end = rest(given, r, t, speed)
+            if end > t:
+                rows[k] = stick, *wall(given, stick)
+                t, (x0, v0) = end, wall(given, end)
+                x0 += ABOVE
+    return rows, impacts
 
 
 @compiled
@@ -196,6 +206,21 @@ def shaken(given, t):
     return a * math.sin(w * t), a * w * math.cos(w * t)
 
 
+@compiled
+def none(given, r, t, speed):
+    """No rest."""
+    return t, t
+
+
+@compiled
+def on_table(given, r, t, speed):
+    """When a chattering on a shaken wall ends, and when the wall falls away."""
+    g, a, w = given
+    stick = t + 2 * speed / ((g - a * w * w * math.sin(w * t)) * (1 - r))
+    angle, turn = math.asin(g / (a * w * w)), 2 * math.pi
+    return stick, (angle + turn * math.ceil((w * stick - angle) / turn)) / w
+
+
 #: Recurrences and wall by the name of the flow.
 FLOWS = {
     "cubic": (cubic, at_rest),
@@ -204,8 +229,14 @@ FLOWS = {
 }
 
 
-def prepare(task, tolerance, impacts):
+def prepare(task, tolerance):
     """A call that makes the impacts."""
     name, *given = task.by_hand
-    options = task.r, task.slow, task.begin, *task.start, tolerance or 1e-16, impacts
-    return lambda: solved(*FLOWS[name], tuple(given), *options)
+    options = task.r, task.slow, task.begin, *task.start, tolerance or 1e-16, task.impacts
+    rules = *FLOWS[name], on_table if task.rest else none
+
+    def fly():
+        rows, count = solved(*rules, tuple(given), *options, task.until)
+        return rows[:count]
+
+    return fly

@@ -370,9 +370,17 @@ class ArcFlow:
         tolerance = self._tolerance(guard, self.now.t + stepper.tau, stepper.x)
         scale = scales[index] if scales else float("inf")
         order, t0 = self.orders[index], self.now.t
-        noise = self._leaving(index, stepper)
+        noise, ends, many = self._leaving(index, stepper), dict(self.ends), len(grazes)
         found = zeros(guard, segment, t0, order, scale, tolerance, self.ends, noise)
         fired = self._first_zero(index, found, segment, stepper.x, tolerance, grazes)
+        while fired is not None and (
+            (finer := self._tolerance(guard, t0 + fired.tau, segment(fired.tau))) < 0.5 * tolerance
+        ):
+            # the step ends there: what the state beyond may lose hides no earlier zero
+            tolerance, self.ends, grazes[many:] = finer, dict(ends), []
+            found = zeros(guard, segment, t0, order, scale, tolerance, self.ends, noise)
+            earlier = self._first_zero(index, found, segment, stepper.x, tolerance, grazes)
+            fired = earlier if earlier is not None and earlier.tau < fired.tau else fired
         fired = fired or self._last(index, segment, stepper.x)
         if fired is not None:
             return fired
