@@ -76,7 +76,7 @@ def test_a_guard_leaves_zero_by_its_first_power(power, side):
     """Below it there are roundings of terms of size 1; from the third on coefficients compare."""
     c = np.array([3e-16, -2e-16, 1e-16, 0.0, 0.0, 0.0, 0.0, 0.0])
     c[power] = side * 0.5
-    given = c, np.zeros((0, 8)), 0, c[0], c[1], 0.0, 1.0, 1.0, 1.0, 1.0, np.inf, 0
+    given = c, np.zeros((0, 8)), 0, c[0], c[1], 0.0, 1.0, 1.0, 1.0, 1.0, np.inf, 0, 0
     assert unit("entries").start(*given) == (power, side)
 
 
@@ -84,5 +84,15 @@ def test_a_gap_that_clearly_moves_is_zero_by_its_own_terms_only():
     """Not by those of states as large as the run has seen: a small gap is none."""
     c = np.array([1e-12, 1.0, 0.0, 0.0, 0.0])
     own = c, np.zeros((0, 5)), 0, c[0], c[1], 0.0, 1.0, 1.0, 1.0, 1e6
-    assert unit("entries").start(*own, 1.0, 0) == (0, 1)  # a gap
-    assert unit("entries").start(*own, np.inf, 0) == (1, 1)  # another guard
+    assert unit("entries").start(*own, 1.0, 0, 0) == (0, 1)  # a gap
+    assert unit("entries").start(*own, np.inf, 0, 0) == (1, 1)  # another guard
+
+
+@pytest.mark.parametrize(("out", "found"), [(-1, (2, 1)), (0, (1, -1)), (1, (1, -1))])
+def test_a_rate_that_turns_back_within_rounding_takes_no_edge(out, found):
+    """At the highest point of a throw: what is left of the speed is no crossing of a ceiling."""
+    c = np.array([1e-17, -1e-9, 0.5])
+    given = c, np.zeros((0, 3)), 0, c[0], c[1], 0.0, 1.0, 1e-9, 1.0, 1.0, np.inf, 0
+    assert unit("entries").start(*given, out) == found
+    c[1] = -1e-6  # it goes deeper than rounding
+    assert unit("entries").start(*given[:4], c[1], *given[5:], out) == (1, -1)

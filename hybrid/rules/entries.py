@@ -116,7 +116,9 @@ def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) ->
             for k in range(a.guards[guard, USES], a.guards[guard, USES_END]):
                 high = max(high, now.seen[a.uses[k]])
             high = min(high, max(size, sizes_of(a, room, guard, t, now.seen)[0]))
-        order, sign = start(c, room.c, n, c[0], c[1], t, size, rate, bend, high, fast, least)
+        out = crossing if before == 0 else 1 if c[1] > 0.0 else -1
+        out = out if kind == EDGE and not used else 0
+        order, sign = start(c, room.c, n, c[0], c[1], t, size, rate, bend, high, fast, least, out)
         if loads and sign == 0:  # bodies that fall together bear nothing, for good
             return 0, ARMED
         series = used and own == now.ints[SERIES] and now.ints[IMPACT_COUNT] > 1
@@ -232,6 +234,8 @@ def does(
         return FIRES if before == -sign else ARMED
     if not outwards:
         return LEAVES if kind == SWITCH else ARMED
+    if kind == EDGE and before == sign:  # it has touched zero
+        return ARMED
     if kind == EDGE and used:
         return BEYOND if bounds else ARMED
     return ARMED if spent and not bounds else FIRES
@@ -250,6 +254,7 @@ def start(
     high: float,
     fast: float,
     least: int,
+    out: int,
 ) -> tuple[int, int]:
     """The power of the time by which a guard vanishes, if it is not :func:`far` from zero, and the
     sign that it takes next: 0 if no coefficient of its series along the flow decides.
@@ -268,11 +273,18 @@ def start(
         The same for the rate of a gap; infinite for other guards.
     least : int
         The least power by which it is known to vanish.
+    out : int
+        A sign that a rate does not give the guard of an edge if it turns back within rounding, as
+        the guard then only touches zero: the one with which it would be taken, or, if its sign
+        before is known, either; 0 for the edge just taken, and where there is none.
     """
     moves = value > 0.0 and abs(slope) > GUARD_ROUNDING * EPS * fast
     noise = GUARD_ROUNDING * EPS * (size + abs(t) * abs(slope) + (0.0 if moves else high))
     if least == 0 and not abs(value) <= noise:
         return 0, 1 if value > 0.0 else -1
+    back = c[2] if slope * out > 0.0 > c[2] * out else 0.0
+    if abs(back) > GUARD_ROUNDING * EPS * bend and slope * slope <= 4.0 * abs(back) * noise:
+        return 2, -out
     for k in range(max(least, 1), min(HIGHER, c.shape[0])):
         if abs(c[k]) > GUARD_ROUNDING * EPS * (rate if k == 1 else bend):
             return k, 1 if c[k] > 0.0 else -1

@@ -117,6 +117,8 @@ def zero_of(
     crossing, bends = a.guards[guard, CROSSING], a.guards[guard, BENDS] == 1
     hides = max(hidden(a, now, room, guard) if bends else 0.0, ROUNDING_BESIDE * left)
     tolerance = max(left_open(a, run, guard, now.end), hides)
+    if a.guards[guard, USES] == a.guards[guard, USES_END]:
+        tolerance = max(tolerance, GUARD_ROUNDING * EPS * power_size(c, 0, c.shape[0] - 1, h))
     starting = starting or order > 0
     if not starting and not c[0] * now.signs[place] > 0.0:
         return 0.0
@@ -130,7 +132,7 @@ def zero_of(
     if not kinked and (crossing == 0 or c[order] * crossing < 0.0):
         s = soon(c, order, degree, h)
         if s < math.inf and holds_at(a, now, room, guard, s):
-            return fires(a, run, now, room, c, guard, order, s, c[order], tolerance)
+            return fires(a, run, now, room, c, guard, order, s, c[order])
     listed = series(c, degree, h, order, near, room.rows, room.found)
     if listed < 0:
         return 0.0
@@ -139,13 +141,13 @@ def zero_of(
         s, direction = room.found[k, 0], room.found[k, 1]
         if direction == 0.0:
             value, _ = power_value(c, 0, degree, s)
-            if abs(value) <= own_open(a, run, now, room, guard):
+            if abs(value) <= own_open(a, run, now, room, guard, c, s):
                 return 0.0
             continue
         side = direction
         if (crossing == 0 or direction * crossing > 0.0) and holds_at(a, now, room, guard, s):
-            return fires(a, run, now, room, c, guard, order, s, -direction, tolerance)
-        if a.guards[guard, BOUNDS] == 1:
+            return fires(a, run, now, room, c, guard, order, s, -direction)
+        if a.guards[guard, BOUNDS] == 1 or turns(c, s, own_open(a, run, now, room, guard, c, s)):
             return 0.0
     value, _ = power_value(c, 0, degree, h)
     size = power_size(c, 0, degree, h)
@@ -196,15 +198,13 @@ def fires(
     order: int,
     s: float,
     before: float,
-    tolerance: float,
 ) -> float:
     """When a guard fires that crosses zero at ``s``, with a sign before that; 0 where that is not
     plain."""
     now.signs[guard - a.fields[now.ints[FIELD], GUARDS]] = 1 if before > 0.0 else -1
     if order == 1 and not has_left(a, now, room, c, guard, s):
         return 0.0
-    back = turns(c, s, tolerance) and turns(c, s, own_open(a, run, now, room, guard))
-    return 0.0 if back else s
+    return 0.0 if turns(c, s, own_open(a, run, now, room, guard, c, s)) else s
 
 
 def left_open(a: AutomatonArrays, run: Floats, guard: int, x: Floats) -> float:
@@ -220,15 +220,22 @@ def used(a: AutomatonArrays, guard: int, x: Floats) -> float:
     return size
 
 
-def own_open(a: AutomatonArrays, run: Floats, now: Now, room: Room, guard: int) -> float:
-    """What the tolerances leave open of a guard, in its own unit (:func:`in_unit`)."""
-    own, _, _ = sizes_of(a, room, guard, now.floats[T], now.end)
-    return in_unit(left_open(a, run, guard, now.end), used(a, guard, now.end), own, run[RELATIVE])
+def own_open(
+    a: AutomatonArrays, run: Floats, now: Now, room: Room, guard: int, c: Floats, s: float
+) -> float:
+    """What the tolerances leave open of a guard on the way along a step, of which ``room.c`` has
+    the series, in its own unit (:func:`in_unit`); never less than the rounding of its series
+    ``c``."""
+    there = room.there
+    along(room.c, s, there)
+    own, _, _ = sizes_of(a, room, guard, room.c[now.end.shape[0], 0] + s, there)
+    own = in_unit(left_open(a, run, guard, there), used(a, guard, there), own, run[RELATIVE])
+    return max(own, GUARD_ROUNDING * EPS * power_size(c, 0, c.shape[0] - 1, s))
 
 
 def in_unit(left: float, size: float, own: float, rtol: float) -> float:
     """What is left open of a guard, in its own unit, in which it may be far smaller than the
-    states.
+    states; never less than its own rounding, by which it cannot be told from zero.
 
     Parameters
     ----------
@@ -237,7 +244,7 @@ def in_unit(left: float, size: float, own: float, rtol: float) -> float:
     own : float
         The sum of the terms of which it is made.
     """
-    return min(left, (left / size if size > 0.0 else rtol) * own)
+    return max(min(left, (left / size if size > 0.0 else rtol) * own), GUARD_ROUNDING * EPS * own)
 
 
 def blurred(c: Floats, s: float) -> float:

@@ -58,4 +58,4 @@ def heads(
         return 0, 0
     c = room.c[row_of(a, program, field, guard)]
     n, value, slope = x.shape[0], c[0], c[1]
-    return start(c, room.c, n, value, slope, t, size, rate, bend, 0.0, math.inf, 1)
+    return start(c, room.c, n, value, slope, t, size, rate, bend, 0.0, math.inf, 1, 0)

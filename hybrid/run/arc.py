@@ -17,7 +17,7 @@ from ..lowering import Guard, Kink, Scene, released
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.arcs import FORESEEN_FAR, LANDINGS, SAFETY
-from ..rules.guards import TIE, TIED_IN_STEP, in_unit, shallow
+from ..rules.guards import GUARD_ROUNDING, TIE, TIED_IN_STEP, in_unit, shallow
 from ..rules.zeros import EPS
 from ..segment import Segment
 from ..solvers import Solver, Stepper
@@ -25,7 +25,7 @@ from ..solvers.base import NO_FLOW_HERE
 from ..trajectory.clock import Instant
 from ..trajectory.plan import Plan
 from ..zeno.flight import falls
-from .entry import MOVES, Entry, describe, expand, opened
+from .entry import MOVES, Entry, describe, expand, opened, side_before
 from .kinked import begin
 from .pace import Pace
 
@@ -69,7 +69,9 @@ class Flown:
     carried : bool
         The guard that fired has not been zero: it jumped over zero.
     tied : dict
-        By edge, the sign before its zero of each guard that is zero at the same time.
+        By edge, the sign before its zero of each guard that is zero at the same time, and fires.
+    touched : dict
+        The same of the guards of other edges that are zero there.
     over : frozenset of str
         Edges whose guards are zero there and whose condition fails.
     steps : int
@@ -86,6 +88,7 @@ class Flown:
     tied: dict[str, int] = attrs.Factory(dict)
     over: frozenset[str] = frozenset()
     steps: int = 0
+    touched: dict[str, int] = attrs.Factory(dict)
 
 
 class ArcFlow:
@@ -142,7 +145,7 @@ class ArcFlow:
             return Flown(None, *end, segments, self.grazes, True, steps=self.made)
         index, carried = (None, False) if fired is None else (fired.index, fired.cut is not None)
         made = stepper.tau, stepper.x, segments, self.grazes
-        known = self.tied, self.over, self.made
+        known = self.tied, self.over, self.made, self._touched(stepper)
         return Flown(index, *made, False, carried, *known)
 
     def _begin_guards(self) -> None:
@@ -217,6 +220,17 @@ class ArcFlow:
         return frozenset(
             guards[index].edge for index in fails if self._since(index, 0, t, x) == 0.0
         )
+
+    def _touched(self, stepper: Stepper) -> dict[str, int]:
+        """The signs before their zero of the guards of edges that are zero where the arc ends."""
+        t, x, found = self.now.t + stepper.tau, stepper.x.tolist(), {}
+        for index, guard in enumerate(self.field.guards):
+            if guard.kind == "edge" and guard.edge not in self.tied:
+                value, rate, bend = guard.lie(t, x)
+                noise = self._rounding(index, t, x) + TIE * np.spacing(abs(t)) * abs(rate)
+                if abs(value) <= noise:
+                    found[guard.edge] = side_before(rate, bend, noise)
+        return found
 
     def _since(self, index: int, before: int, t: float, x: list[float]) -> float:
         """How long before a time a guard has fired (see :func:`hybrid.rules.ties.since`)."""
@@ -422,7 +436,7 @@ class ArcFlow:
         tolerance counts as a crossing if the guard is deeper at the end; one that has not turned
         back there may do so in the next step.
         """
-        guard, shallow = self.field.guards[index], self.turning.pop(index, None)
+        guard, shallow, over = self.field.guards[index], self.turning.pop(index, None), None
         for zero in found:
             if zero.cut is not None:
                 after = segment.start + zero.cut.after * segment.length
@@ -432,18 +446,18 @@ class ArcFlow:
                     return Fired(index, zero.tau, zero.direction, zero.cut)
             elif zero.direction == 0:
                 grazes.append((zero.tau, index))
-            elif (
-                shallow is not None  # the way back
-                or not fires(guard.crossing, zero.direction)
-                or not self._holds(guard, zero.tau, segment, end)
-            ):
-                shallow = None
+            elif shallow is not None:  # the way back
+                shallow, over = None, shallow
+            elif not self._holds(guard, zero.tau, segment, end):
+                continue
             elif self._touches(guard, zero.tau, segment, tolerance):
                 grazes.append((zero.tau, index))
                 shallow = zero
-            else:
+            elif fires(guard.crossing, zero.direction):
                 return Fired(index, zero.tau, zero.direction)
         if shallow is None:
+            if over is not None and abs(self.ends[guard.edge]) <= tolerance:
+                self.turning[index] = over  # it may be to come, by rounding
             return None
         deep = self.ends[guard.edge] * shallow.direction
         if deep <= tolerance:
@@ -452,6 +466,8 @@ class ArcFlow:
             return None
         if (shallow.tau, index) in grazes:
             grazes.remove((shallow.tau, index))
+        if not fires(guard.crossing, shallow.direction):
+            return None
         return Fired(index, max(shallow.tau, segment.start), shallow.direction)
 
     def _holds(self, guard: Guard, tau: float, segment: Segment, end: StateVector) -> bool:
@@ -548,8 +564,12 @@ class ArcFlow:
 
     def _touches(self, guard: Guard, tau: float, segment: Segment, tolerance: float) -> bool:
         """Whether a crossing goes no deeper than the tolerance, and so counts as a tangency (1)."""
-        _, first, second = guard.lie(self.now.t + tau, segment(tau).tolist())
-        return shallow(first, second, tolerance)
+        t, x = self.now.t + tau, segment(tau).tolist()
+        _, first, second = guard.lie(t, x)
+        own = float(self.scene.rounding(guard, self.field)(t, x)[0])
+        along = abs(guard.value(self.now.t + segment.start, segment(segment.start).tolist()))
+        rounding = GUARD_ROUNDING * EPS * max(own, along)
+        return shallow(first, second, max(tolerance, rounding))
 
     def _near_end(self, index: int, segment: Segment, stepper: Stepper) -> Fired | None:
         """A guard that fires next to the end of a step that was made onto a predicted event: the
@@ -628,6 +648,8 @@ class ArcFlow:
         small = 1e-6 * (tau - start)
         least = start + TIE * float(np.spacing(abs(self.now.t) + start))
         last, end, shift = self.now.until(self.until), segment.end, 0.0
+        smooth = fired.cut is None and not self.field.guards[fired.index].jumps
+        nearest = float("inf"), stepper.tau
         try:
             if again or segment.end - tau > small:
                 if tau <= least:
@@ -635,9 +657,13 @@ class ArcFlow:
                 segment = stepper.land(tau)
             for _ in range(LANDINGS):
                 t, x = self.now.t + stepper.tau, stepper.x.tolist()
-                shift, exact = self._missing(fired, t, x)
+                value, shift, exact = self._missing(fired, t, x)
                 if abs(shift) <= small or exact:
                     break
+                if smooth and not value < nearest[0]:  # it is flat: rounding leads away
+                    segment, shift = stepper.land(nearest[1]), 0.0
+                    break
+                nearest = value, stepper.tau
                 if not segment.start - longest <= stepper.tau + shift <= end + longest:
                     shift = 0.0  # the guard is flat here: its zero is where the step shows it
                     break
@@ -670,16 +696,16 @@ class ArcFlow:
             back *= 2.0
         return shift - back
 
-    def _missing(self, fired: Fired, t: float, x: list[float]) -> tuple[float, bool]:
-        """The time left to the zero of a guard that fires, or to its jump; and whether this is
-        exactly it."""
+    def _missing(self, fired: Fired, t: float, x: list[float]) -> tuple[float, float, bool]:
+        """The size of a guard that fires, or of what decides on its jump; the time left to its
+        zero; and whether this is exactly it."""
         if fired.cut is None:
             value, rate, _ = self.field.guards[fired.index].lie(t, x)
             exact = abs(value) <= self._rounding(fired.index, t, x)
         else:
             value, rate = self._kink_rate(fired.cut.kink, t, x)
             exact = value == 0.0
-        return (-value / rate if rate else 0.0), exact
+        return abs(value), (-value / rate if rate else 0.0), exact
 
     def _kink_rate(self, kink: Kink, t: float, x: list[float]) -> tuple[float, float]:
         """A deciding function and its rate along the flow, by a small difference."""

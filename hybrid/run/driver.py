@@ -74,6 +74,7 @@ class Driver:
         self.steps = 0
         self.jumped = Jumped()
         self.tied: dict[str, int] = {}
+        self.touched: dict[str, int] = {}
         self.ringing = self.spent = frozenset(clock.name for clock in scene.spec.clocks)
         self.struck: set[str] = set()
         self.loop = Machine(self) if solver.whole or solver.asked else None
@@ -163,7 +164,7 @@ class Driver:
         """Whether the compiled loop knows enough to examine the start of the next arc."""
         more = jumped.limit - self.scene.contacts or jumped.passing is not None
         bears = jumped.starting and jumped.held
-        if self.loop is None or more or bears or len(jumped.vanishing) > 1:
+        if self.loop is None or more or bears or len(jumped.vanishing) > 1 or self.touched:
             return False
         field, alone = self.own.field(self.mode), self.record.memory is None or jumped.starting
         alone = alone and self.record.now.until(min(self.plan.t1, self.scene.until)) > 0
@@ -171,7 +172,7 @@ class Driver:
         return alone and self.loop.may(field)
 
     def _entered(self, mode: str, x: StateVector, jumped: Jumped, seen: StateVector) -> Entry:
-        jumped.tied, jumped.spent = self.tied, self.spent
+        jumped.tied, jumped.touched, jumped.spent = self.tied, self.touched, self.spent
         try:
             return enter(self.scene, self.t, mode, x, jumped, seen, self._off(x))
         except StartError as fault:
@@ -339,7 +340,7 @@ class Driver:
         )
         if self.plan.progress is not None:
             self.plan.progress(self.t)
-        self.tied = flown.tied
+        self.tied, self.touched = flown.tied, flown.touched
         self.passed(flown.length)
         self.spent |= flown.over
         if clock is not None:

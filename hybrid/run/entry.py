@@ -95,7 +95,10 @@ class Jumped:
         jumped. By edge, the sign of its guard before; a guard whose sign has changed fires (1). See
         :func:`signs_at_end`.
     tied : dict
-        By edge, the sign before the jump of a guard that was zero at its time, too.
+        By edge, the sign before the jump of a guard that was zero at its time, too, and fires.
+    touched : dict
+        The same of the guards of edges that do not fire there: to leave zero again to that side is
+        no crossing.
     spent : frozenset of str
         The edges taken at the time of the jump; one that bounds no domain is not taken twice.
     limit : frozenset of str
@@ -114,10 +117,17 @@ class Jumped:
     starting: bool = False
     passing: dict[str, int] | None = None
     tied: dict[str, int] = attrs.Factory(dict)
+    touched: dict[str, int] = attrs.Factory(dict)
     spent: frozenset[str] = frozenset()
     limit: frozenset[str] = frozenset()
     series: bool = False
     tried: tuple[tuple[str, ...], ...] = ()
+
+    def before(self, edge: str, order: int) -> int:
+        """The sign of a guard before this time, at which it was zero and by a power of the time
+        still is; 0 if unknown."""
+        tied = {**self.touched, **self.tied} if order else self.tied
+        return int((tied if self.passing is None else self.passing).get(edge, 0))
 
 
 def enter(
@@ -344,12 +354,23 @@ def describe(scene: Scene, field: Field, t: float, x: StateVector) -> str:
 def is_zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float) -> bool:
     """Whether a guard that moves in its firing direction is zero at a time, and its condition
     holds. Zero is meant to spacings of the time and to the rounding of the guard."""
-    value, rate, _ = guard.lie(end.t, x.tolist())
+    value, rate, bend = guard.lie(end.t, x.tolist())
     size = driver.scene.rounding(guard, driver.entry.field)(end.t, x.tolist())[0]
     noise = TIE * np.spacing(abs(t)) * abs(rate) + GUARD_ROUNDING * EPS * size
     moves = rate * (DIRECTIONS[guard.crossing] or rate) > 0
     moves = moves and guard.holds(end.t, x.tolist())
+    moves = moves and not (guard.kind == "edge" and turns_within(rate, bend, noise))
     return bool(moves and abs(value) + abs(rate * end.until(t)) <= noise)
+
+
+def turns_within(rate: float, bend: float, noise: float) -> bool:
+    """Whether a guard that is zero turns back within its rounding, before or after: it touches."""
+    return rate * rate <= 2.0 * abs(bend) * noise
+
+
+def side_before(rate: float, bend: float, noise: float) -> int:
+    """The sign that a guard had just before it was zero, to its rounding; 0 if unknown."""
+    return int(np.sign(bend if turns_within(rate, bend, noise) else -rate))
 
 
 @attrs.frozen(eq=False, slots=False)
@@ -418,7 +439,7 @@ class _Here:
         if not guard.holds(self.t, self.x.tolist()):
             return False
         kind, crossing = NUMBERED[guard.kind], DIRECTIONS[guard.crossing]
-        before = int((jumped.tied if jumped.passing is None else jumped.passing).get(edge, 0))
+        before = jumped.before(edge, order)
         own = guard.kind in ("release", "leave") and not (passing or jumped.starting)
         known = edge == jumped.used, edge in jumped.spent, own, passing, before, guard.urgent
         what = unit("entries").does(kind, crossing, guard.bounds, order, sign, False, *known)
@@ -465,13 +486,22 @@ class _Here:
         far = not known and unit("entries").far(value, max(self.reach, float(np.abs(x).max())))
         if far or value * passing.get(guard.edge, 0) > 0:
             return 0, 1 if value > 0 else -1
-        return self.decide(guard, index, least)
+        return self.decide(guard, index, least, self.outwards(guard, jumped))
+
+    def outwards(self, guard: Guard, jumped: Jumped) -> int:
+        """A sign that a rate which turns back within rounding does not give the guard of an edge
+        (:func:`hybrid.rules.entries.start`)."""
+        if guard.kind != "edge" or guard.edge == jumped.used:
+            return 0
+        if jumped.before(guard.edge, 1):
+            return 1 if guard.lie(self.t, self.x.tolist())[1] > 0 else -1
+        return DIRECTIONS[guard.crossing]
 
     def beyond(self, guard: Guard) -> tuple[float, np.ndarray]:
         """Time and state just beyond the kinks of a guard."""
         return beyond_kinks(self.field, guard.kinks, self.t, self.x)
 
-    def decide(self, guard: Guard, index: int, least: int) -> tuple[int, int]:
+    def decide(self, guard: Guard, index: int, least: int, out: int = 0) -> tuple[int, int]:
         t, state = self.beyond(guard)
         x, high, fast = state.tolist(), 0.0, float("inf")
         value, rate, bend = guard.lie(t, x)
@@ -486,7 +516,7 @@ class _Here:
             high = max((float(self.seen[i]) for i in guard.uses), default=0.0)
             high = min(high, extent(self.scene, guard, self.field, self.t, self.x, self.seen)[0])
         sizes = self.scene.rounding(guard, self.field)(t, x)
-        given = np.array(c), states, len(states), value, rate, t, *sizes, high, fast, least
+        given = np.array(c), states, len(states), value, rate, t, *sizes, high, fast, least, out
         order, sign = unit("entries").start(*given)
         return order, sign
 

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
 def carry_out(driver: Driver, guard: Guard, x: StateVector, carried: bool = False) -> None:
     """Carry out the jump of a guard that fired; ``carried``: it jumped over zero."""
-    driver.tied = {edge: sign for edge, sign in driver.tied.items() if edge != guard.edge}
+    for signs in (driver.tied, driver.touched):
+        signs.pop(guard.edge, None)
     driver.spent |= {guard.edge} | clocks.failing(driver, x)
     if guard.kind == "contact":
         _impact(driver, guard, x)

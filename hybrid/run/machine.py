@@ -455,7 +455,7 @@ class Machine:
         for g, guard in enumerate(self.tables.guards if driver.tied or driver.spent else ()):
             self.now.tied[g] = driver.tied.get(guard.edge, 0)
             self.now.spent[g] = guard.edge in driver.spent
-        driver.tied = {}
+        driver.tied, driver.touched = {}, {}
 
     def _left(self) -> Left:
         """The arrays that a call fills, with the counts set to zero."""

@@ -20,7 +20,7 @@ from ..trajectory.clock import Instant
 from ..trajectory.trajectory import Solution, Status
 from .cycles import Columns
 from .driver import Driver
-from .entry import Entry, Jumped, signs_at_end
+from .entry import Entry, Jumped, side_before, signs_at_end
 from .noting import note
 
 if TYPE_CHECKING:
@@ -148,7 +148,8 @@ def _tied(driver: Driver, arc: Arc) -> dict[str, int]:
     found, t, x, field = {}, arc.t1, arc.last.tolist(), driver.scene.field(arc.mode)
     for guard in field.guards:
         size = driver.scene.rounding(guard, field)(t, x)[0]
-        value, rate, _ = guard.lie(t, x)
-        if guard.edge not in driver.spent and abs(value) <= 64 * EPS * size and rate:
-            found[guard.edge] = -1 if rate > 0 else 1
+        value, rate, bend = guard.lie(t, x)
+        noise = 64 * EPS * size
+        if guard.edge not in driver.spent and abs(value) <= noise and rate:
+            found[guard.edge] = side_before(rate, bend, noise)
     return found
