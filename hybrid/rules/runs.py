@@ -96,6 +96,10 @@ from .zeros import EPS
 
 __all__ = ("go",)
 
+#: Where a sum goes beyond the end of the run, and nothing hides on its way, it is tried again only
+#: once impacts are so much slower; it may be that what is behind a knot of a signal shortens it.
+MUCH_LATER = 1e-3
+
 
 def go(
     a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, sums: Sums, look: Look
@@ -156,7 +160,7 @@ def accumulated(
         return PROOF
     end, rest = after(t, low, left.sums[tail, REMAINING])
     if (run[UNTIL] - end) - rest < 0.0:
-        now.floats[TRIED] = v
+        now.floats[TRIED] = MUCH_LATER * v
         return GOES_ON
     return rests(a, run, now, room, left, t, low, proved)
 

@@ -286,8 +286,10 @@ def steady(
         if ranges(a.bounds, sight, look.box, look.found) < 0:
             return False
         low, high = min(low, look.found[place, 0]), max(high, look.found[place, 1])
-    wide = high - low + small + excess * max(-low, high)
-    return low - wide <= least and most <= high + wide
+        wide = high - low + small + excess * max(-low, high)
+        if low - wide <= least and most <= high + wide:  # and with more points all the more
+            return True
+    return False
 
 
 def at_point(shown: Floats, n: int, box: Matrix) -> None:
