@@ -117,7 +117,7 @@ def start_of(a: AutomatonArrays, now: Now, room: Room, guard: int, c: Floats) ->
                 high = max(high, now.seen[a.uses[k]])
             high = min(high, max(size, sizes_of(a, room, guard, t, now.seen)[0]))
         out = crossing if before == 0 else 1 if c[1] > 0.0 else -1
-        out = out if kind == EDGE and not used else 0
+        out = out if kind in (EDGE, SWITCH) and not used else 0
         order, sign = start(c, room.c, n, c[0], c[1], t, size, rate, bend, high, fast, least, out)
         if loads and sign == 0:  # bodies that fall together bear nothing, for good
             return 0, ARMED
@@ -232,10 +232,10 @@ def does(
         return OUTSIDE if outwards and crossing != 0 and bounds and not passing else ARMED
     if crossing == 0:
         return FIRES if before == -sign else ARMED
+    if kind in (EDGE, SWITCH) and before == sign:  # it has touched zero
+        return ARMED
     if not outwards:
         return LEAVES if kind == SWITCH else ARMED
-    if kind == EDGE and before == sign:  # it has touched zero
-        return ARMED
     if kind == EDGE and used:
         return BEYOND if bounds else ARMED
     return ARMED if spent and not bounds else FIRES
@@ -274,9 +274,9 @@ def start(
     least : int
         The least power by which it is known to vanish.
     out : int
-        A sign that a rate does not give the guard of an edge if it turns back within rounding, as
-        the guard then only touches zero: the one with which it would be taken, or, if its sign
-        before is known, either; 0 for the edge just taken, and where there is none.
+        A sign that a rate does not give the guard of an edge or a switching if it turns back within
+        rounding, as the guard then only touches zero: the one with which it would fire, or, if its
+        sign before is known, either; 0 for the one that has just fired, and where there is none.
     """
     moves = value > 0.0 and abs(slope) > GUARD_ROUNDING * EPS * fast
     noise = GUARD_ROUNDING * EPS * (size + abs(t) * abs(slope) + (0.0 if moves else high))

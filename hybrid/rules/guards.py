@@ -66,6 +66,9 @@ TIE, TIED_IN_STEP = 4.0, 1e-6
 #: the time in which a guard changes.
 EXPANDED_PARTS = 64
 
+#: The rounding of a guard along a step is told from its terms up to this power.
+TELLING = 2
+
 #: A series of the flow and another solver's step may differ by so many times what a step may lose.
 AGREES = 4.0
 
@@ -116,9 +119,8 @@ def zero_of(
     left = behind(c, h) if a.guards[guard, AFFINE] == 0 else 0.0
     crossing, bends = a.guards[guard, CROSSING], a.guards[guard, BENDS] == 1
     hides = max(hidden(a, now, room, guard) if bends else 0.0, ROUNDING_BESIDE * left)
-    tolerance = max(left_open(a, run, guard, now.end), hides)
-    if a.guards[guard, USES] == a.guards[guard, USES_END]:
-        tolerance = max(tolerance, GUARD_ROUNDING * EPS * power_size(c, 0, c.shape[0] - 1, h))
+    terms = power_size(c, 0, min(TELLING, c.shape[0] - 1), h)
+    tolerance = max(left_open(a, run, guard, now.end), hides, GUARD_ROUNDING * EPS * terms)
     starting = starting or order > 0
     if not starting and not c[0] * now.signs[place] > 0.0:
         return 0.0
@@ -147,7 +149,8 @@ def zero_of(
         side = direction
         if (crossing == 0 or direction * crossing > 0.0) and holds_at(a, now, room, guard, s):
             return fires(a, run, now, room, c, guard, order, s, -direction)
-        if a.guards[guard, BOUNDS] == 1 or turns(c, s, own_open(a, run, now, room, guard, c, s)):
+        open_ = own_open(a, run, now, room, guard, c, s)
+        if a.guards[guard, BOUNDS] == 1 or turns(c, s, direction, open_):
             return 0.0
     value, _ = power_value(c, 0, degree, h)
     size = power_size(c, 0, degree, h)
@@ -204,7 +207,7 @@ def fires(
     now.signs[guard - a.fields[now.ints[FIELD], GUARDS]] = 1 if before > 0.0 else -1
     if order == 1 and not has_left(a, now, room, c, guard, s):
         return 0.0
-    return 0.0 if turns(c, s, own_open(a, run, now, room, guard, c, s)) else s
+    return 0.0 if turns(c, s, -before, own_open(a, run, now, room, guard, c, s)) else s
 
 
 def left_open(a: AutomatonArrays, run: Floats, guard: int, x: Floats) -> float:
@@ -255,19 +258,23 @@ def blurred(c: Floats, s: float) -> float:
     return left / abs(slope) if left < abs(slope) * s else s
 
 
-def turns(c: Floats, s: float, tolerance: float) -> bool:
-    """Whether a guard that crosses zero turns back before it is deeper than a tolerance."""
+def turns(c: Floats, s: float, direction: float, tolerance: float) -> bool:
+    """Whether a guard that crosses zero in a direction turns back before it is deeper than a
+    tolerance."""
     _, slope = power_value(c, 0, c.shape[0] - 1, s)
     bend, _ = second(c, s)
-    return shallow(slope, bend, tolerance)
+    return shallow(slope, bend, direction, tolerance)
 
 
-def shallow(slope: float, bend: float, tolerance: float) -> bool:
-    """Whether a guard that crosses zero with these derivatives turns back within a tolerance.
+def shallow(slope: float, bend: float, direction: float, tolerance: float) -> bool:
+    """Whether a guard that crosses zero with these derivatives turns back within a tolerance; one
+    whose slope goes the other way, by rounding, does.
 
     As quotients: a guard may be so small that its squares are no numbers.
     """
-    return slope == 0.0 or -2.0 * (bend / slope) * tolerance >= abs(slope)
+    if slope * direction <= 0.0:
+        return True
+    return -2.0 * (bend / slope) * tolerance >= abs(slope)
 
 
 def has_left(a: AutomatonArrays, now: Now, room: Room, c: Floats, guard: int, s: float) -> bool:

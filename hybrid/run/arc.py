@@ -14,6 +14,7 @@ from ..automaton.markers import Crossing
 from ..errors import DomainError, FlowError, OptionError
 from ..events import SHARES, Cut, Zero, fires, zeros
 from ..lowering import Guard, Kink, Scene, released
+from ..lowering.automaton import DIRECTIONS
 from ..lowering.lowered import ORDER
 from ..rules import unit
 from ..rules.arcs import FORESEEN_FAR, LANDINGS, SAFETY
@@ -71,7 +72,7 @@ class Flown:
     tied : dict
         By edge, the sign before its zero of each guard that is zero at the same time, and fires.
     touched : dict
-        The same of the guards of other edges that are zero there.
+        The same of the guards of other edges and switchings that are zero there.
     over : frozenset of str
         Edges whose guards are zero there and whose condition fails.
     steps : int
@@ -222,14 +223,15 @@ class ArcFlow:
         )
 
     def _touched(self, stepper: Stepper) -> dict[str, int]:
-        """The signs before their zero of the guards of edges that are zero where the arc ends."""
+        """The signs that guards had before they are zero where the arc ends, and do not fire."""
         t, x, found = self.now.t + stepper.tau, stepper.x.tolist(), {}
         for index, guard in enumerate(self.field.guards):
-            if guard.kind == "edge" and guard.edge not in self.tied:
+            if guard.kind in ("edge", "switch") and guard.edge not in self.tied:
                 value, rate, bend = guard.lie(t, x)
                 noise = self._rounding(index, t, x) + TIE * np.spacing(abs(t)) * abs(rate)
                 if abs(value) <= noise:
-                    found[guard.edge] = side_before(rate, bend, noise)
+                    inside = -DIRECTIONS[guard.crossing] if guard.bounds else 0
+                    found[guard.edge] = inside or side_before(rate, bend, noise)
         return found
 
     def _since(self, index: int, before: int, t: float, x: list[float]) -> float:
@@ -438,6 +440,7 @@ class ArcFlow:
         """
         guard, shallow, over = self.field.guards[index], self.turning.pop(index, None), None
         for zero in found:
+            passes = fires(guard.crossing, zero.direction)
             if zero.cut is not None:
                 after = segment.start + zero.cut.after * segment.length
                 if self._over(guard, zero, zero.cut, segment) and self._holds(
@@ -450,10 +453,10 @@ class ArcFlow:
                 shallow, over = None, shallow
             elif not self._holds(guard, zero.tau, segment, end):
                 continue
-            elif self._touches(guard, zero.tau, segment, tolerance):
+            elif (passes or not guard.jumps) and self._touches(guard, zero, segment, tolerance):
                 grazes.append((zero.tau, index))
                 shallow = zero
-            elif fires(guard.crossing, zero.direction):
+            elif passes:
                 return Fired(index, zero.tau, zero.direction)
         if shallow is None:
             if over is not None and abs(self.ends[guard.edge]) <= tolerance:
@@ -562,14 +565,15 @@ class ArcFlow:
             Fired(index, segment.end, direction) if guard.holds(self.until, end.tolist()) else None
         )
 
-    def _touches(self, guard: Guard, tau: float, segment: Segment, tolerance: float) -> bool:
+    def _touches(self, guard: Guard, zero: Zero, segment: Segment, tolerance: float) -> bool:
         """Whether a crossing goes no deeper than the tolerance, and so counts as a tangency (1)."""
-        t, x = self.now.t + tau, segment(tau).tolist()
+        t, x = self.now.t + zero.tau, segment(zero.tau).tolist()
         _, first, second = guard.lie(t, x)
         own = float(self.scene.rounding(guard, self.field)(t, x)[0])
-        along = abs(guard.value(self.now.t + segment.start, segment(segment.start).tolist()))
-        rounding = GUARD_ROUNDING * EPS * max(own, along)
-        return shallow(first, second, max(tolerance, rounding))
+        begin, s = segment(segment.start).tolist(), zero.tau - segment.start
+        value, rate, bend = map(abs, guard.lie(self.now.t + segment.start, begin))
+        terms = own + value + rate * s + 0.5 * bend * s * s  # whose rounding the zero has
+        return shallow(first, second, zero.direction, max(tolerance, GUARD_ROUNDING * EPS * terms))
 
     def _near_end(self, index: int, segment: Segment, stepper: Stepper) -> Fired | None:
         """A guard that fires next to the end of a step that was made onto a predicted event: the

@@ -97,8 +97,8 @@ class Jumped:
     tied : dict
         By edge, the sign before the jump of a guard that was zero at its time, too, and fires.
     touched : dict
-        The same of the guards of edges that do not fire there: to leave zero again to that side is
-        no crossing.
+        The same of those of edges and switchings that do not fire there: to leave zero again to
+        that side is no crossing.
     spent : frozenset of str
         The edges taken at the time of the jump; one that bounds no domain is not taken twice.
     limit : frozenset of str
@@ -359,7 +359,7 @@ def is_zero(driver: Driver, guard: Guard, end: Instant, x: StateVector, t: float
     noise = TIE * np.spacing(abs(t)) * abs(rate) + GUARD_ROUNDING * EPS * size
     moves = rate * (DIRECTIONS[guard.crossing] or rate) > 0
     moves = moves and guard.holds(end.t, x.tolist())
-    moves = moves and not (guard.kind == "edge" and turns_within(rate, bend, noise))
+    moves = moves and not (guard.kind in ("edge", "switch") and turns_within(rate, bend, noise))
     return bool(moves and abs(value) + abs(rate * end.until(t)) <= noise)
 
 
@@ -489,9 +489,9 @@ class _Here:
         return self.decide(guard, index, least, self.outwards(guard, jumped))
 
     def outwards(self, guard: Guard, jumped: Jumped) -> int:
-        """A sign that a rate which turns back within rounding does not give the guard of an edge
+        """A sign that a rate which turns back within rounding does not give a guard
         (:func:`hybrid.rules.entries.start`)."""
-        if guard.kind != "edge" or guard.edge == jumped.used:
+        if guard.kind not in ("edge", "switch") or guard.edge == jumped.used:
             return 0
         if jumped.before(guard.edge, 1):
             return 1 if guard.lie(self.t, self.x.tolist())[1] > 0 else -1

@@ -149,3 +149,36 @@ def test_a_mark_at_the_top_is_passed_neither_way(way, mark, g, late):
     higher = {"x": 1e-6 * mark, "v": start["v"]}
     passed = way.run(model, higher, (0.0, until)).final
     assert (passed.tops, passed.up, passed.down) == (1, 1, 1)
+
+
+class Layers(hy.Automaton):
+    """A throw into another layer, in which the body is heavier, whose top is counted."""
+
+    x = hy.state()
+    v = hy.state()
+    g = hy.parameter(2.0)
+    level = hy.parameter(0.25)
+    more = hy.parameter(0.3)
+    tops = hy.discrete(0)
+
+    below = hy.mode(lambda self, t, s: (s.v, -self.g), initial=True)
+    above = hy.mode(lambda self, t, s: (s.v, -self.g - self.more))
+    surface = hy.switching(above, below, surface=lambda self, t, s: s.x - self.level)
+
+    @hy.edge(below, guard=lambda self, t, s: s.v)
+    def top(self, t, s):
+        return s.replace(tops=s.tops + 1)
+
+    @hy.edge(above, guard=lambda self, t, s: s.v)
+    def higher(self, t, s):
+        return s.replace(tops=s.tops + 1)
+
+
+@pytest.mark.parametrize("more", [0.3, -0.3, 5.0])
+@pytest.mark.parametrize(("g", "level"), [(2.0, 0.25), (9.81, 0.15), (3.3, 0.05), (7.3, 0.61)])
+def test_a_layer_that_is_just_reached_is_not_entered(way, g, level, more):
+    """The top of the throw is on its surface: it is counted once, and the body stays below."""
+    start, model = {"x": 0.0, "v": math.sqrt(2.0 * g * level)}, Layers(g=g, level=level, more=more)
+    result = way.run(model, start, (0.0, 2.0 * start["v"] / g))
+    assert (result.final.tops, result.mode) == (1, "below")
+    assert abs(result.final.x) < 1e-13
