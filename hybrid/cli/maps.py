@@ -48,7 +48,7 @@ Over = Annotated[
 ]
 Solver = Annotated[str | None, typer.Option(help="scipy, diffrax or taylor.")]
 Measure = Annotated[
-    list[str] | None, typer.Option(help="An output, stick, or period. May be repeated.")
+    list[str] | None, typer.Option(help="An output, stick, period or lyapunov. May be repeated.")
 ]
 Section = Annotated[
     str | None,
