@@ -8,6 +8,8 @@ from concurrent.futures import Future, as_completed
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
+import attrs
+
 from ..automaton.digest import digest
 from ..ensembles.processes import Shared
 from ..errors import HybridError, OptionError
@@ -32,6 +34,17 @@ def flown(
         yield from _beside(asked, lost)
     else:
         yield from ((number, asked.only(number).fly()) for number in lost)
+
+
+def followed(
+    asked: AskedLanes, numbers: Iterable[int], executor: Any = None, before: Any = None
+) -> Generator[tuple[int, xarray.Dataset]]:
+    """As :func:`flown`, in order: each block follows the one before, the first of these
+    ``before``."""
+    for number in numbers:
+        own = attrs.evolve(asked.only(number), before=before)
+        ((_, before),) = flown(own, [0], executor)
+        yield number, before
 
 
 def _beside(asked: AskedLanes, numbers: Iterable[int]) -> Generator[tuple[int, xarray.Dataset]]:
@@ -85,4 +98,4 @@ def _by(
 
 Progress = Callable[[int, int], None]
 
-__all__ = ["Progress", "flown"]
+__all__ = ["Progress", "flown", "followed"]
