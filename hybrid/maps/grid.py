@@ -48,11 +48,11 @@ def sweep(
     t : (t0, t1), or callable ``(self)``
         First and last time.
     executor : concurrent.futures.Executor, optional
-        What flies blocks: a pool of threads or processes, Dask's ``Client.get_executor()``. Without
-        one they are flown here, where an ensemble has threads on all cores; blocks of lanes that go
-        one by one (a ``section`` that is no jump's name, ``save``, ``certify``, ``"stick"``) are
-        shared with other processes where that pays. A block whose worker has died is flown again,
-        here.
+        What flies blocks: a pool of threads or processes, Dask's ``Client.get_executor()``, one of
+        submitit, to which they are jobs of one array. Without one they are flown here, where an
+        ensemble has threads on all cores; blocks of lanes that go one by one (a ``section`` that is
+        no jump's name, ``save``, ``certify``, ``"stick"``, ``"lyapunov"``) are shared with other
+        processes where that pays. A block whose worker has died is flown again, here.
     store : path, optional
         A Zarr group into which each block is written once. Where it exists, what is there is not
         flown again (extra ``maps``).
