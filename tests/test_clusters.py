@@ -116,7 +116,7 @@ class Dead(ThreadPoolExecutor):
 
 def test_a_dead_executor_loses_what_it_has_not_given(monkeypatch):
     """Three blocks are flown here, of which it does not say that they are lost."""
-    monkeypatch.setattr(workers, "PATIENCE", 0.1)
+    monkeypatch.setattr(workers, "PROBED_AFTER", 0.1)
     with Dead(1) as pool, pytest.warns(UserWarning, match="3 blocks here"):
         assert hy.sweep(Ball(), **ASKED).identical(hy.sweep(Ball(), **ASKED, executor=pool))
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 #: Seconds after which it is asked whether an executor still takes work, and between two looks at
 #: jobs that do not tell when they have ended.
-PATIENCE, PAUSE = 15.0, 0.1
+PROBED_AFTER, PAUSE = 15.0, 0.1
 
 
 def flown(
@@ -111,7 +111,7 @@ def _ended(executor: Any, sent: Iterable[Any]) -> Iterator[Any]:
     jobs = [each for each in sent if not isinstance(each, Future)]
     while futures:
         try:
-            for future in as_completed(set(futures), timeout=PATIENCE):
+            for future in as_completed(set(futures), timeout=PROBED_AFTER):
                 futures.discard(future)
                 yield future
         except TimeoutError:
