@@ -1,9 +1,9 @@
 """Maps: how fast lanes come, what a block costs, that nothing is lost, and two figures.
 
     python benchmarks/maps.py bead [--amplitudes 40] [--starts 64]
-    python benchmarks/maps.py valve [--values 960] [--to out/maps]
+    python benchmarks/maps.py valve [--values 960] [--to out/maps] [--store out/valve.zarr]
     python benchmarks/maps.py borders
-    python benchmarks/maps.py kills [--count 50]
+    python benchmarks/maps.py kills [--count 50] [--targets writer,worker,scheduler]
     python benchmarks/maps.py memory [--side 1000]
     python benchmarks/maps.py blocks
     python benchmarks/maps.py dask
@@ -12,7 +12,8 @@ Each prints the error beside the time. ``bead``: a ball on a table that moves as
 impacts after 500, beside a loop by hand in numba over all cores. ``valve``: the pressure relief
 valve of Hos and Champneys (2012) over its flow, 32 returns after 1,024. ``borders``: where orbits
 of that ball with an impact a period exist, and are stable, by refinement, against closed forms.
-``kills``: the process that writes a map is killed at random moments. ``memory``: of a map of side x
+``kills``: at random moments the process that writes a map is killed, or the worker or the scheduler
+of Dask that fly it. ``memory``: of a map of side x
 side lanes as it grows. Ratios hold, seconds do not.
 """
 
@@ -21,10 +22,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
-import random
 import resource
-import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -187,13 +185,14 @@ def bead(amplitudes, starts):
 # the valve
 
 
-def valve(values, to):
+def valve(values, to, store):
     start = {"y1": 2.0, "y2": 0.0, "y3": 12.0}
     asked = {"section": "turn", "skip": 1024, "keep": 32, "measure": ()}
     q = np.linspace(0.2, 10.0, values)
     hy.bifurcation(Valve(), {"q": q[-2:]}, start, (0.0, 5.0), **asked)  # compiled
     begin, used = time.perf_counter(), time.process_time()
-    found = hy.bifurcation(Valve(), {"q": q}, start, (0.0, 2700.0), max_steps=60_000, **asked)
+    asked |= {"t": (0.0, 2800.0), "max_steps": 60_000, "store": store}
+    found = hy.bifurcation(Valve(), {"q": q}, start, **asked)
     seconds, used = time.perf_counter() - begin, time.process_time() - used
     full = np.isfinite(found.table.t_section.values).all(axis=1)
     hits, jumps = int(found.table.hits.sum()), int(found.table.jumps.sum())
@@ -242,51 +241,18 @@ def borders():
 # ---------------------------------------------------------------------------------------
 # kills, memory, blocks, Dask
 
-MAP = {"r": np.linspace(0.3, 0.9, 40), "x": np.linspace(0.5, 2.0, 40)}
 
+def kills(count, targets):
+    """Kill processes at random moments, and say what becomes of their maps."""
+    from tests.kills import killed
 
-def stored(path):
-    """A map of 1,600 lanes in 100 blocks."""
-    return hy.sweep(Dropped(), MAP, {"v": 0.0}, (0.0, 9.0), store=path, block=16)
-
-
-def kills(count):
-    """Begun again and again, killed after a random time, until the map is whole; then once more."""
-    draw, made, maps = random.Random(1), 0, 0
-    with tempfile.TemporaryDirectory() as folder:
-        whole = stored(Path(folder) / "whole.zarr")
-        while made < count:
-            path, maps, runs = Path(folder) / f"map{maps}.zarr", maps + 1, 0
-            while killed(path, draw.uniform(0.0, 2.0) if made < count else None):
-                made, runs = made + 1, runs + 1
-            same = stored(path).identical(whole)
-            print(f"map {maps}: {runs} kills, whole again: {same}", flush=True)
-            if not same:
-                raise SystemExit("a killed map is another")
-    print(f"{made} kills of the process that writes, {maps} maps: as one that ran through")
-
-
-def killed(path, after):
-    """Whether a process that goes on with a map has been killed, some time after it began to write;
-    it has ended by itself where that time is longer than what is left, or None."""
-    code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import maps; "
-    process = subprocess.Popen([sys.executable, "-c", f"{code}maps.begun({str(path)!r})"])
-    while not path.with_suffix(".begun").exists() and process.poll() is None:
-        time.sleep(0.005)
-    path.with_suffix(".begun").unlink(missing_ok=True)
-    try:
-        process.wait(after)
-        return False
-    except subprocess.TimeoutExpired:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-        return True
-
-
-def begun(path):
-    """Say that all is imported, and go on with a map."""
-    Path(path).with_suffix(".begun").touch()
-    stored(path)
+    begin = time.perf_counter()
+    for made, same in killed(count, targets):
+        told = ", ".join(f"{number} of the {name}" for name, number in sorted(made.items()))
+        print(f"{time.perf_counter() - begin:5.0f} s: kills so far: {told}; the same: {same}")
+        sys.stdout.flush()
+        if not same:
+            raise SystemExit("a map whose process was killed is another")
 
 
 def resident():
@@ -313,8 +279,8 @@ def memory(side):
             f"MiB in memory after lanes: {first[1]:.0f} after {first[0]}, {middle[1]:.0f} after "
             f"{middle[0]}, {last[1]:.0f} after {last[0]}"
         )
-        grows = (last[1] - first[1]) / (last[0] - first[0]) * 1e7
-        print(f"at that rate 1e7 lanes: {first[1] + grows:.0f} MiB (not run)")
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(f"the most at any time, what is compiled among it: {peak:.0f} MiB")
         print(
             f"{len(files)} files, {size:.0f} MiB; t_inf of the last: {table.t_inf[-1].item():.12f}"
         )
@@ -376,13 +342,15 @@ def main():
     parser.add_argument("--starts", type=int, default=64)
     parser.add_argument("--values", type=int, default=960)
     parser.add_argument("--to", type=Path, default=Path("out/maps"))
+    parser.add_argument("--store", help="where the valve's blocks are kept: it can be gone on with")
     parser.add_argument("--count", type=int, default=50)
+    parser.add_argument("--targets", default="writer,worker,scheduler")
     parser.add_argument("--side", type=int, default=1000)
     given = parser.parse_args()
     asked = {
         "bead": lambda: bead(given.amplitudes, given.starts),
-        "valve": lambda: valve(given.values, given.to),
-        "kills": lambda: kills(given.count),
+        "valve": lambda: valve(given.values, given.to, given.store),
+        "kills": lambda: kills(given.count, given.targets.split(",")),
         "memory": lambda: memory(given.side),
         "borders": borders,
         "blocks": blocks,
@@ -392,4 +360,6 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    import maps  # other processes find its models there
+
+    maps.main()

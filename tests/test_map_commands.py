@@ -13,7 +13,7 @@ from hybrid.cli import app
 from hybrid.maps import diagram
 
 from .test_measures import Ball
-from .wells import Wells
+from .wells import Floor, Wells
 
 call = CliRunner().invoke
 
@@ -59,6 +59,20 @@ def test_bifurcation(tmp_path):
     assert "--section v=up: write NAME=NUMBER" in done.stderr
     done = call(app, ["bifurcation", FLOOR, "x", *asked, "--section", "v=0", "--crossing", "down"])
     assert "--crossing down: rising, falling, either" in done.stderr
+
+
+def test_a_followed_attractor(tmp_path):
+    """``--follow`` is ``follow=True``."""
+    file = tmp_path / "followed.nc"
+    asked = ["--over", "G=[0.7,0.9]", "--start", "x=1.5", "--start", "v=2.5", "--from", "0"]
+    asked += ["--until", repr(20 * np.pi), "--section", repr(2 * np.pi), "--skip", "0"]
+    done = call(app, ["bifurcation", FLOOR, "v", *asked, "--follow", "--save", str(file)])
+    assert done.exit_code == 0, done.output
+    own = hy.bifurcation(
+        Floor(), {"G": [0.7, 0.9]}, {"x": 1.5, "v": 2.5}, (0.0, 20 * np.pi),
+        section=2 * np.pi, skip=0, follow=True,
+    )  # fmt: skip
+    assert xarray.load_dataset(file).v_section.equals(own.table.v_section)
 
 
 def test_region(tmp_path):

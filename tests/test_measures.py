@@ -8,6 +8,9 @@ import hybrid as hy
 from hybrid.ensembles import runs
 from models.bead_on_table import BeadOnTable
 from models.delay_bounce import DelayBounce
+from models.two_tanks import TwoTanks
+
+from .oscillators import Baker, bouncing, flight
 
 G = 9.81
 
@@ -273,3 +276,37 @@ def test_how_far_a_lane_still_moves():
     assert 1.0 < swing.moves.values[0] <= 2.0
     # a bound by sums of coefficients, over steps of more than a unit of time
     assert 2.0 <= swing.x_range.values[0] < 4.0
+
+
+def test_the_largest_exponent():
+    """The baker's map parts neighbours by three once in each unit of time, whoever flies it."""
+    x = np.linspace(0.1, 0.9, 5)
+    asked = {"start": {"x": x, "y": 0.2, "clock": 0.0}, "t": (0.0, 60.0), "measure": ["lyapunov"]}
+    for solver in ("taylor", "scipy"):
+        lanes = hy.ensemble(Baker(), **asked, solver=solver)
+        # what lies across the direction after the transient, one part in 3^7, counts by its square
+        np.testing.assert_allclose(lanes.lyapunov, np.log(3.0), rtol=1e-6)
+
+
+def test_the_exponent_of_an_orbit_is_that_of_its_multipliers():
+    """A complex pair turns round with the direction: the mean over 200 periods is right to about
+    1/200 of the exponent; lanes keep their other columns."""
+    model, period, speed, since, _ = bouncing(0.8, 0.2, 5.0)
+    orbit = hy.periodic_orbit(model, flight(model, speed, since, 0.1), t=since + 0.1, period=period)
+    start = {name: orbit.start[name] for name in orbit.start.keys()}
+    span = orbit.run.t0, orbit.run.t0 + 220 * period
+    lane = hy.ensemble(model, start, span, measure=["lyapunov", "stick"])
+    exact = np.log(np.abs(orbit.multipliers[0])) / period
+    assert lane.lyapunov.values[0] == pytest.approx(exact, rel=0.05)
+    assert lane.stick.values[0] == 0.0
+
+
+def test_an_exponent_of_what_has_none():
+    """Neighbours of a ball at rest are lost; past the limit of a cycle nothing is known of them."""
+    rest = hy.ensemble(Ball(), {"x": 1.0, "v": 0.0}, (0.0, 60.0), measure=["lyapunov"])
+    assert rest.lyapunov.values[0] == -np.inf
+    tanks = hy.ensemble(TwoTanks(), {"x1": 8.0, "x2": 6.0}, (0.0, 30.0), measure=["lyapunov"])
+    assert np.isnan(tanks.lyapunov.values[0])
+    assert tanks.status.values[0] == "reached_end"
+    with pytest.raises(hy.OptionError, match="DelayBounce looks into the past: measure 'lyapunov'"):
+        hy.ensemble(DelayBounce(), {"y": 0.05, "v": 0.0}, (0.0, 1.0), measure=["lyapunov"])

@@ -15,6 +15,7 @@ from scipy.integrate import LSODA, RK45
 
 import hybrid as hy
 from hybrid import gallery
+from hybrid.automaton.digest import digest
 from hybrid.ensembles import processes
 from models.bouncing_ball import BouncingBall
 from models.hard_spring import HardSpring
@@ -128,6 +129,23 @@ def test_other_processes_give_the_same(crew, monkeypatch, model, start, t, optio
     assert lanes.identical(alone(monkeypatch, model, start, t, **options))
     assert told == sorted(told)
     assert told[-1] == COUNT
+
+
+def test_a_model_is_known_on_a_terminal_too():
+    """Where JAX prints in colours; a map that was begun there is gone on with by others."""
+    pytest.importorskip("pty")
+    ours, theirs = os.openpty()
+    code = (
+        "import sys; from hybrid.automaton.digest import digest; "
+        "from models.bouncing_ball import BouncingBall; "
+        "print(digest(BouncingBall), sys.stdout.isatty())"
+    )
+    path = os.pathsep.join(map(os.path.abspath, sys.path))
+    env = {**os.environ, "PYTHONPATH": path}
+    subprocess.run([sys.executable, "-c", code], stdout=theirs, check=True, env=env)
+    assert os.read(ours, 1000).decode().split() == [digest(BouncingBall), "True"]
+    os.close(ours)
+    os.close(theirs)
 
 
 def test_an_error_elsewhere_is_itself(crew):

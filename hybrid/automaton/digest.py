@@ -22,7 +22,7 @@ def digest(cls: Any) -> str:
 def _parts(cls: Any) -> Iterator[str]:
     yield repr(cls.spec)
     for key, closed in cls.traces.items():
-        yield f"{key} {closed.jaxpr}"
+        yield f"{key} {closed.jaxpr.pretty_print(use_color=False)}"  # str colours it on a terminal
         yield from map(_text, closed.consts)
     for label, found in cls._captured:
         yield f"{label} {found.name} {_text(found.value)}"

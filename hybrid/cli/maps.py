@@ -48,7 +48,7 @@ Over = Annotated[
 ]
 Solver = Annotated[str | None, typer.Option(help="scipy, diffrax or taylor.")]
 Measure = Annotated[
-    list[str] | None, typer.Option(help="An output, stick, or period. May be repeated.")
+    list[str] | None, typer.Option(help="An output, stick, period or lyapunov. May be repeated.")
 ]
 Section = Annotated[
     str | None,
@@ -264,6 +264,9 @@ def bifurcation(
     state: Annotated[str, typer.Argument(help="The state, or output, that is drawn.")],
     skip: Skip = 100,
     keep: Keep = 50,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Begin each value where the one before has ended.")
+    ] = False,
     plot: Plot = None,
     quiet: Quiet = False,
     json: Json = False,
@@ -275,7 +278,7 @@ def bifurcation(
     given = common()
     given.require_section()
     own = {state} & {output.name for output in given.model.spec.outputs}
-    found = given.fly(find, measure=["period", *own], skip=skip, keep=keep)
+    found = given.fly(find, measure=["period", *own], skip=skip, keep=keep, follow=follow)
     _tell(found.table, json, quiet)
     given.write(found.table)
     _draw(partial(found.plot, state), plot, json or quiet)

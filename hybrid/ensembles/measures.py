@@ -18,7 +18,7 @@ from ..automaton.outputs import evaluated, require_outputs
 from ..automaton.reals import reals
 from ..automaton.spec import Spec
 from ..automaton.trace import instance
-from ..errors import OptionError
+from ..errors import OptionError, OrbitError
 from ..lowering import Scene
 from ..lowering.scene import parted, rest_name
 from ..rules.guards import TIE
@@ -27,6 +27,7 @@ from ..run.options import require_count
 from ..run.sections import EdgeSection, Period, Section, Surface, section_of
 from ..trajectory.arcs import Arc, Part
 from ..trajectory.log import Flights, Log
+from ..variation import TRANSIENT, Course, factors_of, first_frame, grown
 from .starts import Lane, Lanes, told
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 NAMED = {
     "stick": "share of the time at rest on contacts or sliding",
     "period": "points of the section after which they repeat, 0 where they do not",
+    "lyapunov": "largest Lyapunov exponent over the last nine tenths of the time",
 }
 
 #: How far a lane still moves.
@@ -95,6 +97,12 @@ class Measures:
         outputs = require_outputs(spec, rest, taken)
         if "period" in named and section is None:
             raise OptionError(f"{spec.model}: measure 'period' counts points of a section=")
+        if "lyapunov" in named and (spec.lags or spec.discrete):
+            why = "looks into the past" if spec.lags else "has discrete variables"
+            raise OptionError(
+                f"{spec.model} {why}: measure 'lyapunov' is known for models of continuous states "
+                "without delays; leave it out"
+            )
         for name, value, least in zip(
             ("skip", "every", "keep"), points[1:], (0, 1, 1), strict=True
         ):
@@ -194,7 +202,8 @@ class Measures:
         if self.times is not None:
             made |= self._states(lanes, "saved", "time", self.times, views["saved"])
         for name in self.names:
-            made[name] = "lane", views[name], {"long_name": NAMED[name], "units": "1"}
+            units = {} if name == "lyapunov" else {"units": "1"}  # one over the unit of time
+            made[name] = "lane", views[name], {"long_name": NAMED[name]} | units
         return made
 
     def coordinates(self) -> dict[str, Any]:
@@ -275,7 +284,7 @@ class MeasuredLane(Log):
         self.met, self.stuck, self.size = 0, 0.0, 0.0 * lane.x
         self.middle = 0.5 * (lane.t[0] + lane.t[1])
         self.low, self.high = np.inf + self.size, -np.inf + self.size
-        self.scene = lane.scene
+        self.scene, self.whole = lane.scene, Log()
         strobes = self._strobes(lane.t[1])
         times = np.empty(0) if asked.times is None else asked.times
         self.due = {"points": strobes, "saved": times}
@@ -284,7 +293,12 @@ class MeasuredLane(Log):
     def dense(self) -> bool:
         """Whether steps are looked at."""
         timed = any(map(len, self.due.values()))
-        return isinstance(self.section, Surface) or timed or self.sized
+        return isinstance(self.section, Surface) or timed or self.sized or self.varied
+
+    @property
+    def varied(self) -> bool:
+        """Whether it is asked how neighbours part, for which the whole lane is kept."""
+        return "lyapunov" in self.views
 
     @property
     def sized(self) -> bool:
@@ -337,7 +351,22 @@ class MeasuredLane(Log):
             self.views["hits"][...] = self.met
         if "period" in self.views:
             self.views["period"][...] = _period(self.views["points"], self.size)
+        if self.varied:
+            self.views["lyapunov"][...] = self._largest()
         return self.numbers
+
+    def _largest(self) -> float:
+        """The largest Lyapunov exponent; NaN where no first variation is known."""
+        course = Course(self.scene, *self.whole.apart())
+        try:
+            times, growth, _ = grown(factors_of(course), first_frame(len(self.size), 1))
+        except OrbitError:
+            return np.nan
+        if not times.size or times[-1] <= self.t0:
+            return np.nan
+        passed = times[times >= self.t0 + TRANSIENT * (times[-1] - self.t0)][0]
+        since = passed if passed < times[-1] else self.t0
+        return float(growth[times > since].sum() / (times[-1] - since))
 
     def _unroll(self) -> None:
         """The oldest of the last points first: they have been put down round and round."""
@@ -365,6 +394,9 @@ class MeasuredLane(Log):
 
     def _look(self, then: Part | Flights | None = None) -> None:
         """Look at what is kept; ``then`` comes after it."""
+        if self.varied:
+            self.whole.kept += self.kept
+            self.whole.own |= {len(self.whole.kept) - 1: row for row in self.own.values()}
         for part in self.kept:
             if self.sized:
                 self._measure(part)

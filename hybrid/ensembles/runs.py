@@ -126,8 +126,10 @@ def ensemble(
         Further columns. The name of an output: its value at the end of each lane and wherever
         states are kept. ``"stick"``: the fraction of time at rest on contacts or sliding.
         ``"period"``: the number of section points after which they repeat, to 1e-6 of their size; 0
-        if they do not. A function of the Dataset of all lanes, which returns an array over the
-        lanes; its name is that of the column.
+        if they do not. ``"lyapunov"``: the largest Lyapunov exponent over the last nine tenths of
+        the time, ``-inf`` where neighbours are lost, NaN where they take another course. A function
+        of the Dataset of all lanes, which returns an array over the lanes; its name is that of the
+        column.
     section, crossing
         Keep the states of each lane on a section, as for :func:`hybrid.return_map`: the name of a
         jump, a surface ``(self, t, s)``, a period, or a function ``(self)`` that returns it.

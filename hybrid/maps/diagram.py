@@ -89,6 +89,7 @@ def bifurcation(
     skip: int = 100,
     keep: int = 50,
     measure: Any = ("period",),
+    follow: bool = False,
     **options: Any,
 ) -> Bifurcation:
     """Points of a model on a section, over a parameter, once transients have died away.
@@ -99,6 +100,9 @@ def bifurcation(
         As :func:`hybrid.sweep` takes them; ``over`` has one name.
     section, skip, keep, measure
         As :func:`hybrid.ensemble` takes them.
+    follow : bool
+        Whether each value begins where the one before has ended, so that an attractor is followed
+        as long as there is one; values that fall follow it down. Else each begins at ``start``.
 
     Returns
     -------
@@ -117,7 +121,7 @@ def bifurcation(
     if not isinstance(over, Mapping) or len(over) != 1:
         raise OptionError(f"{model.spec.model}: over={over!r}: one parameter; hy.sweep takes more")
     asked = {"section": section, "skip": skip, "keep": keep, "measure": measure}
-    table = sweep(model, over, start, t, **asked, **options)
+    table = sweep(model, over, start, t, follow=follow, **asked, **options)
     return Bifurcation(table, str(next(iter(table.dims))))
 
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from ..automaton.base import require_model
 from ..errors import TABLES, OptionError, need
-from .lanes import AskedLanes, block_of, dimension, points_of
+from .lanes import AskedLanes, block_of, dimension, joined, points_of
 from .refine import Lattice, refined
 from .store import Store
-from .workers import Progress, flown
+from .workers import Progress, flown, followed
 
 if TYPE_CHECKING:
     import xarray
@@ -31,6 +31,7 @@ def sweep(
     block: int | None = None,
     refine: Mapping[str, float] | None = None,
     by: str = "verdict",
+    follow: bool = False,
     progress: Progress | None = None,
     load: bool = True,
     **options: Any,
@@ -47,11 +48,11 @@ def sweep(
     t : (t0, t1), or callable ``(self)``
         First and last time.
     executor : concurrent.futures.Executor, optional
-        What flies blocks: a pool of threads or processes, Dask's ``Client.get_executor()``. Without
-        one they are flown here, where an ensemble has threads on all cores; blocks of lanes that go
-        one by one (a ``section`` that is no jump's name, ``save``, ``certify``, ``"stick"``) are
-        shared with other processes where that pays. A block whose worker has died is flown again,
-        here.
+        What flies blocks: a pool of threads or processes, Dask's ``Client.get_executor()``, one of
+        submitit, to which they are jobs of one array. Without one they are flown here, where an
+        ensemble has threads on all cores; blocks of lanes that go one by one (a ``section`` that is
+        no jump's name, ``save``, ``certify``, ``"stick"``, ``"lyapunov"``) are shared with other
+        processes where that pays. A block whose worker has died is flown again, here.
     store : path, optional
         A Zarr group into which each block is written once. Where it exists, what is there is not
         flown again (extra ``maps``).
@@ -62,6 +63,10 @@ def sweep(
         they are no wider.
     by : str
         The column by which they differ.
+    follow : bool
+        Over one parameter: each lane begins where the one before has ended, in the order of the
+        values, at the same first time; so where time matters let lanes take whole periods. After a
+        lane that has not come to its end the next one begins at ``start`` again.
     progress : callable ``(done, lanes)``, optional
         Called after each block; with ``refine`` of each round.
     load : bool
@@ -94,11 +99,16 @@ def sweep(
     axes = points_of(model.spec, over)
     if not load and (store is None or refine is not None):
         raise OptionError(f"{model.spec.model}: load=False takes store=, and no refine=")
+    if follow and refine is not None:
+        raise OptionError(f"{model.spec.model}: follow=True goes over a row of values: no refine=")
 
     def fly(points: Mapping[str, np.ndarray], turn: int = 0) -> xarray.Dataset:
         lanes = block_of(len(next(iter(points.values()))), block)
         place = store if store is None or not turn else Path(store) / f"round{turn}"
-        asked = AskedLanes(model, points, {} if start is None else start, t, options, lanes)
+        begun = {} if start is None else start
+        asked = AskedLanes(model, points, begun, t, options, lanes, follow)
+        if follow:
+            asked.require_followed()
         return lanes_of(asked, executor, place, progress, load)
 
     names = {name: dimension(model.spec, name) for name in axes}
@@ -121,13 +131,15 @@ def lanes_of(
     load: bool = True,
 ) -> xarray.Dataset:
     """All lanes as a table over ``lane``, those that a store has from there."""
-    import xarray
-
     kept = None if store is None else Store(store, asked)
     tables: dict[int, xarray.Dataset] = {}
     missing = list(range(asked.blocks)) if kept is None else kept.missing
     done = asked.blocks - len(missing)
-    with closing(flown(asked, missing, executor)) as blocks:
+    made = flown(asked, missing, executor)
+    if asked.follow:
+        before = kept.table(asked.rows(done - 1)) if kept is not None and done else None
+        made = followed(asked, missing, executor, before)
+    with closing(made) as blocks:
         for number, table in blocks:
             if kept is None:
                 tables[number] = table
@@ -138,8 +150,7 @@ def lanes_of(
                 progress(min(done * asked.block, asked.count), asked.count)
     if kept is not None:
         return kept.table() if load else kept.opened()
-    made = [tables[number] for number in range(asked.blocks)]
-    return xarray.concat(made, dim="lane", data_vars="minimal", coords="minimal", compat="equals")
+    return joined([tables[number] for number in range(asked.blocks)])
 
 
 def folded(table: xarray.Dataset, axes: Mapping[str, np.ndarray]) -> xarray.Dataset:

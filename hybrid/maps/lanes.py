@@ -22,7 +22,11 @@ from ..ensembles import ensemble
 from ..ensembles.measures import NAMED
 from ..ensembles.processes import Unfit
 from ..errors import OptionError, StoreError
+from ..lowering import scene_of
+from ..run.options import times_of
+from ..run.sections import Period, section_of
 from ..trajectory.stats import versions
+from ..trajectory.trajectory import Status
 
 if TYPE_CHECKING:
     import xarray
@@ -32,6 +36,9 @@ if TYPE_CHECKING:
 #: file for each column, of which there are some thirty.
 LEAST_BLOCK, MOST_BLOCK, BLOCKS, MOST_BLOCKS = 16, 1024, 64, 256
 
+
+#: Of so many periods the rounding of their number is no more than this share.
+PERIODS_ROUNDING = 1e-9
 
 #: Options with which lanes go one after another through the loop of a run.
 ONE_BY_ONE = ("save", "certify")
@@ -52,6 +59,10 @@ class AskedLanes:
         As :func:`hybrid.ensemble` takes them.
     block : int
         Lanes in a block.
+    follow : bool
+        Whether each begins where the one before has ended.
+    before : Dataset, optional
+        The lanes before these: the first one follows the last of them.
     """
 
     model: Any
@@ -60,6 +71,8 @@ class AskedLanes:
     t: Any
     options: Mapping[str, Any]
     block: int
+    follow: bool = False
+    before: xarray.Dataset | None = None
 
     @property
     def spec(self) -> Spec:
@@ -97,13 +110,14 @@ class AskedLanes:
 
     def fly(self, progress: Callable[[int], None] | None = None) -> xarray.Dataset:
         """All lanes as a table over ``lane``."""
+        if self.follow:
+            return self._followed()
         begun, span = self.start, self.t
         if callable(begun):
             rows = [begun(model) for model in self._models()]
             begun = {name: np.array([row[name] for row in rows], float) for name in rows[0]}
         if callable(span):
-            spans = np.array([span(model) for model in self._models()], dtype=float)
-            span = tuple(spans.reshape(self.count, 2).T)
+            span = tuple(self.spans.T)
         states = {**begun, **{n: v for n, v in self.points.items() if n in self.spec.names}}
         if self.spec.chances and STREAM not in states:
             raise OptionError(
@@ -113,6 +127,56 @@ class AskedLanes:
         given = {name: v for name, v in self.points.items() if name not in self.spec.names}
         asked = {"progress": progress, **self.options}
         return ensemble(self.model, states, span, given, **asked)
+
+    @property
+    def spans(self) -> np.ndarray:
+        """First and last time of each lane."""
+        rows = map(self.t, self._models()) if callable(self.t) else [times_of(self.t)] * self.count
+        return np.array([*rows], dtype=float).reshape(self.count, 2)
+
+    def require_followed(self) -> None:
+        """Refuse lanes that cannot follow each other.
+
+        Raises
+        ------
+        OptionError
+        """
+        spec, section = self.spec, self.options.get("section")
+        where = f"{spec.model}: follow=True"
+        if len(self.points) > 1 or set(self.points) & set(spec.names):
+            raise OptionError(f"{where} goes over one parameter, not over {', '.join(self.points)}")
+        if spec.lags:
+            raise OptionError(f"{where}: it looks into the past, which is not passed on to a lane")
+        if self.options.get("max_jumps") is not None:
+            raise OptionError(f"{where}: what is passed on is the last time's: leave out max_jumps")
+        for model, (t0, t1) in zip(self._models(), self.spans, strict=True):
+            met = None if section is None else section_of(model, scene_of(model), section)
+            if not isinstance(met, Period):
+                return
+            turns = (t1 - t0) / met.period
+            if abs(turns - round(turns)) > PERIODS_ROUNDING * turns:
+                raise OptionError(
+                    f"{where}: t=({t0:.9g}, {t1:.9g}) are {turns:.9g} periods of section=; a whole "
+                    "number is due, so that the next lane begins at the same phase"
+                )
+
+    def _followed(self) -> xarray.Dataset:
+        """Lanes one after another."""
+        tables, asked = [], attrs.evolve(self, block=1)
+        for number in range(self.count):
+            one = attrs.evolve(asked.only(number), follow=False, **asked._going_on())
+            tables.append(one.fly())
+            asked = attrs.evolve(asked, before=tables[-1])
+        return joined(tables)
+
+    def _going_on(self) -> dict[str, Any]:
+        """Start and options of a lane that goes on from the one before; none where that one has not
+        come to its end."""
+        last = None if self.before is None else self.before.isel(lane=-1)
+        if last is None or str(last.status.values) != Status.REACHED_END.name.lower():
+            return {}
+        start = {name: last[name].values for name in self.spec.names}
+        return {"start": start, "options": {**self.options, "mode": str(last.mode.values)}}
 
     def _models(self) -> list[Any]:
         """The model of each lane."""
@@ -127,10 +191,17 @@ class AskedLanes:
         parts = {
             "model": (digest(type(self.model)), own),
             "values": (dict(self.points), self.start, self.t),
-            "options": (sorted(self.options.items()), self.block),
+            "options": (sorted(self.options.items()), self.block, self.follow),
         }
         digests = {name: sha256(_text(part).encode()).hexdigest() for name, part in parts.items()}
         return digests | {"versions": _text(versions())}
+
+
+def joined(tables: list[xarray.Dataset]) -> xarray.Dataset:
+    """Tables of lanes as one."""
+    import xarray
+
+    return xarray.concat(tables, dim="lane", data_vars="minimal", coords="minimal", compat="equals")
 
 
 def points_of(spec: Spec, over: Any) -> dict[str, np.ndarray]:
@@ -222,4 +293,4 @@ def _inner(value: Any) -> Any:
     return getattr(value, "__name__", value)  # of modules and classes
 
 
-__all__ = ["AskedLanes", "block_of", "dimension", "flier", "points_of"]
+__all__ = ["AskedLanes", "block_of", "dimension", "flier", "joined", "points_of"]

@@ -11,6 +11,7 @@ import attrs
 import numpy as np
 
 from ..errors import OptionError
+from .lanes import joined
 
 if TYPE_CHECKING:
     import xarray
@@ -106,8 +107,6 @@ def refined(lattice: Lattice, by: str, fly: Fly) -> xarray.Dataset:
     OptionError
         If there is no such column.
     """
-    import xarray
-
     cells, known = lattice.cells(), dict[Corner, Any]()
     tables: list[xarray.Dataset] = []
     while True:
@@ -121,7 +120,7 @@ def refined(lattice: Lattice, by: str, fly: Fly) -> xarray.Dataset:
         known |= dict(zip(new, table[by].values.tolist(), strict=True))
         tables.append(table)
         cells = _halved(cells, known, lattice.longest)
-    return xarray.concat(tables, dim="lane", data_vars="minimal", coords="minimal", compat="equals")
+    return joined(tables)
 
 
 def _halved(cells: list[_Cell], known: Mapping[Corner, Any], longest: Corner) -> list[_Cell]:

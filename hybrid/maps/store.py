@@ -94,15 +94,16 @@ class Store:
             **(shards if over else {}),
         )
 
-    def table(self) -> xarray.Dataset:
-        """All lanes, when no block is missing."""
+    def table(self, rows: slice = slice(None)) -> xarray.Dataset:
+        """All lanes, or some, of blocks none of which is missing."""
         import xarray
 
         attributes, coordinates = json.loads(self.group.attrs["attributes"])
         data = {}
         for name, array in self.group.arrays():
             if name != DONE:
-                values = array[...]
+                over = array.metadata.dimension_names[:1] == ("lane",)
+                values = array[rows] if over else array[...]
                 if values.dtype.kind in "OT":
                     values = values.astype(object).astype(str)
                 data[name] = array.metadata.dimension_names, values, dict(array.attrs)

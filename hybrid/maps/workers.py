@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Generator, Iterable
-from concurrent.futures import Future, as_completed
-from contextlib import closing
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import CancelledError, Future, as_completed
+from contextlib import closing, nullcontext
+from time import sleep
 from typing import TYPE_CHECKING, Any
+
+import attrs
 
 from ..automaton.digest import digest
 from ..ensembles.processes import Shared
@@ -15,6 +18,10 @@ from .lanes import AskedLanes, flier
 
 if TYPE_CHECKING:
     import xarray
+
+#: Seconds after which it is asked whether an executor still takes work, and between two looks at
+#: jobs that do not tell when they have ended.
+PROBED_AFTER, PAUSE = 15.0, 0.1
 
 
 def flown(
@@ -32,6 +39,17 @@ def flown(
         yield from _beside(asked, lost)
     else:
         yield from ((number, asked.only(number).fly()) for number in lost)
+
+
+def followed(
+    asked: AskedLanes, numbers: Iterable[int], executor: Any = None, before: Any = None
+) -> Generator[tuple[int, xarray.Dataset]]:
+    """As :func:`flown`, in order: each block follows the one before, the first of these
+    ``before``."""
+    for number in numbers:
+        own = attrs.evolve(asked.only(number), before=before)
+        ((_, before),) = flown(own, [0], executor)
+        yield number, before
 
 
 def _beside(asked: AskedLanes, numbers: Iterable[int]) -> Generator[tuple[int, xarray.Dataset]]:
@@ -52,30 +70,34 @@ def _by(
     """Let an executor fly blocks; returns those that it has lost."""
     if not callable(getattr(executor, "submit", None)):
         raise OptionError(f"executor={executor!r}: one of concurrent.futures, or like it")
-    sent: dict[Future, int] = {}
+    sent: dict[Any, int] = {}
     lost: list[int] = []
     why: BaseException | None = None
     try:
-        for number in numbers:
-            try:
-                sent[executor.submit(AskedLanes.fly, asked.only(number))] = number
-            except Exception as fault:  # it takes no more
-                lost.append(number)
-                why = fault
-        for future in as_completed(sent):
-            failed = future.exception()
+        with getattr(executor, "batch", nullcontext)():
+            for number in numbers:
+                try:
+                    sent[executor.submit(AskedLanes.fly, asked.only(number))] = number
+                except Exception as fault:  # it takes no more
+                    lost.append(number)
+                    why = fault
+        left = dict(sent)
+        for future in _ended(executor, sent):
+            failed, number = _fault(future), left.pop(future)
             if failed is None:
-                yield sent[future], future.result()
+                yield number, future.result()
             elif isinstance(failed, HybridError):
                 raise failed
             else:
-                lost.append(sent[future])
+                lost.append(number)
                 why = failed
+        lost += left.values()
     finally:
         for future in sent:
-            future.cancel()
+            if not future.done():
+                future.cancel()
     if lost:
-        said = f"{type(why).__name__}: {why}"
+        said = "it takes no more" if why is None else f"{type(why).__name__}: {why}"
         warnings.warn(
             f"hybrid flies {len(lost)} blocks here that the executor has lost ({said})",
             stacklevel=2,
@@ -83,6 +105,43 @@ def _by(
     return sorted(lost)
 
 
+def _ended(executor: Any, sent: Iterable[Any]) -> Iterator[Any]:
+    """What has been sent, as it ends; less than all of it where the executor is found dead."""
+    futures = {each for each in sent if isinstance(each, Future)}
+    jobs = [each for each in sent if not isinstance(each, Future)]
+    while futures:
+        try:
+            for future in as_completed(set(futures), timeout=PROBED_AFTER):
+                futures.discard(future)
+                yield future
+        except TimeoutError:
+            if not _takes(executor):
+                return
+    while jobs:  # of submitit, which do not tell
+        for job in [each for each in jobs if each.done()]:
+            jobs.remove(job)
+            yield job
+        sleep(PAUSE if jobs else 0.0)
+
+
+def _takes(executor: Any) -> bool:
+    """Whether an executor still takes work. One of Dask whose scheduler has died does not, and what
+    was about to be fetched from it then never ends."""
+    try:
+        executor.submit(int).cancel()
+    except Exception:  # whatever it raises
+        return False
+    return True
+
+
+def _fault(future: Any) -> BaseException | None:
+    """Why there is no answer; None where there is one."""
+    try:
+        return future.exception()  # type: ignore[no-any-return]
+    except CancelledError as fault:  # by its executor, whose scheduler has died
+        return fault
+
+
 Progress = Callable[[int, int], None]
 
-__all__ = ["Progress", "flown"]
+__all__ = ["Progress", "flown", "followed"]

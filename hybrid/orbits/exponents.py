@@ -13,7 +13,7 @@ from ..result import Trajectory
 from ..run.options import time_of, times_of
 from ..simulation import simulate
 from ..trajectory.trajectory import Status
-from ..variation import factors
+from ..variation import TRANSIENT, factors, first_frame, grown
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers
@@ -23,10 +23,6 @@ BATCHES = 20
 
 #: Number of running estimates that are returned, spaced evenly over the run.
 RUNNING_ESTIMATES = 200
-
-#: Relative growth of a direction, compared with the largest of the same piece, that counts as
-#: rounding: some 50 roundings.
-LOST_GROWTH = 1e-14
 
 
 @attrs.frozen(eq=False, repr=False)
@@ -129,17 +125,18 @@ def lyapunov(
     if not (isinstance(count, int | np.integer) and 1 <= count <= size):
         raise OptionError(f"count={count!r}: a whole number from 1 to {size}")
     first, last = times_of(t)
-    begin = first + (0.1 * (last - first) if transient is None else time_of("transient", transient))
+    usual = TRANSIENT * (last - first)
+    begin = first + (usual if transient is None else time_of("transient", transient))
     if not first <= begin < last:
         raise OptionError(f"transient={transient!r}: a time shorter than the run, {t!r}")
-    frame = np.linalg.qr(np.random.default_rng(0).normal(size=(size, int(count))))[0]
+    frame = first_frame(size, int(count))
     options = {**options, "save": "dense"}
     if begin > first:
         before = _run(model, start, (first, begin), options)
-        frame = _carry(model, before, frame)[2]
+        frame = grown(factors(model, before), frame)[2]
         start, options["mode"] = before.final, before.mode
     run = _run(model, start, (begin, last), options)
-    times, growth, _ = _carry(model, run, frame)
+    times, growth, _ = grown(factors(model, run), frame)
     return _exponents(times, growth, run)
 
 
@@ -149,19 +146,6 @@ def _run(model: Any, start: Any, t: tuple[float, float], options: dict[str, Any]
     if run.status is not Status.REACHED_END:
         raise OrbitError(f"{run.spec.model}: the run ended at t = {run.t1:.9g}: {run.status}")
     return run
-
-
-def _carry(model: Any, run: Trajectory, frame: Matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """End times of a run's pieces, logarithms of the frame's growth, and the final frame."""
-    times, growth = [], []
-    for factor in factors(model, run):
-        frame, upper = np.linalg.qr(factor.matrix @ frame)
-        sizes = np.abs(np.diag(upper))
-        sizes[sizes <= LOST_GROWTH * np.abs(factor.matrix).max()] = 0.0
-        with np.errstate(divide="ignore"):
-            growth.append(np.log(sizes))
-        times.append(factor.t)
-    return np.array(times), np.array(growth), frame
 
 
 def _exponents(times: Numbers, growth: Matrix, run: Trajectory) -> Exponents:

@@ -2,11 +2,13 @@
 
 from .carried import At, Carried
 from .derivatives import Derivatives
+from .growth import TRANSIENT, first_frame, grown
 from .past import PastVariation, Shift, Strand, descendants, distinct
 from .slopes import Owned
-from .walk import Course, Factor, Moment, Walk, factors
+from .walk import Course, Factor, Moment, Walk, factors, factors_of
 
 __all__ = [
+    "TRANSIENT",
     "At",
     "Carried",
     "Course",
@@ -21,4 +23,7 @@ __all__ = [
     "descendants",
     "distinct",
     "factors",
+    "factors_of",
+    "first_frame",
+    "grown",
 ]

@@ -172,13 +172,23 @@ def factors(model: Any, run: Solution) -> Iterator[Factor]:
         )
     if any(isinstance(part, Arc) and part.length and not part.segments for part in run.parts):
         raise OrbitError(f"{run.spec.model}: the first variation needs a run with save='dense'")
-    for factor in Walk(Course.of(model, run)).pieces():
+    yield from factors_of(Course.of(model, run))
+
+
+def factors_of(course: Course) -> Iterator[Factor]:
+    """The first variation along the course of a run without delays, as :func:`factors`.
+
+    Raises
+    ------
+    OrbitError
+    """
+    for factor in Walk(course).pieces():
         assert isinstance(factor, Factor)
         if factor.ties is not None and np.any(factor.ties):
             raise OrbitError(
-                f"{run.spec.model}, t = {factor.t!r}: at {factor.edge} another event happens at "
-                "the same instant, but before or after it for neighbours: there is no first "
-                "variation"
+                f"{course.scene.spec.model}, t = {factor.t!r}: at {factor.edge} another event "
+                "happens at the same instant, but before or after it for neighbours: there is no "
+                "first variation"
             )
         yield factor
 
