@@ -160,7 +160,7 @@ def accumulated(
         return PROOF
     end, rest = after(t, low, left.sums[tail, REMAINING])
     if (run[UNTIL] - end) - rest < 0.0:
-        now.floats[TRIED] = MUCH_LATER * v
+        now.floats[TRIED] = v if (run[LAST_TIME] - end) - rest >= 0.0 else MUCH_LATER * v
         return GOES_ON
     return rests(a, run, now, room, left, t, low, proved)
 
