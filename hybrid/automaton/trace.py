@@ -227,7 +227,10 @@ def require_real(closed: Any) -> None:
         if not all(isinstance(kind, np.dtype) and kind.kind in "fiub" for kind in kinds):
             keys = any(not isinstance(kind, np.dtype) for kind in kinds if kind is not None)
             what, instead = (
-                ("a random key", "a reset may ask draw.uniform() of its argument draw")
+                (
+                    "a random key",
+                    "a reset may ask draw.uniform() of its argument draw",
+                )
                 if keys
                 else ("a complex number", "write real and imaginary parts as two numbers")
             )

@@ -140,8 +140,8 @@ def ensemble(
     progress : callable ``(lanes)``, optional
         Called with the number of lanes that have ended.
     seed : int
-        Seed of the random numbers that resets draw (``docs/chance.md``), from 0 to 2^26 - 1; each
-        lane has its own sequence.
+        Seed of the random numbers that resets and restitutions draw (``docs/chance.md``), from 0
+        to 2^26 - 1; each lane has its own sequence.
 
     Returns
     -------

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import attrs
 import numpy as np
 
+from ..automaton.chance import DRAWS
 from ..automaton.spec import ContactSpec, Spec
 from ..automaton.trace import Traced, again, caller
 from ..errors import DeclarationError
@@ -69,6 +70,7 @@ class ContactLaws:
     law: Traced
     mass: Traced
     pairing: Pairing
+    drawn: Any = 0.0  # what an impact adds to the state besides: 1 to the count of drawing jumps
 
     def normal(self, parameters: Any, t: Any, x: Any) -> tuple[Any, Any, Any]:
         """``N``, the impulse direction in the state space, and ``N . D``."""
@@ -86,7 +88,7 @@ class ContactLaws:
         _, direction, weight = self.normal(parameters, t, x)
         before = self.speed(parameters, t, x)
         after = self.law(parameters, t, x, before) * jnp.abs(before)
-        return jnp.append(x + direction * ((after - before) / weight), after)
+        return jnp.append(x + direction * ((after - before) / weight) + self.drawn, after)
 
     def push(self, parameters: Any, t: Any, x: Any) -> Any:
         """Change of the state that changes the gap speed by one."""
@@ -177,7 +179,9 @@ def laws(
     speed = lie(gap, flow)
     law = again(cls.traces["restitution", contact.name])
     mass = _mass(cls, spec, contact, pairing.positions, together)
-    return ContactLaws(gap, speed, lie(speed, flow), flow, law, mass, pairing)
+    draws = contact.name in spec.chances
+    drawn = np.eye(spec.dimension)[spec.place(DRAWS)] if draws else 0.0
+    return ContactLaws(gap, speed, lie(speed, flow), flow, law, mass, pairing, drawn)
 
 
 def _mass(

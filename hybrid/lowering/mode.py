@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import attrs
 import numpy as np
 
+from ..automaton.chance import DRAWS
 from ..automaton.spec import ContactSpec, LeaveSpec
 from .contact import Pairing
 from .derivatives import along, gradient, parts, solved, times
@@ -142,7 +143,11 @@ class ModeGraph:
 
     def impact(self, name: str) -> list[int]:
         """The state after an impact, followed by the gap speed after it."""
-        return [*self._pushed(self.contact(name), self.impulse(name)), self._speed_after(name)]
+        state = self._pushed(self.contact(name), self.impulse(name))
+        if name in self.spec.chances:
+            place = self.spec.place(DRAWS)
+            state[place] = self.graph.node("add", state[place], self.graph.const(1.0))
+        return [*state, self._speed_after(name)]
 
     def _speed_after(self, name: str) -> int:
         contact = self.contact(name)

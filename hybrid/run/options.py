@@ -87,6 +87,12 @@ class Asked:
                 require_count(name, count, 1, ", or None")
         if self.progress is not None and not callable(self.progress):
             raise OptionError(f"progress={self.progress!r}: a function of the time, or None")
+        drawn = [contact for contact in self.spec.contacts if contact in self.spec.chances]
+        if self.zeno == "truncate" and drawn:
+            raise OptionError(
+                f"{self.spec.model}: zeno='truncate' compares with a sum, and the impacts of "
+                f"{drawn[0]}, whose restitution draws, have none; use zeno='rest' or 'ignore'"
+            )
         dense, samples = _saving(self.save, t0, t1)
         cap = self.max_jumps if self.zeno == "truncate" else None
         limit = MAX_JUMPS if self.max_jumps is None or self.zeno == "truncate" else self.max_jumps
@@ -180,7 +186,7 @@ def values_of(spec: Spec, start: Any, seed: int = 0, what: str = "start") -> Any
     """What is given for each state, in declared order."""
     own, number = has_stream(start), None
     if seed != 0 and (own or not spec.chances):
-        why = "the start has a stream" if own else "no reset of it takes draw"
+        why = "the start has a stream" if own else "nothing of it takes draw"
         raise OptionError(f"{spec.model}: seed={seed!r}, but {why}; leave seed out")
     if spec.chances and not own:
         number = stream(spec.model, seed)
