@@ -10,11 +10,12 @@ import numpy as np
 
 from ..errors import PLOT, DeclarationError, OptionError, ParameterError, need
 from . import outputs, refusals, signals, trace
+from .body import AutomatonMeta, given_twice, kind_of
 from .builder import Builder
 from .captured import Captured, captured
 from .chance import DRAWS, counted, draws
 from .clocks import require_clocks
-from .markers import ContactMarker, EdgeMarker, Mode, State, Switching, is_parameter
+from .markers import State, is_parameter
 from .past import Asking, Lags, Past, looks_back, plain
 from .spec import ClockSpec, ContactSpec, EdgeSpec, Spec
 
@@ -38,7 +39,7 @@ OWNERS = {
 VALUES_ONLY = ("reset", "restitution", "when", "clock")
 
 
-class Automaton:
+class Automaton(metaclass=AutomatonMeta):
     """Base class of a hybrid automaton; a model is a subclass.
 
     ``Model(**parameters)`` makes a model with these parameter values; ``attrs.evolve``
@@ -62,6 +63,7 @@ class Automaton:
         markers = _collect(cls)
         builder = Builder(cls, markers)
         builder.names()
+        builder.faults += given_twice(vars(cls))
         builder.faults += outputs.faults(markers, _inherited(cls))
         _make_attrs(cls, markers)
         traced = _Traced(cls, builder.build(), builder.untraceable)
@@ -119,7 +121,7 @@ def _collect(cls: type) -> dict[str, Any]:
         if base in (object, Automaton):
             continue
         for name, value in vars(base).get("_hybrid_markers", vars(base)).items():
-            if _is_marker(value):
+            if kind_of(value):
                 found[name] = value
             elif name in found and base is cls:
                 del found[name]
@@ -130,11 +132,6 @@ def _inherited(cls: type) -> dict[str, Any]:
     """Markers of the bases, by name."""
     bases = [vars(base).get("_hybrid_markers", {}) for base in reversed(cls.__mro__[1:])]
     return {name: marker for markers in bases for name, marker in markers.items()}
-
-
-def _is_marker(value: Any) -> bool:
-    kinds = State | Mode | EdgeMarker | ContactMarker | Switching | outputs.Output
-    return isinstance(value, kinds) or is_parameter(value) or signals.is_signal(value)
 
 
 def _make_attrs(cls: type, markers: dict[str, Any]) -> None:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 #: The length of a flight, relative to that of its series of impacts, from which on the series is at
 #: its limit: as many flights again as a double has digits for would not show in the time.
-SETTLED = EPS * EPS
+LAST_FLIGHT = EPS * EPS
 
 
 def accumulate(driver: Driver, contact: Contact, x: StateVector, v: float, name: str) -> bool:
@@ -60,7 +60,7 @@ def _settles(driver: Driver, contact: Contact, x: StateVector, v: float, field: 
     t, spec, watch = driver.t, driver.scene.spec, driver.watch
     pull = -field.guards[field.column(contact.name)].lie(t, x.tolist())[2]
     since = driver.cycles.first_of(contact.name)
-    if watch.count < driver.plan.patience or not 2.0 * v <= SETTLED * pull * (t - since):
+    if watch.count < driver.plan.patience or not 2.0 * v <= LAST_FLIGHT * pull * (t - since):
         return False
     x_inf = x - v * np.array(contact.push(t, x.tolist()))
     error = 64 * EPS * np.abs(x)
