@@ -181,6 +181,38 @@ def test_a_name_declared_twice_is_a_fault():
         assert words in " ".join(said.split())
 
 
+@pytest.mark.parametrize(
+    ("guard", "of"),
+    [
+        (lambda self, t, s: -1.0, "nothing"),
+        (lambda self, t, s: self.a - 2.0, "parameters and discrete variables alone"),
+        (lambda self, t, s: 3 - s.count, "parameters and discrete variables alone"),
+    ],
+)
+def test_a_guard_that_no_flow_changes_is_a_fault(guard, of):
+    """It would never fire; an urgent edge does, where its mode is entered beyond zero."""
+
+    def declared(urgent):
+        class Still(hy.Automaton):
+            x = hy.state()
+            count = hy.discrete(5)
+            a: float = hy.parameter(1.0)
+
+            @hy.mode(initial=True)
+            def flow(self, t, s):
+                return 1.0
+
+            @hy.edge(flow, to=hy.TERMINATE, guard=guard, urgent=urgent)
+            def stop(self, t, s):
+                return s
+
+        return Still
+
+    with pytest.raises(hy.DeclarationError, match=f"stop, guard: it depends on {of}"):
+        declared(False)
+    assert hy.simulate(declared(True)(), {"x": 0.0}, (0.0, 1.0), solver="taylor").t1 == 0.0
+
+
 def test_a_subclass_may_mix_in_an_abstract_class_and_declare_a_name_again():
     class Base(hy.Automaton, ABC):
         x = hy.state()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, ClassVar
 
@@ -235,12 +236,36 @@ class _Traced:
             return
         trace.require_real(closed)
         if kind != "flow":
-            require_written(closed, kind not in VALUES_ONLY)
+            used = require_written(closed, kind not in VALUES_ONLY)
+            if kind in ("guard", "surface"):
+                self._require_moving(kind, owner, used)
         self.traces[kind, owner] = closed
         for place, number in enumerate(numbers):
             name = self.spec.lags[number].name
             if ("lag", name) not in self.traces:
                 self.traces["lag", name] = self._plain_lag(name, function, numbers, place, extra)
+
+    def _require_moving(self, kind: str, owner: str, used: set[int]) -> None:
+        """Refuse a guard that no flow changes: ``used`` are the inputs that it depends on.
+
+        Raises
+        ------
+        ValueError
+        """
+        first = sum(math.prod(np.shape(parameter.default)) for parameter in self.spec.parameters)
+        flows = range(first, first + sum(map(math.prod, self.spec.windows)) + 1 + self.spec.flows)
+        urgent = any(e.name == owner and getattr(e, "urgent", False) for e in self.spec.transitions)
+        if urgent or used.intersection(flows):
+            return
+        what = "parameters and discrete variables alone" if used else "nothing"
+        raise ValueError(
+            f"it depends on {what}, so that no flow leads it to zero; "
+            + (
+                "urgent=True fires where it is beyond zero when the mode is entered"
+                if kind == "guard"
+                else "make it depend on t or on a state"
+            )
+        )
 
     def _plain_lag(
         self, name: str, function: Any, numbers: list[int], place: int, extra: int
@@ -279,11 +304,11 @@ class _Traced:
         return trace.scalar(lag)
 
 
-def require_written(closed: Any, derived: bool = False) -> None:
+def require_written(closed: Any, derived: bool = False) -> set[int]:
     """See :func:`hybrid.lowering.jaxpr.require_written`."""
     from ..lowering import jaxpr
 
-    jaxpr.require_written(closed, derived)
+    return jaxpr.require_written(closed, derived)
 
 
 def _label(kind: str, owner: str) -> str:
