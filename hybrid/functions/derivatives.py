@@ -9,6 +9,7 @@ there is none they are NaN.
 from __future__ import annotations
 
 import math
+import warnings
 from contextlib import suppress
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -134,23 +135,19 @@ class Runs:
         run = self._flown(row, "dense")
         return *run.numbers(), run.derivatives(len(row))
 
-    def plan(self, row: Numbers) -> Itinerary:
-        """The run as it can be flown again (:mod:`hybrid.replay`).
-
-        Raises
-        ------
-        OrbitError
-            Where it cannot.
-        """
-        return self._flown(row, "dense").plan()
+    def plan(self, row: Numbers) -> tuple[np.ndarray, ...]:
+        """Whether a run can be flown again (:mod:`hybrid.replay`), and how; where it cannot, a
+        warning says why."""
+        plan, fault = self._flown(row, "dense").planned()
+        if fault is not None:
+            warnings.warn(f"{fault}; second derivatives of this run are NaN", stacklevel=2)
+        return np.array(fault is None), *plan
 
     def planned(self, row: Numbers) -> tuple[np.ndarray, ...]:
         """What a run gives, as :meth:`values`; whether it can be flown again, and how."""
         run = self._flown(row, "dense")
-        plan, flies = blank(laws_of(run.scene.code), self.room, self.layout.rows), False
-        with suppress(HybridError):
-            plan, flies = run.plan(), True
-        return *run.numbers(), np.array(flies), *plan
+        plan, fault = run.planned()
+        return *run.numbers(), np.array(fault is None), *plan
 
     @property
     def room(self) -> int:
@@ -231,8 +228,14 @@ class _Run:
         if tail is not None:
             views["x_inf"][:], views["error"][...] = tail.x_inf, tail.t_error
 
-    def plan(self) -> Itinerary:
-        """How it can be flown again (:meth:`Runs.plan`)."""
+    def planned(self) -> tuple[Itinerary, HybridError | None]:
+        """How it can be flown again; a blank plan, and the reason, if it cannot."""
+        try:
+            return self._plan(), None
+        except HybridError as fault:
+            return blank(laws_of(self.scene.code), self.of.room, self.of.layout.rows), fault
+
+    def _plan(self) -> Itinerary:
         if self.driver is None or self.status not in ("reached_end", *BEHIND_A_JUMP):
             why = dict(REASONS.values()).get(self.status, "the run failed")
             raise OrbitError(

@@ -352,8 +352,9 @@ def _differentiable(runs: Runs) -> Callable[[Any], tuple[Any, Any]]:
     def second(rows: Any, changes: Any) -> Any:
         numbers, whole_numbers, slopes = once(*rows)
         replay = _replay(runs)
-        fly = partial(replay.fly, replay.plan(*rows))
-        bends = jax.jacfwd(jax.jacfwd(fly))(*rows) @ changes[0]  # so that vmap can transpose it
+        flies, plan = replay.plan(*rows)
+        flown = jax.jacfwd(jax.jacfwd(partial(replay.fly, plan)))(*rows)
+        bends = _along(jnp.where(flies, flown, jnp.nan), *changes)
         still = np.zeros(whole_numbers.shape, jax.dtypes.float0)
         return (numbers, whole_numbers, slopes), (_along(slopes, *changes), still, bends)
 
