@@ -1,11 +1,15 @@
 """Random numbers in resets: the same ones for the same seed, lane, jump and call."""
 
+import json
+
 import jax
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import hybrid as hy
 from hybrid.automaton.chance import KEY_STEPS, MULTIPLIERS, PHILOX_ROUNDS, mixed
+from hybrid.cli import app
 
 SOLVERS = ["taylor", "scipy", "diffrax"]
 START = {"x": 0.0, "u": 0.0, "n": 0.0}
@@ -262,6 +266,22 @@ def test_a_drawn_restitution_below_zero_is_refused():
 
     with pytest.raises(hy.FlowError, match="the restitution of impact gives the speed -"):
         hy.simulate(Wild(), {"x": 1.0, "v": 0.0}, (0.0, 1.0))
+
+
+def test_the_command_line_takes_a_seed(tmp_path):
+    """Another seed falls another time; JSON has no number for a ratio that is none."""
+    path = tmp_path / "stony.py"
+    path.write_text(
+        "import hybrid as hy\n\n\nclass Stony(hy.Automaton):\n    x, v = hy.state(), hy.state()\n\n"
+        "    @hy.mode\n    def flight(self, t, s):\n        return s.v, -9.81\n\n"
+        "    impact = hy.contact(\n        flight,\n        gap=lambda self, t, s: s.x,\n"
+        "        restitution=lambda self, t, s, u, draw: 0.3 + 0.5 * draw.uniform(),\n    )\n\n\n"
+        "START, UNTIL = {'x': 1.0, 'v': 0.0}, (0.0, 5.0)\n"
+    )
+    found = CliRunner().invoke(app, ["run", str(path), "--json", "--seed", "3"])
+    (point,) = json.loads(found.stdout)["zeno"]
+    assert point["ratio"] is None
+    assert point["t"] == pytest.approx(fallen(3, 0)[-1], rel=1e-12)
 
 
 def test_the_generator_has_no_pattern():
