@@ -179,7 +179,7 @@ def ensemble(
             f"{model.spec.model}: certify=True flies lanes again, which keeps all of them: ask for "
             "section, save and stick in a call of its own"
         )
-    scene = scene_of(model, by="hy.ensemble with section, save or stick" * measures.anything)
+    scene = scene_of(model)
     solver, method = renamed(solver_for(scene, solver, method), method)
     options = {
         "solver": solver,
