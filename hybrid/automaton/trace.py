@@ -294,7 +294,9 @@ def require_repeatable(
 
 
 def _equal(one: Any, other: Any) -> bool:
-    return np.array_equal(np.asarray(one), np.asarray(other))
+    """Whether two constants are the same; NaN is the same as NaN."""
+    a, b = np.asarray(one), np.asarray(other)
+    return a.shape == b.shape and bool(np.all((a == b) | ((a != a) & (b != b))))
 
 
 def _constants(closed: Any) -> Iterator[Any]:

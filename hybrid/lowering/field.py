@@ -193,6 +193,19 @@ class Field:
         return self.trace()
 
     @property
+    def shared(self) -> tuple[str, Any, tuple[Any, ...]]:
+        """A flow that serves all resting fields of the mode: its name, its jaxpr, and the
+        parameters with which it is this field's."""
+        return self.once("shared", self._shared)  # type: ignore[no-any-return]
+
+    def _shared(self) -> tuple[str, Any, tuple[Any, ...]]:
+        mask = self.code.mode(self.mode).masked(self.held) if self.held else ()
+        if len(mask) < 2:
+            return self.name, self.closed, self.parameters
+        given = *self.parameters, np.array(mask)
+        return f"{self.mode}.rest", self.code.any_rest_closed(self.mode), given
+
+    @property
     def hurried(self) -> bool:
         """Whether an urgent edge with a condition is watched, which may fire on any entry.
 
