@@ -136,6 +136,10 @@ def road(kind="linear", outside="hold"):
             flight, gap=lambda self, t, s: s.x - self.floor(t), restitution="r", rests=True
         )
 
+        @hy.output
+        def height(self, t, s):
+            return s.x - self.floor(t)
+
     return Bead
 
 
@@ -376,6 +380,28 @@ def test_lanes_equal_their_runs(solver):
         hy.ensemble(model, {"x": starts}, (0.0, 2.5), parameters={"force": wrong})
 
 
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_what_is_kept_of_lanes_is_that_of_their_runs(solver):
+    """States and outputs at times, points on a section, time at rest; each lane on its own road."""
+    roads = [(TIMES, 0.1 * VALUES), (TIMES, 0.05 * VALUES)]
+    model, span, times = road()(floor=roads[0]), (0.0, 3.0), [0.4, 1.7, 2.9]
+    start = {"x": np.array([1.0, 1.0]), "v": 0.0}
+    kept = {"save": times, "section": "impact", "skip": 0, "keep": 3}
+    lanes = hy.ensemble(
+        model, start, span, {"floor": roads}, solver=solver, measure=["stick", "height"], **kept
+    )
+    for i, data in enumerate(roads):
+        run = hy.simulate(road()(floor=data), {"x": 1.0, "v": 0.0}, span, solver=solver)
+        np.testing.assert_array_equal(lanes["x_saved"][i], run(times).x)
+        np.testing.assert_allclose(lanes["height_saved"][i], run(times).height, atol=1e-15)
+        struck = run.jumps.edge == "impact"
+        np.testing.assert_array_equal(lanes["t_section"][i], run.jumps.t[struck][:3])
+        rests = sum(arc.t1 - arc.t0 for arc in run.arcs if arc.mode.endswith("rest(impact)"))
+        assert lanes["stick"][i] == pytest.approx(rests / 3.0, rel=1e-12)
+    with pytest.raises(hy.OptionError, match="a surface: it reads a signal"):
+        hy.ensemble(model, start, span, section=lambda self, t, s: s.x - self.floor(t), skip=0)
+
+
 def test_wrong_data_are_refused():
     """With the name of the signal, the value, and what is due."""
     model = driven("linear")
@@ -424,12 +450,9 @@ def test_wrong_declarations_are_refused():
 
 
 def test_who_knows_no_signals_says_so():
-    """Ensembles, functions, orbits and proofs, with a remedy."""
+    """Functions, orbits and proofs, with a remedy."""
     model = road()(floor=(TIMES, VALUES))
     ways = {
-        "hy.ensemble with section, save or stick": lambda: hy.ensemble(
-            model, {"x": [1.0], "v": 0.0}, (0.0, 1.0), save=[0.5]
-        ),
         "hy.as_function": lambda: hy.as_function(model, t=(0.0, 1.0), max_jumps=5),
         "hy.periodic_orbit": lambda: hy.periodic_orbit(model, {"x": 1.0, "v": 0.0}, period=1.0),
         "hy.certify": lambda: hy.certify(model, box={"x": (-1, 1), "v": (-1, 1)}),

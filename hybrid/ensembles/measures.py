@@ -230,7 +230,7 @@ class Measures:
             made[f"{state.name}_{what}"] = dims, record[state.name], told(state)
         count, points = x.shape[:2]
         rows, times = x.reshape(-1, x.shape[-1]), np.broadcast_to(t, (count, points)).reshape(-1)
-        given = [np.repeat(values, points, axis=0) for values in lanes.parameters]
+        given: list[Any] = [np.repeat(values, points, axis=0) for values in lanes.parameters]
         given += [each.repeated(points) for each in lanes.samples]
         for output in self.spec.outputs:
             if output.name in self.outputs:

@@ -145,7 +145,7 @@ def _written(graph: Graph, equation: Any, inputs: list[Ids], name: str) -> list[
         return [largest(graph, equation, *inputs)]
     if name == "sort" and (rows := in_order(graph, equation, inputs)) is not None:
         return rows
-    for make in (searched, determinants, sinc, copysign):
+    for make in (searched, determinants, sinc, copysign, signbit):
         if (found := make(graph, equation, inputs)) is not None:
             return found
     if inner is not None and name not in ("while", "scan"):
@@ -238,6 +238,14 @@ def copysign(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None
     size = mapped(graph, "abs", [inputs[0]])
     plus = mapped(graph, "ge", [inputs[1], constant(graph, 0.0)])
     return [mapped(graph, "select", [plus, size, mapped(graph, "neg", [size])])]
+
+
+def signbit(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None:
+    """``signbit``, also a bit, as in JAX's ``gamma``; None where an equation is no such. The sign
+    of 0 is taken for plus."""
+    if not of_jax(equation, "signbit") or len(equation.outvars) != 1:
+        return None
+    return [mapped(graph, "lt", [inputs[0], constant(graph, 0.0)])]
 
 
 def sinc(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None:
