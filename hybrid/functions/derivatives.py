@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import attrs
 import numpy as np
 
+from ..automaton.signals import Samples
 from ..delay.hindsight import Hindsight
 from ..delay.history import from_start
 from ..errors import HybridError, OrbitError
@@ -116,6 +117,8 @@ class Runs:
         Names to whose places the table of jumps refers.
     history
         What was before, for delays.
+    samples
+        The data of the signals.
     """
 
     cls: Any
@@ -125,6 +128,7 @@ class Runs:
     edges: tuple[str, ...]
     layout: Layout
     history: Any = None
+    samples: tuple[Samples, ...] = ()
 
     def values(self, row: Numbers) -> tuple[np.ndarray, np.ndarray]:
         """What a run gives; and the places of its edges, the count of its jumps, its status."""
@@ -159,7 +163,7 @@ class Runs:
         n = self.layout.size
         *values, t0, t1 = row.tolist()
         x, count = row[-2 - n : -2].copy(), len(values) - n
-        scene = scene_with(self.cls, self.shapes, tuple(values[:count]))
+        scene = scene_with(self.cls, self.shapes, tuple(values[:count]), self.samples)
         driver, status = None, ""
         try:
             driver = attrs.evolve(self.asked, save=save).driver(scene, (t0, t1), x, self.history)
