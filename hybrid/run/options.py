@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from math import isfinite, sqrt
@@ -22,7 +23,7 @@ from ..delay.pieces import Piece
 from ..errors import OptionError, StartError, ZenoError
 from ..lowering import Scene
 from ..solvers import Solver, averages, choose, own_rtol
-from ..solvers.base import tolerances
+from ..solvers.base import FINEST, tolerances
 from ..trajectory.accumulation import explain
 from ..trajectory.plan import PATIENT
 from ..trajectory.trajectory import Solution
@@ -65,7 +66,14 @@ class Asked:
 
     @cached_property
     def _allowed(self) -> tuple[float, np.ndarray]:
-        rtol, atol = tolerances(self.rtol, self.atol, self.spec.flows, self._own[1])
+        finest, own = self._own
+        rtol, atol = tolerances(self.rtol, self.atol, self.spec.flows, own)
+        if rtol < (least := min(finest, FINEST)):
+            warnings.warn(
+                f"rtol={rtol!r} is finer than steps in double precision can be; they keep to "
+                f"{least:g}",
+                stacklevel=2,
+            )
         if atol.shape and self.spec.discrete:
             atol = np.append(atol, [atol.max()] * len(self.spec.discrete))
         return rtol, atol

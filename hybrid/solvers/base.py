@@ -21,7 +21,6 @@ Contract (tested by ``tests/contract``)
 from __future__ import annotations
 
 import abc
-import warnings
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -95,8 +94,7 @@ LEAST_ATOL = float(np.finfo(float).tiny)
 def tolerances(rtol: Any, atol: Any, dimension: int, own: float) -> tuple[float, np.ndarray]:
     """Checked tolerances: ``rtol`` as a number, ``atol`` as a number or one per state element.
 
-    ``rtol`` defaults to the solver's ``own``, and ``atol`` to a hundredth of ``own``. Warns of an
-    ``rtol`` that no step can meet.
+    ``rtol`` defaults to the solver's ``own``, and ``atol`` to a hundredth of ``own``.
 
     Raises
     ------
@@ -111,11 +109,6 @@ def tolerances(rtol: Any, atol: Any, dimension: int, own: float) -> tuple[float,
         relative = 0.0
     if not 0 < relative < 1:
         raise OptionError(f"rtol={rtol!r}: a number between 0 and 1")
-    if relative < (least := min(own, FINEST)):
-        warnings.warn(
-            f"rtol={rtol!r} is finer than steps in double precision can be; they keep to {least:g}",
-            stacklevel=2,
-        )
     try:
         absolute = np.array(own / 100) if atol is None else reals(atol)
     except ValueError:
