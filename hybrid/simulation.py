@@ -96,8 +96,8 @@ def simulate(
     progress : callable ``(t)``, optional
         Called with the time reached, after each arc or after several arcs.
     seed : int
-        Seed of the random numbers that resets draw (``docs/chance.md``), 0 to 2^26 - 1. A run that
-        is continued keeps its sequence.
+        Seed of the random numbers that resets and restitutions draw (``docs/chance.md``), 0 to
+        2^26 - 1. A run that is continued keeps its sequence.
 
     Returns
     -------

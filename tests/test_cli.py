@@ -45,6 +45,8 @@ def test_run_writes_the_table_of_jumps_and_json(tmp_path):
     assert [float(row["t"]) for row in rows] == run.jumps.t.tolist()
     assert [float(row["v_after"]) for row in rows] == run.jumps.after.v.tolist()
     assert call("run", "bouncing_ball", "--quiet", "--csv", out).output == ""
+    assert call("run", "bouncing_ball", "--csv", "-").output == out.read_text()
+    assert "leave out --json" in call("run", "bouncing_ball", "--csv", "-", "--json").output
     refused = call("run", "bouncing_ball", "--csv", "no/x.csv").output
     assert "--csv no/x.csv: no such folder" in refused
 

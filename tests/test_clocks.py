@@ -390,3 +390,33 @@ def test_a_clock_may_ring_at_the_last_time_of_a_run(method):
     run = hy.simulate(Sampled(), {"x": 1.0, "u": 0.0}, (0.0, 0.1), method=method)
     assert (run.jumps.t.tolist(), run.t1) == ([0.1], 0.1)
     assert run.final.u == -0.5 * run.final.x
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+def test_what_fires_behind_a_jump_at_the_last_time_fires(solver):
+    """In the mode that the jump leads to, before the run ends: an urgent edge, another clock."""
+
+    class Chain(hy.Automaton):
+        x = hy.state()
+
+        @hy.mode(initial=True)
+        def off(self, t, s):
+            return 1.0
+
+        @hy.mode
+        def on(self, t, s):
+            return -1.0
+
+        @hy.edge(off, every=1.0)
+        def tick(self, t, s):
+            return s.replace(x=s.x + 5.0)
+
+        go = hy.edge(off, to=on, guard=lambda self, t, s: 3.5 - s.x, urgent=True)
+        tock = hy.edge(on, at=1.0)
+
+    run = hy.simulate(Chain(), {"x": 0.0}, (0.0, 1.0), solver=solver)
+    assert list(run.jumps.edge) == ["tick", "go", "tock"]
+    assert (run.mode, run.jumps.t.tolist()) == ("on", [1.0] * 3)
+    lanes = hy.ensemble(Chain(), {"x": [0.0, 0.0]}, (0.0, 1.0), solver=solver)
+    assert lanes["mode"].values.tolist() == ["on"] * 2
+    assert lanes["jumps"].values.tolist() == [3] * 2

@@ -1,5 +1,7 @@
 """A class body becomes one spec; its faults are reported together."""
 
+from abc import ABC
+
 import attrs
 import jax
 import jax.numpy as jnp
@@ -140,6 +142,94 @@ def test_a_subclass_overrides_in_place():
     assert [p.name for p in Slow.spec.parameters] == ["g", "r", "amplitude", "omega"]
     assert Slow().omega == 0.1
     assert Slow.spec.names == ("x", "v")
+
+
+def test_a_name_declared_twice_is_a_fault():
+    """Of two modes, or a state and a method, of one name the first would be gone without a word."""
+    with pytest.raises(hy.DeclarationError) as caught:
+
+        class Twice(hy.Automaton):
+            x = hy.state()
+            g: float = hy.parameter(1.0)
+
+            @hy.mode(initial=True)
+            def flow(self, t, s):
+                return 1.0
+
+            @hy.mode
+            def flow(self, t, s):  # noqa: F811
+                return 2.0
+
+            @hy.edge("flow", every=1.0)
+            def tick(self, t, s):
+                return s
+
+            tick = hy.edge("flow", guard=lambda self, t, s: s.x)  # noqa: F811
+
+            def g(self, t):  # noqa: F811
+                return t
+
+            y = z = hy.state()
+
+    said = str(caught.value)
+    for words in (
+        "flow: declared twice, as a mode and then as a mode",
+        "tick: declared twice, as an edge and then as an edge",
+        "g: declared twice, as a parameter and then as something else",
+        "z: the same declaration as y",
+    ):
+        assert words in " ".join(said.split())
+
+
+@pytest.mark.parametrize(
+    ("guard", "of"),
+    [
+        (lambda self, t, s: -1.0, "nothing"),
+        (lambda self, t, s: self.a - 2.0, "parameters and discrete variables alone"),
+        (lambda self, t, s: 3 - s.count, "parameters and discrete variables alone"),
+    ],
+)
+def test_a_guard_that_no_flow_changes_is_a_fault(guard, of):
+    """It would never fire; an urgent edge does, where its mode is entered beyond zero."""
+
+    def declared(urgent):
+        class Still(hy.Automaton):
+            x = hy.state()
+            count = hy.discrete(5)
+            a: float = hy.parameter(1.0)
+
+            @hy.mode(initial=True)
+            def flow(self, t, s):
+                return 1.0
+
+            @hy.edge(flow, to=hy.TERMINATE, guard=guard, urgent=urgent)
+            def stop(self, t, s):
+                return s
+
+        return Still
+
+    with pytest.raises(hy.DeclarationError, match=f"stop, guard: it depends on {of}"):
+        declared(False)
+    assert hy.simulate(declared(True)(), {"x": 0.0}, (0.0, 1.0), solver="taylor").t1 == 0.0
+
+
+def test_a_subclass_may_mix_in_an_abstract_class_and_declare_a_name_again():
+    class Base(hy.Automaton, ABC):
+        x = hy.state()
+
+        @hy.mode(initial=True)
+        def flow(self, t, s):
+            return self.rate(t)
+
+        def rate(self, t):
+            return 1.0
+
+    class Fast(Base):
+        @hy.mode(initial=True)
+        def flow(self, t, s):
+            return 2.0
+
+    assert hy.simulate(Fast(), {"x": 0.0}, (0.0, 1.0), solver="taylor").final.x == 2.0
 
 
 def test_a_contact_without_velocities_is_refused():

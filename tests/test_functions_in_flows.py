@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.special import gamma
 
 import hybrid as hy
 from hybrid.automaton import trace
@@ -290,3 +291,21 @@ def test_a_search_whose_thresholds_jump_ends(solver):
     passed = sum(max(1.5 - knot / 1.3, 0.0) for knot in SHORT.tolist())
     # the rates are constants between the knots: a step's tolerance of 1e-8 is the most that is left
     assert run.final.z == pytest.approx(0.15 + 0.3 * passed, abs=1e-8)
+
+
+def test_gamma_changes_its_formula_at_whole_numbers_only():
+    """JAX's takes the sign from a bit, and has NaN among its constants: it is no function that
+    gives two answers, and steps end at whole numbers, not where bits change."""
+
+    class Pushed(hy.Automaton):
+        x = hy.state()
+
+        @hy.mode
+        def flow(self, t, s):
+            return -jax.scipy.special.gamma(s.x + 2.0)
+
+    exact = solve_ivp(lambda t, x: -gamma(x + 2.0), (0.0, 0.5), [1.5], rtol=1e-12, atol=1e-12)
+    run = hy.simulate(Pushed(), {"x": 1.5}, (0.0, 0.5), rtol=1e-11)
+    assert len(scene_of(Pushed()).field("flow").changes) == 2  # its sign, whole numbers
+    assert run.stats.steps < 100
+    assert run.final.x == pytest.approx(exact.y[0, -1], rel=1e-10)

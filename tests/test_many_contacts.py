@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import hybrid as hy
+from hybrid.lowering import scene_of
 from hybrid.lowering.arithmetic import solve
 
 START, UNTIL = {"x": np.array([0.3, 1.7, 2.9]), "v": np.array([-1.0, -2.0, 0.5])}, (0.0, 2.0)
@@ -270,3 +271,28 @@ def test_contacts_that_touch_two_others_cost_no_cubes():
         return Counted.products
 
     assert products(40) < 5 * products(20)
+
+
+def test_rests_of_bodies_apart_are_made_one_by_one():
+    """The load of one that no other touches is made once, whoever else rests; Diffrax's program is
+    one for all sets of those at rest."""
+
+    class Rain(hy.Automaton):
+        x = hy.state(shape=(4,))
+        v = hy.state(shape=(4,))
+
+        @hy.mode(initial=True)
+        def flight(self, t, s):
+            return s.v, -jnp.ones(4)
+
+        impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+
+    start = {"x": [1.0, 1.1, 1.2, 1.3], "v": np.zeros(4)}
+    runs = [hy.simulate(Rain(), start, (0.0, 6.0), solver=name) for name in ("taylor", "diffrax")]
+    for run in runs:
+        falls = np.sqrt(2.0 * np.array(start["x"]))
+        np.testing.assert_allclose([point.t for point in run.zeno], 3.0 * falls, rtol=1e-8)
+        np.testing.assert_array_equal(run.final.x, 0.0)
+    keys = [key for key in scene_of(Rain()).code._programs if isinstance(key, tuple)]
+    assert {len(names) for what, names, *_ in keys if what == "load closed"} == {1}
+    assert sum(key[0] == "diffrax" for key in keys) == 2

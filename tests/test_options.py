@@ -3,6 +3,7 @@
 import gc
 import json
 import math
+import warnings
 
 import h5py
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ from scipy.integrate import solve_ivp
 
 import hybrid as hy
 from hybrid.solvers import Solver
+from hybrid.solvers.base import FINEST
 from models.bouncing_ball import BouncingBall
 
 from .contract.test_cycles import Line, collapses
@@ -86,6 +88,21 @@ def test_a_collapse_whose_gaps_drown_is_seen_at_any_tolerance(solver, rtol):
     run = hy.simulate(Line(r=0.05), start, (0.0, 3.0), solver=solver, rtol=rtol, atol=rtol)
     (point,) = run.zeno
     assert abs(point.t - collapses(0.05, x, v)[0]) <= point.t_error < 1e-9
+
+
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+def test_a_tolerance_that_no_step_can_meet_is_told(solver):
+    """Of 1e-16, with what is kept to; the finest that is kept to is no cause for a word."""
+    least = {"taylor": 1e-14}.get(solver, FINEST)
+    for options in ({"rtol": least}, {"rtol": 1e-16}):
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            hy.simulate(BouncingBall(), START, (0.0, 0.1), solver=solver, **options)
+        said = [str(each.message) for each in told if "double precision" in str(each.message)]
+        assert len(said) == (options["rtol"] < least)
+    assert (
+        f"rtol=1e-16 is finer than steps in double precision can be; they keep to {least:g}" in said
+    )
 
 
 def test_tolerances_that_are_none_are_the_defaults_of_maps_and_orbits():

@@ -2,6 +2,8 @@
 
 import pickle
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
@@ -135,6 +137,10 @@ def road(kind="linear", outside="hold"):
         impact = hy.contact(
             flight, gap=lambda self, t, s: s.x - self.floor(t), restitution="r", rests=True
         )
+
+        @hy.output
+        def height(self, t, s):
+            return s.x - self.floor(t)
 
     return Bead
 
@@ -376,6 +382,74 @@ def test_lanes_equal_their_runs(solver):
         hy.ensemble(model, {"x": starts}, (0.0, 2.5), parameters={"force": wrong})
 
 
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_what_is_kept_of_lanes_is_that_of_their_runs(solver):
+    """States and outputs at times, points on a section, time at rest; each lane on its own road."""
+    roads = [(TIMES, 0.1 * VALUES), (TIMES, 0.05 * VALUES)]
+    model, span, times = road()(floor=roads[0]), (0.0, 3.0), [0.4, 1.7, 2.9]
+    start = {"x": np.array([1.0, 1.0]), "v": 0.0}
+    kept = {"save": times, "section": "impact", "skip": 0, "keep": 3}
+    lanes = hy.ensemble(
+        model, start, span, {"floor": roads}, solver=solver, measure=["stick", "height"], **kept
+    )
+    for i, data in enumerate(roads):
+        run = hy.simulate(road()(floor=data), {"x": 1.0, "v": 0.0}, span, solver=solver)
+        np.testing.assert_array_equal(lanes["x_saved"][i], run(times).x)
+        np.testing.assert_allclose(lanes["height_saved"][i], run(times).height, atol=1e-15)
+        struck = run.jumps.edge == "impact"
+        np.testing.assert_array_equal(lanes["t_section"][i], run.jumps.t[struck][:3])
+        rests = sum(arc.t1 - arc.t0 for arc in run.arcs if arc.mode.endswith("rest(impact)"))
+        assert lanes["stick"][i] == pytest.approx(rests / 3.0, rel=1e-12)
+    with pytest.raises(hy.OptionError, match="a surface: it reads a signal"):
+        hy.ensemble(model, start, span, section=lambda self, t, s: s.x - self.floor(t), skip=0)
+
+
+RAMP = [0.0, 1.0, 3.0, 4.0], [0.0, 2.0, 2.0, 1.0]
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_function_of_a_model_with_signals_is_its_run(solver):
+    """Its values; and its derivatives by restitution and start, over knots, impacts, an
+    accumulation and a release at a knot, against differences."""
+    made, span = road(), (0.0, 3.6)
+    with jax.enable_x64(True):
+        for end, mode in ((0.6, None), (1.3, None), (span[1], "flight.rest(impact)")):
+            f = hy.as_function(
+                made(floor=RAMP), t=(0.0, end), max_jumps=200, solver=solver, mode=mode
+            )
+
+            def numbers(p, f=f):
+                found = f(made(floor=RAMP, r=p[0]), {"x": p[1], "v": p[2]})
+                return jnp.array([*found.final, found.zeno.t])
+
+            p = np.array([0.5, 1.0, 0.3] if mode is None else [0.5, 0.0, 2.0])
+            own = {"x": p[1], "v": p[2]}
+            run = hy.simulate(made(floor=RAMP), own, (0.0, end), solver=solver, mode=mode)
+            found, slopes = numbers(p), jax.jacfwd(numbers)(p)
+            np.testing.assert_allclose(found[:2], [*run.final], atol=CLOSE[solver])
+            known = np.isfinite(found)
+            assert known[2] == bool(run.zeno)
+            varied = [0] if mode else [0, 1, 2]  # at rest the start lies on the road
+            for i in varied:
+                step = 1e-5 * np.eye(3)[i]
+                far = (numbers(p + step) - numbers(p - step)) / 2e-5
+                # what is left of the third order, and of the tolerances over the step
+                np.testing.assert_allclose(
+                    slopes[known, i], far[known], atol=1e-5 + 1e5 * 1e-4 * CLOSE[solver]
+                )
+
+
+def test_a_function_has_the_data_that_it_was_made_with():
+    """Others are refused; so is a second derivative, with a sentence."""
+    made = road()
+    with jax.enable_x64(True):
+        f = hy.as_function(made(floor=RAMP), t=(0.0, 0.3), max_jumps=4)
+        with pytest.raises(hy.OptionError, match="made with other data of floor"):
+            f(made(floor=(TIMES, VALUES)), {"x": 1.0, "v": 0.0})
+        with pytest.raises(hy.OptionError, match="has signals: its runs have first derivatives"):
+            jax.hessian(lambda x: f(made(floor=RAMP), {"x": x, "v": 0.0}).final.x)(1.0)
+
+
 def test_wrong_data_are_refused():
     """With the name of the signal, the value, and what is due."""
     model = driven("linear")
@@ -424,13 +498,9 @@ def test_wrong_declarations_are_refused():
 
 
 def test_who_knows_no_signals_says_so():
-    """Ensembles, functions, orbits and proofs, with a remedy."""
+    """Orbits and proofs, with a remedy."""
     model = road()(floor=(TIMES, VALUES))
     ways = {
-        "hy.ensemble with section, save or stick": lambda: hy.ensemble(
-            model, {"x": [1.0], "v": 0.0}, (0.0, 1.0), save=[0.5]
-        ),
-        "hy.as_function": lambda: hy.as_function(model, t=(0.0, 1.0), max_jumps=5),
         "hy.periodic_orbit": lambda: hy.periodic_orbit(model, {"x": 1.0, "v": 0.0}, period=1.0),
         "hy.certify": lambda: hy.certify(model, box={"x": (-1, 1), "v": (-1, 1)}),
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, ClassVar
 
@@ -10,11 +11,12 @@ import numpy as np
 
 from ..errors import PLOT, DeclarationError, OptionError, ParameterError, need
 from . import outputs, refusals, signals, trace
+from .body import AutomatonMeta, given_twice, kind_of
 from .builder import Builder
 from .captured import Captured, captured
 from .chance import DRAWS, counted, draws
 from .clocks import require_clocks
-from .markers import ContactMarker, EdgeMarker, Mode, State, Switching, is_parameter
+from .markers import State, is_parameter
 from .past import Asking, Lags, Past, looks_back, plain
 from .spec import ClockSpec, ContactSpec, EdgeSpec, Spec
 
@@ -38,7 +40,7 @@ OWNERS = {
 VALUES_ONLY = ("reset", "restitution", "when", "clock")
 
 
-class Automaton:
+class Automaton(metaclass=AutomatonMeta):
     """Base class of a hybrid automaton; a model is a subclass.
 
     ``Model(**parameters)`` makes a model with these parameter values; ``attrs.evolve``
@@ -62,6 +64,7 @@ class Automaton:
         markers = _collect(cls)
         builder = Builder(cls, markers)
         builder.names()
+        builder.faults += given_twice(vars(cls))
         builder.faults += outputs.faults(markers, _inherited(cls))
         _make_attrs(cls, markers)
         traced = _Traced(cls, builder.build(), builder.untraceable)
@@ -119,7 +122,7 @@ def _collect(cls: type) -> dict[str, Any]:
         if base in (object, Automaton):
             continue
         for name, value in vars(base).get("_hybrid_markers", vars(base)).items():
-            if _is_marker(value):
+            if kind_of(value):
                 found[name] = value
             elif name in found and base is cls:
                 del found[name]
@@ -130,11 +133,6 @@ def _inherited(cls: type) -> dict[str, Any]:
     """Markers of the bases, by name."""
     bases = [vars(base).get("_hybrid_markers", {}) for base in reversed(cls.__mro__[1:])]
     return {name: marker for markers in bases for name, marker in markers.items()}
-
-
-def _is_marker(value: Any) -> bool:
-    kinds = State | Mode | EdgeMarker | ContactMarker | Switching | outputs.Output
-    return isinstance(value, kinds) or is_parameter(value) or signals.is_signal(value)
 
 
 def _make_attrs(cls: type, markers: dict[str, Any]) -> None:
@@ -238,12 +236,36 @@ class _Traced:
             return
         trace.require_real(closed)
         if kind != "flow":
-            require_written(closed, kind not in VALUES_ONLY)
+            used = require_written(closed, kind not in VALUES_ONLY)
+            if kind in ("guard", "surface"):
+                self._require_moving(kind, owner, used)
         self.traces[kind, owner] = closed
         for place, number in enumerate(numbers):
             name = self.spec.lags[number].name
             if ("lag", name) not in self.traces:
                 self.traces["lag", name] = self._plain_lag(name, function, numbers, place, extra)
+
+    def _require_moving(self, kind: str, owner: str, used: set[int]) -> None:
+        """Refuse a guard that no flow changes: ``used`` are the inputs that it depends on.
+
+        Raises
+        ------
+        ValueError
+        """
+        first = sum(math.prod(np.shape(parameter.default)) for parameter in self.spec.parameters)
+        flows = range(first, first + sum(map(math.prod, self.spec.windows)) + 1 + self.spec.flows)
+        urgent = any(e.name == owner and getattr(e, "urgent", False) for e in self.spec.transitions)
+        if urgent or used.intersection(flows):
+            return
+        what = "parameters and discrete variables alone" if used else "nothing"
+        raise ValueError(
+            f"it depends on {what}, so that no flow leads it to zero; "
+            + (
+                "urgent=True fires where it is beyond zero when the mode is entered"
+                if kind == "guard"
+                else "make it depend on t or on a state"
+            )
+        )
 
     def _plain_lag(
         self, name: str, function: Any, numbers: list[int], place: int, extra: int
@@ -282,11 +304,11 @@ class _Traced:
         return trace.scalar(lag)
 
 
-def require_written(closed: Any, derived: bool = False) -> None:
+def require_written(closed: Any, derived: bool = False) -> set[int]:
     """See :func:`hybrid.lowering.jaxpr.require_written`."""
     from ..lowering import jaxpr
 
-    jaxpr.require_written(closed, derived)
+    return jaxpr.require_written(closed, derived)
 
 
 def _label(kind: str, owner: str) -> str:

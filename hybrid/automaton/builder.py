@@ -63,13 +63,19 @@ class Builder:
     def of(self, kind: type) -> list[Any]:
         return [marker for marker in self.markers.values() if isinstance(marker, kind)]
 
+    @property
+    def drawing(self) -> bool:
+        """Whether a reset or a restitution draws random numbers."""
+        laws = (marker.restitution for marker in self.of(ContactMarker))
+        return any(map(draws, (*(marker.reset for marker in self.of(EdgeMarker)), *laws)))
+
     def build(self) -> Spec:
         states, offset = [], 0
         for marker in sorted(self.of(State), key=lambda marker: isinstance(marker, Discrete)):
             row = marker.name, marker.unit, marker.doc, self.shape(marker), offset
             states.append(StateSpec(*row, *self.discrete(marker)))
             offset += states[-1].size
-        if any(draws(marker.reset) for marker in self.of(EdgeMarker)):
+        if self.drawing:
             for name, doc in DOCS.items():
                 states.append(StateSpec(name, "", doc, (), offset, "int", 0))
                 offset += 1
@@ -112,10 +118,9 @@ class Builder:
             self.faults.append(
                 "it has an __init__ of its own: declare what it needs, r = hy.parameter(0.5)"
             )
-        drawing = any(draws(marker.reset) for marker in self.of(EdgeMarker))
         for name, marker in self.markers.items():
             taken = {State: RECORDS, Output: (*RECORDS, *MODELS)}.get(type(marker), MODELS)
-            taken += tuple(DOCS) if drawing else ()
+            taken += tuple(DOCS) if self.drawing else ()
             if name in taken or name.startswith("_"):
                 self.faults.append(f"{name}: a name in use here; choose another")
             unit = getattr(marker, "unit", "")
@@ -304,12 +309,7 @@ class Builder:
                 return lambda self, t, s, u: 1.0
             return lambda self, t, s, u: getattr(self, given)
         if callable(given):
-            self.signature(f"{where}, restitution", given, ("t", "s", "u"))
-            if draws(given):
-                self.faults.append(
-                    f"{where}, restitution: draw is for resets as yet: write the impact as an edge "
-                    "whose guard is the gap"
-                )
+            self.signature(f"{where}, restitution", given, ("t", "s", "u"), draw=True)
             return given
         if not is_number(given) or not 0 <= float(given) <= 1:
             names = [f'"{name}"' for name, marker in self.markers.items() if marker is given]

@@ -1,9 +1,9 @@
-"""Random numbers in resets: ``draw.uniform()``, ``draw.normal()``.
+"""Random numbers in resets and restitutions: ``draw.uniform()``, ``draw.normal()``.
 
 A number is a function of the seed, the lane, the count of drawing jumps so far and the call within
-the reset. Every solver therefore sees the same numbers, and a derivative sees constants. The model
-stores these inputs in two discrete variables: ``stream`` (seed and lane) and ``draws`` (the count
-of drawing jumps).
+the function. Every solver therefore sees the same numbers, and a derivative sees constants. The
+model stores these inputs in two discrete variables: ``stream`` (seed and lane) and ``draws`` (the
+count of drawing jumps).
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ def draws(function: Any) -> bool:
 
 
 def counted(place: int, call: Any) -> Any:
-    """A traced reset that first increments ``draws``, at index ``place`` of the state."""
+    """A traced function that first increments ``draws``, at index ``place`` of the state."""
 
-    def reset(parameters: Any, t: Any, x: Any, *extra: Any) -> Any:
+    def drawing(parameters: Any, t: Any, x: Any, *extra: Any) -> Any:
         import jax.numpy as jnp
 
         x = jnp.concatenate([x[:place], x[place : place + 1] + 1.0, x[place + 1 :]])
         return call(parameters, t, x, *extra)
 
-    return reset
+    return drawing
 
 
 def stream(model: str, seed: Any) -> float:
@@ -71,7 +71,7 @@ def has_stream(start: Any) -> bool:
 
 
 class Draw:
-    """The ``draw`` argument in the trace of a reset; each call gives a new number."""
+    """The ``draw`` argument in a trace; each call gives a new number."""
 
     def __init__(self, state: Record) -> None:
         self._state, self._calls = state, 0

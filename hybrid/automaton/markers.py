@@ -324,7 +324,8 @@ def contact(
     restitution : str, float or callable ``(self, t, s, u)``
         Name of a parameter, a number, or a function of the speed ``u < 0`` of the gap before
         the impact that returns the speed after it, divided by ``abs(u)``. For an array of contacts,
-        a parameter or function may give an array, one number for each contact.
+        a parameter or function may give an array, one number for each contact. With an argument
+        named ``draw`` it may use random numbers (``docs/chance.md``).
     rests : bool
         Whether the run continues in a resting mode after impacts have accumulated.
     inverse_mass : float, sequence or callable ``(self, t, s)``, optional

@@ -259,6 +259,10 @@ class EachLane:
     def __init__(self, lanes: Sequence[Samples]) -> None:
         self.lanes = lanes
 
+    def repeated(self, count: int) -> EachLane:
+        """The same for several times per lane."""
+        return EachLane([samples for samples in self.lanes for _ in range(count)])
+
     def pieces(self, t: np.ndarray) -> np.ndarray:
         """The table rows at one time per lane."""
         pairs = zip(self.lanes, t.reshape(-1, 1), strict=True)

@@ -17,6 +17,9 @@ from .past import LagSpec, window_shapes
 from .record import Record
 from .signals import SignalSpec
 
+#: Where the jump of an edge, or of a contact, is written.
+LAWS = ("reset", "restitution")
+
 
 @attrs.frozen
 class StateSpec:
@@ -247,9 +250,14 @@ class Spec:
 
     @cached_property
     def chances(self) -> tuple[str, ...]:
-        """The edges whose resets draw random numbers."""
-        edges = (edge for edge in self.transitions if isinstance(edge, EdgeSpec))
-        return tuple(edge.name for edge in edges if draws(edge.reset))
+        """The edges whose resets, and the contacts whose restitutions, draw random numbers."""
+        laws = ((e.name, getattr(e, law, None)) for e in self.transitions for law in LAWS)
+        return tuple(name for name, law in laws if draws(law))
+
+    @cached_property
+    def contacts(self) -> tuple[str, ...]:
+        """Names of the contacts."""
+        return tuple(edge.name for edge in self.transitions if isinstance(edge, ContactSpec))
 
     def place(self, name: str) -> int:
         """The index at which a state begins in the state vector."""

@@ -227,7 +227,10 @@ def require_real(closed: Any) -> None:
         if not all(isinstance(kind, np.dtype) and kind.kind in "fiub" for kind in kinds):
             keys = any(not isinstance(kind, np.dtype) for kind in kinds if kind is not None)
             what, instead = (
-                ("a random key", "a reset may ask draw.uniform() of its argument draw")
+                (
+                    "a random key",
+                    "a reset may ask draw.uniform() of its argument draw",
+                )
                 if keys
                 else ("a complex number", "write real and imaginary parts as two numbers")
             )
@@ -291,7 +294,9 @@ def require_repeatable(
 
 
 def _equal(one: Any, other: Any) -> bool:
-    return np.array_equal(np.asarray(one), np.asarray(other))
+    """Whether two constants are the same; NaN is the same as NaN."""
+    a, b = np.asarray(one), np.asarray(other)
+    return a.shape == b.shape and bool(np.all((a == b) | ((a != a) & (b != b))))
 
 
 def _constants(closed: Any) -> Iterator[Any]:

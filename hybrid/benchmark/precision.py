@@ -142,8 +142,8 @@ class Bench:
         return f"For errors {', '.join(parts)}."
 
     def _error(self, timing: Timing) -> str:
-        below = timing.error <= self.resolution
-        return f"{'below ' if below else ''}{max(timing.error, self.resolution):.0e}"
+        known = max(timing.error, self.resolution)
+        return f"{known:.0e}" if known else "0"
 
     def __str__(self) -> str:
         """A table, what errors are measured against, and the advice."""

@@ -44,7 +44,18 @@ from .options import (
     States,
     Until,
 )
-from .told import as_json, bar, compared, differing, exact, facts, report_of, table, write_jumps
+from .told import (
+    PRINTED,
+    as_json,
+    bar,
+    compared,
+    differing,
+    exact,
+    facts,
+    report_of,
+    table,
+    write_jumps,
+)
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Simulate hybrid automata through Zeno points."
@@ -106,8 +117,10 @@ def run(
     ] = None,
     save: Annotated[str | None, typer.Option(help="Write the trajectory: out.nc.")] = None,
     table_: Annotated[
-        str | None, typer.Option("--csv", help="Write the table of jumps: out.csv.")
+        str | None,
+        typer.Option("--csv", help="Write the table of jumps: out.csv; - prints it alone."),
     ] = None,
+    seed: Annotated[int, typer.Option(help="Seed, for models that draw random numbers.")] = 0,
     oracle: Annotated[
         bool, typer.Option("--oracle", help="Compare with the exact values in the model's file.")
     ] = False,
@@ -120,6 +133,11 @@ def run(
         can_write("--plot", plot)
         can_write("--save", save)
         can_write("--csv", table_)
+        if table_ == PRINTED and (json or oracle):
+            raise OptionError(
+                "--csv - prints the table of jumps alone; leave out --json and --oracle"
+            )
+        quiet |= table_ == PRINTED
         result = _simulate(
             *given.run,
             solver=solver,
@@ -133,6 +151,7 @@ def run(
             max_jumps=max_jumps,
             history=given.history,
             memory=memory,
+            seed=seed,
         )
         rows = exact(given.entry, result) if oracle else []
         if json:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from math import isfinite
 from typing import Any
 
@@ -21,6 +22,9 @@ from ..trajectory.trajectory import counted
 
 #: Accumulations that are printed, at most.
 PRINTED_LIMITS = 20
+
+#: The path of a table that is printed.
+PRINTED = "-"
 
 #: Seconds after which a run shows its progress.
 SILENT_SECONDS = 1.0
@@ -116,9 +120,14 @@ def _plain(value: Any) -> Any:
 
 
 def write_jumps(result: Trajectory, path: str) -> None:
-    """The table of jumps as CSV, numbers with all their digits."""
+    """The table of jumps as CSV, numbers with all their digits; ``path`` may be ``PRINTED``."""
     columns = result.jumps.columns
-    with open(path, "w", encoding="utf-8", newline="") as file:
+    to_file = path != PRINTED
+    with (
+        open(path, "w", encoding="utf-8", newline="")
+        if to_file
+        else nullcontext(sys.stdout) as file
+    ):
         rows = csv.writer(file)
         rows.writerow(columns)
         rows.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))

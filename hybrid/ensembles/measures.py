@@ -176,8 +176,8 @@ class Measures:
         """The section of a lane."""
         if self.section is None:
             return None
-        names = [parameter.name for parameter in self.spec.parameters]
-        model = instance(lanes.cls, names, [v[lane.number] for v in lanes.parameters])
+        own = *(v[lane.number] for v in lanes.parameters), *lane.scene.samples
+        model = instance(lanes.cls, self.spec.given, own)
         return section_of(model, lane.scene, self.section, self.crossing)
 
     # -- the table ----------------------------------------------------------------------
@@ -239,10 +239,11 @@ class Measures:
             made[f"{state.name}_{what}"] = dims, record[state.name], told(state)
         count, points = x.shape[:2]
         rows, times = x.reshape(-1, x.shape[-1]), np.broadcast_to(t, (count, points)).reshape(-1)
-        parameters = [np.repeat(values, points, axis=0) for values in lanes.parameters]
+        given: list[Any] = [np.repeat(values, points, axis=0) for values in lanes.parameters]
+        given += [each.repeated(points) for each in lanes.samples]
         for output in self.spec.outputs:
             if output.name in self.outputs:
-                v = evaluated(self.spec, output.name, parameters, times, rows, True)
+                v = evaluated(self.spec, output.name, given, times, rows, True)
                 v = v.reshape(count, points, *v.shape[1:])
                 dims = "lane", axis, *(f"{output.name}_{i}" for i in range(v.ndim - 2))
                 made[f"{output.name}_{what}"] = dims, v, told(output)

@@ -142,8 +142,8 @@ def ensemble(
     progress : callable ``(lanes)``, optional
         Called with the number of lanes that have ended.
     seed : int
-        Seed of the random numbers that resets draw (``docs/chance.md``), from 0 to 2^26 - 1; each
-        lane has its own sequence.
+        Seed of the random numbers that resets and restitutions draw (``docs/chance.md``), from 0
+        to 2^26 - 1; each lane has its own sequence.
 
     Returns
     -------
@@ -181,7 +181,7 @@ def ensemble(
             f"{model.spec.model}: certify=True flies lanes again, which keeps all of them: ask for "
             "section, save and stick in a call of its own"
         )
-    scene = scene_of(model, by="hy.ensemble with section, save or stick" * measures.anything)
+    scene = scene_of(model)
     solver, method = renamed(solver_for(scene, solver, method), method)
     options = {
         "solver": solver,

@@ -95,7 +95,7 @@ def _parted(runs: Runs, rows: Matrix) -> GivenLanes:
 def _first(runs: Runs, rows: Matrix, flies: type[Flies]) -> Flies | None:
     """What flies rows, made for the first of them; None where their runs are not plain."""
     lanes, kept = _parted(runs, rows), runs.layout.rows if "times" in runs.layout.places else 0
-    scene = scene_with(runs.cls, runs.shapes, tuple(lanes.values[0].tolist()))
+    scene = scene_with(runs.cls, runs.shapes, tuple(lanes.values[0].tolist()), runs.samples)
     try:
         asked = attrs.evolve(runs.asked, save="jumps")
         driver = asked.driver(scene, lanes.spans[0].tolist(), lanes.starts[0].copy(), runs.history)

@@ -9,6 +9,7 @@ there is none they are NaN.
 from __future__ import annotations
 
 import math
+import warnings
 from contextlib import suppress
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import attrs
 import numpy as np
 
+from ..automaton.signals import Samples
 from ..delay.hindsight import Hindsight
 from ..delay.history import from_start
 from ..errors import HybridError, OrbitError
@@ -115,6 +117,8 @@ class Runs:
         Names to whose places the table of jumps refers.
     history
         What was before, for delays.
+    samples
+        The data of the signals.
     """
 
     cls: Any
@@ -124,6 +128,7 @@ class Runs:
     edges: tuple[str, ...]
     layout: Layout
     history: Any = None
+    samples: tuple[Samples, ...] = ()
 
     def values(self, row: Numbers) -> tuple[np.ndarray, np.ndarray]:
         """What a run gives; and the places of its edges, the count of its jumps, its status."""
@@ -134,23 +139,19 @@ class Runs:
         run = self._flown(row, "dense")
         return *run.numbers(), run.derivatives(len(row))
 
-    def plan(self, row: Numbers) -> Itinerary:
-        """The run as it can be flown again (:mod:`hybrid.replay`).
-
-        Raises
-        ------
-        OrbitError
-            Where it cannot.
-        """
-        return self._flown(row, "dense").plan()
+    def plan(self, row: Numbers) -> tuple[np.ndarray, ...]:
+        """Whether a run can be flown again (:mod:`hybrid.replay`), and how; where it cannot, a
+        warning says why."""
+        plan, fault = self._flown(row, "dense").planned()
+        if fault is not None:
+            warnings.warn(f"{fault}; second derivatives of this run are NaN", stacklevel=2)
+        return np.array(fault is None), *plan
 
     def planned(self, row: Numbers) -> tuple[np.ndarray, ...]:
         """What a run gives, as :meth:`values`; whether it can be flown again, and how."""
         run = self._flown(row, "dense")
-        plan, flies = blank(laws_of(run.scene.code), self.room, self.layout.rows), False
-        with suppress(HybridError):
-            plan, flies = run.plan(), True
-        return *run.numbers(), np.array(flies), *plan
+        plan, fault = run.planned()
+        return *run.numbers(), np.array(fault is None), *plan
 
     @property
     def room(self) -> int:
@@ -162,7 +163,7 @@ class Runs:
         n = self.layout.size
         *values, t0, t1 = row.tolist()
         x, count = row[-2 - n : -2].copy(), len(values) - n
-        scene = scene_with(self.cls, self.shapes, tuple(values[:count]))
+        scene = scene_with(self.cls, self.shapes, tuple(values[:count]), self.samples)
         driver, status = None, ""
         try:
             driver = attrs.evolve(self.asked, save=save).driver(scene, (t0, t1), x, self.history)
@@ -231,8 +232,14 @@ class _Run:
         if tail is not None:
             views["x_inf"][:], views["error"][...] = tail.x_inf, tail.t_error
 
-    def plan(self) -> Itinerary:
-        """How it can be flown again (:meth:`Runs.plan`)."""
+    def planned(self) -> tuple[Itinerary, HybridError | None]:
+        """How it can be flown again; a blank plan, and the reason, if it cannot."""
+        try:
+            return self._plan(), None
+        except HybridError as fault:
+            return blank(laws_of(self.scene.code), self.of.room, self.of.layout.rows), fault
+
+    def _plan(self) -> Itinerary:
         if self.driver is None or self.status not in ("reached_end", *BEHIND_A_JUMP):
             why = dict(REASONS.values()).get(self.status, "the run failed")
             raise OrbitError(

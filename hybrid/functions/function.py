@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -191,7 +191,7 @@ def as_function(
 
     def function(model: Any, start: Any) -> Outcome:
         _require_wide()
-        given = _parameters(spec, model), _values(spec, start), tuple(t)
+        given = _parameters(spec, model, runs.samples), _values(spec, start), tuple(t)
         return compiled(*(tuple(map(_number, numbers)) for numbers in given))  # type: ignore[no-any-return]
 
     function.edges = runs.edges  # type: ignore[attr-defined]
@@ -234,9 +234,15 @@ def _number(value: Any) -> Any:
     return (jnp if traced else np).asarray(value, float)
 
 
-def _parameters(spec: Spec, model: Any) -> tuple[Any, ...]:
+def _parameters(spec: Spec, model: Any, samples: Sequence[Any]) -> tuple[Any, ...]:
     if getattr(type(model), "spec", None) is not spec:
         raise OptionError(f"the function was made for {spec.model}, not for {type(model).__name__}")
+    for signal, known in zip(spec.signals, samples, strict=True):
+        if getattr(model, signal.name) != known:
+            raise OptionError(
+                f"{spec.model}: the function was made with other data of {signal.name}; make one "
+                "for each"
+            )
     return tuple(getattr(model, p.name) for p in spec.parameters)
 
 
@@ -301,16 +307,24 @@ def runs_of(
     **steps: Any,
 ) -> Runs:
     """The runs of a function of a model."""
-    scene = scene_of(model, by="hy.as_function")
+    scene = scene_of(model)
     series = all(scene.field(name).jets is not None for name in scene.modes)
     named = solver or ("diffrax" if method is not None else "taylor" if series else "scipy")
     named, method = renamed(named, method)
     bounds: dict[str, Any] = {"max_jumps": max_jumps + 1, "max_steps": max_steps}
     asked = Asked(spec=scene.spec, solver=named, method=method, **steps, **bounds)
-    asked.driver(scene, (0.0, 1.0), np.zeros(scene.spec.dimension), history)  # is all known
+    asked.driver(scene, _within(scene), np.zeros(scene.spec.dimension), history)  # is all known
     own = scene.code.shapes[: len(scene.spec.parameters)]
     layout = Layout(scene.spec.dimension, max_jumps, tuple(outputs))
-    return Runs(type(model), asked, mode_of(scene, mode), own, _edges(scene), layout, history)
+    known = type(model), asked, mode_of(scene, mode), own, _edges(scene), layout
+    return Runs(*known, history, scene.samples)
+
+
+def _within(scene: Scene) -> tuple[float, float]:
+    """Two times at which all signals have data."""
+    first = max((each.times[0] for each in scene.samples), default=0.0)
+    last = min((each.times[-1] for each in scene.samples), default=1.0)
+    return (float(first), float(last)) if first < last else (0.0, 1.0)
 
 
 def _edges(scene: Scene) -> tuple[str, ...]:
@@ -352,8 +366,9 @@ def _differentiable(runs: Runs) -> Callable[[Any], tuple[Any, Any]]:
     def second(rows: Any, changes: Any) -> Any:
         numbers, whole_numbers, slopes = once(*rows)
         replay = _replay(runs)
-        fly = partial(replay.fly, replay.plan(*rows))
-        bends = jax.jacfwd(jax.jacfwd(fly))(*rows) @ changes[0]  # so that vmap can transpose it
+        flies, plan = replay.plan(*rows)
+        flown = jax.jacfwd(jax.jacfwd(partial(replay.fly, plan)))(*rows)
+        bends = _along(jnp.where(flies, flown, jnp.nan), *changes)
         still = np.zeros(whole_numbers.shape, jax.dtypes.float0)
         return (numbers, whole_numbers, slopes), (_along(slopes, *changes), still, bends)
 
@@ -378,8 +393,10 @@ def _differentiable(runs: Runs) -> Callable[[Any], tuple[Any, Any]]:
 
     found = jax.custom_jvp(whole)
     found.defjvp(rule)
-    delayed = runs.asked.spec.lags
-    many = not delayed and sum(map(math.prod, runs.shapes)) > MANY_PARAMETERS
+    many = (
+        not (runs.asked.spec.lags or runs.samples)
+        and sum(map(math.prod, runs.shapes)) > MANY_PARAMETERS
+    )
     return by_replay if many and _replay(runs).written else found
 
 
@@ -389,6 +406,11 @@ def _replay(runs: Runs) -> Replay:
         raise OptionError(
             f"{runs.asked.spec.model} looks into the past: its runs have first derivatives only, "
             "and a second one was asked for; take differences of the first"
+        )
+    if runs.samples:
+        raise OptionError(
+            f"{runs.asked.spec.model} has signals: its runs have first derivatives only, and a "
+            "second one was asked for; take differences of the first"
         )
     layout, ask = runs.layout, partial(_each, runs.plan)
     return Replay(runs.cls, runs.shapes, layout.shapes, layout.rows, runs.room, ask)

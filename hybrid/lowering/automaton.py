@@ -314,7 +314,7 @@ class Tables:
         shape = [int(guard.bounds), int(guard.affine), to, *programs, sizes, uses, len(self._uses)]
         kinked = any(other.kinks for other in field.guards)
         judged = guard.kind is Kind.SWITCH and (slides or lags)  # Python decides this one too
-        at = HARD if judged or kinked or field.hurried else UNKNOWN
+        at = HARD if judged or kinked or field.jumps_one_by_one(name) else UNKNOWN
         if guard.kind is Kind.WINDOW:
             at = window_ends(self.scene.spec).index(name)
         own, rest = len(self._rows) + field.column(name), UNKNOWN

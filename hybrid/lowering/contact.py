@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import attrs
 import numpy as np
 
+from ..automaton.chance import DRAWS
 from ..automaton.spec import ContactSpec, Spec
 from ..automaton.trace import Traced, again, caller
 from ..errors import DeclarationError
@@ -69,6 +70,7 @@ class ContactLaws:
     law: Traced
     mass: Traced
     pairing: Pairing
+    drawn: Any = 0.0  # what an impact adds to the state besides: 1 to the count of drawing jumps
 
     def normal(self, parameters: Any, t: Any, x: Any) -> tuple[Any, Any, Any]:
         """``N``, the impulse direction in the state space, and ``N . D``."""
@@ -86,7 +88,7 @@ class ContactLaws:
         _, direction, weight = self.normal(parameters, t, x)
         before = self.speed(parameters, t, x)
         after = self.law(parameters, t, x, before) * jnp.abs(before)
-        return jnp.append(x + direction * ((after - before) / weight), after)
+        return jnp.append(x + direction * ((after - before) / weight) + self.drawn, after)
 
     def push(self, parameters: Any, t: Any, x: Any) -> Any:
         """Change of the state that changes the gap speed by one."""
@@ -99,38 +101,49 @@ class Held:
     """Contacts held at the same time: the resting field and the load of each contact.
 
     With a boolean array ``mask``, only the selected contacts are held; compiled code then serves
-    every set of contacts.
+    every set of contacts. ``groups`` are the places of contacts whose forces are coupled.
     """
 
     contacts: tuple[ContactLaws, ...]
     flow: Traced
     mask: Any = None
+    groups: tuple[tuple[int, ...], ...] = ()
 
-    def geometry(self, parameters: Any, t: Any, x: Any) -> tuple[list[Any], list[Any], list[Any]]:
-        """Per contact: gap gradient at positions, the same at velocities, impulse direction."""
+    def geometry(
+        self, parameters: Any, t: Any, x: Any, group: Sequence[int] | None = None
+    ) -> tuple[list[Any], list[Any], list[Any]]:
+        """Per contact of a group, or all: gap gradient at positions, the same at velocities,
+        impulse direction."""
         gradients, speeds, directions = [], [], []
-        for contact in self.contacts:
+        for contact in self.contacts if group is None else [self.contacts[i] for i in group]:
             normal, direction, _ = contact.normal(parameters, t, x)
             gradients.append(contact.pairing.at_positions(x.size) @ normal)
             speeds.append(contact.pairing.at_velocities(x.size) @ normal)
             directions.append(direction)
         return gradients, speeds, directions
 
-    def forces(self, parameters: Any, t: Any, x: Any) -> tuple[list[Any], list[Any], list[Any]]:
-        """Multipliers that make the gap accelerations zero; weights ``N.D``; directions."""
-        _, speeds, directions = self.geometry(parameters, t, x)
+    def forces(
+        self, parameters: Any, t: Any, x: Any, group: Sequence[int]
+    ) -> tuple[list[Any], list[Any], list[Any]]:
+        """Of a group: multipliers that make the gap accelerations zero; weights ``N.D``;
+        directions."""
+        _, speeds, directions = self.geometry(parameters, t, x, group)
         matrix = [[n @ d for d in directions] for n in speeds]
-        wanted = [-contact.acceleration(parameters, t, x) for contact in self.contacts]
+        wanted = [-self.contacts[i].acceleration(parameters, t, x) for i in group]
         weights = [row[i] for i, row in enumerate(matrix)]
-        return self._solve(matrix, wanted), weights, directions
+        return self._solve(matrix, wanted, group), weights, directions
 
-    def _solve(self, matrix: list[list[Any]], right: list[Any]) -> list[Any]:
-        """Solve the equations of the held contacts; multipliers of the others are 0."""
+    def _solve(
+        self, matrix: list[list[Any]], right: list[Any], group: Sequence[int] | None = None
+    ) -> list[Any]:
+        """Solve the equations of the held contacts of a group, or of all; multipliers of the others
+        are 0."""
         if self.mask is None:
             return solve(matrix, right)
         import jax.numpy as jnp
 
-        pairs, size = self.mask, len(right)
+        size = len(right)
+        pairs = [self.mask[i] for i in group or range(size)]
         rows = [
             [jnp.where(pairs[i] & pairs[j], matrix[i][j], float(i == j)) for j in range(size)]
             for i in range(size)
@@ -139,16 +152,20 @@ class Held:
 
     def rest(self, parameters: Any, t: Any, x: Any) -> Any:
         """The resting field."""
-        multipliers, _, directions = self.forces(parameters, t, x)
-        pairs = zip(multipliers, directions, strict=True)
-        return self.flow(parameters, t, x) + sum(m * d for m, d in pairs)
+        field = self.flow(parameters, t, x)
+        for group in self.groups or (range(len(self.contacts)),):
+            multipliers, _, directions = self.forces(parameters, t, x, group)
+            field += sum(m * d for m, d in zip(multipliers, directions, strict=True))
+        return field
 
     def load(self, index: int) -> Traced:
         """The contact force over ``1 / (N.D)``: positive while the obstacle pushes."""
 
         def load(parameters: Any, t: Any, x: Any) -> Any:
-            multipliers, weights, _ = self.forces(parameters, t, x)
-            return multipliers[index] * weights[index]
+            group = next((g for g in self.groups if index in g), range(len(self.contacts)))
+            multipliers, weights, _ = self.forces(parameters, t, x, group)
+            place = group.index(index)
+            return multipliers[place] * weights[place]
 
         return load
 
@@ -177,7 +194,9 @@ def laws(
     speed = lie(gap, flow)
     law = again(cls.traces["restitution", contact.name])
     mass = _mass(cls, spec, contact, pairing.positions, together)
-    return ContactLaws(gap, speed, lie(speed, flow), flow, law, mass, pairing)
+    draws = contact.name in spec.chances
+    drawn = np.eye(spec.dimension)[spec.place(DRAWS)] if draws else 0.0
+    return ContactLaws(gap, speed, lie(speed, flow), flow, law, mass, pairing, drawn)
 
 
 def _mass(

@@ -193,12 +193,29 @@ class Field:
         return self.trace()
 
     @property
+    def shared(self) -> tuple[str, Any, tuple[Any, ...]]:
+        """A flow that serves all resting fields of the mode: its name, its jaxpr, and the
+        parameters with which it is this field's."""
+        return self.once("shared", self._shared)  # type: ignore[no-any-return]
+
+    def _shared(self) -> tuple[str, Any, tuple[Any, ...]]:
+        mask = self.code.mode(self.mode).masked(self.held) if self.held else ()
+        if len(mask) < 2:
+            return self.name, self.closed, self.parameters
+        given = *self.parameters, np.array(mask)
+        return f"{self.mode}.rest", self.code.any_rest_closed(self.mode), given
+
+    @property
     def hurried(self) -> bool:
         """Whether an urgent edge with a condition is watched, which may fire on any entry.
 
         A jump back into this field is then never without effect.
         """
         return any(guard.urgent and guard.when is not None for guard in self.guards)
+
+    def jumps_one_by_one(self, contact: str) -> bool:
+        """Whether the impacts of a contact have no map of their own that could be summed."""
+        return self.hurried or contact in self.code.spec.chances
 
     def column(self, edge: str) -> int:
         """Index of an edge's guard among the guards."""

@@ -60,10 +60,11 @@ def read(graph: Graph, closed: Any, inputs: Sequence[Ids]) -> list[Ids]:
     return _evaluate(graph, closed.jaxpr, closed.consts, inputs)
 
 
-def require_written(closed: Any, derived: bool = False) -> None:
+def require_written(closed: Any, derived: bool = False) -> set[int]:
     """Refuse a function that calls others: what only a flow may.
 
-    ``derived``: one whose derivatives are needed.
+    ``derived``: one whose derivatives are needed. Returns the places of the inputs that the result
+    depends on, counted by elements.
 
     Raises
     ------
@@ -75,6 +76,7 @@ def require_written(closed: Any, derived: bool = False) -> None:
         names = range(count, count := count + var.aval.size)
         inputs.append(np.array([graph.input(f"x{i}") for i in names], dtype=np.int64))
     roots = [i for ids in read(graph, closed, inputs) for i in ids.reshape(-1).tolist()]
+    used = set()
     for op, *arguments in map(graph.nodes.__getitem__, needed(graph, roots)):
         if op in UNSERIED and derived:
             said, instead = in_words(op, graph.written_at[op])
@@ -84,6 +86,9 @@ def require_written(closed: Any, derived: bool = False) -> None:
             raise TraceError(
                 f"{said} cannot be written out, as only in a flow it need not be; {instead}"
             )
+        if op == "input":
+            used.add(int(arguments[0][1:]))
+    return used
 
 
 def _evaluate(graph: Graph, jaxpr: Any, consts: Sequence[Any], inputs: Sequence[Ids]) -> list[Ids]:
@@ -140,7 +145,7 @@ def _written(graph: Graph, equation: Any, inputs: list[Ids], name: str) -> list[
         return [largest(graph, equation, *inputs)]
     if name == "sort" and (rows := in_order(graph, equation, inputs)) is not None:
         return rows
-    for make in (searched, determinants, sinc, copysign):
+    for make in (searched, determinants, sinc, copysign, signbit):
         if (found := make(graph, equation, inputs)) is not None:
             return found
     if inner is not None and name not in ("while", "scan"):
@@ -233,6 +238,14 @@ def copysign(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None
     size = mapped(graph, "abs", [inputs[0]])
     plus = mapped(graph, "ge", [inputs[1], constant(graph, 0.0)])
     return [mapped(graph, "select", [plus, size, mapped(graph, "neg", [size])])]
+
+
+def signbit(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None:
+    """``signbit``, also a bit, as in JAX's ``gamma``; None where an equation is no such. The sign
+    of 0 is taken for plus."""
+    if not of_jax(equation, "signbit") or len(equation.outvars) != 1:
+        return None
+    return [mapped(graph, "lt", [inputs[0], constant(graph, 0.0)])]
 
 
 def sinc(graph: Graph, equation: Any, inputs: list[Ids]) -> list[Ids] | None:

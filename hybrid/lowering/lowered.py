@@ -130,10 +130,25 @@ class Lowered:
     def flow(self, mode: str) -> Program:
         return self.program(("flow", mode), lambda: self.closed("flow", mode), exact=True)
 
-    def held(self, names: tuple[str, ...]) -> contacts.Held:
-        """The laws of contacts held at the same time."""
+    def held(self, names: tuple[str, ...], mask: Any = None) -> contacts.Held:
+        """The laws of contacts held at the same time, or of those that a mask selects."""
         flow = trace.again(self.closed("flow", self.contact_spec(names[0]).source))
-        return contacts.Held(tuple(self.laws(name) for name in names), flow)
+        groups = self.mode(self.contact_spec(names[0]).source).groups(names)
+        laws = tuple(self.laws(name) for name in names)
+        places = tuple(tuple(map(names.index, group)) for group in groups)
+        return contacts.Held(laws, flow, mask, places)
+
+    def any_rest_closed(self, mode: str) -> Any:
+        """The jaxpr of the resting field of any of a mode's contacts; the mask of those held
+        follows the parameters."""
+        names = tuple(self.mode(mode).resting)
+
+        def rest(parameters: Any, t: Any, x: Any) -> Any:
+            *own, mask = parameters
+            return self.held(names, mask > 0.5).rest(own, t, x)
+
+        shapes = *self.shapes, (len(names),)
+        return self.once(("any rest", mode), lambda: trace.trace(self.spec, rest, 0, shapes))
 
     def rest_closed(self, names: tuple[str, ...]) -> Any:
         """The jaxpr of the resting field."""
@@ -141,8 +156,11 @@ class Lowered:
 
     def load_closed(self, names: tuple[str, ...], index: int) -> Any:
         """The jaxpr of the load of contact number ``index`` among those held."""
-        key = ("load closed", names, index)
-        return self.once(key, lambda: self.trace(self.held(names).load(index)))
+        groups = self.mode(self.contact_spec(names[0]).source).groups(names)
+        own = next(tuple(group) for group in groups if names[index] in group)
+        place = own.index(names[index])
+        key = ("load closed", own, place)
+        return self.once(key, lambda: self.trace(self.held(own).load(place)))
 
     def sliding(self, name: str) -> Sliding:
         """The laws of sliding on a switching's surface."""

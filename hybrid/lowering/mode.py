@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import attrs
 import numpy as np
 
+from ..automaton.chance import DRAWS
 from ..automaton.spec import ContactSpec, LeaveSpec
 from .contact import Pairing
 from .derivatives import along, gradient, parts, solved, times
@@ -142,7 +143,11 @@ class ModeGraph:
 
     def impact(self, name: str) -> list[int]:
         """The state after an impact, followed by the gap speed after it."""
-        return [*self._pushed(self.contact(name), self.impulse(name)), self._speed_after(name)]
+        state = self._pushed(self.contact(name), self.impulse(name))
+        if name in self.spec.chances:
+            place = self.spec.place(DRAWS)
+            state[place] = self.graph.node("add", state[place], self.graph.const(1.0))
+        return [*state, self._speed_after(name)]
 
     def _speed_after(self, name: str) -> int:
         contact = self.contact(name)
@@ -197,21 +202,10 @@ class ModeGraph:
     def _shares(self, rate: str, of_speed: bool) -> dict[str, int]:
         """Multipliers of the contact directions, of velocities or positions, that cancel the given
         rate of all held gaps; 0 for other contacts."""
-        contacts = {name: self.contact(name) for name in self.resting}
-        ways = {name: contact.way(of_speed) for name, contact in contacts.items()}
-        felt = {
-            name: dict(zip(ways[name], contact.normal, strict=True))
-            for name, contact in contacts.items()
-        }
-        matrix = {
-            (i, j): self.graph.dot([(n, ways[j][k]) for k, n in felt[i].items() if k in ways[j]])
-            for i in self.resting
-            for j in self.resting
-        }
-        linked = {pair: self.graph.value(a) != 0 for pair, a in matrix.items()}
+        matrix = self._matrix(of_speed)
         found: dict[str, int] = {}
-        for group in _groups(self.resting, linked):
-            wanted = [self.graph.node("neg", getattr(contacts[i], rate)) for i in group]
+        for group in self.groups(self.resting, of_speed):
+            wanted = [self.graph.node("neg", getattr(self.contact(i), rate)) for i in group]
             rows = [[matrix[i, j] for j in group] for i in group]
             mask = [self.mask[self.resting.index(i)] for i in group]
             if len(group) == 1:
@@ -221,6 +215,30 @@ class ModeGraph:
                 equations = solved(self.graph, rows, wanted, mask)
                 found.update(zip(group, parts(self.graph, equations, len(group)), strict=True))
         return found
+
+    def _matrix(self, of_speed: bool) -> dict[tuple[str, str], int]:
+        """The change of the rate of each resting contact by a unit multiplier of each."""
+
+        def make() -> dict[tuple[str, str], int]:
+            contacts = {name: self.contact(name) for name in self.resting}
+            ways = {name: contact.way(of_speed) for name, contact in contacts.items()}
+            felt = {
+                name: dict(zip(ways[name], contacts[name].normal, strict=True)) for name in ways
+            }
+            return {
+                (i, j): self.graph.dot(
+                    [(n, ways[j][k]) for k, n in felt[i].items() if k in ways[j]]
+                )
+                for i in self.resting
+                for j in self.resting
+            }
+
+        return self.code.once(("matrix", self.kept, of_speed), make)  # type: ignore[no-any-return]
+
+    def groups(self, names: Sequence[str], of_speed: bool = True) -> list[list[str]]:
+        """Groups of resting contacts whose multipliers are coupled, each in declared order."""
+        linked = {pair: self.graph.value(a) != 0 for pair, a in self._matrix(of_speed).items()}
+        return _groups(names, linked)
 
     def _if_held(self, mask: int, value: int) -> int:
         """``value``, or 0 if its contact is not held; the only contact of a mode is always held."""

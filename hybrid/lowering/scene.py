@@ -316,7 +316,7 @@ class Scene:
     @cached_property
     def contacts(self) -> frozenset[str]:
         """Names of the contacts."""
-        return frozenset(e.name for e in self.spec.transitions if isinstance(e, ContactSpec))
+        return frozenset(self.spec.contacts)
 
     @cached_property
     def conditional(self) -> frozenset[str]:

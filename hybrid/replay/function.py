@@ -34,7 +34,8 @@ class Replay:
     rows, room : int
         Rows of the table of jumps; most steps.
     ask : callable
-        Returns the plan of the run for a row of numbers; for several rows, stacked plans.
+        Returns, for a row of numbers, whether the run can be flown again, and its plan; for several
+        rows, stacked plans.
     """
 
     def __init__(
@@ -66,10 +67,11 @@ class Replay:
         plan = blank(self.laws, self.room, self.rows)
         return tuple(jax.ShapeDtypeStruct(part.shape, part.dtype) for part in plan)
 
-    def plan(self, row: Any) -> Any:
-        """The plan of the run for a row of numbers."""
-        given = stop_gradient(row)
-        return jax.pure_callback(self.ask, self.given, given, vmap_method="expand_dims")
+    def plan(self, row: Any) -> tuple[Any, Any]:
+        """Whether the run for a row of numbers can be flown again, and its plan."""
+        held, shapes = stop_gradient(row), (jax.ShapeDtypeStruct((), bool), *self.given)
+        flies, *plan = jax.pure_callback(self.ask, shapes, held, vmap_method="expand_dims")
+        return flies, plan
 
     def fly(self, plan: Any, row: Any) -> Any:
         """The results of a run; ``plan`` must be that of ``row``."""

@@ -147,14 +147,16 @@ def arc(a: AutomatonArrays, run: Floats, now: Now, room: Room, short: Room, left
 
 
 def begins(a: AutomatonArrays, run: Floats, now: Now, room: Room) -> int:
-    """Start an arc; an outside solver is told its first step and expected end."""
+    """Start an arc; an outside solver is told its first step and expected end. An arc that begins
+    at its end makes no step that would show whether a guard fires at once: it is looked at here."""
     copied(now.x, now.end)
     wind(a, now, room, now.floats[T], now.floats[LOW])
     for i in range(room.sides.shape[0]):
         room.sides[i] = 0
     now.floats[TAU], now.ints[MADE], now.ints[PHASE] = 0.0, 0, WALKS
     now.ints[SHORT] = 0
-    if run[METHOD_ORDER] == 0.0 and run[WATCHED] == 0.0:
+    stands = (run[UNTIL] - now.floats[T]) - now.floats[LOW] <= 0.0
+    if run[METHOD_ORDER] == 0.0 and run[WATCHED] == 0.0 and not stands:
         now.ints[SHORT] = int(0.0 < expected(now) <= SHORT_SHARE * now.floats[SERIES_REACH])
         return GOES_ON
     program, order = a.fields[now.ints[FIELD], FIELD_PROGRAM], room.c.shape[1] - 1

@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..automaton.chance import DRAWS
 from ..errors import JumpLoopError
 from ..lowering import Contact, Field
+from ..rules.zeros import EPS
 from ..segment import Segment
 from ..trajectory.accumulation import Accumulation
 from ..trajectory.arcs import TailPart
@@ -24,6 +26,10 @@ if TYPE_CHECKING:
     from ..automaton.shapes import StateVector
     from .driver import Driver
 
+#: The length of a flight, relative to that of its series of impacts, from which on the series is at
+#: its limit: as many flights again as a double has digits for would not show in the time.
+LAST_FLIGHT = EPS * EPS
+
 
 def accumulate(driver: Driver, contact: Contact, x: StateVector, v: float, name: str) -> bool:
     """Sum all impacts from here on, or cut the series off; False if the run goes on unchanged.
@@ -34,6 +40,8 @@ def accumulate(driver: Driver, contact: Contact, x: StateVector, v: float, name:
     field = driver.scene.field(name, (contact.name,))
     if driver.plan.zeno == "truncate":
         return truncate.hold(driver, contact, x, field)
+    if contact.name in driver.scene.spec.chances:
+        return _settles(driver, contact, x, v, field)
     if field.hurried or watch.count < driver.plan.patience or not 0 < v <= PATIENCE * watch.tried:
         return False
     watch.tried = v
@@ -44,6 +52,21 @@ def accumulate(driver: Driver, contact: Contact, x: StateVector, v: float, name:
     if memory is not None and not memory.stays(TailPart(tail, driver.record.j)):
         return False
     pass_sum(driver, tail)
+    return True
+
+
+def _settles(driver: Driver, contact: Contact, x: StateVector, v: float, field: Field) -> bool:
+    """Pass the limit of impacts whose restitution draws, once it is reached but for rounding."""
+    t, spec, watch = driver.t, driver.scene.spec, driver.watch
+    pull = -field.guards[field.column(contact.name)].lie(t, x.tolist())[2]
+    since = driver.cycles.first_of(contact.name)
+    if watch.count < driver.plan.patience or not 2.0 * v <= LAST_FLIGHT * pull * (t - since):
+        return False
+    x_inf = x - v * np.array(contact.push(t, x.tolist()))
+    error = 64 * EPS * np.abs(x)
+    error[spec.place(DRAWS)] = np.inf
+    found = CycleLimit((contact.name,), 0.0, x_inf, np.nan, EPS * abs(t), error, watch.count)
+    pass_cycle(driver, found, x, field.mode)
     return True
 
 

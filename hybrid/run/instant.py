@@ -119,6 +119,8 @@ def _speeds(guards: Sequence[Guard], t: float, x: StateVector) -> np.ndarray:
 
 
 def _law(scene: Scene, name: str, t: float, x: list[float], top: float) -> float | None:
-    """A contact's restitution; None where it depends on the speed."""
+    """A contact's restitution; None where it depends on the speed, or on chance."""
+    if name in scene.spec.chances:
+        return None
     laws = [scene.contact(name).law(t, x, -share * top) for share in SPEEDS]
     return laws[-1] if max(laws) - min(laws) <= SAME_RESTITUTION else None

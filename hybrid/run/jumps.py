@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..automaton.chance import DRAWS
 from ..automaton.markers import TERMINATE
 from ..bounds.defect import follows
 from ..errors import FlowError, JumpLoopError
@@ -195,6 +196,8 @@ def low_flight(
     if flown is None or driver.record.now.after(flown[0]).until(until) < 0:
         return None
     time, segments, before, after, speed = flown
+    if contact.name in driver.scene.spec.chances:
+        after[driver.scene.spec.place(DRAWS)] += 1.0
     if driver.wary and not follows(field, t, segments):
         return None
     driver.record.arc(field, x, before, time, segments)

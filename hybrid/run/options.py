@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from math import isfinite, sqrt
@@ -22,7 +23,7 @@ from ..delay.pieces import Piece
 from ..errors import OptionError, StartError, ZenoError
 from ..lowering import Scene
 from ..solvers import Solver, averages, choose, own_rtol
-from ..solvers.base import tolerances
+from ..solvers.base import FINEST, tolerances
 from ..trajectory.accumulation import explain
 from ..trajectory.plan import PATIENT
 from ..trajectory.trajectory import Solution
@@ -65,7 +66,14 @@ class Asked:
 
     @cached_property
     def _allowed(self) -> tuple[float, np.ndarray]:
-        rtol, atol = tolerances(self.rtol, self.atol, self.spec.flows, self._own[1])
+        finest, own = self._own
+        rtol, atol = tolerances(self.rtol, self.atol, self.spec.flows, own)
+        if rtol < (least := min(finest, FINEST)):
+            warnings.warn(
+                f"rtol={rtol!r} is finer than steps in double precision can be; they keep to "
+                f"{least:g}",
+                stacklevel=2,
+            )
         if atol.shape and self.spec.discrete:
             atol = np.append(atol, [atol.max()] * len(self.spec.discrete))
         return rtol, atol
@@ -87,6 +95,12 @@ class Asked:
                 require_count(name, count, 1, ", or None")
         if self.progress is not None and not callable(self.progress):
             raise OptionError(f"progress={self.progress!r}: a function of the time, or None")
+        drawn = [contact for contact in self.spec.contacts if contact in self.spec.chances]
+        if self.zeno == "truncate" and drawn:
+            raise OptionError(
+                f"{self.spec.model}: zeno='truncate' compares with a sum, and the impacts of "
+                f"{drawn[0]}, whose restitution draws, have none; use zeno='rest' or 'ignore'"
+            )
         dense, samples = _saving(self.save, t0, t1)
         cap = self.max_jumps if self.zeno == "truncate" else None
         limit = MAX_JUMPS if self.max_jumps is None or self.zeno == "truncate" else self.max_jumps
@@ -180,7 +194,7 @@ def values_of(spec: Spec, start: Any, seed: int = 0, what: str = "start") -> Any
     """What is given for each state, in declared order."""
     own, number = has_stream(start), None
     if seed != 0 and (own or not spec.chances):
-        why = "the start has a stream" if own else "no reset of it takes draw"
+        why = "the start has a stream" if own else "nothing of it takes draw"
         raise OptionError(f"{spec.model}: seed={seed!r}, but {why}; leave seed out")
     if spec.chances and not own:
         number = stream(spec.model, seed)

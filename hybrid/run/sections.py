@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -16,6 +17,7 @@ from ..events import fires, zeros
 from ..lowering import Guard, Kind, Scene
 from ..lowering.derivatives import node_shape
 from ..lowering.field import Scalar
+from ..lowering.jaxpr import require_written
 from ..trajectory.arcs import Arc
 from ..trajectory.trajectory import Solution
 
@@ -152,6 +154,13 @@ def _surface(model: Any, scene: Scene, function: Callable[..., Any], crossing: C
         closed = code.once(("section", function), lambda: trace(spec, call, 0, code.shapes))
     except Exception as fault:  # whatever the caller's function raises
         raise OptionError(f"{spec.model}: section, a surface: {reason(fault)}") from fault
+    first = sum(map(math.prod, code.shapes[: len(spec.parameters)]))
+    pieces = range(first, first + sum(signal.size for signal in spec.signals))
+    if spec.signals and require_written(closed).intersection(pieces):
+        raise OptionError(
+            f"{spec.model}: section, a surface: it reads a signal ({spec.signals[0].name}), which "
+            "differs between knots; give a surface of t and the state, a jump or a period"
+        )
     graph, numbers = code.mode(spec.initial), scene.numbers(spec.initial, ())
 
     def bound(what: str, made: int) -> Scalar:

@@ -107,10 +107,12 @@ class DiffraxSolver(Solver):
         return DiffraxStepper(self, field, t0, x0, length, min(first, length))
 
     def program(self, field: Field) -> StepProgram:
-        """The program for a field, compiled once per class and mode."""
-        short = field.code, field.name
+        """The program for a field, compiled once per class and mode, and once more for all of the
+        mode's contacts at rest."""
+        name, *_ = field.shared
+        short = field.code, name
         if short not in self._programs:
-            key = ("diffrax", field.name, self.key)
+            key = ("diffrax", name, self.key)
             degree = DEGREES[self.method] if self.known else OTHER_DEGREE
             given = degree, SWEEPS.get(self.method, 0) if self.known else 0
             made = field.code.once(
@@ -228,7 +230,7 @@ class DiffraxStepper(Stepper):
         self.numbers = np.empty(ASKED_STATE + 2 * program.n + program.parameters)
         self.numbers[[T0, ASKED_LENGTH, ASKED_RTOL]] = t0, length, solver.rtol
         self.numbers[ASKED_STATE + program.n : -program.parameters or None] = solver.atol
-        self.numbers[ASKED_STATE + 2 * program.n :] = program.flat(field.parameters)
+        self.numbers[ASKED_STATE + 2 * program.n :] = program.flat(field.shared[2])
         self.ahead, solver.ahead = solver.ahead, 1
 
     def step(self, limit: float) -> None:

@@ -85,8 +85,9 @@ class StepProgram:
         self, method: Any, controller: Any, field: Field, degree: int, sweeps: int
     ) -> None:
         self.method, self.controller, self.sweeps = method, controller, sweeps
-        self.flow, self.n = again(field.closed), field.code.spec.dimension
-        self.shapes = [np.shape(value) for value in field.parameters]
+        _, closed, given = field.shared
+        self.flow, self.n = again(closed), field.code.spec.dimension
+        self.shapes = [np.shape(value) for value in given]
         self.parameters = sum(int(np.prod(shape)) for shape in self.shapes)
         self.states = degree + 1
         self.places = min(AHEAD, 1 + NUMBERS // (self.n * self.states))

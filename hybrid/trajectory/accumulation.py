@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib.util import find_spec
-from math import inf, nextafter
+from math import inf, isnan, nextafter
 from typing import TYPE_CHECKING, Any
 
 import attrs
@@ -58,7 +58,7 @@ class Accumulation:
     state : Record
         The limit of the state.
     ratio : float
-        Limit of the ratio of successive gaps in time.
+        Limit of the ratio of successive gaps in time; NaN if the restitution draws random numbers.
     edges : tuple of str
         The cycle of edges.
     limits : tuple of (str, Record)
@@ -211,6 +211,8 @@ def explain(point: Accumulation) -> str:
         )
     chatters = len(point.edges) == 1 and point.ratio < 1.0
     how = "summed by the chatter map" if chatters else "found by sequence acceleration"
+    if isnan(point.ratio):
+        how = "reached by computing all impacts down to rounding"
     how = f"was {how} ({point.verdict})"
     if point.verdict == "certified":
         first, best = point.proofs[0], point.narrowest
@@ -230,6 +232,8 @@ def explain(point: Accumulation) -> str:
     pace = f"ratio {point.ratio:.6g}"
     if point.ratio == 1.0:
         pace = "gaps that fall like a power (ratio 1)"
+    elif isnan(point.ratio):
+        pace = "gaps that fall at random"
     return (
         f"Jumps of {cycle} accumulate at t_inf = {point.t!r} with {pace}; the "
         f"limit {how}. {then} (zeno='rest' goes on at rest, 'stop' ends the "

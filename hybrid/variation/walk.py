@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import attrs
@@ -25,6 +26,7 @@ from ..lowering import Field, Guard, Kind, Scene, require_no_signal, scene_of
 from ..rules.changes import TIED
 from ..rules.guards import NEAR
 from ..rules.limits import DIFFERENCE_ROUNDING
+from ..segment import Segment
 from ..trajectory.arcs import Arc, JumpRow, Part, TailPart
 from ..trajectory.trajectory import Solution
 from .arcs import ArcPiece, along, passing, told
@@ -209,6 +211,7 @@ class Walk:
         self.of = Derivatives(course.scene, parameters)
         self.size, self.model = self.of.size, course.scene.spec.model
         self._known: dict[int, Look] = {}
+        self._since, self._there = np.inf, course.scene
         #: Whether a jump of the past is seen at a time of a part.
         self.arrival: Callable[[int, float], bool] = lambda index, t: False
 
@@ -262,12 +265,24 @@ class Walk:
             yield DelayedArc(index, arc)
             return
         t = arc.t0 + arc.low
-        for end, matrix in along(self.of, self.scene.field(arc.mode), t, arc.segments):
-            yield Factor(t + end, None, matrix)
+        for segments in self._by_piece(t, arc.segments):
+            scene, of = self.look(index, t + segments[0].start + 0.5 * segments[0].length)
+            for end, matrix in along(of, scene.field(arc.mode), t, segments):
+                yield Factor(t + end, None, matrix)
+
+    def _by_piece(self, t: float, segments: Sequence[Segment]) -> Iterator[Sequence[Segment]]:
+        """The steps of an arc that begins at ``t``, those on one piece of the signals together."""
+        if not self.scene.samples:
+            yield from [segments] if segments else []
+            return
+        middles = (t + each.start + 0.5 * each.length for each in segments)
+        pieces = [self.scene.span(middle)[0] for middle in middles]
+        for _, group in groupby(zip(pieces, segments, strict=True), lambda pair: pair[0]):
+            yield [segment for _, segment in group]
 
     def limit(self, index: int, part: TailPart, found: LimitVariation | None = None) -> Factor:
         """The factor of an accumulation; ``found`` gives derivatives of another scene."""
-        found = found or through(self.of, part.tail)
+        found = found or through(self.beside(index, False)[1], part.tail)
         moment = Moment(index, found.time, found.state, found.state, found.ratio)
         name = f"limit of {part.tail.contact.name}"
         return Factor(part.t1, name, found.matrix, (moment,), part=index)
@@ -276,12 +291,21 @@ class Walk:
 
     def look(self, index: int, t: float, side: str = "right") -> Look:
         """The scene at a time of a part, and its derivatives."""
-        if not self.course.sight:
+        if self.scene.samples:
+            scene = self._on_piece(float(np.nextafter(t, -np.inf)) if side == "left" else t)
+        elif self.course.sight:
+            scene = self.course.sight.at(index, t, side)
+        else:
             return self.scene, self.of
-        scene = self.course.sight.at(index, t, side)
         if id(scene) not in self._known:
             self._known[id(scene)] = scene, Derivatives(scene, self.parameters)
         return self._known[id(scene)]
+
+    def _on_piece(self, t: float) -> Scene:
+        """The scene on the signals' pieces at a time."""
+        if not self._since <= t < self._there.until:
+            self._since, self._there = self.scene.span(t)[0], self.scene.at(t)
+        return self._there
 
     def beside(self, index: int, ends: bool) -> Look:
         """The scene and its derivatives at an end of a part, on the side of the part."""
@@ -302,7 +326,9 @@ class Walk:
         piece, before = self.piece(index, True), self._flow(index, True)
         waits = self._waits(index, guard, first)
         jumped = piece if piece is not None and self._jumps(index, guard, field, piece) else None
-        if waits:
+        if self._on_knot(index, guard, first, len(group)):
+            time = np.zeros(self.columns)
+        elif waits:
             time = np.eye(1, self.columns, self.columns - 1)[0]
         else:
             time = self._time(index, field, guard, first, before, jumped)
@@ -319,6 +345,23 @@ class Walk:
             reset = cleared(reset + later, np.abs(reset) + np.abs(later), DIFFERENCE_ROUNDING)
         return Factor(
             first.t, " ".join(row.edge for _, row in group), reset, moments, ties, waits, index
+        )
+
+    def _on_knot(self, index: int, guard: Guard, row: JumpRow, count: int) -> bool:
+        """Whether a knot of a signal releases a contact, at a time that nothing changes.
+
+        Raises
+        ------
+        OrbitError
+            If something else jumps at a knot: neighbours jump on either side of it.
+        """
+        if not self.scene.samples or self.scene.span(row.t)[0] != row.t or guard.kind is Kind.CLOCK:
+            return False
+        if guard.kind is Kind.RELEASE and count == 1:
+            return True
+        raise OrbitError(
+            f"{self.model}, t = {row.t!r}: {guard.edge} fires at a knot of a signal, and for "
+            "neighbours before or behind it: there is no first variation"
         )
 
     def _waits(self, index: int, guard: Guard, row: JumpRow) -> bool:
