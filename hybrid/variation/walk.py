@@ -39,6 +39,16 @@ if TYPE_CHECKING:
 #: past is seen, has fired because of that.
 SEEN = 1e-6
 
+#: Why there is no first variation.
+CYCLE = (
+    "the run passes the limit of a cycle of several edges; its first variation is known for one "
+    "contact only"
+)
+TIES = (
+    "another event happens at the same instant, but before or after it for neighbours: there is no "
+    "first variation"
+)
+
 #: Kinds of jumps that change neither the state nor, at the jump, the flow.
 SMOOTH_KINDS = (Kind.RELEASE, Kind.LEAVE)
 
@@ -175,11 +185,9 @@ def factors(model: Any, run: Solution) -> Iterator[Factor]:
     for factor in Walk(Course.of(model, run)).pieces():
         assert isinstance(factor, Factor)
         if factor.ties is not None and np.any(factor.ties):
-            raise OrbitError(
-                f"{run.spec.model}, t = {factor.t!r}: at {factor.edge} another event happens at "
-                "the same instant, but before or after it for neighbours: there is no first "
-                "variation"
-            )
+            where = f"{run.spec.model}, t = {factor.t!r}"
+            tied = f"at {factor.edge} {TIES}" if factor.moments else CYCLE
+            raise OrbitError(f"{where}: {tied}")
         yield factor
 
 
@@ -230,12 +238,17 @@ class Walk:
             if index in jumps:
                 group.append((index, jumps[index]))
             elif not last and isinstance(part, Arc):
-                raise OrbitError(
-                    f"{self.model}: the run passes the limit of a cycle of several edges at "
-                    f"t = {part.t1!r}; its first variation is known for one contact only"
-                )
+                yield self.unknown(part)
+                yield from self.onto(index + 1)
         if group:
             yield self.jump(group, None)
+
+    def unknown(self, part: Arc) -> Factor:
+        """The factor of the limit of a cycle, through which nothing is known of any change."""
+        if self.course.sight:
+            raise OrbitError(f"{self.model}, t = {part.t1!r}: {CYCLE}")
+        every = np.eye(self.size, self.columns)
+        return Factor(part.t1, None, every, ties=every)
 
     def onto(self, index: int) -> Iterator[Factor]:
         """The projection at the start of a resting or sliding part."""
