@@ -14,6 +14,7 @@ from ..run.options import time_of, times_of
 from ..simulation import simulate
 from ..trajectory.trajectory import Status
 from ..variation import factors
+from .shooting import largest
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers
@@ -25,8 +26,9 @@ BATCHES = 20
 RUNNING_ESTIMATES = 200
 
 #: Relative growth of a direction, compared with the largest of the same piece, that counts as
-#: rounding: some 50 roundings.
-LOST_GROWTH = 1e-14
+#: rounding: some 50 roundings. Pieces are so short that directions grow apart by less than a
+#: ratio whose logarithm this is, which leaves eight digits of each.
+LOST_GROWTH, GROWN_APART = 1e-14, 18.0
 
 
 @attrs.frozen(eq=False, repr=False)
@@ -62,7 +64,10 @@ class Exponents:
 
     def __str__(self) -> str:
         pairs = zip(self.exponents, self.error, strict=True)
-        values = ", ".join(f"{value:.6g} ± {error:.1g}" for value, error in pairs)
+        values = ", ".join(
+            f"{value:.6g}" + (f" ± {error:.1g}" if np.isfinite(error) else "")
+            for value, error in pairs
+        )
         return f"{self.run.spec.model}: {values} over t = {self.run.t0:.6g} to {self.run.t1:.6g}"
 
     __repr__ = __str__
@@ -133,13 +138,16 @@ def lyapunov(
     if not first <= begin < last:
         raise OptionError(f"transient={transient!r}: a time shorter than the run, {t!r}")
     frame = np.linalg.qr(np.random.default_rng(0).normal(size=(size, int(count))))[0]
-    options = {**options, "save": "dense"}
+    options, before = {**options, "save": "dense"}, None
     if begin > first:
         before = _run(model, start, (first, begin), options)
-        frame = _carry(model, before, frame)[2]
         start, options["mode"] = before.final, before.mode
     run = _run(model, start, (begin, last), options)
-    times, growth, _ = _carry(model, run, frame)
+    sizes = largest(run)
+    sizes[sizes == 0.0] = 1.0
+    if before is not None:
+        frame = _carry(model, before, frame, sizes)[2]
+    times, growth, _ = _carry(model, run, frame, sizes)
     return _exponents(times, growth, run)
 
 
@@ -151,15 +159,32 @@ def _run(model: Any, start: Any, t: tuple[float, float], options: dict[str, Any]
     return run
 
 
-def _carry(model: Any, run: Trajectory, frame: Matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """End times of a run's pieces, logarithms of the frame's growth, and the final frame."""
+def _carry(
+    model: Any, run: Trajectory, frame: Matrix, sizes: Numbers
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """End times of a run's pieces, logarithms of the frame's growth, and the final frame. It is
+    measured in the sizes of the states, so that their units do not matter.
+
+    Raises
+    ------
+    OrbitError
+        If a direction that the flow does not lose is lost to rounding.
+    """
     times, growth = [], []
-    for factor in factors(model, run):
-        frame, upper = np.linalg.qr(factor.matrix @ frame)
-        sizes = np.abs(np.diag(upper))
-        sizes[sizes <= LOST_GROWTH * np.abs(factor.matrix).max()] = 0.0
+    for factor in factors(model, run, GROWN_APART):
+        matrix = factor.matrix * sizes / sizes[:, None]
+        frame, upper = np.linalg.qr(matrix @ frame)
+        grown = np.abs(np.diag(upper))
+        lost = grown <= LOST_GROWTH * np.abs(matrix).max()
+        if factor.smooth and lost.any():
+            raise OrbitError(
+                f"{run.spec.model}, t = {factor.t:.9g}: within a step a direction shrinks beside "
+                f"another by more than rounding leaves of it; ask for the first exponents only "
+                f"(count={int(np.argmax(lost)) or 1}), or bound the steps (max_step=)"
+            )
+        grown[lost] = 0.0
         with np.errstate(divide="ignore"):
-            growth.append(np.log(sizes))
+            growth.append(np.log(grown))
         times.append(factor.t)
     return np.array(times), np.array(growth), frame
 

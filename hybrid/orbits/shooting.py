@@ -155,10 +155,8 @@ class Shooting:
         return 0.0 if same else OTHER_MODE
 
     def _scale(self, run: Trajectory) -> StateVector:
-        ends = [part.last for part in run.parts]
-        inside = [s(s.start + 0.5 * s.length) for a in run.arcs for s in a.segments]
-        atol = np.broadcast_to(np.asarray(self.options["atol"], dtype=float), ends[0].shape)
-        sizes: np.ndarray = np.abs(np.array(ends + inside)).max(axis=0)
+        sizes = largest(run)
+        atol = np.broadcast_to(np.asarray(self.options["atol"], dtype=float), sizes.shape)
         return np.maximum(sizes, np.maximum(FLOOR_ATOLS * atol, 1e-300))
 
     def spread(self, run: Trajectory) -> StateVector:
@@ -260,3 +258,11 @@ class Shooting:
             if factor.edge is not None:
                 jumps.append(factor)
         return matrix, jumps
+
+
+def largest(run: Trajectory) -> StateVector:
+    """The largest absolute value of each element along a run, at ends and middles of steps."""
+    ends = [part.last for part in run.parts]
+    inside = [s(s.start + 0.5 * s.length) for a in run.arcs for s in a.segments]
+    sizes: np.ndarray = np.abs(np.array(ends + inside)).max(axis=0)
+    return sizes

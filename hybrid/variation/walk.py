@@ -126,6 +126,8 @@ class Factor:
         Whether the jump occurs because a jump of the past is seen.
     part : int
         The part of the run that it ends, if it has moments; otherwise the one it begins.
+    smooth : bool
+        Whether it belongs to a piece of an arc, along which no direction is lost.
     """
 
     t: float
@@ -135,6 +137,7 @@ class Factor:
     ties: Matrix | None = None
     waits: bool = False
     part: int = 0
+    smooth: bool = False
 
 
 @attrs.frozen(eq=False)
@@ -153,7 +156,7 @@ class Chatter:
     part: TailPart
 
 
-def factors(model: Any, run: Solution) -> Iterator[Factor]:
+def factors(model: Any, run: Solution, apart: float = np.inf) -> Iterator[Factor]:
     """The first variation along a run, piece by piece, in order.
 
     Parameters
@@ -162,6 +165,8 @@ def factors(model: Any, run: Solution) -> Iterator[Factor]:
         The model of the run.
     run : Solution
         With dense output.
+    apart : float
+        As :func:`.arcs.along` takes it.
 
     Yields
     ------
@@ -182,7 +187,7 @@ def factors(model: Any, run: Solution) -> Iterator[Factor]:
         )
     if any(isinstance(part, Arc) and part.length and not part.segments for part in run.parts):
         raise OrbitError(f"{run.spec.model}: the first variation needs a run with save='dense'")
-    for factor in Walk(Course.of(model, run)).pieces():
+    for factor in Walk(Course.of(model, run), apart=apart).pieces():
         assert isinstance(factor, Factor)
         if factor.ties is not None and np.any(factor.ties):
             where = f"{run.spec.model}, t = {factor.t!r}"
@@ -202,8 +207,9 @@ Look = tuple[Scene, Derivatives]
 class Walk:
     """A walk over the parts of a run, with columns for the parameters on request."""
 
-    def __init__(self, course: Course, parameters: bool = False) -> None:
+    def __init__(self, course: Course, parameters: bool = False, apart: float = np.inf) -> None:
         self.course, self.scene, self.parameters = course, course.scene, parameters
+        self.apart = apart
         self.of = Derivatives(course.scene, parameters)
         self.size, self.model = self.of.size, course.scene.spec.model
         self._known: dict[int, Look] = {}
@@ -265,8 +271,9 @@ class Walk:
             yield DelayedArc(index, arc)
             return
         t = arc.t0 + arc.low
-        for end, matrix in along(self.of, self.scene.field(arc.mode), t, arc.segments):
-            yield Factor(t + end, None, matrix)
+        field = self.scene.field(arc.mode)
+        for end, matrix in along(self.of, field, t, arc.segments, self.apart):
+            yield Factor(t + end, None, matrix, smooth=True)
 
     def limit(self, index: int, part: TailPart, found: LimitVariation | None = None) -> Factor:
         """The factor of an accumulation; ``found`` gives derivatives of another scene."""
