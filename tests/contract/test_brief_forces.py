@@ -312,6 +312,15 @@ PUSHES = [
 ]
 
 
+def test_a_brief_push_up_in_a_tail_is_flown():
+    """Its end is some 1e-12 ahead of a step that might reach the end of the run. The limit is that
+    of its parabolas in 50 digits."""
+    given = 0.3024599921030956, 1.4336095256678487, 1.858387535371909e-10, 5.760577611710074
+    model = Nudged(**dict(zip(["r", "since", "lasts", "force"], given, strict=True)))
+    run = hy.simulate(model, {"x": 0.0, "v": 1.0}, (0.0, 4.0), solver="taylor")
+    assert run.zeno[0].t == pytest.approx(1.4336095271065781583, abs=2e-15)
+
+
 @pytest.mark.parametrize(("r", "before", "lasts", "force"), PUSHES)
 @pytest.mark.parametrize("solver", ["taylor", "scipy"])
 def test_a_force_that_switches_in_a_tail_counts(solver, r, before, lasts, force):
