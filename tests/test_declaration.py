@@ -318,3 +318,22 @@ def test_an_edge_without_a_reset_leaves_the_state():
     run = hy.simulate(Passing(), {"x": 0.0}, (0.0, 2.0))
     assert run.jumps.edge.tolist() == ["leaves"]
     assert (run.mode, run.final.x) == ("far", pytest.approx(3.0, rel=1e-13))
+
+
+def test_a_fault_that_shows_in_a_run_shows_in_every_run():
+    """A gap over a state whose derivative is no velocity, which the contact's law finds."""
+
+    class Tilting(hy.Automaton):
+        x = hy.state()
+        v = hy.state()
+        q = hy.state()
+
+        @hy.mode
+        def f(self, t, s):
+            return s.v, -9.8, s.v**2
+
+        hit = hy.contact(f, gap=lambda self, t, s: s.x - 0.05 * s.q, restitution=0.5)
+
+    for solver in ("taylor", "taylor", "scipy", "scipy"):
+        with pytest.raises(hy.DeclarationError, match="is not a velocity"):
+            hy.simulate(Tilting(), {"x": 1.0, "v": 0.0, "q": 0.0}, (0.0, 1.0), solver=solver)

@@ -348,6 +348,47 @@ def test_jumps_at_one_instant_of_which_neighbours_have_one_first():
     assert float(by_g) == pytest.approx(float(exact(9.81)), rel=1e-12)
 
 
+class Stacked(hy.Automaton):
+    """Two bodies on a floor at the height ``h``, one above the other; pulled up from t = ``up`` on,
+    and what goes by them."""
+
+    x = hy.state()
+    y = hy.state()
+    u = hy.state()
+    w = hy.state()
+    far = hy.state()
+    r = hy.parameter(0.3)
+    h = hy.parameter(0.1)
+    up = hy.parameter(4.0)
+
+    @hy.mode
+    def fall(self, t, s):
+        force = jnp.where(t > self.up, 3.0, -2.0)
+        return s.u, s.w, force, force + 0.5 * (t > self.up), -s.far
+
+    floor = hy.contact(fall, gap=lambda self, t, s: s.x - self.h, restitution="r")
+    other = hy.contact(fall, gap=lambda self, t, s: s.y - s.x - 0.5, restitution="r")
+
+
+@pytest.mark.parametrize("y", [1.8, 1.1])
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+def test_a_rest_forgets_how_bodies_came_to_it(solver, y):
+    """Impacts of one upon the other and on the floor end at one instant, as no sum and no limit, or
+    as that of a cycle: how long they took has no derivative, where the bodies lie then has."""
+    start = {"x": 0.6, "y": y, "u": 0.0, "w": 0.0, "far": 1.0}
+    fall = hy.as_function(Stacked(), t=(0.0, 6.0), max_jumps=400, solver=solver)
+
+    def end(model, start):
+        final = fall(model, start).final
+        return jnp.array([final.x, final.y, final.u, final.w])
+
+    by_model, by_start = jax.jacfwd(end, (0, 1))(Stacked(), start)
+    for each in (by_model.r, *(by_start[name] for name in "xyuw")):
+        assert each.tolist() == [0.0] * 4
+    np.testing.assert_allclose(by_model.h, [1.0, 1.0, 0.0, 0.0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(by_model.up, [-6.0, -7.0, -3.0, -3.5], rtol=1e-9)
+
+
 def test_a_run_that_fails_is_a_status():
     """Below the floor, in a compiled program too: a number, and no exception."""
     fall = jax.jit(hy.as_function(BouncingBall(), t=(0.0, 1.0), max_jumps=8))

@@ -2,6 +2,7 @@
 
 import math
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -81,6 +82,78 @@ def test_the_largest_alone():
     found = hy.lyapunov(Linear(), [1.0, 1.0], (0.0, 60.0), count=1, transient=40.0)
     assert found.exponents == pytest.approx([0.3], abs=1e-12)
     assert "0.3" in str(found)
+
+
+class Damped(hy.Automaton):
+    """An oscillator whose elements are in units of their own: eigenvalues -0.05 +- i."""
+
+    x = hy.state()
+    v = hy.state()
+    unit: float = hy.parameter(1.0)
+
+    @hy.mode
+    def f(self, t, s):
+        return self.unit * s.v, -s.x / self.unit - 0.1 * s.v
+
+
+@pytest.mark.parametrize("unit", [1e12, 1e-12])
+def test_units_do_not_matter(unit):
+    """They are as in units of 1, to rounding; no direction is lost beside large numbers."""
+    span = (0.0, 100.0)
+    plain = hy.lyapunov(Damped(), [1.0, 0.0], span, solver="taylor")
+    found = hy.lyapunov(Damped(unit=unit), [unit, 0.0], span, solver="taylor")
+    assert found.sum == pytest.approx(-0.1, rel=1e-12)
+    np.testing.assert_allclose(found.exponents, plain.exponents, rtol=1e-9)
+
+
+class Stiff(hy.Automaton):
+    """``y`` follows ``x`` at a rate of its own; ``x`` grows at the mean rate 0.1."""
+
+    x = hy.state()
+    y = hy.state()
+    rate: float = hy.parameter(1e3)
+
+    @hy.mode
+    def f(self, t, s):
+        return (0.1 + 0.3 * jnp.cos(t)) * s.x, -self.rate * (s.y - s.x)
+
+
+@pytest.mark.parametrize("method", ["Radau", "LSODA"])
+def test_what_shrinks_fast_is_not_lost(method):
+    """Within a long step of an implicit method it falls below rounding, and is followed in parts;
+    the exact exponents are 0.1 and minus the rate."""
+    span, options = (0.0, 4 * math.pi), {"transient": 2 * math.pi, "method": method}
+    found = hy.lyapunov(Stiff(), [1.0, 1.0], span, **options)
+    np.testing.assert_allclose(found.exponents, [0.1, -1e3], rtol=1e-8)
+    stiffer, span, options = Stiff(rate=1e7), (0.0, 0.15), {"transient": 0.05, "method": method}
+    with pytest.raises(hy.OrbitError, match="count=1"):
+        hy.lyapunov(stiffer, [1.0, 1.0], span, **options)
+    alone = hy.lyapunov(stiffer, [1.0, 1.0], span, count=1, **options)
+    mean = 0.1 + 3.0 * (math.sin(0.15) - math.sin(0.05))
+    assert alone.exponents == pytest.approx([mean], rel=1e-6)
+
+
+class Forgetful(hy.Automaton):
+    """``y`` is set to 1 whenever the clock rings."""
+
+    x = hy.state()
+    y = hy.state()
+
+    @hy.mode
+    def f(self, t, s):
+        return 0.3 * s.x, -0.7 * s.y + 0.1 * s.x
+
+    @hy.edge(f, every=1.0)
+    def tick(self, t, s):
+        return 0.8 * s.x, 1.0
+
+
+def test_a_coordinate_that_a_reset_forgets():
+    """Its direction is lost, which is no number with an error; the other loses a share."""
+    found = hy.lyapunov(Forgetful(), [1.0, 1.0], (0.0, 60.5), transient=20.5)
+    assert found.exponents[0] == pytest.approx(0.3 + math.log(0.8), rel=1e-9)
+    assert found.exponents[1] == -math.inf
+    assert "-inf over" in str(found)
 
 
 def test_what_cannot_be_asked():

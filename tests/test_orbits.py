@@ -2,6 +2,7 @@
 
 import math
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import fsolve
@@ -281,6 +282,33 @@ def test_a_touch_is_warned_of():
         orbit = hy.periodic_orbit(Oscillator(wall=-1.0), [0.8, -0.6], period=2 * math.pi)
     assert "neutral" in str(orbit)
     assert not orbit.stable
+
+
+class Driven(hy.Automaton):
+    """A damped oscillator driven at the frequency 2.8, in a unit of its own, above a wall."""
+
+    x = hy.state()
+    v = hy.state()
+    unit: float = hy.parameter(1.0)
+    wall: float = hy.parameter(-0.2)
+
+    @hy.mode
+    def flow(self, t, s):
+        return s.v, -s.x - 0.2 * s.v + self.unit * jnp.cos(2.8 * t)
+
+    impact = hy.contact(flow, gap=lambda self, t, s: s.x - self.wall, restitution=0.8)
+
+
+@pytest.mark.parametrize(("unit", "inside"), [(1.0, 1e-9), (1e6, 0.0), (1e6, 1e-12), (1e-6, 0.0)])
+def test_a_touch_from_beyond_is_warned_of(unit, inside):
+    """Where rounding or the tolerances put the wall a little before the turn of the orbit, whose
+    amplitude is known: the run passes it, and its multipliers are those without a wall."""
+    response = 1.0 / (1.0 - 2.8**2 + 0.2j * 2.8)
+    model = Driven(unit=unit, wall=-unit * abs(response) * (1.0 - inside))
+    start = [unit * response.real, unit * (2.8j * response).real]
+    with pytest.warns(UserWarning, match="impact comes to .* of zero at"):
+        orbit = hy.periodic_orbit(model, start, period=2 * math.pi / 2.8)
+    assert orbit.jumps == 0
 
 
 class Brushing(VanDerPol):

@@ -217,6 +217,16 @@ def test_truncation_reports_its_distance(reference):
         run.to_xarray()
 
 
+def test_a_series_cut_off_in_a_run_too_short_for_it_says_so():
+    """The distance to its end is not known then, and no number stands for it."""
+    from models.bouncing_ball import BouncingBall
+
+    ball, start = BouncingBall(g=2.0, r=0.5), {"x": 1.0, "v": 0.0}  # t_inf = 3
+    run = hy.simulate(ball, start, (0, 2.5), zeno="truncate")
+    assert math.isnan(run.zeno[0].truncation.t_inf)
+    assert "in full it would not have ended within the run" in run.explain()
+
+
 def test_the_floor_of_one_over_r_is_exact():
     """1/r for r = 1/n rounds below n for some n; the cap is n all the same."""
     from hybrid.run.truncate import permitted

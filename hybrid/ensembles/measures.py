@@ -27,7 +27,7 @@ from ..run.options import require_count
 from ..run.sections import EdgeSection, Period, Section, Surface, section_of
 from ..trajectory.arcs import Arc, Part
 from ..trajectory.log import Flights, Log
-from ..variation import TRANSIENT, Course, factors_of, first_frame, grown
+from ..variation import GROWN_APART, TRANSIENT, Course, factors_of, first_frame, grown, largest
 from .starts import Lane, Lanes, told
 
 if TYPE_CHECKING:
@@ -360,7 +360,9 @@ class MeasuredLane(Log):
         """The largest Lyapunov exponent; NaN where no first variation is known."""
         course = Course(self.scene, *self.whole.apart())
         try:
-            times, growth, _ = grown(factors_of(course), first_frame(len(self.size), 1))
+            pieces, frame = factors_of(course, GROWN_APART), first_frame(len(self.size), 1)
+            model, sizes = self.scene.spec.model, largest(course.parts)
+            times, growth, _ = grown(model, pieces, frame, sizes)
         except OrbitError:
             return np.nan
         if not times.size or times[-1] <= self.t0:

@@ -240,8 +240,6 @@ class Tables:
         watched = (*field.guards, *field.clocks) if plain else ()
         whens = [self._when(field, guard) for guard in watched]
         plain = plain and -1 not in whens
-        self.numbers[field.name] = len(self.fields)
-        self.fields.append(field)
         program = self._program(jets) if plain and jets else -1
         guards, clocks = (field.guards, field.clocks) if plain else ((), ())
         self._rows += [
@@ -249,6 +247,8 @@ class Tables:
             for guard, when in zip(guards, whens, strict=False)
         ]
         self._rows += [self._clock(field, *each, base) for each in enumerate(times) if plain]
+        self.numbers[field.name] = len(self.fields)  # known now: a fault of its contacts has shown
+        self.fields.append(field)
         self._leads += [self._lead(field, guard) for guard in (*guards, *clocks)]
         self.guards += (*guards, *clocks)
         self.modes += [field.name] * len((*guards, *clocks))

@@ -13,7 +13,7 @@ from ..result import Trajectory
 from ..run.options import time_of, times_of
 from ..simulation import simulate
 from ..trajectory.trajectory import Status
-from ..variation import TRANSIENT, factors, first_frame, grown
+from ..variation import GROWN_APART, TRANSIENT, factors, first_frame, grown, largest
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers
@@ -58,7 +58,10 @@ class Exponents:
 
     def __str__(self) -> str:
         pairs = zip(self.exponents, self.error, strict=True)
-        values = ", ".join(f"{value:.6g} ± {error:.1g}" for value, error in pairs)
+        values = ", ".join(
+            f"{value:.6g}" + (f" ± {error:.1g}" if np.isfinite(error) else "")
+            for value, error in pairs
+        )
         return f"{self.run.spec.model}: {values} over t = {self.run.t0:.6g} to {self.run.t1:.6g}"
 
     __repr__ = __str__
@@ -129,14 +132,16 @@ def lyapunov(
     begin = first + (usual if transient is None else time_of("transient", transient))
     if not first <= begin < last:
         raise OptionError(f"transient={transient!r}: a time shorter than the run, {t!r}")
-    frame = first_frame(size, int(count))
-    options = {**options, "save": "dense"}
+    frame, options = first_frame(size, int(count)), {**options, "save": "dense"}
+    before = None
     if begin > first:
         before = _run(model, start, (first, begin), options)
-        frame = grown(factors(model, before), frame)[2]
         start, options["mode"] = before.final, before.mode
     run = _run(model, start, (begin, last), options)
-    times, growth, _ = grown(factors(model, run), frame)
+    sizes = largest(run.parts)
+    if before is not None:
+        frame = grown(model.spec.model, factors(model, before, GROWN_APART), frame, sizes)[2]
+    times, growth, _ = grown(model.spec.model, factors(model, run, GROWN_APART), frame, sizes)
     return _exponents(times, growth, run)
 
 

@@ -71,7 +71,7 @@ def _turned(step: Step, bound: float) -> Iterator[tuple[float, float]]:
     points = turning(step.series)
     values = chebyshev.chebval(points, step.series)
     bends = chebyshev.chebval(points, chebyshev.chebder(step.series, 2))
-    near = (values * bends > 0) & (np.abs(values) <= bound)
+    near = (bends != 0.0) & (np.abs(values) <= bound)
     for xi, value in zip(points[near].tolist(), values[near].tolist(), strict=True):
         yield step.start + 0.5 * (xi + 1.0) * step.length, value
 

@@ -24,7 +24,7 @@ from ..result import Trajectory
 from ..simulation import simulate
 from ..trajectory.arcs import Arc
 from ..trajectory.log import Log
-from ..variation import Factor, factors
+from ..variation import Factor, factors, largest
 
 if TYPE_CHECKING:
     from ..automaton.shapes import Matrix, Numbers, StateVector
@@ -155,10 +155,8 @@ class Shooting:
         return 0.0 if same else OTHER_MODE
 
     def _scale(self, run: Trajectory) -> StateVector:
-        ends = [part.last for part in run.parts]
-        inside = [s(s.start + 0.5 * s.length) for a in run.arcs for s in a.segments]
-        atol = np.broadcast_to(np.asarray(self.options["atol"], dtype=float), ends[0].shape)
-        sizes: np.ndarray = np.abs(np.array(ends + inside)).max(axis=0)
+        sizes = largest(run.parts)
+        atol = np.broadcast_to(np.asarray(self.options["atol"], dtype=float), sizes.shape)
         return np.maximum(sizes, np.maximum(FLOOR_ATOLS * atol, 1e-300))
 
     def spread(self, run: Trajectory) -> StateVector:

@@ -114,10 +114,12 @@ def _length(
     watched = count(p, program) > 0
     if watched:
         longest = min(longest, holding(p, program, c))
-    h, tried = longest, math.inf
-    while h > SHORTEST_CUT * longest:
+    h, tried, least = longest, math.inf, SHORTEST_CUT * longest
+    while h > least:
         if watched:
             h, crossed = first_change(p, program, t, h, sides, c, rows, found)
+        if tried == math.inf:  # a kink may be far nearer than the series reaches
+            least = SHORTEST_CUT * h
         if math.isnan(h):
             return NOT_FINITE, h, -1
         if crossed >= 0 and h <= SIDE_BLUR * abs(t):

@@ -26,7 +26,7 @@ from ..solvers.base import NO_FLOW_HERE
 from ..trajectory.clock import Instant
 from ..trajectory.plan import Plan
 from ..zeno.flight import falls
-from .entry import MOVES, Entry, describe, expand, opened, side_before
+from .entry import MOVES, Entry, describe, expand, heading, opened, side_before
 from .kinked import begin
 from .pace import Pace
 
@@ -154,7 +154,7 @@ class ArcFlow:
         only to the rounding of the whole step, in which a small value would lose its sign."""
         t, x = self.now.t, self.x.tolist()
         for guard, order in zip(self.field.guards, self.orders, strict=True):
-            if not order and not guard.kinks:
+            if not order and all(kink.value(t, x) for kink in guard.kinks):
                 self.ends[guard.edge] = guard.value(t, x)
 
     def _steps(
@@ -485,21 +485,27 @@ class ArcFlow:
     def _over(self, guard: Guard, zero: Zero, cut: Cut, segment: Segment) -> bool:
         """Whether a guard fires where it changes its formula (1).
 
-        A load that becomes zero still holds. If it does not change, the obstacle may have begun to
-        move away: then the contact ends as well.
+        A load that becomes zero holds until it falls below, and so does a surface to which a flow
+        no longer leads back. If the load does not change, the obstacle may have begun to move away:
+        then the contact ends as well.
         """
         if zero.tau >= self.now.until(self.until):
             return False
-        if guard.kind != "release":
+        if guard.kind not in ("release", "leave"):
             return fires(guard.crossing, zero.direction)
         before = segment.start + max(cut.before, 0.0) * segment.length
         x = segment(before)
         if self.field.project is not None:
             x = np.array(self.field.project(self.now.t + before, x.tolist()))
-        after = self.now.t + zero.tau
-        size = float(self.scene.rounding(guard, self.field)(after, x.tolist())[0])
-        pulls = guard.value(after, segment(zero.tau).tolist()) < -64 * EPS * size
-        return pulls or opened(self.scene, self.field.mode, released(guard.edge), after, x)
+        after, there = self.now.t + zero.tau, segment(zero.tau)
+        beyond = _outside(guard, guard.value(after, there.tolist()))
+        noise = 64 * EPS * float(self.scene.rounding(guard, self.field)(after, x.tolist())[0])
+        if abs(beyond) <= noise:
+            _, sign = heading(self.scene, after, self.field.name, there, guard.edge, np.zeros(0))
+            beyond = noise + _outside(guard, sign)
+        name, mode = released(guard.edge), self.field.mode
+        opens = guard.kind == "release" and opened(self.scene, mode, name, after, x)
+        return beyond > noise or opens
 
     def _past(self, fired: Fired, stepper: Stepper, length: float) -> list[Segment]:
         """Move from just before a place at which a guard jumps to just after it, by a step of the

@@ -44,7 +44,7 @@ def carry_out(driver: Driver, guard: Guard, x: StateVector, carried: bool = Fals
     elif guard.kind == "switch":
         switch.meet(driver, guard, x)
     elif guard.kind == "leave":
-        switch.leave(driver, guard, x)
+        switch.leave(driver, guard, x, carried)
     elif guard.kind == "window":
         driver.pass_window(guard, x)
     else:

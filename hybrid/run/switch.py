@@ -33,9 +33,10 @@ def meet(driver: Driver, guard: Guard, x: StateVector) -> None:
     driver.enter(mode, x, Jumped(vanishing(guard, field)))
 
 
-def leave(driver: Driver, guard: Guard, x: StateVector) -> None:
-    """Sliding ends. In the mode that follows, the surface function and its rate vanish."""
-    overdue = bool(driver.entry.at_once) or driver.forgets
+def leave(driver: Driver, guard: Guard, x: StateVector, carried: bool) -> None:
+    """Sliding ends. In the mode that follows, the surface function and its rate vanish, but where
+    a flow has jumped (``carried``)."""
+    overdue = carried or bool(driver.entry.at_once) or driver.forgets
     driver.watch.reset()
     add_jump(driver, guard.edge, x, x)
     known = vanishing(guard, driver.scene.field(guard.to))

@@ -34,7 +34,7 @@ class Truncation:
     impacts : int
         Impacts permitted.
     t_inf : float
-        End of the full series (NaN if it does not accumulate from here).
+        End of the full series (NaN if it does not accumulate from here within the run).
     gap : float
         ``t_inf`` minus the time of the last permitted impact.
     height : float
@@ -204,10 +204,13 @@ def explain(point: Accumulation) -> str:
     cycle = ", ".join(point.edges)
     if point.truncation is not None:
         cut = point.truncation
+        ended = f"have ended at t_inf = {cut.t_inf!r}, {cut.gap:.3g} later"
+        if isnan(cut.t_inf):
+            ended = "not have ended within the run"
         return (
             f"At t = {point.t!r} the series of {cycle} was cut off after {cut.impacts} impacts "
-            f"(zeno='truncate') and the contact is held; in full it would have ended at "
-            f"t_inf = {cut.t_inf!r}, {cut.gap:.3g} later, after rising {cut.height:.3g} at most."
+            f"(zeno='truncate') and the contact is held; in full it would {ended}, after "
+            f"rising {cut.height:.3g} at most."
         )
     chatters = len(point.edges) == 1 and point.ratio < 1.0
     how = "summed by the chatter map" if chatters else "found by sequence acceleration"

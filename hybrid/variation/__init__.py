@@ -2,12 +2,13 @@
 
 from .carried import At, Carried
 from .derivatives import Derivatives
-from .growth import TRANSIENT, first_frame, grown
+from .growth import GROWN_APART, TRANSIENT, first_frame, grown, largest
 from .past import PastVariation, Shift, Strand, descendants, distinct
 from .slopes import Owned
 from .walk import Course, Factor, Moment, Walk, factors, factors_of
 
 __all__ = [
+    "GROWN_APART",
     "TRANSIENT",
     "At",
     "Carried",
@@ -26,4 +27,5 @@ __all__ = [
     "factors_of",
     "first_frame",
     "grown",
+    "largest",
 ]

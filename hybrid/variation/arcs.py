@@ -35,6 +35,9 @@ STAGES = 8
 #: formula takes as many as a double has bits, so this allows for several.
 COLLOCATION_TOLERANCE, COLLOCATION_HALVINGS = 1e-12, 200
 
+#: Most pieces into which a step is divided so that no direction is lost beside another.
+MOST_PIECES = 1000
+
 #: Fractions of a step at which the sides of its kinks and the size of the state are evaluated.
 STEP_PLACES = nodes(8)
 
@@ -108,6 +111,7 @@ def along(
     field: Field,
     t: float,
     segments: Sequence[Segment],
+    apart: float = np.inf,
 ) -> Iterator[tuple[float, np.ndarray]]:
     """Local times, and matrices that map a perturbation from each time to the next.
 
@@ -119,6 +123,8 @@ def along(
         Time at the start of the arc to which the segments belong.
     segments : sequence of Segment
         Empty if the arc has no length.
+    apart : float
+        The largest ratio, as a logarithm, to which directions may grow apart in one matrix.
     """
     series, rates = of.series(field), partial(of.flow, field)
     kinks, largest = None, np.zeros(of.size)
@@ -128,7 +134,8 @@ def along(
         kinks = of.kinks(("flow", field.name), field, lambda g: g.flow(bool(field.held)))
     last: ArcPiece | None = None
     for segment in segments:
-        for piece in pieces(kinks, t, segment):
+        whole = pieces(kinks, t, segment)
+        for piece in whole if apart == np.inf else shorter(rates(), whole, apart):
             if kinks is not None and last is not None:
                 turn = bend(kinks, field, last, piece, largest)
                 if turn is not None:
@@ -136,6 +143,19 @@ def along(
             matrix = None if series is None else series.carried(piece)
             yield piece.end, _resolve(rates(), piece, of.units) if matrix is None else matrix
             last = piece
+
+
+def shorter(rate: MatrixFunction, whole: Sequence[ArcPiece], apart: float) -> Iterator[ArcPiece]:
+    """Pieces in which the fastest and the slowest rate of growth stay together, up to a ratio. One
+    that would be too many stays whole."""
+    for piece in whole:
+        tau, n = piece.start + 0.5 * piece.length, len(piece.first)
+        rates = rate(piece.t + tau, piece.segment(tau))[:, 1 : 1 + n]
+        growth = np.ptp(np.linalg.eigvals(rates).real) * piece.length
+        count = max(int(np.ceil(growth / apart)), 1) if growth < MOST_PIECES * apart else 1
+        ends = piece.start + piece.length * np.arange(count + 1) / count
+        for a, b in pairwise([*ends[:-1].tolist(), piece.end]):
+            yield ArcPiece(piece.t, piece.segment, a, b - a)
 
 
 def _resolve(rate: MatrixFunction, piece: ArcPiece, units: np.ndarray) -> np.ndarray:

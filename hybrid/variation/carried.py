@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from functools import partial
 from math import ulp
 from typing import TYPE_CHECKING
 
@@ -54,8 +55,8 @@ class Carried:
         Variation of the parameters, if the walk has columns for them.
     past : PastVariation or None
         Variation of the record; required before the start for a model with delays.
-    none : array of bool, shape (m,)
-        The numbers by which there is no derivative any more.
+    none : array of bool, shape (n, m)
+        Where there is no derivative any more, until a reset or a rest forgets what has none.
     last : At or None
         The last moment passed.
     limits : int
@@ -67,7 +68,7 @@ class Carried:
     ) -> None:
         self.walk, self.state, self.given = walk, state, given
         self.touched, self.limits = list(touched), 0
-        self.none = np.zeros(state.shape[1], dtype=bool)
+        self.none = np.zeros(state.shape, dtype=bool)
         self.past: PastVariation | None = None
         self.last: At | None = None
         self.saltations = list[Factor]()
@@ -90,7 +91,7 @@ class Carried:
             assert isinstance(part, Arc)
             if past.turned(place, part, piece).any():  # it may come before or after the end
                 none = none | (past.arrival(place, part, piece, self.state) != 0.0)
-                none[-1] = True
+                none[:, -1] = True
         return self.state * np.where(none, np.nan, 1.0)
 
     def through(self, piece: Factor | DelayedArc | Chatter) -> Iterator[At]:
@@ -108,7 +109,7 @@ class Carried:
     def _touch(self, t: float) -> None:
         """After a tangency, neighbours take another course."""
         while self.touched and self.touched[0] <= t:
-            self.none[:-1] = True
+            self.none[:, :-1] = True
             self.touched.pop(0)
 
     def _change(self, factor: Factor) -> Matrix:
@@ -139,17 +140,30 @@ class Carried:
         apart = self._apart(factor, change)
         self.state = factor.matrix @ change
         for number, moment in enumerate(factor.moments):
-            none = np.where(self.none | (apart if number else False), np.nan, 1.0)
-            ratio = None if moment.ratio is None else none * (moment.ratio @ change)
-            sides = none * (moment.before @ change), none * (moment.after @ change)
-            self.last = At(moment.part, none * (moment.time @ change), *sides, ratio)
+            none = self.none | (apart if number else False)
+            tell = partial(self._told, none=none, change=change)
+            ratio = None if moment.ratio is None else tell(moment.ratio)
+            sides = tell(moment.before), tell(moment.after)
+            self.last = At(moment.part, tell(moment.time), *sides, ratio)
             self.limits += moment.ratio is not None
             yield self.last
-        self.none = self.none | apart
+        self.none = self._takes(factor.matrix, self.none) | apart
         if factor.edge is not None:
             self.saltations.append(factor)
         if self.past is not None and factor.moments:
             self._remembered(self.past, factor, change)
+
+    def _told(self, function: np.ndarray, none: Mask, change: Matrix) -> np.ndarray:
+        """A linear function of the perturbation; NaN where that has no derivative."""
+        return np.where(self._takes(function, none), np.nan, function @ change)
+
+    def _takes(self, function: np.ndarray, none: Mask) -> Mask:
+        """Where a linear function of the perturbation takes in what has no derivative. A past
+        remembers all of it."""
+        if self.past is not None:
+            return np.broadcast_to(none.any(axis=0), (*function.shape[:-1], none.shape[1]))
+        found: np.ndarray = (function[..., : len(none)] != 0.0) @ none
+        return found
 
     def _apart(self, factor: Factor, change: Matrix) -> Mask:
         """The numbers whose perturbation changes the course at simultaneous jumps."""

@@ -41,6 +41,16 @@ if TYPE_CHECKING:
 #: past is seen, has fired because of that.
 SEEN = 1e-6
 
+#: Why there is no first variation.
+CYCLE = (
+    "the run passes the limit of a cycle of several edges; its first variation is known for one "
+    "contact only"
+)
+TIES = (
+    "another event happens at the same instant, but before or after it for neighbours: there is no "
+    "first variation"
+)
+
 #: Kinds of jumps that change neither the state nor, at the jump, the flow.
 SMOOTH_KINDS = (Kind.RELEASE, Kind.LEAVE)
 
@@ -118,6 +128,8 @@ class Factor:
         Whether the jump occurs because a jump of the past is seen.
     part : int
         The part of the run that it ends, if it has moments; otherwise the one it begins.
+    smooth : bool
+        Whether it belongs to a piece of an arc, along which no direction is lost.
     """
 
     t: float
@@ -127,6 +139,7 @@ class Factor:
     ties: Matrix | None = None
     waits: bool = False
     part: int = 0
+    smooth: bool = False
 
 
 @attrs.frozen(eq=False)
@@ -145,7 +158,7 @@ class Chatter:
     part: TailPart
 
 
-def factors(model: Any, run: Solution) -> Iterator[Factor]:
+def factors(model: Any, run: Solution, apart: float = np.inf) -> Iterator[Factor]:
     """The first variation along a run, piece by piece, in order.
 
     Parameters
@@ -154,6 +167,8 @@ def factors(model: Any, run: Solution) -> Iterator[Factor]:
         The model of the run.
     run : Solution
         With dense output.
+    apart : float
+        As :func:`.arcs.along` takes it.
 
     Yields
     ------
@@ -174,24 +189,22 @@ def factors(model: Any, run: Solution) -> Iterator[Factor]:
         )
     if any(isinstance(part, Arc) and part.length and not part.segments for part in run.parts):
         raise OrbitError(f"{run.spec.model}: the first variation needs a run with save='dense'")
-    yield from factors_of(Course.of(model, run))
+    yield from factors_of(Course.of(model, run), apart)
 
 
-def factors_of(course: Course) -> Iterator[Factor]:
+def factors_of(course: Course, apart: float = np.inf) -> Iterator[Factor]:
     """The first variation along the course of a run without delays, as :func:`factors`.
 
     Raises
     ------
     OrbitError
     """
-    for factor in Walk(course).pieces():
+    for factor in Walk(course, apart=apart).pieces():
         assert isinstance(factor, Factor)
         if factor.ties is not None and np.any(factor.ties):
-            raise OrbitError(
-                f"{course.scene.spec.model}, t = {factor.t!r}: at {factor.edge} another event "
-                "happens at the same instant, but before or after it for neighbours: there is no "
-                "first variation"
-            )
+            where = f"{course.scene.spec.model}, t = {factor.t!r}"
+            tied = f"at {factor.edge} {TIES}" if factor.moments else CYCLE
+            raise OrbitError(f"{where}: {tied}")
         yield factor
 
 
@@ -206,8 +219,9 @@ Look = tuple[Scene, Derivatives]
 class Walk:
     """A walk over the parts of a run, with columns for the parameters on request."""
 
-    def __init__(self, course: Course, parameters: bool = False) -> None:
+    def __init__(self, course: Course, parameters: bool = False, apart: float = np.inf) -> None:
         self.course, self.scene, self.parameters = course, course.scene, parameters
+        self.apart = apart
         self.of = Derivatives(course.scene, parameters)
         self.size, self.model = self.of.size, course.scene.spec.model
         self._known: dict[int, Look] = {}
@@ -243,12 +257,17 @@ class Walk:
             if index in jumps:
                 group.append((index, jumps[index]))
             elif not last and isinstance(part, Arc):
-                raise OrbitError(
-                    f"{self.model}: the run passes the limit of a cycle of several edges at "
-                    f"t = {part.t1!r}; its first variation is known for one contact only"
-                )
+                yield self.unknown(part)
+                yield from self.onto(index + 1)
         if group:
             yield self.jump(group, None)
+
+    def unknown(self, part: Arc) -> Factor:
+        """The factor of the limit of a cycle, through which nothing is known of any change."""
+        if self.course.sight:
+            raise OrbitError(f"{self.model}, t = {part.t1!r}: {CYCLE}")
+        every = np.eye(self.size, self.columns)
+        return Factor(part.t1, None, every, ties=every)
 
     def onto(self, index: int) -> Iterator[Factor]:
         """The projection at the start of a resting or sliding part."""
@@ -267,8 +286,8 @@ class Walk:
         t = arc.t0 + arc.low
         for segments in self._by_piece(t, arc.segments):
             scene, of = self.look(index, t + segments[0].start + 0.5 * segments[0].length)
-            for end, matrix in along(of, scene.field(arc.mode), t, segments):
-                yield Factor(t + end, None, matrix)
+            for end, matrix in along(of, scene.field(arc.mode), t, segments, self.apart):
+                yield Factor(t + end, None, matrix, smooth=True)
 
     def _by_piece(self, t: float, segments: Sequence[Segment]) -> Iterator[Sequence[Segment]]:
         """The steps of an arc that begins at ``t``, those on one piece of the signals together."""

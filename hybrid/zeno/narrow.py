@@ -10,14 +10,16 @@ force pulse, a bump of the table, a restitution that changes at some speed) are 
   decide, in ball arithmetic. The bounds must agree with the values at points of the tail up to
   :data:`EXCESS`. A fainter pulse, or one that the points have met, is brief compared with its
   flight and shows in the acceleration's rates of change. The last of :data:`RATES` must therefore
-  agree with its values at the points, up to what bends a flight by the same excess.
+  agree with its values at the points, up to what bends a flight by the same excess. A formula that
+  changes shows in no rate: what decides on it must keep its sign, unless it is zero at the limit,
+  as the velocity is, and changes in every flight.
 - The guards of other edges must not be zero in such boxes (:mod:`.others`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.util import find_spec
 from math import exp, inf, log, nextafter
 from typing import TYPE_CHECKING, Any
@@ -233,6 +235,8 @@ def _bounded(tail: Tail, excess: float) -> bool:
 
 def _fits(look: _Look, stretch: Stretch, excess: float) -> bool:
     box = look.given | stretch.box()
+    if not look.keeps(box):
+        return False
     values = np.array([look.at(*point) for point in stretch.points])
     low, high = values.min(axis=0).tolist(), values.max(axis=0).tolist()
     sizes = [*map(max, [-a for a in low[:-1]], high), 1.0]
@@ -283,6 +287,7 @@ class _Look:
 
     program: Any
     given: dict[str, float]
+    keeps: Callable[[dict[str, Any]], bool]
     at: Callable[[float, list[float], float], list[float]]
     rate: Callable[[float, list[float], float], float]
 
@@ -329,7 +334,7 @@ def parameters(field: Field) -> dict[str, Any]:
 def _look(tail: Tail) -> _Look:
     field, contact = tail.field, tail.contact
     gap = _gap(field, contact)
-    signs = gap.signs(tail)
+    ends, signs = gap.signs(tail)
     program, given = _program(field, contact, gap, signs), parameters(field)
     lie, law = field.guards[tail.column].lie, contact.law
 
@@ -346,7 +351,8 @@ def _look(tail: Tail) -> _Look:
     def signed(t: float, x: list[float], u: float) -> list[float]:
         return every(t, x, u)[:-1]
 
-    return _Look(program, given, signed if signs else plain, lambda *point: every(*point)[-1])
+    at = signed if signs else plain
+    return _Look(program, given, partial(gap.keeps, ends), at, lambda *point: every(*point)[-1])
 
 
 class _Gap:
@@ -372,10 +378,24 @@ class _Gap:
         (found,) = read(self.graph, closed, inputs)
         return [int(i) for i in found.reshape(-1)]
 
-    def signs(self, tail: Tail) -> dict[int, int]:
-        """The deciding functions that are zero at the limit, with their signs in all flights."""
+    def keeps(self, ends: list[float], box: dict[str, Any]) -> bool:
+        """Whether the deciding functions that are not zero at the limit have their sign there all
+        over a box. One that has not changes in some of the flights, which the others do not show,
+        however little that changes the flow."""
         if self.deciding is None:
-            return {}
+            return True
+        found = self.deciding.enclose(box)
+        return all(
+            each.defined and bool(each.value * int(end) > 0)
+            for each, end in zip(found, ends, strict=True)
+            if end != 0.0
+        )
+
+    def signs(self, tail: Tail) -> tuple[list[float], dict[int, int]]:
+        """The signs of the deciding functions at the limit; of those that are zero there, the signs
+        in all flights."""
+        if self.deciding is None:
+            return [], {}
         given = named("p", flat(tail.field.parameters))
         flown = [(t, x) for t, x, _ in Stretch(tail).points]
         found = []
@@ -386,7 +406,8 @@ class _Gap:
         last, *others = np.where(np.abs(found) <= rounding, 0.0, np.sign(found))
         ways = np.min(others, axis=0) + np.max(others, axis=0)  # +-1 if no two signs are opposite
         columns = zip(self.choosers, last, ways, strict=True)
-        return {n: int(way) for n, end, way in columns if end == 0.0 and abs(way) == 1.0}
+        known = {n: int(way) for n, end, way in columns if end == 0.0 and abs(way) == 1.0}
+        return np.nan_to_num(last).tolist(), known
 
     def guards(self, field: Field, contact: str) -> list[int]:
         """The guards other than the contact's; empty if one of them has no bounds."""

@@ -7,6 +7,7 @@ import math
 import re
 
 import jax.numpy as jnp
+import mpmath as mp
 import numpy as np
 import pytest
 
@@ -263,3 +264,75 @@ def test_steps_that_become_shorter_for_a_time_are_no_error():
     for k, until in ((1.0, 3.0), (2000.0, 2.0)):
         run = hy.simulate(Chirp(k=k), [0.0], (0.0, until), solver="taylor", save="jumps")
         assert run.t1 == until
+
+
+class Nudged(hy.Automaton):
+    """A ball, g = 2, thrown up at the speed 1; a force acts on it for a time."""
+
+    x = hy.state()
+    v = hy.state()
+    r: float = hy.parameter(0.5)
+    since: float = hy.parameter(1.0)
+    lasts: float = hy.parameter(0.1)
+    force: float = hy.parameter(1.0)
+
+    @hy.mode
+    def flight(self, t, s):
+        acts = (t > self.since) & (t < self.since + self.lasts)
+        return s.v, jnp.where(acts, self.force, 0.0) - 2.0
+
+    ground = hy.contact(flight, gap=lambda self, t, s: s.x, restitution="r")
+
+
+def pushed_limit(r, since, lasts, force):
+    """Where its impacts accumulate if all forces press it down: in 50 digits, flight by flight."""
+    ends = [mp.mpf(since), mp.mpf(since) + mp.mpf(lasts), mp.inf]
+    t, x, v = mp.mpf(0), mp.mpf(0), mp.mpf(1)
+    for end, g in zip(ends, [mp.mpf(2), 2 - mp.mpf(force), mp.mpf(2)], strict=True):
+        while True:
+            flies = (v + mp.sqrt(v * v + 2 * g * x)) / g
+            if v < 1e-40 and not x:
+                return t + flies / (1 - mp.mpf(r))
+            if t + flies > end:
+                break
+            t, x, v = t + flies, mp.mpf(0), r * (g * flies - v)
+        d = end - t
+        t, x, v = end, x + v * d - g * d * d / 2, v - g * d
+
+
+#: Restitution; when the force begins, before the limit without it; how long it acts; and itself. It
+#: begins and ends within a flight or two, or is faint.
+PUSHES = [
+    (0.3358, 4e-10, 1.5e-11, 0.95),
+    (0.6615, 4.5e-10, 4.4e-10, 0.98),
+    (0.3855, 4.1e-7, 2e-6, 2e-6),
+    (0.5, 1e-6, 1.0, 1e-6),
+    (0.5, 1e-3, 1e-4, 1e-9),
+    (0.5, 1e-9, 1e-10, 1.0),
+]
+
+
+def test_a_brief_push_up_in_a_tail_is_flown():
+    """Its end is some 1e-12 ahead of a step that might reach the end of the run. The limit is that
+    of its parabolas in 50 digits."""
+    given = 0.3024599921030956, 1.4336095256678487, 1.858387535371909e-10, 5.760577611710074
+    model = Nudged(**dict(zip(["r", "since", "lasts", "force"], given, strict=True)))
+    run = hy.simulate(model, {"x": 0.0, "v": 1.0}, (0.0, 4.0), solver="taylor")
+    assert run.zeno[0].t == pytest.approx(1.4336095271065781583, abs=2e-15)
+
+
+@pytest.mark.parametrize(("r", "before", "lasts", "force"), PUSHES)
+@pytest.mark.parametrize("solver", ["taylor", "scipy"])
+def test_a_force_that_switches_in_a_tail_counts(solver, r, before, lasts, force):
+    """Points of a sum may meet it, and a faint one is within what bounds may be off; the limit is
+    where it is, and bound and enclosure hold it."""
+    since = 1.0 / (1.0 - r) - before
+    model = Nudged(r=r, since=since, lasts=lasts, force=force)
+    run = hy.simulate(model, {"x": 0.0, "v": 1.0}, (0.0, 4.0), solver=solver)
+    with mp.workdps(50):
+        exact = pushed_limit(r, since, lasts, force)
+        (point,) = run.zeno
+        assert abs(point.t - exact) <= point.t_error
+        if solver == "taylor":
+            assert abs(point.t - exact) < 2e-15  # spacings of the time
+        assert point.enclosure is None or point.enclosure[0] <= exact <= point.enclosure[1]

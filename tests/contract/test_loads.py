@@ -214,6 +214,38 @@ def test_a_load_that_becomes_zero_releases_nothing(way):
     assert (result.final.x, result.final.v) == (0.0, 0.0)
 
 
+class Ramped(hy.Automaton):
+    """A body on a floor, pressed down by 2, from t = ``on`` pushed by ``slope`` times the time."""
+
+    x = hy.state()
+    v = hy.state()
+    c = hy.state()
+    on = hy.parameter(1.0)
+    slope = hy.parameter(1.0)
+
+    @hy.mode
+    def free(self, t, s):
+        return s.v, jnp.where(s.c > self.on, self.slope * (s.c - self.on), -2.0), 1.0
+
+    floor = hy.contact(free, gap=lambda self, t, s: s.x, restitution=0.5)
+
+
+@pytest.mark.parametrize(("on", "slope"), [(1.0, 1.0), (0.3, 6.0), (1.0, -1.0), (1.0, 0.0)])
+def test_a_load_that_jumps_to_zero_is_held_as_long_as_it_is_not_below(way, on, slope):
+    """Where it goes on below zero the body flies, ``x = slope s^3 / 6``; else it stays."""
+    result = way.run(Ramped(on=on, slope=slope), {**REST, "c": 0.0}, (0.0, 2.0), rtol=1e-9)
+    assert result.final.x == pytest.approx(max(slope, 0.0) * (2.0 - on) ** 3 / 6, abs=1e-8)
+    assert result.jumps == (slope > 0.0)
+
+
+@pytest.mark.parametrize("spacings", [1, 2, 5, 30])
+def test_a_load_may_jump_within_rounding_of_the_start(way, spacings):
+    """The run starts at rest, some spacings of its time before the force is switched."""
+    result = way.run(Switched(on=1.0 + spacings * 2.0**-52), REST, (1.0, 2.0), rtol=1e-9)
+    assert result.final.v == pytest.approx(3.0, abs=EXACT)
+    assert result.jumps == 1
+
+
 @simulated
 @pytest.mark.parametrize("start", [1.0, 1.0 + 2.0**-52, 1.5])
 def test_a_start_at_or_after_the_switch_flies(way, start):

@@ -1,5 +1,6 @@
 """Rule 8 of docs/semantics.md, on every way in: cross a surface, slide, or refuse to choose."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -165,6 +166,58 @@ def test_sliding_ends_where_one_flow_leads_away(way, pt, nt, side, sign):
     went(way, result, ["surface", f"surface.{side}"], side)
     assert result.times[1] == pytest.approx(2.0, abs=10 * tolerance(way))
     assert result.final.y == pytest.approx(sign, abs=10 * tolerance(way))
+
+
+class Pushed(hy.Automaton):
+    """It goes to ``y = 0`` at the rate 1 from both sides; after t = 2 it is pushed as well."""
+
+    y = hy.state()
+    push: float = hy.parameter(3.0)
+    slope: float = hy.parameter(0.0)
+    on: float = hy.parameter(2.0)
+
+    def force(self, t):
+        return jnp.where(t > self.on, self.push + self.slope * (t - self.on), 0.0)
+
+    @hy.mode(initial=True)
+    def positive(self, t, s):
+        return (-1.0 + self.force(t),)
+
+    @hy.mode
+    def negative(self, t, s):
+        return (1.0 + self.force(t),)
+
+    surface = hy.switching(positive, negative, surface=lambda self, t, s: s.y)
+
+
+#: Force after t = 2 and its slope, the side to which it pushes, and where it is a time of 1 later.
+PUSHES = [
+    (3.0, 0.0, "positive", 2.0),
+    (-3.0, 0.0, "negative", -2.0),
+    (3.0, -0.5, "positive", 1.75),
+    (1.0, 1.0, "positive", 0.5),
+    (-1.0, -1.0, "negative", -0.5),
+    (1.0, 0.0, None, 0.0),
+    (1.0, -1.0, None, 0.0),
+    (0.9, 0.0, None, 0.0),
+]
+
+
+@pytest.mark.parametrize(("push", "slope", "side", "end"), PUSHES)
+def test_sliding_ends_where_a_flow_jumps(way, push, slope, side, end):
+    """A force that is switched on drives it off; one that just balances holds while it does."""
+    result = way.run(Pushed(push=push, slope=slope), {"y": 0.25}, (0.0, 3.0), **TIGHT)
+    edges = ["surface"] if side is None else ["surface", f"surface.{side}"]
+    went(way, result, edges, side or "slide(surface)")
+    assert result.final.y == pytest.approx(end, abs=tolerance(way))
+
+
+@pytest.mark.parametrize("spacings", [1, 2, 8])
+def test_sliding_may_end_within_rounding_of_the_start(way, spacings):
+    """The force is switched on some spacings of the time after a start on the surface."""
+    on = 2.0 + spacings * 2.0**-51
+    result = way.run(Pushed(on=on), {"y": 0.0}, (2.0, 3.0), **TIGHT)
+    assert result.final.y == pytest.approx(2.0, abs=tolerance(way))
 
 
 def test_the_surfaces_own_motion_counts(way):
