@@ -4,6 +4,8 @@ A ball falls through a thin layer; its speed beyond follows from the work done t
 quadrature with 40 digits.
 """
 
+import math
+
 import jax.numpy as jnp
 import mpmath as mp
 import pytest
@@ -324,3 +326,40 @@ def test_no_sum_of_impacts_passes_over_a_faint_pulse(part, by, lift, share):
     allowed = 1e-12 if by == "taylor" else 1e-10
     assert run.jumps.t[: n + 2] == pytest.approx([float(t) for t in times[: n + 2]], abs=allowed)
     assert run.zeno[0].t == pytest.approx(float(limit), abs=allowed)
+
+
+class Window(hy.Automaton):
+    """A ball whose restitution is a little larger at some speeds."""
+
+    x = hy.state()
+    v = hy.state()
+    r = hy.parameter(0.77)
+    more = hy.parameter(3.7e-5)
+    below = hy.parameter(7.7e-10)
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.v, -2.0
+
+    def law(self, t, s, u):
+        return self.r + jnp.where((-u < self.below) & (-u > 0.3 * self.below), self.more, 0.0)
+
+    floor = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=law)
+
+
+@pytest.mark.parametrize(
+    ("r", "more", "below"),
+    [(0.77, 3.7e-5, 7.7e-10), (0.1273, 1.6e-6, 8.3e-8), (0.77, 3.7e-7, 7.7e-10), (0.5, 1e-9, 1e-4)],
+)
+@pytest.mark.parametrize("solver", ["taylor", "scipy", "diffrax"])
+def test_a_faint_window_of_speeds_is_within_the_bound(solver, r, more, below):
+    """It is too faint to be told from what a sum may be off: then that is more."""
+    model = Window(r=r, more=more, below=below)
+    (point,) = hy.simulate(model, {"x": 0.0, "v": 1.0}, (0.0, 12.0), solver=solver).zeno
+    flights, v = [], 1.0
+    while v > 1e-30:
+        flights.append(v)  # each takes as long as its speed, as the acceleration is 2
+        v *= r + (more if 0.3 * below < v < below else 0.0)
+    assert abs(point.t - math.fsum(flights)) <= point.t_error
+    low, high = point.enclosure
+    assert low <= math.fsum(flights) <= high

@@ -14,6 +14,7 @@ from .arrays import AutomatonArrays, Floats, Left, Look, Now, Room, Sums
 from .contacts import asks, onto
 from .guards import GUARD_ROUNDING, largest, so_far
 from .hops import hop
+from .jets import afresh
 from .places import (
     ABSOLUTE,
     AT,
@@ -156,7 +157,9 @@ def accumulated(
         now.floats[TRIED] = v
         return GOES_ON
     proved, now.ints[PROVED] = now.ints[PROVED], 0
-    if proved == 0 and not believed(a, run, now, flow, at, guard, tail, t, x, left, sums, look):
+    if not kept_law(a, now, flow, at, guard, tail, t, x, left, sums, look) and proved == 0:
+        return PROOF
+    if proved == 0 and not believed(a, run, flow, at, guard, tail, t, x, left, sums, look):
         return PROOF
     end, rest = after(t, low, left.sums[tail, REMAINING])
     if (run[UNTIL] - end) - rest < 0.0:
@@ -176,10 +179,44 @@ def put(tail: int, degree: int, r: float, v: float, jumps: int, left: Left, sums
     copied(sums.lines[STATE_THERE], left.curves[first + AT_LIMIT])
 
 
+def kept_law(
+    a: AutomatonArrays,
+    now: Now,
+    flow: int,
+    at: int,
+    guard: int,
+    tail: int,
+    t: float,
+    x: Floats,
+    left: Left,
+    sums: Sums,
+    look: Look,
+) -> bool:
+    """Whether the restitution at each impact is what a sum's flights have it, as far as that tells;
+    what it is off adds to the errors of the limit."""
+    if a.guards[guard, DEPENDS] == 0:
+        return True
+    row, first, n = left.sums[tail], tail * CURVE_ROWS, x.shape[0]
+    curve = left.curves[first : first + int(row[CURVE_DEGREE]) + 1]
+    column, errors = guard - a.fields[now.ints[FIELD], GUARDS], left.curves[first + ERRORS]
+    v, r, remaining, end = row[LAST_SPEED], row[RATIO], row[REMAINING], t + row[REMAINING]
+    later, limit = remaining / (1.0 - r), left.curves[first + AT_LIMIT, :n]
+    most = LAW_CAUTION * max(errors[0], SUM_FLOOR * abs(end)) / later
+    impacts = count(t, r, remaining)
+    off = damped(a, flow, at, column, curve, t, x, v, r, impacts, most, sums, look)
+    if not (off < math.inf and slows(a, at, end, limit, v, sums)):
+        return False
+    errors[0] += later * off
+    p = a.programs
+    if off > 0.0 and afresh(p, flow, 1, end, limit, sums.sides, sums.c, sums.work) == 0:
+        for i in range(n):
+            errors[i + 1] += later * off * abs(sums.c[i, 1])
+    return True
+
+
 def believed(
     a: AutomatonArrays,
     run: Floats,
-    now: Now,
     flow: int,
     at: int,
     guard: int,
@@ -196,17 +233,6 @@ def believed(
     curve = left.curves[first : first + int(row[CURVE_DEGREE]) + 1]
     if sight == HARD:
         return False
-    if a.guards[guard, DEPENDS] == 1:
-        column = guard - a.fields[now.ints[FIELD], GUARDS]
-        v, r, remaining, end = row[LAST_SPEED], row[RATIO], row[REMAINING], t + row[REMAINING]
-        error = max(left.curves[first + ERRORS, 0], SUM_FLOOR * abs(end))
-        allowed = LAW_CAUTION * error * (1.0 - r) / remaining
-        limit = left.curves[first + AT_LIMIT, : x.shape[0]]
-        most = count(t, r, remaining)
-        if not damped(
-            a, flow, at, column, curve, t, x, v, r, most, allowed, sums, look
-        ) or not slows(a, at, end, limit, v, sums):
-            return False
     if sight == NONE:
         return True
     excess = EXCESS * run[CLOSING] ** 0.5

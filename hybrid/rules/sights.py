@@ -117,25 +117,24 @@ def damped(
     allowed: float,
     room: Sums,
     look: Look,
-) -> bool:
-    """Whether the restitution at each impact is what a sum's flights have it, and below 1.
-
-    ``allowed``: what it may be off at the first impact, so that the limit is not off by more than
-    the sum.
-    """
+) -> float:
+    """What the restitution at all impacts is off what a sum's flights have it, each as if it were
+    the first; infinite where one is off by more than ``allowed``, or not below 1."""
     if not laws(a, flow, at, column, curve, t, x, v, r, room, look):
-        return False
+        return math.inf
     n, degree, found = x.shape[0], curve.shape[0] - 1, look.laws[LAW_POINTS + 1 :]
-    w, state = 1.0, room.lines[STATE_THERE, :n]
+    w, total, state = 1.0, 0.0, room.lines[STATE_THERE, :n]
     for _ in range(min(impacts, ASKED_IMPACTS)):
         when, _ = on_curve(a.programs, at, curve, degree, t, x, v, r * w, 1.0, room, state)
         bend = value(curve, degree, n + 1, w) + value(found, LAW_POINTS, SPEED_GROWTH, w)
         law = restitution(a.programs, at, when, state, -v * w * math.exp(bend), room)
         expected = math.exp(value(found, LAW_POINTS, RESTITUTION, w))
-        if not law < 1.0 - LEAST_LOSS or abs(law / expected - 1.0) * w > allowed:
-            return False
+        off = abs(law / expected - 1.0) * w
+        if not law < 1.0 - LEAST_LOSS or not off <= allowed:
+            return math.inf
+        total += off
         w *= r
-    return True
+    return total
 
 
 def slows(a: AutomatonArrays, at: int, t: float, x: Floats, v: float, room: Sums) -> bool:

@@ -17,7 +17,7 @@ from ..trajectory.plan import PATIENCE
 from ..trajectory.trajectory import Status
 from ..zeno.accumulate import Tail, clear, close
 from ..zeno.cycle import CycleLimit
-from ..zeno.narrow import seen
+from ..zeno.narrow import law_error, seen
 from ..zeno.others import apart
 from . import truncate
 from .entry import Jumped
@@ -77,7 +77,7 @@ def summed(driver: Driver, contact: Contact, x: StateVector, v: float, field: Fi
     tail = close(field, contact, column, now.t, now.low, x, v, rtol, atol)
     if tail is None or not clear(tail, field, column):
         return None
-    return tail if passes_nothing(driver, tail) else None
+    return tail.later(law_error(tail)) if passes_nothing(driver, tail) else None
 
 
 def passes_nothing(driver: Driver, tail: Tail) -> bool:

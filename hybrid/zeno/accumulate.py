@@ -110,6 +110,13 @@ class Tail:
             _, v = unit("sums").on_curve(chatter.programs, *about, given, x)
             return float(given.lines[ON_CURVE, 0]), x, v
 
+    def later(self, off: float) -> Tail:
+        """The same sum, whose limit may be earlier or later by so much more."""
+        if not off:
+            return self
+        x_error = off * np.abs(self.field.rhs(self.t + self.remaining, self.x_inf.tolist()))
+        return attrs.evolve(self, t_error=self.t_error + off, x_error=self.x_error + x_error)
+
     @cached_property
     def count(self) -> int:
         """Number of impacts after ``y(1)`` that a double can tell from the limit."""

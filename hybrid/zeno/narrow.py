@@ -70,7 +70,7 @@ def seen(tail: Tail, closing: float = 1.0) -> bool:
     ``closing``: tolerance of the sum relative to the run's; a more accurate sum is checked more
     closely.
     """
-    return _damped(tail) and _bounded(tail, EXCESS * closing**0.5)
+    return law_error(tail) < inf and _bounded(tail, EXCESS * closing**0.5)
 
 
 def _depends(field: Field, contact: str) -> bool:
@@ -94,27 +94,31 @@ def _depends(field: Field, contact: str) -> bool:
 # the restitution at each impact
 
 
-def _damped(tail: Tail) -> bool:
-    """Whether the restitution along the tail is that of the sum's flights, and below 1."""
+def law_error(tail: Tail) -> float:
+    """By how much the limit is off as the restitution at each impact is not quite that of the sum's
+    flights; infinite where it is another, or not below 1."""
     if not _depends(tail.field, tail.contact.name):
-        return True
+        return 0.0
     series = _flown(tail)
     if series is None:
-        return False
+        return inf
     speeds, laws = series
     t_inf, x_inf = tail.t + tail.remaining, tail.x_inf.tolist()
-    off = LAW_CAUTION * max(tail.t_error, SUM_FLOOR * abs(t_inf))
-    allowed = off * (1.0 - tail.r) / tail.remaining
+    most = LAW_CAUTION * max(tail.t_error, SUM_FLOOR * abs(t_inf))
+    later, off = tail.remaining / (1.0 - tail.r), 0.0
     for w in (tail.r ** np.arange(min(tail.count, ASKED_IMPACTS))).tolist():
         since, x, _ = tail.point(tail.r * w)
         place = 2.0 * w - 1.0
         bend, growth = (float(chebyshev.chebval(place, c)) for c in (tail.curve[:, -1], speeds))
         law = tail.contact.law(tail.t + since, x.tolist(), -tail.v * w * exp(bend + growth))
         expected = exp(float(chebyshev.chebval(place, laws)))
-        if not law < 1.0 - LEAST_LOSS or abs(law / expected - 1.0) * w > allowed:
-            return False
+        shift = abs(law / expected - 1.0) * w * later
+        if not law < 1.0 - LEAST_LOSS or not shift <= most:
+            return inf
+        off += shift
     slow = tail.v * np.exp(np.linspace(0.0, log(SLOWEST / tail.v), SLOW_STEPS))
-    return all(tail.contact.law(t_inf, x_inf, -u) < 1.0 - LEAST_LOSS for u in slow.tolist())
+    fit = all(tail.contact.law(t_inf, x_inf, -u) < 1.0 - LEAST_LOSS for u in slow.tolist())
+    return off if fit else inf
 
 
 def _flown(tail: Tail) -> tuple[np.ndarray, np.ndarray] | None:
