@@ -155,7 +155,7 @@ def test_the_advice_is_the_fastest_for_each_error():
 def test_errors_below_the_resolution_are_not_told_apart():
     """Of two that are that small the faster is named, and that more is not known."""
     assert [t.rtol for t in made(1e-8).front] == [1e-3, 1e-6, 1e-6]
-    assert "below 1e-08 take b (rtol=1e-06: 4 ms)" in made(1e-8).advice
+    assert "down to 1e-08 take b (rtol=1e-06: 4 ms)" in made(1e-8).advice
 
 
 def test_the_command_writes_table_figure_and_numbers(tmp_path):

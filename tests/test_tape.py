@@ -105,7 +105,8 @@ def test_the_jets_of_every_mode_are_those_of_the_recurrences_written_out(cls, ru
             sides = [0] * len(read.watched)
             try:
                 expected = written(t, x)
-            except ZeroDivisionError:  # two walls that face each other hold one position
+            except (ZeroDivisionError, ValueError):
+                # two walls that face each other hold one position; a root of a pressure below 0
                 with pytest.raises(ValueError, match="no Taylor series here"):
                     read(t, x, sides, ORDER)
                 continue
