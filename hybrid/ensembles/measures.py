@@ -94,11 +94,12 @@ class Measures:
         own = {*spec.names, *(output.name for output in spec.outputs)}
         named = tuple(m for m in told if m in NAMED and m not in own) if functions or told else ()
         rest = told if isinstance(told, str) else [m for m in told if m not in named]
-        outputs = require_outputs(spec, rest, taken)
+        outputs = require_outputs(spec, rest, taken, NAMED)
         if "period" in named and section is None:
             raise OptionError(f"{spec.model}: measure 'period' counts points of a section=")
         if "lyapunov" in named and (spec.lags or spec.discrete):
-            why = "looks into the past" if spec.lags else "has discrete variables"
+            counts = ", ".join(state.name for state in spec.discrete)
+            why = "looks into the past" if spec.lags else f"has discrete variables ({counts})"
             raise OptionError(
                 f"{spec.model} {why}: measure 'lyapunov' is known for models of continuous states "
                 "without delays; leave it out"
@@ -359,6 +360,8 @@ class MeasuredLane(Log):
     def _largest(self) -> float:
         """The largest Lyapunov exponent; NaN where no first variation is known."""
         course = Course(self.scene, *self.whole.apart())
+        if not course.parts:  # it could not begin
+            return np.nan
         try:
             pieces, frame = factors_of(course, GROWN_APART), first_frame(len(self.size), 1)
             model, sizes = self.scene.spec.model, largest(course.parts)
