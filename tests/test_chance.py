@@ -337,6 +337,8 @@ def test_wrong_use_is_refused():
     run = hy.simulate(Walk(), START, (0.0, 1.5), seed=7)
     with pytest.raises(hy.OptionError, match="the start has a stream; leave seed out"):
         hy.simulate(Walk(), run, (1.5, 2.0), seed=7)
+    with pytest.raises(hy.OptionError, match="draws, stream: impact draws random numbers; let it"):
+        hy.lyapunov(Rough(), {"x": 1.0, "v": 0.0}, (0.0, 5.0))
     plain = declared(m=mode)
     with pytest.raises(hy.OptionError, match="nothing of it takes draw"):
         hy.simulate(plain(), {"x": 0.0}, (0.0, 1.0), seed=7)

@@ -404,6 +404,24 @@ def test_what_is_kept_of_lanes_is_that_of_their_runs(solver):
         hy.ensemble(model, start, span, section=lambda self, t, s: s.x - self.floor(t), skip=0)
 
 
+@pytest.mark.parametrize("kind", ["linear", "previous", "cubic"])
+def test_exponents_are_those_of_each_piece(kind):
+    """``x' = force x`` grows by the integral of the force, from a tenth of the run on."""
+
+    class Grown(hy.Automaton):
+        x = hy.state()
+        force = hy.signal(kind=kind)
+
+        @hy.mode
+        def flow(self, t, s):
+            return (self.force(t) * s.x,)
+
+    model, span = Grown(force=(TIMES, VALUES)), (0.0, 2.5)
+    exact = (summed(kind, 2.5) - summed(kind, 0.25)) / 2.25
+    found = hy.lyapunov(model, [1.0], span, solver="taylor")
+    assert found.exponents == pytest.approx([exact], rel=1e-12)
+
+
 def test_a_map_over_a_signal_names_the_remedy():
     """Its data are no number that could be a coordinate."""
     model = road()(floor=(TIMES, VALUES))
