@@ -98,8 +98,8 @@ class Measures:
         if "period" in named and section is None:
             raise OptionError(f"{spec.model}: measure 'period' counts points of a section=")
         if "lyapunov" in named and (spec.lags or spec.discrete):
-            counts = ", ".join(state.name for state in spec.discrete)
-            why = "looks into the past" if spec.lags else f"has discrete variables ({counts})"
+            these = ", ".join(state.name for state in spec.discrete)
+            why = "looks into the past" if spec.lags else f"has discrete variables ({these})"
             raise OptionError(
                 f"{spec.model} {why}: measure 'lyapunov' is known for models of continuous states "
                 "without delays; leave it out"
