@@ -162,9 +162,10 @@ class AskedLanes:
     def _followed(self) -> xarray.Dataset:
         """Lanes one after another."""
         tables, asked = [], attrs.evolve(self, block=1)
-        for number in range(self.count):
-            one = attrs.evolve(asked.only(number), follow=False, **asked._going_on())
-            tables.append(one.fly())
+        for number, model in enumerate(self._models()):
+            start = self.start(model) if callable(self.start) else self.start
+            given = {"start": start, **asked._going_on()}
+            tables.append(attrs.evolve(asked.only(number), follow=False, **given).fly())
             asked = attrs.evolve(asked, before=tables[-1])
         return joined(tables)
 
