@@ -486,7 +486,7 @@ def test_wrong_data_are_refused():
         "must be finite": {"force": ([0, 1], [1, np.nan])},
         "times of shape": {"force": ([0], [1])},
         "dates": {"force": (np.array(["2020-01-01", "2021-01-01"], dtype="M8[s]"), [1, 2])},
-        "give \\(times, values\\)": {"force": 3.0},
+        "3.0 is no pair; give \\(times, values\\)": {"force": 3.0},
     }
     for said, given in cases.items():
         with pytest.raises(hy.ParameterError, match=said):
