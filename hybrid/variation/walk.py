@@ -429,8 +429,19 @@ class Walk:
         return bool(abs(guard.value(row.t, x)) > NEAR * size)
 
     def fired(self, place: int, row: JumpRow) -> tuple[Field, Guard]:
-        """The field and the guard of a jump."""
+        """The field and the guard of a jump.
+
+        Raises
+        ------
+        OrbitError
+            If it has none, as where ``zeno='truncate'`` holds a contact.
+        """
         field = self.beside(place, True)[0].field(self.course.parts[place].mode)
+        if row.edge not in (guard.edge for guard in (*field.guards, *field.clocks)):
+            raise OrbitError(
+                f"{self.model}, t = {row.t!r}: {row.edge} cuts a series off and has no first "
+                "variation; use zeno='rest'"
+            )
         return field, field.guard(row.edge)
 
     def _reset(self, place: int, row: JumpRow) -> Matrix:
