@@ -307,6 +307,8 @@ def test_an_exponent_of_what_has_none():
     begin, nothing is known of them."""
     rest = hy.ensemble(Ball(), {"x": 1.0, "v": 0.0}, (0.0, 60.0), measure=["lyapunov"])
     assert rest.lyapunov.values[0] == -np.inf
+    still = hy.ensemble(Ball(), {"x": 0.0, "v": 0.0}, (0.0, 60.0), measure=["lyapunov"])
+    assert still.lyapunov.values[0] == -np.inf  # as of hy.lyapunov, though lost in the transient
     below = hy.ensemble(Ball(), {"x": -1.0, "v": 0.0}, (0.0, 60.0), measure=["lyapunov"])
     assert np.isnan(below.lyapunov.values[0])
     assert below.status.values[0] == "outside"

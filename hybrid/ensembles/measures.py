@@ -6,7 +6,7 @@ A lane that is measured is looked at as it goes on, and no more of it is kept th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -372,7 +372,15 @@ class MeasuredLane(Log):
             return np.nan
         passed = times[times >= self.t0 + TRANSIENT * (times[-1] - self.t0)][0]
         since = passed if passed < times[-1] else self.t0
-        return float(growth[times > since].sum() / (times[-1] - since))
+        onto = [t for t, end in self._held(course.parts) if t <= since < end]
+        since, kept = (onto[0], times >= onto[0]) if onto else (since, times > since)
+        return float(growth[kept].sum() / (times[-1] - since))
+
+    def _held(self, parts: Sequence[Part]) -> Iterator[tuple[float, float]]:
+        """First and last times of what rests or slides, onto which neighbours are led."""
+        for part in parts:
+            if isinstance(part, Arc) and self.scene.field(part.mode).project is not None:
+                yield part.t0, part.t1
 
     def _unroll(self) -> None:
         """The oldest of the last points first: they have been put down round and round."""
