@@ -20,24 +20,12 @@ import jax.numpy as jnp
 import numpy as np
 
 import hybrid as hy
+from tasks.impacts import Duffing
 
 ROUNDS = 5
 
 #: What is asked of the slopes.
 ASKED = {"impacts": 1.05, "states": 1.2, "modes": 1.1, "contacts": 3.0}
-
-
-class Duffing(hy.Automaton):
-    """A driven double well over a wall."""
-
-    x = hy.state()
-    v = hy.state()
-
-    @hy.mode(initial=True)
-    def flight(self, t, s):
-        return s.v, -0.05 * s.v + s.x - s.x**3 + 4.0 * jnp.cos(t)
-
-    impact = hy.contact(flight, gap=lambda self, t, s: s.x + 0.5, restitution=0.8)
 
 
 def impacts(count):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import hybrid as hy
+from models.relief_valve import ReliefValve
 
 E = 0.7
 
@@ -26,22 +27,6 @@ class Table(hy.Automaton):
         return s.v, -1.0
 
     impact = hy.contact(flight, gap=lambda self, t, s: s.x - self.G * jnp.sin(t), restitution="e")
-
-
-class Valve(hy.Automaton):
-    """A pressure relief valve (Hős and Champneys 2012): lift, speed, pressure."""
-
-    y1 = hy.state()
-    y2 = hy.state()
-    y3 = hy.state()
-    q: float = hy.parameter(5.0, positive=True)
-    r: float = hy.parameter(0.8, between=(0, 1))
-
-    @hy.mode
-    def open(self, t, s):
-        return s.y2, -1.25 * s.y2 - (s.y1 + 10.0) + s.y3, 20.0 * (self.q - s.y1 * jnp.sqrt(s.y3))
-
-    seat = hy.contact(open, gap=lambda self, t, s: s.y1, restitution="r")
 
 
 def highest(self, t, s):
@@ -79,7 +64,7 @@ def test_a_relief_valve(tmp_path):
     """It rests where the flow is large, swings where it is less, and strikes its seat below."""
     q = np.array([3.0, 8.0, 9.8])
     found = hy.bifurcation(
-        Valve(), {"q": q}, {"y1": 2.0, "y2": 0.0, "y3": 12.0}, (0.0, 400.0),
+        ReliefValve(), {"q": q}, {"y1": 2.0, "y2": 0.0, "y3": 12.0}, (0.0, 400.0),
         section=highest, crossing=hy.FALLING, skip=150, keep=6, solver="taylor",
     )  # fmt: skip
     table = found.table
@@ -98,7 +83,7 @@ def test_a_relief_valve(tmp_path):
     with pytest.raises(hy.OptionError, match="there are points of y1, y2, y3"):
         found.plot("z")
     with pytest.raises(hy.OptionError, match="one parameter"):
-        hy.bifurcation(Valve(), {"q": q, "r": [0.5, 0.8]}, section=highest)
+        hy.bifurcation(ReliefValve(), {"q": q, "r": [0.5, 0.8]}, section=highest)
 
 
 LEAST = math.pi * (1 - E) / (1 + E)

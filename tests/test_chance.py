@@ -135,7 +135,7 @@ def test_maps_are_told_which_streams(tmp_path):
     start, span = {"x": 0.0, "n": 0.0}, (0.0, 1.5)
     table = hy.sweep(Walk(), over=over, start=start, t=span, block=1)
     assert table["u"].values.tolist() == [[drawn(0, lane, 1)[0] for lane in range(2)]] * 2
-    with pytest.raises(hy.OptionError, match="its resets draw: say from which streams"):
+    with pytest.raises(hy.OptionError, match="draws_two draws: say from which streams"):
         hy.sweep(Walk(), over={"u": [0.0, 1.0]}, start=start, t=span)
 
 
@@ -322,6 +322,9 @@ def test_wrong_use_is_refused():
     edge = hy.edge(mode, to=mode, guard=gap)(lambda self, t, s, draw: s.replace(x=draw.uniform()))
     with pytest.raises(hy.DeclarationError, match="draws: a name in use here"):
         declared(m=mode, e=edge, draws=hy.discrete(0))
+    law = hy.contact(mode, gap=gap, restitution=lambda self, t, s, draw: draw.uniform())
+    with pytest.raises(hy.DeclarationError, match=r"\(self, t, s, u\) is due.*draw for random"):
+        declared(m=mode, c=law)
     law = hy.contact(mode, gap=lambda self, t, s, draw: s.x, restitution=0.5)
     with pytest.raises(hy.DeclarationError, match="contact c, gap: takes"):
         declared(m=mode, c=law)
@@ -334,6 +337,8 @@ def test_wrong_use_is_refused():
     run = hy.simulate(Walk(), START, (0.0, 1.5), seed=7)
     with pytest.raises(hy.OptionError, match="the start has a stream; leave seed out"):
         hy.simulate(Walk(), run, (1.5, 2.0), seed=7)
+    with pytest.raises(hy.OptionError, match="draws, stream: impact draws random numbers; let it"):
+        hy.lyapunov(Rough(), {"x": 1.0, "v": 0.0}, (0.0, 5.0))
     plain = declared(m=mode)
     with pytest.raises(hy.OptionError, match="nothing of it takes draw"):
         hy.simulate(plain(), {"x": 0.0}, (0.0, 1.0), seed=7)

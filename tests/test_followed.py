@@ -109,6 +109,13 @@ def test_after_a_lane_that_fails_the_next_begins_anew(block):
     assert table.x.values[[0, 1, 3, 4]].tolist() == [9.0, 7.0, 7.0, 3.0]
 
 
+def test_a_start_may_be_a_function_of_the_model():
+    """Of the first model, and of the one after a lane that has failed."""
+    asked = {"over": {"k": [1.0, 4.0, -1.0, 9.0, 16.0]}, "t": (0.0, 1.0), "follow": True}
+    table = hy.sweep(Root(), start=lambda self: {"x": 10.0 + self.k}, **asked)
+    assert table.x.values[[0, 1, 3, 4]].tolist() == [10.0, 8.0, 16.0, 12.0]
+
+
 @pytest.mark.parametrize(
     ("model", "change", "said"),
     [

@@ -8,6 +8,7 @@ import pytest
 
 import hybrid as hy
 from models.bead_on_table import BeadOnTable
+from models.bouncing_ball import BouncingBall
 from models.relay import Relay
 from tests.oscillators import Baker, Linear, Lorenz, bouncing, flight
 from tests.systems import ForcedOscillator
@@ -154,6 +155,15 @@ def test_a_coordinate_that_a_reset_forgets():
     assert found.exponents[0] == pytest.approx(0.3 + math.log(0.8), rel=1e-9)
     assert found.exponents[1] == -math.inf
     assert "-inf over" in str(found)
+
+
+def test_a_series_that_is_cut_off_has_none():
+    """A sentence says so; in a lane it is NaN, beside the other columns."""
+    start, options = {"x": 1.0, "v": 0.0}, {"zeno": "truncate", "max_jumps": 5}
+    with pytest.raises(hy.OrbitError, match=r"impact\.hold cuts a series off.*zeno='rest'"):
+        hy.lyapunov(BouncingBall(), start, (0.0, 9.0), **options)
+    lane = hy.ensemble(BouncingBall(), start, (0.0, 9.0), measure=["lyapunov"], **options)
+    assert np.isnan(lane.lyapunov.values[0])
 
 
 def test_what_cannot_be_asked():

@@ -59,6 +59,9 @@ def test_bifurcation(tmp_path):
     assert "--section v=up: write NAME=NUMBER" in done.stderr
     done = call(app, ["bifurcation", FLOOR, "x", *asked, "--section", "v=0", "--crossing", "down"])
     assert "--crossing down: rising, falling, either" in done.stderr
+    done = call(app, ["bifurcation", FLOOR, "w", *asked, "--section", "impact"])
+    assert done.exit_code == 2, done.output
+    assert "Floor has no state or output 'w'; there are: x, v" in done.stderr
 
 
 def test_a_followed_attractor(tmp_path):

@@ -215,8 +215,9 @@ def test_functions_of_lanes():
         ({"section": -1.0}, "a period greater than 0"),
         ({"section": "impact", "keep": 0}, "keep=0: a whole number, 1 or more"),
         ({"measure": ["period"]}, "counts points of a section="),
+        ({"measure": ["liapunov"]}, "no state, output or measure 'liapunov'.*period, lyapunov"),
         ({"save": [2.0, 1.0]}, "increasing times"),
-        ({"section": "impact", "certify": True}, "in a call of its own"),
+        ({"section": "impact", "certify": True}, "in a call of their own"),
     ],
 )
 def test_what_cannot_be_measured(asked, said):
@@ -302,9 +303,15 @@ def test_the_exponent_of_an_orbit_is_that_of_its_multipliers():
 
 
 def test_an_exponent_of_what_has_none():
-    """Neighbours of a ball at rest are lost; past the limit of a cycle nothing is known of them."""
+    """Neighbours of a ball at rest are lost; past the limit of a cycle, and of a lane that cannot
+    begin, nothing is known of them."""
     rest = hy.ensemble(Ball(), {"x": 1.0, "v": 0.0}, (0.0, 60.0), measure=["lyapunov"])
     assert rest.lyapunov.values[0] == -np.inf
+    still = hy.ensemble(Ball(), {"x": 0.0, "v": 0.0}, (0.0, 60.0), measure=["lyapunov"])
+    assert still.lyapunov.values[0] == -np.inf  # as of hy.lyapunov, though lost in the transient
+    below = hy.ensemble(Ball(), {"x": -1.0, "v": 0.0}, (0.0, 60.0), measure=["lyapunov"])
+    assert np.isnan(below.lyapunov.values[0])
+    assert below.status.values[0] == "outside"
     tanks = hy.ensemble(TwoTanks(), {"x1": 8.0, "x2": 6.0}, (0.0, 30.0), measure=["lyapunov"])
     assert np.isnan(tanks.lyapunov.values[0])
     assert tanks.status.values[0] == "reached_end"

@@ -143,7 +143,7 @@ def test_a_lanes_output_is_that_of_its_end():
     np.testing.assert_allclose(lanes.energy, exact, rtol=4e-16)  # another order of the products
     np.testing.assert_array_equal(lanes.ahead[:, 1], lanes.t + 1.0)
     assert lanes.ahead.dims == ("lane", "ahead_0")
-    for given, said in ((["heat"], "no state or output 'heat'"), ("energy", "names in a list")):
+    for given, said in ((["heat"], "output or measure 'heat'"), ("energy", "names in a list")):
         with pytest.raises(hy.OptionError, match=said):
             hy.ensemble(Ball(), START, UNTIL, measure=given)
 

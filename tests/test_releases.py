@@ -4,11 +4,10 @@ import pytest
 
 import hybrid as hy
 from hybrid.result import joining
+from models.relief_valve import ReliefValve
 
-from .test_bifurcations import Valve
 
-
-class Watched(Valve):
+class Watched(ReliefValve):
     """The relief valve, and an event wherever it turns."""
 
     @hy.edge("open", to="open", guard=lambda self, t, s: s.y2)
@@ -25,7 +24,7 @@ def exact(point, q):
 
 
 @pytest.mark.parametrize("solver", ["taylor", "scipy"])
-@pytest.mark.parametrize("model", [Valve, Watched])
+@pytest.mark.parametrize("model", [ReliefValve, Watched])
 def test_a_valve_is_released_by_pressure(model, solver):
     """Whether its impacts accumulate alone, or in a cycle with events between them."""
     run = hy.simulate(model(q=0.2), START, (0.0, 8.0), solver=solver)
@@ -42,6 +41,8 @@ def test_a_release_in_a_run_that_goes_on():
     (point,) = first.zeno
     assert point.t_release is None
     begun = {"y1": 0.0, "y2": 0.0, "y3": first.final.y3}
-    more = hy.simulate(Valve(q=0.2), begun, (4.0, 8.0), solver="taylor", mode="open.rest(seat)")
+    more = hy.simulate(
+        ReliefValve(q=0.2), begun, (4.0, 8.0), solver="taylor", mode="open.rest(seat)"
+    )
     (known,) = joining._released([point], more)
     assert known.t_release == pytest.approx(exact(point, 0.2), abs=1e-12)

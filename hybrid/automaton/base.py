@@ -369,6 +369,8 @@ def require_no_discrete(model: Any, what: str, instead: str) -> None:
     OptionError
     """
     if getattr(model, "spec", None) and model.spec.discrete:
+        if model.spec.chances:
+            instead = f"{model.spec.chances[0]} draws random numbers; let it draw none for this"
         raise OptionError(
             f"{what} takes no discrete variable yet, and {model.spec.model} has "
             f"{', '.join(state.name for state in model.spec.discrete)}: {instead}"

@@ -370,7 +370,9 @@ class Builder:
                 raise TypeError("another order")
         except TypeError:
             given = inspect.signature(function)
+            chance = ", draw for random numbers" if draw else ""
             self.faults.append(
-                f"{where}: takes {given} where {wanted} is due, and past after them for delays"
+                f"{where}: takes {given} where {wanted} is due, and past after them for "
+                f"delays{chance}"
             )
             self.untraceable.append(function)

@@ -6,7 +6,7 @@ Solvers and rules do not know them. They are the author's own methods, vectorise
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from typing import Any
 
@@ -182,8 +182,12 @@ def observed(spec: Spec, parameters: Mapping[str, Any], t: Any, x: Any) -> Recor
     return Observed(spec, parameters, t, x) if spec.outputs else spec.record(x)
 
 
-def require_outputs(spec: Spec, names: Any, taken: Sequence[str] = ()) -> list[str]:
+def require_outputs(
+    spec: Spec, names: Any, taken: Sequence[str] = (), also: Iterable[str] = ()
+) -> list[str]:
     """The output names among ``names``; names of states are left out.
+
+    A refusal names ``also`` what else the caller takes.
 
     Raises
     ------
@@ -196,8 +200,9 @@ def require_outputs(spec: Spec, names: Any, taken: Sequence[str] = ()) -> list[s
         raise OptionError(f'{spec.model}: {short(names)}: give names in a list, ["{example}"]')
     for name in names:
         if name not in (*known, *spec.names):
-            there = ", ".join((*spec.names, *known))
-            raise OptionError(f"{spec.model} has no state or output {name!r}; there are: {there}")
+            there, what = ", ".join((*spec.names, *known, *also)), "state or output"
+            what = "state, output or measure" if also else what
+            raise OptionError(f"{spec.model} has no {what} {name!r}; there are: {there}")
         if name in known and name in taken:
             raise OptionError(
                 f"{spec.model}: output {name!r}: the table has another column of that name; give "

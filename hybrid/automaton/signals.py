@@ -17,7 +17,7 @@ import attrs
 import numpy as np
 
 from ..errors import OptionError, ParameterError
-from .reals import reals
+from .reals import reals, short
 
 #: Polynomial degree of each kind, and the choices for times outside the data.
 KIND_DEGREES = {"previous": 0, "linear": 1, "cubic": 3}
@@ -337,7 +337,10 @@ def _pair(given: Any) -> tuple[Any, Any]:
         return given.coords[given.dims[0]].values, given.values
     if hasattr(given, "index") and hasattr(given, "to_numpy"):  # pandas
         return given.index.to_numpy(), given.to_numpy()
-    times, values = given
+    try:
+        times, values = given
+    except (TypeError, ValueError):
+        raise ValueError(f"{short(given)} is no pair") from None
     return times, values
 
 

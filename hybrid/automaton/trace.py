@@ -229,7 +229,7 @@ def require_real(closed: Any) -> None:
             what, instead = (
                 (
                     "a random key",
-                    "a reset may ask draw.uniform() of its argument draw",
+                    "resets and restitutions may ask draw.uniform() of an argument draw",
                 )
                 if keys
                 else ("a complex number", "write real and imaginary parts as two numbers")

@@ -15,6 +15,7 @@ import numpy as np
 import typer
 
 from ..automaton import EITHER, FALLING, RISING
+from ..automaton.outputs import require_outputs
 from ..errors import OptionError
 from .commands import app, one_line, write
 from .given import asked, bounds, can_write, values
@@ -277,7 +278,7 @@ def bifurcation(
     can_write("--plot", plot)
     given = common()
     given.require_section()
-    own = {state} & {output.name for output in given.model.spec.outputs}
+    own = require_outputs(given.model.spec, [state])
     found = given.fly(find, measure=["period", *own], skip=skip, keep=keep, follow=follow)
     _tell(found.table, json, quiet)
     given.write(found.table)

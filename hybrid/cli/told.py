@@ -121,13 +121,8 @@ def _plain(value: Any) -> Any:
 
 def write_jumps(result: Trajectory, path: str) -> None:
     """The table of jumps as CSV, numbers with all their digits; ``path`` may be ``PRINTED``."""
-    columns = result.jumps.columns
-    to_file = path != PRINTED
-    with (
-        open(path, "w", encoding="utf-8", newline="")
-        if to_file
-        else nullcontext(sys.stdout) as file
-    ):
+    columns, printed = result.jumps.columns, nullcontext(sys.stdout)
+    with printed if path == PRINTED else open(path, "w", encoding="utf-8", newline="") as file:
         rows = csv.writer(file)
         rows.writerow(columns)
         rows.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))

@@ -6,7 +6,7 @@ A lane that is measured is looked at as it goes on, and no more of it is kept th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -94,11 +94,12 @@ class Measures:
         own = {*spec.names, *(output.name for output in spec.outputs)}
         named = tuple(m for m in told if m in NAMED and m not in own) if functions or told else ()
         rest = told if isinstance(told, str) else [m for m in told if m not in named]
-        outputs = require_outputs(spec, rest, taken)
+        outputs = require_outputs(spec, rest, taken, NAMED)
         if "period" in named and section is None:
             raise OptionError(f"{spec.model}: measure 'period' counts points of a section=")
         if "lyapunov" in named and (spec.lags or spec.discrete):
-            why = "looks into the past" if spec.lags else "has discrete variables"
+            these = ", ".join(state.name for state in spec.discrete)
+            why = "looks into the past" if spec.lags else f"has discrete variables ({these})"
             raise OptionError(
                 f"{spec.model} {why}: measure 'lyapunov' is known for models of continuous states "
                 "without delays; leave it out"
@@ -359,6 +360,8 @@ class MeasuredLane(Log):
     def _largest(self) -> float:
         """The largest Lyapunov exponent; NaN where no first variation is known."""
         course = Course(self.scene, *self.whole.apart())
+        if not course.parts:  # it could not begin
+            return np.nan
         try:
             pieces, frame = factors_of(course, GROWN_APART), first_frame(len(self.size), 1)
             model, sizes = self.scene.spec.model, largest(course.parts)
@@ -369,7 +372,15 @@ class MeasuredLane(Log):
             return np.nan
         passed = times[times >= self.t0 + TRANSIENT * (times[-1] - self.t0)][0]
         since = passed if passed < times[-1] else self.t0
-        return float(growth[times > since].sum() / (times[-1] - since))
+        onto = [t for t, end in self._held(course.parts) if t <= since < end]
+        since, kept = (onto[0], times >= onto[0]) if onto else (since, times > since)
+        return float(growth[kept].sum() / (times[-1] - since))
+
+    def _held(self, parts: Sequence[Part]) -> Iterator[tuple[float, float]]:
+        """First and last times of what rests or slides, onto which neighbours are led."""
+        for part in parts:
+            if isinstance(part, Arc) and self.scene.field(part.mode).project is not None:
+                yield part.t0, part.t1
 
     def _unroll(self) -> None:
         """The oldest of the last points first: they have been put down round and round."""

@@ -179,7 +179,7 @@ def ensemble(
     if measures.anything and certify:
         raise OptionError(
             f"{model.spec.model}: certify=True flies lanes again, which keeps all of them: ask for "
-            "section, save and stick in a call of its own"
+            "section, save, stick and lyapunov in a call of their own"
         )
     scene = scene_of(model)
     solver, method = renamed(solver_for(scene, solver, method), method)

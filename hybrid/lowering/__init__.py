@@ -9,7 +9,6 @@ from .scene import (
     Kink,
     Scene,
     released,
-    require_no_signal,
     scene_of,
     scene_with,
 )
@@ -22,7 +21,6 @@ __all__ = [
     "Kink",
     "Scene",
     "released",
-    "require_no_signal",
     "scene_of",
     "scene_with",
     "window_ends",

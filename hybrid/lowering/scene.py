@@ -391,7 +391,7 @@ def scene_of(model: Any, by: str = "") -> Scene:
     ParameterError
         If a parameter is of another shape than its default, with which the class was traced.
     """
-    require_no_signal(model.spec, by)
+    _require_no_signal(model.spec, by)
     parameters = model.parameters
     shapes = tuple(v.shape for v in parameters)
     for spec, shape in zip(model.spec.parameters, shapes, strict=True):
@@ -403,7 +403,7 @@ def scene_of(model: Any, by: str = "") -> Scene:
     return scene_with(type(model), shapes, tuple(flat(parameters)), model.samples)
 
 
-def require_no_signal(spec: Spec, by: str) -> None:
+def _require_no_signal(spec: Spec, by: str) -> None:
     """Refuse a model with signals if the caller named in ``by`` does not support them.
 
     Raises
@@ -466,7 +466,6 @@ __all__ = [
     "Scene",
     "parted",
     "released",
-    "require_no_signal",
     "rest_name",
     "scene_of",
     "scene_with",

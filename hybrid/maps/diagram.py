@@ -58,7 +58,9 @@ class Bifurcation:
         """
         known = [str(name).removesuffix("_section") for name in self.table if _drawable(self, name)]
         if state not in known:
-            raise OptionError(f"{state!r}: there are points of {', '.join(known)}")
+            raise OptionError(
+                f"{self.table.attrs['model']}: {state!r}: there are points of {', '.join(known)}"
+            )
         points = self.table[f"{state}_section"]
         values = np.broadcast_to(self.table[self.name].values[:, None], points.shape)
         known_points = np.isfinite(points.values)

@@ -135,10 +135,11 @@ def lanes_of(
     tables: dict[int, xarray.Dataset] = {}
     missing = list(range(asked.blocks)) if kept is None else kept.missing
     done = asked.blocks - len(missing)
-    made = flown(asked, missing, executor)
     if asked.follow:
         before = kept.table(asked.rows(done - 1)) if kept is not None and done else None
         made = followed(asked, missing, executor, before)
+    else:
+        made = flown(asked, missing, executor)
     with closing(made) as blocks:
         for number, table in blocks:
             if kept is None:

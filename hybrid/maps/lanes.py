@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 #: file for each column, of which there are some thirty.
 LEAST_BLOCK, MOST_BLOCK, BLOCKS, MOST_BLOCKS = 16, 1024, 64, 256
 
-
 #: Of so many periods the rounding of their number is no more than this share.
 PERIODS_ROUNDING = 1e-9
 
@@ -121,7 +120,7 @@ class AskedLanes:
         states = {**begun, **{n: v for n, v in self.points.items() if n in self.spec.names}}
         if self.spec.chances and STREAM not in states:
             raise OptionError(
-                f"{self.spec.model}: its resets draw: say from which streams, "
+                f"{self.spec.model}: {self.spec.chances[0]} draws: say from which streams, "
                 f'over={{"{STREAM}": range(100)}}, or which all have, start={{"{STREAM}": 0}}'
             )
         given = {name: v for name, v in self.points.items() if name not in self.spec.names}
@@ -163,9 +162,10 @@ class AskedLanes:
     def _followed(self) -> xarray.Dataset:
         """Lanes one after another."""
         tables, asked = [], attrs.evolve(self, block=1)
-        for number in range(self.count):
-            one = attrs.evolve(asked.only(number), follow=False, **asked._going_on())
-            tables.append(one.fly())
+        for number, model in enumerate(self._models()):
+            start = self.start(model) if callable(self.start) else self.start
+            given = {"start": start, **asked._going_on()}
+            tables.append(attrs.evolve(asked.only(number), follow=False, **given).fly())
             asked = attrs.evolve(asked, before=tables[-1])
         return joined(tables)
 
@@ -216,6 +216,11 @@ def points_of(spec: Spec, over: Any) -> dict[str, np.ndarray]:
         raise OptionError(f'{spec.model}: over={over!r}: values by name, {{"{known[0]}": values}}')
     found = {}
     for name, row in over.items():
+        if name in spec.given and name not in known:
+            raise OptionError(
+                f"{spec.model}: over {name!r}: a signal, whose data are no number; lanes have one "
+                f'each by hy.ensemble(..., parameters={{"{name}": [(times, values), ...]}})'
+            )
         if name not in known:
             there = ", ".join(known)
             raise OptionError(f"{spec.model}: over {name!r}: a parameter or a state: {there}")

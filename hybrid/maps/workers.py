@@ -70,42 +70,44 @@ def _by(
     """Let an executor fly blocks; returns those that it has lost."""
     if not callable(getattr(executor, "submit", None)):
         raise OptionError(f"executor={executor!r}: one of concurrent.futures, or like it")
-    sent: dict[Any, int] = {}
-    lost: list[int] = []
-    why: BaseException | None = None
+    left: dict[Any, int] = {}
+    lost: dict[int, BaseException] = {}
     try:
         with getattr(executor, "batch", nullcontext)():
             for number in numbers:
                 try:
-                    sent[executor.submit(AskedLanes.fly, asked.only(number))] = number
+                    left[executor.submit(AskedLanes.fly, asked.only(number))] = number
                 except Exception as fault:  # it takes no more
-                    lost.append(number)
-                    why = fault
-        left = dict(sent)
-        for future in _ended(executor, sent):
+                    lost[number] = fault
+        for future in _ended(executor, list(left)):
             failed, number = _fault(future), left.pop(future)
             if failed is None:
                 yield number, future.result()
             elif isinstance(failed, HybridError):
                 raise failed
             else:
-                lost.append(number)
-                why = failed
-        lost += left.values()
+                lost[number] = failed
     finally:
-        for future in sent:
+        for future in left:
             if not future.done():
                 future.cancel()
+    return _told_lost(lost, list(left.values()))
+
+
+def _told_lost(failed: dict[int, BaseException], silent: list[int]) -> list[int]:
+    """Warn of blocks that have failed, and of those of which nothing is heard; all of them."""
+    lost = sorted([*failed, *silent])
     if lost:
-        said = "it takes no more" if why is None else f"{type(why).__name__}: {why}"
+        why = [f"{type(fault).__name__}: {fault}" for fault in failed.values()]
+        said = why[-1] if why else "it takes no more"
         warnings.warn(
             f"hybrid flies {len(lost)} blocks here that the executor has lost ({said})",
-            stacklevel=2,
+            stacklevel=3,
         )
-    return sorted(lost)
+    return lost
 
 
-def _ended(executor: Any, sent: Iterable[Any]) -> Iterator[Any]:
+def _ended(executor: Any, sent: list[Any]) -> Iterator[Any]:
     """What has been sent, as it ends; less than all of it where the executor is found dead."""
     futures = {each for each in sent if isinstance(each, Future)}
     jobs = [each for each in sent if not isinstance(each, Future)]

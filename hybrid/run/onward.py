@@ -13,7 +13,7 @@ from ..automaton.spec import Spec
 from ..errors import OptionError
 from ..lowering import Field, Scene
 from ..lowering.automaton import DIRECTIONS
-from ..rules.guards import TIE
+from ..rules.guards import GUARD_ROUNDING, TIE
 from ..rules.zeros import EPS
 from ..trajectory.arcs import Arc, JumpRow
 from ..trajectory.clock import Instant
@@ -149,7 +149,7 @@ def _tied(driver: Driver, arc: Arc) -> dict[str, int]:
     for guard in field.guards:
         size = driver.scene.rounding(guard, field)(t, x)[0]
         value, rate, bend = guard.lie(t, x)
-        noise = 64 * EPS * size
+        noise = GUARD_ROUNDING * EPS * size
         if guard.edge not in driver.spent and abs(value) <= noise and rate:
             found[guard.edge] = side_before(rate, bend, noise)
     return found

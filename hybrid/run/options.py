@@ -70,8 +70,8 @@ class Asked:
         rtol, atol = tolerances(self.rtol, self.atol, self.spec.flows, own)
         if rtol < (least := min(finest, FINEST)):
             warnings.warn(
-                f"rtol={rtol!r} is finer than steps in double precision can be; they keep to "
-                f"{least:g}",
+                f"{self.spec.model}: rtol={rtol!r} is finer than steps in double precision can be; "
+                f"they keep to {least:g}",
                 stacklevel=2,
             )
         if atol.shape and self.spec.discrete:

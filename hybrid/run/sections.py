@@ -8,9 +8,11 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import attrs
+import numpy as np
 
 from ..automaton.markers import RISING, Crossing
 from ..automaton.refusals import reason
+from ..automaton.spec import Spec
 from ..automaton.trace import caller, scalar, trace
 from ..errors import OptionError
 from ..events import fires, zeros
@@ -147,6 +149,24 @@ def _jumps(scene: Scene) -> list[str]:
     return [*names, *(f"{name}.release" for name in names if scene.is_contact(name)), *ends]
 
 
+def _require_no_signal(spec: Spec, closed: Any) -> None:
+    """Refuse a surface that reads a signal.
+
+    Raises
+    ------
+    OptionError
+    """
+    used = require_written(closed) if spec.signals else set()
+    end = sum(math.prod(np.shape(parameter.default)) for parameter in spec.parameters)
+    for signal in spec.signals:
+        begin, end = end, end + signal.size
+        if used.intersection(range(begin, end)):
+            raise OptionError(
+                f"{spec.model}: section, a surface: it reads the signal {signal.name}, which "
+                "differs between knots; give a surface of t and the state, a jump or a period"
+            )
+
+
 def _surface(model: Any, scene: Scene, function: Callable[..., Any], crossing: Crossing) -> Surface:
     code, spec = scene.code, scene.spec
     call = scalar(caller(type(model), spec, function))
@@ -154,13 +174,7 @@ def _surface(model: Any, scene: Scene, function: Callable[..., Any], crossing: C
         closed = code.once(("section", function), lambda: trace(spec, call, 0, code.shapes))
     except Exception as fault:  # whatever the caller's function raises
         raise OptionError(f"{spec.model}: section, a surface: {reason(fault)}") from fault
-    first = sum(map(math.prod, code.shapes[: len(spec.parameters)]))
-    pieces = range(first, first + sum(signal.size for signal in spec.signals))
-    if spec.signals and require_written(closed).intersection(pieces):
-        raise OptionError(
-            f"{spec.model}: section, a surface: it reads a signal ({spec.signals[0].name}), which "
-            "differs between knots; give a surface of t and the state, a jump or a period"
-        )
+    _require_no_signal(spec, closed)
     graph, numbers = code.mode(spec.initial), scene.numbers(spec.initial, ())
 
     def bound(what: str, made: int) -> Scalar:

@@ -22,7 +22,7 @@ import attrs
 import numpy as np
 
 from ..errors import OrbitError
-from ..lowering import Field, Guard, Kind, Scene, require_no_signal, scene_of
+from ..lowering import Field, Guard, Kind, Scene, scene_of
 from ..rules.changes import TIED
 from ..rules.guards import NEAR
 from ..rules.limits import DIFFERENCE_ROUNDING
@@ -181,7 +181,6 @@ def factors(model: Any, run: Solution, apart: float = np.inf) -> Iterator[Factor
             If the run passes the limit of a cycle of several edges, for which no derivative is
         known; if neighbours of the run take another course; and for a model with delays.
     """
-    require_no_signal(run.spec, "a first variation")
     if run.spec.lags:
         raise OrbitError(
             f"{run.spec.model} looks into the past: a change of its state does not decide on what "
@@ -430,8 +429,19 @@ class Walk:
         return bool(abs(guard.value(row.t, x)) > NEAR * size)
 
     def fired(self, place: int, row: JumpRow) -> tuple[Field, Guard]:
-        """The field and the guard of a jump."""
+        """The field and the guard of a jump.
+
+        Raises
+        ------
+        OrbitError
+            If it has none, as where ``zeno='truncate'`` holds a contact.
+        """
         field = self.beside(place, True)[0].field(self.course.parts[place].mode)
+        if row.edge not in (guard.edge for guard in (*field.guards, *field.clocks)):
+            raise OrbitError(
+                f"{self.model}, t = {row.t!r}: {row.edge} cuts a series off and has no first "
+                "variation; use zeno='rest'"
+            )
         return field, field.guard(row.edge)
 
     def _reset(self, place: int, row: JumpRow) -> Matrix:
