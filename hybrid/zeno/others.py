@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 #: How often a tail is halved, at most, in search of zeros of other guards: some four times to one
 #: flight, and that to a thirty-second. (With seven times more a pile of two balls took twenty times
 #: as long: near a guard that is zero at the limit, many parts are undecided until then.)
-HALVINGS = 9
+OTHERS_HALVINGS = 9
 
 
 def apart(tail: Tail) -> bool:
@@ -39,7 +39,7 @@ def apart(tail: Tail) -> bool:
     others = [i for i in range(len(field.guards)) if i != tail.column]
     rounding = 64 * EPS * float(np.max(np.abs(tail.x_inf)))
     last = [i for i in others if abs(field.guards[i].value(t_inf, x_inf)) > rounding]
-    stretches = [(HALVINGS, Stretch(tail))] if others else []
+    stretches = [(OTHERS_HALVINGS, Stretch(tail))] if others else []
     while stretches:
         left, stretch = stretches.pop()
         ending = not left and stretch.last == inf
