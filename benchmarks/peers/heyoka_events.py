@@ -80,7 +80,7 @@ def prepare(task, tolerance, real=float):
 
 
 #: A flight that is flown again ends at another time by what a step may lose, over the gap's speed
-#: at its end; one that ends so much earlier has lost an impact.
+#: at its end; one that ends so much earlier besides has lost an impact.
 EARLIER = 1e-2
 
 
@@ -94,8 +94,11 @@ def lost(task, rows, tolerance):
         if off[0] <= 1e-9 and off[1] <= max(task.slow, 1e-9):
             continue
         again = flights.fly(t, (x, v), end + 1.0)
-        if len(again) and again[0, 0] < end - EARLIER:
-            open_ = (tolerance or 0.0) * (1.0 + abs(task.floor + again[0, 1]))
+        if not len(again):
+            continue
+        open_ = (tolerance or 0.0) * (1.0 + abs(task.floor + again[0, 1]))
+        speed = (again[0, 2] - task.wall_speed(FUNCTIONS, again[0, 0])) / task.r
+        if again[0, 0] < end - EARLIER - open_ / speed:
             early[int(depth(task, *again[0]) <= open_)] += 1
     return tuple(early)
 

@@ -449,18 +449,19 @@ class ArcFlow:
                     return Fired(index, zero.tau, zero.direction, zero.cut)
             elif zero.direction == 0:
                 grazes.append((zero.tau, index))
-            elif shallow is not None:  # the way back
+            elif shallow is not None and zero.direction != shallow.direction:  # the way back
                 shallow, over = None, shallow
             elif not self._holds(guard, zero.tau, segment, end):
                 continue
-            elif (passes or not guard.jumps) and self._touches(guard, zero, segment, tolerance):
+            elif (passes or not guard.jumps) and self._touches(guard, zero, segment):
                 grazes.append((zero.tau, index))
                 shallow = zero
             elif passes:
                 return Fired(index, zero.tau, zero.direction)
         if shallow is None:
-            if over is not None and abs(self.ends[guard.edge]) <= tolerance:
-                self.turning[index] = over  # it may be to come, by rounding
+            noise = self._rounding(index, self.now.t + segment.end, end.tolist())
+            if over is not None and abs(self.ends[guard.edge]) <= noise:
+                self.turning[index] = over  # its way back may show again
             return None
         deep = self.ends[guard.edge] * shallow.direction
         if deep <= tolerance:
@@ -571,15 +572,16 @@ class ArcFlow:
             Fired(index, segment.end, direction) if guard.holds(self.until, end.tolist()) else None
         )
 
-    def _touches(self, guard: Guard, zero: Zero, segment: Segment, tolerance: float) -> bool:
-        """Whether a crossing goes no deeper than the tolerance, and so counts as a tangency (1)."""
+    def _touches(self, guard: Guard, zero: Zero, segment: Segment) -> bool:
+        """Whether a crossing goes no deeper than the tolerance there, and so is a tangency (1)."""
         t, x = self.now.t + zero.tau, segment(zero.tau).tolist()
         _, first, second = guard.lie(t, x)
         own = float(self.scene.rounding(guard, self.field)(t, x)[0])
         begin, s = segment(segment.start).tolist(), zero.tau - segment.start
         value, rate, bend = map(abs, guard.lie(self.now.t + segment.start, begin))
         terms = own + value + rate * s + 0.5 * bend * s * s  # whose rounding the zero has
-        return shallow(first, second, zero.direction, max(tolerance, GUARD_ROUNDING * EPS * terms))
+        tolerance = max(self._tolerance(guard, t, segment(zero.tau)), GUARD_ROUNDING * EPS * terms)
+        return shallow(first, second, zero.direction, tolerance)
 
     def _near_end(self, index: int, segment: Segment, stepper: Stepper) -> Fired | None:
         """A guard that fires next to the end of a step that was made onto a predicted event: the
