@@ -272,7 +272,7 @@ def shallow(slope: float, bend: float, direction: float, tolerance: float) -> bo
 
     As quotients: a guard may be so small that its squares are no numbers.
     """
-    if slope * direction <= 0.0:
+    if slope == 0.0 or (slope > 0.0) != (direction > 0.0):
         return True
     return -2.0 * (bend / slope) * tolerance >= abs(slope)
 
