@@ -459,9 +459,10 @@ class ArcFlow:
             elif passes:
                 return Fired(index, zero.tau, zero.direction)
         if shallow is None:
-            noise = self._rounding(index, self.now.t + segment.end, end.tolist())
-            if over is not None and abs(self.ends[guard.edge]) <= noise:
-                self.turning[index] = over  # its way back may show again
+            if over is not None:  # its way back may show again
+                noise = self._rounding(index, self.now.t + segment.end, end.tolist())
+                if abs(self.ends[guard.edge]) <= noise:
+                    self.turning[index] = over
             return None
         deep = self.ends[guard.edge] * shallow.direction
         if deep <= tolerance:
