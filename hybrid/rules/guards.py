@@ -228,12 +228,14 @@ def own_open(
 ) -> float:
     """What the tolerances leave open of a guard on the way along a step, of which ``room.c`` has
     the series, in its own unit (:func:`in_unit`); never less than the rounding of its series
-    ``c``."""
-    there = room.there
+    ``c``. The unit is told from the whole way: its states may be zero there."""
+    there, last, size = room.there, c.shape[0] - 1, 0.0
     along(room.c, s, there)
     own, _, _ = sizes_of(a, room, guard, room.c[now.end.shape[0], 0] + s, there)
-    own = in_unit(left_open(a, run, guard, there), used(a, guard, there), own, run[RELATIVE])
-    return max(own, GUARD_ROUNDING * EPS * power_size(c, 0, c.shape[0] - 1, s))
+    for k in range(a.guards[guard, USES], a.guards[guard, USES_END]):
+        size = max(size, power_size(room.c[a.uses[k]], 0, last, s))
+    own += power_size(c, 0, last, s)
+    return in_unit(left_open(a, run, guard, there), size, own, run[RELATIVE])
 
 
 def in_unit(left: float, size: float, own: float, rtol: float) -> float:
@@ -245,7 +247,7 @@ def in_unit(left: float, size: float, own: float, rtol: float) -> float:
     left, size : float
         What is left open of the states that it is made of, and their size.
     own : float
-        The sum of the terms of which it is made.
+        The sum of the terms of which it is made, where its states have that size.
     """
     return max(min(left, (left / size if size > 0.0 else rtol) * own), GUARD_ROUNDING * EPS * own)
 

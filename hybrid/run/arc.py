@@ -501,7 +501,11 @@ class ArcFlow:
             x = np.array(self.field.project(self.now.t + before, x.tolist()))
         after, there = self.now.t + zero.tau, segment(zero.tau)
         beyond = _outside(guard, guard.value(after, there.tolist()))
-        noise = 64 * EPS * float(self.scene.rounding(guard, self.field)(after, x.tolist())[0])
+        noise = (
+            GUARD_ROUNDING
+            * EPS
+            * float(self.scene.rounding(guard, self.field)(after, x.tolist())[0])
+        )
         if abs(beyond) <= noise:
             _, sign = heading(self.scene, after, self.field.name, there, guard.edge, np.zeros(0))
             beyond = noise + _outside(guard, sign)
@@ -577,11 +581,10 @@ class ArcFlow:
         """Whether a crossing goes no deeper than the tolerance there, and so is a tangency (1)."""
         t, x = self.now.t + zero.tau, segment(zero.tau).tolist()
         _, first, second = guard.lie(t, x)
-        own = float(self.scene.rounding(guard, self.field)(t, x)[0])
-        begin, s = segment(segment.start).tolist(), zero.tau - segment.start
-        value, rate, bend = map(abs, guard.lie(self.now.t + segment.start, begin))
-        terms = own + value + rate * s + 0.5 * bend * s * s  # whose rounding the zero has
-        tolerance = max(self._tolerance(guard, t, segment(zero.tau)), GUARD_ROUNDING * EPS * terms)
+        begin, s = segment(segment.start), zero.tau - segment.start
+        value, rate, bend = map(abs, guard.lie(self.now.t + segment.start, begin.tolist()))
+        terms = value + rate * s + 0.5 * bend * s * s  # of the guard's way, whose rounding it has
+        tolerance = self._tolerance(guard, t, segment(zero.tau), self._size(guard, begin), terms)
         return shallow(first, second, zero.direction, tolerance)
 
     def _near_end(self, index: int, segment: Segment, stepper: Stepper) -> Fired | None:
@@ -607,7 +610,7 @@ class ArcFlow:
         arc."""
         size = float(self.scene.rounding(self.field.guards[index], self.field)(t, x)[0])
         left = self.series is not None and self.entered[index] == 1
-        return 64 * EPS * size + (2.0 * abs(self.series[1][index][0]) if left else 0.0)
+        return GUARD_ROUNDING * EPS * size + (2.0 * abs(self.series[1][index][0]) if left else 0.0)
 
     def _sunk(self, index: int, segment: Segment, stepper: Stepper, tolerance: float) -> bool:
         """Whether a guard is outside the domain though no zero was seen: it started below rounding.
@@ -642,12 +645,22 @@ class ArcFlow:
             )
         return inside
 
-    def _tolerance(self, guard: Guard, t: float, x: StateVector) -> float:
-        """The error that the tolerances allow in a guard, in its own unit."""
-        size = max((abs(float(x[i])) for i in guard.uses), default=0.0)
-        left, rtol = self.plan.limit + self.plan.rtol * size, self.plan.rtol
-        own = float(self.scene.rounding(guard, self.field)(t, x.tolist())[0])
-        return in_unit(left, 0.0 if guard.kind == "release" else size, own, rtol)
+    def _tolerance(
+        self, guard: Guard, t: float, x: StateVector, beside: float = 0.0, terms: float = 0.0
+    ) -> float:
+        """The error that the tolerances allow in a guard, in its own unit.
+
+        ``beside``, ``terms``: the size that its states have had, and the terms of which it is made
+        on the way to there, from which its unit is told where its states are zero.
+        """
+        size, rtol = self._size(guard, x), self.plan.rtol
+        left, unit = self.plan.limit + rtol * size, max(size, beside)
+        own = terms + float(self.scene.rounding(guard, self.field)(t, x.tolist())[0])
+        return in_unit(left, 0.0 if guard.kind == "release" else unit, own, rtol)
+
+    def _size(self, guard: Guard, x: StateVector) -> float:
+        """The size of the largest of the states that a guard is made of."""
+        return max((abs(float(x[i])) for i in guard.uses), default=0.0)
 
     def _land(
         self, stepper: Stepper, segment: Segment, fired: Fired, again: bool = False
