@@ -383,14 +383,15 @@ class ArcFlow:
         grazes: list[tuple[float, int]],
     ) -> Fired | None:
         guard = self.field.guards[index]
-        tolerance = self._tolerance(guard, self.now.t + stepper.tau, stepper.x)
+        tolerance = self._tolerance(guard, segment, stepper.tau, stepper.x)
         scale = scales[index] if scales else float("inf")
         order, t0 = self.orders[index], self.now.t
         noise, ends, many = self._leaving(index, stepper), dict(self.ends), len(grazes)
         found = zeros(guard, segment, t0, order, scale, tolerance, self.ends, noise)
         fired = self._first_zero(index, found, segment, stepper.x, tolerance, grazes)
         while fired is not None and (
-            (finer := self._tolerance(guard, t0 + fired.tau, segment(fired.tau))) < 0.5 * tolerance
+            (finer := self._tolerance(guard, segment, fired.tau, segment(fired.tau)))
+            < 0.5 * tolerance
         ):
             # the step ends there: what the state beyond may lose hides no earlier zero
             tolerance, self.ends, grazes[many:] = finer, dict(ends), []
@@ -583,8 +584,9 @@ class ArcFlow:
         _, first, second = guard.lie(t, x)
         begin, s = segment(segment.start), zero.tau - segment.start
         value, rate, bend = map(abs, guard.lie(self.now.t + segment.start, begin.tolist()))
-        terms = value + rate * s + 0.5 * bend * s * s  # of the guard's way, whose rounding it has
-        tolerance = self._tolerance(guard, t, segment(zero.tau), self._size(guard, begin), terms)
+        terms = value + rate * s + 0.5 * bend * s * s  # of its way, whose rounding the zero has
+        left = self._tolerance(guard, segment, zero.tau, segment(zero.tau))
+        tolerance = max(left, GUARD_ROUNDING * EPS * terms)
         return shallow(first, second, zero.direction, tolerance)
 
     def _near_end(self, index: int, segment: Segment, stepper: Stepper) -> Fired | None:
@@ -645,18 +647,22 @@ class ArcFlow:
             )
         return inside
 
-    def _tolerance(
-        self, guard: Guard, t: float, x: StateVector, beside: float = 0.0, terms: float = 0.0
-    ) -> float:
-        """The error that the tolerances allow in a guard, in its own unit.
-
-        ``beside``, ``terms``: the size that its states have had, and the terms of which it is made
-        on the way to there, from which its unit is told where its states are zero.
-        """
-        size, rtol = self._size(guard, x), self.plan.rtol
-        left, unit = self.plan.limit + rtol * size, max(size, beside)
-        own = terms + float(self.scene.rounding(guard, self.field)(t, x.tolist())[0])
+    def _tolerance(self, guard: Guard, segment: Segment, tau: float, x: StateVector) -> float:
+        """The error that the tolerances allow in a guard at a state of a step, in its own unit,
+        which is told from the whole way there: its states may be zero at its end."""
+        rtol, size, own = self.plan.rtol, self._size(guard, x), self._terms(guard, tau, x)
+        left, unit = self.plan.limit + rtol * size, size
+        for before in (segment.start, 0.5 * (segment.start + tau)):
+            there = segment(before)
+            unit, own = (
+                max(unit, self._size(guard, there)),
+                max(own, self._terms(guard, before, there)),
+            )
         return in_unit(left, 0.0 if guard.kind == "release" else unit, own, rtol)
+
+    def _terms(self, guard: Guard, tau: float, x: StateVector) -> float:
+        """The sum of the terms of which a guard is made."""
+        return float(self.scene.rounding(guard, self.field)(self.now.t + tau, x.tolist())[0])
 
     def _size(self, guard: Guard, x: StateVector) -> float:
         """The size of the largest of the states that a guard is made of."""

@@ -60,6 +60,16 @@ def test_a_tangency_is_reported_and_resets_nothing(way):
     assert run.grazings[0].t == pytest.approx(1.0, abs=1e-3)  # a maximum: sqrt of the error
 
 
+@pytest.mark.parametrize("way", ["DOP853", "RK45", "Radau", "taylor", "Tsit5"], indirect=True)
+@pytest.mark.parametrize("speed", [6.140625, 12.28125, 24.5625, 26.171875])
+def test_a_tangency_where_the_state_is_zero(way, speed):
+    """Rule 1: what the tolerances leave open there is told from the whole way, not the state
+    alone. Of throws whose height is exact, those after which DOP853 ends a step at x = 0."""
+    run = way.run(systems.Ceiling(), {"x": -(speed**2) / 4, "v": speed}, (0, speed)).run
+    assert len(run.jumps) == 0
+    assert run.final.v == pytest.approx(-speed, rel=1e-7)  # of the order of each method's rtol
+
+
 @pytest.mark.parametrize("way", ["DOP853", "RK45", "Radau", "Tsit5", "Dopri8"], indirect=True)
 def test_a_tangency_of_a_curved_arc(way):
     """Rule 1: cos t touches -1 at pi, within one step's tolerance for these methods."""
