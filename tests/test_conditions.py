@@ -471,6 +471,38 @@ def test_impacts_are_not_summed_over_an_urgent_edge(way):
     np.testing.assert_allclose(result.times[-2:], [7.75, 7.75], rtol=1e-7)
 
 
+class Guarded(hy.Automaton):
+    """A ball beside an urgent edge whose guard lies beyond, or not, while the ball is slow."""
+
+    x = hy.state()
+    v = hy.state()
+    level: float = hy.parameter(100.0)
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.v, 0.0 * s.x - 1.0
+
+    impact = hy.contact(flight, gap=lambda self, t, s: s.x, restitution=0.5)
+    over = hy.edge(
+        flight,
+        to=hy.TERMINATE,
+        guard=lambda self, t, s: s.x - self.level,
+        crossing=hy.RISING,
+        when=lambda self, t, s: 0.1 - jnp.abs(s.v),
+        urgent=True,
+    )
+
+
+@ways
+def test_impacts_are_summed_where_an_urgent_edge_is_far(way):
+    """A condition decides on nothing while the guard is inside. Flights of 4, 2, 1, ... to 8."""
+    result = way.run(Guarded(), {"x": 0.0, "v": 2.0}, (0.0, 20.0))
+    (point,) = result.zeno
+    assert point.t == pytest.approx(8.0, abs=1e-7)  # the methods' tolerance
+    below = way.run(Guarded(level=-1.0), {"x": 0.0, "v": 2.0}, (0.0, 20.0))
+    assert (below.status, below.accumulations or 0) == ("terminated", 0)
+
+
 class Wall(hy.Automaton):
     """The same by a wall that is an edge: it stops to be one for slow balls."""
 

@@ -314,7 +314,8 @@ class Tables:
         shape = [int(guard.bounds), int(guard.affine), to, *programs, sizes, uses, len(self._uses)]
         kinked = any(other.kinks for other in field.guards)
         judged = guard.kind is Kind.SWITCH and (slides or lags)  # Python decides this one too
-        at = HARD if judged or kinked or field.jumps_one_by_one(name) else UNKNOWN
+        drawn = name in self.scene.spec.chances  # whose impacts have no map of their own
+        at = HARD if judged or kinked or drawn else UNKNOWN
         if guard.kind is Kind.WINDOW:
             at = window_ends(self.scene.spec).index(name)
         own, rest = len(self._rows) + field.column(name), UNKNOWN

@@ -213,10 +213,6 @@ class Field:
         """
         return any(guard.urgent and guard.when is not None for guard in self.guards)
 
-    def jumps_one_by_one(self, contact: str) -> bool:
-        """Whether the impacts of a contact have no map of their own that could be summed."""
-        return self.hurried or contact in self.code.spec.chances
-
     def column(self, edge: str) -> int:
         """Index of an edge's guard among the guards."""
         return next(i for i, guard in enumerate(self.guards) if guard.edge == edge)

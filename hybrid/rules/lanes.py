@@ -275,25 +275,28 @@ def begun(a: AutomatonArrays, now: Now, t: float, x: Floats, field: int) -> None
 
 def looks(a: AutomatonArrays, left: Left, jumps: int, tails: int, sums: Sums) -> bool:
     """Whether the driver would look for a limit of cycles, or might, and not leave it to a sum; it
-    begins anew behind each sum, and behind clocks."""
-    first, longest = 0, 0.0
+    begins anew behind each sum, and behind each ring of a clock."""
+    tail, first, due, still, longest = 0, 0, 2 * LEAST_WINDOW, 0, 0.0
     for j in range(jumps):
         longest = max(longest, left.when[j, 2])
-        first = j + 1 if a.guards[left.fired[j], KIND] == CLOCK else first
-    for tail in range(tails + 1):
-        last = int(left.sums[tail, JUMPS_BEFORE]) if tail < tails else jumps
-        due, still = 2 * LEAST_WINDOW, 0
-        for j in range(first, last):
-            still = still + 1 if idle(left, j, longest) else 1
-            look = still >= STILL_JUMPS
-            if j - first + 1 == due:
-                due += max(LEAST_WAIT, due // WINDOW_PART)
-                look = look or shrinks(left, first, j)
-            for length in range(1, LONGEST_CYCLE + 1):
-                look = look or (j - first >= 3 * length and falls(left, j, length))
-            if look and not damps(a, left, first, j, sums):
-                return True
-        first = max(first, last)
+    for j in range(jumps):
+        rings = a.guards[left.fired[j], KIND] == CLOCK
+        summed = tail < tails and left.sums[tail, JUMPS_BEFORE] == j
+        if rings or summed:
+            first, due, still = j, 2 * LEAST_WINDOW, 0
+            tail += int(summed)
+        if rings:
+            first = j + 1
+            continue
+        still = still + 1 if idle(left, j, longest) else 1
+        look = still >= STILL_JUMPS
+        if j - first + 1 == due:
+            due += max(LEAST_WAIT, due // WINDOW_PART)
+            look = look or shrinks(left, first, j)
+        for length in range(1, LONGEST_CYCLE + 1):
+            look = look or (j - first >= 3 * length and falls(left, j, length))
+        if look and not damps(a, left, first, j, sums):
+            return True
     return False
 
 

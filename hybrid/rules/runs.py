@@ -80,6 +80,7 @@ from .places import (
     TRIED,
     UNKNOWN,
     UNTIL,
+    URGENT,
     WAS_LOW,
     WATCHED,
     T,
@@ -353,9 +354,10 @@ def untouched(
 
 
 def domain(a: AutomatonArrays, now: Now) -> int:
-    """Write the sign of each guard inside the domain, 0 for those that bound none; returns how many
-    there are."""
+    """Write the sign that each guard must have for it not to fire on entering, 0 for those that may
+    have either; returns how many there are."""
     first, last = a.fields[now.ints[FIELD], GUARDS], a.fields[now.ints[FIELD], GUARDS_END]
     for g in range(first, last):
-        now.signs[g - first] = -a.guards[g, CROSSING] * a.guards[g, BOUNDS]
+        one_sided = max(a.guards[g, BOUNDS], a.guards[g, URGENT])
+        now.signs[g - first] = -a.guards[g, CROSSING] * one_sided
     return last - first

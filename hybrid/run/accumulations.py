@@ -42,7 +42,7 @@ def accumulate(driver: Driver, contact: Contact, x: StateVector, v: float, name:
         return truncate.hold(driver, contact, x, field)
     if contact.name in driver.scene.spec.chances:
         return _settles(driver, contact, x, v, field)
-    if field.hurried or watch.count < driver.plan.patience or not 0 < v <= PATIENCE * watch.tried:
+    if watch.count < driver.plan.patience or not 0 < v <= PATIENCE * watch.tried:
         return False
     watch.tried = v
     tail, until = summed(driver, contact, x, v, field), driver.until(driver.horizon, field, x)

@@ -183,8 +183,6 @@ def low_flight(
     field, t, reach = driver.scene.field(name, (contact.name,)), driver.t, driver.reach(x)
     column = field.column(contact.name)
     guard = field.guards[column]
-    if field.hurried:
-        return None
     there = beyond_kinks(field, (*guard.kinks, *field.changes), t, x)
     force = guard.lie(there[0], there[1].tolist())[2]
     if not unit("hops").drowns(v, force, reach):

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..rules.lanes import FEW_TURNS
 from ..trajectory.arcs import Arc
 from ..trajectory.log import Flights
 from ..trajectory.trajectory import Status
@@ -45,11 +46,14 @@ def note(driver: Driver, jumps: Columns) -> bool:
 def room(driver: Driver, t: Numbers, low: Numbers, rung: Integers) -> int:
     """How many jumps at these times may be recorded before a cycle has to be looked for.
 
-    ``rung``: the places of those made by clocks; no accumulation lies before the last of them.
+    ``rung``: the places of those made by clocks, behind each of which the search begins anew.
     """
-    ignored = driver.plan.zeno == "ignore"  # no limit is gone over, wherever it may be
-    before = int(rung[-1]) + 1 if len(rung) else 0
-    most = len(t) if ignored else before or driver.cycles.room(t, low)
+    most, begins, ends = len(t), np.append(0, rung + 1), np.append(rung, len(t))
+    seen = np.append(len(driver.cycles.seen.t), np.zeros(len(rung), dtype=int))
+    cycles = np.flatnonzero((ends > begins) & (seen + ends - begins > FEW_TURNS))
+    if len(cycles) and driver.plan.zeno != "ignore":  # by that no limit is passed anywhere
+        first, last = int(begins[cycles[0]]), int(ends[cycles[0]])
+        most = first or driver.cycles.room(t[:last], low[:last])
     return min(driver.plan.max_jumps - driver.record.made, most)
 
 

@@ -266,9 +266,9 @@ def clear(tail: Tail, field: Field, column: int) -> bool:
 
 
 def _inside(field: Field) -> Integers:
-    """The signs of guards inside the domain; 0 for a guard that bounds nothing."""
-    signs = {Crossing.FALLING: 1, Crossing.RISING: -1}
-    return np.array([signs.get(g.crossing, 0) if g.bounds else 0 for g in field.guards])
+    """The signs that guards must have not to fire on entering; 0 for one that may have either."""
+    signs, guards = {Crossing.FALLING: 1, Crossing.RISING: -1}, field.guards
+    return np.array([signs.get(g.crossing, 0) if g.bounds or g.urgent else 0 for g in guards])
 
 
 def hop(

@@ -174,6 +174,21 @@ class Tanks(hy.Automaton):
         return s
 
 
+class Clocked(Tanks):
+    """The same, beside which a clock rings while the hose moves."""
+
+    rings = hy.discrete(0)
+    period: float = hy.parameter(1.5)
+
+    @hy.edge(Tanks.fills_first, every="period")
+    def rings_first(self, t, s):
+        return s.replace(rings=s.rings + 1)
+
+    @hy.edge(Tanks.fills_second, every="period")
+    def rings_second(self, t, s):
+        return s.replace(rings=s.rings + 1)
+
+
 class Line(hy.Automaton):
     """Three particles on a line, and nothing else (McNamara and Young 1992)."""
 
@@ -666,3 +681,12 @@ def test_accumulations_that_accumulate_in_turn_are_said_to(way):
     before = way.run(Stairs(), start, (0.0, 5.0))
     assert before.status == "reached_end"
     assert before.accumulations == 3
+
+
+@pytest.mark.parametrize("period", [0.7, 1.5, 21.0])
+def test_a_clock_that_rings_behind_the_limit_does_not_hide_it(way, period):
+    """Rounding leads through a limit, and on in the modes of the cycle, where the clock rings."""
+    run = way.run(Clocked(period=period), {"x1": 8.0, "x2": 6.0}, (0.0, 30.0))
+    (point,) = run.zeno
+    assert abs(point.t - 20.0) < 1e-9
+    assert run.final.rings == math.floor(20.0 / period - 1e-9)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from .test_cycles import STEEP, Tanks, Wheel, stop_of
+from .test_cycles import STEEP, Clocked, Tanks, Wheel, stop_of
 
 WAYS = ["ensemble", "as_function"]
 
@@ -24,3 +24,10 @@ def test_two_tanks_run_down(way, w):
     """As the documented limit says."""
     (point,) = way.run(Tanks(w=w), {"x1": 8.0, "x2": 6.0}, (0.0, 30.0)).zeno
     assert abs(point.t - 4.0 / (2.0 - w)) < 1e-9
+
+
+@pytest.mark.parametrize("way", ["ensemble"], indirect=True)
+@pytest.mark.parametrize("period", [1.5, 21.0])
+def test_a_clock_that_rings_behind_the_limit_does_not_hide_it(way, period):
+    (point,) = way.run(Clocked(period=period), {"x1": 8.0, "x2": 6.0}, (0.0, 30.0)).zeno
+    assert abs(point.t - 20.0) < 1e-9
