@@ -17,6 +17,7 @@ import math
 from .arrays import AutomatonArrays, Floats, Ints, Left, Matrix, Now, Room
 from .checks import along
 from .clocks import beside, ended, wind
+from .contacts import onto
 from .entries import starts
 from .guards import (
     SMALL_SHIFT,
@@ -326,7 +327,8 @@ def beyond_kink(a: AutomatonArrays, now: Now, room: Room, t: float) -> bool:
 
 
 def lands(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> int:
-    """Find the zero of a guard to rounding, and the state there, by Newton's method (5).
+    """Find the zero of a guard to rounding, and the state there, by Newton's method (5): the state
+    on the contacts held, or on the surface on which it slides, where its jump begins.
 
     If another guard has fired before, which the series of the step have put in the wrong order, the
     arc ends on that one.
@@ -339,6 +341,8 @@ def lands(a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left) -> 
     length = (run[UNTIL] - now.floats[T]) - now.floats[LOW]
     most = min(length, now.floats[STEP_END] + SMALL_SHIFT * (now.floats[STEP_END] - tau))
     if not least < at <= most or now.ints[LANDINGS_TRIED] == LANDINGS:
+        return LOOK
+    if a.fields[field, CONSTRAINED] == 1 and not onto(a, field, t, now.end, room, now.end):
         return LOOK
     if afresh(a.programs, program, 1, t, now.end, room.still, room.aside, room.work) < 0:
         return LOOK

@@ -671,7 +671,8 @@ class ArcFlow:
     def _land(
         self, stepper: Stepper, segment: Segment, fired: Fired, again: bool = False
     ) -> Segment | None:
-        """End the step on the guard, to rounding (5); None if that is where the step starts.
+        """End the step on the guard, to rounding (5); None if that is where the step starts. The
+        state is on the contacts held, or on the surface on which it slides.
 
         ``again``: whether the step has been ended before.
         """
@@ -688,8 +689,10 @@ class ArcFlow:
                     return None
                 segment = stepper.land(tau)
             for _ in range(LANDINGS):
-                t, x = self.now.t + stepper.tau, stepper.x.tolist()
-                value, shift, exact = self._missing(fired, t, x)
+                t = self.now.t + stepper.tau
+                value, shift, exact = self._missing(
+                    fired, t, self.field.along(t, stepper.x).tolist()
+                )
                 if abs(shift) <= small or exact:
                     break
                 if smooth and not value < nearest[0]:  # it is flat: rounding leads away
@@ -707,6 +710,7 @@ class ArcFlow:
             raise FlowError(f"{self._where(tau)}: {fault}") from None
         if not abs(shift) <= small or stepper.tau + shift > last:
             return segment
+        stepper.x = self.field.along(self.now.t + stepper.tau, stepper.x)
         flow = np.array(self.field.rhs(self.now.t + stepper.tau, stepper.x.tolist()))
         if fired.cut is not None:
             shift = self._short_of(fired.cut, stepper, shift, flow)

@@ -287,3 +287,44 @@ def test_a_start_to_slide_must_be_on_the_surface_and_held_there(way):
     for model, y in ((Sides(), 0.2), (Sides(p=1.0), 0.0), (Sides(n=-1.0), 0.0)):
         refused = way.run(model, {"y": y, "x": 0.0}, (0.0, 1.0), mode="slide(surface)")
         assert refused.status == "refused"
+
+
+class Marked(hy.Automaton):
+    """A relay across a surface that moves, which it does not leave, and marks on its way."""
+
+    x = hy.state()
+    y = hy.state()
+    marks = hy.discrete(0)
+    level: float = hy.parameter(0.1)
+
+    @hy.mode(initial=True)
+    def above(self, t, s):
+        return 1.2 * jnp.sin(3.0 * t) - 2.0, jnp.cos(2.0 * t) - 0.5
+
+    @hy.mode
+    def below(self, t, s):
+        return 1.2 * jnp.sin(3.0 * t) + 2.0, jnp.cos(2.0 * t) + 0.5
+
+    relay = hy.switching(
+        above, below, surface=lambda self, t, s: s.x + 0.5 * s.y - 0.3 * jnp.sin(2 * t)
+    )
+
+    @hy.edge(above, guard=lambda self, t, s: s.y - self.level, crossing=hy.EITHER)
+    def mark(self, t, s):
+        return s.replace(marks=s.marks + 1)
+
+
+@pytest.mark.parametrize("way", ["DOP853", "RK45", "Radau", "taylor", "Tsit5"], indirect=True)
+@pytest.mark.parametrize("level", [-0.3, -0.1, 0.0, 0.1, 0.2, 0.3])
+def test_a_mark_that_is_passed_while_sliding_counts_once(way, level):
+    """The mark leads to a mode from whose flow the state slides on at once: that moves it onto the
+    surface, by as much as the method's steps have led off it. There
+    ``y' = 46/45 cos(2 t) - 4/15 sin(3 t)``."""
+    start, end = {"x": 0.2, "y": 0.0}, 5.0
+    run = way.run(Marked(level=level), start, (0.0, end), rtol=1e-8, atol=1e-10).run
+    begins = run.jumps.t[run.jumps.edge == "relay"][0]
+    t = np.linspace(begins, end, 100_001)
+    y = 23.0 / 45.0 * np.sin(2.0 * t) + 4.0 / 45.0 * np.cos(3.0 * t)
+    y += float(run(begins).y) - y[0] - level
+    before = np.count_nonzero(run.jumps.t[run.jumps.edge == "mark"] < begins)
+    assert run.final.marks == before + np.count_nonzero(np.diff(np.sign(y)))
