@@ -389,6 +389,39 @@ def test_a_rest_forgets_how_bodies_came_to_it(solver, y):
     np.testing.assert_allclose(by_model.up, [-6.0, -7.0, -3.0, -3.5], rtol=1e-9)
 
 
+class OnTable(hy.Automaton):
+    """A bead that rests on a table while a ball comes to rest on the floor."""
+
+    x = hy.state()
+    v = hy.state()
+    y = hy.state()
+    u = hy.state()
+    a: float = hy.parameter(0.05)
+
+    @hy.mode(initial=True)
+    def flight(self, t, s):
+        return s.v, 0.0 * s.x - 10.0, s.u, 0.0 * s.y - 10.0
+
+    table = hy.contact(
+        flight, gap=lambda self, t, s: s.x - self.a * jnp.sin(3.0 * t), restitution=0.2
+    )
+    floor = hy.contact(flight, gap=lambda self, t, s: s.y, restitution=0.5)
+
+
+def test_derivatives_through_a_limit_while_something_moves_at_rest():
+    """At the end ``x = a sin(3 t)``, and nothing is left of the start."""
+    function = hy.as_function(OnTable(), t=(0.0, 4.0), max_jumps=8)
+
+    def final(a, y):
+        start = {"x": 0.1, "v": 0.0, "y": y, "u": 0.0}
+        return jnp.stack(list(function(OnTable(a=a), start).final))
+
+    by_a, by_y = jax.jacfwd(final, argnums=(0, 1))(0.05, 1.0)
+    exact = [np.sin(12.0), 3.0 * np.cos(12.0), 0.0, 0.0]
+    np.testing.assert_allclose(by_a, exact, atol=1e-9)  # the steps' tolerance, 1e-8
+    np.testing.assert_allclose(by_y, np.zeros(4), atol=1e-9)
+
+
 def test_a_run_that_fails_is_a_status():
     """Below the floor, in a compiled program too: a number, and no exception."""
     fall = jax.jit(hy.as_function(BouncingBall(), t=(0.0, 1.0), max_jumps=8))

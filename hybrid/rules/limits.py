@@ -423,6 +423,10 @@ def at_rest(
         gone = lasts if i == 0 else lasts * drift[i - 1] - turn[i - 1]
         for k in range(columns):
             rest[i, k] = gone * room.read[k] + (1.0 if i == k else 0.0)
+    if own[ONTO] >= 0 and not onto_contacts(
+        s, own[ONTO], own[HELD_COUNT], t, x, 1 + n, columns, rest, room
+    ):
+        return False
     values(s.programs, own[GRADIENT], t, x, room.sides, room.c, room.work, across)
     square = squared(across, n)
     for i in range(1 + n):
