@@ -15,8 +15,9 @@ from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
 from ..lowering import Scene, scene_of
 from ..result import Trajectory
-from ..run.options import Asked, chosen, mode_of, require_count, time_of
+from ..run.options import Asked, chosen, mode_of, require_count, require_taken, time_of
 from ..run.sections import section_of
+from ..simulation import simulate
 from ..solvers import renamed
 from ..variation import Factor
 from .delayed import require_constant
@@ -232,9 +233,7 @@ def _require_run(scene: Scene, guess: Guess, options: dict[str, Any]) -> None:
     mode_of(scene, guess.mode)
     own = {name: value for name, value in options.items() if name not in ("history", "seed")}
     solver, method = renamed(own.pop("solver", "scipy"), own.pop("method", None))
-    unknown = [name for name in own if name not in attrs.fields_dict(Asked)]
-    if unknown:
-        raise OptionError(f"{scene.spec.model}: {unknown[0]}= is no option of hy.simulate")
+    require_taken(scene.spec.model, own, simulate)
     asked = Asked(spec=scene.spec, solver=solver, method=method, **own)
     chosen(asked.plan((guess.t, guess.t + 1.0)), solver, method, asked.controller, scene.spec)
 

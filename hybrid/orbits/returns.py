@@ -15,7 +15,7 @@ from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
 from ..lowering import scene_of
 from ..result import Trajectory
-from ..run.options import require_count, start_of, time_of
+from ..run.options import require_count, require_taken, start_of, time_of
 from ..run.sections import EdgeSection, Period, Return, Section, Surface, section_of
 from ..simulation import simulate
 from ..trajectory.trajectory import Status
@@ -272,6 +272,7 @@ def return_map(
     """
     require_model(model)
     t_max = time_of("t_max", t_max, 0.0)
+    require_taken(model.spec.model, options, simulate)
     options.setdefault("save", "dense")
     if options["save"] != "dense":
         raise OptionError(f"save={options['save']!r}: a return is found on dense output")
