@@ -385,7 +385,7 @@ def require_model(model: Any) -> None:
     OptionError
         If ``model`` is not an instance of a model.
     DeclarationError
-            If a global, a closure variable or a class attribute that its functions read has changed
+        If a global, a closure variable or a class attribute that its functions read has changed
         since the class was made.
     """
     if not hasattr(model, "spec"):

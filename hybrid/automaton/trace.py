@@ -177,8 +177,8 @@ def require_wide(cls: type, closed: Any, function: Callable[..., Any]) -> None:
     Raises
     ------
     TraceError
-            Names the captured constant. It was rounded to 32 bits before this package saw it, so
-        its digits are lost.
+        Names the captured constant. It was rounded to 32 bits before this package saw it, so its
+        digits are lost.
     """
     narrow = next(_narrow(closed), None)
     if narrow is None:

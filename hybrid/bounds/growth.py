@@ -34,8 +34,8 @@ class Growth:
     up, down : float
         Exponents of growth upward and downward; ``inf`` if no power bounds it.
     least : float
-            For large values of the growing input, the absolute value grows at least with this
-        exponent; ``-inf`` if nothing is known.
+        For large values of the growing input, the absolute value grows at least with this exponent;
+        ``-inf`` if nothing is known.
     """
 
     low: float

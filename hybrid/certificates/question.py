@@ -39,8 +39,8 @@ class Question:
     relative : bool
         Whether the box is in coordinates relative to the contact.
     position, velocity : int
-            Indices in the state vector of the gap's position and its velocity; the first pair if
-        the gap depends on several.
+        Indices in the state vector of the gap's position and its velocity; the first pair if the
+        gap depends on several.
     """
 
     spec: Spec

@@ -32,10 +32,10 @@ class Exponents:
     Attributes
     ----------
     exponents : array, shape (count,)
-            Mean rates, one over the unit of time, largest first; ``-inf`` for directions that are
-        lost permanently (at rest, while sliding, through an accumulation).
+        Mean rates, one over the unit of time, largest first; ``-inf`` for directions that are lost
+        permanently (at rest, while sliding, through an accumulation).
     error : array, shape (count,)
-            Standard error of each, from the means of twenty consecutive parts of the run. NaN for
+        Standard error of each, from the means of twenty consecutive parts of the run. NaN for
         ``-inf``, or if the run is too short to be divided.
     sum : float
         Sum of the exponents.

@@ -66,7 +66,7 @@ class PeriodicOrbit:
     monodromy : array, shape (n, n)
         The fundamental matrix over a period, from ``start``.
     multipliers : array of complex, shape (n,)
-            Its eigenvalues, largest first. In an autonomous model one of them is 1, that of a
+        Its eigenvalues, largest first. In an autonomous model one of them is 1, that of a
         perturbation along the orbit.
     stable : bool
         Whether all others lie inside the unit circle, by more than 1e-6.
@@ -78,10 +78,10 @@ class PeriodicOrbit:
         Largest difference between its ends, relative to the size of the orbit.
     autonomous : bool
     grazing : tuple of str
-            Sentences about guards that are touched, or crossed at very low speed; the multipliers
-        may then not describe nearby motion.
+        Sentences about guards that are touched, or crossed at very low speed; the multipliers may
+        then not describe nearby motion.
     errors : array or None
-            With delays and ``memory="keep"``: the change of each multiplier when the history is
+        With delays and ``memory="keep"``: the change of each multiplier when the history is
         resolved more finely. None if the multipliers are those of a matrix of the state.
     """
 

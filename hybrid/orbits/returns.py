@@ -136,8 +136,8 @@ class ReturnMap:
         Returns
         -------
         Iterates
-                ``n + 1`` states, beginning with the start, and their times ``.t``; ``.x`` is the
-            array of a coordinate.
+            ``n + 1`` states, beginning with the start, and their times ``.t``; ``.x`` is the array
+            of a coordinate.
         """
         require_count("n", n, 0)
         points = [self._point(state, t)]

@@ -43,8 +43,8 @@ class Itinerary(NamedTuple):
     Attributes
     ----------
     laws : array of int, shape (steps, 4)
-            Numbers of the flow, of the guard that ends the step, of the reset, and of the
-        projection at its start.
+        Numbers of the flow, of the guard that ends the step, of the reset, and of the projection at
+        its start.
     used : array of bool, shape (steps,)
     lengths, ends : array, shape (steps,)
         Length of the step, and the time at its end.

@@ -1,14 +1,14 @@
 """Interchangeable solvers, chosen by name.
 
 ``scipy``
-        SciPy's methods. DOP853 is the default: eighth order, and it lands on an impact with a step
-    of the method itself. Use Radau for stiff flows. BDF and LSODA restart at order one after each
+    SciPy's methods. DOP853 is the default: eighth order, and it lands on an impact with a step of
+    the method itself. Use Radau for stiff flows. BDF and LSODA restart at order one after each
     jump.
 ``diffrax``
-        Diffrax's methods, several steps per call of a compiled program. Dopri8 is the default; use
+    Diffrax's methods, several steps per call of a compiled program. Dopri8 is the default; use
     Kvaerno5 for stiff flows.
 ``taylor``
-        Taylor series made from the trace, for flows that are not stiff: accurate to rounding if no
+    Taylor series made from the trace, for flows that are not stiff: accurate to rounding if no
     tolerance is given, of a lower order otherwise. At rounding level it also measures the error
     bounds of runs.
 
