@@ -218,12 +218,7 @@ def ensemble(
 
 
 def _require_options(spec: Spec, parameters: Any, certify: Any, progress: Any) -> None:
-    """Refuse options that no lane could use.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse options that no lane could use."""
     if not isinstance(parameters, Mapping | None):
         raise OptionError(
             f"{spec.model}: parameters={short(parameters)}: values by name, {{name: values}}"
@@ -235,12 +230,7 @@ def _require_options(spec: Spec, parameters: Any, certify: Any, progress: Any) -
 
 
 def _require_names(lanes: Lanes, measures: Measures) -> None:
-    """Refuse a model whose states or varied parameters are named as columns of the table are.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse a model whose states or varied parameters are named as columns of the table are."""
     columns = {"lane", *_Row._fields} - {"x", "measured"}
     columns |= set(measures.coordinates())
     columns |= {"hits", "t_section"} if measures.section is not None else set()
@@ -484,12 +474,7 @@ def _dataset(spec: Spec, lanes: Lanes, rows: _Rows, measures: Measures) -> xarra
 
 
 def _of(table: xarray.Dataset, function: Callable[..., Any]) -> np.ndarray:
-    """What a function makes of the table: a column.
-
-    Raises
-    ------
-    OptionError
-    """
+    """What a function makes of the table: a column."""
     column, lanes = np.asarray(function(table)), table.sizes["lane"]
     if column.shape != (lanes,):
         raise OptionError(

@@ -199,12 +199,7 @@ def as_function(
 
 
 def _require_options(spec: Spec, t: Any, max_jumps: Any, zeno: Any, outputs: Any) -> None:
-    """Refuse what only functions take, or do not take.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse what only functions take, or do not take."""
     unknown = [name for name in outputs if name not in OUTPUTS]
     if isinstance(outputs, str) or unknown:
         raise OptionError(

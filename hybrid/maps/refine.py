@@ -56,12 +56,7 @@ class Lattice:
 
     @classmethod
     def of(cls, spec: Spec, axes: Mapping[str, np.ndarray], widths: Any) -> Lattice:
-        """The lattice for these widths by name.
-
-        Raises
-        ------
-        OptionError
-        """
+        """The lattice for these widths by name."""
         if not isinstance(widths, Mapping) or not widths or not set(widths) <= set(axes):
             known = ", ".join(axes)
             raise OptionError(f"{spec.model}: refine={widths!r}: widths by name, of {known}")

@@ -224,12 +224,7 @@ def periodic_orbit(
 
 
 def _require_run(scene: Scene, guess: Guess, options: dict[str, Any]) -> None:
-    """Refuse options that no run could use: the search takes faults of a run for a bad guess.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse options that no run could use: the search takes faults of a run for a bad guess."""
     mode_of(scene, guess.mode)
     own = {name: value for name, value in options.items() if name not in ("history", "seed")}
     solver, method = renamed(own.pop("solver", "scipy"), own.pop("method", None))
@@ -284,12 +279,7 @@ def _besides(multipliers: ComplexNumbers, autonomous: bool) -> bool:
 
 
 def _require_closed(shooting: Shooting, turn: Shot) -> None:
-    """Refuse a turn that drifts although no change of its start would close it.
-
-    Raises
-    ------
-    OrbitError
-    """
+    """Refuse a turn that drifts although no change of its start would close it."""
     options = dict(shooting.options)
     rtol, atol = options["rtol"], np.asarray(options["atol"], dtype=float)
     options |= {"rtol": min(rtol, max(rtol / FINER_BY, FINEST_RTOL)), "atol": atol / FINER_BY}

@@ -204,12 +204,7 @@ class ReturnMap:
         return self._simulate(start, point, run.t1 - run.t0)
 
     def _returned(self, run: Trajectory, period: float | None) -> Trajectory:
-        """The run itself if it lasted a whole period; otherwise an error with the reason.
-
-        Raises
-        ------
-        OrbitError
-        """
+        """The run itself if it lasted a whole period; otherwise an error with the reason."""
         if period is not None and run.status is Status.REACHED_END:
             return run
         why = f"it is in {run.mode} at t = {run.t1:.9g}, {run.final}"

@@ -198,12 +198,7 @@ class _Maker:
             yield from self._arc(part, jump, ends and last)
 
     def _alone(self, index: int, jump: JumpRow, after: Part | None) -> None:
-        """Refuse simultaneous jumps, and jumps that do not depend smoothly on everything.
-
-        Raises
-        ------
-        OrbitError
-        """
+        """Refuse simultaneous jumps, and jumps that do not depend smoothly on everything."""
         if isinstance(after, Arc) and not after.length and index + 1 in self.course.jumps:
             raise OrbitError(
                 f"{self.model}: at t = {jump.t!r} several jumps have no time between them; a run "

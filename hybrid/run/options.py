@@ -234,10 +234,6 @@ def _longest(name: str, value: Any, t0: float, t1: float) -> float:
 def require_taken(model: str, options: Iterable[str], *takers: Callable[..., Any]) -> None:
     """Refuse options that none of the functions takes which they are passed on to; the first of
     them is named.
-
-    Raises
-    ------
-    OptionError
     """
     parameters = (each for taker in takers for each in signature(taker).parameters.values())
     known = [each.name for each in parameters if each.kind is Parameter.KEYWORD_ONLY]
@@ -248,12 +244,7 @@ def require_taken(model: str, options: Iterable[str], *takers: Callable[..., Any
 
 
 def require_count(name: str, value: Any, least: int, otherwise: str = "") -> None:
-    """Refuse what is no whole number, or less than the least.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse what is no whole number, or less than the least."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not (whole and value >= least):
         raise OptionError(f"{name}={short(value)}: a whole number, {least} or more{otherwise}")

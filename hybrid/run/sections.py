@@ -150,12 +150,7 @@ def _jumps(scene: Scene) -> list[str]:
 
 
 def _require_no_signal(spec: Spec, closed: Any) -> None:
-    """Refuse a surface that reads a signal.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse a surface that reads a signal."""
     used = require_written(closed) if spec.signals else set()
     end = sum(math.prod(np.shape(parameter.default)) for parameter in spec.parameters)
     for signal in spec.signals:

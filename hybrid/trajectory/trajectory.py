@@ -188,12 +188,7 @@ class Accumulations(list[Accumulation]):
 
 
 def _place(index: Any, count: int, what: str) -> int:
-    """The place of one of so many things.
-
-    Raises
-    ------
-    IndexError
-    """
+    """The place of one of so many things."""
     try:
         return range(count)[index]
     except IndexError:
@@ -484,12 +479,7 @@ def counted(count: int, what: str) -> str:
 
 
 def _times(t: Any) -> np.ndarray:
-    """Times as an array.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Times as an array."""
     try:
         return reals(t)
     except ValueError:
