@@ -486,6 +486,3 @@ def _at(part: Part | Flights, t: float) -> np.ndarray:
     """The state of a part at a time."""
     arc = part if isinstance(part, Arc) else part.arc_at(t)
     return arc.local((t - arc.t0) - arc.low if t > arc.t0 else 0.0)
-
-
-__all__ = ["MeasuredLane", "Measures", "number_of"]

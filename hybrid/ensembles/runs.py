@@ -482,6 +482,3 @@ def _of(table: xarray.Dataset, function: Callable[..., Any]) -> np.ndarray:
             f"{column.shape}, and {(lanes,)} is due, a value for each lane"
         )
     return column
-
-
-__all__ = ["ensemble", "solver_for"]

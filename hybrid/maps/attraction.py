@@ -371,6 +371,3 @@ class _Flown:
             share=share,
             for_ever=found.for_ever,
         )
-
-
-__all__ = ["Attractor", "Basins", "basins"]

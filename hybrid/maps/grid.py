@@ -178,6 +178,3 @@ def folded(table: xarray.Dataset, axes: Mapping[str, np.ndarray]) -> xarray.Data
     for name, values in axes.items():
         coordinates[name] = name, values, table.coords[name].attrs
     return xarray.Dataset(data, coords=coordinates, attrs=table.attrs)
-
-
-__all__ = ["folded", "lanes_of", "sweep"]

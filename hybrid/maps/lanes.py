@@ -281,6 +281,3 @@ def _inner(value: Any) -> Any:
     if isinstance(value, FunctionType):
         return value.__code__
     return getattr(value, "__name__", value)  # of modules and classes
-
-
-__all__ = ["AskedLanes", "block_of", "dimension", "flier", "joined", "points_of"]

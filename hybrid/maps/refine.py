@@ -128,6 +128,3 @@ def _halved(cells: list[_Cell], known: Mapping[Corner, Any], longest: Corner) ->
         differ = np.ptp(kinds[inside]) > 0
         found += cell.halves(longest) if differ else [cell]
     return found
-
-
-__all__ = ["Lattice", "refined"]

@@ -136,7 +136,7 @@ class Search:
         )
 
     def lasting(self, turn: Shot) -> Shot:
-        """The turn, refused if the next one does not close: the period is then not the model's own."""
+        """The turn; refused if the next does not close: the period is then not the model's own."""
         shooting, guess = self.shooting, turn.guess
         later = attrs.evolve(guess, t=guess.t + guess.period)
         if guess.history is not None:

@@ -399,6 +399,3 @@ def _read_accumulation(spec: Spec, point: dict[str, Any]) -> Accumulation:
 def _read_grazing(spec: Spec, t: float, j: int, edge: str, state: list[float]) -> Jump:
     record = spec.record(np.array(state))
     return Jump(t, j, edge, record, record)
-
-
-__all__ = ["read", "save", "to_xarray"]

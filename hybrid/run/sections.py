@@ -182,6 +182,3 @@ def _surface(model: Any, scene: Scene, function: Callable[..., Any], crossing: C
     made = bound("value", node), free, *shape, lambda: closed
     size = bound("size", graph.size(node))
     return Surface(scene, Guard("section", Kind.EDGE, "", crossing, *made), size)
-
-
-__all__ = ["EdgeSection", "Period", "Return", "Section", "Surface", "section_of"]
