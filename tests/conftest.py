@@ -8,6 +8,7 @@ import resource
 import signal
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from zlib import crc32
 
 import jax
 import pytest
@@ -124,11 +125,14 @@ def pytest_generate_tests(metafunc):
 
 
 def _marked(metafunc, names):
-    """Second methods of a mechanism are left to ``-m every_way``, but by tests of each method."""
+    """Second methods of a mechanism are left to ``-m every_way``, but by tests of each method; and
+    so is Diffrax by two tests in three, as its programs are traced anew for each class."""
     if any(metafunc.definition.iter_markers("each_method")):
         return list(names)
+    test = f"{metafunc.module.__name__}.{metafunc.function.__name__}"
+    left = [*SECOND, *(["Dopri8"] if len(names) > 1 and crc32(test.encode()) % 3 else [])]
     more = pytest.mark.every_way
-    return [pytest.param(n, marks=more) if n in SECOND else n for n in names]
+    return [pytest.param(n, marks=more) if n in left else n for n in names]
 
 
 @pytest.fixture
