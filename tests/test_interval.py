@@ -62,7 +62,7 @@ def plain(op, arguments):
 
 
 @pytest.mark.parametrize("op", NUMBERS)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.data())
 def test_every_operation_encloses_its_values(op, data):
     """At a point drawn from the box; an undefined value is never enclosed."""
