@@ -33,6 +33,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import hybrid as hy
+from models.relief_valve import START, ReliefValve
 
 try:
     import numba
@@ -57,21 +58,10 @@ class Table(hy.Automaton):
     impact = hy.contact(flight, gap=lambda self, t, s: s.x - self.G * jnp.sin(t), restitution="e")
 
 
-class Valve(hy.Automaton):
-    """A pressure relief valve: lift, speed, pressure; it turns where it stands highest."""
+class Valve(ReliefValve):
+    """The gallery's, which also turns where it stands highest."""
 
-    y1 = hy.state(doc="lift")
-    y2 = hy.state()
-    y3 = hy.state(doc="pressure")
-    q: float = hy.parameter(5.0, positive=True, doc="flow")
-
-    @hy.mode
-    def open(self, t, s):
-        return s.y2, -1.25 * s.y2 - (s.y1 + 10.0) + s.y3, 20.0 * (self.q - s.y1 * jnp.sqrt(s.y3))
-
-    seat = hy.contact(open, gap=lambda self, t, s: s.y1, restitution=0.8)
-
-    @hy.edge(open, to=open, guard=lambda self, t, s: s.y2)
+    @hy.edge("open", to="open", guard=lambda self, t, s: s.y2)
     def turn(self, t, s):
         return s
 
@@ -186,13 +176,12 @@ def bead(amplitudes, starts):
 
 
 def valve(values, to, store):
-    start = {"y1": 2.0, "y2": 0.0, "y3": 12.0}
     asked = {"section": "turn", "skip": 1024, "keep": 32, "measure": ()}
     q = np.linspace(0.2, 10.0, values)
-    hy.bifurcation(Valve(), {"q": q[-2:]}, start, (0.0, 5.0), **asked)  # compiled
+    hy.bifurcation(Valve(), {"q": q[-2:]}, START, (0.0, 5.0), **asked)  # compiled
     begin, used = time.perf_counter(), time.process_time()
     asked |= {"t": (0.0, 2800.0), "max_steps": 60_000, "store": store}
-    found = hy.bifurcation(Valve(), {"q": q}, start, **asked)
+    found = hy.bifurcation(Valve(), {"q": q}, START, **asked)
     seconds, used = time.perf_counter() - begin, time.process_time() - used
     full = np.isfinite(found.table.t_section.values).all(axis=1)
     hits, jumps = int(found.table.hits.sum()), int(found.table.jumps.sum())
@@ -212,11 +201,10 @@ def valve(values, to, store):
 
 def seated():
     """At rest on the seat pressure grows by 20 q a unit of time, up to 10, the spring's force."""
-    start = {"y1": 2.0, "y2": 0.0, "y3": 12.0}
     print("at rest on the seat, and released by pressure; exact: t_inf + (10 - pressure)/(20 q)")
     print(f"{'q':>6} {'t_inf':>13} {'pressure':>13} {'released at':>16} {'difference':>11}")
     for q in (0.05, 0.1, 0.2, 0.25):
-        run = hy.simulate(Valve(q=q), start, (0.0, 40.0), solver="taylor")
+        run = hy.simulate(Valve(q=q), START, (0.0, 40.0), solver="taylor")
         for point in run.zeno[:2]:
             exact = point.t + (10.0 - point.state.y3) / (20.0 * q)
             row = f"{q:6} {point.t:13.9f} {point.state.y3:13.9f} {point.t_release:16.12f}"

@@ -73,8 +73,8 @@ class Cut:
     Attributes
     ----------
     before, after : float
-            Fractions of the step just before and after it, as close as rounding permits; ``before``
-        is negative if the step begins on it.
+        Fractions of the step just before and after it, as close as rounding permits; ``before`` is
+        negative if the step begins on it.
     side : int
         Sign of the deciding function after it.
     """
@@ -96,8 +96,8 @@ class Zero:
     direction : int
         ``-1`` falling, ``+1`` rising, ``0`` touching without crossing.
     cut : Cut or None
-            Set if the guard jumps here, or becomes undefined, rather than passing through zero.
-        With direction 0 it may not have changed sign.
+        Set if the guard jumps here, or becomes undefined, rather than passing through zero. With
+        direction 0 it may not have changed sign.
     """
 
     tau: float
@@ -126,12 +126,12 @@ def zeros(
     tolerance : float
         An extremum within this distance of zero is a tangency.
     ends : dict
-            For each edge the guard's value at the end of the last step, from which this step
-        continues so that no sign change is lost between steps; and its largest size so far in the
-        arc, as it cannot touch zero before it has left it. Updated in place.
+        For each edge the guard's value at the end of the last step, from which this step continues
+        so that no sign change is lost between steps; and its largest size so far in the arc, as it
+        cannot touch zero before it has left it. Updated in place.
     noise : float
-            Rounding of a guard that was zero at the start of the arc: it does not cross zero before
-        it has exceeded this.
+        Rounding of a guard that was zero at the start of the arc: it does not cross zero before it
+        has exceeded this.
     """
     places: list[Cut] = []
     for kink in guard.kinks:

@@ -62,7 +62,7 @@ def plain(op, arguments):
 
 
 @pytest.mark.parametrize("op", NUMBERS)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.data())
 def test_every_operation_encloses_its_values(op, data):
     """At a point drawn from the box; an undefined value is never enclosed."""
@@ -86,7 +86,7 @@ def ranged(op, *boxes):
 
 
 @pytest.mark.parametrize("op", RANGES)
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.data())
 def test_ranges_of_doubles_hold_the_values_of_an_operation(op, data):
     """Bounds in doubles hold what balls of many bits say of a point in the box."""

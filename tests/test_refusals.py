@@ -149,6 +149,16 @@ def test_a_method_given_as_a_solver_says_whose_it_is():
         (lambda: hy.periodic_orbit(BouncingBall(), START, solver="x"), "solver='x': there are"),
         (lambda: hy.periodic_orbit(BouncingBall(), START, tolerance=1), "tolerance= is no option"),
         (lambda: hy.lyapunov(BouncingBall(), START, (3.0, 0.0)), "the first before the last"),
+        (lambda: hy.lyapunov(BouncingBall(), START, SPAN, rtoll=1e-9), "rtoll= is no option of hy"),
+        (lambda: hy.return_map(BouncingBall(), "impact", tmax=9.0), "tmax= is no option of hy.sim"),
+        (
+            lambda: hy.sweep(BouncingBall(), VALUES, START, SPAN, folow=True),
+            "BouncingBall: folow= is no option of hy.sweep; is follow= meant?",
+        ),
+        (
+            lambda: hy.bifurcation(BouncingBall(), VALUES, START, SPAN, section="impact", kep=3),
+            "kep=",
+        ),
     ],
 )
 def test_a_mistake_is_refused_with_its_value(make, words):

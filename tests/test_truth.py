@@ -16,6 +16,7 @@ from models.moon_holmes import MoonHolmes
 from models.two_tanks import TwoTanks
 
 from . import systems
+from .contract.ways import later
 from .test_cycles import Box, LateInflow, PowerLaw, Rocking
 
 BORDER = 0.150562297509349608672127586612455896897636764
@@ -162,7 +163,7 @@ DECOYS = {
     "gaps to a limit": (Settling(), [20.0], 40),
 }
 
-SOLVERS = pytest.mark.parametrize("solver", ["scipy", "taylor", "diffrax"])
+SOLVERS = pytest.mark.parametrize("solver", ["scipy", "taylor", *later("diffrax")])
 
 
 @SOLVERS

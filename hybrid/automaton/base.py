@@ -246,12 +246,7 @@ class _Traced:
                 self.traces["lag", name] = self._plain_lag(name, function, numbers, place, extra)
 
     def _require_moving(self, kind: str, owner: str, used: set[int]) -> None:
-        """Refuse a guard that no flow changes: ``used`` are the inputs that it depends on.
-
-        Raises
-        ------
-        ValueError
-        """
+        """Refuse a guard that no flow changes: ``used`` are the inputs that it depends on."""
         first = sum(math.prod(np.shape(parameter.default)) for parameter in self.spec.parameters)
         flows = range(first, first + sum(map(math.prod, self.spec.windows)) + 1 + self.spec.flows)
         urgent = any(e.name == owner and getattr(e, "urgent", False) for e in self.spec.transitions)
@@ -362,12 +357,7 @@ def _register_pytree(cls: type) -> None:
 
 
 def require_no_discrete(model: Any, what: str, instead: str) -> None:
-    """Refuse a model with discrete variables.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse a model with discrete variables."""
     if getattr(model, "spec", None) and model.spec.discrete:
         if model.spec.chances:
             instead = f"{model.spec.chances[0]} draws random numbers; let it draw none for this"
@@ -385,7 +375,7 @@ def require_model(model: Any) -> None:
     OptionError
         If ``model`` is not an instance of a model.
     DeclarationError
-            If a global, a closure variable or a class attribute that its functions read has changed
+        If a global, a closure variable or a class attribute that its functions read has changed
         since the class was made.
     """
     if not hasattr(model, "spec"):

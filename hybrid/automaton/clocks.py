@@ -57,12 +57,7 @@ def _disorder(times: Times, named: dict[str, Any]) -> Iterator[str]:
 
 
 def require_clocks(model: Any, spec: Spec) -> None:
-    """Refuse parameter values that give a clock no valid times.
-
-    Raises
-    ------
-    ParameterError
-    """
+    """Refuse parameter values that give a clock no valid times."""
     for edge in spec.transitions:
         named = _given(edge.times) if isinstance(edge, ClockSpec) else []
         own = {name: getattr(model, name) for name in named if isinstance(name, str)}

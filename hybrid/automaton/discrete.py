@@ -101,12 +101,7 @@ def number(name: str, kind: str, part: Any) -> Any:
 
 
 def require_kind(name: str, kind: str, dtype: Any) -> None:
-    """Refuse a reset's value whose dtype does not fit the kind.
-
-    Raises
-    ------
-    ValueError
-    """
+    """Refuse a reset's value whose dtype does not fit the kind."""
     if np.dtype(dtype).kind not in DUE_KINDS.get(kind, np.dtype(dtype).kind):
         raise ValueError(f"{name}: a value of type {dtype} where {KIND_REMEDIES[kind]}")
 

@@ -275,8 +275,8 @@ def edge(
     urgent : bool
         Whether the edge also fires if its guard is already beyond zero when the mode is entered.
     at : number, name of a parameter, or sequence of these
-            Increasing times at which the edge fires, instead of a guard; a parameter may be an
-        array of times.
+        Increasing times at which the edge fires, instead of a guard; a parameter may be an array of
+        times.
     every, offset : number or name of a parameter
         The edge fires at ``k * every + offset`` for all integers k. It does not fire at the first
         time of a run, but does at the last.

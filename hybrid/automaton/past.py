@@ -112,12 +112,7 @@ class Asking:
 
 
 def _number(lag: Any) -> Any:
-    """The lag, checked to be a scalar and, if known, finite and not negative.
-
-    Raises
-    ------
-    ValueError
-    """
+    """The lag, checked to be a scalar and, if known, finite and not negative."""
     if isinstance(lag, str) or np.shape(lag) != ():
         what = repr(lag) if isinstance(lag, str) else f"of shape {np.shape(lag)}"
         raise ValueError(f"past(lag): the lag is {what}; one number is due")

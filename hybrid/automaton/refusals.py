@@ -74,12 +74,7 @@ class UnchangingError(FrozenInstanceError):
 
 
 def unchanging(self: Any, name: str, value: Any) -> NoReturn:
-    """The ``__setattr__`` of a model.
-
-    Raises
-    ------
-    UnchangingError
-    """
+    """The ``__setattr__`` of a model."""
     model = type(self).__name__
     raise UnchangingError(
         f"{model}.{name} = ...: a model does not change; make another one, "

@@ -225,12 +225,7 @@ class Samples:
         return (self.times[0] <= t) & (t <= self.times[-1])
 
     def require(self, model: str, t0: float, t1: float) -> None:
-        """Refuse a run that leaves the times at which the signal is defined.
-
-        Raises
-        ------
-        OptionError
-        """
+        """Refuse a run that leaves the times at which the signal is defined."""
         if not self.within(np.array([t0, t1])).all():
             first, last = self.times[[0, -1]].tolist()
             raise OptionError(
@@ -270,12 +265,7 @@ class EachLane:
 
 
 def of_lanes(model: Any, given: Mapping[str, Any]) -> dict[str, list[Samples]]:
-    """Data of the signals in ``given``, by name, as lists: one entry per lane, or one for all.
-
-    Raises
-    ------
-    ParameterError
-    """
+    """Data of the signals in ``given``, by name, as lists: one entry per lane, or one for all."""
     found = {}
     for spec in model.spec.signals:
         if spec.name in given:

@@ -365,12 +365,7 @@ class Spec:
         return [*values, *others.values()]
 
     def require_rates(self, record: Any) -> None:
-        """Refuse a flow's result that gives rates of discrete variables.
-
-        Raises
-        ------
-        ValueError
-        """
+        """Refuse a flow's result that gives rates of discrete variables."""
         changed: tuple[str, ...] = ()
         if isinstance(record, Record):
             changed = record.changed

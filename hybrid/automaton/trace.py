@@ -128,12 +128,7 @@ def condition(call: Traced) -> Traced:
 
 
 def real_valued(array: Any, name: str) -> Any:
-    """``array``, refused if it is complex.
-
-    Raises
-    ------
-    ValueError
-    """
+    """``array``, refused if it is complex."""
     if np.issubdtype(array.dtype, np.complexfloating):
         raise ValueError(f"{name}a complex value where a real one is due")
     return array
@@ -177,8 +172,8 @@ def require_wide(cls: type, closed: Any, function: Callable[..., Any]) -> None:
     Raises
     ------
     TraceError
-            Names the captured constant. It was rounded to 32 bits before this package saw it, so
-        its digits are lost.
+        Names the captured constant. It was rounded to 32 bits before this package saw it, so its
+        digits are lost.
     """
     narrow = next(_narrow(closed), None)
     if narrow is None:
@@ -274,12 +269,7 @@ def _captured_name(cls: type, function: Callable[..., Any], constant: Any) -> st
 def require_repeatable(
     cls: type, spec: Spec, call: Traced, extra: int, closed: Any, function: Callable[..., Any]
 ) -> None:
-    """Refuse a function that gives a different trace when it is traced again.
-
-    Raises
-    ------
-    TraceError
-    """
+    """Refuse a function that gives a different trace when it is traced again."""
     names = may_vary(cls, function)
     if not names:
         return

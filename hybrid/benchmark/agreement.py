@@ -108,10 +108,10 @@ def compare(
     Parameters
     ----------
     rtol, atol : float
-            Tolerances of a step, the same for all methods; they determine which differences are
+        Tolerances of a step, the same for all methods; they determine which differences are
         explained.
     methods : dict, optional
-            Options of :func:`hybrid.simulate` by label; the first is the reference. By default all
+        Options of :func:`hybrid.simulate` by label; the first is the reference. By default all
         methods of the package.
     options
         Passed to :func:`hybrid.simulate`.

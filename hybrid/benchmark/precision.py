@@ -58,12 +58,12 @@ class Timing:
         ``"solver:method"``.
     rtol : float
     error : float
-            Relative error (see :func:`bench`); infinite if the jumps differ from the exact ones,
-        NaN if the run failed.
+        Relative error (see :func:`bench`); infinite if the jumps differ from the exact ones, NaN if
+        the run failed.
     seconds : float
         Median duration of a call; ``low`` and ``high`` are the quartiles.
     first : float
-            Duration of the first call of this solver, compilation included; NaN except at its first
+        Duration of the first call of this solver, compilation included; NaN except at its first
         tolerance.
     steps, evaluations : int or None
         As in ``run.stats``.
@@ -98,8 +98,8 @@ class Bench:
     against : str
         What errors are measured against.
     resolution : float
-            Errors below this are indistinguishable from 0, as two reference runs differ by it; 0
-        with exact values.
+        Errors below this are indistinguishable from 0, as two reference runs differ by it; 0 with
+        exact values.
     versions, machine : dict
         Versions of the packages, and the machine.
     """
@@ -240,14 +240,14 @@ def bench(
     rtol : sequence of float
         Relative tolerances; the absolute ones are a hundredth of each, unless ``atol`` is given.
     oracle : callable, optional
-            Returns rows ``(name, computed, exact)`` for a run, as in a gallery file. The error is
-        the largest difference in a row, relative to the exact value unless that is 0. Without an
+        Returns rows ``(name, computed, exact)`` for a run, as in a gallery file. The error is the
+        largest difference in a row, relative to the exact value unless that is 0. Without an
         oracle, a run is compared with one of another method at rounding accuracy (Taylor series, or
         DOP853 for these). The error is then the largest difference of a state relative to the
         largest state, or of the time of a jump, limit or release relative to the length of the run.
     repeats : int
-            Rounds of timings. Each round times every solver at every tolerance, so that other load
-        on the machine affects all of them.
+        Rounds of timings. Each round times every solver at every tolerance, so that other load on
+        the machine affects all of them.
     progress : callable, optional
         Receives a line of text at each first call.
     options
@@ -256,7 +256,7 @@ def bench(
     Returns
     -------
     Bench
-            ``print(found)`` shows a table that ends with advice; ``found.plot(path)`` plots it,
+        ``print(found)`` shows a table that ends with advice; ``found.plot(path)`` plots it,
         ``found.save(path)`` writes it as JSON.
 
     Raises

@@ -276,10 +276,6 @@ def _and(a: Any, b: Any) -> Any:
     return None if a is None or b is None else True
 
 
-def _or(a: Any, b: Any) -> Any:
-    return _not(_and(_not(a), _not(b))) if not isinstance(a, arb) else _not(a)
-
-
 def _xor(a: Any, b: Any) -> Any:
     if isinstance(a, arb) or isinstance(b, arb):
         return Undefined("a bitwise operation on numbers")
@@ -344,7 +340,7 @@ BALLS: dict[str, Callable[..., Any]] = {
     "eq": _equal,
     "ne": lambda a, b: _not(_equal(a, b)),
     "and": _and,
-    "or": _or,
+    "or": lambda a, b: _not(a) if isinstance(a, arb) else _not(_and(_not(a), _not(b))),
     "xor": _xor,
     "not": _not,
 }

@@ -34,8 +34,8 @@ class Growth:
     up, down : float
         Exponents of growth upward and downward; ``inf`` if no power bounds it.
     least : float
-            For large values of the growing input, the absolute value grows at least with this
-        exponent; ``-inf`` if nothing is known.
+        For large values of the growing input, the absolute value grows at least with this exponent;
+        ``-inf`` if nothing is known.
     """
 
     low: float
@@ -222,10 +222,6 @@ def _max(a: Growth, b: Growth) -> Growth:
     return Growth(max(a.low, b.low), max(a.high, b.high), max(a.up, b.up), min(a.down, b.down))
 
 
-def _min(a: Growth, b: Growth) -> Growth:
-    return _neg(_max(_neg(a), _neg(b)))
-
-
 def _rem(a: Growth, b: Growth) -> Any:
     size = _abs(b)
     if not size.positive:
@@ -322,10 +318,6 @@ def _exponential(limits: tuple[float, float]) -> Callable[..., Any]:
     return rule
 
 
-def _cosh(op: str, a: Growth) -> Any:
-    return _exponential((1.0, math.inf))(op, _abs(a))
-
-
 _INF = math.inf
 _NAMED: dict[str, Callable[..., Any]] = {
     **dict.fromkeys(("sin", "cos", "sign", "tanh", "erf"), _within(-1.0, 1.0)),
@@ -342,7 +334,7 @@ _NAMED: dict[str, Callable[..., Any]] = {
     **dict.fromkeys(("exp", "exp2"), _exponential((0.0, _INF))),
     "expm1": _exponential((-1.0, _INF)),
     "sinh": _exponential((-_INF, _INF)),
-    "cosh": _cosh,
+    "cosh": lambda op, a: _exponential((1.0, _INF))(op, _abs(a)),
 }
 
 GROWTH_RULES: dict[str, Callable[..., Any]] = {
@@ -354,7 +346,7 @@ GROWTH_RULES: dict[str, Callable[..., Any]] = {
     "div": _div,
     "abs": _abs,
     "max": _max,
-    "min": _min,
+    "min": lambda a, b: _neg(_max(_neg(a), _neg(b))),
     "rem": _rem,
     "pow": _pow,
     "real": lambda a: a,

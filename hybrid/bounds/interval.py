@@ -32,12 +32,7 @@ class Undecided(Exception):
 
 
 def require_flint() -> None:
-    """Raise an error with the remedy if python-flint is missing.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Raise an error with the remedy if python-flint is missing."""
     need("a proof", PROOFS)
 
 

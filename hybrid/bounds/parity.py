@@ -42,8 +42,8 @@ def parity(graph: Graph, root: int, flipped: Collection[str]) -> Parity:
     Returns
     -------
     "even", "odd" or "unknown"
-            The first two are proofs, in real arithmetic; ``"unknown"`` means that no proof was
-        found. An expression that is identically zero counts as even.
+        The first two are proofs, in real arithmetic; ``"unknown"`` means that no proof was found.
+        An expression that is identically zero counts as even.
     """
     forms = _Forms(graph)
     plain, turned = forms.of(root, frozenset()), forms.of(root, frozenset(flipped))

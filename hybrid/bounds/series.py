@@ -212,10 +212,6 @@ def _remainder(a: Any, b: Any) -> Any:
     return _series(a) - whole * _series(b)
 
 
-def _exp2(a: Any) -> Any:
-    return (a * arb(2).log()).exp()
-
-
 def _tanh(a: Any) -> Any:
     if a[0] < 0:
         return -_tanh(-a)
@@ -238,7 +234,7 @@ SERIES_RULES: dict[str, Callable[..., Any]] = {
     "sqrt": _positive(lambda a: a.sqrt()),
     "cbrt": _positive(lambda a: (a.log() / 3).exp()),
     "exp": lambda a: a.exp(),
-    "exp2": _exp2,
+    "exp2": lambda a: (a * arb(2).log()).exp(),
     "expm1": lambda a: a.exp() - 1,
     "log": _positive(lambda a: a.log()),
     "log1p": lambda a: _positive(lambda b: b.log())(1 + a),

@@ -33,7 +33,7 @@ def certify(
     ----------
     model : Automaton
     box : mapping of str to (low, high)
-            Theorem 1: the position from the obstacle to the largest height, and the velocity ``(-c,
+        Theorem 1: the position from the obstacle to the largest height, and the velocity ``(-c,
         c)``. Lemma: ``"gap": (0, y)``, ``"speed": (0, w)`` (an absolute value), and all else that
         the gap's acceleration depends on: ``"t"``, other states. For both, bounds of states that
         might end the motion. Elements of an array are named ``"q[0]"``.
@@ -43,7 +43,7 @@ def certify(
     Returns
     -------
     Certificate
-            ``verdict`` is ``"certified"`` (proved), ``"refuted"`` (a condition is proved to fail on
+        ``verdict`` is ``"certified"`` (proved), ``"refuted"`` (a condition is proved to fail on
         this box; the motion may chatter nevertheless) or ``"undecided"``.
 
     Raises

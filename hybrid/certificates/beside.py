@@ -38,8 +38,8 @@ class Beside:
     Attributes
     ----------
     drifts : dict of str to float
-            Largest absolute rates, by name, of the states that must stay within the box; for time,
-        the rate is 1.
+        Largest absolute rates, by name, of the states that must stay within the box; for time, the
+        rate is 1.
     fault : tuple of str or None
         Verdict, reason and repair, if a state may end the motion.
     """

@@ -39,8 +39,8 @@ class Question:
     relative : bool
         Whether the box is in coordinates relative to the contact.
     position, velocity : int
-            Indices in the state vector of the gap's position and its velocity; the first pair if
-        the gap depends on several.
+        Indices in the state vector of the gap's position and its velocity; the first pair if the
+        gap depends on several.
     """
 
     spec: Spec
@@ -188,12 +188,7 @@ def solved(h: Traced, k: int, parameters: Any, t: Any, x: Any, value: Any) -> An
 
 
 def ask(model: Any, box: Any, mode: str | None, contact: str | None) -> Question:
-    """Check a question.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Check a question."""
     require_model(model)
     scene = scene_of(model, by="hy.certify")
     chosen = _contact(scene.spec, mode, contact)
@@ -214,12 +209,7 @@ def ask(model: Any, box: Any, mode: str | None, contact: str | None) -> Question
 
 
 def _require_own_derivatives(code: Lowered, contact: ContactSpec) -> None:
-    """Refuse ``stop_gradient``, which falsifies the derivatives on which the proofs rest.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse ``stop_gradient``, which falsifies the derivatives on which the proofs rest."""
     for kind, name in (("flow", contact.source), ("gap", contact.name)):
         if hides_derivatives(code.closed(kind, name)):
             raise OptionError(

@@ -22,27 +22,27 @@ class Certificate:
     statement : str
         The statement in question: Theorem 1, or the lemma without (C2).
     m, M : float or None
-            ``-M <= a < -m`` on the box, where ``a`` is the gap's acceleration in free flight (the
+        ``-M <= a < -m`` on the box, where ``a`` is the gap's acceleration in free flight (the
         force, if the gap is ``x - phi``). Theorem 1 demands the strict ``a < -m``, so its ``m`` is
         the float below what was proved.
     m_at, M_at : dict
         Points at which the acceleration comes closest to ``-m`` and ``-M``.
     left, right, margin : float or None
-            Theorem 1: ``M sqrt(2 (h - phi) / m)``, the largest speed of the box, and their
-        difference. Lemma: ``rho = r sqrt(M / m)``, 1, and their difference.
+        Theorem 1: ``M sqrt(2 (h - phi) / m)``, the largest speed of the box, and their difference.
+        Lemma: ``rho = r sqrt(M / m)``, 1, and their difference.
     m_range : (float, float) or None
         Theorem 1: every ``m`` strictly between these is valid.
     restitution : (float, float) or None
         Bounds of the restitution on the box.
     remaining : (float, float) or None
-            Lemma: bounds of the time to the accumulation, for a motion that leaves the contact with
-        gap speed ``initial_set["speed"][1]``; they are proportional to that speed.
+        Lemma: bounds of the time to the accumulation, for a motion that leaves the contact with gap
+        speed ``initial_set["speed"][1]``; they are proportional to that speed.
     reason : str
         The reason; if refuted, the condition that fails and where.
     repair : str
         The remedy; empty if certified.
     initial_set : dict or None
-            Initial data from which all motions are proved to chatter. Theorem 1: positions strictly
+        Initial data from which all motions are proved to chatter. Theorem 1: positions strictly
         between these bounds, with velocity 0. This is the whole box or, if that failed, the part up
         to the largest height found for which all conditions hold (by bisection, each trial a
         proof). Lemma: gap 0 and gap speeds from 0 (excluded) up to a bound, leaving the contact, at

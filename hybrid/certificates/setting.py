@@ -115,12 +115,7 @@ def _require_bounds(q: Question) -> None:
 
 
 def _require_touch(q: Question, ends: Bounds, near: float, below: bool) -> None:
-    """Refuse a box that does not extend inward from the wall.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse a box that does not extend inward from the wall."""
     name, room = q.spec.element_names[q.position], TOUCH * max(1.0, abs(near))
     start, far = ends if below else ends[::-1]
     sign = 1.0 if below else -1.0

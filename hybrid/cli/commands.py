@@ -23,27 +23,8 @@ from ..errors import PLOT, DeclarationError, HybridError, OptionError, need
 from ..result import Trajectory
 from ..trajectory.stats import versions
 from ..trajectory.trajectory import Status
-from .given import asked, bounds, can_write, pairs, tolerances
-from .options import (
-    Absolute,
-    Before,
-    Choice,
-    FirstStep,
-    Json,
-    LongestStep,
-    MemoryKind,
-    MethodName,
-    ModeAtStart,
-    ModelName,
-    MostJumps,
-    Parameters,
-    Quiet,
-    Relative,
-    Since,
-    SolverName,
-    States,
-    Until,
-)
+from .given import asked, bounds, can_write, flown, pairs, tolerances
+from .options import Json, ModelName, Parameters, Plot, Quiet, Reader, with_options
 from .told import (
     PRINTED,
     as_json,
@@ -95,26 +76,11 @@ def main(
 
 
 @app.command()
+@one_line()
+@with_options(flown)
 def run(
-    model: ModelName,
-    set_: Parameters = None,
-    start: States = None,
-    since: Since = None,
-    until: Until = None,
-    history: Before = None,
-    memory: MemoryKind = "keep",
-    solver: SolverName = "scipy",
-    method: MethodName = None,
-    rtol: Relative = None,
-    atol: Absolute = None,
-    max_step: LongestStep = None,
-    first_step: FirstStep = None,
-    zeno: Choice = "rest",
-    mode: ModeAtStart = None,
-    max_jumps: MostJumps = None,
-    plot: Annotated[
-        str | None, typer.Option(help="Write a picture: out.png, out.pdf, out.svg, out.html.")
-    ] = None,
+    options: Reader,
+    plot: Plot = None,
     save: Annotated[str | None, typer.Option(help="Write the trajectory: out.nc.")] = None,
     table_: Annotated[
         str | None,
@@ -128,61 +94,40 @@ def run(
     json: Json = False,
 ) -> None:
     """Run a model, say what happened, and draw or save it."""
-    with one_line():
-        given = asked(model, set_, start, since, until, history)
-        can_write("--plot", plot)
-        can_write("--save", save)
-        can_write("--csv", table_)
-        if table_ == PRINTED and (json or oracle):
-            raise OptionError(
-                "--csv - prints the table of jumps alone; leave out --json and --oracle"
-            )
-        quiet |= table_ == PRINTED
-        result = _simulate(
-            *given.run,
-            solver=solver,
-            method=method,
-            rtol=rtol,
-            atol=atol,
-            max_step=max_step,
-            first_step=first_step,
-            zeno=zeno,
-            mode=mode,
-            max_jumps=max_jumps,
-            history=given.history,
-            memory=memory,
-            seed=seed,
-        )
-        rows = exact(given.entry, result) if oracle else []
-        if json:
-            known = [{"what": what, "computed": a, "exact": b} for what, a, b in rows]
-            typer.echo(as_json({**facts(result), **({"oracle": known} if oracle else {})}))
-        elif not quiet:
-            report_of(result)
-            if oracle:
-                compared(rows)
-        for what, path, write_it in (
-            ("picture", plot, result.plot),
-            ("trajectory", save, result.save),
-            ("jumps", table_, partial(write_jumps, result)),
-        ):
-            if path is not None:
-                write(partial(write_it, path))
-                if not (quiet or json):
-                    typer.echo(f"{what}: {path}")
+    given = options()
+    can_write("--plot", plot)
+    can_write("--save", save)
+    can_write("--csv", table_)
+    if table_ == PRINTED and (json or oracle):
+        raise OptionError("--csv - prints the table of jumps alone; leave out --json and --oracle")
+    quiet |= table_ == PRINTED
+    result = _simulate(*given.run, seed=seed, **given.options)
+    rows = exact(given.entry, result) if oracle else []
+    if json:
+        known = [{"what": what, "computed": a, "exact": b} for what, a, b in rows]
+        typer.echo(as_json({**facts(result), **({"oracle": known} if oracle else {})}))
+    elif not quiet:
+        report_of(result)
+        if oracle:
+            compared(rows)
+    for what, path, write_it in (
+        ("picture", plot, result.plot),
+        ("trajectory", save, result.save),
+        ("jumps", table_, partial(write_jumps, result)),
+    ):
+        if path is not None:
+            write(partial(write_it, path))
+            if not (quiet or json):
+                typer.echo(f"{what}: {path}")
     if result.status is Status.INTERRUPTED:
         raise typer.Exit(130)
 
 
 @app.command()
+@one_line()
+@with_options(asked)
 def compare(
-    model: ModelName,
-    set_: Parameters = None,
-    start: States = None,
-    since: Since = None,
-    until: Until = None,
-    history: Before = None,
-    memory: MemoryKind = "keep",
+    options: Reader,
     rtol: Annotated[float, typer.Option(help="Relative tolerance, of all alike.")] = 1e-9,
     atol: Annotated[float, typer.Option(help="Absolute tolerance, of all alike.")] = 1e-11,
     quiet: Quiet = False,
@@ -191,10 +136,8 @@ def compare(
     """Run a model with all solvers side by side: what differs, and what explains it."""
     from ..benchmark.agreement import compare as run_all
 
-    with one_line():
-        given = asked(model, set_, start, since, until, history)
-        options = {"rtol": rtol, "atol": atol, "history": given.history, "memory": memory}
-        found = run_all(*given.run, **options)
+    given = options()
+    found = run_all(*given.run, rtol=rtol, atol=atol, **given.options)
     if json:
         typer.echo(as_json(differing(found)))
     elif not quiet:
@@ -204,14 +147,10 @@ def compare(
 
 
 @app.command()
+@one_line()
+@with_options(asked)
 def bench(
-    model: ModelName,
-    set_: Parameters = None,
-    start: States = None,
-    since: Since = None,
-    until: Until = None,
-    history: Before = None,
-    memory: MemoryKind = "keep",
+    options: Reader,
     solvers: Annotated[
         str | None, typer.Option(help="scipy:DOP853,taylor,diffrax:Tsit5 ...; these are a few.")
     ] = None,
@@ -235,29 +174,27 @@ def bench(
     from ..benchmark import bench as measure
     from ..benchmark.precision import TIMED_SOLVERS
 
-    with one_line():
-        if out is not None:
-            need("--out", PLOT)
-        given = asked(model, set_, start, since, until, history)
-        spans = since is not None or until is not None
-        own = not (set_ or start or history or spans or memory != "keep")
-        found = measure(
-            *given.run,
-            solvers=[name.strip() for name in solvers.split(",")] if solvers else TIMED_SOLVERS,
-            rtol=tolerances(rtol),
-            oracle=getattr(given.entry.module, "oracle", None) if own else None,
-            repeats=repeats,
-            progress=_say if sys.stderr.isatty() and not quiet else None,
-            history=given.history,
-            memory=memory,
-        )
-        if json or not quiet:
-            typer.echo(as_json(found.to_dict()) if json else str(found))
-        if out is not None:
-            name = Path(model.partition(":")[0]).stem
-            write(lambda: _keep(found, out, name))
-            if not (quiet or json):
-                typer.echo(f"table, figure, numbers: {out / name}.txt, .png, .json")
+    if out is not None:
+        need("--out", PLOT)
+    given, said = options(), options.keywords
+    changed = any(said[name] for name in ("set_", "start", "history"))
+    changed |= said["since"] is not None or said["until"] is not None or said["memory"] != "keep"
+    found = measure(
+        *given.run,
+        solvers=[name.strip() for name in solvers.split(",")] if solvers else TIMED_SOLVERS,
+        rtol=tolerances(rtol),
+        oracle=None if changed else getattr(given.entry.module, "oracle", None),
+        repeats=repeats,
+        progress=_say if sys.stderr.isatty() and not quiet else None,
+        **given.options,
+    )
+    if json or not quiet:
+        typer.echo(as_json(found.to_dict()) if json else str(found))
+    if out is not None:
+        name = Path(said["model"].partition(":")[0]).stem
+        write(lambda: _keep(found, out, name))
+        if not (quiet or json):
+            typer.echo(f"table, figure, numbers: {out / name}.txt, .png, .json")
 
 
 def _say(line: str) -> None:
@@ -276,6 +213,7 @@ VERDICTS = {"certified": 0, "refuted": 1, "undecided": 3}
 
 
 @app.command()
+@one_line()
 def certify(
     model: ModelName,
     box: Annotated[
@@ -291,9 +229,8 @@ def certify(
     """Prove that impacts accumulate: exit code 0 certified, 1 refuted, 3 undecided."""
     from ..certificates import certify as prove
 
-    with one_line():
-        made = gallery.find(model).cls(**pairs(set_ or [], "--set"))
-        found = prove(made, bounds(box or []), mode, contact)
+    made = gallery.find(model).cls(**pairs(set_ or [], "--set"))
+    found = prove(made, bounds(box or []), mode, contact)
     if json or not quiet:
         typer.echo(as_json(attrs.asdict(found)) if json else str(found))
     if VERDICTS[found.verdict]:
@@ -312,6 +249,7 @@ def list_(quiet: Quiet = False, json: Json = False) -> None:
 
 
 @app.command()
+@one_line()
 def check(
     file: Annotated[str, typer.Argument(help="FILE.py, or a name in the gallery.")],
     quiet: Quiet = False,
@@ -322,19 +260,18 @@ def check(
     from ..lowering import Scene
     from ..lowering.taylor import flat
 
-    with one_line():
-        try:
-            entry = gallery.find(file)
-            spec = entry.cls.spec
-            values = [parameter.default for parameter in spec.parameters]
-            shapes = tuple(getattr(value, "shape", ()) for value in values)
-            windows = blank(spec.lags, spec.dimension)
-            scene = Scene(entry.cls, shapes, tuple(flat([*values, *windows])))
-            for name in scene.modes:
-                scene.field(name)
-        except DeclarationError as fault:
-            typer.echo(str(fault), err=True)
-            raise typer.Exit(2) from None
+    try:
+        cls = gallery.find(file).cls
+        spec = cls.spec
+        values = [parameter.default for parameter in spec.parameters]
+        shapes = tuple(getattr(value, "shape", ()) for value in values)
+        windows = blank(spec.lags, spec.dimension)
+        scene = Scene(cls, shapes, tuple(flat([*values, *windows])))
+        for name in scene.modes:
+            scene.field(name)
+    except DeclarationError as fault:
+        typer.echo(str(fault), err=True)
+        raise typer.Exit(2) from None
     declared = {
         "states": spec.names,
         "modes": list(scene.modes),
@@ -350,6 +287,7 @@ def check(
 
 
 @app.command()
+@one_line()
 def report(
     out: Annotated[Path, typer.Option(help="A folder for the page and its pictures.")],
     only: Annotated[
@@ -361,8 +299,7 @@ def report(
     """Reproduce the paper *Analysis of Impact Chattering*: a page of claims and verdicts."""
     judged: list[Any] = []
     tell = partial(_judged, judged, quiet or json)
-    with one_line():
-        path = gallery.paper().report(out, only or [], tell)
+    path = gallery.paper().report(out, only or [], tell)
     if json:
         typer.echo(as_json({"page": str(path), "claims": judged}))
     elif not quiet:

@@ -14,34 +14,76 @@ from .. import gallery
 from ..errors import FILES, HTML, PLOT, OptionError, StartError, need
 from ..plot import is_page, require_writable
 from ..result.files import require_netcdf
+from .options import (
+    Absolute,
+    Before,
+    Choice,
+    FirstStep,
+    LongestStep,
+    MemoryKind,
+    MethodName,
+    ModeAtStart,
+    ModelName,
+    MostJumps,
+    Parameters,
+    Reader,
+    Relative,
+    Since,
+    SolverName,
+    States,
+    Until,
+    with_options,
+)
 
 
 @attrs.frozen
 class GivenRun:
     """A model of a file and a run of it: the one that the file suggests, but for what was given.
 
-    ``run``: the model, its start, first and last time.
+    ``run``: the model, its start, first and last time; ``options``: those of a run.
     """
 
     entry: gallery.GalleryEntry
     run: tuple[Any, dict[str, Any], tuple[float, float]]
-    history: Any
+    options: dict[str, Any]
 
 
 def asked(
-    model: str,
-    parameters: list[str] | None,
-    start: list[str] | None,
-    since: float | None,
-    until: float | None,
-    history: list[str] | None,
+    model: ModelName,
+    set_: Parameters = None,
+    start: States = None,
+    since: Since = None,
+    until: Until = None,
+    history: Before = None,
+    memory: MemoryKind = "keep",
 ) -> GivenRun:
     """What the options say that all commands have which run a model."""
     entry = gallery.find(model)
-    made = entry.cls(**pairs(parameters or [], "--set"))
+    made = entry.cls(**pairs(set_ or [], "--set"))
     first = _start(entry, pairs(start or [], "--start"))
     before = _history(entry, pairs(history or [], "--history"))
-    return GivenRun(entry, (made, first, _span(entry, since, until)), before)
+    options = {"history": before, "memory": memory}
+    return GivenRun(entry, (made, first, _span(entry, since, until)), options)
+
+
+@with_options(asked)
+def flown(
+    given: Reader,
+    solver: SolverName = "scipy",
+    method: MethodName = None,
+    rtol: Relative = None,
+    atol: Absolute = None,
+    max_step: LongestStep = None,
+    first_step: FirstStep = None,
+    zeno: Choice = "rest",
+    mode: ModeAtStart = None,
+    max_jumps: MostJumps = None,
+) -> GivenRun:
+    """What the options say of a run, and of how it is computed."""
+    options = {"solver": solver, "method": method, "rtol": rtol, "atol": atol, "zeno": zeno}
+    options |= {"max_step": max_step, "first_step": first_step, "mode": mode}
+    known = given()
+    return attrs.evolve(known, options=known.options | options | {"max_jumps": max_jumps})
 
 
 def pairs(given: list[str], option: str) -> dict[str, Any]:

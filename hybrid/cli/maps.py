@@ -6,8 +6,7 @@ import math
 import sys
 from collections.abc import Callable
 from contextlib import contextmanager
-from functools import partial, wraps
-from inspect import Parameter, Signature, signature
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import attrs
@@ -18,26 +17,8 @@ from ..automaton import EITHER, FALLING, RISING
 from ..automaton.outputs import require_outputs
 from ..errors import OptionError
 from .commands import app, one_line, write
-from .given import asked, bounds, can_write, values
-from .options import (
-    Absolute,
-    Before,
-    Choice,
-    FirstStep,
-    Json,
-    LongestStep,
-    MemoryKind,
-    MethodName,
-    ModeAtStart,
-    ModelName,
-    MostJumps,
-    Parameters,
-    Quiet,
-    Relative,
-    Since,
-    States,
-    Until,
-)
+from .given import bounds, can_write, flown, values
+from .options import Json, Plot, Quiet, Reader, with_options
 from .told import as_json, bar
 
 if TYPE_CHECKING:
@@ -62,12 +43,6 @@ Kept = Annotated[
     str | None, typer.Option("--store", help="Where blocks are kept as they are done: map.zarr.")
 ]
 Save = Annotated[str | None, typer.Option(help="Write the map: out.nc.")]
-Plot = Annotated[
-    str | None, typer.Option(help="Write a picture: out.png, out.pdf, out.svg, out.html.")
-]
-
-#: What reads the options that all maps have.
-Reader = partial["_Asked"]
 
 CROSSINGS = {"rising": RISING, "falling": FALLING, "either": EITHER}
 
@@ -115,24 +90,11 @@ class _Asked:
             yield lambda done, _: told(done)
 
 
+@with_options(flown)
 def _common(
-    model: ModelName,
+    options: Reader,
     over: Over = None,
-    set_: Parameters = None,
-    start: States = None,
-    since: Since = None,
-    until: Until = None,
-    history: Before = None,
-    memory: MemoryKind = "keep",
     solver: Solver = None,
-    method: MethodName = None,
-    rtol: Relative = None,
-    atol: Absolute = None,
-    max_step: LongestStep = None,
-    first_step: FirstStep = None,
-    zeno: Choice = "rest",
-    mode: ModeAtStart = None,
-    max_jumps: MostJumps = None,
     section: Section = None,
     crossing: Crossing = "rising",
     store: Kept = None,
@@ -142,34 +104,15 @@ def _common(
     can_write("--save", save)
     axes = values(over or [])
     first = [f"{name}=0" for name in axes]  # a state that is swept needs no start
-    given = asked(model, set_, [*(start or []), *first], since, until, history)
+    given = partial(options, start=[*(options.keywords["start"] or []), *first])()
     made, begun, span = given.run
     begun = {name: value for name, value in begun.items() if name not in axes}
-    options = {"history": given.history, "memory": memory, "solver": solver, "method": method}
-    options |= {"rtol": rtol, "atol": atol, "max_step": max_step, "first_step": first_step}
-    options |= {"zeno": zeno, "mode": mode, "max_jumps": max_jumps, "store": store}
-    return _Asked(made, axes, begun, span, options | _section(section, crossing), save)
+    asked = given.options | {"store": store} | _section(section, crossing)
+    return _Asked(made, axes, begun, span, asked, save)
 
 
-def _of_maps(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the options that all maps have, and as its first argument what reads them.
-
-    Its own options follow; one of the same name takes the place of the common one.
-    """
-    shared = signature(_common, eval_str=True).parameters
-    _, *own = signature(command, eval_str=True).parameters.values()
-    all_ = {**shared, **{each.name: each for each in own}}
-
-    @wraps(command)
-    def told(**given: Any) -> None:
-        common = {name: given.pop(name) for name in shared}
-        with one_line():
-            command(partial(_common, **common), **given)
-
-    options = [each.replace(kind=Parameter.KEYWORD_ONLY) for each in all_.values()]
-    told.__signature__ = Signature(options)  # type: ignore[attr-defined]
-    told.__annotations__ = {each.name: each.annotation for each in options}
-    return told
+#: What gives a command the options that all maps have.
+_of_maps = with_options(_common)
 
 
 def _section(section: str | None, crossing: str) -> dict[str, Any]:
@@ -200,6 +143,7 @@ class _Level:
 
 
 @app.command()
+@one_line()
 @_of_maps
 def sweep(
     common: Reader,
@@ -231,6 +175,7 @@ def sweep(
 
 
 @app.command()
+@one_line()
 @_of_maps
 def basins(
     common: Reader,
@@ -259,6 +204,7 @@ def basins(
 
 
 @app.command()
+@one_line()
 @_of_maps
 def bifurcation(
     common: Reader,
@@ -286,6 +232,7 @@ def bifurcation(
 
 
 @app.command()
+@one_line()
 @_of_maps
 def region(
     common: Reader,

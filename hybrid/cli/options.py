@@ -1,8 +1,11 @@
-"""The options that several commands have."""
+"""The options that several commands have, and how a command comes to have them."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable
+from functools import partial, wraps
+from inspect import Parameter, Signature, signature
+from typing import Annotated, Any
 
 import typer
 
@@ -44,3 +47,33 @@ MostJumps = Annotated[
     ),
 ]
 MemoryKind = Annotated[str, typer.Option("--memory", help="keep or restart. For delays.")]
+Plot = Annotated[
+    str | None, typer.Option("--plot", help="Write a picture: out.png, out.pdf, out.svg, out.html.")
+]
+
+#: What reads the options that commands share.
+Reader = partial[Any]
+
+
+def with_options(reader: Callable[..., Any]) -> Callable[..., Callable[..., Any]]:
+    """Give a command the options of a reader, and as its first argument what reads them.
+
+    Its own options follow; one of the same name takes the place of the reader's.
+    """
+
+    def decorated(command: Callable[..., Any]) -> Callable[..., Any]:
+        shared = signature(reader, eval_str=True).parameters
+        _, *own = signature(command, eval_str=True).parameters.values()
+        all_ = {**shared, **{each.name: each for each in own}}
+
+        @wraps(command)
+        def told(**given: Any) -> Any:
+            common = {name: given.pop(name) for name in shared}
+            return command(partial(reader, **common), **given)
+
+        options = [each.replace(kind=Parameter.KEYWORD_ONLY) for each in all_.values()]
+        told.__signature__ = Signature(options)  # type: ignore[attr-defined]
+        told.__annotations__ = {each.name: each.annotation for each in options}
+        return told
+
+    return decorated

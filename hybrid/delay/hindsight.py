@@ -65,7 +65,7 @@ class Hindsight:
         The record before the run; None for a model without delays.
     memory : "keep" or "restart"
     breaks : (array, array)
-            Breaking points of the record, as far back as the lags reach from the run's end, and the
+        Breaking points of the record, as far back as the lags reach from the run's end, and the
         order of each state element there.
     earlier : Solution or None
         The run that this one continues.

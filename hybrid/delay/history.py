@@ -36,7 +36,7 @@ def pieces(
     Parameters
     ----------
     history : None, mapping, record, sequence, callable or Solution
-            None: the start state at all times. A mapping by state, or a sequence in declared order:
+        None: the start state at all times. A mapping by state, or a sequence in declared order:
         numbers, arrays or functions of time; omitted states are constant at their start value. A
         callable: a function of time that returns all states. A trajectory: its record up to ``t0``,
         preceded by its own history.

@@ -45,8 +45,8 @@ class Piece:
     Attributes
     ----------
     state : callable ``(s, since)``
-            The states at ``s + since`` (an array), shape ``(len(since), n)``. The time is split in
-        two parts so that short windows are not lost in its rounding.
+        The states at ``s + since`` (an array), shape ``(len(since), n)``. The time is split in two
+        parts so that short windows are not lost in its rounding.
     degree : float
         The degree of the polynomial; infinity for a function of the caller.
     orders : array or None

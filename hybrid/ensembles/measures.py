@@ -82,12 +82,7 @@ class Measures:
     def of(
         cls, spec: Spec, measure: Any, taken: Sequence[str], save: Any, section: Any, points: Any
     ) -> Measures:
-        """What a caller asks for.
-
-        Raises
-        ------
-        OptionError
-        """
+        """What a caller asks for."""
         given = [measure] if callable(measure) else measure
         functions = tuple(m for m in given if callable(m)) if not isinstance(given, str) else ()
         told = given if isinstance(given, str) else [m for m in given if not callable(m)]
@@ -491,6 +486,3 @@ def _at(part: Part | Flights, t: float) -> np.ndarray:
     """The state of a part at a time."""
     arc = part if isinstance(part, Arc) else part.arc_at(t)
     return arc.local((t - arc.t0) - arc.low if t > arc.t0 else 0.0)
-
-
-__all__ = ["MeasuredLane", "Measures", "number_of"]

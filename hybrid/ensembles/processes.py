@@ -312,6 +312,3 @@ def _import(name: str, file: str) -> None:
 def _say(why: str) -> None:
     """Say why there are fewer processes."""
     warnings.warn(f"hybrid goes on without another process: {why}", stacklevel=2)
-
-
-__all__ = ["Shared", "serve"]

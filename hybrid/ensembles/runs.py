@@ -75,7 +75,6 @@ def ensemble(
     history: Any = None,
     memory: str = "keep",
     certify: bool = False,
-    segments: int = 256,
     measure: Any = (),
     section: Any = None,
     crossing: Crossing = RISING,
@@ -120,8 +119,6 @@ def ensemble(
     certify : bool
         Whether to compute the verdict on the first accumulation of each lane, and the bound on its
         time, as for a run: by proofs and further runs, at some ten milliseconds for each lane.
-    segments : int
-        Has no effect: a lane remembers its whole past.
     measure : sequence of str and callable
         Further columns. The name of an output: its value at the end of each lane and wherever
         states are kept. ``"stick"``: the fraction of time at rest on contacts or sliding.
@@ -218,12 +215,7 @@ def ensemble(
 
 
 def _require_options(spec: Spec, parameters: Any, certify: Any, progress: Any) -> None:
-    """Refuse options that no lane could use.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse options that no lane could use."""
     if not isinstance(parameters, Mapping | None):
         raise OptionError(
             f"{spec.model}: parameters={short(parameters)}: values by name, {{name: values}}"
@@ -235,12 +227,7 @@ def _require_options(spec: Spec, parameters: Any, certify: Any, progress: Any) -
 
 
 def _require_names(lanes: Lanes, measures: Measures) -> None:
-    """Refuse a model whose states or varied parameters are named as columns of the table are.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse a model whose states or varied parameters are named as columns of the table are."""
     columns = {"lane", *_Row._fields} - {"x", "measured"}
     columns |= set(measures.coordinates())
     columns |= {"hits", "t_section"} if measures.section is not None else set()
@@ -484,12 +471,7 @@ def _dataset(spec: Spec, lanes: Lanes, rows: _Rows, measures: Measures) -> xarra
 
 
 def _of(table: xarray.Dataset, function: Callable[..., Any]) -> np.ndarray:
-    """What a function makes of the table: a column.
-
-    Raises
-    ------
-    OptionError
-    """
+    """What a function makes of the table: a column."""
     column, lanes = np.asarray(function(table)), table.sizes["lane"]
     if column.shape != (lanes,):
         raise OptionError(
@@ -497,6 +479,3 @@ def _of(table: xarray.Dataset, function: Callable[..., Any]) -> np.ndarray:
             f"{column.shape}, and {(lanes,)} is due, a value for each lane"
         )
     return column
-
-
-__all__ = ["ensemble", "solver_for"]

@@ -199,6 +199,3 @@ def _end(spec: Spec, name: str, value: Any, extreme: Any) -> Any:
     if not array.size:
         raise OptionError(f"{where}: no value, so no lane; give one or more")
     return extreme(array, axis=0) if array.ndim else value
-
-
-__all__ = ["Lane", "Lanes", "told"]

@@ -11,7 +11,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -42,12 +41,6 @@ FIRST_LANES = 16
 #: Most jumps, steps and sums of a lane that is flown here: some tenths of a second, after which the
 #: keyboard is heard.
 LANE_JUMPS, LANE_STEPS, LANE_SUMS = 8192, 65536, 64
-
-
-@cache
-def _threads() -> int:
-    """How many lanes are flown at once."""
-    return os.cpu_count() or 1
 
 
 class FlownLanes(NamedTuple):
@@ -194,7 +187,7 @@ class Abreast:
         )
 
     def _in_threads(self, which: Integers) -> Iterator[FlownLanes]:
-        threads = _threads()
+        threads = os.cpu_count() or 1
         most = min(BLOCK_LANES, BLOCK_JUMPS // max(1, self.rows))
         size = max(LEAST_LANES, min(most, len(which) // (CALLS_EACH * threads)))
         automaton = self.tables.automaton

@@ -122,7 +122,6 @@ def as_function(
     outputs: tuple[str, ...] = OUTPUTS,
     history: Any = None,
     memory: str = "keep",
-    segments: int | None = None,
 ) -> Callable[[Any, Any], Outcome]:
     """A run as a pure function of (model, start), for ``jit``, ``vmap``, ``grad`` and ``scan``.
 
@@ -152,8 +151,6 @@ def as_function(
     history, memory
         For delays, as for :func:`hybrid.simulate`. Derivatives hold a given history fixed; states
         that it leaves out were constant as at the start, and vary with the start.
-    segments
-        Has no effect: the whole past is remembered.
 
     Returns
     -------
@@ -199,12 +196,7 @@ def as_function(
 
 
 def _require_options(spec: Spec, t: Any, max_jumps: Any, zeno: Any, outputs: Any) -> None:
-    """Refuse what only functions take, or do not take.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse what only functions take, or do not take."""
     unknown = [name for name in outputs if name not in OUTPUTS]
     if isinstance(outputs, str) or unknown:
         raise OptionError(

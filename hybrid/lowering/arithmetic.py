@@ -12,26 +12,6 @@ from typing import Any
 import numpy as np
 
 
-def _sign(x: float) -> float:
-    return math.copysign(1.0, x) if x else x
-
-
-def _max(x: float, y: float) -> float:
-    return x if x >= y or x != x else y
-
-
-def _min(x: float, y: float) -> float:
-    return x if x <= y or x != x else y
-
-
-def _sum(*terms: Any) -> Any:
-    return sum(terms)
-
-
-def _dot(*pairs: Any) -> Any:
-    return sum(map(operator.mul, pairs[::2], pairs[1::2]))
-
-
 def _solve(*numbers: Any) -> list[Any]:
     """Solve for the unknowns selected by the trailing mask; the others are 0."""
     n = round(math.sqrt(len(numbers) + 1)) - 1
@@ -126,9 +106,9 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
     "not": operator.not_,
     "select": lambda c, a, b: a if c else b,
     "abs": abs,
-    "sign": _sign,
-    "max": _max,
-    "min": _min,
+    "sign": lambda x: math.copysign(1.0, x) if x else x,
+    "max": lambda x, y: x if x >= y or x != x else y,
+    "min": lambda x, y: x if x <= y or x != x else y,
     "trunc": lambda x: int(x),
     "real": lambda x: float(x),
     "round": lambda x: float(round(x)),
@@ -149,8 +129,8 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
 
 #: Operations on many numbers, which occur in mode graphs.
 LONG: dict[str, Callable[..., Any]] = {
-    "sum": _sum,
-    "dot": _dot,
+    "sum": lambda *terms: sum(terms),
+    "dot": lambda *pairs: sum(map(operator.mul, pairs[::2], pairs[1::2])),
     "solve": _solve,
     "part": operator.getitem,
     "table": lambda *entries: Entries(entries),

@@ -233,12 +233,7 @@ def _mass(
 
 
 def _require_diagonal(spec: Spec, contact: ContactSpec, shape: tuple[int, ...], size: int) -> None:
-    """Refuse an inverse mass without exactly one number per position.
-
-    Raises
-    ------
-    DeclarationError
-    """
+    """Refuse an inverse mass without exactly one number per position."""
     if shape != (size,):
         said = f"contact {contact.name}: inverse_mass of shape {shape} where ({size},) is due"
         if contact.among:

@@ -57,7 +57,7 @@ class Guard:
     Attributes
     ----------
     edge : str
-            Name of the edge, contact or switching; ``"<contact>.release"`` for the end of a rest,
+        Name of the edge, contact or switching; ``"<contact>.release"`` for the end of a rest,
         ``"<switching>.positive"`` and ``"<switching>.negative"`` for the ends of sliding.
     kind : Kind
     to : str
@@ -123,15 +123,15 @@ class Field:
     rhs : callable ``(t, x) -> tuple``
         Time derivatives of the states.
     jets : Jets or None
-            Taylor series of the states, the guards in order, and the watched functions; None if the
+        Taylor series of the states, the guards in order, and the watched functions; None if the
         model uses an operation without a Taylor series.
     refused : str
         Why there are no series.
     held : tuple of str
         Contacts held closed here.
     trace, code, parameters
-            A function that returns the flow's jaxpr, the generated code of the class, and the
-        parameter values.
+        A function that returns the flow's jaxpr, the generated code of the class, and the parameter
+        values.
     numbers : tuple of float
         The parameter values as one list, then the mask of the held contacts.
     project : callable ``(t, x)`` or None

@@ -272,10 +272,6 @@ def _select(graph: Graph, params: Any, which: Ids, *cases: Ids) -> Ids:
     return chosen
 
 
-def _clamp(graph: Graph, params: Any, low: Ids, x: Ids, high: Ids) -> Ids:
-    return mapped(graph, "min", [mapped(graph, "max", [x, low]), high])
-
-
 def _reduce(op: str, start: float | bool) -> Callable[..., Ids]:
     def rule(graph: Graph, params: Any, x: Ids) -> Ids:
         axes = params["axes"]
@@ -405,7 +401,7 @@ PRIMITIVES: dict[str, Callable[..., Ids]] = {
     "rsqrt": lambda g, p, x: mapped(g, "div", [constant(g, 1.0), mapped(g, "sqrt", [x])]),
     "round": lambda g, p, x: mapped(g, "round" if int(p["rounding_method"]) else "away", [x]),
     "select_n": _select,
-    "clamp": _clamp,
+    "clamp": lambda g, _, low, x, high: mapped(g, "min", [mapped(g, "max", [x, low]), high]),
     "reduce_sum": _reduce("add", 0.0),
     "reduce_prod": _reduce("mul", 1.0),
     "reduce_max": _reduce("max", -math.inf),

@@ -86,10 +86,6 @@ def _round(g: Graph, a: int) -> int:
     return g.node("sub", whole, less)
 
 
-def _rem(g: Graph, a: int, b: int) -> int:
-    return g.node("sub", a, g.node("mul", b, _trunc(g, g.node("div", a, b))))
-
-
 #: The arguments for which a function differs from a constant by more than rounding: beyond,
 #: ``tanh`` is constant; below, ``exp(a)`` is negligible beside any number that occurs with it
 #: (``exp(-200)`` is 1e-87).
@@ -120,7 +116,7 @@ MADE_OF_OTHERS: dict[str, Callable[..., int]] = {
     "trunc": _trunc,
     "away": _away,
     "round": _round,
-    "rem": _rem,
+    "rem": lambda g, a, b: g.node("sub", a, g.node("mul", b, _trunc(g, g.node("div", a, b)))),
     "real": lambda g, a: a,
 }
 

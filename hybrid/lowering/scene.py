@@ -404,12 +404,7 @@ def scene_of(model: Any, by: str = "") -> Scene:
 
 
 def _require_no_signal(spec: Spec, by: str) -> None:
-    """Refuse a model with signals if the caller named in ``by`` does not support them.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse a model with signals if the caller named in ``by`` does not support them."""
     if spec.signals and by:
         raise OptionError(
             f"{spec.model}: {by} takes no model with signals yet ({spec.signals[0].name}); "

@@ -44,11 +44,10 @@ class Watched:
     Attributes
     ----------
     kind : "kink", "step", "band", "pole" or "point"
-            kink: the formula switches at its zero. step: the formula switches at each whole number
-        of the function; the nearest one is subtracted. band: the argument of a function that
-        differs from a constant only between ``low`` and ``high``. pole: a quotient or power has a
-        pole at its zero. point: a formula holds at its zero alone; it is not watched along the
-        flow.
+        kink: the formula switches at its zero. step: the formula switches at each whole number of
+        the function; the nearest one is subtracted. band: the argument of a function that differs
+        from a constant only between ``low`` and ``high``. pole: a quotient or power has a pole at
+        its zero. point: a formula holds at its zero alone; it is not watched along the flow.
     node : int
         The function as a node of the graph (for a step, without the subtraction).
     """
@@ -88,7 +87,7 @@ class Tape:
     given
         Places of parameters among the numbers, and the parameters' indices.
     room
-            Length of the work array: it holds linear systems, then two states, their rates, and the
+        Length of the work array: it holds linear systems, then two states, their rates, and the
         sides of all kinks.
     """
 

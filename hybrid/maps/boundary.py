@@ -102,6 +102,3 @@ def _slope(steps: list[int], counts: Numbers) -> float:
         shares = np.log(differ / known)
     fit = np.isfinite(shares)
     return float(np.polyfit(np.log(np.array(steps)[fit]), shares[fit], 1)[0])
-
-
-__all__ = ["Dimension", "dimension"]

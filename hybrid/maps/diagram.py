@@ -131,6 +131,3 @@ def _drawable(found: Bifurcation, name: Any) -> bool:
     """Whether a column is a number at each point."""
     is_point = str(name).endswith("_section") and name != "t_section"
     return is_point and found.table[name].dims == (found.name, "hit")
-
-
-__all__ = ["Bifurcation", "bifurcation"]

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..automaton.base import require_model
+from ..ensembles import ensemble
 from ..errors import TABLES, OptionError, need
+from ..run.options import require_taken
 from .lanes import AskedLanes, block_of, dimension, joined, points_of
 from .refine import Lattice, refined
 from .store import Store
@@ -96,6 +98,7 @@ def sweep(
     """
     need("hy.sweep", TABLES)
     require_model(model)
+    require_taken(model.spec.model, options, sweep, ensemble)
     axes = points_of(model.spec, over)
     if not load and (store is None or refine is not None):
         raise OptionError(f"{model.spec.model}: load=False takes store=, and no refine=")
@@ -175,6 +178,3 @@ def folded(table: xarray.Dataset, axes: Mapping[str, np.ndarray]) -> xarray.Data
     for name, values in axes.items():
         coordinates[name] = name, values, table.coords[name].attrs
     return xarray.Dataset(data, coords=coordinates, attrs=table.attrs)
-
-
-__all__ = ["folded", "lanes_of", "sweep"]

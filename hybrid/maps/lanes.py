@@ -134,12 +134,7 @@ class AskedLanes:
         return np.array([*rows], dtype=float).reshape(self.count, 2)
 
     def require_followed(self) -> None:
-        """Refuse lanes that cannot follow each other.
-
-        Raises
-        ------
-        OptionError
-        """
+        """Refuse lanes that cannot follow each other."""
         spec, section = self.spec, self.options.get("section")
         where = f"{spec.model}: follow=True"
         if len(self.points) > 1 or set(self.points) & set(spec.names):
@@ -205,12 +200,7 @@ def joined(tables: list[xarray.Dataset]) -> xarray.Dataset:
 
 
 def points_of(spec: Spec, over: Any) -> dict[str, np.ndarray]:
-    """The values by name that a map goes over.
-
-    Raises
-    ------
-    OptionError
-    """
+    """The values by name that a map goes over."""
     known = [*(p.name for p in spec.parameters), *spec.names]
     if not isinstance(over, Mapping) or not over:
         raise OptionError(f'{spec.model}: over={over!r}: values by name, {{"{known[0]}": values}}')
@@ -241,12 +231,7 @@ def dimension(spec: Spec, name: str) -> str:
 
 
 def block_of(count: int, block: Any) -> int:
-    """Lanes in a block.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Lanes in a block."""
     if block is None:
         return max(LEAST_BLOCK, min(MOST_BLOCK, -(-count // BLOCKS)), -(-count // MOST_BLOCKS))
     if not (isinstance(block, int | np.integer) and block >= 1):
@@ -296,6 +281,3 @@ def _inner(value: Any) -> Any:
     if isinstance(value, FunctionType):
         return value.__code__
     return getattr(value, "__name__", value)  # of modules and classes
-
-
-__all__ = ["AskedLanes", "block_of", "dimension", "flier", "joined", "points_of"]

@@ -157,6 +157,3 @@ def _edges(values: Numbers) -> np.ndarray:
     middle = 0.5 * (values[1:] + values[:-1])
     first, last = 1.5 * values[0] - 0.5 * values[1], 1.5 * values[-1] - 0.5 * values[-2]
     return np.array([first, *middle, last])
-
-
-__all__ = ["axis", "drawn", "kinds_of", "region_figure"]

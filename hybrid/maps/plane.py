@@ -159,6 +159,3 @@ def _within(value: float, bounds: Any) -> bool:
     if isinstance(bounds, tuple):
         return bool(bounds[0] < value < bounds[1])
     return bool(value == bounds)
-
-
-__all__ = ["Region", "region"]

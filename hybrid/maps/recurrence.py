@@ -189,6 +189,3 @@ def _at_rest(tails: Tails, width: np.ndarray, labels: np.ndarray) -> list[int]:
 
 def _where(mask: np.ndarray) -> list[int]:
     return [int(i) for i in np.flatnonzero(mask)]
-
-
-__all__ = ["NOWHERE", "Nearness", "Tails", "grouped"]

@@ -56,12 +56,7 @@ class Lattice:
 
     @classmethod
     def of(cls, spec: Spec, axes: Mapping[str, np.ndarray], widths: Any) -> Lattice:
-        """The lattice for these widths by name.
-
-        Raises
-        ------
-        OptionError
-        """
+        """The lattice for these widths by name."""
         if not isinstance(widths, Mapping) or not widths or not set(widths) <= set(axes):
             known = ", ".join(axes)
             raise OptionError(f"{spec.model}: refine={widths!r}: widths by name, of {known}")
@@ -133,6 +128,3 @@ def _halved(cells: list[_Cell], known: Mapping[Corner, Any], longest: Corner) ->
         differ = np.ptp(kinds[inside]) > 0
         found += cell.halves(longest) if differ else [cell]
     return found
-
-
-__all__ = ["Lattice", "refined"]

@@ -171,6 +171,3 @@ def _open(path: Any, mode: str) -> Any:
         return zarr.open_group(path, mode=mode)
     except (OSError, ValueError, KeyError) as fault:
         raise StoreError(f"cannot open {path}: {type(fault).__name__}: {fault}") from None
-
-
-__all__ = ["Store", "status"]

@@ -145,5 +145,3 @@ def _fault(future: Any) -> BaseException | None:
 
 
 Progress = Callable[[int, int], None]
-
-__all__ = ["Progress", "flown", "followed"]

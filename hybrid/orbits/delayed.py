@@ -66,12 +66,7 @@ def carried(
 
 
 def require_constant(scene: Scene) -> None:
-    """Refuse lags that depend on time or state.
-
-    Raises
-    ------
-    OrbitError
-    """
+    """Refuse lags that depend on time or state."""
     for lag, moves in zip(scene.spec.lags, scene.code.moving, strict=True):
         if moves:
             raise OrbitError(

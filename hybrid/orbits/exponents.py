@@ -10,7 +10,7 @@ import numpy as np
 from ..automaton.base import COUNT_IN_RUN, require_model, require_no_discrete
 from ..errors import OptionError, OrbitError
 from ..result import Trajectory
-from ..run.options import time_of, times_of
+from ..run.options import require_taken, time_of, times_of
 from ..simulation import simulate
 from ..trajectory.trajectory import Status
 from ..variation import GROWN_APART, TRANSIENT, factors, first_frame, grown, largest
@@ -32,10 +32,10 @@ class Exponents:
     Attributes
     ----------
     exponents : array, shape (count,)
-            Mean rates, one over the unit of time, largest first; ``-inf`` for directions that are
-        lost permanently (at rest, while sliding, through an accumulation).
+        Mean rates, one over the unit of time, largest first; ``-inf`` for directions that are lost
+        permanently (at rest, while sliding, through an accumulation).
     error : array, shape (count,)
-            Standard error of each, from the means of twenty consecutive parts of the run. NaN for
+        Standard error of each, from the means of twenty consecutive parts of the run. NaN for
         ``-inf``, or if the run is too short to be divided.
     sum : float
         Sum of the exponents.
@@ -123,6 +123,7 @@ def lyapunov(
             f"{model.spec.model} looks into the past: its exponents are those of its history, of "
             "which there are infinitely many; they are not computed"
         )
+    require_taken(model.spec.model, options, simulate)
     size = model.spec.dimension
     count = size if count is None else count
     if not (isinstance(count, int | np.integer) and 1 <= count <= size):

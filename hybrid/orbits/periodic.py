@@ -15,8 +15,9 @@ from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
 from ..lowering import Scene, scene_of
 from ..result import Trajectory
-from ..run.options import Asked, chosen, mode_of, require_count, time_of
+from ..run.options import Asked, chosen, mode_of, require_count, require_taken, time_of
 from ..run.sections import section_of
+from ..simulation import simulate
 from ..solvers import renamed
 from ..variation import Factor
 from .delayed import require_constant
@@ -65,7 +66,7 @@ class PeriodicOrbit:
     monodromy : array, shape (n, n)
         The fundamental matrix over a period, from ``start``.
     multipliers : array of complex, shape (n,)
-            Its eigenvalues, largest first. In an autonomous model one of them is 1, that of a
+        Its eigenvalues, largest first. In an autonomous model one of them is 1, that of a
         perturbation along the orbit.
     stable : bool
         Whether all others lie inside the unit circle, by more than 1e-6.
@@ -77,10 +78,10 @@ class PeriodicOrbit:
         Largest difference between its ends, relative to the size of the orbit.
     autonomous : bool
     grazing : tuple of str
-            Sentences about guards that are touched, or crossed at very low speed; the multipliers
-        may then not describe nearby motion.
+        Sentences about guards that are touched, or crossed at very low speed; the multipliers may
+        then not describe nearby motion.
     errors : array or None
-            With delays and ``memory="keep"``: the change of each multiplier when the history is
+        With delays and ``memory="keep"``: the change of each multiplier when the history is
         resolved more finely. None if the multipliers are those of a matrix of the state.
     """
 
@@ -223,18 +224,11 @@ def periodic_orbit(
 
 
 def _require_run(scene: Scene, guess: Guess, options: dict[str, Any]) -> None:
-    """Refuse options that no run could use: the search takes faults of a run for a bad guess.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse options that no run could use: the search takes faults of a run for a bad guess."""
     mode_of(scene, guess.mode)
     own = {name: value for name, value in options.items() if name not in ("history", "seed")}
     solver, method = renamed(own.pop("solver", "scipy"), own.pop("method", None))
-    unknown = [name for name in own if name not in attrs.fields_dict(Asked)]
-    if unknown:
-        raise OptionError(f"{scene.spec.model}: {unknown[0]}= is no option of hy.simulate")
+    require_taken(scene.spec.model, own, simulate)
     asked = Asked(spec=scene.spec, solver=solver, method=method, **own)
     chosen(asked.plan((guess.t, guess.t + 1.0)), solver, method, asked.controller, scene.spec)
 
@@ -285,12 +279,7 @@ def _besides(multipliers: ComplexNumbers, autonomous: bool) -> bool:
 
 
 def _require_closed(shooting: Shooting, turn: Shot) -> None:
-    """Refuse a turn that drifts although no change of its start would close it.
-
-    Raises
-    ------
-    OrbitError
-    """
+    """Refuse a turn that drifts although no change of its start would close it."""
     options = dict(shooting.options)
     rtol, atol = options["rtol"], np.asarray(options["atol"], dtype=float)
     options |= {"rtol": min(rtol, max(rtol / FINER_BY, FINEST_RTOL)), "atol": atol / FINER_BY}

@@ -15,7 +15,7 @@ from ..automaton.record import Record
 from ..errors import OptionError, OrbitError
 from ..lowering import scene_of
 from ..result import Trajectory
-from ..run.options import require_count, start_of, time_of
+from ..run.options import require_count, require_taken, start_of, time_of
 from ..run.sections import EdgeSection, Period, Return, Section, Surface, section_of
 from ..simulation import simulate
 from ..trajectory.trajectory import Status
@@ -136,8 +136,8 @@ class ReturnMap:
         Returns
         -------
         Iterates
-                ``n + 1`` states, beginning with the start, and their times ``.t``; ``.x`` is the
-            array of a coordinate.
+            ``n + 1`` states, beginning with the start, and their times ``.t``; ``.x`` is the array
+            of a coordinate.
         """
         require_count("n", n, 0)
         points = [self._point(state, t)]
@@ -204,12 +204,7 @@ class ReturnMap:
         return self._simulate(start, point, run.t1 - run.t0)
 
     def _returned(self, run: Trajectory, period: float | None) -> Trajectory:
-        """The run itself if it lasted a whole period; otherwise an error with the reason.
-
-        Raises
-        ------
-        OrbitError
-        """
+        """The run itself if it lasted a whole period; otherwise an error with the reason."""
         if period is not None and run.status is Status.REACHED_END:
             return run
         why = f"it is in {run.mode} at t = {run.t1:.9g}, {run.final}"
@@ -272,6 +267,7 @@ def return_map(
     """
     require_model(model)
     t_max = time_of("t_max", t_max, 0.0)
+    require_taken(model.spec.model, options, simulate)
     options.setdefault("save", "dense")
     if options["save"] != "dense":
         raise OptionError(f"save={options['save']!r}: a return is found on dense output")

@@ -120,12 +120,7 @@ class Search:
         return self.shooting.after(self.shooting.fly(guess, turns * guess.period), guess.period)
 
     def moving(self, turn: Shot) -> Shot:
-        """The turn, refused if it is an equilibrium.
-
-        Raises
-        ------
-        OrbitError
-        """
+        """The turn, refused if it is an equilibrium."""
         shooting, guess = self.shooting, turn.guess
         rate = np.abs(shooting.flow(guess)) / turn.scale[: len(guess.x)]
         moves = float(np.max(rate)) * guess.period
@@ -141,12 +136,7 @@ class Search:
         )
 
     def lasting(self, turn: Shot) -> Shot:
-        """The turn, refused if the next one does not close: the period is then not the model's own.
-
-        Raises
-        ------
-        OptionError
-        """
+        """The turn; refused if the next does not close: the period is then not the model's own."""
         shooting, guess = self.shooting, turn.guess
         later = attrs.evolve(guess, t=guess.t + guess.period)
         if guess.history is not None:

@@ -71,8 +71,8 @@ class Shot:
     scale : array, shape (n,)
         Largest absolute value of each element along it.
     residual : float
-            Largest difference between its ends, relative to ``scale``; plus 1 if they are in
-        different modes.
+        Largest difference between its ends, relative to ``scale``; plus 1 if they are in different
+        modes.
     """
 
     guess: Guess

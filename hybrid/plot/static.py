@@ -60,12 +60,7 @@ def draw(figure: Figure, path: Any = None, size: tuple[float, float] | None = No
 
 
 def _require_size(size: Any) -> None:
-    """Refuse what is no width and height.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse what is no width and height."""
     try:
         width, height = reals(size).tolist()
     except (TypeError, ValueError):

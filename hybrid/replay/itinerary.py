@@ -43,8 +43,8 @@ class Itinerary(NamedTuple):
     Attributes
     ----------
     laws : array of int, shape (steps, 4)
-            Numbers of the flow, of the guard that ends the step, of the reset, and of the
-        projection at its start.
+        Numbers of the flow, of the guard that ends the step, of the reset, and of the projection at
+        its start.
     used : array of bool, shape (steps,)
     lengths, ends : array, shape (steps,)
         Length of the step, and the time at its end.
@@ -198,12 +198,7 @@ class _Maker:
             yield from self._arc(part, jump, ends and last)
 
     def _alone(self, index: int, jump: JumpRow, after: Part | None) -> None:
-        """Refuse simultaneous jumps, and jumps that do not depend smoothly on everything.
-
-        Raises
-        ------
-        OrbitError
-        """
+        """Refuse simultaneous jumps, and jumps that do not depend smoothly on everything."""
         if isinstance(after, Arc) and not after.length and index + 1 in self.course.jumps:
             raise OrbitError(
                 f"{self.model}: at t = {jump.t!r} several jumps have no time between them; a run "

@@ -87,12 +87,7 @@ OTHER_FORMATS = (".csv", ".txt", ".json", ".mat", ".npz", ".npy", ".pkl", ".zarr
 
 
 def require_netcdf(what: str, path: Any) -> None:
-    """Refuse a name of a file that says that it is something else.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse a name of a file that says that it is something else."""
     if Path(path).suffix.lower() in OTHER_FORMATS:
         raise OptionError(
             f"{what}: a run is written as NetCDF: end the name in .nc. Its jumps as a table: "
@@ -256,12 +251,7 @@ def read(path: Any, cls: type[Kind], model: Any = None) -> Kind:
 
 
 def _require_own_numbers(path: Path) -> None:
-    """Refuse a file whose data are stored elsewhere, or are larger than the file.
-
-    Raises
-    ------
-    StoreError
-    """
+    """Refuse a file whose data are stored elsewhere, or are larger than the file."""
     import h5py
 
     declared = 0
@@ -409,6 +399,3 @@ def _read_accumulation(spec: Spec, point: dict[str, Any]) -> Accumulation:
 def _read_grazing(spec: Spec, t: float, j: int, edge: str, state: list[float]) -> Jump:
     record = spec.record(np.array(state))
     return Jump(t, j, edge, record, record)
-
-
-__all__ = ["read", "save", "to_xarray"]

@@ -46,12 +46,7 @@ def join(run: Kind, more: Kind) -> Kind:
 
 
 def _require_fit(run: Solution, more: Solution) -> None:
-    """Refuse a second run that does not begin as the first ended.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse a second run that does not begin as the first ended."""
     first, why = more.arcs[0], run.differs(more.spec, more.parameters)
     moved = np.abs(first.first - run.log.kept[-1].last)
     saves = [each.options["save"] for each in (run, more)]

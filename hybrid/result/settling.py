@@ -83,8 +83,8 @@ class Settled:
     jumps : float or None
         Jumps per period; ``inf`` where they accumulate.
     distance : float or None
-            Distance between the last two turns (at rest: how far the state still moves), relative
-        to the size of the orbit.
+        Distance between the last two turns (at rest: how far the state still moves), relative to
+        the size of the orbit.
     rate : float or None
         Factor by which that distance changes per turn; None if it has been rounding all along.
     for_ever : bool

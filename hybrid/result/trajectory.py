@@ -68,8 +68,8 @@ class Trajectory(Solution):
         Raises
         ------
         OptionError
-                If ``more`` has another model or other parameters, or does not begin at the time, in
-            the mode and in the state in which this run ended.
+            If ``more`` has another model or other parameters, or does not begin at the time, in the
+            mode and in the state in which this run ended.
         """
         return join(self, more) if isinstance(more, Trajectory) else NotImplemented
 
@@ -79,9 +79,9 @@ class Trajectory(Solution):
         Returns
         -------
         Settled
-                ``.kind`` is ``"rest"``, ``"periodic"`` or ``"none"``, and ``.reason`` a sentence
-            with the evidence. ``.period``, ``.jumps`` (per period), ``.distance`` and ``.rate``
-            give numbers; ``.for_ever`` is true for a rest that nothing can end.
+            ``.kind`` is ``"rest"``, ``"periodic"`` or ``"none"``, and ``.reason`` a sentence with
+            the evidence. ``.period``, ``.jumps`` (per period), ``.distance`` and ``.rate`` give
+            numbers; ``.for_ever`` is true for a rest that nothing can end.
 
         Raises
         ------

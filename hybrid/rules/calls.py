@@ -1,7 +1,7 @@
-"""Rules as Python calls them, by ctypes.
+"""Calls of rules from Python, by ctypes.
 
-Arguments are looked at, and packed as :data:`.code.ENTRY` takes them. What does so is written out
-for each rule.
+Arguments are checked, and packed as :data:`.code.ENTRY` takes them, by code that is generated for
+each rule.
 """
 
 from __future__ import annotations
@@ -78,9 +78,10 @@ def held(rule: Callable[..., Any], *given: Any) -> Callable[[], Any]:
 
 
 def _packing(kinds: Sequence[Kind], owners: str = "", size: str = "") -> Callable[..., Any]:
-    """What packs values of some kinds; an array as its owners, length, element size, place, axes.
+    """Code that packs values of some kinds; an array as its owners, length, element size, address
+    and axes.
 
-    Of what a rule is given the owners and the size of an element are put in by :data:`.code.ENTRY`.
+    For the arguments of a rule, the owners and the element size are put in by :data:`.code.ENTRY`.
     """
     names = [f"a{place}" for place in range(len(kinds))]
     known: dict[str, Any] = {"refuse": refuse, "AT": EMPTY, "address": ctypes.addressof}

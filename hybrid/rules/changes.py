@@ -1,8 +1,10 @@
-"""How whole runs change with their parameters, their start and their times.
+"""The derivatives of whole runs by their parameters, their start and their times.
 
-A change is carried along the log that the loop of a run leaves (:class:`.Left`): along each arc by
-power series, through each jump by its saltation, through each sum of impacts by its limit, as
-``docs/notes/gradients.md`` says. What is beside that is told, and the run is left to Python.
+A *change* is the first variation of time and state, one column per number that is varied. It is
+carried along the log that the loop leaves (:class:`.Left`): along each arc by power series, through
+each jump by its saltation matrix, through each sum of impacts by the derivative of its limit
+(``docs/notes/gradients.md``). Runs for which this is not possible are left to Python, with a
+status.
 """
 
 from __future__ import annotations
@@ -69,22 +71,20 @@ from .variation import (
 
 __all__ = ("flown",)
 
-#: What becomes of the change of a run: it is known, or left to Python; or it asks for something of
-#: a field, or of a guard.
+#: Outcomes: the change is known; the run is left to Python; derivatives of a field, or of a guard,
+#: are needed.
 KNOWN, LEFT_TO_PYTHON, OF_FIELD, OF_GUARD = 0, 1, 2, 3
 
-#: Change of a guard, or of what decides which jump comes first, against the terms of which it is
-#: made, that is rounding of them.
+#: A change of a guard below this share of its terms is rounding.
 TIED = 1e-9
 
-#: The distance from a piece's end at which the flow is read on its side of a kink is at least this,
-#: against the time since the arc began, as rounding would decide on the side of a shorter one; and
-#: at most this share of the piece.
+#: Beside a kink the flow is read at this distance from the end of a piece: at least this share of
+#: the time since the arc began, as nearer by rounding would decide the side; at most this share of
+#: the piece.
 TOLD_APART, MOST_ASIDE = 1e-10, 0.25
 
-# Rows of ``lines``: the start of a piece of an arc, and the state next to it; the flow before a
-# jump or a kink, and behind it; a gradient, or how the time of a kink changes; and flows beyond an
-# end of an arc.
+# Rows of ``lines``: the start of a piece of an arc, and a state next to it; the flow before and
+# after a jump or a kink; a gradient; and flows beyond an end of an arc.
 PIECE_START, PIECE_INSIDE, FLOW_BEFORE, FLOW_BEHIND, GRADIENT_ROW, NEAR_ROW, FAR_ROW = range(7)
 
 
@@ -130,14 +130,14 @@ def flown(
     Parameters
     ----------
     own_parts, own_given, own_ops, own_more, own_numbers
-        Of the programs of ``s`` what ``parts`` and the others are of those of ``a``.
+        For the programs of ``s`` what ``parts`` and so on are for those of ``a``.
     asked : Table
-        Gets for each lane what becomes of its change, and of which field or guard that asks.
+        Gets for each lane the outcome, and the field or guard that is needed.
     found : Matrix
-        Gets for each lane a row for the last time and the state there, for the time of the first
-        accumulation, the state there and its ratio, and for the time of each of the first jumps
-        and the states before it and after it; a column for each parameter, each element of the
-        state at the start, and the first and the last time.
+        Gets for each lane rows for the last time and the state there; for the time of the first
+        accumulation, the state there and its ratio; and for the time of each of the first jumps and
+        the states before and after it. Columns: the parameters, the elements of the state at the
+        start, the first and the last time.
     """
     made, rows = 0, found.shape[0] // max(starts.shape[0], 1)
     for lane in range(starts.shape[0]):
@@ -179,7 +179,8 @@ def along(
     ends: bool,
     found: Matrix,
 ) -> tuple[int, int]:
-    """Carry the changes along a run; as :func:`flown` puts them down."""
+    """Carry the changes along a run, and write them as :func:`flown` says; returns the outcome and
+    what is needed."""
     n, tail, end, opens = x.shape[0], 0, 0, True
     for i in range(found.shape[0]):
         for k in range(found.shape[1]):
@@ -238,7 +239,7 @@ def along(
 
 
 def until(now: Now, left: Left, begins: int, arc: int) -> int:
-    """Where the steps of an arc end, which begin there."""
+    """The end of the steps of the arc whose first step is ``begins``."""
     end = begins
     while end < now.ints[STEPS_MADE] and left.owner[end] == arc:
         end += 1
@@ -246,8 +247,7 @@ def until(now: Now, left: Left, begins: int, arc: int) -> int:
 
 
 def flown_in(a: AutomatonArrays, now: Now, left: Left, arc: int, jumps: int) -> int:
-    """The field of an arc: that in which the guard is watched that has ended it, or that in which
-    the run has come to its end."""
+    """The field of an arc: the one that watches the guard that ended it, or the present one."""
     field = now.ints[FIELD]
     if arc < jumps:
         field, guard = 0, left.fired[arc]
@@ -257,7 +257,7 @@ def flown_in(a: AutomatonArrays, now: Now, left: Left, arc: int, jumps: int) -> 
 
 
 def put(change: Matrix, row: int, found: Matrix, place: int) -> None:
-    """Put down a row of a change, if there is room for it."""
+    """Write a row of a change, if there is room for it."""
     if place < found.shape[0]:
         for k in range(found.shape[1]):
             found[place, k] = change[row, k]
@@ -298,8 +298,8 @@ def flow_at(
     room: Changes,
     flow: Floats,
 ) -> bool:
-    """The flow at an end of an arc, on its side of what may change its formula; whether it is the
-    same beyond: where it is not, neighbours have that before the end, or not at all."""
+    """Compute the flow at an end of an arc, with the formula that holds inside; returns whether it
+    continues smoothly beyond. If not, neighbours change formula before the end, or not at all."""
     if row[KINKED] < 0 or end == begin:
         rates(s, row[SLOPES_PROGRAM], t, x, room, flow)
         return True
@@ -322,7 +322,8 @@ def flow_at(
 
 
 def apart(left: Left, step: int) -> float:
-    """How far from the end of a step its side of a kink is told; 0 where it is too short."""
+    """The distance from the end of a step at which the side of a kink is read; 0 if the step is too
+    short."""
     length = left.spans[step, 1]
     aside = max(KINK_SIDE * length, TOLD_APART * (left.spans[step, 0] + length))
     return aside if aside <= MOST_ASIDE * length else 0.0
@@ -342,8 +343,8 @@ def carries(
     sums: Sums,
     room: Changes,
 ) -> bool:
-    """Carry a change along an arc. On contacts it begins with its start's projection; where the
-    flow changes its formula it goes from step to step."""
+    """Carry a change along an arc, after projecting it onto the held contacts; step by step where
+    the flow may change its formula."""
     n, state, columns = x.shape[0], room.state, 1 + room.arc.shape[1]
     begins, inside = room.lines[PIECE_START, :n], room.lines[PIECE_INSIDE, :n]
     for k in range(state.shape[1]):
@@ -395,8 +396,8 @@ def bent(
     sums: Sums,
     room: Changes,
 ) -> bool:
-    """Carry a change through the start of a step, where the flow may jump as a kink passes zero;
-    whether neighbours have that at a time that is smooth."""
+    """Carry a change through the start of a step at which a kink may change the flow; returns
+    whether the time of the change is a smooth function."""
     n, flow, jumps = room.state.shape[0] - 1, a.fields[field, FIELD_PROGRAM], False
     here, jump, x = room.lines[FLOW_BEFORE], room.lines[FLOW_BEHIND], room.lines[PIECE_START, :n]
     for i in range(n):
@@ -421,7 +422,8 @@ def bent(
 
 
 def turned(kink: int, flow: Floats, known: bool, room: Changes) -> bool:
-    """When neighbours pass a kink; whether that is, if it is known of another, at the same time."""
+    """Compute how the time changes at which a kink is passed; returns whether it agrees with that
+    of another kink, if ``known``."""
     state, columns, n = room.state, 1 + room.arc.shape[1], room.state.shape[0] - 1
     row = room.read[kink * columns : (kink + 1) * columns]
     rate = row[0]
@@ -445,8 +447,7 @@ def projected(
     moved: Matrix,
     room: Changes,
 ) -> bool:
-    """Project a change at equal times onto the contacts held in a field, or onto the surface on
-    which it slides."""
+    """Project a change at equal times onto the held contacts of a field, or onto its surface."""
     onto, held = row[ONTO], row[HELD_COUNT]
     if onto < 0:
         return True
@@ -460,14 +461,14 @@ def projected(
 
 
 def mapped(matrix: Matrix, first: int, n: int, state: Matrix, moved: Matrix) -> None:
-    """What a matrix makes of a change at equal times; ``first`` is its first row."""
+    """Multiply a change at equal times by a matrix, whose first row is ``first``."""
     for i in range(n):
         for k in range(state.shape[1]):
             moved[1 + i, k] = image(matrix, first + i, n, state, k)
 
 
 def image(matrix: Matrix, row: int, n: int, state: Matrix, k: int) -> float:
-    """An element of it, by a row of the matrix."""
+    """An element of that product, by a row of the matrix."""
     total = matrix[row, n + k] if k < state.shape[1] - n - 2 else 0.0
     for j in range(n):
         total += matrix[row, j] * state[1 + j, k]
@@ -505,7 +506,7 @@ def arrives(
 
 
 def together(s: Slopes, own: Ints, t: float, before: Floats, room: Changes) -> bool:
-    """Whether a guard to whose zero a jump has led is zero for neighbours, too."""
+    """Whether a guard that a jump has brought to zero is zero for neighbours too."""
     n, state, columns = before.shape[0], room.state, 1 + room.arc.shape[1]
     flow, across = room.lines[FLOW_BEFORE], room.lines[GRADIENT_ROW]
     values(s.programs, own[GRADIENT], t, before, room.sides, room.c, room.work, across)
@@ -523,7 +524,7 @@ def together(s: Slopes, own: Ints, t: float, before: Floats, room: Changes) -> b
 def jumped(
     s: Slopes, own: Ints, t: float, before: Floats, first: int, room: Changes, found: Matrix
 ) -> None:
-    """Carry a change of time and state through a jump, put down from row ``first`` on."""
+    """Carry a change of time and state through a jump; write both sides from row ``first`` on."""
     n, state, moved = before.shape[0], room.state, room.moved
     if own[RESET_SLOPES] >= 0:
         reset(s, own[RESET_SLOPES], t, before, 0, 1 + room.arc.shape[1], state, moved, room)
@@ -546,9 +547,9 @@ def leaves(
     smooth: bool,
     room: Changes,
 ) -> bool:
-    """From a change of time and state behind a jump to that of the state at equal times.
+    """Turn a change of time and state after a jump into one of the state at equal times.
 
-    ``smooth``: the flow goes on as it was.
+    ``smooth``: the flow after the jump is that before it.
     """
     n, state, moved = x.shape[0], room.state, room.moved
     flow = room.lines[FLOW_BEHIND]
@@ -613,7 +614,7 @@ def ended(
     room: Changes,
     found: Matrix,
 ) -> bool:
-    """The change of the last time, and of the state there."""
+    """Write the change of the last time and of the state there."""
     n, flow, last = x.shape[0], room.lines[FLOW_BEFORE], found.shape[1] - 1
     if not flow_at(s, row, left, begin, end, True, t, x, room, flow):
         return False

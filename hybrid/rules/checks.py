@@ -1,8 +1,8 @@
-"""The series of a step held against the flow, at two points of the way.
+"""The series of a step compared with the flow, at two points of the way.
 
-The last terms of a series say nothing of a force that is flat to rounding before it changes: the
-flow itself does. It is read where the polynomials lead, and beside, which shows what rounding
-makes of it.
+The last terms of a series say nothing about a force that is flat to rounding before it changes; the
+flow itself does. It is evaluated on the polynomials, and at a point beside them, which shows its
+rounding.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from .zeros import EPS
 
 __all__ = ("arrives", "bends", "decided", "follows")
 
-#: Where, besides its end, the series of a step is held against the flow (at a kink just before
-#: that), and how far it may be off, as a multiple of rounding.
+#: Where the series of a step is compared with the flow: inside, and at its end (at a kink just
+#: before it); and the allowed difference, as a multiple of rounding.
 HELD_INSIDE, HELD_BEFORE, MISSED = 0.55, 1.0 - 1e-9, 256.0
 
-#: Roundings by which elements of a state are moved to see what rounding does, and the time.
+#: Roundings by which the elements of a state, and the time, are moved to measure rounding.
 SHIFTS = (8, -8, 11, -11, 14, -14)
 SHIFT = 8
 
 #: An element of the state counts as no smaller than this share of the largest.
 SMALLEST = 1e-3
 
-#: What rounding shows beside a point, counted so many times: it may be more elsewhere.
+#: Safety factor for the rounding measured beside a point.
 ROUNDING_BESIDE = 8.0
 
-#: Numbers next to the smallest lose digits; what they may be off is less than this.
+#: Denormal numbers lose digits; their error is less than this.
 DENORMAL_LOSS = 1e-290
 
 
@@ -48,21 +48,21 @@ def follows(
     aside: Matrix,
     work: Floats,
 ) -> bool:
-    """Whether the polynomials of a step have the flow's direction along it, but for rounding and
-    what their last terms leave open, and those of what is watched are its values.
+    """Whether the polynomials of a step have the direction of the flow along it, up to rounding and
+    the remainder of the series, and whether those of watched functions have their values.
 
     Parameters
     ----------
     held : bool
-        Contacts are held, or the state slides on a surface. There forces cancel, and leave rounding
-        of the size of nothing that is seen here: they are taken to be of the order of one at least.
+        Whether contacts are held, or the state slides on a surface. Forces then cancel and leave
+        rounding that nothing here shows; they are taken to be at least of order one.
     kink : bool
-        The step ends at a kink.
+        Whether the step ends at a kink.
     aside
         As many rows as ``c``, and two columns.
     work
-        As :func:`look` takes it; before that a point inside, and the rates of the polynomials
-        there and at the end, are put aside. A step that holds leaves its end there.
+        As in :func:`look`; before that are kept a point inside, and the rates of the polynomials
+        there and at the end. A step that is accepted leaves its end there.
     """
     n, end = states(p, program), place(p, program, work)
     inside, last = HELD_INSIDE * h, HELD_BEFORE * h if kink else h
@@ -117,8 +117,11 @@ def decided(
     work: Floats,
     point: Floats,
 ) -> bool:
-    """Whether the series of what is watched have their values along a polynomial of the state, but
-    for rounding. Arguments as :func:`follows` takes them; ``point`` gets a state."""
+    """Whether the series of watched functions have their values along a polynomial of the state, up
+    to rounding.
+
+    Arguments as in :func:`follows`; ``point`` is room for a state.
+    """
     for share in (HELD_INSIDE, HELD_BEFORE if kink else 1.0):
         s = share * h
         along(c, s, point)
@@ -142,12 +145,12 @@ def bends(
     aside: Matrix,
     work: Floats,
 ) -> bool:
-    """Whether the series of a gap, a row, has its second derivative along a step, but for rounding.
+    """Whether the series of a gap, a row, has its second derivative along a step, up to rounding.
 
-    The height of a low flight says nothing of it: that is less than the rounding of the state. So
-    do the sides of kinks that are zero where the gap is (``|x|``): those of the step are taken, and
-    with ``ends``, which says that it ends at a kink or an impact, a point just before that.
-    ``aside`` has three columns.
+    The height of a low flight does not show it, being less than the rounding of the state; nor do
+    the sides of kinks that are zero where the gap is (``|x|``). So the sides of the step are used
+    and, with ``ends`` (it ends at a kink or an impact), a point just before its end. ``aside`` has
+    three columns.
     """
     first = place(p, program, work)
     point = work[first : first + states(p, program)]
@@ -176,10 +179,10 @@ def arrives(
     work: Floats,
     end: Floats,
 ) -> bool:
-    """Put the state at the end of a step into ``end``; whether the flow is finite there.
+    """Write the state at the end of a step into ``end``; returns whether the flow is finite there.
 
-    With ``seen`` that is what :func:`follows` has left in ``work``, and the flow in the second
-    column.
+    With ``seen`` it is the state that :func:`follows` has left in ``work``, with the flow in the
+    second column.
     """
     first = place(p, program, work)
     point = work[first : first + states(p, program)]
@@ -194,7 +197,7 @@ def arrives(
 
 
 def place(p: Programs, program: int, work: Floats) -> int:
-    """Where a state has its place in ``work``: at the end, before the sides of kinks."""
+    """The place of a state in ``work``: at its end, before the sides of kinks."""
     return work.shape[0] - count(p, program) - states(p, program)
 
 
@@ -205,8 +208,8 @@ def along(c: Matrix, s: float, point: Floats) -> None:
 
 
 def beside(t: float, point: Floats) -> float:
-    """Move a state to another next to it, no two elements alike, and a time: what changes there by
-    rounding is not known better."""
+    """Move a state, each element by another amount, and a time by a few roundings: what changes by
+    that is not known more accurately."""
     for i in range(point.shape[0]):
         point[i] *= 1.0 + SHIFTS[i % 6] * EPS
     return t * (1.0 + SHIFT * EPS)
@@ -223,11 +226,11 @@ def look(
     aside: Matrix,
     work: Floats,
 ) -> None:
-    """The first coefficients of all rows at a point, on the sides of kinks that values tell, or
-    where ``known`` on those of the step.
+    """Compute the first coefficients of all rows at a point, on the sides of kinks that their
+    values show, or with ``known`` on those of the step.
 
-    The latter are put aside meanwhile: into ``work``, whose end, behind the room for equations, has
-    a place for each element of the state and for each kink.
+    The latter are kept meanwhile at the end of ``work``, behind the room for equations, which has a
+    place for each element of the state and each kink.
     """
     first = work.shape[0] - count(p, program)
     for i in range(count(p, program)):
@@ -239,7 +242,7 @@ def look(
 
 
 def _set_apart(p: Programs, program: int, aside: Matrix) -> None:
-    """Keep the flow, and what is watched, in the second column: the first is written again."""
+    """Copy the flow and the watched functions to the second column, as the first is overwritten."""
     for j in range(p.index[program, FLOW], p.index[program, FLOW + 1]):
         row = p.flow[j]
         if row >= 0:
@@ -266,7 +269,7 @@ def _agrees(
     c: Matrix,
     aside: Matrix,
 ) -> bool:
-    """Whether both hold; what rounding shows beside the point is nothing before that is read."""
+    """Whether both hold; the rounding beside the point is 0 until that point is evaluated."""
     if not _directs(p, program, s, h, scale, fastest, rates, c, aside):
         return False
     return _decides(p, program, s, c, aside)
@@ -283,8 +286,8 @@ def _directs(
     c: Matrix,
     aside: Matrix,
 ) -> bool:
-    """Whether the polynomials of the state have the flow's direction; where that is not finite it
-    is said when the step ends there."""
+    """Whether the polynomials of the state have the direction of the flow. If that is not finite,
+    it is reported when the step ends there."""
     finite = True
     close = True
     for i in range(states(p, program)):
@@ -302,7 +305,7 @@ def _directs(
 
 
 def _decides(p: Programs, program: int, s: float, c: Matrix, aside: Matrix) -> bool:
-    """Whether the series of what is watched have its values, but for rounding."""
+    """Whether the series of watched functions have their values, up to rounding."""
     order = c.shape[1] - 1
     for j in range(p.index[program, KINKS], p.index[program, KINKS + 1]):
         if p.kinks[j, KINK_KIND] == POINT:

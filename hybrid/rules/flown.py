@@ -1,4 +1,4 @@
-"""What has been flown, put down as the record that flows look back on."""
+"""Adds what was flown to the record that delayed flows read."""
 
 from __future__ import annotations
 
@@ -57,21 +57,21 @@ from .record import (
 from .sums import STATE_THERE, on_curve
 from .tails import count
 
-#: A flight as short as this many spacings of the time is no longer a piece of its own.
+#: A flight shorter than this many spacings of the time is not a piece of its own.
 BRIEF_FLIGHT = 1e4
 
-#: Places in a flight at which it is held against the limit.
+#: Number of places at which a flight is compared with the limit.
 LIMIT_PLACES = 4
 
-#: Pieces for which there is room before a flight of a sum is put down.
+#: Free pieces needed before a flight of a sum is recorded.
 SPARE_PIECES = 64
 
 
 def recorded(
     a: AutomatonArrays, now: Now, left: Left, sums: Sums, past: PastArrays, status: int
 ) -> bool:
-    """Put down what has been flown, and the windows on which sums were made; whether there was room
-    for it, and is for a guess and the breaking points behind it."""
+    """Record what was flown, and the windows on which sums were made; returns whether there was
+    room for it, and still is for a guess and the breaking points after it."""
     ints = past.ints
     while True:
         if not fits(now, left, past, status):
@@ -96,13 +96,13 @@ def recorded(
 
 
 def made(now: Now, status: int) -> int:
-    """Steps that a call has made, those of the arc that it is in the middle of among them."""
+    """Number of steps that a call has made, including those of the present arc."""
     goes_on = status == FULL and now.ints[PHASE] == WALKS
     return now.ints[STEPS_MADE] + (now.ints[MADE] if goes_on else 0)
 
 
 def fits(now: Now, left: Left, past: PastArrays, status: int) -> bool:
-    """Whether there is room for what has been flown, for a guess, and for what is met then."""
+    """Whether there is room for what was flown, for a guess, and for what follows it."""
     steps = made(now, status) - past.ints[STEPS_DONE]
     jumps = now.ints[JUMPS_MADE] - past.ints[JUMPS_DONE]
     pieces, breaks = past.ints[PIECES_KEPT] + steps + 1, past.ints[BREAKS] + jumps + 2
@@ -110,7 +110,7 @@ def fits(now: Now, left: Left, past: PastArrays, status: int) -> bool:
 
 
 def walked(now: Now, left: Left, past: PastArrays, status: int) -> None:
-    """Put down the steps of the arc that is due."""
+    """Record the steps of the arc that is due."""
     ints, total = past.ints, made(now, status)
     while ints[STEPS_DONE] < total and left.owner[ints[STEPS_DONE]] == ints[JUMPS_DONE]:
         step(left, past, ints[STEPS_DONE], now.x.shape[0])
@@ -119,7 +119,7 @@ def walked(now: Now, left: Left, past: PastArrays, status: int) -> None:
 
 
 def step(left: Left, past: PastArrays, place: int, n: int) -> None:
-    """Put a step of the loop down as a piece."""
+    """Record a step of the loop as a piece."""
     length = left.spans[place, 1]
     put(past, past.floats[SINCE], past.floats[SINCE_LOW], left.spans[place, 0], length)
     for i in range(n):
@@ -128,9 +128,10 @@ def step(left: Left, past: PastArrays, place: int, n: int) -> None:
 
 
 def turned(past: PastArrays, i: int, c: Floats, length: float, n: int) -> None:
-    """An element's power series over a step, by Chebyshev polynomials; nothing if nobody sees it.
+    """Write an element's power series over a step in Chebyshev polynomials; nothing if no lag sees
+    it.
 
-    Term by term, and each factor by factor: a power of a long step may be too large.
+    Term by term, and each factor by factor, as a power of a long step may overflow.
     """
     place = past.ints[PIECES_KEPT]
     row = past.rows[place * n + i]
@@ -149,14 +150,15 @@ def turned(past: PastArrays, i: int, c: Floats, length: float, n: int) -> None:
 
 
 def jumped(left: Left, past: PastArrays, jump: int, t: float) -> None:
-    """Note the breaking point that a jump is: what it changes jumps, the rest has a corner."""
+    """Note the breaking point of a jump: the elements that it changes jump, the others have a
+    corner."""
     for i in range(past.own.shape[0]):
         past.own[i] = 1 if left.before[jump, i] == left.after[jump, i] else 0
     broken(past, t)
 
 
 def forgotten(left: Left, past: PastArrays, jump: int, t: float) -> None:
-    """Begin the record anew at a jump: the state behind it is all that was."""
+    """Start the record anew at a jump: the state after it stands for the whole past."""
     n, span = past.own.shape[0], past.spans[0]
     span[BEGIN], span[UP_TO], span[FROM], span[FROM_LOW] = -math.inf, t, 0.0, 0.0
     span[PIECE_MIDDLE], span[PIECE_HALF], past.degrees[0] = 0.0, 1.0, 0
@@ -169,8 +171,8 @@ def forgotten(left: Left, past: PastArrays, jump: int, t: float) -> None:
 def tail_kept(
     a: AutomatonArrays, left: Left, sums: Sums, past: PastArrays, tail: int, t: float, low: float
 ) -> bool:
-    """Put the flights of a sum down one by one while they are seen, then the limit alone; whether
-    there was room for them."""
+    """Record the flights of a sum one by one as far as lags can tell them from the limit, then the
+    limit alone; returns whether there was room."""
     ints, n = past.ints, past.own.shape[0]
     row, jump, begin = left.sums[tail], ints[JUMPS_DONE], tail * CURVE_ROWS
     guard = left.fired[jump]
@@ -223,7 +225,7 @@ def tail_kept(
 
 
 def near(limit: Floats, sums: Sums, past: PastArrays, pieces: int) -> bool:
-    """Whether nothing that is seen of a flight can be told from the limit."""
+    """Whether everything that lags see of a flight is within tolerance of the limit."""
     n = limit.shape[0]
     for piece in range(pieces):
         for i in range(n):

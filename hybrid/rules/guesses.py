@@ -1,4 +1,4 @@
-"""Guesses at what a lag shorter than a step will see, and how long they may be."""
+"""Guesses of what a lag shorter than a step will see, and how long they may be."""
 
 from __future__ import annotations
 
@@ -39,23 +39,23 @@ from .sums import SMALLEST_DIVISOR
 FRAME = 2
 SINCE_PLACE, TO_PLACE, LONGEST, AIMED_LENGTH = range(4)
 
-#: How far the last piece of a record is taken to go on, against its length.
+#: How far the last piece of a record may be extrapolated, relative to its length.
 GOES_ON_FOR = 2.0
 
-#: What the piece of a guess has beyond it, in times between which times are one.
+#: How far the piece of a guess reaches beyond it, in tolerances on equal times.
 GUESS_MARGIN = 1e4
 
-#: Windows without a guess after one that was not worth it; after each more of these twice as many,
-#: up to so many. Guesses at a window up to which the next is longer.
+#: Windows without a guess after one that did not pay, which doubles each time up to a maximum; and
+#: the number of guesses of one window up to which the next is longer.
 GUESS_REST, LONGEST_REST, EASY = 30, 1 << 16, 2
 
-#: Windows in a row that are one step long before longer ones are guessed; the first length of
-#: these, in lags; where a lag vanishes, against that of the run.
+#: Consecutive windows of one step before longer ones are guessed; the first length of these, in
+#: lags; and where a lag vanishes, relative to the run.
 TIGHT_WINDOWS, FIRST_GUESS, VANISHING_WINDOW = 3, 4.0, 1e-4
 
 
 def wanted(t: float, past: PastArrays) -> None:
-    """The length of windows to guess; 0 where the record reaches far enough."""
+    """Find the length of windows to guess; 0 where the record reaches far enough."""
     floats, ints, shortest = past.floats, past.ints, math.inf
     for k in range(past.lags.shape[0]):
         shortest = min(shortest, past.lags[k])
@@ -72,10 +72,9 @@ def wanted(t: float, past: PastArrays) -> None:
 
 
 def guess(t: float, b: float, past: PastArrays) -> None:
-    """Put down a piece for what comes up to ``b``: the last one goes on, or the state stays as it
-    is.
+    """Write a piece of the record up to ``b``: the last piece continued, or a constant state.
 
-    Far beyond its end a polynomial leads nowhere: there a straight line is put down.
+    Far beyond its end a polynomial is useless; there the piece is a straight line.
     """
     n, place = past.own.shape[0], past.ints[PIECES_KNOWN]
     last, span, length = (
@@ -110,7 +109,7 @@ def guess(t: float, b: float, past: PastArrays) -> None:
 
 
 def wrong(t: float, past: PastArrays) -> float:
-    """How far guesses are from what was flown, against what they may be."""
+    """The error of guesses compared with what was flown, relative to the allowed one."""
     n, worst, first, end = past.own.shape[0], 0.0, past.ints[PIECES_KNOWN], past.ints[PIECES_KEPT]
     for k in range(past.lags.shape[0]):
         a, b = past.windows[k, SINCE_PLACE], past.windows[k, TO_PLACE]
@@ -134,12 +133,12 @@ def wrong(t: float, past: PastArrays) -> float:
 
 
 def beyond(t: float, a: float, b: float) -> bool:
-    """Whether a window shows what comes after a time."""
+    """Whether a window reaches beyond a time."""
     return b > t + slack(t) or t - a <= slack(t)
 
 
 def pays(length: float, past: PastArrays) -> None:
-    """Longer guesses next where they are easy, none for a while where they cost too much."""
+    """Make longer guesses next if they were easy, and none for a while if they cost too much."""
     floats, ints = past.floats, past.ints
     floats[MOST] *= 1.2
     floats[STRIDE] = min((2.0 if ints[GUESSES] <= EASY else 1.0) * length, floats[MOST])
@@ -152,8 +151,8 @@ def pays(length: float, past: PastArrays) -> None:
 
 
 def seen_at(past: PastArrays, base: int, s: float, since: float) -> float:
-    """What a window shows of an element, whose coefficients begin at ``base``, ``since`` after a
-    place ``s``, counted from the middle in halves of the window."""
+    """An element's value in a window, whose coefficients begin at ``base``, at ``since`` after
+    ``s`` (counted from the middle, in half lengths of the window)."""
     n, there, value = past.own.shape[0], s + since, 0.0
     for j in range(WINDOW_DEGREE, -1, -1):
         value = value * there + past.shown[base + j * n]

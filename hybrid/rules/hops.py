@@ -1,5 +1,5 @@
-"""Flights so low that the gap is comparable to the rounding of the state, and the impact at their
-end.
+"""Flights so low that the gap is comparable to the rounding of the state, and the impacts that end
+them.
 
 Numbers in brackets are the rules of ``docs/semantics.md``.
 """
@@ -18,20 +18,20 @@ __all__ = ("drowns", "hop", "tells")
 #: Status besides those of :mod:`.flights`: the speed after the impact is negative or no number.
 NO_SPEED = -8
 
-#: A flight drowns by far, or not, where it does as well with a speed so many times as high, or as
-#: low: forces a thousand times as large would have to follow each other to decide otherwise.
+#: A flight clearly drowns, or clearly does not, if it also does with a speed this many times as
+#: high, or as low: only a force a thousand times as large would decide otherwise.
 BY_FAR = 32.0
 
 
 def drowns(v: float, force: float, size: float) -> bool:
     """Whether a gap that opens with speed ``v`` against a force stays comparable to the rounding of
-    states of a size (7)."""
+    states of a given size (7)."""
     return 0.0 < v * v <= -NEAR * force * size
 
 
 def tells(v: float, force: float, size: float) -> bool:
-    """Whether the force of the flight before, 0 if it is not known, says whether one drowns: of one
-    that does by far, or by far does not."""
+    """Whether the force of the previous flight (0 if unknown) decides if one drowns: clearly yes,
+    or clearly no."""
     high = not drowns(v / BY_FAR, force, size)
     return force < 0.0 and (high or drowns(v * BY_FAR, force, size))
 
@@ -102,7 +102,7 @@ def _flown(
     c: Matrix,
     room: Sums,
 ) -> tuple[int, float, float, int]:
-    """The flight, by series of which ``c`` has the coefficients."""
+    """The flight, by series with the coefficients of ``c``."""
     status, time, u, pieces, _ = fly(
         p, flow, column, held, t, x, v, room.starts, room.lengths, room.series, room.branch,
         room.end, c, room.aside, room.work, room.rows, room.found, room.sides, signs, rounding,

@@ -1,8 +1,8 @@
 """Signals in the loop of a run: from knot to knot, each piece a polynomial in time.
 
-The numbers of a piece are among those of the programs. Between two knots nothing is known of
-signals; at a knot the next piece is put in, and the arc goes on where every guard has the sign that
-it had, and the contacts held are still closed. Else the driver looks at the knot.
+The numbers of a piece are among those of the programs, so that between knots a signal needs no
+code. At a knot the next piece is put in, and the arc continues if every guard keeps its sign and
+the held contacts stay closed. Otherwise the driver treats the knot.
 """
 
 from __future__ import annotations
@@ -63,9 +63,9 @@ def through(
     look: Look,
     inputs: InputArrays,
 ) -> int:
-    """Go on from ``now``, over the knots that are known; returns what the driver is asked for.
+    """Go on from ``now`` over the known knots; returns what the driver is asked for.
 
-    ``END`` at a knot that is to be looked at, or the last that is known, which is ``LAST_TIME``.
+    ``END`` at a knot that must be looked at, or at the last known one, which is ``LAST_TIME``.
     """
     while True:
         place = inputs.place[0]
@@ -84,7 +84,7 @@ def through(
 
 
 def apart(a: AutomatonArrays, now: Now, room: Room) -> bool:
-    """Whether no guard that the model declares is zero where an arc has come to a knot."""
+    """Whether no declared guard is zero where an arc has reached a knot."""
     t, _ = after(now.floats[T], now.floats[LOW], now.floats[TAU])
     for g in range(a.fields[now.ints[FIELD], GUARDS], a.fields[now.ints[FIELD], GUARDS_END]):
         if a.guards[g, KIND] != RELEASE and ago(a, now, room, g, t) == 0.0:
@@ -93,7 +93,7 @@ def apart(a: AutomatonArrays, now: Now, room: Room) -> bool:
 
 
 def goes_on(now: Now, inputs: InputArrays) -> None:
-    """Let the arc go on over a knot, and note where that is: what is to be judged is from there."""
+    """Continue the arc over a knot, and note the place: anything to be judged lies after it."""
     inputs.place[2], inputs.place[3] = now.ints[JUMPS_MADE], now.ints[STEPS_MADE]
     inputs.began[0] = now.floats[TAU]
     copied(now.end, inputs.start)
@@ -102,7 +102,7 @@ def goes_on(now: Now, inputs: InputArrays) -> None:
 
 
 def feed(a: AutomatonArrays, room: Room, inputs: InputArrays) -> None:
-    """Give the numbers of the present piece to the programs."""
+    """Pass the numbers of the present piece to the programs."""
     put_in(
         a, room, inputs.pieces[inputs.place[0]], inputs.given, inputs.ranged, inputs.parts,
         inputs.ops, inputs.more, inputs.numbers,
@@ -120,7 +120,7 @@ def put_in(
     more: Ints,
     numbers: Matrix,
 ) -> None:
-    """Give numbers to the programs, and work out what follows from them."""
+    """Pass numbers to the programs, and compute what depends on them only."""
     for g in range(given.shape[0]):
         numbers[given[g, 0], 0] = shown[given[g, 1]]
     for g in range(ranged.shape[0]):
@@ -139,7 +139,7 @@ def put_in(
 
 
 def as_before(a: AutomatonArrays, now: Now, room: Room) -> bool:
-    """Whether each guard has the sign, where an arc goes on over a knot, that it had before it."""
+    """Whether each guard has the same sign after a knot as before it."""
     field = now.ints[FIELD]
     program, first, last = (
         a.fields[field, FIELD_PROGRAM],
@@ -158,7 +158,7 @@ def as_before(a: AutomatonArrays, now: Now, room: Room) -> bool:
 
 
 def on_contacts(a: AutomatonArrays, now: Now, room: Room, field: int, t: float) -> bool:
-    """Whether the contacts held are closed behind a knot, too; the state is moved onto them."""
+    """Whether the held contacts are closed after a knot too; moves the state onto them."""
     if a.fields[field, SURFACE] >= 0:
         return False
     for g in range(a.fields[field, GUARDS], a.fields[field, GUARDS_END]):

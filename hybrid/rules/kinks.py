@@ -1,14 +1,15 @@
-"""How far the series of a step hold, where the formula of the flow may change on the way.
+"""How far the series of a step are valid, where the flow may change its formula.
 
-A kink is a function with a series of its own, at whose zero another branch of the flow begins.
-Its zeros are counted as those of a guard, within the length over which its own series has
-converged. A zero that rounding hides or blurs from afar, at the edges of a thin zone, is approached
-first and looked for again from nearby.
+A kink is a function with its own series, at whose zero another formula begins. Its zeros are
+counted like those of a guard, within the length over which its series has converged. If rounding
+hides or blurs a zero seen from afar, at the edges of a thin zone, the step goes part of the way and
+looks again from nearby.
 
-A function that is flat to rounding (``exp`` of a large negative number) says nothing of the
-pulse that its argument leads to. So the argument is watched as a kink is where the function is
-flat, and changes by little in a step where it is not. A denominator changes by no more than itself:
-so far there is no pole, not beside the axis of time either, where a quotient is a pulse.
+A function that is flat to rounding (``exp`` of a large negative number) does not show the pulse
+that its argument leads to. Its argument is therefore watched like a kink while the function is
+flat, and may change only a little per step while it is not. A denominator may change by no more
+than its own size: there is then no pole within the step, nor near it in the complex plane, where a
+quotient is a pulse.
 """
 
 from __future__ import annotations
@@ -23,61 +24,62 @@ from .zeros import EPS, VANISHES, series
 
 __all__ = ("expanded", "first_change", "holding", "turn")
 
-#: A product and a sum are never one operation: where a kink is passed, plain Python says the same.
+#: Product and sum are never fused, so that plain Python passes a kink at the same place.
 EXACT = True
 
-#: Kinds of what is watched (:data:`hybrid.lowering.tape.KINDS`). A point is not, along a flow.
+#: Kinds of watched functions (:data:`hybrid.lowering.tape.KINDS`). A point is not watched along a
+#: flow.
 STEP_KINK, BAND, POLE, POINT = 1, 2, 3, 4
 
-#: Columns of the table of kinks: the row of what is watched; whether the formula is another beyond
-#: its zero; its kind; the row of the function itself, of which a step has the nearest whole number
-#: taken off.
+#: Columns of the table of kinks: the watched row; whether the formula changes at its zero; its
+#: kind; the row of the function itself, from which for a step function the nearest whole number is
+#: subtracted.
 KINK_ROW, SWITCHES, KINK_KIND, WHOLE_ROW = 0, 1, 2, 3
 
 #: Status codes: there are no series, or they are not finite.
 NO_SERIES, NOT_FINITE = -1, -2
 
-#: By how much the argument of a step function may change in a step: the whole number next to it
-#: is then the only one passed; and that of ``exp``, as a share of the order: up to that the last
-#: terms of its series are as large as all that follow, and half of it leaves room for a square.
+#: Largest change per step of the argument of a step function, so that it passes one whole number at
+#: most; and of ``exp``, as a share of the order: up to the order the last terms of its series
+#: outweigh those that follow, and half of it leaves room for a square.
 STEP_CHANGE, EXP_CHANGE = 0.5, 0.5
 
 #: Rounding of a kink's polynomial in Bernstein form, as a multiple of the sum of its terms: as many
 #: roundings as its highest degree.
 KINK_BLUR = 24.0 * EPS
 
-#: Share of the way to a zero that is blurred which is made before it is looked for again.
+#: Share of the way to a blurred zero that is gone before looking again.
 APPROACH = 0.9
 
-#: Share of the way to a zero on which it is asked whether another is hidden.
+#: Share of the way to a zero on which hidden zeros are looked for.
 SHORT_OF_ZERO = 0.999
 
-#: A zero is as exact as the time is if it is off by no more than so many of its roundings.
+#: A zero is as accurate as the time if its error is within so many roundings of the time.
 ZERO_SPACINGS = 16.0
 
-#: Where a function comes near zero and rounding hides whether it passes, what is hidden is narrower
-#: than 1e-7 of the way there: nearer than this share of the time nothing is left of it.
+#: Where rounding hides whether a function that comes near zero crosses it, the hidden part is
+#: shorter than 1e-7 of the way there; within this share of the time nothing of it is left.
 HIDDEN = 1e-9
 
 
 def states(p: Programs, program: int) -> int:
-    """How many elements the state of a program has."""
+    """The number of state elements of a program."""
     return p.index[program, FLOW + 1] - p.index[program, FLOW]
 
 
 def count(p: Programs, program: int) -> int:
-    """How many kinks a program has, points among them."""
+    """The number of kinks of a program, including points."""
     return p.index[program, KINKS + 1] - p.index[program, KINKS]
 
 
 def expanded(
     p: Programs, program: int, t: float, x: Floats, sides: Ints, c: Matrix, work: Floats
 ) -> int:
-    """The series from ``(t, x)``, of as many coefficients as ``c`` has columns, or why there are
-    none.
+    """Compute the series from ``(t, x)``, with as many coefficients as ``c`` has columns; returns 0
+    or a status code.
 
-    On a branch that is not taken nothing happens: what is watched there, and is not a number, is
-    constant. ``sides`` and ``work`` are as :func:`.jets.jets` takes them.
+    In a branch that is not taken nothing happens: a watched function that is not a number there
+    counts as constant. ``sides`` and ``work`` are as in :func:`.jets.jets`.
     """
     order = c.shape[1] - 1
     first = p.index[program, KINKS]
@@ -96,14 +98,14 @@ def expanded(
 
 
 def _let_stand(c: Matrix, row: int, order: int) -> None:
-    """A series of which a coefficient is missing becomes that of the constant 1."""
+    """Replace a series with a missing coefficient by that of the constant 1."""
     if missing(c, row, order):
         for k in range(order + 1):
             c[row, k] = 1.0 if k == 0 else 0.0
 
 
 def holding(p: Programs, program: int, c: Matrix) -> float:
-    """Length over which the series of what is watched have converged, and change by little."""
+    """Length over which the series of watched functions have converged and change little."""
     change = EXP_CHANGE * (c.shape[1] - 1)
     length = math.inf
     for j in range(p.index[program, KINKS], p.index[program, KINKS + 1]):
@@ -123,7 +125,7 @@ def holding(p: Programs, program: int, c: Matrix) -> float:
 
 
 def _changing(c: Floats, length: float, most: float) -> float:
-    """The length, or the shorter one in which a series cannot change by more than ``most``."""
+    """The given length, or the shorter one in which a series changes by ``most`` at most."""
     order = c.shape[0] - 1
     for k in range(1, order + 1):
         if c[k] != 0.0:
@@ -143,10 +145,10 @@ def first_change(
     rows: Matrix,
     found: Matrix,
 ) -> tuple[float, int]:
-    """How far a step may go on the branch on which it begins, and the kink that ends it.
+    """How far a step may go with the formula with which it begins, and the kink that ends it.
 
-    -1: no kink is reached there, though one may be near. Not a number: a series that is watched is
-    not finite.
+    The kink is -1 if none is reached, though one may be near. The length is NaN if a watched series
+    is not finite.
     """
     chosen = -1
     first = p.index[program, KINKS]
@@ -168,7 +170,7 @@ def first_change(
 
 
 def _level(p: Programs, kink: int, value: float, change: float) -> float:
-    """The value at which what is watched changes something; NaN if it is not ahead."""
+    """The value at which a watched function changes the formula; NaN if it is not ahead."""
     kind = p.kinks[kink, KINK_KIND]
     if kind in (POLE, POINT):
         return math.nan
@@ -182,10 +184,10 @@ def _level(p: Programs, kink: int, value: float, change: float) -> float:
 def _first_zero(
     c: Floats, t: float, h: float, side: int, rows: Matrix, found: Matrix
 ) -> tuple[float, bool]:
-    """The first zero of a series in ``(0, h]`` at which it leaves its side, and whether it is that.
+    """The first zero of a series in ``(0, h]`` at which it changes sign, and whether it is one.
 
-    With ``side`` known the zero at 0 has been divided out. Infinity if there is none; a point on
-    the way to where rounding hides or blurs a zero comes with False.
+    If ``side`` is known, a zero at 0 has been divided out. Infinity if there is no zero; with
+    False, a point on the way to a zero that rounding hides or blurs.
     """
     order = c.shape[0] - 1
     rest = power_size(c, 1, order, h)
@@ -207,8 +209,8 @@ def _first_zero(
 
 
 def _zeros(c: Floats, own: int, h: float, rows: Matrix, found: Matrix) -> int:
-    """List where a series comes to zero in ``(0, h]``, also where it comes so near that rounding
-    hides what it does; how many, or a status code."""
+    """List the zeros of a series in ``(0, h]``, including places so near zero that rounding hides
+    the sign; returns their number or a status code."""
     order = c.shape[0] - 1
     noise = KINK_BLUR * power_size(c, 0, order, h) + behind(c, h)
     listed = series(c, order, h, 0, noise, rows, found)
@@ -216,7 +218,7 @@ def _zeros(c: Floats, own: int, h: float, rows: Matrix, found: Matrix) -> int:
 
 
 def _crossing(listed: int, found: Matrix, own: int) -> float:
-    """The first of the zeros listed at which a series leaves its side; infinity without one."""
+    """The first listed zero at which a series changes sign; infinity if there is none."""
     for k in range(listed):
         if own * found[k, 1] < 0.0:
             return found[k, 0]
@@ -224,7 +226,7 @@ def _crossing(listed: int, found: Matrix, own: int) -> float:
 
 
 def _hidden(listed: int, found: Matrix, own: int, t: float, crossing: float) -> float:
-    """The first of the zeros listed near which something may be hidden, or the crossing."""
+    """The first listed zero near which something may be hidden, or the crossing."""
     for k in range(listed):
         if own * found[k, 1] <= 0.0 and not _close(found[k, 0], t):
             return found[k, 0]
@@ -232,12 +234,12 @@ def _hidden(listed: int, found: Matrix, own: int, t: float, crossing: float) -> 
 
 
 def _close(s: float, t: float) -> bool:
-    """Whether nothing is hidden at a distance of time."""
+    """Whether a distance of time is so short that nothing is hidden within it."""
     return (1.0 - APPROACH) * s <= HIDDEN * max(abs(t), s)
 
 
 def _exact(c: Floats, t: float, s: float) -> bool:
-    """Whether a zero is known as exactly as the time is."""
+    """Whether a zero is known as accurately as the time."""
     order = c.shape[0] - 1
     _, slope = power_value(c, 0, order, s)
     off = EPS * power_size(c, 0, order, s) + behind(c, s)
@@ -245,14 +247,14 @@ def _exact(c: Floats, t: float, s: float) -> bool:
 
 
 def crossed_to(c: Matrix, row: int, side: int) -> int:
-    """The side of a kink that follows a zero at which it has left its own."""
+    """The side of a kink after a zero at which it changes sign."""
     if side != 0:
         return -side
     return -1 if c[row, 0] > 0.0 else 1
 
 
 def turn(p: Programs, program: int, crossed: int, c: Matrix, sides: Ints) -> int:
-    """Sides for what follows a step that has ended on a kink (-1: on none); the side crossed to."""
+    """Set the sides for what follows a step that ended on a kink (-1: on none)."""
     side = 0
     if crossed >= 0:
         row = p.kinks[p.index[program, KINKS] + crossed, KINK_ROW]

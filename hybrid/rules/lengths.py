@@ -1,8 +1,8 @@
-"""Over what length series are exact to rounding or a tolerance, and a gap's first zero in it.
+"""Over what length series are exact to rounding or to a tolerance, and a gap's first zero in it.
 
-The last two terms say how fast a series converges (Jorba & Zou, *A software package for the
-numerical integration of ODEs by means of high-order Taylor methods*, Experimental Mathematics 14,
-2005).
+The size of the last two terms shows how fast a series converges (Jorba & Zou, *A software package
+for the numerical integration of ODEs by means of high-order Taylor methods*, Experimental
+Mathematics 14, 2005).
 """
 
 from __future__ import annotations
@@ -21,59 +21,59 @@ __all__ = (
     "tolerated_length",
 )
 
-#: Size, relative to the state, to which the last terms of a step are held.
+#: Largest size of the last terms of a step, relative to the state.
 LAST_TERMS = 1e-16
 
-#: Size, relative to the largest, of the last terms up to which a series may be used at all: what
-#: follows is then no more than they are.
+#: Largest size of the last terms, relative to the largest, at which a series may be used at all:
+#: the remainder is then no larger than they are.
 CONVERGED = 1e-3
 
-#: A step that is cut to less than this share of what its last terms allow cannot be made.
+#: A step cut to less than this share of what its last terms allow is refused.
 SHORTEST_CUT = 1e-12
 
-#: An element of the state is measured by its first terms, so many.
+#: Number of first terms by which a state element is measured.
 FIRST_TERMS = 3
 
-#: Series of low flights have this order; those of short ones no less, and else half the usual one.
+#: Order of the series of low flights, and the lowest order of those of short flights, which is
+#: otherwise half the usual one.
 LOW_ORDER = 8
 
 #: A flight is short up to this share of a usual step. The usual order is 1.65 times half the
-#: natural logarithm of what is asked for, so that series of half the order are as exact up to a
-#: share of exp(-2 / 1.65), which is 0.30.
+#: natural logarithm of the inverse tolerance, so that series of half the order are as exact up to
+#: the share exp(-2 / 1.65) = 0.30.
 SHORT_SHARE = 0.25
 
-#: A step goes so many times as far as the flight is expected to, which is known but for how its
-#: force changes.
+#: A step is this many times as long as the expected flight, whose force may change.
 STEP_FURTHER = 1.25
 
-#: Below this coefficients have lost digits, or all of them; and a series of which the next one
-#: would be smaller than this has not ended where they are zero.
+#: Coefficients below the first have lost digits or underflowed; and if the next one of a series
+#: would be below the second, zeros do not mean that it has ended.
 FAINT, REPRESENTED = 1e-290, 1e-200
 
 
 def falls(c: Matrix, size: int, gap: Floats, far: float, rows: Matrix, found: Matrix) -> float:
-    """Where a gap first falls to zero, within ``far`` times the length over which the series of a
-    gap and of a state have converged; infinity if it does not."""
+    """Where a gap first falls to zero, within ``far`` times the length over which the series of gap
+    and state have converged; infinity if it does not."""
     reach = far * min(step_length(c, size), own_length(gap, LAST_TERMS))
     return zero_of(gap, reach, rows, found)
 
 
 def step_length(c: Matrix, size: int) -> float:
-    """Length at which the last two terms of every element of the state fall to rounding."""
+    """Length at which the last two terms of every state element fall to rounding."""
     return held_length(c, size, LAST_TERMS, math.inf)
 
 
 def held_length(c: Matrix, size: int, share: float, length: float) -> float:
-    """The length, or the shorter one at which they fall to a share of the element."""
+    """The given length, or the shorter one at which they fall to a share of the element."""
     for i in range(size):
         length = _within(c[i], share, 0.0, length)
     return length
 
 
 def tolerated_length(c: Matrix, size: int, loss: Floats, most: float) -> float:
-    """Length, ``most`` at most, at which they fall to what a step may lose: a share of the element,
-    in the first place of ``loss``, and a number for each, behind it; to rounding where that is
-    more, and no further than all series have converged."""
+    """Length, at most ``most``, at which they fall to what a step may lose: a share of the element,
+    ``loss[0]``, plus a number for each, ``loss[1:]``; to rounding if that is more, and no further
+    than all series have converged."""
     length = most
     for i in range(size):
         if loss[0] > CONVERGED or loss[1 + i] > CONVERGED * abs(c[i, 0]):
@@ -83,11 +83,12 @@ def tolerated_length(c: Matrix, size: int, loss: Floats, most: float) -> float:
 
 
 def _within(c: Floats, relative: float, absolute: float, length: float) -> float:
-    """The length, or the shorter one at which the last two terms of an element are small enough.
+    """The given length, or the shorter one at which the last two terms of an element are small
+    enough.
 
-    Against the element, or how far it goes by its speed or its acceleration, if that is more: so
-    neither the unit of time nor other elements matter. One that is zero and at rest is measured by
-    its other terms.
+    They are measured by the element, or by how far it moves by its speed or acceleration if that is
+    more, so that neither the unit of time nor other elements matter. An element that is zero and at
+    rest is measured by its other terms.
     """
     order = known(c)
     own = absolute + relative * abs(c[0])
@@ -106,7 +107,7 @@ def _within(c: Floats, relative: float, absolute: float, length: float) -> float
 
 
 def own_length(c: Floats, share: float) -> float:
-    """Length at which the last two terms of a series fall to a share of the largest."""
+    """Length at which the last two terms of a series fall to a share of its largest."""
     order = known(c)
     length = math.inf
     for last in range(order - 1, order + 1):
@@ -117,7 +118,7 @@ def own_length(c: Floats, share: float) -> float:
 
 
 def min_own_length(c: Floats, share: float, length: float) -> float:
-    """The length, or :func:`own_length` where that is shorter, which takes longer to find."""
+    """The given length, or :func:`own_length` if shorter, which takes longer to compute."""
     last, power_of_length, largest = known(c), 1.0, 0.0
     for k in range(last - 1):
         largest = max(largest, abs(c[k]) * power_of_length)
@@ -127,9 +128,9 @@ def min_own_length(c: Floats, share: float, length: float) -> float:
 
 
 def behind(c: Floats, s: float) -> float:
-    """What is left of a series behind its last terms, by their size: they fall.
+    """A bound on the remainder of a series, from the size of its last terms, which fall.
 
-    Where time has a small unit they are next to nothing, and the power may be no number.
+    With a small unit of time they are tiny, and the power may not be a number.
     """
     order = known(c)
     left, far = abs(c[order - 1]) + abs(c[order]) * s, power(s, order - 1)
@@ -141,10 +142,10 @@ def behind(c: Floats, s: float) -> float:
 
 
 def known(c: Floats) -> int:
-    """The order of a series; a lower one where time has so small a unit that the last coefficients
-    are next to nothing, or zero, which says nothing of how it converges.
+    """The order of a series; a lower one where the unit of time is so small that the last
+    coefficients underflow, which says nothing about convergence.
 
-    They are zero of polynomials, too, of which those before do not lead there.
+    The last coefficients of a polynomial are zero too, but those before do not lead there.
     """
     order = c.shape[0] - 1
     if abs(c[order]) >= FAINT or abs(c[order - 1]) >= FAINT:
@@ -161,7 +162,7 @@ def known(c: Floats) -> int:
 
 
 def short_order(order: int) -> int:
-    """The order of the series of short flights, by the usual one."""
+    """The order of the series of short flights, from the usual one."""
     return min(order, max(LOW_ORDER, order // 2))
 
 
@@ -176,8 +177,8 @@ def power(s: float, k: int) -> float:
 
 
 def _reach(c: Floats, order: int, last: int, share: float) -> float:
-    """Where a term is as large as a share of the largest of the others, the last two left out; -1
-    where these are all zero."""
+    """Where a term equals a share of the largest of the others, the last two left out; -1 if these
+    are all zero."""
     reach, least = -1.0, 0.0  # shares of terms, against the last, that are not above it reach less
     for k in range(order - 1):
         size = share * abs(c[k] / c[last])
@@ -191,8 +192,8 @@ def _reach(c: Floats, order: int, last: int, share: float) -> float:
 def zero_of(gap: Floats, reach: float, rows: Matrix, found: Matrix) -> float:
     """First zero in ``(0, reach]`` at which a gap's series falls, by more than rounding.
 
-    The zero at the start, if the series begins with 0, is divided out. Infinity if there is none.
-    Rounding is as many spacings of its terms as it has.
+    A zero at the start is divided out. Infinity if there is none. Rounding is one spacing of each
+    term for each term.
     """
     if gap[0] < 0.0:
         return math.inf

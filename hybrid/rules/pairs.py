@@ -1,8 +1,8 @@
-"""Steps of explicit Runge-Kutta pairs, where the loop asks another solver for them.
+"""Steps of explicit Runge-Kutta pairs, for runs whose loop asks another solver for steps.
 
-Tables and control of the steps are those of the library that has the method
-(:mod:`hybrid.solvers.pairs`): the steps are its own, but for rounding. Where it would have no step
-the run is left to the driver, which says why.
+Tables and step size control are those of the library that has the method
+(:mod:`hybrid.solvers.pairs`), so the steps are its own up to rounding. Where the library would find
+no step, the run is left to the driver, which says why.
 """
 
 from __future__ import annotations
@@ -36,43 +36,43 @@ from .zeros import EPS
 
 __all__ = ("answers",)
 
-#: Places in the control of steps: what the next step's length is multiplied with, by the power of
-#: the error; the least of it where a step is refused; the least and the most where it is not, and
-#: the most of one that was tried before; the least length in spacings of the time; whether one that
-#: was cut short is followed by one as long as it would have been; whether one onto a guard is made
-#: whatever it loses; the relative tolerance, and from the last place on the absolute ones.
+#: Entries of the step size control: safety factor, and exponent of the error; least factor after a
+#: rejected step; least and largest factor after an accepted one, and the largest if it was tried
+#: before; least length in spacings of the time; whether a step that was cut short is followed by
+#: one of its original length; whether a step onto a guard is accepted whatever its error; relative
+#: tolerance; then the absolute tolerances.
 CAREFUL, ERROR_POWER, REFUSED_LEAST, KEPT_LEAST, KEPT_MOST, TRIED_MOST, LEAST_LENGTH = range(7)
 KEEPS_LENGTH, LANDS_ANYWAY, OWN_RTOL, OWN_ATOL = range(7, 11)
 
-#: Places in what is remembered along an arc: the length of the next step and of the last; and of
-#: steps in search of such that become ever shorter how many, at which to look, the count and time
-#: when that was last done, how far the run had come before, and how often in a row it was less.
+#: Entries of the memory of an arc: length of the next step and of the last; and to detect ever
+#: shorter steps: their count, the count of the next check, count and time of the last check, the
+#: way covered before that, and how often in a row the way has become less.
 NEXT_LENGTH, LAST_LENGTH, STEP_COUNT, LOOK_DUE, COUNTED_FROM = range(5)
 TIME_FROM, WAY_BEFORE, LESS_IN_A_ROW, PACE_PLACES = range(5, 9)
 
-#: Rows of states: where a step begins, where it ends, and at a stage.
+#: Rows of states: at the start of a step, at its end, and at a stage.
 STEP_FROM, STEP_ONTO, STAGE_STATE, STEP_STATES = 0, 1, 2, 3
 
-#: Steps refused down to so many spacings of the time are left.
+#: A step rejected at this many spacings of the time is left to the driver.
 SHORTEST_SPACINGS = 64.0
 
-#: What the second error estimate of a pair with two weighs against the first (Hairer, Norsett and
-#: Wanner, DOP853).
+#: Weight of the second error estimate of a pair with two, relative to the first (Hairer, Norsett
+#: and Wanner, DOP853).
 SECOND_ESTIMATE = 0.01
 
-#: A flow is taken to swing ever faster up to a time that is never reached where, this many times
-#: in a row, twice as many steps have gone less than this share as far as those before them, counted
-#: from so many steps on, and at the last step's length more than so many are left. One that falls
-#: with a power p > 1 of the time left has shares 2^(-1/(p-1)): 1/2 for sin(1/x).
+#: A flow is taken to oscillate ever faster up to a time that is never reached if, ROWS times in a
+#: row, twice as many steps have covered less than SWING_SHARE of the way of those before, counted
+#: from COUNTED steps on, and more than STEPS_LEFT steps of the last length are left. Steps that
+#: shrink with a power p > 1 of the time left have the share 2^(-1/(p-1)): 1/2 for sin(1/x).
 ROWS, SWING_SHARE, COUNTED, STEPS_LEFT = 4, 0.8, 512, 1e6
 
-#: Steps of so many spacings of the time are stuck. A method that goes back and forth over a jump of
-#: the flow is never further from it than so many of its steps.
+#: Steps of this many spacings of the time are stuck. A method that goes back and forth over a jump
+#: of the flow is never further from it than this many of its steps.
 FEW_STEPS = 4.0
 
 
 def answers(status: int, a: AutomatonArrays, run: Floats, now: Now, room: Room, pair: Pair) -> bool:
-    """Make what the loop has asked for; whether there is such."""
+    """Do what the loop has asked for; returns whether that is possible here."""
     if status == SHOW:
         return shows(a, now, room, pair)
     if status == LAND_ON:
@@ -99,7 +99,8 @@ def answers(status: int, a: AutomatonArrays, run: Floats, now: Now, room: Room, 
 
 
 def steps(a: AutomatonArrays, now: Now, room: Room, pair: Pair) -> bool:
-    """Make a step that the pair accepts, no further than the loop has said; whether there is one.
+    """Make a step that the pair accepts, no further than the loop has said; returns whether there
+    is one.
 
     After SciPy's ``RungeKutta._step_impl`` and Diffrax's ``PIDController.adapt_step_size``.
     """
@@ -128,7 +129,7 @@ def steps(a: AutomatonArrays, now: Now, room: Room, pair: Pair) -> bool:
 
 
 def scaled_by(control: Floats, error: float) -> float:
-    """By what the length of a step is to be multiplied."""
+    """The factor by which to change the length of a step."""
     if error == 0.0:
         return math.inf
     return control[CAREFUL] * error ** control[ERROR_POWER] if error < math.inf else 0.0
@@ -142,7 +143,7 @@ def ends(now: Now, pair: Pair, end: float) -> None:
 
 
 def paced(now: Now, pair: Pair, length: float) -> bool:
-    """Count a step; whether steps do not become ever shorter (:mod:`hybrid.run.pace`)."""
+    """Count a step; returns whether steps do not become ever shorter (:mod:`hybrid.run.pace`)."""
     going, end = pair.going, now.floats[STEP_END]
     going[STEP_COUNT] += 1.0
     if going[STEP_COUNT] < going[LOOK_DUE]:
@@ -177,8 +178,8 @@ def shows(a: AutomatonArrays, now: Now, room: Room, pair: Pair) -> bool:
 
 
 def arrives(a: AutomatonArrays, now: Now, room: Room, pair: Pair) -> bool:
-    """Make the last step again, onto where a guard is zero; the interpolant of the step before
-    where the pair refuses it, though a longer one was accepted."""
+    """Repeat the last step up to the zero of a guard; use the interpolant of the longer step if the
+    pair rejects it."""
     end, n, before = now.floats[TO_TAU], now.x.shape[0], pair.going[LAST_LENGTH]
     error = attempt(a, now, room, pair, end - now.floats[TAU])
     if error < 1.0 or (pair.control[LANDS_ANYWAY] == 1.0 and error < math.inf):
@@ -197,8 +198,8 @@ def arrives(a: AutomatonArrays, now: Now, room: Room, pair: Pair) -> bool:
 
 
 def attempt(a: AutomatonArrays, now: Now, room: Room, pair: Pair, h: float) -> float:
-    """Make a step of a length; returns its error against the tolerances, infinite where it does
-    not exist."""
+    """Try a step of a given length; returns its error relative to the tolerances, infinite if it
+    does not exist."""
     last, n = pair.errors.shape[1] - 1, now.x.shape[0]
     stages(a, now, room, pair, h, 1, last + 1)
     first, second = 0.0, 0.0
@@ -222,7 +223,7 @@ def attempt(a: AutomatonArrays, now: Now, room: Room, pair: Pair, h: float) -> f
 
 
 def weighed(pair: Pair, row: int, i: int) -> float:
-    """An error estimate of one element, but for the length of the step."""
+    """An error estimate of one element, divided by the length of the step."""
     total = 0.0
     for s in range(pair.errors.shape[1]):
         total += pair.errors[row, s] * pair.rates[s, i]
@@ -232,7 +233,7 @@ def weighed(pair: Pair, row: int, i: int) -> float:
 def stages(
     a: AutomatonArrays, now: Now, room: Room, pair: Pair, h: float, first: int, until: int
 ) -> None:
-    """The flow at some stages of a step, and its end."""
+    """Compute the flow at some stages of a step, and its end."""
     last, tau = pair.errors.shape[1] - 1, now.floats[TAU]
     for s in range(first, until):
         x = pair.states[STEP_ONTO if s == last else STAGE_STATE]
@@ -245,7 +246,7 @@ def stages(
 
 
 def rates(a: AutomatonArrays, now: Now, room: Room, t: float, x: Floats, written: Floats) -> None:
-    """The flow of the present field; what else its program gives need not exist there."""
+    """Compute the flow of the present field; other outputs of its program need not exist."""
     program = a.fields[now.ints[FIELD], FIELD_PROGRAM]
     afresh(a.programs, program, 0, t, x, room.still, room.aside, room.work)
     first = a.programs.index[program, FLOW]

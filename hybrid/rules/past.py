@@ -1,11 +1,11 @@
-"""The loop of a run whose flows look back: from window to window of the past.
+"""The loop of a run with delays: from window to window of the past.
 
-:mod:`.runs` flies as far as the present windows hold. Here what has been flown is put down as the
-record, in pieces, with its breaking points (:mod:`.flown`); at the end of a window the next one is
-read (:mod:`.windows`), as ``docs/notes/delays.md`` says, and behind a jump where what is seen may
-be another then; if it was a guess that does not hold, what has been flown is taken back. What is
-not plain is left to :mod:`hybrid.delay.memory`, which has the same record: windows on functions of
-the caller's, and guesses in which something is to be judged.
+:mod:`.runs` flies as far as the present windows are valid. Here what was flown is then added to the
+record, in pieces with breaking points (:mod:`.flown`), and the next windows are read
+(:mod:`.windows`, ``docs/notes/delays.md``). After a jump they are read again, as delayed values may
+have changed. If a window was a guess that proves wrong, the flight is undone back to where the
+guess began. Windows on functions of the caller's, and guesses in which something must be judged,
+are left to :mod:`hybrid.delay.memory`, which has the same record.
 """
 
 from __future__ import annotations
@@ -85,12 +85,12 @@ from .zeros import EPS
 
 __all__ = ("bound", "ended", "look_back")
 
-#: The order of an element that is smooth; the highest of breaking points that are noted once a lag
-#: has turned back over its past: each is seen many times, and those times are themselves seen many
-#: times.
+#: The order of a smooth element; and the highest order of breaking points that are noted once the
+#: place of a lag has moved backwards: each of them is then seen many times, and so are those that
+#: follow from it.
 SMOOTH_ORDER, TURNING = 1000000, 2
 
-#: A lag that moves is at the end of its window as far as this many of the times that are one.
+#: A moving lag counts as at the end of its window within this many tolerances on equal times.
 AT_THE_END = 1e2
 
 
@@ -143,21 +143,21 @@ def look_back(
 
 
 def time(now: Now) -> float:
-    """The time to which a run has come."""
+    """The present time of the run."""
     t, _ = after(now.floats[T], now.floats[LOW], now.floats[TAU])
     return t
 
 
 def ends(a: AutomatonArrays, now: Now, status: int) -> bool:
-    """Whether the loop has come to where windows end: at their time, or at the guard by which the
-    place of a lag that moves leaves its own."""
+    """Whether the loop has stopped where windows end: at their time, or at the guard by which a
+    moving lag's place leaves its window."""
     return status == END or (status == JUMP and a.guards[now.ints[FIRED], KIND] == WINDOW_END)
 
 
 def due(
     a: AutomatonArrays, run: Floats, now: Now, room: Room, left: Left, past: PastArrays, status: int
 ) -> int:
-    """Read the windows that are due; ``HOLDS`` if none are, else the status as in :func:`.read`."""
+    """Read the windows that are due; ``HOLDS`` if none are, else the status of :func:`.read`."""
     if now.ints[JUMPS_MADE] >= run[JUMPS_DUE]:
         return behind(a, now, room, left, past)
     last = status == END and past.floats[SERVES_UNTIL] >= past.floats[FINAL]
@@ -177,7 +177,8 @@ def due(
 def placed(
     a: AutomatonArrays, field: int, t: float, x: Floats, room: Room, past: PastArrays
 ) -> bool:
-    """Note where the lags look from a time; whether those that move are numbers of at least 0."""
+    """Store the places to which the lags look back; returns whether all moving lags are numbers of
+    at least 0."""
     copied(x, past.present)
     if a.fields[field, LAGS] < 0:
         return True
@@ -188,7 +189,7 @@ def placed(
 
 
 def behind(a: AutomatonArrays, now: Now, room: Room, left: Left, past: PastArrays) -> int:
-    """Find what is seen behind a jump; the status as in :func:`.read`."""
+    """Read the past again after a jump; returns the status of :func:`.read`."""
     place, t, until = now.ints[JUMPS_MADE] - 1, time(now), past.floats[SERVES_UNTIL]
     guard, forgets = left.fired[place], past.ints[BEHIND] == FORGETS
     if not forgets and t < until < past.floats[FINAL] and until - t <= 2.0 * slack(t):
@@ -208,11 +209,12 @@ def behind(a: AutomatonArrays, now: Now, room: Room, left: Left, past: PastArray
 def judged(
     a: AutomatonArrays, run: Floats, now: Now, left: Left, past: PastArrays, status: int
 ) -> int:
-    """What becomes of a guess that has been flown: ``HOLDS``; or what it gives way to, the status
-    as in :func:`.confirmed`; ``NEXT_TO_NOTHING`` where the driver is to fly it; ``NO_ROOM``.
+    """Compare a guess with what was flown on it.
 
-    Where a jump is made in it, or something is to be judged, a nearer one is flown first, until
-    none need be made. A lag that vanishes always looks at one.
+    Returns ``HOLDS``; the status of :func:`.confirmed` if another guess replaces it;
+    ``NEXT_TO_NOTHING`` if the driver must fly on; or ``NO_ROOM``. If there was a jump, or something
+    must be judged, shorter guesses are flown first, until none is needed; a lag that vanishes
+    always needs one.
     """
     since, t = past.floats[GUESSED_FROM], time(now)
     jumped, vanishes = now.ints[JUMPS_MADE] >= run[JUMPS_DUE], past.floats[SHORTEST_LAG] <= slack(t)
@@ -231,7 +233,7 @@ def judged(
 
 
 def tried(now: Now, past: PastArrays) -> None:
-    """Keep the state from which windows are flown that may be guesses."""
+    """Save the state from which guessed windows are flown."""
     copied(now.floats, past.floats_before)
     copied(now.x, past.before[0])
     copied(now.seen, past.before[1])
@@ -246,7 +248,7 @@ def tried(now: Now, past: PastArrays) -> None:
 
 
 def back(now: Now, past: PastArrays) -> None:
-    """Be again where a guess began."""
+    """Restore the state at which a guess began."""
     copied(past.floats_before, now.floats)
     copied(past.before[0], now.x)
     copied(past.before[1], now.seen)
@@ -265,7 +267,7 @@ def back(now: Now, past: PastArrays) -> None:
 
 
 def goes_on(now: Now, past: PastArrays) -> None:
-    """Let the arc go on where windows end."""
+    """Continue the arc where windows end."""
     now.ints[PHASE] = WALKS
     now.ints[STEPS_MADE] -= now.ints[MADE]
     past.ints[IN_ARC], past.floats[BEGAN] = now.ints[JUMPS_MADE], now.floats[TAU]
@@ -277,8 +279,8 @@ def goes_on(now: Now, past: PastArrays) -> None:
 def ended(t: float, field: int, fired: int, past: PastArrays) -> None:
     """Note the breaking point that follows, in a field, from those at which windows end.
 
-    ``fired``: of lags that move, that which has come to the end of its window times two, and one
-    more at the end ahead; -1 if none has.
+    ``fired``: twice the number of the moving lag that has reached the end of its window, plus one
+    at its later end; -1 if none has.
     """
     n, any_met = past.own.shape[0], False
     for k in range(past.lags.shape[0]):
@@ -300,7 +302,7 @@ def ended(t: float, field: int, fired: int, past: PastArrays) -> None:
 
 
 def meets(k: int, t: float, fired: int, past: PastArrays) -> tuple[bool, float]:
-    """Whether a lag has come to the end of its window; which one that is."""
+    """Whether a lag has reached the end of its window, and which one."""
     here, apart, frame = t - past.lags[k], max(slack(t), slack(t - past.lags[k])), past.windows[k]
     if past.moves[k] == FIXED:
         return here >= frame[TO_PLACE] - apart, frame[TO_PLACE]
@@ -312,10 +314,8 @@ def meets(k: int, t: float, fired: int, past: PastArrays) -> tuple[bool, float]:
 
 
 def carried(field: int, past: PastArrays) -> int:
-    """Put down the orders of the elements where lags see breaking points; the least that is seen.
-
-    Those are in ``past.least``.
-    """
+    """Find the orders of breaking points of all elements from those that the lags see (in
+    ``past.least``); returns the least order seen."""
     n, own = past.own.shape[0], past.own
     for i in range(n):
         own[i] = SMOOTH_ORDER
@@ -337,7 +337,7 @@ def carried(field: int, past: PastArrays) -> int:
 
 
 def bound(a: AutomatonArrays, now: Now, room: Room, past: PastArrays) -> None:
-    """Give the windows to the programs, and work out what follows from them."""
+    """Pass the windows to the programs, and compute what depends on them only."""
     put_in(
         a, room, past.shown, past.given, past.ranged, past.parts, past.ops, past.more, past.numbers
     )
@@ -346,7 +346,7 @@ def bound(a: AutomatonArrays, now: Now, room: Room, past: PastArrays) -> None:
 
 
 def inside(a: AutomatonArrays, now: Now, room: Room) -> None:
-    """Let an arc go on inside new windows: a place that looks at one end leaves it."""
+    """Continue an arc in new windows; a place at one end of its window moves away from it."""
     field, t = now.ints[FIELD], time(now)
     first, last = a.fields[field, GUARDS], a.fields[field, GUARDS_END]
     for g in range(first, last if a.fields[field, LAGS] >= 0 else first):

@@ -1,4 +1,4 @@
-"""The record of a run with delays: its pieces and breaking points, and the times that are one."""
+"""The record of a run with delays: its pieces, its breaking points, and which times are equal."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from .places import BREAKS, PIECES_KEPT, RTOL
 #: floats, and there its middle and half its length.
 BEGIN, UP_TO, FROM, FROM_LOW, PIECE_MIDDLE, PIECE_HALF = range(6)
 
-#: What a window may differ from the record, against the tolerance of a step, and rounding of what
-#: it shows.
+#: Allowed difference between a window and the record, relative to the tolerance of a step; and the
+#: rounding of a window.
 WINDOW_SHARE, SHOWN_ROUNDING = 0.1, 4e-16
 
-#: Times nearer than this many roundings are one.
+#: Times within this many roundings are equal.
 SAME_TIME_ROUNDINGS = 8.0
 
 
 def slack(t: float) -> float:
-    """Times nearer to this one are it, if sums of such times are rounded."""
+    """The tolerance within which times near this one, sums of several times, count as equal."""
     return SAME_TIME_ROUNDINGS * (math.nextafter(abs(t), math.inf) - abs(t))
 
 
 def following(past: PastArrays, t: float, later: bool) -> int:
-    """The place of the first breaking point at a time or after it; or ``later``, after it."""
+    """The place of the first breaking point at a time or after it; with ``later``, after it."""
     low, high = 0, past.ints[BREAKS]
     while low < high:
         middle = (low + high) // 2
@@ -49,7 +49,7 @@ def last_break(past: PastArrays, t: float, there: bool) -> float:
 
 
 def broken(past: PastArrays, t: float) -> None:
-    """Note a breaking point, of the orders in ``past.own``; those at one time are one."""
+    """Note a breaking point, of the orders in ``past.own``; equal ones are merged."""
     place = past.ints[BREAKS]
     if place > 0 and t <= past.times[place - 1] + slack(t):
         for i in range(past.own.shape[0]):
@@ -62,7 +62,7 @@ def broken(past: PastArrays, t: float) -> None:
 
 
 def put(past: PastArrays, t: float, low: float, start: float, length: float) -> None:
-    """The row of a new piece; its series are still to be put down."""
+    """The row of a new piece, whose series are still to be written."""
     place = past.ints[PIECES_KEPT]
     span = past.spans[place]
     span[BEGIN], span[UP_TO] = t + (low + start), t + (low + (start + length))
@@ -72,14 +72,14 @@ def put(past: PastArrays, t: float, low: float, start: float, length: float) -> 
 
 
 def kept(past: PastArrays) -> None:
-    """Keep the piece that has been put down, if it has a length."""
+    """Keep the piece just written, if it has a length."""
     span = past.spans[past.ints[PIECES_KEPT]]
     if span[UP_TO] > span[BEGIN]:
         past.ints[PIECES_KEPT] += 1
 
 
 def holding(t: float, past: PastArrays) -> int:
-    """The place of the piece that goes on beyond a time; the last if none does."""
+    """The place of the piece that extends beyond a time; the last one if none does."""
     low, high = 0, past.ints[PIECES_KEPT]
     while low < high:
         middle = (low + high) // 2
@@ -93,7 +93,7 @@ def holding(t: float, past: PastArrays) -> int:
 def at(past: PastArrays, piece: int, i: int, s: float, since: float) -> float:
     """An element of the record at ``s + since``, by Clenshaw's rule.
 
-    In two parts, so that on a short window it does not drown in the rounding of the time.
+    The time is in two parts, so that a short window does not drown in its rounding.
     """
     row, degree = past.rows[piece * past.own.shape[0] + i], past.degrees[piece]
     if degree == 0:
@@ -107,5 +107,5 @@ def at(past: PastArrays, piece: int, i: int, s: float, since: float) -> float:
 
 
 def allowed(past: PastArrays, i: int, size: float) -> float:
-    """What a window may differ from an element of the record of this size."""
+    """The allowed difference between a window and the record, for an element of this size."""
     return WINDOW_SHARE * (past.atol[i] + past.floats[RTOL] * size) + SHOWN_ROUNDING * size

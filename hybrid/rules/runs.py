@@ -98,8 +98,8 @@ from .zeros import EPS
 
 __all__ = ("go",)
 
-#: Where a sum goes beyond the end of the run, and nothing hides on its way, it is tried again only
-#: once impacts are so much slower; it may be that what is behind a knot of a signal shortens it.
+#: If a sum would end after the run, it is tried again only once impacts are slower by this factor,
+#: as the next piece of a signal may shorten it.
 MUCH_LATER = 1e-3
 
 
@@ -128,8 +128,8 @@ def accumulated(
     Returns
     -------
     status : int
-        ``GOES_ON`` behind the limit, or at the impact if there is no sum; ``FULL`` behind the
-        limit; ``MAKE`` or ``PROOF``, to be called again; or ``JUMP``, and nothing has changed.
+        ``GOES_ON`` after the limit, or at the impact if there is no sum; ``FULL`` after the limit;
+        ``MAKE`` or ``PROOF``, to be called again; or ``JUMP``, and nothing has changed.
     """
     guard, place, field = now.ints[FIRED], now.ints[JUMPS_MADE], now.ints[FIELD]
     if run[REST_AFTER] == DRIVERS or run[JUMPS_DUE] < math.inf:
@@ -193,8 +193,8 @@ def kept_law(
     sums: Sums,
     look: Look,
 ) -> bool:
-    """Whether the restitution at each impact is what a sum's flights have it, as far as that tells;
-    what it is off adds to the errors of the limit."""
+    """Whether the restitution at each impact agrees with that of a sum's flights, within tolerance;
+    the difference adds to the errors of the limit."""
     if a.guards[guard, DEPENDS] == 0:
         return True
     row, first, n = left.sums[tail], tail * CURVE_ROWS, x.shape[0]

@@ -1,7 +1,7 @@
-"""What functions of an automaton make of a change of time, state and parameters.
+"""How functions of an automaton map a change of time, state and parameters.
 
-A change is a matrix whose rows are time, then the elements of the state; those of the parameters
-are not written down: a column for each of them is that of the unit matrix.
+A change is a matrix with rows for time and the elements of the state. Those for the parameters are
+not stored: their columns are those of the unit matrix.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ __all__ = ("onto_contacts", "rates", "reset")
 
 
 def product(row: Floats, change: Matrix, size: int, columns: int, first: int, k: int) -> float:
-    """An entry of a row of derivatives times a change; column ``first`` is that of the first
+    """An entry of a row of derivatives times a change; column ``first`` belongs to the first
     parameter."""
     total = 0.0
     for i in range(size):
@@ -32,7 +32,7 @@ def rates(s: Slopes, program: int, t: float, x: Floats, room: Changes, out: Floa
 
 
 def read(s: Slopes, program: int, t: float, x: Floats, room: Changes) -> None:
-    """Read a program for values."""
+    """Evaluate a program."""
     values(s.programs, program, t, x, room.sides, room.c, room.work, room.read)
 
 
@@ -47,9 +47,10 @@ def reset(
     after: Matrix,
     room: Changes,
 ) -> None:
-    """A change behind a jump, of time and state, from that before it.
+    """The change of time and state after a jump, from that before it.
 
-    ``columns`` are those of derivatives, ``first`` is the first parameter's among the change's.
+    ``columns``: number of columns of the derivatives; ``first``: column of the first parameter in
+    the change.
     """
     n = x.shape[0]
     read(s, program, t, x, room)
@@ -71,8 +72,8 @@ def onto_contacts(
     change: Matrix,
     room: Changes,
 ) -> bool:
-    """Project a change of time and state onto contacts that are held: what it changes of their
-    gaps is taken away along their gradients, then of their speeds along impulses."""
+    """Project a change of time and state onto held contacts: remove the changes of the gaps along
+    their gradients, then those of the gap speeds along the impulses."""
     n = x.shape[0]
     read(s, program, t, x, room)
     for place in range(2):

@@ -1,8 +1,8 @@
 """One step along a flow by its Taylor series.
 
-It is as long as the last two terms stay below rounding, or a tolerance, and as the polynomial has
-the flow's direction: a force may be flat to rounding before it changes. It ends at a kink (``abs``,
-``where``), on whose far side the other branch is expanded (:mod:`.kinks`).
+It is as long as the last two terms stay below rounding, or a tolerance, and as the polynomial
+follows the flow: a force may be flat to rounding before it changes. It ends at a kink (``abs``,
+``where``), beyond which the other branch is expanded (:mod:`.kinks`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ("step",)
 #: Status code besides those of :mod:`.kinks`: no step can be made.
 NO_STEP = -3
 
-#: On so short a way to a kink, against the time, rounding decides on which side of it the flow is.
+#: Within this share of the time from a kink, rounding decides the side of the kink.
 SIDE_BLUR = 32.0 * EPS
 
 #: No step is shorter: numbers next to the smallest have too few digits.
@@ -109,7 +109,7 @@ def _length(
     rows: Matrix,
     found: Matrix,
 ) -> tuple[int, float, int]:
-    """How long a step is, at most ``most``, and the kink that ends it; a status before them."""
+    """The status of a step, its length, at most ``most``, and the kink that ends it."""
     longest, crossed = tolerated_length(c, states(p, program), loss, most), -1
     watched = count(p, program) > 0
     if watched:

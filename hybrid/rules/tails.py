@@ -1,4 +1,4 @@
-"""Along the impacts of a sum: when they are, and other guards."""
+"""The impacts of a sum: their times, and other guards along them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from .sums import SMALLEST_DIVISOR, STATE_THERE, on_curve
 
 __all__ = ("clear",)
 
-#: Flights of a tail along which other guards are looked at: the highest, and those at so many times
-#: from the first impact to the limit; so many where a guard is no sum of states.
+#: Flights of a tail along which other guards are checked: the first, which are the highest, and
+#: those at some times from there to the limit; more of these if a guard is not affine.
 TAIL_FLIGHTS, TAIL_TIMES, TAIL_POINTS = 4, 8, 200
 
 
@@ -90,14 +90,14 @@ def kept(
 
 
 def count(t: float, r: float, remaining: float) -> int:
-    """Impacts of a tail that a double can still tell from the limit."""
+    """Number of impacts of a tail that a double can tell from the limit."""
     end = abs(t + remaining)
     share = max(math.nextafter(end, math.inf) - end, SMALLEST_DIVISOR) / remaining
     return max(0, math.ceil(math.log(min(max(share, SMALLEST_DIVISOR), 1.0)) / math.log(r)))
 
 
 def covering(curve: Matrix, r: float, most: int, since: float) -> int:
-    """The last impact that is no later than a time after a tail's first."""
+    """The last impact not later than a time after the first one of a tail."""
     low, high, degree = 0, most, curve.shape[0] - 1
     while low < high:
         middle = (low + high + 1) // 2

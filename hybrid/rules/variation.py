@@ -1,8 +1,8 @@
 """The first variation along a flow, as power series beside that of the state.
 
-A change of the state obeys ``M' = J M + P`` from ``M = (1, 0)``; the columns beyond the state's are
-those of parameters. ``J`` and ``P`` are functions of a program, along its flow. There may be a row
-more than the state has: a number that depends on the state, and on which nothing depends.
+It obeys ``M' = J M + P`` with ``M = (1, 0)`` at the start; the columns after those of the state
+belong to parameters. ``J`` and ``P`` are functions of a program along its flow. There may be one
+more row than state elements, for a number that depends on the state and on which nothing depends.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from .polynomials import power_value
 
 __all__ = ("carried",)
 
-#: Columns of the tables of derivatives. Of a field, and of a contact with its gap behind the
-#: states: the program of ``J`` and ``P``, and where its places begin and end; the program of the
-#: projection onto contacts held (-1: none is), and how many are. Of a guard besides: its gradient,
-#: the derivatives of its jump (-1: the state stays as it is); of a contact those of its gap's
-#: speed, of its restitution, of what the flow watches; and the row of the field of its rest (-1).
+#: Columns of the tables of derivatives. For a field, and for a contact with its gap after the
+#: states: the program of ``J`` and ``P``, the range of its places, the program of the projection
+#: onto held contacts (-1: none), and their number. For a guard also: its gradient, and the
+#: derivatives of its jump (-1: no change); for a contact those of its gap speed, of its restitution
+#: and of its watched functions, and the row of the field at rest (-1).
 SLOPES_PROGRAM, SLOPES_FROM, SLOPES_UNTIL, ONTO, HELD_COUNT = range(5)
 GRADIENT, RESET_SLOPES, SPEED_SLOPES, LAW_SLOPES, KINKED, REST_ROW = range(5, 11)
 
-#: Most steps: a formula that needs more is not one that is smooth.
+#: Most steps; a formula that needs more is not smooth.
 VARIATION_STEPS = 10_000
 
 #: Status codes: there is no series, or no end.
@@ -48,14 +48,14 @@ def carried(
     Parameters
     ----------
     t, x
-        Where the piece begins; ``x`` gets its end.
+        Start of the piece; ``x`` gets the state at its end.
     beside, inside
-        A time within the piece, next to its start, and the state there: on which side of its kinks
-        the piece is.
+        A time within the piece, next to its start, and the state there, which decide the sides of
+        kinks.
     places
-        For each function of the program its place in ``(J, P)``; where there is none, 0 stands.
+        For each function of the program its place in ``(J, P)``; other entries are 0.
     found
-        Gets the matrix, of as many rows as ``J`` and as many columns as ``(J, P)``.
+        Gets the matrix, with the rows of ``J`` and the columns of ``(J, P)``.
 
     Returns
     -------
@@ -86,8 +86,8 @@ def carried(
 
 
 def _step(c: Matrix, n: int, terms: Matrix, count: int, most: float) -> float:
-    """A length, ``most`` at most, at which the last two terms of all series are rounding. It is
-    tried first: a length that fits is cheap to see, and expensive to find."""
+    """A length, at most ``most``, at which the last two terms of all series are rounding. ``most``
+    is tried first, as checking a length is cheaper than finding one."""
     h = most
     for i in range(n):
         if not small(c[i], FIRST_TERMS, h):
@@ -99,7 +99,7 @@ def _step(c: Matrix, n: int, terms: Matrix, count: int, most: float) -> float:
 
 
 def small(c: Floats, measure: int, h: float) -> bool:
-    """Whether the last two terms of a series are rounding of one of the first ones, so many."""
+    """Whether the last two terms of a series are rounding relative to its first terms."""
     size, power, order = 0.0, 1.0, c.shape[0] - 1
     for k in range(order - 1):
         if k < measure:
@@ -111,7 +111,7 @@ def small(c: Floats, measure: int, h: float) -> bool:
 def _sides(
     p: Programs, program: int, t: float, x: Floats, sides: Ints, c: Matrix, work: Floats
 ) -> bool:
-    """The sides of kinks at a state; whether there are any."""
+    """Determine the sides of kinks at a state; returns whether there are any."""
     for i in range(sides.shape[0]):
         sides[i] = 0
     first, last = p.index[program, KINKS], p.index[program, KINKS + 1]
@@ -126,7 +126,7 @@ def _sides(
 
 
 def unmoved(m: Matrix) -> None:
-    """The unit matrix."""
+    """Write the unit matrix."""
     for i in range(m.shape[0]):
         for j in range(m.shape[1]):
             m[i, j] = 1.0 if i == j else 0.0
@@ -135,10 +135,10 @@ def unmoved(m: Matrix) -> None:
 def _expand(
     output: Ints, places: Table, rows: int, columns: int, order: int, c: Matrix, room: Changes
 ) -> None:
-    """The series of the matrix from the start of a step: order by order, as the flow's.
+    """Compute the series of the matrix from the start of a step, order by order, like the flow's.
 
-    They are made with the numbers of an order beside each other: sums of products do not wait for
-    each other then.
+    The numbers of an order are computed side by side, so that sums of products do not wait for each
+    other.
     """
     orders, count = room.orders, rows * columns
     for i in range(count):
@@ -165,14 +165,14 @@ def _expand(
 
 
 def _summed(terms: Matrix, h: float, rows: int, columns: int, found: Matrix) -> None:
-    """The matrix of a step."""
+    """Compute the matrix of a step."""
     for i in range(rows):
         for j in range(columns):
             found[i, j], _ = power_value(terms[i * columns + j], 0, terms.shape[1] - 1, h)
 
 
 def composed(later: Matrix, found: Matrix) -> None:
-    """A matrix behind that of what came before, which it replaces; ``later`` has room below."""
+    """Replace a matrix by its product with the ``later`` one, which has room below."""
     rows, columns = found.shape
     for i in range(rows):
         for j in range(columns):

@@ -1,9 +1,9 @@
-"""Windows on the past: the record of a run, read as one polynomial for each lag.
+"""Windows on the past: for each lag a polynomial that represents the record.
 
-A window of a lag that is constant begins where the lag looks; that of one which moves has room on
-both sides. It ends at the breaking points of the record, and where one polynomial would not be as
-accurate as the run. Where a lag is shorter than a step what it will see is a guess: a piece of the
-record beyond the present, which gives way to what is flown. Where the record is a function of the
+The window of a constant lag begins where the lag looks; that of a moving lag has room on both
+sides. It ends at breaking points of the record, and where one polynomial would be less accurate
+than the run. Where a lag is shorter than a step, what it will see is a guess: a piece of the record
+beyond the present, which is replaced by what is flown. Where the record is a function of the
 caller's, Python is asked for its values. See ``docs/notes/delays.md``.
 """
 
@@ -69,22 +69,22 @@ from .record import (
 
 __all__ = ("confirmed", "nearer_guess", "read", "stays")
 
-#: Rounding of the series of a window; windows this many times as long as those at which times are
-#: one are not halved.
+#: Rounding of a window's series; and windows up to this many tolerances on equal times are not
+#: halved.
 WINDOW_ROUNDING, UNHALVED = 1e-15, 1e3
 
-#: How a lag moves: not, with its place going forwards, or back.
+#: How a lag moves: not at all, or so that its place moves forwards or backwards.
 FIXED, MOVES_ON, BACKWARDS = 0, 1, 2
 
-#: Longest window of a lag that moves, against the run, and what part of it may lie behind, against
-#: the part ahead.
+#: Longest window of a moving lag, relative to the run; and the part behind the place, relative to
+#: that ahead.
 LONGEST_WINDOW, SIDE = 0.1, 0.25
 
-#: Guesses at a window before a shorter one is tried, and times between which times are one that a
-#: guess spans at least.
+#: Guesses of one window before a shorter one is tried; and the shortest, in tolerances on equal
+#: times.
 MOST_GUESSES, GUESS_SPAN = 12, 100.0
 
-#: Places at which a record may be rough within a time this short against the run.
+#: Number of rough places of a record that are allowed within this fraction of the run.
 ROUGH_MOST, ROUGH_NEAR = 20, 1e-3
 
 
@@ -92,19 +92,18 @@ ROUGH_MOST, ROUGH_NEAR = 20, 1e-3
 
 
 def read(t: float, again: bool, past: PastArrays) -> int:
-    """Read windows off the record, into ``past.shown``.
+    """Read windows from the record into ``past.shown``.
 
     Parameters
     ----------
     again : bool
-        On what was flown on earlier ones, which stands in the record behind what was known.
+        Whether to read what was flown on earlier windows; it follows the known part of the record.
 
     Returns
     -------
     status : int
         ``FOUND``; ``ASKS_VALUES``, to be called again once ``past.told`` has the values of the
-        record at the nodes of what is asked for; ``RECORD_NOT_FINITE``, at ``ASKED_FROM``;
-        ``ROUGH``, there.
+        record at the requested nodes; ``RECORD_NOT_FINITE`` or ``ROUGH``, at ``ASKED_FROM``.
     """
     floats, ints, asking = past.floats, past.ints, past.ints[ASKING]
     if asking < 0:
@@ -134,9 +133,9 @@ def read(t: float, again: bool, past: PastArrays) -> int:
 def window(
     k: int, t: float, s: float, ahead: bool, length: float, told: bool, past: PastArrays
 ) -> int:
-    """Find the window of a lag that looks at ``s``; the status as in :func:`read`.
+    """Find the window of a lag that looks at ``s``; returns the status of :func:`read`.
 
-    ``ahead``: what comes is guessed; ``told``: values of the record have been asked for.
+    ``ahead``: the future is guessed; ``told``: values of the record have been asked for.
     """
     apart, moves, frame = max(slack(t), slack(s)), past.moves[k], past.windows[k]
     pad = 0.0 if moves == FIXED else 0.5 * apart
@@ -183,7 +182,8 @@ def window(
 def aim(
     k: int, t: float, s: float, ahead: bool, length: float, apart: float, past: PastArrays
 ) -> None:
-    """Both ends of a window, if it is resolved: where there is room, more than is needed."""
+    """Choose both ends of a window, to be shortened if it is not resolved; longer than needed where
+    there is room."""
     frame, moves = past.windows[k], past.moves[k]
     end, span = min(next_break(past, s, apart), math.inf if ahead else t), frame[LONGEST]
     if moves == FIXED:
@@ -203,7 +203,7 @@ def aim(
 
 
 def nearer(frame: Floats, s: float, apart: float) -> None:
-    """Nearer ends on both sides of a place, that behind it first."""
+    """Move the ends of a window nearer to a place, first the end behind it."""
     a, b = frame[SINCE_PLACE], frame[TO_PLACE]
     if s - a > UNHALVED * apart:
         frame[SINCE_PLACE] = s - 0.25 * (s - a)
@@ -216,7 +216,7 @@ def nearer(frame: Floats, s: float, apart: float) -> None:
 def shorter(
     s: float, b: float, t: float, first: int, last: int, apart: float, past: PastArrays
 ) -> float:
-    """A nearer end: half as far in what is guessed, that of a piece, or the middle."""
+    """A nearer end: half as far into what is guessed, at the end of a piece, or in the middle."""
     if b - t > SIDE * (t - s):
         return t + 0.5 * (b - t)
     low, high = first, last
@@ -228,7 +228,8 @@ def shorter(
 
 
 def rough(s: float, past: PastArrays) -> bool:
-    """Whether the record is rough everywhere, not at some places only: one more is at ``s``."""
+    """Note that the record is rough at ``s``; returns whether it is rough everywhere, not only at
+    single places."""
     floats, ints = past.floats, past.ints
     near = ROUGH_NEAR * (floats[FINAL] - floats[STARTED])
     if ints[ROUGH_PLACES] == 0 or not abs(s - floats[ROUGH_FROM]) < near:
@@ -241,8 +242,8 @@ def rough(s: float, past: PastArrays) -> bool:
 def shown(
     k: int, t: float, a: float, b: float, first: int, last: int, told: bool, past: PastArrays
 ) -> tuple[bool, bool]:
-    """Put down what a window shows of pieces of the record; whether its polynomial is the record,
-    as far as the run can tell, and whether that is finite."""
+    """Write the polynomial of a window on some pieces of the record; returns whether it agrees with
+    the record, within the run's tolerance, and whether that is finite."""
     n, fine, share = past.own.shape[0], True, 0.5 * max(slack(t), slack(a)) / (b - a)
     base = framed(k, a, b, past)
     for i in range(n):
@@ -265,16 +266,16 @@ def shown(
 
 
 def framed(k: int, a: float, b: float, past: PastArrays) -> int:
-    """Put the frame of a window down; where its numbers begin."""
+    """Write the frame of a window; returns where its numbers begin."""
     base = k * (FRAME + (WINDOW_DEGREE + 1) * past.own.shape[0])
     past.shown[base], past.shown[base + 1] = 0.5 * a + 0.5 * b, 0.5 * (b - a)
     return base
 
 
 def laid(base: int, size: float, noise: float, past: PastArrays) -> float:
-    """Put down the polynomial through an element's values, which are in the first row; the sum of
-    its last coefficients. What is rounding is left out: on a short window the derivatives of
-    rounding would be large."""
+    """Write the polynomial through an element's values, which are in the first row; returns the sum
+    of its last coefficients. Coefficients that are rounding are left out, as on a short window
+    their derivatives would be large."""
     n, rest, heard = past.own.shape[0], 0.0, False
     for j in range(WINDOW_DEGREE, -1, -1):
         term = 0.0
@@ -295,10 +296,10 @@ def laid(base: int, size: float, noise: float, past: PastArrays) -> float:
 
 
 def stays(t: float, past: PastArrays) -> bool:
-    """Look through the same windows from a time on, guessed ones cut off there, if all places are
-    still in them; whether they are.
+    """Keep the windows from a time on, if all places still lie in them; returns whether they do.
+    Guessed windows are cut there.
 
-    A guard that has fired is zero through these: through others only to the tolerance.
+    A guard that has fired is zero with these windows; with others only within the tolerance.
     """
     apart, floats, ints = slack(t), past.floats, past.ints
     for k in range(past.lags.shape[0]):
@@ -317,7 +318,7 @@ def stays(t: float, past: PastArrays) -> bool:
 
 
 def cut(k: int, t: float, past: PastArrays) -> None:
-    """Let a window end at a time: the same polynomial, by powers of the place in what is left."""
+    """End a window at a time: the same polynomial, in powers of the place in what is left."""
     n, a, b = past.own.shape[0], past.windows[k, SINCE_PLACE], past.windows[k, TO_PLACE]
     base, half = framed(k, a, t, past), 0.5 * (b - a)
     for i in range(n):
@@ -335,8 +336,8 @@ def cut(k: int, t: float, past: PastArrays) -> None:
 
 
 def nearer_guess(t: float, end: float, past: PastArrays) -> int:
-    """Look again, half as far as to what is to be done at a time: nothing is guessed once that is
-    as near as the shortest lag. The status as in :func:`read`, or ``NEXT_TO_NOTHING``."""
+    """Read again with a guess half as far as the next event; there is none once that is as near as
+    the shortest lag. Returns the status of :func:`read`, or ``NEXT_TO_NOTHING``."""
     floats, ints = past.floats, past.ints
     floats[STRIDE], ints[TIGHT] = 0.5 * max(end - t, 0.0), min(ints[TIGHT], 0)
     if floats[SHORTEST_LAG] <= slack(t) and floats[STRIDE] < GUESS_SPAN * slack(t):
@@ -345,14 +346,14 @@ def nearer_guess(t: float, end: float, past: PastArrays) -> int:
 
 
 def confirmed(t: float, length: float, past: PastArrays) -> int:
-    """Whether windows from a time on have shown what was flown through them, which stands in the
-    record behind what was known; if not, read them again.
+    """Compare the windows from a time on with what was flown on them, which follows the known part
+    of the record; if they differ, read them again.
 
     Returns
     -------
     status : int
-        ``HOLDS``; or it is to be flown again, and the status is that of :func:`read`, or
-        ``NEXT_TO_NOTHING``, where not even the shortest guess holds.
+        ``HOLDS``; otherwise the flight must be repeated, and this is the status of :func:`read`, or
+        ``NEXT_TO_NOTHING`` if not even the shortest guess holds.
     """
     floats, ints, before = past.floats, past.ints, past.floats[WRONG]
     floats[WRONG] = wrong(t, past)

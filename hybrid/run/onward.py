@@ -38,10 +38,6 @@ def require_end(run: Solution, spec: Spec, parameters: dict[str, Any], t: Any, g
     from.
 
     ``given`` are options that the earlier run determines.
-
-    Raises
-    ------
-    OptionError
     """
     why, (first, _) = run.differs(spec, parameters), t
     known = [name for name, value in given.items() if value is not None]

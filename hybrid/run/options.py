@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from difflib import get_close_matches
 from functools import cached_property
+from inspect import Parameter, signature
 from math import isfinite, sqrt
 from typing import TYPE_CHECKING, Any
 
@@ -229,13 +231,20 @@ def _longest(name: str, value: Any, t0: float, t1: float) -> float:
     return length
 
 
-def require_count(name: str, value: Any, least: int, otherwise: str = "") -> None:
-    """Refuse what is no whole number, or less than the least.
-
-    Raises
-    ------
-    OptionError
+def require_taken(model: str, options: Iterable[str], *takers: Callable[..., Any]) -> None:
+    """Refuse options that none of the functions takes which they are passed on to; the first of
+    them is named.
     """
+    parameters = (each for taker in takers for each in signature(taker).parameters.values())
+    known = [each.name for each in parameters if each.kind is Parameter.KEYWORD_ONLY]
+    for name in options:
+        if name not in known:
+            near = "".join(f"; is {n}= meant?" for n in get_close_matches(name, known, 1))
+            raise OptionError(f"{model}: {name}= is no option of hy.{takers[0].__name__}{near}")
+
+
+def require_count(name: str, value: Any, least: int, otherwise: str = "") -> None:
+    """Refuse what is no whole number, or less than the least."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not (whole and value >= least):
         raise OptionError(f"{name}={short(value)}: a whole number, {least} or more{otherwise}")

@@ -150,12 +150,7 @@ def _jumps(scene: Scene) -> list[str]:
 
 
 def _require_no_signal(spec: Spec, closed: Any) -> None:
-    """Refuse a surface that reads a signal.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Refuse a surface that reads a signal."""
     used = require_written(closed) if spec.signals else set()
     end = sum(math.prod(np.shape(parameter.default)) for parameter in spec.parameters)
     for signal in spec.signals:
@@ -187,6 +182,3 @@ def _surface(model: Any, scene: Scene, function: Callable[..., Any], crossing: C
     made = bound("value", node), free, *shape, lambda: closed
     size = bound("size", graph.size(node))
     return Surface(scene, Guard("section", Kind.EDGE, "", crossing, *made), size)
-
-
-__all__ = ["EdgeSection", "Period", "Return", "Section", "Surface", "section_of"]

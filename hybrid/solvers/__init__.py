@@ -1,14 +1,14 @@
 """Interchangeable solvers, chosen by name.
 
 ``scipy``
-        SciPy's methods. DOP853 is the default: eighth order, and it lands on an impact with a step
-    of the method itself. Use Radau for stiff flows. BDF and LSODA restart at order one after each
+    SciPy's methods. DOP853 is the default: eighth order, and it lands on an impact with a step of
+    the method itself. Use Radau for stiff flows. BDF and LSODA restart at order one after each
     jump.
 ``diffrax``
-        Diffrax's methods, several steps per call of a compiled program. Dopri8 is the default; use
+    Diffrax's methods, several steps per call of a compiled program. Dopri8 is the default; use
     Kvaerno5 for stiff flows.
 ``taylor``
-        Taylor series made from the trace, for flows that are not stiff: accurate to rounding if no
+    Taylor series made from the trace, for flows that are not stiff: accurate to rounding if no
     tolerance is given, of a lower order otherwise. At rounding level it also measures the error
     bounds of runs.
 
@@ -21,7 +21,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from ..errors import OptionError
@@ -34,31 +34,18 @@ Maker = Callable[..., Solver]
 GROUP = "hybrid.solvers"
 
 
-@cache
-def _scipy() -> Maker:
-    from .scipy_backend import SciPySolver
-
-    return SciPySolver
-
-
-@cache
-def _taylor() -> Maker:
-    from .taylor_backend import TaylorSolver
-
-    return TaylorSolver
-
-
-def _diffrax() -> Maker:
-    from .diffrax_objects import solver_of
-
-    return solver_of
-
-
-SOLVERS: dict[str, Callable[[], Maker]] = {
-    "scipy": _scipy,
-    "diffrax": _diffrax,
-    "taylor": _taylor,
+#: Where the makers of these solvers are; they are imported when they are asked for.
+SOLVERS = {
+    "scipy": "hybrid.solvers.scipy_backend:SciPySolver",
+    "diffrax": "hybrid.solvers.diffrax_objects:solver_of",
+    "taylor": "hybrid.solvers.taylor_backend:TaylorSolver",
 }
+
+
+@cache
+def _own(solver: str) -> Maker:
+    made: Maker = EntryPoint(solver, SOLVERS[solver], GROUP).load()
+    return made
 
 
 def maker(solver: str) -> Maker:
@@ -70,7 +57,7 @@ def maker(solver: str) -> Maker:
         If there is no such solver.
     """
     if isinstance(solver, str) and solver in SOLVERS:
-        return SOLVERS[solver]()
+        return _own(solver)
     plugged = {point.name: point for point in entry_points(group=GROUP)}
     if not isinstance(solver, str) or solver not in plugged:
         owner = owner_of(solver)

@@ -180,8 +180,8 @@ class Solver(abc.ABC):
     rejected, evaluations : int or None
         Rejected steps and evaluations of the flow (:class:`hybrid.Stats`); None if not counted.
     max_step : float
-            Longest step, for methods that cannot stop at the limit of a step; other steppers
-        receive it as that limit.
+        Longest step, for methods that cannot stop at the limit of a step; other steppers receive it
+        as that limit.
     asked : bool
         Whether the loop may request steps from its steppers; they have :meth:`Stepper.powers`.
     rtol, atol
@@ -193,7 +193,7 @@ class Solver(abc.ABC):
     tables : PairTables or None
         Tables of an explicit Runge-Kutta pair, with which the loop makes its steps in lanes.
     own_rtol : float
-            Default relative tolerance; the default absolute one is a hundredth of it. A class
+        Default relative tolerance; the default absolute one is a hundredth of it. A class
         attribute, as it is read before a solver is made.
     """
 

@@ -68,8 +68,8 @@ class DiffraxSolver(Solver):
     ----------
     method : diffrax.AbstractSolver
     controller : diffrax.AbstractStepSizeController, optional
-            By default Diffrax's ``PIDController`` with the tolerances. Its times count from the
-        start of each arc.
+        By default Diffrax's ``PIDController`` with the tolerances. Its times count from the start
+        of each arc.
 
     Attributes
     ----------

@@ -70,12 +70,12 @@ class StepProgram:
     Attributes
     ----------
     run : callable ``(numbers, memories)``
-            Returns an array and new memories. The array holds the number of steps made, the number
-        of attempts rejected, and one row per step. The memories are those before each step and
-        after the last one. ``numbers[INDEX]`` selects the memory to begin with; -1 is the start of
-        an arc.
+        Returns an array and new memories. The array holds the number of steps made, the number of
+        attempts rejected, and one row per step. The memories are those before each step and after
+        the last one. ``numbers[INDEX]`` selects the memory to begin with; -1 is the start of an
+        arc.
     whole : callable ``(numbers)``
-            Integrates with Diffrax's own loop; returns the time reached, the next step length, the
+        Integrates with Diffrax's own loop; returns the time reached, the next step length, the
         numbers of accepted and rejected steps, and the state.
     empty : tree of arrays
         Memories for the start of an arc.

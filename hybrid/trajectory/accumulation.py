@@ -62,7 +62,7 @@ class Accumulation:
     edges : tuple of str
         The cycle of edges.
     limits : tuple of (str, Record)
-            If resets move the state: the jumps of a turn in order, each with the limit of the state
+        If resets move the state: the jumps of a turn in order, each with the limit of the state
         after it; the last is ``state``. Otherwise empty.
     mode : str or None
         The mode entered after it.

@@ -53,7 +53,7 @@ class Arc(_Moded):
     Attributes
     ----------
     mode : str
-            The mode; ``"<mode>.rest(<contact>)"`` at rest, ``"slide(<switching>)"`` while sliding.
+        The mode; ``"<mode>.rest(<contact>)"`` at rest, ``"slide(<switching>)"`` while sliding.
         ``held`` and ``sliding`` give the contacts and the switching.
     j : int
         Number of jumps before it.

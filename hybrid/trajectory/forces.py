@@ -116,7 +116,7 @@ def scene_known(spec: Spec, parameters: Mapping[str, Any], scene: Scene | None) 
     Raises
     ------
     OptionError
-            If the run was loaded without its model, or depends on a past that the file does not
+        If the run was loaded without its model, or depends on a past that the file does not
         contain.
     """
     if scene is not None:

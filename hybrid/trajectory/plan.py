@@ -37,7 +37,7 @@ class Plan:
     closing, patience : float, int
         Tolerance of a sum relative to the run's, and impacts before the first attempt at one.
     watchful : int or None
-            Verify every step along the flow, for at most this many steps
+        Verify every step along the flow, for at most this many steps
         (:mod:`hybrid.solvers.watchful`).
     shaken : bool
         Perturb the states of such a run by the effect of rounding on brief forces.
@@ -46,7 +46,7 @@ class Plan:
     max_step, first_step : float
         Longest step, and longest first step of an arc; infinite if not limited.
     max_steps : float
-            Number of steps after which the run ends; checked between arcs and between calls of the
+        Number of steps after which the run ends; checked between arcs and between calls of the
         rules' loop.
     """
 

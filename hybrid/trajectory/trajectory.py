@@ -188,12 +188,7 @@ class Accumulations(list[Accumulation]):
 
 
 def _place(index: Any, count: int, what: str) -> int:
-    """The place of one of so many things.
-
-    Raises
-    ------
-    IndexError
-    """
+    """The place of one of so many things."""
     try:
         return range(count)[index]
     except IndexError:
@@ -284,7 +279,7 @@ class Solution:
         Returns
         -------
         Record
-                Fields of shape ``t.shape`` (plus the state's own shape), and the model's outputs by
+            Fields of shape ``t.shape`` (plus the state's own shape), and the model's outputs by
             name.
 
         Raises
@@ -394,16 +389,16 @@ class Solution:
         Returns
         -------
         array
-                Of the shape of ``t``. At rest, the multiplier of ``W grad_q(gap)`` that holds the
-            gap at zero; 0 while the contact is open; NaN at an impact. With ``inverse_mass`` it is
-            a force in the units of mass and gap; without, all masses are 1, and it is an
+            Of the shape of ``t``. At rest, the multiplier of ``W grad_q(gap)`` that holds the gap
+            at zero; 0 while the contact is open; NaN at an impact. With ``inverse_mass`` it is a
+            force in the units of mass and gap; without, all masses are 1, and it is an
             acceleration.
 
         Raises
         ------
         OptionError
-                If there is no such contact, the time is outside the run, no dense output was kept,
-            or the run was loaded without its model.
+            If there is no such contact, the time is outside the run, no dense output was kept, or
+            the run was loaded without its model.
 
         Notes
         -----
@@ -451,8 +446,8 @@ class Solution:
         Parameters
         ----------
         whole : bool
-                Whether to explain all accumulations; by default only the first and the last of
-            many. Their verdicts and error bounds are computed.
+            Whether to explain all accumulations; by default only the first and the last of many.
+            Their verdicts and error bounds are computed.
         """
         lines = [
             f"{self.spec.model}, t = {self.t0:g} to {self.t1:g}: "
@@ -484,12 +479,7 @@ def counted(count: int, what: str) -> str:
 
 
 def _times(t: Any) -> np.ndarray:
-    """Times as an array.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Times as an array."""
     try:
         return reals(t)
     except ValueError:

@@ -81,8 +81,8 @@ class CycleLimit:
     turns : int
         Number of closings of the cycle that were used.
     limits : tuple of (edge, array)
-            If resets move the state: the jumps of a turn, each with the limit of the state after
-        it; the last is ``x_inf``.
+        If resets move the state: the jumps of a turn, each with the limit of the state after it;
+        the last is ``x_inf``.
     """
 
     edges: tuple[str, ...]

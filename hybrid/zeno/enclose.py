@@ -152,13 +152,13 @@ class _Question:
     Attributes
     ----------
     program : IntervalProgram
-            The gap and its two Lie derivatives, the restitution, the flow, the push, the slopes,
-        the other guards.
+        The gap and its two Lie derivatives, the restitution, the flow, the push, the slopes, the
+        other guards.
     pair : (int, int) or None
         The one position and one velocity on which, with time, the gap and its speed depend.
     even : bool
-            Whether the gap's acceleration depends on that pair only, not on time, and is even in
-        the velocity.
+        Whether the gap's acceleration depends on that pair only, not on time, and is even in the
+        velocity.
     """
 
     program: Any

@@ -49,8 +49,8 @@ def chattering(v: Any, m: Any, M: Any, r: Any, even: bool = False) -> Chattering
     v : float, ``(low, high)`` or arb
         Gap speed after the last impact, greater than 0.
     m, M : float or arb
-            ``-M <= L_f^2 gap <= -m < 0`` on a box that contains ``B(v)`` and the remaining time;
-        the caller must check containment, with ``height``, ``speed`` and ``remaining``.
+        ``-M <= L_f^2 gap <= -m < 0`` on a box that contains ``B(v)`` and the remaining time; the
+        caller must check containment, with ``height``, ``speed`` and ``remaining``.
     r : float, ``(low, high)`` or arb
         Restitution in that box.
     even : bool
